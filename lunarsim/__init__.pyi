@@ -2,7 +2,7 @@ from lunarsim.campaign.comparison import CompareResult as CompareResult
 from lunarsim.errors import InputError as InputError
 from lunarsim.errors import RenderingError as RenderingError
 from lunarsim.evaluation.map_quality import map_quality as map_quality
-from lunarsim.evaluation.worlds import world_of as world_of
+from lunarsim.evaluation.world_reconstruction import rebuild_world as rebuild_world
 from lunarsim.facade import compare as compare
 from lunarsim.facade import fly as fly
 from lunarsim.facade import load_scenario as load_scenario
@@ -10,8 +10,8 @@ from lunarsim.facade import render as render
 from lunarsim.grid import Grid as Grid
 from lunarsim.onboard.hazards.gaussian_dem import gaussian_dem as gaussian_dem
 from lunarsim.onboard.hazards.hazard_map import HazardMap as HazardMap
-from lunarsim.parts.allowed import allow_modules as allow_modules
-from lunarsim.rng import Streams as Streams
+from lunarsim.parts.module_permission import allow_modules as allow_modules
+from lunarsim.rng import RandomStreams as RandomStreams
 from lunarsim.rng import flight_seed as flight_seed
 from lunarsim.safety import conservative_safety as conservative_safety
 from lunarsim.safety import exact_safety as exact_safety
@@ -21,7 +21,7 @@ from lunarsim.simulation.loop import Simulation as Simulation
 from lunarsim.simulation.worlds import build_world as build_world
 from lunarsim.viz.flight import FlightFigures as FlightFigures
 from lunarsim.viz.flight import plot_flight as plot_flight
-from lunarsim.world.terrain.dtm import load_dtm as load_dtm
+from lunarsim.world.terrain.dtm import load_terrain as load_terrain
 from lunarsim.world.terrain.heightfield import Heightfield as Heightfield
 from lunarsim.world.terrain.terrain import Terrain as Terrain
 

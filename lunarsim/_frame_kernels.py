@@ -9,7 +9,7 @@ from lunarsim._jit import kernel
 
 
 @kernel()
-def rotation_between(q, target, out):
+def rotation_vector_between(q, target, out):
     """Write the rotation vector (body axes, rad) from q to `target`; return its angle."""
     # conj(q) * target
     x = q[3] * target[0] - q[0] * target[3] - q[1] * target[2] + q[2] * target[1]
@@ -28,7 +28,7 @@ def rotation_between(q, target, out):
 
 
 @kernel()
-def turned(q, phi):
+def rotate_quaternion(q, phi):
     """Rotate the unit quaternion q in place by a rotation vector phi (body axes, rad)."""
     angle = np.sqrt(phi[0] * phi[0] + phi[1] * phi[1] + phi[2] * phi[2])
     s = 0.5 if angle < 1e-8 else np.sin(0.5 * angle) / angle
@@ -44,7 +44,7 @@ def turned(q, phi):
 
 
 @kernel()
-def rotated_back(q, v, out):
+def rotate_to_body(q, v, out):
     """Rotate the ENU vector v into body axes by the unit quaternion q; write it to `out`."""
     x, y, z, w = q[0], q[1], q[2], q[3]
     # Inverse rotation: v + 2 u x (u x v - w v), where u is the vector part.
@@ -57,7 +57,7 @@ def rotated_back(q, v, out):
 
 
 @kernel()
-def points_along(position, rotation, direction, reach):
+def ray_points(position, rotation, direction, reach):
     """Return the points (n, 3) at distances `reach` (n,) along rays from a position (3,).
 
     `direction` (n, 3) has the rays in sensor axes; `rotation` (3, 3) rotates sensor axes into the
@@ -76,12 +76,12 @@ def points_along(position, rotation, direction, reach):
 def thrust_attitude(direction, heading):
     """Return the quaternion with body z along `direction` and body x near `heading`."""
     q = np.empty(4)
-    turn_along(direction[0], direction[1], direction[2], heading, q)
+    write_thrust_attitude(direction[0], direction[1], direction[2], heading, q)
     return q
 
 
 @kernel(allocates=False)
-def turn_along(east, north, up, heading, q):
+def write_thrust_attitude(east, north, up, heading, q):
     """Write the quaternion (4,) with body z along a direction and body x near `heading`."""
     size = np.sqrt(east * east + north * north + up * up)
     zx, zy, zz = east / size, north / size, up / size

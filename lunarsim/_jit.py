@@ -19,7 +19,7 @@ from numba.core.registry import CPUDispatcher
 
 from lunarsim import forks
 from lunarsim._kernel_cache import enable_cache
-from lunarsim._shares import PartitionedKernel
+from lunarsim._work_partition import PartitionedKernel
 
 # Idle OpenMP threads sleep instead of spinning until the next kernel; spinning threads use a fifth
 # of the processor time of a flight with cameras. OpenMP reads this at the first parallel kernel.

@@ -18,7 +18,7 @@ import numpy as np
 from numba.core.dispatcher import Dispatcher
 from numba.core.extending import _Intrinsic
 
-from lunarsim._shares import PartitionedKernel
+from lunarsim._work_partition import PartitionedKernel
 
 _PLAIN = (bool, int, float, complex, str, bytes, np.generic)
 # Packages whose versions Numba compares itself, or that a kernel takes no constants from.

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 import lunarsim
+from lunarsim.atomic_files import new_contents_remover, remove_contents_on_error
 from lunarsim.cli_campaign import campaign, replay, sweep
 from lunarsim.cli_common import (
     FLIGHT,
@@ -32,7 +33,6 @@ from lunarsim.cli_scenario import parts, scenario
 from lunarsim.cli_start import INTERRUPTED, run
 from lunarsim.cli_terrain import terrain
 from lunarsim.errors import InputError, check_folder, check_output
-from lunarsim.whole_files import filled_whole, remover_of_new
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -85,7 +85,7 @@ def fly(
 
     SCENARIO is a TOML file or a name from `lunarsim scenario list`.
     """
-    from lunarsim.cli_waiting import report_compilation
+    from lunarsim.compile_progress import report_compilation
     from lunarsim.rng import flight_seed
     from lunarsim.simulation import Simulation
     from lunarsim.simulation.lock_forecast import lock_forecast
@@ -94,7 +94,7 @@ def fly(
     if out is not None:
         check_folder(out)
     maps = any(mapper.kind == "gaussian-dem" for mapper in loaded.mappers.values())
-    beside = ["lunarsim.safety.warming"] + ["--exact"] * (out is not None)
+    beside = ["lunarsim.safety.compile_kernels"] + ["--exact"] * (out is not None)
     with report_compilation(beside if maps else []):
         simulation = Simulation(loaded, flight_seed(seed, flight), loaded.policy.kind)
         forecast = lock_forecast(simulation.briefing)
@@ -102,14 +102,14 @@ def fly(
             click.echo(f"warning: {forecast}", err=True)
         record = simulation.run()
         if out is not None:
-            from lunarsim.viz import truth_shown
+            from lunarsim.viz import truth_in_map_figure
 
             # This call compiles kernels, so it must run inside the block that counts them.
-            truth = truth_shown(record, simulation.world, simulation.lander)
+            truth = truth_in_map_figure(record, simulation.world, simulation.lander)
     if out is not None:
         # Save before printing: the reader of a pipe may close it early.
-        remove = remover_of_new(out)
-        with filled_whole(out):
+        remove = new_contents_remover(out)
+        with remove_contents_on_error(out):
             record.save(out)
             loaded.save(out / "scenario.toml")
     if out is None:
@@ -171,7 +171,7 @@ def compare(
     """
     from lunarsim.campaign.comparison import check_request
     from lunarsim.campaign.comparison import compare as fly_all
-    from lunarsim.campaign.engines.local import WorkersDieError
+    from lunarsim.campaign.engines.local import WorkerStartError
 
     given = _POLICIES if policies is None else policies
     names = [name.strip() for name in given.split(",") if name.strip()]
@@ -194,7 +194,7 @@ def compare(
                 progress=advance, cache=kept, apart=True, guidance=laws,
                 say=lambda line: click.echo(line, err=True),
             )  # fmt: skip
-        except WorkersDieError as error:
+        except WorkerStartError as error:
             raise click.ClickException(str(error)) from None
     if result.rows:
         console.print(_comparison_table(result))
@@ -260,7 +260,7 @@ def calibrate(
     """  # noqa: D301
     from lunarsim.campaign.calibrate import calibrate as fit
     from lunarsim.campaign.calibrate import gaussian_mapper
-    from lunarsim.campaign.calibration_report import calibration_table, verdicts
+    from lunarsim.campaign.calibration_report import calibration_remarks, calibration_table
 
     check_output("--out", out, ".json")
     if out.exists() and not force:
@@ -278,7 +278,7 @@ def calibrate(
         )  # fmt: skip
     found.calibration.save(out)
     console.print(calibration_table(found))
-    for line in verdicts(found):
+    for line in calibration_remarks(found):
         console.print(line, soft_wrap=True)
     console.print(f"the calibration is in {out}", soft_wrap=True)
 
@@ -326,7 +326,7 @@ def render(
     flight: int, out: Path, truth: Path | None,
 ) -> None:  # fmt: skip
     """Render an image of SCENARIO's terrain with its camera."""
-    from lunarsim.simulation.picture import render as render_image
+    from lunarsim.simulation.image_rendering import render as render_image
 
     check_output("--out", out, ".png")
     if truth is not None:
@@ -358,7 +358,7 @@ def render(
 def _comparison_table(result: Any) -> Table:
     from rich.table import Table
 
-    from lunarsim.evaluation.statistics import summarise
+    from lunarsim.evaluation.statistics import summarise_policies
 
     table = Table(title=None)
     headings = (
@@ -372,7 +372,7 @@ def _comparison_table(result: Any) -> Table:
     for i, heading in enumerate(headings):
         table.add_column(heading, justify="left" if i == 0 else "right", no_wrap=i == 0)
     rows, first = result.shown, None
-    for policy, row in summarise(rows).items():
+    for policy, row in summarise_policies(rows).items():
         seconds = result.seconds[policy]
         reach = row["safe_in_reach"]
         table.add_row(
@@ -396,11 +396,11 @@ def _comparison_table(result: Any) -> Table:
 def _extra_propellant(rows: list[dict[str, Any]], first: str | None, other: str) -> str:
     """Return the mean extra propellant over the first law with its 95 % interval, kg."""
     from lunarsim.evaluation.statistics import mean_interval
-    from lunarsim.viz.comparison import paired
+    from lunarsim.viz.comparison import paired_differences
 
     if first is None:
         return ""
-    found = mean_interval(paired(rows, first, other, "propellant_kg"))
+    found = mean_interval(paired_differences(rows, first, other, "propellant_kg"))
     return f"{found.mean:+.2f} ± {found.half:.2f}"
 
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from lunarsim.atomic_files import remove_contents_on_error
 from lunarsim.cli_common import (
     ALLOW_MODULE,
     PATH,
@@ -27,7 +28,6 @@ from lunarsim.cli_common import (
 )
 from lunarsim.cli_start import INTERRUPTED
 from lunarsim.errors import InputError, check_folder, check_output
-from lunarsim.whole_files import filled_whole
 
 if TYPE_CHECKING:
     from lunarsim.campaign.results import Results
@@ -72,7 +72,7 @@ def plan(spec: Path, out: Path | None) -> None:
 
     SPEC is a TOML file that declares the campaign.
     """
-    from lunarsim.campaign.flying import check_files, plan_of
+    from lunarsim.campaign.flight_execution import build_plan, check_files
     from lunarsim.campaign.spec import CampaignSpec
 
     if out is not None:
@@ -81,12 +81,12 @@ def plan(spec: Path, out: Path | None) -> None:
     loaded = CampaignSpec.load(spec)
     check_files(loaded)
     _print_warnings(loaded)
-    planned = plan_of(loaded)
+    planned = build_plan(loaded)
     if out is not None:
-        from lunarsim.campaign.planned import write_plan
-        from lunarsim.whole_files import write_whole
+        from lunarsim.atomic_files import atomic_write
+        from lunarsim.campaign.plan_file import write_plan
 
-        write_whole(out, lambda path: write_plan(planned, path, out.suffix.lower()))
+        atomic_write(out, lambda path: write_plan(planned, path, out.suffix.lower()))
         told = f"{planned.flights} flights of {len(planned.arms)} arms"
         if planned.chains is not None:
             told = f"{planned.chains.flights} flights of the first level; later levels depend on it"
@@ -160,11 +160,11 @@ def sweep(
     Example:
       lunarsim sweep hirise.toml --over rocks.cover=0.02,0.1 --out out/sweep
     """  # noqa: D301
-    from lunarsim.campaign.factors import parse_over, split_changes
+    from lunarsim.campaign.factors import parse_factors, split_changes
     from lunarsim.campaign.spec import CampaignSpec
 
     allow_named_modules(*over, *changes)
-    levels = parse_over(over)
+    levels = parse_factors(over)
     base, of_swept_parts = split_changes(changes, levels)
     data = {
         "name": f"{scenario.stem}-sweep",
@@ -184,11 +184,11 @@ def sweep(
 
 def _print_warnings(spec: CampaignSpec) -> None:
     """Print warnings about the scenario of the first flight of each arm."""
-    from lunarsim.scenario.notes import notes_on
+    from lunarsim.scenario.scenario_warnings import warnings_for
 
     found: dict[str, list[str]] = {}
     for number, arm in enumerate(spec.arms):
-        for note in notes_on(spec.scenario_of(0, number)):
+        for note in warnings_for(spec.scenario_of(0, number)):
             found.setdefault(note, []).append(arm.name)
     for note, arms in found.items():
         whose = "" if len(arms) == len(spec.arms) else f"arm {arms[0]!r}: "
@@ -201,12 +201,12 @@ def _fly_campaign(
     cache: tuple[Path | None, float],
 ) -> None:  # fmt: skip
     """Fly a campaign with a progress bar and print its outcome."""
-    from lunarsim.campaign.engines import engine_of
-    from lunarsim.campaign.engines.local import WorkersDieError
+    from lunarsim.campaign.engines import make_engine
+    from lunarsim.campaign.engines.local import WorkerStartError
     from lunarsim.campaign.fly_spec import fly_spec
 
     _print_warnings(spec)
-    flies = engine_of(engine, jobs, address, spec.head.time_limit)
+    flies = make_engine(engine, jobs, address, spec.head.time_limit)
     kept = open_cache(*cache)
     total = spec.most_flights * len(spec.arms)
     with progress_bar(spec.head.name, total) as advance:
@@ -215,7 +215,7 @@ def _fly_campaign(
                 spec, flies, out, retry=retry, progress=advance, cache=kept,
                 say=lambda line: click.echo(line, err=True),
             )  # fmt: skip
-        except WorkersDieError as error:
+        except WorkerStartError as error:
             raise click.ClickException(str(error)) from None
     for note in ran.notes:
         click.echo(f"note: {note}", err=True)
@@ -229,11 +229,11 @@ def _fly_campaign(
     if not ran.complete:
         click.echo("not complete: repeat the command to continue", err=True)
         if engine == "ray" and ran.state == "interrupted":
-            from lunarsim.campaign.engines.ray_cluster import leave_at_once
+            from lunarsim.campaign.engines.ray_cluster import exit_immediately
 
             sys.stdout.flush()
             sys.stderr.flush()
-            leave_at_once(INTERRUPTED)
+            exit_immediately(INTERRUPTED)
         sys.exit(INTERRUPTED if ran.state == "interrupted" else 0)
     if ran.unrecorded:
         click.echo(f"error: {ran.unrecorded}", err=True)
@@ -247,9 +247,9 @@ def status(folder: Path) -> None:
 
     The campaign may be running.
     """
-    from lunarsim.campaign.results import status_of
+    from lunarsim.campaign.results import read_status
 
-    found = status_of(folder)
+    found = read_status(folder)
     click.echo(f"{found.name}: {found.state}, {found.done} of {found.wanted} flights")
     if found.rate == found.rate:
         left = (
@@ -356,7 +356,7 @@ def rare(folder: Path, metric: str, above: float | None, below: float | None) ->
     """
     from rich.table import Table
 
-    from lunarsim.campaign.rare import rare_shares
+    from lunarsim.campaign.rare_failures import estimate_failure_shares
     from lunarsim.campaign.results import load_results
 
     table = Table(
@@ -364,7 +364,7 @@ def rare(folder: Path, metric: str, above: float | None, below: float | None) ->
         "Equivalent flights",
     )  # fmt: skip
     found = load_results(folder)
-    for s in rare_shares(found, metric, above, below):
+    for s in estimate_failure_shares(found, metric, above, below):
         interval = f"{s.value:.3g} [{s.low:.3g}, {s.high:.3g}]" + (" (rough)" if s.few else "")
         interval = interval if s.value == s.value else "-"
         worth = f"{s.worth:.3g}" if s.worth == s.worth else "-"
@@ -378,16 +378,16 @@ def _print_levels(found: Results) -> None:
     """Print the levels of a subset simulation."""
     from rich.table import Table
 
-    from lunarsim.campaign.subset_share import chains_of, how_it_ended, levels_told
+    from lunarsim.campaign.subset_estimate import completion_remark, level_table_rows, load_chains
 
-    chains = chains_of(found)
-    told = levels_told(chains)
+    chains = load_chains(found)
+    told = level_table_rows(chains)
     if told:
         table = Table(*told[0])
         for level in told:
             table.add_row(*level.values())
         wide_console(140).print(table)
-    if said := how_it_ended(chains):
+    if said := completion_remark(chains):
         click.echo(said)
 
 
@@ -414,7 +414,7 @@ def diff(first: Path, second: Path, margin: float, metric: str, require_equivale
     """
     from rich.table import Table
 
-    from lunarsim.campaign.analysis import diff as compare
+    from lunarsim.campaign.analysis import compare_campaigns as compare
     from lunarsim.campaign.manifest import first_difference
     from lunarsim.campaign.results import load_results
 
@@ -466,7 +466,7 @@ def replay(folder: Path, flight: str, out: Path | None) -> None:
     found = fly(folder, flight)
     if out is not None:
         # Save before printing: the reader of a pipe may close it early.
-        with filled_whole(out):
+        with remove_contents_on_error(out):
             found.flight.save(out)
     table = Table(show_header=False, box=None)
     for name, value in found.row.items():

@@ -100,10 +100,10 @@ FLIGHT = click.option(
 
 def _allow(ctx: click.Context, _: click.Parameter, names: tuple[str, ...]) -> None:
     """Allow modules while the command runs."""
-    from lunarsim.parts.allowed import allowing
+    from lunarsim.parts.module_permission import modules_allowed
 
     try:
-        ctx.with_resource(allowing(names))
+        ctx.with_resource(modules_allowed(names))
     except InputError as error:
         raise error.renamed("--allow-module") from None
 
@@ -116,9 +116,9 @@ ALLOW_MODULE = click.option(
 
 def allow_named_modules(*texts: str | None) -> None:
     """Allow modules that the user names as "module:Class" on the command line."""
-    from lunarsim.parts.allowed import allowing, modules_in
+    from lunarsim.parts.module_permission import find_module_names, modules_allowed
 
-    click.get_current_context().with_resource(allowing(modules_in(texts)))
+    click.get_current_context().with_resource(modules_allowed(find_module_names(texts)))
 
 
 def scenario_options(command: F) -> F:
@@ -143,13 +143,13 @@ def cache_options(command: F) -> F:
 
 def open_cache(folder: Path | None, gigabytes: float) -> DiskCache | None:
     """Return the cache in a folder, or None if the cache is disabled (size 0)."""
-    from lunarsim.campaign.cache import opened, standard_folder
+    from lunarsim.campaign.cache import default_cache_folder, open_cache
 
     if not math.isfinite(gigabytes):
         raise InputError("--cache-size", gigabytes, "must be finite", "Use 0 to disable the cache.")
     if gigabytes == 0.0:
         return None
-    return opened(standard_folder() if folder is None else folder, int(gigabytes * 2**30))
+    return open_cache(default_cache_folder() if folder is None else folder, int(gigabytes * 2**30))
 
 
 def load_scenario(
@@ -180,7 +180,7 @@ def load_scenario(
     """
     from lunarsim.scenario import Scenario
     from lunarsim.scenario.changes import with_changes
-    from lunarsim.scenario.notes import notes_on
+    from lunarsim.scenario.scenario_warnings import warnings_for
     from lunarsim.scenario.shipped import found
 
     allow_named_modules(*changes, *filter(None, (parts or {}).values()))
@@ -188,7 +188,7 @@ def load_scenario(
     for contract, kind in (parts or {}).items():
         loaded = _with_part(loaded, contract, kind)
     loaded = with_changes(loaded, changes)
-    for note in notes_on(loaded) if flown else ():
+    for note in warnings_for(loaded) if flown else ():
         click.echo(f"warning: {note}", err=True)
     return loaded
 

@@ -9,6 +9,7 @@ from typing import Any
 
 import click
 
+from lunarsim.atomic_files import remove_contents_on_error
 from lunarsim.cli_common import (
     ALLOW_MODULE,
     PATH,
@@ -21,7 +22,6 @@ from lunarsim.cli_common import (
     wide_console,
 )
 from lunarsim.errors import InputError, check_folder
-from lunarsim.whole_files import filled_whole
 
 
 @click.command()
@@ -103,10 +103,10 @@ def evaluate(
     Example:
       lunarsim evaluate Guidance-v0 --agent apollo --agent polynomial --episodes 50
     """  # noqa: D301
-    from lunarsim_envs.evaluation.request import study
-    from lunarsim_envs.evaluation.results import differences, figures, with_target, write
-    from lunarsim_envs.evaluation.running import WorkersDieError, check_agents, fly
-    from lunarsim_envs.evaluation.told import agents_table, differences_table
+    from lunarsim_envs.evaluation.parallel import WorkersDieError, check_agents, fly
+    from lunarsim_envs.evaluation.request import evaluation_study
+    from lunarsim_envs.evaluation.results import add_on_target, agent_metrics, differences, write
+    from lunarsim_envs.evaluation.tables import agents_table, differences_table
 
     if within == float("inf"):
         raise InputError("--within", within, "must be a finite distance in m")
@@ -116,7 +116,9 @@ def evaluate(
     given |= {"observation": list(parts)} if parts else {}
     given |= {"action": list(decided)} if decided else {}
     allow_named_modules(*values)
-    asked = replace(study(env, scenario, values, seed, **given), trust_pickle=trust_pickle)
+    asked = replace(
+        evaluation_study(env, scenario, values, seed, **given), trust_pickle=trust_pickle
+    )
     check_agents(asked, agents)
     console = wide_console(170)
     with (
@@ -124,13 +126,13 @@ def evaluate(
         progress_bar(asked.env, episodes * len(agents)) as advance,
     ):
         try:
-            rows = with_target(fly(asked, agents, episodes, jobs, advance), within)
+            rows = add_on_target(fly(asked, agents, episodes, jobs, advance), within)
         except WorkersDieError as error:
             raise click.ClickException(str(error)) from None
-    found, between = figures(rows, seed), differences(rows, seed) if len(agents) > 1 else {}
+    found, between = agent_metrics(rows, seed), differences(rows, seed) if len(agents) > 1 else {}
     if out is not None:
         given |= {"env": asked.env, "episodes": episodes, "seed": seed, "within_m": within}
-        with filled_whole(out):
+        with remove_contents_on_error(out):
             write(out, rows, given, found, between)
             if asked.scenario is not None:
                 asked.scenario.save(out / "scenario.toml")

@@ -46,7 +46,7 @@ def check(scenario: Path, changes: tuple[str, ...]) -> None:
     terrain files that the scenario names. It prints warnings, and an estimate of memory and time,
     on stderr.
     """
-    from lunarsim.scenario.estimate import estimate
+    from lunarsim.scenario.resource_estimate import estimate
 
     loaded = load_scenario(scenario, changes)
     loaded.check_files()

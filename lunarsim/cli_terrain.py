@@ -86,13 +86,13 @@ def _description(found: DtmInfo) -> Iterator[tuple[str, str]]:
 @click.option("--out", type=PATH, required=True, help="PNG file to write.")
 def preview(scenario: Path, changes: tuple[str, ...], seed: int, flight: int, out: Path) -> None:
     """Plot SCENARIO's terrain: hillshade, slopes, rocks."""
-    from lunarsim.rng import Streams, flight_seed
+    from lunarsim.rng import RandomStreams, flight_seed
     from lunarsim.simulation.worlds import build_world
     from lunarsim.viz.terrain import draw_terrain
 
     check_output("--out", out, ".png")
     loaded = load_scenario(scenario, changes, flown=False)
-    world = build_world(loaded, Streams(flight_seed(seed, flight)))
+    world = build_world(loaded, RandomStreams(flight_seed(seed, flight)))
     draw_terrain(world.terrain, loaded.name, out)
     click.echo(f"{out}: {len(world.terrain.rocks)} rocks on {loaded.name}")
 
@@ -117,14 +117,14 @@ def truth(
 
     The maps are elevation, slope, rocks, true safety and shadow.
     """
-    from lunarsim.rng import Streams, flight_seed
+    from lunarsim.rng import RandomStreams, flight_seed
     from lunarsim.simulation.worlds import build_world
-    from lunarsim.world.truth_products import TruthProducts, survey_grid
+    from lunarsim.world.truth_products import TruthProducts, truth_grid
 
     check_output("--out", out, ".nc")
     loaded = load_scenario(scenario, changes, flown=False)
-    world = build_world(loaded, Streams(flight_seed(seed, flight)))
-    grid = survey_grid(world, loaded.target.position_m, size, posting)
+    world = build_world(loaded, RandomStreams(flight_seed(seed, flight)))
+    grid = truth_grid(world, loaded.target.position_m, size, posting)
     maps = TruthProducts.of(world, loaded.vehicle.make(), grid)
     maps.save(out)
     click.echo(

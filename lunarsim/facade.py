@@ -10,15 +10,15 @@ from typing import TYPE_CHECKING, Any, Unpack
 from lunarsim.campaign.comparison import CompareResult
 from lunarsim.campaign.comparison import compare as compare_scenario
 from lunarsim.onboard.policies.contract import RetargetingPolicy
-from lunarsim.parts.allowed import allowing, modules_in
+from lunarsim.parts.module_permission import find_module_names, modules_allowed
 from lunarsim.rng import flight_seed
 from lunarsim.scenario import Scenario
-from lunarsim.scenario.notes import notes_on
+from lunarsim.scenario.scenario_warnings import warnings_for
 from lunarsim.scenario.shipped import found
 from lunarsim.simulation.flight import Flight
+from lunarsim.simulation.image_rendering import SceneImage
+from lunarsim.simulation.image_rendering import render as render_scenario
 from lunarsim.simulation.loop import Simulation
-from lunarsim.simulation.picture import SceneImage
-from lunarsim.simulation.picture import render as render_scenario
 
 if TYPE_CHECKING:
     from lunarsim.scenario.tables import FlightChanges
@@ -89,7 +89,7 @@ def fly(
       time of flight ...
     """
     own_parts = [text for text in (policy, guidance) if isinstance(text, str)]
-    with allowing(modules_in(own_parts)):
+    with modules_allowed(find_module_names(own_parts)):
         study = load_scenario(scenario)
         given: dict[str, Any] = dict(changes)
         if isinstance(policy, str) and policy != study.policy.kind:
@@ -97,7 +97,7 @@ def fly(
         if guidance is not None and guidance != study.guidance.kind:
             given["guidance"] = {"kind": guidance}
         study = study.changed(**given) if given else study
-        for note in notes_on(study):
+        for note in warnings_for(study):
             warnings.warn(note, stacklevel=2)
         chosen = study.policy.kind if policy is None else policy
         return Simulation(study, flight_seed(seed, flight), chosen).run()
@@ -141,7 +141,7 @@ def compare(
     ['no-divert', 'safest']
     """
     typed = [text for text in (*policies, *guidance) if isinstance(text, str)]
-    with allowing(modules_in(typed)):
+    with modules_allowed(find_module_names(typed)):
         return compare_scenario(
             load_scenario(scenario), policies, flights=flights, seed=seed, jobs=jobs,
             guidance=guidance, out=None if out is None else Path(out),
@@ -156,7 +156,7 @@ def render(scenario: Scenario | str | Path = "hirise", **options: Any) -> SceneI
     scenario
         Name of a scenario of the package, path of a TOML file, or a scenario.
     options
-        Keywords of `lunarsim.simulation.picture.render`: ``altitude=60.0`` (m),
+        Keywords of `lunarsim.simulation.image_rendering.render`: ``altitude=60.0`` (m),
         ``sun_elevation_deg=5.0``, ``ideal=True``, ``seed=2`` and others.
 
     Raises

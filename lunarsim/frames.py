@@ -6,7 +6,7 @@ ENU
 Local and site
     Two ENU frames. The onboard computer keeps its maps, sites and state estimate in the `local`
     frame; maps in it do not move. The target and prior maps use the `site` frame. Navigation
-    estimates the site frame relative to the local frame (`Shift`). An error of this estimate
+    estimates the site frame relative to the local frame (`SiteToLocal`). An error of this estimate
     affects lander and map equally.
 Body
     Fixed to the lander, origin at the centre of mass, z along the thrust (up through the
@@ -33,7 +33,7 @@ from lunarsim._frame_kernels import thrust_attitude
 Array = NDArray[np.float64]
 
 
-def turned_about_up(angle: float) -> Array:
+def rotation_about_up(angle: float) -> Array:
     """Return the rotation matrix (3, 3) for an angle about the up axis, rad.
 
     Examples
@@ -46,7 +46,7 @@ def turned_about_up(angle: float) -> Array:
 
 
 @dataclass(frozen=True)
-class Shift:
+class SiteToLocal:
     """Transform between the site frame and the local frame, which share the up axis.
 
     Attributes
@@ -73,13 +73,13 @@ class Shift:
         """Transform points (..., 3) from the site frame to the local frame, m."""
         given = np.asarray(points, dtype=np.float64)
         if self.turn:
-            given = given @ turned_about_up(self.turn).T
+            given = given @ rotation_about_up(self.turn).T
         return np.asarray(given + self.offset)
 
     def to_site(self, points: ArrayLike) -> Array:
         """Transform points (..., 3) from the local frame to the site frame, m."""
         out = np.asarray(points, dtype=np.float64) - self.offset
-        return np.asarray(out @ turned_about_up(self.turn)) if self.turn else out
+        return np.asarray(out @ rotation_about_up(self.turn)) if self.turn else out
 
 
 def normalised(v: ArrayLike) -> Array:
@@ -114,7 +114,7 @@ def is_rotation(q: ArrayLike) -> bool:
     return bool(numbers is not None and abs(np.linalg.norm(numbers) - 1.0) <= 1e-3)
 
 
-def is_place(position: ArrayLike) -> bool:
+def is_position(position: ArrayLike) -> bool:
     """Return whether `position` is three finite numbers.
 
     Examples

@@ -12,7 +12,7 @@ from lunarsim.errors import InputError
 _UNITS = ("B", "KiB", "MiB", "GiB", "TiB", "PiB", "EiB")
 
 
-def bytes_in_words(count: float) -> str:
+def format_bytes(count: float) -> str:
     """Format a number of bytes with a binary unit, such as 4.61 TiB.
 
     Examples
@@ -26,7 +26,9 @@ def bytes_in_words(count: float) -> str:
     return f"{count:.3g} {_UNITS[power]}"
 
 
-def check_side(field: str, size: float, posting: float, most: int, what: str = "cells") -> None:
+def check_raster_size(
+    field: str, size: float, posting: float, most: int, what: str = "cells"
+) -> None:
     """Check that a square raster has not too many cells, before memory is allocated.
 
     Parameters
@@ -50,7 +52,7 @@ def check_side(field: str, size: float, posting: float, most: int, what: str = "
         raise InputError(
             field, size,
             f"must be at most {most} {what} of {posting:g} m, but is {count:.4g} per side "
-            f"({bytes_in_words(4.0 * count * count)})",
+            f"({format_bytes(4.0 * count * count)})",
         )  # fmt: skip
 
 

@@ -36,7 +36,7 @@ def design_seed(root: int) -> np.random.SeedSequence:
     return np.random.SeedSequence(root, spawn_key=(zlib.crc32(b"design"), 0))
 
 
-class Streams:
+class RandomStreams:
     """Independent random generators of one flight, one per component.
 
     Parameters

@@ -23,8 +23,8 @@ from rich.table import Table
 from scipy.stats import binomtest, wilcoxon
 from seeking_flights import ALTITUDES, PATHS, SENSORS, SeekingFlightTask, fly, sobol
 
-from lunarsim.campaign.kept_flights import Flight, KeptFlights
-from lunarsim.campaign.pool import outcomes
+from lunarsim.campaign.flight_store import Flight, FlightStore
+from lunarsim.campaign.pool import iterate_results
 from lunarsim.console import plain_console, plain_progress
 from lunarsim.errors import InputError
 from lunarsim.evaluation.statistics import mean_interval
@@ -173,7 +173,7 @@ def main(
     if points and sensors not in {"all", "camera"}:
         raise click.BadParameter("must be camera (or all) with --sobol", param_hint="--sensors")
     try:
-        results = KeptFlights(json_file, {"seed": seed, "sobol": points > 0})
+        results = FlightStore(json_file, {"seed": seed, "sobol": points > 0})
     except InputError as error:
         raise click.BadParameter(str(error), param_hint="--json") from None
     if results.of_other_code:
@@ -195,7 +195,7 @@ def main(
     with plain_progress(console) as progress:
         bar = progress.add_task("flights", total=len(tasks))
         try:
-            for index, result in outcomes(fly, tasks, jobs):
+            for index, result in iterate_results(fly, tasks, jobs):
                 results.keep(tasks[index].key, result)
                 progress.advance(bar)
         except KeyboardInterrupt:

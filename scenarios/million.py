@@ -22,7 +22,7 @@ from lunarsim.evaluation.statistics import Proportion
 from lunarsim.scenario import Scenario
 from lunarsim.scenario.shipped import found
 from lunarsim_envs.retarget import default_scenario
-from lunarsim_envs.sites.million import Tally, batches
+from lunarsim_envs.sites.sparse_batch import FlightSummary, batches
 
 # From this start, the minimum-propellant flight takes one minute.
 _START = {"position_m": [-1500.0, 0.0, 1150.0], "velocity_m_s": [45.0, 0.0, -30.0]}
@@ -37,7 +37,7 @@ def scenario_of(name: str | None, step: float) -> Scenario:
     return given.changed(simulation=clock)
 
 
-def table(tally: Tally, seconds: float) -> str:
+def table(tally: FlightSummary, seconds: float) -> str:
     """Return the summary of all flights as text."""
     n = tally.flights
     lines = [

@@ -18,7 +18,7 @@ from scipy.stats import qmc
 
 from lunarsim.evaluation.classification import classify
 from lunarsim.evaluation.precision_recall import PrecisionRecall
-from lunarsim.onboard.policies.reach import Reach
+from lunarsim.onboard.policies.reachability import ReachabilityMap
 from lunarsim.rng import flight_seed
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation
@@ -158,7 +158,7 @@ def map_metrics(simulation: Simulation, *, whole: bool) -> dict[str, Any]:
     p = np.where(hazard_map.observed, hazard_map.p_safe, 0.0)[part].ravel()
     safe = free_of_hazards(simulation, site - simulation.navigation_error[:2])
     known = (p >= MIN_SAFE_PROBABILITY) & safe
-    reach = Reach.under(hazard_map, computer.site, computer.cost_of)
+    reach = ReachabilityMap.under(hazard_map, computer.site, computer.cost_of)
     area = (every * hazard_map.grid.posting) ** 2
     out: dict[str, Any] = {
         "known_m2": float(known.sum() * area),

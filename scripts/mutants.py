@@ -54,13 +54,13 @@ _TESTS: dict[str, tuple[str, ...]] = {
         "tests/onboard/hazards/shadows/test_probability_map.py",
         "tests/onboard/hazards/shadows/test_probability.py",
     ),
-    "lunarsim/onboard/navigation/_ground_kernels.py": (
+    "lunarsim/onboard/navigation/_kriging_kernels.py": (
         "tests/onboard/navigation/test_ground_kernels.py",
     ),
     "lunarsim/onboard/navigation/_inertial_kernels.py": (
         "tests/onboard/navigation/test_inertial.py",
     ),
-    "lunarsim/onboard/navigation/_near_kernels.py": (
+    "lunarsim/onboard/navigation/_nearest_kernels.py": (
         "tests/onboard/navigation/test_near_kernels.py",
     ),
     "lunarsim/onboard/navigation/_registration_kernels.py": (
@@ -70,7 +70,7 @@ _TESTS: dict[str, tuple[str, ...]] = {
     "lunarsim/onboard/navigation/_rock_filter_kernels.py": (
         "tests/onboard/navigation/test_rock_filter.py",
     ),
-    "lunarsim/onboard/perception/_health_kernels.py": (
+    "lunarsim/onboard/perception/_image_quality_kernels.py": (
         "tests/onboard/perception/test_health.py",
         "tests/onboard/perception/test_edges.py",
     ),
@@ -89,7 +89,9 @@ _TESTS: dict[str, tuple[str, ...]] = {
     "lunarsim/sensors/rendering/_cull_kernels.py": (
         "tests/sensors/rendering/test_cull_kernels.py",
     ),
-    "lunarsim/sensors/rendering/_glow_kernels.py": ("tests/sensors/rendering/test_glow.py",),
+    "lunarsim/sensors/rendering/_scattered_light_kernels.py": (
+        "tests/sensors/rendering/test_glow.py",
+    ),
     "lunarsim/sensors/rendering/_rock_tile_kernels.py": (
         "tests/sensors/rendering/test_rock_tiles.py",
     ),
@@ -101,7 +103,7 @@ _TESTS: dict[str, tuple[str, ...]] = {
         "tests/sensors/rendering/test_tile_tables.py", "tests/sensors/rendering/test_kernels.py",
         "tests/sensors/rendering/test_lee_blocks.py",
     ),
-    "lunarsim/safety/_bend_kernels.py": ("tests/safety/test_ensemble.py",),
+    "lunarsim/safety/_monotone_spline_kernels.py": ("tests/safety/test_ensemble.py",),
     "lunarsim/simulation/_cycle_kernels.py": ("tests/simulation/test_cycle.py",),
     "lunarsim/vehicle/_kernels.py": (
         "tests/vehicle/test_kernels.py", "tests/vehicle/test_dynamics.py",

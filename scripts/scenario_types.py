@@ -36,7 +36,7 @@ def main() -> None:
     for table, cls in {**layout.FIXED, **layout.OPTIONAL}.items():
         tables[table] = _class_name(table)
         _print(table, _keys([settings_of(cls)]), chosen=False)
-    chosen = {table: contract for table, (contract, _) in layout.CHOSEN.items()}
+    chosen = {table: contract for table, (contract, _) in layout.SELECTED.items()}
     named = {table: contract for table, (contract, _) in layout.NAMED.items()}
     for table, contract in (chosen | layout.OPTIONAL_SELECTED | named).items():
         models = [settings_of(resolve(contract, kind, table)) for kind in kinds(contract)]

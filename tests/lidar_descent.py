@@ -7,7 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from lunarsim.evaluation.consistency import normalised_square
+from lunarsim.evaluation.consistency import normalised_squared_error
 from lunarsim.frames import (
     attitude_from_thrust,
     quat_conjugate,
@@ -23,7 +23,7 @@ from lunarsim.onboard.navigation.navigator import Navigator
 from lunarsim.sensors.imu import Imu
 from lunarsim.sensors.lidar import FlashLidar
 from lunarsim.vehicle import State
-from lunarsim.world.survey import survey
+from lunarsim.world.survey import simulate_survey
 
 LIDAR = FlashLidar(128, 128, 0.03, 5e-5)
 START, VELOCITY = np.array([-220.0, 0.0, 140.0]), np.array([5.0, 0.0, -3.0])
@@ -32,7 +32,8 @@ KEEP = np.r_[0:3, 6:9]
 
 
 class Surveyed:
-    """The terrain of a world as `survey` reads it; all maps of one world share one raster."""
+    """The terrain of a world as `simulate_survey` reads it; all maps of one world share one "
+    "raster."""
 
     known: ClassVar[dict[int, Surveyed]] = {}
 
@@ -47,7 +48,7 @@ class Surveyed:
 
 def mapped(world, rng, **options):
     grid = Grid.centred((0.0, 0.0), 240.0, 0.5)
-    return survey(Surveyed.of(world), grid, rng, sigma=0.1, **options)
+    return simulate_survey(Surveyed.of(world), grid, rng, sigma=0.1, **options)
 
 
 class Descent:
@@ -87,7 +88,7 @@ class Descent:
 
     def nees(self):
         p = self.estimate().covariance
-        return normalised_square(self.error(), p[np.ix_(KEEP, KEEP)])
+        return normalised_squared_error(self.error(), p[np.ix_(KEEP, KEEP)])
 
     def scan(self, aim):
         state = State(self.position, VELOCITY, UPRIGHT, np.zeros(3), 1.0)

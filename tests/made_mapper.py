@@ -6,13 +6,13 @@ import numpy as np
 
 from lunarsim.grid import Grid
 from lunarsim.models.lander import Lander
-from lunarsim.onboard.hazards.fusion import FusionTerms
+from lunarsim.onboard.hazards.fusion import FusionPriors
 from lunarsim.onboard.hazards.hazard_map import HazardMap
+from lunarsim.onboard.hazards.map_evidence import TerrainEvidence
 from lunarsim.onboard.hazards.mapper import HazardMapper
-from lunarsim.onboard.hazards.published import ReliefEvidence
 from lunarsim.rocks.population import RockExpectation
 
-TERMS = FusionTerms(Lander(), RockExpectation())
+TERMS = FusionPriors(Lander(), RockExpectation())
 GRID = Grid.centred((0.0, 0.0), 8.0, 0.5)
 
 
@@ -34,7 +34,7 @@ class Made(HazardMapper):
 
     def evidence(self):
         self.asked += 1
-        return ReliefEvidence(self.hazard_map()) if self.seen else None
+        return TerrainEvidence(self.hazard_map()) if self.seen else None
 
     @property
     def blank(self):

@@ -8,18 +8,18 @@ from scipy.special import ndtr
 from lunarsim.grid import Grid
 from lunarsim.models.lander import Lander
 from lunarsim.safety import SafetyMap
-from lunarsim.safety.calibration import Evidence
+from lunarsim.safety.calibration import MapEvidence
 from lunarsim.safety.conservative import StochasticSafety
-from lunarsim.safety.unseen_rocks import HeightCurve, height_curve
+from lunarsim.safety.unseen_rocks import ExceedanceCurve, height_curve
 
 LANDER = Lander()
 SIDE = 9
 
 
-def rocky(times: float = 1.0) -> HeightCurve:
+def rocky(times: float = 1.0) -> ExceedanceCurve:
     """Return the curve of a mission's law alone, so many times as rocky."""
     curve = height_curve(np.zeros(0), 0.01, LANDER.roughness_limit, 0.05)
-    return HeightCurve(curve.height, np.minimum(times * curve.share, 0.5))
+    return ExceedanceCurve(curve.height, np.minimum(times * curve.share, 0.5))
 
 
 def evidence(
@@ -33,7 +33,7 @@ def evidence(
     density=30.0,
     noise=0.01,
     seen=None,
-) -> Evidence:
+) -> MapEvidence:
     """Return a map all of whose sites are alike, or as the arrays (SIDE, SIDE) say.
 
     Slope and roughness are shares of the limits, `level` and `planes` probits of both tests.
@@ -52,7 +52,7 @@ def evidence(
     nominal = SafetyMap(
         grid, np.arctan(tangent), raster(rough) * LANDER.roughness_limit, seen, seen
     )
-    return Evidence(
+    return MapEvidence(
         *tests, nominal, LANDER, curve or rocky(), holes or rocky(0.01),
         raster(density).astype(float), noise, 1.0 / np.sqrt(np.mean(density)),
     )  # fmt: skip

@@ -7,7 +7,7 @@ import numpy as np
 
 from lunarsim.grid import Grid
 from lunarsim.rocks.field import RockModel
-from lunarsim.rocks.laws import sample_diameters
+from lunarsim.rocks.size_distribution import sample_diameters
 from lunarsim.world.terrain import Heightfield, Terrain, fractal_relief, place_rocks
 
 

@@ -10,7 +10,7 @@ from lunarsim.frames import quat_from_rotation_vector, quat_multiply, quat_rotat
 from lunarsim.models.gimbal import gimbal_mount
 from lunarsim.models.inertial_unit import TriadErrors
 from lunarsim.onboard.navigation.inertial import StartSigmas, StrapdownState
-from lunarsim.onboard.navigation.measured import take_range
+from lunarsim.onboard.navigation.measurement_models import update_with_range
 from lunarsim.onboard.navigation.rock_filter import RockFilter
 from lunarsim.sensors.camera import Camera
 
@@ -130,7 +130,7 @@ class Flight:
         """Take in an altimeter reading; return the NIS."""
         down = quat_to_matrix(self.attitude)[2] @ np.array([0.0, 0.0, -1.0])
         reading = -self.position[2] / down + sigma * self.rng.standard_normal()
-        return take_range(
+        return update_with_range(
             self.filter.state, reading, sigma, (0.0, 0.0, -1.0), self.filter.ground, gate=16.0
         ).nis
 

@@ -15,10 +15,10 @@ import pytest
 from click.testing import CliRunner
 
 from lunarsim import cli_common
+from lunarsim.atomic_files import atomic_write, atomic_write_text, remove_contents_on_error
 from lunarsim.cli import main
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Flight, Simulation
-from lunarsim.whole_files import filled_whole, write_text_whole, write_whole
 from tests.worlds import SCENARIOS, TAKE_A_SCENARIO
 
 GOOD = str(SCENARIOS / "golombek.toml")
@@ -260,16 +260,16 @@ def test_a_record_is_there_whole_or_not_at_all(small, monkeypatch):
 
 def test_a_file_is_there_whole_or_not_at_all(tmp_path):
     path = tmp_path / "a.txt"
-    write_text_whole(path, "old")
+    atomic_write_text(path, "old")
 
     def half(part):
         part.write_text("ne")
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        write_whole(path, half)
+        atomic_write(path, half)
     assert state(tmp_path) == {path: b"old"}
-    write_text_whole(path, "new")
+    atomic_write_text(path, "new")
     assert state(tmp_path) == {path: b"new"}
 
 
@@ -277,18 +277,18 @@ def test_a_folder_that_was_there_stays_and_what_is_made_goes(tmp_path):
     kept = tmp_path / "kept"
     kept.mkdir()
     for folder in (kept, tmp_path / "a" / "b"):
-        with pytest.raises(OSError, match="full"), filled_whole(folder):
+        with pytest.raises(OSError, match="full"), remove_contents_on_error(folder):
             (folder / "maps").mkdir(parents=True)
             (folder / "maps" / "one.nc").write_bytes(b"1")
             (folder / "two.txt").write_bytes(b"2")
             raise OSError("full")
     assert set(state(tmp_path)) == {kept}
     (kept / "mine.txt").write_bytes(b"mine")
-    with pytest.raises(OSError, match="full"), filled_whole(kept):
+    with pytest.raises(OSError, match="full"), remove_contents_on_error(kept):
         (kept / "two.txt").write_bytes(b"2")
         raise OSError("full")
     assert [path.name for path in kept.iterdir()] == ["mine.txt"]
-    with filled_whole(tmp_path / "c"):
+    with remove_contents_on_error(tmp_path / "c"):
         (tmp_path / "c").mkdir()
     assert (tmp_path / "c").is_dir()
 

@@ -14,9 +14,9 @@ import numba
 import numpy as np
 import pytest
 
-from lunarsim.cli_waiting import report_compilation
+from lunarsim.compile_progress import report_compilation
 from lunarsim.safety import _exact_kernels, _kernels, _plane_kernels
-from lunarsim.safety.warming import warm
+from lunarsim.safety.compile_kernels import compile_safety_kernels
 
 
 class Beside:
@@ -127,14 +127,14 @@ def test_warming_compiles_what_maps_call(monkeypatch):
             return inner(*args)
 
         monkeypatch.setattr(module, name, seen)
-    warm(exact=False)
+    compile_safety_kernels(exact=False)
     assert {name for name, _ in called} == {
         "stochastic",
         "extremes",
         "stochastic_planes",
         "bounded",
     }
-    warm(exact=True)
+    compile_safety_kernels(exact=True)
     assert called[-1] == ("exact", np.float64)
 
 
@@ -148,7 +148,7 @@ def runs(pid: int) -> bool:
 
 def test_the_process_that_helps_ends_with_the_one_that_began_it():
     helper = (
-        "import sys; from lunarsim.safety.warming import end_with\n"
+        "import sys; from lunarsim.safety.compile_kernels import end_with\n"
         "print(flush=True)\n"
         "end_with(int(sys.argv[1]))\n"
     )

@@ -65,7 +65,7 @@ _WORKQUEUE = (
     + """
 import threading
 from threading import Barrier
-from lunarsim._shares import Shared
+from lunarsim._work_partition import Shared
 from lunarsim.onboard.navigation._rock_filter_kernels import subtract_few
 from lunarsim.sensors.rendering import renderer_of
 from lunarsim.models.pinhole import View

@@ -7,17 +7,17 @@ import pytest
 from numba.core.errors import TypingError
 
 from lunarsim._jit import kernel
-from lunarsim._lanes import (
-    LANES,
-    any_above,
+from lunarsim._simd import (
+    SIMD_WIDTH,
+    any_greater,
     item,
-    larger,
+    lane_abs,
+    lane_fill,
+    lane_max,
+    lane_sqrt,
     load,
-    magnitude,
-    root,
-    spread,
+    select_ge,
     store,
-    where_above,
 )
 
 RNG = np.random.default_rng(0)
@@ -34,16 +34,16 @@ def _all(a, b, at, out):
     store(out[1], 1, x - two)
     store(out[2], 1, two * y)
     store(out[3], 1, x / y)
-    store(out[4], 1, larger(x, y))
-    store(out[5], 1, larger(x, spread(two)))
-    store(out[6], 1, root(magnitude(x)))
-    store(out[7], 1, where_above(x, y, x, spread(0.0)))
+    store(out[4], 1, lane_max(x, y))
+    store(out[5], 1, lane_max(x, lane_fill(two)))
+    store(out[6], 1, lane_sqrt(lane_abs(x)))
+    store(out[7], 1, select_ge(x, y, x, lane_fill(0.0)))
 
 
 def test_operations_are_those_of_numpy():
-    out = np.full((8, LANES + 2), 9.0, np.float32)
+    out = np.full((8, SIMD_WIDTH + 2), 9.0, np.float32)
     _all(A, B, AT, out)
-    x, y = A[AT : AT + LANES], B[AT : AT + LANES]
+    x, y = A[AT : AT + SIMD_WIDTH], B[AT : AT + SIMD_WIDTH]
     wanted = [
         x + y, x - 2, 2 * y, x / y, np.maximum(x, y), np.maximum(x, 2), np.sqrt(np.abs(x)),
         np.where(x >= y, x, 0),
@@ -55,13 +55,13 @@ def test_operations_are_those_of_numpy():
 
 @kernel(inner=False)
 def _any(a, b):
-    return any_above(load(a, 0), load(b, 0))
+    return any_greater(load(a, 0), load(b, 0))
 
 
 def test_any_lane_counts():
-    low = np.zeros(LANES, np.float32)
+    low = np.zeros(SIMD_WIDTH, np.float32)
     assert not _any(low, low)
-    for k in range(LANES):
+    for k in range(SIMD_WIDTH):
         high = low.copy()
         high[k] = 1e-30
         assert _any(high, low)

@@ -20,7 +20,7 @@ from lunarsim.console import plain_console, plain_progress
 from lunarsim.evaluation.comparisons import Difference
 from lunarsim.scenario import Scenario
 from lunarsim.viz import draw_comparison
-from lunarsim.viz.style import literal
+from lunarsim.viz.style import escape_dollars
 from tests.worlds import ROOT
 
 NAMES = [
@@ -76,7 +76,7 @@ def _pixels(text, **options):
 
 @pytest.mark.parametrize("name", [*NAMES, "\\$x", "$", "a\\$b$c"])
 def test_figures_show_dollar_signs(name):
-    assert np.array_equal(_pixels(literal(name)), _pixels(name, parse_math=False))
+    assert np.array_equal(_pixels(escape_dollars(name)), _pixels(name, parse_math=False))
 
 
 def test_a_comparison_draws_any_names(tmp_path):

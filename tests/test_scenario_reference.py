@@ -10,7 +10,7 @@ from click.testing import CliRunner
 from lunarsim.cli import main
 from lunarsim.parts import CONTRACTS, registry, settings_of
 from lunarsim.scenario.reference import parts_list, reference_text
-from lunarsim.sensors.imu import InertialUnit
+from lunarsim.sensors.imu import ImuSettings
 from tests.conftest import ROOT
 
 
@@ -49,7 +49,7 @@ def test_a_part_that_cannot_be_loaded_is_named_and_the_rest_is_printed(monkeypat
     whole = reference_text(markdown=True)
     assert "cannot be loaded: " in whole
     assert "`relief_scale`" in whole
-    assert all(kind != "lost" for kind, _ in registry.loadable("policy"))
+    assert all(kind != "lost" for kind, _ in registry.loadable_parts("policy"))
 
 
 def test_a_scenario_is_printed_whole():
@@ -64,7 +64,7 @@ def test_a_scenario_is_printed_whole():
 def test_defaults_of_nested_tables_are_those_that_fly():
     """Also where a scenario gives only one key of such a table."""
     text = reference_text(markdown=True)
-    table = settings_of(InertialUnit)
+    table = settings_of(ImuSettings)
     unit = table().make()
     for triad in ("gyroscopes", "accelerometers"):
         errors = getattr(unit, triad)

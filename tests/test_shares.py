@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from lunarsim._jit import kernel
-from lunarsim._shares import PartitionedKernel
+from lunarsim._work_partition import PartitionedKernel
 
 
 @kernel(shared=True)

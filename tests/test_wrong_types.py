@@ -10,7 +10,11 @@ from lunarsim.models.camera import CameraModel
 from lunarsim.onboard.hazards.shadows import HazardPrior, TrackerSettings
 from lunarsim.onboard.perception.detection_rates import DetectionRates
 from lunarsim.onboard.perception.detector import DetectorSettings
-from lunarsim.onboard.perception.health import Fault, HealthSettings, PictureHealth
+from lunarsim.onboard.perception.image_quality import (
+    ImageQualityCheck,
+    ImageQualitySettings,
+    ImageRejection,
+)
 from lunarsim.onboard.perception.shadow_model import ShadowModel
 from lunarsim.onboard.perception.shape_mixture import ShapeMixture
 from lunarsim.rocks.field import RockModel
@@ -43,10 +47,10 @@ NAN = float("nan")
         (Light, "elevation", [True]),
         (Light, "scattered", ["no", None]),
         (Light, "photometry", [["hapke"], 3]),
-        (HealthSettings, "least_agreement", [5.0, "x"]),
-        (HealthSettings, "most_turn", [20.0, None]),
-        (HealthSettings, "least_turn", [0.01]),
-        (HealthSettings, "least_shadows", [2.5]),
+        (ImageQualitySettings, "least_agreement", [5.0, "x"]),
+        (ImageQualitySettings, "most_turn", [20.0, None]),
+        (ImageQualitySettings, "least_turn", [0.01]),
+        (ImageQualitySettings, "least_shadows", [2.5]),
         (DetectorSettings, "gamma", ["a", None, -1.0]),
         (TrackerSettings, "few", ["a", 2.5, -1]),
         (TrackerSettings, "landmark_radius", ["a", NAN]),
@@ -119,13 +123,13 @@ def test_a_scenario_that_no_flight_could_begin_with_is_refused_before(told, name
 
 def test_nothing_that_a_sensor_gives_raises():
     state, camera = at((0.0, 0.0, 40.0))
-    health = PictureHealth()
+    health = ImageQualityCheck()
     for counts in ([[1, 2], [3]], None, "abc", object()):
-        assert health.before_detection(counts, camera.model, state).fault is Fault.FORM
+        assert health.before_detection(counts, camera.model, state).fault is ImageRejection.FORM
     counts = np.full((480, 640), 100, np.uint8)
     for position in (np.zeros(2), None, "abc"):
         pose = type("Pose", (), {"position": position, "attitude": state.attitude})()
-        assert health.before_detection(counts, camera.model, pose).fault is Fault.POSE
+        assert health.before_detection(counts, camera.model, pose).fault is ImageRejection.POSE
     for attitude in (None, "abcd", np.zeros(3)):
         pose = type("Pose", (), {"position": state.position, "attitude": attitude})()
-        assert health.before_detection(counts, camera.model, pose).fault is Fault.POSE
+        assert health.before_detection(counts, camera.model, pose).fault is ImageRejection.POSE

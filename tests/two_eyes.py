@@ -11,25 +11,25 @@ from lunarsim.onboard.hazards.fusion.flat_terrain import (
     flat_terrain_probability,
     no_undetected_rock_probability,
 )
-from lunarsim.onboard.hazards.fusion.terms import FusionTerms
+from lunarsim.onboard.hazards.fusion.priors import FusionPriors
 from lunarsim.onboard.hazards.hazard_map import HazardMap
-from lunarsim.onboard.hazards.published import ReliefEvidence, RockEvidence, RockTracks
+from lunarsim.onboard.hazards.map_evidence import RockEvidence, RockTracks, TerrainEvidence
 from lunarsim.rocks.population import RockExpectation
 from lunarsim.safety.calibration import calibrated_safety
 from tests.map_evidence import LANDER, SIDE, evidence, rocky
 
 GRID = Grid(0.0, 0.0, 0.5, SIDE, SIDE)
-TERMS = FusionTerms(LANDER, RockExpectation())
+TERMS = FusionPriors(LANDER, RockExpectation())
 DIAMETERS = np.array([0.5, 0.8])
 FOOTPRINT = LANDER.leg_radius + 0.5 * LANDER.pad_diameter
 
 
-def relief(bump=None, **said) -> ReliefEvidence:
+def relief(bump=None, **said) -> TerrainEvidence:
     """Return a calibrated map; `bump` is elevations (rows, cols) to be added to level ground."""
     judged = evidence(**said)
     p, known = calibrated_safety(judged)
     z = np.zeros(GRID.shape, np.float32) if bump is None else bump.astype(np.float32)
-    return ReliefEvidence(HazardMap(GRID, p, judged.observed, z, in_domain=known), judged)
+    return TerrainEvidence(HazardMap(GRID, p, judged.observed, z, in_domain=known), judged)
 
 
 def level_map(judged, prior, none_missed=0.0) -> np.ndarray:
@@ -78,7 +78,7 @@ def raster(value: float) -> np.ndarray:
     return np.full(GRID.shape, value, np.float32)
 
 
-def samples(own: ReliefEvidence) -> ElevationSamples:
+def samples(own: TerrainEvidence) -> ElevationSamples:
     """Return what elevations say of the places of rocks."""
     return ElevationSamples(
         own.residual_heights, own.site_evidence.density, GRID, TERMS.height_ratio

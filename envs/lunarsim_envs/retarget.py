@@ -22,16 +22,16 @@ from lunarsim_envs.arguments import (
     checked_weights,
     scenario_argument,
 )
-from lunarsim_envs.descent.picture import PlaneView
-from lunarsim_envs.rendering import FrameRenderer
+from lunarsim_envs.chase_view import ChaseViewRenderer
+from lunarsim_envs.descent.plane_view import PlaneView
+from lunarsim_envs.frame_renderer import FrameRenderer
+from lunarsim_envs.frame_window import FrameWindow, available_render_modes
 from lunarsim_envs.rewards import RewardWeights, SiteRewards, sum_terms
-from lunarsim_envs.screen import FrameWindow, available_render_modes
 from lunarsim_envs.sites.actions import DEFAULT_ACTION, SiteActions
 from lunarsim_envs.sites.flights import KernelFlight
-from lunarsim_envs.sites.onboard import perceiving
-from lunarsim_envs.sites.parts import DEFAULT, SiteObservationLayout
+from lunarsim_envs.sites.observations import DEFAULT, SiteObservationLayout
 from lunarsim_envs.sites.perception import FULL_SIMULATION, PERCEPTIONS, create_flight
-from lunarsim_envs.views import ChaseViewRenderer
+from lunarsim_envs.sites.perception_scenarios import with_perception
 
 FloatArray = NDArray[np.float32]
 # Failed limits of a flight that reached the time limit.
@@ -117,7 +117,7 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], Any]):
       (m).
     - ``hazard_crop`` (2, 33, 33): p_safe and observed mask around the current site, 1 m spacing.
 
-    `lunarsim_envs.sites.parts.register` adds custom components.
+    `lunarsim_envs.sites.observations.register` adds custom components.
 
     ## Rewards
 
@@ -165,7 +165,8 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], Any]):
       scenario. ``"truth"``: true safety within the LiDAR's field of view. ``"surrogate"``:
       statistical model of the mapper's spatial errors. ``"gaussian-dem"``: that mapper with
       simulated scans. ``"shadows"``, ``"quadtree"``, ``"fused"``: an onboard mapper of that kind,
-      which is added to the scenario if needed (`lunarsim_envs.sites.onboard.perceiving`).
+      which is added to the scenario if needed
+      (`lunarsim_envs.sites.perception_scenarios.with_perception`).
     - ``surrogate``: file of a custom surrogate from ``scenarios/learning/fit_surrogate.py``.
     - ``observation``, ``action``: names of the components.
     - ``worlds``, ``world_seed``: with kernels, number of worlds in the pool and their root seed.
@@ -237,7 +238,7 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], Any]):
         self.metadata = self.metadata | {"render_modes": available_render_modes(modes)}
         self.scenario = retarget_scenario(scenario, changes)
         if perception in FULL_SIMULATION:
-            self.scenario = perceiving(self.scenario, perception)
+            self.scenario = with_perception(self.scenario, perception)
         self.weights = checked_weights(weights, RewardWeights) or RewardWeights.of(self.scenario)
         lander = self.scenario.vehicle.make()
         self.rewards = SiteRewards(self.weights, lander.propellant_mass, 1)

@@ -18,16 +18,16 @@ from lunarsim_envs.arguments import (
     checked_options,
     checked_weights,
 )
-from lunarsim_envs.descent.lanes import FLYING, LATE
+from lunarsim_envs.descent.batch import FLYING, LATE
 from lunarsim_envs.descent.options import apply_options
 from lunarsim_envs.resets import check_all_reset, lane_seeds, reset_mask
 from lunarsim_envs.retarget import retarget_scenario
 from lunarsim_envs.rewards import RewardWeights, SiteRewards, sum_terms, touchdown_limit_ratios
 from lunarsim_envs.sites.actions import DEFAULT_ACTION, SiteActions
 from lunarsim_envs.sites.flights import site_inputs
-from lunarsim_envs.sites.parts import DEFAULT, Shown, SiteObservationLayout
-from lunarsim_envs.sites.perception import lanes_of
-from lunarsim_envs.sites.sights import MAP_CELLS, SiteInputs, downsample_maps
+from lunarsim_envs.sites.observations import DEFAULT, Shown, SiteObservationLayout
+from lunarsim_envs.sites.perception import create_batch
+from lunarsim_envs.sites.site_inputs import MAP_CELLS, SiteInputs, downsample_maps
 from lunarsim_envs.step_limit import StepLimit
 
 Mask = NDArray[np.bool_]
@@ -64,7 +64,7 @@ class RetargetVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         world_seed = checked_int("world_seed", world_seed, 0)
         self.scenario = retarget_scenario(scenario, changes)
         self.actions = SiteActions(action)
-        self.lanes = lanes_of(
+        self.lanes = create_batch(
             num_envs, perception, self.scenario, worlds, world_seed, surrogate, covers
         )
         self.weights = checked_weights(weights, RewardWeights) or RewardWeights.of(self.scenario)

@@ -1,7 +1,7 @@
 """Write frames of an environment as a video.
 
 Gymnasium's RecordVideo needs MoviePy, which requires an older Pillow than this package.
-`RecordFilm` writes the same videos with OpenCV and needs no other package.
+`RecordVideos` writes the same videos with OpenCV and needs no other package.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from lunarsim.atomic_files import atomic_write
 from lunarsim.errors import InputError
-from lunarsim.whole_files import write_whole
 
 
-class RecordFilm(gymnasium.Wrapper[Any, Any, Any, Any]):
+class RecordVideos(gymnasium.Wrapper[Any, Any, Any, Any]):
     """Record episodes of an environment as videos, ``PREFIX-episode-N.mp4``.
 
     A video contains the frames from the reset on: one per step, or all frames of the render mode
@@ -129,7 +129,7 @@ def save_video(frames: Sequence[NDArray[np.uint8]], path: str | Path, fps: float
     if path.suffix.lower() not in writers:
         raise InputError("path", str(path), "must be a file name that ends in .gif or .mp4")
     write = writers[path.suffix.lower()]
-    write_whole(path, lambda part: write(frames, part, fps))
+    atomic_write(path, lambda part: write(frames, part, fps))
 
 
 def _gif(frames: Sequence[NDArray[np.uint8]], path: Path, fps: float) -> None:

@@ -17,9 +17,9 @@ from lunarsim.errors import InputError, suggestion
 from lunarsim.evaluation.comparisons import (
     Difference,
     Ellipse,
-    holm,
+    bootstrap_interval,
+    holm_correction,
     landing_ellipse,
-    mean_bootstrap,
     mean_difference,
     quantile_interval,
     share_difference,
@@ -108,7 +108,7 @@ def compute_arm_statistics(results: Results) -> list[ArmStatistics]:
         out.append(
             ArmStatistics(
                 arm, int(rows.sum()), flown_rows, shares,
-                {n: (_mean(v), *mean_bootstrap(v, rng)) for n, v in numbers.items()},
+                {n: (_mean(v), *bootstrap_interval(v, rng)) for n, v in numbers.items()},
                 {n: (quantile_interval(v, 0.5), quantile_interval(v, 0.95))
                  for n, v in numbers.items()},
                 _ellipse(results, here),
@@ -129,7 +129,7 @@ def _ellipse(results: Results, rows: NDArray[np.bool_]) -> Ellipse | None:
     return landing_ellipse(np.column_stack([column(results, name, rows) for name in names]))
 
 
-def pairs_of(arms: Sequence[str]) -> list[tuple[str, str]]:
+def arm_pairs(arms: Sequence[str]) -> list[tuple[str, str]]:
     """Return the pairs of arms to compare: all pairs of a few arms, else each with the first."""
     if len(arms) <= _MAX_ALL_PAIRS:
         return list(combinations(arms, 2))
@@ -158,14 +158,14 @@ def differences(results: Results, metric: str = "safe") -> list[Difference]:
         values[arm] = np.full(flights, np.nan)
         values[arm][results.table["flight"].to_numpy()[rows]] = column(results, metric, rows)
     made = []
-    for pair in pairs_of(results.arms):
+    for pair in arm_pairs(results.arms):
         a, b = (values[arm] for arm in pair)
         both = np.isfinite(a) & np.isfinite(b)
         if kind == "bool":
             made.append(share_difference(a[both] > 0.5, b[both] > 0.5, pair))
         else:
             made.append(mean_difference(a[both], b[both], pair, rng))
-    corrected = holm([d.p for d in made])
+    corrected = holm_correction([d.p for d in made])
     return [replace(d, corrected=float(p)) for d, p in zip(made, corrected, strict=True)]
 
 
@@ -189,7 +189,7 @@ class ArmComparison:
     worse: bool
 
 
-def diff(
+def compare_campaigns(
     first: Results, second: Results, margin: float, metric: str = "safe"
 ) -> list[ArmComparison]:
     """Compare two campaigns over the same flights, arm by arm.
@@ -231,7 +231,7 @@ def diff(
             )
         hits = np.array([(a[i], b[i]) for i in flights], dtype=bool)
         made.append(share_difference(hits[:, 0], hits[:, 1], (arm, arm), level=0.9))
-    corrected = holm([d.p for d in made])
+    corrected = holm_correction([d.p for d in made])
     return [
         ArmComparison(
             replace(d, corrected=float(p)),

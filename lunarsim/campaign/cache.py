@@ -32,7 +32,7 @@ from lunarsim.user_cache import user_cache
 Arrays = dict[str, NDArray[Any]]
 
 # Default limit of the size of the cache, bytes.
-LIMIT = 4 * 2**30
+DEFAULT_CACHE_BYTES = 4 * 2**30
 # Minimum disk space of a file, bytes.
 _DISK_BLOCK_BYTES = 4096
 # The folder size is measured again after 1 / _CHECKS of the limit has been written.
@@ -61,7 +61,7 @@ class DiskCache:
     """
 
     folder: Path
-    limit: int = LIMIT
+    limit: int = DEFAULT_CACHE_BYTES
     since: float = 0.0
 
     def get(self, kind: str, key: str, make: Callable[[], Arrays]) -> Arrays:
@@ -114,12 +114,12 @@ class DiskCache:
             _give_up(self.folder, error)
 
 
-def standard_folder() -> Path:
+def default_cache_folder() -> Path:
     """Return the default cache folder of this user."""
     return user_cache("worlds")
 
 
-def opened(folder: Path, limit: int = LIMIT) -> DiskCache | None:
+def open_cache(folder: Path, limit: int = DEFAULT_CACHE_BYTES) -> DiskCache | None:
     """Open the cache in a folder for a campaign that starts now.
 
     Return None, with a warning, if the folder is not writable.

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from lunarsim.campaign.plan import MAX_FLIGHTS
-from lunarsim.campaign.pool import outcomes
+from lunarsim.campaign.pool import iterate_results
 from lunarsim.errors import InputError
 from lunarsim.evaluation.site_calibration import (
     CrossValidation,
@@ -21,10 +21,13 @@ from lunarsim.evaluation.site_calibration import (
     sample_sites,
     with_quality,
 )
-from lunarsim.onboard.hazards.gaussian_dem.drawn import evidence_of
-from lunarsim.onboard.hazards.gaussian_dem.mapper import GaussianDemMapper, GaussianDemMapping
-from lunarsim.rng import Streams, calibration_seed
-from lunarsim.safety.refit import ScenarioCalibration
+from lunarsim.onboard.hazards.gaussian_dem.dem_snapshot import dem_site_evidence
+from lunarsim.onboard.hazards.gaussian_dem.mapper import (
+    GaussianDemMapper,
+    GaussianDemMapperSettings,
+)
+from lunarsim.rng import RandomStreams, calibration_seed
+from lunarsim.safety.scenario_calibration import ScenarioCalibration
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation
 
@@ -101,7 +104,7 @@ def calibrate(
         raise InputError("--flights", flights, f"must be at most {MAX_FLIGHTS}")
     tasks = [_Task(plain, mapper, seed, i, sites) for i in range(flights)]
     found: dict[int, list[SiteSamples]] = {}
-    for index, parts in outcomes(_fly_and_sample, tasks, min(jobs, flights)):
+    for index, parts in iterate_results(_fly_and_sample, tasks, min(jobs, flights)):
         found[index] = parts
         if progress is not None:
             progress(1)
@@ -135,7 +138,7 @@ def gaussian_mapper(scenario: Scenario, name: str | None = None) -> str:
         mappers qualify.
     """
     mappers = {n: part.make() for n, part in scenario.mappers.items()}
-    fit = [n for n, part in mappers.items() if isinstance(part, GaussianDemMapping)]
+    fit = [n for n, part in mappers.items() if isinstance(part, GaussianDemMapperSettings)]
     words = ", ".join(fit) or "none"
     if name is None:
         decides = scenario.decisions.map or next(iter(mappers), "")
@@ -166,7 +169,7 @@ def _fly_and_sample(task: _Task) -> list[SiteSamples]:
     computer = simulation.computer
     mapper = computer.mappers[task.mapper]
     assert isinstance(mapper, GaussianDemMapper)
-    rng = Streams(seed).get("calibration.sites")
+    rng = RandomStreams(seed).get("calibration.sites")
     found, last, error = [], None, simulation.navigation_error
     while not simulation.done and computer.altitude >= computer.decisions.last_altitude:
         if task.mapper in computer.mapped:
@@ -175,7 +178,7 @@ def _fly_and_sample(task: _Task) -> list[SiteSamples]:
             drawn = mapper.hazard_map()
             if drawn is not last:
                 last = drawn
-                evidence = evidence_of(mapper.dem(), mapper.lander, mapper.rocks)
+                evidence = dem_site_evidence(mapper.dem(), mapper.lander, mapper.rocks)
                 truth = simulation.truth
                 found.append(sample_sites(evidence, truth, error, task.sites, task.flight, rng))
         simulation.step()

@@ -62,7 +62,7 @@ def _with_interval(values: NDArray[np.float64], form: str = "{:.4f}") -> str:
     return f"{value} [{low}, {high}]"
 
 
-def verdicts(result: CalibrationResult) -> Iterator[str]:
+def calibration_remarks(result: CalibrationResult) -> Iterator[str]:
     """Yield sentences that say whether the refit is better, and its coefficients."""
     left = result.left_out.refit_domain
     for name, judgement in _groups(result):

@@ -20,6 +20,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 import lunarsim
+from lunarsim.atomic_files import atomic_write, atomic_write_text
 from lunarsim.campaign.cache import DiskCache
 from lunarsim.campaign.dispersions import Dispersions
 from lunarsim.campaign.engines.contract import Engine
@@ -38,7 +39,6 @@ from lunarsim.onboard.policies.contract import RetargetingPolicy
 from lunarsim.parts import resolve
 from lunarsim.scenario import Scenario
 from lunarsim.scenario.changes import with_values
-from lunarsim.whole_files import write_text_whole, write_whole
 
 Progress = Callable[[int], None]
 
@@ -254,7 +254,7 @@ def _mean(values: list[float]) -> float:
 def _write(result: CompareResult, out: Path, spec: CampaignSpec) -> None:
     """Write the results in one file, and their summary; both atomically."""
     table = pa.Table.from_pylist(result.rows, pq.read_schema(next((out / "results").iterdir())))
-    write_whole(out / "results.parquet", lambda p: pq.write_table(table, p))
+    atomic_write(out / "results.parquet", lambda p: pq.write_table(table, p))
     summary = {
         "scenario": spec.scenario.name,
         "seed": spec.head.seed,
@@ -265,4 +265,4 @@ def _write(result: CompareResult, out: Path, spec: CampaignSpec) -> None:
         "exactly_safe_share_at_heading": result.safe_share_at_heading,
         "seconds_per_flight": {p: _mean(s) for p, s in result.seconds.items()},
     }
-    write_text_whole(out / "summary.json", json.dumps(summary, indent=1))
+    atomic_write_text(out / "summary.json", json.dumps(summary, indent=1))

@@ -27,7 +27,7 @@ from scipy.stats import qmc, truncnorm
 from lunarsim.campaign.subset_settings import SubsetSettings
 from lunarsim.errors import InputError, suggestion
 from lunarsim.parts import quantity, settings_of
-from lunarsim.rng import Streams, design_seed, flight_seed
+from lunarsim.rng import RandomStreams, design_seed, flight_seed
 from lunarsim.scenario.errors import input_error
 
 Array = NDArray[np.float64]
@@ -423,7 +423,7 @@ class Dispersions:
         u = self.uniforms(flight)
         if self.importance is None:
             return u, 1.0
-        rng = Streams(flight_seed(self.seed, flight)).get("importance")
+        rng = RandomStreams(flight_seed(self.seed, flight)).get("importance")
         nominal = bool(rng.random() < self.importance.nominal_share)
         shifted, weight = self.importance.drawn(list(self.distributions), u, nominal)
         return _clip_to_open_interval(shifted), weight
@@ -431,7 +431,7 @@ class Dispersions:
     def uniforms(self, flight: int) -> Array:
         """Return a uniform number in (0, 1) for each key (d,), before importance sampling."""
         if self.method in _STREAM_METHODS:
-            streams = Streams(flight_seed(self.seed, flight))
+            streams = RandomStreams(flight_seed(self.seed, flight))
             drawn = [streams.get(f"dispersions.{key}").random() for key in self.distributions]
             return _clip_to_open_interval(np.array(drawn))
         return _clip_to_open_interval(self._design[flight])
@@ -448,7 +448,7 @@ class Dispersions:
         return np.asarray(qmc.LatinHypercube(count, rng=rng).random(self.flights))
 
 
-def world_of(flight: int, block: int) -> int:
+def world_index(flight: int, block: int) -> int:
     """Return the index of the flight that gives a flight its seed: itself, outside Saltelli blocks.
 
     Parameters

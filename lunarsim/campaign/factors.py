@@ -12,11 +12,11 @@ from typing import Any
 
 import numpy as np
 
-from lunarsim.campaign.keys import GROUND_TABLES, tables_as_text
+from lunarsim.campaign.scenario_tables import GROUND_TABLES, tables_as_text
 from lunarsim.errors import InputError
 from lunarsim.onboard.policies.contract import RetargetingPolicy
 from lunarsim.scenario import Scenario
-from lunarsim.scenario.changes import path_of, typed_values, with_values
+from lunarsim.scenario.changes import parse_changes, path_of, with_values
 
 # A larger number is probably a mistake in the spec.
 MAX_ARMS = 1000
@@ -214,7 +214,7 @@ def folder_name(arm: str) -> str:
     return kept or "arm"
 
 
-def parse_over(texts: Sequence[str]) -> dict[str, list[Any]]:
+def parse_factors(texts: Sequence[str]) -> dict[str, list[Any]]:
     """Parse factors from the command line: ``key=a,b,c`` or ``key=low:high:count``.
 
     Raises
@@ -263,7 +263,7 @@ def split_changes(
     swept = [path_of(key, levels[0]) for key, levels in factors.items()]
     parts = [steps[:-1] for steps in swept if steps[-1] == "kind"]
     kept, of_parts = [], {}
-    for text, (key, value) in zip(texts, typed_values(texts).items(), strict=True):
+    for text, (key, value) in zip(texts, parse_changes(texts).items(), strict=True):
         steps = path_of(key, value)
         if any(steps[: len(one)] == one for one in swept):
             raise InputError("--set", text, "must not set a key that --over sets")

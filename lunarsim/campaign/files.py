@@ -16,7 +16,7 @@ from typing import Any
 from llvmlite.binding import get_host_cpu_name
 
 import lunarsim
-from lunarsim.whole_files import write_text_whole
+from lunarsim.atomic_files import atomic_write_text
 
 # Packages whose versions may change results.
 _PACKAGES = ("numpy", "scipy", "numba", "llvmlite", "casadi", "opencv-python-headless", "moderngl",
@@ -29,7 +29,7 @@ _IGNORED_DIFFERENCES = ("python", "cores", "processor")
 
 def write_json(path: Path, data: Mapping[str, Any]) -> None:
     """Write a JSON file atomically."""
-    write_text_whole(path, json.dumps(data, indent=1) + "\n")
+    atomic_write_text(path, json.dumps(data, indent=1) + "\n")
 
 
 def bytes_digest(data: bytes) -> str:

@@ -5,16 +5,16 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
+from lunarsim.atomic_files import atomic_write_text
 from lunarsim.campaign.cache import DiskCache
 from lunarsim.campaign.engines.contract import Engine
 from lunarsim.campaign.engines.picklable import check_picklable
-from lunarsim.campaign.flying import check_first_flights, plan_of
+from lunarsim.campaign.flight_execution import build_plan, check_first_flights
+from lunarsim.campaign.kernel_compilation import compile_kernels
 from lunarsim.campaign.manifest import matching_manifest
 from lunarsim.campaign.run import RunResult, run
 from lunarsim.campaign.spec import CampaignSpec
 from lunarsim.campaign.stopping import IntervalWidthRule
-from lunarsim.campaign.warming import warm
-from lunarsim.whole_files import write_text_whole
 
 
 def fly_spec(
@@ -47,7 +47,7 @@ def fly_spec(
         If the first flight of an arm cannot be flown or sent to worker processes, or the folder
         belongs to another campaign; nothing has been written then.
     """
-    plan = plan_of(spec, out, cache)
+    plan = build_plan(spec, out, cache)
     if matching_manifest(out, plan) is None:
         check_first_flights(spec)
     if engine.name == "local":
@@ -55,7 +55,7 @@ def fly_spec(
             check_picklable(f"arm {arm.name!r}", arm.policy or arm.scenario)
         check_picklable("campaign", plan.work)
     if cache is not None and say is not None and engine.name == "local":
-        warm(spec, plan, cache, say)
+        compile_kernels(spec, plan, cache, say)
     stop = spec.stop
     rule = None if stop is None else IntervalWidthRule(stop.metric, stop.width, len(spec.arms))
     return run(
@@ -70,4 +70,4 @@ def write_files(spec: CampaignSpec, folder: Path) -> None:
     if all(arm.policy is None for arm in spec.arms):
         texts["spec.toml"] = spec.to_toml()
     for name, text in texts.items():
-        write_text_whole(folder / name, text)
+        atomic_write_text(folder / name, text)

@@ -19,7 +19,7 @@ from lunarsim.campaign.plan import MAX_FLIGHTS, Plan
 from lunarsim.campaign.rows import KINDS, schema_of
 from lunarsim.errors import InputError, check_folder
 from lunarsim.json_files import read_json
-from lunarsim.received_folders import bounded_bytes, check_contents
+from lunarsim.untrusted_folders import check_no_links, read_bounded_bytes
 
 FORMAT = 1
 _Kind = Literal[*KINDS]  # type: ignore[valid-type]
@@ -113,7 +113,7 @@ def matching_manifest(folder: Path, plan: Plan) -> dict[str, Any] | None:
     if not (folder / "manifest.json").exists():
         # A writer killed before its manifest leaves a lock and a temporary file.
         check_folder(folder, hidden=False)
-        check_contents(folder)
+        check_no_links(folder)
         return None
     manifest = read_manifest(folder)
     for key, ours in (("format", FORMAT), ("version", lunarsim.__version__),
@@ -171,7 +171,7 @@ def _last_flight(folder: Path) -> int:
             flights = pq.read_table(path, columns=["flight"])["flight"].to_numpy()
             last = max(last, int(flights.max(initial=-1)))
     journal = folder / "journal.jsonl"
-    for line in bounded_bytes(journal).split(b"\n") if journal.exists() else []:
+    for line in read_bounded_bytes(journal).split(b"\n") if journal.exists() else []:
         with contextlib.suppress(ValueError, KeyError, TypeError):
             last = max(last, int(json.loads(line)[0]["flight"]))
     return last
@@ -200,7 +200,7 @@ def read_manifest(folder: Path) -> dict[str, Any]:
         raise InputError(
             "folder", str(folder), "must be the folder of a campaign, with manifest.json"
         )
-    check_contents(folder)
+    check_no_links(folder)
     try:
         data: dict[str, Any] = read_json(path)
         _Manifest.model_validate(data)

@@ -79,7 +79,7 @@ class Finished:
         }
 
 
-def function_of(work: Work) -> Any:
+def import_function(work: Work) -> Any:
     """Import the function that a `Work` names."""
     module, _, name = work.function.partition(":")
     return getattr(importlib.import_module(module), name)

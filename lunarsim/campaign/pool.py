@@ -20,7 +20,9 @@ T = TypeVar("T")
 R = TypeVar("R")
 
 
-def outcomes(function: Callable[[T], R], tasks: Sequence[T], jobs: int) -> Iterator[tuple[int, R]]:
+def iterate_results(
+    function: Callable[[T], R], tasks: Sequence[T], jobs: int
+) -> Iterator[tuple[int, R]]:
     """Yield the index and result of each task, in order of completion.
 
     Few tasks are queued at a time, so an interrupt takes effect soon.
@@ -75,7 +77,7 @@ def _run_task(function: Callable[[T], R], task: T) -> R:
         gc.collect()
 
 
-def gathered(
+def collect_results(
     function: Callable[[T], R], tasks: Sequence[T], jobs: int, console: Console, what: str
 ) -> list[R]:
     """Return the results of the tasks in order, and show a progress bar.
@@ -86,7 +88,7 @@ def gathered(
     Parameters
     ----------
     function, tasks, jobs
-        Function, its arguments and the number of processes, as for `outcomes`.
+        Function, its arguments and the number of processes, as for `iterate_results`.
     console
         Console of the progress bar.
     what
@@ -96,7 +98,7 @@ def gathered(
     with plain_progress(console) as progress:
         bar = progress.add_task(what, total=len(tasks))
         try:
-            for index, result in outcomes(function, tasks, jobs):
+            for index, result in iterate_results(function, tasks, jobs):
                 done[index] = result
                 progress.advance(bar)
         except KeyboardInterrupt:

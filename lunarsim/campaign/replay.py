@@ -9,7 +9,7 @@ from typing import Any
 
 import pyarrow.compute as pc
 
-from lunarsim.campaign.flying import fly_with_simulation, plan_of
+from lunarsim.campaign.flight_execution import build_plan, fly_with_simulation
 from lunarsim.campaign.plan import Group, Plan
 from lunarsim.campaign.results import Results, load_results
 from lunarsim.campaign.spec import CampaignSpec
@@ -64,7 +64,7 @@ def replay(folder: str | Path, flight: str) -> ReplayResult:
         )  # fmt: skip
     spec = CampaignSpec.load(spec_file)
     index, arm = _parse_flight_id(flight, int(found.manifest["flights"]), len(spec.arms))
-    plan = plan_of(spec)
+    plan = build_plan(spec)
     study = plan.work.study
     group = Group(index, (arm,), _draws(plan, found, index))
     record, simulation, row = fly_with_simulation(study, group, arm, {})

@@ -18,14 +18,14 @@ import pyarrow.csv as pcsv
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
+from lunarsim.atomic_files import atomic_write
 from lunarsim.campaign.files import bytes_digest
 from lunarsim.campaign.manifest import FORMAT, read_manifest
 from lunarsim.campaign.outcomes import FLOWN
 from lunarsim.campaign.plan import WEIGHT
 from lunarsim.campaign.rows import TIMING, check_expanded, schema_of
 from lunarsim.errors import InputError, check_output
-from lunarsim.received_folders import bounded_bytes
-from lunarsim.whole_files import write_whole
+from lunarsim.untrusted_folders import read_bounded_bytes
 
 # Columns that have a value in every row.
 _REQUIRED_COLUMNS = ("id", "flight", "arm")
@@ -196,7 +196,7 @@ def _verified_bytes(folder: Path, path: Path, manifest: dict[str, Any]) -> bytes
     """
     name = str(path.relative_to(folder))
     for _ in range(_READ_ATTEMPTS):
-        data = bounded_bytes(path)
+        data = read_bounded_bytes(path)
         digest = bytes_digest(data)
         if manifest.get("parts", {}).get(name, digest) == digest:
             return data
@@ -216,7 +216,7 @@ def _journal(folder: Path) -> dict[str, tuple[dict[str, Any], dict[str, Any]]]:
     """Return rows and times of the journal by id; ignore incomplete lines."""
     found = {}
     path = folder / "journal.jsonl"
-    lines = bounded_bytes(path).split(b"\n") if path.exists() else []
+    lines = read_bounded_bytes(path).split(b"\n") if path.exists() else []
     for line in lines:
         try:
             row, timing = json.loads(line)
@@ -258,7 +258,7 @@ class CampaignStatus:
         return (self.wanted - self.done) / self.rate if self.rate > 0.0 else float("nan")
 
 
-def status_of(folder: str | Path) -> CampaignStatus:
+def read_status(folder: str | Path) -> CampaignStatus:
     """Return the progress of a campaign; it may be running.
 
     Raises
@@ -319,7 +319,7 @@ def export(folder: str | Path, out: Path, *, timing: bool = False) -> int:
         for name in TIMING.names[1:]:
             table = table.append_column(name, found.timing[name])
     write = pcsv.write_csv if suffix == ".csv" else pq.write_table
-    write_whole(out, lambda path: write(table, path))
+    atomic_write(out, lambda path: write(table, path))
     return len(table)
 
 

@@ -14,7 +14,7 @@ import lunarsim
 from lunarsim.campaign.files import code_digest
 from lunarsim.campaign.outcomes import Finished
 from lunarsim.campaign.plan import Plan, row_id
-from lunarsim.received_folders import MAX_FILE_BYTES
+from lunarsim.untrusted_folders import MAX_FILE_BYTES
 
 # A row of results and its row of times.
 Row = tuple[dict[str, Any], dict[str, Any]]

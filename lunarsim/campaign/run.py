@@ -12,12 +12,12 @@ from pathlib import Path
 from types import FrameType
 from typing import Any
 
+from lunarsim.atomic_files import new_contents_remover
 from lunarsim.campaign.engines.contract import Engine
 from lunarsim.campaign.outcomes import FLOWN
 from lunarsim.campaign.plan import Group, Plan
 from lunarsim.campaign.stopping import IntervalWidthRule
 from lunarsim.campaign.store import Store
-from lunarsim.whole_files import remover_of_new
 
 COMPLETE, STOPPED, INTERRUPTED, OUT_OF_TIME = "complete", "stopped", "interrupted", "out of time"
 
@@ -153,7 +153,7 @@ def run(
 def _open_store(out: Path, plan: Plan, retry: bool) -> tuple[Store, Callable[[], None]]:
     """Open the store of a folder; return it with a function that removes a new folder."""
     is_new = not out.is_dir() or not any(out.iterdir())
-    remove = remover_of_new(out) if is_new else lambda: None
+    remove = new_contents_remover(out) if is_new else lambda: None
     try:
         return Store.open(out, plan, retry=retry), remove
     except OSError:

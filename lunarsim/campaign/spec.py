@@ -55,13 +55,13 @@ from lunarsim.campaign.plan import MAX_FLIGHTS
 from lunarsim.campaign.relative_paths import resolve_paths
 from lunarsim.campaign.subset_settings import SubsetSettings
 from lunarsim.errors import InputError, suggestion
-from lunarsim.evaluation.outcome import COLUMNS
-from lunarsim.parts import allowed, quantity, settings_of
+from lunarsim.evaluation.flight_metrics import COLUMNS
+from lunarsim.parts import module_permission, quantity, settings_of
 from lunarsim.scenario import Scenario, shipped
 from lunarsim.scenario.changes import path_of, with_values
 from lunarsim.scenario.errors import input_error
 from lunarsim.scenario.files import read_toml
-from lunarsim.scenario.layout import CHOSEN
+from lunarsim.scenario.layout import SELECTED
 
 # Number of draws whose extremes are checked against the scenario before the first flight.
 _MAX_CHECKED_DRAWS = 1000
@@ -182,7 +182,7 @@ class CampaignSpec:
         InputError
             If the file is missing, is not TOML, or has a wrong field.
         """
-        allowed.allow_modules(*allow_modules)
+        module_permission.allow_modules(*allow_modules)
         path = Path(path)
         data = read_toml(path, "spec")
         return cls.from_dict({"name": path.stem} | data, path.parent.resolve())
@@ -292,7 +292,7 @@ class CampaignSpec:
                 found |= module_digest(type(arm.policy).__module__)
         for key, law in self.dispersions.distributions.items():
             for value in law.values if isinstance(law, Choice) else ():
-                tables = {"kind" if key in CHOSEN else key.rpartition(".")[2]: value}
+                tables = {"kind" if key in SELECTED else key.rpartition(".")[2]: value}
                 found |= file_digests(tables) | part_digests(tables)
         return {"made from": dict(sorted(found.items()))} if found else {}
 

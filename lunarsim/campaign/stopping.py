@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from lunarsim.evaluation.sequences import share_sequence
+from lunarsim.evaluation.sequences import share_confidence_sequence
 
 
 class IntervalWidthRule:
@@ -45,6 +45,6 @@ class IntervalWidthRule:
             for i, hit in self._waiting.pop(self._next).items():
                 self._counts[i] += hit
             self._next += 1
-            intervals = (share_sequence(count, self._next) for count in self._counts)
+            intervals = (share_confidence_sequence(count, self._next) for count in self._counts)
             if all(high - low <= self.width for low, high in intervals):
                 self.stop = self._next

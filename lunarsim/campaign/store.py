@@ -29,14 +29,14 @@ from typing import IO, Any
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from lunarsim.atomic_files import atomic_write, atomic_write_text
 from lunarsim.campaign.files import bytes_digest, write_json
 from lunarsim.campaign.manifest import matching_manifest, new_manifest, with_digest
 from lunarsim.campaign.outcomes import FLOWN, Finished
 from lunarsim.campaign.plan import Plan, row_id
 from lunarsim.campaign.rows import TIMING, Row, check_expanded, row_of, schema_of
 from lunarsim.errors import InputError
-from lunarsim.received_folders import bounded_bytes
-from lunarsim.whole_files import write_text_whole, write_whole
+from lunarsim.untrusted_folders import read_bounded_bytes
 
 # Approximate number of rows of a part.
 PART_ROWS = 5000
@@ -177,7 +177,7 @@ class Store:
 
     def _read(self, kind: str, name: str) -> pa.BufferReader:
         """Return the bytes of a part; refuse them if the digest differs."""
-        data = bounded_bytes(self.folder / kind / name)
+        data = read_bounded_bytes(self.folder / kind / name)
         if self._parts().get(f"{kind}/{name}", bytes_digest(data)) != bytes_digest(data):
             raise ValueError("its digest differs from the one in manifest.json")
         check_expanded(data)
@@ -199,7 +199,7 @@ class Store:
         self._open[part] = {key: _journal_line(row) for key, row in rows.items()}
 
     def _load_journal(self, path: Path, retry: bool) -> None:
-        lines = bounded_bytes(path).split(b"\n")
+        lines = read_bounded_bytes(path).split(b"\n")
         for i, line in enumerate(lines):
             if not line:
                 continue
@@ -294,7 +294,7 @@ class Store:
             return
         for kind, schema, column in (("timing", TIMING, 1), ("results", self._schema, 0)):
             table = _column_table(lines, column, schema)
-            write_whole(self._path(kind, part), lambda p, t=table: _write_table(t, p))  # type: ignore[misc]
+            atomic_write(self._path(kind, part), lambda p, t=table: _write_table(t, p))  # type: ignore[misc]
             data = self._path(kind, part).read_bytes()
             self._parts()[self._name(kind, part)] = bytes_digest(data)
         if self._is_full(part):
@@ -308,7 +308,7 @@ class Store:
         path = self.folder / "journal.jsonl"
         lines = [line for part in sorted(self._open) for line in self._open[part].values()]
         text = "".join(f"{line}\n" for line in lines)
-        write_text_whole(path, text)
+        atomic_write_text(path, text)
         if self._journal is not None:
             self._journal.close()
             self._journal = path.open("a", encoding="utf-8")

@@ -24,7 +24,7 @@ from scipy.special import ndtr, ndtri
 
 from lunarsim.campaign.dispersions import Choice, Dispersions
 from lunarsim.campaign.plan import Group
-from lunarsim.rng import Streams, flight_seed
+from lunarsim.rng import RandomStreams, flight_seed
 
 Array = NDArray[np.float64]
 Row = Mapping[str, Any]
@@ -163,7 +163,7 @@ class SubsetChains:
         if level != len(self.levels) or len(self._states[chain]) != step or self.stop is not None:
             raise LookupError(flight)
         now = self._states[chain][-1]
-        rng = Streams(flight_seed(self.laws.seed, flight)).get("subset")
+        rng = RandomStreams(flight_seed(self.laws.seed, flight)).get("subset")
         stays = bool(rng.random() < self._settings.same_world)
         self.scores[flight] = np.sqrt(1.0 - self._scale**2) * self.scores[now] + self._scale * new
         self._worlds[flight] = self._worlds[now] if stays else flight
@@ -225,7 +225,7 @@ class SubsetChains:
             # Sample the seeds from all states at or below the threshold: taking the closest ones
             # would not follow the conditional distribution.
             near = np.flatnonzero(margins.ravel() <= threshold)
-            rng = Streams(flight_seed(self.laws.seed, end)).get("subset.seeds")
+            rng = RandomStreams(flight_seed(self.laws.seed, end)).get("subset.seeds")
             order = np.sort(rng.choice(near, self.chains, replace=False))
         self._states = [[int(states.ravel()[i])] for i in order]
         self._left = self.flights - self.chains

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from lunarsim.errors import InputError, suggestion
-from lunarsim.evaluation.outcome import COLUMNS
+from lunarsim.evaluation.flight_metrics import COLUMNS
 from lunarsim.parts import quantity
 
 # Minimum number of chains per level; fewer do not show the spread between chains.

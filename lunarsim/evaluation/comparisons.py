@@ -107,11 +107,11 @@ def mean_difference(
         value = float(d.mean()) if len(d) else float("nan")
         edge = value if len(d) > 1 else float("nan")
         return Difference(*names, len(d), value, edge, edge, 1.0 if value == 0.0 else float("nan"))
-    low, high = mean_bootstrap(d, rng)
+    low, high = bootstrap_interval(d, rng)
     return Difference(*names, len(d), float(d.mean()), low, high, float(ttest_1samp(d, 0.0).pvalue))
 
 
-def mean_bootstrap(
+def bootstrap_interval(
     values: ArrayLike, rng: np.random.Generator, level: float = 0.95
 ) -> tuple[float, float]:
     """Return the bootstrap interval (BCa) of a mean, ignoring NaN; NaN for fewer than 2 values.
@@ -133,7 +133,7 @@ def mean_bootstrap(
     return float(found.confidence_interval.low), float(found.confidence_interval.high)
 
 
-def holm(p: Sequence[float]) -> Array:
+def holm_correction(p: Sequence[float]) -> Array:
     """Correct p-values for multiple tests (Holm); NaN stays NaN and is not counted."""
     values = np.asarray(p, dtype=np.float64)
     out = np.full(len(values), np.nan)

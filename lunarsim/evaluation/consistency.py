@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 from scipy.stats import chi2
 
 
-def normalised_square(error: ArrayLike, covariance: ArrayLike) -> float:
+def normalised_squared_error(error: ArrayLike, covariance: ArrayLike) -> float:
     """Return ``e' P^-1 e`` of an error (d,) and its predicted covariance (d, d).
 
     It is chi-squared with d degrees of freedom for a consistent filter: the NEES of an estimate,

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from lunarsim.grid import Grid
 from lunarsim.onboard.hazards.hazard_map import HazardMap
 from lunarsim.world.terrain import Terrain
-from lunarsim.world.truth import Truth
+from lunarsim.world.truth import TerrainTruth
 
 
 @dataclass(frozen=True)
@@ -86,7 +86,7 @@ class MapQuality:
 
 
 def map_quality(
-    hazard_map: HazardMap, truth: Truth, error: ArrayLike, level: float = 0.5
+    hazard_map: HazardMap, truth: TerrainTruth, error: ArrayLike, level: float = 0.5
 ) -> MapQuality:
     """Compare the observed cells of a map with the truth.
 
@@ -104,7 +104,9 @@ def map_quality(
     return MapQuality.of(hazard_map.p_safe[seen] > level, truth.safe_at(xy))
 
 
-def local_ground(terrain: Terrain, grid: Grid, error: ArrayLike) -> NDArray[np.float32]:
+def true_elevation_in_map_frame(
+    terrain: Terrain, grid: Grid, error: ArrayLike
+) -> NDArray[np.float32]:
     """Return the true elevation at the cells of a map, in the map's frame (rows, cols), m.
 
     Parameters

@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lunarsim.grid import Grid
-from lunarsim.onboard.guidance.divert import DivertCost
+from lunarsim.onboard.guidance.divert_cost import DivertCost
 from lunarsim.onboard.navigation.estimate import Estimate
-from lunarsim.onboard.policies.reach import Reach, heights_on
+from lunarsim.onboard.policies.reachability import ReachabilityMap, elevation_on_grid
 from lunarsim.scenario import Scenario
 from lunarsim.simulation.flight import Flight
 
@@ -61,12 +61,12 @@ def decision_rows(flight: Flight) -> tuple[int, int] | None:
     return (int(asked[0]), int(asked[-1])) if len(asked) else None
 
 
-def reach_at_row(flight: Flight, row: int, grid: Grid) -> Reach:
+def reach_at_row(flight: Flight, row: int, grid: Grid) -> ReachabilityMap:
     """Return where the lander could still land in a row of the trajectory, on a local grid.
 
     Heights are those of the last map, and the height of the site elsewhere. Sites that are not
     visible through the lander's window count as within reach.
     """
     here, site = estimate_at_row(flight, row), flight.sites[row]
-    height = heights_on(grid, flight.hazard_map, float(site[2]))
-    return Reach(grid, height, lambda sites: divert_cost_from(flight, here, sites))
+    height = elevation_on_grid(grid, flight.hazard_map, float(site[2]))
+    return ReachabilityMap(grid, height, lambda sites: divert_cost_from(flight, here, sites))

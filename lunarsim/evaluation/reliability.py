@@ -34,7 +34,7 @@ def reliability(probability: ArrayLike, happened: ArrayLike, edges: ArrayLike = 
     )
 
 
-def frequencies(table: Array) -> tuple[Array, Array]:
+def bin_frequencies(table: Array) -> tuple[Array, Array]:
     """Return mean probability and observed share per bin (bins,); NaN for empty bins."""
     with np.errstate(invalid="ignore", divide="ignore"):
         return table[:, 1] / table[:, 0], table[:, 2] / table[:, 0]
@@ -60,7 +60,7 @@ def calibration_error(table: Array) -> float:
     return float(np.abs(table[:, 1] - table[:, 2]).sum() / count) if count else float("nan")
 
 
-def calibration_error_by_chance(
+def chance_calibration_error(
     probability: ArrayLike,
     rng: np.random.Generator,
     *,

@@ -14,7 +14,7 @@ from collections.abc import Callable
 _HALVINGS = 60
 
 
-def share_sequence(count: int, total: int, level: float = 0.95) -> tuple[float, float]:
+def share_confidence_sequence(count: int, total: int, level: float = 0.95) -> tuple[float, float]:
     """Return the confidence sequence after `total` trials with `count` successes.
 
     It contains the shares p that a test by betting with a Beta(1/2, 1/2) mixture (Jeffreys) does

@@ -11,18 +11,22 @@ from lunarsim.errors import InputError
 from lunarsim.evaluation.reliability import EDGES, reliability
 from lunarsim.models.lander import Lander
 from lunarsim.safety.calibration import (
-    Evidence,
-    bound,
-    ceiling,
-    clear_of_pads,
+    MapEvidence,
     in_domain,
-    judged,
-    measured,
-    odds_of,
+    log_odds_bounds,
+    observed_terrain_bound,
+    outside_domain_bound,
+    p_no_rock_under_pads,
+    packaged_ensemble,
+    site_probability,
 )
 from lunarsim.safety.domain import Domain
-from lunarsim.safety.refit import LEAST_SITES, ScenarioCalibration, enough
-from lunarsim.world.truth import Truth
+from lunarsim.safety.scenario_calibration import (
+    MIN_SITES_PER_CLASS,
+    ScenarioCalibration,
+    has_enough_sites,
+)
+from lunarsim.world.truth import TerrainTruth
 
 Array = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -69,7 +73,9 @@ class SiteSamples:
         return len(self.safe)
 
     @classmethod
-    def of(cls, evidence: Evidence, where: BoolArray, safe: BoolArray, flight: int) -> SiteSamples:
+    def of(
+        cls, evidence: MapEvidence, where: BoolArray, safe: BoolArray, flight: int
+    ) -> SiteSamples:
         """Collect the sites of a map.
 
         Parameters
@@ -83,15 +89,15 @@ class SiteSamples:
         """
         n = int(where.sum())
         e = evidence
-        odds = odds_of(e, where, measured())
-        most, clear = ceiling(e)[where], clear_of_pads(e)[where]
+        odds = log_odds_bounds(e, where, packaged_ensemble())
+        most, clear = observed_terrain_bound(e)[where], p_no_rock_under_pads(e)[where]
         return cls(
             np.full(n, flight, np.int64),
             odds.low,
             odds.verdict(np.minimum(most, clear)).agreed,
             most,
             clear,
-            bound(e)[where],
+            outside_domain_bound(e)[where],
             in_domain(e)[where],
             e.hazards()[where],
             e.tilting()[where],
@@ -114,7 +120,7 @@ class SiteSamples:
 
         Sites outside the packaged domain are included if there are enough of them for a fit.
         """
-        s = self if enough(self.safe[~self.known]) else self.at(self.known)
+        s = self if has_enough_sites(self.safe[~self.known]) else self.at(self.known)
         return Domain.of(s.hazards, s.tilting, s.noise, s.spacing)
 
     def inside(self, domain: Domain) -> BoolArray:
@@ -125,7 +131,7 @@ class SiteSamples:
     def probability(self, refit: ScenarioCalibration | None = None) -> Array:
         """Return p_safe of the sites (n,), with the packaged calibration or a refit."""
         covered = self.known if refit is None else self.inside(refit.domain)
-        return judged(
+        return site_probability(
             self.log_odds, self.ceiling, self.clear, self.bound, self.known, covered, refit
         )
 
@@ -140,12 +146,14 @@ class SiteSamples:
         check_site_counts(self)
         domain = self.domain()
         s = self.at(self.inside(domain))
-        return ScenarioCalibration.fit(s.log_odds, s.safe, s.known, domain, lander, measured())
+        return ScenarioCalibration.fit(
+            s.log_odds, s.safe, s.known, domain, lander, packaged_ensemble()
+        )
 
 
 def sample_sites(
-    evidence: Evidence,
-    truth: Truth,
+    evidence: MapEvidence,
+    truth: TerrainTruth,
     error: ArrayLike,
     count: int,
     flight: int,
@@ -284,10 +292,11 @@ def cross_validate(
 def check_site_counts(sites: SiteSamples) -> None:
     """Raise `InputError` if there are too few sites for a fit in and outside the domain."""
     safe, known = sites.safe, sites.known
-    if not (enough(safe[known]) or enough(safe[~known])):
+    if not (has_enough_sites(safe[known]) or has_enough_sites(safe[~known])):
         raise InputError(
             "safe sites", f"{safe.sum()} of {len(safe)}",
-            f"must be at least {LEAST_SITES} safe and {LEAST_SITES} unsafe sites, even without "
+            f"must be at least {MIN_SITES_PER_CLASS} safe and {MIN_SITES_PER_CLASS} unsafe "
+            f"sites, even without "
             "one of the flights",
             "Use more flights or sites, or a scenario with both kinds of terrain.",
         )  # fmt: skip

@@ -87,7 +87,7 @@ def mean_interval(values: ArrayLike) -> MeanInterval:
     return MeanInterval(mean, half)
 
 
-def summarise(rows: list[dict[str, Any]]) -> dict[str, dict[str, Any]]:
+def summarise_policies(rows: list[dict[str, Any]]) -> dict[str, dict[str, Any]]:
     """Summarise each policy, in the order in which the policies appear.
 
     Precision and recall pool the cells of all flights. ``safe_in_reach`` counts only flights in

@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class StartEstimate:
+class InitialStateEstimate:
     """Estimate of the state at the start of the descent, with its uncertainty.
 
     Attributes
@@ -43,7 +43,7 @@ class StartEstimate:
 
 
 @dataclass(frozen=True)
-class Software:
+class FlightSoftware:
     """Parts of the onboard software that the scenario selects and configures.
 
     Attributes
@@ -110,13 +110,13 @@ class Briefing:
         Periods of the inertial samples and of the control cycle, s.
     """
 
-    software: Software
+    software: FlightSoftware
     lander: Lander
     instruments: Mapping[str, Any]
     gravity: GravityModel
     target: Array
     heading: float
-    start: StartEstimate
+    start: InitialStateEstimate
     time_to_go: float
     sun: Array
     rocks: RockExpectation

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lunarsim._frame_kernels import points_along
+from lunarsim._frame_kernels import ray_points
 from lunarsim.errors import InputError
 from lunarsim.frames import quat_to_matrix
 from lunarsim.models.camera import CameraModel
@@ -188,7 +188,7 @@ class LidarScan:
         if np.shape(self.range) != count:
             raise InputError("scan.range", np.shape(self.range), f"must have shape {count}")
         parts = (position, quat_to_matrix(attitude) @ self.mount, self.direction, self.range)
-        return np.asarray(points_along(*(np.ascontiguousarray(of, np.float64) for of in parts)))
+        return np.asarray(ray_points(*(np.ascontiguousarray(of, np.float64) for of in parts)))
 
     def height_sigma(self, attitude: Array) -> Array:
         """Return the standard deviation of the points' heights (rows * cols,), m.
@@ -231,7 +231,7 @@ class LidarScan:
 
 
 @dataclass(frozen=True)
-class Picture:
+class CameraImage:
     """Camera image with the geometry of the camera at its exposure.
 
     Attributes

@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 # Number of test points per image side, and maximum error (pixels) of the inverse distortion.
 _TEST_POINTS_PER_SIDE, _MAX_INVERSION_ERROR_PX = 17, 0.5
 # Body z points up through the lander: the camera looks straight down, its x along body -y.
-DOWN = np.array([[0.0, -1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+DOWNWARD_MOUNT = np.array([[0.0, -1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ class CameraModel:
     cy: float | None = None
     distortion: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
     offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    mount: Array = field(default_factory=DOWN.copy)
+    mount: Array = field(default_factory=DOWNWARD_MOUNT.copy)
 
     def __post_init__(self) -> None:
         check_types("camera", self)

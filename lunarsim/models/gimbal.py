@@ -41,7 +41,7 @@ def gimbal_mount(attitude: ArrayLike, boresight: ArrayLike, limit: float = np.pi
     return np.asarray(rotation.T @ sensor_axes(boresight))
 
 
-def within(mount: Array, limit: float) -> Array:
+def limit_mount(mount: Array, limit: float) -> Array:
     """Rotate a mount (3, 3) back to the gimbal limit (rad) if it exceeds it."""
     boresight = mount[:, 2]
     if boresight @ _REST_BORESIGHT >= np.cos(limit) - 1e-9:

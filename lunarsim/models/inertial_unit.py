@@ -39,5 +39,5 @@ class TriadErrors:
 
 
 # Tactical-grade unit: 1 deg/h, 0.1 deg/sqrt(h), 100 ppm; 300 micro-g, 0.05 m/s/sqrt(h), 200 ppm.
-GYROSCOPES = TriadErrors(4.8e-6, 2.9e-5, 1e-7, 1e-4, 1e-4, 1e-6)
-ACCELEROMETERS = TriadErrors(2.9e-3, 8e-4, 1e-5, 2e-4, 1e-4, 1e-4)
+TACTICAL_GYROSCOPES = TriadErrors(4.8e-6, 2.9e-5, 1e-7, 1e-4, 1e-4, 1e-6)
+TACTICAL_ACCELEROMETERS = TriadErrors(2.9e-3, 8e-4, 1e-5, 2e-4, 1e-4, 1e-4)

@@ -86,7 +86,7 @@ class InertialInstrument:
 
 
 @dataclass(frozen=True)
-class FixedBeam:
+class AltimeterInstrument:
     """Ranging beam fixed to the body.
 
     Attributes
@@ -99,7 +99,7 @@ class FixedBeam:
 
 
 @dataclass(frozen=True)
-class FixedBeams:
+class VelocimeterInstrument:
     """Doppler beams fixed to the body.
 
     Attributes
@@ -118,7 +118,7 @@ class FixedBeams:
 
 
 @dataclass(frozen=True)
-class StarInstrument:
+class StarTrackerInstrument:
     """Star tracker.
 
     Attributes

@@ -168,6 +168,6 @@ class JetLander(Lander):
         return np.asarray(dry + full * (wet - dry))
 
 
-def com_of(lander: Lander, mass: float) -> Array:
+def centre_of_mass(lander: Lander, mass: float) -> Array:
     """Return the centre of mass of any lander, from the body's origin (3,), m."""
     return lander.com(mass) if isinstance(lander, JetLander) else np.zeros(3)

@@ -22,24 +22,22 @@ from lunarsim.onboard.control.jets import JetLoop, attitude_loop
 from lunarsim.onboard.control.throttle import ThrottleRegions
 from lunarsim.onboard.control.thrust import thrust_to_command
 from lunarsim.onboard.divert_inhibit import DivertInhibit
-from lunarsim.onboard.guidance.apollo import followed_time
-from lunarsim.onboard.guidance.arrival import set_by_others, time_at_gate
+from lunarsim.onboard.error_prefix import prefix_input_errors
+from lunarsim.onboard.guidance.apollo import time_to_go_for_jerk
+from lunarsim.onboard.guidance.approach_time import initial_time_to_go, reason_time_is_fixed
 from lunarsim.onboard.guidance.climb import climb
-from lunarsim.onboard.guidance.contract import PhaseEnd, PlansArrival, SeesByMap
-from lunarsim.onboard.guidance.divert import DivertCost
-from lunarsim.onboard.guidance.steady import SteadyPlace
-from lunarsim.onboard.guidance.strain import Strain
+from lunarsim.onboard.guidance.contract import PhaseEnd, PlansArrival, UsesHazardMap
+from lunarsim.onboard.guidance.divert_cost import DivertCost
+from lunarsim.onboard.guidance.limit_violation_monitor import LimitViolationMonitor
+from lunarsim.onboard.guidance.position_correction_limiter import PositionCorrectionLimiter
 from lunarsim.onboard.guidance.vertical import descent_law
-from lunarsim.onboard.hazards.building import built_mappers
-from lunarsim.onboard.hazards.hazard_map import HazardMap, elevation_under
-from lunarsim.onboard.hazards.levelling import Levelling
-from lunarsim.onboard.hazards.mapper import HazardMapper, sensors_of
+from lunarsim.onboard.hazards.hazard_map import HazardMap, lookup_elevation
+from lunarsim.onboard.hazards.map_tilt_correction import MapTiltCorrection
+from lunarsim.onboard.hazards.mapper import HazardMapper, sensor_names
+from lunarsim.onboard.hazards.mapper_factory import build_mappers
 from lunarsim.onboard.mass_estimator import MassEstimator
-from lunarsim.onboard.named_errors import named_in
-from lunarsim.onboard.navigation.arrivals import Arrivals
 from lunarsim.onboard.navigation.estimate import Estimate, ThrustAware
-from lunarsim.onboard.outlook import Course, Outlook
-from lunarsim.onboard.part_results import checked_command
+from lunarsim.onboard.navigation.measurement_sequencer import MeasurementSequencer
 from lunarsim.onboard.policies.contract import (
     Candidates,
     Decision,
@@ -47,6 +45,8 @@ from lunarsim.onboard.policies.contract import (
     RetargetingPolicy,
     checked_decision,
 )
+from lunarsim.onboard.result_checks import checked_command
+from lunarsim.onboard.site_evaluator import DescentStatus, SiteEvaluator
 from lunarsim.onboard.tasking.contract import Situation
 
 Array = NDArray[np.float64]
@@ -90,16 +90,16 @@ class OnboardComputer:
         self.lander = briefing.lander
         self.approach = software.approach
         self.decisions = software.decisions
-        with named_in("navigation"):
+        with prefix_input_errors("navigation"):
             self.navigation = software.navigation.build(briefing)
-        self.mappers = built_mappers(briefing, self.navigation)
-        self.site_evaluator = Outlook(briefing, self.navigation, self.mappers)
+        self.mappers = build_mappers(briefing, self.navigation)
+        self.site_evaluator = SiteEvaluator(briefing, self.navigation, self.mappers)
         self.tasking = [part.build(name, briefing) for name, part in software.tasking.items()]
         control = software.control
         lag = control.response_time + self.lander.thrust_lag
-        with named_in("guidance"):
+        with prefix_input_errors("guidance"):
             self.guidance = software.guidance.build(briefing, lag)
-        if isinstance(self.guidance, SeesByMap):
+        if isinstance(self.guidance, UsesHazardMap):
             self.guidance.belief = self._current_map
         self.vertical = descent_law(software.descent, briefing, lag)
         self.braking = software.braking
@@ -115,8 +115,8 @@ class OnboardComputer:
         self.time = 0.0
         self.tanks = MassEstimator(self.lander, self.attitude_loop)
         self.estimate: Estimate = self.navigation.estimate(0.0, self.mass)
-        self._position_limiter = SteadyPlace()
-        self._limit_monitor = Strain()
+        self._position_limiter = PositionCorrectionLimiter()
+        self._limit_monitor = LimitViolationMonitor()
         self.telemetry: list[tuple[float, str, dict[str, Any]]] = []
         self.diverts: list[tuple[float, Array, Decision]] = []
         self.candidates: Candidates | None = None
@@ -129,9 +129,9 @@ class OnboardComputer:
         self._next_decision = 0.0
         self._has_decided = False
         self._recorded_navigation_events = self._recorded_guidance_events = 0
-        self._arrivals = Arrivals.of(briefing, self._record)
+        self._arrivals = MeasurementSequencer.of(briefing, self._record)
         self._divert_inhibit = DivertInhibit()
-        self._tilt_correction = Levelling(self.mappers, self.navigation)
+        self._tilt_correction = MapTiltCorrection(self.mappers, self.navigation)
 
     # --- Current knowledge ------------------------------------------------------------------
 
@@ -197,7 +197,7 @@ class OnboardComputer:
 
     def observe(self) -> Observation:
         """Return the current observation of the policy."""
-        course = Course(self.time, self.mass, self.estimate, self.site, self.time_to_go)
+        course = DescentStatus(self.time, self.mass, self.estimate, self.site, self.time_to_go)
         observation = self.site_evaluator.observe(course)
         self.candidates, self.expected_miss = observation.candidates, observation.expected_miss
         return observation
@@ -281,7 +281,7 @@ class OnboardComputer:
         self.navigation.take(sensor, measurement, self.time)
         self._follow_navigation()
         software = self.briefing.software.mappers
-        taking = [name for name in self.mappers if sensor in sensors_of(software[name])]
+        taking = [name for name in self.mappers if sensor in sensor_names(software[name])]
         if not taking:
             return
         after = self.navigation.estimate(self.time, self.mass)
@@ -318,7 +318,7 @@ class OnboardComputer:
             return
         height = mapper.ground_height(self.site[:2])
         if height is None:
-            height = elevation_under(mapper.surface(), self.site[:2])
+            height = lookup_elevation(mapper.surface(), self.site[:2])
         if np.isfinite(height):
             self.site = np.array([self.site[0], self.site[1], height])
 
@@ -376,7 +376,7 @@ class OnboardComputer:
         """Return the time scale that a decision asks for; None if it may not set one."""
         if decision.stretch is None:
             return None
-        why = set_by_others(self.approach, self.guidance)
+        why = reason_time_is_fixed(self.approach, self.guidance)
         if self.diverts_barred:
             why = "navigation is lost"
         elif self.phase != APPROACH:
@@ -404,7 +404,7 @@ class OnboardComputer:
 
         A time-to-go set by the mission or by the guidance law is not changed.
         """
-        if set_by_others(self.approach, self.guidance):
+        if reason_time_is_fixed(self.approach, self.guidance):
             return
         time_to_go, _ = self.site_evaluator.time_to(self.site, self.estimate)
         if self.time_to_go < time_to_go < np.inf:
@@ -423,7 +423,7 @@ class OnboardComputer:
         self._record(self.time, "approach", details)
         gate = self.approach.end(self.site, self.lander)
         admissible, _ = self.site_evaluator.time_to(self.site, self.estimate)
-        left, within = time_at_gate(self.approach, self.estimate, gate, admissible)
+        left, within = initial_time_to_go(self.approach, self.estimate, gate, admissible)
         if not within:
             self._record(self.time, "approach-out-of-limits", details)
         self._arrival = self.time + left
@@ -434,7 +434,7 @@ class OnboardComputer:
             self._end_braking()
         if self.phase == APPROACH and self.approach.jerk is not None:
             gate = self.approach.end(self.site, self.lander)
-            left = followed_time(self.estimate, gate, self.approach.jerk, self.time_to_go)
+            left = time_to_go_for_jerk(self.estimate, gate, self.approach.jerk, self.time_to_go)
             self._arrival = self.time + left
         if self.phase == APPROACH and self.approach.over(self.altitude, self.time_to_go):
             self.phase = VERTICAL

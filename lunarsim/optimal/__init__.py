@@ -1,11 +1,11 @@
 """Minimum-propellant descents: benchmark of laws, planner of the optimal law.
 
 `docs/theory/optimal.md` has the equations. A problem is a `Descent`; a `Planner` keeps compiled
-programs; `least_propellant` and `minimize_landing_error` search the final time.
+programs; `minimize_propellant` and `minimize_landing_error` search the final time.
 """
 
 from lunarsim.optimal.errors import InfeasibleError, RelaxationError, SolverError
-from lunarsim.optimal.final_time import least_propellant, minimize_landing_error
+from lunarsim.optimal.final_time import minimize_landing_error, minimize_propellant
 from lunarsim.optimal.path import OptimalPath
 from lunarsim.optimal.planner import Planner
 from lunarsim.optimal.problem import Cone, Descent
@@ -18,6 +18,6 @@ __all__ = [
     "Planner",
     "RelaxationError",
     "SolverError",
-    "least_propellant",
     "minimize_landing_error",
+    "minimize_propellant",
 ]

@@ -16,11 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lunarsim.errors import InputError
-from lunarsim.optimal.checks import count, is_number
 from lunarsim.optimal.errors import SolverError
 from lunarsim.optimal.final_time import minimum_effort_time
 from lunarsim.optimal.problem import Descent
 from lunarsim.optimal.units import Units
+from lunarsim.optimal.validation import count, is_number
 
 Array = NDArray[np.float64]
 

@@ -76,7 +76,7 @@ class SolverResult:
     solver: str
 
 
-class Qoco:
+class QocoSolver:
     """Solve programs of one structure with QOCO, updating its data.
 
     Parameters
@@ -112,7 +112,7 @@ class Qoco:
         return SolverResult(status, x, y, z, int(result.iters), "qoco")
 
 
-class Clarabel:
+class ClarabelSolver:
     """Solve programs with Clarabel, without a warm start.
 
     Parameters
@@ -184,7 +184,7 @@ class FallbackSolver:
     """
 
     def __init__(self, max_iterations: int = 40) -> None:
-        self.fast, self.fallback = Qoco(max_iterations), Clarabel()
+        self.fast, self.fallback = QocoSolver(max_iterations), ClarabelSolver()
         self.fallback_count = 0
 
     def solve(self, program: Program) -> SolverResult:
@@ -211,7 +211,7 @@ class QocoOnlySolver:
     """
 
     def __init__(self, max_iterations: int = 30) -> None:
-        self.fast = Qoco(max_iterations)
+        self.fast = QocoSolver(max_iterations)
 
     def solve(self, program: Program) -> SolverResult:
         """Solve a program with the same structure as the first one."""

@@ -13,12 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lunarsim.errors import InputError
-from lunarsim.optimal.checks import is_number
 from lunarsim.optimal.errors import InfeasibleError, RelaxationError, SolverError
 from lunarsim.optimal.path import OptimalPath
 from lunarsim.optimal.planner import Planner
 from lunarsim.optimal.problem import Descent
 from lunarsim.optimal.transcription import HalfSpaces
+from lunarsim.optimal.validation import is_number
 
 Array = NDArray[np.float64]
 
@@ -140,7 +140,7 @@ class _Search:
         return float(candidate)
 
 
-def least_propellant(
+def minimize_propellant(
     planner: Planner,
     descent: Descent,
     *,
@@ -274,7 +274,7 @@ def search_near(
     Parameters
     ----------
     planner, descent, half_spaces
-        Those of `least_propellant`.
+        Those of `minimize_propellant`.
     first
         Final times, s, tried in order until one is feasible.
     max_solves

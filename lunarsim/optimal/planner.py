@@ -9,13 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lunarsim.errors import InputError
-from lunarsim.optimal.checks import LARGEST, count, is_number, numbers
 from lunarsim.optimal.cone_program import FallbackSolver, Program, SolverResult
 from lunarsim.optimal.errors import SolverError
 from lunarsim.optimal.path import OptimalPath
+from lunarsim.optimal.path_reconstruction import build_path
 from lunarsim.optimal.problem import Descent
-from lunarsim.optimal.reading import build_path
-from lunarsim.optimal.transcription import HalfSpaces, Structure, Transcription
+from lunarsim.optimal.transcription import HalfSpaces, ProgramStructure, Transcription
+from lunarsim.optimal.validation import LARGEST, count, is_number, numbers
 
 Array = NDArray[np.float64]
 
@@ -56,7 +56,7 @@ class Planner:
         self.intervals = count("intervals", intervals, 4)
         self.solves = self.iterations = 0
         self._solver = solver
-        self._programs: dict[Structure, tuple[Transcription, ConeSolver]] = {}
+        self._programs: dict[ProgramStructure, tuple[Transcription, ConeSolver]] = {}
 
     def at_time(
         self,
@@ -133,7 +133,7 @@ class Planner:
         half_spaces: HalfSpaces | None,
         nearest: bool,
     ) -> OptimalPath | None:
-        structure = Structure(
+        structure = ProgramStructure(
             self.intervals,
             descent.max_tilt is not None or descent.end_tilt is not None,
             descent.glideslope is not None,

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lunarsim.errors import InputError
-from lunarsim.optimal.checks import LARGEST, is_number, numbers
+from lunarsim.optimal.validation import LARGEST, is_number, numbers
 
 Array = NDArray[np.float64]
 

@@ -25,9 +25,9 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from lunarsim.errors import InputError
-from lunarsim.optimal.checks import numbers
 from lunarsim.optimal.cone_program import Program
 from lunarsim.optimal.problem import Descent
+from lunarsim.optimal.validation import numbers
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -36,7 +36,7 @@ _NODE = 7  # variables per node: position, velocity, logarithm of mass, all scal
 
 
 @dataclass(frozen=True)
-class Structure:
+class ProgramStructure:
     """Types of constraints in a program.
 
     Attributes
@@ -136,7 +136,7 @@ class Transcription:
         Types of constraints.
     """
 
-    def __init__(self, structure: Structure) -> None:
+    def __init__(self, structure: ProgramStructure) -> None:
         self.structure = s = structure
         n = s.intervals
         self.variables = _NODE * (n + 1) + (1 if s.free or s.thrust_slack else 0)

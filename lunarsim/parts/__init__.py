@@ -5,12 +5,12 @@ meaning) define its table in a scenario file: the keys, the checks and the refer
 from them.
 """
 
-from lunarsim.parts.allowed import allow_modules
+from lunarsim.parts.module_permission import allow_modules
 from lunarsim.parts.quantity import hidden, quantity
-from lunarsim.parts.registry import CONTRACTS, kinds, loadable, resolve
+from lunarsim.parts.registry import CONTRACTS, kinds, loadable_parts, resolve
 from lunarsim.parts.settings import PartSettings, settings_of
 
 __all__ = [
-    "CONTRACTS", "PartSettings", "allow_modules", "hidden", "kinds", "loadable", "quantity",
+    "CONTRACTS", "PartSettings", "allow_modules", "hidden", "kinds", "loadable_parts", "quantity",
     "resolve", "settings_of",
 ]  # fmt: skip

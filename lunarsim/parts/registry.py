@@ -2,7 +2,7 @@
 
 A new part takes one file and one line here. Another package can add a name by an entry point of the
 group ``lunarsim.CONTRACT``, or a scenario can give ``kind = "module:Class"`` if the user allows the
-module (`lunarsim.parts.allowed`).
+module (`lunarsim.parts.module_permission`).
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from types import ModuleType
 from typing import Any
 
 from lunarsim.errors import InputError, suggestion
-from lunarsim.parts.allowed import check_allowed
+from lunarsim.parts.module_permission import check_allowed
 
 
 @dataclass(frozen=True)
@@ -49,9 +49,9 @@ CONTRACTS: dict[str, Contract] = {
     "terrain": Contract(
         "terrain",
         {
-            "fractal": "lunarsim.world.grounds.fractal:FractalGround",
-            "dtm": "lunarsim.world.grounds.measured:MeasuredGround",
-            "hazard-field": "lunarsim.world.grounds.made:HazardFieldGround",
+            "fractal": "lunarsim.world.terrain_models.fractal:FractalTerrain",
+            "dtm": "lunarsim.world.terrain_models.measured:RasterTerrain",
+            "hazard-field": "lunarsim.world.terrain_models.hazard_field:HazardFieldTerrain",
         },
         ("build",),
     ),
@@ -66,8 +66,8 @@ CONTRACTS: dict[str, Contract] = {
     "sensor": Contract(
         "sensor",
         {
-            "imu": "lunarsim.sensors.imu:InertialUnit",
-            "navigation-fix": "lunarsim.sensors.navigation_fix:NavigationFixes",
+            "imu": "lunarsim.sensors.imu:ImuSettings",
+            "navigation-fix": "lunarsim.sensors.navigation_fix:NavigationFixErrors",
             "radar-altimeter": "lunarsim.sensors.altimeter:RadarAltimeter",
             "velocimeter": "lunarsim.sensors.velocimeter:DopplerVelocimeter",
             "star-tracker": "lunarsim.sensors.star_tracker:StarTracker",
@@ -88,10 +88,10 @@ CONTRACTS: dict[str, Contract] = {
     "navigation": Contract(
         "state estimation",
         {
-            "inertial": "lunarsim.onboard.navigation.kinds:InertialNavigation",
-            "fixes": "lunarsim.onboard.navigation.fixes:Fixes",
-            "rocks": "lunarsim.onboard.navigation.kinds:RockNavigation",
-            "prior-map": "lunarsim.onboard.navigation.kinds:PriorMapNavigation",
+            "inertial": "lunarsim.onboard.navigation.navigation_kinds:InertialNavigation",
+            "fixes": "lunarsim.onboard.navigation.fixes:ExternalFixes",
+            "rocks": "lunarsim.onboard.navigation.navigation_kinds:RockNavigation",
+            "prior-map": "lunarsim.onboard.navigation.navigation_kinds:PriorMapNavigation",
             "ukf": "lunarsim.onboard.navigation.unscented:UnscentedNavigation",
         },
         ("build", "needs", "takes", "needs_prior_map", "uses_prior_map"),
@@ -99,10 +99,12 @@ CONTRACTS: dict[str, Contract] = {
     "mapper": Contract(
         "hazard map of the landing area",
         {
-            "gaussian-dem": "lunarsim.onboard.hazards.gaussian_dem.mapper:GaussianDemMapping",
+            "gaussian-dem": (
+                "lunarsim.onboard.hazards.gaussian_dem.mapper:GaussianDemMapperSettings"
+            ),
             "shadow": "lunarsim.onboard.hazards.shadows.mapping:ShadowMapping",
-            "quadtree": "lunarsim.onboard.hazards.quadtree.mapper:QuadtreeMapping",
-            "fused": "lunarsim.onboard.hazards.fusion.mapper:FusedMapping",
+            "quadtree": "lunarsim.onboard.hazards.quadtree.mapper:QuadtreeMapperSettings",
+            "fused": "lunarsim.onboard.hazards.fusion.mapper:FusedMapperSettings",
         },
         ("build", "takes", "sensor"),
     ),
@@ -132,7 +134,9 @@ CONTRACTS: dict[str, Contract] = {
             ),
             "optimal": "lunarsim.onboard.guidance.optimal_law:OptimalLaw",
             "neural-optimal": "lunarsim.onboard.guidance.neural_law:NeuralOptimalLaw",
-            "information-seeking": "lunarsim.onboard.seeking.law:InformationSeekingLaw",
+            "information-seeking": (
+                "lunarsim.onboard.active_perception.guidance:InformationSeekingLaw"
+            ),
         },
         ("build", "cost"),
     ),
@@ -200,7 +204,7 @@ def _entry_points(search_path: tuple[str, ...]) -> Any:
     return entry_points()
 
 
-def loadable(contract: str) -> Iterator[tuple[str, Any]]:
+def loadable_parts(contract: str) -> Iterator[tuple[str, Any]]:
     """Yield kind and class of those parts of a contract that can be loaded."""
     for kind in kinds(contract):
         try:
@@ -239,7 +243,7 @@ def resolve(contract: str, kind: str, field: str | None = None) -> type:
     return _resolve(contract, kind, field)
 
 
-def imported(module: str) -> ModuleType:
+def import_part_module(module: str) -> ModuleType:
     """Import a module, also from the working directory if it is not found elsewhere.
 
     An installed command, unlike ``python -m``, does not search the working directory.
@@ -261,7 +265,7 @@ def _resolve(contract: str, kind: str, field: str) -> type:
         )
     module, _, name = where.partition(":")
     try:
-        found = getattr(imported(module), name)
+        found = getattr(import_part_module(module), name)
     except KeyboardInterrupt:
         raise
     except BaseException as error:  # a custom module can raise anything, including SystemExit

@@ -4,7 +4,7 @@ The package is independent of the true world and of the onboard computer, which 
 """
 
 from lunarsim.rocks.field import RockField, RockModel
-from lunarsim.rocks.laws import (
+from lunarsim.rocks.size_distribution import (
     golombek_cover,
     golombek_exponent,
     golombek_number,

@@ -18,17 +18,17 @@ import math
 import numpy as np
 
 from lunarsim._jit import kernel
-from lunarsim._lanes import (
-    LANES,
-    any_above,
+from lunarsim._simd import (
+    SIMD_WIDTH,
+    any_greater,
     item,
-    larger,
+    lane_abs,
+    lane_fill,
+    lane_max,
+    lane_sqrt,
     load,
-    magnitude,
-    root,
-    spread,
+    select_ge,
     store,
-    where_above,
 )
 from lunarsim.safety._kernels import (
     FAR,
@@ -47,7 +47,7 @@ from lunarsim.safety._plane_kernels import (
     flat_offsets,
     plane,
     squared_tangent,
-    stand,
+    terrain_under_pads,
     window_shape,
 )
 from lunarsim.safety.footprint import BLOCK
@@ -130,16 +130,16 @@ def _lids(z, slopes, height, east, north):
     flat = z.reshape(z.size)
     between(slopes[0], east.reshape(tall, wide))
     between(slopes[1], north.reshape(tall, wide))
-    for at in range(0, z.size - (BLOCK - 1) * wide - BLOCK - LANES, LANES):
+    for at in range(0, z.size - (BLOCK - 1) * wide - BLOCK - SIMD_WIDTH, SIMD_WIDTH):
         gx = load(east, at)
         gy = load(north, at)
-        top = spread(-FAR)
+        top = lane_fill(-FAR)
         for r in range(BLOCK):
             line = at + r * wide
             best = load(flat, line)
             for c in range(1, BLOCK):
-                best = larger(best, load(flat, line + c) - np.float32(c) * gx)
-            top = larger(top, best - np.float32(r) * gy)
+                best = lane_max(best, load(flat, line + c) - np.float32(c) * gx)
+            top = lane_max(top, best - np.float32(r) * gy)
         store(height, at, top + HALF * gx + HALF * gy)
 
 
@@ -153,14 +153,14 @@ def _lift_lids(ground, here, corners, lids):
     gx, gy = load(east, here), load(north, here)
     for n in range(len(corners)):
         at = here + item(corners, n)
-        slant = magnitude(load(east, at) - gx) + magnitude(load(north, at) - gy)
-        store(lids, n * LANES, load(height, at) + HALF * slant)
+        slant = lane_abs(load(east, at) - gx) + lane_abs(load(north, at) - gy)
+        store(lids, n * SIMD_WIDTH, load(height, at) + HALF * slant)
 
 
 @kernel(inline=True)
 def _lid_above_plane(lids, blocks, centres, n, gx, gy):
     """Return the height of the lid of block `n` above a plane through the site."""
-    lid = load(lids, item(blocks, n) * LANES)
+    lid = load(lids, item(blocks, n) * SIMD_WIDTH)
     return lid - item(centres, 2 * n) * gx - item(centres, 2 * n + 1) * gy
 
 
@@ -172,14 +172,14 @@ def _max_in_block(z, here, wide, covers, n, gx, gy):
     """
     corners, allowed = covers
     south, west = item(corners, 2 * n), item(corners, 2 * n + 1)
-    top = spread(-FAR)
+    top = lane_fill(-FAR)
     for r in range(BLOCK):
         at = here + (south + r) * wide + west
-        line = spread(-FAR)
+        line = lane_fill(-FAR)
         for c in range(BLOCK):
             level = load(z, at + c) + item(allowed, (n * BLOCK + r) * BLOCK + c)
-            line = larger(line, level - np.float32(c) * gx)
-        top = larger(top, line - np.float32(r) * gy)
+            line = lane_max(line, level - np.float32(c) * gx)
+        top = lane_max(top, line - np.float32(r) * gy)
     return top - np.float32(west) * gx - np.float32(south) * gy
 
 
@@ -187,15 +187,15 @@ def _max_in_block(z, here, wide, covers, n, gx, gy):
 def _max_in_four_blocks(z, here, wide, covers, n, gx, gy, risen, need):
     """Compute `_max_in_block` for those of four blocks whose lids exceed `need`."""
     a, b, c, d = risen
-    top = spread(-FAR)
-    if any_above(a, need):
+    top = lane_fill(-FAR)
+    if any_greater(a, need):
         top = _max_in_block(z, here, wide, covers, n, gx, gy)
-    if any_above(b, need):
-        top = larger(top, _max_in_block(z, here, wide, covers, n + 1, gx, gy))
-    if any_above(c, need):
-        top = larger(top, _max_in_block(z, here, wide, covers, n + 2, gx, gy))
-    if any_above(d, need):
-        top = larger(top, _max_in_block(z, here, wide, covers, n + 3, gx, gy))
+    if any_greater(b, need):
+        top = lane_max(top, _max_in_block(z, here, wide, covers, n + 1, gx, gy))
+    if any_greater(c, need):
+        top = lane_max(top, _max_in_block(z, here, wide, covers, n + 2, gx, gy))
+    if any_greater(d, need):
+        top = lane_max(top, _max_in_block(z, here, wide, covers, n + 3, gx, gy))
     return top
 
 
@@ -215,19 +215,19 @@ def _stride(headings):
 def _steepest(feet, here, legs, cells, posting, out):
     """Write the maximum tan(slope) over headings and planes."""
     inverse, place = cells.inverse, cells.place
-    steepest = spread(0.0)
+    steepest = lane_fill(0.0)
     for h in range(legs.shape[0]):
         for s in range(inverse.shape[1]):
             gx, gy, _ = plane(feet, here, legs, inverse, place, h, s)
-            steepest = larger(steepest, squared_tangent(gx, gy, posting))
-    store(out, 0, root(steepest))
+            steepest = lane_max(steepest, squared_tangent(gx, gy, posting))
+    store(out, 0, lane_sqrt(steepest))
 
 
 @kernel()
 def _drop_steep(tangent, limit, lanes):
     """Set `lanes` to FAR where the slope is at its limit; return if any is left."""
     left = False
-    for k in range(LANES):
+    for k in range(SIMD_WIDTH):
         if tangent[k] >= limit:
             lanes[k] = FAR
         left |= lanes[k] < FAR
@@ -251,18 +251,18 @@ def _write_roughness(
     headings = legs.shape[0]
     stride = _stride(headings)
     out, margin = load(lanes[0], 0), load(lanes[3], 0)
-    steepest = spread(0.0)
+    steepest = lane_fill(0.0)
     # Smaller values are rounding errors.
-    worst = spread(limit_rough) if decide else margin + margin
+    worst = lane_fill(limit_rough) if decide else margin + margin
     last_raised = start
     for turn in range(headings):
         h = (start + turn * stride) % headings
         for s in range(inverse.shape[1]):
             gx, gy, base = plane(feet, here, legs, inverse, place, h, s)
             square = squared_tangent(gx, gy, posting)
-            steepest = larger(steepest, square)
-            stretch = root(square + np.float32(1.0))
-            slant = magnitude(ex - gx) + magnitude(ey - gy)
+            steepest = lane_max(steepest, square)
+            stretch = lane_sqrt(square + np.float32(1.0))
+            slant = lane_abs(ex - gx) + lane_abs(ey - gy)
             lowest = base + out - HALF * slant - margin
             need = lowest + worst * stretch
             for n in range(item(first, h), item(first, h + 1), 4):
@@ -270,16 +270,16 @@ def _write_roughness(
                 b = _lid_above_plane(lids, blocks, centres, n + 1, gx, gy)
                 c = _lid_above_plane(lids, blocks, centres, n + 2, gx, gy)
                 d = _lid_above_plane(lids, blocks, centres, n + 3, gx, gy)
-                if any_above(larger(larger(a, b), larger(c, d)), need):
+                if any_greater(lane_max(lane_max(a, b), lane_max(c, d)), need):
                     top = _max_in_four_blocks(z, here, wide, polygon, n, gx, gy, (a, b, c, d), need)
-                    worst = larger(worst, (top - base) / stretch)
+                    worst = lane_max(worst, (top - base) / stretch)
                     need = lowest + worst * stretch
                     last_raised = h
         if decide:
-            out = where_above(spread(limit_rough), worst, out, spread(FAR))
-            if not any_above(spread(np.float32(0.5) * FAR), out):
+            out = select_ge(lane_fill(limit_rough), worst, out, lane_fill(FAR))
+            if not any_greater(lane_fill(np.float32(0.5) * FAR), out):
                 break
-    store(lanes[1], 0, larger(root(steepest), load(lanes[1], 0)))
+    store(lanes[1], 0, lane_max(lane_sqrt(steepest), load(lanes[1], 0)))
     store(lanes[2], 0, worst)
     return last_raised
 
@@ -295,7 +295,7 @@ def _mark(todo, size, i, first, lanes):
     A site's margin depends on the heights of its own footprint, which are FAR where unknown.
     """
     found = False
-    for k in range(LANES):
+    for k in range(SIMD_WIDTH):
         j = first + k
         wanted = j < todo.shape[1] and todo[i, j] and size[i, j] < FAR
         lanes[0, k] = np.float32(0.0) if wanted else FAR
@@ -328,7 +328,7 @@ def _prepare(z, middle, cells, r0, c0, ground, size):
         for j in range(w):
             size[i, j] = max(size[i, j], body[i, j])
     clear(ground[0])
-    stand(levels, ground[0], cells, ground[1])
+    terrain_under_pads(levels, ground[0], cells, ground[1])
     ground[2:] = np.float32(0.0)
     slopes = np.empty((2, tall // SQUARE, wide // SQUARE), np.float32)
     rows, cols = z.shape
@@ -353,11 +353,11 @@ def _exact_tile(
     flat = ground.reshape(5, ground.shape[1] * wide)
     legs = flat_offsets(cells.legs, wide)
     corners = flat_offsets(covers.distinct, wide)
-    lanes = np.zeros((4, LANES), np.float32)
-    lids = np.empty(len(corners) * LANES, np.float32)
+    lanes = np.zeros((4, SIMD_WIDTH), np.float32)
+    lids = np.empty(len(corners) * SIMD_WIDTH, np.float32)
     start = 0
     for i in range(todo.shape[0]):
-        for j in range(0, todo.shape[1], LANES):
+        for j in range(0, todo.shape[1], SIMD_WIDTH):
             if not _mark(todo, size, i, j, lanes):
                 continue
             here = (i + cells.reach) * wide + cells.reach + j
@@ -371,7 +371,7 @@ def _exact_tile(
                     flat, here, wide, legs, cells, covers, posting, limit_rough, decide, start,
                     lanes, lids,
                 )  # fmt: skip
-            for k in range(min(LANES, todo.shape[1] - j)):
+            for k in range(min(SIMD_WIDTH, todo.shape[1] - j)):
                 if todo[i, j + k] and size[i, j + k] < FAR:
                     min_roughness = limit_rough if decide else np.float32(2.0) * lanes[3, k]
                     slope_out[i, j + k] = lanes[1, k]

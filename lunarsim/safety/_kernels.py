@@ -12,10 +12,10 @@ import numpy as np
 from scipy.special import ndtr
 
 from lunarsim._jit import kernel
-from lunarsim._lanes import LANES, item, larger, load, spread, store
+from lunarsim._simd import SIMD_WIDTH, item, lane_fill, lane_max, load, store
 
 FAR = np.float32(1e30)  # marks unknown terrain in maxima; far above any terrain
-MOST_RELIEF = 30_000.0  # heights farther than this from the map's middle are invalid, m
+MAX_RELIEF_M = 30_000.0  # heights farther than this from the map's middle are invalid, m
 TILE_ROWS = 64
 TILE_COLS = 128
 
@@ -23,7 +23,7 @@ TILE_COLS = 128
 @kernel(inner=True)
 def known(z, middle):
     """Return whether a height is valid: not NaN, infinite or implausible."""
-    return abs(np.float64(z) - middle) <= MOST_RELIEF
+    return abs(np.float64(z) - middle) <= MAX_RELIEF_M
 
 
 @kernel(inner=True)
@@ -92,7 +92,7 @@ def load_window(z, middle, datum, r0, c0, out):
         there = line[first:last]
         for j in range(last - first):
             height = np.float64(here[j])
-            there[j] = np.float32(height - datum) if abs(height - middle) <= MOST_RELIEF else FAR
+            there[j] = np.float32(height - datum) if abs(height - middle) <= MAX_RELIEF_M else FAR
 
 
 @kernel(fast=True)
@@ -195,22 +195,22 @@ def over_runs(levels, depth, runs, reach, out):
         start = (level * tall + reach) * wide + reach
         first[n] = start + runs[n, 1] * wide + runs[n, 2]
         second[n] = start + runs[n, 3] * wide + runs[n, 4]
-    best = np.empty(8 * LANES, np.float32)
+    best = np.empty(8 * SIMD_WIDTH, np.float32)
     for i in range(rows):
         j = 0
         while j < cols:
             at = i * wide + j
             # Process many sites at a time, so that the loads of one window serve several sites.
-            if cols - j > 7 * LANES:
+            if cols - j > 7 * SIMD_WIDTH:
                 _best_of(flat, first, second, at, best, 0)
-                _best_of(flat, first, second, at + 4 * LANES, best, 4 * LANES)
-                count = 8 * LANES
-            elif cols - j > 3 * LANES:
+                _best_of(flat, first, second, at + 4 * SIMD_WIDTH, best, 4 * SIMD_WIDTH)
+                count = 8 * SIMD_WIDTH
+            elif cols - j > 3 * SIMD_WIDTH:
                 _best_of(flat, first, second, at, best, 0)
-                count = 4 * LANES
+                count = 4 * SIMD_WIDTH
             else:
                 _best(flat, first, second, at, best)
-                count = LANES
+                count = SIMD_WIDTH
             for k in range(min(count, cols - j)):
                 out[i, j + k] = best[k]
             j += count
@@ -219,36 +219,36 @@ def over_runs(levels, depth, runs, reach, out):
 @kernel(inline=True)
 def _best(flat, first, second, at, best):
     """Write the maximum over the windows of all runs around sixteen sites."""
-    a = spread(-FAR)
+    a = lane_fill(-FAR)
     b = a
     for n in range(len(first)):
-        a = larger(a, load(flat, at + item(first, n)))
-        b = larger(b, load(flat, at + item(second, n)))
-    store(best, 0, larger(a, b))
+        a = lane_max(a, load(flat, at + item(first, n)))
+        b = lane_max(b, load(flat, at + item(second, n)))
+    store(best, 0, lane_max(a, b))
 
 
 @kernel(inline=True)
 def _best_of(flat, first, second, at, best, place):
     """Compute `_best` for four times sixteen adjacent sites, written from `place` on."""
-    a = spread(-FAR)
+    a = lane_fill(-FAR)
     b = a
     c = a
     d = a
     for n in range(len(first)):
         m = at + item(first, n)
-        a = larger(a, load(flat, m))
-        b = larger(b, load(flat, m + LANES))
-        c = larger(c, load(flat, m + 2 * LANES))
-        d = larger(d, load(flat, m + 3 * LANES))
+        a = lane_max(a, load(flat, m))
+        b = lane_max(b, load(flat, m + SIMD_WIDTH))
+        c = lane_max(c, load(flat, m + 2 * SIMD_WIDTH))
+        d = lane_max(d, load(flat, m + 3 * SIMD_WIDTH))
         m = at + item(second, n)
-        a = larger(a, load(flat, m))
-        b = larger(b, load(flat, m + LANES))
-        c = larger(c, load(flat, m + 2 * LANES))
-        d = larger(d, load(flat, m + 3 * LANES))
+        a = lane_max(a, load(flat, m))
+        b = lane_max(b, load(flat, m + SIMD_WIDTH))
+        c = lane_max(c, load(flat, m + 2 * SIMD_WIDTH))
+        d = lane_max(d, load(flat, m + 3 * SIMD_WIDTH))
     store(best, place, a)
-    store(best, place + LANES, b)
-    store(best, place + 2 * LANES, c)
-    store(best, place + 3 * LANES, d)
+    store(best, place + SIMD_WIDTH, b)
+    store(best, place + 2 * SIMD_WIDTH, c)
+    store(best, place + 3 * SIMD_WIDTH, d)
 
 
 @kernel(inner=True)
@@ -266,7 +266,7 @@ def tile_at(tile, across, tall, rows, cols):
 
 
 @kernel(shared=True)
-def extremes(share, z, middle, cells, span, rise):
+def footprint_extremes(share, z, middle, cells, span, rise):
     """Write max over L minus min over L, and max over U minus min over L (Eq. 10).
 
     The result is FAR where L or U contains unknown terrain or leaves the raster.
@@ -277,7 +277,7 @@ def extremes(share, z, middle, cells, span, rise):
     for tile in range(share[0], tiles, share[1]):
         r0, r1, c0, c1 = tile_at(tile, across, TILE_ROWS, rows, cols)
         h, w = r1 - r0, c1 - c0
-        levels = levels_of(cells, h + 2 * reach, w + 2 * reach + LANES)
+        levels = levels_of(cells, h + 2 * reach, w + 2 * reach + SIMD_WIDTH)
         window = np.empty(levels.shape[1:], np.float32)
         leg = np.empty((2, h, w), np.float32)
         body = np.empty((h, w), np.float32)
@@ -356,11 +356,11 @@ def stochastic(
     for tile in range(share[0], tiles, share[1]):
         r0, r1, c0, c1 = tile_at(tile, across, TILE_ROWS, rows, cols)
         h, w = r1 - r0, c1 - c0
-        levels = levels_of(cells, h + 2 * reach, w + 2 * reach + LANES)
+        levels = levels_of(cells, h + 2 * reach, w + 2 * reach + SIMD_WIDTH)
         leg = np.empty((2, h, w), np.float32)
         foot = np.empty((2, h, w), np.float32)
         body = np.empty((2, h, w), np.float32)
-        window = np.empty((4, h + 2 * reach, w + 2 * reach + LANES), np.float32)
+        window = np.empty((4, h + 2 * reach, w + 2 * reach + SIMD_WIDTH), np.float32)
         datum = datum_of(mean, middle, r0, c0, h, w)
         load_window(mean, middle, datum, r0 - reach, c0 - reach, window[0])
         load_variance(variance, r0 - reach, c0 - reach, window[1])

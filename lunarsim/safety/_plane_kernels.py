@@ -11,16 +11,16 @@ from __future__ import annotations
 import numpy as np
 
 from lunarsim._jit import kernel
-from lunarsim._lanes import (
-    LANES,
+from lunarsim._simd import (
+    SIMD_WIDTH,
     item,
-    larger,
+    lane_abs,
+    lane_fill,
+    lane_max,
+    lane_sqrt,
     load,
-    magnitude,
-    root,
-    spread,
+    select_ge,
     store,
-    where_above,
 )
 from lunarsim.safety._kernels import (
     FAR,
@@ -61,18 +61,18 @@ def plane(feet, here, legs, inverse, place, h, s):
     if s == 0:
         z0 = za
         u = zb - z0
-        v = where_above(one, two, zc, zd) - z0
+        v = select_ge(one, two, zc, zd) - z0
     else:
-        z0 = where_above(one, two, za, zb)
+        z0 = select_ge(one, two, za, zb)
         u = zc - z0
         v = zd - z0
     m = inverse[h, s, 0]
     n = inverse[h, s, 1]
     p = place[h, s, 0]
     q = place[h, s, 1]
-    gx = where_above(one, two, m[0] * u + m[1] * v, n[0] * u + n[1] * v)
-    gy = where_above(one, two, m[2] * u + m[3] * v, n[2] * u + n[3] * v)
-    level = where_above(one, two, p[0] * gy + p[1] * gx, q[0] * gy + q[1] * gx)
+    gx = select_ge(one, two, m[0] * u + m[1] * v, n[0] * u + n[1] * v)
+    gy = select_ge(one, two, m[2] * u + m[3] * v, n[2] * u + n[3] * v)
+    level = select_ge(one, two, p[0] * gy + p[1] * gx, q[0] * gy + q[1] * gx)
     return gx, gy, z0 - level
 
 
@@ -103,19 +103,19 @@ def _four_blocks_above_plane(tops, here, blocks, centres, n, gx, gy):
 @kernel(inline=True)
 def _highest(four):
     a, b, c, d = four
-    return larger(larger(a, b), larger(c, d))
+    return lane_max(lane_max(a, b), lane_max(c, d))
 
 
 @kernel(inline=True)
 def _max_block_above_plane(tops, here, blocks, centres, start, stop, gx, gy):
     """Return the largest maximum of blocks (a multiple of four) above a plane."""
-    top = spread(-FAR)
+    top = lane_fill(-FAR)
     for n in range(start, stop, 4):
         a = _block_above_plane(tops, here, blocks, centres, n, gx, gy)
         b = _block_above_plane(tops, here, blocks, centres, n + 1, gx, gy)
         c = _block_above_plane(tops, here, blocks, centres, n + 2, gx, gy)
         d = _block_above_plane(tops, here, blocks, centres, n + 3, gx, gy)
-        top = larger(top, larger(larger(a, b), larger(c, d)))
+        top = lane_max(top, lane_max(lane_max(a, b), lane_max(c, d)))
     return top
 
 
@@ -126,7 +126,7 @@ PLANE_ROWS = 32  # rows of a tile in the kernels that evaluate planes
 @kernel(inner=True)
 def window_shape(cells, h, w):
     """Return rows and columns of the window of a tile of h x w sites."""
-    return h + 2 * cells.reach + AHEAD, w + 2 * cells.reach + LANES
+    return h + 2 * cells.reach + AHEAD, w + 2 * cells.reach + SIMD_WIDTH
 
 
 @kernel(inner=True)
@@ -139,14 +139,16 @@ def clear(window):
 
 
 @kernel(inner=True)
-def stand(levels, window, cells, feet):
+def terrain_under_pads(levels, window, cells, feet):
     """Write the highest terrain under a pad centred on each cell, 0 near the edge."""
     n = cells.pad_reach
     tall, wide = window.shape
     feet[:] = np.float32(0.0)
     copy(window, levels[0])
     double(levels, cells.depth)
-    over_runs(levels, cells.depth, cells.pad_windows, n, feet[n : tall - n, n : wide - LANES - n])
+    over_runs(
+        levels, cells.depth, cells.pad_windows, n, feet[n : tall - n, n : wide - SIMD_WIDTH - n]
+    )
 
 
 @kernel(inner=True)
@@ -177,8 +179,8 @@ def flat_offsets(cells, wide):
 def _bound_sites(tops, feet, here, legs, inverse, place, blocks, centres, first, span, posting,
                  upright):  # fmt: skip
     """Return the maximum tan(slope)^2 of sixteen sites and a bound of their roughness."""
-    steepest = spread(0.0)
-    worst = spread(0.0)
+    steepest = lane_fill(0.0)
+    worst = lane_fill(0.0)
     for h in range(legs.shape[0]):
         for s in range(inverse.shape[1]):
             gx, gy, base = plane(feet, here, legs, inverse, place, h, s)
@@ -186,12 +188,12 @@ def _bound_sites(tops, feet, here, legs, inverse, place, blocks, centres, first,
                 tops, here, blocks, centres, item(first, h), item(first, h + 1), gx, gy
             )
             # A block's maximum may lie at the corner where the plane is lowest.
-            rise = top + span * (magnitude(gx) + magnitude(gy)) - base
+            rise = top + span * (lane_abs(gx) + lane_abs(gy)) - base
             square = squared_tangent(gx, gy, posting)
-            steepest = larger(steepest, square)
+            steepest = lane_max(steepest, square)
             if not upright:
-                rise = rise / root(square + np.float32(1.0))
-            worst = larger(worst, rise)
+                rise = rise / lane_sqrt(square + np.float32(1.0))
+            worst = lane_max(worst, rise)
     return steepest, worst
 
 
@@ -208,17 +210,17 @@ def _bound_tile(tops, feet, cells, covers, block, posting, upright, slope_out, r
     inverse, place, centres, first = cells.inverse, cells.place, covers.centres, covers.first
     ground, below = tops.reshape(tops.size), feet.reshape(feet.size)
     span = np.float32(0.5 * (block - 1))
-    lanes = np.empty((2, LANES), np.float32)
+    lanes = np.empty((2, SIMD_WIDTH), np.float32)
     for i in range(rows):
-        for j in range(0, cols, LANES):
+        for j in range(0, cols, SIMD_WIDTH):
             here = (i + cells.reach) * wide + cells.reach + j
             steepest, worst = _bound_sites(
                 ground, below, here, legs, inverse, place, blocks, centres, first, span, posting,
                 upright,
             )  # fmt: skip
-            store(lanes[0], 0, root(steepest))
+            store(lanes[0], 0, lane_sqrt(steepest))
             store(lanes[1], 0, worst)
-            for k in range(min(LANES, cols - j)):
+            for k in range(min(SIMD_WIDTH, cols - j)):
                 slope_out[i, j + k] = lanes[0, k]
                 rough_out[i, j + k] = lanes[1, k]
 
@@ -240,7 +242,7 @@ def bounded(share, z, middle, cells, covers, block, posting, slope_out, rough_ou
         datum = datum_of(z, middle, r0, c0, r1 - r0, c1 - c0)
         load_window(z, middle, datum, r0 - reach, c0 - reach, ground[0])
         clear(ground[0])
-        stand(levels, ground[0], cells, ground[1])
+        terrain_under_pads(levels, ground[0], cells, ground[1])
         block_tops(ground[0], block, ground[2])
         _bound_tile(
             ground[2], ground[1], cells, covers, block, posting, False,
@@ -291,7 +293,7 @@ def stochastic_planes(
         spread_bounds(g[0], g[1], g[2], g[3])
         for n in range(2, 4):
             clear(g[n])
-            stand(levels, g[n], cells, g[n + 2])
+            terrain_under_pads(levels, g[n], cells, g[n + 2])
             block_tops(g[n], block, g[n + 4])
         _average(g[4], g[5], g[0], g[1])  # feet
         _average(g[6], g[7], g[2], g[3])  # obstacles

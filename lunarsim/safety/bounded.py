@@ -30,9 +30,9 @@ from lunarsim.models.lander import Lander
 from lunarsim.safety import _kernels as k
 from lunarsim.safety import _plane_kernels as pk
 from lunarsim.safety.conservative import level_slope
-from lunarsim.safety.exact import SafetyMap, differences
+from lunarsim.safety.exact import SafetyMap, height_differences
 from lunarsim.safety.footprint import footprint_of
-from lunarsim.safety.raster import ground
+from lunarsim.safety.raster import prepare_elevation
 
 # Compromise between computing time and margin.
 BLOCK_SIDE = 0.5  # m
@@ -60,9 +60,9 @@ def bounded_safety(
         As `exact_safety`, and if `block_side` is not positive.
     """
     footprint = footprint_of(lander, grid.posting)
-    height = ground("elevation", elevation, grid, footprint)
+    height = prepare_elevation("elevation", elevation, grid, footprint)
     block = footprint.block_cells(block_side, grid.posting)
-    span, rise = differences(height, footprint)
+    span, rise = height_differences(height, footprint)
     observed = rise < k.FAR
     tangent, roughness = (np.empty(grid.shape, np.float32) for _ in range(2))
     pk.bounded(

@@ -14,7 +14,7 @@ that a site is unsafe are multiplied by twelve. Farther away the result is the m
 Eqs. 15 to 17 and of the probability that no unobserved rock is present. With a weight of one in a
 thousand the fits are used alone, so that the best of nearly hopeless sites can be distinguished.
 Across all these boundaries, worse evidence never increases the probability. A scenario's own
-calibration (`lunarsim.safety.refit`) has its own last stage and its own domain.
+calibration (`lunarsim.safety.scenario_calibration`) has its own last stage and its own domain.
 """
 
 from __future__ import annotations
@@ -29,15 +29,21 @@ from scipy.special import expit, ndtri
 
 from lunarsim.errors import InputError
 from lunarsim.models.lander import Lander
-from lunarsim.safety.bends import Term, columns
 from lunarsim.safety.conservative import StochasticSafety
 from lunarsim.safety.domain import Domain
-from lunarsim.safety.ensemble import SURE, Ensemble, LogOddsBounds, cautious, doubted
+from lunarsim.safety.ensemble import (
+    SURE,
+    Ensemble,
+    LogOddsBounds,
+    conservative_probability,
+    out_of_domain_bound,
+)
 from lunarsim.safety.exact import SafetyMap
-from lunarsim.safety.exposure import footprint_area, pad_ring_area, tilting_height
-from lunarsim.safety.refit import ScenarioCalibration
-from lunarsim.safety.thinning import Thinning
-from lunarsim.safety.unseen_rocks import HeightCurve
+from lunarsim.safety.monotone_splines import MonotoneSplineTerm, spline_features
+from lunarsim.safety.rock_effects import footprint_area, pad_ring_area, tilt_limit_rock_height
+from lunarsim.safety.scenario_calibration import ScenarioCalibration
+from lunarsim.safety.undetected_rock_ratio import UndetectedRockRatio
+from lunarsim.safety.unseen_rocks import ExceedanceCurve
 
 Array = NDArray[np.float64]
 FloatMap = NDArray[np.float32]
@@ -53,18 +59,18 @@ _COVER = np.log10([1e-5, 1e-4, 3e-4, 1e-3, 2e-3, 4e-3, 8e-3, 0.016, 0.03, 0.06, 
 _HEIGHTS = np.array([0.3, 0.6, 1.0, 1.6])
 _DEPTHS = np.array([0.6, 1.0])
 # Intercept, noise, spacing and its square: weights of any sign.
-FREE = 4
-RISING = 4 * (len(_PROBITS) - 1) + 2 * (len(_RATIOS) - 1) + 3 * (len(_ROCKS) - 1)
-RISING += (len(_HEIGHTS) + len(_DEPTHS)) * (len(_COVER) - 1)
-COUNT = FREE + RISING
+UNCONSTRAINED_FEATURES = 4
+MONOTONE_FEATURES = 4 * (len(_PROBITS) - 1) + 2 * (len(_RATIOS) - 1) + 3 * (len(_ROCKS) - 1)
+MONOTONE_FEATURES += (len(_HEIGHTS) + len(_DEPTHS)) * (len(_COVER) - 1)
+COUNT = UNCONSTRAINED_FEATURES + MONOTONE_FEATURES
 
-# Parameters of `ceiling` and `clear_of_pads`.
+# Parameters of `observed_terrain_bound` and `p_no_rock_under_pads`.
 _MAX_P_FACTOR = 4.0
 _SLOPE_CEILING = np.array([[0.94, 0.96], [1.0, 0.85]])
 _PAD_ROCK_FACTOR = 2.0
 # Maximum probability where rocks too low to be counted would tilt the lander beyond its limit; it
 # is below the threshold of claimed safety.
-UNCOUNTED = 0.94
+MAX_P_UNCOUNTED_ROCKS = 0.94
 # Limits of the domain: expected unobserved hazards in a footprint, and expected unobserved rocks,
 # or holes, under the pads that would tilt the lander beyond its limit.
 MOST_HAZARDS = 0.003
@@ -72,22 +78,22 @@ MOST_TILTING = 0.5
 MOST_SINKING = 0.003
 # Landers and scans of the fit: noise over the roughness limit, spacing over the legs' radius, and
 # slope limits, rad.
-NOISES = (0.0, 0.5)
-SPACINGS = (0.01, 1.0)
-STEEPEST = tuple(np.deg2rad((4.5, 22.0)))
-PACKAGED_DOMAIN = Domain(MOST_HAZARDS, MOST_TILTING, NOISES, SPACINGS)
+NOISE_RATIO_RANGE = (0.0, 0.5)
+SPACING_RATIO_RANGE = (0.01, 1.0)
+SLOPE_LIMIT_RANGE_RAD = tuple(np.deg2rad((4.5, 22.0)))
+PACKAGED_DOMAIN = Domain(MOST_HAZARDS, MOST_TILTING, NOISE_RATIO_RANGE, SPACING_RATIO_RANGE)
 # Near the domain, fits to all other worlds were conservative enough once the odds that a site is
 # unsafe were multiplied by this factor.
-FARTHER = float(np.log(12.0))
+NEAR_DOMAIN_LOG_ODDS_MARGIN = float(np.log(12.0))
 # Weight of the case that the estimates of unobserved rocks are wrong. Where samples are sparse,
 # these estimates leave no site any probability, but the best sites must still be distinguishable.
-UNSURE = 1e-3
-_NEAR_DOMAIN = Domain(0.1, 2.0, NOISES, SPACINGS)
+UNKNOWN_MODEL_WEIGHT = 1e-3
+_NEAR_DOMAIN = Domain(0.1, 2.0, NOISE_RATIO_RANGE, SPACING_RATIO_RANGE)
 _NEAR_DOMAIN_SINKING = 0.1
 
 
 @dataclass(frozen=True)
-class Evidence:
+class MapEvidence:
     """Inputs of `calibrated_safety` from a map; rasters are (rows, cols).
 
     Attributes
@@ -115,12 +121,12 @@ class Evidence:
     planes: StochasticSafety
     nominal: SafetyMap
     lander: Lander
-    curve: HeightCurve
-    holes: HeightCurve
+    curve: ExceedanceCurve
+    holes: ExceedanceCurve
     density: Array
     noise: float
     spacing: float
-    thinning: Thinning | None = None
+    thinning: UndetectedRockRatio | None = None
 
     def __post_init__(self) -> None:
         if self.thinning is not None and self.thinning.shape != self.level.grid.shape:
@@ -178,14 +184,14 @@ class Evidence:
 
     @cached_property
     def _tilting_height(self) -> Array:
-        return tilting_height(self.slope, self.lander)
+        return tilt_limit_rock_height(self.slope, self.lander)
 
     @cached_property
     def _tilting(self) -> Array:
         return self._expected(self.curve, self._tilting_height, pad_ring_area(self.lander))
 
     def expected_under_pads(self) -> Array:
-        """Return the same from the curve that includes gravel, `HeightCurve.careful`."""
+        """Return the same from the curve that includes gravel, `ExceedanceCurve.careful`."""
         area = pad_ring_area(self.lander)
         return self._expected(self.curve.careful, self._tilting_height, area)
 
@@ -217,7 +223,7 @@ class Evidence:
         height = np.array(self.lander.roughness_limit)
         return self._expected(self.curve, height, footprint_area(self.lander))
 
-    def _expected(self, curve: HeightCurve, height: Array, area: float) -> Array:
+    def _expected(self, curve: ExceedanceCurve, height: Array, area: float) -> Array:
         """Return expected rocks above a height in an area around each site."""
 
         def unseen(above: Array, where: BoolMap | None = None) -> Array:
@@ -234,12 +240,12 @@ class Evidence:
         return np.asarray(area * self.thinning.left(unseen, height))
 
 
-def features(evidence: Evidence, where: NDArray[np.bool_]) -> Array:
+def features(evidence: MapEvidence, where: NDArray[np.bool_]) -> Array:
     """Return the features of sites for the probability (n, `COUNT`).
 
-    The first `FREE` features describe the quality of the measurement. Each of the others only
-    increases when slope, roughness, the probability or size of a rock, or the expected unobserved
-    rocks decrease; with non-negative weights the probability does the same.
+    The first `UNCONSTRAINED_FEATURES` features describe the quality of the measurement. Each of the
+    others only increases when slope, roughness, the probability or size of a rock, or the expected
+    unobserved rocks decrease; with non-negative weights the probability does the same.
 
     Parameters
     ----------
@@ -250,36 +256,38 @@ def features(evidence: Evidence, where: NDArray[np.bool_]) -> Array:
     """
     terms = _terms(evidence, where)
     n = int(np.count_nonzero(where))
-    return np.column_stack((np.tile(_free_features(evidence), (n, 1)), columns(terms, n)))
+    return np.column_stack((np.tile(_free_features(evidence), (n, 1)), spline_features(terms, n)))
 
 
-def odds_of(evidence: Evidence, where: NDArray[np.bool_], model: Ensemble) -> LogOddsBounds:
+def log_odds_bounds(
+    evidence: MapEvidence, where: NDArray[np.bool_], model: Ensemble
+) -> LogOddsBounds:
     """Return the bounds of the log odds of masked sites (n,)."""
     return model.judge(_free_features(evidence), _terms(evidence, where))
 
 
-def _terms(e: Evidence, where: NDArray[np.bool_]) -> list[Term]:
+def _terms(e: MapEvidence, where: NDArray[np.bool_]) -> list[MonotoneSplineTerm]:
     """Return the monotone terms of sites, selected by a mask (rows, cols)."""
     terms = []
     for p in (e.level.p_slope, e.level.p_roughness, e.planes.p_slope, e.planes.p_roughness):
         probit = ndtri(np.clip(p[where].astype(np.float64), 1e-12, 1.0 - 1e-9))
-        terms.append(Term(probit, _PROBITS, falls=False))
-    terms += [Term(share[where], _RATIOS) for share in (e.slope, e.roughness)]
+        terms.append(MonotoneSplineTerm(probit, _PROBITS, falls=False))
+    terms += [MonotoneSplineTerm(share[where], _RATIOS) for share in (e.slope, e.roughness)]
     for rocks in (e.tilting(), e.piercing(), e.sinking()):
-        terms.append(Term(np.log10(rocks[where] + 1e-6), _ROCKS))
+        terms.append(MonotoneSplineTerm(np.log10(rocks[where] + 1e-6), _ROCKS))
     shares = np.log10(e.curve.at(_HEIGHTS * e.lander.roughness_limit))
     depths = np.log10(e.holes.at(_DEPTHS * e.lander.roughness_limit))
-    return terms + [Term(share, _COVER) for share in (*shares, *depths)]
+    return terms + [MonotoneSplineTerm(share, _COVER) for share in (*shares, *depths)]
 
 
-def _free_features(e: Evidence) -> Array:
-    """Return the features of the measurement quality (`FREE`,)."""
+def _free_features(e: MapEvidence) -> Array:
+    """Return the features of the measurement quality (`UNCONSTRAINED_FEATURES`,)."""
     noise = np.log(e.noise / e.lander.roughness_limit + 1e-3)
     spacing = np.log(e.spacing / e.lander.leg_radius)
     return np.array([1.0, noise, spacing, spacing**2])
 
 
-def in_domain(evidence: Evidence, domain: Domain = PACKAGED_DOMAIN) -> BoolMap:
+def in_domain(evidence: MapEvidence, domain: Domain = PACKAGED_DOMAIN) -> BoolMap:
     """Return where unobserved rocks are few enough for the regression (rows, cols).
 
     The expectation uses the map's own samples; noise and spacing must be in the range of the fit.
@@ -301,10 +309,10 @@ def in_domain(evidence: Evidence, domain: Domain = PACKAGED_DOMAIN) -> BoolMap:
     return np.asarray(e.observed & domain.few(e.hazards(), e.tilting()))
 
 
-def _within(e: Evidence, domain: Domain, sinking: float) -> BoolMap:
+def _within(e: MapEvidence, domain: Domain, sinking: float) -> BoolMap:
     """Return where rocks and holes are few enough, for landers in the fit's range."""
     known = domain.measured(e.noise_ratio, e.spacing_ratio)
-    if not (known and STEEPEST[0] <= e.lander.slope_limit <= STEEPEST[1]):
+    if not (known and SLOPE_LIMIT_RANGE_RAD[0] <= e.lander.slope_limit <= SLOPE_LIMIT_RANGE_RAD[1]):
         return np.zeros(e.level.grid.shape, np.bool_)
     with np.errstate(invalid="ignore"):
         few = domain.few(e.hazards(), e.tilting()) & (e.sinking() <= sinking)
@@ -312,13 +320,13 @@ def _within(e: Evidence, domain: Domain, sinking: float) -> BoolMap:
 
 
 @lru_cache(maxsize=1)
-def measured() -> Ensemble:
+def packaged_ensemble() -> Ensemble:
     """Return the packaged ensemble, fitted by `scenarios/lidar_maps/calibration.py`."""
-    return Ensemble.packaged("lunarsim.safety", "calibration.json", COUNT, RISING)
+    return Ensemble.packaged("lunarsim.safety", "calibration.json", COUNT, MONOTONE_FEATURES)
 
 
 def calibrated_safety(
-    evidence: Evidence,
+    evidence: MapEvidence,
     model: Ensemble | None = None,
     refit: ScenarioCalibration | None = None,
 ) -> tuple[FloatMap, BoolMap]:
@@ -341,16 +349,22 @@ def calibrated_safety(
     InputError
         If `refit` was fitted for another lander or to another regression.
     """
-    model = model or measured()
+    model = model or packaged_ensemble()
     if refit is not None:
         refit.check(evidence.lander, model)
     seen, known = evidence.observed, in_domain(evidence)
     covered = known if refit is None else in_domain(evidence, refit.domain) & seen
     p, claimed = np.zeros(seen.shape, np.float32), covered.copy()
     if seen.any():
-        upper_bound, p_clear = ceiling(evidence)[seen], clear_of_pads(evidence)[seen]
-        outside_bound, said = bound(evidence)[seen], odds_of(evidence, seen, model)
-        p[seen] = judged(
+        upper_bound, p_clear = (
+            observed_terrain_bound(evidence)[seen],
+            p_no_rock_under_pads(evidence)[seen],
+        )
+        outside_bound, said = (
+            outside_domain_bound(evidence)[seen],
+            log_odds_bounds(evidence, seen, model),
+        )
+        p[seen] = site_probability(
             said.low, upper_bound, p_clear, outside_bound, known[seen], covered[seen], refit
         )
         if refit is None:
@@ -358,7 +372,7 @@ def calibrated_safety(
     return p, claimed
 
 
-def judged(
+def site_probability(
     odds: Array,
     upper_bound: Array,
     p_clear: Array,
@@ -372,14 +386,15 @@ def judged(
     Outside the domain of the fits, or below the threshold of claimed safety, it is that of the fits
     with a wider margin, and at most the bound. In its domain a refit accounts for rocks under the
     pads through its scenario's own sites; elsewhere the probability that there is none is used.
-    With the weight `UNSURE`, neither that probability nor the bound applies.
+    With the weight `UNKNOWN_MODEL_WEIGHT`, neither that probability nor the bound applies.
 
     Parameters
     ----------
     odds
         Minimum log odds of the sites (n,).
     upper_bound, p_clear, outside_bound
-        `ceiling`, `clear_of_pads` and `bound` of the sites (n,).
+        `observed_terrain_bound`, `p_no_rock_under_pads` and `outside_domain_bound` of the sites
+        (n,).
     known, covered
         Whether each is in the domain of the regression, and in that of the refit (n,); equal
         without a refit.
@@ -389,18 +404,22 @@ def judged(
     both = np.minimum(upper_bound, p_clear)
     unbound = SURE * np.minimum(expit(odds), upper_bound)
     if refit is None:
-        p = cautious(odds, both, outside_bound, covered, FARTHER)
+        p = conservative_probability(
+            odds, both, outside_bound, covered, NEAR_DOMAIN_LOG_ODDS_MARGIN
+        )
         whole = p >= SURE
     else:
         inside = np.minimum(refit.probability(odds, known), upper_bound)
         unbound = np.minimum(unbound, inside)
-        lowest = doubted(odds, both, outside_bound, FARTHER)
+        lowest = out_of_domain_bound(odds, both, outside_bound, NEAR_DOMAIN_LOG_ODDS_MARGIN)
         p = np.where(covered, inside, np.minimum(inside, lowest))
         whole = covered
-    return np.asarray(np.where(whole, p, (1.0 - UNSURE) * p + UNSURE * unbound))
+    return np.asarray(
+        np.where(whole, p, (1.0 - UNKNOWN_MODEL_WEIGHT) * p + UNKNOWN_MODEL_WEIGHT * unbound)
+    )
 
 
-def ceiling(evidence: Evidence) -> Array:
+def observed_terrain_bound(evidence: MapEvidence) -> Array:
     """Return the upper bound of the probability from observed terrain (rows, cols).
 
     In a sum of evidence, much good evidence can outweigh one fatal defect. The probability is
@@ -412,7 +431,7 @@ def ceiling(evidence: Evidence) -> Array:
     return np.asarray(np.minimum(np.interp(e.slope, *_SLOPE_CEILING), _MAX_P_FACTOR * p_worst))
 
 
-def clear_of_pads(evidence: Evidence) -> Array:
+def p_no_rock_under_pads(evidence: MapEvidence) -> Array:
     """Return the probability that no unseen rock under a pad tilts it too far.
 
     On a slope even a low rock under a pad violates it: twice the expected number is used. Where a
@@ -422,10 +441,10 @@ def clear_of_pads(evidence: Evidence) -> Array:
     e = evidence
     rocks = e.expected_under_pads()
     low = e._tilting_height < e.curve.gravel_counted
-    return np.asarray(np.exp(-_PAD_ROCK_FACTOR * rocks) * np.where(low, UNCOUNTED, 1.0))
+    return np.asarray(np.exp(-_PAD_ROCK_FACTOR * rocks) * np.where(low, MAX_P_UNCOUNTED_ROCKS, 1.0))
 
 
-def bound(evidence: Evidence) -> Array:
+def outside_domain_bound(evidence: MapEvidence) -> Array:
     """Return the upper bound of the probability outside the domain (rows, cols).
 
     It is the lower of Eqs. 15 to 17 and the probability that no unobserved rock exceeds the

@@ -12,9 +12,9 @@ from lunarsim.errors import InputError
 from lunarsim.grid import Grid
 from lunarsim.models.lander import Lander
 from lunarsim.safety import _kernels as k
-from lunarsim.safety.exact import SafetyMap, differences
+from lunarsim.safety.exact import SafetyMap, height_differences
 from lunarsim.safety.footprint import Footprint, footprint_of
-from lunarsim.safety.raster import ground, variances
+from lunarsim.safety.raster import prepare_elevation, prepare_variance
 
 FloatMap = NDArray[np.float32]
 BoolMap = NDArray[np.bool_]
@@ -59,7 +59,9 @@ def conservative_safety(elevation: ArrayLike, grid: Grid, lander: Lander) -> Saf
     (True, False)
     """
     footprint = footprint_of(lander, grid.posting)
-    span, roughness = differences(ground("elevation", elevation, grid, footprint), footprint)
+    span, roughness = height_differences(
+        prepare_elevation("elevation", elevation, grid, footprint), footprint
+    )
     observed = roughness < k.FAR
     slope = level_slope(span, footprint)
     slope[~observed] = np.nan
@@ -107,8 +109,8 @@ def stochastic_safety(
     if slope_bound not in ("sin", "tan"):
         raise InputError("slope_bound", slope_bound, "must be 'sin' or 'tan'")
     footprint = footprint_of(lander, grid.posting)
-    height = ground("mean", mean, grid, footprint)
-    spread = variances(variance, grid, footprint)
+    height = prepare_elevation("mean", mean, grid, footprint)
+    spread = prepare_variance(variance, grid, footprint)
     p_slope, p_rough, p_safe = (np.empty(grid.shape, np.float32) for _ in range(3))
     observed = np.empty(grid.shape, np.bool_)
     ratio = np.sin(lander.slope_limit) if slope_bound == "sin" else np.tan(lander.slope_limit)

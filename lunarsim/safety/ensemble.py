@@ -27,19 +27,19 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.special import expit
 
 from lunarsim.errors import InputError
-from lunarsim.safety.bends import Term, extremes
 from lunarsim.safety.logistic import Logistic
+from lunarsim.safety.monotone_splines import MonotoneSplineTerm, ensemble_bounds
 
 Array = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
 # Margin on the log odds for worlds unlike those of the fits: a factor of 2 on the odds of an unsafe
 # site.
-MARGIN = float(np.log(2.0))
+LOG_ODDS_MARGIN = float(np.log(2.0))
 # Minimum probability of an unsafe site. Half of the worlds of the fits have fewer than 750 almost
 # certainly safe sites. A world in which 1 of 250 such sites is unsafe shows none among 750 in 1 of
 # 20 cases.
-UNTOLD = 0.004
+MAX_CLAIM_DEFICIT = 0.004
 # A site is almost certainly safe from the first probability on, and almost certainly unsafe up to
 # the second.
 SURE, HOPELESS = 0.95, 0.05
@@ -74,7 +74,7 @@ class LogOddsBounds:
         doomed
             Where sites may be classified as such (n,); omitted: anywhere.
         """
-        p = told(self.low, upper_bound)
+        p = lower_bound_probability(self.low, upper_bound)
         never = expit(self.high) <= hopeless
         return SafetyEstimate(p, (p >= SURE) | (never if doomed is None else never & doomed))
 
@@ -95,24 +95,34 @@ class SafetyEstimate:
     agreed: BoolArray
 
 
-def told(low: Array, upper_bound: Array, margin: float = MARGIN) -> Array:
+def lower_bound_probability(
+    low: Array, upper_bound: Array, margin: float = LOG_ODDS_MARGIN
+) -> Array:
     """Return the probability (n,) from the minimum log odds (n,), reduced by a margin.
 
-    It is also reduced by the factor 1 - `UNTOLD`, and is at most `upper_bound`.
+    It is also reduced by the factor 1 - `MAX_CLAIM_DEFICIT`, and is at most `upper_bound`.
     """
-    return np.asarray(np.minimum((1.0 - UNTOLD) * expit(low - margin), upper_bound))
+    return np.asarray(np.minimum((1.0 - MAX_CLAIM_DEFICIT) * expit(low - margin), upper_bound))
 
 
-def doubted(low: Array, upper_bound: Array, outside_bound: Array, margin: float) -> Array:
+def out_of_domain_bound(
+    low: Array, upper_bound: Array, outside_bound: Array, margin: float
+) -> Array:
     """Return the probability (n,) where it is not a frequency: at most `SURE`.
 
-    Parameters are those of `cautious`.
+    Parameters are those of `conservative_probability`.
     """
-    return np.asarray(SURE * np.minimum(told(low, upper_bound, margin), outside_bound))
+    return np.asarray(
+        SURE * np.minimum(lower_bound_probability(low, upper_bound, margin), outside_bound)
+    )
 
 
-def cautious(
-    low: Array, upper_bound: Array, outside_bound: Array, known: BoolArray, margin: float = MARGIN
+def conservative_probability(
+    low: Array,
+    upper_bound: Array,
+    outside_bound: Array,
+    known: BoolArray,
+    margin: float = LOG_ODDS_MARGIN,
 ) -> Array:
     """Return the probability (n,), limited by a bound below the claimed range.
 
@@ -127,9 +137,9 @@ def cautious(
     margin
         Margin on the log odds where the probability is not a frequency.
     """
-    plain = told(low, upper_bound)
+    plain = lower_bound_probability(low, upper_bound)
     return np.where(
-        known & (plain >= SURE), plain, doubted(low, upper_bound, outside_bound, margin)
+        known & (plain >= SURE), plain, out_of_domain_bound(low, upper_bound, outside_bound, margin)
     )
 
 
@@ -156,7 +166,7 @@ class Ensemble:
         """Identifier of the weights: 16 hexadecimal digits of their SHA-256."""
         return hashlib.sha256(np.array(self.weights, "<f8").tobytes()).hexdigest()[:16]
 
-    def judge(self, free: ArrayLike, terms: Sequence[Term]) -> LogOddsBounds:
+    def judge(self, free: ArrayLike, terms: Sequence[MonotoneSplineTerm]) -> LogOddsBounds:
         """Return the bounds of the log odds of sites.
 
         Parameters
@@ -168,7 +178,7 @@ class Ensemble:
         """
         w, f = np.array(self.weights), np.asarray(free, dtype=np.float64)
         count = f.shape[-1]
-        return LogOddsBounds(*extremes(terms, f @ w[:, :count].T, w[:, count:]))
+        return LogOddsBounds(*ensemble_bounds(terms, f @ w[:, :count].T, w[:, count:]))
 
     def of_features(self, features: ArrayLike) -> LogOddsBounds:
         """Return the bounds of the log odds of sites with features (n, k)."""

@@ -13,7 +13,7 @@ from lunarsim.models.lander import Lander
 from lunarsim.safety import _exact_kernels as ek
 from lunarsim.safety import _kernels as k
 from lunarsim.safety.footprint import BLOCK, Footprint, footprint_of
-from lunarsim.safety.raster import Ground, ground
+from lunarsim.safety.raster import ElevationRaster, prepare_elevation
 
 FloatMap = NDArray[np.float32]
 BoolMap = NDArray[np.bool_]
@@ -90,7 +90,7 @@ def exact_safety(
             raise InputError("heading", heading, "must be a finite azimuth in rad")
         index = footprint.nearest_heading(lander, grid.posting, heading)
         footprint = footprint.one_heading(index)
-    height = ground("elevation", elevation, grid, footprint)
+    height = prepare_elevation("elevation", elevation, grid, footprint)
     everywhere = np.ones(grid.shape, np.bool_)
     tangent, roughness = _evaluate(height, everywhere, footprint, lander, grid.posting, False)
     observed = ~np.isnan(tangent)
@@ -111,8 +111,8 @@ def safe_sites(elevation: ArrayLike, grid: Grid, lander: Lander) -> tuple[BoolMa
         As in `SafetyMap` (rows, cols).
     """
     footprint = footprint_of(lander, grid.posting)
-    height = ground("elevation", elevation, grid, footprint)
-    span, rise = differences(height, footprint)
+    height = prepare_elevation("elevation", elevation, grid, footprint)
+    span, rise = height_differences(height, footprint)
     observed = rise < k.FAR
     sure = (span < footprint.least_height * np.sin(lander.slope_limit)) & (
         rise < lander.roughness_limit
@@ -123,15 +123,15 @@ def safe_sites(elevation: ArrayLike, grid: Grid, lander: Lander) -> tuple[BoolMa
     return observed & (sure | passed), observed
 
 
-def differences(height: Ground, footprint: Footprint) -> tuple[FloatMap, FloatMap]:
+def height_differences(height: ElevationRaster, footprint: Footprint) -> tuple[FloatMap, FloatMap]:
     """Return max over L and max over U, minus min over L (Eq. 10), m; or FAR."""
     span, rise = np.empty(height.z.shape, np.float32), np.empty(height.z.shape, np.float32)
-    k.extremes(height.double, height.middle, footprint.cells, span, rise)
+    k.footprint_extremes(height.double, height.middle, footprint.cells, span, rise)
     return span, rise
 
 
 def _evaluate(
-    height: Ground,
+    height: ElevationRaster,
     todo: BoolMap,
     footprint: Footprint,
     lander: Lander,

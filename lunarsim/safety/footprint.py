@@ -22,11 +22,11 @@ from lunarsim.safety._kernels import FAR
 
 IntArray = NDArray[np.int64]
 
-MOST_CELLS = 256  # maximum distance from the lander's centre to a leg, cells
+MAX_LEG_DISTANCE_CELLS = 256  # maximum distance from the lander's centre to a leg, cells
 BLOCK = 4  # side of the blocks that the exact test skips or examines, cells
 
 
-class Cells(NamedTuple):
+class FootprintArrays(NamedTuple):
     """Arrays of a footprint for the kernels; names as in `Footprint`.
 
     Attributes
@@ -55,7 +55,7 @@ class Cells(NamedTuple):
     place: NDArray[np.float32]
 
 
-class Covers(NamedTuple):
+class PolygonBlocks(NamedTuple):
     """Square blocks of cells that cover the polygon of every heading.
 
     Attributes
@@ -150,10 +150,10 @@ class Footprint:
         return replace(self, legs=self.legs[index : index + 1])
 
     @cached_property
-    def cells(self) -> Cells:
+    def cells(self) -> FootprintArrays:
         """Arrays for the kernels."""
         inverse, place = _support_geometry(self.legs)
-        return Cells(
+        return FootprintArrays(
             self.legs,
             self.pad_windows,
             self.stand_windows,
@@ -167,7 +167,7 @@ class Footprint:
             place,
         )
 
-    def covers(self, block: int) -> Covers:
+    def covers(self, block: int) -> PolygonBlocks:
         """Return blocks that cover the polygons; `block` is their side in cells."""
         return _covers(self, block)
 
@@ -246,7 +246,7 @@ _TRIANGLES = {3: (((0, 1, 2),),), 4: (((0, 1, 2), (0, 1, 3)), ((0, 2, 3), (1, 2,
 
 
 def _support_geometry(legs: IntArray) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Return `inverse` and `place` of `Cells`."""
+    """Return `inverse` and `place` of `FootprintArrays`."""
     triangles = _TRIANGLES[legs.shape[1]]
     shape = (len(legs), len(triangles), len(triangles[0]))
     inverse, place = np.zeros((*shape, 4)), np.zeros((*shape, 2))
@@ -261,7 +261,7 @@ def _support_geometry(legs: IntArray) -> tuple[NDArray[np.float32], NDArray[np.f
 
 
 @lru_cache(maxsize=64)
-def _covers(footprint: Footprint, block: int) -> Covers:
+def _covers(footprint: Footprint, block: int) -> PolygonBlocks:
     corners: list[tuple[int, int]] = []
     allowed: list[NDArray[np.bool_]] = []
     first = [0]
@@ -289,7 +289,7 @@ def _covers(footprint: Footprint, block: int) -> Covers:
     centres = (south_west[:, ::-1] + 0.5 * (block - 1)).astype(np.float32)
     distinct, which = np.unique(south_west, axis=0, return_inverse=True)
     marks = np.where(np.array(allowed), np.float32(0.0), -FAR).ravel()
-    return Covers(
+    return PolygonBlocks(
         south_west,
         centres.ravel(),
         np.array(first),
@@ -313,11 +313,11 @@ def _footprint(legs: int, leg_radius: float, pad_radius: float, posting: float) 
         raise InputError(
             "grid.posting", posting, f"must be finer than the leg radius of {leg_radius} m"
         )
-    if radius > MOST_CELLS:
+    if radius > MAX_LEG_DISTANCE_CELLS:
         raise InputError(
             "vehicle.leg_radius",
             leg_radius,
-            f"must be at most {MOST_CELLS} cells of {posting} m",
+            f"must be at most {MAX_LEG_DISTANCE_CELLS} cells of {posting} m",
             "Use a coarser posting or a smaller lander.",
         )
     cells = _distinct_headings(legs, radius)

@@ -12,7 +12,7 @@ from lunarsim.safety import _plane_kernels as pk
 from lunarsim.safety.bounded import BLOCK_SIDE
 from lunarsim.safety.conservative import StochasticSafety, stochastic_safety
 from lunarsim.safety.footprint import footprint_of
-from lunarsim.safety.raster import ground, variances
+from lunarsim.safety.raster import prepare_elevation, prepare_variance
 
 FloatMap = NDArray[np.float32]
 
@@ -52,13 +52,13 @@ def plane_stochastic_safety(
     """
     footprint = footprint_of(lander, grid.posting)
     block = footprint.block_cells(block_side, grid.posting)
-    height = ground("mean", mean, grid, footprint)
+    height = prepare_elevation("mean", mean, grid, footprint)
     level = stochastic_safety(mean, variance, grid, lander)
     tangent, nominal, raised, leg = (np.empty(grid.shape, np.float32) for _ in range(4))
     pk.stochastic_planes(
         height.double,
         height.middle,
-        variances(variance, grid, footprint),
+        prepare_variance(variance, grid, footprint),
         footprint.cells,
         footprint.covers(block),
         block,

@@ -28,7 +28,7 @@ _MAX_SAMPLES = 64  # maximum rows and columns used for the middle of a map
 
 
 @dataclass(frozen=True)
-class Ground:
+class ElevationRaster:
     """Elevation raster prepared for the kernels.
 
     Attributes
@@ -48,7 +48,9 @@ class Ground:
         return self.z.astype(np.float64, copy=False)
 
 
-def ground(name: str, values: ArrayLike, grid: Grid, footprint: Footprint) -> Ground:
+def prepare_elevation(
+    name: str, values: ArrayLike, grid: Grid, footprint: Footprint
+) -> ElevationRaster:
     """Return an elevation raster prepared for the kernels.
 
     Raises
@@ -61,16 +63,16 @@ def ground(name: str, values: ArrayLike, grid: Grid, footprint: Footprint) -> Gr
     if raster.dtype != np.float32:
         raster = _cast(np.float64, raster)
     _check_shape(name, raster, grid, footprint)
-    return Ground(_contiguous(raster), _middle(raster))
+    return ElevationRaster(_contiguous(raster), _middle(raster))
 
 
-def variances(values: ArrayLike, grid: Grid, footprint: Footprint) -> NDArray[np.float32]:
+def prepare_variance(values: ArrayLike, grid: Grid, footprint: Footprint) -> NDArray[np.float32]:
     """Return a variance raster as float32; NaN and infinity mark unknown terrain.
 
     Raises
     ------
     InputError
-        As `ground`, and if a variance is negative.
+        As `prepare_elevation`, and if a variance is negative.
     """
     raster = _real_numbers("variance", values)
     _check_shape("variance", raster, grid, footprint)

@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lunarsim.rocks.laws import golombek_number
+from lunarsim.rocks.size_distribution import golombek_number
 
 Array = NDArray[np.float64]
 
@@ -44,7 +44,7 @@ _TOP = 1.5 * np.pi
 
 
 @dataclass(frozen=True)
-class HeightCurve:
+class ExceedanceCurve:
     """Fraction of the terrain above each height over its surroundings.
 
     Attributes
@@ -67,12 +67,12 @@ class HeightCurve:
     gravel_counted: float = 0.0
 
     @cached_property
-    def careful(self) -> HeightCurve:
+    def careful(self) -> ExceedanceCurve:
         """Curve with counted gravel, at least the distribution's below the counts.
 
         Few high rocks do not imply few low ones.
         """
-        return self if self.gravel is None else HeightCurve(self.height, self.gravel)
+        return self if self.gravel is None else ExceedanceCurve(self.height, self.gravel)
 
     def at(self, height: ArrayLike) -> Array:
         """Return the fraction above heights (...), m; heights are clipped to the curve."""
@@ -153,7 +153,7 @@ class HeightCurve:
 
 def height_curve(
     rises: ArrayLike, noise: float, limit: float, cover: float, height_ratio: float = 0.5
-) -> HeightCurve:
+) -> ExceedanceCurve:
     """Return the fraction of terrain above each height.
 
     Parameters
@@ -169,7 +169,7 @@ def height_curve(
         rocks.
     """
     height = limit * _HEIGHTS
-    law = law_share(height, cover, height_ratio)
+    law = distribution_fraction(height, cover, height_ratio)
     z = np.asarray(rises, dtype=np.float64)
     times, counted = _ratio_to_distribution(z, noise, limit * _COUNT_HEIGHTS, height, law)
     lower, min_counted = _ratio_to_distribution(
@@ -177,7 +177,7 @@ def height_curve(
     )
     lower = np.where(height < min_counted, np.maximum(lower, 1.0), lower)
     share = _falling(law * times)
-    return HeightCurve(
+    return ExceedanceCurve(
         height, share, counted, _falling(np.maximum(law * lower, share)), min_counted
     )
 
@@ -206,7 +206,7 @@ def _ratio_to_distribution(
 
 def depth_curve(
     rises: ArrayLike, noise: float, limit: float, cover: float, height_ratio: float = 0.5
-) -> HeightCurve:
+) -> ExceedanceCurve:
     """Return the fraction of terrain below each depth under its surroundings.
 
     Parameters are those of `height_curve`. The mission does not specify holes; a tenth of the cover
@@ -215,7 +215,7 @@ def depth_curve(
     return height_curve(-np.asarray(rises), noise, limit, _HOLE_COVER_RATIO * cover, height_ratio)
 
 
-def law_share(height: ArrayLike, cover: float, height_ratio: float) -> Array:
+def distribution_fraction(height: ArrayLike, cover: float, height_ratio: float) -> Array:
     """Return the fraction of terrain that rocks raise above heights (n,), m.
 
     Heights are (n,), m. Rocks are half ellipsoids with circular outlines, `height_ratio` times as

@@ -20,7 +20,7 @@ _OPTION = "--set"
 
 def path_of(key: str, value: Any = "") -> tuple[str, ...]:
     """Split a key into its steps; a part's name with a string value means its kind."""
-    if key in layout.CHOSEN and isinstance(value, str):
+    if key in layout.SELECTED and isinstance(value, str):
         return key, "kind"
     return tuple(key.split("."))
 
@@ -85,7 +85,7 @@ def with_changes(scenario: Scenario, texts: Sequence[str]) -> Scenario:
     >>> study.rocks.cover, study.policy.kind
     (0.08, 'safest')
     """
-    values = typed_values(texts)
+    values = parse_changes(texts)
     try:
         return with_values(scenario, values, _OPTION)
     except InputError as error:
@@ -93,7 +93,7 @@ def with_changes(scenario: Scenario, texts: Sequence[str]) -> Scenario:
         raise error.renamed(field) from None
 
 
-def typed_values(texts: Sequence[str]) -> dict[str, Any]:
+def parse_changes(texts: Sequence[str]) -> dict[str, Any]:
     """Parse texts ``KEY=VALUE`` into values by key.
 
     Raises

@@ -9,13 +9,13 @@ from typing import Any, Protocol
 import numpy as np
 
 from lunarsim.errors import InputError, suggestion
-from lunarsim.messages.measurements import InertialSamples, LidarScan, NavigationFix, Picture
+from lunarsim.messages.measurements import CameraImage, InertialSamples, LidarScan, NavigationFix
 from lunarsim.models.jet_lander import JetLander
-from lunarsim.onboard.hazards.fusion import FusedMapping
-from lunarsim.onboard.hazards.mapper import check_map, sensors_of
+from lunarsim.onboard.hazards.fusion import FusedMapperSettings
+from lunarsim.onboard.hazards.mapper import check_map_size, sensor_names
 from lunarsim.onboard.hazards.shadows.mapping import ShadowMapping
-from lunarsim.onboard.perception.shadow_model import LEAST_ELEVATION, MOST_ELEVATION
-from lunarsim.parts import loadable
+from lunarsim.onboard.perception.shadow_model import MAX_SUN_ELEVATION, MIN_SUN_ELEVATION
+from lunarsim.parts import loadable_parts
 
 
 class PartTable(Protocol):
@@ -181,7 +181,7 @@ def _sensor_kinds_for(wanted: type) -> str:
     """Return the kinds of sensors that output a type of measurement, joined by "or"."""
     found = [
         repr(kind)
-        for kind, sensor in loadable("sensor")
+        for kind, sensor in loadable_parts("sensor")
         if isinstance(sensor.gives, type) and issubclass(sensor.gives, wanted)
     ]
     return " or ".join(found) or f"with measurement type {wanted.__name__}"
@@ -189,7 +189,7 @@ def _sensor_kinds_for(wanted: type) -> str:
 
 def _kinds_of(contract: str, wanted: type) -> str:
     """Return the kinds of a contract with a class or its subclasses, joined by "or"."""
-    found = [repr(kind) for kind, part in loadable(contract) if issubclass(part, wanted)]
+    found = [repr(kind) for kind, part in loadable_parts(contract) if issubclass(part, wanted)]
     return " or ".join(found) or f'"{wanted.__module__}:{wanted.__qualname__}"'
 
 
@@ -197,7 +197,7 @@ def _check_mappers(scenario: CheckedTables, sensors: dict[str, Any]) -> None:
     for name, part in scenario.mappers.items():
         mapper = part.make()
         field = f"mappers.{name}"
-        if isinstance(mapper, FusedMapping):
+        if isinstance(mapper, FusedMapperSettings):
             _check_other_mappers(field, mapper.chosen, scenario)
             continue
         if isinstance(mapper, ShadowMapping):
@@ -216,7 +216,7 @@ def _check_mappers(scenario: CheckedTables, sensors: dict[str, Any]) -> None:
 
 def _check_sun_elevation(field: str, elevation: float) -> None:
     """Check that the Sun's elevation is within the range of a shadow mapper."""
-    least, most = np.rad2deg([LEAST_ELEVATION, MOST_ELEVATION])
+    least, most = np.rad2deg([MIN_SUN_ELEVATION, MAX_SUN_ELEVATION])
     if not least - 1e-9 <= elevation <= most + 1e-9:
         raise InputError(
             "sun.elevation_deg", elevation,
@@ -227,7 +227,7 @@ def _check_sun_elevation(field: str, elevation: float) -> None:
 def _check_sensors(field: str, mapper: Any, sensors: dict[str, Any]) -> None:
     """Check that the sensors of a mapper exist and output what it accepts."""
     key = f"{field}.sensors" if getattr(mapper, "sensors", ()) else f"{field}.sensor"
-    for name in sensors_of(mapper) or (mapper.sensor,):
+    for name in sensor_names(mapper) or (mapper.sensor,):
         if name not in sensors:
             raise InputError(
                 key, name,
@@ -258,7 +258,7 @@ def _check_map(field: str, mapper: Any, scenario: CheckedTables) -> None:
     size, posting = getattr(mapper, "size", None), getattr(mapper, "posting", None)
     if isinstance(size, float | int) and isinstance(posting, float | int):
         try:
-            check_map(size, posting, scenario.vehicle.make())
+            check_map_size(size, posting, scenario.vehicle.make())
         except InputError as error:
             raise error.renamed(f"{field}.{error.field}") from None
 
@@ -390,12 +390,12 @@ def _check_tasking(scenario: CheckedTables, sensors: dict[str, Any]) -> None:
 def _check_effect(scenario: CheckedTables, sensors: dict[str, Any]) -> None:
     """Check that every part is used."""
     navigation = scenario.navigation.make()
-    used = {name for part in scenario.mappers.values() for name in sensors_of(part.make())}
+    used = {name for part in scenario.mappers.values() for name in sensor_names(part.make())}
     wanted = (*navigation.needs, *navigation.takes)
     if scenario.control.make().torques:
         wanted = (*wanted, InertialSamples)
     for name, sensor in sensors.items():
-        if issubclass(sensor.gives, Picture):
+        if issubclass(sensor.gives, CameraImage):
             continue  # a camera may record
         if name not in used and not (wanted and issubclass(sensor.gives, wanted)):
             raise InputError(

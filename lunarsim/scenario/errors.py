@@ -7,7 +7,7 @@ from typing import Any, get_args, get_origin
 from pydantic import ValidationError
 
 from lunarsim.errors import InputError, suggestion
-from lunarsim.parts import PartSettings, loadable, settings_of
+from lunarsim.parts import PartSettings, loadable_parts, settings_of
 from lunarsim.parts.settings import unit_of
 from lunarsim.scenario import layout
 
@@ -64,7 +64,7 @@ def _table_at(model: type[PartSettings], location: tuple[Any, ...]) -> type[Part
 def _kinds_with(contract: str, key: str) -> list[str]:
     """Return the kinds of a contract that have a key."""
     found = []
-    for kind, part in loadable(contract):
+    for kind, part in loadable_parts(contract):
         try:
             table = settings_of(part)
         except Exception:

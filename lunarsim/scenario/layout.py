@@ -11,47 +11,47 @@ from typing import Any
 from lunarsim.models.gravity import RoundMoon
 from lunarsim.onboard.guidance.approach import Approach
 from lunarsim.onboard.guidance.braking import Braking
-from lunarsim.onboard.policies.decisions import Decisions
-from lunarsim.onboard.policies.window import Window
+from lunarsim.onboard.policies.decisions import DecisionSettings
+from lunarsim.onboard.policies.window import CrewWindow
 from lunarsim.rocks.population import RockExpectation, RockPopulation
-from lunarsim.scenario.mission import MissionTarget, SimulationClock, Start, StartKnowledge
+from lunarsim.scenario.mission import InitialUncertainty, PlannedSite, SimulationClock, Start
 from lunarsim.scenario.rewards import DescentReward, SiteReward
+from lunarsim.vehicle.domain_randomization import DomainRandomization
 from lunarsim.vehicle.faults import Faults
 from lunarsim.vehicle.legs import Legs
-from lunarsim.vehicle.variation import Variation
+from lunarsim.world.far_terrain import FarTerrainSettings
 from lunarsim.world.light import Light
-from lunarsim.world.surroundings import Surroundings
-from lunarsim.world.survey import PriorSurvey
+from lunarsim.world.survey import PriorMapSurvey
 
 # Tables that always exist, each with one class.
 FIXED: dict[str, type] = {
     "rocks": RockPopulation,
     "sun": Light,
     "start": Start,
-    "target": MissionTarget,
+    "target": PlannedSite,
     "expected_rocks": RockExpectation,
     "approach": Approach,
-    "decisions": Decisions,
+    "decisions": DecisionSettings,
     "simulation": SimulationClock,
 }
 # Optional tables, each with one class.
 OPTIONAL: dict[str, type] = {
     "moon": RoundMoon,
-    "surroundings": Surroundings,
-    "start_knowledge": StartKnowledge,
-    "prior_map": PriorSurvey,
+    "surroundings": FarTerrainSettings,
+    "start_knowledge": InitialUncertainty,
+    "prior_map": PriorMapSurvey,
     "faults": Faults,
     "legs": Legs,
-    "variation": Variation,
+    "variation": DomainRandomization,
     "braking": Braking,
-    "window": Window,
+    "window": CrewWindow,
     "site_reward": SiteReward,
     "descent_reward": DescentReward,
 }
 # Optional tables of a part selected by `kind`: contract.
 OPTIONAL_SELECTED: dict[str, str] = {"descent": "descent"}
 # Tables of a part selected by `kind`: contract and default kind.
-CHOSEN: dict[str, tuple[str, str]] = {
+SELECTED: dict[str, tuple[str, str]] = {
     "terrain": ("terrain", "fractal"),
     "vehicle": ("vehicle", "lander"),
     "navigation": ("navigation", "inertial"),
@@ -97,8 +97,8 @@ MOVED_KEYS: dict[str, str] = {
 }
 
 
-def kind_left_out(table: str, data: Mapping[str, Any]) -> str:
-    """Return the default kind of a part in `CHOSEN`.
+def default_kind(table: str, data: Mapping[str, Any]) -> str:
+    """Return the default kind of a part in `SELECTED`.
 
     The default of navigation depends on other tables: "rocks" with a shadow mapper, which uses the
     filter that tracks rocks; "fixes" with a navigation-fix sensor; otherwise "inertial".
@@ -108,7 +108,7 @@ def kind_left_out(table: str, data: Mapping[str, Any]) -> str:
             return "rocks"
         if "navigation-fix" in _kinds(data, "sensors"):
             return "fixes"
-    return CHOSEN[table][1]
+    return SELECTED[table][1]
 
 
 def _kinds(data: Mapping[str, Any], table: str) -> set[Any]:

@@ -53,7 +53,7 @@ class Start:
 
 
 @dataclass(frozen=True)
-class StartKnowledge:
+class InitialUncertainty:
     """Initial uncertainty of the onboard state estimate.
 
     Attributes
@@ -79,7 +79,7 @@ class StartKnowledge:
 
 
 @dataclass(frozen=True)
-class MissionTarget:
+class PlannedSite:
     """Planned landing site, before any divert.
 
     Attributes

@@ -89,12 +89,12 @@ def _tables() -> Iterator[tuple[str, str, type[PartSettings] | None]]:
         yield f"[{name}]", _first_line(of), settings_of(of)
     for name, of in layout.OPTIONAL.items():
         yield f"[{name}] (optional)", _first_line(of), settings_of(of)
-    chosen = {name: contract for name, (contract, _) in layout.CHOSEN.items()}
+    chosen = {name: contract for name, (contract, _) in layout.SELECTED.items()}
     chosen |= layout.OPTIONAL_SELECTED
     named = {f"{name}.NAME": contract for name, (contract, _) in layout.NAMED.items()}
     for name, contract in (chosen | named).items():
         for kind in kinds(contract):
-            default = layout.CHOSEN.get(name, ("", ""))[1] == kind
+            default = layout.SELECTED.get(name, ("", ""))[1] == kind
             heading = f"[{name}] kind = {_word(kind)}" + (" (default)" if default else "")
             heading += " (optional)" * (name in layout.OPTIONAL_SELECTED)
             try:

@@ -15,15 +15,15 @@ from typing import TYPE_CHECKING, Any, Unpack
 import tomli_w
 from pydantic import ValidationError
 
+from lunarsim.atomic_files import atomic_write_text
 from lunarsim.errors import InputError, suggestion
-from lunarsim.messages.briefing import Software
-from lunarsim.parts import PartSettings, allowed, resolve, settings_of
+from lunarsim.messages.briefing import FlightSoftware
+from lunarsim.parts import PartSettings, module_permission, resolve, settings_of
 from lunarsim.scenario import layout
 from lunarsim.scenario.checks import check
 from lunarsim.scenario.errors import input_error
-from lunarsim.scenario.estimate import check_memory
 from lunarsim.scenario.files import parsed_toml, read_toml
-from lunarsim.whole_files import write_text_whole
+from lunarsim.scenario.resource_estimate import check_memory
 
 if TYPE_CHECKING:
     from lunarsim.scenario import tables
@@ -121,7 +121,7 @@ class Scenario:
         >>> Scenario.from_dict({"rocks": {"cover": 0.1}}).rocks.cover
         0.1
         """
-        allowed.allow_modules(*allow_modules)
+        module_permission.allow_modules(*allow_modules)
         scenario = cls._unchecked(data, folder)
         check(scenario)
         check_memory(scenario)
@@ -150,8 +150,8 @@ class Scenario:
         for key, contract in layout.OPTIONAL_SELECTED.items():
             given = key in data
             values[key] = _selected_part(key, contract, data[key], None, folder) if given else None
-        for key, (contract, _) in layout.CHOSEN.items():
-            kind = layout.kind_left_out(key, data)
+        for key, (contract, _) in layout.SELECTED.items():
+            kind = layout.default_kind(key, data)
             values[key] = _selected_part(key, contract, data.get(key, {}), kind, folder)
         for key, (contract, default) in layout.NAMED.items():
             tables = _mapping(key, data.get(key, default))
@@ -241,7 +241,7 @@ class Scenario:
         ('rocky', 0.1)
         """
         data = self.to_dict()
-        left_out = {"kind": layout.kind_left_out("navigation", data)}
+        left_out = {"kind": layout.default_kind("navigation", data)}
         if "navigation" not in changes and self.navigation == _selected_part(
             "navigation", "navigation", left_out, None, None
         ):
@@ -254,11 +254,11 @@ class Scenario:
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle the scenario as nested dictionaries, which are checked again on loading."""
-        return _from_process, (self.to_dict(), allowed.allowed_modules())
+        return _from_process, (self.to_dict(), module_permission.allowed_modules())
 
-    def software(self) -> Software:
+    def software(self) -> FlightSoftware:
         """Create the parts that run on the onboard computer."""
-        return Software(
+        return FlightSoftware(
             navigation=self.navigation.make(),
             guidance=self.guidance.make(),
             control=self.control.make(),
@@ -302,7 +302,7 @@ class Scenario:
 
     def save(self, path: str | Path) -> None:
         """Write the scenario to a TOML file, including defaults."""
-        write_text_whole(Path(path), self.to_toml())
+        atomic_write_text(Path(path), self.to_toml())
 
 
 def _from_process(tables: dict[str, Any], modules: tuple[str, ...]) -> Scenario:

@@ -10,8 +10,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from lunarsim.atomic_files import atomic_write
 from lunarsim.errors import InputError, suggestion
-from lunarsim.whole_files import write_whole
 
 _PACKAGE = Path(__file__).parent.parent
 
@@ -106,7 +106,7 @@ def copy_to(name: str, target: Path) -> list[Path]:
             for folder in reversed(missing):
                 folder.mkdir()
                 undo.callback(folder.rmdir)
-            write_whole(new, partial(shutil.copyfile, old))
+            atomic_write(new, partial(shutil.copyfile, old))
             undo.callback(new.unlink)
         undo.pop_all()
     return [new for _, new in pairs]

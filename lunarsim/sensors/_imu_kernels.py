@@ -5,12 +5,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from lunarsim._frame_kernels import rotated_back, rotation_between
+from lunarsim._frame_kernels import rotate_to_body, rotation_vector_between
 from lunarsim._jit import kernel
 
 
 @kernel()
-def sample(truth, matrix, offset, quantum, remainder, out):
+def quantize_increment(truth, matrix, offset, quantum, remainder, out):
     """Write the measured increment (3,), and keep the quantization remainder.
 
     The running sum is rounded, not each increment, so that no angle or velocity is lost.
@@ -27,7 +27,7 @@ def sample(truth, matrix, offset, quantum, remainder, out):
 
 
 @kernel()
-def motion(rows, lift, angle, gained):
+def ideal_increments(rows, lift, angle, gained):
     """Write the increments that an ideal IMU measures along a trajectory.
 
     Parameters
@@ -43,7 +43,7 @@ def motion(rows, lift, angle, gained):
     change = np.empty(3)
     for n in range(rows.shape[0] - 1):
         p, q = rows[n, 6:10], rows[n + 1, 6:10]
-        rotation_between(p, q, angle[n])
+        rotation_vector_between(p, q, angle[n])
         dot = p[0] * q[0] + p[1] * q[1] + p[2] * q[2] + p[3] * q[3]
         sign = -1.0 if dot < 0.0 else 1.0
         size = 0.0
@@ -55,13 +55,13 @@ def motion(rows, lift, angle, gained):
         for k in range(3):
             change[k] = rows[n + 1, 3 + k] - rows[n, 3 + k]
         change[2] += lift
-        rotated_back(middle, change, gained[n])
+        rotate_to_body(middle, change, gained[n])
 
 
 @kernel()
-def sample_all(truth, matrix, offsets, quantum, remainder):
+def sample_increments(truth, matrix, offsets, quantum, remainder):
     """Return the measured increments (n, 3) for true ones (n, 3)."""
     out = np.empty_like(truth)
     for n in range(truth.shape[0]):
-        sample(truth[n], matrix, offsets[n], quantum, remainder, out[n])
+        quantize_increment(truth[n], matrix, offsets[n], quantum, remainder, out[n])
     return out

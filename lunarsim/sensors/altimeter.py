@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from lunarsim.frames import quat_rotate
 from lunarsim.messages.measurements import AltimeterReading
-from lunarsim.models.instruments import FixedBeam
+from lunarsim.models.instruments import AltimeterInstrument
 from lunarsim.parts.quantity import check_bounds, check_direction, quantity
 from lunarsim.vehicle.state import State
 from lunarsim.world import World
@@ -41,9 +41,9 @@ class RadarAltimeter:
         check_direction("altimeter.boresight", self.boresight)
         check_bounds(self, "altimeter")
 
-    def calibration(self) -> FixedBeam:
+    def calibration(self) -> AltimeterInstrument:
         """Return what the onboard computer knows of the altimeter."""
-        return FixedBeam(self.boresight)
+        return AltimeterInstrument(self.boresight)
 
     def measure(
         self,

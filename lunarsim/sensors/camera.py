@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from lunarsim.errors import InputError
 from lunarsim.frames import is_rotation, quat_from_rotation_vector, quat_multiply, quat_to_matrix
-from lunarsim.messages.measurements import Picture
+from lunarsim.messages.measurements import CameraImage
 from lunarsim.models.camera import CameraModel
 from lunarsim.models.pinhole import View
 from lunarsim.sensors.detector import counts_from_electrons, dark_current, illumination_falloff
@@ -32,7 +32,7 @@ _MAX_BLUR_STEPS = 48
 
 
 @dataclass(frozen=True)
-class Exposure:
+class ExposedImage:
     """One exposed image.
 
     Attributes
@@ -149,11 +149,11 @@ class Camera(CameraModel):
         time: float,
         rng: np.random.Generator,
         mount: Array | None = None,
-    ) -> Picture:
+    ) -> CameraImage:
         """Take an image; `mount` (3, 3) replaces the camera's own mounting."""
         camera = self if mount is None else replace(self, mount=mount)
         exposure = camera.expose(world, state, time, rng)
-        return Picture(exposure.time, exposure.counts, camera.model)
+        return CameraImage(exposure.time, exposure.counts, camera.model)
 
     def expose(
         self,
@@ -163,7 +163,7 @@ class Camera(CameraModel):
         rng: np.random.Generator,
         *,
         truth: bool = False,
-    ) -> Exposure:
+    ) -> ExposedImage:
         """Expose one image.
 
         Parameters
@@ -209,7 +209,7 @@ class Camera(CameraModel):
                 self._distort(image.normal, cv2.INTER_NEAREST),
                 identity.astype(np.int32),
             )
-        return Exposure(time, self._detect(radiance, rng), kept)
+        return ExposedImage(time, self._detect(radiance, rng), kept)
 
     def _render(self, world: World, state: State, view: View) -> NDArray[np.float32]:
         """Return the radiance at the lens, line by line for a rolling shutter."""

@@ -8,12 +8,12 @@ from typing import ClassVar, Literal
 import numpy as np
 
 from lunarsim.errors import InputError
-from lunarsim.messages.measurements import Picture
+from lunarsim.messages.measurements import CameraImage
 from lunarsim.models.instruments import CameraInstrument
 from lunarsim.parts.quantity import quantity
+from lunarsim.sensors.auto_exposure_camera import AutoExposureCamera
 from lunarsim.sensors.camera import Camera
 from lunarsim.sensors.exposure_control import ExposureControl
-from lunarsim.sensors.metering_camera import MeteringCamera
 
 
 @dataclass(frozen=True)
@@ -76,7 +76,7 @@ class FramingCamera:
         180.0, "deg", gt=0, le=180, help="maximum angle of the boresight from body -z"
     )
 
-    gives: ClassVar[type] = Picture
+    gives: ClassVar[type] = CameraImage
     tasked: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
@@ -102,7 +102,7 @@ class FramingCamera:
             line_time=self.line_time, antialias=self.antialias,
         )  # fmt: skip
 
-    def build(self, rng: np.random.Generator, step: float) -> Camera | MeteringCamera:
+    def build(self, rng: np.random.Generator, step: float) -> Camera | AutoExposureCamera:
         """Return the camera of one flight, with hot pixels drawn for it."""
         camera = self.camera()
         if self.hot_pixels > 0.0:
@@ -113,7 +113,7 @@ class FramingCamera:
             level=self.exposure_level, shortest=self.exposure_shortest,
             longest=self.exposure_longest,
         )  # fmt: skip
-        return MeteringCamera(camera, control)
+        return AutoExposureCamera(camera, control)
 
     def calibration(self) -> CameraInstrument:
         """Return what the onboard computer knows of the camera."""

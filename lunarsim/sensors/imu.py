@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from lunarsim.errors import InputError
 from lunarsim.messages.measurements import InertialSamples
-from lunarsim.models.inertial_unit import ACCELEROMETERS, GYROSCOPES, TriadErrors
+from lunarsim.models.inertial_unit import TACTICAL_ACCELEROMETERS, TACTICAL_GYROSCOPES, TriadErrors
 from lunarsim.models.instruments import InertialInstrument
 from lunarsim.parts.quantity import quantity
 from lunarsim.sensors import _imu_kernels as kernels
@@ -19,15 +19,15 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class InertialUnit:
+class ImuSettings:
     """Gyroscopes and accelerometers, sampled at every step of the simulation.
 
     The default errors are those of a tactical-grade unit.
     """
 
-    gyroscopes: TriadErrors = quantity(GYROSCOPES, help="errors of the gyroscopes, in rad")
+    gyroscopes: TriadErrors = quantity(TACTICAL_GYROSCOPES, help="errors of the gyroscopes, in rad")
     accelerometers: TriadErrors = quantity(
-        ACCELEROMETERS, help="errors of the accelerometers, in m/s"
+        TACTICAL_ACCELEROMETERS, help="errors of the accelerometers, in m/s"
     )
 
     gives: ClassVar[type] = InertialSamples
@@ -67,7 +67,7 @@ class _Triad:
     def increments(self, truth: Array) -> Array:
         """Return measured increments (n, 3) for true increments (n, 3)."""
         return np.asarray(
-            kernels.sample_all(
+            kernels.sample_increments(
                 np.ascontiguousarray(truth), self.matrix, self.offsets(len(truth)),
                 self.errors.quantum, self.remainder,
             )
@@ -91,8 +91,8 @@ class Imu:
         self,
         rng: np.random.Generator,
         rate: float = 100.0,
-        gyroscopes: TriadErrors = GYROSCOPES,
-        accelerometers: TriadErrors = ACCELEROMETERS,
+        gyroscopes: TriadErrors = TACTICAL_GYROSCOPES,
+        accelerometers: TriadErrors = TACTICAL_ACCELEROMETERS,
     ) -> None:
         if not (np.isfinite(rate) and rate > 0.0):
             raise InputError("imu.rate", rate, "must be a positive sampling rate (Hz)")
@@ -147,7 +147,7 @@ class Imu:
             Increments already measured by the gyroscopes (n, 3), rad; omitted: they are sampled.
         """
         turn, gained = np.empty((2, len(rows) - 1, 3))
-        kernels.motion(np.ascontiguousarray(rows), gravity * step, turn, gained)
+        kernels.ideal_increments(np.ascontiguousarray(rows), gravity * step, turn, gained)
         if angle is None:
             angle = self.gyroscopes.increments(turn)
         return InertialSamples(time, angle, self.accelerometers.increments(gained))

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from lunarsim.errors import InputError
 from lunarsim.frames import quat_from_rotation_vector, quat_multiply, quat_to_matrix
 from lunarsim.messages.measurements import LidarScan
-from lunarsim.models.camera import DOWN
+from lunarsim.models.camera import DOWNWARD_MOUNT
 from lunarsim.models.instruments import LidarInstrument
 from lunarsim.parts.quantity import check_bounds, quantity
 from lunarsim.vehicle.state import State
@@ -161,7 +161,7 @@ class FlashLidar:
         mount
             Rotation (3, 3), sensor to body, of the gimbal; omitted: boresight along body -z.
         """
-        mount = DOWN if mount is None else mount
+        mount = DOWNWARD_MOUNT if mount is None else mount
         direction = self.directions()
         rotation = quat_to_matrix(state.attitude) @ mount
         origin = np.asarray(state.position, dtype=np.float64)
@@ -254,7 +254,7 @@ class BiasedLidar:
         mount: Array | None = None,
     ) -> LidarScan:
         """Return one scan; the lander's motion is assumed constant over the latency."""
-        told = DOWN if mount is None else mount
+        told = DOWNWARD_MOUNT if mount is None else mount
         aim = quat_to_matrix(quat_from_rotation_vector(self.boresight))
         turn = quat_from_rotation_vector(-self.latency * np.asarray(state.rate))
         then = replace(

@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class NavigationFixes:
+class NavigationFixErrors:
     """Fixes of position, velocity and attitude with errors of a given budget.
 
     Attributes
@@ -74,7 +74,7 @@ class NavigationFixSource:
         Source of the constant errors of this flight; pass the same generator to `measure`.
     """
 
-    def __init__(self, budget: NavigationFixes, rng: np.random.Generator) -> None:
+    def __init__(self, budget: NavigationFixErrors, rng: np.random.Generator) -> None:
         self.budget = budget
         self._bias = budget.position_bias * rng.standard_normal(3)
         self._misalignment = quat_from_rotation_vector(budget.attitude * rng.standard_normal(3))

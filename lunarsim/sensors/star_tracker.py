@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from lunarsim.frames import quat_from_rotation_vector, quat_multiply, quat_rotate
 from lunarsim.messages.measurements import AttitudeReading
-from lunarsim.models.instruments import StarInstrument
+from lunarsim.models.instruments import StarTrackerInstrument
 from lunarsim.parts.quantity import check_bounds, check_direction, quantity
 from lunarsim.vehicle.state import State
 from lunarsim.world import World
@@ -55,9 +55,9 @@ class StarTracker:
         """Return the tracker of one flight."""
         return MisalignedStarTracker(self, rng)
 
-    def calibration(self) -> StarInstrument:
+    def calibration(self) -> StarTrackerInstrument:
         """Return what the onboard computer knows of the tracker."""
-        return StarInstrument(self.misalignment)
+        return StarTrackerInstrument(self.misalignment)
 
     def covariance(self) -> Array:
         """Return the noise covariance (3, 3) of the small rotation in body axes, rad^2."""

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from lunarsim.frames import quat_rotate
 from lunarsim.messages.measurements import DopplerReading
-from lunarsim.models.instruments import FixedBeams
+from lunarsim.models.instruments import VelocimeterInstrument
 from lunarsim.parts.quantity import check_bounds, quantity
 from lunarsim.vehicle.state import State
 from lunarsim.world import World
@@ -76,10 +76,10 @@ class DopplerVelocimeter:
             (across * np.cos(azimuth), across * np.sin(azimuth), np.full(self.beams, -down))
         )
 
-    def calibration(self) -> FixedBeams:
+    def calibration(self) -> VelocimeterInstrument:
         """Return what the onboard computer knows of the velocimeter."""
         beams = tuple((float(x), float(y), float(z)) for x, y, z in self.directions())
-        return FixedBeams(beams, self.speed_bias, self.speed_wander)
+        return VelocimeterInstrument(beams, self.speed_bias, self.speed_wander)
 
     def measure(
         self,

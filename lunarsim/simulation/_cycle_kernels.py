@@ -5,15 +5,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from lunarsim._frame_kernels import rotation_between
+from lunarsim._frame_kernels import rotation_vector_between
 from lunarsim._jit import kernel
-from lunarsim.onboard.control._kernels import demand, follow
-from lunarsim.sensors._imu_kernels import sample
+from lunarsim.onboard.control._kernels import compute_torque, propagate_attitude
+from lunarsim.sensors._imu_kernels import quantize_increment
 from lunarsim.vehicle._kernels import advance_body
 
 
 @kernel()
-def fly(
+def fly_cycle_steps(
     y, steps, dt, thrust, figures, inertia, rig,
     loop, target, gains, known_inertia, torque_max,
     matrix, offsets, quantum, remainder,
@@ -29,9 +29,9 @@ def fly(
     thrust, figures, inertia, rig
         Thrust and parameters of the vehicle, as in `advance_body`.
     loop, target, gains, known_inertia, torque_max
-        State and parameters of the onboard attitude loop, as in `demand`.
+        State and parameters of the onboard attitude loop, as in `compute_torque`.
     matrix, offsets, quantum, remainder
-        Parameters of the gyroscopes, as in `sample`.
+        Parameters of the gyroscopes, as in `quantize_increment`.
 
     Returns
     -------
@@ -46,15 +46,15 @@ def fly(
     before = np.empty(4)
     turn = np.empty(3)
     for n in range(steps):
-        demand(loop, target, gains, known_inertia, torque_max)
+        compute_torque(loop, target, gains, known_inertia, torque_max)
         for k in range(3):
             torques[n, k] = loop[7 + k]
         for k in range(4):
             before[k] = y[6 + k]
         advance_body(y, dt, thrust, loop[7:], figures, inertia, rig, work)
-        rotation_between(before, y[6:10], turn)
-        sample(turn, matrix, offsets[n], quantum, remainder, increments[n])
-        follow(loop, increments[n], dt)
+        rotation_vector_between(before, y[6:10], turn)
+        quantize_increment(turn, matrix, offsets[n], quantum, remainder, increments[n])
+        propagate_attitude(loop, increments[n], dt)
         for k in range(15):
             history[n, k] = y[k]
     return history, increments, torques

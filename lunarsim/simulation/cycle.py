@@ -12,12 +12,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lunarsim._frame_kernels import rotation_between
+from lunarsim._frame_kernels import rotation_vector_between
 from lunarsim.messages.commands import Command
 from lunarsim.messages.measurements import Measurements
 from lunarsim.onboard.control.jets import JetLoop
 from lunarsim.onboard.control.loop import AttitudeLoop
-from lunarsim.sensors._imu_kernels import sample
+from lunarsim.sensors._imu_kernels import quantize_increment
 from lunarsim.sensors.imu import Imu
 from lunarsim.simulation import _cycle_kernels as k
 from lunarsim.simulation.plant import Plant
@@ -71,7 +71,7 @@ def _fly_compiled(
     plant: Plant, loop: AttitudeLoop, imu: Imu, thrust: float
 ) -> tuple[Array, Array, Array]:
     d, gyros = plant.dynamics, imu.gyroscopes
-    history, increments, torques = k.fly(
+    history, increments, torques = k.fly_cycle_steps(
         plant.state.as_vector(), plant.steps, d.step, d.thrust(thrust), d.figures, d.inertia,
         d.plain_rig, loop.state, loop.target, loop.gains, loop.inertia, loop.torque_max,
         gyros.matrix, gyros.offsets(plant.steps), gyros.errors.quantum, gyros.remainder,
@@ -128,8 +128,10 @@ def _fly_stepwise(
     for n in range(plant.steps):
         before = state.attitude
         state, torques[n] = advance(state)
-        rotation_between(before, state.attitude, turn)
-        sample(turn, gyros.matrix, offsets[n], gyros.errors.quantum, gyros.remainder, increments[n])
+        rotation_vector_between(before, state.attitude, turn)
+        quantize_increment(
+            turn, gyros.matrix, offsets[n], gyros.errors.quantum, gyros.remainder, increments[n]
+        )
         loop.take(increments[n])
         history[n] = state.as_vector()
     return history, increments, torques

@@ -32,9 +32,11 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 import lunarsim
+from lunarsim.atomic_files import atomic_write, atomic_write_text
+from lunarsim.atomic_netcdf import atomic_write_netcdf
 from lunarsim.onboard.hazards.hazard_map import HazardMap
 from lunarsim.onboard.navigation.estimate import Estimate
-from lunarsim.simulation.flight_reading import (
+from lunarsim.simulation.flight_files import (
     digest_of,
     read_columns,
     read_layers,
@@ -44,10 +46,8 @@ from lunarsim.simulation.flight_reading import (
     reading,
 )
 from lunarsim.simulation.map_record import MapRecord
-from lunarsim.simulation.map_words import words_on_maps
-from lunarsim.vehicle.touchdown import Touchdown, Verdict
-from lunarsim.whole_files import write_text_whole, write_whole
-from lunarsim.whole_netcdf import write_netcdf_whole
+from lunarsim.simulation.map_remarks import map_remarks_by_mapper
+from lunarsim.vehicle.touchdown import LandingOutcome, Touchdown
 
 if TYPE_CHECKING:
     from lunarsim import FlightFigures
@@ -127,7 +127,7 @@ class Flight:
     scenario: str
     seed: dict[str, Any]
     policy: str
-    verdict: Verdict
+    verdict: LandingOutcome
     target: Array
     trajectory: dict[str, Array]
     decisions: list[dict[str, Any]] = field(default_factory=list)
@@ -222,7 +222,7 @@ class Flight:
             facts.append(("navigation", f"lost at {self.first_lost:.1f} s, {end}"))
         facts += [
             (f"map {name!r}", words)
-            for name, words in words_on_maps(self.maps, self.decided_on).items()
+            for name, words in map_remarks_by_mapper(self.maps, self.decided_on).items()
         ]
         touchdown = self.verdict.touchdown
         if touchdown is not None:
@@ -277,7 +277,7 @@ class Flight:
         written = sorted(folder.glob("*.parquet")) + sorted((folder / "maps").glob("*"))
         digests = {str(path.relative_to(folder)): digest_of(path) for path in written}
         text = json.dumps(self._record() | {"digests": digests}, indent=1)
-        write_text_whole(folder / "flight.json", text)
+        atomic_write_text(folder / "flight.json", text)
         return folder
 
     def _record(self) -> dict[str, Any]:
@@ -344,11 +344,11 @@ def _plain(value: Any) -> Any:
     return value
 
 
-def _verdict(record: dict[str, Any]) -> Verdict:
+def _verdict(record: dict[str, Any]) -> LandingOutcome:
     touchdown = record["touchdown"]
     if touchdown is not None:
         touchdown = Touchdown(**touchdown | {"position": np.array(touchdown["position"])})
-    return Verdict(record["safe"], tuple(record["failed"]), touchdown)
+    return LandingOutcome(record["safe"], tuple(record["failed"]), touchdown)
 
 
 def _estimate(record: dict[str, Any]) -> Estimate:
@@ -363,7 +363,7 @@ def _estimate(record: dict[str, Any]) -> Estimate:
 
 
 def _save_table(table: pa.Table, path: Path) -> None:
-    write_whole(path, lambda part: pq.write_table(table, part))
+    atomic_write(path, lambda part: pq.write_table(table, part))
 
 
 def _save_map(name: str, record: MapRecord, folder: Path) -> None:
@@ -392,7 +392,7 @@ def _save_map(name: str, record: MapRecord, folder: Path) -> None:
         },
     )
     packed = {"compression": "gzip", "compression_opts": 1, "shuffle": True}
-    write_netcdf_whole(folder / f"{name}.nc", dataset, dict.fromkeys(layers, packed))
+    atomic_write_netcdf(folder / f"{name}.nc", dataset, dict.fromkeys(layers, packed))
     for table, columns in record.tables.items():
         _save_table(pa.table(columns), folder / f"{name}.{table}.parquet")
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from lunarsim.messages.briefing import Briefing
-from lunarsim.onboard.navigation.map_information import LockForecast, can_lock
+from lunarsim.onboard.navigation.map_lock_forecast import LockForecast, forecast_lock
 
 # Side of the terrain seen by a lander without a sweep, approximate, m.
 _DEFAULT_SWEEP_M = 40.0
@@ -18,4 +18,4 @@ def lock_forecast(briefing: Briefing) -> LockForecast | None:
     swept = max(sizes, default=0.0) or _DEFAULT_SWEEP_M
     east, north = (float(v) for v in briefing.target[:2])
     sigma = max(briefing.start.position_sigma, briefing.prior_map.grid.posting)
-    return can_lock(briefing.prior_map, (east, north), swept, sigma)
+    return forecast_lock(briefing.prior_map, (east, north), swept, sigma)

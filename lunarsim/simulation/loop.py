@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from lunarsim import forks
 from lunarsim._blas import one_blas_thread
 from lunarsim.errors import InputError
-from lunarsim.frames import Shift, quat_conjugate, quat_multiply, quat_to_rotation_vector
+from lunarsim.frames import SiteToLocal, quat_conjugate, quat_multiply, quat_to_rotation_vector
 from lunarsim.messages.measurements import Measurements
 from lunarsim.models.jet_lander import JetLander
 from lunarsim.models.lander import Lander
@@ -18,19 +18,19 @@ from lunarsim.onboard.computer import OnboardComputer
 from lunarsim.onboard.navigation.estimate import Estimate
 from lunarsim.onboard.policies.contract import Decision, Observation, RetargetingPolicy
 from lunarsim.parts import resolve, settings_of
-from lunarsim.rng import Streams
+from lunarsim.rng import RandomStreams
 from lunarsim.scenario import Scenario
 from lunarsim.simulation.cycle import fly_cycle
 from lunarsim.simulation.flight import Flight
 from lunarsim.simulation.mission import plan
 from lunarsim.simulation.plant import Plant
-from lunarsim.simulation.recorder import Recorder, Tap
+from lunarsim.simulation.recorder import MessageRecorder, Recorder
 from lunarsim.simulation.worlds import build_world
-from lunarsim.vehicle import Dynamics, State, Verdict
+from lunarsim.vehicle import Dynamics, LandingOutcome, State
 from lunarsim.vehicle.actuators import Actuators
 from lunarsim.vehicle.faults import Faults
 from lunarsim.world import World
-from lunarsim.world.truth import Truth
+from lunarsim.world.truth import TerrainTruth
 
 Array = NDArray[np.float64]
 
@@ -112,8 +112,8 @@ class Simulation:
         policy: RetargetingPolicy | str | None = None,
         *,
         world: World | None = None,
-        truth: Truth | None = None,
-        tap: Tap | None = None,
+        truth: TerrainTruth | None = None,
+        tap: MessageRecorder | None = None,
     ) -> None:
         forks.check()  # parallel kernels check too, but some flights reach them late
         if scenario.variation is not None:
@@ -124,7 +124,7 @@ class Simulation:
                 "Use: lunarsim evaluate Guidance-v0 --scenario FILE --agent apollo.",
             )
         self.scenario = scenario
-        self.streams = Streams(seed)
+        self.streams = RandomStreams(seed)
         self.policy = make_policy(scenario, policy)
         world = world if world is not None else build_world(scenario, self.streams)
         self._truth = truth
@@ -177,7 +177,7 @@ class Simulation:
         return self.plant.time
 
     @property
-    def verdict(self) -> Verdict | None:
+    def verdict(self) -> LandingOutcome | None:
         """Landing outcome, or None during the flight."""
         return self.plant.verdict
 
@@ -202,14 +202,14 @@ class Simulation:
         return self.computer.altitude
 
     @property
-    def truth(self) -> Truth:
+    def truth(self) -> TerrainTruth:
         """Exact safety of the world, computed on first use."""
         if self._truth is None:
-            self._truth = Truth.of(self.world, self.lander)
+            self._truth = TerrainTruth.of(self.world, self.lander)
         return self._truth
 
     @property
-    def true_to_local(self) -> Shift:
+    def true_to_local(self) -> SiteToLocal:
         """Shift from the true to the local frame, from the error of the estimated position.
 
         If the local frame has its own azimuth, the shift includes the lander's azimuth error.
@@ -218,7 +218,7 @@ class Simulation:
         if self.computer.navigation.own_azimuth:
             off = quat_multiply(e.attitude, quat_conjugate(self.state.attitude))
             turn = float(quat_to_rotation_vector(off)[2])
-        return Shift(e.position - Shift(turn=turn).to_local(self.state.position), turn)
+        return SiteToLocal(e.position - SiteToLocal(turn=turn).to_local(self.state.position), turn)
 
     @property
     def navigation_error(self) -> Array:
@@ -308,7 +308,7 @@ class Simulation:
             scenario=self.scenario.to_toml(),
             seed={"entropy": seed.entropy, "spawn_key": list(seed.spawn_key)},
             policy=self.policy.name if self.policy is not None else "external",
-            verdict=self.verdict or Verdict(False, ("unfinished",), None),
+            verdict=self.verdict or LandingOutcome(False, ("unfinished",), None),
             ending=self._ending_details(),
         )
 

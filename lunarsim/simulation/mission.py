@@ -12,17 +12,17 @@ from numpy.typing import NDArray
 
 from lunarsim.errors import InputError
 from lunarsim.frames import attitude_from_thrust, quat_from_rotation_vector, quat_multiply
-from lunarsim.messages.briefing import Briefing, Software, StartEstimate
+from lunarsim.messages.briefing import Briefing, FlightSoftware, InitialStateEstimate
 from lunarsim.models.gravity import UniformGravity
 from lunarsim.models.lander import Lander
 from lunarsim.onboard.control.thrust import thrust_to_command
 from lunarsim.onboard.guidance.approach import Approach
 from lunarsim.onboard.navigation.estimate import Estimate
-from lunarsim.onboard.part_results import checked_command
-from lunarsim.rng import Streams
+from lunarsim.onboard.result_checks import checked_command
+from lunarsim.rng import RandomStreams
 from lunarsim.scenario import Scenario
-from lunarsim.scenario.mission import MissionTarget, Start, StartKnowledge
-from lunarsim.simulation.unreachable import unreachable
+from lunarsim.scenario.mission import InitialUncertainty, PlannedSite, Start
+from lunarsim.simulation.reachability_error import unreachable
 from lunarsim.vehicle import State
 from lunarsim.world import World
 from lunarsim.world.terrain import Terrain
@@ -30,7 +30,9 @@ from lunarsim.world.terrain import Terrain
 Array = NDArray[np.float64]
 
 
-def draw_target(target: MissionTarget, terrain: Terrain, lander: Lander, streams: Streams) -> Array:
+def draw_target(
+    target: PlannedSite, terrain: Terrain, lander: Lander, streams: RandomStreams
+) -> Array:
     """Draw the target on the true terrain (3,), m.
 
     Raises
@@ -64,7 +66,9 @@ def draw_target(target: MissionTarget, terrain: Terrain, lander: Lander, streams
     return np.array([xy[0], xy[1], elevation])
 
 
-def draw_start(start: Start, world: World, lander: Lander, streams: Streams, site: Array) -> State:
+def draw_start(
+    start: Start, world: World, lander: Lander, streams: RandomStreams, site: Array
+) -> State:
     """Draw the true state at the start, upright.
 
     Raises
@@ -90,7 +94,7 @@ def draw_start(start: Start, world: World, lander: Lander, streams: Streams, sit
 
 
 def plan_time_to_go(
-    state: State, target: Array, software: Software, lander: Lander, gravity: float
+    state: State, target: Array, software: FlightSoftware, lander: Lander, gravity: float
 ) -> float:
     """Return the duration of the approach from the planned start, s.
 
@@ -146,12 +150,12 @@ def trimmed_start_state(state: State, briefing: Briefing) -> State:
 
 
 def perturbed_start_estimate(
-    state: State, knowledge: StartKnowledge, rng: np.random.Generator
-) -> StartEstimate:
+    state: State, knowledge: InitialUncertainty, rng: np.random.Generator
+) -> InitialStateEstimate:
     """Return the computer's estimate of the start: the truth with random errors."""
     drawn = rng.standard_normal((3, 3))
     turn = quat_from_rotation_vector(knowledge.attitude * drawn[2])
-    return StartEstimate(
+    return InitialStateEstimate(
         state.position + knowledge.position * drawn[0],
         state.velocity + knowledge.velocity * drawn[1],
         quat_multiply(state.attitude, turn),
@@ -162,7 +166,7 @@ def perturbed_start_estimate(
     )
 
 
-def plan(scenario: Scenario, world: World, streams: Streams) -> tuple[State, Briefing]:
+def plan(scenario: Scenario, world: World, streams: RandomStreams) -> tuple[State, Briefing]:
     """Return the true start of a flight, and the briefing of its computer.
 
     Raises
@@ -185,7 +189,7 @@ def plan(scenario: Scenario, world: World, streams: Streams) -> tuple[State, Bri
         position=target + np.asarray(start.position),
         velocity=np.asarray(start.velocity, dtype=np.float64),
     )
-    software: Software = scenario.software()
+    software: FlightSoftware = scenario.software()
     time_to_go = plan_time_to_go(planned, target, software, lander, world.gravity)
     prior = None
     if scenario.prior_map is not None:
@@ -200,7 +204,7 @@ def plan(scenario: Scenario, world: World, streams: Streams) -> tuple[State, Bri
         target=target,
         heading=start.heading,
         start=perturbed_start_estimate(
-            planned, StartKnowledge(0.0, 0.0, 0.0), np.random.default_rng(0)
+            planned, InitialUncertainty(0.0, 0.0, 0.0), np.random.default_rng(0)
         ),
         time_to_go=time_to_go,
         sun=world.light.direction,
@@ -211,7 +215,9 @@ def plan(scenario: Scenario, world: World, streams: Streams) -> tuple[State, Bri
     )
     state = trimmed_start_state(state, upright)
     knowledge = (
-        StartKnowledge() if scenario.start_knowledge is None else scenario.start_knowledge.make()
+        InitialUncertainty()
+        if scenario.start_knowledge is None
+        else scenario.start_knowledge.make()
     )
     rng = streams.get("navigation")
     start_estimate = perturbed_start_estimate(state, knowledge, rng)

@@ -9,10 +9,10 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from lunarsim.onboard.guidance.divert import DivertCost
+from lunarsim.onboard.guidance.divert_cost import DivertCost
 from lunarsim.onboard.policies.contract import Decision, Observation
 from lunarsim.parts.quantity import hidden, quantity
-from lunarsim.world.truth import Truth
+from lunarsim.world.truth import TerrainTruth
 
 Array = NDArray[np.float64]
 
@@ -44,7 +44,7 @@ class TruthOracle:
     def decide_by_truth(
         self,
         observation: Observation,
-        truth: Truth,
+        truth: TerrainTruth,
         error: Array,
         cost_of: Callable[[Array], DivertCost],
     ) -> Decision:

@@ -16,15 +16,15 @@ from lunarsim.errors import InputError
 from lunarsim.frames import quat_rotate
 from lunarsim.messages.commands import Command, SensorTask
 from lunarsim.messages.measurements import InertialSamples, Measurements
-from lunarsim.models.gimbal import within
-from lunarsim.models.jet_lander import com_of
-from lunarsim.onboard.part_results import wrong_result
-from lunarsim.sensors.contract import Sensor, SensorPart
+from lunarsim.models.gimbal import limit_mount
+from lunarsim.models.jet_lander import centre_of_mass
+from lunarsim.onboard.result_checks import wrong_result_error
 from lunarsim.sensors.imu import Imu
-from lunarsim.vehicle import Dynamics, State, Verdict, judge_touchdown, pad_contacts
+from lunarsim.sensors.interface import Sensor, SensorPart
+from lunarsim.vehicle import Dynamics, LandingOutcome, State, evaluate_touchdown, pad_contacts
 from lunarsim.vehicle.actuators import Actuators
 from lunarsim.vehicle.faults import Faults
-from lunarsim.vehicle.legs import Legs, Rest, judge_motion
+from lunarsim.vehicle.legs import Legs, RestState, evaluate_motion
 from lunarsim.vehicle.touchdown import ABORTED
 from lunarsim.world import World
 
@@ -113,12 +113,12 @@ class Plant:
         self._faults = faults
         self._throttle: float | None = None
         self.legs = legs
-        self.rest: Rest | None = None
+        self.rest: RestState | None = None
         self.dynamics = dynamics
         self.lander = dynamics.lander
         self.state = state
         self.time = 0.0
-        self.verdict: Verdict | None = None
+        self.verdict: LandingOutcome | None = None
         self.steps = steps
         made = {
             name: Instrument.of(part, rng, dynamics.step) for name, (part, rng) in sensors.items()
@@ -156,11 +156,11 @@ class Plant:
 
     def _measure(self, name: str, mount: Array | None) -> object:
         i = self._instruments[name]
-        held = None if mount is None else within(mount.copy(), i.gimbal_limit)
+        held = None if mount is None else limit_mount(mount.copy(), i.gimbal_limit)
         found = i.sensor.measure(self.world, self.state, self.time, i.rng, held)
         if not isinstance(found, i.part.gives):
             wanted = f"a measurement of type {i.part.gives.__name__}"
-            raise wrong_result(f"sensors.{name}", i.part, "measure", found, wanted, self.time)
+            raise wrong_result_error(f"sensors.{name}", i.part, "measure", found, wanted, self.time)
         return found
 
     def adopt_motion(
@@ -216,15 +216,15 @@ class Plant:
         """Set the landing outcome if the flight is over."""
         terrain = self.world.terrain
         if touched and self.legs is not None:
-            self.verdict, self.rest = judge_motion(self.legs, self.dynamics, self.state, terrain)
+            self.verdict, self.rest = evaluate_motion(self.legs, self.dynamics, self.state, terrain)
         elif touched:
-            self.verdict = judge_touchdown(self.lander, self.state, terrain, self.world.gravity)
+            self.verdict = evaluate_touchdown(self.lander, self.state, terrain, self.world.gravity)
         elif self.world.under(self.state.position, self._low):
-            self.verdict = Verdict(False, ("off-map",), None)
+            self.verdict = LandingOutcome(False, ("off-map",), None)
         elif abort and self._clear:
-            self.verdict = Verdict(False, (ABORTED,), None)
+            self.verdict = LandingOutcome(False, (ABORTED,), None)
         elif self.time >= self._max_time:
-            self.verdict = Verdict(False, ("time-limit",), None)
+            self.verdict = LandingOutcome(False, ("time-limit",), None)
 
     @property
     def _clear(self) -> bool:
@@ -238,7 +238,7 @@ class Plant:
         """Return the first step at which a pad touches the terrain, or None."""
         if self.world.height(history[-1, :3]) - self._high > _MAX_CONTACT_HEIGHT_M:
             return None
-        mounted = self.lander.pads - com_of(self.lander, float(history[0, 13]))
+        mounted = self.lander.pads - centre_of_mass(self.lander, float(history[0, 13]))
         pads = history[:, None, 0:3] + quat_rotate(history[:, None, 6:10], mounted)
         gap = pads[..., 2] - self.world.terrain.elevation(pads[..., :2])
         if not np.any(gap <= 2.0):

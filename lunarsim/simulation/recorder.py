@@ -10,14 +10,14 @@ from numpy.typing import NDArray
 
 from lunarsim.messages.briefing import Briefing
 from lunarsim.messages.commands import Command
-from lunarsim.messages.measurements import LidarScan, Measurements, Picture
+from lunarsim.messages.measurements import CameraImage, LidarScan, Measurements
 from lunarsim.onboard.computer import OnboardComputer
 from lunarsim.onboard.navigation.estimate import Estimate
 from lunarsim.onboard.policies.contract import Candidates, Decision
 from lunarsim.simulation.flight import COLUMNS, Flight
 from lunarsim.simulation.map_record import MapRecord
 from lunarsim.vehicle.state import State
-from lunarsim.vehicle.touchdown import Verdict
+from lunarsim.vehicle.touchdown import LandingOutcome
 
 Array = NDArray[np.float64]
 
@@ -30,7 +30,7 @@ _SEQUENCE_GAP_S = 1.0
 
 
 @dataclass
-class Tap:
+class MessageRecorder:
     """All messages between plant and onboard computer in a flight.
 
     Attributes
@@ -101,7 +101,7 @@ class Recorder:
     ) -> None:
         """Record measurements that the computer has processed; `error` is its position error, m."""
         for sensor, measurement in measurements.items:
-            if isinstance(measurement, LidarScan | Picture):
+            if isinstance(measurement, LidarScan | CameraImage):
                 self._record_sensor(sensor, measurement, computer)
         for name in computer.mapped:
             self._errors[name] = error
@@ -109,7 +109,7 @@ class Recorder:
                 self._first_map = computer.estimate
 
     def _record_sensor(
-        self, sensor: str, measurement: LidarScan | Picture, computer: OnboardComputer
+        self, sensor: str, measurement: LidarScan | CameraImage, computer: OnboardComputer
     ) -> None:
         """Record the first of a sequence of scans or images, and returns of scans."""
         time = measurement.time
@@ -140,7 +140,7 @@ class Recorder:
         scenario: str,
         seed: dict[str, Any],
         policy: str,
-        verdict: Verdict,
+        verdict: LandingOutcome,
         ending: dict[str, Any] | None = None,
     ) -> Flight:
         """Return the record so far; `ending` is added to its last event."""

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from lunarsim.rng import Streams
+from lunarsim.rng import RandomStreams
 from lunarsim.scenario import Scenario
 from lunarsim.world import World
-from lunarsim.world.grounds.contract import check_room
 from lunarsim.world.terrain import Terrain
+from lunarsim.world.terrain_models.interface import check_terrain_size
 
 
-def build_world(scenario: Scenario, streams: Streams, terrain: Terrain | None = None) -> World:
+def build_world(
+    scenario: Scenario, streams: RandomStreams, terrain: Terrain | None = None
+) -> World:
     """Build the true world of one flight: the scenario's terrain and its random draws.
 
     Parameters
@@ -29,7 +31,7 @@ def build_world(scenario: Scenario, streams: Streams, terrain: Terrain | None = 
     if terrain is None:
         terrain = scenario.terrain.make().build(scenario.rocks.make(), streams)
     lander = scenario.vehicle.make()
-    check_room(terrain, 2.0 * lander.leg_radius + lander.pad_diameter)
+    check_terrain_size(terrain, 2.0 * lander.leg_radius + lander.pad_diameter)
     light = scenario.sun.make()
     if light.mottle > 0.0 or light.boulder_mottle > 0.0:
         light = replace(light, mottle_seed=int(streams.get("albedo").integers(2**31)))

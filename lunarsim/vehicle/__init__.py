@@ -4,9 +4,9 @@ from lunarsim.vehicle.dynamics import Dynamics
 from lunarsim.vehicle.state import State
 from lunarsim.vehicle.touchdown import (
     ElevationModel,
+    LandingOutcome,
     Touchdown,
-    Verdict,
-    judge_touchdown,
+    evaluate_touchdown,
     pad_contacts,
     support_planes,
 )
@@ -14,10 +14,10 @@ from lunarsim.vehicle.touchdown import (
 __all__ = [
     "Dynamics",
     "ElevationModel",
+    "LandingOutcome",
     "State",
     "Touchdown",
-    "Verdict",
-    "judge_touchdown",
+    "evaluate_touchdown",
     "pad_contacts",
     "support_planes",
 ]

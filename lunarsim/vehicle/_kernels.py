@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from lunarsim._frame_kernels import rotation_between
+from lunarsim._frame_kernels import rotation_vector_between
 from lunarsim._jit import kernel
 
 # Batch size of the specialised (SIMD) code path.
-WIDE = 32
+SIMD_BATCH = 32
 
 
 @kernel(exact=True)
@@ -169,13 +169,13 @@ def rk4_step(y, dt, thrust_command, torque, params, inertia, rig, work):
 
     `thrust_command` (N,) and `torque` (3, N) are the commands of each body, `params` (5, N) its
     parameters; `work` is scratch (5, 15, N); the others are those of `advance_body`. A batch of
-    `WIDE` bodies is vectorised.
+    `SIMD_BATCH` bodies is vectorised.
     """
     n = y.shape[1]
     flat, turn = y.reshape(15 * n), torque.reshape(3 * n)
     rig_values, work_flat = params.reshape(5 * n), work.reshape(75 * n)
-    if n == WIDE:
-        _flat_step(flat, dt, thrust_command, turn, rig_values, inertia, rig, work_flat, WIDE)
+    if n == SIMD_BATCH:
+        _flat_step(flat, dt, thrust_command, turn, rig_values, inertia, rig, work_flat, SIMD_BATCH)
     else:
         _flat_step(flat, dt, thrust_command, turn, rig_values, inertia, rig, work_flat, n)
 
@@ -228,7 +228,7 @@ def advance_ideal(y, steps, dt, thrust, target, slew, params, inertia, rig):
     phi = np.empty(3)
     q = np.empty(4)
     for n in range(steps):
-        angle = rotation_between(y[6:10], target, phi)
+        angle = rotation_vector_between(y[6:10], target, phi)
         turn = min(angle, slew * dt)
         share = turn / angle if angle > 1e-12 else 0.0
         half = 0.5 * turn

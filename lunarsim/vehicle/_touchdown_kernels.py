@@ -45,7 +45,7 @@ def body_point(y, pad, out):
 
 
 @kernel()
-def highest(z, frame, x, y, disc):
+def max_pad_height(z, frame, x, y, disc):
     """Return the highest terrain under a pad at a point, m; NaN where unknown."""
     best = -np.inf
     for k in range(len(disc)):
@@ -57,13 +57,13 @@ def highest(z, frame, x, y, disc):
 
 
 @kernel()
-def touches(y, pads, disc, z, frame):
+def has_contact(y, pads, disc, z, frame):
     """Return whether a pad is at or below the terrain under it."""
     at = np.empty(3)
     for k in range(len(pads)):
         body_point(y, pads[k], at)
         # Most of the flight is far above the terrain: a check at the centre avoids the disc.
-        if at[2] <= height_at(z, frame, at[0], at[1]) + 2.0 and at[2] <= highest(
+        if at[2] <= height_at(z, frame, at[0], at[1]) + 2.0 and at[2] <= max_pad_height(
             z, frame, at[0], at[1], disc
         ):
             return True
@@ -110,8 +110,8 @@ def _inside(x, y, legs):
 
 
 @kernel()
-def ground_fit(legs, spacing, z, frame, out):
-    """Write slope (rad) and roughness (m) under the legs, as `touchdown.ground_fit`."""
+def fit_terrain(legs, spacing, z, frame, out):
+    """Write slope (rad) and roughness (m) under the legs, as `touchdown.fit_terrain`."""
     planes = np.empty((2, 3))
     write_support_planes(legs, planes)
     n = len(legs)
@@ -172,7 +172,9 @@ def tip_margin(y, legs, slope, com_height, gravity, dry, wet, inertia):
 
 
 @kernel()
-def judge(y, pads, disc, spacing, z, frame, limits, com_height, gravity, dry, wet, inertia, out):
+def violated_limits(
+    y, pads, disc, spacing, z, frame, limits, com_height, gravity, dry, wet, inertia, out
+):
     """Return the limits that a touchdown violates, one bit each; 0 is a safe landing.
 
     Parameters
@@ -196,7 +198,7 @@ def judge(y, pads, disc, spacing, z, frame, limits, com_height, gravity, dry, we
     known = True
     for k in range(n):
         body_point(y, pads[k], legs[k])
-        legs[k, 2] = highest(z, frame, legs[k, 0], legs[k, 1], disc)
+        legs[k, 2] = max_pad_height(z, frame, legs[k, 0], legs[k, 1], disc)
         known = known and not np.isnan(legs[k, 2])
     out[0] = -y[5]
     out[1] = np.hypot(y[3], y[4])
@@ -204,7 +206,7 @@ def judge(y, pads, disc, spacing, z, frame, limits, com_height, gravity, dry, we
     out[3] = np.sqrt(y[10] * y[10] + y[11] * y[11] + y[12] * y[12])
     out[4] = out[5] = out[6] = np.nan
     if known:
-        ground_fit(legs, spacing, z, frame, out[4:6])
+        fit_terrain(legs, spacing, z, frame, out[4:6])
         known = not np.isnan(out[5])
     if known:
         out[6] = tip_margin(y, legs, out[4], com_height, gravity, dry, wet, inertia)

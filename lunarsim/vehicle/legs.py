@@ -14,13 +14,13 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from lunarsim.frames import quat_rotate, quat_to_matrix
-from lunarsim.models.jet_lander import com_of
+from lunarsim.models.jet_lander import centre_of_mass
 from lunarsim.models.lander import Lander
 from lunarsim.parts.quantity import check_bounds, quantity
 from lunarsim.vehicle import _leg_kernels as k
 from lunarsim.vehicle.dynamics import PLAIN_RIG, Dynamics
 from lunarsim.vehicle.state import State
-from lunarsim.vehicle.touchdown import ElevationModel, Verdict, judge_touchdown
+from lunarsim.vehicle.touchdown import ElevationModel, LandingOutcome, evaluate_touchdown
 
 Array = NDArray[np.float64]
 
@@ -65,7 +65,7 @@ class Legs:
 
 
 @dataclass(frozen=True)
-class Rest:
+class RestState:
     """Final state and leg loads of a lander after touchdown.
 
     Attributes
@@ -163,11 +163,11 @@ def _belly_clearance(lander: Lander, state: State, patch: TerrainPatch, shift: A
     return float(np.min((plane - ground) * lift[2]) + lander.belly_clearance)
 
 
-def settle(legs: Legs, dynamics: Dynamics, state: State, ground: ElevationModel) -> Rest:
+def settle(legs: Legs, dynamics: Dynamics, state: State, ground: ElevationModel) -> RestState:
     """Simulate a lander from touchdown to rest or tip-over, with the engine off."""
     lander = dynamics.lander
     patch = TerrainPatch.of(lander, state, ground)
-    shift = com_of(lander, state.mass)
+    shift = centre_of_mass(lander, state.mass)
     pads = np.ascontiguousarray(lander.pads - shift)
     law = np.array(
         [
@@ -211,7 +211,7 @@ def settle(legs: Legs, dynamics: Dynamics, state: State, ground: ElevationModel)
         if not np.isfinite(y).all() or y[2] < np.nanmin(patch.heights) - lander.com_height:
             break  # the lander has left the known terrain
     end = State.from_vector(y)
-    return Rest(
+    return RestState(
         end,
         time,
         tipped,
@@ -228,9 +228,9 @@ def _tilt(state: State) -> float:
     return float(np.arccos(np.clip(quat_to_matrix(state.attitude)[2, 2], -1.0, 1.0)))
 
 
-def judge_motion(
+def evaluate_motion(
     legs: Legs, dynamics: Dynamics, state: State, ground: ElevationModel
-) -> tuple[Verdict, Rest | None]:
+) -> tuple[LandingOutcome, RestState | None]:
     """Determine the landing outcome from the motion after touchdown.
 
     Limits are checked in this order: ``off-map``, ``tip-over``, ``unsettled``, ``legs`` (a leg's
@@ -238,7 +238,7 @@ def judge_motion(
     lander's slope limit). The values at touchdown are those of the static evaluation.
     """
     lander = dynamics.lander
-    static = judge_touchdown(lander, state, ground, dynamics.gravity)
+    static = evaluate_touchdown(lander, state, ground, dynamics.gravity)
     if "off-map" in static.failed:
         return static, None
     rest = settle(legs, dynamics, state, ground)
@@ -251,4 +251,4 @@ def judge_motion(
         "slope": not rest.tipped and rest.tilt >= lander.slope_limit,
     }
     failed = tuple(name for name, bad in checks.items() if bad)
-    return Verdict(not failed, failed, static.touchdown), rest
+    return LandingOutcome(not failed, failed, static.touchdown), rest

@@ -10,14 +10,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lunarsim.frames import quat_rotate, quat_to_matrix
-from lunarsim.models.jet_lander import com_of
+from lunarsim.models.jet_lander import centre_of_mass
 from lunarsim.models.lander import Lander
 from lunarsim.vehicle.state import State
 
 Array = NDArray[np.float64]
 
 # Spacing of terrain samples under pads and belly, m.
-GROUND_SPACING = 0.04
+TERRAIN_SAMPLE_SPACING_M = 0.04
 
 
 class ElevationModel(Protocol):
@@ -68,7 +68,7 @@ ABORTED = "aborted"
 
 
 @dataclass(frozen=True)
-class Verdict:
+class LandingOutcome:
     """Landing outcome: safe or not, and the violated limits.
 
     Attributes
@@ -119,7 +119,7 @@ def support_planes(legs: Array) -> list[Array]:
 
 def pad_disc(radius: float) -> Array:
     """Return points (n, 2), m, that fill a disc, including centre and rim."""
-    n = int(np.ceil(radius / GROUND_SPACING))
+    n = int(np.ceil(radius / TERRAIN_SAMPLE_SPACING_M))
     axis = np.linspace(-radius, radius, 2 * n + 1)
     xy = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
     angle = np.linspace(0.0, 2.0 * np.pi, max(8, 4 * n), endpoint=False)
@@ -129,7 +129,7 @@ def pad_disc(radius: float) -> Array:
 
 def pad_contacts(lander: Lander, state: State, ground: ElevationModel) -> Array:
     """Return the contact points (legs, 3), m, on the highest terrain under each pad."""
-    pads = lander.pads - com_of(lander, state.mass)
+    pads = lander.pads - centre_of_mass(lander, state.mass)
     centres = state.position + quat_rotate(state.attitude, pads)
     spots = centres[:, None, :2] + pad_disc(0.5 * lander.pad_diameter)
     return np.column_stack((centres[:, :2], ground.elevation(spots).max(axis=1)))
@@ -151,7 +151,8 @@ def ground_fit(lander: Lander, legs: Array, ground: ElevationModel) -> tuple[flo
     """
     low, high = legs[:, :2].min(axis=0), legs[:, :2].max(axis=0)
     axes = [
-        np.arange(a, b + GROUND_SPACING, GROUND_SPACING) for a, b in zip(low, high, strict=True)
+        np.arange(a, b + TERRAIN_SAMPLE_SPACING_M, TERRAIN_SAMPLE_SPACING_M)
+        for a, b in zip(low, high, strict=True)
     ]
     points = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
     points = points[_inside_polygon(points, legs[:, :2])]
@@ -197,10 +198,10 @@ def tip_margin(lander: Lander, state: State, legs: Array, slope: float, gravity:
     return float(margin)
 
 
-def least_margin(lander: Lander, touchdown: Touchdown) -> float:
+def min_touchdown_margin(lander: Lander, touchdown: Touchdown) -> float:
     """Return the minimum margin of a touchdown to its limits, relative to the limit.
 
-    1: at rest on flat terrain; 0: at a limit; negative: `judge_touchdown` reports a violation;
+    1: at rest on flat terrain; 0: at a limit; negative: `evaluate_touchdown` reports a violation;
     NaN: unknown terrain.
     """
     t = touchdown
@@ -216,9 +217,9 @@ def least_margin(lander: Lander, touchdown: Touchdown) -> float:
     return float(np.min(margins))  # NaN if one is
 
 
-def judge_touchdown(
+def evaluate_touchdown(
     lander: Lander, state: State, ground: ElevationModel, gravity: float
-) -> Verdict:
+) -> LandingOutcome:
     """Determine the landing outcome of `state` on the true terrain.
 
     Limits are checked in this order: ``off-map`` (unknown terrain), ``vertical-speed``,
@@ -254,4 +255,4 @@ def judge_touchdown(
         "tip-over": touchdown.tip_margin < 0.0,
     }
     failed = tuple(name for name, bad in checks.items() if bad)
-    return Verdict(not failed, failed, touchdown)
+    return LandingOutcome(not failed, failed, touchdown)

@@ -10,9 +10,9 @@ import numpy as np
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
-from lunarsim.evaluation.statistics import mean_interval, summarise
+from lunarsim.evaluation.statistics import mean_interval, summarise_policies
 from lunarsim.scenario import Scenario
-from lunarsim.viz.style import COLOURS, literal, new_figure, policy_colour, save
+from lunarsim.viz.style import COLOURS, escape_dollars, new_figure, policy_colour, save
 
 Rows = list[dict[str, Any]]
 
@@ -26,7 +26,7 @@ def draw_comparison(rows: Rows, scenario: Scenario, path: Path) -> None:
     Parameters
     ----------
     rows
-        One row per flight and policy, with the columns of `lunarsim.evaluation.outcome`.
+        One row per flight and policy, with the columns of `lunarsim.evaluation.flight_metrics`.
     scenario
         Scenario that was flown; it gives the limits of the lander.
     path
@@ -54,18 +54,20 @@ def draw_comparison(rows: Rows, scenario: Scenario, path: Path) -> None:
     limits = {column: (label.partition(" (")[0], limit) for column, label, limit in boxes if limit}
     _draw_limit_differences(axes[8], rows, names, limits)
     _draw_maps(axes[9], rows, names)
-    shown = [literal(name) for name in names]
+    shown = [escape_dollars(name) for name in names]
     for i, ax in enumerate(axes):
         ax.set_yticks(range(len(names)), shown if i % 5 == 0 else [""] * len(names))
         ax.set_ylim(len(names) - 0.5, -0.5)
         ax.grid(axis="x", alpha=0.3)
     flights = sum(row["policy"] == names[0] for row in rows)
-    figure.suptitle(f"{literal(scenario.name)}: {flights} flights per policy over the same worlds")
+    figure.suptitle(
+        f"{escape_dollars(scenario.name)}: {flights} flights per policy over the same worlds"
+    )
     save(figure, path)
 
 
 def _draw_safety(ax: Any, rows: Rows, names: list[str]) -> None:
-    summary = summarise(rows)
+    summary = summarise_policies(rows)
     place = np.arange(len(names))
     share = np.array([summary[n]["safe"].value for n in names])
     low = share - [summary[n]["safe"].interval[0] for n in names]
@@ -131,7 +133,7 @@ def _draw_differences(ax: Any, rows: Rows, names: list[str]) -> None:
             label="safe only under this policy" if not place else None,
         )  # fmt: skip
         ax.barh(place, -worse, height=0.5, color=COLOURS[1], hatch="///", ec="black", lw=0.5,
-                label=f"safe only under {literal(names[0])}" if not place else None)  # fmt: skip
+                label=None if place else f"safe only under {escape_dollars(names[0])}")  # fmt: skip
         if place:
             # Above the bar, where the bar of the first policy is far away.
             ax.text(0.0, place - 0.28, f" {better} better, {worse} worse", va="bottom", fontsize=7)
@@ -139,11 +141,11 @@ def _draw_differences(ax: Any, rows: Rows, names: list[str]) -> None:
     low, high = ax.get_xlim()
     ax.set_xlim(min(low, -1.0), max(high, 1.0))
     ax.xaxis.set_major_locator(MaxNLocator(5, integer=True))
-    ax.set_xlabel(f"Flights with another outcome\nthan under {literal(names[0])}")
+    ax.set_xlabel(f"Flights with another outcome\nthan under {escape_dollars(names[0])}")
     ax.legend(loc="best")
 
 
-def paired(rows: Rows, first: str, other: str, column: str) -> NDArray[np.float64]:
+def paired_differences(rows: Rows, first: str, other: str, column: str) -> NDArray[np.float64]:
     """Return the paired difference of a column from the first policy, by flight (n,)."""
     values = {(row["policy"], row["flight"]): row[column] for row in rows}
     flights = sorted({flight for policy, flight in values if policy == other})
@@ -164,7 +166,7 @@ def _draw_limit_differences(
         colour, offset = COLOURS[n], 0.22 * (n - 1)
         ax.plot([], [], markers[n], color=colour, mec="black", mew=0.6, label=label)
         for place, name in enumerate(names[1:], 1):
-            shift = paired(rows, names[0], name, column) / limit
+            shift = paired_differences(rows, names[0], name, column) / limit
             if not shift.size:
                 continue
             at, found = place + offset, mean_interval(shift)
@@ -174,12 +176,12 @@ def _draw_limit_differences(
             ax.plot(found.mean, at, markers[n], color=colour, mec="black", mew=0.6)
     ax.axvline(0.0, color="black", lw=0.8)
     ax.xaxis.set_major_locator(MaxNLocator(5))
-    ax.set_xlabel(f"Paired difference from {literal(names[0])},\nrelative to the limit")
+    ax.set_xlabel(f"Paired difference from {escape_dollars(names[0])},\nrelative to the limit")
     ax.legend(loc="upper left")
 
 
 def _draw_maps(ax: Any, rows: Rows, names: list[str]) -> None:
-    summary = summarise(rows)
+    summary = summarise_policies(rows)
     for place, name in enumerate(names):
         figures = summary[name]["precision"], summary[name]["recall"]
         ax.plot(figures[0], place - 0.12, "o", color=COLOURS[0], mec="black", mew=0.6,

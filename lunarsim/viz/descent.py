@@ -13,7 +13,7 @@ from lunarsim.frames import quat_to_matrix
 from lunarsim.models.lander import Lander
 from lunarsim.scenario import Scenario
 from lunarsim.simulation.flight import Flight
-from lunarsim.viz.style import COLOURS, end_of, new_figure, save
+from lunarsim.viz.style import COLOURS, flight_title, new_figure, save
 
 # If an event occurs more often, only the first is drawn.
 _MAX_MARKS = 8
@@ -48,7 +48,7 @@ def draw_descent(flight: Flight, path: Path | None = None) -> Figure:
         _share_time(axes[name], flight, marks, named=name == names[0])
         axes[name].tick_params(labelbottom=name == names[-1])
     axes[names[-1]].set_xlabel("Time (s)")
-    figure.suptitle(end_of(flight))
+    figure.suptitle(flight_title(flight))
     if path is not None:
         save(figure, path)
     return figure

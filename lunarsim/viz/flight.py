@@ -9,22 +9,22 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from lunarsim.evaluation.worlds import world_of
+from lunarsim.evaluation.world_reconstruction import rebuild_world
 from lunarsim.models.lander import Lander
 from lunarsim.scenario import Scenario
 from lunarsim.simulation.flight import Flight
 from lunarsim.viz.descent import draw_descent
 from lunarsim.viz.footprint import draw_footprint
+from lunarsim.viz.map_bounds import map_figure_bounds
 from lunarsim.viz.maps import draw_maps
 from lunarsim.viz.style import save
-from lunarsim.viz.window import map_figure_bounds
 from lunarsim.world import World
-from lunarsim.world.truth import Truth
+from lunarsim.world.truth import TerrainTruth
 
 
-def truth_shown(flight: Flight, world: World, lander: Lander) -> Truth:
+def truth_in_map_figure(flight: Flight, world: World, lander: Lander) -> TerrainTruth:
     """Return the exact safety of the part of the world that ``maps.png`` shows."""
-    return Truth.of(world, lander, bounds=map_figure_bounds(flight, world))
+    return TerrainTruth.of(world, lander, bounds=map_figure_bounds(flight, world))
 
 
 @dataclass(frozen=True)
@@ -66,7 +66,7 @@ class FlightFigures:
 
 
 def plot_flight(
-    flight: Flight, world: World | None = None, truth: Truth | None = None
+    flight: Flight, world: World | None = None, truth: TerrainTruth | None = None
 ) -> FlightFigures:
     """Plot the descent, the maps and the touchdown of a finished flight.
 
@@ -85,9 +85,11 @@ def plot_flight(
         If the world cannot be drawn again, for instance because its raster file is missing.
     """
     if world is None:
-        world = world_of(flight)
+        world = rebuild_world(flight)
     if truth is None:
-        truth = truth_shown(flight, world, Scenario.world_of(flight.scenario).vehicle.make())
+        truth = truth_in_map_figure(
+            flight, world, Scenario.world_of(flight.scenario).vehicle.make()
+        )
     landed = flight.verdict.touchdown is not None
     return FlightFigures(
         draw_descent(flight),
@@ -96,6 +98,6 @@ def plot_flight(
     )
 
 
-def draw_flight(flight: Flight, world: World, truth: Truth, folder: str | Path) -> None:
+def draw_flight(flight: Flight, world: World, truth: TerrainTruth, folder: str | Path) -> None:
     """Write the figures of `plot_flight` into `folder` as PNG files."""
     plot_flight(flight, world, truth).save(folder)

@@ -16,7 +16,7 @@ from lunarsim.models.lander import Lander
 from lunarsim.scenario import Scenario
 from lunarsim.simulation.flight import Flight
 from lunarsim.vehicle.touchdown import Touchdown
-from lunarsim.viz.style import COLOURS, end_of, hillshade, map_axes, new_figure, save, show
+from lunarsim.viz.style import COLOURS, flight_title, hillshade, map_axes, new_figure, save, show
 from lunarsim.world import World
 
 Array = NDArray[np.float64]
@@ -65,7 +65,7 @@ def draw_footprint(flight: Flight, world: World, path: Path | None = None) -> Fi
     remark = "; red: touches the belly" if touches else ""
     map_axes(left, f"Terrain under the lander, true frame{remark}")
     _draw_limits(right, touchdown, lander)
-    figure.suptitle(end_of(flight))
+    figure.suptitle(flight_title(flight))
     if path is not None:
         save(figure, path)
     return figure

@@ -13,16 +13,16 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, Patch
 
-from lunarsim.evaluation.outcome import initial_aim_point
+from lunarsim.evaluation.flight_metrics import initial_aim_point
 from lunarsim.grid import Grid
 from lunarsim.onboard.hazards.hazard_map import HazardMap
 from lunarsim.simulation.flight import Flight
-from lunarsim.simulation.map_words import words_on_maps
+from lunarsim.simulation.map_remarks import map_remarks_by_mapper
+from lunarsim.viz.map_bounds import divert_segments, map_figure_bounds
 from lunarsim.viz.reach import draw_reach
-from lunarsim.viz.style import COLOURS, end_of, hillshade, map_axes, new_figure, save, show
-from lunarsim.viz.window import divert_segments, map_figure_bounds
+from lunarsim.viz.style import COLOURS, flight_title, hillshade, map_axes, new_figure, save, show
 from lunarsim.world import World
-from lunarsim.world.truth import Truth
+from lunarsim.world.truth import TerrainTruth
 
 # White with a black edge, visible on dark and bright terrain.
 _CANDIDATE: dict[str, Any] = {
@@ -58,11 +58,13 @@ def _path_and_sites(axes: Any, flight: Flight, radius: float) -> None:
     axes.add_patch(Circle(end[:2], radius, fill=False, ec=COLOURS[1], lw=1.2))
 
 
-def draw_maps(flight: Flight, world: World, truth: Truth, path: Path | None = None) -> Figure:
+def draw_maps(
+    flight: Flight, world: World, truth: TerrainTruth, path: Path | None = None
+) -> Figure:
     """Draw true terrain, exact safety, the map, and the LiDAR returns or tracked rocks.
 
     All panels are in the true frame: the map is shifted by the navigation error when it was drawn.
-    They show the part of the world that `lunarsim.viz.window.map_figure_bounds` returns.
+    They show the part of the world that `lunarsim.viz.map_bounds.map_figure_bounds` returns.
 
     Parameters
     ----------
@@ -97,13 +99,13 @@ def draw_maps(flight: Flight, world: World, truth: Truth, path: Path | None = No
         for panel in panels[1:]:
             panel.set_ylabel("")
     figure.legend(handles=_legend() + outlines, loc="outside lower center", ncols=5)
-    figure.suptitle(end_of(flight))
+    figure.suptitle(flight_title(flight))
     if path is not None:
         save(figure, path)
     return figure
 
 
-def _draw_truth(figure: Any, left: Any, right: Any, truth: Truth) -> None:
+def _draw_truth(figure: Any, left: Any, right: Any, truth: TerrainTruth) -> None:
     grid = truth.safety.grid
     tint = show(left, truth.elevation, grid, cmap="cividis", alpha=0.45)
     _add_colour_bar(figure, tint, left, "Elevation (m)")
@@ -127,7 +129,7 @@ def _draw_map(figure: Any, panel: Any, flight: Flight, line_length: int) -> None
         sites = flight.candidates[:, :2] - flight.map_error[:2]
         panel.plot(*sites.T, **_CANDIDATE)
     map_axes(panel, "Hazard map and candidate sites")
-    words = words_on_maps(flight.maps, flight.decided_on).get(flight.decided_on)
+    words = map_remarks_by_mapper(flight.maps, flight.decided_on).get(flight.decided_on)
     if words is not None:
         text = panel.text(
             0.5, 0.97, fill(f"this map {words}", line_length), transform=panel.transAxes,

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lunarsim.evaluation.reliability import frequencies
+from lunarsim.evaluation.reliability import bin_frequencies
 
 
 def plot_reliability(axes: Any, table: NDArray[np.float64], least: int = 50, **style: Any) -> None:
@@ -24,7 +24,7 @@ def plot_reliability(axes: Any, table: NDArray[np.float64], least: int = 50, **s
     style
         Options of the line, for instance colour and label.
     """
-    axes.plot(*frequencies(table[table[:, 0] >= least]), "o-", **{"ms": 4, **style})
+    axes.plot(*bin_frequencies(table[table[:, 0] >= least]), "o-", **{"ms": 4, **style})
 
 
 def plot_ideal(axes: Any, **style: Any) -> None:

@@ -12,10 +12,10 @@ from matplotlib.colors import LightSource
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from lunarsim.atomic_files import atomic_write
 from lunarsim.grid import Grid
 from lunarsim.scenario.files import parsed_toml
 from lunarsim.simulation.flight import Flight
-from lunarsim.whole_files import write_whole
 
 # Palette of Okabe and Ito for colour-blind readers.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
@@ -44,19 +44,19 @@ def new_figure(width: float, height: float) -> Figure:
 def save(figure: Figure, path: Path) -> None:
     """Write a figure as PNG, atomically."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    write_whole(path, lambda part: figure.savefig(part, dpi=130, format="png"))
+    atomic_write(path, lambda part: figure.savefig(part, dpi=130, format="png"))
 
 
-def literal(text: str) -> str:
+def escape_dollars(text: str) -> str:
     """Escape dollar signs in a name, which Matplotlib would read as mathematics."""
     return text.replace("$", r"\$")
 
 
-def end_of(flight: Flight) -> str:
+def flight_title(flight: Flight) -> str:
     """Return scenario, policy and outcome of a flight as a title."""
     name = parsed_toml(flight.scenario).get("name", "unnamed")
     end = "safe landing" if flight.verdict.safe else "failed: " + ", ".join(flight.verdict.failed)
-    return literal(f"{name}, {flight.policy}: {end}")
+    return escape_dollars(f"{name}, {flight.policy}: {end}")
 
 
 def policy_colour(name: str) -> str:

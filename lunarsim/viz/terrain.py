@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.collections import EllipseCollection
 
 from lunarsim.grid import Grid
-from lunarsim.viz.style import hillshade, literal, map_axes, new_figure, save, show
+from lunarsim.viz.style import escape_dollars, hillshade, map_axes, new_figure, save, show
 from lunarsim.world.terrain import Terrain
 
 _MAX_POSTS = 1200
@@ -27,7 +27,7 @@ def draw_terrain(terrain: Terrain, title: str, path: Path) -> None:
     gy, gx = np.gradient(z, grid.posting)
     slope = np.degrees(np.arctan(np.hypot(gx, gy)))
     figure = new_figure(13.5, 4.6)
-    figure.suptitle(literal(title))
+    figure.suptitle(escape_dollars(title))
     left, middle, right = figure.subplots(1, 3, sharex=True, sharey=True)
     shade = hillshade(z, grid.posting)
     show(left, shade, grid, cmap="gray", vmin=0, vmax=1)

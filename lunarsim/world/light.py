@@ -18,9 +18,9 @@ Array = NDArray[np.float64]
 
 
 # Apparent diameter at one astronomical unit, rad.
-SUN_DIAMETER = float(np.radians(0.533))
+SUN_DIAMETER_RAD = float(np.radians(0.533))
 # Full Earth: geometric albedo 0.434 (NASA Earth fact sheet) times (6371 km / 384,400 km)^2.
-FULL_EARTH = 0.434 * (6371.0 / 384_400.0) ** 2
+FULL_EARTH_IRRADIANCE_RATIO = 0.434 * (6371.0 / 384_400.0) ** 2
 
 
 @dataclass(frozen=True)
@@ -44,11 +44,12 @@ class Light:
         from Sato et al. (2014); the surge is the mean of the Moon, from Helfenstein and Veverka
         (1987), Icarus 72, 342-357.
     diameter
-        Apparent diameter of the Sun, rad; 0: a point. From the Moon: `SUN_DIAMETER`, 0.533 deg.
+        Apparent diameter of the Sun, rad; 0: a point. From the Moon: `SUN_DIAMETER_RAD`, 0.533 deg.
     scattered
         Whether lit terrain illuminates other terrain (one reflection).
     earthshine
-        Irradiance from the Earth over that from the Sun; `FULL_EARTH`, 1.2e-4, for a full Earth.
+        Irradiance from the Earth over that from the Sun; `FULL_EARTH_IRRADIANCE_RATIO`, 1.2e-4, for
+        a full Earth.
     earth_azimuth, earth_elevation
         Direction of the Earth, rad.
     mottle

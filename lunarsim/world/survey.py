@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from lunarsim.errors import InputError
-from lunarsim.grid import Grid, check_side
+from lunarsim.grid import Grid, check_raster_size
 from lunarsim.messages.prior_map import PriorMap
 from lunarsim.parts.quantity import quantity
 from lunarsim.world.terrain import Terrain
@@ -24,7 +24,7 @@ _BUMP_WIDTH_M = 2.0
 
 
 @dataclass(frozen=True)
-class PriorSurvey:
+class PriorMapSurvey:
     """Survey of the terrain around the target, carried on board as a prior map."""
 
     size: float = quantity(300.0, "m", gt=0, help="side of the square map around the target")
@@ -42,14 +42,14 @@ class PriorSurvey:
     void_share: float = quantity(0.0, ge=0, lt=1, help="fraction of posts without an elevation")
 
     def __post_init__(self) -> None:
-        check_side("size", self.size, self.posting, _MAX_POSTS_PER_SIDE, "posts")
+        check_raster_size("size", self.size, self.posting, _MAX_POSTS_PER_SIDE, "posts")
 
     def build(
         self, terrain: Terrain, centre: tuple[float, float], rng: np.random.Generator
     ) -> PriorMap:
         """Return the map around a point (east, north; m)."""
         grid = Grid.centred(centre, self.size, self.posting)
-        made = survey(
+        made = simulate_survey(
             terrain,
             grid,
             rng,
@@ -65,7 +65,7 @@ class PriorSurvey:
         )
 
 
-def survey(
+def simulate_survey(
     terrain: Terrain,
     grid: Grid,
     rng: np.random.Generator,

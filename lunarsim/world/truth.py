@@ -16,13 +16,13 @@ from lunarsim.safety.footprint import footprint_of
 from lunarsim.world import World
 
 # Fixed, so that no map setting changes the reference that maps are evaluated against, m.
-POSTING = 0.2
+TRUTH_POSTING_M = 0.2
 # West, east, south and north edges, m.
 Bounds = tuple[float, float, float, float]
 
 
 @dataclass(frozen=True)
-class Truth:
+class TerrainTruth:
     """True elevation and exact safety of the terrain or of a part of it.
 
     Attributes
@@ -41,8 +41,12 @@ class Truth:
 
     @classmethod
     def of(
-        cls, world: World, lander: Lander, posting: float = POSTING, bounds: Bounds | None = None
-    ) -> Truth:
+        cls,
+        world: World,
+        lander: Lander,
+        posting: float = TRUTH_POSTING_M,
+        bounds: Bounds | None = None,
+    ) -> TerrainTruth:
         """Evaluate the exact safety of a world for a lander.
 
         Parameters
@@ -65,7 +69,7 @@ class Truth:
         elevation = world.terrain.raster(grid)
         return cls(exact_safety(elevation, grid, lander), elevation, lander)
 
-    def within(self, bounds: Bounds, most_cells: int) -> Truth:
+    def within(self, bounds: Bounds, most_cells: int) -> TerrainTruth:
         """Return the truth within bounds, decimated to `most_cells` per side."""
         rows, cols = _cells_within(self.safety.grid, bounds, 0)
         step = -(-max(rows.stop - rows.start, cols.stop - cols.start) // most_cells)
@@ -75,7 +79,7 @@ class Truth:
             _part(s.grid, rows, cols), s.slope[rows, cols], s.roughness[rows, cols],
             s.safe[rows, cols], s.observed[rows, cols],
         )  # fmt: skip
-        return Truth(safety, self.elevation[rows, cols], self.lander)
+        return TerrainTruth(safety, self.elevation[rows, cols], self.lander)
 
     @cached_property
     def clearance(self) -> NDArray[np.float64]:

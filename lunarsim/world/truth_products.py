@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lunarsim.atomic_netcdf import atomic_write_netcdf
 from lunarsim.errors import InputError
-from lunarsim.grid import Grid, check_side
+from lunarsim.grid import Grid, check_raster_size
 from lunarsim.models.lander import Lander
 from lunarsim.safety import exact_safety
-from lunarsim.whole_netcdf import write_netcdf_whole
 from lunarsim.world import World
 
 # Rays to the Sun start this far above the surface, so that they do not hit it, m.
@@ -85,10 +85,10 @@ class TruthProducts:
             {name: (("north", "east"), data, {"units": unit}) for name, data, unit in maps},
             {"north": ("north", self.grid.y, units), "east": ("east", self.grid.x, units)},
         )
-        write_netcdf_whole(path, dataset)
+        atomic_write_netcdf(path, dataset)
 
 
-def survey_grid(world: World, centre: tuple[float, float], size: float, posting: float) -> Grid:
+def truth_grid(world: World, centre: tuple[float, float], size: float, posting: float) -> Grid:
     """Return a square grid, checked to lie on the terrain.
 
     Raises
@@ -100,7 +100,7 @@ def survey_grid(world: World, centre: tuple[float, float], size: float, posting:
         raise InputError("--posting", posting, "must be more than 0 (metres)")
     if not (np.isfinite(size) and size >= 10.0 * posting):
         raise InputError("--size", size, f"must be at least ten postings, {10.0 * posting:g} m")
-    check_side("--size", size, posting, _MAX_CELLS_PER_SIDE)
+    check_raster_size("--size", size, posting, _MAX_CELLS_PER_SIDE)
     west, east, south, north = world.terrain.bounds
     half = 0.5 * size
     max_half = min(centre[0] - west, east - centre[0], centre[1] - south, north - centre[1])

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lunarsim.models.gravity import CentralGravity
+from lunarsim.world.far_terrain import FarTerrain
 from lunarsim.world.light import Light
-from lunarsim.world.surroundings import FarTerrain
 from lunarsim.world.terrain import RayHits, Terrain
 
 

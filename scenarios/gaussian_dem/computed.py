@@ -42,7 +42,7 @@ from lunarsim.safety import (
     stochastic_safety,
 )
 from lunarsim.world.terrain import Heightfield, Terrain, place_rocks
-from lunarsim.world.terrain.dtm import load_dtm
+from lunarsim.world.terrain.dtm import load_terrain
 
 DATA = Path(__file__).parents[1] / "data"
 METHODS = ("baseline", "proposed", "planes")  # "planes" is `plane_stochastic_safety`
@@ -76,7 +76,7 @@ def complexity_terrain(c: float, seed: int) -> tuple[np.ndarray, Grid]:
 
     The posting is 0.1 m.
     """
-    relief = load_dtm(DATA / "hirise_dteec_010228_1490_crop.tif").refined(0.25)
+    relief = load_terrain(DATA / "hirise_dteec_010228_1490_crop.tif").refined(0.25)
     west, east, south, north = relief.bounds
     grid = Grid.centred((0.0, 0.0), east - west, POSTING, north - south)
     rng = np.random.default_rng(seed)

@@ -17,11 +17,11 @@ import click
 import numpy as np
 from rich.table import Table
 
-from lunarsim.campaign.pool import gathered
+from lunarsim.campaign.pool import collect_results
 from lunarsim.console import plain_console
 from lunarsim.grid import Grid
 from lunarsim.onboard.hazards.gaussian_dem import SamplePool, pooled_dem
-from lunarsim.onboard.hazards.gaussian_dem.gaussian import DENSE
+from lunarsim.onboard.hazards.gaussian_dem.gaussian import MIN_MEASURED_WEIGHT
 from lunarsim.rocks.field import RockField, RockModel
 from lunarsim.world.terrain import Terrain, fractal_relief, place_rocks
 
@@ -90,7 +90,7 @@ def descend(task: tuple[str, int, int, float]) -> np.ndarray:
         square = (dem.mean - truth) ** 2 / dem.variance
         # A lower limit would select cells by their noise.
         shown = max(MIN_ROCK_HEIGHT, 4.0 * times * DESCENT[0][1])
-        rock, measured = dem.mean - bare > shown, pool.splat[..., 0] > DENSE
+        rock, measured = dem.mean - bare > shown, pool.splat[..., 0] > MIN_MEASURED_WEIGHT
         for n, where in enumerate((measured & ~rock, ~measured & ~rock, rock)):
             own = square[dem.observed & where]
             total[n] += own.sum(), own.size
@@ -116,7 +116,7 @@ def main(seeds: int, seed: int, noise: float, jobs: int) -> None:
     """Print the NEES of measured, interpolated and rock cells for each world."""
     console = plain_console(120)
     tasks = [(name, seed, index, noise) for name in WORLDS for index in range(seeds)]
-    found = gathered(descend, tasks, jobs, console, "descents")
+    found = collect_results(descend, tasks, jobs, console, "descents")
     table = Table(title=f"NEES over {seeds} descents of {len(DESCENT)} scans (number of cells)")
     for heading in ("world", *STRATA):
         table.add_column(heading, justify="left" if heading == "world" else "right")

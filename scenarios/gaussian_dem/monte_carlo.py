@@ -22,7 +22,7 @@ from rich.table import Table
 from scipy import fft, ndimage
 from testbed import LANDER, MARGIN, ScannedDem, TestbedField, map_testbed, testbed
 
-from lunarsim.campaign.pool import gathered
+from lunarsim.campaign.pool import collect_results
 from lunarsim.console import plain_console
 from lunarsim.evaluation.reliability import calibration_error, reliability
 from lunarsim.grid import Grid
@@ -151,7 +151,7 @@ def main(samples: int, seed: int, jobs: int, out: Path | None) -> None:
         for c in range(len(CONFIGURATIONS))
         for first in range(0, samples, 10)
     ]
-    counts = gathered(sample, tasks, jobs, console, "tasks")
+    counts = collect_results(sample, tasks, jobs, console, "tasks")
     if len(counts) < len(tasks):
         raise click.Abort
     table = Table(

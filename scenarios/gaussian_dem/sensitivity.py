@@ -32,7 +32,7 @@ from testbed import (
     testbed,
 )
 
-from lunarsim.campaign.pool import gathered
+from lunarsim.campaign.pool import collect_results
 from lunarsim.console import plain_console
 from lunarsim.evaluation.map_quality import MapQuality
 from lunarsim.evaluation.statistics import mean_interval
@@ -321,13 +321,13 @@ def main(study: str, seeds: int, jobs: int, json_file: Path | None, out: Path | 
     console = plain_console(190)
     kept: dict[str, Any] = {}
     if study in {"field", "all"}:
-        results = gathered(sweep_testbed, range(seeds), jobs, console, "testbeds")
+        results = collect_results(sweep_testbed, range(seeds), jobs, console, "testbeds")
         kept["field"] = show_field(results, console) | {"growth": GROWTHS.tolist()}
         if out is not None:
             draw_field(kept["field"], out / "random_field.png")
     if study in {"misses", "all"}:
         tasks = [(v, s) for v in range(len(VARIANTS)) for s in range(seeds)]
-        results = gathered(count_missed_sites, tasks, jobs, console, "variants and testbeds")
+        results = collect_results(count_missed_sites, tasks, jobs, console, "variants and testbeds")
         if len(results) < len(tasks):
             raise click.Abort
         kept["misses"] = show_misses(results, seeds, console)

@@ -23,18 +23,18 @@ import click
 import numpy as np
 from rich.table import Table
 
-from lunarsim.campaign.pool import gathered
+from lunarsim.campaign.pool import collect_results
 from lunarsim.console import plain_console
 from lunarsim.errors import InputError, check_output
 from lunarsim.evaluation.statistics import Proportion
 from lunarsim.messages.briefing import Briefing
 from lunarsim.onboard.computer import APPROACH
 from lunarsim.optimal.errors import SolverError
-from lunarsim.optimal.final_time import least_propellant
+from lunarsim.optimal.final_time import minimize_propellant
 from lunarsim.optimal.planner import Planner
 from lunarsim.optimal.problem import Descent
 from lunarsim.parts.registry import kinds
-from lunarsim.rng import Streams, flight_seed
+from lunarsim.rng import RandomStreams, flight_seed
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation, build_world
 from lunarsim.world import World
@@ -134,7 +134,7 @@ def scenario_of(law: str, position_sigma: float, velocity_sigma: float) -> Scena
 @cache
 def shared_world() -> World:
     """Build the world of all flights."""
-    return build_world(scenario_of("apollo", 0.0, 0.0), Streams(1))
+    return build_world(scenario_of("apollo", 0.0, 0.0), RandomStreams(1))
 
 
 def problem(flight: Simulation) -> Descent:
@@ -166,7 +166,7 @@ def fly(task: PropellantTask) -> list[LawFlight]:
 def _optimum(task: PropellantTask, flight: Simulation) -> float:
     """Return the minimum propellant from a flight's true start, kg."""
     try:
-        return least_propellant(Planner(60), problem(flight)).propellant
+        return minimize_propellant(Planner(60), problem(flight)).propellant
     except (InputError, SolverError) as error:
         raise InputError(
             "--position-sigma, --velocity-sigma", [task.position_sigma, task.velocity_sigma],
@@ -274,7 +274,9 @@ def main(
     try:
         if out is not None:
             check_output("--json", out, ".json")
-        rows = [row for some in gathered(fly, tasks, jobs, console, "flights") for row in some]
+        rows = [
+            row for some in collect_results(fly, tasks, jobs, console, "flights") for row in some
+        ]
     except InputError as error:
         raise click.UsageError(str(error)) from None
     console.print(table_of(rows))

@@ -15,7 +15,7 @@ import click
 import numpy as np
 
 from lunarsim.grid import Grid
-from lunarsim.onboard.policies.reach import Reach
+from lunarsim.onboard.policies.reachability import ReachabilityMap
 from lunarsim.parts.registry import kinds
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation
@@ -33,14 +33,14 @@ BASE_SCENARIO: dict[str, Any] = {
 _SIDE, _CELLS = 6.5, 260  # side of the grid divided by the height; cells per side
 
 
-def survey(simulation: Simulation) -> Reach:
+def survey(simulation: Simulation) -> ReachabilityMap:
     """Return the current reachable area around the site."""
     computer = simulation.computer
     side = _SIDE * max(computer.altitude, 40.0)
     grid = Grid.centred(computer.site, side, side / _CELLS)
     here = computer.estimate
     level = np.full(grid.shape, float(computer.site[2]))
-    return Reach(grid, level, lambda sites: computer.cost_of(sites, here))
+    return ReachabilityMap(grid, level, lambda sites: computer.cost_of(sites, here))
 
 
 @click.command()

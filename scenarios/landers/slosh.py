@@ -16,12 +16,12 @@ import click
 import numpy as np
 from rich.console import Console
 
-from lunarsim.campaign.pool import gathered
+from lunarsim.campaign.pool import collect_results
 from lunarsim.console import plain_console
 from lunarsim.frames import quat_angle
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation
-from lunarsim.simulation.recorder import Tap
+from lunarsim.simulation.recorder import MessageRecorder
 
 BASE_SCENARIO = {
     "terrain": {"kind": "fractal", "size_m": 120.0, "posting_m": 1.0, "rms_slope_deg": 3.0},
@@ -79,7 +79,7 @@ def fly(task: SloshTask) -> SloshFlight:
     scenario = Scenario.from_dict(
         {**BASE_SCENARIO, "vehicle": vehicle, "control": {"kind": task.control}}
     )
-    tap = Tap()
+    tap = MessageRecorder()
     flight = Simulation(scenario, task.seed, "no-divert", tap=tap).run()
     t = flight.trajectory
     n = min(len(t["time"]), len(tap.exchanges))
@@ -158,7 +158,7 @@ def main(flights: int, seed: int, jobs: int, out: Path | None) -> None:
         SloshTask(control, case, seed + n)
         for control in CONTROLS for case in CASES for n in range(flights)
     ]  # fmt: skip
-    flown = gathered(fly, tasks, jobs, console, "flights")
+    flown = collect_results(fly, tasks, jobs, console, "flights")
     report(console, flown)
     if out is not None:
         out.parent.mkdir(parents=True, exist_ok=True)

@@ -18,10 +18,10 @@ import click
 import numpy as np
 from rich.console import Console
 
-from lunarsim.campaign.pool import gathered
+from lunarsim.campaign.pool import collect_results
 from lunarsim.console import plain_console
 from lunarsim.evaluation.comparisons import mean_difference
-from lunarsim.evaluation.map_quality import local_ground, map_quality
+from lunarsim.evaluation.map_quality import map_quality, true_elevation_in_map_frame
 from lunarsim.evaluation.statistics import Proportion
 from lunarsim.frames import quat_angle
 from lunarsim.messages.measurements import LidarScan
@@ -30,7 +30,7 @@ from lunarsim.rng import flight_seed
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation
 from lunarsim.simulation.flight import Flight
-from lunarsim.simulation.recorder import Tap
+from lunarsim.simulation.recorder import MessageRecorder
 from lunarsim.vehicle import State
 
 WORLD = {
@@ -92,7 +92,7 @@ class ThrusterMapFlight:
 def fly(task: ThrusterMapTask) -> ThrusterMapFlight:
     """Fly once and compute the metrics."""
     scenario = Scenario.from_dict({**WORLD, **WAYS[task.way]})
-    tap = Tap()
+    tap = MessageRecorder()
     simulation = Simulation(scenario, flight_seed(task.seed, task.flight), "safest", tap=tap)
     seen: list[tuple[State, Estimate]] = []
     while not simulation.done:
@@ -129,7 +129,7 @@ def _map_metrics(simulation: Simulation, flight: Flight) -> dict[str, float]:
     found, error = flight.hazard_map, flight.map_error
     if found is None or found.elevation is None:
         return {}
-    ground = local_ground(simulation.world.terrain, found.grid, error)
+    ground = true_elevation_in_map_frame(simulation.world.terrain, found.grid, error)
     known = found.observed & np.isfinite(found.elevation) & np.isfinite(ground)
     off = (found.elevation - ground)[known].astype(np.float64)
     quality = map_quality(found, simulation.truth, error)
@@ -180,7 +180,7 @@ def main(flights: int, seed: int, jobs: int, out: Path | None) -> None:
     """Fly descents with ideal and thruster control; compare the maps."""
     console = plain_console(220, soft_wrap=True)
     tasks = [ThrusterMapTask(way, n, seed) for way in WAYS for n in range(flights)]
-    flown = gathered(fly, tasks, jobs, console, "flights")
+    flown = collect_results(fly, tasks, jobs, console, "flights")
     report(console, flown, seed)
     if out is not None:
         out.parent.mkdir(parents=True, exist_ok=True)

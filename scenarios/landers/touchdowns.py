@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
-from lunarsim.campaign.pool import gathered
+from lunarsim.campaign.pool import collect_results
 from lunarsim.console import plain_console
 from lunarsim.evaluation.statistics import Proportion
 from lunarsim.frames import (
@@ -32,12 +32,12 @@ from lunarsim.frames import (
     quat_rotate,
 )
 from lunarsim.models.lander import Lander
-from lunarsim.rng import Streams, flight_seed
+from lunarsim.rng import RandomStreams, flight_seed
 from lunarsim.rocks.population import RockPopulation
-from lunarsim.vehicle import Dynamics, State, judge_touchdown, pad_contacts
-from lunarsim.vehicle.legs import Legs, judge_motion
-from lunarsim.world.grounds.fractal import FractalGround
+from lunarsim.vehicle import Dynamics, State, evaluate_touchdown, pad_contacts
+from lunarsim.vehicle.legs import Legs, evaluate_motion
 from lunarsim.world.terrain import Terrain
+from lunarsim.world.terrain_models.fractal import FractalTerrain
 
 RELIEFS = (0.0, 3.0, 6.0)  # RMS slope, deg
 COVERS = (0.02, 0.05)
@@ -99,8 +99,8 @@ def land(task: TouchdownTask) -> list[TouchdownOutcome]:
     """Evaluate the touchdowns on one terrain both ways."""
     seed = flight_seed(task.seed, task.number)
     rocks = RockPopulation(cover=task.cover, min_diameter=0.2)
-    terrain = FractalGround(size=80.0, rms_slope=np.deg2rad(task.relief)).build(
-        rocks, Streams(seed)
+    terrain = FractalTerrain(size=80.0, rms_slope=np.deg2rad(task.relief)).build(
+        rocks, RandomStreams(seed)
     )
     rng = np.random.default_rng(seed.spawn(1)[0])
     lander, legs = Lander(com_height=task.com_height), Legs(friction=task.friction)
@@ -110,8 +110,8 @@ def land(task: TouchdownTask) -> list[TouchdownOutcome]:
         state = first_contact_state(lander, terrain, rng, task.aside)
         if state is None:
             continue
-        static = judge_touchdown(lander, state, terrain, GRAVITY)
-        motion, rest = judge_motion(legs, dynamics, state, terrain)
+        static = evaluate_touchdown(lander, state, terrain, GRAVITY)
+        motion, rest = evaluate_motion(legs, dynamics, state, terrain)
         tilt = float("nan") if rest is None else float(np.rad2deg(rest.tilt))
         stroke = float("nan") if rest is None else float(rest.strokes.max())
         found.append(
@@ -165,7 +165,9 @@ def main(
             TouchdownTask(len(tasks), count, relief, cover, seed, friction, aside, com_height)
         )
         left -= count
-    landed = [one for some in gathered(land, tasks, jobs, console, "grounds") for one in some]
+    landed = [
+        one for some in collect_results(land, tasks, jobs, console, "grounds") for one in some
+    ]
     report(console, landed)
     if out is not None:
         out.parent.mkdir(parents=True, exist_ok=True)

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import click
 
-from lunarsim_envs.agents.stored import load_model
+from lunarsim_envs.agents.sb3_agents import load_model
 
 
 @click.command()

@@ -22,10 +22,10 @@ from lunarsim.errors import InputError
 from lunarsim.scenario import Scenario
 from lunarsim.scenario.shipped import found
 from lunarsim_envs.retarget import default_scenario
-from lunarsim_envs.sites.fit import fitted
-from lunarsim_envs.sites.looks import LookedFlight, looked_flights
-from lunarsim_envs.sites.report import beside
+from lunarsim_envs.sites.map_samples import SampledFlight, sample_flights
 from lunarsim_envs.sites.surrogate import SHIPPED, Surrogate
+from lunarsim_envs.sites.surrogate_fit import fit_mapper_surrogate
+from lunarsim_envs.sites.surrogate_report import compare_metrics
 
 # Rock covers of the fit, and held-out ones; root seeds of both, plus one per cover.
 FIT_COVERS = (0.02, 0.03, 0.04, 0.055, 0.07, 0.0775, 0.085, 0.0925, 0.10, 0.125, 0.15)
@@ -35,12 +35,12 @@ SEED, HELD_OUT_SEED = 501, 901
 
 def fly_covers(
     scenario: Scenario, covers: Iterable[float], seed: int, flights: int
-) -> list[list[LookedFlight]]:
+) -> list[list[SampledFlight]]:
     """Return flights over each rock cover; print the progress."""
     out = []
     for number, cover in enumerate(covers):
         here = scenario.changed(rocks={"cover": cover})
-        out.append(list(looked_flights(here, seed + number, range(flights))))
+        out.append(list(sample_flights(here, seed + number, range(flights))))
         share = np.mean([flight.safe_share for flight in out[-1]])
         print(f"  cover {cover:g}: {flights} flights, {share:.2f} of the terrain safe", flush=True)
     return out
@@ -54,7 +54,7 @@ def check(surrogate: Surrogate, scenario: Scenario, flights: int) -> None:
     for cover, ground in zip(HELD_OUT, grounds, strict=True):
         for scan in range(len(surrogate.altitudes)):
             print(f"cover {cover:g}, scan {scan + 1}: mapper, 95 % interval, surrogate")
-            for row in beside(surrogate, ground, scan, rng):
+            for row in compare_metrics(surrogate, ground, scan, rng):
                 if np.isnan(row.mapper):
                     continue
                 total, inside = total + 1, inside + row.within
@@ -89,7 +89,9 @@ def main() -> int:
             surrogate = Surrogate.load(args.out or SHIPPED)
             surrogate.check(scenario)
         else:
-            surrogate = fitted(scenario, fly_covers(scenario, FIT_COVERS, SEED, args.flights))
+            surrogate = fit_mapper_surrogate(
+                scenario, fly_covers(scenario, FIT_COVERS, SEED, args.flights)
+            )
             surrogate.save(args.out)
             print(f"wrote {args.out}: {args.out.stat().st_size / 1e3:.0f} kB")
         check(surrogate, scenario, args.flights)

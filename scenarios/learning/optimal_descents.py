@@ -37,16 +37,16 @@ from numpy.typing import NDArray
 from rich.console import Console
 
 from lunarsim import __version__
-from lunarsim.campaign.pool import outcomes
+from lunarsim.atomic_files import atomic_write, atomic_write_text, remove_contents_on_error
+from lunarsim.campaign.pool import iterate_results
 from lunarsim.console import plain_console, plain_progress
 from lunarsim.onboard.guidance.approach import Approach
 from lunarsim.onboard.guidance.optimal_law import OptimalLaw
 from lunarsim.optimal.errors import InfeasibleError, SolverError
-from lunarsim.optimal.final_time import least_propellant
+from lunarsim.optimal.final_time import minimize_propellant
 from lunarsim.optimal.planner import Planner
 from lunarsim.optimal.problem import Descent
 from lunarsim.scenario import Scenario
-from lunarsim.whole_files import filled_whole, write_text_whole, write_whole
 
 Array = NDArray[np.float64]
 
@@ -154,7 +154,7 @@ def solve(task: DescentShardTask) -> dict[str, Array]:
     out_of_reach = failed = 0
     while len(seen) < task.count:
         try:
-            path = least_propellant(planner, problem_of(*starts.draw(rng)))
+            path = minimize_propellant(planner, problem_of(*starts.draw(rng)))
         except InfeasibleError:
             out_of_reach += 1
             continue
@@ -181,8 +181,8 @@ def solve_all(
     todo = [k for k, file in enumerate(files) if not file.exists()]
     with plain_progress(console) as progress:
         bar = progress.add_task("shards", total=len(tasks), completed=len(tasks) - len(todo))
-        for at, shard in outcomes(solve, [tasks[k] for k in todo], jobs):
-            write_whole(files[todo[at]], lambda part, shard=shard: _save(part, shard))
+        for at, shard in iterate_results(solve, [tasks[k] for k in todo], jobs):
+            atomic_write(files[todo[at]], lambda part, shard=shard: _save(part, shard))
             progress.advance(bar)
     return files
 
@@ -238,7 +238,7 @@ def _write_limits(folder: Path) -> None:
         check_problem(folder)
         return
     folder.mkdir(parents=True, exist_ok=True)
-    write_text_whole(folder / PROBLEM, json.dumps(_limits(), indent=1) + "\n")
+    atomic_write_text(folder / PROBLEM, json.dumps(_limits(), indent=1) + "\n")
 
 
 def _save(path: Path, shard: dict[str, Array]) -> None:
@@ -296,7 +296,7 @@ def _write_dataset_atomically(
     part = data.with_name(f".{data.name}.part")
     if part.exists():
         shutil.rmtree(part)
-    with filled_whole(part):
+    with remove_contents_on_error(part):
         part.mkdir(parents=True)
         figures = write_dataset(files, part, task, console)
     if data.exists():
@@ -348,7 +348,7 @@ def main(descents: int, intervals: int, seed: int, jobs: int, out: Path) -> None
         _write_limits(out / "shards")
         files = solve_all(tasks, out / "shards", jobs, console)
         figures = _write_dataset_atomically(files, data, tasks[0], console)
-        write_text_whole(out / "figures.json", json.dumps(figures, indent=1) + "\n")
+        atomic_write_text(out / "figures.json", json.dumps(figures, indent=1) + "\n")
     except KeyboardInterrupt:
         raise click.ClickException(
             f"Interrupted. Finished shards are saved in {out / 'shards'}; "

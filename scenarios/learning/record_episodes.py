@@ -23,13 +23,13 @@ import gymnasium
 import numpy as np
 
 from lunarsim import __version__
+from lunarsim.atomic_files import remove_contents_on_error
 from lunarsim.errors import InputError
-from lunarsim.rng import Streams, flight_seed
-from lunarsim.whole_files import filled_whole
-from lunarsim_envs.agents.contract import Agent
+from lunarsim.rng import RandomStreams, flight_seed
+from lunarsim_envs.agents.agent_interface import Agent
 from lunarsim_envs.agents.registry import agent_of, check
-from lunarsim_envs.evaluation.episodes import Study
-from lunarsim_envs.evaluation.request import study
+from lunarsim_envs.evaluation.episodes import EvaluationStudy
+from lunarsim_envs.evaluation.request import evaluation_study
 
 ENVS = ("Guidance-v0", "Control-v0", "Retarget-v0")
 
@@ -42,7 +42,7 @@ def stack(shown: list[Any]) -> Any:
 
 
 def episode(
-    env: gymnasium.Env[Any, Any], flies: Agent, name: str, streams: Streams
+    env: gymnasium.Env[Any, Any], flies: Agent, name: str, streams: RandomStreams
 ) -> dict[str, Any]:
     """Fly an episode; return Minari buffer arguments, with metadata in ``told``.
 
@@ -86,7 +86,7 @@ def episode(
     }  # fmt: skip
 
 
-def record(flown: Study, agent: str, episodes: int, folder: Path) -> int:
+def record(flown: EvaluationStudy, agent: str, episodes: int, folder: Path) -> int:
     """Fly episodes and write them; return the number of safe landings."""
     from minari.data_collector import EpisodeBuffer
     from minari.dataset.minari_storage import MinariStorage
@@ -100,7 +100,7 @@ def record(flown: Study, agent: str, episodes: int, folder: Path) -> int:
             folder.absolute(), env.observation_space, env.action_space, data_format="hdf5"
         )
         for number in range(episodes):
-            shown = episode(env, flies, agent, Streams(flight_seed(flown.seed, number)))
+            shown = episode(env, flies, agent, RandomStreams(flight_seed(flown.seed, number)))
             metadata = shown.pop("told")
             storage.update_episodes([EpisodeBuffer(id=number, **shown)])
             storage.update_episode_metadata([metadata], [number])
@@ -168,8 +168,10 @@ def main(
             raise InputError("--out", str(out), "must be a folder that does not exist")
         check(agent, trust_pickle=trust_pickle)
         given = {name: value for name, value in arguments.items() if value}
-        flown = replace(study(env, scenario, changes, seed, **given), trust_pickle=trust_pickle)
-        with filled_whole(out):
+        flown = replace(
+            evaluation_study(env, scenario, changes, seed, **given), trust_pickle=trust_pickle
+        )
+        with remove_contents_on_error(out):
             safe = record(flown, agent, episodes, out)
     except InputError as error:
         raise click.UsageError(str(error)) from error

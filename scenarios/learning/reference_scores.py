@@ -19,10 +19,10 @@ import lunarsim_envs
 from lunarsim.errors import InputError, suggestion
 from lunarsim.scenario import Scenario
 from lunarsim.scenario.shipped import found
-from lunarsim_envs.descent.core import level
-from lunarsim_envs.evaluation.episodes import Study
-from lunarsim_envs.evaluation.results import AgentFigures, figures
-from lunarsim_envs.evaluation.running import fly
+from lunarsim_envs.descent.core import flat_scenario
+from lunarsim_envs.evaluation.episodes import EvaluationStudy
+from lunarsim_envs.evaluation.parallel import fly
+from lunarsim_envs.evaluation.results import AgentMetrics, agent_metrics
 
 # The root seed of the worlds for site selection is not used in any training.
 _WORLDS = {"worlds": 24, "world_seed": 7001, "observation": ["to_go"]}
@@ -35,16 +35,16 @@ AGENTS = {
 }
 
 
-def study_of(name: str, seed: int) -> Study:
+def study_of(name: str, seed: int) -> EvaluationStudy:
     """Return the study of a name in `AGENTS`."""
     env, _, perception = name.partition(", ")
     if not perception:
-        return Study(f"lunarsim/{env}", level(), {}, seed)
+        return EvaluationStudy(f"lunarsim/{env}", flat_scenario(), {}, seed)
     few = Scenario.load(found(Path("few_sites")))
-    return Study(f"lunarsim/{env}", few, _WORLDS | {"perception": perception}, seed)
+    return EvaluationStudy(f"lunarsim/{env}", few, _WORLDS | {"perception": perception}, seed)
 
 
-def row(name: str, agent: AgentFigures) -> str:
+def row(name: str, agent: AgentMetrics) -> str:
     """Return a row of the table."""
     return (
         f"| {name} | `{agent.name}` | {agent.score.text(3)} | {agent.safe} | "
@@ -75,7 +75,7 @@ def main() -> int:
               " steps |\n| --- | --- | --- | --- | --- | --- |", flush=True)  # fmt: skip
         for name in args.only or AGENTS:
             rows = fly(study_of(name, args.seed), AGENTS[name], args.episodes, args.jobs)
-            for agent in figures(rows, args.seed):
+            for agent in agent_metrics(rows, args.seed):
                 print(row(name, agent), flush=True)
     except InputError as error:
         print(f"error: {error}", file=sys.stderr)

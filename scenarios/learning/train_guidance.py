@@ -20,30 +20,30 @@ import click
 from rich.console import Console
 
 from lunarsim.console import plain_console
-from lunarsim_envs.training.settings import Training
+from lunarsim_envs.training.settings import PpoSettings
 
 # Reference agents of the final comparison on held-out seeds.
 REFERENCE_AGENTS = ("zero", "hover", "random", "apollo")
 
 
-def compare(out: Path, settings: Training, episodes: int, console: Console) -> None:
+def compare(out: Path, settings: PpoSettings, episodes: int, console: Console) -> None:
     """Print results of the agent and the reference agents on held-out flights."""
-    from lunarsim_envs.descent.core import level
-    from lunarsim_envs.evaluation.episodes import Study
-    from lunarsim_envs.evaluation.results import differences, figures, with_target
-    from lunarsim_envs.evaluation.running import fly
-    from lunarsim_envs.evaluation.told import agents_table, differences_table
+    from lunarsim_envs.descent.core import flat_scenario
+    from lunarsim_envs.evaluation.episodes import EvaluationStudy
+    from lunarsim_envs.evaluation.parallel import fly
+    from lunarsim_envs.evaluation.results import add_on_target, agent_metrics, differences
+    from lunarsim_envs.evaluation.tables import agents_table, differences_table
 
-    scenario = level().changed(
+    scenario = flat_scenario().changed(
         start={
             "position_sigma_m": settings.position_sigma,
             "velocity_sigma_m_s": settings.velocity_sigma,
         }
     )
-    study = Study("lunarsim_envs:lunarsim/Guidance-v0", scenario, {}, seed=2)
+    study = EvaluationStudy("lunarsim_envs:lunarsim/Guidance-v0", scenario, {}, seed=2)
     agents = (str(out / "agent.npz"), *REFERENCE_AGENTS)
-    rows = with_target(fly(study, agents, episodes, jobs=1), 10.0)
-    console.print(agents_table(figures(rows, study.seed), 10.0))
+    rows = add_on_target(fly(study, agents, episodes, jobs=1), 10.0)
+    console.print(agents_table(agent_metrics(rows, study.seed), 10.0))
     pair = [row for row in rows if row["agent"] in ("agent", "apollo")]
     console.print(differences_table(differences(pair, study.seed)))
 
@@ -55,7 +55,7 @@ def compare(out: Path, settings: Training, episodes: int, console: Console) -> N
     required=True,
     help="Output folder; resumes a run in it.",
 )
-@click.option("--steps", type=click.IntRange(min=1), default=Training.steps, show_default=True,
+@click.option("--steps", type=click.IntRange(min=1), default=PpoSettings.steps, show_default=True,
               help="Environment steps, over all parallel episodes.")  # fmt: skip
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
 @click.option("--looks", type=click.IntRange(min=1), default=20, show_default=True,
@@ -67,11 +67,11 @@ def main(out: Path, steps: int, seed: int, looks: int, episodes: int) -> None:
     console = plain_console(150, soft_wrap=True)
     try:
         from lunarsim_envs.training.curve import draw_curve
-        from lunarsim_envs.training.guidance import Look, Run, train
+        from lunarsim_envs.training.guidance import HeldOutResult, TrainingRun, train
     except ModuleNotFoundError as error:
         raise click.UsageError(f"{error.name} is missing. Install the extra `rl`.") from None
 
-    def report(run: Run, seen: Look) -> None:
+    def report(run: TrainingRun, seen: HeldOutResult) -> None:
         spent = "-" if math.isnan(seen.propellant) else f"{seen.propellant:.1f} kg"
         console.print(
             f"update {run.done} of {run.settings.updates}, {run.model.num_timesteps / 1e6:.1f} M "
@@ -79,7 +79,7 @@ def main(out: Path, steps: int, seed: int, looks: int, episodes: int) -> None:
             f"{seen.on_target:.3f}, propellant {spent}"
         )
 
-    settings = replace(Training(), steps=steps, seed=seed)
+    settings = replace(PpoSettings(), steps=steps, seed=seed)
     run = train(settings, out, looks, report)
     (out / "curve.json").write_text(json.dumps(run.curve, indent=1), encoding="utf-8")
     draw_curve(run.curve, out / "curve.png")

@@ -23,18 +23,18 @@ from numpy.typing import NDArray
 from optimal_descents import PROBLEM, check_problem, problem_of, read_shard
 from rich.console import Console
 
+from lunarsim.atomic_files import atomic_write_text
 from lunarsim.console import plain_console
 from lunarsim.errors import InputError, check_output
 from lunarsim.onboard.guidance.neural_law import NeuralOptimalLaw
 from lunarsim.onboard.guidance.optimal_network import (
+    DEFAULT_NETWORK_PATH,
     INPUTS,
     OUTPUTS,
-    SHIPPED,
     OptimalNetwork,
-    reduced,
+    reduce_state,
 )
 from lunarsim.scenario import Scenario
-from lunarsim.whole_files import write_text_whole
 
 Array = NDArray[np.float64]
 
@@ -76,7 +76,7 @@ class DescentNodes:
         move = push - [0.0, 0.0, gravity]
         r, v = state[..., :3], state[..., 3:6]
         mass = state[..., 6] + share * np.diff(self.seen[..., 6], axis=1)
-        shown, axes = reduced(r + t * (v + 0.5 * t * move), v + t * move, mass)
+        shown, axes = reduce_state(r + t * (v + 0.5 * t * move), v + t * move, mass)
         left = self.duration[:, None] - step * (np.arange(push.shape[1]) + share)
         turned = np.einsum("...ij,...j->...i", axes, push)
         # Without a cross speed, both sides are equivalent; the target is zero.
@@ -176,7 +176,8 @@ def problem_parameters() -> Array:
 @click.option(
     "--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Root random seed."
 )
-@click.option("--out", type=click.Path(path_type=Path, dir_okay=False), default=SHIPPED,
+@click.option("--out", type=click.Path(path_type=Path, dir_okay=False),
+default=DEFAULT_NETWORK_PATH,
               show_default="the shipped file",
               help="Output file of the weights (.npz).")  # fmt: skip
 @click.option(
@@ -230,7 +231,7 @@ def main(
     }  # fmt: skip
     console.print(json.dumps(figures))
     if metrics is not None:
-        write_text_whole(metrics, json.dumps(figures, indent=1) + "\n")
+        atomic_write_text(metrics, json.dumps(figures, indent=1) + "\n")
 
 
 if __name__ == "__main__":

@@ -25,19 +25,19 @@ from lunarsim.evaluation.statistics import Proportion
 from lunarsim.scenario import Scenario
 from lunarsim.scenario.shipped import found
 from lunarsim_envs.agents.registry import label
-from lunarsim_envs.sites.perception import PERCEPTIONS, lanes_of
-from lunarsim_envs.training.sites import SiteTraining, train
+from lunarsim_envs.sites.perception import PERCEPTIONS, create_batch
+from lunarsim_envs.training.sites import CemSettings, train
 
 POLICIES = ("no-divert", "nearest-safe", "safest", "fuel-aware")
 # Root seeds of the worlds in training and in comparisons.
 TRAINED_ON, FLOWN_ON = 0, 7001
 
 
-def train_agent(scenario: Scenario, settings: SiteTraining, worlds: int, out: Path) -> None:
+def train_agent(scenario: Scenario, settings: CemSettings, worlds: int, out: Path) -> None:
     """Train, print each generation, and write the network."""
     start_s = time.perf_counter()
     count = settings.population * settings.flights
-    lanes = lanes_of(count, "surrogate", scenario, worlds, TRAINED_ON, None)
+    lanes = create_batch(count, "surrogate", scenario, worlds, TRAINED_ON, None)
     print("generation  safe rate, elite  propellant (kg)  std. dev.   s", flush=True)
 
     def report(generation: int, safe: float, burnt: float, sigma: float) -> None:
@@ -88,7 +88,7 @@ def main() -> int:
     )
     parser.add_argument("--generations", type=int, default=25)
     parser.add_argument(
-        "--price", type=float, default=SiteTraining.price,
+        "--price", type=float, default=CemSettings.price,
         help="propellant weight per kg; a safe landing has weight 1 (%(default)s)",
     )  # fmt: skip
     parser.add_argument("--worlds", type=int, default=24, help="number of worlds in the pool")
@@ -117,7 +117,7 @@ def main() -> int:
             raise InputError("--price", args.price, "must be at least 0 and less than 1")
         scenario = Scenario.load(found(Path(args.scenario)))
         if args.compare is None:
-            settings = SiteTraining(generations=args.generations, price=args.price)
+            settings = CemSettings(generations=args.generations, price=args.price)
             train_agent(scenario, settings, args.worlds, args.out)
         agent = args.compare or str(args.out)
         for perception in args.perception or ("surrogate", "gaussian-dem"):

@@ -27,32 +27,32 @@ from rich.console import Console
 from rich.table import Table
 from worlds import LANDERS, RANGES, RELIEFS, ROCKS, UPRIGHT, LidarScene, scenes
 
-from lunarsim.campaign.pool import gathered
+from lunarsim.campaign.pool import collect_results
 from lunarsim.console import plain_console
 from lunarsim.evaluation.reliability import (
     brier_skill,
     calibration_error,
-    calibration_error_by_chance,
+    chance_calibration_error,
     reliability,
 )
 from lunarsim.onboard.hazards.gaussian_dem import SamplePool, pooled_dem
-from lunarsim.onboard.hazards.gaussian_dem.drawn import evidence_of
+from lunarsim.onboard.hazards.gaussian_dem.dem_snapshot import dem_site_evidence
 from lunarsim.rocks.population import RockExpectation
 from lunarsim.safety import exact_safety
 from lunarsim.safety.calibration import (
-    FARTHER,
-    RISING,
-    bound,
-    ceiling,
-    clear_of_pads,
+    MONOTONE_FEATURES,
+    NEAR_DOMAIN_LOG_ODDS_MARGIN,
     features,
     in_domain,
+    observed_terrain_bound,
+    outside_domain_bound,
+    p_no_rock_under_pads,
 )
-from lunarsim.safety.ensemble import HOPELESS, Ensemble, cautious
+from lunarsim.safety.ensemble import HOPELESS, Ensemble, conservative_probability
 from lunarsim.viz.reliability import plot_ideal, plot_reliability
 from lunarsim.viz.style import COLOURS, new_figure, save
 
-F = TypeVar("F", bound=Callable[..., Any])
+F = TypeVar("F", outside_domain_bound=Callable[..., Any])
 
 SITES = 100  # evaluated sites per scene
 # Edges of the strata: nominal slope / limit, and fraction of terrain above the roughness limit.
@@ -66,7 +66,7 @@ def judge(scene: LidarScene) -> SceneSites:
     pool = SamplePool(grid)
     scan, position = scene.flash(terrain)
     pool.add(scan.points(position, UPRIGHT), scan.height_sigma(UPRIGHT), scan.spacing(UPRIGHT))
-    evidence = evidence_of(pooled_dem(pool), lander, RockExpectation())
+    evidence = dem_site_evidence(pooled_dem(pool), lander, RockExpectation())
     truth = exact_safety(terrain.raster(grid), grid, lander)
     sites = np.flatnonzero(evidence.observed & truth.observed)
     sites = scene.rng(4).choice(sites, min(SITES, len(sites)), replace=False)
@@ -76,8 +76,8 @@ def judge(scene: LidarScene) -> SceneSites:
         scene,
         features(evidence, where).astype(np.float32),
         in_domain(evidence)[where],
-        np.minimum(ceiling(evidence), clear_of_pads(evidence))[where],
-        bound(evidence)[where],
+        np.minimum(observed_terrain_bound(evidence), p_no_rock_under_pads(evidence))[where],
+        outside_domain_bound(evidence)[where],
         evidence.slope[where],
         np.ones(np.count_nonzero(where), bool),
         float(evidence.curve.at(lander.roughness_limit)),
@@ -91,8 +91,8 @@ class PooledSites:
 
     features: np.ndarray
     known: np.ndarray
-    ceiling: np.ndarray
-    bound: np.ndarray
+    observed_terrain_bound: np.ndarray
+    outside_domain_bound: np.ndarray
     slope: np.ndarray
     doomed: np.ndarray
     cover: np.ndarray
@@ -110,7 +110,10 @@ class PooledSites:
 
 
 def fit_model(
-    judged: list[SceneSites], rising: int = RISING, note: str = "", start: Ensemble | None = None
+    judged: list[SceneSites],
+    rising: int = MONOTONE_FEATURES,
+    note: str = "",
+    start: Ensemble | None = None,
 ) -> Ensemble:
     """Fit to the sites in the domain, and without each world; see `Ensemble.fit`."""
     s = PooledSites.of(judged)
@@ -125,7 +128,10 @@ def fit_model(
 
 
 def probability(
-    model: Ensemble, sites: PooledSites, farther: float = FARTHER, hopeless: float = HOPELESS
+    model: Ensemble,
+    sites: PooledSites,
+    farther: float = NEAR_DOMAIN_LOG_ODDS_MARGIN,
+    hopeless: float = HOPELESS,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the probability of all sites in a map, and whether it is calibrated (n,).
 
@@ -133,7 +139,7 @@ def probability(
     `hopeless` are classified as certainly unsafe.
     """
     odds = model.of_features(sites.features)
-    p = cautious(odds.low, sites.ceiling, sites.bound, sites.known, farther)
+    p = conservative_probability(odds.low, sites.ceiling, sites.bound, sites.known, farther)
     return p, sites.known & odds.verdict(sites.ceiling, hopeless, sites.doomed).agreed
 
 
@@ -175,7 +181,7 @@ def figures(p: np.ndarray, safe: np.ndarray) -> dict[str, float]:
     return {
         "base": base,
         "ece": calibration_error(reliability(p, safe)),
-        "chance": calibration_error_by_chance(p, np.random.default_rng(0)),
+        "chance": chance_calibration_error(p, np.random.default_rng(0)),
         "skill": brier_skill(p, safe),
         "share": sure.mean(),
         "gap": p[sure].mean() - safe[sure].mean() if sure.any() else np.nan,
@@ -329,7 +335,7 @@ class CalibrationMethod:
     judge: Callable[[LidarScene], SceneSites]
     draw: Callable[[int, int], list[LidarScene]]
     rising: int
-    farther: float = FARTHER
+    farther: float = NEAR_DOMAIN_LOG_ODDS_MARGIN
     hopeless: float = HOPELESS
 
     def row(self, name: str, model: Ensemble, inside: list[SceneSites]) -> HeldOutRow:
@@ -353,7 +359,10 @@ def report(
         model.save(target)
     left = list(held_out_rows(judged))
     fit = partial(fit_model, rising=method.rising, start=model)
-    models = [model, *gathered(fit, [others for _, others, _ in left], jobs, console, "fits")]
+    models = [
+        model,
+        *collect_results(fit, [others for _, others, _ in left], jobs, console, "fits"),
+    ]
     kept = [("nothing", judged), *((name, inside) for name, _, inside in left)]
     rows = [
         method.row(name, own, inside)
@@ -392,7 +401,9 @@ def study(
     judged = [j for j in judged if len(j.safe)]
     if row is not None:
         deck = fresh_scenes(method, row, fresh, seed)
-        more = [j for j in gathered(method.judge, deck, jobs, console, "scenes") if len(j.safe)]
+        more = [
+            j for j in collect_results(method.judge, deck, jobs, console, "scenes") if len(j.safe)
+        ]
         console.print(table_of([evaluate_row(method, judged, row, more)]))
         return
     note = f"{method.command} --scenes {count} --seed {seed}"
@@ -410,7 +421,9 @@ def draw_scenes(count: int, seed: int) -> list[LidarScene]:
 def main(**wanted: Any) -> None:
     """Fit the calibrated probability; test it on held-out worlds."""
     study(
-        CalibrationMethod("scenarios/lidar_maps/calibration.py", judge, draw_scenes, RISING),
+        CalibrationMethod(
+            "scenarios/lidar_maps/calibration.py", judge, draw_scenes, MONOTONE_FEATURES
+        ),
         **wanted,
     )
 

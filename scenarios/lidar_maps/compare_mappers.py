@@ -29,7 +29,7 @@ from rich.table import Table
 from rows import ROWS
 from scipy.stats import binomtest
 
-from lunarsim.campaign.pool import gathered
+from lunarsim.campaign.pool import collect_results
 from lunarsim.console import plain_console
 from lunarsim.evaluation.map_quality import MapQuality
 from lunarsim.evaluation.reliability import calibration_error
@@ -235,7 +235,7 @@ def main(flights: int, worlds: str, seed: int, jobs: int, out: Path | None) -> N
         raise click.UsageError(f"--worlds: must contain each world once, got {worlds!r}")
     tasks = [MapperFlightTask(world, i, seed) for world in names for i in range(flights)]
     flight = fly if out is None else partial(load_or_fly, out / "flights")
-    done = gathered(flight, tasks, jobs, console, "flights")
+    done = collect_results(flight, tasks, jobs, console, "flights")
     by_world: dict[str, Flights] = {}
     for task, flown in zip(tasks, done, strict=False):
         by_world.setdefault(task.world, []).append(flown)

@@ -19,16 +19,16 @@ from worlds import LANDERS, UPRIGHT, LidarScene, scenes
 
 from lunarsim.onboard.hazards.quadtree import QuadtreeMap, SiteSelector, SiteSettings
 from lunarsim.onboard.hazards.quadtree.site_probability import (
-    HOPELESS,
-    RISING,
+    MAX_CLAIMED_UNSAFE,
+    MONOTONE_FEATURES,
     bound,
     ceiling,
-    evidence_of,
     features,
+    quadtree_site_evidence,
 )
 from lunarsim.rocks.population import RockExpectation
 from lunarsim.safety import exact_safety
-from lunarsim.safety.ensemble import MARGIN
+from lunarsim.safety.ensemble import LOG_ODDS_MARGIN
 
 FLASHES = 4
 # Ratio of the half side of the landing zone to that of the lander footprint, as in the paper.
@@ -54,7 +54,9 @@ def judge(scene: LidarScene) -> SceneSites:
         SiteSettings(), zone=ZONE * footprint, roughness_limit=lander.roughness_limit
     )
     selection = SiteSelector(quadtree, settings, thorough=True, footprint=footprint).update()
-    evidence = evidence_of(quadtree, selection, settings.zone, noise, lander, RockExpectation())
+    evidence = quadtree_site_evidence(
+        quadtree, selection, settings.zone, noise, lander, RockExpectation()
+    )
     truth = exact_safety(terrain.raster(grid), grid, lander)
     row, col = grid.cell(selection.position[:, :2])
     inside = (row >= 0) & (col >= 0) & (row < grid.rows) & (col < grid.cols)
@@ -89,7 +91,12 @@ def draw_scenes(count: int, seed: int) -> list[LidarScene]:
 def main(**wanted: Any) -> None:
     """Fit the probability of the quadtree; test it on held-out worlds."""
     command = "scenarios/lidar_maps/quadtree_calibration.py"
-    study(CalibrationMethod(command, judge, draw_scenes, RISING, MARGIN, HOPELESS), **wanted)
+    study(
+        CalibrationMethod(
+            command, judge, draw_scenes, MONOTONE_FEATURES, LOG_ODDS_MARGIN, MAX_CLAIMED_UNSAFE
+        ),
+        **wanted,
+    )
 
 
 if __name__ == "__main__":

@@ -18,11 +18,10 @@ from lunarsim.grid import Grid
 from lunarsim.messages.measurements import LidarScan
 from lunarsim.models.lander import Lander
 from lunarsim.rocks.field import RockField, RockModel
-from lunarsim.rocks.laws import sample_diameters
+from lunarsim.rocks.size_distribution import sample_diameters
 from lunarsim.sensors.lidar import FlashLidar
 from lunarsim.vehicle import State
 from lunarsim.world import World
-from lunarsim.world.grounds.measured import MeasuredGround
 from lunarsim.world.terrain import (
     Heightfield,
     Terrain,
@@ -30,6 +29,7 @@ from lunarsim.world.terrain import (
     fractal_relief,
     place_rocks,
 )
+from lunarsim.world.terrain_models.measured import RasterTerrain
 
 DATA = Path(__file__).resolve().parents[1] / "data"
 SIDE = 130.0  # side of the relief, m
@@ -158,11 +158,11 @@ def _cut(kind: str, rng: np.random.Generator) -> Heightfield:
 @lru_cache(maxsize=4)
 def _measured(kind: str, scale: float) -> Heightfield:
     part = {
-        "hirise": MeasuredGround(
+        "hirise": RasterTerrain(
             path=DATA / "hirise_dteec_010228_1490_crop.tif", relief_scale=scale, detail=True,
             hurst=0.8, rms_slope=np.deg2rad(2.0), crater_density=0.0,
         ),
-        "apollo15": MeasuredGround(
+        "apollo15": RasterTerrain(
             path=DATA / "moon_apollo15_nac_dtm_2m.tif", dtm_posting=2.0, height_step=0.192,
             dtm_window=(90, 160, 90, 160), detail=True, preset="mare",
         ),

@@ -33,9 +33,9 @@ from rich.table import Table
 from scipy.stats import binomtest
 from study import seed_and_jobs
 
-from lunarsim.campaign.pool import gathered
+from lunarsim.campaign.pool import collect_results
 from lunarsim.console import plain_console
-from lunarsim.evaluation.consistency import Consistency, normalised_square
+from lunarsim.evaluation.consistency import Consistency, normalised_squared_error
 from lunarsim.evaluation.statistics import Proportion
 from lunarsim.frames import quat_conjugate, quat_multiply, quat_to_rotation_vector
 from lunarsim.onboard.navigation.navigator import Navigator
@@ -223,7 +223,7 @@ def nees_of(flights: list[ConsistencyFlight], epoch: int, keep: np.ndarray) -> C
     for f in flights:
         if len(f.error) > epoch:
             own = f.covariance[epoch][np.ix_(keep, keep)]
-            found = found.plus(normalised_square(f.error[epoch, keep], own), len(keep))
+            found = found.plus(normalised_squared_error(f.error[epoch, keep], own), len(keep))
     return found
 
 
@@ -345,7 +345,7 @@ def flight_to_json(flight: ConsistencyFlight) -> dict[str, Any]:
     nees = {}
     for part, keep in PARTS.items():
         squares = [
-            normalised_square(error[keep], covariance[np.ix_(keep, keep)])
+            normalised_squared_error(error[keep], covariance[np.ix_(keep, keep)])
             for error, covariance in zip(flight.error, flight.covariance, strict=True)
         ]
         nees[part] = sum(squares) / (len(keep) * len(squares)) if squares else None
@@ -434,7 +434,7 @@ def main(
         name = "the scenario's" if start is None else f"{start:g}"
         name += "" if speed is None else f", {speed:g} m/s"
         name += "" if kind is None else f", {kind}"
-        by_start[name] = gathered(fly, tasks, jobs, console, f"flights from {name}")
+        by_start[name] = collect_results(fly, tasks, jobs, console, f"flights from {name}")
     for name, flown in by_start.items():
         console.print(f"Initial error: {name}")
         console.print(nees_table(flown))

@@ -20,7 +20,7 @@ import numpy as np
 from consistency import SCENARIOS, error_of
 from study import declared_table, json_option, seed_and_jobs, write_flights
 
-from lunarsim.campaign.pool import gathered
+from lunarsim.campaign.pool import collect_results
 from lunarsim.console import plain_console
 from lunarsim.frames import quat_from_rotation_vector, quat_multiply
 from lunarsim.messages.briefing import Briefing
@@ -31,7 +31,7 @@ from lunarsim.messages.measurements import (
     InertialSamples,
 )
 from lunarsim.models.instruments import InertialInstrument
-from lunarsim.onboard.navigation.sample_guard import SampleLimits
+from lunarsim.onboard.navigation.imu_outlier_rejection import ImuSampleLimits
 from lunarsim.rng import flight_seed
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation
@@ -57,7 +57,7 @@ class FaultState:
     """
 
     since: float
-    limits: SampleLimits
+    limits: ImuSampleLimits
     rng: np.random.Generator
 
 
@@ -185,11 +185,11 @@ class InstrumentFaultFlight:
     safe: bool
 
 
-def limits_of(briefing: Briefing) -> SampleLimits:
+def limits_of(briefing: Briefing) -> ImuSampleLimits:
     """Return the outlier limits of a vehicle's inertial samples."""
     control = briefing.software.control
     unit = next(i for i in briefing.instruments.values() if isinstance(i, InertialInstrument))
-    return SampleLimits.of(
+    return ImuSampleLimits.of(
         briefing.lander, briefing.step, unit.gyroscopes, unit.accelerometers,
         slew=0.0 if control.torques else control.slew_limit,
     )  # fmt: skip
@@ -251,7 +251,7 @@ def main(flights: int, only: tuple[str, ...], out: Path | None, seed: int, jobs:
         InstrumentFaultTask(fault, relief, n, seed)
         for fault in faults for relief in RELIEFS for n in range(flights)
     ]  # fmt: skip
-    flown = gathered(fly, tasks, jobs, console, "flights")
+    flown = collect_results(fly, tasks, jobs, console, "flights")
     rows = [(fault, [f for f in flown if f.fault == fault]) for fault in faults]
     title = "Flights with an instrument fault; relief of 0.1, 4 and 8 deg pooled"
     console.print(declared_table(title, "fault", rows))

@@ -20,7 +20,7 @@ from rich.table import Table
 from scipy.stats import binomtest
 from study import seed_and_jobs
 
-from lunarsim.campaign.pool import gathered
+from lunarsim.campaign.pool import collect_results
 from lunarsim.console import plain_console
 from lunarsim.evaluation.statistics import Proportion
 from lunarsim.onboard.navigation.navigator import Navigator
@@ -189,7 +189,7 @@ def main(
         for late in lates:
             tasks = [LateLockTask(late, start, scenario, n, seed, policy) for n in range(flights)]
             name = f"{late:g} s" + ("" if start is None else f", {start:g} m")
-            flown[name] = gathered(fly, tasks, jobs, console, name)
+            flown[name] = collect_results(fly, tasks, jobs, console, name)
     console.print(summary(flown))
 
 

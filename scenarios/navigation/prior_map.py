@@ -22,7 +22,7 @@ import numpy as np
 from consistency import SCENARIOS, error_of
 from study import declared_table, json_option, seed_and_jobs, write_flights
 
-from lunarsim.campaign.pool import gathered
+from lunarsim.campaign.pool import collect_results
 from lunarsim.console import plain_console
 from lunarsim.messages.measurements import LidarScan
 from lunarsim.rng import flight_seed
@@ -177,7 +177,7 @@ def main(
         PriorMapTask(row, ground, n * len(ROWS) + list(ROWS).index(row), seed)
         for row in rows for ground in GROUNDS for n in range(flights)
     ]  # fmt: skip
-    flown = gathered(fly, tasks, jobs, console, "flights")
+    flown = collect_results(fly, tasks, jobs, console, "flights")
     for f in flown if cells else ():
         off = ", ".join(f"{w:.1f}" for w in f.worst)
         console.print(

@@ -28,16 +28,16 @@ from judging import (
 from rich.console import Console
 from rich.table import Table
 
-from lunarsim.campaign.pool import gathered
+from lunarsim.campaign.pool import collect_results
 from lunarsim.console import plain_console
 from lunarsim.frames import quat_conjugate, quat_multiply, quat_to_rotation_vector
 from lunarsim.grid import Grid
 from lunarsim.onboard.hazards.quadtree import (
-    STATUS,
+    SITE_STATUS,
     InterestMap,
     QuadtreeMap,
     QuadtreeMapper,
-    Selection,
+    SiteSelection,
 )
 from lunarsim.onboard.navigation.navigator import Navigator
 from lunarsim.rng import flight_seed
@@ -149,7 +149,9 @@ def evaluate_map(simulation: Simulation, time: float, pictures: bool) -> dict[st
         "map_error_within": float(np.mean(np.abs(finite) < 0.5)) if finite.size else float("nan"),
         "slope_error_max": float(angles.max()) if angles.size else float("nan"),
         "slope_error_mean": float(angles.mean()) if angles.size else float("nan"),
-        "status": {STATUS[k]: int((selection.status == k).sum()) for k in range(len(STATUS))},
+        "status": {
+            SITE_STATUS[k]: int((selection.status == k).sum()) for k in range(len(SITE_STATUS))
+        },
         **areas,
         "sites": judged_sites(simulation, selection, mapper.selector.settings, ground),
         "maps": maps,
@@ -157,7 +159,7 @@ def evaluate_map(simulation: Simulation, time: float, pictures: bool) -> dict[st
 
 
 def figure_data(
-    mapper: QuadtreeMapper, selection: Selection, ground: QuadtreeTruth
+    mapper: QuadtreeMapper, selection: SiteSelection, ground: QuadtreeTruth
 ) -> dict[str, Any]:
     """Return additional data for the figures."""
     tree, selector = mapper.map, mapper.selector
@@ -291,7 +293,7 @@ def main(fields: int, seed: int, jobs: int, json_file: Path | None, out: Path | 
     """Sweep hazard fields; compare maps and sites with the truth."""
     console = plain_console(140)
     tasks = [HazardFieldTask(i, seed, out is not None and i == 0) for i in range(fields)]
-    results = gathered(fly, tasks, jobs, console, "sweeps")
+    results = collect_results(fly, tasks, jobs, console, "sweeps")
     summary = summarise(results)
     show(summary, results[0], console)
     if json_file is not None:

@@ -17,7 +17,7 @@ from lunarsim.onboard.hazards.gaussian_dem import (
     gaussian_dem,
     pooled_dem,
 )
-from lunarsim.onboard.hazards.gaussian_dem.fit import fit_hyperparameters
+from lunarsim.onboard.hazards.gaussian_dem.variogram_fit import fit_hyperparameters
 from lunarsim.onboard.hazards.quadtree import QuadtreeMapper, SiteSettings
 
 CLOUD = Path(__file__).parents[1] / "data" / "lidar_airborne_alirt_mountain.npz"

@@ -10,7 +10,7 @@ from matplotlib.colors import BoundaryNorm, ListedColormap
 from matplotlib.patches import Patch
 
 from lunarsim.evaluation.classification import RELIABILITY_EDGES
-from lunarsim.evaluation.reliability import frequencies
+from lunarsim.evaluation.reliability import bin_frequencies
 from lunarsim.onboard.hazards.shadows import cover_probability
 from lunarsim.viz.style import COLOURS, map_axes, new_figure, save
 
@@ -152,7 +152,7 @@ def draw_reliability(results: list[dict[str, Any]], path: Path) -> None:
     for name, colour in zip(PATHS, COLOURS, strict=False):
         table = sum(r["levels"][50.0]["reliability"] for r in results if r["path"] == name)
         many = table[:, 0] >= 100
-        stated, found = frequencies(table[many])
+        stated, found = bin_frequencies(table[many])
         ax.plot(np.maximum(stated, 3e-5), np.maximum(found, 3e-5), "o-", color=colour, label=name,
                 markersize=4)  # fmt: skip
     ax.plot([3e-5, 1.0], [3e-5, 1.0], "k--", linewidth=0.8, label="ideal")

@@ -24,8 +24,8 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
-from lunarsim.campaign.kept_flights import KeptFlights
-from lunarsim.campaign.pool import outcomes
+from lunarsim.campaign.flight_store import FlightStore
+from lunarsim.campaign.pool import iterate_results
 from lunarsim.console import plain_console, plain_progress
 from lunarsim.errors import InputError
 from lunarsim.evaluation.classification import RELIABILITY_EDGES, Classification, classify
@@ -148,7 +148,7 @@ def judge(simulation: Simulation) -> dict[str, Any]:
 # --- the file --------------------------------------------------------------------------------
 
 
-def has_flight(results: KeptFlights, task: ShadowMatrixTask) -> bool:
+def has_flight(results: FlightStore, task: ShadowMatrixTask) -> bool:
     """Return whether the file has the flight of this exact cell."""
     done = results.flights.get(task.key)
     return done is not None and done.get("cell") == asdict(task.cell)
@@ -191,7 +191,7 @@ def missed_goals(cell: ShadowCell, figures: dict[str, float]) -> str:
     return ", ".join(misses)
 
 
-def show(tasks: list[ShadowMatrixTask], results: KeptFlights, console: Console) -> None:
+def show(tasks: list[ShadowMatrixTask], results: FlightStore, console: Console) -> None:
     """Print one row per cell and the totals."""
     first = tasks[0]
     table = Table(
@@ -275,7 +275,7 @@ def main(
             param_hint="--cells",
         )
     try:
-        results = KeptFlights(
+        results = FlightStore(
             json_file, {"seed": seed, "path": way, "method": method, "of": "map and site"}
         )
     except InputError as error:
@@ -292,7 +292,7 @@ def main(
     with plain_progress(console) as progress:
         bar = progress.add_task("flights", total=len(tasks))
         try:
-            for index, result in outcomes(fly, tasks, jobs):
+            for index, result in iterate_results(fly, tasks, jobs):
                 results.keep(tasks[index].key, result)
                 progress.advance(bar)
         except KeyboardInterrupt:

@@ -21,7 +21,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from lunarsim.campaign.pool import gathered
+from lunarsim.campaign.pool import collect_results
 from lunarsim.console import plain_console
 from lunarsim.evaluation.classification import RELIABILITY_EDGES, classify
 from lunarsim.evaluation.reliability import reliability
@@ -202,7 +202,7 @@ def main(
         for field in range(fields)
         for path in PATHS
     ]
-    results = gathered(fly, tasks, jobs, console, "flights")
+    results = collect_results(fly, tasks, jobs, console, "flights")
     # A field counts only if both paths have flown it.
     results = results[: len(results) // len(PATHS) * len(PATHS)]
     if not results:

@@ -23,7 +23,7 @@ from scipy.spatial.distance import cdist
 from lunarsim.console import plain_console
 from lunarsim.evaluation.statistics import Proportion
 from lunarsim.onboard.perception.detector import Detections, detect_rocks
-from lunarsim.onboard.perception.direction import mean_direction, shadow_directions
+from lunarsim.onboard.perception.shadow_direction import mean_direction, shadow_directions
 from lunarsim.sensors.camera import Camera
 from lunarsim.vehicle import State
 from lunarsim.viz.style import COLOURS, new_figure, save

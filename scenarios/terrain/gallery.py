@@ -13,9 +13,9 @@ import click
 import numpy as np
 
 from lunarsim.errors import InputError
-from lunarsim.rocks.laws import golombek_number
+from lunarsim.rocks.size_distribution import golombek_number
 from lunarsim.scenario import Scenario
-from lunarsim.simulation.picture import render
+from lunarsim.simulation.image_rendering import render
 
 SCENARIOS = Path(__file__).parents[1]
 DATA = SCENARIOS / "data"

@@ -12,21 +12,22 @@ import click
 import numpy as np
 from numpy.typing import NDArray
 
-from lunarsim.rng import Streams, flight_seed
+from lunarsim.rng import RandomStreams, flight_seed
 from lunarsim.scenario import Scenario
 from lunarsim.sensors.camera import Camera
 from lunarsim.sensors.rendering import renderer_of
-from lunarsim.simulation.picture import camera_state
+from lunarsim.simulation.image_rendering import camera_pointing_state
 from lunarsim.simulation.worlds import build_world
 from lunarsim.viz.style import new_figure, save
-from lunarsim.world.light import FULL_EARTH, SUN_DIAMETER, Light
+from lunarsim.world.light import FULL_EARTH_IRRADIANCE_RATIO, SUN_DIAMETER_RAD, Light
 
 SCENARIOS = Path(__file__).parents[1]
 # Effects in the order in which they are added.
 STEPS = {
     "plain": {},
-    "the Sun's disc": {"diameter": SUN_DIAMETER},
-    "and scattered light, Earthshine": {"scattered": True, "earthshine": FULL_EARTH},
+    "the Sun's disc": {"diameter": SUN_DIAMETER_RAD},
+    "and scattered light, Earthshine": {"scattered": True,
+    "earthshine": FULL_EARTH_IRRADIANCE_RATIO},
     "and Hapke, mottles, boulders": {
         "photometry": "hapke", "mottle": 0.05, "boulder_albedo": 1.3, "boulder_mottle": 0.15,
     },
@@ -37,7 +38,7 @@ ROWS = ((3.0, 25.0, 2.5), (20.0, 60.0, 2.5))
 def render_image(world, light: Light, altitude: float) -> NDArray[np.float32]:
     """Return I/F (240, 320), four rays per pixel, 30 deg off nadir."""
     camera = Camera.with_field_of_view(640, 480, 50.0)
-    state = camera_state(camera, world, (10.0, -15.0), altitude, np.radians(30.0), 0.0)
+    state = camera_pointing_state(camera, world, (10.0, -15.0), altitude, np.radians(30.0), 0.0)
     drawn = renderer_of(world.terrain).render(camera.view(state), light).radiance
     return drawn.reshape(240, 2, 320, 2).mean((1, 3))
 
@@ -50,7 +51,7 @@ def render_image(world, light: Light, altitude: float) -> NDArray[np.float32]:
 def main(scenario: str, seed: int, out: Path) -> None:
     """Render the images."""
     world = build_world(
-        Scenario.load(SCENARIOS / f"{scenario}.toml"), Streams(flight_seed(seed, 0))
+        Scenario.load(SCENARIOS / f"{scenario}.toml"), RandomStreams(flight_seed(seed, 0))
     )
     figure = new_figure(3.3 * len(STEPS), 5.4)
     axes = figure.subplots(len(ROWS), len(STEPS))

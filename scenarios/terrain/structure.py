@@ -21,9 +21,9 @@ from rich.table import Table
 from lunarsim.console import plain_console
 from lunarsim.scenario import Scenario
 from lunarsim.viz.style import COLOURS, new_figure, save
-from lunarsim.world.grounds.measured import MeasuredGround
 from lunarsim.world.terrain import Heightfield
-from lunarsim.world.terrain.dtm import load_dtm
+from lunarsim.world.terrain.dtm import load_terrain
+from lunarsim.world.terrain_models.measured import RasterTerrain
 
 LAGS = (0.25, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0, 32.0)
 
@@ -59,9 +59,9 @@ def differences(relief: Heightfield, lag: float, box: tuple[float, ...]) -> tupl
     return one, two
 
 
-def reliefs(ground: MeasuredGround) -> dict[str, Heightfield]:
+def reliefs(ground: RasterTerrain) -> dict[str, Heightfield]:
     """Return the relief as filed, refined, and with generated detail."""
-    filed = load_dtm(ground.path, posting=ground.dtm_posting, window=ground.dtm_window)
+    filed = load_terrain(ground.path, posting=ground.dtm_posting, window=ground.dtm_window)
     return {
         "as filed": filed.scaled(ground.relief_scale),
         "refined": replace(ground, detail=False).relief(),
@@ -104,7 +104,7 @@ def draw(rows: dict[str, np.ndarray], posting: float, path: Path) -> None:
 def main(scenario: Path, box: tuple[float, ...], json_file: Path | None, out: Path | None) -> None:
     """Print the roughness of measured terrain with and without detail."""
     ground = Scenario.load(scenario).terrain.make()
-    if not isinstance(ground, MeasuredGround):
+    if not isinstance(ground, RasterTerrain):
         raise click.BadParameter(f"{scenario}: must have measured terrain", param_hint="--scenario")
     found = reliefs(ground)
     rows = {n: np.array([differences(r, lag, box) for lag in LAGS]) for n, r in found.items()}

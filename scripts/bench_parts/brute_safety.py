@@ -6,7 +6,7 @@ import numpy as np
 
 from bench_parts.common import median_ms
 from lunarsim._jit import kernel, prange
-from lunarsim._lanes import LANES, item, larger, load, root, spread, store
+from lunarsim._simd import SIMD_WIDTH, item, lane_fill, lane_max, lane_sqrt, load, store
 from lunarsim.safety import footprint_of
 from lunarsim.safety._plane_kernels import flat_offsets, plane, squared_tangent
 from lunarsim.safety.exact import exact_safety
@@ -15,14 +15,14 @@ from lunarsim.safety.footprint import polygon_runs
 
 @kernel(inline=True)
 def _over_polygon(z, here, wide, runs, begin, beyond, gx, gy):
-    top = spread(-1e30)
+    top = lane_fill(-1e30)
     for n in range(begin, beyond):
         row, col = item(runs, 3 * n), item(runs, 3 * n + 1)
         at = here + row * wide + col
         line = load(z, at)
         for c in range(1, item(runs, 3 * n + 2)):
-            line = larger(line, load(z, at + c) - np.float32(c) * gx)
-        top = larger(top, line - np.float32(row) * gy - np.float32(col) * gx)
+            line = lane_max(line, load(z, at + c) - np.float32(c) * gx)
+        top = lane_max(top, line - np.float32(row) * gy - np.float32(col) * gx)
     return top
 
 
@@ -31,18 +31,18 @@ def _brute(z, feet, shape, cells, legs, runs, first, posting, tangent, roughness
     inverse, place, reach = cells.inverse, cells.place, cells.reach
     rows, cols = shape
     for i in prange(reach, rows - reach):
-        for j in range(reach, cols - reach - LANES + 1, LANES):
+        for j in range(reach, cols - reach - SIMD_WIDTH + 1, SIMD_WIDTH):
             here = i * cols + j
-            steepest = spread(0.0)
-            worst = spread(0.0)
+            steepest = lane_fill(0.0)
+            worst = lane_fill(0.0)
             for h in range(legs.shape[0]):
                 for s in range(inverse.shape[1]):
                     gx, gy, base = plane(feet, here, legs, inverse, place, h, s)
                     square = squared_tangent(gx, gy, posting)
                     top = _over_polygon(z, here, cols, runs, first[h], first[h + 1], gx, gy)
-                    steepest = larger(steepest, square)
-                    worst = larger(worst, (top - base) / root(square + np.float32(1.0)))
-            store(tangent, here, root(steepest))
+                    steepest = lane_max(steepest, square)
+                    worst = lane_max(worst, (top - base) / lane_sqrt(square + np.float32(1.0)))
+            store(tangent, here, lane_sqrt(steepest))
             store(roughness, here, worst)
 
 
@@ -56,7 +56,7 @@ def brute(z, grid, lander):
     feet = z.copy()
     for row, col in footprint.pad:
         np.maximum(feet, np.roll(z, (-row, -col), (0, 1)), out=feet)
-    out = np.zeros((2, z.size + LANES), np.float32)
+    out = np.zeros((2, z.size + SIMD_WIDTH), np.float32)
     legs = flat_offsets(footprint.legs, grid.cols)
     _brute(
         z.ravel(), feet.ravel(), grid.shape, footprint.cells, legs, runs, first,
@@ -114,7 +114,7 @@ def compare(lander, width: float = 25.0, posting: float = 0.1) -> None:
 
     grid = Grid.centred((0.0, 0.0), width, posting)
     reach = footprint_of(lander, posting).reach
-    inner = slice(reach, -reach - LANES)
+    inner = slice(reach, -reach - SIMD_WIDTH)
     sites = (grid.rows - 2 * reach) * (grid.cols - 2 * reach)
     threads = numba.get_num_threads()
     numba.set_num_threads(1)

@@ -24,14 +24,14 @@ _ROW_COUNT = 2000
 
 def worlds(folder: Path) -> None:
     """Print the cost of a world, and of a flight with and without the cache."""
-    from lunarsim.campaign.cache import opened
-    from lunarsim.campaign.grounds import Grounds
+    from lunarsim.campaign.cache import open_cache
+    from lunarsim.campaign.world_truth import WorldTruthProvider
     from lunarsim.rng import flight_seed
 
     spec = _spec("hard", 4)
     took: dict[str, list[float]] = {"relief and rocks": [], "truth": [], "shares": []}
     for index in range(4):
-        grounds = Grounds(flight_seed(1, index), {})
+        grounds = WorldTruthProvider(flight_seed(1, index), {})
         scenario = spec.scenario_of(index, 0)
         steps = [time.process_time()]
         world = _world(grounds, scenario)
@@ -43,7 +43,7 @@ def worlds(folder: Path) -> None:
         for name, cost in zip(took, np.diff(steps), strict=True):
             took[name].append(float(cost))
         del world
-    cache = opened(folder / "worlds")
+    cache = open_cache(folder / "worlds")
     costs_text = ", ".join(f"{name} {np.median(costs[1:]):.2f} s" for name, costs in took.items())
     cold, filled, warm = (_seconds("hard", 4, kept) for kept in (None, cache, cache))
     size = np.mean([p.stat().st_size for p in (folder / "worlds").glob("??/*.npz")])
@@ -54,10 +54,10 @@ def worlds(folder: Path) -> None:
 
 
 def _world(grounds: Any, scenario: Any) -> Any:
-    from lunarsim.rng import Streams
+    from lunarsim.rng import RandomStreams
     from lunarsim.simulation import build_world
 
-    return build_world(scenario, Streams(grounds.seed))
+    return build_world(scenario, RandomStreams(grounds.seed))
 
 
 def million(folder: Path, row_bytes: float) -> None:
@@ -86,11 +86,11 @@ def _writer_time(folder: Path) -> float:
     """Return the processor time of the campaign writer per row, s."""
     from dataclasses import replace
 
-    from lunarsim.campaign.flying import plan_of
+    from lunarsim.campaign.flight_execution import build_plan
     from lunarsim.campaign.outcomes import FLOWN, Finished
     from lunarsim.campaign.store import Store
 
-    plan = replace(plan_of(_spec("hirise", _ROW_COUNT)), identity={})
+    plan = replace(build_plan(_spec("hirise", _ROW_COUNT)), identity={})
     kinds = {"bool": True, "int": 3, "float": 1.25, "text": "rate"}
     row = {name: kinds[kind] for name, kind in plan.columns.items()}
     store = Store.open(folder / "written", plan)
@@ -110,10 +110,10 @@ def _spec(name: str, flights: int) -> Any:
 
 def _seconds(name: str, flights: int, cache: Any) -> float:
     """Return the median processor time of a flight without compilation, s."""
-    from lunarsim.campaign.flying import fly, plan_of
+    from lunarsim.campaign.flight_execution import build_plan, fly
     from lunarsim.campaign.plan import Group
 
-    study = plan_of(_spec(name, flights + 1), cache=cache).work.study
+    study = build_plan(_spec(name, flights + 1), cache=cache).work.study
     took = []
     for index in range(flights + 1):
         began = time.process_time()

@@ -43,7 +43,7 @@ def nothing(study: Any, group: Any, arm: int, memory: Any) -> dict[str, Any]:
 
 def measured(study: Any, group: Any, arm: int, memory: Any) -> dict[str, Any]:
     """Fly; report the memory of this process."""
-    from lunarsim.campaign.flying import fly
+    from lunarsim.campaign.flight_execution import fly
 
     return {"safe": fly(study, group, arm, memory)["safe"], "mib": _mib()}
 
@@ -73,10 +73,10 @@ def _plan(flights: int, function: str, study: Any = None) -> Any:
 
 def _overhead(folder: Path) -> None:
     """Print the overhead per flight, and its fraction of a flight."""
-    from lunarsim.campaign.cache import opened
+    from lunarsim.campaign.cache import open_cache
     from lunarsim.campaign.engines.local import LocalEngine
-    from lunarsim.campaign.flying import plan_of
-    from lunarsim.campaign.outcomes import function_of
+    from lunarsim.campaign.flight_execution import build_plan
+    from lunarsim.campaign.outcomes import import_function
     from lunarsim.campaign.plan import Group
     from lunarsim.campaign.run import run
     from lunarsim.campaign.spec import CampaignSpec
@@ -91,14 +91,14 @@ def _overhead(folder: Path) -> None:
     name = ROOT / "scenarios" / "hirise.toml"
     spec = CampaignSpec.from_dict({"scenario": str(name), "flights": 8, "seed": 1})
     bare = {}
-    cache = opened(folder / "cache")
+    cache = open_cache(folder / "cache")
     for label, kept in (("cold", None), ("filled", cache), ("warm", cache)):
-        work = plan_of(spec, cache=kept).work
-        function_of(work)(work.study, Group(0, (0,)), 0, {})
+        work = build_plan(spec, cache=kept).work
+        import_function(work)(work.study, Group(0, (0,)), 0, {})
         times = []
         for i in range(1, 6):
             began = time.process_time()
-            function_of(work)(work.study, Group(i, (0,)), 0, {})
+            import_function(work)(work.study, Group(i, (0,)), 0, {})
             times.append(time.process_time() - began)
         bare[label] = float(np.median(times))
     print(
@@ -170,7 +170,7 @@ def _bare(processes: int) -> float:
 def _memory(folder: Path) -> None:
     """Print the memory of driver and worker over many short flights."""
     from lunarsim.campaign.engines.local import LocalEngine
-    from lunarsim.campaign.flying import plan_of
+    from lunarsim.campaign.flight_execution import build_plan
     from lunarsim.campaign.results import load_results
     from lunarsim.campaign.run import run
     from lunarsim.campaign.spec import CampaignSpec
@@ -189,7 +189,7 @@ def _memory(folder: Path) -> None:
     print(f"  memory after {counts} empty flights (part size 5000): " + "; ".join(memory_text))
     name = ROOT / "scenarios" / "hirise.toml"
     spec = CampaignSpec.from_dict({"scenario": str(name), "flights": _MEMORY_FLIGHTS, "seed": 1})
-    plan = _plan(_MEMORY_FLIGHTS, "measured", plan_of(spec).work.study)
+    plan = _plan(_MEMORY_FLIGHTS, "measured", build_plan(spec).work.study)
     run(plan, LocalEngine(1), folder / "real")
     real = load_results(folder / "real", ["mib"]).table["mib"].to_numpy()
     print(
@@ -226,15 +226,15 @@ def _fill_with_rows(out: Path, rows: int) -> None:
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    from lunarsim.campaign.flying import SHARES
+    from lunarsim.campaign.flight_execution import SAFE_SHARE_COLUMNS
     from lunarsim.campaign.manifest import with_digest
     from lunarsim.campaign.rows import TIMING, schema_of
     from lunarsim.campaign.store import PART_ROWS
-    from lunarsim.evaluation.outcome import COLUMNS
+    from lunarsim.evaluation.flight_metrics import COLUMNS
 
     manifest = json.loads((out / "manifest.json").read_text())
     arms = [f"arm {i}" for i in range(4)]
-    columns = COLUMNS | dict.fromkeys(SHARES, "float")
+    columns = COLUMNS | dict.fromkeys(SAFE_SHARE_COLUMNS, "float")
     manifest |= {
         "arms": [{"name": name, "values": {"level": i}} for i, name in enumerate(arms)],
         "flights": rows // 4, "columns": columns, "inputs": {"level": "int"}, "rows": rows,

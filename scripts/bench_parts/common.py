@@ -70,7 +70,7 @@ def make_terrain(slope_deg: float, count: int, posting: float, side: float, seed
 
     from lunarsim.grid import Grid
     from lunarsim.rocks.field import RockModel
-    from lunarsim.rocks.laws import golombek_number, sample_diameters
+    from lunarsim.rocks.size_distribution import golombek_number, sample_diameters
     from lunarsim.world.terrain import Terrain, fractal_relief, place_rocks
 
     rng = np.random.default_rng(seed)

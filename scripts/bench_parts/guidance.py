@@ -56,9 +56,9 @@ def _fly_law(
 
 def _optima(starts: list[Any], end: Any, lander: Any) -> Any:
     """Return the minimum propellant of each start, kg; NaN if infeasible."""
-    from lunarsim.onboard.guidance.divert import PathLimits
+    from lunarsim.onboard.guidance.divert_cost import PathLimits
     from lunarsim.optimal.errors import InfeasibleError
-    from lunarsim.optimal.final_time import least_propellant
+    from lunarsim.optimal.final_time import minimize_propellant
     from lunarsim.optimal.planner import Planner
     from lunarsim.optimal.problem import Descent
 
@@ -72,7 +72,7 @@ def _optima(starts: list[Any], end: Any, lander: Any) -> Any:
             lander.dry_mass + limits.reserve, limits.max_tilt, limits.glideslope, 0.5,
         )  # fmt: skip
         try:
-            least[n] = least_propellant(planner, descent).propellant
+            least[n] = minimize_propellant(planner, descent).propellant
         except InfeasibleError:
             continue
     return least

@@ -35,23 +35,23 @@ def _descent(rng: Any = None, **changes: Any) -> Any:
 
 def _fixed() -> float:
     """Print solve times at a fixed final time; return the cold time of Clarabel, ms."""
-    from lunarsim.optimal.cone_program import Clarabel, Qoco
-    from lunarsim.optimal.transcription import Structure, Transcription
+    from lunarsim.optimal.cone_program import ClarabelSolver, QocoSolver
+    from lunarsim.optimal.transcription import ProgramStructure, Transcription
 
-    made = Transcription(Structure(40, True, True, 0, False))
+    made = Transcription(ProgramStructure(40, True, True, 0, False))
     masses = -0.025 * (np.arange(40) + 0.5) / 40
     descents = [_descent(np.random.default_rng(n)) for n in range(8)]
     programs = [made.program(d, 30.0, masses) for d in descents]
-    kept, counts = Qoco(), []
+    kept, counts = QocoSolver(), []
     kept.solve(programs[0])
 
     def each(solve: Any) -> float:
         counts.append([solve(p).iterations for p in programs])
         return median_ms(lambda: [solve(p) for p in programs], 7) / len(programs)
 
-    clarabel = each(Clarabel().solve)
+    clarabel = each(ClarabelSolver().solve)
     updated = each(kept.solve)
-    anew = each(lambda p: Qoco().solve(p))
+    anew = each(lambda p: QocoSolver().solve(p))
     filled = median_ms(lambda: [made.program(d, 30.0, masses) for d in descents], 7) / len(descents)
     print(
         f"  40 intervals, fixed final time: {made.variables} variables, "
@@ -68,14 +68,14 @@ def _fixed() -> float:
 
 def _network(clarabel: float) -> None:
     """Print the evaluation time of the network trained on such descents."""
-    from lunarsim.onboard.guidance.optimal_network import OptimalNetwork, reduced
+    from lunarsim.onboard.guidance.optimal_network import OptimalNetwork, reduce_state
 
     network, here = OptimalNetwork.load(), _descent()
     many = 200
 
     def answer() -> None:
         for _ in range(many):
-            network(reduced(here.gap, here.velocity, here.mass)[0])
+            network(reduce_state(here.gap, here.velocity, here.mass)[0])
 
     took = median_ms(answer, 7) / many
     print(f"    network of `neural-optimal`     {took:7.3f} ms  {took / clarabel:6.4f} x")
@@ -83,11 +83,11 @@ def _network(clarabel: float) -> None:
 
 def _free(clarabel: float) -> None:
     """Print the search for the optimal final time, warm (1 s later) and cold."""
-    from lunarsim.optimal.final_time import least_propellant
+    from lunarsim.optimal.final_time import minimize_propellant
     from lunarsim.optimal.planner import Planner
 
     planner = Planner(40)
-    first = least_propellant(planner, _descent())
+    first = minimize_propellant(planner, _descent())
     r, v, _ = first.at(1.0)
     mass = float(first.mass_at(1.0))
     warm, cold, solves, colds = [], [], [], []
@@ -98,7 +98,7 @@ def _free(clarabel: float) -> None:
         )
         for times, counts, last in ((warm, solves, first), (cold, colds, None)):
             began = time.perf_counter()
-            found = least_propellant(planner, here, last=last, elapsed=1.0)
+            found = minimize_propellant(planner, here, last=last, elapsed=1.0)
             times.append(1e3 * (time.perf_counter() - began))
             counts.append(found.solves)
     for name, times, counts in (("1 s later", warm, solves), ("cold start", cold, colds)):
@@ -115,10 +115,15 @@ def _rigid() -> None:
 
     from lunarsim.evaluation.open_loop import flown
     from lunarsim.models.lander import Lander
-    from lunarsim.optimal.six_dof import RigidDescent, Successive, carried_on, shoot
+    from lunarsim.optimal.six_dof import (
+        RigidDescent,
+        SuccessiveConvexification,
+        remaining_guess,
+        shoot,
+    )
     from lunarsim.vehicle.state import State
 
-    programs, cold, warm, counts, by_ipopt, more = Successive(30), [], [], [], [], []
+    programs, cold, warm, counts, by_ipopt, more = SuccessiveConvexification(30), [], [], [], [], []
     for n in range(8):
         point = _descent(np.random.default_rng(n))
         lean = Rotation.from_euler("y", -15.0, degrees=True).as_quat()
@@ -131,7 +136,7 @@ def _rigid() -> None:
         first = programs.solve(rigid)
         times, states = flown(first)
         after = State.from_vector(states[np.searchsorted(times, 1.0)])
-        later = programs.solve(replace(rigid, start=after), carried_on(first, 1.0))
+        later = programs.solve(replace(rigid, start=after), remaining_guess(first, 1.0))
         cold.append(1e3 * first.seconds)
         warm.append(1e3 * later.seconds)
         counts.append(later.iterations)
@@ -149,13 +154,13 @@ def _rigid() -> None:
 def optimal() -> None:
     """Optimal descents at fixed and free final time, relative to Clarabel (cold)."""
     from lunarsim.optimal.collocation import collocate
-    from lunarsim.optimal.final_time import least_propellant
+    from lunarsim.optimal.final_time import minimize_propellant
     from lunarsim.optimal.planner import Planner
 
     clarabel = _fixed()
     _network(clarabel)
     _free(clarabel)
-    path = least_propellant(Planner(40), _descent())
+    path = minimize_propellant(Planner(40), _descent())
     began = time.perf_counter()
     other = collocate(_descent(), 40)
     took = 1e3 * (time.perf_counter() - began)

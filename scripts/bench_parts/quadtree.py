@@ -201,15 +201,15 @@ def lidar_inertial() -> None:
     from lunarsim.scenario import Scenario
     from lunarsim.simulation import Simulation
 
-    kept = navigation.register, navigation.search
+    kept = navigation.register_scan, navigation.search
     scenario = Scenario.load(ROOT / "scenarios" / "morpheus.toml")
     for index in range(3):
         fit, search = (TimedFunction(function) for function in kept)
-        navigation.register, navigation.search = fit, search
+        navigation.register_scan, navigation.search = fit, search
         simulation = Simulation(scenario, flight_seed(1, index))
         while not simulation.done and simulation.time < 20.0:
             simulation.step()
-        navigation.register, navigation.search = kept
+        navigation.register_scan, navigation.search = kept
         print(
             f"  flight {index}: {fit.calls} registrations of {1e3 * fit.seconds / fit.calls:.1f} "
             f"ms, {search.calls} searches of {1e3 * search.seconds / max(search.calls, 1):.0f} ms"

@@ -14,7 +14,7 @@ _PATHS = 3000
 
 def _planning_problem(changes: dict[str, Any]) -> tuple[Any, Any, float]:
     """Return planner, problem and time-to-go at the start of the descent."""
-    from lunarsim.onboard.guidance.divert import divert_cost
+    from lunarsim.onboard.guidance.divert_cost import divert_cost
     from lunarsim.scenario import Scenario
     from lunarsim.simulation import Simulation
 
@@ -31,7 +31,7 @@ def _planning_problem(changes: dict[str, Any]) -> tuple[Any, Any, float]:
 
 def _reach(problem: Any) -> Any:
     """Return a survey of 10,000 sites as a reference."""
-    from lunarsim.onboard.guidance.divert import divert_cost
+    from lunarsim.onboard.guidance.divert_cost import divert_cost
 
     side = np.linspace(-300.0, 300.0, 100)
     offset = np.dstack((*np.meshgrid(side, side), np.zeros((100, 100)))).reshape(-1, 3)

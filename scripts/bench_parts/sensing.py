@@ -18,7 +18,7 @@ def terrain() -> None:
 
     from lunarsim.grid import Grid
     from lunarsim.rocks.field import RockModel
-    from lunarsim.rocks.laws import sample_diameters
+    from lunarsim.rocks.size_distribution import sample_diameters
     from lunarsim.world.terrain import Heightfield, place_rocks
 
     make_terrain(4.0, 1000, 1.0, 64.0)
@@ -101,15 +101,15 @@ def _lights() -> None:
     from lunarsim.frames import sensor_axes
     from lunarsim.models.pinhole import View
     from lunarsim.sensors.rendering import renderer_of
-    from lunarsim.world.light import FULL_EARTH, SUN_DIAMETER, Light
+    from lunarsim.world.light import FULL_EARTH_IRRADIANCE_RATIO, SUN_DIAMETER_RAD, Light
 
     parts = {
         "Hapke": {"photometry": "hapke"},
-        "the Sun's disc": {"diameter": SUN_DIAMETER},
+        "the Sun's disc": {"diameter": SUN_DIAMETER_RAD},
         "scattered light": {"scattered": True},
         "mottles and boulders": {"mottle": 0.05, "boulder_albedo": 1.3, "boulder_mottle": 0.15},
     }
-    whole = {"earthshine": FULL_EARTH}
+    whole = {"earthshine": FULL_EARTH_IRRADIANCE_RATIO}
     for settings in parts.values():
         whole |= settings
     terrain = make_terrain(4.0, 10_000, 1.0, 512.0)

@@ -100,14 +100,14 @@ def _check_image(counts, camera, state, sun, seen, model):
     """Check the quality of one image, without the detection."""
     import numpy as np
 
-    from lunarsim.onboard.perception.direction import turn_from_sun
-    from lunarsim.onboard.perception.health import PictureHealth
+    from lunarsim.onboard.perception.image_quality import ImageQualityCheck
+    from lunarsim.onboard.perception.shadow_direction import measure_shadow_angle
 
-    health = PictureHealth()
+    health = ImageQualityCheck()
     first = health.before_detection(counts, camera, state)
     points = np.column_stack((seen.ground, np.zeros(len(seen))))
     noise = first.figures["noise"]
-    turn = turn_from_sun(seen, camera.view(state), points, sun, model, noise)
+    turn = measure_shadow_angle(seen, camera.view(state), points, sun, model, noise)
     return health.after_detection(seen, turn, noise)
 
 
@@ -175,7 +175,7 @@ def _evidence(elevation: float) -> None:
 
     from lunarsim.frames import direction_from_angles
     from lunarsim.grid import Grid
-    from lunarsim.onboard.hazards.shadows.evidence import ClearEvidence
+    from lunarsim.onboard.hazards.shadows.clear_evidence import ClearEvidence
     from lunarsim.onboard.perception.detection_rates import DetectionRates
     from lunarsim.onboard.perception.detector import detect_rocks
     from lunarsim.onboard.perception.shape_mixture import ShapeMixture

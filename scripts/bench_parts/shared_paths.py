@@ -16,7 +16,7 @@ _CASES = (
 
 def paths() -> None:
     """Processor time of flights of several policies with and without shared paths."""
-    from lunarsim.campaign.flying import plan_of
+    from lunarsim.campaign.flight_execution import build_plan
     from lunarsim.campaign.spec import CampaignSpec
 
     for name, policies, flights in _CASES:
@@ -25,7 +25,7 @@ def paths() -> None:
         spec = CampaignSpec.from_dict(
             {"scenario": str(path), "flights": flights + 1, "seed": 21, "factors": factors}
         )
-        study = plan_of(spec).work.study
+        study = build_plan(spec).work.study
         shared = apart = 0.0
         for index in range(flights + 1):
             one, other = _processor_times(study, index, len(policies))
@@ -43,7 +43,7 @@ def _processor_times(study: Any, index: int, arms: int) -> tuple[float, float]:
     """Return processor times of all arms of an index with and without shared paths."""
     from dataclasses import replace
 
-    from lunarsim.campaign.flying import fly
+    from lunarsim.campaign.flight_execution import fly
     from lunarsim.campaign.plan import Group
 
     memory: dict[Any, Any] = {}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from lunarsim.campaign.flying import plan_of
+from lunarsim.campaign.flight_execution import build_plan
 from lunarsim.campaign.plan import Plan, Work
 from lunarsim.campaign.spec import CampaignSpec
 from tests.campaign.limit_states import BETA, EAST, NORTH
@@ -28,6 +28,6 @@ def spec(flights: int = 300, seed: int = 1, **more: object) -> CampaignSpec:
 
 
 def planned(function: str, flights: int = 300, seed: int = 1, **more: object) -> Plan:
-    plan = plan_of(spec(flights, seed, **more))
+    plan = build_plan(spec(flights, seed, **more))
     work = Work(f"tests.campaign.limit_states:{function}", plan.work.study)
     return replace(plan, work=work, columns=COLUMNS)

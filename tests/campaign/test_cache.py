@@ -8,16 +8,16 @@ import resource
 import numpy as np
 import pytest
 
-from lunarsim.campaign import grounds
-from lunarsim.campaign.cache import CacheWarning, DiskCache, opened
+from lunarsim.campaign import world_truth
+from lunarsim.campaign.cache import CacheWarning, DiskCache, open_cache
 from lunarsim.campaign.engines.inline import InlineEngine
 from lunarsim.campaign.engines.local import LocalEngine
+from lunarsim.campaign.flight_execution import build_plan
 from lunarsim.campaign.fly_spec import fly_spec
-from lunarsim.campaign.flying import plan_of
-from lunarsim.campaign.grounds import Grounds
+from lunarsim.campaign.kernel_compilation import compile_kernels
 from lunarsim.campaign.spec import CampaignSpec
-from lunarsim.campaign.warming import warm
-from lunarsim.cli_common import open_cache
+from lunarsim.campaign.world_truth import WorldTruthProvider
+from lunarsim.cli_common import open_cache as open_command_cache
 from lunarsim.errors import InputError
 from lunarsim.rng import flight_seed
 from lunarsim.scenario import Scenario
@@ -37,13 +37,13 @@ def entries(folder):
 def made(monkeypatch):
     """Return a list that grows by one whenever truth is worked out."""
     calls = []
-    of = grounds.Truth.of
+    of = world_truth.Truth.of
 
     def counted(*args, **kwargs):
         calls.append(args)
         return of(*args, **kwargs)
 
-    monkeypatch.setattr(grounds.Truth, "of", counted)
+    monkeypatch.setattr(world_truth.Truth, "of", counted)
     return calls
 
 
@@ -56,7 +56,7 @@ def test_results_are_the_same_bytes_without_with_and_from_a_cache(tmp_path, made
     ]
     results = []
     for name, folder in (("without", None), ("cold", "c"), ("warm", "c")):
-        cache = None if folder is None else opened(tmp_path / folder)
+        cache = None if folder is None else open_cache(tmp_path / folder)
         before = len(made)
         fly_spec(spec(arms=arms, flights=1), InlineEngine(), tmp_path / name, cache=cache)
         # Policies share truth; other limits of the vehicle or other rocks have their own.
@@ -67,7 +67,7 @@ def test_results_are_the_same_bytes_without_with_and_from_a_cache(tmp_path, made
 
 
 def test_other_seeds_grounds_and_targets_are_other_entries(tmp_path, made):
-    cache = opened(tmp_path)
+    cache = open_cache(tmp_path)
     tiny = Scenario.from_dict(TINY_FLIGHT)
     for seed, scenario in (
         (flight_seed(1, 0), tiny),
@@ -76,30 +76,32 @@ def test_other_seeds_grounds_and_targets_are_other_entries(tmp_path, made):
         (flight_seed(1, 0), tiny.changed(rocks={"cover": 0.07})),
     ):
         memory = {}
-        Grounds(seed, memory, cache).world_and_truth(scenario)
+        WorldTruthProvider(seed, memory, cache).world_and_truth(scenario)
     assert len(made) == 4
-    world, truth = Grounds(flight_seed(1, 0), {}, cache).world_and_truth(tiny)
+    world, truth = WorldTruthProvider(flight_seed(1, 0), {}, cache).world_and_truth(tiny)
     assert len(made) == 4
-    fresh = grounds.Truth.of(world, tiny.vehicle.make())
+    fresh = world_truth.Truth.of(world, tiny.vehicle.make())
     assert truth.safety.grid == fresh.safety.grid and truth.lander == fresh.lander
     for name in ("slope", "roughness", "safe", "observed"):
         a, b = (np.asarray(getattr(t.safety, name)) for t in (truth, fresh))
         assert a.dtype == b.dtype and a.tobytes() == b.tobytes()
     assert truth.elevation.tobytes() == fresh.elevation.tobytes()
-    here = Grounds(flight_seed(1, 0), {}, cache).shares(tiny, truth)
+    here = WorldTruthProvider(flight_seed(1, 0), {}, cache).shares(tiny, truth)
     wide = tiny.changed(target={"scatter_m": [9.0, 9.0]})
-    there = Grounds(flight_seed(1, 0), {}, cache).shares(wide, truth)
+    there = WorldTruthProvider(flight_seed(1, 0), {}, cache).shares(wide, truth)
     assert here != there
     turned = tiny.changed(start={"heading_deg": 45.0})
-    assert Grounds(flight_seed(1, 0), {}, cache).shares(turned, truth) != here
-    assert Grounds(flight_seed(1, 0), {}, cache).shares(tiny, truth) == here
+    assert WorldTruthProvider(flight_seed(1, 0), {}, cache).shares(turned, truth) != here
+    assert WorldTruthProvider(flight_seed(1, 0), {}, cache).shares(tiny, truth) == here
 
 
 def test_parts_from_elsewhere_are_not_kept(tmp_path, made):
-    given = TINY_FLIGHT | {"terrain": {"kind": "lunarsim.world.grounds.fractal:FractalGround"}}
+    given = TINY_FLIGHT | {
+        "terrain": {"kind": "lunarsim.world.terrain_models.fractal:FractalTerrain"}
+    }
     for _ in range(2):
-        cache = opened(tmp_path)
-        Grounds(flight_seed(1, 0), {}, cache).world_and_truth(Scenario.from_dict(given))
+        cache = open_cache(tmp_path)
+        WorldTruthProvider(flight_seed(1, 0), {}, cache).world_and_truth(Scenario.from_dict(given))
     assert len(made) == 2 and not entries(tmp_path)
 
 
@@ -108,7 +110,7 @@ def arrays(value: float = 1.0, size: int = 1000):
 
 
 def test_damaged_entries_are_made_anew(tmp_path):
-    cache = opened(tmp_path)
+    cache = open_cache(tmp_path)
     cache.get("k", "one", arrays)
     (path,) = entries(tmp_path)
     whole = path.read_bytes()
@@ -125,7 +127,7 @@ def test_damaged_entries_are_made_anew(tmp_path):
 
 
 def test_an_entry_is_made_once_and_another_key_is_another(tmp_path):
-    cache = opened(tmp_path)
+    cache = open_cache(tmp_path)
     for key, value in (("one", 1.0), ("two", 2.0)):
         cache.get("k", key, lambda v=value: arrays(v))
     for key, value in (("one", 1.0), ("two", 2.0)):
@@ -155,7 +157,7 @@ def test_old_entries_make_room_and_those_in_use_do_not(tmp_path):
 
 
 def test_a_full_disk_is_told_once_and_changes_nothing(tmp_path):
-    cache = opened(tmp_path)
+    cache = open_cache(tmp_path)
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (10_000, hard))
     try:
@@ -169,14 +171,14 @@ def test_a_full_disk_is_told_once_and_changes_nothing(tmp_path):
 
 def test_folders_that_will_not_do(tmp_path):
     with pytest.warns(CacheWarning, match="results are the same"):
-        assert opened(tmp_path.__class__("/proc/lunarsim")) is None
+        assert open_cache(tmp_path.__class__("/proc/lunarsim")) is None
     (tmp_path / "file").touch()
     with pytest.raises(InputError, match="a folder, not a file"):
-        opened(tmp_path / "file")
+        open_cache(tmp_path / "file")
 
 
 def test_kernels_are_compiled_once_before_workers_start(tmp_path):
-    cache, said = opened(tmp_path / "c"), []
+    cache, said = open_cache(tmp_path / "c"), []
     one = spec(flights=1, factors={"policy": ["no-divert"]}, time_limit_s=300.0)
     ran = fly_spec(one, LocalEngine(1, 300.0), tmp_path / "a", cache=cache, say=said.append)
     assert ran.complete and ran.flown == 1
@@ -184,11 +186,11 @@ def test_kernels_are_compiled_once_before_workers_start(tmp_path):
     # Other numbers choose no other kernel; another part does.
     numbers = spec(factors={"rocks.cover": [0.03, 0.04], "policy": ["no-divert"]})
     for again in (one, numbers):
-        warm(again, plan_of(again), cache, said.append)
+        compile_kernels(again, build_plan(again), cache, said.append)
     assert len(said) == 2
     other = spec(factors={"policy": ["no-divert", "safest"]})
     with pytest.raises(InterruptedError, match="1 flights"):
-        warm(other, plan_of(other), cache, interrupt)
+        compile_kernels(other, build_plan(other), cache, interrupt)
 
 
 def interrupt(text: str) -> None:
@@ -196,5 +198,5 @@ def interrupt(text: str) -> None:
 
 
 def test_the_size_of_a_cache_is_told_in_gib(tmp_path):
-    assert open_cache(tmp_path, 0.5).limit == 2**29
-    assert open_cache(tmp_path, 0.0) is None
+    assert open_command_cache(tmp_path, 0.5).limit == 2**29
+    assert open_command_cache(tmp_path, 0.0) is None

@@ -14,10 +14,10 @@ from lunarsim.campaign import calibrate as campaign
 from lunarsim.campaign.calibrate import calibrate, gaussian_mapper
 from lunarsim.cli import main
 from lunarsim.errors import InputError
-from lunarsim.onboard.hazards.gaussian_dem.drawn import evidence_of
+from lunarsim.onboard.hazards.gaussian_dem.dem_snapshot import dem_site_evidence
 from lunarsim.rng import calibration_seed, flight_seed
 from lunarsim.safety.calibration import calibrated_safety
-from lunarsim.safety.refit import ScenarioCalibration
+from lunarsim.safety.scenario_calibration import ScenarioCalibration
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation
 
@@ -99,7 +99,7 @@ def test_a_flight_uses_it(scenario, done):
             simulation.step()
         maps.append(simulation.computer.mapper)
     plain, refitted = maps
-    evidence = evidence_of(plain.dem(), plain.lander, plain.rocks)
+    evidence = dem_site_evidence(plain.dem(), plain.lander, plain.rocks)
     p, known = calibrated_safety(evidence, refit=ScenarioCalibration.load(out))
     assert np.array_equal(refitted.hazard_map().p_safe, p)
     assert np.array_equal(refitted.hazard_map().in_domain, known)

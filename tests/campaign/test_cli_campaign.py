@@ -22,7 +22,7 @@ from lunarsim.campaign.results import load_results
 from lunarsim.campaign.run import run as fly
 from lunarsim.campaign.stopping import IntervalWidthRule
 from lunarsim.cli import main
-from lunarsim.evaluation.sequences import share_sequence
+from lunarsim.evaluation.sequences import share_confidence_sequence
 from lunarsim.scenario import Scenario
 from tests.campaign.processes import write_part
 from tests.campaign.surrogate import plan
@@ -176,7 +176,7 @@ def test_intervals_of_a_campaign_that_was_watched_stand_it(tmp_path, flights):
     page = out.read_text()
     table = load_results(tmp_path / "c").table.to_pandas()
     for _, rows in table.groupby("arm"):
-        low, high = share_sequence(int(rows["safe"].sum()), len(rows))
+        low, high = share_confidence_sequence(int(rows["safe"].sum()), len(rows))
         assert f"[{low:.3f}, {high:.3f}]" in page
     assert "confidence sequence" in page
 

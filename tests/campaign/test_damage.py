@@ -9,7 +9,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from lunarsim.campaign.engines.inline import InlineEngine
-from lunarsim.campaign.results import load_results, status_of
+from lunarsim.campaign.results import load_results, read_status
 from lunarsim.campaign.run import run
 from lunarsim.errors import InputError
 from tests.campaign.processes import journalled, parts, start, write_part
@@ -111,7 +111,7 @@ def test_a_disk_that_takes_no_more_ends_the_run_and_the_next_goes_on(tmp_path, w
     before = journalled(folder)
     assert 0 < before < 20
     assert len((tmp_path / "flown.txt").read_text().split()) - before <= 2
-    assert status_of(folder).state == "killed"
+    assert read_status(folder).state == "killed"
     ran = run(plan(), InlineEngine(), folder)
     assert (ran.before, ran.notes) == (before, ())
     assert parts(folder) == whole

@@ -16,7 +16,7 @@ import pytest
 
 from lunarsim.campaign.engines.inline import InlineEngine
 from lunarsim.campaign.engines.local import LocalEngine, block_interrupts
-from lunarsim.campaign.results import load_results, status_of
+from lunarsim.campaign.results import load_results, read_status
 from lunarsim.campaign.run import run
 from tests.campaign.processes import children, command_of, journalled, parts, start, wait_for
 from tests.campaign.surrogate import plan
@@ -203,9 +203,9 @@ def test_status_while_it_flies_and_after_a_kill(tmp_path):
     folder = tmp_path / "c"
     driver = start(folder, flights=400, sleep=0.02)
     wait_for(lambda: journalled(folder) >= 10)
-    found = status_of(folder)
+    found = read_status(folder)
     assert found.state == "flying" and found.wanted == 800
     assert 5.0 < found.rate < 100.0 and found.seconds_left > 5.0
     driver.kill()
     driver.communicate(timeout=60)
-    assert status_of(folder).state == "killed"
+    assert read_status(folder).state == "killed"

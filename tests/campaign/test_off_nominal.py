@@ -11,14 +11,14 @@ import pytest
 from click.testing import CliRunner
 from scipy.stats import norm
 
-from lunarsim.campaign.analysis import compute_arm_statistics, diff, differences
-from lunarsim.campaign.cache import opened
-from lunarsim.campaign.dispersions import world_of
+from lunarsim.campaign.analysis import compare_campaigns, compute_arm_statistics, differences
+from lunarsim.campaign.cache import open_cache
+from lunarsim.campaign.dispersions import world_index
 from lunarsim.campaign.engines.inline import InlineEngine
-from lunarsim.campaign.flying import plan_of
+from lunarsim.campaign.flight_execution import build_plan
 from lunarsim.campaign.plan import Work
-from lunarsim.campaign.planned import write_plan
-from lunarsim.campaign.rare import rare_shares
+from lunarsim.campaign.plan_file import write_plan
+from lunarsim.campaign.rare_failures import estimate_failure_shares
 from lunarsim.campaign.results import load_results
 from lunarsim.campaign.run import run
 from lunarsim.campaign.spec import CampaignSpec
@@ -99,13 +99,13 @@ def test_an_error_that_utf_8_cannot_hold_is_a_row(tmp_path):
 
 def test_a_landing_counts_whether_or_not_its_record_could_be_written(tmp_path, monkeypatch):
     whole = spec(flights=2, records="all")
-    run(plan_of(whole, tmp_path / "kept"), InlineEngine(), tmp_path / "kept")
+    run(build_plan(whole, tmp_path / "kept"), InlineEngine(), tmp_path / "kept")
 
     def full(*_: object) -> None:
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(Flight, "save", full)
-    ran = run(plan_of(whole, tmp_path / "full"), InlineEngine(), tmp_path / "full")
+    ran = run(build_plan(whole, tmp_path / "full"), InlineEngine(), tmp_path / "full")
     assert (ran.flown, ran.failed) == (2, 0)
     assert "No space left on device" in ran.unrecorded
     kept, lost = (load_results(tmp_path / name).table for name in ("kept", "full"))
@@ -117,7 +117,7 @@ def test_a_landing_counts_whether_or_not_its_record_could_be_written(tmp_path, m
 
 def test_no_damage_of_a_cache_entry_is_taken_for_it(tmp_path):
     """Heads of arrays too, whose damage reads less of them, and so past their sums."""
-    cache = opened(tmp_path)
+    cache = open_cache(tmp_path)
     made = {"x": np.arange(2000.0).reshape(40, 50)}
     cache.get("k", "one", lambda: made)
     (path,) = tmp_path.glob("??/*.npz")
@@ -189,14 +189,14 @@ def test_draws_of_lists_and_tables_have_columns(tmp_path):
             "policy": {"kind": "choice", "values": tables},
         }
     )
-    assert plan_of(made).inputs == {"target.scatter_m": "text", "policy.kind": "text"}
-    write_plan(plan_of(made), tmp_path / "p.csv", ".csv")
+    assert build_plan(made).inputs == {"target.scatter_m": "text", "policy.kind": "text"}
+    write_plan(build_plan(made), tmp_path / "p.csv", ".csv")
     assert "[2.0, 2.0]" in (tmp_path / "p.csv").read_text()
 
 
 def chance(study, group, arm, memory):
     """The world alone says who lands."""
-    rng = np.random.default_rng(flight_seed(study, world_of(group.flight, 8)))
+    rng = np.random.default_rng(flight_seed(study, world_index(group.flight, 8)))
     return {"safe": bool(rng.random(2)[arm] < 0.5), "x": 0.0, "steps": 0, "name": ""}
 
 
@@ -217,7 +217,7 @@ def test_flights_of_a_saltelli_block_do_not_count_as_many(tmp_path):
                     factors={"policy": ["safest", "no-divert"]})  # fmt: skip
         work = Work("tests.campaign.test_off_nominal:chance", seed)
         folder = tmp_path / str(seed)
-        run(replace(plan_of(made), work=work, columns=COLUMNS), InlineEngine(), folder)
+        run(replace(build_plan(made), work=work, columns=COLUMNS), InlineEngine(), folder)
         found = load_results(folder)
         figures = compute_arm_statistics(found)[0]
         assert (figures.rows, figures.flown, figures.shares["safe"].total) == (128, 128, 32)
@@ -226,7 +226,7 @@ def test_flights_of_a_saltelli_block_do_not_count_as_many(tmp_path):
         (made_of_pairs,) = differences(found)
         assert made_of_pairs.pairs == 32
         cried += made_of_pairs.p < 0.05
-        assert {v.difference.pairs for v in diff(found, found, 0.05)} == {32}
+        assert {v.difference.pairs for v in compare_campaigns(found, found, 0.05)} == {32}
     assert held >= 34 and cried <= 6
 
 
@@ -241,9 +241,10 @@ def test_failures_that_hardly_count_are_said_to_be_few(tmp_path, shift, rough):
     made = spec(method="importance", dispersions={EAST: NORMAL}, flights=1500,
                 importance={"shifts": {EAST: shift}})  # fmt: skip
     work = Work("tests.campaign.test_off_nominal:beyond")
-    run(replace(plan_of(made), work=work, columns={"safe": "bool", "z": "float"}), InlineEngine(),
+    run(replace(build_plan(made), work=work, columns={"safe": "bool", "z": "float"}),
+    InlineEngine(),
         tmp_path / "c")  # fmt: skip
-    (share,) = rare_shares(load_results(tmp_path / "c"))
+    (share,) = estimate_failure_shares(load_results(tmp_path / "c"))
     assert share.failures > 500 and share.few == rough
 
 
@@ -254,17 +255,17 @@ def lands(study, group, arm, memory):
 def test_diff_is_of_the_same_draws_and_a_gain_is_no_equivalence(tmp_path):
     def flown(name: str, of_ten: int, **more: object):
         work = Work("tests.campaign.test_off_nominal:lands", of_ten)
-        made = replace(plan_of(spec(flights=100, **more)), work=work, columns=COLUMNS)
+        made = replace(build_plan(spec(flights=100, **more)), work=work, columns=COLUMNS)
         run(made, InlineEngine(), tmp_path / name)
         return load_results(tmp_path / name)
 
     poor, good, drawn = flown("a", 5), flown("b", 9), flown("c", 9, dispersions={EAST: NORMAL})
     for first, second, worse in ((poor, good, False), (good, poor, True)):
-        (verdict,) = diff(first, second, 0.05)
+        (verdict,) = compare_campaigns(first, second, 0.05)
         assert not verdict.equivalent and verdict.worse == worse
-    assert diff(good, good, 0.05)[0].equivalent
+    assert compare_campaigns(good, good, 0.05)[0].equivalent
     with pytest.raises(InputError, match="same dispersions"):
-        diff(good, drawn, 0.05)
+        compare_campaigns(good, drawn, 0.05)
     done = CliRunner().invoke(main, ["campaign", "diff", str(tmp_path / "a"), str(tmp_path / "b")])
     assert done.exit_code == 0 and "differ" not in done.output
     flown("d", 9, scenario=TINY_FLIGHT | {"gravity_m_s2": 1.7})

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import pytest
 
-from lunarsim.campaign.flying import fly_with_simulation, plan_of
-from lunarsim.campaign.paths import shared_path_classes
+from lunarsim.campaign.flight_execution import build_plan, fly_with_simulation
 from lunarsim.campaign.plan import Group
+from lunarsim.campaign.shared_paths import shared_path_classes
 from lunarsim.campaign.spec import CampaignSpec
 from lunarsim.errors import InputError
 from lunarsim.onboard.policies.contract import Decision
@@ -38,7 +38,7 @@ def study(policies=POLICIES, **more):
         "scenario": ROUGH,
         "factors": {"policy": policies},
     }
-    return plan_of(CampaignSpec.from_dict(given | more)).work.study
+    return build_plan(CampaignSpec.from_dict(given | more)).work.study
 
 
 def digest(flight, folder):
@@ -106,7 +106,7 @@ def test_where_no_copy_is_certain_flights_are_flown_apart(monkeypatch, cycles):
     known = study(["no-divert", "safest"])
     alone = [fly_with_simulation(known, Group(1, (arm,)), arm, {})[2] for arm in (0, 1)]
     cycles.clear()
-    monkeypatch.setattr("lunarsim.campaign.paths.Checkpoint.__init__", refuse)
+    monkeypatch.setattr("lunarsim.campaign.shared_paths.Checkpoint.__init__", refuse)
     memory: dict = {}
     shared = [fly_with_simulation(known, Group(1, (0, 1)), arm, memory)[2] for arm in (0, 1)]
     assert repr(shared) == repr(alone)
@@ -129,7 +129,7 @@ def test_who_climbs_away_parts_from_who_lands():
         {"name": n, "set": {"policy": away | {"worth": w}}} for n, w in (("b", 0.5), ("c", 0.4))
     ]
     given = {"name": "p", "flights": 4, "seed": 5, "scenario": ROUGH, "arms": arms}
-    known = plan_of(CampaignSpec.from_dict(given)).work.study
+    known = build_plan(CampaignSpec.from_dict(given)).work.study
     memory: dict = {}
     shared = [fly_with_simulation(known, Group(0, (0, 1, 2)), arm, memory)[2] for arm in range(3)]
     alone = [fly_with_simulation(known, Group(0, (arm,)), arm, {})[2] for arm in range(3)]

@@ -10,7 +10,7 @@ import weakref
 import pytest
 from rich.console import Console
 
-from lunarsim.campaign.pool import gathered, outcomes
+from lunarsim.campaign.pool import collect_results, iterate_results
 
 QUIET = Console(quiet=True)
 
@@ -33,13 +33,15 @@ def first_interrupts(x: int) -> int:
 
 @pytest.mark.parametrize("jobs", [1, 2])
 def test_results_are_in_the_order_of_the_tasks(jobs):
-    assert gathered(square_late, range(7), jobs, QUIET, "squares") == [x * x for x in range(7)]
+    assert collect_results(square_late, range(7), jobs, QUIET, "squares") == [
+        x * x for x in range(7)
+    ]
 
 
 def test_what_is_done_before_an_interrupt_is_kept():
-    assert gathered(third_interrupts, range(5), 1, QUIET, "numbers") == [0, -1]
+    assert collect_results(third_interrupts, range(5), 1, QUIET, "numbers") == [0, -1]
     with pytest.raises(KeyboardInterrupt):
-        gathered(first_interrupts, range(5), 1, QUIET, "numbers")
+        collect_results(first_interrupts, range(5), 1, QUIET, "numbers")
 
 
 class Circle:
@@ -61,7 +63,7 @@ def leaves_a_circle(x: int) -> int:
 @pytest.mark.parametrize("jobs", [1, 2])
 def test_what_a_task_leaves_behind_is_freed(jobs):
     try:
-        assert gathered(leaves_a_circle, range(5), jobs, QUIET, "circles") == [0] * 5
+        assert collect_results(leaves_a_circle, range(5), jobs, QUIET, "circles") == [0] * 5
     finally:
         gc.enable()
 
@@ -73,7 +75,7 @@ def sleeps(seconds: float) -> float:
 
 def test_workers_end_with_the_work():
     """An interrupt leaves no process that goes on for what nobody takes any more."""
-    work = outcomes(sleeps, [0.0, 600.0, 600.0], 2)
+    work = iterate_results(sleeps, [0.0, 600.0, 600.0], 2)
     assert next(work) == (0, 0.0)
     workers = multiprocessing.active_children()
     assert workers

@@ -10,11 +10,11 @@ import pytest
 from click.testing import CliRunner
 from scipy.stats import norm, truncnorm
 
-from lunarsim.campaign.analysis import compute_arm_statistics, diff, differences
+from lunarsim.campaign.analysis import compare_campaigns, compute_arm_statistics, differences
 from lunarsim.campaign.engines.inline import InlineEngine
-from lunarsim.campaign.flying import plan_of
+from lunarsim.campaign.flight_execution import build_plan
 from lunarsim.campaign.plan import Work
-from lunarsim.campaign.rare import estimate_weighted_share, rare_shares
+from lunarsim.campaign.rare_failures import estimate_failure_shares, estimate_weighted_share
 from lunarsim.campaign.results import load_results
 from lunarsim.campaign.run import run
 from lunarsim.campaign.sensitivity import sensitivities
@@ -49,7 +49,7 @@ def fall(study, group, arm, memory):
 
 def flown(folder, flights: int = 1500, seed: int = 1, **more: object):
     columns = {"safe": "bool", "score": "float"}
-    plan = plan_of(spec(flights, seed, **more))
+    plan = build_plan(spec(flights, seed, **more))
     plan = replace(plan, work=Work("tests.campaign.test_rare:fall"), columns=columns)
     run(plan, InlineEngine(), folder)
     return load_results(folder)
@@ -58,14 +58,14 @@ def flown(folder, flights: int = 1500, seed: int = 1, **more: object):
 @pytest.mark.parametrize("seed", [1, 2])
 def test_one_in_ten_thousand_from_a_thousand_flights(tmp_path, seed):
     found = flown(tmp_path / "c", seed=seed)
-    (made,) = rare_shares(found)
+    (made,) = estimate_failure_shares(found)
     assert made.low < 1e-4 < made.high
     assert made.high / made.low < 1.5 and made.failures > 300 and made.left_out == 0
     # Brute force would need so many flights for the same error.
     assert made.worth > 5e5
-    (same,) = rare_shares(found, "score", above=BETA)
+    (same,) = estimate_failure_shares(found, "score", above=BETA)
     assert same == made
-    (other,) = rare_shares(found, "score", below=0.0)
+    (other,) = estimate_failure_shares(found, "score", below=0.0)
     assert other.low < 0.5 < other.high
     done = CliRunner().invoke(main, ["campaign", "rare", str(tmp_path / "c")])
     assert done.exit_code == 0 and f"{made.value:.3g}" in done.output
@@ -159,7 +159,7 @@ def test_flights_that_lean_are_never_taken_as_even(tmp_path):
     for refused in (
         lambda: compute_arm_statistics(found),
         lambda: differences(found),
-        lambda: diff(found, found, 0.05),
+        lambda: compare_campaigns(found, found, 0.05),
         lambda: sensitivities(found, "score"),
     ):
         with pytest.raises(InputError, match="equal weights"):
@@ -167,15 +167,15 @@ def test_flights_that_lean_are_never_taken_as_even(tmp_path):
     done = CliRunner().invoke(main, ["campaign", "report", str(tmp_path / "c")])
     assert done.exit_code == 0, done.output
     page = (tmp_path / "c" / "report.html").read_text()
-    (made,) = rare_shares(found)
+    (made,) = estimate_failure_shares(found)
     told = f'{made.value:.3g}<span class="range">[{made.low:.3g}, {made.high:.3g}]'
     assert told in page and "Importance sampling" in page
     even = flown(tmp_path / "e", 3, method="monte-carlo", importance=None)
     with pytest.raises(InputError, match="method importance"):
-        rare_shares(even)
+        estimate_failure_shares(even)
     for metric, limits in (("score", {}), ("safe", {"above": 1.0}), ("nothing", {})):
         with pytest.raises(InputError) as refused:
-            rare_shares(found, metric, **limits)
+            estimate_failure_shares(found, metric, **limits)
         assert refused.value.field == "--metric"
 
 

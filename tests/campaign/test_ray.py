@@ -15,14 +15,14 @@ import numpy as np
 import pytest
 import tomli_w
 
-from lunarsim.campaign.engines import engine_of, ray_cluster
+from lunarsim.campaign.engines import make_engine, ray_cluster
 from lunarsim.campaign.engines.inline import InlineEngine
 from lunarsim.campaign.plan import Group
 from lunarsim.campaign.results import load_results
 from lunarsim.campaign.run import run
 from lunarsim.campaign.spec import CampaignSpec
 from lunarsim.errors import InputError
-from lunarsim.parts.allowed import VARIABLE
+from lunarsim.parts.module_permission import ALLOW_MODULES_VARIABLE
 from tests.campaign.surrogate import plan
 from tests.worlds import TINY_FLIGHT
 
@@ -34,13 +34,13 @@ def parts(folder):
 @pytest.mark.parametrize("address", ["127.0.0.1:1", "nowhere", "127.0.0.1:x"])
 def test_an_address_that_does_not_answer_is_refused(address):
     with pytest.raises(InputError, match="--address"):
-        engine_of("ray", 1, address, None)
+        make_engine("ray", 1, address, None)
 
 
 def test_without_ray_the_extra_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "ray", None)
     with pytest.raises(InputError, match=r"pip install \"lunarsim\[ray\]\""):
-        engine_of("ray", 1, None, None)
+        make_engine("ray", 1, None, None)
 
 
 def test_a_node_of_other_code_or_packages_flies_nothing(monkeypatch):
@@ -80,7 +80,7 @@ def test_a_node_that_is_taken_away_changes_nothing(tmp_path):
             threading.Thread(target=cluster.remove_node, args=(second,)).start()
 
     try:
-        engine = engine_of("ray", 1, cluster.address, None)
+        engine = make_engine("ray", 1, cluster.address, None)
         ran = run(plan(sleep=0.05), engine, tmp_path / "c", progress=progress)
     finally:
         ray.shutdown()
@@ -140,10 +140,10 @@ def test_flights_that_fail_on_ray_are_rows(tmp_path, monkeypatch):
     with monkeypatch.context() as patch, pytest.raises(InputError, match=r"here 1\.26"):
         other = ray_cluster.node_environment() | {"numpy": "1.26"}
         patch.setattr(ray_cluster, "node_environment", lambda: other)
-        run(failing, engine_of("ray", 1, None, 1.0), tmp_path / "c")
+        run(failing, make_engine("ray", 1, None, 1.0), tmp_path / "c")
     assert not load_results(tmp_path / "c").table.num_rows
     began = time.monotonic()
-    ran = run(failing, engine_of("ray", 2, None, 1.0), tmp_path / "c")
+    ran = run(failing, make_engine("ray", 2, None, 1.0), tmp_path / "c")
     assert (ran.state, ran.flown, ran.failed) == ("complete", 10, 3)
     assert time.monotonic() - began < 120.0
 
@@ -158,7 +158,7 @@ def test_a_permission_given_here_holds_on_a_node_started_without_it(tmp_path, mo
     )
     monkeypatch.setenv("PYTHONPATH", f"{tmp_path}{os.pathsep}{os.environ.get('PYTHONPATH', '')}")
     monkeypatch.syspath_prepend(tmp_path)
-    monkeypatch.delenv(VARIABLE, raising=False)
+    monkeypatch.delenv(ALLOW_MODULES_VARIABLE, raising=False)
     scenario = TINY_FLIGHT | {"policy": {"kind": "own_policy:Mine"}}
     spec = {"scenario": scenario, "flights": 2, "seed": 1}
     (tmp_path / "s.toml").write_text(tomli_w.dumps(spec))

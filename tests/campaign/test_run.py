@@ -14,15 +14,15 @@ import pytest
 
 from lunarsim.campaign import store
 from lunarsim.campaign.engines.inline import InlineEngine
-from lunarsim.campaign.engines.local import LocalEngine, WorkersDieError
+from lunarsim.campaign.engines.local import LocalEngine, WorkerStartError
 from lunarsim.campaign.outcomes import FLOWN, Finished
 from lunarsim.campaign.plan import Work
-from lunarsim.campaign.results import load_results, status_of
+from lunarsim.campaign.results import load_results, read_status
 from lunarsim.campaign.run import run
 from lunarsim.campaign.stopping import IntervalWidthRule
 from lunarsim.campaign.store import Store
 from lunarsim.errors import InputError
-from lunarsim.evaluation.sequences import share_sequence
+from lunarsim.evaluation.sequences import share_confidence_sequence
 from tests.campaign.processes import parts, write_manifest
 from tests.campaign.surrogate import plan
 
@@ -90,7 +90,7 @@ def test_flights_that_fail_are_rows_with_reason_and_seed(tmp_path):
     assert "SIGKILL" in rows["4-1"]["error"] and "3 times" in rows["4-1"]["error"]
     tries = {t["id"]: t["tries"] for t in load_results(tmp_path / "c").timing.to_pylist()}
     assert (tries["5-0"], tries["4-1"], tries["0-0"]) == (2, 3, 1)
-    assert status_of(tmp_path / "c").outcomes == {
+    assert read_status(tmp_path / "c").outcomes == {
         "flown": 8, "error": 2, "timeout": 1, "killed": 1,
     }  # fmt: skip
     # What failed is flown again on demand, and nothing else.
@@ -149,7 +149,9 @@ def test_a_narrow_interval_stops_at_the_first_flight_that_suffices(tmp_path, eng
     safe = np.array(found.table["safe"].to_pylist()).reshape(-1, 2)
 
     def width(flights: int) -> float:
-        intervals = [share_sequence(int(safe[:flights, i].sum()), flights) for i in (0, 1)]
+        intervals = [
+            share_confidence_sequence(int(safe[:flights, i].sum()), flights) for i in (0, 1)
+        ]
         return max(high - low for low, high in intervals)
 
     assert width(ran.flights) <= 0.5 < min(width(n) for n in range(1, ran.flights))
@@ -210,6 +212,6 @@ def test_a_folder_of_anything_else_is_refused_and_left_alone(tmp_path):
 
 def test_workers_that_cannot_start_are_told_of(tmp_path):
     lost = replace(plan(), work=Work("tests.campaign.no_such_module:fly"))
-    with pytest.raises(WorkersDieError, match="before they were ready"):
+    with pytest.raises(WorkerStartError, match="before they were ready"):
         run(lost, LocalEngine(2), tmp_path / "c")
     assert run(plan(flights=1), InlineEngine(), tmp_path / "c").complete

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from lunarsim.campaign.dispersions import world_of
+from lunarsim.campaign.dispersions import world_index
 from lunarsim.campaign.engines.inline import InlineEngine
-from lunarsim.campaign.flying import plan_of
+from lunarsim.campaign.flight_execution import build_plan
 from lunarsim.campaign.plan import Work
 from lunarsim.campaign.results import load_results
 from lunarsim.campaign.run import run
@@ -43,7 +43,7 @@ def ishigami(study, group, arm, memory):
     """Ishigami and Homma (1990) with a = 7, b = 0.1, and noise of the flight's own seed."""
     x = [group.draws[key] - middle for key, middle in zip(KEYS, MIDDLES, strict=True)]
     y = np.sin(x[0]) + 7.0 * np.sin(x[1]) ** 2 + 0.1 * x[2] ** 4 * np.sin(x[0])
-    seed = flight_seed(3, world_of(group.flight, study["block"]))
+    seed = flight_seed(3, world_index(group.flight, study["block"]))
     y += study["sigma"] * np.random.default_rng(seed).normal()
     lost = group.flight in study["lost"]
     return {"y": float("nan") if lost else float(y), "safe": bool(y > 0.0)}
@@ -53,7 +53,7 @@ def flown(tmp_path, method: str, flights: int, sigma: float = 0.0, lost: tuple[i
     made = spec(method, flights)
     study = {"block": made.dispersions.block, "sigma": sigma, "lost": lost}
     work = Work("tests.campaign.test_sensitivity:ishigami", study)
-    plan = replace(plan_of(made), work=work, columns={"y": "float", "safe": "bool"})
+    plan = replace(build_plan(made), work=work, columns={"y": "float", "safe": "bool"})
     run(plan, InlineEngine(), tmp_path / "c")
     return load_results(tmp_path / "c")
 
@@ -86,15 +86,15 @@ def test_blocks_hold_two_points_and_their_mixtures():
         a, one, two, world, b = rows[5 * n : 5 * n + 5]
         assert one == [b[0], a[1]] and two == [a[0], b[1]] and world == a
         assert not set(a) & set(b)
-        assert [world_of(5 * n + k, 5) for k in range(5)] == [2 * n] * 3 + [2 * n + 1] * 2
+        assert [world_index(5 * n + k, 5) for k in range(5)] == [2 * n] * 3 + [2 * n + 1] * 2
     assert len({tuple(row) for row in rows}) == 4 * 4
 
 
 def test_flights_of_one_block_share_their_world(tmp_path):
     made = spec("saltelli", 10, keys=2)
-    study = plan_of(made).work.study
-    assert [world_of(i, study.block) for i in range(10)] == [0, 0, 0, 1, 1, 2, 2, 2, 3, 3]
-    assert plan_of(spec("sobol", 8, keys=2)).work.study.block == 0
+    study = build_plan(made).work.study
+    assert [world_index(i, study.block) for i in range(10)] == [0, 0, 0, 1, 1, 2, 2, 2, 3, 3]
+    assert build_plan(spec("sobol", 8, keys=2)).work.study.block == 0
 
 
 def test_pawn_tells_what_matters_from_chance(tmp_path):
@@ -123,7 +123,7 @@ def test_pawn_of_a_choice_and_of_its_mirror_are_the_same(tmp_path):
         laws = {KEYS[0]: {"kind": "choice", "values": [-601.0, -599.0], "weights": weights}}
         made = spec("monte-carlo", 400, dispersions=laws)
         work = Work("tests.campaign.test_sensitivity:first_key", None)
-        plan = replace(plan_of(made), work=work, columns={"y": "float", "safe": "bool"})
+        plan = replace(build_plan(made), work=work, columns={"y": "float", "safe": "bool"})
         run(plan, InlineEngine(), tmp_path / name)
         (told,) = sensitivities(load_results(tmp_path / name), "y", resamples=20)
         found.append(told.indices["PAWN"][0][0])

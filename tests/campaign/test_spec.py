@@ -12,8 +12,8 @@ from click.testing import CliRunner
 from scipy.stats import kstest, kstwo, norm, truncnorm, uniform
 
 from lunarsim.campaign.dispersions import Dispersions, distribution
-from lunarsim.campaign.factors import parse_over, split_changes
-from lunarsim.campaign.flying import plan_of
+from lunarsim.campaign.factors import parse_factors, split_changes
+from lunarsim.campaign.flight_execution import build_plan
 from lunarsim.campaign.spec import CampaignSpec
 from lunarsim.cli import main
 from lunarsim.errors import InputError
@@ -44,7 +44,7 @@ def spec(**changes: object) -> CampaignSpec:
 
 
 def test_every_combination_meets_the_same_draws():
-    rows = list(plan_of(spec()).rows())
+    rows = list(build_plan(spec()).rows())
     assert len(rows) == 32
     assert [row["id"] for row in rows[:5]] == ["0-0", "0-1", "0-2", "0-3", "1-0"]
     assert [(r["policy.kind"], r["sun.elevation_deg"]) for r in rows[:4]] == [
@@ -56,19 +56,19 @@ def test_every_combination_meets_the_same_draws():
 
 
 def test_a_flight_of_plain_monte_carlo_depends_on_its_index_alone():
-    few, many = plan_of(spec()), plan_of(spec(flights=500))
+    few, many = build_plan(spec()), build_plan(spec(flights=500))
     assert few.draws(7) == many.draws(7)
     one_less = {k: v for k, v in tomllib.loads(TEXT)["dispersions"].items() if k != "rocks"}
-    without = plan_of(spec(dispersions=one_less))
+    without = build_plan(spec(dispersions=one_less))
     assert without.draws(7)["start.position_m.0"] == few.draws(7)["start.position_m.0"]
-    assert plan_of(spec(seed=2)).draws(7) != few.draws(7)
+    assert build_plan(spec(seed=2)).draws(7) != few.draws(7)
 
 
 def test_arms_that_share_their_ground_are_flown_together():
-    assert plan_of(spec()).groups == ((0, 1, 2, 3),)
+    assert build_plan(spec()).groups == ((0, 1, 2, 3),)
     cover = spec(factors={"rocks.cover": [0.02, 0.1], "policy": ["safest", "no-divert"]},
                  dispersions=None, correlations=None)  # fmt: skip
-    assert plan_of(cover).groups == ((0, 1), (2, 3))
+    assert build_plan(cover).groups == ((0, 1), (2, 3))
 
 
 def test_scenarios_hold_what_is_set_and_drawn():
@@ -85,7 +85,7 @@ def test_a_spec_says_all_that_it_means():
     one = spec()
     again = CampaignSpec.from_dict(tomllib.loads(one.to_toml()))
     assert again.identity == one.identity
-    assert list(plan_of(again).rows()) == list(plan_of(one).rows())
+    assert list(build_plan(again).rows()) == list(build_plan(one).rows())
     assert spec(flights=9).identity == one.identity  # goes on with the same flights
     assert (
         spec(method="latin-hypercube").identity
@@ -232,16 +232,16 @@ def test_correlations_that_are_none_are_refused(matrix, says):
 
 
 def test_what_the_command_line_sweeps_over():
-    assert parse_over(["sun.elevation_deg=5,10,20.5", "rocks.cover=0.02:0.15:3",
+    assert parse_factors(["sun.elevation_deg=5,10,20.5", "rocks.cover=0.02:0.15:3",
                        "policy=safest,my.module:Own", "x=true"]) == {
         "sun.elevation_deg": [5, 10, 20.5], "rocks.cover": [0.02, 0.085, 0.15],
         "policy": ["safest", "my.module:Own"], "x": [True],
     }  # fmt: skip
     for text in ("a", "a=", "=1", "a=1,,2", "a=1:2:1", "a=2:1:3", "a=0:inf:3", "a=1:x:3"):
         with pytest.raises(InputError, match="--over"):
-            parse_over([text])
+            parse_factors([text])
     with pytest.raises(InputError, match="each key once"):
-        parse_over(["a=1", "a=2"])
+        parse_factors(["a=1", "a=2"])
 
 
 def test_keys_of_a_swept_part_hold_for_the_kinds_that_are_swept():
@@ -272,7 +272,7 @@ def test_plan_writes_inputs_and_flies_nothing(tmp_path):
     for name, read in (("p.csv", pd.read_csv), ("p.parquet", pd.read_parquet)):
         assert run("campaign", "plan", tmp_path / "s.toml", "--out", tmp_path / name).exit_code == 0
         table = read(tmp_path / name)
-        rows = list(plan_of(CampaignSpec.load(tmp_path / "s.toml")).rows())
+        rows = list(build_plan(CampaignSpec.load(tmp_path / "s.toml")).rows())
         assert table.to_dict("records") == rows
 
 

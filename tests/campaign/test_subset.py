@@ -12,13 +12,17 @@ from scipy.stats import norm
 
 from lunarsim.campaign.analysis import compute_arm_statistics
 from lunarsim.campaign.engines.inline import InlineEngine
-from lunarsim.campaign.outcomes import attempt, function_of
-from lunarsim.campaign.rare import rare_shares
+from lunarsim.campaign.outcomes import attempt, import_function
+from lunarsim.campaign.rare_failures import estimate_failure_shares
 from lunarsim.campaign.results import load_results
 from lunarsim.campaign.run import run
 from lunarsim.campaign.spec import CampaignSpec
 from lunarsim.campaign.subset import SubsetLevel
-from lunarsim.campaign.subset_share import chains_of, estimate_failure_probability, level_variance
+from lunarsim.campaign.subset_estimate import (
+    estimate_failure_probability,
+    level_variance,
+    load_chains,
+)
 from lunarsim.cli import main
 from lunarsim.errors import InputError
 from tests.campaign.limit_states import BETA, EAST
@@ -29,17 +33,17 @@ def in_memory(function: str, seed: int, flights: int, **more: object):
     """Return what a campaign that keeps nothing finds."""
     plan = planned(function, flights, seed, **more)
     for group in plan.chains.groups(lambda flight, arm: False):
-        done = attempt(function_of(plan.work), plan.work, group, 0, {})
+        done = attempt(import_function(plan.work), plan.work, group, 0, {})
         plan.chains.add(group.flight, done.metrics or {})
     return estimate_failure_probability(plan.chains.levels)
 
 
 def test_one_in_ten_thousand_from_a_thousand_flights(whole_subset):
     found = load_results(whole_subset)
-    (made,) = rare_shares(found)
+    (made,) = estimate_failure_shares(found)
     assert made.low < 1e-4 < made.high and not made.few
     assert made.high / made.low < 50.0 and made.worth > 3.0 * len(found.table)
-    levels = chains_of(found).levels
+    levels = load_chains(found).levels
     assert len(found.table) == 300 + 270 * (len(levels) - 1) < 1500
     # Thresholds are what a linear limit state must have at 0.1, 0.01, ... of the flights.
     for k, level in enumerate(levels[:-1]):
@@ -58,9 +62,9 @@ def test_what_is_even_is_never_taken_from_it(whole_subset, tmp_path):
     with pytest.raises(InputError, match="equal weights"):
         compute_arm_statistics(found)
     with pytest.raises(InputError, match="the spec defines the failure"):
-        rare_shares(found, "slope_deg", above=1.0)
+        estimate_failure_shares(found, "slope_deg", above=1.0)
     done = CliRunner().invoke(main, ["campaign", "rare", str(whole_subset)])
-    (made,) = rare_shares(found)
+    (made,) = estimate_failure_shares(found)
     assert done.exit_code == 0 and f"{made.value:.3g}" in done.output
     assert "acceptance rate" in done.output
     done = CliRunner().invoke(
@@ -157,7 +161,7 @@ def test_two_sides_of_a_curved_limit_against_brute_force():
 def test_below_a_limit_is_as_above_the_other_way(tmp_path):
     plan = planned("linear", subset={"metric": "slope_deg", "below": -2.0, "levels": 3})
     run(plan, InlineEngine(), tmp_path / "c")
-    (made,) = rare_shares(load_results(tmp_path / "c"))
+    (made,) = estimate_failure_shares(load_results(tmp_path / "c"))
     assert made.low < norm.cdf(-2.0) < made.high
     assert made.value == pytest.approx(norm.cdf(-2.0), rel=0.5)
 
@@ -165,7 +169,7 @@ def test_below_a_limit_is_as_above_the_other_way(tmp_path):
 def test_a_metric_with_steps_is_told_of(tmp_path):
     ran = run(planned("stepped"), InlineEngine(), tmp_path / "c")
     assert (ran.state, ran.flown) == ("complete", 300)
-    (made,) = rare_shares(load_results(tmp_path / "c"))
+    (made,) = estimate_failure_shares(load_results(tmp_path / "c"))
     # Of 300 flights none has failed: what Clopper and Pearson say of the 300.
     assert made.value == 0.0 and 0.001 < made.high < 0.2
     done = CliRunner().invoke(main, ["campaign", "rare", str(tmp_path / "c")])
@@ -174,7 +178,7 @@ def test_a_metric_with_steps_is_told_of(tmp_path):
 
 def test_flights_without_the_metric_are_counted_and_taken_as_far_from_failure(tmp_path):
     ran = run(planned("patchy"), InlineEngine(), tmp_path / "c")
-    (made,) = rare_shares(load_results(tmp_path / "c"))
+    (made,) = estimate_failure_shares(load_results(tmp_path / "c"))
     assert made.left_out == pytest.approx(0.2 * (ran.flown), rel=0.1)
     assert ran.failed == pytest.approx(0.1 * ran.flown, rel=0.1)
     # Eight in ten of those that would have failed.

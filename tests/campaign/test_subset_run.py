@@ -12,13 +12,13 @@ import pytest
 from lunarsim.campaign import store
 from lunarsim.campaign.engines.inline import InlineEngine
 from lunarsim.campaign.engines.local import LocalEngine
+from lunarsim.campaign.flight_execution import build_plan
 from lunarsim.campaign.fly_spec import write_files
-from lunarsim.campaign.flying import plan_of
-from lunarsim.campaign.rare import rare_shares
+from lunarsim.campaign.rare_failures import estimate_failure_shares
 from lunarsim.campaign.replay import replay
 from lunarsim.campaign.results import load_results
 from lunarsim.campaign.run import run
-from lunarsim.campaign.subset_share import chains_of
+from lunarsim.campaign.subset_estimate import load_chains
 from lunarsim.errors import InputError
 from tests.campaign.processes import journalled, parts, start
 from tests.campaign.subset_surrogate import planned, spec
@@ -104,7 +104,7 @@ def test_failed_flights_flown_again_take_what_followed_from_them_along(tmp_path)
     ran = run(planned("linear"), InlineEngine(), folder, retry=True)
     assert "depend on flights that are missing" in ran.notes[0]
     run(planned("linear"), InlineEngine(), tmp_path / "d")
-    whole, again = (chains_of(load_results(f)).levels for f in (tmp_path / "d", folder))
+    whole, again = (load_chains(load_results(f)).levels for f in (tmp_path / "d", folder))
     # One flight in ten still has no slope in the folder, unlike in the whole one.
     assert len(again) >= 3 and again[0].missing_count == 30 and whole[0].missing_count == 0
     table = load_results(folder).table.to_pandas()
@@ -129,7 +129,7 @@ def test_rows_that_do_not_follow_from_each_other_are_refused(tmp_path, whole_sub
     values[5] += 9.0
     other = replace(found, table=found.table.set_column(place, "slope_deg", [values]))
     with pytest.raises(InputError, match="follow from the others"):
-        rare_shares(other)
+        estimate_failure_shares(other)
 
 
 def test_real_flights_are_drawn_flown_and_flown_again(tmp_path):
@@ -144,7 +144,7 @@ def test_real_flights_are_drawn_flown_and_flown_again(tmp_path):
         if len(progress) == 21:
             raise KeyboardInterrupt
 
-    plan = plan_of(made, folder)
+    plan = build_plan(made, folder)
     run(plan, InlineEngine(), folder, files=lambda at: write_files(made, at), progress=stop)
     found = load_results(folder)
     table = found.table.to_pandas()
@@ -156,5 +156,5 @@ def test_real_flights_are_drawn_flown_and_flown_again(tmp_path):
     with pytest.raises(InputError, match="depends on flights") as refused:
         replay(folder, "35-0")
     assert refused.value.field == "--flight"
-    (share,) = rare_shares(found)
-    assert np.isnan(share.value) == (chains_of(found).stop is None)
+    (share,) = estimate_failure_shares(found)
+    assert np.isnan(share.value) == (load_chains(found).stop is None)

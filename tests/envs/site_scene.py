@@ -9,7 +9,8 @@ import numpy as np
 
 from lunarsim.scenario import Scenario
 from lunarsim_envs.sites import hazard
-from lunarsim_envs.sites.lanes import SiteDescentBatch
+from lunarsim_envs.sites.batch import SiteDescentBatch
+from lunarsim_envs.sites.field_of_view import fov_and_footprint
 from lunarsim_envs.sites.pool import SiteWorldPool
 from lunarsim_envs.sites.surrogate import (
     LENGTHS,
@@ -19,7 +20,6 @@ from lunarsim_envs.sites.surrogate import (
     exact_errors,
     surrogate_tables,
 )
-from lunarsim_envs.sites.view import fov_and_footprint
 
 SMALL = Scenario.from_dict({
     "name": "sites",

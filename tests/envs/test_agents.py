@@ -15,7 +15,7 @@ from lunarsim.errors import InputError
 from lunarsim.onboard.guidance.apollo import ApolloLaw
 from lunarsim.onboard.navigation.estimate import Estimate
 from lunarsim.simulation import Simulation
-from lunarsim_envs.agents import registry, stored
+from lunarsim_envs.agents import registry, sb3_agents
 from lunarsim_envs.agents.network import Network
 from lunarsim_envs.agents.registry import agent_of, known_agents, label
 from lunarsim_envs.descent.env import ControlEnv, GuidanceEnv
@@ -273,9 +273,9 @@ def test_a_stored_agent_of_other_spaces_is_refused(tmp_path, monkeypatch):
         model = SimpleNamespace(observation_space=mine[0], action_space=mine[1])
         _saved(tmp_path / "m.zip", "any")
         algorithm = SimpleNamespace(load=lambda path, device: model, __name__="PPO")
-        monkeypatch.setattr(stored, "_algorithm", lambda path: algorithm)
+        monkeypatch.setattr(sb3_agents, "_algorithm", lambda path: algorithm)
         env = SimpleNamespace(observation_space=own[0], action_space=own[1])
-        return stored.Sb3Agent(env, tmp_path / "m.zip", trust_pickle=True)
+        return sb3_agents.Sb3Agent(env, tmp_path / "m.zip", trust_pickle=True)
 
     one, two = (gymnasium.spaces.Dict(a=box(2), **more) for more in ({}, {"b": box(1)}))
     many = gymnasium.spaces.MultiDiscrete
@@ -306,7 +306,7 @@ def test_files_of_stable_baselines3_are_told_apart(tmp_path, monkeypatch):
         asked.append(name)
         raise ImportError(name)
 
-    monkeypatch.setattr(stored.importlib, "import_module", imported)
+    monkeypatch.setattr(sb3_agents.importlib, "import_module", imported)
     for module, package in (
         ("stable_baselines3.common.policies", "stable_baselines3"),
         ("stable_baselines3.sac.policies", "stable_baselines3"),

@@ -11,12 +11,12 @@ from scipy.spatial.transform import Rotation
 
 from lunarsim.errors import InputError
 from lunarsim.scenario import Scenario
+from lunarsim.vehicle.domain_randomization import RANDOM_QUANTITIES
 from lunarsim.vehicle.state import State
-from lunarsim.vehicle.touchdown import judge_touchdown, pad_contacts
-from lunarsim.vehicle.variation import DRAWN
+from lunarsim.vehicle.touchdown import evaluate_touchdown, pad_contacts
 from lunarsim_envs.descent import _kernels as k
 from lunarsim_envs.descent._loop_kernels import arc
-from lunarsim_envs.descent.lanes import FLYING, LANDED, LATE, LOST, DescentBatch, VehicleParams
+from lunarsim_envs.descent.batch import FLYING, LANDED, LATE, LOST, DescentBatch, VehicleParams
 from lunarsim_envs.descent.worlds import WorldPool
 from tests.reference import descent as plain
 from tests.reference.raster import RasterGround
@@ -80,7 +80,7 @@ def end_of(path, lander, ground, gravity):
         if pads[:, 2].min() > lander.com_height + 30.0:
             continue
         if (pads[:, 2] <= pad_contacts(lander, state, ground)[:, 2]).any():
-            return y, judge_touchdown(lander, state, ground, gravity)
+            return y, evaluate_touchdown(lander, state, ground, gravity)
     return y, None
 
 
@@ -164,7 +164,9 @@ def test_landers_are_those_drawn_plainly(worlds):
     for flight in range(2):
         for i in range(60):
             wanted = plain.varied((11 + i) * 977, flight, varied)
-            assert dict(zip(DRAWN, lanes.drawn[i], strict=True)) == pytest.approx(wanted, rel=1e-12)
+            assert dict(zip(RANDOM_QUANTITIES, lanes.drawn[i], strict=True)) == pytest.approx(
+                wanted, rel=1e-12
+            )
             own = lanes.figures[i]
             assert own[1] == pytest.approx(9.80665 * (311.0 + wanted["specific_impulse_s"]))
             assert own[2] == pytest.approx(0.1 + wanted["thrust_lag_s"])
@@ -278,10 +280,10 @@ def test_worlds_that_cannot_be_are_refused():
 
 def test_worlds_are_those_of_a_campaign(worlds):
     """World k is that of flight k."""
-    from lunarsim.rng import Streams, flight_seed
+    from lunarsim.rng import RandomStreams, flight_seed
     from lunarsim.simulation.worlds import build_world
 
-    terrain = build_world(ROUGH, Streams(flight_seed(5, 1))).terrain
+    terrain = build_world(ROUGH, RandomStreams(flight_seed(5, 1))).terrain
     x, y, p = worlds.frame
     for row, col in ((10, 20), (300, 400), (500, 77)):
         height = terrain.elevation([x + p * col, y + p * row])

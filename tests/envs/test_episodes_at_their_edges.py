@@ -15,7 +15,7 @@ from lunarsim_envs.descent.observations import PARTS as DESCENT_PARTS
 from lunarsim_envs.descent.observations import ObservationComponent as DescentPart
 from lunarsim_envs.retarget import RetargetEnv
 from lunarsim_envs.retarget_vector import RetargetVectorEnv
-from lunarsim_envs.sites.parts import PARTS, SiteObservationComponent
+from lunarsim_envs.sites.observations import PARTS, SiteObservationComponent
 from tests.envs.site_scene import SMALL
 from tests.low_descents import LOW
 

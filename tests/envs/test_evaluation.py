@@ -18,9 +18,9 @@ from lunarsim.cli import main
 from lunarsim.errors import InputError
 from lunarsim.evaluation.statistics import Proportion
 from lunarsim_envs.evaluation.episodes import fly_episodes
-from lunarsim_envs.evaluation.request import study
-from lunarsim_envs.evaluation.results import differences, figures, with_target
-from lunarsim_envs.evaluation.running import fly
+from lunarsim_envs.evaluation.parallel import fly
+from lunarsim_envs.evaluation.request import evaluation_study
+from lunarsim_envs.evaluation.results import add_on_target, agent_metrics, differences
 from tests.envs.site_scene import SMALL
 from tests.low_descents import LOW
 
@@ -58,7 +58,7 @@ def wide(observation, info):
 
 
 def asked(seed=1):
-    return study("tests/Wanted-v0", None, (), seed)
+    return evaluation_study("tests/Wanted-v0", None, (), seed)
 
 
 def test_rows_tell_what_came_of_every_episode():
@@ -102,12 +102,12 @@ def rows_of(agent, safe, burnt, score, miss=1.0):
 
 def test_figures_count_what_landed():
     rows = rows_of("a", [1, 1, 1, 0], [10.0, 12.0, 14.0, 90.0], [1.0, 2.0, 3.0, -6.0])
-    rows = with_target([row | {"miss_m": 5.0 * k} for k, row in enumerate(rows)], 5.0)
-    (told,) = figures(rows, 1)
+    rows = add_on_target([row | {"miss_m": 5.0 * k} for k, row in enumerate(rows)], 5.0)
+    (told,) = agent_metrics(rows, 1)
     assert told.safe == Proportion(3, 4) and told.on_target == Proportion(2, 4)
     assert told.propellant.value == 12.0 and told.miss.value == 5.0  # of the safe alone
     assert told.score.value == 0.0 and told.score.low < 0.0 < told.score.high
-    (blank,) = figures([{"agent": "b", "episode": 0, "score": 1.0, "steps": 2}], 1)
+    (blank,) = agent_metrics([{"agent": "b", "episode": 0, "score": 1.0, "steps": 2}], 1)
     assert blank.safe is None and blank.on_target is None
     assert blank.propellant.text(1) == "-" and blank.score.text(1) == "1.0"
 
@@ -157,23 +157,25 @@ def test_the_command_writes_what_it_prints(tmp_path):
 
 def test_a_scenario_is_asked_for_where_an_environment_tells_none():
     with pytest.raises(InputError, match="--scenario as well"):
-        study("tests/Wanted-v0", None, ["rocks.cover=0.1"], 1)
+        evaluation_study("tests/Wanted-v0", None, ["rocks.cover=0.1"], 1)
 
 
 def test_agents_are_flown_on_the_perception_that_is_asked_for():
-    given = study("lunarsim_envs:Retarget-v0", None, [], 1, perception="truth")
+    given = evaluation_study("lunarsim_envs:Retarget-v0", None, [], 1, perception="truth")
     assert given.arguments == {"perception": "truth"}
-    alone = study("lunarsim_envs:Retarget-v0", None, [], 1)
+    alone = evaluation_study("lunarsim_envs:Retarget-v0", None, [], 1)
     assert alone.arguments == {} and alone.make().unwrapped.perception == "onboard"
     small = replace(given, scenario=SMALL, arguments=given.arguments | {"worlds": 1})
     assert small.make().unwrapped.perception == "truth"
 
 
 def test_agents_are_shown_the_parts_that_are_asked_for():
-    given = study("lunarsim_envs:Guidance-v0", None, [], 1, observation=["velocity", "rate"])
+    given = evaluation_study(
+        "lunarsim_envs:Guidance-v0", None, [], 1, observation=["velocity", "rate"]
+    )
     assert given.make().observation_space.shape == (6,)
     with pytest.raises(InputError, match="none of lunarsim's"):
-        study("tests/Wanted-v0", None, [], 1, observation=["velocity"])
+        evaluation_study("tests/Wanted-v0", None, [], 1, observation=["velocity"])
     words = ["evaluate", "Guidance-v0", "--agent", "apollo", "--episodes", "1", "--jobs", "1"]
     done = CliRunner().invoke(main, [*words, "--observation", "velocity"])
     assert done.exit_code == 2 and "observations with 'position'" in done.output
@@ -191,7 +193,7 @@ def test_one_episode_has_a_difference_without_an_interval():
 
 @pytest.mark.slow
 def test_any_number_of_processes_gives_the_same_rows():
-    given = study("lunarsim_envs:Guidance-v0", None, SETS, 3)
+    given = evaluation_study("lunarsim_envs:Guidance-v0", None, SETS, 3)
     agents = ["random", "polynomial"]
     assert fly(given, agents, 15, jobs=2) == fly(given, agents, 15, jobs=1)
 

@@ -10,7 +10,7 @@ import pytest
 
 import lunarsim_envs
 from lunarsim.errors import InputError
-from lunarsim_envs.video import RecordFilm
+from lunarsim_envs.video import RecordVideos
 
 assert lunarsim_envs.__name__
 
@@ -46,7 +46,7 @@ def test_a_film_shows_what_is_rendered_at_its_pace(name, more, tmp_path):
     steps = 10_000 if name == "Retarget-v0" else 12
     plain = flown(env, 3, steps)
     env.action_space.seed(1)
-    filmed = RecordFilm(env, tmp_path / "films", prefix="a")
+    filmed = RecordVideos(env, tmp_path / "films", prefix="a")
     flown(filmed, 3, steps)
     if name == "Guidance-v0":
         filmed.close()
@@ -61,7 +61,7 @@ def test_a_film_shows_what_is_rendered_at_its_pace(name, more, tmp_path):
 
 def test_films_are_of_the_flights_that_are_wanted_and_of_broken_off_ones(tmp_path):
     env = gymnasium.make("lunarsim/Guidance-v0", render_mode="rgb_array")
-    env = RecordFilm(env, tmp_path, wanted=lambda flight: flight != 1, fps=4)
+    env = RecordVideos(env, tmp_path, wanted=lambda flight: flight != 1, fps=4)
     flown(env, 1, steps=4)
     flown(env, 2, steps=4)
     flown(env, 3, steps=2)
@@ -76,7 +76,7 @@ def test_films_are_of_the_flights_that_are_wanted_and_of_broken_off_ones(tmp_pat
 
 def test_what_renders_nothing_is_not_filmed(tmp_path):
     with pytest.raises(InputError, match="render_mode"):
-        RecordFilm(gymnasium.make("lunarsim/Guidance-v0"), tmp_path)
+        RecordVideos(gymnasium.make("lunarsim/Guidance-v0"), tmp_path)
 
 
 @pytest.mark.parametrize("name", ["Retarget-v0", "Guidance-v0"])

@@ -7,11 +7,11 @@ import pytest
 
 from lunarsim.onboard.guidance._kernels import GLIDE, TAN_TILT
 from lunarsim.scenario import Scenario
-from lunarsim_envs.descent.lanes import VehicleParams
+from lunarsim_envs.descent.batch import VehicleParams
 from lunarsim_envs.sites import _beyond_kernels as b
 from lunarsim_envs.sites import _flight_kernels as f
-from lunarsim_envs.sites import _stead_kernels as stead
-from lunarsim_envs.sites.lanes import kernel_guidance
+from lunarsim_envs.sites import reachable_candidates as stead
+from lunarsim_envs.sites.batch import kernel_guidance
 
 
 @pytest.fixture(scope="module")

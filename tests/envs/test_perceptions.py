@@ -17,7 +17,7 @@ from lunarsim.onboard.hazards.shadows.mapper import ShadowMapper
 from lunarsim.scenario import Scenario
 from lunarsim.scenario.shipped import found
 from lunarsim_envs.retarget_vector import RetargetVectorEnv
-from lunarsim_envs.sites.onboard import MAPPER_OF, perceiving
+from lunarsim_envs.sites.perception_scenarios import MAPPER_OF, with_perception
 
 ID = "lunarsim_envs:lunarsim/Retarget-v0"
 # A descent of some seconds with a small camera: one decision high up, one low down.
@@ -78,38 +78,41 @@ def test_a_scenario_is_given_what_it_lacks():
     plain = Scenario.load(found(Path("few_sites")))
     (was,) = plain.mappers.values()
     for perception, kind in MAPPER_OF.items():
-        given = perceiving(plain, perception)
+        given = with_perception(plain, perception)
         decides = given.mappers[given.decisions.map]
         assert decides.kind == kind
         if perception != "fused":
             assert list(given.mappers) == [given.decisions.map]  # in the place of the other
             assert (decides.size_m, decides.posting_m) == (was.size_m, was.posting_m)
         assert given.rocks == plain.rocks and given.start == plain.start
-    fused = perceiving(plain, "fused")
+    fused = with_perception(plain, "fused")
     assert {part.kind for part in fused.mappers.values()} == {"gaussian-dem", "shadow", "fused"}
     assert tuple(fused.mappers["fused"].of) == ("dem", "rocks")
-    assert fused.navigation.kind == perceiving(plain, "shadows").navigation.kind == "rocks"
-    assert perceiving(plain, "quadtree").navigation.kind == "inertial"
-    lander, zone = plain.vehicle.make(), perceiving(plain, "quadtree").mappers["quadtree"].sites
+    assert fused.navigation.kind == with_perception(plain, "shadows").navigation.kind == "rocks"
+    assert with_perception(plain, "quadtree").navigation.kind == "inertial"
+    lander, zone = (
+        plain.vehicle.make(),
+        with_perception(plain, "quadtree").mappers["quadtree"].sites,
+    )
     assert zone.zone_m > lander.leg_radius + 0.5 * lander.pad_diameter
     assert zone.roughness_limit_m == lander.roughness_limit
 
 
 def test_a_scenario_keeps_what_it_has():
     eyes = Scenario.load(found(Path("two_eyes")))
-    assert perceiving(eyes, "onboard") is eyes
-    assert perceiving(eyes, "fused").to_dict() == eyes.to_dict()
-    assert perceiving(eyes, "shadows").to_dict() == eyes.changed(
+    assert with_perception(eyes, "onboard") is eyes
+    assert with_perception(eyes, "fused").to_dict() == eyes.to_dict()
+    assert with_perception(eyes, "shadows").to_dict() == eyes.changed(
         decisions={"map": "rocks"}
     ).to_dict()  # fmt: skip
-    own = perceiving(LOW, "fused")
+    own = with_perception(LOW, "fused")
     assert set(own.mappers) == {"dem", "shade", "fused"} and set(own.sensors) == set(LOW.sensors)
     # The one that decides stays, where there are two of a kind.
     twice = LOW.changed(
         mappers={"far": {"kind": "gaussian-dem"}, "tree": {"kind": "quadtree"},
                  "wood": {"kind": "quadtree"}}, decisions={"map": "wood"},
     )  # fmt: skip
-    assert perceiving(twice, "quadtree").decisions.map == "wood"
+    assert with_perception(twice, "quadtree").decisions.map == "wood"
 
 
 def test_what_does_not_go_together_is_refused():
@@ -119,7 +122,7 @@ def test_what_does_not_go_together_is_refused():
             gymnasium.make(ID, scenario=dark, perception=perception)
     other = Scenario.from_dict({"navigation": {"kind": "ukf"}})
     with pytest.raises(InputError, match=r"navigation\.kind = 'ukf'"):
-        perceiving(other, "shadows")
+        with_perception(other, "shadows")
     with pytest.raises(InputError, match="one at a time"):
         RetargetVectorEnv(2, scenario=LOW, perception="fused")
     with pytest.raises(InputError, match="fused"):

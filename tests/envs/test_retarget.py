@@ -15,7 +15,7 @@ from PIL import Image, ImageSequence
 
 from lunarsim.errors import InputError
 from lunarsim.scenario import Scenario
-from lunarsim_envs.rendering import FrameRenderer
+from lunarsim_envs.frame_renderer import FrameRenderer
 from lunarsim_envs.retarget import RetargetEnv
 from lunarsim_envs.video import save_video
 from tests.worlds import SCENARIOS

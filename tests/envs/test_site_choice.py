@@ -11,7 +11,7 @@ from lunarsim.onboard.policies import candidates
 from lunarsim_envs.sites import _beyond_kernels as b
 from lunarsim_envs.sites import _cell_kernels as cells
 from lunarsim_envs.sites import _flight_kernels as f
-from lunarsim_envs.sites import _stead_kernels as stead
+from lunarsim_envs.sites import reachable_candidates as stead
 from lunarsim_envs.sites.flights import observation_of_lane
 from tests.envs.site_scene import SMALL, lanes
 from tests.reference.divert import reachable

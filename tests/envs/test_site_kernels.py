@@ -14,14 +14,14 @@ from lunarsim.onboard.guidance.vertical import VerticalDescent
 from lunarsim.onboard.hazards import HazardMap
 from lunarsim.onboard.navigation.estimate import Estimate
 from lunarsim.onboard.policies.candidates import candidate_sites
-from lunarsim_envs.descent.lanes import FLYING, LANDED
+from lunarsim_envs.descent.batch import FLYING, LANDED
 from lunarsim_envs.sites import _choice_kernels as choice
 from lunarsim_envs.sites import _flight_kernels as f
 from lunarsim_envs.sites import _map_kernels as m
+from lunarsim_envs.sites.batch import SiteDescentBatch
+from lunarsim_envs.sites.field_of_view import in_view
 from lunarsim_envs.sites.flights import observation_of_lane
-from lunarsim_envs.sites.lanes import SiteDescentBatch
-from lunarsim_envs.sites.million import SparseDescentBatch, without_site_decisions
-from lunarsim_envs.sites.view import in_view
+from lunarsim_envs.sites.sparse_batch import SparseDescentBatch, without_site_decisions
 from tests.envs.site_scene import SMALL, lanes
 from tests.reference.descent import normal
 from tests.reference.site_flight import SiteFlight

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from lunarsim.onboard.policies.candidates import candidate_sites
-from lunarsim.onboard.policies.reach import Reach
-from lunarsim_envs.descent.lanes import FLYING
+from lunarsim.onboard.policies.reachability import ReachabilityMap
+from lunarsim_envs.descent.batch import FLYING
 from lunarsim_envs.retarget import RetargetEnv
 from lunarsim_envs.retarget_vector import RetargetVectorEnv
 from lunarsim_envs.sites.flights import observation_of_lane
@@ -34,7 +34,7 @@ def proposed(many, lane, within):
         drift = maps.stated[1] * (seen.time - maps.mapped[lane] + until + maps.stated[2])
         return np.hypot(decisions.touchdown_sigma, drift)
 
-    reach = Reach.under(seen.hazard_map, seen.site, cost_of) if within else None
+    reach = ReachabilityMap.under(seen.hazard_map, seen.site, cost_of) if within else None
     return seen.candidates, candidate_sites(
         seen.hazard_map, maps.aim[lane].copy(), seen.site, cost_of, count=decisions.candidates,
         separation=decisions.separation, miss_of=miss_of, reach=reach,

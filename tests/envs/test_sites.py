@@ -17,13 +17,13 @@ from lunarsim.errors import InputError
 from lunarsim_envs.agents.registry import agent_of
 from lunarsim_envs.agents.site_network import SiteNetwork, features
 from lunarsim_envs.retarget_vector import RetargetVectorEnv
-from lunarsim_envs.sites import parts
+from lunarsim_envs.sites import observations
 from lunarsim_envs.sites.perception import KERNELS
-from lunarsim_envs.training.sites import SiteTraining, flown, start, train
+from lunarsim_envs.training.sites import CemSettings, flown, start, train
 from tests.envs.site_scene import SMALL, lanes, made_up
 
 ID = "lunarsim_envs:lunarsim/Retarget-v0"
-EVERY = tuple(parts.PARTS)
+EVERY = tuple(observations.PARTS)
 
 
 def made(perception="surrogate", **settings):
@@ -168,24 +168,24 @@ def test_parts_say_what_they_are():
     small = observation["hazard_map"]
     assert small[1].mean() == pytest.approx(seen.hazard_map.observed.mean(), abs=0.03)
     assert small[0].mean() == pytest.approx(seen.hazard_map.p_safe.mean(), abs=0.03)
-    for part in parts.PARTS.values():
+    for part in observations.PARTS.values():
         assert part.meaning and len(part.units) in (1, part.shape[-1])
 
 
 def test_a_part_of_ones_own():
     name = "site_east"
-    own = parts.SiteObservationComponent(
+    own = observations.SiteObservationComponent(
         name, (1,), ("m",), -9e3, 9e3, "east of the present site", lambda s: s.site[:, :1]
     )
-    parts.register(own)
+    observations.register(own)
     try:
         env = made(observation=[name])
         observation, _ = env.reset(seed=1)
         assert observation[name] == pytest.approx(env.unwrapped.flight.sights.site[0, :1])
         with pytest.raises(InputError, match="own"):
-            parts.register(own)
+            observations.register(own)
     finally:
-        del parts.PARTS[name]
+        del observations.PARTS[name]
 
 
 @pytest.mark.parametrize(
@@ -297,7 +297,7 @@ def test_a_network_of_sites_chooses_saves_and_flies(tmp_path):
 
 
 def test_training_flies_every_lane_by_its_own_network_and_is_the_same_again():
-    settings = SiteTraining(hidden=2, population=3, elite=1, flights=2, generations=2)
+    settings = CemSettings(hidden=2, population=3, elite=1, flights=2, generations=2)
     many = lanes(6)
     told = []
     first = train(many, settings, lambda *row: told.append(row))

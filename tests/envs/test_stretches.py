@@ -19,15 +19,15 @@ from lunarsim.onboard.policies.contract import Decision
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation
 from lunarsim_envs.agents.registry import agent_of
-from lunarsim_envs.evaluation.request import study
+from lunarsim_envs.evaluation.request import evaluation_study
 from lunarsim_envs.retarget import RetargetEnv
 from lunarsim_envs.retarget_vector import RetargetVectorEnv
 from lunarsim_envs.sites import actions
 from lunarsim_envs.sites.actions import STRETCHES, ActionComponent, SiteActions
-from lunarsim_envs.sites.lanes import SiteDescentBatch
+from lunarsim_envs.sites.batch import SiteDescentBatch
+from lunarsim_envs.sites.field_of_view import fov_and_footprint
 from lunarsim_envs.sites.pool import SiteWorldPool
 from lunarsim_envs.sites.surrogate import exact_errors
-from lunarsim_envs.sites.view import fov_and_footprint
 from tests.envs.site_scene import SMALL
 
 BOTH = ("site", "stretch")
@@ -348,11 +348,11 @@ def test_random_draws_all_that_can_be_had():
 
 
 def test_agents_are_evaluated_on_the_parts_that_are_asked_for():
-    given = study("lunarsim_envs:Retarget-v0", None, [], 1, action=list(BOTH))
+    given = evaluation_study("lunarsim_envs:Retarget-v0", None, [], 1, action=list(BOTH))
     assert given.make().action_space == spaces.MultiDiscrete([21, 5])
     for name in ("lunarsim_envs:Guidance-v0", "CartPole-v1"):
         with pytest.raises(InputError, match="--action: applies only"):
-            study(name, None, [], 1, action=["stretch"])
+            evaluation_study(name, None, [], 1, action=["stretch"])
     words = ["evaluate", "Retarget-v0", "--episodes", "1", "--jobs", "1"]
     done = CliRunner().invoke(main, [*words, "--action", "stretch", "--agent", "nearest-safe"])
     assert done.exit_code == 2 and "with the action component 'site'" in done.output

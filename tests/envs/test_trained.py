@@ -13,10 +13,10 @@ from lunarsim.errors import InputError
 from lunarsim_envs.agents.network import Network
 from lunarsim_envs.agents.registry import agent_of, known_agents, packaged_agents
 from lunarsim_envs.descent.env import ControlEnv, GuidanceEnv
-from lunarsim_envs.training.settings import Training
+from lunarsim_envs.training.settings import PpoSettings
 from tests.low_descents import LOW
 
-WIDE = Training().changes
+WIDE = PpoSettings().changes
 
 
 def landed(agent, count, seed):

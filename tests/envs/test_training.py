@@ -13,11 +13,11 @@ from lunarsim.errors import InputError
 from lunarsim_envs.agents.registry import agent_of
 from lunarsim_envs.descent.env import GuidanceEnv, GuidanceVectorEnv
 from lunarsim_envs.retarget_vector import RetargetVectorEnv
-from lunarsim_envs.training.settings import Training, scales
+from lunarsim_envs.training.settings import PpoSettings, scales
 from tests.envs import site_scene
 from tests.low_descents import IDS, LOW, batch
 
-SMALL = replace(Training(), lanes=32, horizon=16, batch=64, epochs=2, steps=4 * 32 * 16)
+SMALL = replace(PpoSettings(), lanes=32, horizon=16, batch=64, epochs=2, steps=4 * 32 * 16)
 
 
 def test_settings_that_will_not_do_are_refused():
@@ -26,15 +26,15 @@ def test_settings_that_will_not_do_are_refused():
         ({"lanes": 8}, "at least 16"), ({"nearest": 0.0}, "above 0"),
     ):  # fmt: skip
         with pytest.raises(InputError, match=says):
-            replace(Training(), **changes)
-    Training().weights.check(400.0)
+            replace(PpoSettings(), **changes)
+    PpoSettings().weights.check(400.0)
     # Shaping leaves the best policy alone at the learner's own discount alone.
-    assert replace(Training(), discount=0.98).weights.discount == 0.98
+    assert replace(PpoSettings(), discount=0.98).weights.discount == 0.98
 
 
 def test_starts_go_from_near_the_target_to_the_whole_way():
     planned = np.array([-600.0, 0.0, 500.0, 28.0, 0.0, -18.0, 30.0, 10.0])
-    starts = Training().starts(planned)
+    starts = PpoSettings().starts(planned)
     heights = [start["position_m"][2] for start in starts]
     assert len(starts) == 16 and heights[0] == pytest.approx(20.0)
     assert heights[:12] == sorted(heights[:12]) and heights[11:] == [500.0] * 5
@@ -46,10 +46,10 @@ def test_starts_go_from_near_the_target_to_the_whole_way():
 def test_every_number_of_an_observation_has_its_scales():
     far, near = scales(("velocity", "position"))
     assert far == [40.0] * 3 + [600.0] * 3 and near == [1.0] * 3 + [3.0] * 3
-    assert [Training(steps=100, lanes=16, horizon=2).learning_rate(k) for k in (0, 3)] == (
-        pytest.approx([Training.rate_first, Training.rate_last])
+    assert [PpoSettings(steps=100, lanes=16, horizon=2).learning_rate(k) for k in (0, 3)] == (
+        pytest.approx([PpoSettings.rate_first, PpoSettings.rate_last])
     )
-    spreads = [Training(steps=100, lanes=16, horizon=2).most_spread(k) for k in (0, 3, 9)]
+    spreads = [PpoSettings(steps=100, lanes=16, horizon=2).most_spread(k) for k in (0, 3, 9)]
     assert spreads == pytest.approx([-1.5, -3.5, -3.5])
 
 
@@ -76,16 +76,16 @@ def test_two_trainings_are_the_same_bits_and_actions_scatter_less(tmp_path):
 @pytest.mark.slow
 def test_a_training_goes_on_bit_for_bit(tmp_path):
     pytest.importorskip("stable_baselines3", reason="the extra `rl` is not installed")
-    from lunarsim_envs.training.guidance import Run, policy_network
+    from lunarsim_envs.training.guidance import TrainingRun, policy_network
 
-    whole = Run(SMALL, tmp_path / "whole")
+    whole = TrainingRun(SMALL, tmp_path / "whole")
     for _ in range(4):
         whole.advance()
-    first = Run(SMALL, tmp_path / "parts")
+    first = TrainingRun(SMALL, tmp_path / "parts")
     for _ in range(2):
         first.advance()
     first.checkpoint()
-    second = Run(SMALL, tmp_path / "parts")
+    second = TrainingRun(SMALL, tmp_path / "parts")
     assert second.done == 2
     for _ in range(2):
         second.advance()
@@ -94,7 +94,7 @@ def test_a_training_goes_on_bit_for_bit(tmp_path):
         assert np.array_equal(a, b)
     assert not np.array_equal(one.weights[0], policy_network(first.model).weights[0])
     with pytest.raises(InputError, match="have the same settings"):
-        Run(replace(SMALL, seed=1), tmp_path / "parts")
+        TrainingRun(replace(SMALL, seed=1), tmp_path / "parts")
     # What NumPy flies, and what the file of Stable-Baselines3 does, is the agent that was trained.
     second.checkpoint()
     env = GuidanceEnv(changes=SMALL.changes)
@@ -111,7 +111,7 @@ def test_a_batch_is_what_stable_baselines3_takes(tmp_path):
     pytest.importorskip("stable_baselines3", reason="the extra `rl` is not installed")
     from stable_baselines3.common.env_checker import check_env
 
-    from lunarsim_envs.training.lanes_vec_env import Sb3VecEnv
+    from lunarsim_envs.training.sb3_vec_env import Sb3VecEnv
 
     near = {"position_m": [0.0, 0.0, 40.0], "position_sigma_m": 0.0}
     env = Sb3VecEnv(batch(IDS[0], 8, autoreset_mode="SameStep"), [near, {}])
@@ -143,7 +143,7 @@ def test_a_batch_is_what_stable_baselines3_takes(tmp_path):
 @pytest.mark.parametrize("action", [("site",), ("site", "stretch")])
 def test_a_batch_that_chooses_sites_has_masks_and_is_learned_from(action):
     contrib = pytest.importorskip("sb3_contrib", reason="the extra `rl` is not installed")
-    from lunarsim_envs.training.lanes_vec_env import Sb3VecEnv
+    from lunarsim_envs.training.sb3_vec_env import Sb3VecEnv
 
     settings = {"scenario": site_scene.SMALL, "perception": "truth", "worlds": 2, "world_seed": 5}
     env = Sb3VecEnv(RetargetVectorEnv(4, "SameStep", action=action, **settings))
@@ -169,7 +169,7 @@ def test_a_batch_that_chooses_sites_has_masks_and_is_learned_from(action):
 def test_options_of_stable_baselines3_are_those_of_a_reset():
     """For all lanes or each its own, over `starts`; of the next reset alone."""
     pytest.importorskip("stable_baselines3", reason="the extra `rl` is not installed")
-    from lunarsim_envs.training.lanes_vec_env import Sb3VecEnv
+    from lunarsim_envs.training.sb3_vec_env import Sb3VecEnv
 
     near, exact = {"position_m": [0.0, 0.0, 40.0]}, {"position_sigma_m": 0.0}
     env = Sb3VecEnv(batch(IDS[0], 4, autoreset_mode="SameStep"))
@@ -197,7 +197,7 @@ def test_options_of_stable_baselines3_are_those_of_a_reset():
 def test_what_the_clock_cut_off_is_told_as_truncated():
     """Learners take the value of the last state for what such a flight would have returned."""
     pytest.importorskip("stable_baselines3", reason="the extra `rl` is not installed")
-    from lunarsim_envs.training.lanes_vec_env import Sb3VecEnv
+    from lunarsim_envs.training.sb3_vec_env import Sb3VecEnv
 
     low = {"position_m": [0.0, 0.0, 40.0], "position_sigma_m": 0.0}
     falls = low | {"velocity_m_s": [0.0, 0.0, -30.0]}

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from lunarsim.errors import InputError
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation
-from lunarsim.vehicle.variation import DRAWN
+from lunarsim.vehicle.domain_randomization import RANDOM_QUANTITIES
 from lunarsim_envs.descent.env import ControlEnv, GuidanceEnv
 from tests.low_descents import IDS, LOW
 
@@ -64,7 +64,7 @@ def test_a_lane_is_one_environment_bit_for_bit(mode):
                     due[i] = False
             assert np.array_equal(seen[i], own)
             assert np.array_equal(info["privileged"][i], told["privileged"])
-            assert {name: info["drawn"][name][i] for name in DRAWN} == told["drawn"]
+            assert {name: info["drawn"][name][i] for name in RANDOM_QUANTITIES} == told["drawn"]
     assert ended > 4
 
 
@@ -179,7 +179,7 @@ def test_nothing_is_drawn_or_told_that_is_not_asked_for():
     *_, info = env.step(np.zeros(4, np.float32))
     assert set(info) == {"reward_terms", "cost"}
     _, info = ControlEnv(changes=VARIED).reset(seed=1)
-    assert set(info) == {"drawn"} and set(info["drawn"]) == set(DRAWN)
+    assert set(info) == {"drawn"} and set(info["drawn"]) == set(RANDOM_QUANTITIES)
 
 
 def test_the_whole_simulation_refuses_the_table():

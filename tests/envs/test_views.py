@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from lunarsim.errors import InputError
-from lunarsim_envs.views import ASIDE, HEIGHT, WIDTH, ChaseViewRenderer, project
+from lunarsim_envs.chase_view import ASIDE, HEIGHT, WIDTH, ChaseViewRenderer, project
 
 ID = "lunarsim_envs:lunarsim/Retarget-v0"
 

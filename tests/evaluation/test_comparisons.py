@@ -9,23 +9,23 @@ from statsmodels.stats.contingency_tables import mcnemar
 from statsmodels.stats.multitest import multipletests
 
 from lunarsim.evaluation.comparisons import (
-    holm,
+    bootstrap_interval,
+    holm_correction,
     landing_ellipse,
-    mean_bootstrap,
     mean_difference,
     quantile_interval,
     share_difference,
     share_upper_bound,
 )
-from lunarsim.evaluation.sequences import share_sequence
+from lunarsim.evaluation.sequences import share_confidence_sequence
 
 
 def test_holm_is_that_of_statsmodels():
     rng = np.random.default_rng(1)
     for n in (1, 2, 7, 30):
         p = rng.random(n) ** 4
-        assert holm(p) == pytest.approx(multipletests(p, method="holm")[1], rel=1e-12)
-    corrected = holm([0.01, float("nan"), 0.02])
+        assert holm_correction(p) == pytest.approx(multipletests(p, method="holm")[1], rel=1e-12)
+    corrected = holm_correction([0.01, float("nan"), 0.02])
     assert corrected[[0, 2]] == pytest.approx([0.02, 0.02]) and np.isnan(corrected[1])
 
 
@@ -65,13 +65,13 @@ def test_bootstrap_intervals_cover_a_skewed_mean():
     rng = np.random.default_rng(4)
     hits = 0
     for _ in range(150):
-        low, high = mean_bootstrap(rng.exponential(1.0, 40), rng)
+        low, high = bootstrap_interval(rng.exponential(1.0, 40), rng)
         hits += low <= 1.0 <= high
     assert 0.87 < hits / 150 <= 0.995
-    assert mean_bootstrap([3.0, 3.0, float("nan")], rng) == (3.0, 3.0)
-    assert np.isnan(mean_bootstrap([1.0], rng)).all()
+    assert bootstrap_interval([3.0, 3.0, float("nan")], rng) == (3.0, 3.0)
+    assert np.isnan(bootstrap_interval([1.0], rng)).all()
     many = rng.normal(5.0, 2.0, 50_000)
-    low, high = mean_bootstrap(many, rng)
+    low, high = bootstrap_interval(many, rng)
     assert high - low == pytest.approx(2 * 1.96 * 2.0 / np.sqrt(50_000), rel=0.02)
 
 
@@ -132,7 +132,7 @@ def test_a_confidence_sequence_stands_peeking_and_wilson_does_not():
     looks = range(5, trials, 10)
     for number in range(rounds):
         counts = np.cumsum(rng.random(trials) < p)
-        seen = [share_sequence(int(counts[n - 1]), n) for n in looks]
+        seen = [share_confidence_sequence(int(counts[n - 1]), n) for n in looks]
         wrong["sequence"] += any(not low <= p <= high for low, high in seen)
         if number < 40:
             tests = [binomtest(int(counts[n - 1]), n).proportion_ci(0.95, "wilson") for n in looks]
@@ -142,12 +142,12 @@ def test_a_confidence_sequence_stands_peeking_and_wilson_does_not():
 
 
 def test_a_confidence_sequence_at_its_ends():
-    assert share_sequence(0, 0) == (0.0, 1.0)
-    low, high = share_sequence(0, 100)
+    assert share_confidence_sequence(0, 0) == (0.0, 1.0)
+    low, high = share_confidence_sequence(0, 100)
     assert low == 0.0 and 0.03 < high < 0.08
-    mirrored = share_sequence(100, 100)
+    mirrored = share_confidence_sequence(100, 100)
     assert mirrored == pytest.approx((1.0 - high, 1.0))
-    low, high = share_sequence(500_000, 1_000_000)
+    low, high = share_confidence_sequence(500_000, 1_000_000)
     assert low < 0.5 < high and 0.002 < high - low < 0.006
     with pytest.raises(ValueError, match="from 0 to 3"):
-        share_sequence(4, 3)
+        share_confidence_sequence(4, 3)

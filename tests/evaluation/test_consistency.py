@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lunarsim.evaluation.consistency import Consistency, normalised_square
+from lunarsim.evaluation.consistency import Consistency, normalised_squared_error
 
 
 def drawn(scale, trials=400, seed=0):
@@ -14,7 +14,7 @@ def drawn(scale, trials=400, seed=0):
     found = Consistency()
     for _ in range(trials):
         error = scale * factor @ rng.standard_normal(4)
-        found = found.plus(normalised_square(error, covariance), 4)
+        found = found.plus(normalised_squared_error(error, covariance), 4)
     return found
 
 
@@ -26,7 +26,7 @@ def test_true_covariances_hold_and_wrong_ones_do_not():
 
 
 def test_closed_forms():
-    assert normalised_square([3.0, 4.0], np.diag([9.0, 4.0])) == pytest.approx(5.0)
+    assert normalised_squared_error([3.0, 4.0], np.diag([9.0, 4.0])) == pytest.approx(5.0)
     assert np.isnan(Consistency().ratio)
     low, high = Consistency(1.0, 2).bounds(0.9)
     # Two degrees of freedom: an exponential law.

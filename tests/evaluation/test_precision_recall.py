@@ -6,7 +6,11 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from lunarsim.evaluation.map_quality import MapQuality, local_ground, precision_at_recall
+from lunarsim.evaluation.map_quality import (
+    MapQuality,
+    precision_at_recall,
+    true_elevation_in_map_frame,
+)
 from lunarsim.evaluation.precision_recall import PrecisionRecall
 from lunarsim.evaluation.reliability import brier_score
 from lunarsim.evaluation.statistics import mean_interval
@@ -71,7 +75,7 @@ def test_local_ground_lies_where_a_map_with_this_error_has_it():
     z = 0.2 * posts.x[None, :] - 0.1 * posts.y[:, None]
     terrain = Terrain(Heightfield(posts, z.astype(np.float32)))
     grid, error = Grid.centred((1.0, 2.0), 6.0, 0.5), np.array([3.0, -1.0, 0.7])
-    ground = local_ground(terrain, grid, error)
+    ground = true_elevation_in_map_frame(terrain, grid, error)
     true = grid.centres() - error[:2]
     assert ground == pytest.approx(0.2 * true[..., 0] - 0.1 * true[..., 1] + 0.7, abs=1e-4)
     assert grid.moved(error).centre == pytest.approx((4.0, 1.0))

@@ -14,9 +14,19 @@ from lunarsim.evaluation.site_calibration import SiteSamples, cross_validate, sa
 from lunarsim.grid import Grid
 from lunarsim.models.lander import Lander
 from lunarsim.safety import SafetyMap
-from lunarsim.safety.calibration import FARTHER, calibrated_safety, ceiling
-from lunarsim.safety.ensemble import HOPELESS, MARGIN, SURE, cautious, told
-from lunarsim.world.truth import Truth
+from lunarsim.safety.calibration import (
+    NEAR_DOMAIN_LOG_ODDS_MARGIN,
+    calibrated_safety,
+    observed_terrain_bound,
+)
+from lunarsim.safety.ensemble import (
+    HOPELESS,
+    LOG_ODDS_MARGIN,
+    SURE,
+    conservative_probability,
+    lower_bound_probability,
+)
+from lunarsim.world.truth import TerrainTruth
 from tests.map_evidence import evidence
 
 LANDER = Lander()
@@ -27,7 +37,7 @@ def test_sites_are_judged_where_they_truly_are():
     xy = grid.centres()
     safe, known = xy[..., 0] < 1.9, xy[..., 1] < 2.9
     none = np.zeros(grid.shape, np.float32)
-    truth = Truth(SafetyMap(grid, none, none, safe, known), none, LANDER)
+    truth = TerrainTruth(SafetyMap(grid, none, none, safe, known), none, LANDER)
     seen = np.ones((9, 9), bool)
     seen[0] = False
     e = evidence(seen=seen, slope=np.linspace(0.1, 0.9, 81).reshape(9, 9))
@@ -54,7 +64,7 @@ def test_sites_that_gravel_may_tilt_count_as_not_claimed_as_on_the_map():
     found = SiteSamples.of(e, e.observed, e.observed, 0)
     assert 0 < claimed.sum() < claimed.size
     assert np.array_equal((found.known & found.agreed), claimed[e.observed])
-    assert (ceiling(e)[~claimed] > SURE).any()  # it was the rocks that told
+    assert (observed_terrain_bound(e)[~claimed] > SURE).any()  # it was the rocks that told
 
 
 def sites(flight: int, n: int = 1500, shift: float = 0.0, known: float = 0.5, seed: int = 1,
@@ -62,11 +72,13 @@ def sites(flight: int, n: int = 1500, shift: float = 0.0, known: float = 0.5, se
     rng = np.random.default_rng([seed, flight])
     z = rng.normal(0.0, 3.0, n)
     inside = rng.random(n) < known
-    agreed = (told(z, np.ones(n)) >= SURE) | (expit(z) <= HOPELESS)
-    said = cautious(z, np.ones(n), np.full(n, 0.1), inside, FARTHER)
-    truth = said if right else expit(z - MARGIN + shift)
+    agreed = (lower_bound_probability(z, np.ones(n)) >= SURE) | (expit(z) <= HOPELESS)
+    said = conservative_probability(
+        z, np.ones(n), np.full(n, 0.1), inside, NEAR_DOMAIN_LOG_ODDS_MARGIN
+    )
+    truth = said if right else expit(z - LOG_ODDS_MARGIN + shift)
     return SiteSamples(
-        flight=np.full(n, flight), log_odds=z, ceiling=np.ones(n), clear=np.ones(n),
+        flight=np.full(n, flight), log_odds=z, observed_terrain_bound=np.ones(n), clear=np.ones(n),
         agreed=agreed,
         bound=np.full(n, 0.1), known=inside, hazards=np.where(inside, 0.01, 0.2),
         tilting=np.full(n, 0.1), noise=np.full(n, 0.05), spacing=np.full(n, 0.2),

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lunarsim.evaluation.statistics import Proportion, summarise
+from lunarsim.evaluation.statistics import Proportion, summarise_policies
 
 
 def test_wilson_interval():
@@ -27,7 +27,7 @@ def test_summary_pools_cells():
         base | {"map_hits": 0, "map_false_safe": 0, "map_missed": 80, "safe": False,
                 "safe_site_in_reach": False},
     ]  # fmt: skip
-    a = summarise(rows)["a"]
+    a = summarise_policies(rows)["a"]
     assert a["precision"] == pytest.approx(0.9)
     assert a["recall"] == pytest.approx(0.5)
     assert a["safe"].count == 1

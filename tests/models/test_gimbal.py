@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lunarsim.frames import quat_from_rotation_vector, quat_to_matrix, sensor_axes
-from lunarsim.models.gimbal import gimbal_mount, within
+from lunarsim.models.gimbal import gimbal_mount, limit_mount
 
 vectors = st.tuples(*[st.floats(-1.0, 1.0)] * 3).filter(lambda v: np.linalg.norm(v) > 1e-3)
 limits = st.floats(0.01, 3.1)
@@ -42,7 +42,7 @@ def test_a_mount_points_where_it_is_wanted_or_stops_at_the_limit(turn, boresight
 @given(vectors, limits)
 def test_within_turns_back_to_the_limit_by_the_least_angle(boresight, limit):
     mount = np.asarray(sensor_axes(boresight))
-    held = within(mount, limit)
+    held = limit_mount(mount, limit)
     asked = off_rest(mount)
     if asked <= limit:
         assert held is mount
@@ -56,12 +56,12 @@ def test_within_turns_back_to_the_limit_by_the_least_angle(boresight, limit):
 def test_at_the_limit_nothing_is_turned():
     limit = np.deg2rad(30.0)
     mount = gimbal_mount([0.0, 0.0, 0.0, 1.0], [1.0, 0.2, -0.1], limit)
-    assert within(mount, limit) is mount
+    assert limit_mount(mount, limit) is mount
 
 
 @pytest.mark.parametrize("up", [[0.0, 0.0, 1.0], [1e-13, 0.0, 1.0]])
 def test_a_boresight_straight_up_comes_to_the_limit_on_some_side(up):
-    held = within(np.asarray(sensor_axes(up)), 0.5)
+    held = limit_mount(np.asarray(sensor_axes(up)), 0.5)
     assert is_rotation(held)
     assert off_rest(held) == pytest.approx(0.5, abs=1e-7)
     assert off_rest(gimbal_mount([0.0, 0.0, 0.0, 1.0], up, 0.5)) == pytest.approx(0.5, abs=1e-7)

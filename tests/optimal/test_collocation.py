@@ -8,7 +8,7 @@ import pytest
 from lunarsim.errors import InputError
 from lunarsim.optimal.collocation import collocate
 from lunarsim.optimal.errors import SolverError
-from lunarsim.optimal.final_time import least_propellant
+from lunarsim.optimal.final_time import minimize_propellant
 from lunarsim.optimal.planner import Planner
 from tests.optimal.cases import mars, moon
 
@@ -16,7 +16,7 @@ from tests.optimal.cases import mars, moon
 def gap(descent, duration=None) -> float:
     """Return by what share both ways differ."""
     planner = Planner(40)
-    path = planner.at_time(descent, duration) if duration else least_propellant(planner, descent)
+    path = planner.at_time(descent, duration) if duration else minimize_propellant(planner, descent)
     return collocate(descent, 40, duration=duration).propellant / path.propellant - 1.0
 
 

@@ -12,8 +12,8 @@ from lunarsim.optimal.cone_program import FallbackSolver
 from lunarsim.optimal.errors import InfeasibleError, RelaxationError, SolverError
 from lunarsim.optimal.final_time import (
     is_flyable,
-    least_propellant,
     minimize_landing_error,
+    minimize_propellant,
     minimum_effort_time,
     nearest,
     remaining_log_mass,
@@ -64,7 +64,7 @@ def test_the_first_final_time_is_that_of_least_effort():
 
 def test_a_slope_that_hardly_changes_is_followed_to_its_end():
     """Direct collocation of 30 intervals takes 82.58 kg."""
-    path = least_propellant(Planner(30), level_slope())
+    path = minimize_propellant(Planner(30), level_slope())
     assert path.propellant == pytest.approx(82.58, rel=2e-3)
     assert path.loss < 1e-3
     assert path.converged
@@ -72,7 +72,7 @@ def test_a_slope_that_hardly_changes_is_followed_to_its_end():
 
 def test_a_slow_descent_is_found_far_from_the_first_guess():
     d, planner = lean_little(np.deg2rad(0.5)), Planner(20)
-    path = least_propellant(planner, d)
+    path = minimize_propellant(planner, d)
     assert path.miss < 0.1
     others = [planner.at_time(d, s * path.duration) for s in (0.97, 0.99, 1.01, 1.03)]
     assert path.propellant < 1.001 * min(p.propellant for p in others if p is not None)
@@ -81,7 +81,7 @@ def test_a_slow_descent_is_found_far_from_the_first_guess():
 @pytest.mark.parametrize("region", [383.5, 400.0])
 def test_a_region_that_holds_the_nearest_end_is_reached(region):
     """The nearest end is 382.5 m off: few final times lead into a region little wider than that."""
-    path = least_propellant(Planner(40), mars(**FAR, glideslope=np.deg2rad(4.0), region=region))
+    path = minimize_propellant(Planner(40), mars(**FAR, glideslope=np.deg2rad(4.0), region=region))
     assert path.miss < region + 0.01
     assert path.loss < 1e-3
 
@@ -97,7 +97,7 @@ def test_a_search_whose_solves_run_out_says_so():
 def test_solves_are_counted_from_the_first_final_time_that_can_be_flown():
     """What is spent on final times out of reach leaves the search as many as without them."""
     d, planner = moon(), Planner(20)
-    first = least_propellant(planner, d).duration
+    first = minimize_propellant(planner, d).duration
     alone = search_near(planner, d, iter((1.2 * first,)), max_solves=3)
     found = search_near(planner, d, iter((0.5 * first, 0.6 * first, 1.2 * first)), max_solves=3)
     assert found.duration == alone.duration < 1.2 * first
@@ -113,8 +113,8 @@ class Moody(FallbackSolver):
 
 
 def test_a_failure_at_one_final_time_does_not_end_the_search():
-    path = least_propellant(Planner(20, Moody), moon())
-    assert path.increment == pytest.approx(least_propellant(Planner(20), moon()).increment, 1e-3)
+    path = minimize_propellant(Planner(20, Moody), moon())
+    assert path.increment == pytest.approx(minimize_propellant(Planner(20), moon()).increment, 1e-3)
 
 
 def test_a_path_that_the_engine_cannot_fly_is_told_not_returned():
@@ -125,12 +125,12 @@ def test_a_path_that_the_engine_cannot_fly_is_told_not_returned():
         end_tilt=np.deg2rad(10.0),
     )  # fmt: skip
     with pytest.raises(RelaxationError, match="violates the thrust limits by"):
-        least_propellant(Planner(20), d)
+        minimize_propellant(Planner(20), d)
     assert issubclass(RelaxationError, SolverError)
-    bound = least_propellant(Planner(20), d, allow_lossy=True)
+    bound = minimize_propellant(Planner(20), d, allow_lossy=True)
     assert not is_flyable(bound)
     assert bound.excess > 0.05
-    assert is_flyable(least_propellant(Planner(20), moon()))
+    assert is_flyable(minimize_propellant(Planner(20), moon()))
 
 
 def test_a_start_under_the_glideslope_is_out_of_reach_and_the_nearest_end_keeps_above():
@@ -139,7 +139,7 @@ def test_a_start_under_the_glideslope_is_out_of_reach_and_the_nearest_end_keeps_
     assert not replace(low, region=400.0).violates_glideslope
     assert not moon().violates_glideslope
     with pytest.raises(InfeasibleError) as found:
-        least_propellant(Planner(20), low)
+        minimize_propellant(Planner(20), low)
     gap = low.position - found.value.nearest
     assert gap[2] + low.drop > np.tan(low.glideslope) * abs(gap[0]) - 0.01
     assert found.value.miss > 200.0
@@ -163,7 +163,9 @@ def test_of_all_ends_as_near_the_one_of_least_propellant_is_taken():
 def test_half_spaces_that_leave_no_way_are_not_answered_by_a_nearest_end_that_breaks_them():
     up = np.broadcast_to([0.0, 0.0, 1.0], (20, 1, 3))
     with pytest.raises(InfeasibleError, match="no end at that height") as found:
-        least_propellant(Planner(20), moon(), half_spaces=HalfSpaces(up, np.full((20, 1), 2000.0)))
+        minimize_propellant(
+            Planner(20), moon(), half_spaces=HalfSpaces(up, np.full((20, 1), 2000.0))
+        )
     assert found.value.nearest is None
 
 
@@ -182,7 +184,7 @@ def test_walls_that_stand_stay_where_they_are_while_the_end_moves():
 
 
 def test_what_is_left_of_a_path_begins_where_it_is():
-    path = least_propellant(Planner(20), mars(glideslope=0.0))
+    path = minimize_propellant(Planner(20), mars(glideslope=0.0))
     left = remaining_log_mass(path, 0.5 * path.duration, 10)
     assert np.allclose(left, np.log(path.mass[10:-1] / path.mass[10]) - 0.5 * np.log(
         path.mass[10:-1] / path.mass[11:]), atol=1e-6)  # fmt: skip
@@ -192,4 +194,4 @@ def test_what_is_left_of_a_path_begins_where_it_is():
 @pytest.mark.parametrize("elapsed", [np.nan, -5.0, "a", None])
 def test_a_time_elapsed_that_cannot_be_is_refused(elapsed):
     with pytest.raises(InputError, match=r"optimal\.elapsed"):
-        least_propellant(Planner(20), moon(), elapsed=elapsed)
+        minimize_propellant(Planner(20), moon(), elapsed=elapsed)

@@ -11,9 +11,9 @@ from lunarsim.errors import InputError
 from lunarsim.grid import Grid
 from lunarsim.optimal.cone_program import FallbackSolver
 from lunarsim.optimal.errors import InfeasibleError, SolverError
-from lunarsim.optimal.final_time import least_propellant
-from lunarsim.optimal.ground import TerrainRaster, least_propellant_over
+from lunarsim.optimal.final_time import minimize_propellant
 from lunarsim.optimal.planner import Planner
+from lunarsim.optimal.terrain_constraint import TerrainRaster, minimize_propellant_over_terrain
 from tests.optimal.cases import moon
 
 GRID = Grid.centred((0.0, 0.0), 1500.0, 10.0)
@@ -52,10 +52,10 @@ def test_heights_are_bilinear_and_missing_off_the_posts():
 def test_a_path_within_the_majorant_keeps_above_the_ground_between_its_nodes():
     """A knoll 60 m before the site: the path over flat ground goes through it."""
     terrain, planner = hill(60.0, 60.0, 20.0), Planner(30)
-    free = least_propellant(planner, moon())
+    free = minimize_propellant(planner, moon())
     assert terrain.above(free) < 0.0
     cone = terrain.majorant(moon().end_position, 16, 1.0)
-    kept = least_propellant(planner, replace(moon(), cone=cone))
+    kept = minimize_propellant(planner, replace(moon(), cone=cone))
     assert terrain.above(kept) > 0.9
     assert kept.increment > free.increment
     assert kept.half_space_multipliers.max() > 1e-3
@@ -67,12 +67,12 @@ def test_planes_about_the_path_undercut_a_majorant_that_blocks_the_way():
     east, north = np.meshgrid(fine.x, fine.y)
     knoll = 60.0 * np.exp(-0.5 * ((east + 60.0) ** 2 + north**2) / 20.0**2)
     terrain, planner = TerrainRaster(fine, knoll), Planner(24)
-    kept = least_propellant(
+    kept = minimize_propellant(
         planner, replace(moon(), cone=terrain.majorant(moon().end_position, 12, 1.0))
     )
-    found = least_propellant_over(planner, moon(), terrain, clearance=1.0, rounds=4)
+    found = minimize_propellant_over_terrain(planner, moon(), terrain, clearance=1.0, rounds=4)
     assert terrain.above(found) > 1.0 - 2e-3
-    free = least_propellant(planner, moon())
+    free = minimize_propellant(planner, moon())
     assert terrain.above(free) < 0.0
     assert free.increment * (1.0 - 1e-4) <= found.increment < kept.increment - 1.0
 
@@ -90,9 +90,9 @@ def test_a_wall_about_the_site_is_passed_by_the_short_way():
         glideslope=None,
     )  # fmt: skip
     planner = Planner(24)
-    found = least_propellant_over(planner, descent, pit, clearance=1.0)
+    found = minimize_propellant_over_terrain(planner, descent, pit, clearance=1.0)
     assert pit.above(found) > 1.0 - 2e-3
-    assert found.propellant < 1.2 * least_propellant(planner, descent).propellant
+    assert found.propellant < 1.2 * minimize_propellant(planner, descent).propellant
 
 
 class Fails(FallbackSolver):
@@ -112,16 +112,18 @@ def test_a_solver_that_gives_up_over_terrain_leaves_the_path_found_before(later)
     knoll = hill(60.0, 60.0, 20.0)
     planner = Planner(20)
     cone = knoll.majorant(moon().end_position, 12, 1.0)
-    kept = least_propellant(planner, replace(moon(), cone=cone))
+    kept = minimize_propellant(planner, replace(moon(), cone=cone))
     Fails.met, Fails.at = 0, planner.solves + later
-    path = least_propellant_over(Planner(20, Fails), moon(), knoll, clearance=1.0)
+    path = minimize_propellant_over_terrain(Planner(20, Fails), moon(), knoll, clearance=1.0)
     assert path.increment <= kept.increment
 
 
 def test_where_no_terrain_rises_nothing_changes():
     planner = Planner(30)
-    over = least_propellant_over(planner, moon(), TerrainRaster(GRID, np.zeros(GRID.shape)))
-    assert over.increment == pytest.approx(least_propellant(planner, moon()).increment, rel=1e-4)
+    over = minimize_propellant_over_terrain(
+        planner, moon(), TerrainRaster(GRID, np.zeros(GRID.shape))
+    )
+    assert over.increment == pytest.approx(minimize_propellant(planner, moon()).increment, rel=1e-4)
 
 
 def test_bad_terrain_is_refused():
@@ -132,16 +134,18 @@ def test_bad_terrain_is_refused():
     with pytest.raises(InputError, match="1 posts"):
         TerrainRaster(GRID, holed)
     with pytest.raises(InputError, match="end_position"):
-        least_propellant_over(Planner(20), moon(), TerrainRaster(GRID, np.full(GRID.shape, 20.0)))
+        minimize_propellant_over_terrain(
+            Planner(20), moon(), TerrainRaster(GRID, np.full(GRID.shape, 20.0))
+        )
     small = Grid.centred((0.0, 0.0), 100.0, 5.0)
     with pytest.raises(InputError, match="terrain"):
-        TerrainRaster(small, np.zeros(small.shape)).above(least_propellant(Planner(20), moon()))
+        TerrainRaster(small, np.zeros(small.shape)).above(minimize_propellant(Planner(20), moon()))
 
 
 def test_no_way_at_all_is_infeasible_not_a_failure():
     with pytest.raises(InfeasibleError):
         flat = TerrainRaster(GRID, np.zeros(GRID.shape))
-        least_propellant_over(Planner(10), moon(dry_mass=1495.0), flat)
+        minimize_propellant_over_terrain(Planner(10), moon(dry_mass=1495.0), flat)
 
 
 def test_a_start_under_the_ground_is_refused():
@@ -150,13 +154,15 @@ def test_a_start_under_the_ground_is_refused():
     hill = TerrainRaster(grid, 200.0 * np.exp(-((east + 600.0) ** 2 + north**2) / (2.0 * 150.0**2)))
     low = moon(position=np.array([-600.0, 0.0, 150.0]), velocity=np.array([28.0, 0.0, 5.0]))
     with pytest.raises(InputError, match=r"optimal\.position"):
-        least_propellant_over(Planner(20), low, hill, clearance=1.0)
+        minimize_propellant_over_terrain(Planner(20), low, hill, clearance=1.0)
 
 
 def test_a_path_off_the_posts_is_refused():
     small = Grid.centred((0.0, 0.0), 100.0, 5.0)
     with pytest.raises(InputError, match="posts"):
-        least_propellant_over(Planner(20), moon(), TerrainRaster(small, np.zeros(small.shape)))
+        minimize_propellant_over_terrain(
+            Planner(20), moon(), TerrainRaster(small, np.zeros(small.shape))
+        )
 
 
 @pytest.mark.parametrize("sectors", [0, 1, 2, 2.5, "a", None])
@@ -169,19 +175,23 @@ def test_sectors_too_wide_for_a_plane_are_refused(sectors):
 @pytest.mark.parametrize("sectors", [3, 5])
 def test_few_sectors_keep_above_the_ground_too(sectors):
     knoll, planner = hill(60.0, 60.0, 20.0), Planner(20)
-    path = least_propellant_over(planner, moon(), knoll, clearance=1.0, sectors=sectors, rounds=4)
+    path = minimize_propellant_over_terrain(
+        planner, moon(), knoll, clearance=1.0, sectors=sectors, rounds=4
+    )
     assert knoll.above(path) > 1.0 - 2e-3
 
 
 def test_a_path_that_the_terrain_does_not_let_pass_is_not_returned(monkeypatch):
     monkeypatch.setattr(TerrainRaster, "above", lambda self, path: 0.5)
     with pytest.raises(SolverError, match="above the terrain"):
-        least_propellant_over(Planner(16), moon(), hill(60.0, 60.0, 20.0), clearance=1.0, rounds=2)
+        minimize_propellant_over_terrain(
+            Planner(16), moon(), hill(60.0, 60.0, 20.0), clearance=1.0, rounds=2
+        )
 
 
 def test_planes_lie_above_the_posts_about_each_piece_and_its_neighbours():
     terrain = hill(60.0, 60.0, 20.0)
-    path = least_propellant(Planner(16), moon())
+    path = minimize_propellant(Planner(16), moon())
     half_spaces = terrain.half_spaces(path, 3.0)
     control = path.position[:-1] + 0.5 * path.step * path.velocity[:-1]
     for k in range(16):
@@ -198,14 +208,14 @@ def test_planes_lie_above_the_posts_about_each_piece_and_its_neighbours():
 def test_a_clearance_that_is_no_height_is_refused(value):
     flat = TerrainRaster(GRID, np.zeros(GRID.shape))
     with pytest.raises(InputError, match=r"optimal\.clearance"):
-        least_propellant_over(Planner(8), moon(), flat, clearance=value)
+        minimize_propellant_over_terrain(Planner(8), moon(), flat, clearance=value)
     with pytest.raises(InputError, match=r"optimal\.clearance"):
         flat.majorant(moon().end_position, 12, value)
 
 
 def test_what_is_no_terrain_is_refused():
     with pytest.raises(InputError, match=r"optimal\.terrain"):
-        least_propellant_over(Planner(8), moon(), None)
+        minimize_propellant_over_terrain(Planner(8), moon(), None)
     with pytest.raises(InputError, match=r"optimal\.grid"):
         TerrainRaster(None, np.zeros((3, 3)))
     with pytest.raises(InputError, match=r"optimal\.elevation"):
@@ -215,4 +225,4 @@ def test_what_is_no_terrain_is_refused():
         flat.majorant([np.nan, 0.0, 0.0])
     for rounds in (0, -1, 2.5):
         with pytest.raises(InputError, match=r"optimal\.rounds"):
-            least_propellant_over(Planner(8), moon(), flat, rounds=rounds)
+            minimize_propellant_over_terrain(Planner(8), moon(), flat, rounds=rounds)

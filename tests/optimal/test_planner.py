@@ -10,26 +10,26 @@ import pytest
 
 from lunarsim.errors import InputError
 from lunarsim.optimal.cone_program import (
-    Clarabel,
+    ClarabelSolver,
     FallbackSolver,
-    Qoco,
     QocoOnlySolver,
+    QocoSolver,
     SolverResult,
 )
 from lunarsim.optimal.errors import InfeasibleError, SolverError
-from lunarsim.optimal.final_time import least_propellant
+from lunarsim.optimal.final_time import minimize_propellant
 from lunarsim.optimal.planner import Planner
 from lunarsim.optimal.problem import Cone
-from lunarsim.optimal.transcription import HalfSpaces, Structure
+from lunarsim.optimal.transcription import HalfSpaces, ProgramStructure
 from tests.optimal.cases import mars, moon
 
 
 def test_an_updated_program_is_solved_as_one_made_anew_and_by_another_solver():
     rng = np.random.default_rng(7)
-    kept, other = Planner(30), Planner(30, Clarabel)
+    kept, other = Planner(30), Planner(30, ClarabelSolver)
     for _ in range(4):
         descent = moon(rng, mass=rng.uniform(1300.0, 1500.0))
-        duration = least_propellant(kept, descent).duration
+        duration = minimize_propellant(kept, descent).duration
         paths = [p.at_time(descent, duration) for p in (kept, Planner(30), other)]
         for path in paths[1:]:
             assert path.increment == pytest.approx(paths[0].increment, rel=1e-6)
@@ -44,14 +44,14 @@ def test_flights_repeat_bit_for_bit():
     runs = []
     for _ in range(2):
         planner = Planner(25)
-        runs.append([least_propellant(planner, d).thrust.tobytes() for d in descents])
-        least_propellant(Planner(25), mars())
+        runs.append([minimize_propellant(planner, d).thrust.tobytes() for d in descents])
+        minimize_propellant(Planner(25), mars())
     assert runs[0] == runs[1]
 
 
 def test_a_path_keeps_everything_between_its_nodes():
     d = moon()
-    path = least_propellant(Planner(40), d)
+    path = minimize_propellant(Planner(40), d)
     t = np.linspace(0.0, path.duration, 4001)
     r, v, push = path.at(t)
     gap = r - d.end_position
@@ -82,7 +82,7 @@ def test_a_glideslope_that_binds_is_kept_between_the_nodes():
 
 def test_a_last_solution_leaves_four_solves_at_most():
     planner = Planner(40)
-    first = least_propellant(planner, moon())
+    first = minimize_propellant(planner, moon())
     worst = 0
     for seed in range(6):
         rng = np.random.default_rng(seed)
@@ -91,23 +91,23 @@ def test_a_last_solution_leaves_four_solves_at_most():
             position=r + rng.normal(0.0, 0.5, 3), velocity=v + rng.normal(0.0, 0.1, 3),
             mass=float(first.mass_at(1.0)),
         )  # fmt: skip
-        warm = least_propellant(planner, here, last=first, elapsed=1.0)
-        cold = least_propellant(planner, here)
+        warm = minimize_propellant(planner, here, last=first, elapsed=1.0)
+        cold = minimize_propellant(planner, here)
         worst = max(worst, warm.solves)
         assert warm.increment == pytest.approx(cold.increment, rel=1e-3)
     assert worst <= 4
 
 
 def test_the_end_may_have_to_be_upright():
-    upright = least_propellant(Planner(40), moon(end_tilt=np.deg2rad(5.0)))
-    free = least_propellant(Planner(40), moon())
+    upright = minimize_propellant(Planner(40), moon(end_tilt=np.deg2rad(5.0)))
+    free = minimize_propellant(Planner(40), moon())
     tilts = [np.arccos(p.thrust[-1, 2] / np.linalg.norm(p.thrust[-1])) for p in (upright, free)]
     assert tilts[0] < np.deg2rad(10.0) < np.deg2rad(30.0) < tilts[1]
     assert free.increment < upright.increment < 1.05 * free.increment
 
 
 def test_spare_thrust_is_left_alone_while_there_is_another_way():
-    calm = least_propellant(Planner(40), moon(thrust_slack=400.0))
+    calm = minimize_propellant(Planner(40), moon(thrust_slack=400.0))
     assert calm.forces.max() < 5568.0 * (1.0 + 1e-4)
     planner = Planner(40)
     short = 0.96 * calm.duration
@@ -158,10 +158,10 @@ class Failing:
 
 def test_infeasible_and_failed_are_told_apart():
     with pytest.raises(SolverError, match="failing fails after 7 iterations"):
-        least_propellant(Planner(20, Failing), moon())
+        minimize_propellant(Planner(20, Failing), moon())
     assert Planner(20).at_time(moon(), 5.0) is None
     with pytest.raises(SolverError, match="qoco fails after 2"):
-        Planner(20, lambda: Qoco(2)).at_time(moon(), 30.0)
+        Planner(20, lambda: QocoSolver(2)).at_time(moon(), 30.0)
     assert Planner(20, lambda: QocoOnlySolver(2)).at_time(moon(), 30.0) is None
     fallback_count = FallbackSolver(2)
     path = Planner(20, lambda: fallback_count).at_time(moon(), 30.0)
@@ -169,10 +169,10 @@ def test_infeasible_and_failed_are_told_apart():
     assert fallback_count.fallback_count >= 1
     below = moon(position=np.array([-600.0, 0.0, 5.0]))
     with pytest.raises(InfeasibleError):
-        least_propellant(Planner(20), below)
+        minimize_propellant(Planner(20), below)
 
 
-class Stuck(Clarabel):
+class Stuck(ClarabelSolver):
     """A judge that fails at what it is asked first."""
 
     met = 0
@@ -275,7 +275,7 @@ def test_bad_times_cones_and_grids_are_refused():
     with pytest.raises(InputError, match="half_spaces"):
         HalfSpaces(np.ones((5, 1, 3)), np.zeros((5, 2)))
     with pytest.raises(InputError, match="thrust_slack"):
-        Structure(20, True, True, 0, True, thrust_slack=True)
+        ProgramStructure(20, True, True, 0, True, thrust_slack=True)
     with pytest.raises(InputError, match="cone"):
         Cone(np.zeros((0, 3)))
     with pytest.raises(InputError, match="cone"):

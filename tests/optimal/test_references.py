@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from lunarsim.optimal.errors import InfeasibleError
-from lunarsim.optimal.final_time import least_propellant, minimize_landing_error
+from lunarsim.optimal.final_time import minimize_landing_error, minimize_propellant
 from lunarsim.optimal.planner import Planner
 from tests.optimal.cases import east_north_up, mars, published
 
@@ -32,12 +32,12 @@ def test_published_propellant_at_published_times(table, case, glideslope):
 
 def test_the_mars_case_with_a_free_final_time():
     """Above its end all the way: 390.4 kg in 74.4 s; 353.3 kg without the cosine of the cant."""
-    path = least_propellant(Planner(60), mars(glideslope=0.0))
+    path = minimize_propellant(Planner(60), mars(glideslope=0.0))
     assert path.propellant == pytest.approx(390.4, rel=5e-4)
     assert path.duration == pytest.approx(74.4, rel=5e-3)
     assert path.position[:, 2].min() > -1e-3
     straight = 225.0 * 9.80665
-    plain = least_propellant(Planner(60), mars(glideslope=0.0, exhaust_velocity=straight))
+    plain = minimize_propellant(Planner(60), mars(glideslope=0.0, exhaust_velocity=straight))
     assert plain.propellant == pytest.approx(353.3, rel=5e-3)
 
 
@@ -49,18 +49,18 @@ def test_what_cannot_be_reached_with_the_tanks_is_told_with_what_can(table):
     full = planner.at_time(mars(**start, dry_mass=1300.0, glideslope=SLOPE), duration)
     assert full.propellant >= 410.0
     with pytest.raises(InfeasibleError, match="m away") as found:
-        least_propellant(planner, mars(**start, glideslope=SLOPE))
+        minimize_propellant(planner, mars(**start, glideslope=SLOPE))
     nearest, miss = found.value.nearest, found.value.miss
     assert found.value.field == "optimal.end_position"
     path = minimize_landing_error(planner, mars(**start, glideslope=SLOPE))
     assert path.miss == pytest.approx(miss, rel=2e-3)
     assert path.loss < 1e-4
     assert path.mass[-1] == pytest.approx(1505.0, abs=0.1)
-    there = least_propellant(planner, mars(**start, glideslope=SLOPE, end_position=nearest))
+    there = minimize_propellant(planner, mars(**start, glideslope=SLOPE, end_position=nearest))
     assert there.propellant == pytest.approx(400.0, abs=0.1)
     nearer = 0.99 * nearest
     with pytest.raises(InfeasibleError):
-        least_propellant(planner, mars(**start, glideslope=SLOPE, end_position=nearer))
+        minimize_propellant(planner, mars(**start, glideslope=SLOPE, end_position=nearer))
 
 
 def test_a_region_costs_no_more_than_a_place_and_is_ended_at_its_edge():

@@ -13,10 +13,10 @@ from lunarsim.errors import InputError
 from lunarsim.evaluation.open_loop import flown
 from lunarsim.models.lander import Lander
 from lunarsim.optimal.errors import SolverError
-from lunarsim.optimal.final_time import least_propellant
+from lunarsim.optimal.final_time import minimize_propellant
 from lunarsim.optimal.planner import Planner
-from lunarsim.optimal.six_dof import compiled, successive
-from lunarsim.optimal.six_dof.guess import carried_on, initial_guess
+from lunarsim.optimal.six_dof import compiled_solver, successive
+from lunarsim.optimal.six_dof.guess import initial_guess, remaining_guess
 from lunarsim.optimal.six_dof.motion import (
     SHARES,
     control_units,
@@ -25,9 +25,9 @@ from lunarsim.optimal.six_dof.motion import (
     state_units,
 )
 from lunarsim.optimal.six_dof.path import RigidPath, evaluate_violations
-from lunarsim.optimal.six_dof.problem import RigidDescent, Sight
+from lunarsim.optimal.six_dof.problem import RigidDescent, SiteVisibility
 from lunarsim.optimal.six_dof.shooting import shoot
-from lunarsim.optimal.six_dof.successive import Successive
+from lunarsim.optimal.six_dof.successive import SuccessiveConvexification
 from lunarsim.optimal.units import Units
 from lunarsim.vehicle.dynamics import Dynamics
 from lunarsim.vehicle.state import State
@@ -93,12 +93,12 @@ def test_an_interval_moves_a_body_as_the_simulator_does(lag):
 
 def test_both_ways_take_the_same_propellant_and_the_simulator_flies_it():
     rng = np.random.default_rng(1)
-    programs = Successive(N)
+    programs = SuccessiveConvexification(N)
     for near in (1e-3, 5e-3):  # the first settles where programs save nothing more
         d = descent(rng)
         first, second = shoot(d, N), programs.solve(d)
         assert second.propellant == pytest.approx(first.propellant, rel=near)
-        point = least_propellant(Planner(N), d.as_point()).propellant
+        point = minimize_propellant(Planner(N), d.as_point()).propellant
         # A body that has to turn cannot do better than a point, but for the end's cone of tilt.
         assert first.propellant > 0.995 * point
         held(d, first)
@@ -107,8 +107,8 @@ def test_both_ways_take_the_same_propellant_and_the_simulator_flies_it():
 
 def test_a_sensor_sees_the_site_for_as_long_as_it_is_asked_to():
     d = descent(np.random.default_rng(2))
-    asked = replace(d, sight=Sight(np.array([0.0, 0.0, -1.0]), np.deg2rad(55.0), 0.6))
-    free, path = Successive(N).solve(d), Successive(N).solve(asked)
+    asked = replace(d, sight=SiteVisibility(np.array([0.0, 0.0, -1.0]), np.deg2rad(55.0), 0.6))
+    free, path = SuccessiveConvexification(N).solve(d), SuccessiveConvexification(N).solve(asked)
     assert np.rad2deg(evaluate_violations(asked, *flown(free)).sight) > 5.0  # nobody asked
     held(asked, path)
     assert path.propellant > 1.1 * free.propellant
@@ -116,19 +116,19 @@ def test_a_sensor_sees_the_site_for_as_long_as_it_is_asked_to():
 
 def test_a_tighter_limit_costs_more_and_the_guess_may_be_an_answer():
     d = descent(np.random.default_rng(3))
-    free = Successive(N).solve(d)
-    slow = Successive(N).solve(replace(d, max_rate=np.deg2rad(6.0)))
+    free = SuccessiveConvexification(N).solve(d)
+    slow = SuccessiveConvexification(N).solve(replace(d, max_rate=np.deg2rad(6.0)))
     assert slow.propellant > free.propellant
     assert evaluate_violations(slow.descent, *flown(slow)).rate == pytest.approx(
         0.0, abs=2e-3
     )  # all of it is had
-    weak = Successive(N).solve(replace(d, torque_share=0.1))
+    weak = SuccessiveConvexification(N).solve(replace(d, torque_share=0.1))
     share = np.abs(weak.torque).max(axis=0) / np.asarray(d.lander.torque_max)
     assert share.max() == pytest.approx(0.1, rel=1e-3)
     held(weak.descent, weak)
     guess = initial_guess(d, 12)
     assert len(guess.resample(N).thrust) == N
-    again = Successive(N).solve(d, guess)
+    again = SuccessiveConvexification(N).solve(d, guess)
     assert again.propellant == pytest.approx(free.propellant, rel=5e-3)
 
 
@@ -146,7 +146,7 @@ def test_what_cannot_be_is_refused():
         with pytest.raises(InputError, match=name):
             descent(rng, **changes)
     far = descent(rng, max_tilt=None, max_rate=None, glideslope=None)
-    ahead = Sight(np.array([1.0, 0.0, 0.0]), 0.01)
+    ahead = SiteVisibility(np.array([1.0, 0.0, 0.0]), 0.01)
     for changes, name in (
         ({"max_tilt": 1e-3}, "start.attitude"), ({"max_rate": 1e-4}, "start.rate"),
         ({"glideslope": 1.55}, "start.position"), ({"sight": ahead}, "start.sight"),
@@ -155,14 +155,14 @@ def test_what_cannot_be_is_refused():
             replace(far, **changes)
     for axis, half, share in (([0, 0, 0], 0.5, 0.5), ([0, 0, 1], 0.0, 0.5), ([0, 0, 1], 0.5, 0.0)):
         with pytest.raises(InputError, match="sight"):
-            Sight(np.array(axis, dtype=float), half, share)
+            SiteVisibility(np.array(axis, dtype=float), half, share)
     for intervals in (1, 3, "a", 2.5, True):
-        for solve in (shoot, lambda d, n: Successive(n)):
+        for solve in (shoot, lambda d, n: SuccessiveConvexification(n)):
             with pytest.raises(InputError, match="intervals"):
                 solve(far, intervals)
     for max_programs in (0, 1.5, None):
         with pytest.raises(InputError, match="max_programs"):
-            Successive(N, max_programs)
+            SuccessiveConvexification(N, max_programs)
     for changes, name in (
         ({"lander": None}, "lander"), ({"start": None}, "start"), ({"start": 3}, "start"),
         ({"gravity": "a"}, "gravity"), ({"max_tilt": True}, "max_tilt"),
@@ -182,7 +182,7 @@ def test_what_cannot_be_is_refused():
 )  # fmt: skip
 def test_a_sensor_that_cannot_be_is_refused_by_name(given, field):
     with pytest.raises(InputError, match=rf"optimal\.sight\.{field}"):
-        Sight(*given)
+        SiteVisibility(*given)
 
 
 def test_what_is_no_sensor_is_refused():
@@ -194,17 +194,17 @@ def test_what_is_no_sensor_is_refused():
 def test_neither_way_burns_what_is_to_be_kept():
     """A path that takes 3 % more than there is lands nowhere, though the guess would."""
     d = descent(np.random.default_rng(1))
-    free, guess = Successive(N).solve(d), initial_guess(d, N)
+    free, guess = SuccessiveConvexification(N).solve(d), initial_guess(d, N)
     held_back = d.start.mass - d.lander.dry_mass - free.propellant
     roomy = replace(d, reserve=held_back - 0.01 * free.propellant)
-    path = Successive(N).solve(roomy, guess)
+    path = SuccessiveConvexification(N).solve(roomy, guess)
     assert path.states[-1, 13] >= roomy.dry_mass
     assert path.propellant == pytest.approx(free.propellant, rel=1e-3)
     short = replace(d, reserve=held_back + 0.03 * free.propellant)
     with pytest.raises(SolverError):
         shoot(short, N, guess=guess)
     with pytest.raises(SolverError):
-        Successive(N, max_programs=12).solve(short, guess)
+        SuccessiveConvexification(N, max_programs=12).solve(short, guess)
 
 
 def test_a_path_is_given_only_once_its_intervals_are_joined(monkeypatch):
@@ -221,7 +221,7 @@ def test_a_path_is_given_only_once_its_intervals_are_joined(monkeypatch):
         ((1e-3, (1e-6, 0.02), 1e-6), 2),
     ):  # fmt: skip
         made = [point(*np.atleast_1d(p)) for p in row]
-        programs = Successive(N)
+        programs = SuccessiveConvexification(N)
         monkeypatch.setattr(programs, "_layout", SimpleNamespace(
             build=lambda *given: None, read=lambda *given: (None, None, None)))  # fmt: skip
         monkeypatch.setattr(programs, "_solve", lambda program: np.zeros(1))
@@ -237,24 +237,24 @@ def test_failures_of_solvers_are_told():
     with pytest.raises(SolverError, match="IPOPT"):
         shoot(d, N, max_iterations=2)
     with pytest.raises(SolverError, match="does not converge in 1 programs"):
-        Successive(N, max_programs=1).solve(d)
+        SuccessiveConvexification(N, max_programs=1).solve(d)
 
 
 def test_without_a_compiler_it_says_so(monkeypatch):
     monkeypatch.setenv("PATH", "")
     monkeypatch.delenv("CC", raising=False)
-    assert compiled.compiler() is None
+    assert compiled_solver.compiler() is None
     with pytest.raises(InputError, match="compiler"):
-        compiled.compiled_library("none", lambda: None)
+        compiled_solver.compiled_library("none", lambda: None)
 
 
 def test_a_path_is_solved_for_again_from_where_it_has_led():
     d = descent(np.random.default_rng(1))
-    programs = Successive(N)
+    programs = SuccessiveConvexification(N)
     path = programs.solve(d)
     times, states = flown(path)
     here = replace(d, start=State.from_vector(states[np.searchsorted(times, 2.0)]))
-    left = carried_on(path, 2.0)
+    left = remaining_guess(path, 2.0)
     again = programs.solve(here, left)
     rest = path.propellant - (path.states[0, 13] - here.start.mass)
     # Other nodes: what commands are held over is not the same.
@@ -262,7 +262,7 @@ def test_a_path_is_solved_for_again_from_where_it_has_led():
     assert again.duration == pytest.approx(path.duration - 2.0, rel=0.05)
     held(here, again)
     with pytest.raises(InputError, match="elapsed"):
-        carried_on(path, path.duration)
+        remaining_guess(path, path.duration)
 
 
 @pytest.mark.slow
@@ -276,11 +276,11 @@ def test_a_compiled_program_gives_the_same_path(tmp_path, monkeypatch):
 
 @pytest.mark.slow
 def test_thirty_descents_take_the_same_propellant_both_ways():
-    rng, programs, defects = np.random.default_rng(6), Successive(N), []
+    rng, programs, defects = np.random.default_rng(6), SuccessiveConvexification(N), []
     for k in range(30):
         d = descent(rng)
         if k % 3 == 0:
-            d = replace(d, sight=Sight(np.array([0.0, 0.0, -1.0]), np.deg2rad(65.0), 0.4))
+            d = replace(d, sight=SiteVisibility(np.array([0.0, 0.0, -1.0]), np.deg2rad(65.0), 0.4))
         first, second = shoot(d, N), programs.solve(d)
         held(d, first)
         held(d, second)

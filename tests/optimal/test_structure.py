@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lunarsim.optimal.final_time import least_propellant
+from lunarsim.optimal.final_time import minimize_propellant
 from lunarsim.optimal.planner import Planner
 from lunarsim.optimal.problem import Cone
 from tests.optimal.cases import mars, moon
@@ -45,7 +45,7 @@ def structures(count: int, seed: int) -> list[int]:
     rng = np.random.default_rng(seed)
     planner, out = Planner(40), []
     while len(out) < count:
-        path = least_propellant(planner, moon(rng, max_tilt=None, glideslope=None))
+        path = minimize_propellant(planner, moon(rng, max_tilt=None, glideslope=None))
         check_primer(path)
         out.append(check_structure(path))
     return out
@@ -67,7 +67,7 @@ def test_two_hundred_random_descents_are_bang_bang():
 def test_two_hundred_random_descents_within_tilt_and_glideslope():
     rng, planner, allow_lossy = np.random.default_rng(5), Planner(40), 0
     for _ in range(200):
-        path = least_propellant(planner, moon(rng))
+        path = minimize_propellant(planner, moon(rng))
         size = np.linalg.norm(path.thrust, axis=1)
         # On the glideslope the thrust may be singular, and the relaxation then loses a little.
         loose = path.bound > size * (1.0 + 1e-4)
@@ -85,7 +85,7 @@ def test_the_hamiltonian_is_constant_and_zero_at_the_best_final_time():
         )
         assert fine < 0.15 * coarse
         assert fine < 0.02 * descent.gravity
-    best = least_propellant(Planner(80), mars())
+    best = minimize_propellant(Planner(80), mars())
     assert abs(best.slope) < 0.02 * 3.7114
 
 

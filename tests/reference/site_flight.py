@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from lunarsim.onboard.control.thrust import thrust_to_command
-from lunarsim.onboard.guidance.following import PathGuidance
-from lunarsim.onboard.guidance.strain import Strain
+from lunarsim.onboard.guidance.limit_violation_monitor import LimitViolationMonitor
+from lunarsim.onboard.guidance.path_guidance import PathGuidance
 from lunarsim.onboard.guidance.vertical import VerticalDescent
 from lunarsim.onboard.navigation.estimate import Estimate
 from tests.reference.descent import Lander
@@ -36,7 +36,7 @@ class SiteFlight:
         self.plain = Lander(
             y, dynamics, control.gains, self.start.heading, self.software.approach.max_tilt
         )
-        self.strain = Strain()
+        self.strain = LimitViolationMonitor()
         self.vertical = VerticalDescent.behind(self.lag, self.gravity)
         self.arrival = self.left_to(self.site)
         self.law = self._law()
@@ -129,7 +129,7 @@ class SiteFlight:
             self.software.approach.max_tilt,
         )
         self.plain.y[6:10], self.plain.y[14] = command.attitude, command.thrust
-        self.law, self.strain = self._law(), Strain()
+        self.law, self.strain = self._law(), LimitViolationMonitor()
 
     def cycle(self, steps):
         """Fly a cycle; yield the state after each step."""

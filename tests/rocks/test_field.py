@@ -7,7 +7,7 @@ from scipy.spatial import cKDTree
 from lunarsim.errors import InputError
 from lunarsim.grid import Grid
 from lunarsim.rocks.field import RockModel
-from lunarsim.rocks.laws import sample_diameters
+from lunarsim.rocks.size_distribution import sample_diameters
 from lunarsim.world.terrain import Heightfield, place_rocks
 from tests.worlds import flat_terrain
 

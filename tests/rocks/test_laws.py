@@ -6,7 +6,7 @@ from scipy.integrate import quad
 from scipy.stats import kstest
 
 from lunarsim.errors import InputError
-from lunarsim.rocks.laws import golombek_cover, golombek_number, sample_diameters
+from lunarsim.rocks.size_distribution import golombek_cover, golombek_number, sample_diameters
 from tests.chance import CHANCE
 
 

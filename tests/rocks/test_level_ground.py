@@ -7,7 +7,7 @@ import pytest
 
 from lunarsim.grid import Grid
 from lunarsim.rocks.field import RockField, RockModel
-from lunarsim.rocks.level_ground import RockOnLevelGround
+from lunarsim.rocks.rock_on_plane import RockOnPlane
 from lunarsim.world.terrain import Heightfield, Terrain
 
 
@@ -23,7 +23,7 @@ def test_rays_end_where_those_of_the_world_do(shape):
     rng = np.random.default_rng(5)
     field = RockModel(shape).draw(np.full(4, 2.0), rng)
     for k in range(len(field)):
-        alone, world = RockOnLevelGround(field, k), scene(field, k)
+        alone, world = RockOnPlane(field, k), scene(field, k)
         direction = rng.standard_normal((2000, 3)) * [1.0, 1.0, 0.6]
         direction /= np.linalg.norm(direction, axis=1, keepdims=True)
         # From all round towards the rock, and from points near it to all sides.
@@ -50,6 +50,6 @@ def test_outlines_are_those_of_the_world(shape):
     field = RockModel(shape, burial=(0.0, 0.3)).draw(np.full(3, 2.0), np.random.default_rng(2))
     points = np.random.default_rng(3).uniform(-2.0, 2.0, (5000, 2))
     for k in range(len(field)):
-        covered = RockOnLevelGround(field, k).covers(points)
+        covered = RockOnPlane(field, k).covers(points)
         assert np.mean(covered == (scene(field, k).elevation(points) > 0.0)) > 0.999
         assert 0.02 < covered.mean() < 0.9

@@ -12,34 +12,41 @@ from scipy.special import expit
 
 from lunarsim.errors import InputError
 from lunarsim.grid import Grid
-from lunarsim.rocks.laws import golombek_number
+from lunarsim.rocks.size_distribution import golombek_number
 from lunarsim.safety.calibration import (
     COUNT,
-    FARTHER,
-    FREE,
+    MAX_P_UNCOUNTED_ROCKS,
     MOST_HAZARDS,
     MOST_SINKING,
-    UNCOUNTED,
-    UNSURE,
-    bound,
+    NEAR_DOMAIN_LOG_ODDS_MARGIN,
+    UNCONSTRAINED_FEATURES,
+    UNKNOWN_MODEL_WEIGHT,
     calibrated_safety,
-    ceiling,
-    clear_of_pads,
     in_domain,
-    measured,
+    observed_terrain_bound,
+    outside_domain_bound,
+    p_no_rock_under_pads,
+    packaged_ensemble,
 )
 from lunarsim.safety.domain import Domain
-from lunarsim.safety.ensemble import MARGIN, SURE, UNTOLD, Ensemble
-from lunarsim.safety.exposure import tilting_height
-from lunarsim.safety.unseen_rocks import HeightCurve, depth_curve, height_curve, law_share
+from lunarsim.safety.ensemble import LOG_ODDS_MARGIN, MAX_CLAIM_DEFICIT, SURE, Ensemble
+from lunarsim.safety.rock_effects import tilt_limit_rock_height
+from lunarsim.safety.unseen_rocks import (
+    ExceedanceCurve,
+    depth_curve,
+    distribution_fraction,
+    height_curve,
+)
 from tests.map_evidence import LANDER, SIDE, evidence, rocky
 
 weights = st.integers(0, 10_000).map(
     lambda seed: Ensemble(
         tuple(
             (
-                *np.random.default_rng([seed, fit]).normal(0.0, 1.0, FREE),
-                *np.random.default_rng([seed, fit, 1]).exponential(0.4, COUNT - FREE),
+                *np.random.default_rng([seed, fit]).normal(0.0, 1.0, UNCONSTRAINED_FEATURES),
+                *np.random.default_rng([seed, fit, 1]).exponential(
+                    0.4, COUNT - UNCONSTRAINED_FEATURES
+                ),
             )
             for fit in range(3)
         )
@@ -92,8 +99,8 @@ def test_ground_with_taller_rocks_is_never_called_safer(model, seed, times, dens
 
 
 def test_the_packaged_weights_do_not_fall_and_say_where_they_come_from():
-    model = measured()
-    assert min(w for fit in model.weights for w in fit[FREE:]) >= 0.0
+    model = packaged_ensemble()
+    assert min(w for fit in model.weights for w in fit[UNCONSTRAINED_FEATURES:]) >= 0.0
     assert len(model.without) == len(model.weights) - 1 > 20
     assert "scenarios/lidar_maps/calibration.py" in model.note
     good, known = calibrated_safety(
@@ -111,7 +118,7 @@ def test_outside_the_domain_it_is_a_bound_and_the_map_says_so():
     p, known = calibrated_safety(sparse)
     assert not known.any()
     none = np.exp(-sparse.piercing())
-    assert (bound(sparse) == np.minimum(sparse.level.p_safe, none)).all()
+    assert (outside_domain_bound(sparse) == np.minimum(sparse.level.p_safe, none)).all()
     assert (p <= np.minimum(sparse.level.p_safe, none) + 1e-6).all()
     # A noise or a spacing that no scan of the fit had.
     for odd in (replace(sparse, density=sparse.density * 100, noise=1.0),
@@ -127,9 +134,16 @@ def fits_of(*odds):
 def test_where_fits_differ_the_lowest_counts_and_is_no_frequency():
     e = evidence(slope=0.1, rough=0.1, level=6.0, planes=6.0, curve=rocky(0.01))
     assert in_domain(e).all()
-    sure, doubtful = (1.0 - UNTOLD) * expit(4.0 - MARGIN), (1.0 - UNTOLD) * expit(2.0 - FARTHER)
+    sure, doubtful = (
+        (1.0 - MAX_CLAIM_DEFICIT) * expit(4.0 - LOG_ODDS_MARGIN),
+        (1.0 - MAX_CLAIM_DEFICIT) * expit(2.0 - NEAR_DOMAIN_LOG_ODDS_MARGIN),
+    )
     for odds, claims, wanted in (
-        ((2.0, 5.0), False, SURE * ((1.0 - UNSURE) * doubtful + UNSURE * expit(2.0))),
+        (
+            (2.0, 5.0),
+            False,
+            SURE * ((1.0 - UNKNOWN_MODEL_WEIGHT) * doubtful + UNKNOWN_MODEL_WEIGHT * expit(2.0)),
+        ),
         ((4.0, 5.0), True, sure),
     ):
         p, known = calibrated_safety(e, fits_of(*odds))
@@ -140,15 +154,20 @@ def test_where_fits_differ_the_lowest_counts_and_is_no_frequency():
 def test_of_what_is_not_surely_safe_less_is_told_and_far_off_the_bound_at_most():
     e = evidence(slope=0.1, rough=0.1, level=-1.0, planes=6.0, curve=rocky(0.01))
     far = evidence(slope=0.1, rough=0.1, level=-1.0, planes=6.0, density=0.01)
-    assert (bound(e) == 1.0).all()
-    assert (bound(far) < 0.1).all()
+    assert (outside_domain_bound(e) == 1.0).all()
+    assert (outside_domain_bound(far) < 0.1).all()
     for odds in (-1.0, 0.5, 3.5):
         for site in (e, far):
             p, known = calibrated_safety(site, fits_of(odds, odds))
-            told = np.minimum((1.0 - UNTOLD) * expit(odds - FARTHER), bound(site))
-            bounded = np.min([told, ceiling(site), clear_of_pads(site)], axis=0)
-            fits = np.minimum(expit(odds), ceiling(site))
-            wanted = SURE * ((1.0 - UNSURE) * bounded + UNSURE * fits)
+            told = np.minimum(
+                (1.0 - MAX_CLAIM_DEFICIT) * expit(odds - NEAR_DOMAIN_LOG_ODDS_MARGIN),
+                outside_domain_bound(site),
+            )
+            bounded = np.min(
+                [told, observed_terrain_bound(site), p_no_rock_under_pads(site)], axis=0
+            )
+            fits = np.minimum(expit(odds), observed_terrain_bound(site))
+            wanted = SURE * ((1.0 - UNKNOWN_MODEL_WEIGHT) * bounded + UNKNOWN_MODEL_WEIGHT * fits)
             assert p == pytest.approx(wanted, rel=1e-5)
             assert not known.any()
     # Surely unsafe is a frequency again.
@@ -161,10 +180,10 @@ def test_among_sites_all_but_hopeless_the_best_is_told():
     """Rocks by the thousand may stand unseen, so nothing is left; slopes are known all the same."""
     slope = np.repeat(np.linspace(0.1, 2.5, SIDE)[:, None], SIDE, axis=1)
     e = evidence(slope=slope, rough=0.1, level=-8.0, planes=1.0 - slope, density=1e-4)
-    assert (bound(e) < 1e-12).all()
+    assert (outside_domain_bound(e) < 1e-12).all()
     p, known = calibrated_safety(e)
     assert not known.any()
-    assert (p <= UNSURE).all()
+    assert (p <= UNKNOWN_MODEL_WEIGHT).all()
     assert (np.diff(p[:, 0]) <= 0.0).all()
     assert p[0, 0] > 3.0 * p[-1, 0]
 
@@ -172,7 +191,7 @@ def test_among_sites_all_but_hopeless_the_best_is_told():
 def test_what_was_seen_to_be_steep_is_left_no_chance_by_doubt():
     steep = evidence(slope=2.0, rough=0.1, level=-8.0, planes=-7.0, density=1e-4)
     p, _ = calibrated_safety(steep, fits_of(5.0, 5.0))
-    assert (p <= UNSURE * ceiling(steep)).all()
+    assert (p <= UNKNOWN_MODEL_WEIGHT * observed_terrain_bound(steep)).all()
     assert (p > 0.0).all()
 
 
@@ -203,7 +222,7 @@ def test_nothing_exceeds_what_the_planes_leave_of_slope_or_roughness():
     for name in ("p_slope", "p_roughness"):
         some = np.full(e.level.grid.shape, 0.01, np.float32)
         doubtful = replace(e, planes=replace(e.planes, **{name: some}))
-        assert ceiling(doubtful) == pytest.approx(0.04, rel=1e-5)
+        assert observed_terrain_bound(doubtful) == pytest.approx(0.04, rel=1e-5)
         assert (calibrated_safety(doubtful)[0] <= 0.0401).all()
 
 
@@ -224,12 +243,12 @@ def test_on_a_slope_it_is_at_most_the_chance_that_no_unseen_rock_lies_under_a_pa
     for tilting in expected:
         e = evidence(**good, slope=0.9)
         share = e.curve.share * tilting / e.tilting().max()
-        e = replace(e, curve=HeightCurve(e.curve.height, share))
+        e = replace(e, curve=ExceedanceCurve(e.curve.height, share))
         assert e.tilting() == pytest.approx(tilting, rel=1e-6)
         p, claimed = calibrated_safety(e, fits_of(9.0))
         most = np.exp(-2.0 * tilting)
         assert p == pytest.approx(
-            min(1.0 - UNTOLD, most) * (1.0 if most > SURE else SURE), abs=1e-3
+            min(1.0 - MAX_CLAIM_DEFICIT, most) * (1.0 if most > SURE else SURE), abs=1e-3
         )
         assert (claimed == (most > SURE)).all()
 
@@ -266,7 +285,9 @@ def test_the_share_above_a_height_is_that_of_the_samples():
     assert (np.diff(curve.share) <= 0.0).all()
     # None seen: the law, as sixty samples that say so, among all.
     empty = height_curve(np.zeros(5940), 0.005, 0.25, 0.05)
-    assert empty.at(0.2) == pytest.approx(0.01 * law_share([0.2], 0.05, 0.5)[0], rel=0.05)
+    assert empty.at(0.2) == pytest.approx(
+        0.01 * distribution_fraction([0.2], 0.05, 0.5)[0], rel=0.05
+    )
 
 
 def test_noise_is_no_rock():
@@ -280,7 +301,7 @@ def test_noise_is_no_rock():
 def test_few_high_rocks_say_nothing_of_rocks_too_low_to_be_counted():
     """Below what was counted there are no fewer than the law expects; above it is as counted."""
     height = 0.25 * np.geomspace(0.08, 8.0, 40)
-    law = law_share(height, 0.05, 0.5)
+    law = distribution_fraction(height, 0.05, 0.5)
     for noise, least in ((0.005, 0.05), (0.02, 0.075), (0.04, 0.15), (0.2, 0.25)):
         bare = height_curve(np.zeros(20_000), noise, 0.25, 0.05)
         assert bare.gravel_counted == pytest.approx(least)
@@ -300,12 +321,12 @@ def test_few_high_rocks_say_nothing_of_rocks_too_low_to_be_counted():
 def test_where_rocks_too_low_to_be_counted_tilt_the_lander_no_site_is_surely_safe():
     good = {"rough": 0.05, "level": 6.0, "planes": 6.0}
     height = 0.25 * np.geomspace(0.08, 8.0, 40)
-    for expected, most in ((0.0, UNCOUNTED), (1.0, 0.01)):
+    for expected, most in ((0.0, MAX_P_UNCOUNTED_ROCKS), (1.0, 0.01)):
         gravel = 1e-9 + np.where(height < 0.1, 0.2 * expected, 0.0)
-        curve = HeightCurve(height, np.full(40, 1e-9), 0.1, gravel, 0.1)
+        curve = ExceedanceCurve(height, np.full(40, 1e-9), 0.1, gravel, 0.1)
         for slope, counts in ((0.7, True), (0.9, False)):
             e = replace(evidence(**good, slope=slope), curve=curve)
-            assert (tilting_height(e.slope, e.lander) > 0.1).all() == counts
+            assert (tilt_limit_rock_height(e.slope, e.lander) > 0.1).all() == counts
             p, claimed = calibrated_safety(e, fits_of(9.0))
             assert claimed.all() == counts and claimed.any() == counts
             assert (p > 0.99).all() if counts else (p <= most).all()
@@ -313,7 +334,7 @@ def test_where_rocks_too_low_to_be_counted_tilt_the_lander_no_site_is_surely_saf
 
 def test_unseen_rocks_are_those_that_random_samples_miss():
     """Against throwing samples at discs."""
-    curve = HeightCurve(np.array([0.1, 0.4]), np.array([0.02, 0.02]))
+    curve = ExceedanceCurve(np.array([0.1, 0.4]), np.array([0.02, 0.02]))
     rng = np.random.default_rng(3)
     height, density = 0.3, 2.0
     top = 1.5 * np.pi * height**2
@@ -329,6 +350,6 @@ def test_the_law_raises_as_much_ground_as_its_rocks_do():
     number = golombek_number(wide, cover)
     diameter = 0.5 * (wide[1:] + wide[:-1])
     area = 0.25 * np.pi * diameter**2 * (1.0 - (h / (0.5 * diameter)) ** 2)
-    assert law_share([h], cover, 0.5)[0] == pytest.approx(
+    assert distribution_fraction([h], cover, 0.5)[0] == pytest.approx(
         float((area * -np.diff(number)).sum()), rel=0.02
     )

@@ -12,18 +12,18 @@ from scipy.special import expit
 
 from lunarsim.errors import InputError
 from lunarsim.onboard.hazards.quadtree import site_probability as quadtree
-from lunarsim.safety.bends import Term, columns
-from lunarsim.safety.calibration import FARTHER
+from lunarsim.safety.calibration import NEAR_DOMAIN_LOG_ODDS_MARGIN
 from lunarsim.safety.ensemble import (
     HOPELESS,
-    MARGIN,
+    LOG_ODDS_MARGIN,
+    MAX_CLAIM_DEFICIT,
     SURE,
-    UNTOLD,
     Ensemble,
     LogOddsBounds,
-    cautious,
+    conservative_probability,
 )
 from lunarsim.safety.logistic import Logistic
+from lunarsim.safety.monotone_splines import MonotoneSplineTerm, spline_features
 
 
 @given(st.integers(0, 10_000), st.integers(1, 5), st.booleans())
@@ -31,12 +31,14 @@ def test_odds_of_terms_are_those_of_their_features(seed, fits, each):
     rng = np.random.default_rng(seed)
     n = 40
     knots = [np.sort(rng.normal(0.0, 1.0, k)) for k in (2, 3, 7)]
-    terms = [Term(rng.normal(0.0, 1.5, n), x, bool(rng.random() < 0.5)) for x in knots]
+    terms = [
+        MonotoneSplineTerm(rng.normal(0.0, 1.5, n), x, bool(rng.random() < 0.5)) for x in knots
+    ]
     # At a knot, and where all sites share a value.
     terms[1].values[:3] = knots[1]
-    terms.insert(1, Term(np.array(rng.normal()), np.array([-1.0, 0.0, 1.0])))
+    terms.insert(1, MonotoneSplineTerm(np.array(rng.normal()), np.array([-1.0, 0.0, 1.0])))
     free = rng.normal(0.0, 1.0, (n, 2) if each else 2)
-    x = np.column_stack((np.broadcast_to(free, (n, 2)), columns(terms, n)))
+    x = np.column_stack((np.broadcast_to(free, (n, 2)), spline_features(terms, n)))
     model = Ensemble(tuple(map(tuple, rng.normal(0.0, 2.0, (fits, x.shape[1])))))
     found, wanted = model.judge(free, terms), [
         [sum(w * v for w, v in zip(row, site, strict=True)) for row in model.weights] for site in x
@@ -52,12 +54,16 @@ def test_fits_agree_where_all_call_a_site_surely_safe_or_surely_not():
     low = np.array([-9.0, -9.0, -3.0, 0.0, 3.6, 3.8, 3.8, 9.0])
     apart = np.array([2.0, 6.5, 0.05, 0.0, 0.1, 0.8, 2.5, 5.0])
     said = LogOddsBounds(low, low + apart).verdict(np.ones(8))
-    assert expit(3.6 - MARGIN) < SURE < (1.0 - UNTOLD) * expit(3.8 - MARGIN)
+    assert (
+        expit(3.6 - LOG_ODDS_MARGIN)
+        < SURE
+        < (1.0 - MAX_CLAIM_DEFICIT) * expit(3.8 - LOG_ODDS_MARGIN)
+    )
     assert expit(-2.95) < HOPELESS < expit(-2.5)
     assert said.agreed.tolist() == [True, False, True, False, False, True, True, True]
     # Twice as often unsafe as by the lowest, and at least as often as no world can tell.
-    assert (1.0 - UNTOLD) / said.p - 1.0 == pytest.approx(2.0 * np.exp(-low))
-    assert said.p.max() < 1.0 - UNTOLD
+    assert (1.0 - MAX_CLAIM_DEFICIT) / said.p - 1.0 == pytest.approx(2.0 * np.exp(-low))
+    assert said.p.max() < 1.0 - MAX_CLAIM_DEFICIT
     # What is fatal by itself leaves it neither safe nor told.
     said = LogOddsBounds(low, low + apart).verdict(np.full(8, 0.5))
     assert said.p.max() == 0.5
@@ -67,28 +73,34 @@ def test_fits_agree_where_all_call_a_site_surely_safe_or_surely_not():
 @given(st.floats(-8.0, 12.0), st.floats(0.0, 1.0), st.floats(0.0, 1.0), st.floats(0.7, 4.0))
 def test_where_nothing_is_claimed_nothing_is_surely_safe(low, most, least, margin):
     said = [np.array([v]) for v in (low, most, least)]
-    p, doubted = (cautious(*said, np.array([known]), margin)[0] for known in (True, False))
+    p, doubted = (
+        conservative_probability(*said, np.array([known]), margin)[0] for known in (True, False)
+    )
     assert doubted <= SURE * min(most, least, expit(low - margin))
-    assert doubted <= p <= min(most, 1.0 - UNTOLD)
+    assert doubted <= p <= min(most, 1.0 - MAX_CLAIM_DEFICIT)
     # In the domain what is not surely safe is as much in doubt as beyond.
     assert p == doubted or p >= SURE
     # Worse evidence, of any kind, is told no better, over both edges.
     for worse in ((low - 0.3, most, least), (low, 0.9 * most, least), (low, most, 0.9 * least)):
         said = [np.array([v]) for v in worse]
-        q, beyond = (cautious(*said, np.array([known]), margin)[0] for known in (True, False))
+        q, beyond = (
+            conservative_probability(*said, np.array([known]), margin)[0] for known in (True, False)
+        )
         assert max(q, beyond) <= p
         assert beyond <= doubted
 
 
 def test_what_no_world_can_tell_is_what_a_world_of_750_sites_may_hide():
     # One site of 250 unsafe: none of 750 shows it in one case of twenty.
-    hidden = (1.0 - UNTOLD) ** 750
+    hidden = (1.0 - MAX_CLAIM_DEFICIT) ** 750
     assert hidden == pytest.approx(0.05, abs=0.001)
     # Odds of being unsafe: doubled where claimed, twelve times near the domain of the packaged fit.
     even = LogOddsBounds(np.zeros(1), np.zeros(1)).verdict(np.ones(1)).p
-    assert even == pytest.approx((1.0 - UNTOLD) / 3.0)
-    near = cautious(np.zeros(1), np.ones(1), np.ones(1), np.zeros(1, bool), FARTHER)
-    assert near == pytest.approx(SURE * (1.0 - UNTOLD) / 13.0)
+    assert even == pytest.approx((1.0 - MAX_CLAIM_DEFICIT) / 3.0)
+    near = conservative_probability(
+        np.zeros(1), np.ones(1), np.ones(1), np.zeros(1, bool), NEAR_DOMAIN_LOG_ODDS_MARGIN
+    )
+    assert near == pytest.approx(SURE * (1.0 - MAX_CLAIM_DEFICIT) / 13.0)
 
 
 def test_what_one_world_decides_is_not_agreed_on():
@@ -119,7 +131,7 @@ def test_what_one_world_decides_is_not_agreed_on():
 
 
 def test_files_are_checked(tmp_path):
-    model = quadtree.measured()
+    model = quadtree.packaged_ensemble()
     model.save(tmp_path / "m.json")
     assert Ensemble.load(tmp_path / "m.json", quadtree.COUNT) == model
     assert Ensemble.load(tmp_path / "m.json", quadtree.COUNT).digest == model.digest
@@ -132,13 +144,13 @@ def test_files_are_checked(tmp_path):
     ):  # fmt: skip
         (tmp_path / "bad.json").write_text(wrong)
         with pytest.raises(InputError, match="calibration"):
-            Ensemble.load(tmp_path / "bad.json", quadtree.COUNT, quadtree.RISING)
+            Ensemble.load(tmp_path / "bad.json", quadtree.COUNT, quadtree.MONOTONE_FEATURES)
     (tmp_path / "bad.json").write_bytes(b"\xff\xfe\x00")
     for name in ("bad.json", "missing.json"):
         with pytest.raises(InputError, match="calibration"):
             Ensemble.load(tmp_path / name, quadtree.COUNT)
     (tmp_path / "good.json").write_text(file_of(row, row))
-    Ensemble.load(tmp_path / "good.json", quadtree.COUNT, quadtree.RISING)
+    Ensemble.load(tmp_path / "good.json", quadtree.COUNT, quadtree.MONOTONE_FEATURES)
 
 
 def file_of(*weights, without=None):

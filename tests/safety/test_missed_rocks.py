@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lunarsim.safety.unseen_rocks import HeightCurve, depth_curve, height_curve
+from lunarsim.safety.unseen_rocks import ExceedanceCurve, depth_curve, height_curve
 
 
 def drawn(rng: np.random.Generator, count: int, steep: float) -> np.ndarray:
@@ -22,7 +22,7 @@ def test_missed_rocks_are_about_those_that_samples_miss(steep):
     area = np.pi / (4.0 * ratio**2)
     height = np.geomspace(0.03, 3.0, 60)
     above = [(area * np.maximum(high**2 - h * h, 0.0)).sum() for h in height]
-    curve = HeightCurve(height, np.maximum(np.array(above) / ground, 1e-12))
+    curve = ExceedanceCurve(height, np.maximum(np.array(above) / ground, 1e-12))
     for h in (0.15, 0.2, 0.25):
         for density in (0.0, 1.0, 10.0, 50.0):
             seen = area * np.maximum(high**2 - h**2, 0.0)
@@ -34,7 +34,7 @@ def test_rocks_of_one_size_are_never_more_than_the_share_lets_stand():
     area, high, number = np.pi / (4.0 * 0.8**2), 0.3, 0.02
     height = np.geomspace(0.02, 2.0, 200)
     share = np.maximum(number * area * (high**2 - height**2), 1e-12)
-    found = HeightCurve(height, share).missed([0.1, 0.2, 0.25], 0.0)
+    found = ExceedanceCurve(height, share).missed([0.1, 0.2, 0.25], 0.0)
     # A quarter of the most that there can be.
     assert found == pytest.approx(
         0.25 * number * high**2 / np.array([0.1, 0.2, 0.25]) ** 2, rel=0.1
@@ -46,11 +46,11 @@ def test_missed_rocks_never_fall_with_less_height_or_thinner_samples_or_more_roc
     height = np.geomspace(0.02, 2.0, 40)
     for _ in range(20):
         share = np.exp(np.cumsum(-rng.exponential(0.3, 40))) * 0.3
-        curve, more = HeightCurve(height, share), HeightCurve(height, 1.5 * share)
+        curve, more = ExceedanceCurve(height, share), ExceedanceCurve(height, 1.5 * share)
         h, density = np.sort(rng.uniform(0.0, 2.2, 50)), np.sort(rng.uniform(0.01, 3000.0, 50))
         assert (np.diff(curve.missed(h, 20.0)) <= 1e-12).all()
         assert (np.diff(curve.missed(0.3, density)) <= 1e-12).all()
-        taller = HeightCurve(
+        taller = ExceedanceCurve(
             height, np.maximum.accumulate((share * rng.uniform(1, 3, 40))[::-1])[::-1]
         )
         assert (taller.missed(h, density) >= curve.missed(h, density)).all()

@@ -16,28 +16,36 @@ from lunarsim.errors import InputError
 from lunarsim.models.lander import Lander
 from lunarsim.safety.calibration import (
     COUNT,
-    FARTHER,
-    UNSURE,
-    bound,
+    NEAR_DOMAIN_LOG_ODDS_MARGIN,
+    UNKNOWN_MODEL_WEIGHT,
     calibrated_safety,
-    ceiling,
-    clear_of_pads,
     features,
     in_domain,
-    judged,
-    measured,
+    observed_terrain_bound,
+    outside_domain_bound,
+    p_no_rock_under_pads,
+    packaged_ensemble,
+    site_probability,
 )
 from lunarsim.safety.domain import Domain
-from lunarsim.safety.ensemble import SURE, UNTOLD, Ensemble
-from lunarsim.safety.refit import ScenarioCalibration, Stage, lander_figures
+from lunarsim.safety.ensemble import MAX_CLAIM_DEFICIT, SURE, Ensemble
+from lunarsim.safety.scenario_calibration import (
+    CalibrationStage,
+    ScenarioCalibration,
+    lander_safety_params,
+)
 from tests.map_evidence import LANDER, evidence, rocky
 
 WIDE = Domain(0.5, 1e6, (0.0, 1.0), (0.0, 1.0))
 
 
 def refit(inside=(0.3, 0.8), outside=(-0.5, 0.6), domain=WIDE, **more) -> ScenarioCalibration:
-    figures = {"inside": Stage(*inside), "outside": Stage(*outside), "domain": domain}
-    figures |= {"lander": lander_figures(LANDER), "regression": measured().digest}
+    figures = {
+        "inside": CalibrationStage(*inside),
+        "outside": CalibrationStage(*outside),
+        "domain": domain,
+    }
+    figures |= {"lander": lander_safety_params(LANDER), "regression": packaged_ensemble().digest}
     return ScenarioCalibration(**figures | more)
 
 
@@ -83,12 +91,12 @@ def test_each_side_of_the_packaged_domain_has_its_stage():
     assert in_domain(near).all()
     assert not in_domain(far).any()
     for e, stages_of in ((near, ((0.3, 0.8),)), (far, ((0.3, 0.8), (-0.5, 0.6)))):
-        z = (features(e, e.observed) @ np.array(measured().weights).T).min(axis=1)
+        z = (features(e, e.observed) @ np.array(packaged_ensemble().weights).T).min(axis=1)
         z = z.reshape(e.level.grid.shape)
         p, known = calibrated_safety(e, refit=refit())
         assert known.all()
         expected = np.min([expit(a + b * z) for a, b in stages_of], axis=0)
-        assert (expected < ceiling(e)).all()
+        assert (expected < observed_terrain_bound(e)).all()
         assert p == pytest.approx(expected, rel=1e-5)
     # The lower of both outside, whichever that is.
     p, _ = calibrated_safety(far, refit=refit(outside=(3.0, 1.0)))
@@ -105,7 +113,7 @@ def test_outside_the_domain_of_the_fit_it_is_a_bound():
     ):  # fmt: skip
         p, known = calibrated_safety(e, refit=refit((3.0, 1.0), (3.0, 1.0), narrow))
         assert not known.any(), narrow
-        assert (p <= bound(e) + 1e-6).all()
+        assert (p <= outside_domain_bound(e) + 1e-6).all()
         assert (p <= plain + 1e-6).all()
         # Never above what it says where it knows.
         low, _ = calibrated_safety(e, refit=refit((-40.0, 1.0), (3.0, 1.0), narrow))
@@ -127,8 +135,11 @@ def test_its_domain_is_its_own_whether_the_fits_agree_or_not():
     narrow = replace(WIDE, noise=(0.5, 1.0))
     p, known = calibrated_safety(e, low, refit((20.0, 1.0), domain=narrow, regression=low.digest))
     assert not known.any()
-    bounded = (1.0 - UNTOLD) * expit(-9.0 - FARTHER)
-    assert p == pytest.approx(SURE * ((1.0 - UNSURE) * bounded + UNSURE * expit(-9.0)), rel=1e-4)
+    bounded = (1.0 - MAX_CLAIM_DEFICIT) * expit(-9.0 - NEAR_DOMAIN_LOG_ODDS_MARGIN)
+    assert p == pytest.approx(
+        SURE * ((1.0 - UNKNOWN_MODEL_WEIGHT) * bounded + UNKNOWN_MODEL_WEIGHT * expit(-9.0)),
+        rel=1e-4,
+    )
 
 
 def test_the_ceiling_holds_after_it():
@@ -139,16 +150,16 @@ def test_the_ceiling_holds_after_it():
 
 def test_in_its_domain_rocks_under_the_pads_are_what_its_sites_were():
     e = evidence(slope=0.9, rough=0.1, level=6.0, planes=6.0, density=3.0)
-    assert (clear_of_pads(e) < 0.1).all()
+    assert (p_no_rock_under_pads(e) < 0.1).all()
     own = refit((3.0, 1.0), (-0.2, 0.3))
     p, known = calibrated_safety(e, refit=own)
     assert known.all()
-    assert (p > 5.0 * clear_of_pads(e)).all()
+    assert (p > 5.0 * p_no_rock_under_pads(e)).all()
     # Outside of it nobody knows: the chance that there is none holds, in all cases but a few.
     narrow = replace(own, domain=replace(WIDE, tilting=0.5 * float(e.tilting().min())))
     q, known = calibrated_safety(e, refit=narrow)
     assert not known.any()
-    assert (q <= clear_of_pads(e) + UNSURE).all()
+    assert (q <= p_no_rock_under_pads(e) + UNKNOWN_MODEL_WEIGHT).all()
 
 
 def test_worse_evidence_beyond_its_domain_is_told_no_better_however_low_it_is():
@@ -156,7 +167,7 @@ def test_worse_evidence_beyond_its_domain_is_told_no_better_however_low_it_is():
     for beyond in (-0.1, -2.0, -8.0):
         odds, one = np.array([0.0, beyond]), np.ones(2)
         inside = np.array([True, False])
-        p = judged(odds, one, one, np.zeros(2), inside, inside, own)
+        p = site_probability(odds, one, one, np.zeros(2), inside, inside, own)
         assert 0.0 < p[1] <= p[0]
 
 
@@ -169,11 +180,11 @@ def sites(n=4000, inside=(0.5, 0.7), outside=(-0.6, 0.4), seed=1):
 
 def test_a_fit_finds_both_stages():
     z, safe, known = sites()
-    found = ScenarioCalibration.fit(z, safe, known, WIDE, LANDER, measured())
+    found = ScenarioCalibration.fit(z, safe, known, WIDE, LANDER, packaged_ensemble())
     assert (found.inside.intercept, found.inside.slope) == pytest.approx((0.5, 0.7), abs=0.12)
     assert (found.outside.intercept, found.outside.slope) == pytest.approx((-0.6, 0.4), abs=0.12)
     # Sites on the wrong side of the odds do not turn the stage round.
-    found = ScenarioCalibration.fit(-z, safe, known, WIDE, LANDER, measured())
+    found = ScenarioCalibration.fit(-z, safe, known, WIDE, LANDER, packaged_ensemble())
     assert found.inside.slope == found.outside.slope == 0.0
 
 
@@ -181,14 +192,16 @@ def test_a_side_with_too_few_sites_is_left_as_it_is():
     z, safe, known = sites()
     few = known & (np.cumsum(known & ~safe) <= 15)
     found = ScenarioCalibration.fit(
-        z[few | ~known], safe[few | ~known], known[few | ~known], WIDE, LANDER, measured()
+        z[few | ~known], safe[few | ~known], known[few | ~known], WIDE, LANDER, packaged_ensemble()
     )
-    assert found.inside == Stage(0.0, 1.0)
+    assert found.inside == CalibrationStage(0.0, 1.0)
     assert found.outside != found.inside
-    only = ScenarioCalibration.fit(z[known], safe[known], known[known], WIDE, LANDER, measured())
-    assert only.outside == only.inside != Stage(0.0, 1.0)
+    only = ScenarioCalibration.fit(
+        z[known], safe[known], known[known], WIDE, LANDER, packaged_ensemble()
+    )
+    assert only.outside == only.inside != CalibrationStage(0.0, 1.0)
     with pytest.raises(InputError, match="20 safe"):
-        ScenarioCalibration.fit(z[safe], safe[safe], known[safe], WIDE, LANDER, measured())
+        ScenarioCalibration.fit(z[safe], safe[safe], known[safe], WIDE, LANDER, packaged_ensemble())
 
 
 def test_the_domain_is_that_of_nearly_all_sites():
@@ -227,9 +240,9 @@ def test_another_lander_is_refused(change, key, right):
 
 
 def test_another_regression_is_refused():
-    *weights, last = measured().weights
+    *weights, last = packaged_ensemble().weights
     other = Ensemble((*weights, (*last[:-1], last[-1] + 1e-9)))
-    assert other.digest != measured().digest
+    assert other.digest != packaged_ensemble().digest
     with pytest.raises(InputError, match=r"calibration\.regression"):
         calibrated_safety(evidence(), other, refit())
 
@@ -318,7 +331,7 @@ def test_no_such_file(tmp_path, text):
 
 
 def test_figures_are_those_of_the_scenario_file():
-    assert lander_figures(Lander()) == {
+    assert lander_safety_params(Lander()) == {
         "legs": 4, "leg_radius_m": 2.35, "pad_diameter_m": 0.3, "slope_limit_deg": 10.0,
         "roughness_limit_m": 0.25,
     }  # fmt: skip

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from lunarsim.errors import InputError
 from lunarsim.safety.calibration import calibrated_safety
-from lunarsim.safety.thinning import Thinning
+from lunarsim.safety.undetected_rock_ratio import UndetectedRockRatio
 from tests.map_evidence import SIDE, evidence, rocky
 from tests.reference import fusion as plain
 
@@ -19,10 +19,10 @@ DIAMETERS = np.array([0.5, 0.7, 1.0])
 ratios = st.lists(st.floats(0.05, 6.0), min_size=3, max_size=3)
 
 
-def thinning(ratio=(0.1, 0.1, 0.1), shape=(SIDE, SIDE)) -> Thinning:
+def thinning(ratio=(0.1, 0.1, 0.1), shape=(SIDE, SIDE)) -> UndetectedRockRatio:
     whole = np.empty((3, *shape), np.float32)
     whole[:] = np.reshape(np.asarray(ratio, np.float32), (3, 1, 1))
-    return Thinning(DIAMETERS, whole, 0.05, 0.5)
+    return UndetectedRockRatio(DIAMETERS, whole, 0.05, 0.5)
 
 
 @given(ratios, st.floats(0.0, 0.8))
@@ -46,7 +46,7 @@ def test_each_site_has_its_own_height_and_none_without_one():
     told = rng.uniform(0.1, 3.0, (3, 4, 5)).astype(np.float32)
     heights = rng.uniform(0.0, 3.0, (4, 5))
     heights[1, 2] = np.nan
-    found = Thinning(DIAMETERS, told, 0.05, 0.5).at(heights)
+    found = UndetectedRockRatio(DIAMETERS, told, 0.05, 0.5).at(heights)
     for at in np.ndindex(heights.shape):
         ratio = [float(r) for r in told[:, *at]]
         if np.isnan(heights[at]):

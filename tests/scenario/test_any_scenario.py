@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from lunarsim.errors import InputError
 from lunarsim.parts import PartSettings, kinds, resolve, settings_of
 from lunarsim.scenario import Scenario, layout
-from lunarsim.scenario.notes import notes_on
+from lunarsim.scenario.scenario_warnings import warnings_for
 
 
 def _keys(model: type[PartSettings], before: tuple[str, ...]):
@@ -28,7 +28,7 @@ def _every_key():
     for name, of in (layout.FIXED | layout.OPTIONAL).items():
         for path in _keys(settings_of(of), ()):
             yield (name,), None, path
-    chosen = {name: contract for name, (contract, _) in layout.CHOSEN.items()}
+    chosen = {name: contract for name, (contract, _) in layout.SELECTED.items()}
     for name, contract in (chosen | layout.OPTIONAL_SELECTED).items():
         for kind in kinds(contract):
             yield from (
@@ -80,7 +80,7 @@ def _refused_or_whole(tables):
         return
     text = scenario.to_toml()
     assert Scenario.from_dict(tomllib.loads(text)) == scenario
-    assert all("\n" not in note for note in notes_on(scenario))
+    assert all("\n" not in note for note in warnings_for(scenario))
 
 
 def test_all_keys_are_tried():

@@ -7,7 +7,7 @@ import pytest
 from lunarsim.models.jet_lander import JetLander
 from lunarsim.models.lander import Lander
 from lunarsim.scenario import Scenario
-from lunarsim.scenario.notes import notes_on
+from lunarsim.scenario.scenario_warnings import warnings_for
 from lunarsim.simulation import Simulation
 from tests.worlds import SCENARIOS
 
@@ -16,7 +16,7 @@ FIXED = {"imu": "imu", "fix": "navigation-fix", "flash": "flash-lidar"}
 
 
 def notes(**tables):
-    return notes_on(Scenario.from_dict(tables))
+    return warnings_for(Scenario.from_dict(tables))
 
 
 def test_the_default_study_has_nothing_odd():
@@ -78,9 +78,9 @@ def test_each_oddity_is_told_once_with_key_and_value(tables, begins, told):
 
 def test_the_sun_is_of_use_to_what_sees_it():
     two_eyes = Scenario.load(SCENARIOS / "two_eyes.toml").changed(sun={"elevation_deg": 7.0})
-    assert notes_on(two_eyes) == []
+    assert warnings_for(two_eyes) == []
     stars = Scenario.load(SCENARIOS / "instruments.toml").changed(sun={"elevation_deg": 7.0})
-    assert not [n for n in notes_on(stars) if n.startswith("sun")]
+    assert not [n for n in warnings_for(stars) if n.startswith("sun")]
 
 
 def test_inertia_follows_the_masses_that_are_given():
@@ -100,7 +100,7 @@ def test_a_scenario_that_is_changed_twice_follows_the_last_mass():
     once = Scenario.from_dict({}).changed(vehicle={"dry_mass_kg": 800.0})
     again = once.changed(vehicle={"dry_mass_kg": 1200.0})
     assert again.vehicle.make().inertia_dry[0] == 1200.0
-    assert notes_on(again) == []
+    assert warnings_for(again) == []
 
 
 LIDAR = {name: {"kind": kind} for name, kind in FIXED.items()}

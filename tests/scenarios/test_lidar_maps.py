@@ -17,13 +17,13 @@ from lunarsim.grid import Grid
 from lunarsim.models.lander import Lander
 from lunarsim.onboard.hazards.hazard_map import HazardMap
 from lunarsim.safety import SafetyMap
-from lunarsim.safety.calibration import COUNT, FREE
-from lunarsim.safety.ensemble import MARGIN, SURE
+from lunarsim.safety.calibration import COUNT, UNCONSTRAINED_FEATURES
+from lunarsim.safety.ensemble import LOG_ODDS_MARGIN, SURE
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation
 from lunarsim.world import World
 from lunarsim.world.terrain import Heightfield, Terrain, place_rocks
-from lunarsim.world.truth import Truth
+from lunarsim.world.truth import TerrainTruth
 from tests.conftest import SCENARIOS
 from tests.made_mapper import Slow
 
@@ -114,7 +114,7 @@ def test_held_out_rows_are_evaluated_by_a_fit_without_them(script):
     def judged(scene):
         x = rng.uniform(0.0, 1.0, (60, COUNT)).astype(np.float32)
         x[:, 0] = 1.0
-        safe = rng.random(60) < 1.0 / (1.0 + np.exp(-(8.0 * x[:, FREE] - 4.0)))
+        safe = rng.random(60) < 1.0 / (1.0 + np.exp(-(8.0 * x[:, UNCONSTRAINED_FEATURES] - 4.0)))
         ones = np.ones(60)
         known, doomed = rng.random(60) < 0.8, rng.random(60) < 0.5
         return study.SceneSites(scene, x, known, ones, ones, ones, doomed, 0.005, safe)
@@ -130,7 +130,7 @@ def test_held_out_rows_are_evaluated_by_a_fit_without_them(script):
     model = study.fit_model(others)
     assert name not in model.without
     assert set(model.without) <= {row for row, _, _ in rows}
-    plain, _ = study.probability(model, sites, MARGIN)
+    plain, _ = study.probability(model, sites, LOG_ODDS_MARGIN)
     assert study.figures(plain, sites.safe)["skill"] > 0.0
     p, claimed = study.probability(model, sites)
     assert (p <= plain).all()
@@ -296,7 +296,7 @@ def test_strata_depend_on_slope_and_rocks(script):
         relief = Heightfield(grid, (share * limit * x).astype(np.float32))
         rocks = place_rocks(relief, np.full(3, 1.5), np.random.default_rng(0))
         world = World(Terrain(relief, rocks), 1.62)
-        strata = flown.strata_of(world, Truth.of(world, lander))
+        strata = flown.strata_of(world, TerrainTruth.of(world, lander))
         found, counts = np.unique(strata[30:-30, 30:-30], return_counts=True)
         assert found[np.argmax(counts)] == expected
         assert (2 in found) == (expected < 2), "near a rock, unless too steep anyway"

@@ -21,7 +21,7 @@ from lunarsim.errors import InputError
 from lunarsim.onboard.guidance.optimal_network import OptimalNetwork
 from lunarsim.onboard.hazards.quadtree.settings import InterestMap
 from lunarsim_envs.agents.registry import agent_of
-from lunarsim_envs.agents.stored import Sb3Agent
+from lunarsim_envs.agents.sb3_agents import Sb3Agent
 from lunarsim_envs.sites.surrogate import Surrogate
 
 

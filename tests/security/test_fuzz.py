@@ -20,7 +20,7 @@ from lunarsim.cli import main
 from lunarsim.errors import InputError
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation
-from lunarsim.world.terrain.dtm import load_dtm, read_info
+from lunarsim.world.terrain.dtm import load_terrain, read_info
 from tests.campaign.surrogate import plan
 from tests.security import fuzz, test_campaigns, test_records
 from tests.worlds import SCENARIOS, TINY_FLIGHT
@@ -85,7 +85,7 @@ def raster(place, seed):
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             read_info(path)
-            load_dtm(path)
+            load_terrain(path)
 
     return read
 

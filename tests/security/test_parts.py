@@ -16,11 +16,11 @@ from lunarsim.campaign.engines.inline import InlineEngine
 from lunarsim.campaign.run import run
 from lunarsim.cli import main
 from lunarsim.errors import InputError
-from lunarsim.evaluation.worlds import world_of
+from lunarsim.evaluation.world_reconstruction import rebuild_world
 from lunarsim.parts import allow_modules
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation
-from lunarsim.viz.style import end_of
+from lunarsim.viz.style import flight_title
 from tests.campaign.surrogate import plan as surrogate_plan
 from tests.security.strange_parts import SOURCE
 from tests.worlds import TINY_FLIGHT
@@ -171,6 +171,6 @@ def test_a_record_is_drawn_without_its_policy(mark, tmp_path):
     flight = Simulation(Scenario.from_dict(TINY_FLIGHT), 1, "no-divert").flight()
     strange = tomli_w.dumps(TINY_FLIGHT | TABLES["policy"])
     record = replace(flight, scenario=strange)
-    assert end_of(record).startswith("tiny")
-    assert world_of(record).gravity == 1.622
+    assert flight_title(record).startswith("tiny")
+    assert rebuild_world(record).gravity == 1.622
     assert not mark.exists()

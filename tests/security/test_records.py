@@ -16,8 +16,8 @@ from lunarsim.errors import InputError
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation
 from lunarsim.simulation.flight import Flight
-from lunarsim.simulation.flight_reading import digest_of
-from lunarsim.simulation.map_words import words_on_maps
+from lunarsim.simulation.flight_files import digest_of
+from lunarsim.simulation.map_remarks import map_remarks_by_mapper
 from tests.security import fuzz
 from tests.worlds import TINY_FLIGHT
 
@@ -39,7 +39,7 @@ def use(folder):
     flight = Flight.load(folder)
     _ = flight.positions, flight.sites, flight.propellant_used, flight.duration, flight.lost
     _ = flight.first_lost, flight.divert_distance, flight.map_error, flight.hazard_map
-    words_on_maps(flight.maps, flight.decided_on)
+    map_remarks_by_mapper(flight.maps, flight.decided_on)
     assert all(isinstance(float(e["time"]), float) for e in flight.events)
     return flight
 

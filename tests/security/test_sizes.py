@@ -10,7 +10,7 @@ from click.testing import CliRunner
 from lunarsim.cli import main
 from lunarsim.errors import InputError
 from lunarsim.scenario import Scenario
-from lunarsim.scenario.estimate import estimate
+from lunarsim.scenario.resource_estimate import estimate
 from tests.security import fuzz
 from tests.worlds import TINY_FLIGHT
 

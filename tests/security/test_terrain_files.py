@@ -15,7 +15,7 @@ from click.testing import CliRunner
 
 from lunarsim.cli import main
 from lunarsim.errors import InputError
-from lunarsim.world.terrain.dtm import load_dtm, read_info
+from lunarsim.world.terrain.dtm import load_terrain, read_info
 from tests.security import fuzz
 from tests.world.terrain.rasters import Case, equirectangular, plane
 
@@ -128,7 +128,7 @@ def hostile_files(folder, target):
 def try_to_read(path):
     """Read a file in all ways; return the error, None if it is read."""
     error = None
-    for use in (read_info, lambda p: load_dtm(p, posting=10.0)):
+    for use in (read_info, lambda p: load_terrain(p, posting=10.0)):
         try:
             use(path)
         except InputError as caught:
@@ -161,9 +161,9 @@ def test_no_file_reads_another_folder(tmp_path):
     (folder / "down.lbl").write_text(pds3(str(outside / "z.img")))
     for name in ("up", "down"):
         with pytest.raises(InputError, match=r"not a file in its folder|does not lead"):
-            load_dtm(folder / f"{name}.lbl", posting=1.0)
+            load_terrain(folder / f"{name}.lbl", posting=1.0)
     with pytest.raises(InputError, match="must not be a VRT, which refers to other files"):
-        load_dtm(folder / "z.vrt")
+        load_terrain(folder / "z.vrt")
 
 
 @pytest.mark.parametrize("way", ["external samples", "virtual samples", "link"])
@@ -183,7 +183,7 @@ def test_no_netcdf_file_reads_another_file(tmp_path, way):
         else:
             group["z"] = h5py.ExternalLink(str(outside), "z")
     with pytest.raises(InputError, match="'deep/z' stored in another file"):
-        load_dtm(path, posting=1.0)
+        load_terrain(path, posting=1.0)
 
 
 def test_links_of_the_user_are_followed(tmp_path):
@@ -194,7 +194,7 @@ def test_links_of_the_user_are_followed(tmp_path):
     path = Case("PDS", equirectangular(0.0), dtype="float32").write(data)
     for name in (path.name, path.with_suffix(".lbl").name):
         (project / name).symlink_to(data / name)
-    assert load_dtm(project / path.name).grid.shape == load_dtm(path).grid.shape
+    assert load_terrain(project / path.name).grid.shape == load_terrain(path).grid.shape
 
 
 @pytest.mark.parametrize("name", ["/vsicurl/http://127.0.0.1/z.tif", "http://127.0.0.1/z.tif",
@@ -215,12 +215,12 @@ def test_other_formats_are_refused_by_name(tmp_path, driver):
     ) as file:  # fmt: skip
         file.write(Z.astype(file.dtypes[0]), 1)
     with pytest.raises(InputError, match=r"must be a raster of GTiff"):
-        load_dtm(path)
+        load_terrain(path)
 
 
 def test_the_format_counts_and_not_the_suffix(tmp_path):
     path = Case(map=plane('LOCAL_CS["s",UNIT["metre",1]]', 1.0)).write(tmp_path)
-    assert load_dtm(path.rename(tmp_path / "z.png")).grid.posting == 1.0
+    assert load_terrain(path.rename(tmp_path / "z.png")).grid.posting == 1.0
 
 
 BROKEN = {
@@ -258,14 +258,14 @@ def test_a_pipe_beside_a_raster_is_refused(tmp_path, name):
     (tmp_path / "a.tif").write_bytes(bytes(4096))
     os.mkfifo(tmp_path / name)
     with fuzz.at_most(10.0), pytest.raises(InputError, match="special file"):
-        load_dtm(tmp_path / "a.tif")
+        load_terrain(tmp_path / "a.tif")
 
 
 def test_a_pipe_that_a_label_names_is_refused(tmp_path):
     os.mkfifo(tmp_path / "pipe.img")
     (tmp_path / "a.lbl").write_text('PDS_VERSION_ID = PDS3\n^IMAGE = "pipe.img"\nEND\n')
     with fuzz.at_most(10.0), pytest.raises(InputError, match="special file"):
-        load_dtm(tmp_path / "a.lbl")
+        load_terrain(tmp_path / "a.lbl")
 
 
 def test_a_link_with_a_header_of_its_own_reads_no_other_file(tmp_path):
@@ -279,10 +279,10 @@ def test_a_link_with_a_header_of_its_own_reads_no_other_file(tmp_path):
         "interleave = bsq\nbyte order = 0\n"
     )
     with pytest.raises(InputError, match="Put all parts of a raster into one folder"):
-        load_dtm(tmp_path / "in" / "z.dat", posting=1.0)
+        load_terrain(tmp_path / "in" / "z.dat", posting=1.0)
     (tmp_path / "in" / "z.dat").unlink()
     shutil.copy(tmp_path / "secret" / "text", tmp_path / "in" / "z.dat")
     (tmp_path / "links").mkdir()
     for part in ("z.dat", "z.hdr"):
         (tmp_path / "links" / part).symlink_to(tmp_path / "in" / part)
-    assert load_dtm(tmp_path / "links" / "z.dat", posting=1.0).z.shape == (10, 10)
+    assert load_terrain(tmp_path / "links" / "z.dat", posting=1.0).z.shape == (10, 10)

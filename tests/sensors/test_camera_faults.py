@@ -10,10 +10,10 @@ import pytest
 from lunarsim.errors import InputError
 from lunarsim.frames import quat_from_rotation_vector, quat_multiply
 from lunarsim.rocks.field import RockField
+from lunarsim.sensors.auto_exposure_camera import AutoExposureCamera
 from lunarsim.sensors.camera import Camera
 from lunarsim.sensors.exposure_control import ExposureControl
 from lunarsim.sensors.framing_camera import FramingCamera
-from lunarsim.sensors.metering_camera import MeteringCamera
 from lunarsim.vehicle import State
 from lunarsim.world import World
 from lunarsim.world.light import Light
@@ -125,7 +125,7 @@ def test_antialiasing_is_the_mean_of_finer_pixels():
 
 def test_exposure_settles_from_far_too_long_and_far_too_short():
     for first in (2e-5, 0.05):
-        camera = MeteringCamera(replace(CLEAN, bits=8, exposure=first), ExposureControl())
+        camera = AutoExposureCamera(replace(CLEAN, bits=8, exposure=first), ExposureControl())
         rng = np.random.default_rng(0)
         for k in range(6):
             picture = camera.measure(world(), state(), 0.1 * k, rng)
@@ -148,7 +148,7 @@ def test_exposure_keeps_its_bounds_in_the_night_and_in_glare():
 
 
 def test_a_commanded_exposure_stays():
-    camera = MeteringCamera(replace(CLEAN, bits=8), ExposureControl())
+    camera = AutoExposureCamera(replace(CLEAN, bits=8), ExposureControl())
     camera.command(1e-3, gain=2.0)
     rng = np.random.default_rng(0)
     for k in range(3):
@@ -166,7 +166,7 @@ def test_part_builds_what_it_says():
     assert rng.random() == np.random.default_rng(0).random()  # nothing was drawn
     auto = FramingCamera(exposure_control="auto", hot_pixels=0.01, exposure_level=0.5)
     built = auto.build(np.random.default_rng(1), 0.1)
-    assert isinstance(built, MeteringCamera)
+    assert isinstance(built, AutoExposureCamera)
     assert built.control.level == 0.5
     other = auto.build(np.random.default_rng(2), 0.1)
     assert built.camera.detector_seed != other.camera.detector_seed

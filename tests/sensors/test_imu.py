@@ -7,7 +7,7 @@ from lunarsim.errors import InputError
 from lunarsim.frames import quat_from_rotation_vector, quat_multiply, quat_rotate
 from lunarsim.models.inertial_unit import TriadErrors
 from lunarsim.models.lander import Lander
-from lunarsim.sensors.imu import Imu, InertialUnit
+from lunarsim.sensors.imu import Imu, ImuSettings
 from lunarsim.vehicle import Dynamics, State
 
 STILL = np.zeros((400_000, 3))
@@ -103,7 +103,7 @@ def moved(steps=200):
 def test_samples_of_a_motion_carry_a_state_along_it():
     """Perfect samples, dead reckoned plainly, end where the lander is."""
     rows = moved()
-    unit = InertialUnit(TriadErrors(), TriadErrors()).build(np.random.default_rng(0), 0.01)
+    unit = ImuSettings(TriadErrors(), TriadErrors()).build(np.random.default_rng(0), 0.01)
     samples = unit.sense(rows, 0.01, 1.622, 2.0)
     assert samples.time == 2.0
     assert samples.angle.shape == samples.velocity.shape == (200, 3)

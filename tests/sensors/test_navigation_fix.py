@@ -5,7 +5,7 @@ import pytest
 
 from lunarsim.errors import InputError
 from lunarsim.frames import quat_conjugate, quat_multiply, quat_to_rotation_vector
-from lunarsim.sensors.navigation_fix import NavigationFixes
+from lunarsim.sensors.navigation_fix import NavigationFixErrors
 from lunarsim.vehicle import State
 from lunarsim.world import World
 from tests.chance import ratio_bounds
@@ -17,13 +17,13 @@ STATE = State(np.zeros(3), np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]), np.zeros
 WORLD = World(flat_terrain(), 1.622)
 
 
-def fixes(budget: NavigationFixes, seed: int, times) -> list:
+def fixes(budget: NavigationFixErrors, seed: int, times) -> list:
     rng = np.random.default_rng(seed)
     instrument = budget.build(rng, 0.01)
     return [instrument.measure(WORLD, STATE, float(t), rng) for t in times]
 
 
-def errors(count: int, time: float, budget: NavigationFixes) -> np.ndarray:
+def errors(count: int, time: float, budget: NavigationFixErrors) -> np.ndarray:
     """Position (3), velocity (3) and attitude (3) errors of `count` flights."""
     out = []
     for seed in range(count):
@@ -35,7 +35,7 @@ def errors(count: int, time: float, budget: NavigationFixes) -> np.ndarray:
 
 @pytest.mark.statistical
 def test_errors_have_the_stated_covariance():
-    budget = NavigationFixes(2.0, 0.5, 20.0, 0.1, 0.01)
+    budget = NavigationFixErrors(2.0, 0.5, 20.0, 0.1, 0.01)
     e = errors(600, 200.0, budget)
     covariance = fixes(budget, 0, [0.0])[0].covariance
     nees = np.einsum("ni,ij,nj->n", e, np.linalg.inv(covariance), e)
@@ -46,7 +46,7 @@ def test_errors_have_the_stated_covariance():
 @pytest.mark.parametrize("time", [0.0, 5.0, 20.0, 60.0])
 def test_the_drift_has_grown_as_far_as_is_stated(time):
     """Without a constant offset, which would hide it: 3 x 400 errors at each time."""
-    budget = NavigationFixes(0.0, 0.5, 40.0, 0.1, 0.01)
+    budget = NavigationFixErrors(0.0, 0.5, 40.0, 0.1, 0.01)
     off, stated = [], []
     for seed in range(400):
         fix = fixes(budget, seed, np.arange(0.0, time + 1.0, 5.0))[-1]
@@ -62,7 +62,7 @@ def test_the_drift_has_grown_as_far_as_is_stated(time):
 
 @pytest.mark.parametrize("step", [0.5, 2.0])
 def test_errors_are_correlated_over_their_time_constant(step):
-    budget = NavigationFixes(0.0, 1.0, 10.0, 0.3, 0.0)
+    budget = NavigationFixErrors(0.0, 1.0, 10.0, 0.3, 0.0)
     made = fixes(budget, 3, step * np.arange(30_000))[200:]
     lag = round(10.0 / step)
     for x, sigma in ((np.array([f.position for f in made]), 1.0),
@@ -74,7 +74,7 @@ def test_errors_are_correlated_over_their_time_constant(step):
 
 
 def test_no_errors_is_the_truth():
-    (e,) = fixes(NavigationFixes(0, 0, 1, 0, 0), 1, [3.0])
+    (e,) = fixes(NavigationFixErrors(0, 0, 1, 0, 0), 1, [3.0])
     assert e.time == 3.0
     assert np.array_equal(e.position, STATE.position)
     assert np.allclose(e.attitude, STATE.attitude)
@@ -82,12 +82,12 @@ def test_no_errors_is_the_truth():
 
 def test_negative_budget_is_refused():
     with pytest.raises(InputError, match=r"navigation\.velocity"):
-        NavigationFixes(velocity=-1.0)
+        NavigationFixErrors(velocity=-1.0)
     with pytest.raises(InputError, match=r"navigation\.drift_time"):
-        NavigationFixes(drift_time=0.0)
+        NavigationFixErrors(drift_time=0.0)
 
 
 def test_two_fixes_of_an_instant_are_the_same():
-    first, again = fixes(NavigationFixes(), 2, [1.0, 1.0])
+    first, again = fixes(NavigationFixErrors(), 2, [1.0, 1.0])
     assert np.array_equal(first.position, again.position)
     assert np.array_equal(first.velocity, again.velocity)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from lunarsim.errors import InputError
-from lunarsim.evaluation.outcome import evaluate
+from lunarsim.evaluation.flight_metrics import evaluate
 from lunarsim.onboard.policies.contract import Decision
 from lunarsim.onboard.policies.library import SafestOrAbort
 from lunarsim.scenario import Scenario

@@ -14,7 +14,7 @@ import pytest
 from lunarsim.onboard.policies.library import Safest, ScoreboardChoice
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Flight, Simulation
-from lunarsim.simulation.recorder import Tap
+from lunarsim.simulation.recorder import MessageRecorder
 from tests.conftest import ROOT, SCENARIOS
 
 FLASH = {
@@ -110,7 +110,7 @@ def instruments() -> Scenario:
 _KINDS = {"flash": 3, "camera": 3, "both": 4, "instruments": 5}
 
 
-def replayed(tap: Tap, policy: object, folder: Path) -> list:
+def replayed(tap: MessageRecorder, policy: object, folder: Path) -> list:
     """Return commands and torques of a flight's measurements in a process without a world."""
     measurements = [inputs for inputs, _, _ in tap.exchanges]
     source, target = folder / "in", folder / "out"
@@ -134,7 +134,7 @@ def assert_the_same(exchanges, again) -> None:
 
 
 def test_a_policy_gets_interest_and_scoreboard_where_there_is_no_world(tmp_path):
-    tap = Tap()
+    tap = MessageRecorder()
     simulation = Simulation(sites(tmp_path), 2, "scoreboard", tap=tap)
     flight = simulation.run()
     assert flight.decisions
@@ -160,7 +160,7 @@ def test_a_policy_gets_interest_and_scoreboard_where_there_is_no_world(tmp_path)
 # The test above replays a sweep.
 @pytest.mark.parametrize("make", [flash, camera, both, instruments], ids=lambda f: f.__name__)
 def test_replayed_measurements_give_the_same_commands_without_a_world(make, tmp_path):
-    tap = Tap()
+    tap = MessageRecorder()
     simulation = Simulation(make(), 6, "safest", tap=tap)
     flight = simulation.run()
     kinds = {type(m).__name__ for inputs, _, _ in tap.exchanges for _, m in inputs.items}

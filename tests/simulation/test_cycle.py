@@ -18,7 +18,7 @@ from lunarsim.models.inertial_unit import TriadErrors
 from lunarsim.models.lander import Lander
 from lunarsim.onboard.control.attitude import IdealAttitude, ProportionalDerivative
 from lunarsim.onboard.control.loop import AttitudeLoop
-from lunarsim.sensors.imu import InertialUnit
+from lunarsim.sensors.imu import ImuSettings
 from lunarsim.simulation.cycle import fly_cycle
 from lunarsim.simulation.plant import Plant
 from lunarsim.vehicle import Dynamics, State
@@ -41,7 +41,7 @@ class Doubled(ProportionalDerivative):
         return 2.0 * super().torque(error, rate, inertia)
 
 
-def plant(unit=InertialUnit(), height=300.0, speed=-12.0) -> Plant:  # noqa: B008
+def plant(unit=ImuSettings(), height=300.0, speed=-12.0) -> Plant:  # noqa: B008
     state = State(
         np.array([0.0, 0.0, height]), np.array([8.0, -3.0, speed]), START,
         np.array([0.01, -0.02, 0.03]), LANDER.wet_mass, 2600.0,
@@ -117,7 +117,7 @@ def test_recorded_increments_give_the_torques_again(law):
 
 
 def test_perfect_gyroscopes_give_the_turn_of_the_vehicle():
-    perfect = InertialUnit(TriadErrors(), TriadErrors())
+    perfect = ImuSettings(TriadErrors(), TriadErrors())
     moving = plant(unit=perfect)
     loop = AttitudeLoop(ProportionalDerivative(), LANDER, STEP)
     for command in commands(5):

@@ -10,13 +10,13 @@ import pyarrow.parquet as pq
 import pytest
 
 from lunarsim.errors import InputError
-from lunarsim.evaluation.outcome import evaluate, initial_aim_point
-from lunarsim.evaluation.worlds import world_of
+from lunarsim.evaluation.flight_metrics import evaluate, initial_aim_point
+from lunarsim.evaluation.world_reconstruction import rebuild_world
 from lunarsim.onboard.policies import Decision
 from lunarsim.rng import flight_seed
 from lunarsim.simulation import Flight, Simulation
 from lunarsim.viz import draw_flight
-from lunarsim.world.truth import Truth
+from lunarsim.world.truth import TerrainTruth
 
 
 def assert_same(a, b, path="flight"):
@@ -83,9 +83,9 @@ def test_time_to_go_ends_at_nothing(flown):
 def test_judgement_and_figures_need_the_record_alone(flown, tmp_path):
     simulation, flight = flown
     loaded = Flight.load(flight.save(tmp_path / "flight"))
-    world = world_of(loaded)
+    world = rebuild_world(loaded)
     assert np.array_equal(world.terrain.rocks.x, simulation.world.terrain.rocks.x)
-    truth = Truth.of(world, simulation.lander)
+    truth = TerrainTruth.of(world, simulation.lander)
     row = evaluate(loaded, truth)
     assert_same(row, evaluate(flight, simulation.truth))
     assert row["map_hits"] > 1000

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from lunarsim.errors import InputError
-from lunarsim.evaluation.consistency import Consistency, normalised_square
+from lunarsim.evaluation.consistency import Consistency, normalised_squared_error
 from lunarsim.frames import (
     quat_to_matrix,
 )
@@ -63,7 +63,7 @@ def test_it_errs_as_it_says_and_comes_down_where_it_believes(scenario):
             local.append(simulation.computer.estimate.position)
             if not simulation.done and len(local) in (80, 200):
                 covariance = simulation.estimate.covariance
-                nees = nees.plus(normalised_square(error_of(simulation), covariance), 9)
+                nees = nees.plus(normalised_squared_error(error_of(simulation), covariance), 9)
         assert simulation.verdict.touchdown is not None, simulation.verdict
         assert np.linalg.norm(error_of(simulation)[3:6]) < 0.1
         assert not simulation.computer.estimate.lost
@@ -189,7 +189,7 @@ def test_the_unscented_filter_errs_as_it_says(scenario):
             epochs += 1
             if not simulation.done and epochs in (80, 200, 300):
                 covariance = simulation.estimate.covariance
-                nees = nees.plus(normalised_square(error_of(simulation), covariance), 9)
+                nees = nees.plus(normalised_squared_error(error_of(simulation), covariance), 9)
                 mass.append(navigation.mass[0] - simulation.state.mass)
         assert simulation.verdict.touchdown is not None, simulation.verdict
         # What beams are off by over a flight it has no states for.

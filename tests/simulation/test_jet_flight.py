@@ -9,7 +9,7 @@ from lunarsim.errors import InputError
 from lunarsim.models.lander import STANDARD_GRAVITY
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation
-from lunarsim.simulation.recorder import Tap
+from lunarsim.simulation.recorder import MessageRecorder
 from tests.worlds import SMALL_FLIGHT
 
 JETS = {"kind": "jet-lander"}
@@ -39,7 +39,7 @@ def flown(scenario, seed=3, tap=None, **tables):
 
 @pytest.fixture(scope="module")
 def landed(small):
-    tap = Tap()
+    tap = MessageRecorder()
     return *flown(small, vehicle=JETS, control={"kind": "phase-plane"}, tap=tap), tap
 
 

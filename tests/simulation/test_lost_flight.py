@@ -9,7 +9,7 @@ import pytest
 from click.testing import CliRunner
 
 from lunarsim.cli import main
-from lunarsim.evaluation.outcome import evaluate
+from lunarsim.evaluation.flight_metrics import evaluate
 from lunarsim.frames import quat_from_rotation_vector, quat_multiply
 from lunarsim.messages.measurements import AttitudeReading, DopplerReading, NavigationFix
 from lunarsim.onboard.navigation.fixes import FixNavigation

@@ -11,8 +11,8 @@ from lunarsim.errors import InputError
 from lunarsim.frames import quat_angle
 from lunarsim.messages.measurements import LidarScan
 from lunarsim.onboard.navigation.error_state import MAP
-from lunarsim.onboard.navigation.level_ground import GROUND
-from lunarsim.rng import Streams, flight_seed
+from lunarsim.onboard.navigation.terrain_prior import TERRAIN
+from lunarsim.rng import RandomStreams, flight_seed
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation
 from lunarsim.simulation.mission import plan
@@ -57,7 +57,7 @@ def test_errors_of_the_start_are_those_stated():
 
 def test_a_world_of_another_gravity_is_refused(small_scenario):
     """The computer is told the scenario's."""
-    world = build_world(small_scenario, Streams(1))
+    world = build_world(small_scenario, RandomStreams(1))
     assert Simulation(small_scenario, 1, world=world).world is world
     heavy = replace(world, gravity=1.7)
     with pytest.raises(
@@ -170,14 +170,14 @@ def test_the_height_above_ground_errs_by_what_is_stated(relief, worlds, good_to)
             # Told is the slope over a metre, made that over a post.
             navigation={"relief_deg": relief * 4.0**0.15}, approach={"time_to_go_s": 45.0},
         )  # fmt: skip
-        made = build_world(scenario, Streams(flight_seed(3, world)))
+        made = build_world(scenario, RandomStreams(flight_seed(3, world)))
         for flight in range(200 // worlds):
-            state, briefing = plan(scenario, made, Streams(flight_seed(4 + world, flight)))
+            state, briefing = plan(scenario, made, RandomStreams(flight_seed(4 + world, flight)))
             navigation = scenario.navigation.make().build(briefing)
             height = navigation.inertial.position[2] - briefing.target[2]
             ground = float(made.terrain.elevation(state.position[:2]))
             # Height in the site frame is that in the local one, less where the site lies in it.
-            blocks = [navigation.state.block(name).start for name in (MAP, GROUND)]
+            blocks = [navigation.state.block(name).start for name in (MAP, TERRAIN)]
             at, over = np.array([2, *blocks]) + [0, 2, 0], np.array([1.0, -1.0, -1.0])
             sigma = np.sqrt(over @ navigation.covariance[np.ix_(at, at)] @ over)
             scaled.append((height - (state.position[2] - ground)) / sigma)
@@ -190,9 +190,9 @@ def test_the_target_is_told_as_well_as_it_is_known(small_scenario):
         sensors={"fix": None}, navigation={"kind": "inertial"}, start_knowledge={"ground_m": 3.0}
     )
     exact = own.changed(start_knowledge={"ground_m": 0.0})
-    off, made = [], build_world(own, Streams(0))
+    off, made = [], build_world(own, RandomStreams(0))
     for seed in range(30):
-        (_, told), (_, true) = (plan(s, made, Streams(seed)) for s in (own, exact))
+        (_, told), (_, true) = (plan(s, made, RandomStreams(seed)) for s in (own, exact))
         assert np.array_equal(told.target[:2], true.target[:2])
         assert np.array_equal(told.start.position, true.start.position)
         assert true.target[2] == float(Terrain(made.terrain.relief).elevation(true.target[:2]))

@@ -13,8 +13,8 @@ from lunarsim.onboard.policies.contract import Decision
 from lunarsim.parts import quantity
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation
-from lunarsim.world.grounds.contract import strewn
 from lunarsim.world.terrain import Heightfield
+from lunarsim.world.terrain_models.interface import add_rocks
 
 LAWS = ["apollo", "modified-apollo", "e-guidance", "zem-zev", "augmented-apollo",
         "fractional-polynomial", "optimal"]  # fmt: skip
@@ -33,7 +33,7 @@ class Ridge:
         grid = Grid.centred((0.0, 0.0), self.size, 1.0)
         wave = self.height * np.maximum(0.0, 1.0 - np.abs(grid.x - self.east) / 15.0)
         relief = Heightfield(grid, np.tile(wave, (grid.rows, 1)).astype(np.float32))
-        return strewn(relief, rocks, streams)
+        return add_rocks(relief, rocks, streams)
 
 
 def blind(law="apollo", **tables) -> Scenario:

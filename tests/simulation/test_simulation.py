@@ -17,8 +17,8 @@ from lunarsim.onboard.policies import Decision
 from lunarsim.rng import flight_seed
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation
-from lunarsim.vehicle import judge_touchdown
-from lunarsim.world.truth import Truth
+from lunarsim.vehicle import evaluate_touchdown
+from lunarsim.world.truth import TerrainTruth
 from tests.conftest import SCENARIOS
 
 
@@ -85,7 +85,7 @@ def test_sites_out_of_reach_are_refused(small_scenario):
 def test_verdict_is_that_of_the_true_ground(small_scenario):
     simulation = Simulation(small_scenario, flight_seed(1, 0), "no-divert")
     verdict = simulation.run().verdict
-    again = judge_touchdown(
+    again = evaluate_touchdown(
         simulation.lander, simulation.state, simulation.world.terrain, simulation.world.gravity
     )
     assert again.failed == verdict.failed
@@ -110,7 +110,7 @@ def test_support_planes_see_more_safe_ground_on_relief(small_scenario):
         for flight in (2, 3, 4):
             simulation = Simulation(scenario, flight_seed(flight, 0), "no-divert")
             record = simulation.run()
-            truth = Truth.of(simulation.world, simulation.lander, 0.3)
+            truth = TerrainTruth.of(simulation.world, simulation.lander, 0.3)
             quality[safety] += map_quality(record.hazard_map, truth, record.map_error)
     assert quality["planes"].recall > quality["level"].recall + 0.2
     assert quality["planes"].precision > 0.9
@@ -269,7 +269,10 @@ def test_a_path_that_asks_for_too_much_arrives_later(small_scenario, monkeypatch
     assert later["seconds"] > 1.0
     assert miss(found) < 1.0
     assert found.verdict.touchdown.horizontal_speed < 0.5
-    monkeypatch.setattr("lunarsim.onboard.guidance.strain.Strain.lasts", lambda *a: False)
+    monkeypatch.setattr(
+        "lunarsim.onboard.guidance.limit_violation_monitor.LimitViolationMonitor.lasts",
+        lambda *a: False,
+    )
     assert miss(moved_late(small_scenario)) > 5.0
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from lunarsim.errors import InputError
 from lunarsim.onboard.guidance.apollo import ApolloLaw
-from lunarsim.onboard.guidance.divert import divert_cost
+from lunarsim.onboard.guidance.divert_cost import divert_cost
 from lunarsim.onboard.policies.contract import Decision
 from lunarsim.simulation import Simulation
 

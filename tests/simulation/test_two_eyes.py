@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lunarsim.evaluation.consistency import Consistency, normalised_square
+from lunarsim.evaluation.consistency import Consistency, normalised_squared_error
 from lunarsim.evaluation.map_quality import map_quality
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Flight, Simulation
@@ -156,7 +156,7 @@ def test_rocks_and_scans_are_taken_into_one_filter(seed):
             simulation.step()
         p = simulation.estimate.covariance
         sigma[eyes] = float(np.sqrt(np.trace(p[3:6, 3:6])))
-        nees = nees.plus(normalised_square(error_of(simulation), p), 9)
+        nees = nees.plus(normalised_squared_error(error_of(simulation), p), 9)
         navigation = simulation.computer.navigation
         assert not navigation.lost
         kinds = {key.split()[-1] for key, w in navigation.watches.items() if w.total > 0.0}
@@ -210,7 +210,7 @@ def test_with_both_eyes_on_a_map_errors_are_no_larger_than_with_either(on_a_map)
         sigma = [np.sqrt(np.diag(s.estimate.covariance)) for s in flights]
         spread[eyes] = np.sqrt(np.mean(np.square(sigma), axis=0))
         for s in flights:
-            nees = nees.plus(normalised_square(error_of(s), s.estimate.covariance), 9)
+            nees = nees.plus(normalised_squared_error(error_of(s), s.estimate.covariance), 9)
     both = spread.pop(("camera", "flash"))
     for eyes, alone in spread.items():
         # Place, velocity: what either tells is not lost in the other, but for what the way flown

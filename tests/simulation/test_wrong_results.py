@@ -11,10 +11,10 @@ from lunarsim.errors import InputError
 from lunarsim.onboard.control.attitude import ProportionalDerivative
 from lunarsim.onboard.guidance.path_law import PathLaw
 from lunarsim.onboard.guidance.paths import PathShape
-from lunarsim.onboard.hazards.gaussian_dem.mapper import GaussianDemMapping
+from lunarsim.onboard.hazards.gaussian_dem.mapper import GaussianDemMapperSettings
 from lunarsim.onboard.policies.contract import Decision
 from lunarsim.scenario import Scenario
-from lunarsim.sensors.navigation_fix import NavigationFixes
+from lunarsim.sensors.navigation_fix import NavigationFixErrors
 from lunarsim.simulation import Simulation
 from tests.worlds import TINY_FLIGHT
 
@@ -111,7 +111,7 @@ class NanTorque(ProportionalDerivative):
 
 
 @dataclass(frozen=True)
-class WordFixes(NavigationFixes):
+class WordFixes(NavigationFixErrors):
     """Gives a number without its time."""
 
     def build(self, rng, step):
@@ -133,7 +133,7 @@ class _BadMaps:
 
 
 @dataclass(frozen=True)
-class NanMapping(GaussianDemMapping):
+class NanMapping(GaussianDemMapperSettings):
     """Maps no probabilities."""
 
     def build(self, *given):

@@ -16,7 +16,7 @@ from lunarsim.rocks.field import RockField
 from lunarsim.vehicle import Dynamics, State
 from lunarsim.vehicle import _leg_kernels as kernels
 from lunarsim.vehicle.dynamics import PLAIN_RIG
-from lunarsim.vehicle.legs import Legs, TerrainPatch, judge_motion, settle
+from lunarsim.vehicle.legs import Legs, TerrainPatch, evaluate_motion, settle
 from lunarsim.world.terrain import Terrain
 from tests.worlds import flat_terrain, sloped_terrain
 
@@ -143,20 +143,20 @@ def test_a_tall_lander_tips_at_the_speed_of_the_pendulum():
 
 def test_verdicts_name_what_failed():
     dynamics = Dynamics(LANDER, G)
-    good, rest = judge_motion(LEGS, dynamics, above(), flat_terrain())
+    good, rest = evaluate_motion(LEGS, dynamics, above(), flat_terrain())
     assert good.safe
     assert good.touchdown.vertical_speed == 2.0
     assert rest.settled
-    hard, _ = judge_motion(
+    hard, _ = evaluate_motion(
         LEGS, dynamics, above(velocity=np.array([0.0, 0.0, -6.0])), flat_terrain()
     )
     assert "legs" in hard.failed
     assert "tip-over" not in hard.failed
     rock = Terrain(flat_terrain().relief, RockField.hemispheres(0.3, 0.1, 0.0, 0.4))
-    assert "belly" in judge_motion(LEGS, dynamics, above(), rock)[0].failed
+    assert "belly" in evaluate_motion(LEGS, dynamics, above(), rock)[0].failed
     state, steep = on_slope(14.0)
-    assert judge_motion(LEGS, dynamics, state, steep)[0].failed == ("slope",)
-    off, none = judge_motion(LEGS, dynamics, above(position=np.array([100.0, 0.0, 1.6])), steep)
+    assert evaluate_motion(LEGS, dynamics, state, steep)[0].failed == ("slope",)
+    off, none = evaluate_motion(LEGS, dynamics, above(position=np.array([100.0, 0.0, 1.6])), steep)
     assert off.failed == ("off-map",)
     assert none is None
 
@@ -206,7 +206,7 @@ def test_the_belly_counts_from_its_underside_and_at_its_lowest():
     for spare, touched in ((0.03, False), (-0.03, True)):
         high = LANDER.belly_clearance - spare
         rock = Terrain(flat_terrain().relief, RockField.hemispheres(0.2, 0.1, 0.0, high))
-        verdict, _ = judge_motion(LEGS, dynamics, above(0.0, velocity=slowly), rock)
+        verdict, _ = evaluate_motion(LEGS, dynamics, above(0.0, velocity=slowly), rock)
         assert ("belly" in verdict.failed) == touched
     # A hard touchdown presses the springs farther than they are left.
     rest = settle(LEGS, dynamics, above(0.0), flat_terrain())

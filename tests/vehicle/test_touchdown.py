@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from lunarsim.frames import attitude_from_thrust
 from lunarsim.models.lander import Lander
 from lunarsim.rocks.field import RockField
-from lunarsim.vehicle import State, judge_touchdown, support_planes
-from lunarsim.vehicle.touchdown import least_margin
+from lunarsim.vehicle import State, evaluate_touchdown, support_planes
+from lunarsim.vehicle.touchdown import min_touchdown_margin
 from lunarsim.world.terrain import Terrain
 from tests.worlds import flat_terrain, sloped_terrain
 
@@ -31,7 +31,7 @@ def standing(height: float = 0.0, **changes) -> State:
 
 
 def test_flat_ground_is_safe():
-    verdict = judge_touchdown(LANDER, standing(), flat_terrain(), G)
+    verdict = evaluate_touchdown(LANDER, standing(), flat_terrain(), G)
     assert verdict.safe
     assert verdict.failed == ()
     assert verdict.touchdown.slope == pytest.approx(0.0, abs=1e-6)
@@ -49,7 +49,7 @@ def test_flat_ground_is_safe():
     ],
 )
 def test_each_limit_is_named(changes, limit):
-    verdict = judge_touchdown(LANDER, standing(**changes), flat_terrain(), G)
+    verdict = evaluate_touchdown(LANDER, standing(**changes), flat_terrain(), G)
     assert not verdict.safe
     assert verdict.failed == (limit,)
 
@@ -57,7 +57,7 @@ def test_each_limit_is_named(changes, limit):
 @pytest.mark.parametrize("degrees", [3.0, 9.9, 10.5, 20.0])
 def test_slope_is_that_of_the_plane(degrees):
     ground = sloped_terrain((np.tan(np.deg2rad(degrees)), 0.0))
-    verdict = judge_touchdown(LANDER, standing(), ground, G)
+    verdict = evaluate_touchdown(LANDER, standing(), ground, G)
     assert np.rad2deg(verdict.touchdown.slope) == pytest.approx(degrees, abs=0.02)
     assert ("slope" in verdict.failed) == (degrees > 10.0)
 
@@ -65,7 +65,7 @@ def test_slope_is_that_of_the_plane(degrees):
 @pytest.mark.parametrize(("radius", "safe"), [(0.2, True), (0.3, False)])
 def test_rock_under_the_belly(radius, safe):
     ground = Terrain(flat_terrain().relief, RockField.hemispheres(0.3, 0.1, 0.0, radius))
-    verdict = judge_touchdown(LANDER, standing(), ground, G)
+    verdict = evaluate_touchdown(LANDER, standing(), ground, G)
     assert verdict.safe is safe
     assert verdict.touchdown.roughness == pytest.approx(radius, abs=0.01)
     if not safe:
@@ -75,7 +75,7 @@ def test_rock_under_the_belly(radius, safe):
 def test_rock_under_a_pad_tilts_the_support_plane():
     pad = LANDER.pads[0]  # body x points east
     ground = Terrain(flat_terrain().relief, RockField.hemispheres(pad[0], pad[1], 0.0, 0.5))
-    verdict = judge_touchdown(LANDER, standing(), ground, G)
+    verdict = evaluate_touchdown(LANDER, standing(), ground, G)
     # The diagonal with the raised pad carries, 0.25 m up in the middle; a third pad is down:
     # 0.25 m over the radius along the diagonal and as much across it.
     expected = np.arctan(0.25 * np.sqrt(2.0) / LANDER.leg_radius)
@@ -85,10 +85,10 @@ def test_rock_under_a_pad_tilts_the_support_plane():
 def test_sideways_speed_tips_a_tall_lander():
     tall = Lander(com_height=6.0, horizontal_speed_limit=5.0)
     state = standing(velocity=np.array([2.5, 0.0, -2.0]), position=np.array([0.0, 0.0, 6.0]))
-    verdict = judge_touchdown(tall, state, flat_terrain(), G)
+    verdict = evaluate_touchdown(tall, state, flat_terrain(), G)
     assert verdict.failed == ("tip-over",)
     slow = replace(state, velocity=np.array([0.3, 0.0, -2.0]))
-    assert judge_touchdown(tall, slow, flat_terrain(), G).safe
+    assert evaluate_touchdown(tall, slow, flat_terrain(), G).safe
 
 
 @pytest.mark.parametrize(
@@ -98,8 +98,8 @@ def test_sideways_speed_tips_a_tall_lander():
      ((0.0, 0.0, -1.25 * LANDER.vertical_speed_limit), -0.25)],
 )  # fmt: skip
 def test_the_least_margin_is_that_of_the_nearest_limit(speeds, margin):
-    verdict = judge_touchdown(LANDER, standing(velocity=np.array(speeds)), flat_terrain(), G)
-    assert least_margin(LANDER, verdict.touchdown) == pytest.approx(margin, abs=1e-6)
+    verdict = evaluate_touchdown(LANDER, standing(velocity=np.array(speeds)), flat_terrain(), G)
+    assert min_touchdown_margin(LANDER, verdict.touchdown) == pytest.approx(margin, abs=1e-6)
     assert (margin < 0.0) != verdict.safe
 
 
@@ -113,15 +113,15 @@ def test_a_margin_below_zero_is_a_verdict_that_failed(down, across, tilt, rate, 
         attitude=attitude_from_thrust([np.tan(np.deg2rad(tilt)), 0.0, 1.0], np.pi / 2),
     )  # fmt: skip
     ground = Terrain(flat_terrain().relief, RockField.hemispheres(0.3, 0.1, 0.0, radius + 0.01))
-    verdict = judge_touchdown(LANDER, state, ground, G)
-    assert (least_margin(LANDER, verdict.touchdown) < 0.0) == (not verdict.safe)
+    verdict = evaluate_touchdown(LANDER, state, ground, G)
+    assert (min_touchdown_margin(LANDER, verdict.touchdown) < 0.0) == (not verdict.safe)
 
 
 def test_of_unknown_ground_the_margin_is_not_known():
-    verdict = judge_touchdown(
+    verdict = evaluate_touchdown(
         LANDER, standing(position=np.array([100.0, 0.0, 1.6])), flat_terrain(), G
     )
-    assert np.isnan(least_margin(LANDER, verdict.touchdown))
+    assert np.isnan(min_touchdown_margin(LANDER, verdict.touchdown))
 
 
 def test_tip_margin_of_a_point_mass_in_closed_form():
@@ -133,7 +133,7 @@ def test_tip_margin_of_a_point_mass_in_closed_form():
     # m v h = m L^2 w;  L^2 w^2 / 2 = g (L - h)
     speed = np.sqrt(2.0 * G * (length - height)) * length / height
     state = standing(velocity=np.array([speed, 0.0, -1.0]), position=np.array([0.0, 0.0, 3.0]))
-    margin = judge_touchdown(lander, state, flat_terrain(), G).touchdown.tip_margin
+    margin = evaluate_touchdown(lander, state, flat_terrain(), G).touchdown.tip_margin
     assert margin == pytest.approx(0.0, abs=1e-6)
 
 
@@ -155,7 +155,7 @@ def test_a_body_that_turns_more_easily_about_one_axis_tips_as_easily_as_about_th
         state = standing(
             velocity=np.array([*sideways, -1.0]), position=np.array([0.0, 0.0, 2.0])
         )  # fmt: skip
-        margin = judge_touchdown(lander, state, flat_terrain(), G).touchdown.tip_margin
+        margin = evaluate_touchdown(lander, state, flat_terrain(), G).touchdown.tip_margin
         turning = 0.5 * (1300.0 * 0.9 * 2.0) ** 2 / (600.0 + 1300.0 * length**2)
         assert margin == pytest.approx(1.0 - turning / (1300.0 * G * (length - 2.0)), abs=1e-6)
 
@@ -163,18 +163,18 @@ def test_a_body_that_turns_more_easily_about_one_axis_tips_as_easily_as_about_th
 def test_the_heading_is_that_of_body_x_from_north_to_east():
     for heading in (0.4, -2.0):
         state = standing(attitude=attitude_from_thrust([0.0, 0.0, 1.0], heading))
-        touchdown = judge_touchdown(LANDER, state, flat_terrain(), G).touchdown
+        touchdown = evaluate_touchdown(LANDER, state, flat_terrain(), G).touchdown
         x, y, z, w = state.attitude
         east, north = 1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + z * w)
         assert touchdown.heading == pytest.approx(np.arctan2(east, north))
 
 
 def test_a_margin_of_roughness_is_counted_to_the_lesser_of_its_limits():
-    touchdown = judge_touchdown(LANDER, standing(), flat_terrain(), G).touchdown
+    touchdown = evaluate_touchdown(LANDER, standing(), flat_terrain(), G).touchdown
     rough = replace(touchdown, roughness=0.18, vertical_speed=0.0)
     for limits in ({"roughness_limit": 0.5, "belly_clearance": 0.2},
                    {"roughness_limit": 0.2, "belly_clearance": 0.5}):  # fmt: skip
-        assert least_margin(Lander(**limits), rough) == pytest.approx(0.1)
+        assert min_touchdown_margin(Lander(**limits), rough) == pytest.approx(0.1)
 
 
 @given(st.lists(st.floats(-1.0, 1.0), min_size=4, max_size=4))

@@ -10,8 +10,8 @@ from lunarsim.models.lander import Lander
 from lunarsim.vehicle import _touchdown_kernels as k
 from lunarsim.vehicle.state import State
 from lunarsim.vehicle.touchdown import (
-    GROUND_SPACING,
-    judge_touchdown,
+    TERRAIN_SAMPLE_SPACING_M,
+    evaluate_touchdown,
     pad_contacts,
     pad_disc,
 )
@@ -52,8 +52,9 @@ def judged(lander, state, z):
         lander.vertical_speed_limit, lander.horizontal_speed_limit, lander.tilt_limit,
         lander.rate_limit, lander.slope_limit, lander.roughness_limit, lander.belly_clearance,
     ]  # fmt: skip
-    failed = k.judge(
-        state.as_vector(), lander.pads, pad_disc(0.5 * lander.pad_diameter), GROUND_SPACING, z,
+    failed = k.violated_limits(
+        state.as_vector(), lander.pads, pad_disc(0.5 * lander.pad_diameter),
+        TERRAIN_SAMPLE_SPACING_M, z,
         FRAME, np.array(limits), lander.com_height, G, lander.dry_mass, lander.wet_mass,
         np.array([lander.inertia_dry, lander.inertia_full]), told,
     )  # fmt: skip
@@ -64,7 +65,7 @@ def test_verdicts_are_those_of_the_simulation():
     seen = set()
     for seed in range(150):
         lander, state, z = drawn(seed)
-        wanted = judge_touchdown(lander, state, RasterGround(z, FRAME), G)
+        wanted = evaluate_touchdown(lander, state, RasterGround(z, FRAME), G)
         failed, told = judged(lander, state, z)
         t = wanted.touchdown
         own = (t.vertical_speed, t.horizontal_speed, t.tilt, t.rate, t.slope, t.roughness,
@@ -82,7 +83,7 @@ def test_a_lander_tips_over_the_edge_that_it_slides_across():
             np.array([0.0, 0.0, 1.6]), np.array([speed, 0.0, -1.0]),
             np.array([0.0, 0.0, 0.0, 1.0]), np.zeros(3), state.mass, 0.0,
         )  # fmt: skip
-        wanted = judge_touchdown(lander, moving, RasterGround(z, FRAME), G)
+        wanted = evaluate_touchdown(lander, moving, RasterGround(z, FRAME), G)
         failed, told = judged(lander, moving, z)
         assert ("tip-over" in failed) == tips
         assert told[6] == pytest.approx(wanted.touchdown.tip_margin, rel=1e-9)
@@ -98,7 +99,7 @@ def test_the_first_pad_to_touch_is_found():
         )  # fmt: skip
         touched = bool((gap <= 0.0).any())
         args = state.as_vector(), lander.pads, pad_disc(0.5 * lander.pad_diameter), z, FRAME
-        assert k.touches(*args) == touched, seed
+        assert k.has_contact(*args) == touched, seed
         hits += touched
     assert 30 < hits < 120
 

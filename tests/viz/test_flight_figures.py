@@ -12,9 +12,9 @@ from lunarsim.rng import flight_seed
 from lunarsim.rocks.field import RockField
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation
-from lunarsim.simulation.map_words import map_words
+from lunarsim.simulation.map_remarks import map_remark
 from lunarsim.viz import draw_comparison, draw_flight
-from lunarsim.viz.comparison import paired
+from lunarsim.viz.comparison import paired_differences
 from lunarsim.viz.footprint import draw_footprint
 from lunarsim.world import World
 from lunarsim.world.terrain import Terrain
@@ -45,12 +45,12 @@ def _map(p, observed=True, in_domain=None):
     ],
 )
 def test_a_map_that_tells_nothing_is_spoken_of(hazard_map, words):
-    assert words in map_words(hazard_map)
+    assert words in map_remark(hazard_map)
 
 
 def test_a_map_that_tells_one_place_from_another_is_not():
-    assert map_words(_map([0.1, 0.9, 0.5, 0.6])) is None
-    assert map_words(_map([0.1, 0.9, 0.5, 0.6], in_domain=True)) is None
+    assert map_remark(_map([0.1, 0.9, 0.5, 0.6])) is None
+    assert map_remark(_map([0.1, 0.9, 0.5, 0.6], in_domain=True)) is None
 
 
 def test_a_boulder_under_the_belly_is_seen(tmp_path):
@@ -88,8 +88,8 @@ def test_differences_are_of_the_same_flight():
             ("b", 2, 9.0), ("b", 1, 2.5), ("b", 0, 0.5), ("b", 3, 7.0),
         ]
     ]  # fmt: skip
-    assert paired(rows, "a", "b", "tilt_deg").tolist() == [-0.5, 0.5]
-    assert paired(rows, "a", "a", "tilt_deg").tolist() == [0.0, 0.0]
+    assert paired_differences(rows, "a", "b", "tilt_deg").tolist() == [-0.5, 0.5]
+    assert paired_differences(rows, "a", "a", "tilt_deg").tolist() == [0.0, 0.0]
 
 
 def test_a_comparison_in_which_all_failed_is_drawn(tmp_path):

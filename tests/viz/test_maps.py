@@ -10,20 +10,20 @@ import pytest
 from matplotlib.colors import to_rgba
 from matplotlib.text import Annotation
 
-from lunarsim.evaluation.outcome import initial_aim_point
+from lunarsim.evaluation.flight_metrics import initial_aim_point
 from lunarsim.evaluation.reach import decision_rows, estimate_at_row, reach_at_row
 from lunarsim.grid import Grid
 from lunarsim.rng import flight_seed
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation
-from lunarsim.viz import maps, truth_shown
+from lunarsim.viz import maps, truth_in_map_figure
 from lunarsim.viz import reach as viz_reach
+from lunarsim.viz.map_bounds import map_figure_bounds
 from lunarsim.viz.reach import draw_reach
 from lunarsim.viz.style import new_figure
-from lunarsim.viz.window import map_figure_bounds
 from lunarsim.world import World
 from lunarsim.world.terrain import Heightfield, Terrain
-from lunarsim.world.truth import Truth
+from lunarsim.world.truth import TerrainTruth
 from tests.worlds import TINY_FLIGHT
 
 
@@ -154,7 +154,7 @@ def test_words_on_a_map_stay_within_their_panel_of_tall_ground(flown, drawn):
     said = replace(known, hazard_map=replace(flat, in_domain=np.zeros(m.grid.shape, bool)))
     told = replace(record, maps={name: said}, scans=record.scans[:0])
     lander = Scenario.from_toml(record.scenario).vehicle.make()
-    figure = drawn(told, tall, Truth.of(tall, lander))
+    figure = drawn(told, tall, TerrainTruth.of(tall, lander))
     panels = _panels(figure)
     boxes = [panel.get_window_extent() for panel in panels]
     assert np.ptp([box.height for box in boxes]) < 1.0
@@ -277,7 +277,7 @@ def wide(flown):
 def test_of_a_wide_world_the_window_about_map_sites_and_touchdown_is_drawn(wide, drawn):
     record, world = wide
     lander = Scenario.from_toml(record.scenario).vehicle.make()
-    truth = truth_shown(record, world, lander)
+    truth = truth_in_map_figure(record, world, lander)
     west, east, south, north = map_figure_bounds(record, world)
     assert max(east - west, north - south) < 0.25 * (world.terrain.bounds[1] * 2.0)
     for panel in _panels(drawn(record, world, truth)):
@@ -294,11 +294,11 @@ def test_the_window_has_the_cells_and_the_safety_of_the_complete_truth(wide):
     record, world = wide
     lander = Scenario.from_toml(record.scenario).vehicle.make()
     bounds = map_figure_bounds(record, world)
-    part = truth_shown(record, world, lander).within(bounds, 10_000)
+    part = truth_in_map_figure(record, world, lander).within(bounds, 10_000)
     # Far smaller than the world, which would take a minute: twice the window on each side.
     west, east, south, north = bounds
     more = (west - 20.0, east + 20.0, south - 20.0, north + 20.0)
-    whole = Truth.of(world, lander, bounds=more).within(bounds, 10_000)
+    whole = TerrainTruth.of(world, lander, bounds=more).within(bounds, 10_000)
     assert part.safety.grid.shape == whole.safety.grid.shape
     assert part.safety.grid.extent == pytest.approx(whole.safety.grid.extent)
     assert part.safety.observed.all()

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from lunarsim.errors import InputError
-from lunarsim.world.light import FULL_EARTH, Light
+from lunarsim.world.light import FULL_EARTH_IRRADIANCE_RATIO, Light
 from lunarsim.world.photometry import Hapke, hapke_of_albedo, lunar_lambert
 from tests.reference.photometry import chandrasekhar, lunar_if
 
@@ -110,7 +110,7 @@ def test_no_grain_is_whiter_than_white():
 
 
 def test_full_earth_is_a_ten_thousandth_of_the_sun():
-    assert pytest.approx(1.19e-4, rel=0.01) == FULL_EARTH
+    assert pytest.approx(1.19e-4, rel=0.01) == FULL_EARTH_IRRADIANCE_RATIO
 
 
 @pytest.mark.parametrize(

@@ -6,10 +6,10 @@ import pytest
 from lunarsim.errors import InputError
 from lunarsim.grid import Grid
 from lunarsim.models.gravity import RoundMoon
-from lunarsim.rng import Streams
+from lunarsim.rng import RandomStreams
 from lunarsim.scenario import Scenario
 from lunarsim.world import World
-from lunarsim.world.surroundings import Surroundings
+from lunarsim.world.far_terrain import FarTerrainSettings
 from lunarsim.world.terrain import Heightfield, Terrain, fractal_relief
 
 MOON = RoundMoon().gravity(1.622)
@@ -23,7 +23,7 @@ def _map(seed=2, size=400.0):
 
 def _about(**more):
     given = {"sizes": (8_000.0, 200_000.0), "postings": (40.0, 1_000.0), "rms_slopes": (0.1, 0.05)}
-    return Surroundings(**{**given, **more}).build(_map(), MOON, Streams(5))
+    return FarTerrainSettings(**{**given, **more}).build(_map(), MOON, RandomStreams(5))
 
 
 @pytest.fixture(scope="module")
@@ -63,7 +63,7 @@ def test_far_off_it_is_the_sphere(ground):
 
 
 def test_levels_are_built_when_they_are_looked_at(monkeypatch):
-    import lunarsim.world.surroundings as module
+    import lunarsim.world.far_terrain as module
 
     made = []
     monkeypatch.setattr(
@@ -128,9 +128,9 @@ def test_the_world_casts_onto_the_map_first(ground):
 def test_a_raster_is_the_first_level():
     path = "scenarios/data/moon_shackleton_ridge_lola_40m.tif"
     ground = _about(path=__import__("pathlib").Path(path), dtm_posting=40.0)
-    from lunarsim.world.terrain.dtm import load_dtm
+    from lunarsim.world.terrain.dtm import load_terrain
 
-    raw = load_dtm(path, posting=40.0)
+    raw = load_terrain(path, posting=40.0)
     rows, cols = raw.z.shape
     # 25 posts east and 10 south of its middle, before it fades out.
     post = raw.grid.posting
@@ -147,6 +147,6 @@ def test_a_raster_is_the_first_level():
 
 def test_what_does_not_fit_is_refused():
     with pytest.raises(InputError, match="postings"):
-        Surroundings(postings=(40.0,))
+        FarTerrainSettings(postings=(40.0,))
     with pytest.raises(InputError, match="moon"):
         Scenario.from_dict({"surroundings": {}})

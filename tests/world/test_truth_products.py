@@ -13,7 +13,7 @@ from lunarsim.rocks.field import RockField
 from lunarsim.world import World
 from lunarsim.world.light import Light
 from lunarsim.world.terrain import Terrain
-from lunarsim.world.truth_products import TruthProducts, survey_grid
+from lunarsim.world.truth_products import TruthProducts, truth_grid
 from tests.worlds import SCENARIOS, flat_terrain
 
 
@@ -62,4 +62,4 @@ def test_command_writes_maps_that_open_without_the_package(tmp_path):
 
 def test_square_beyond_the_terrain_is_refused():
     with pytest.raises(InputError, match="at most"):
-        survey_grid(World(flat_terrain(), 1.622), (15.0, 0.0), 20.0, 0.2)
+        truth_grid(World(flat_terrain(), 1.622), (15.0, 0.0), 20.0, 0.2)

@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lunarsim.array_files import read_arrays
+from lunarsim.atomic_arrays import atomic_write_arrays
 from lunarsim.errors import InputError
-from lunarsim.whole_arrays import write_arrays_whole
-from lunarsim_envs.agents.contract import incompatible_agent_error
+from lunarsim_envs.agents.agent_interface import incompatible_agent_error
 from lunarsim_envs.descent.env import DescentEnv
 
 Array = NDArray[np.float32]
@@ -61,7 +61,7 @@ class Network:
         held |= {f"bias_{i}": b for i, b in enumerate(self.biases)}
         held |= {"far": self.far, "near": self.near, "rate": np.float64(self.rate)}
         held |= {"format": _FORMAT, "level": self.level, "parts": list(self.parts)}
-        write_arrays_whole(path, held)
+        atomic_write_arrays(path, held)
 
     @classmethod
     def load(cls, path: Path) -> Network:

@@ -8,9 +8,9 @@ import gymnasium
 import numpy as np
 
 from lunarsim.simulation.loop import make_policy
-from lunarsim_envs.agents.contract import check_sites, incompatible_agent_error
+from lunarsim_envs.agents.agent_interface import check_sites, incompatible_agent_error
 from lunarsim_envs.retarget import RetargetEnv
-from lunarsim_envs.sites.parts import SITES
+from lunarsim_envs.sites.observations import SITES
 
 
 class PolicyAgent:

@@ -9,15 +9,15 @@ import gymnasium
 
 from lunarsim.errors import InputError, suggestion
 from lunarsim.parts.registry import kinds
-from lunarsim_envs.agents.contract import Agent
-from lunarsim_envs.agents.laws import GuidanceLawAgent, PolynomialLawAgent
+from lunarsim_envs.agents.agent_interface import Agent
+from lunarsim_envs.agents.custom_agents import custom_agent
+from lunarsim_envs.agents.guidance_laws import GuidanceLawAgent, PolynomialLawAgent
 from lunarsim_envs.agents.network import Network, NetworkAgent
 from lunarsim_envs.agents.onnx_network import OnnxAgent
-from lunarsim_envs.agents.own import custom_agent
 from lunarsim_envs.agents.policies import PolicyAgent
-from lunarsim_envs.agents.simple import HoverAgent, RandomAgent, ZeroAgent
+from lunarsim_envs.agents.sb3_agents import Sb3Agent, check_trust
 from lunarsim_envs.agents.site_network import SiteNetwork, SiteNetworkAgent, is_site_network
-from lunarsim_envs.agents.stored import Sb3Agent, check_trust
+from lunarsim_envs.agents.trivial_agents import HoverAgent, RandomAgent, ZeroAgent
 
 BUILT_IN: dict[str, Any] = {
     "zero": ZeroAgent, "random": RandomAgent, "hover": HoverAgent, "polynomial": PolynomialLawAgent

@@ -11,12 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lunarsim.array_files import read_arrays
+from lunarsim.atomic_arrays import atomic_write_arrays
 from lunarsim.errors import InputError
-from lunarsim.whole_arrays import write_arrays_whole
-from lunarsim_envs.agents.contract import check_sites, incompatible_agent_error
+from lunarsim_envs.agents.agent_interface import check_sites, incompatible_agent_error
 from lunarsim_envs.retarget import RetargetEnv
-from lunarsim_envs.sites.parts import SITES
-from lunarsim_envs.sites.sights import SiteInputs
+from lunarsim_envs.sites.observations import SITES
+from lunarsim_envs.sites.site_inputs import SiteInputs
 
 Array = NDArray[np.float64]
 
@@ -102,7 +102,7 @@ class SiteNetwork:
         held: dict[str, Any] = {
             name: getattr(self, name) for name in ("linear", "inner", "bias", "outer")
         }
-        write_arrays_whole(path, held | {"format": FORMAT})
+        atomic_write_arrays(path, held | {"format": FORMAT})
 
     @classmethod
     def load(cls, path: Path) -> SiteNetwork:

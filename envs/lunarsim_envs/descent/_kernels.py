@@ -8,9 +8,9 @@ from typing import NamedTuple
 import numpy as np
 
 from lunarsim._jit import kernel
-from lunarsim.onboard.control._kernels import steer
+from lunarsim.onboard.control._kernels import thrust_attitude
 from lunarsim.vehicle._kernels import advance_bodies
-from lunarsim.vehicle._touchdown_kernels import OFF_MAP, height_at, judge, touches
+from lunarsim.vehicle._touchdown_kernels import OFF_MAP, has_contact, height_at, violated_limits
 from lunarsim_envs.descent import _loop_kernels as loop
 
 # Status of a flight.
@@ -133,7 +133,7 @@ class Vehicle(NamedTuple):
 
     `figures` (n, 5) and `drawn` (n, 13) are the randomized parameters of each lane; `control` (9,)
     has minimum and maximum thrust, maximum tilt, gains of the attitude loop (3) and maximum torques
-    (3). The other fields are arguments of `advance_bodies` and `judge`.
+    (3). The other fields are arguments of `advance_bodies` and `violated_limits`.
     """
 
     figures: np.ndarray
@@ -172,10 +172,10 @@ def _end(i, y, vehicle, grounds, flights):
     """Record the end of a flight by touchdown or below the map; return 1 if it ended, else 0."""
     w = flights.world[i]
     z, frame = grounds.z[w], grounds.frame
-    if touches(y, vehicle.pads, vehicle.disc, z, frame):
+    if has_contact(y, vehicle.pads, vehicle.disc, z, frame):
         figures = vehicle.figures[i]
         flights.ended[i] = LANDED
-        flights.failed[i] = judge(
+        flights.failed[i] = violated_limits(
             y, vehicle.pads, vehicle.disc, vehicle.spacing, z, frame, vehicle.limits,
             vehicle.com_height, figures[0], figures[3], figures[4], vehicle.inertia,
             flights.told[i],
@@ -207,7 +207,7 @@ def _loaded(first, beyond, ended, y, lanes, block):
 def _asked(block, own, n, action, guided, control, heading, load, attitude):
     """Store the commanded thrust, and attitude or torques, of lane n; ignores a random load."""
     if guided:
-        own[loop.THRUST, n] = steer(
+        own[loop.THRUST, n] = thrust_attitude(
             action, block[13, n] - load, control[0], control[1], heading, control[2], attitude
         )
         for k in range(4):

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from lunarsim.errors import InputError
 from lunarsim.scenario import Scenario
-from lunarsim.vehicle.variation import DRAWN
+from lunarsim.vehicle.domain_randomization import RANDOM_QUANTITIES
 from lunarsim_envs.arguments import (
     checked_bool,
     checked_covers,
@@ -21,17 +21,17 @@ from lunarsim_envs.arguments import (
     scenario_argument,
 )
 from lunarsim_envs.descent.actions import Actions
-from lunarsim_envs.descent.lanes import FLYING, LATE, DescentBatch, VehicleParams
+from lunarsim_envs.descent.batch import FLYING, LATE, DescentBatch, VehicleParams
+from lunarsim_envs.descent.noise_and_delay import SensingModel
 from lunarsim_envs.descent.observations import DEFAULT, ObservationLayout
 from lunarsim_envs.descent.options import apply_options, check_height
 from lunarsim_envs.descent.rewards import DescentWeights, Rewards
-from lunarsim_envs.descent.senses import SensingModel
 from lunarsim_envs.descent.worlds import WorldPool
 
 Mask = NDArray[np.bool_]
 
 
-def level() -> Scenario:
+def flat_scenario() -> Scenario:
     """Return the default scenario: nearly flat terrain without rocks, start at 500 m."""
     return Scenario.from_dict(
         {
@@ -105,7 +105,7 @@ class DescentEnvCore:
             checked_weights(weights, DescentWeights),
         )
         rate_hz = _rate(rate_hz)
-        self.scenario = scenario_argument(scenario, changes, level())
+        self.scenario = scenario_argument(scenario, changes, flat_scenario())
         craft = VehicleParams.of(self.scenario)
         self.shown = ObservationLayout(observation)
         self.actions = Actions(craft.dynamics.lander, guided=guided)
@@ -168,7 +168,7 @@ class DescentEnvCore:
         told: dict[str, Any] = {}
         drawn = self.lanes.drawn
         if self.senses is not None:
-            told["drawn"] = {name: drawn[:, i].copy() for i, name in enumerate(DRAWN)}
+            told["drawn"] = {name: drawn[:, i].copy() for i, name in enumerate(RANDOM_QUANTITIES)}
         if self.truth is not None:
             finite = np.minimum(drawn, self.lanes.craft.limit).astype(np.float32)
             told["privileged"] = np.hstack((self.truth.of(self.lanes), finite))

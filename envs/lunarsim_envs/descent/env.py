@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lunarsim_envs.arguments import check_no_render_mode, checked_options
+from lunarsim_envs.descent.batch import FLYING
 from lunarsim_envs.descent.core import DescentEnvArguments, DescentEnvCore
-from lunarsim_envs.descent.lanes import FLYING
-from lunarsim_envs.descent.picture import PlaneView
+from lunarsim_envs.descent.plane_view import PlaneView
+from lunarsim_envs.frame_window import FrameWindow, available_render_modes
 from lunarsim_envs.resets import check_all_reset, lane_seeds, reset_mask
 from lunarsim_envs.rewards import sum_terms
-from lunarsim_envs.screen import FrameWindow, available_render_modes
 from lunarsim_envs.step_limit import StepLimit
 
 Shown = NDArray[np.float32]
@@ -274,7 +274,7 @@ class GuidanceEnv(DescentEnv):
     (``info["safe"]``, ``info["failed"]``). ``info`` then also has ``time_s``, ``propellant_kg``
     used and ``miss_m``, the horizontal distance from the target. The episode is truncated at the
     time limit of the scenario (120 s). In a vector environment, ``info["failed"]`` has one bit for
-    each limit in `lunarsim_envs.descent.lanes.LIMITS`.
+    each limit in `lunarsim_envs.descent.batch.LIMITS`.
 
     ## Arguments
 

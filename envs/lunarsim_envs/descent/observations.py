@@ -13,8 +13,8 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from lunarsim.errors import InputError
-from lunarsim_envs.descent.lanes import DescentBatch
-from lunarsim_envs.named_parts import check_new, check_shape, named_parts
+from lunarsim_envs.descent.batch import DescentBatch
+from lunarsim_envs.named_components import check_new, check_shape, named_parts
 
 Array = NDArray[np.float64]
 

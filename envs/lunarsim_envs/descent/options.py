@@ -12,7 +12,7 @@ from lunarsim.errors import InputError, suggestion
 from lunarsim.scenario import Scenario
 from lunarsim.scenario.changes import with_values
 from lunarsim_envs.arguments import checked_options
-from lunarsim_envs.descent.lanes import DescentBatch
+from lunarsim_envs.descent.batch import DescentBatch
 
 Array = NDArray[np.float64]
 

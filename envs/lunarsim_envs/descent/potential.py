@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from lunarsim_envs.descent.lanes import DescentBatch
+from lunarsim_envs.descent.batch import DescentBatch
 
 Array = NDArray[np.float64]
 

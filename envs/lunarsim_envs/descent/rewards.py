@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from lunarsim.errors import InputError
 from lunarsim.scenario import Scenario
 from lunarsim.scenario.rewards import DescentReward
-from lunarsim_envs.descent.lanes import FLYING, LATE, DescentBatch
+from lunarsim_envs.descent.batch import FLYING, LATE, DescentBatch
 from lunarsim_envs.descent.potential import velocity_deviation as off_wanted
 
 Array = NDArray[np.float64]

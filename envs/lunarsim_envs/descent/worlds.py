@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lunarsim.errors import InputError
-from lunarsim.grid import Grid, bytes_in_words
-from lunarsim.rng import Streams, flight_seed
+from lunarsim.grid import Grid, format_bytes
+from lunarsim.rng import RandomStreams, flight_seed
 from lunarsim.scenario import Scenario
 from lunarsim.simulation.worlds import build_world
 from lunarsim.world import World
@@ -74,7 +74,7 @@ class WorldPool:
         if count < 1:
             raise InputError("worlds", count, "must be 1 or more")
         drawn = (
-            build_world(one, Streams(flight_seed(seed, k)))
+            build_world(one, RandomStreams(flight_seed(seed, k)))
             for one in scenarios_by_cover(scenario, covers)
             for k in range(count)
         )
@@ -94,7 +94,7 @@ class WorldPool:
                 if size > _MOST_BYTES:
                     raise InputError(
                         "worlds", count,
-                        f"must be smaller, because the worlds need {bytes_in_words(size)}",
+                        f"must be smaller, because the worlds need {format_bytes(size)}",
                         "A smaller target.scatter_m also helps.",
                     )  # fmt: skip
             grounds.append(world.terrain.raster(grids[0]))

@@ -10,13 +10,13 @@ import gymnasium
 import numpy as np
 
 from lunarsim.errors import InputError
-from lunarsim.rng import Streams, flight_seed
+from lunarsim.rng import RandomStreams, flight_seed
 from lunarsim.scenario import Scenario
 from lunarsim_envs.agents.registry import agent_of, label
 
 
 @dataclass(frozen=True)
-class Study:
+class EvaluationStudy:
     """Definition of an evaluation, without the agents.
 
     Attributes
@@ -60,7 +60,7 @@ def _ending(info: dict[str, Any]) -> dict[str, Any]:
     return row
 
 
-def fly_episodes(study: Study, agent: str, episodes: range) -> Iterator[dict[str, Any]]:
+def fly_episodes(study: EvaluationStudy, agent: str, episodes: range) -> Iterator[dict[str, Any]]:
     """Fly episodes and yield one row per episode.
 
     Parameters
@@ -87,7 +87,7 @@ def fly_episodes(study: Study, agent: str, episodes: range) -> Iterator[dict[str
     try:
         flies = agent_of(agent, env, trust_pickle=study.trust_pickle)
         for episode in episodes:
-            streams = Streams(flight_seed(study.seed, episode))
+            streams = RandomStreams(flight_seed(study.seed, episode))
             flies.begin(streams.get("agent"))
             seed = int(streams.get("environment").integers(2**62))
             observation, info = env.reset(seed=seed)

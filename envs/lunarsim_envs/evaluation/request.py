@@ -13,15 +13,15 @@ from lunarsim.errors import InputError, suggestion
 from lunarsim.scenario import Scenario
 from lunarsim.scenario.changes import with_changes
 from lunarsim.scenario.shipped import found
-from lunarsim_envs.descent.core import level
-from lunarsim_envs.evaluation.episodes import Study
+from lunarsim_envs.descent.core import flat_scenario
+from lunarsim_envs.evaluation.episodes import EvaluationStudy
 from lunarsim_envs.retarget import default_scenario
 from lunarsim_envs.sites.perception import PERCEPTIONS
 
 # Default scenario of each environment.
 _DEFAULTS = {
-    "lunarsim/Retarget-v0": default_scenario, "lunarsim/Guidance-v0": level,
-    "lunarsim/Control-v0": level,
+    "lunarsim/Retarget-v0": default_scenario, "lunarsim/Guidance-v0": flat_scenario,
+    "lunarsim/Control-v0": flat_scenario,
 }  # fmt: skip
 
 
@@ -51,13 +51,13 @@ def _check_perception(given: str, default: Any) -> None:
     """Check that a perception exists and applies to the environment."""
     if given not in PERCEPTIONS:
         raise InputError("--perception", given, "is unknown", suggestion(given, PERCEPTIONS))
-    if default is level:
+    if default is flat_scenario:
         raise InputError("--perception", given, "applies only to Retarget-v0", "Omit it.")
 
 
-def study(
+def evaluation_study(
     env: str, scenario: Path | None, changes: Sequence[str], seed: int, **arguments: Any
-) -> Study:
+) -> EvaluationStudy:
     """Return the definition of an evaluation.
 
     Parameters
@@ -98,4 +98,4 @@ def study(
         raise InputError("--set", changes[0], f"needs --scenario, because {name} has no default")
     if flown is not None:
         flown = with_changes(flown, tuple(changes))
-    return Study(name, flown, dict(arguments), seed)
+    return EvaluationStudy(name, flown, dict(arguments), seed)

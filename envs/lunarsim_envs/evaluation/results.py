@@ -13,18 +13,18 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 import lunarsim
-from lunarsim.campaign.analysis import pairs_of
+from lunarsim.atomic_files import atomic_write, atomic_write_text
+from lunarsim.campaign.analysis import arm_pairs
 from lunarsim.evaluation.comparisons import (
     Difference,
-    holm,
-    mean_bootstrap,
+    bootstrap_interval,
+    holm_correction,
     mean_difference,
     share_difference,
 )
 from lunarsim.evaluation.statistics import Proportion
 from lunarsim.rng import design_seed
-from lunarsim.whole_files import write_text_whole, write_whole
-from lunarsim_envs.evaluation.running import Rows
+from lunarsim_envs.evaluation.parallel import Rows
 
 Array = NDArray[np.float64]
 
@@ -47,7 +47,7 @@ class BootstrapMean:
 
 
 @dataclass(frozen=True)
-class AgentFigures:
+class AgentMetrics:
     """Metrics of one agent.
 
     Attributes
@@ -78,7 +78,7 @@ def column(rows: Rows, name: str) -> Array:
     return np.array([float(row.get(name, np.nan)) for row in rows], dtype=np.float64)
 
 
-def with_target(rows: Rows, within: float) -> Rows:
+def add_on_target(rows: Rows, within: float) -> Rows:
     """Add ``on_target``: whether the landing was safe and within a distance, m."""
     return [
         row | {"on_target": bool(row["safe"] and row["miss_m"] <= within)}
@@ -94,7 +94,7 @@ def _share(rows: Rows, name: str) -> Proportion | None:
     return Proportion(sum(bool(row[name]) for row in rows), len(rows))
 
 
-def figures(rows: Rows, seed: int) -> list[AgentFigures]:
+def agent_metrics(rows: Rows, seed: int) -> list[AgentMetrics]:
     """Return the metrics of every agent, in the order of the rows."""
     rng = np.random.default_rng(design_seed(seed))
 
@@ -103,14 +103,14 @@ def figures(rows: Rows, seed: int) -> list[AgentFigures]:
         values = values[np.isfinite(values)]
         if not len(values):
             return BootstrapMean(*3 * (float("nan"),))
-        return BootstrapMean(float(values.mean()), *mean_bootstrap(values, rng))
+        return BootstrapMean(float(values.mean()), *bootstrap_interval(values, rng))
 
     found = []
     for agent in dict.fromkeys(row["agent"] for row in rows):
         own = [row for row in rows if row["agent"] == agent]
         landed = [row for row in own if row.get("safe", False)]
         found.append(
-            AgentFigures(
+            AgentMetrics(
                 agent, len(own), mean(own, "score"), mean(own, "steps"), _share(own, "safe"),
                 _share(own, "on_target"), mean(landed, "propellant_kg"), mean(landed, "miss_m"),
             )
@@ -128,7 +128,7 @@ def differences(rows: Rows, seed: int) -> dict[str, list[Difference]]:
     agents = list(dict.fromkeys(row["agent"] for row in rows))
     mine = {a: [row for row in rows if row["agent"] == a] for a in agents}
     made: dict[str, list[Difference]] = {"score": [], "safe": [], "propellant_kg": []}
-    for pair in pairs_of(agents):
+    for pair in arm_pairs(agents):
         first, second = (mine[name] for name in pair)
         made["score"].append(
             mean_difference(column(first, "score"), column(second, "score"), pair, rng)
@@ -145,12 +145,12 @@ def differences(rows: Rows, seed: int) -> dict[str, list[Difference]]:
 
 
 def _corrected(found: list[Difference]) -> list[Difference]:
-    corrected = holm([d.p for d in found])
+    corrected = holm_correction([d.p for d in found])
     return [replace(d, corrected=float(p)) for d, p in zip(found, corrected, strict=True)]
 
 
 def write(
-    out: Path, rows: Rows, told: dict[str, Any], found: list[AgentFigures],
+    out: Path, rows: Rows, told: dict[str, Any], found: list[AgentMetrics],
     between: dict[str, list[Difference]],
 ) -> None:  # fmt: skip
     """Write ``results.parquet`` (one row per episode and agent) and ``summary.json``.
@@ -169,13 +169,13 @@ def write(
     out.mkdir(parents=True, exist_ok=True)
     names = list(dict.fromkeys(name for row in rows for name in row))
     table = pa.table({name: [row.get(name) for row in rows] for name in names})
-    write_whole(out / "results.parquet", lambda part: pq.write_table(table, part))
+    atomic_write(out / "results.parquet", lambda part: pq.write_table(table, part))
     summary = told | {
         "version": lunarsim.__version__,
         "agents": [asdict(agent) for agent in found],
         "differences": {metric: [asdict(d) for d in many] for metric, many in between.items()},
     }
-    write_text_whole(out / "summary.json", json.dumps(_finite(summary), indent=1))
+    atomic_write_text(out / "summary.json", json.dumps(_finite(summary), indent=1))
 
 
 def _finite(value: Any) -> Any:

@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 
 from lunarsim._jit import kernel
-from lunarsim._lanes import LANES, larger, load, store
+from lunarsim._simd import SIMD_WIDTH, lane_max, load, store
 
 # Constant of `candidates.best_cells`.
 _PRICE = np.float32(1e-3 / 100.0)
@@ -36,17 +36,17 @@ def greatest(cells, row):
     """Return the maximum of a row of cells (rows, cols) without NaN."""
     cols = cells.shape[1]
     best = cells[row, 0]
-    if cols < LANES:
+    if cols < SIMD_WIDTH:
         for c in range(cols):
             best = max(best, cells[row, c])
         return best
     flat, first = cells.reshape(-1), row * cols
     # The last sixteen elements overlap the previous ones.
-    sixteen, each = load(flat, first + cols - LANES), np.empty(LANES, np.float32)
-    for c in range(0, cols - LANES, LANES):
-        sixteen = larger(load(flat, first + c), sixteen)
+    sixteen, each = load(flat, first + cols - SIMD_WIDTH), np.empty(SIMD_WIDTH, np.float32)
+    for c in range(0, cols - SIMD_WIDTH, SIMD_WIDTH):
+        sixteen = lane_max(load(flat, first + c), sixteen)
     store(each, 0, sixteen)
-    for k in range(LANES):
+    for k in range(SIMD_WIDTH):
         best = max(best, each[k])
     return best
 

@@ -11,7 +11,7 @@ from lunarsim._jit import kernel
 from lunarsim_envs.sites._cell_kernels import best_cells, nearest_cells
 from lunarsim_envs.sites._flight_kernels import believed, reach
 from lunarsim_envs.sites._map_kernels import cell
-from lunarsim_envs.sites._stead_kernels import beaten, in_their_stead, within
+from lunarsim_envs.sites.reachable_candidates import beaten, in_their_stead, within
 
 # An averaged map is recomputed if the miss has changed by this fraction.
 _ALIKE = 0.05

@@ -8,10 +8,10 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 
 from lunarsim._jit import kernel
-from lunarsim.onboard.control._kernels import steer
-from lunarsim.onboard.guidance._held_kernels import measured
-from lunarsim.onboard.guidance._kernels import MASS, terms
-from lunarsim.onboard.guidance._reach_kernels import survey
+from lunarsim.onboard.control._kernels import thrust_attitude
+from lunarsim.onboard.guidance._given_time_kernels import evaluate_given_times
+from lunarsim.onboard.guidance._kernels import MASS, power_terms
+from lunarsim.onboard.guidance._reach_kernels import search_sites
 from lunarsim_envs.descent import _kernels as d
 
 # Events that stop a lane: none, a scan, a decision.
@@ -26,8 +26,8 @@ _TIMES, _SLOWNESS = 14, 8.0
 # Constants of `strain.Strain`.
 _LONGEST, _SLACK = 0.5, 0.02
 
-_survey = cast(Any, survey).compiled
-_measured = cast(Any, measured).compiled
+_survey = cast(Any, search_sites).compiled
+_measured = cast(Any, evaluate_given_times).compiled
 _advance = cast(Any, d.advance).compiled
 
 
@@ -211,7 +211,7 @@ def _approach(i, time, course, law, wanted, spare):
             ahead[1, k] = state[1, k] + law.lag * a
             target[k] = course.site[i, k] + law.above[k]
         left = max(left, law.least)
-        terms(ahead, target, law.asked, left, law.powers, x)
+        power_terms(ahead, target, law.asked, left, law.powers, x)
         path[0], path[1] = time, left
         for k in range(3):
             path[2 + k] = (law.powers[0] + 1.0) * x[0, k]
@@ -344,7 +344,9 @@ def begin(share, mask, keys, begun, y, target, drift, control, heading, course, 
         # Start with the attitude and the thrust that guidance commands.
         if guide(i, y[i], 0.0, course, law, wanted, spare):
             _longer(i, y[i], 0.0, course, law)
-        y[i, 14] = steer(wanted, y[i, 13], control[0], control[1], heading, control[2], attitude)
+        y[i, 14] = thrust_attitude(
+            wanted, y[i, 13], control[0], control[1], heading, control[2], attitude
+        )
         for k in range(4):
             y[i, 6 + k] = attitude[k]
         for k in range(7):

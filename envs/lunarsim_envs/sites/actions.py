@@ -14,9 +14,9 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from lunarsim.errors import InputError
-from lunarsim_envs.named_parts import check_new, check_shape, named_parts
-from lunarsim_envs.sites.parts import SITES
-from lunarsim_envs.sites.sights import SiteInputs
+from lunarsim_envs.named_components import check_new, check_shape, named_parts
+from lunarsim_envs.sites.observations import SITES
+from lunarsim_envs.sites.site_inputs import SiteInputs
 
 Array = NDArray[np.float64]
 Choice = NDArray[np.int64]

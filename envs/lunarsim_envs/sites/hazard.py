@@ -15,7 +15,7 @@ from scipy import ndimage
 
 from lunarsim.grid import Grid
 from lunarsim.models.lander import Lander
-from lunarsim.world.truth import Truth
+from lunarsim.world.truth import TerrainTruth
 
 # Class boundaries of hazard size, and of distance to the edge, m (negative on unsafe terrain).
 SIZES = np.array([0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.1, 1.25, 1.5, 2.0])
@@ -47,7 +47,7 @@ class TruthLayers:
     elevation: NDArray[np.float32]
 
     @classmethod
-    def of(cls, truth: Truth) -> TruthLayers:
+    def of(cls, truth: TerrainTruth) -> TruthLayers:
         """Compute the layers from the true safety maps of a world."""
         safety = truth.safety
         size = hazard_size(safety.slope, safety.roughness, truth.lander)

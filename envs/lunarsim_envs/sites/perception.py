@@ -12,13 +12,13 @@ from lunarsim.errors import InputError, suggestion
 from lunarsim.scenario import Scenario
 from lunarsim_envs.arguments import checked_covers
 from lunarsim_envs.descent.worlds import scenarios_by_cover
+from lunarsim_envs.sites.batch import SiteDescentBatch
+from lunarsim_envs.sites.field_of_view import fov_and_footprint
 from lunarsim_envs.sites.flights import KernelFlight, OnboardFlight, SiteFlight
-from lunarsim_envs.sites.lanes import SiteDescentBatch
-from lunarsim_envs.sites.mapped import MappedDescentBatch, gaussian_dem_of
-from lunarsim_envs.sites.onboard import MAPPER_OF
+from lunarsim_envs.sites.mapped_batch import MappedDescentBatch, gaussian_dem_of
+from lunarsim_envs.sites.perception_scenarios import MAPPER_OF
 from lunarsim_envs.sites.pool import SiteWorldPool
 from lunarsim_envs.sites.surrogate import SHIPPED, Surrogate, exact_errors
-from lunarsim_envs.sites.view import fov_and_footprint
 
 # Perceptions that the full simulation flies, and those that kernels fly.
 FULL_SIMULATION = ("onboard", *MAPPER_OF)
@@ -43,10 +43,12 @@ def create_flight(
         # The full simulation generates worlds per flight; this call only checks the covers.
         scenarios_by_cover(scenario, checked_covers(covers))
         return OnboardFlight(scenario)
-    return KernelFlight(lanes_of(1, perception, scenario, worlds, world_seed, surrogate, covers))
+    return KernelFlight(
+        create_batch(1, perception, scenario, worlds, world_seed, surrogate, covers)
+    )
 
 
-def lanes_of(
+def create_batch(
     count: int, perception: str, scenario: Scenario, worlds: int, world_seed: int, surrogate: Any,
     covers: Sequence[float] = (),
 ) -> SiteDescentBatch:  # fmt: skip

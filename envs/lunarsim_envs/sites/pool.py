@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lunarsim.campaign.cache import opened, standard_folder
-from lunarsim.campaign.grounds import Grounds
+from lunarsim.campaign.cache import default_cache_folder, open_cache
+from lunarsim.campaign.world_truth import WorldTruthProvider
 from lunarsim.errors import InputError
 from lunarsim.rng import flight_seed
 from lunarsim.scenario import Scenario
@@ -83,12 +83,12 @@ class SiteWorldPool:
 def _made(scenario: Scenario, count: int, seed: int, covers: Sequence[float]) -> SiteWorldPool:
     worlds: list[World] = []
     layers: list[TruthLayers] = []
-    cache = opened(standard_folder())
+    cache = open_cache(default_cache_folder())
 
     def drawn() -> Iterator[World]:
         for one in scenarios_by_cover(scenario, covers):
             for k in range(count):
-                grounds = Grounds(flight_seed(seed, k), {}, cache)
+                grounds = WorldTruthProvider(flight_seed(seed, k), {}, cache)
                 world, truth = grounds.world_and_truth(one)
                 worlds.append(world)
                 layers.append(TruthLayers.of(truth))

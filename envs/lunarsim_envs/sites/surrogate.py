@@ -19,12 +19,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lunarsim.array_files import read_arrays
+from lunarsim.atomic_arrays import atomic_write_arrays
 from lunarsim.errors import InputError
 from lunarsim.scenario import Scenario
-from lunarsim.whole_arrays import write_arrays_whole
 from lunarsim_envs.sites import hazard
 from lunarsim_envs.sites._map_kernels import Errors
-from lunarsim_envs.sites.view import deciding_mapper
+from lunarsim_envs.sites.field_of_view import deciding_mapper
 
 Array = NDArray[np.float64]
 
@@ -97,7 +97,7 @@ class Surrogate:
             )
         }
         held |= {"tables": self.tables.astype(np.float16), "made_for": self.made_for}
-        write_arrays_whole(path, held | {"format": _FORMAT})
+        atomic_write_arrays(path, held | {"format": _FORMAT})
 
     @classmethod
     def load(cls, path: Path) -> Surrogate:

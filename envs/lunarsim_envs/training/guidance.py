@@ -20,19 +20,21 @@ import numpy as np
 import torch
 from stable_baselines3 import PPO
 
+from lunarsim.atomic_files import atomic_write_text
 from lunarsim.errors import InputError
-from lunarsim.whole_files import write_text_whole
 from lunarsim_envs.agents.network import Network
 from lunarsim_envs.training.features import TwoScaleFeatures
-from lunarsim_envs.training.lanes_vec_env import Sb3VecEnv
-from lunarsim_envs.training.settings import Training, scales
+from lunarsim_envs.training.sb3_vec_env import Sb3VecEnv
+from lunarsim_envs.training.settings import PpoSettings, scales
 
 ENV = "lunarsim_envs:lunarsim/Guidance-v0"
 # Number of evaluation flights, and their seed, which no training uses.
 _LOOKED_AT, _LOOK_SEED = 300, 10**9
 
 
-def create_batch_env(settings: Training, count: int) -> gymnasium.vector.VectorEnv[Any, Any, Any]:
+def create_batch_env(
+    settings: PpoSettings, count: int
+) -> gymnasium.vector.VectorEnv[Any, Any, Any]:
     """Create the vector environment of the training with `count` lanes."""
     return gymnasium.make_vec(
         ENV, num_envs=count, vectorization_mode="vector_entry_point", autoreset_mode="SameStep",
@@ -59,7 +61,7 @@ def policy_network(model: PPO) -> Network:
 
 
 @dataclass(frozen=True)
-class Look:
+class HeldOutResult:
     """Result of an evaluation on held-out seeds.
 
     Attributes
@@ -75,7 +77,7 @@ class Look:
     propellant: float
 
 
-def look(network: Network, settings: Training) -> Look:
+def look(network: Network, settings: PpoSettings) -> HeldOutResult:
     """Evaluate an agent on held-out seeds."""
     batch = create_batch_env(settings, _LOOKED_AT)
     observation, _ = batch.reset(seed=_LOOK_SEED)
@@ -91,10 +93,10 @@ def look(network: Network, settings: Training) -> Look:
             burnt[new] = info["propellant_kg"][new]
             waiting &= ~new
     spent = float(burnt[on_target].mean()) if on_target.any() else float("nan")
-    return Look(float(on_target.mean()), float(safe.mean()), spent)
+    return HeldOutResult(float(on_target.mean()), float(safe.mean()), spent)
 
 
-class Run:
+class TrainingRun:
     """A training run with its folder.
 
     Parameters
@@ -117,14 +119,14 @@ class Run:
         If the folder has a training with other settings.
     """
 
-    def __init__(self, settings: Training, out: Path) -> None:
+    def __init__(self, settings: PpoSettings, out: Path) -> None:
         self.settings, self.out = settings, out
         self.done = 0
         self.seconds = 0.0
         self.curve: list[dict[str, float]] = []
         out.mkdir(parents=True, exist_ok=True)
         kept = out / "settings.json"
-        if kept.exists() and Training.load(kept) != settings:
+        if kept.exists() and PpoSettings.load(kept) != settings:
             raise InputError("--out", str(out), "must be a new folder, or have the same settings")
         if (out / "checkpoint" / "state.json").exists():
             self._resume()
@@ -165,7 +167,7 @@ class Run:
         self.done += 1
         self.seconds += time.perf_counter() - begun
 
-    def look(self) -> Look:
+    def look(self) -> HeldOutResult:
         """Evaluate the agent and append the result to the learning curve."""
         seen = look(policy_network(self.model), self.settings)
         row: dict[str, float] = {"update": self.done, "steps": int(self.model.num_timesteps)}
@@ -184,7 +186,7 @@ class Run:
         kept = {"batch": self.model.get_env().batch, "generators": generators}
         (new / "flights.pickle").write_bytes(pickle.dumps(kept))
         state = {"done": self.done, "seconds": self.seconds, "curve": self.curve}
-        write_text_whole(new / "state.json", json.dumps(state, indent=1))
+        atomic_write_text(new / "state.json", json.dumps(state, indent=1))
         shutil.rmtree(there, ignore_errors=True)
         new.rename(there)
         policy_network(self.model).save(self.out / "agent.npz")
@@ -203,21 +205,21 @@ class Run:
 
 
 def train(
-    settings: Training, out: Path, looks: int, tell: Callable[[Run, Look], None]
-) -> Run:  # fmt: skip
+    settings: PpoSettings, out: Path, looks: int, tell: Callable[[TrainingRun, HeldOutResult], None]
+) -> TrainingRun:  # fmt: skip
     """Train to the end, with regular evaluations and checkpoints.
 
     Parameters
     ----------
     settings, out
-        Settings and folder of the `Run`.
+        Settings and folder of the `TrainingRun`.
     looks
         Number of updates between two evaluations.
     tell
         Function called after each evaluation.
     """
     torch.set_num_threads(1)
-    run = Run(settings, out)
+    run = TrainingRun(settings, out)
     while run.done < settings.updates:
         run.advance()
         if run.done % looks == 0 or run.done == settings.updates:

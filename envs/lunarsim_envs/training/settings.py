@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from lunarsim.atomic_files import atomic_write_text
 from lunarsim.errors import InputError
-from lunarsim.whole_files import write_text_whole
 from lunarsim_envs.descent.observations import PARTS
 from lunarsim_envs.descent.rewards import DescentWeights
 
@@ -23,7 +23,7 @@ SCALES: dict[str, tuple[float, float]] = {
 
 
 @dataclass(frozen=True)
-class Training:
+class PpoSettings:
     """Settings of a training by proximal policy optimisation (PPO).
 
     Attributes
@@ -157,10 +157,10 @@ class Training:
 
     def save(self, path: Path) -> None:
         """Write the settings to a JSON file."""
-        write_text_whole(path, json.dumps(asdict(self), indent=1))
+        atomic_write_text(path, json.dumps(asdict(self), indent=1))
 
     @classmethod
-    def load(cls, path: Path) -> Training:
+    def load(cls, path: Path) -> PpoSettings:
         """Read settings written by `save`."""
         return cls(**json.loads(path.read_text(encoding="utf-8")))
 

@@ -14,17 +14,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lunarsim_envs.agents.site_network import FEATURES, SiteNetwork, features
-from lunarsim_envs.descent.lanes import FLYING
+from lunarsim_envs.descent.batch import FLYING
+from lunarsim_envs.sites.batch import SiteDescentBatch
 from lunarsim_envs.sites.flights import site_inputs
-from lunarsim_envs.sites.lanes import SiteDescentBatch
-from lunarsim_envs.sites.parts import SITES
-from lunarsim_envs.sites.sights import MAP_CELLS
+from lunarsim_envs.sites.observations import SITES
+from lunarsim_envs.sites.site_inputs import MAP_CELLS
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class SiteTraining:
+class CemSettings:
     """Settings of the training.
 
     Attributes
@@ -103,7 +103,7 @@ def flown(lanes: SiteDescentBatch, keys: NDArray[np.uint64], weights: Array, hid
 
 def train(
     lanes: SiteDescentBatch,
-    settings: SiteTraining,
+    settings: CemSettings,
     told: Callable[[int, float, float, float], None],
 ) -> SiteNetwork:
     """Train a network and return it.

@@ -8,7 +8,7 @@ from __future__ import annotations
 from lunarsim.campaign.engines.contract import Engine
 
 
-def engine_of(name: str, jobs: int, address: str | None, time_limit: float | None) -> Engine:
+def make_engine(name: str, jobs: int, address: str | None, time_limit: float | None) -> Engine:
     """Create the engine called `name`: local or ray."""
     if name == "ray":
         from lunarsim.campaign.engines.ray_cluster import RayEngine  # noqa: PLC0415

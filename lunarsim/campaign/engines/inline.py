@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 
-from lunarsim.campaign.outcomes import Finished, attempt, function_of
+from lunarsim.campaign.outcomes import Finished, attempt, import_function
 from lunarsim.campaign.plan import Group, Work
 
 
@@ -25,7 +25,7 @@ class InlineEngine:
         self, work: Work, groups: Iterable[Group | None], halt: Callable[[], bool]
     ) -> Iterator[Finished]:
         """Yield flights in order."""
-        function = function_of(work)
+        function = import_function(work)
         for group in groups:
             if group is None:  # no flight is running that could be waited for
                 return

@@ -23,7 +23,7 @@ _POLL_INTERVAL_S = 0.1
 MAX_ATTEMPTS = 3
 
 
-class WorkersDieError(RuntimeError):
+class WorkerStartError(RuntimeError):
     """Workers ended before they were ready; their stderr shows the reason."""
 
 
@@ -165,7 +165,7 @@ class LocalEngine:
         if not worker.ready:
             self._failed_starts += 1
             if self._failed_starts >= MAX_ATTEMPTS:
-                raise WorkersDieError(
+                raise WorkerStartError(
                     f"{MAX_ATTEMPTS} workers in a row ended before they were ready (exit code "
                     f"{code}). Their messages are above. A script that flies with several jobs "
                     'needs the line `if __name__ == "__main__":` before it calls lunarsim.'

@@ -16,7 +16,7 @@ from typing import Any, NoReturn
 
 from lunarsim.campaign.engines.worker import limit_to_one_thread
 from lunarsim.campaign.files import code_digest, environment, environment_differences
-from lunarsim.campaign.outcomes import KILLED, TIMEOUT, Finished, attempt, function_of
+from lunarsim.campaign.outcomes import KILLED, TIMEOUT, Finished, attempt, import_function
 from lunarsim.campaign.plan import Group, Work
 from lunarsim.errors import InputError
 
@@ -76,7 +76,8 @@ class RayEngine:
     ) -> Iterator[Finished]:
         """Yield flights as their groups end.
 
-        After an interrupt Ray is not shut down here, which takes seconds: `leave_at_once` ends it.
+        After an interrupt Ray is not shut down here, which takes seconds: `exit_immediately` ends
+        it.
         """
         ray = self._ray
         ours = not ray.is_initialized()
@@ -198,7 +199,7 @@ def fly_group(
     if other:
         differences = [f"{n} {here.get(n, 'none')} (here {made_by.get(n, 'none')})" for n in other]
         return NodeMismatch(who, ", ".join(differences))
-    function = function_of(work)
+    function = import_function(work)
     limit_to_one_thread()
     memory: dict[Any, Any] = {}
     found = []
@@ -222,7 +223,7 @@ class _FlightTimeoutError(BaseException):
     """The flight exceeded its time limit."""
 
 
-def leave_at_once(status: int) -> NoReturn:
+def exit_immediately(status: int) -> NoReturn:
     """End this process and Ray's local processes at once, without Ray's slow shutdown.
 
     Running flights end with this process. The agents of a killed node would wait for a minute, so

@@ -12,7 +12,7 @@ import threading
 from multiprocessing.connection import Connection
 from typing import Any
 
-from lunarsim.campaign.outcomes import attempt, function_of
+from lunarsim.campaign.outcomes import attempt, import_function
 from lunarsim.campaign.plan import Work
 
 # Messages of a worker: ready; a flight began; a flight ended; a group is done.
@@ -37,7 +37,7 @@ def run_worker(work: Work, connection: Connection, lifeline: Connection, parent:
     _end_with_parent(parent, lifeline)
     # A keyboard interrupt reaches all processes; only the parent handles it.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    function = function_of(work)
+    function = import_function(work)
     limit_to_one_thread()
     connection.send((READY, None))
     fresh = True

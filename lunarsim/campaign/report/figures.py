@@ -14,12 +14,12 @@ import pyarrow.compute as pc
 from numpy.typing import NDArray
 
 from lunarsim.campaign.analysis import ArmStatistics, arm_rows, column
-from lunarsim.campaign.rare import RareFailureEstimate
+from lunarsim.campaign.rare_failures import RareFailureEstimate
 from lunarsim.campaign.results import Results
 from lunarsim.campaign.sensitivity import Sensitivity
 from lunarsim.campaign.subset import SubsetChains
 from lunarsim.evaluation.comparisons import Difference, Ellipse
-from lunarsim.evaluation.reliability import calibration_error, frequencies, reliability
+from lunarsim.evaluation.reliability import bin_frequencies, calibration_error, reliability
 from lunarsim.evaluation.statistics import Proportion
 
 # Palette of Okabe and Ito for colour-blind readers; its grey is visible on both themes.
@@ -156,7 +156,7 @@ def reliability_plot(results: Results, figures: list[ArmStatistics]) -> Plot | N
     for i, arm in enumerate(figures):
         rows = rows_of[arm.name] & known
         table = reliability(predicted[rows], true[rows])
-        p, share = frequencies(table)
+        p, share = bin_frequencies(table)
         filled = table[:, 0] > 0
         intervals = [Proportion(int(h), int(n)).interval for n, _, h in table[filled]]
         low, high = np.array(intervals).reshape(-1, 2).T

@@ -13,8 +13,9 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 import lunarsim
+from lunarsim.atomic_files import atomic_write_text
 from lunarsim.campaign.analysis import ArmStatistics, column, compute_arm_statistics, differences
-from lunarsim.campaign.rare import RareFailureEstimate, rare_shares
+from lunarsim.campaign.rare_failures import RareFailureEstimate, estimate_failure_shares
 from lunarsim.campaign.report.figures import (
     differences_plot,
     landings_plot,
@@ -27,11 +28,10 @@ from lunarsim.campaign.report.figures import (
 )
 from lunarsim.campaign.results import Results, failures, load_results
 from lunarsim.campaign.sensitivity import Sensitivity, sensitivities
-from lunarsim.campaign.subset_share import chains_of, how_it_ended, levels_told
+from lunarsim.campaign.subset_estimate import completion_remark, level_table_rows, load_chains
 from lunarsim.errors import InputError, check_output
-from lunarsim.evaluation.sequences import share_sequence
-from lunarsim.received_folders import bounded_bytes
-from lunarsim.whole_files import write_text_whole
+from lunarsim.evaluation.sequences import share_confidence_sequence
+from lunarsim.untrusted_folders import read_bounded_bytes
 
 # Number of worst flights listed per arm.
 _LISTED_PER_ARM = 5
@@ -84,7 +84,7 @@ def write_report(folder: str | Path, out: Path) -> Results:
     page = template.render(
         **_content(results), plotly=_in_script(get_plotlyjs()), version=lunarsim.__version__
     )
-    write_text_whole(out, page)
+    atomic_write_text(out, page)
     return results
 
 
@@ -153,8 +153,8 @@ def _content(results: Results) -> dict[str, Any]:
 
 def _rare_content(results: Results) -> dict[str, Any]:
     """Return the page's content for rare failures, without statistics that need equal weights."""
-    shares = rare_shares(results)
-    chains = chains_of(results) if results.is_subset else None
+    shares = estimate_failure_shares(results)
+    chains = load_chains(results) if results.is_subset else None
     rows = [
         {
             "name": s.arm, "rows": s.flights + s.left_out, "flown": s.flights,
@@ -168,8 +168,8 @@ def _rare_content(results: Results) -> dict[str, Any]:
     ]  # fmt: skip
     plots = [rare_plot(shares), levels_plot(chains) if chains else None]
     return _common(results, plots) | {
-        "levels": levels_told(chains) if chains else [],
-        "ended": how_it_ended(chains) if chains else "",
+        "levels": level_table_rows(chains) if chains else [],
+        "ended": completion_remark(chains) if chains else "",
         "watched": False,
         "arms": rows,
         "differences": [],
@@ -204,7 +204,7 @@ def _common(results: Results, plots: list[dict[str, Any] | None]) -> dict[str, A
         "causes": failures(results)[:_MAX_CAUSES],
         "worst": _worst(results),
         "timing": _timing(results),
-        "spec": bounded_bytes(spec).decode(errors="replace") if spec.is_file() else "",
+        "spec": read_bounded_bytes(spec).decode(errors="replace") if spec.is_file() else "",
     }
 
 
@@ -223,7 +223,7 @@ def _sensitivity(results: Results) -> tuple[list[Sensitivity], str]:
 def _interval(arm: ArmStatistics, watched: bool) -> tuple[float, float]:
     """Return the interval of the safe share; a confidence sequence if it was monitored."""
     share = arm.shares["safe"]
-    return share_sequence(share.count, share.total) if watched else share.interval
+    return share_confidence_sequence(share.count, share.total) if watched else share.interval
 
 
 def _row(arm: ArmStatistics, low: float, high: float) -> dict[str, Any]:
@@ -305,7 +305,7 @@ def _ground(results: Results) -> tuple[list[float], list[float], Any] | str | No
         key.startswith("terrain") for key in results.manifest["inputs"]
     ):
         return None
-    from lunarsim.campaign.report.ground import shaded  # noqa: PLC0415  (loads the simulation)
+    from lunarsim.campaign.report.terrain_shading import shaded  # noqa: PLC0415  (loads the simulation)
 
     try:
         return shaded(results.folder / "scenario.toml", int(results.manifest["seed"]))

@@ -8,7 +8,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from lunarsim._frame_kernels import rotation_between, turn_along, turned
+from lunarsim._frame_kernels import (
+    rotate_quaternion,
+    rotation_vector_between,
+    write_thrust_attitude,
+)
 from lunarsim._jit import kernel
 
 
@@ -22,13 +26,13 @@ def limited_torque(error, rate, inertia, frequency, damping, slew, max_torque):
 
 
 @kernel()
-def demand(state, target, gains, inertia, torque_max):
+def compute_torque(state, target, gains, inertia, torque_max):
     """Write the torque of the proportional-derivative law into `state`.
 
     `gains` is natural frequency (rad/s), damping ratio, slew limit (rad/s).
     """
     error = np.empty(3)
-    rotation_between(state[:4], target, error)
+    rotation_vector_between(state[:4], target, error)
     for k in range(3):
         state[7 + k] = limited_torque(
             error[k], state[4 + k], inertia[k], gains[0], gains[1], gains[2], torque_max[k]
@@ -36,9 +40,9 @@ def demand(state, target, gains, inertia, torque_max):
 
 
 @kernel()
-def follow(state, increment, step):
+def propagate_attitude(state, increment, step):
     """Propagate the attitude by the gyroscope increment (3,) of one step."""
-    turned(state[:4], increment)
+    rotate_quaternion(state[:4], increment)
     for k in range(3):
         state[4 + k] = increment[k] / step
 
@@ -48,14 +52,14 @@ def replay(state, target, gains, inertia, torque_max, increments, step):
     """Return the torques (n, 3) of the law for recorded increments (n, 3)."""
     torques = np.empty((increments.shape[0], 3))
     for n in range(increments.shape[0]):
-        demand(state, target, gains, inertia, torque_max)
+        compute_torque(state, target, gains, inertia, torque_max)
         torques[n] = state[7:]
-        follow(state, increments[n], step)
+        propagate_attitude(state, increments[n], step)
     return torques
 
 
 @kernel()
-def steer(acceleration, mass, thrust_min, thrust_max, heading, max_tilt, attitude):
+def thrust_attitude(acceleration, mass, thrust_min, thrust_max, heading, max_tilt, attitude):
     """Write the attitude (4,) for a thrust acceleration (3,); return the thrust, N.
 
     The limits are those of `thrust.thrust_to_command`.
@@ -68,6 +72,6 @@ def steer(acceleration, mass, thrust_min, thrust_max, heading, max_tilt, attitud
     if size > limit:
         east *= limit / size
         north *= limit / size
-    turn_along(east, north, up, heading, attitude)
+    write_thrust_attitude(east, north, up, heading, attitude)
     thrust = np.sqrt(east * east + north * north + up * up) * mass
     return min(max(thrust, thrust_min), thrust_max)

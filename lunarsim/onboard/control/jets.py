@@ -7,15 +7,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lunarsim._frame_kernels import rotation_between
+from lunarsim._frame_kernels import rotation_vector_between
 from lunarsim.frames import quat_multiply
 from lunarsim.messages.commands import Command
 from lunarsim.models.jet_lander import JetLander
 from lunarsim.onboard.control.allocation import ThrusterAllocation
 from lunarsim.onboard.control.contract import AttitudeControl
 from lunarsim.onboard.control.loop import AttitudeLoop
-from lunarsim.onboard.control.thruster_watch import ThrusterFailureDetector
-from lunarsim.onboard.part_results import checked_vector
+from lunarsim.onboard.control.thruster_failure_detector import ThrusterFailureDetector
+from lunarsim.onboard.result_checks import checked_vector
 
 Array = NDArray[np.float64]
 
@@ -133,7 +133,7 @@ class JetLoop(AttitudeLoop):
     def _command_thrusters(self) -> None:
         self._detect_failures()
         error = np.empty(3)
-        rotation_between(self.state[:4], self.target, error)
+        rotation_vector_between(self.state[:4], self.target, error)
         rate, inertia, period = self.state[4:7].copy(), self.inertia, self.period
         law: Any = self.law
         if hasattr(law, "rate_change"):

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from lunarsim._frame_kernels import rotation_between
+from lunarsim._frame_kernels import rotation_vector_between
 from lunarsim.messages.commands import Command
 from lunarsim.models.lander import Lander
 from lunarsim.onboard.control import _kernels as k
 from lunarsim.onboard.control.attitude import ProportionalDerivative
 from lunarsim.onboard.control.contract import AttitudeControl
-from lunarsim.onboard.part_results import checked_vector
+from lunarsim.onboard.result_checks import checked_vector
 
 Array = NDArray[np.float64]
 
@@ -66,10 +66,10 @@ class AttitudeLoop:
     def torque(self) -> Array:
         """Return the torque for the next step (3,), N m."""
         if self.compiled:
-            k.demand(self.state, self.target, self.gains, self.inertia, self.torque_max)
+            k.compute_torque(self.state, self.target, self.gains, self.inertia, self.torque_max)
             return self.state[7:].copy()
         error = np.empty(3)
-        rotation_between(self.state[:4], self.target, error)
+        rotation_vector_between(self.state[:4], self.target, error)
         given = self.law.torque(error, self.state[4:7].copy(), self.inertia)
         wanted = checked_vector("control", self.law, "torque", given, "N m")
         self.state[7:] = np.clip(wanted, -self.torque_max, self.torque_max)
@@ -77,7 +77,7 @@ class AttitudeLoop:
 
     def take(self, increment: Array) -> None:
         """Propagate the attitude by the gyroscope increment of one step (3,), rad."""
-        k.follow(self.state, increment, self.step)
+        k.propagate_attitude(self.state, increment, self.step)
 
     def replay(self, increments: Array) -> Array:
         """Return torques (n, 3) for recorded increments (n, 3), bit-identical."""

@@ -16,7 +16,7 @@ HALVINGS = 5
 
 
 @kernel(inline=True, inner=True)
-def terms(state, target, final, big_t, powers, out):
+def power_terms(state, target, final, big_t, powers, out):
     """Write each power's part of the mean acceleration (2, 3), as `PathShape`."""
     low, high = powers[0], powers[1]
     for k in range(3):
@@ -41,7 +41,7 @@ def above_cone(target, final, big_t, share, low, high, powers, x, glide):
 
 
 @kernel(inline=True, inner=True)
-def measure(state, target, final, big_t, table, powers, params, x, out):
+def evaluate_path(state, target, final, big_t, table, powers, params, x, out):
     """Evaluate one path; return whether it is admissible, and write its cost.
 
     Writes delta-v (m/s), time (s), maximum thrust (N) and maximum tangent of the tilt into `out`
@@ -50,7 +50,7 @@ def measure(state, target, final, big_t, table, powers, params, x, out):
     and its two powers. `params` (7,): gravity, mass, exhaust velocity, minimum and maximum thrust,
     tangents of maximum tilt and glideslope.
     """
-    terms(state, target, final, big_t, powers, x)
+    power_terms(state, target, final, big_t, powers, x)
     d, e = powers[0] + 1.0, powers[1] + 1.0
     samples = table.shape[0] - 1
     step = big_t / samples
@@ -99,7 +99,7 @@ def search_coarse(state, target, final, first, step, count, skip, table, powers,
         if skip > 0 and m % skip == 0:
             continue
         time = first * np.exp(m * step)
-        good = measure(state, target, final, time, table, powers, params, x, found)
+        good = evaluate_path(state, target, final, time, table, powers, params, x, found)
         if good and found[0] < least:
             best, least = m, found[0]
     return best
@@ -116,7 +116,7 @@ def _copy_result(found, out):
 def refine_time(state, target, final, first, at, step, span, table, powers, params, x, found, out):
     """Write the best path (4,) around time ``first exp(at)`` by halving steps."""
     time = first * np.exp(at)
-    if measure(state, target, final, time, table, powers, params, x, found):
+    if evaluate_path(state, target, final, time, table, powers, params, x, found):
         _copy_result(found, out)
     for _ in range(HALVINGS if step > 0.0 else 0):
         step *= 0.5
@@ -124,7 +124,7 @@ def refine_time(state, target, final, first, at, step, span, table, powers, para
         for near in (middle - step, middle + step):
             if 0.0 <= near <= span:
                 time = first * np.exp(near)
-                good = measure(state, target, final, time, table, powers, params, x, found)
+                good = evaluate_path(state, target, final, time, table, powers, params, x, found)
                 if good and found[0] < out[0]:
                     _copy_result(found, out)
                     at = near

@@ -10,7 +10,16 @@ from __future__ import annotations
 import numpy as np
 
 from lunarsim._jit import kernel
-from lunarsim._lanes import LANES, any_above, larger, load, root, spread, store, where_above
+from lunarsim._simd import (
+    SIMD_WIDTH,
+    any_greater,
+    lane_fill,
+    lane_max,
+    lane_sqrt,
+    load,
+    select_ge,
+    store,
+)
 from lunarsim.onboard.guidance._kernels import (
     EXHAUST,
     GLIDE,
@@ -23,14 +32,14 @@ from lunarsim.onboard.guidance._kernels import (
     MOST,
     SHARE,
     TAN_TILT,
-    measure,
+    evaluate_path,
     refine_time,
     search_coarse,
 )
 
 # Scratch indices of the lanes: east, north and up of the sites, times, costs.
-_EAST, _NORTH, _UP, _TIME, _COST = 0, LANES, 2 * LANES, 3 * LANES, 4 * LANES
-_SCRATCH = 5 * LANES
+_EAST, _NORTH, _UP, _TIME, _COST = 0, SIMD_WIDTH, 2 * SIMD_WIDTH, 3 * SIMD_WIDTH, 4 * SIMD_WIDTH
+_SCRATCH = 5 * SIMD_WIDTH
 _NOTHING = 1e30  # represents an infinite cost
 
 
@@ -45,7 +54,7 @@ def acceleration_terms(w, place, state, final, axis, powers, inverse):
 
 @kernel(inline=True)
 def evaluate_lanes(w, state, final, table, powers, params):
-    """Write the costs of sixteen paths whose times are in scratch, as `measure`.
+    """Write the costs of sixteen paths whose times are in scratch, as `evaluate_path`.
 
     Inadmissible paths cost `_NOTHING`.
     """
@@ -62,9 +71,9 @@ def evaluate_lanes(w, state, final, table, powers, params):
     tilt, glide = params[TAN_TILT] * params[TAN_TILT], params[GLIDE] * params[GLIDE]
     steep = params[GLIDE] > 0.0
     d, e = powers[0] + 1.0, powers[1] + 1.0
-    zero = spread(0.0)
-    mass, before, total = spread(params[MASS]), zero, zero
-    violation = spread(-1.0)  # positive once a limit is violated
+    zero = lane_fill(0.0)
+    mass, before, total = lane_fill(params[MASS]), zero, zero
+    violation = lane_fill(-1.0)  # positive once a limit is violated
     for s in range(samples + 1):
         low, high = table[s, LOW], table[s, HIGH]
         f, g = d * low, e * high
@@ -72,15 +81,15 @@ def evaluate_lanes(w, state, final, table, powers, params):
         ay = uy * f + vy * g + final[1, 1]
         az = uz * f + vz * g + (final[1, 2] + params[GRAVITY])
         side, lift = ax * ax + ay * ay, az * az
-        size = root(side + lift)
+        size = lane_sqrt(side + lift)
         if s > 0:
             burnt = (before + size) * half
             over = burnt * burnt + 12.0
             mass = mass * (over - 6.0 * burnt) / (over + 6.0 * burnt)
         before = size
         thrust = mass * size
-        violation = larger(violation, larger(thrust - params[MOST], params[LEAST] - thrust))
-        violation = larger(violation, larger(0.0 - az, side - tilt * lift))
+        violation = lane_max(violation, lane_max(thrust - params[MOST], params[LEAST] - thrust))
+        violation = lane_max(violation, lane_max(0.0 - az, side - tilt * lift))
         left = time * table[s, SHARE]
         f, g = low / (powers[0] + 2.0), high / (powers[1] + 2.0)
         x = left * (left * (ux * f + vx * g + 0.5 * final[1, 0]) - final[0, 0])
@@ -88,15 +97,15 @@ def evaluate_lanes(w, state, final, table, powers, params):
         up = left * (left * (uz * f + vz * g + 0.5 * final[1, 2]) - final[0, 2]) + 0.5
         rim = glide * (x * x + y * y)
         if steep:
-            violation = larger(violation, larger(0.0 - up, rim - up * up))
+            violation = lane_max(violation, lane_max(0.0 - up, rim - up * up))
         else:
-            violation = larger(violation, where_above(up, zero, spread(-1.0), up * up - rim))
-        if s % 3 == 2 and not any_above(zero, violation):
+            violation = lane_max(violation, select_ge(up, zero, lane_fill(-1.0), up * up - rim))
+        if s % 3 == 2 and not any_greater(zero, violation):
             break
         weight = 1.0 if s in (0, samples) else (4.0 if s % 2 == 1 else 2.0)
         total = total + weight * size
     cost = total * time * (1.0 / (3.0 * samples))
-    store(w, _COST, where_above(zero, violation, cost, spread(_NOTHING)))
+    store(w, _COST, select_ge(zero, violation, cost, lane_fill(_NOTHING)))
 
 
 @kernel(inner=True)
@@ -105,15 +114,15 @@ def search_lanes(w, state, final, spans, count, skip, table, powers, params, bes
 
     `spans` (3, 16): first time, its logarithmic span, step.
     """
-    least = np.full(LANES, _NOTHING)
+    least = np.full(SIMD_WIDTH, _NOTHING)
     open_ = best < 0
     for m in range(count):
         if skip > 0 and m % skip == 0:
             continue
-        for k in range(LANES):
+        for k in range(SIMD_WIDTH):
             w[_TIME + k] = spans[0, k] * np.exp(m * spans[2, k])
         evaluate_lanes(w, state, final, table, powers, params)
-        for k in range(LANES):
+        for k in range(SIMD_WIDTH):
             if open_[k] and w[_COST + k] < least[k]:
                 best[k], least[k] = m, w[_COST + k]
 
@@ -121,25 +130,25 @@ def search_lanes(w, state, final, spans, count, skip, table, powers, params, bes
 @kernel(inner=True)
 def refine_lanes(w, state, final, spans, table, powers, params, at):
     """Move logarithmic times (16,) to the best nearby, halving the steps."""
-    least = np.empty(LANES)
-    for k in range(LANES):
+    least = np.empty(SIMD_WIDTH)
+    for k in range(SIMD_WIDTH):
         w[_TIME + k] = spans[0, k] * np.exp(at[k])
     evaluate_lanes(w, state, final, table, powers, params)
-    for k in range(LANES):
+    for k in range(SIMD_WIDTH):
         least[k] = w[_COST + k]
-    step, middle, near = np.empty(LANES), np.empty(LANES), np.empty(LANES)
-    for k in range(LANES):
+    step, middle, near = np.empty(SIMD_WIDTH), np.empty(SIMD_WIDTH), np.empty(SIMD_WIDTH)
+    for k in range(SIMD_WIDTH):
         step[k] = spans[2, k]
     for _ in range(HALVINGS):
-        for k in range(LANES):
+        for k in range(SIMD_WIDTH):
             step[k] *= 0.5
             middle[k] = at[k]
         for sense in (-1.0, 1.0):
-            for k in range(LANES):
+            for k in range(SIMD_WIDTH):
                 near[k] = middle[k] + sense * step[k]
                 w[_TIME + k] = spans[0, k] * np.exp(min(max(near[k], 0.0), spans[1, k]))
             evaluate_lanes(w, state, final, table, powers, params)
-            for k in range(LANES):
+            for k in range(SIMD_WIDTH):
                 inside = 0.0 <= near[k] <= spans[1, k]
                 if inside and step[k] > 0.0 and w[_COST + k] < least[k]:
                     least[k], at[k] = w[_COST + k], near[k]
@@ -167,25 +176,27 @@ def search_one(state, target, final, start, span, coarse, rough, table, powers, 
 
 
 @kernel(shared=True)
-def survey(share, state, targets, final, first, last, coarse, rough, table, powers, params, out):
+def search_sites(
+    share, state, targets, final, first, last, coarse, rough, table, powers, params, out
+):
     """Find the admissible time-to-go with minimum delta-v for each target.
 
     Writes (n, 4): delta-v (inf if no time is admissible), time, maximum thrust (N) and maximum
-    tangent of the tilt, as `measure`; NaN if no time. Per target, `coarse` times in geometric steps
-    from `first` to `last` (n,) are tried with the samples of `rough`; if none is admissible, two
-    more between each pair. Then the steps around the best time are halved with the samples of
+    tangent of the tilt, as `evaluate_path`; NaN if no time. Per target, `coarse` times in geometric
+    steps from `first` to `last` (n,) are tried with the samples of `rough`; if none is admissible,
+    two more between each pair. Then the steps around the best time are halved with the samples of
     `table`, which finds a limit of admissibility as well as a minimum.
     """
     count = targets.shape[0]
-    blocks = (count + LANES - 1) // LANES
+    blocks = (count + SIMD_WIDTH - 1) // SIMD_WIDTH
     w = np.zeros(_SCRATCH, np.float32)
-    spans, at = np.empty((3, LANES)), np.empty(LANES)
-    best, valid = np.empty(LANES, np.int64), np.empty(LANES, np.bool_)
+    spans, at = np.empty((3, SIMD_WIDTH)), np.empty(SIMD_WIDTH)
+    best, valid = np.empty(SIMD_WIDTH, np.int64), np.empty(SIMD_WIDTH, np.bool_)
     x = np.empty((2, 3))
     for block in range(share[0], blocks, share[1]):
-        here = block * LANES
+        here = block * SIMD_WIDTH
         wanted = False
-        for k in range(LANES):
+        for k in range(SIMD_WIDTH):
             n = min(here + k, count - 1)
             out[n, 0] = np.inf
             out[n, 1:] = np.nan
@@ -197,7 +208,7 @@ def survey(share, state, targets, final, first, last, coarse, rough, table, powe
             spans[2, k] = spans[1, k] / max(coarse - 1, 1)
             w[_EAST + k], w[_NORTH + k], w[_UP + k] = targets[n, 0], targets[n, 1], targets[n, 2]
         search_lanes(w, state, final, spans, coarse, 0, rough, powers, params, best)
-        for k in range(LANES):
+        for k in range(SIMD_WIDTH):
             if best[k] < 0 and valid[k] and spans[2, k] > 0.0:
                 wanted = True
                 spans[2, k] /= 3.0
@@ -206,18 +217,18 @@ def survey(share, state, targets, final, first, last, coarse, rough, table, powe
         if wanted:
             search_lanes(w, state, final, spans, 3 * (coarse - 1), 3, rough, powers, params, best)
         some = False
-        for k in range(LANES):
+        for k in range(SIMD_WIDTH):
             at[k] = max(best[k], 0) * spans[2, k]
             some = some or (valid[k] and best[k] >= 0)
         if not some:
             continue
         refine_lanes(w, state, final, spans, table, powers, params, at)
-        for k in range(LANES):
+        for k in range(SIMD_WIDTH):
             if not (valid[k] and best[k] >= 0):
                 continue
             n = here + k
             time = spans[0, k] * np.exp(at[k])
-            if not measure(state, targets[n], final, time, table, powers, params, x, out[n]):
+            if not evaluate_path(state, targets[n], final, time, table, powers, params, x, out[n]):
                 # Rounding changed the admissibility: repeat the search in double precision.
                 out[n, 0] = np.inf
                 out[n, 1:] = np.nan

@@ -69,7 +69,7 @@ def jerk_time_to_go(
     return float(real[np.argmin(np.abs(real - guess))]) if real.size else float("nan")
 
 
-def followed_time(
+def time_to_go_for_jerk(
     estimate: Estimate, end: PhaseEnd, jerk: float, guess: float, *, share: float = 1.0 / 3.0
 ) -> float:
     """Return the time-to-go (s) for a downrange jerk at the phase end, or the guess.

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from lunarsim.errors import InputError
 from lunarsim.models.lander import Lander
 from lunarsim.onboard.guidance.contract import PhaseEnd
-from lunarsim.onboard.guidance.divert import PathLimits
+from lunarsim.onboard.guidance.divert_cost import PathLimits
 from lunarsim.parts.quantity import check_bounds, quantity
 
 Array = NDArray[np.float64]

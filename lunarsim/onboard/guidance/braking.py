@@ -16,10 +16,10 @@ from lunarsim.onboard.control.thrust import (
     thrust_lift_first,
     thrust_to_command,
 )
-from lunarsim.onboard.guidance.apollo import followed_time
+from lunarsim.onboard.guidance.apollo import time_to_go_for_jerk
 from lunarsim.onboard.guidance.contract import PhaseEnd
 from lunarsim.onboard.navigation.estimate import Estimate
-from lunarsim.onboard.part_results import checked_command
+from lunarsim.onboard.result_checks import checked_command
 from lunarsim.parts import resolve, settings_of
 from lunarsim.parts.quantity import check_bounds, quantity
 
@@ -102,7 +102,7 @@ class Braking:
         """
         if self.jerk is None or guess <= self.ends_at:
             return guess
-        return followed_time(estimate, end, self.jerk, guess)
+        return time_to_go_for_jerk(estimate, end, self.jerk, guess)
 
     def ask(
         self, wanted: Array, mass: float, lander: Lander, heading: float, time: float

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from lunarsim.onboard.guidance.contract import refuse_unknown
+from lunarsim.onboard.guidance.contract import require_finite_state
 from lunarsim.onboard.navigation.estimate import Estimate
 
 # Fraction of the horizontal velocity removed per second.
@@ -24,7 +24,7 @@ def climb(estimate: Estimate, most: float) -> NDArray[np.float64]:
     most
         Maximum thrust over mass, m/s^2.
     """
-    refuse_unknown(estimate)
+    require_finite_state(estimate)
     horizontal = -_DAMPING_PER_S * estimate.velocity[:2]
     size = float(np.hypot(*horizontal))
     if size > 0.5 * most:

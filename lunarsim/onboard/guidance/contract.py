@@ -54,7 +54,7 @@ class PhaseEnd:
             )
 
 
-def refuse_unknown(estimate: Estimate, end: PhaseEnd | None = None) -> None:
+def require_finite_state(estimate: Estimate, end: PhaseEnd | None = None) -> None:
     """Reject a state or a phase end that is not finite.
 
     Raises
@@ -105,7 +105,7 @@ class PlansArrival(Protocol):
 
 
 @runtime_checkable
-class SeesByMap(Protocol):
+class UsesHazardMap(Protocol):
     """Law that plans with the current hazard map.
 
     Attributes

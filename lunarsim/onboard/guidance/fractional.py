@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from lunarsim.errors import InputError
 from lunarsim.onboard.guidance.contract import PhaseEnd
-from lunarsim.onboard.guidance.following import FeedbackLaw
+from lunarsim.onboard.guidance.path_guidance import FeedbackLaw
 from lunarsim.onboard.guidance.path_law import PathLaw
 from lunarsim.onboard.guidance.paths import PathShape
 from lunarsim.parts.quantity import quantity

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from lunarsim.errors import InputError
 from lunarsim.messages.briefing import Briefing
-from lunarsim.onboard.guidance.contract import PhaseEnd, refuse_unknown
+from lunarsim.onboard.guidance.contract import PhaseEnd, require_finite_state
 from lunarsim.onboard.guidance.vertical import VerticalDescent
 from lunarsim.onboard.navigation.estimate import Estimate
 from lunarsim.parts.quantity import quantity
@@ -98,7 +98,7 @@ class GravityTurnLaw:
 
     def command(self, estimate: Estimate, end: PhaseEnd, time: float) -> Array:
         """Return the thrust acceleration (3,), ENU, m/s^2."""
-        refuse_unknown(estimate, end)
+        require_finite_state(estimate, end)
         height = float(estimate.position[2] - end.position[2]) - self.settings.stop_height
         speed = float(np.linalg.norm(estimate.velocity))
         self._turned |= height <= 0.0 or speed <= self.settings.last_speed

@@ -36,7 +36,7 @@ class SiteCost:
             s (n,); NaN if no time is found.
     """
 
-    increment: Array
+    delta_v: Array
     propellant: Array
     time_to_go: Array
 
@@ -100,7 +100,7 @@ def min_times_to_go(
     return out
 
 
-def increment(path: PolynomialPath, gravity: float) -> float:
+def delta_v(path: PolynomialPath, gravity: float) -> float:
     """Return the integral of the thrust acceleration along a path (Eq. 10), m/s."""
     half = 0.5 * path.time_to_go
     acceleration = path.at(half * (_NODES + 1.0))[2] + np.array([0.0, 0.0, gravity])
@@ -120,7 +120,8 @@ def site_cost(
     """Return the cost of reaching sites (n, 3), estimated ENU.
 
     Time-to-go is the minimum within the limits of jerk and snap, on Apollo paths. Thrust and
-    glideslope are not checked here: `lunarsim.onboard.guidance.divert` does it before a divert.
+    glideslope are not checked here: `lunarsim.onboard.guidance.divert_cost` does it before a
+    divert.
 
     Parameters
     ----------
@@ -159,5 +160,5 @@ def site_cost(
     for n in np.flatnonzero(np.isfinite(times)):
         end = PhaseEnd(sites[n], ends.velocity)
         path = APOLLO.path(estimate.position, estimate.velocity, end, times[n])
-        totals[n] = increment(path, gravity)
+        totals[n] = delta_v(path, gravity)
     return SiteCost(totals, estimate.mass * -np.expm1(-totals / exhaust_velocity), times)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from lunarsim.models.lander import Lander
 from lunarsim.onboard.guidance.apollo import ApolloLaw
 from lunarsim.onboard.guidance.contract import PhaseEnd
-from lunarsim.onboard.guidance.divert import DivertCost, PathLimits, divert_cost
+from lunarsim.onboard.guidance.divert_cost import DivertCost, PathLimits, divert_cost
 from lunarsim.onboard.guidance.jerk_limited import min_times_to_go
 from lunarsim.onboard.navigation.estimate import Estimate
 from lunarsim.parts.quantity import quantity

@@ -21,11 +21,11 @@ from numpy.typing import NDArray
 from lunarsim.errors import InputError
 from lunarsim.messages.briefing import Briefing
 from lunarsim.onboard.guidance.apollo import ApolloLaw
-from lunarsim.onboard.guidance.contract import PhaseEnd, refuse_unknown
-from lunarsim.onboard.guidance.divert import divert_cost
+from lunarsim.onboard.guidance.contract import PhaseEnd, require_finite_state
+from lunarsim.onboard.guidance.divert_cost import divert_cost
 from lunarsim.onboard.guidance.e_guidance import EGuidanceLaw
-from lunarsim.onboard.guidance.following import Answering, PathGuidance
-from lunarsim.onboard.guidance.optimal_network import OptimalNetwork, reduced
+from lunarsim.onboard.guidance.optimal_network import OptimalNetwork, reduce_state
+from lunarsim.onboard.guidance.path_guidance import ActuatorLagModel, PathGuidance
 from lunarsim.onboard.guidance.path_law import PathLaw
 from lunarsim.onboard.guidance.paths import APOLLO, PathShape
 from lunarsim.onboard.navigation.estimate import Estimate
@@ -41,7 +41,7 @@ _PARAM_TOLERANCE = 1e-3  # maximum relative difference of problem parameters fro
 
 
 @cache
-def shipped() -> OptimalNetwork:
+def load_default_network() -> OptimalNetwork:
     """Return the network that is part of the package."""
     return OptimalNetwork.load()
 
@@ -81,7 +81,7 @@ class NeuralOptimalLaw(PathLaw):
 
     def build(self, briefing: Briefing, lag: float) -> NeuralGuidance:  # type: ignore[override]
         """Return the law for one flight; `lag` is that of attitude and engine, s."""
-        return NeuralGuidance(self, briefing, lag, shipped())
+        return NeuralGuidance(self, briefing, lag, load_default_network())
 
 
 class NeuralGuidance:
@@ -107,7 +107,7 @@ class NeuralGuidance:
         self.events: list[tuple[float, str, dict[str, Any]]] = []
         self.asked = self.infeasible = 0
         self._field = briefing.field
-        self._answering = Answering(lag)
+        self._answering = ActuatorLagModel(lag)
         self._apollo, self._terminal_law = (
             PathGuidance(
                 shape, self.gravity, answering=self._answering,
@@ -130,7 +130,7 @@ class NeuralGuidance:
         InputError
             If the estimate, the end or the time-to-go is not finite.
         """
-        refuse_unknown(estimate, end)
+        require_finite_state(estimate, end)
         if not np.isfinite(time_to_go):
             raise InputError("guidance.time_to_go", time_to_go, "must be finite")
         self._answering.follow(time)
@@ -157,7 +157,7 @@ class NeuralGuidance:
             self._fall_back(estimate, end, time, "problem differs from training")
             return None
         position, velocity = self._answering.ahead(estimate)
-        inputs, axes = reduced(position - end.position, velocity, estimate.mass)
+        inputs, axes = reduce_state(position - end.position, velocity, estimate.mass)
         # On a followed path the state may leave the domain of initial states.
         if not (
             self.network.is_in_domain(inputs) and (self._is_following or _is_trained_start(inputs))

@@ -21,9 +21,9 @@ from numpy.typing import NDArray
 from lunarsim.errors import InputError
 from lunarsim.messages.briefing import Briefing
 from lunarsim.onboard.guidance.apollo import ApolloLaw
-from lunarsim.onboard.guidance.contract import PhaseEnd, refuse_unknown
-from lunarsim.onboard.guidance.divert import PathLimits, divert_cost
-from lunarsim.onboard.guidance.following import Answering, PathGuidance
+from lunarsim.onboard.guidance.contract import PhaseEnd, require_finite_state
+from lunarsim.onboard.guidance.divert_cost import PathLimits, divert_cost
+from lunarsim.onboard.guidance.path_guidance import ActuatorLagModel, PathGuidance
 from lunarsim.onboard.guidance.path_law import PathLaw
 from lunarsim.onboard.guidance.paths import APOLLO, PathShape
 from lunarsim.onboard.navigation.estimate import Estimate
@@ -131,7 +131,7 @@ class OptimalGuidance:
         self.events: list[tuple[float, str, dict[str, Any]]] = []
         self.plans = 0
         self._planner = Planner(settings.intervals, QocoOnlySolver)
-        self._answering = Answering(lag)
+        self._answering = ActuatorLagModel(lag)
         # This law has its own open-loop end, for the last seconds without a plan.
         self._apollo = PathGuidance(
             APOLLO, self.gravity, answering=self._answering,
@@ -292,6 +292,6 @@ def _horizontal_distance(a: PhaseEnd, b: PhaseEnd) -> float:
 
 def _check(estimate: Estimate, end: PhaseEnd, time_to_go: float) -> None:
     """Reject values that are not finite."""
-    refuse_unknown(estimate, end)
+    require_finite_state(estimate, end)
     if not np.isfinite(time_to_go):
         raise InputError("guidance.time_to_go", time_to_go, "must be finite")

@@ -10,19 +10,19 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lunarsim.array_files import read_arrays
+from lunarsim.atomic_arrays import atomic_write_arrays
 from lunarsim.errors import InputError
-from lunarsim.whole_arrays import write_arrays_whole
 
 Array = NDArray[np.float64]
 
-SHIPPED = Path(__file__).parent / "trained" / "optimal.npz"
+DEFAULT_NETWORK_PATH = Path(__file__).parent / "trained" / "optimal.npz"
 INPUTS, OUTPUTS = 6, 4  # number of network inputs and outputs
 _FORMAT = "lunarsim optimal network 1"
 _MAX_FILE_BYTES = 1_000_000  # maximum file size, bytes
 _PROBLEM_SIZE = 7  # number of parameters in `OptimalNetwork.problem`
 
 
-def reduced(gap: ArrayLike, velocity: ArrayLike, mass: ArrayLike) -> tuple[Array, Array]:
+def reduce_state(gap: ArrayLike, velocity: ArrayLike, mass: ArrayLike) -> tuple[Array, Array]:
     """Return the network inputs, and the axes of its thrust output.
 
     The problem is symmetric under rotation about the vertical through the end and under reflection.
@@ -76,9 +76,9 @@ class OptimalNetwork:
         Scales of the inputs (6,): the first layer gets each input over `far`, and the inverse
         hyperbolic sine of the input over `near`.
     low, high
-        Bounds of the training domain (6,), in the order of `reduced`.
+        Bounds of the training domain (6,), in the order of `reduce_state`.
     scale
-        Scales of the outputs (4,): thrust over mass in the axes of `reduced`, m/s^2, and
+        Scales of the outputs (4,): thrust over mass in the axes of `reduce_state`, m/s^2, and
         time-to-go, s.
     weights, biases
         Weights and biases of the layers (m, n) and (m,).
@@ -101,7 +101,7 @@ class OptimalNetwork:
         return bool(np.all(shown >= self.low) and np.all(shown <= self.high))
 
     def __call__(self, shown: Array) -> Array:
-        """Return thrust over mass in the axes of `reduced` and time-to-go (..., 4)."""
+        """Return thrust over mass in the axes of `reduce_state` and time-to-go (..., 4)."""
         layer = np.concatenate((shown / self.far, np.arcsinh(shown / self.near)), axis=-1)
         for weight, bias in zip(self.weights[:-1], self.biases[:-1], strict=True):
             layer = np.tanh(layer @ weight.T + bias)
@@ -113,10 +113,10 @@ class OptimalNetwork:
         arrays |= {f"bias_{i}": np.float32(b) for i, b in enumerate(self.biases)}
         for name in ("far", "near", "low", "high", "scale", "problem"):
             arrays[name] = getattr(self, name)
-        write_arrays_whole(path, arrays | {"format": _FORMAT})
+        atomic_write_arrays(path, arrays | {"format": _FORMAT})
 
     @classmethod
-    def load(cls, path: Path = SHIPPED) -> OptimalNetwork:
+    def load(cls, path: Path = DEFAULT_NETWORK_PATH) -> OptimalNetwork:
         """Read a network that `save` wrote.
 
         Raises

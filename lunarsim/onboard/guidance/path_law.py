@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from lunarsim.messages.briefing import Briefing
 from lunarsim.models.lander import Lander
 from lunarsim.onboard.guidance.contract import GuidanceLaw, PhaseEnd
-from lunarsim.onboard.guidance.divert import DivertCost, PathLimits, divert_cost
-from lunarsim.onboard.guidance.following import FeedbackLaw, PathGuidance
+from lunarsim.onboard.guidance.divert_cost import DivertCost, PathLimits, divert_cost
+from lunarsim.onboard.guidance.path_guidance import FeedbackLaw, PathGuidance
 from lunarsim.onboard.guidance.paths import PathShape
 from lunarsim.onboard.navigation.estimate import Estimate
 from lunarsim.parts.quantity import quantity

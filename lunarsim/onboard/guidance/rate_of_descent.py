@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lunarsim.messages.briefing import Briefing
-from lunarsim.onboard.guidance.contract import PhaseEnd, refuse_unknown
+from lunarsim.onboard.guidance.contract import PhaseEnd, require_finite_state
 from lunarsim.onboard.navigation.estimate import Estimate
 from lunarsim.parts.quantity import check_bounds, quantity
 
@@ -114,7 +114,7 @@ class RateOfDescentLaw:
 
     def command(self, estimate: Estimate, end: PhaseEnd, time: float) -> Array:
         """Return the thrust acceleration (3,), ENU, m/s^2."""
-        refuse_unknown(estimate, end)
+        require_finite_state(estimate, end)
         s = self.settings
         height = float(estimate.position[2] - end.position[2])
         if self.wanted is None:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lunarsim.messages.briefing import Briefing
-from lunarsim.onboard.guidance.contract import PhaseEnd, refuse_unknown
+from lunarsim.onboard.guidance.contract import PhaseEnd, require_finite_state
 from lunarsim.onboard.navigation.estimate import Estimate
 from lunarsim.parts.quantity import check_bounds, quantity
 
@@ -62,7 +62,7 @@ class VelocityNullLaw:
 
     def command(self, estimate: Estimate, end: PhaseEnd, time: float) -> NDArray[np.float64]:
         """Return the thrust acceleration (3,), ENU, m/s^2."""
-        refuse_unknown(estimate, end)
+        require_finite_state(estimate, end)
         wanted = np.array([0.0, 0.0, float(end.velocity[2])])
         pull = (wanted - estimate.velocity) / self.settings.time_constant
         pull[2] = max(pull[2] + self.gravity, 0.3 * self.gravity)

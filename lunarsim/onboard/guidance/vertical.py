@@ -8,7 +8,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from lunarsim.onboard.guidance.contract import PhaseEnd, refuse_unknown
+from lunarsim.onboard.guidance.contract import PhaseEnd, require_finite_state
 from lunarsim.onboard.navigation.estimate import Estimate
 
 # Maximum product of the position loop's frequency and the vehicle's lag.
@@ -82,7 +82,7 @@ class VerticalDescent:
 
         The end has the position of the centre of mass on the terrain and the nominal velocity.
         """
-        refuse_unknown(estimate, end)
+        require_finite_state(estimate, end)
         offset = estimate.position[:2] - end.position[:2]
         horizontal = (
             -(self.frequency**2) * offset

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lunarsim.onboard.guidance.contract import PhaseEnd
-from lunarsim.onboard.guidance.following import FeedbackLaw
+from lunarsim.onboard.guidance.path_guidance import FeedbackLaw
 from lunarsim.onboard.guidance.path_law import PathLaw
 from lunarsim.onboard.guidance.paths import E_GUIDANCE, PathShape
 

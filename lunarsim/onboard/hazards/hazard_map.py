@@ -17,7 +17,7 @@ FloatMap = NDArray[np.float32]
 BoolMap = NDArray[np.bool_]
 
 
-class Surface(Protocol):
+class TerrainSurface(Protocol):
     """Terrain elevations as last computed by a mapper; every `HazardMap` is one.
 
     Attributes
@@ -47,7 +47,7 @@ class Surface(Protocol):
         ...
 
 
-def elevation_under(surface: Surface, xy: ArrayLike) -> float:
+def lookup_elevation(surface: TerrainSurface, xy: ArrayLike) -> float:
     """Return the mean elevation (m) of the cell at a point (2,); NaN where unknown."""
     if surface.elevation is None or not bool(surface.grid.contains(xy)):
         return float("nan")
@@ -167,7 +167,7 @@ class HazardMap:
 
     def elevation_at(self, xy: ArrayLike) -> float:
         """Return the mean elevation (m) of the cell at a point (2,); NaN where unknown."""
-        return elevation_under(self, xy)
+        return lookup_elevation(self, xy)
 
     def dispersed(self, sigma: float) -> FloatMap:
         """Return the probability of a safe landing when aiming at each cell (rows, cols).

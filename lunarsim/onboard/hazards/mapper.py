@@ -9,20 +9,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lunarsim.errors import InputError
-from lunarsim.grid import Grid, check_side
+from lunarsim.grid import Grid, check_raster_size
 from lunarsim.messages.briefing import Briefing
 from lunarsim.models.lander import Lander
-from lunarsim.onboard.hazards.hazard_map import HazardMap, Surface
-from lunarsim.onboard.hazards.published import Published
+from lunarsim.onboard.error_prefix import prefix_input_errors
+from lunarsim.onboard.hazards.hazard_map import HazardMap, TerrainSurface
+from lunarsim.onboard.hazards.map_evidence import FusionEvidence
 from lunarsim.onboard.hazards.scoreboard import Scoreboard
-from lunarsim.onboard.named_errors import named_in
 from lunarsim.onboard.navigation.estimate import Estimate, Navigation
-from lunarsim.onboard.part_results import wrong_result
+from lunarsim.onboard.result_checks import wrong_result_error
 
 Array = NDArray[np.float64]
 
 # Tilt uncertainty (rad, 1 sigma) below which maps are not corrected: 4 cm of height at 50 m.
-SURE_TILT = float(np.deg2rad(0.05))
+NEGLIGIBLE_TILT_RAD = float(np.deg2rad(0.05))
 # Maximum number of cells along a side of a map.
 _MAX_CELLS_PER_SIDE = 8000
 
@@ -50,7 +50,7 @@ class HazardMapper(ABC):
     def blank(self) -> bool:
         """Whether nothing has been mapped yet."""
 
-    def surface(self) -> Surface:
+    def surface(self) -> TerrainSurface:
         """Return the terrain elevations of the current map.
 
         A mapper that can provide elevations before it has evaluated their safety overrides this
@@ -75,7 +75,7 @@ class HazardMapper(ABC):
         """Rotate terrain that was mapped before the tilt of the lander was known.
 
         Called when navigation has corrected the tilt. Terrain that was mapped with a tilt known to
-        `SURE_TILT` stays.
+        `NEGLIGIBLE_TILT_RAD` stays.
 
         Parameters
         ----------
@@ -115,7 +115,7 @@ class HazardMapper(ABC):
         """
         return None
 
-    def evidence(self) -> Published | None:
+    def evidence(self) -> FusionEvidence | None:
         """Return the evidence behind the map, for fusion with other maps.
 
         None if there is none yet. A mapper whose part declares `publishes` overrides this method.
@@ -167,7 +167,7 @@ class MapperPart(Protocol):
         ...
 
 
-def sensors_of(part: Any) -> tuple[str, ...]:
+def sensor_names(part: Any) -> tuple[str, ...]:
     """Return the names of the sensors whose measurements a mapper uses; empty if none.
 
     Parameters
@@ -181,7 +181,7 @@ def sensors_of(part: Any) -> tuple[str, ...]:
     return (part.sensor,) if part.sensor else ()
 
 
-def is_aside(grid: Grid, centre: Array) -> bool:
+def is_off_centre(grid: Grid, centre: Array) -> bool:
     """Return whether a point lies too far from the map centre to keep the map.
 
     The limit is an eighth of the side along either axis.
@@ -198,7 +198,7 @@ def is_aside(grid: Grid, centre: Array) -> bool:
     return bool((distance > 0.125 * min(east - west, north - south)).any())
 
 
-def check_map(size: float, posting: float, lander: Lander) -> None:
+def check_map_size(size: float, posting: float, lander: Lander) -> None:
     """Reject a map that is smaller than the footprint, too coarse or too large.
 
     Parameters
@@ -217,7 +217,7 @@ def check_map(size: float, posting: float, lander: Lander) -> None:
         raise InputError("posting_m", posting, f"must be at most {0.5 * lander.leg_radius} m")
     if size < 4.0 * lander.leg_radius + 1.0:
         raise InputError("size_m", size, f"must be at least {4.0 * lander.leg_radius + 1.0:.1f} m")
-    check_side("size_m", size, posting, _MAX_CELLS_PER_SIDE)
+    check_raster_size("size_m", size, posting, _MAX_CELLS_PER_SIDE)
 
 
 def map_grid(centre: Array, size: float, posting: float, lander: Lander) -> Grid:
@@ -226,13 +226,13 @@ def map_grid(centre: Array, size: float, posting: float, lander: Lander) -> Grid
     Raises
     ------
     InputError
-        If the size or the posting is unsuitable, as in `check_map`.
+        If the size or the posting is unsuitable, as in `check_map_size`.
     """
-    check_map(size, posting, lander)
+    check_map_size(size, posting, lander)
     return Grid.centred(centre, size, posting)
 
 
-def asked_map(name: str, part: object, mapper: HazardMapper, time: float) -> HazardMap:
+def checked_hazard_map(name: str, part: object, mapper: HazardMapper, time: float) -> HazardMap:
     """Return the hazard map of a mapper after checking its type.
 
     Parameters
@@ -248,8 +248,8 @@ def asked_map(name: str, part: object, mapper: HazardMapper, time: float) -> Haz
         If the mapper returns another type or a map with invalid arrays; the error names the mapper.
     """
     table = f"mappers.{name}"
-    with named_in(table):
+    with prefix_input_errors(table):
         found: Any = mapper.hazard_map()
     if not isinstance(found, HazardMap):
-        raise wrong_result(table, part, "hazard_map", found, "a HazardMap", time)
+        raise wrong_result_error(table, part, "hazard_map", found, "a HazardMap", time)
     return found

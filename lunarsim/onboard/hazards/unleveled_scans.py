@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from lunarsim.onboard.hazards.mapper import SURE_TILT
+from lunarsim.onboard.hazards.mapper import NEGLIGIBLE_TILT_RAD
 
 Array = NDArray[np.float64]
 
@@ -14,7 +14,7 @@ class UnleveledScans:
     """Decide which measurements must be rotated when the tilt is corrected.
 
     These are all measurements from the first scan until the first scan whose tilt is known to
-    `SURE_TILT`. They share one tilt error; later measurements are placed correctly.
+    `NEGLIGIBLE_TILT_RAD`. They share one tilt error; later measurements are placed correctly.
     """
 
     def __init__(self) -> None:
@@ -28,7 +28,7 @@ class UnleveledScans:
         tilt_sigma
             Standard deviation of the tilt, rad; NaN if unknown.
         """
-        self._open = self._open and not tilt_sigma <= SURE_TILT  # NaN: unknown
+        self._open = self._open and not tilt_sigma <= NEGLIGIBLE_TILT_RAD  # NaN: unknown
         return self._open
 
     def is_tilt_known(self, tilt_sigma: float) -> bool:
@@ -39,8 +39,8 @@ class UnleveledScans:
         tilt_sigma
             Standard deviation of the tilt, rad; NaN if unknown.
         """
-        self._open = self._open and not tilt_sigma <= SURE_TILT
-        return tilt_sigma <= SURE_TILT
+        self._open = self._open and not tilt_sigma <= NEGLIGIBLE_TILT_RAD
+        return tilt_sigma <= NEGLIGIBLE_TILT_RAD
 
 
 def rotate_about(points: Array, turn: Array, pivot: Array) -> Array:

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from lunarsim._frame_kernels import turned
+from lunarsim._frame_kernels import rotate_quaternion
 from lunarsim._jit import kernel
 
 
@@ -129,7 +129,7 @@ def propagate(state, last_sample, angle, velocity, step, gravity, density, blind
         w = last_sample[:3] - x[13:16]
         a = last_sample[3:] - x[6:9]
         half[:] = x[9:13]
-        turned(half, 0.5 * step * w)
+        rotate_quaternion(half, 0.5 * step * w)
         _rotation(half, r)
         for i in range(3):
             accel[i] = r[i, 0] * a[0] + r[i, 1] * a[1] + r[i, 2] * a[2] + gravity[i]
@@ -139,7 +139,7 @@ def propagate(state, last_sample, angle, velocity, step, gravity, density, blind
             ra[i, 2] = r[i, 0] * a[1] - r[i, 1] * a[0]
         x[0:3] += step * (x[3:6] + 0.5 * step * accel)
         x[3:6] += step * accel
-        turned(x[9:13], step * w)
+        rotate_quaternion(x[9:13], step * w)
         _write_transition(r, ra, w, step, phi)
         total = phi @ total
         noise = phi @ noise @ phi.T

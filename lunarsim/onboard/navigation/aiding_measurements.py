@@ -13,8 +13,14 @@ from scipy.special import chdtri
 from lunarsim.errors import InputError
 from lunarsim.frames import quat_rotate
 from lunarsim.messages.measurements import AltimeterReading, AttitudeReading, DopplerReading
-from lunarsim.models.instruments import FixedBeam, FixedBeams, LidarInstrument, StarInstrument
-from lunarsim.onboard.navigation.error_state import MAP, ErrorState, Outcome
+from lunarsim.models.instruments import (
+    AltimeterInstrument,
+    LidarInstrument,
+    StarTrackerInstrument,
+    VelocimeterInstrument,
+)
+from lunarsim.onboard.navigation.corrected_scan import scanner_block, scanner_covariance
+from lunarsim.onboard.navigation.error_state import MAP, ErrorState, UpdateOutcome
 from lunarsim.onboard.navigation.estimate import NavigationEvent
 from lunarsim.onboard.navigation.inertial import (
     ACCELEROMETER,
@@ -28,15 +34,14 @@ from lunarsim.onboard.navigation.innovation_monitor import (
     InnovationMonitorSettings,
     MonitorResult,
 )
-from lunarsim.onboard.navigation.level_ground import GROUND, LevelGround
-from lunarsim.onboard.navigation.measured import (
+from lunarsim.onboard.navigation.measurement_models import (
     MIN_DOWN_COSINE,
     speed_bias_model,
-    take_range,
     update_with_attitude,
+    update_with_range,
     update_with_speeds,
 )
-from lunarsim.onboard.navigation.seen_scan import scanner_block, scanner_covariance
+from lunarsim.onboard.navigation.terrain_prior import TERRAIN, TerrainPrior
 
 Array = NDArray[np.float64]
 
@@ -80,7 +85,7 @@ def innovation_gate(degrees: int) -> float:
     return float(chdtri(degrees, 1.0 / _SAMPLES_PER_FALSE_REJECTION))
 
 
-def aiding_blocks(instruments: Mapping[str, Any], ground: LevelGround) -> dict[str, Array]:
+def aiding_blocks(instruments: Mapping[str, Any], ground: TerrainPrior) -> dict[str, Array]:
     """Return the error-state blocks that the measurements of these instruments need.
 
     Parameters
@@ -90,16 +95,19 @@ def aiding_blocks(instruments: Mapping[str, Any], ground: LevelGround) -> dict[s
     ground
         Prior knowledge of the terrain height.
     """
-    out = {} if ground.sigma is None else {GROUND: np.array([[ground.sigma**2]])}
+    out = {} if ground.sigma is None else {TERRAIN: np.array([[ground.sigma**2]])}
     for name, instrument in instruments.items():
-        beams = {FixedBeam: 1, FixedBeams: len(getattr(instrument, "directions", ()))}
+        beams = {
+            AltimeterInstrument: 1,
+            VelocimeterInstrument: len(getattr(instrument, "directions", ())),
+        }
         if ground.sigma is not None and type(instrument) in beams:
             out[_footprint_block(name)] = ground.sigma**2 * np.eye(beams[type(instrument)])
-        if isinstance(instrument, FixedBeams):
+        if isinstance(instrument, VelocimeterInstrument):
             out[_speed_block(name)] = speed_bias_model(instrument)[0] ** 2 * np.eye(
                 len(instrument.directions)
             )
-        if isinstance(instrument, StarInstrument):
+        if isinstance(instrument, StarTrackerInstrument):
             out[_mount_block(name)] = instrument.misalignment**2 * np.eye(3)
     return out
 
@@ -152,20 +160,22 @@ class AidingMeasurements:
         self,
         state: ErrorState,
         instruments: Mapping[str, Any],
-        ground: LevelGround,
+        ground: TerrainPrior,
         events: list[NavigationEvent],
     ) -> None:
         self.state = state
         self.ground = ground
         self._events = events
-        self._beams = {n: i for n, i in instruments.items() if isinstance(i, FixedBeam)}
+        self._beams = {n: i for n, i in instruments.items() if isinstance(i, AltimeterInstrument)}
         self._beam_sets = {
             n: np.array(i.directions)
-            for n, i in instruments.items() if isinstance(i, FixedBeams)
+            for n, i in instruments.items() if isinstance(i, VelocimeterInstrument)
         }  # fmt: skip
         # Initial speed bias of a beam (m/s), and its random walk in 1 s.
         self._speed_errors = {
-            n: speed_bias_model(i) for n, i in instruments.items() if isinstance(i, FixedBeams)
+            n: speed_bias_model(i)
+            for n, i in instruments.items()
+            if isinstance(i, VelocimeterInstrument)
         }
         # Specified standard deviations of sensor biases: sensor, name, deviations, by block.
         self._specified: dict[str, tuple[str, str, Any]] = {
@@ -175,7 +185,9 @@ class AidingMeasurements:
             if isinstance(instrument, LidarInstrument):
                 deviations = np.sqrt(scanner_covariance(instrument).diagonal())
                 self._specified[scanner_block(name)] = (name, "scanner", deviations)
-        self._star_trackers = {n for n, i in instruments.items() if isinstance(i, StarInstrument)}
+        self._star_trackers = {
+            n for n, i in instruments.items() if isinstance(i, StarTrackerInstrument)
+        }
         self._monitors: dict[tuple[str, str], InnovationMonitor] = {}
         self._last_position = state.inertial.position[:2].copy()
         self._footprints: dict[tuple[str, int], Array] = {}
@@ -202,13 +214,13 @@ class AidingMeasurements:
 
     def add_terrain_noise(self) -> None:
         """Add process noise to the terrain height for the distance moved."""
-        if not self.state.has(GROUND):
+        if not self.state.has(TERRAIN):
             return
         here = self.state.inertial.position[:2]
         moved = float(np.linalg.norm(here - self._last_position))
         self._last_position = here.copy()
         if np.isfinite(moved):
-            at = [self.state.block(GROUND).start]
+            at = [self.state.block(TERRAIN).start]
             self.state.widen(at, self.ground.growth * moved)
 
     def check_sensor_biases(self) -> None:
@@ -307,7 +319,7 @@ class AidingMeasurements:
             random_walk = self._speed_errors[sensor][1]
             self.state.widen(own, random_walk**2 * (time - last) * np.eye(len(own)))
 
-    def _speed(self, sensor: str, k: int, reading: DopplerReading, beams: Array) -> Outcome:
+    def _speed(self, sensor: str, k: int, reading: DopplerReading, beams: Array) -> UpdateOutcome:
         one, block = slice(k, k + 1), _speed_block(sensor)
         own: dict[str, Any] = {}
         if self.state.has(block):
@@ -327,17 +339,17 @@ class AidingMeasurements:
     ) -> None:
         columns = np.array([POSITION.start + 2])
         block, terrain_variance = None, 0.0
-        if self.state.has(GROUND):
-            columns = np.append(columns, self.state.block(GROUND).start)
+        if self.state.has(TERRAIN):
+            columns = np.append(columns, self.state.block(TERRAIN).start)
             block = _footprint_block(sensor)
             if np.isfinite(distance) and self.state.has(block):
                 columns = np.append(columns, self._move_footprint(sensor, beam, number))
             elif not self.state.has(block):
-                block, number = GROUND, 0
+                block, number = TERRAIN, 0
                 terrain_variance = self.ground.growth * float(
                     np.hypot(*self._footprint_offset(beam))
                 )
-        outcome = take_range(
+        outcome = update_with_range(
             self.state, distance, sigma, beam, self.ground.elevation, block=block, part=number,
             terrain_variance=terrain_variance, gate=innovation_gate(1),
         )  # fmt: skip
@@ -346,7 +358,7 @@ class AidingMeasurements:
     def _footprint_offset(self, beam: Any) -> Array:
         """Return the horizontal offset of a beam's footprint from the lander (2,), m."""
         inertial, level = self.state.inertial, self.ground.elevation
-        level += float(self.state.value(GROUND)[0]) if self.state.has(GROUND) else 0.0
+        level += float(self.state.value(TERRAIN)[0]) if self.state.has(TERRAIN) else 0.0
         level += float(self.state.value(MAP)[2]) if self.state.has(MAP) else 0.0
         direction = quat_rotate(inertial.attitude, beam)
         height = max(float(inertial.position[2]) - level, 0.0)
@@ -370,16 +382,16 @@ class AidingMeasurements:
             weight = float(np.exp(-np.hypot(*(footprint - last)) / distance))
         self._footprints[sensor, number] = footprint
         block = _footprint_block(sensor)
-        at, below = int(state.block(block).start) + number, int(state.block(GROUND).start)
+        at, below = int(state.block(block).start) + number, int(state.block(TERRAIN).start)
         value = state.value(block)
-        value[number] = weight * value[number] + (1.0 - weight) * float(state.value(GROUND)[0])
+        value[number] = weight * value[number] + (1.0 - weight) * float(state.value(TERRAIN)[0])
         weights = np.array([weight, 1.0 - weight])
         state.follow(
             at, np.array([at, below]), weights, self.ground.growth * distance * (1.0 - weight)
         )
         return at
 
-    def _monitor_beams(self, sensor: str, outcomes: dict[int, Outcome], time: float) -> None:
+    def _monitor_beams(self, sensor: str, outcomes: dict[int, UpdateOutcome], time: float) -> None:
         """Monitor the speeds of each beam, and exclude a single faulty beam.
 
         A velocity error of the lander would affect all beams. If one beam alone raises an alarm
@@ -423,7 +435,7 @@ class AidingMeasurements:
         self,
         sensor: str,
         kind: str,
-        outcome: Outcome,
+        outcome: UpdateOutcome,
         columns: NDArray[np.int64],
         max_sigma: Any,
         time: float,

@@ -49,7 +49,7 @@ _MIN_RELATIVE_INFORMATION = 1e-3
 
 
 @dataclass(frozen=True)
-class Outcome:
+class UpdateOutcome:
     """Outcome of a measurement update.
 
     Attributes
@@ -190,7 +190,7 @@ class ErrorState(SchmidtKalmanCovariance):
         innovation: ArrayLike,
         noise: ArrayLike,
         gate: float = np.inf,
-    ) -> Outcome:
+    ) -> UpdateOutcome:
         """Update with a measurement (m,) that depends on a few errors.
 
         Parameters
@@ -214,13 +214,13 @@ class ErrorState(SchmidtKalmanCovariance):
         r = np.asarray(noise, np.float64)
         r = np.diag(r) if r.ndim == 1 else np.atleast_2d(r)
         if not (np.isfinite(r).all() and np.linalg.eigvalsh(r).min() > 0.0):
-            return Outcome(np.nan, len(y), False)
+            return UpdateOutcome(np.nan, len(y), False)
         hp = h @ self._rows(at)
         return self.update_with_innovation(hp, hp[:, at] @ h.T + r, y, gate)
 
     def update_with_innovation(
         self, hp: Array, expected: Array, innovation: Array, gate: float = np.inf
-    ) -> Outcome:
+    ) -> UpdateOutcome:
         """Update with an innovation (m,) and its Jacobian times the covariance (m, size).
 
         `expected` (m, m) is the innovation covariance. The update overwrites `hp`.
@@ -235,7 +235,7 @@ class ErrorState(SchmidtKalmanCovariance):
         if active is not None:
             error[self.head :][self._frozen] = 0.0
         if not np.isfinite(error).all():
-            return Outcome(np.inf, len(innovation), False)
+            return UpdateOutcome(np.inf, len(innovation), False)
         self._subtract(w, active)
         self.correct(error)
         return outcome
@@ -248,7 +248,7 @@ class ErrorState(SchmidtKalmanCovariance):
         gate: float = np.inf,
         *,
         min_probability: float = 0.0,
-    ) -> Outcome:
+    ) -> UpdateOutcome:
         """Update with an information matrix (k, k) and vector (k,) on errors `part` (k,).
 
         The update avoids the inverse of the covariance, which is singular while two poses coincide.
@@ -261,7 +261,7 @@ class ErrorState(SchmidtKalmanCovariance):
         """
         k = len(part)
         if not (np.isfinite(information).all() and np.isfinite(vector).all()):
-            return Outcome(np.nan, k, False)
+            return UpdateOutcome(np.nan, k, False)
         own = self.own(part)
         try:
             rows, measured, white = _as_measurements(own, information, vector)
@@ -269,18 +269,18 @@ class ErrorState(SchmidtKalmanCovariance):
             lower = np.linalg.cholesky(np.eye(len(rows)) + hp[:, part] @ rows.T)
         except np.linalg.LinAlgError:
             # Rounding errors have made the covariance indefinite: reject everything from now on.
-            return Outcome(np.inf, k, False)
+            return UpdateOutcome(np.inf, k, False)
         distance, degrees = float(white @ white), len(measured)
         if not (distance <= gate and chdtrc(max(degrees, 1), distance) >= min_probability):
-            return Outcome(distance, degrees, False)
+            return UpdateOutcome(distance, degrees, False)
         w = solve_triangular(lower, hp, lower=True, check_finite=False)
         error = solve_triangular(lower, measured, lower=True, check_finite=False) @ w
         if not np.isfinite(error).all():
-            return Outcome(np.inf, degrees, False)
+            return UpdateOutcome(np.inf, degrees, False)
         with one_blas_thread():
             self._subtract(w, None)
         self.correct(error)
-        return Outcome(distance, degrees, True, white)
+        return UpdateOutcome(distance, degrees, True, white)
 
     def correct(self, error: Array) -> None:
         """Add estimated errors (size,) to the lander's state and inform the listeners.
@@ -313,7 +313,7 @@ class ErrorState(SchmidtKalmanCovariance):
             listener(error)
 
 
-def gate_innovation(innovation: Array, expected: Array, gate: float) -> tuple[Outcome, Array]:
+def gate_innovation(innovation: Array, expected: Array, gate: float) -> tuple[UpdateOutcome, Array]:
     """Test an innovation (m,); return the outcome and the factor of its covariance.
 
     The factor is that of Cholesky. The innovation is accepted if its normalised square is at most
@@ -322,19 +322,19 @@ def gate_innovation(innovation: Array, expected: Array, gate: float) -> tuple[Ou
     """
     m = len(innovation)
     if not np.isfinite(innovation).all():
-        return Outcome(np.nan, m, False), expected
+        return UpdateOutcome(np.nan, m, False), expected
     if not np.isfinite(expected).all():
-        return Outcome(np.inf, m, False), expected
+        return UpdateOutcome(np.inf, m, False), expected
     try:
         lower: Array = np.asarray(np.linalg.cholesky(0.5 * (expected + expected.T)))
     except np.linalg.LinAlgError:
         # Rounding errors have made the covariance indefinite: reject everything from now on.
-        return Outcome(np.inf, m, False), expected
+        return UpdateOutcome(np.inf, m, False), expected
     white = solve_triangular(lower, innovation, lower=True, check_finite=False)
     nis = float(white @ white)
     if not nis <= gate:
-        return Outcome(nis, m, False), lower
-    return Outcome(nis, m, True, white), lower
+        return UpdateOutcome(nis, m, False), lower
+    return UpdateOutcome(nis, m, True, white), lower
 
 
 def _as_measurements(own: Array, information: Array, vector: Array) -> tuple[Array, Array, Array]:

@@ -9,8 +9,8 @@ from typing import Any, ClassVar, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from lunarsim._frame_kernels import turned
-from lunarsim.frames import Shift
+from lunarsim._frame_kernels import rotate_quaternion
+from lunarsim.frames import SiteToLocal
 from lunarsim.messages.briefing import Briefing
 
 Array = NDArray[np.float64]
@@ -51,7 +51,7 @@ class Estimate:
     def ahead(self, seconds: float) -> Estimate:
         """Extrapolate with constant velocity and body rate."""
         attitude = self.attitude.copy()
-        turned(attitude, self.rate * seconds)
+        rotate_quaternion(attitude, self.rate * seconds)
         return replace(
             self, time=self.time + seconds, position=self.position + seconds * self.velocity,
             attitude=attitude,
@@ -126,7 +126,7 @@ class Navigation(ABC):
 
     @property
     @abstractmethod
-    def site_to_local(self) -> Shift:
+    def site_to_local(self) -> SiteToLocal:
         """Estimated transformation from the site frame to the local frame."""
 
     @abstractmethod

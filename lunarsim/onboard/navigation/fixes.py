@@ -8,18 +8,18 @@ from typing import Any, ClassVar
 import numpy as np
 
 from lunarsim.errors import InputError
-from lunarsim.frames import Shift, is_rotation
-from lunarsim.messages.briefing import Briefing, StartEstimate
+from lunarsim.frames import SiteToLocal, is_rotation
+from lunarsim.messages.briefing import Briefing, InitialStateEstimate
 from lunarsim.messages.measurements import InertialSamples, NavigationFix
-from lunarsim.onboard.navigation.arrivals import Arrivals
 from lunarsim.onboard.navigation.estimate import Estimate, Navigation, NavigationEvent
+from lunarsim.onboard.navigation.measurement_sequencer import MeasurementSequencer
 
 # Maximum age of a fix before navigation is lost, s.
 _MAX_FIX_AGE_S = 2.0
 
 
 @dataclass(frozen=True)
-class Fixes:
+class ExternalFixes:
     """Use the fixes of an external navigation system unchanged."""
 
     needs: ClassVar[tuple[type, ...]] = (NavigationFix,)
@@ -36,8 +36,8 @@ class FixNavigation(Navigation):
     """Use the last fix as the estimate, and the initial estimate before the first.
 
     A fix is ignored if it is not finite, its attitude is not a unit quaternion or a variance is
-    negative. `Arrivals` rejects fixes that are out of order. Navigation is lost if there is no fix
-    for 2 s.
+    negative. `MeasurementSequencer` rejects fixes that are out of order. Navigation is lost if
+    there is no fix for 2 s.
 
     Parameters
     ----------
@@ -49,9 +49,9 @@ class FixNavigation(Navigation):
 
     steps: ClassVar[bool] = False
 
-    def __init__(self, start: StartEstimate, step: float) -> None:
+    def __init__(self, start: InitialStateEstimate, step: float) -> None:
         self._step = step
-        self._arrivals = Arrivals(step, self._add_event)
+        self._arrivals = MeasurementSequencer(step, self._add_event)
         self._rate = np.zeros(3)
         self.events: list[NavigationEvent] = []
         sigmas = np.repeat([start.position_sigma, start.velocity_sigma, start.attitude_sigma], 3)
@@ -65,9 +65,9 @@ class FixNavigation(Navigation):
         return False
 
     @property
-    def site_to_local(self) -> Shift:
+    def site_to_local(self) -> SiteToLocal:
         """The identity: the local frame is the site frame of the fixes."""
-        return Shift()
+        return SiteToLocal()
 
     def _add_event(self, time: float, name: str, details: dict[str, Any]) -> None:
         self.events.append(NavigationEvent(time, name, details))

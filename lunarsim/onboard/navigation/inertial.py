@@ -11,14 +11,14 @@ from numpy.typing import NDArray
 from lunarsim.errors import InputError
 from lunarsim.frames import is_rotation, normalised, quat_multiply, quat_to_matrix
 from lunarsim.messages.briefing import Briefing
-from lunarsim.models.inertial_unit import ACCELEROMETERS, GYROSCOPES, TriadErrors
+from lunarsim.models.inertial_unit import TACTICAL_ACCELEROMETERS, TACTICAL_GYROSCOPES, TriadErrors
 from lunarsim.models.instruments import InertialInstrument
 from lunarsim.onboard.navigation import _inertial_kernels as kernels
 from lunarsim.onboard.navigation.estimate import Estimate
-from lunarsim.onboard.navigation.sample_guard import (
+from lunarsim.onboard.navigation.imu_outlier_rejection import (
     CONFIRMATION_COUNT,
     ImuOutlierDetector,
-    SampleLimits,
+    ImuSampleLimits,
 )
 
 Array = NDArray[np.float64]
@@ -118,15 +118,15 @@ class StrapdownState:
         gravity: float,
         *,
         step: float = 0.01,
-        gyroscopes: TriadErrors = GYROSCOPES,
-        accelerometers: TriadErrors = ACCELEROMETERS,
-        limits: SampleLimits | None = None,
+        gyroscopes: TriadErrors = TACTICAL_GYROSCOPES,
+        accelerometers: TriadErrors = TACTICAL_ACCELEROMETERS,
+        limits: ImuSampleLimits | None = None,
     ) -> None:
         start = _check_start(position, velocity, attitude, gravity, step)
         self._x = np.concatenate((start[:6], np.zeros(3), normalised(start[6:]), np.zeros(3)))
         self._gravity = np.array([0.0, 0.0, -gravity])
         self.step = step
-        self._outlier_detector = ImuOutlierDetector(limits or SampleLimits.unknown(), step)
+        self._outlier_detector = ImuOutlierDetector(limits or ImuSampleLimits.unknown(), step)
         self._pending_events: list[tuple[str, dict[str, Any]]] = []
         self._density = np.array(
             [
@@ -176,7 +176,7 @@ class StrapdownState:
             max(s.position_sigma, 1e-3), max(s.velocity_sigma, 1e-4), max(s.attitude_sigma, 1e-6)
         )
         control = briefing.software.control
-        limits = SampleLimits.of(
+        limits = ImuSampleLimits.of(
             briefing.lander, briefing.step, unit.gyroscopes, unit.accelerometers,
             slew=0.0 if control.torques else control.slew_limit,
         )  # fmt: skip

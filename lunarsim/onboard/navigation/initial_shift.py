@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lunarsim.onboard.navigation.features import subtract_plane
-from lunarsim.onboard.navigation.map_features import MapFeatures, Tile
+from lunarsim.onboard.navigation.map_features import FeatureTile, MapFeatures
 from lunarsim.onboard.navigation.surface import ScanSurface
 
 Array = NDArray[np.float64]
@@ -78,7 +78,7 @@ def find_initial_shift(
     )
 
 
-def _tiles(surface: ScanSurface, features: MapFeatures) -> list[tuple[int, int, Tile]]:
+def _tiles(surface: ScanSurface, features: MapFeatures) -> list[tuple[int, int, FeatureTile]]:
     """Divide a scan into tiles; return each with the row and column of its first post."""
     first = (int(surface.row.min()), int(surface.col.min()))
     shape = (int(surface.row.max()) - first[0] + 1, int(surface.col.max()) - first[1] + 1)
@@ -101,7 +101,7 @@ def _tiles(surface: ScanSurface, features: MapFeatures) -> list[tuple[int, int, 
     for r0, r1 in pairwise(rows):
         for c0, c1 in pairwise(cols):
             tile_slice = (slice(r0, r1), slice(c0, c1))
-            tile = Tile(
+            tile = FeatureTile(
                 above[tile_slice], kept[tile_slice].astype(np.float64), variance[tile_slice]
             )
             out.append((first[0] + int(r0), first[1] + int(c0), tile))

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.special import chdtrc
 
 from lunarsim.errors import InputError
-from lunarsim.onboard.navigation.error_state import Outcome
+from lunarsim.onboard.navigation.error_state import UpdateOutcome
 
 Array = NDArray[np.float64]
 
@@ -124,14 +124,14 @@ class InnovationMonitor:
     total: float = 0.0
     degrees: int = 0
     refused: int = 0
-    _recent: deque[tuple[float, Outcome]] = field(default_factory=deque)
+    _recent: deque[tuple[float, UpdateOutcome]] = field(default_factory=deque)
     _inflations: deque[float] = field(default_factory=deque)
     _drifts: deque[float] = field(default_factory=deque)
     _mean: Array | None = None
     _weight: Array = field(default_factory=lambda: np.zeros(0))
     _last: float = -np.inf
 
-    def record(self, time: float, outcome: Outcome) -> MonitorResult:
+    def record(self, time: float, outcome: UpdateOutcome) -> MonitorResult:
         """Add the outcome of a measurement at a time (s), and evaluate the monitor.
 
         Outcomes without information (`nis` is NaN) are not counted. If there are more drifts than
@@ -173,7 +173,7 @@ class InnovationMonitor:
         is_frequent = self._weight >= self.settings.min_count
         return np.asarray(np.abs(self._mean[is_frequent]) / np.sqrt(self._weight[is_frequent]))
 
-    def _test_window(self, time: float, outcome: Outcome) -> MonitorResult:
+    def _test_window(self, time: float, outcome: UpdateOutcome) -> MonitorResult:
         s = self.settings
         self._recent.append((time, outcome))
         # The last few measurements count at any age, so that slow sensors are monitored too.
@@ -207,7 +207,7 @@ class InnovationMonitor:
         total = sum(o.nis for o in taken) / s.correlated_count
         return degrees > 0.0 and bool(chdtrc(degrees, total) < s.false_alarm_probability)
 
-    def _has_drift(self, time: float, outcome: Outcome) -> bool:
+    def _has_drift(self, time: float, outcome: UpdateOutcome) -> bool:
         """Return whether the fading mean of whitened innovations exceeds the threshold."""
         s = self.settings
         if s.drift_time_scale_s is None or not outcome.taken:

@@ -15,12 +15,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lunarsim.frames import (
-    Shift,
+    SiteToLocal,
     quat_from_rotation_vector,
     quat_multiply,
     quat_to_matrix,
-    turned_about_up,
+    rotation_about_up,
 )
+from lunarsim.onboard.navigation.corrected_scan import CorrectedScan
 from lunarsim.onboard.navigation.error_state import MAP, POSE, ErrorState
 from lunarsim.onboard.navigation.estimate import Estimate
 from lunarsim.onboard.navigation.inertial import (
@@ -29,7 +30,6 @@ from lunarsim.onboard.navigation.inertial import (
     VELOCITY,
     StrapdownState,
 )
-from lunarsim.onboard.navigation.seen_scan import SeenScan
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -72,13 +72,13 @@ class LocalFrame:
     @property
     def rotation(self) -> Array:
         """Rotation matrix from the local to the site frame (3, 3)."""
-        return turned_about_up(self.azimuth)
+        return rotation_about_up(self.azimuth)
 
     @property
-    def shift(self) -> Shift:
+    def shift(self) -> SiteToLocal:
         """Transformation from the site frame to the local frame."""
         d = self.state.value(MAP)[:3]
-        return Shift(self.pivot + d - self.rotation.T @ self.pivot, -self.azimuth)
+        return SiteToLocal(self.pivot + d - self.rotation.T @ self.pivot, -self.azimuth)
 
     def to_site(self, points: ArrayLike) -> Array:
         """Transform local points (..., 3) to the site frame, m."""
@@ -86,7 +86,7 @@ class LocalFrame:
         local = np.asarray(points, np.float64)
         return np.asarray((local - self.pivot - d) @ self.rotation.T + self.pivot)
 
-    def in_site(self, corrected: SeenScan) -> SeenScan:
+    def in_site(self, corrected: CorrectedScan) -> CorrectedScan:
         """Transform a scan from the local frame to the site frame."""
         turn = quat_from_rotation_vector(self.azimuth * _UP)
         return corrected.turned(self.rotation, turn, self.to_site(np.zeros(3)))

@@ -65,7 +65,7 @@ class FeatureSettings:
 
 
 @dataclass(frozen=True)
-class Tile:
+class FeatureTile:
     """Scanned posts that are compared with the map together.
 
     Attributes
@@ -162,7 +162,7 @@ class MapFeatures:
         """Variance of the residual of an evenly scanned post, m^2."""
         return self.prior.sigma**2 + self.settings.model_sigma**2
 
-    def likelihood(self, tile: Tile, row: IntArray, col: IntArray) -> tuple[Array, Array]:
+    def likelihood(self, tile: FeatureTile, row: IntArray, col: IntArray) -> tuple[Array, Array]:
         """Return a tile's log-likelihood ratios and covered shares at places (n,), (n,).
 
         A place is the row and column of the map post below the first post of the tile.
@@ -182,7 +182,7 @@ class MapFeatures:
         )  # fmt: skip
         return ratio / self.together, covered / total
 
-    def mean_log_ratio(self, tile: Tile) -> float | None:
+    def mean_log_ratio(self, tile: FeatureTile) -> float | None:
         """Return the log of a tile's mean likelihood ratio over the map; None off it."""
         middle = np.array(tile.height.shape) // 2
         ratio, share = self.likelihood(
@@ -194,7 +194,7 @@ class MapFeatures:
         best = scaled.max()
         return float(best + np.log(np.mean(np.exp(scaled - best))))
 
-    def exact(self, tile: Tile) -> float:
+    def exact(self, tile: FeatureTile) -> float:
         """Return the log-likelihood ratio of a tile at a place where it fits exactly."""
         fits = self._density.negative_log_density(tile.height) - 0.5 * np.log(
             2.0 * np.pi * tile.variance

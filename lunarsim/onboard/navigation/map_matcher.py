@@ -11,18 +11,18 @@ from scipy.special import chdtrc
 
 from lunarsim.messages.measurements import LidarScan
 from lunarsim.messages.prior_map import PriorMap
-from lunarsim.onboard.navigation.error_state import Outcome
+from lunarsim.onboard.navigation.corrected_scan import DRIFTED_SCANNER_SIGMAS, CorrectedScan
+from lunarsim.onboard.navigation.error_state import UpdateOutcome
 from lunarsim.onboard.navigation.estimate import NavigationEvent
 from lunarsim.onboard.navigation.inertial import VELOCITY
 from lunarsim.onboard.navigation.innovation_monitor import MonitorResult
 from lunarsim.onboard.navigation.local_frame import LocalFrame
 from lunarsim.onboard.navigation.map_features import MapFeatures
 from lunarsim.onboard.navigation.measurement_processor import FilterContext
-from lunarsim.onboard.navigation.place_search import Match, PlaceSearch
-from lunarsim.onboard.navigation.registration import register, solve_error
+from lunarsim.onboard.navigation.place_search import MapMatch, PlaceSearch
+from lunarsim.onboard.navigation.registration import register_scan, solve_error
 from lunarsim.onboard.navigation.registration_settings import RegistrationSettings
 from lunarsim.onboard.navigation.scan_accumulator import ScanAccumulator
-from lunarsim.onboard.navigation.seen_scan import DRIFTED_SCANNER_SIGMAS, SeenScan
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -153,7 +153,7 @@ class MapMatcher:
             return False
         columns, jacobian = self._site_jacobian(sensor)
         own = self.context.state.own(columns)
-        result, posts = register(
+        result, posts = register_scan(
             self.frame.in_site(corrected), self._features, jacobian @ own @ jacobian.T,
             self._variance,
         )  # fmt: skip
@@ -176,7 +176,7 @@ class MapMatcher:
         self._last_agreement = time
         return True
 
-    def _check_other_place(self, sensor: str, corrected: SeenScan, time: float) -> None:
+    def _check_other_place(self, sensor: str, corrected: CorrectedScan, time: float) -> None:
         """Monitor a scan that agrees with the map only at another place.
 
         A scan that fits nowhere has met changed terrain, and gives no further information. A scan
@@ -188,7 +188,7 @@ class MapMatcher:
         own = self.context.state.own(columns)
         wide_covariance = _WIDE_FACTOR**2 * jacobian @ own @ jacobian.T
         in_site = self.frame.in_site(corrected)
-        result, _ = register(in_site, self._features, wide_covariance, self._variance)
+        result, _ = register_scan(in_site, self._features, wide_covariance, self._variance)
         if not self.settings.believes(result):
             return
         information = jacobian.T @ result.information @ jacobian, jacobian.T @ result.vector
@@ -209,7 +209,7 @@ class MapMatcher:
             scanner, np.maximum(DRIFTED_SCANNER_SIGMAS, least)[: len(scanner)]
         )
 
-    def _monitor(self, sensor: str, outcome: Outcome, time: float) -> MonitorResult:
+    def _monitor(self, sensor: str, outcome: UpdateOutcome, time: float) -> MonitorResult:
         """Monitor whether scans fit the map at the estimated place."""
         scanner = self.context.scanner(sensor)
         return self.context.aiding.record_outcome(
@@ -226,7 +226,7 @@ class MapMatcher:
 
     def _inform(
         self, sensor: str, information: Array, vector: Array, min_probability: float
-    ) -> Outcome:
+    ) -> UpdateOutcome:
         """Update with information (11, 11) on a scan's errors in the site frame."""
         columns, jacobian = self._site_jacobian(sensor)
         return self.context.state.update_with_information(
@@ -292,7 +292,7 @@ class MapMatcher:
         ).taken  # fmt: skip
 
     def _take_height(
-        self, sensor: str, row: Array, match: Match, prior_shift: float, before: float
+        self, sensor: str, row: Array, match: MapMatch, prior_shift: float, before: float
     ) -> None:
         """Update the height only, if the search determines it much better than the prior."""
         # The level of the map is common to all searches: the strong condition uses it only once.

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from lunarsim._blas import one_blas_thread
 from lunarsim.frames import quat_to_matrix
-from lunarsim.onboard.navigation.error_state import POSE, ErrorState, Outcome
+from lunarsim.onboard.navigation.error_state import POSE, ErrorState, UpdateOutcome
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -68,7 +68,7 @@ class RockErrors(Protocol):
         ...
 
 
-def correct_heights(rocks: RockErrors, ground: TerrainHeights) -> Outcome:
+def correct_heights(rocks: RockErrors, ground: TerrainHeights) -> UpdateOutcome:
     """Correct rock heights by terrain heights measured from the current pose.
 
     Rocks whose relative height is known equally well are not updated directly, but through their
@@ -96,7 +96,7 @@ def correct_heights(rocks: RockErrors, ground: TerrainHeights) -> Outcome:
     order = np.argsort(-nis_ratio, kind="stable")[:_MAX_ROCKS]
     selected = order[nis_ratio[order] > _MIN_VARIANCE_RATIO]
     if not len(selected):
-        return Outcome(0.0, 0, False)
+        return UpdateOutcome(0.0, 0, False)
     index, by_pose, by_rock = index[selected], by_pose[selected], by_rock[selected]
     state, columns = rocks.state, rocks.places(index)
     p = state.covariance

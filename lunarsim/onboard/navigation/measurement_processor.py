@@ -11,15 +11,15 @@ from numpy.typing import NDArray
 
 from lunarsim.models.instruments import LidarInstrument
 from lunarsim.onboard.navigation.aiding_measurements import AidingMeasurements
-from lunarsim.onboard.navigation.error_state import POSE, REFERENCE_POSE, ErrorState
-from lunarsim.onboard.navigation.estimate import NavigationEvent
-from lunarsim.onboard.navigation.inertial import ATTITUDE, POSITION, VELOCITY
-from lunarsim.onboard.navigation.seen_scan import (
+from lunarsim.onboard.navigation.corrected_scan import (
     DRIFTED_SCANNER_SIGMAS,
-    SeenScan,
+    CorrectedScan,
     scanner_block,
     scanner_covariance,
 )
+from lunarsim.onboard.navigation.error_state import POSE, REFERENCE_POSE, ErrorState
+from lunarsim.onboard.navigation.estimate import NavigationEvent
+from lunarsim.onboard.navigation.inertial import ATTITUDE, POSITION, VELOCITY
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -57,11 +57,11 @@ class FilterContext:
         place = self.state.block(name)
         return np.arange(place.start, place.stop)
 
-    def correct_scan(self, sensor: str, scan: Any) -> SeenScan:
+    def correct_scan(self, sensor: str, scan: Any) -> CorrectedScan:
         """Return a scan with the estimated pose and scanner errors, frame of the state."""
         name = scanner_block(sensor)
         value = self.state.value(name) if self.state.has(name) else np.zeros(5)
-        return SeenScan.of(scan, self.state.inertial, value)
+        return CorrectedScan.of(scan, self.state.inertial, value)
 
     def local_jacobian(self, sensor: str) -> tuple[Index, Array]:
         """Return the state indices (k,) that a scan depends on, and its Jacobian (11, k)."""

@@ -10,11 +10,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lunarsim._blas import one_blas_thread
-from lunarsim.frames import Shift, quat_from_rotation_vector, quat_to_matrix
+from lunarsim.frames import SiteToLocal, quat_from_rotation_vector, quat_to_matrix
 from lunarsim.messages.measurements import LidarScan
 from lunarsim.messages.prior_map import PriorMap
 from lunarsim.onboard.navigation.aiding_measurements import AidingMeasurements, aiding_blocks
-from lunarsim.onboard.navigation.arrivals import Arrivals
 from lunarsim.onboard.navigation.error_state import REFERENCE_POSE, ErrorState
 from lunarsim.onboard.navigation.estimate import (
     Estimate,
@@ -29,7 +28,6 @@ from lunarsim.onboard.navigation.inertial import (
     StrapdownState,
 )
 from lunarsim.onboard.navigation.innovation_monitor import InnovationMonitor
-from lunarsim.onboard.navigation.level_ground import LevelGround
 from lunarsim.onboard.navigation.local_frame import LocalFrame, empty_map_block
 from lunarsim.onboard.navigation.map_matcher import MapMatcher
 from lunarsim.onboard.navigation.measurement_processor import (
@@ -38,6 +36,7 @@ from lunarsim.onboard.navigation.measurement_processor import (
     maximum_sigmas,
     scanner_blocks,
 )
+from lunarsim.onboard.navigation.measurement_sequencer import MeasurementSequencer
 from lunarsim.onboard.navigation.registration_settings import RegistrationSettings
 from lunarsim.onboard.navigation.rock_filter import RockFilter
 from lunarsim.onboard.navigation.scan_health import is_noisy, range_noise, remove_spikes
@@ -47,6 +46,7 @@ from lunarsim.onboard.navigation.scan_odometry import (
     remove_implausible_ranges,
     scan_width,
 )
+from lunarsim.onboard.navigation.terrain_prior import TerrainPrior
 
 Array = NDArray[np.float64]
 
@@ -102,10 +102,10 @@ class Navigator(Navigation):
         settings: RegistrationSettings | None = None,
         *,
         instruments: Mapping[str, Any] | None = None,
-        ground: LevelGround | None = None,
+        ground: TerrainPrior | None = None,
         rocks: bool = False,
     ) -> None:
-        terrain, calibrations, limits = ground or LevelGround(), instruments or {}, settings
+        terrain, calibrations, limits = ground or TerrainPrior(), instruments or {}, settings
         limits = limits or RegistrationSettings()
         blocks = (
             reference_pose_block()
@@ -117,7 +117,7 @@ class Navigator(Navigation):
         self.frame = LocalFrame(self.state)
         self.events: list[NavigationEvent] = []
         self._aiding = AidingMeasurements(self.state, calibrations, terrain, self.events)
-        self._arrivals = Arrivals(inertial.step, self._add_event)
+        self._arrivals = MeasurementSequencer(inertial.step, self._add_event)
         shared = FilterContext(self.state, self._aiding, self.events, maximum_sigmas(self.state))
         self.matcher = None if prior is None else MapMatcher(shared, self.frame, prior, limits)
         self.parts: list[MeasurementProcessor] = [] if self.matcher is None else [self.matcher]
@@ -181,7 +181,7 @@ class Navigator(Navigation):
         return self.frame.estimate_in_site(self.estimate(time, mass))
 
     @property
-    def site_to_local(self) -> Shift:
+    def site_to_local(self) -> SiteToLocal:
         """Estimated transformation from the site frame to the local frame."""
         return self.frame.shift
 

@@ -12,7 +12,7 @@ from scipy.special import ndtr
 
 from lunarsim.errors import InputError
 from lunarsim.onboard.navigation.features import subtract_plane
-from lunarsim.onboard.navigation.map_features import MapFeatures, Tile
+from lunarsim.onboard.navigation.map_features import FeatureTile, MapFeatures
 from lunarsim.onboard.navigation.submap import Submap
 
 Array = NDArray[np.float64]
@@ -61,7 +61,7 @@ class SearchSettings:
 
 
 @dataclass(frozen=True)
-class Match:
+class MapMatch:
     """Estimated place of the scanned terrain on the map.
 
     Attributes
@@ -102,13 +102,13 @@ class _SampledTile:
     """
 
     first: tuple[int, int]
-    whole: Tile
+    whole: FeatureTile
     level: Array
 
-    def lay(self, a: int, b: int) -> Tile:
+    def lay(self, a: int, b: int) -> FeatureTile:
         """Return every second post, starting at an offset of `a` rows and `b` columns."""
         cut = (slice(a, None, 2), slice(b, None, 2))
-        return Tile(self.whole.height[cut], self.whole.weight[cut], self.whole.variance[cut])
+        return FeatureTile(self.whole.height[cut], self.whole.weight[cut], self.whole.variance[cut])
 
 
 class PlaceSearch:
@@ -170,7 +170,7 @@ class PlaceSearch:
 
     def search(
         self, time: float, mean: Array, covariance: Array, speed_sigma: float = 0.0
-    ) -> Match | None:
+    ) -> MapMatch | None:
         """Compare new tiles, and return the most probable place by all tiles so far.
 
         Parameters
@@ -316,7 +316,7 @@ class PlaceSearch:
             spread += (2.0 / self._offsets * np.where(near, rise, 0.0)) ** 2 / 12.0
         inner = (slice(margin, margin + side),) * 2
         weight, variance = kept.astype(np.float64), self.features.variance + spread
-        whole = Tile(above[inner], weight[inner], variance[inner])
+        whole = FeatureTile(above[inner], weight[inner], variance[inner])
         return _SampledTile((side * key[0], side * key[1]), whole, z[inner])
 
     # --- evidence -------------------------------------------------------------------------
@@ -341,7 +341,7 @@ class PlaceSearch:
 
     # --- outcome --------------------------------------------------------------------------
 
-    def _best_match(self, prior_distance: Array, mean: Array, covariance: Array) -> Match:
+    def _best_match(self, prior_distance: Array, mean: Array, covariance: Array) -> MapMatch:
         """Normalise the posterior, with the prior probability of all places beyond it."""
         log = self._log - prior_distance
         best = log.max()
@@ -363,7 +363,7 @@ class PlaceSearch:
         spread += (0.5 * self.prior.grid.posting) ** 2
         share, rise, error = self._agreement(int(row), int(col))
         up, up_variance = self._vertical_shift(p)
-        return Match(
+        return MapMatch(
             np.array([*middle, up if rise is None else rise]),
             np.diag([*spread, error]), certainty, share, up, up_variance,
         )  # fmt: skip

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lunarsim.messages.prior_map import PriorMap
+from lunarsim.onboard.navigation.corrected_scan import CorrectedScan
 from lunarsim.onboard.navigation.initial_shift import find_initial_shift
 from lunarsim.onboard.navigation.map_features import MapFeatures
-from lunarsim.onboard.navigation.seen_scan import SeenScan
 from lunarsim.onboard.navigation.surface import ScanSurface, average_scan
 
 Array = NDArray[np.float64]
@@ -24,7 +24,7 @@ _BLOCK_POSTS, _MIN_BLOCKS = 6, 4
 
 
 @dataclass(frozen=True)
-class Fit:
+class MapFit:
     """Result of a registration, as information on the errors of the scan.
 
     Attributes
@@ -59,7 +59,7 @@ def fit(
     gate: float = 3.0,
     *,
     expected: Array | None = None,
-) -> Fit:
+) -> MapFit:
     """Estimate an error from residuals, and exclude outliers.
 
     Parameters
@@ -77,7 +77,7 @@ def fit(
     """
     d = jacobian.shape[1]
     if len(residual) == 0:
-        return Fit(np.zeros((d, d)), np.zeros(d), 0, 0, np.nan)
+        return MapFit(np.zeros((d, d)), np.zeros(d), 0, 0, np.nan)
     test_variance = variance if expected is None else expected
     keep = np.ones(len(residual), np.bool_)
     # Start without the outliers from the median: a changed patch would bias a plain mean.
@@ -99,7 +99,7 @@ def fit(
     used = int(keep.sum())
     misfit = float(np.mean(residual_after[keep] ** 2 / test_variance[keep])) if used else np.nan
     j, w = jacobian[keep], 1.0 / variance[keep]
-    return Fit(
+    return MapFit(
         (j * w[:, None]).T @ j, (j * w[:, None]).T @ residual[keep], used, len(residual), misfit
     )
 
@@ -112,14 +112,14 @@ def _is_on_map(surface: ScanSurface, prior: PriorMap) -> NDArray[np.bool_]:
     return inside
 
 
-def register(
-    corrected: SeenScan,
+def register_scan(
+    corrected: CorrectedScan,
     features: MapFeatures,
     covariance: Array,
     variance: Array,
     *,
     passes: int = 4,
-) -> tuple[Fit, tuple[IntArray, IntArray]]:
+) -> tuple[MapFit, tuple[IntArray, IntArray]]:
     """Register a scan on a map.
 
     Gauss-Newton iteration: the scan is averaged again after each correction, until the terrain
@@ -130,7 +130,7 @@ def register(
     corrected, features
         Scan in the frame of the map, and the features of the map.
     covariance
-        Prior covariance of the scan's errors (11, 11); see `SeenScan`.
+        Prior covariance of the scan's errors (11, 11); see `CorrectedScan`.
     variance
         Variance of the residual at each post (rows, cols), m^2; it grows with the number of uses.
     passes
@@ -171,7 +171,7 @@ def register(
     return result, posts
 
 
-def solve_error(found: Fit, covariance: Array) -> Array:
+def solve_error(found: MapFit, covariance: Array) -> Array:
     """Return the maximum a posteriori error of a fit with its prior covariance (d,)."""
     both = np.eye(len(covariance)) + found.information @ covariance
     return np.asarray(covariance @ np.linalg.solve(both, found.vector))
@@ -211,7 +211,7 @@ def residual_correlation(
 
 
 def _initial_error(
-    corrected: SeenScan, features: MapFeatures, covariance: Array
+    corrected: CorrectedScan, features: MapFeatures, covariance: Array
 ) -> tuple[Array, bool, Array]:
     """Return initial error of a fit (11,), a flag for heights only, and the spread.
 

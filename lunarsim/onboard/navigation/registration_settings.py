@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lunarsim.errors import InputError
-from lunarsim.onboard.navigation.registration import Fit
+from lunarsim.onboard.navigation.registration import MapFit
 
 
 @dataclass(frozen=True)
@@ -94,7 +94,7 @@ class RegistrationSettings:
             if not 0.0 < value < np.inf:
                 raise InputError(f"navigation.{name}", value, "must be a positive number")
 
-    def believes(self, fit: Fit) -> bool:
+    def believes(self, fit: MapFit) -> bool:
         """Return whether enough squares agree, with small enough residuals."""
         return (
             fit.used >= self.min_squares

@@ -14,18 +14,27 @@ from numpy.typing import ArrayLike, NDArray
 from lunarsim._blas import one_blas_thread
 from lunarsim._jit import threads_for
 from lunarsim.errors import InputError
-from lunarsim.frames import turned_about_up
+from lunarsim.frames import rotation_about_up
 from lunarsim.models.camera import CameraModel
 from lunarsim.onboard.navigation._rock_filter_kernels import add_outer_products, measured_rows
 from lunarsim.onboard.navigation.aiding_measurements import AidingMeasurements, aiding_blocks
-from lunarsim.onboard.navigation.error_state import MAP, POSE, REFERENCE_POSE, ErrorState, Outcome
+from lunarsim.onboard.navigation.error_state import (
+    MAP,
+    POSE,
+    REFERENCE_POSE,
+    ErrorState,
+    UpdateOutcome,
+)
+from lunarsim.onboard.navigation.image_innovation_monitor import (
+    ImageInnovationMonitor,
+    RockCorrection,
+)
 from lunarsim.onboard.navigation.inertial import ATTITUDE, VELOCITY, StartSigmas, StrapdownState
-from lunarsim.onboard.navigation.level_ground import LevelGround
-from lunarsim.onboard.navigation.picture_watch import ImageInnovationMonitor, Remedy
-from lunarsim.onboard.navigation.planar import inverse, positive
-from lunarsim.onboard.navigation.rock_sight import Sight, project_points
+from lunarsim.onboard.navigation.matrix_2x2 import invert_2x2, is_positive_definite_2x2
+from lunarsim.onboard.navigation.rock_projection import RockProjection, project_points
 from lunarsim.onboard.navigation.rock_states import ROCK_DIM, RockStates
-from lunarsim.onboard.navigation.wandering_ground import intersect_lines
+from lunarsim.onboard.navigation.terrain_kriging import intersect_lines
+from lunarsim.onboard.navigation.terrain_prior import TerrainPrior
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -48,7 +57,7 @@ _MIN_GROWTH, _MAX_GROWTH = 4.0, 1e3
 _MAX_POSITION_SIGMA_M, _MAX_SPEED_SIGMA_M_S, _MAX_ATTITUDE_SIGMA_RAD = 100.0, 10.0, 0.1
 
 # Limits of a region: west, east, south and north, m.
-Region = tuple[float, float, float, float]
+MapRegion = tuple[float, float, float, float]
 
 
 class RockFilter(RockStates):
@@ -87,7 +96,7 @@ class RockFilter(RockStates):
         inertial: StrapdownState,
         errors: StartSigmas | None = None,
         *,
-        ground: LevelGround | None = None,
+        ground: TerrainPrior | None = None,
         capacity: int = 128,
     ) -> RockFilter:
         """Return a filter of lander and rocks only, in the frame of the initial estimate.
@@ -103,7 +112,7 @@ class RockFilter(RockStates):
         capacity
             Initial number of rocks to allocate.
         """
-        level = ground or LevelGround(0.0, None)
+        level = ground or TerrainPrior(0.0, None)
         state = ErrorState(inertial, errors, blocks=aiding_blocks({}, level))
         return cls(state, AidingMeasurements(state, {}, level, []), capacity=capacity)
 
@@ -119,7 +128,9 @@ class RockFilter(RockStates):
         """Covariance of the lander (15), the blocks, and the rock coordinates (3 n)."""
         return self.state.covariance
 
-    def ground_points(self, camera: CameraModel, pixel: Array, near: Region | None = None) -> Array:
+    def ground_points(
+        self, camera: CameraModel, pixel: Array, near: MapRegion | None = None
+    ) -> Array:
         """Intersect lines of sight through undistorted pixels (n, 2) with the terrain.
 
         Returns points (n, 3), m; NaN without an intersection, and for points far outside a
@@ -190,7 +201,7 @@ class RockFilter(RockStates):
         """Transform a direction (3,) from the site frame to the frame of the filter."""
         if not self.state.has(MAP):
             return direction
-        return turned_about_up(-float(self.state.value(MAP)[3])) @ direction
+        return rotation_about_up(-float(self.state.value(MAP)[3])) @ direction
 
     @property
     def lost(self) -> bool:
@@ -207,11 +218,11 @@ class RockFilter(RockStates):
 
     # --- rocks ----------------------------------------------------------------------------
 
-    def sight(self, camera: CameraModel, points: Array | None = None) -> Sight:
+    def sight(self, camera: CameraModel, points: Array | None = None) -> RockProjection:
         """Predict the pixels of points (n, 3), or of the tracked rocks (Eqs. 10-11)."""
         return project_points(self.inertial, camera, self.xyz if points is None else points)
 
-    def innovation_covariance(self, sight: Sight) -> Array:
+    def innovation_covariance(self, sight: RockProjection) -> Array:
         """Return the covariance of the predicted pixels of all rocks (n, 2, 2)."""
         p = self.state.for_rows(POSE)
         pose = p[np.ix_(POSE, POSE)]
@@ -229,7 +240,7 @@ class RockFilter(RockStates):
     def update_rocks(
         self,
         index: Index,
-        sight: Sight,
+        sight: RockProjection,
         pixel: Array,
         pixel_covariance: Array,
         radius: Array,
@@ -237,7 +248,7 @@ class RockFilter(RockStates):
         common: float = 0.0,
         radius_floor: float = 0.0,
         gate: float = np.inf,
-    ) -> Outcome:
+    ) -> UpdateOutcome:
         """Update lander and rocks with the rock observations of one image.
 
         Observations that are not finite or have no positive variance are ignored.
@@ -269,9 +280,9 @@ class RockFilter(RockStates):
             Outcome for the pixel coordinates, with two degrees of freedom per rock.
         """
         self.update_radii(index, radius, radius_variance, radius_floor)
-        good = np.isfinite(pixel).all(1) & positive(pixel_covariance)
+        good = np.isfinite(pixel).all(1) & is_positive_definite_2x2(pixel_covariance)
         if not good.any():
-            return Outcome(0.0, 0, False)
+            return UpdateOutcome(0.0, 0, False)
         with one_blas_thread():
             return self._update_places(
                 index[good], sight, pixel[good], pixel_covariance[good], common, gate
@@ -280,12 +291,12 @@ class RockFilter(RockStates):
     def _update_places(
         self,
         index: Index,
-        sight: Sight,
+        sight: RockProjection,
         pixel: Array,
         pixel_covariance: Array,
         common: float,
         gate: float,
-    ) -> Outcome:
+    ) -> UpdateOutcome:
         """Update lander and rock positions."""
         m = len(index)
         a, b = sight.by_pose[index], sight.by_rock[index]
@@ -365,14 +376,14 @@ class RockFilter(RockStates):
                 move.reshape(len(sigma), -1),
             )
 
-    def judge(self, kind: str, time: float, outcome: Outcome) -> Remedy:
+    def judge(self, kind: str, time: float, outcome: UpdateOutcome) -> RockCorrection:
         """Monitor the outcome of an image, and inflate the state after an alarm.
 
         The caller must reset the rocks if the returned action asks for it; see
         `ImageInnovationMonitor`.
         """
         remedy = self.pictures.record(kind, time, outcome)
-        if remedy is not Remedy.NONE and kind != "shadows":
+        if remedy is not RockCorrection.NONE and kind != "shadows":
             nis_ratio = self.pictures.watches[kind].nis_ratio
             growth = float(np.clip(nis_ratio, _MIN_GROWTH, _MAX_GROWTH))
             size = self.state.size
@@ -451,7 +462,7 @@ class RockFilter(RockStates):
         the rock's height (b, 2), and the covariance from the pixel noise (b, 2, 2).
         """
         sight = self.sight(camera, points)
-        back = inverse(sight.by_rock[:, :, :2])
+        back = invert_2x2(sight.by_rock[:, :, :2])
         by_pose = -(back @ sight.by_pose)
         by_height = -(back @ sight.by_rock[:, :, 2:])[:, :, 0]
         own = back @ pixel_covariance @ np.swapaxes(back, 1, 2)
@@ -478,7 +489,7 @@ class RockFilter(RockStates):
         p[np.ix_(level, level)] = 0.5 * (block + block.T)
 
 
-def _is_near_region(xy: Array, per_drop: Array, near: Region) -> NDArray[np.bool_]:
+def _is_near_region(xy: Array, per_drop: Array, near: MapRegion) -> NDArray[np.bool_]:
     """Return which points (n, 2) can lie inside a region or its margin.
 
     The points were found on horizontal terrain at the height of the region's centre, along lines

@@ -17,8 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lunarsim.errors import InputError
-from lunarsim.onboard.navigation.error_state import MAP, POSE, ErrorState, Outcome
-from lunarsim.onboard.navigation.level_ground import GROUND, LevelGround
+from lunarsim.onboard.navigation.error_state import MAP, POSE, ErrorState, UpdateOutcome
 from lunarsim.onboard.navigation.measured_heights import (
     COMMON_SIGMA_M,
     INDIVIDUAL_SIGMA_M,
@@ -26,11 +25,12 @@ from lunarsim.onboard.navigation.measured_heights import (
     correct_heights,
     height_jacobian,
 )
-from lunarsim.onboard.navigation.wandering_ground import (
-    NEIGHBOURS,
+from lunarsim.onboard.navigation.terrain_kriging import (
+    NEIGHBOUR_COUNT,
     interpolate_heights,
     kriging_weights,
 )
+from lunarsim.onboard.navigation.terrain_prior import TERRAIN, TerrainPrior
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -65,7 +65,7 @@ class RockStates:
         Source of measured terrain heights; None: heights are interpolated between the rocks.
     """
 
-    def __init__(self, state: ErrorState, level: LevelGround, capacity: int) -> None:
+    def __init__(self, state: ErrorState, level: TerrainPrior, capacity: int) -> None:
         if state.tail:
             raise InputError(
                 "navigation.rocks", state.tail, "must be added to an error state without tail"
@@ -157,7 +157,7 @@ class RockStates:
 
         0 if the terrain is modelled as horizontal.
         """
-        return self._level.growth if self.state.has(GROUND) else 0.0
+        return self._level.growth if self.state.has(TERRAIN) else 0.0
 
     @property
     def ground(self) -> float:
@@ -170,7 +170,7 @@ class RockStates:
 
         Elevations refer to the site frame, which has a vertical offset from the local frame.
         """
-        parts = ((GROUND, 0), (MAP, 2))
+        parts = ((TERRAIN, 0), (MAP, 2))
         return [(name, at) for name, at in parts if self.state.has(name)]
 
     def ground_at(self, xy: ArrayLike) -> Array:
@@ -202,7 +202,7 @@ class RockStates:
     @property
     def can_interpolate_height(self) -> bool:
         """Whether terrain heights can be interpolated between rocks."""
-        return self.count > 0 and self.state.has(GROUND)
+        return self.count > 0 and self.state.has(TERRAIN)
 
     def _interpolate_height(self, at: Array) -> Array:
         """Interpolate the terrain height at points (b, 2) between rocks (b,), m."""
@@ -257,7 +257,7 @@ class RockStates:
 
         On measured terrain, only the neighbours on it are used.
         """
-        if not self.state.has(GROUND):
+        if not self.state.has(TERRAIN):
             return
         if self.measured is not None:
             known = np.isfinite(self.measured.heights(self._xyz[: rock + 1, :2]))
@@ -294,18 +294,18 @@ class RockStates:
     def _nearest(self, rock: int, others: Index) -> Index:
         """Return the nearest neighbours of a rock among others (k,)."""
         distance = np.hypot(*(self._xyz[others, :2] - self._xyz[rock, :2]).T)
-        if len(distance) > NEIGHBOURS:
+        if len(distance) > NEIGHBOUR_COUNT:
             # Keep all at the same distance as the last one: the stable sort takes the first ones.
             neighbours = np.flatnonzero(
-                ~(distance > np.partition(distance, NEIGHBOURS - 1)[NEIGHBOURS - 1])
+                ~(distance > np.partition(distance, NEIGHBOUR_COUNT - 1)[NEIGHBOUR_COUNT - 1])
             )
             distance, others = distance[neighbours], others[neighbours]
-        return others[np.argsort(distance, kind="stable")[:NEIGHBOURS]]
+        return others[np.argsort(distance, kind="stable")[:NEIGHBOUR_COUNT]]
 
-    def lay_on_measured(self) -> Outcome:
+    def lay_on_measured(self) -> UpdateOutcome:
         """Correct rock heights by measured terrain; see `correct_heights`."""
-        if self.measured is None or not self.state.has(GROUND) or self.count == 0:
-            return Outcome(0.0, 0, False)
+        if self.measured is None or not self.state.has(TERRAIN) or self.count == 0:
+            return UpdateOutcome(0.0, 0, False)
         return correct_heights(self, self.measured)
 
     def remove(self, index: Index) -> Index:

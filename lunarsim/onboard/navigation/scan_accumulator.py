@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lunarsim.frames import quat_to_matrix
-from lunarsim.onboard.navigation import _ground_kernels as kernels
-from lunarsim.onboard.navigation.seen_scan import SeenScan
+from lunarsim.onboard.navigation import _kriging_kernels as kernels
+from lunarsim.onboard.navigation.corrected_scan import CorrectedScan
 from lunarsim.onboard.navigation.submap import Submap
 
 Array = NDArray[np.float64]
@@ -39,7 +39,7 @@ class ScanAccumulator:
         self._submap: Submap | None = None
         self._since = -np.inf
 
-    def take(self, corrected: SeenScan, time: float) -> SeenScan | None:
+    def take(self, corrected: CorrectedScan, time: float) -> CorrectedScan | None:
         """Return a scan that covers enough posts, or None while there is none.
 
         This is the given scan if it is large enough, or else all accumulated points. They are fixed

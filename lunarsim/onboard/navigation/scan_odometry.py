@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 from lunarsim.grid import Grid
 from lunarsim.messages.measurements import LidarScan
 from lunarsim.onboard.navigation import odometry_noise as noise
+from lunarsim.onboard.navigation.corrected_scan import CorrectedScan
 from lunarsim.onboard.navigation.error_state import POSE, REFERENCE_POSE
 from lunarsim.onboard.navigation.measurement_processor import FilterContext
 from lunarsim.onboard.navigation.registration import fit, residual_correlation, solve_error
 from lunarsim.onboard.navigation.registration_settings import RegistrationSettings
-from lunarsim.onboard.navigation.seen_scan import SeenScan
 from lunarsim.onboard.navigation.surface import ScanSurface
 
 Array = NDArray[np.float64]
@@ -54,7 +54,7 @@ class _ReferenceScan:
     sensor: str
     grid: Grid
     surface: ScanSurface
-    corrected: SeenScan
+    corrected: CorrectedScan
     displacement: float = 0.0
 
     def moved(self, change: Array) -> _ReferenceScan:
@@ -182,7 +182,11 @@ class ScanOdometry:
 
 
 def _difference_jacobian(
-    new: SeenScan, old: SeenScan, points: Array, normals: Array, scanner: NDArray[np.int64]
+    new: CorrectedScan,
+    old: CorrectedScan,
+    points: Array,
+    normals: Array,
+    scanner: NDArray[np.int64],
 ) -> Array:
     """Return the Jacobian of the difference between points (m, 3) of two scans.
 

@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from lunarsim.errors import InputError
 from lunarsim.frames import (
-    Shift,
+    SiteToLocal,
     is_rotation,
     normalised,
     quat_conjugate,
@@ -39,15 +39,18 @@ from lunarsim.messages.measurements import (
     DopplerReading,
     InertialSamples,
 )
-from lunarsim.models.instruments import FixedBeam, FixedBeams, StarInstrument
+from lunarsim.models.instruments import (
+    AltimeterInstrument,
+    StarTrackerInstrument,
+    VelocimeterInstrument,
+)
 from lunarsim.onboard.navigation.aiding_measurements import (
     MONITOR_SETTINGS,
     check_scalar_reading,
     innovation_gate,
 )
-from lunarsim.onboard.navigation.arrivals import Arrivals
 from lunarsim.onboard.navigation.covariance_inflation import inflate
-from lunarsim.onboard.navigation.error_state import Outcome, gate_innovation
+from lunarsim.onboard.navigation.error_state import UpdateOutcome, gate_innovation
 from lunarsim.onboard.navigation.estimate import Estimate, Navigation, NavigationEvent
 from lunarsim.onboard.navigation.inertial import (
     ACCELEROMETER,
@@ -57,13 +60,14 @@ from lunarsim.onboard.navigation.inertial import (
     StrapdownState,
 )
 from lunarsim.onboard.navigation.innovation_monitor import InnovationMonitor, MonitorResult
-from lunarsim.onboard.navigation.level_ground import LevelGround
-from lunarsim.onboard.navigation.measured import (
+from lunarsim.onboard.navigation.measurement_models import (
     MAX_SIGMA_M,
     MIN_DOWN_COSINE,
     is_symmetric,
     speed_bias_model,
 )
+from lunarsim.onboard.navigation.measurement_sequencer import MeasurementSequencer
+from lunarsim.onboard.navigation.terrain_prior import TerrainPrior
 from lunarsim.parts.quantity import check_bounds, quantity
 
 Array = NDArray[np.float64]
@@ -109,7 +113,7 @@ class UnscentedNavigation:
         """Build the navigation filter of one flight."""
         state, sigmas = StrapdownState.of(briefing)
         return UnscentedFilter(
-            state, sigmas, self, ground=LevelGround.of(briefing, float(np.tan(self.relief))),
+            state, sigmas, self, ground=TerrainPrior.of(briefing, float(np.tan(self.relief))),
             mass=briefing.lander.wet_mass,
             exhaust_velocity=briefing.lander.exhaust_velocity, lag=briefing.lander.thrust_lag,
             instruments=briefing.instruments,
@@ -145,7 +149,7 @@ class UnscentedFilter(Navigation):
         errors: StartSigmas | None = None,
         settings: UnscentedNavigation | None = None,
         *,
-        ground: LevelGround | None = None,
+        ground: TerrainPrior | None = None,
         mass: float = 1000.0,
         exhaust_velocity: float = 3000.0,
         lag: float = 0.0,
@@ -158,11 +162,15 @@ class UnscentedFilter(Navigation):
         self.settings = settings or UnscentedNavigation()
         self.events: list[NavigationEvent] = []
         self._monitors: dict[tuple[str, str], InnovationMonitor] = {}
-        self._ground, self._exhaust, self._lag = ground or LevelGround(), exhaust_velocity, lag
+        self._ground, self._exhaust, self._lag = ground or TerrainPrior(), exhaust_velocity, lag
         calibrations = instruments or {}
-        self._beams = {n: i.boresight for n, i in calibrations.items() if isinstance(i, FixedBeam)}
+        self._beams = {
+            n: i.boresight for n, i in calibrations.items() if isinstance(i, AltimeterInstrument)
+        }
         self._beam_sets = {
-            n: np.array(i.directions) for n, i in calibrations.items() if isinstance(i, FixedBeams)
+            n: np.array(i.directions)
+            for n, i in calibrations.items()
+            if isinstance(i, VelocimeterInstrument)
         }
         # Variance of the speed biases of the beams, m^2/s^2.
         self._bias_variance = {
@@ -170,11 +178,13 @@ class UnscentedFilter(Navigation):
             for n, (b, w) in (
                 (n, speed_bias_model(i))
                 for n, i in calibrations.items()
-                if isinstance(i, FixedBeams)
+                if isinstance(i, VelocimeterInstrument)
             )
         }
         self._mounts = {
-            n: i.misalignment for n, i in calibrations.items() if isinstance(i, StarInstrument)
+            n: i.misalignment
+            for n, i in calibrations.items()
+            if isinstance(i, StarTrackerInstrument)
         }
         start = inertial.covariance(errors or StartSigmas())
         # Covariance of the attitude error (small rotation in body axes) and the gyroscope bias.
@@ -192,7 +202,7 @@ class UnscentedFilter(Navigation):
         self._mean_thrust = 0.0
         self._range_counts: dict[str, int] = {}
         self._offset = np.zeros(3)
-        self._arrivals = Arrivals(inertial.step, self._add_event)
+        self._arrivals = MeasurementSequencer(inertial.step, self._add_event)
 
     # --- state ----------------------------------------------------------------------------
 
@@ -215,9 +225,9 @@ class UnscentedFilter(Navigation):
         return {f"{sensor} {kind}": monitor for (sensor, kind), monitor in self._monitors.items()}
 
     @property
-    def site_to_local(self) -> Shift:
+    def site_to_local(self) -> SiteToLocal:
         """Transformation from the site frame to the local frame."""
-        return Shift(self._offset.copy())
+        return SiteToLocal(self._offset.copy())
 
     def estimate(self, time: float, mass: float) -> Estimate:
         """Return the lander's state, with the filter's mass after a thrust command."""
@@ -338,14 +348,14 @@ class UnscentedFilter(Navigation):
             self._monitor_outcome(sensor, "attitude", self._attitude(sensor, given), time)
         self._offset -= self.inertial.position - before
 
-    def _range(self, sensor: str, reading: AltimeterReading) -> Outcome:
+    def _range(self, sensor: str, reading: AltimeterReading) -> UpdateOutcome:
         check_scalar_reading(sensor, reading)
         beam = np.asarray(self._beams.get(sensor, (0.0, 0.0, -1.0)))
         down = float(quat_to_matrix(self.inertial.attitude)[2] @ beam)
         r, sigma = reading.range, reading.sigma
         good = 0.0 < r < np.inf and 0.0 < sigma < MAX_SIGMA_M
         if not good or down > -MIN_DOWN_COSINE:
-            return Outcome(np.nan, 1, False)
+            return UpdateOutcome(np.nan, 1, False)
         # The terrain-height error is common to all readings: together they must count only once.
         uses = self._range_counts.get(sensor, 0)
         level = ((self._ground.sigma or 0.0) / down) ** 2 * (uses + 1) * (uses + 2)
@@ -356,7 +366,7 @@ class UnscentedFilter(Navigation):
         self._range_counts[sensor] = uses + outcome.taken
         return outcome
 
-    def _speeds(self, sensor: str, reading: DopplerReading) -> Outcome:
+    def _speeds(self, sensor: str, reading: DopplerReading) -> UpdateOutcome:
         beams = self._beam_sets[sensor]
         for name in ("speed", "speed_sigma"):
             shape = np.shape(getattr(reading, name))
@@ -367,7 +377,7 @@ class UnscentedFilter(Navigation):
         speed, sigma = np.asarray(reading.speed), np.asarray(reading.speed_sigma)
         has_return = np.isfinite(speed) & np.isfinite(sigma) & (sigma > 0.0)
         if not has_return.any():
-            return Outcome(np.nan, 0, False)
+            return UpdateOutcome(np.nan, 0, False)
         rays = beams[has_return] @ quat_to_matrix(self.inertial.attitude).T
         own = quat_to_matrix(self.inertial.attitude).T @ self.inertial.velocity
         by_turn = np.cross(beams[has_return], own)
@@ -381,9 +391,9 @@ class UnscentedFilter(Navigation):
         white = np.full(len(beams), np.nan)
         if outcome.taken:
             white[has_return] = outcome.white
-        return Outcome(outcome.nis, outcome.degrees, outcome.taken, white)
+        return UpdateOutcome(outcome.nis, outcome.degrees, outcome.taken, white)
 
-    def _attitude(self, sensor: str, reading: AttitudeReading) -> Outcome:
+    def _attitude(self, sensor: str, reading: AttitudeReading) -> UpdateOutcome:
         q, r = np.asarray(reading.attitude, float), np.asarray(reading.covariance, float)
         if q.shape != (4,) or r.shape != (3, 3):
             raise InputError(
@@ -392,10 +402,10 @@ class UnscentedFilter(Navigation):
         mount = self._mounts.get(sensor, 0.0)
         own = r + mount**2 * np.eye(3)
         if not is_rotation(q) or not is_symmetric(own):
-            return Outcome(np.nan, 3, False)
+            return UpdateOutcome(np.nan, 3, False)
         spread = np.linalg.eigvalsh(own)
         if spread.min() <= 0.0 or spread.max() > _MAX_READING_SIGMA_RAD**2:
-            return Outcome(np.nan, 3, False)
+            return UpdateOutcome(np.nan, 3, False)
         between = quat_multiply(quat_conjugate(self.inertial.attitude), normalised(q))
         turn = quat_to_rotation_vector(between)
         outcome, _ = gate_innovation(
@@ -416,7 +426,7 @@ class UnscentedFilter(Navigation):
 
     def _update(
         self, z: Array, expected: Callable[[Array], Array], noise: Array, gate: float
-    ) -> Outcome:
+    ) -> UpdateOutcome:
         """Update with a measurement (m,), unless its innovation exceeds the gate."""
         k = self.kalman
         # filterpy draws sigma points only in `predict`; each further update needs new ones.
@@ -453,7 +463,7 @@ class UnscentedFilter(Navigation):
         )
         s.correct(error)
 
-    def _monitor_outcome(self, sensor: str, kind: str, outcome: Outcome, time: float) -> None:
+    def _monitor_outcome(self, sensor: str, kind: str, outcome: UpdateOutcome, time: float) -> None:
         """Monitor the outcome of a measurement, and inflate the covariance after an alarm."""
         settings = replace(MONITOR_SETTINGS[kind], max_drifts=_MAX_DRIFTS)
         monitor = self._monitors.setdefault((sensor, kind), InnovationMonitor(settings))

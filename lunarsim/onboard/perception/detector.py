@@ -15,12 +15,12 @@ from lunarsim.models.camera import CameraModel
 from lunarsim.models.pinhole import View
 from lunarsim.models.pose import Pose
 from lunarsim.onboard.perception import _patch_kernels as kernels
-from lunarsim.onboard.perception.along_plane import model_on_plane
 from lunarsim.onboard.perception.ground_plane import GroundPlane
+from lunarsim.onboard.perception.plane_models import model_on_plane
 from lunarsim.onboard.perception.segmentation import Segmentation, segment
 from lunarsim.onboard.perception.shadow_model import (
-    LEAST_ELEVATION,
-    MOST_ELEVATION,
+    MAX_SUN_ELEVATION,
+    MIN_SUN_ELEVATION,
     ShadowModel,
     ShadowPatch,
 )
@@ -66,7 +66,7 @@ class DetectorSettings:
         Standard deviation of the position of an end of a patch, pixels.
     look_sigma
         Standard deviations of a centre between observations, along the Sun and across, relative to
-        the size of a pixel on the ground; determined by `scenarios/shadows/looks.py`.
+        the size of a pixel on the ground; determined by `scenarios/shadows/rock_measurements.py`.
     look_small
         Additional standard deviations for patches of one pixel per radius, along the Sun and
         across, pixels; they decrease as patches grow. They were tuned on filters in flight, because
@@ -276,7 +276,7 @@ def _mixture_of(
 ) -> ShapeMixture:
     """Return the shadow model on a plane for the given Sun direction (ENU)."""
     if not isinstance(model, ShapeMixture):
-        elevation = float(np.clip(np.arcsin(sun[2]), LEAST_ELEVATION, MOST_ELEVATION))
+        elevation = float(np.clip(np.arcsin(sun[2]), MIN_SUN_ELEVATION, MAX_SUN_ELEVATION))
         model = ShapeMixture.known(model or _half_spheres(elevation))
     return model_on_plane(model, plane, sun)
 

@@ -25,7 +25,7 @@ from scipy.interpolate import RegularGridInterpolator
 from lunarsim.frames import direction_from_angles
 from lunarsim.onboard.perception.shadow_model import ShadowModel, ground_about, shadow_reach
 from lunarsim.rocks.field import RockModel
-from lunarsim.rocks.level_ground import RockOnLevelGround
+from lunarsim.rocks.rock_on_plane import RockOnPlane
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -83,7 +83,7 @@ def lit_faces(model: ShadowModel, azimuth: Any, depression: Any) -> tuple[Comple
 def _table(elevation: float, shapes: RockModel) -> Complex:
     """Return direction and axis (azimuths, depressions, 2) of a population."""
     field = shapes.draw(np.full(_ROCKS_PER_SHAPE, 2.0), np.random.default_rng(1966))
-    scenes = [RockOnLevelGround(field, k) for k in range(len(field))]
+    scenes = [RockOnPlane(field, k) for k in range(len(field))]
     sun = direction_from_angles(0.0, elevation)
     out = np.zeros((_AZIMUTHS.size, _DEPRESSIONS.size, 2), np.complex128)
     for i, azimuth in enumerate(_AZIMUTHS[:-1]):
@@ -94,9 +94,7 @@ def _table(elevation: float, shapes: RockModel) -> Complex:
     return out
 
 
-def _directions_of_rock(
-    scene: RockOnLevelGround, sun: Array, camera: Array
-) -> tuple[complex, complex]:
+def _directions_of_rock(scene: RockOnPlane, sun: Array, camera: Array) -> tuple[complex, complex]:
     """Return direction and axis of one rock of radius 1; 0 where they are not visible.
 
     The Sun is in the north, so the direction to its left is west.
@@ -116,7 +114,7 @@ def _directions_of_rock(
     return gap / max(abs(gap), 1e-9), axis
 
 
-def _render(scene: RockOnLevelGround, sun: Array, camera: Array) -> tuple[Complex, Array]:
+def _render(scene: RockOnPlane, sun: Array, camera: Array) -> tuple[Complex, Array]:
     """Return ground positions (n,) and their blurred relative brightness."""
     reach = shadow_reach(float(np.arcsin(sun[2])))
     shape, ground, point, normal = ground_about(scene, camera, reach, 1.0 / _SAMPLES_PER_RADIUS)

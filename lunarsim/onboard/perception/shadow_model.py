@@ -23,7 +23,7 @@ from lunarsim.frames import direction_from_angles
 from lunarsim.onboard.perception._table_kernels import interpolated
 from lunarsim.onboard.perception.table_cache import cached_table
 from lunarsim.rocks.field import RockModel
-from lunarsim.rocks.level_ground import RockOnLevelGround
+from lunarsim.rocks.rock_on_plane import RockOnPlane
 
 Array = NDArray[np.float64]
 
@@ -34,16 +34,16 @@ _ROCKS_PER_SHAPE = 5
 # Samples across a radius.
 _SAMPLES_PER_RADIUS = 12
 # Standard deviations of radius and centre (per axis), in radii, that many observations do not
-# average out. `scenarios/shadows/looks.py` finds 0.09 and 0.37 for cubes, 0.15 to 0.16 and 0.18 to
-# 0.22 for irregular, mixed rocks and ellipsoids, 0.06 and 0.14 for half spheres.
+# average out. `scenarios/shadows/rock_measurements.py` finds 0.09 and 0.37 for cubes, 0.15 to 0.16
+# and 0.18 to 0.22 for irregular, mixed rocks and ellipsoids, 0.06 and 0.14 for half spheres.
 _PERSISTENT_SIGMAS = (0.12, 0.28)
 # A rock of radius 1 with less dark area is shadowless; number of samples to estimate their
 # fraction.
 _MIN_DARK_AREA, _SHADOWLESS_SAMPLES = 0.15, 64
 # Ratio of the tangents of neighbouring tabulated Sun elevations.
 _TANGENT_STEP = 1.1
-LEAST_ELEVATION = np.deg2rad(2.0)
-MOST_ELEVATION = np.deg2rad(80.0)
+MIN_SUN_ELEVATION = np.deg2rad(2.0)
+MAX_SUN_ELEVATION = np.deg2rad(80.0)
 
 
 @dataclass(frozen=True)
@@ -120,7 +120,7 @@ class ShadowModel:
 
     def __init__(self, elevation: float, shapes: RockModel | None = None) -> None:
         number = isinstance(elevation, float | int | np.floating)
-        if not (number and LEAST_ELEVATION <= elevation <= MOST_ELEVATION):
+        if not (number and MIN_SUN_ELEVATION <= elevation <= MAX_SUN_ELEVATION):
             raise InputError(
                 "sun.elevation",
                 elevation,
@@ -226,10 +226,10 @@ def near_elevation(elevation: float, start: float) -> float:
     The result lies between 2 and 80 degrees, also if the Sun is below a plane that slopes away from
     it.
     """
-    elevation = float(np.clip(elevation, LEAST_ELEVATION, MOST_ELEVATION))
+    elevation = float(np.clip(elevation, MIN_SUN_ELEVATION, MAX_SUN_ELEVATION))
     steps = round(np.log(np.tan(elevation) / np.tan(start)) / np.log(_TANGENT_STEP))
     nearest = float(np.arctan(np.tan(start) * _TANGENT_STEP**steps)) if steps else start
-    return float(np.clip(nearest, LEAST_ELEVATION, MOST_ELEVATION))
+    return float(np.clip(nearest, MIN_SUN_ELEVATION, MAX_SUN_ELEVATION))
 
 
 @lru_cache(maxsize=16)
@@ -247,9 +247,7 @@ def faceted_shadowless_fraction(
     sun = direction_from_angles(0.0, elevation)
     above = np.array([0.0, 0.0, 1.0])
     reach = shadow_reach(elevation)
-    dark = [
-        _dark_patch(RockOnLevelGround(field, k), sun, above, reach)[-1] for k in range(len(field))
-    ]
+    dark = [_dark_patch(RockOnPlane(field, k), sun, above, reach)[-1] for k in range(len(field))]
     return float(np.mean(np.array(dark) < _MIN_DARK_AREA))
 
 
@@ -271,7 +269,7 @@ def _compute_table(elevation: float, shapes: RockModel) -> Array:
     one = shapes.shape == "hemisphere"
     field = shapes.draw(np.full(1 if one else _ROCKS_PER_SHAPE, 2.0), rng)
     table = np.empty((_AZIMUTHS.size, _DEPRESSIONS.size, 10))
-    scenes = [RockOnLevelGround(field, k) for k in range(len(field))]
+    scenes = [RockOnPlane(field, k) for k in range(len(field))]
     sun = direction_from_angles(0.0, elevation)
     reach = shadow_reach(elevation)
     for i, azimuth in enumerate(_AZIMUTHS):
@@ -283,7 +281,7 @@ def _compute_table(elevation: float, shapes: RockModel) -> Array:
 
 
 def ground_about(
-    scene: RockOnLevelGround, camera: Array, reach: float, step: float
+    scene: RockOnPlane, camera: Array, reach: float, step: float
 ) -> tuple[tuple[int, int], Array, Array, Array]:
     """Return the points that a camera sees in front of the ground about a rock.
 
@@ -318,9 +316,7 @@ def ground_about(
     return xx.shape, ground, start - distance[:, None] * camera + 1e-4 * normal, normal
 
 
-def _dark_patch(
-    scene: RockOnLevelGround, sun: Array, camera: Array, reach: float
-) -> tuple[float, ...]:
+def _dark_patch(scene: RockOnPlane, sun: Array, camera: Array, reach: float) -> tuple[float, ...]:
     """Return along, side, length, width, skew and area of the dark patch of a rock of radius 1.
 
     The Sun is in the north, so `along` is y and `across`, to its left, is -x.
@@ -352,6 +348,6 @@ def _outline(shapes: RockModel) -> tuple[tuple[float, float], float, float]:
     points = radius[:, None, None] * np.stack((np.cos(angle), np.sin(angle)), -1)
     reach = np.empty((len(field), angle.size))
     for k in range(len(field)):
-        inside = RockOnLevelGround(field, k).covers(points)
+        inside = RockOnPlane(field, k).covers(points)
         reach[k] = radius[:, None].repeat(angle.size, 1).max(0, where=inside, initial=0.0)
     return (float(reach.mean()), float(reach.std())), *_PERSISTENT_SIGMAS

@@ -32,9 +32,9 @@ Array = NDArray[np.float64]
 # rocks is 0.54: Demidov and Basilevsky 2014); the same nearly as high as wide; embedded cubes;
 # cubes on the surface. Shadows of the third are 0.6 to 0.75 as long and as wide as those of a cube
 # of the same radius, so the radius would be a third too small if the rock were taken for a cube.
-LOW = RockModel("ellipsoid", height_ratio=(0.4, 0.05), burial=(0.0, 0.0))
+LOW_POWER = RockModel("ellipsoid", height_ratio=(0.4, 0.05), burial=(0.0, 0.0))
 SHAPES = (
-    LOW,
+    LOW_POWER,
     RockModel("mixed", height_ratio=(0.5, 0.1), burial=(0.0, 0.0)),
     RockModel("mixed", height_ratio=(0.8, 0.1), burial=(0.0, 0.0)),
     RockModel("cube", burial=(0.2, 0.5)),

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lunarsim.errors import InputError
-from lunarsim.onboard.perception.shadow_model import LEAST_ELEVATION, MOST_ELEVATION
+from lunarsim.onboard.perception.shadow_model import MAX_SUN_ELEVATION, MIN_SUN_ELEVATION
 
 Array = NDArray[np.float64]
 
@@ -33,7 +33,7 @@ def unit_vector(sun: ArrayLike) -> Array:
 def has_usable_shadows(sun: Array) -> bool:
     """Return whether the Sun (3,) is between 2 and 80 deg high, as detection requires."""
     elevation = float(np.arcsin(np.clip(sun[2], -1.0, 1.0)))
-    return bool(LEAST_ELEVATION <= elevation <= MOST_ELEVATION)
+    return bool(MIN_SUN_ELEVATION <= elevation <= MAX_SUN_ELEVATION)
 
 
 def shadow_length_ratio(sun: Array) -> float:

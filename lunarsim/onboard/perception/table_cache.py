@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from lunarsim.atomic_arrays import atomic_write_arrays
 from lunarsim.user_cache import user_cache
-from lunarsim.whole_arrays import write_arrays_whole
 
 Array = NDArray[np.float64]
 
@@ -45,7 +45,7 @@ def cached_table(name: str, key: str, make: Callable[[], Array]) -> Array:
     table = make()
     with contextlib.suppress(OSError):
         path.parent.mkdir(parents=True, exist_ok=True)
-        write_arrays_whole(path, {"table": table})
+        atomic_write_arrays(path, {"table": table})
     return table
 
 

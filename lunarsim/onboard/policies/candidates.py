@@ -7,16 +7,16 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from lunarsim.onboard.guidance.divert import DivertCost
+from lunarsim.onboard.guidance.divert_cost import DivertCost
 from lunarsim.onboard.hazards.hazard_map import FloatMap, HazardMap
 from lunarsim.onboard.hazards.scoreboard import Scoreboard
 from lunarsim.onboard.policies.contract import Candidates
-from lunarsim.onboard.policies.reach import Reach
+from lunarsim.onboard.policies.reachability import ReachabilityMap
 
 Array = NDArray[np.float64]
 
 # The nearest site above each of these values of p_safe is also a candidate.
-_LEVELS = (0.99, 0.95, 0.8, 0.5)
+SAFETY_LEVELS = (0.99, 0.95, 0.8, 0.5)
 # Fraction of p_safe that 100 m of distance cost, so that the nearer of equally safe sites wins. It
 # is relative, because p_safe differs only in the third decimal where the map is uncertain
 # everywhere.
@@ -79,7 +79,7 @@ def candidate_sites(
     miss_of: Callable[[Array], Array] | None = None,
     mapper: str = "",
     scoreboard: Scoreboard | None = None,
-    reach: Reach | None = None,
+    reach: ReachabilityMap | None = None,
 ) -> Candidates:
     """Return the candidate sites of a policy, with the cost of reaching each.
 
@@ -140,7 +140,7 @@ def candidate_sites(
 def _is_safest_unreachable(aim: FloatMap, feasible: NDArray[np.bool_]) -> bool:
     """Return whether an unreachable site is safer than all reachable ones."""
     best = float(np.max(aim[feasible], initial=0.0))
-    return best < _LEVELS[0] and best < float(np.max(aim[~feasible], initial=0.0))
+    return best < SAFETY_LEVELS[0] and best < float(np.max(aim[~feasible], initial=0.0))
 
 
 def _replace_unreachable(
@@ -178,7 +178,7 @@ def _proposed_cells(
     """Return the safest cells and the nearest at each level (n, 2), and their sources."""
     cells = best_cells(aim, distance, posting, count, separation)
     source = [f"{mapper}: safest"] * len(cells)
-    for level in _LEVELS:
+    for level in SAFETY_LEVELS:
         is_safe = aim >= level
         if is_safe.any():
             nearest = np.unravel_index(

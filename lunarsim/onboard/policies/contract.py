@@ -13,8 +13,8 @@ from lunarsim.errors import InputError
 from lunarsim.onboard.hazards.hazard_map import HazardMap
 from lunarsim.onboard.hazards.scoreboard import Scoreboard
 from lunarsim.onboard.navigation.estimate import Estimate
-from lunarsim.onboard.part_results import checked_vector, wrong_result
-from lunarsim.onboard.policies.reach import Reach
+from lunarsim.onboard.policies.reachability import ReachabilityMap
+from lunarsim.onboard.result_checks import checked_vector, wrong_result_error
 
 Array = NDArray[np.float64]
 
@@ -143,7 +143,7 @@ class Observation:
     site_value: float = 1.0
     scoreboard: Scoreboard | None = None
     expected_miss: float = 0.0
-    reach: Reach | None = None
+    reach: ReachabilityMap | None = None
 
     def __post_init__(self) -> None:
         if np.isnan(self.site_propellant):
@@ -236,7 +236,7 @@ def checked_decision(policy: object, value: Any, time: float) -> Decision:
         If it is not a `Decision`, or its site is not three finite numbers.
     """
     if not isinstance(value, Decision):
-        raise wrong_result("policy", policy, "decide", value, "a Decision", time)
+        raise wrong_result_error("policy", policy, "decide", value, "a Decision", time)
     if value.site is not None:
         checked_vector("policy", policy, "decide", value.site, "m as site", time)
     return value

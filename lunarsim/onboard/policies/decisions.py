@@ -9,7 +9,7 @@ from lunarsim.parts.quantity import quantity
 
 
 @dataclass(frozen=True)
-class Decisions:
+class DecisionSettings:
     """Settings of the decisions: schedule, decision map and candidate sites.
 
     Attributes

@@ -11,7 +11,7 @@ from lunarsim.onboard.navigation.estimate import Estimate
 Array = NDArray[np.float64]
 
 # Upper limit of the expected miss, m. Beyond it no site can be selected anyway.
-MOST = 30.0
+MAX_EXPECTED_MISS_M = 30.0
 
 
 def expected_miss(stated: float, estimate: Estimate, adrift: bool, seconds: ArrayLike) -> Array:
@@ -40,10 +40,12 @@ def expected_miss(stated: float, estimate: Estimate, adrift: bool, seconds: Arra
     horizontal = estimate.covariance[3:5, 3:5]
     speed = float(np.sqrt(max(0.5 * np.trace(horizontal), 0.0)))
     miss = np.hypot(stated, speed * np.maximum(time, 0.0))
-    return np.minimum(np.where(np.isfinite(miss), miss, MOST), max(MOST, stated))
+    return np.minimum(
+        np.where(np.isfinite(miss), miss, MAX_EXPECTED_MISS_M), max(MAX_EXPECTED_MISS_M, stated)
+    )
 
 
-class Aim:
+class LandingDispersion:
     """Disperses the decision map by the expected miss.
 
     Parameters

@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Window:
+class CrewWindow:
     """Look angles within which a site is visible and can be designated.
 
     Attributes

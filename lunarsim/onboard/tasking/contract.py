@@ -38,7 +38,7 @@ class Situation:
 
 
 @dataclass(frozen=True)
-class Looks:
+class MeasurementAltitudes:
     """Altitudes of the pads above the site at which a schedule measures.
 
     Attributes
@@ -60,8 +60,8 @@ class TaskingPart(Protocol):
     Attributes
     ----------
     looks
-        Optional: the altitudes at which it measures (`Looks`), for planners. Default: all
-        altitudes.
+        Optional: the altitudes at which it measures (`MeasurementAltitudes`), for planners.
+        Default: all altitudes.
     """
 
     def build(self, sensor: str, briefing: Briefing) -> Tasking:

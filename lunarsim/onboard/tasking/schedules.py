@@ -12,7 +12,7 @@ from lunarsim.errors import InputError
 from lunarsim.messages.briefing import Briefing
 from lunarsim.messages.commands import SensorTask
 from lunarsim.models.gimbal import gimbal_mount
-from lunarsim.onboard.tasking.contract import Looks, Situation
+from lunarsim.onboard.tasking.contract import MeasurementAltitudes, Situation
 from lunarsim.parts.quantity import quantity
 
 Array = NDArray[np.float64]
@@ -60,9 +60,9 @@ class AtAltitudes:
             raise InputError("altitudes", (), "must contain at least one altitude in m")
 
     @property
-    def looks(self) -> Looks:
+    def looks(self) -> MeasurementAltitudes:
         """Altitudes at which it measures."""
-        return Looks(at=self.altitudes)
+        return MeasurementAltitudes(at=self.altitudes)
 
     def build(self, sensor: str, briefing: Briefing) -> AltitudeSchedule:
         """Return the schedule of one flight."""
@@ -105,9 +105,9 @@ class Periodic:
             )  # fmt: skip
 
     @property
-    def looks(self) -> Looks:
+    def looks(self) -> MeasurementAltitudes:
         """Altitudes at which it measures."""
-        return Looks(highest=self.first_altitude, lowest=self.last_altitude)
+        return MeasurementAltitudes(highest=self.first_altitude, lowest=self.last_altitude)
 
     def build(self, sensor: str, briefing: Briefing) -> PeriodicSchedule:
         """Return the schedule of one flight."""
@@ -145,9 +145,9 @@ class Sweep:
     )
 
     @property
-    def looks(self) -> Looks:
+    def looks(self) -> MeasurementAltitudes:
         """Altitudes at which it measures."""
-        return Looks(lowest=self.last_altitude)
+        return MeasurementAltitudes(lowest=self.last_altitude)
 
     def build(self, sensor: str, briefing: Briefing) -> SweepSchedule:
         """Return the schedule of one flight."""

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from lunarsim.errors import InputError
-from lunarsim.optimal.final_time import least_propellant
+from lunarsim.optimal.final_time import minimize_propellant
 from lunarsim.optimal.planner import Planner
 from lunarsim.optimal.six_dof.path import RigidPath
 from lunarsim.optimal.six_dof.problem import RigidDescent
@@ -61,7 +61,7 @@ def initial_guess(descent: RigidDescent, intervals: int) -> InitialGuess:
         If the solver for the point mass fails.
     """
     d = descent
-    path = least_propellant(Planner(intervals), d.as_point(), allow_lossy=True)
+    path = minimize_propellant(Planner(intervals), d.as_point(), allow_lossy=True)
     n, step = intervals, path.step
     states = np.zeros((n + 1, 15))
     states[:, :3], states[:, 3:6], states[:, 13] = path.position, path.velocity, path.mass
@@ -84,7 +84,7 @@ def initial_guess(descent: RigidDescent, intervals: int) -> InitialGuess:
     return InitialGuess(path.duration, states, thrust, torque)
 
 
-def carried_on(path: RigidPath, elapsed: float) -> InitialGuess:
+def remaining_guess(path: RigidPath, elapsed: float) -> InitialGuess:
     """Return the rest of a path after a time (s), on as many intervals.
 
     Raises

@@ -11,8 +11,8 @@ from scipy.spatial.transform import Rotation
 
 from lunarsim.errors import InputError
 from lunarsim.models.lander import Lander
-from lunarsim.optimal.checks import is_number, numbers
 from lunarsim.optimal.problem import Descent
+from lunarsim.optimal.validation import is_number, numbers
 
 Array = NDArray[np.float64]
 
@@ -51,7 +51,7 @@ def angle_between(a: Array, b: Array) -> float:
 
 
 @dataclass(frozen=True)
-class Sight:
+class SiteVisibility:
     """Sensor that must see the landing site.
 
     Attributes
@@ -140,7 +140,7 @@ class RigidDescent:
     max_rate: float | None = None
     glideslope: float | None = None
     drop: float = 0.5
-    sight: Sight | None = None
+    sight: SiteVisibility | None = None
     reserve: float = 0.0
 
     def __post_init__(self) -> None:
@@ -153,7 +153,7 @@ class RigidDescent:
                             ("thrust_max", self.lander.thrust_max)):  # fmt: skip
             if getattr(self, name) is None:
                 object.__setattr__(self, name, given)
-        if not (self.sight is None or isinstance(self.sight, Sight)):
+        if not (self.sight is None or isinstance(self.sight, SiteVisibility)):
             raise InputError("optimal.sight", type(self.sight).__name__, "must be a Sight or None")
         self._check_figures()
         try:

@@ -14,14 +14,14 @@ from typing import Any
 import casadi
 import numpy as np
 
-from lunarsim.optimal.checks import count
 from lunarsim.optimal.errors import SolverError
-from lunarsim.optimal.six_dof.compiled import compiled_library
+from lunarsim.optimal.six_dof.compiled_solver import compiled_library
 from lunarsim.optimal.six_dof.guess import InitialGuess, initial_guess
 from lunarsim.optimal.six_dof.motion import CONTROLS, SHARES, STATES, interval, limits
 from lunarsim.optimal.six_dof.path import RigidPath
 from lunarsim.optimal.six_dof.problem import RigidDescent
 from lunarsim.optimal.six_dof.scale import EFFORT, PARAMETERS, Scale
+from lunarsim.optimal.validation import count
 
 _STEPS = len(SHARES)
 _OPTIONS: dict[str, Any] = {

@@ -17,7 +17,6 @@ import numpy as np
 import qoco
 from numpy.typing import NDArray
 
-from lunarsim.optimal.checks import count
 from lunarsim.optimal.errors import SolverError
 from lunarsim.optimal.six_dof.guess import InitialGuess, initial_guess
 from lunarsim.optimal.six_dof.linearised import LinearisedPath
@@ -25,6 +24,7 @@ from lunarsim.optimal.six_dof.path import RigidPath
 from lunarsim.optimal.six_dof.problem import RigidDescent
 from lunarsim.optimal.six_dof.program import ProgramLayout, QuadraticProgram
 from lunarsim.optimal.six_dof.scale import Scale
+from lunarsim.optimal.validation import count
 
 Array = NDArray[np.float64]
 
@@ -44,7 +44,7 @@ _CONVERGED_CHANGE, _SMALL_DEFECT, _LONG_STEP_PENALTY = 5e-4, 5e-3, 1e-4
 _MAX_DEFECT, _MAX_VIOLATION = 2e-5, 5e-3
 
 
-class Successive:
+class SuccessiveConvexification:
     """Solver that keeps and updates programs of one structure.
 
     Parameters

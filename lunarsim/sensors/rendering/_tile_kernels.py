@@ -96,7 +96,7 @@ def tile_tables(z, side, levels, p):
 
 
 @kernel()
-def lee_blocks(z, first, side, blocks, p, sun, share):
+def shadow_caster_blocks(z, first, side, blocks, p, sun, share):
     """Return which blocks (m, blocks^2) of tiles face away from the Sun, or nearly.
 
     `first` (m, 2) are the first column and row of each tile; its blocks are numbered row by row. A

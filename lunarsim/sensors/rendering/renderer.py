@@ -19,10 +19,9 @@ from numpy.typing import NDArray
 from lunarsim.errors import InputError, RenderingError
 from lunarsim.models.pinhole import View
 from lunarsim.sensors.rendered_image import RenderedImage
+from lunarsim.sensors.rendering.albedo_field import rock_albedos
 from lunarsim.sensors.rendering.context import gl_context, on_render_thread
 from lunarsim.sensors.rendering.frame_block import FRAME, frame_block
-from lunarsim.sensors.rendering.map_reads import ShadowMapReads
-from lunarsim.sensors.rendering.mottles import rock_albedos
 from lunarsim.sensors.rendering.penumbra import PenumbraBounds, disc_axes
 from lunarsim.sensors.rendering.programs import (
     BLOCK,
@@ -32,14 +31,15 @@ from lunarsim.sensors.rendering.programs import (
     shade_name,
     shading_programs,
 )
-from lunarsim.sensors.rendering.relief_painter import ReliefRenderer
+from lunarsim.sensors.rendering.relief_renderer import ReliefRenderer
 from lunarsim.sensors.rendering.relief_tiles import TileChoice
-from lunarsim.sensors.rendering.rock_painter import RockRenderer
+from lunarsim.sensors.rendering.rock_renderer import RockRenderer
 from lunarsim.sensors.rendering.rock_tiles import DrawnRocks
 from lunarsim.sensors.rendering.shading_model import ShadingModel
 from lunarsim.sensors.rendering.shadow_frame import ShadowFrame
+from lunarsim.sensors.rendering.shadow_map_reads import ShadowMapReads
 from lunarsim.sensors.rendering.surface_textures import SurfaceTextures
-from lunarsim.sensors.rendering.target import ShadowMap, Target, read_image
+from lunarsim.sensors.rendering.target import ImageTarget, ShadowMap, read_image
 from lunarsim.world.light import Light
 from lunarsim.world.terrain import Terrain
 
@@ -92,7 +92,7 @@ class Renderer:
         self._highest = float(tiles.high[:, 2].max()) if some else 0.0
         self._block = ctx.buffer(reserve=FRAME.itemsize)
         self._screens: dict[moderngl.Program, moderngl.VertexArray] = {}
-        self._targets: dict[tuple[int, int, bool], Target] = {}
+        self._targets: dict[tuple[int, int, bool], ImageTarget] = {}
         self._shadow: ShadowMap | None = None
         self._bounds: PenumbraBounds | None = None
         self._surface = SurfaceTextures(ctx, relief)
@@ -165,7 +165,11 @@ class Renderer:
         self._block.bind_to_uniform_block(0)
 
     def _shade(
-        self, target: Target, over: moderngl.Framebuffer, coarse: bool, program: moderngl.Program
+        self,
+        target: ImageTarget,
+        over: moderngl.Framebuffer,
+        coarse: bool,
+        program: moderngl.Program,
     ) -> None:
         """Shade the relief; correct its depth where it was drawn coarsely."""
         if coarse:
@@ -316,10 +320,10 @@ class Renderer:
         shadow.texture.use(SHADOW)
         return bool(shades.any()) and self._relief.grid.posting < _NARROW_RIDGE_TEXELS * frame.texel
 
-    def _target(self, width: int, height: int, truth: bool) -> Target:
+    def _target(self, width: int, height: int, truth: bool) -> ImageTarget:
         key = (width, height, truth)
         if key not in self._targets:
-            self._targets[key] = Target.of(self._ctx, width, height, (4, 2) if truth else (1,))
+            self._targets[key] = ImageTarget.of(self._ctx, width, height, (4, 2) if truth else (1,))
         return self._targets[key]
 
 

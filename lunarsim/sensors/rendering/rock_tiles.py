@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from lunarsim.models.pinhole import View
 from lunarsim.sensors.rendering import _cull_kernels as cull
 from lunarsim.sensors.rendering import _rock_tile_kernels as kernels
-from lunarsim.sensors.rendering.map_reads import ShadowMapReads
 from lunarsim.sensors.rendering.shadow_frame import ShadowFrame
+from lunarsim.sensors.rendering.shadow_map_reads import ShadowMapReads
 
 Array = NDArray[np.float64]
 

@@ -8,9 +8,9 @@ import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
-from lunarsim.sensors.rendering.glow import ScatteredLightMap, scattered_light_map
-from lunarsim.sensors.rendering.mottles import albedo_field, albedo_from_camera
+from lunarsim.sensors.rendering.albedo_field import albedo_field, albedo_from_camera
 from lunarsim.sensors.rendering.programs import GLOW, MOTTLES
+from lunarsim.sensors.rendering.scattered_light import ScatteredLightMap, scattered_light_map
 from lunarsim.world.light import Light
 from lunarsim.world.terrain import Heightfield
 

@@ -16,7 +16,7 @@ _SIZE_MARGIN = 1.15
 
 
 @dataclass(frozen=True)
-class Target:
+class ImageTarget:
     """Framebuffers of images of one size.
 
     The depth of the relief is drawn first, then its image. Rocks follow, tested against that depth
@@ -32,7 +32,9 @@ class Target:
     over_mended: moderngl.Framebuffer
 
     @classmethod
-    def of(cls, ctx: moderngl.Context, width: int, height: int, parts: tuple[int, ...]) -> Target:
+    def of(
+        cls, ctx: moderngl.Context, width: int, height: int, parts: tuple[int, ...]
+    ) -> ImageTarget:
         """Create the textures of an image; `parts` are the channels of its colour outputs."""
         size = (width, height)
         depth, mended = ctx.depth_texture(size), ctx.depth_texture(size)
@@ -73,7 +75,7 @@ class ShadowMap:
         return fits and width * height < int(_SIZE_MARGIN**3 * (size[0] + 80) * (size[1] + 64))
 
 
-def read_image(target: Target, view: View, truth: bool) -> RenderedImage:
+def read_image(target: ImageTarget, view: View, truth: bool) -> RenderedImage:
     """Return the rendered image."""
     shape = (view.height, view.width)
     first = np.frombuffer(target.colours[0].read(), np.float32)

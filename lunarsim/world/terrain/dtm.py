@@ -99,7 +99,7 @@ def read_info(
     """Describe a raster, or a window of it, without loading it into memory.
 
     Heights are read for statistics only if a window is given or the raster has at most 20 million
-    posts. The parameters are those of `load_dtm`.
+    posts. The parameters are those of `load_terrain`.
 
     Raises
     ------
@@ -152,7 +152,7 @@ def read_size(
 ) -> DtmSize:
     """Return the size of a terrain from the header of its file.
 
-    The parameters are those of `load_dtm`.
+    The parameters are those of `load_terrain`.
 
     Raises
     ------
@@ -165,7 +165,7 @@ def read_size(
         return DtmSize(int(part.width) * int(part.height), width, height)
 
 
-def load_dtm(
+def load_terrain(
     path: str | Path,
     *,
     posting: float | None = None,

@@ -13,7 +13,7 @@ from rasterio.io import DatasetReader
 from rasterio.windows import Window
 
 from lunarsim.errors import InputError, suggestion
-from lunarsim.grid import bytes_in_words
+from lunarsim.grid import format_bytes
 from lunarsim.world.terrain.raster_label import (
     declared_units,
     has_downward_heights,
@@ -76,7 +76,7 @@ def check_count(field_name: str, value: object, rows: int, cols: int, remedy: st
     if rows * cols > max_posts:
         raise InputError(
             field_name, value,
-            f"needs {rows} x {cols} posts ({bytes_in_words(8.0 * rows * cols)}), but at most "
+            f"needs {rows} x {cols} posts ({format_bytes(8.0 * rows * cols)}), but at most "
             f"{max_posts} posts are read", remedy,
         )  # fmt: skip
 

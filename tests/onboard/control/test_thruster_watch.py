@@ -5,7 +5,7 @@ import pytest
 
 from lunarsim.models.thrusters import Thrusters
 from lunarsim.onboard.control.allocation import ThrusterAllocation
-from lunarsim.onboard.control.thruster_watch import ThrusterFailureDetector
+from lunarsim.onboard.control.thruster_failure_detector import ThrusterFailureDetector
 
 INERTIA = np.array([1350.0, 1350.0, 1550.0])
 PERIOD = 0.1

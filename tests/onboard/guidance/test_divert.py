@@ -6,7 +6,7 @@ from scipy.integrate import cumulative_trapezoid, quad
 
 from lunarsim.models.lander import Lander
 from lunarsim.onboard.guidance.contract import PhaseEnd
-from lunarsim.onboard.guidance.divert import PathLimits, divert_cost
+from lunarsim.onboard.guidance.divert_cost import PathLimits, divert_cost
 from lunarsim.onboard.guidance.paths import APOLLO
 from lunarsim.onboard.navigation.estimate import Estimate
 

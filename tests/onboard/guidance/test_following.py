@@ -5,7 +5,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from lunarsim.onboard.guidance.contract import PhaseEnd
-from lunarsim.onboard.guidance.following import PathGuidance
+from lunarsim.onboard.guidance.path_guidance import PathGuidance
 from lunarsim.onboard.guidance.paths import APOLLO
 from lunarsim.onboard.navigation.estimate import Estimate
 

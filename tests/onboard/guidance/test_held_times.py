@@ -8,7 +8,7 @@ import pytest
 from lunarsim.models.lander import Lander
 from lunarsim.onboard.guidance.apollo import ApolloLaw
 from lunarsim.onboard.guidance.contract import PhaseEnd
-from lunarsim.onboard.guidance.divert import PathLimits, divert_cost
+from lunarsim.onboard.guidance.divert_cost import PathLimits, divert_cost
 from lunarsim.onboard.guidance.e_guidance import EGuidanceLaw
 from lunarsim.onboard.guidance.modified_apollo import ModifiedApolloLaw
 from lunarsim.onboard.navigation.estimate import Estimate

@@ -11,7 +11,7 @@ from scipy.integrate import quad
 from lunarsim.errors import InputError
 from lunarsim.onboard.guidance.contract import PhaseEnd
 from lunarsim.onboard.guidance.jerk_limited import (
-    increment,
+    delta_v,
     max_jerk_and_snap,
     min_times_to_go,
     site_cost,
@@ -77,10 +77,10 @@ def test_increment_is_the_integral_of_equation_10():
     whole = quad(
         lambda t: np.linalg.norm(path.at(t)[2] + [0.0, 0.0, 9.81]), 0.0, 30.0, epsabs=1e-9
     )[0]
-    assert increment(path, 9.81) == pytest.approx(whole, rel=1e-9)
+    assert delta_v(path, 9.81) == pytest.approx(whole, rel=1e-9)
     # Hovering costs g times the time.
     still = APOLLO.path(np.zeros(3), np.zeros(3), PhaseEnd(np.zeros(3)), 12.0)
-    assert increment(still, 1.622) == pytest.approx(12.0 * 1.622, rel=1e-12)
+    assert delta_v(still, 1.622) == pytest.approx(12.0 * 1.622, rel=1e-12)
 
 
 def test_sites_cost_propellant_by_the_rocket_equation():

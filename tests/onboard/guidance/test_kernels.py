@@ -4,7 +4,7 @@ import numba
 import numpy as np
 import pytest
 
-from lunarsim.onboard.guidance import _held_kernels as held
+from lunarsim.onboard.guidance import _given_time_kernels as held
 from lunarsim.onboard.guidance import _reach_kernels as kernels
 from tests.reference import divert as plain
 
@@ -42,7 +42,7 @@ def test_what_a_path_takes(powers, least, most, tan_tilt, glide):
     reached = 0
     for row in times:
         out = np.empty((count, 4))
-        kernels.survey(
+        kernels.search_sites(
             state, targets, asked, row, row, 1, table, table, np.array(powers), given, out
         )
         wanted = np.array([
@@ -65,7 +65,7 @@ def test_a_path_that_burns_much_of_the_mass():
     target, v_f, a_f = np.zeros((1, 3)), np.array([0.0, 0.0, -2.0]), np.zeros(3)
     table, time, out = table_of(powers, samples), np.array([30.0]), np.empty((1, 4))
     given = np.array([1.62, 1480.0, exhaust, 0.0, 1e9, 1e9, -1e9])
-    kernels.survey(
+    kernels.search_sites(
         np.array([r, v]), target, np.array([v_f, a_f]), time, time, 1, table, table,
         np.array(powers), given, out,
     )  # fmt: skip
@@ -86,7 +86,7 @@ def test_search_ends_at_the_edge_of_what_is_admissible():
     given = np.array([1.62, 1480.0, 3050.0, 1500.0, 5500.0, 0.7, 0.2])
     figures = (samples, 1.62, 1480.0, 3050.0, 1500.0, 5500.0, 0.7, 0.2)
     out = np.empty((1, 4))
-    kernels.survey(
+    kernels.search_sites(
         np.array([r, v]), target, np.array([v_f, a_f]), np.array([5.0]), np.array([200.0]), 14,
         table_of(powers, 8), table, np.array(powers), given, out,
     )  # fmt: skip
@@ -109,7 +109,7 @@ def test_a_site_is_judged_alike_whoever_stands_beside_it(glide):
 
     def surveyed(k):
         out = np.empty((len(k), 4))
-        kernels.survey(state, targets[k], asked, first[k], last[k], 14, *tables, given, out)
+        kernels.search_sites(state, targets[k], asked, first[k], last[k], 14, *tables, given, out)
         return out
 
     every = surveyed(np.arange(50))
@@ -167,7 +167,7 @@ def test_times_stay_between_their_bounds():
     given = np.array([1.62, 1480.0, 3050.0, 0.0, 1e9, 1e9, -1e9])
     for first, last in ((45.0, 80.0), (30.0, 60.0)):
         out = np.empty((20, 4))
-        kernels.survey(
+        kernels.search_sites(
             state, targets, asked, np.full(20, first), np.full(20, last), 14,
             table_of(powers, 8), table_of(powers, 24), np.array(powers), given, out,
         )  # fmt: skip
@@ -194,7 +194,7 @@ def test_a_limit_within_rounding_of_a_path_does_not_lose_the_site():
             most = free[2] * (1.0 - less)
             given = np.array([1.62, 1480.0, 3050.0, 0.0, most, 1e9, -1e9])
             out = np.empty((1, 4))
-            kernels.survey(
+            kernels.search_sites(
                 np.array([r, v]), target, asked, first, last, 14, table, table, np.array(powers),
                 given, out,
             )  # fmt: skip

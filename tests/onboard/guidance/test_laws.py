@@ -57,7 +57,7 @@ def test_the_registry_knows_every_law_that_is_tried_here():
     apart = {  # have tests of their own
         "lunarsim.onboard.guidance.optimal_law:OptimalLaw",
         "lunarsim.onboard.guidance.neural_law:NeuralOptimalLaw",
-        "lunarsim.onboard.seeking.law:InformationSeekingLaw",
+        "lunarsim.onboard.active_perception.guidance:InformationSeekingLaw",
     }
     assert set(kinds("guidance").values()) == tried | apart
     assert all(resolve("guidance", kind) for kind in kinds("guidance"))

@@ -13,7 +13,7 @@ from lunarsim.onboard.control.thrust import (
     thrust_lift_first,
     thrust_to_command,
 )
-from lunarsim.onboard.guidance.apollo import ApolloLaw, followed_time
+from lunarsim.onboard.guidance.apollo import ApolloLaw, time_to_go_for_jerk
 from lunarsim.onboard.guidance.approach import Approach
 from lunarsim.onboard.guidance.braking import Braking
 from lunarsim.onboard.guidance.contract import PhaseEnd
@@ -21,7 +21,7 @@ from lunarsim.onboard.guidance.paths import APOLLO
 from lunarsim.onboard.guidance.rate_of_descent import RateOfDescent
 from lunarsim.onboard.guidance.velocity_null import VelocityNull
 from lunarsim.onboard.navigation.estimate import Estimate
-from lunarsim.onboard.policies.window import Window
+from lunarsim.onboard.policies.window import CrewWindow
 
 G = 1.622
 UP = np.array([0.0, 0.0, 1.0])
@@ -117,7 +117,7 @@ def test_braking_keeps_the_lift_unless_told_to_keep_the_direction():
 
 def test_time_to_go_of_braking_follows_the_jerk_until_its_end():
     here, end = estimate((-2500.0, 0.0, 900.0), (60.0, 0.0, -30.0)), Braking().end(np.zeros(3))
-    followed = followed_time(here, end, 0.002, 45.0)
+    followed = time_to_go_for_jerk(here, end, 0.002, 45.0)
     assert followed == pytest.approx(52.4439, abs=1e-3)
     for ends_at, left in ((20.0, followed), (45.0, 45.0), (46.0, 45.0)):
         braking = Braking(jerk=0.002, time_to_go=60.0, ends_at=ends_at)
@@ -141,14 +141,14 @@ def test_the_time_of_a_jerk_is_that_of_the_path(jerk):
         np.array([0.0, 0.0, 900.0]), np.array([120.0, 0.0, -30.0]), np.array([-2.0, 0, 0])
     )
     r, v = np.array([-90_000.0, 40.0, 5_000.0]), np.array([700.0, 0.0, -60.0])
-    t = followed_time(estimate(r, v), end, jerk, 150.0, share=np.inf)
+    t = time_to_go_for_jerk(estimate(r, v), end, jerk, 150.0, share=np.inf)
     path, h = APOLLO.path(r, v, end, t), 1e-3
     slope = (path.at(t)[2] - path.at(t - h)[2])[0] / h
     assert slope == pytest.approx(jerk, abs=2e-6)
     # A guess that is far off stays, and so does one without a direction.
-    assert followed_time(estimate(r, v), end, jerk, 10.0) == 10.0
+    assert time_to_go_for_jerk(estimate(r, v), end, jerk, 10.0) == 10.0
     level = PhaseEnd(end.position, np.array([0.0, 0.0, -30.0]), end.acceleration)
-    assert followed_time(estimate(r, v), level, jerk, 150.0) == 150.0
+    assert time_to_go_for_jerk(estimate(r, v), level, jerk, 150.0) == 150.0
 
 
 def test_where_an_approach_is_over():
@@ -199,7 +199,7 @@ def test_a_pilot_who_is_too_fast_keeps_his_height(speed, falls):
 
 
 def test_look_angles_are_those_of_the_body():
-    window = Window(forward=np.pi / 2)
+    window = CrewWindow(forward=np.pi / 2)
     # Upright, body x north: forward (body y) is west.
     upright = attitude_from_thrust(UP, 0.0)
     here = estimate((0.0, 0.0, 100.0), attitude=upright)
@@ -220,7 +220,7 @@ def test_look_angles_are_those_of_the_body():
 
 def test_a_window_needs_an_opening():
     with pytest.raises(InputError, match="highest"):
-        Window(highest=1.2, lowest=1.0)
+        CrewWindow(highest=1.2, lowest=1.0)
 
 
 def test_laws_make_up_for_gravity_by_place():

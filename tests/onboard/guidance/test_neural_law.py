@@ -14,16 +14,20 @@ from lunarsim.models.lander import Lander
 from lunarsim.onboard.guidance.apollo import ApolloLaw
 from lunarsim.onboard.guidance.approach import Approach
 from lunarsim.onboard.guidance.contract import PhaseEnd, PlansArrival
-from lunarsim.onboard.guidance.divert import divert_cost
+from lunarsim.onboard.guidance.divert_cost import divert_cost
 from lunarsim.onboard.guidance.neural_law import (
     MIN_ELEVATION_RAD,
     NeuralGuidance,
     NeuralOptimalLaw,
-    shipped,
+    load_default_network,
 )
-from lunarsim.onboard.guidance.optimal_network import SHIPPED, OptimalNetwork, reduced
+from lunarsim.onboard.guidance.optimal_network import (
+    DEFAULT_NETWORK_PATH,
+    OptimalNetwork,
+    reduce_state,
+)
 from lunarsim.onboard.navigation.estimate import Estimate
-from lunarsim.optimal.final_time import least_propellant
+from lunarsim.optimal.final_time import minimize_propellant
 from lunarsim.optimal.planner import Planner
 from tests.optimal.cases import MOON, moon
 
@@ -61,7 +65,7 @@ def flown(position=R, velocity=V, mass=1500.0, left=34.0):
 
 def constant(push, left):
     """Return the shipped network with an answer that does not depend on what it is shown."""
-    net = shipped()
+    net = load_default_network()
     last = np.array([*push, left]) / net.scale
     return replace(
         net, weights=(*net.weights[:-1], 0.0 * net.weights[-1]), biases=(*net.biases[:-1], last)
@@ -72,7 +76,7 @@ def test_it_spends_little_over_the_optimum_and_ends_where_it_should():
     r, v, mass, flight = flown()
     lander = Lander()
     margin = Approach().throttle_margin * (lander.thrust_max - lander.thrust_min)
-    best = least_propellant(
+    best = minimize_propellant(
         Planner(40),
         moon(thrust_min=lander.thrust_min + margin, thrust_max=lander.thrust_max - margin),
     ).propellant
@@ -106,10 +110,10 @@ def test_a_descent_turned_or_mirrored_is_flown_alike():
     rng = np.random.default_rng(3)
     for _ in range(20):
         gap, velocity = rng.normal(0.0, 100.0, 3), rng.normal(0.0, 10.0, 3)
-        shown, axes = reduced(gap, velocity, 1400.0)
+        shown, axes = reduce_state(gap, velocity, 1400.0)
         c, s = np.cos(a := rng.uniform(0.0, 6.0)), np.sin(a)
         turn = np.array([[c, s, 0.0], [s, -c, 0.0], [0.0, 0.0, 1.0]])  # and mirrored
-        again, turned = reduced(turn @ gap, turn @ velocity, 1400.0)
+        again, turned = reduce_state(turn @ gap, turn @ velocity, 1400.0)
         assert np.allclose(shown, again)
         assert np.allclose(turned, axes @ turn.T)
         assert np.allclose(axes @ gap, [shown[0], 0.0, shown[1]], atol=1e-9)
@@ -152,8 +156,8 @@ def test_it_takes_over_no_lower_than_descents_that_it_was_taught_begin():
     """Each number is within what it was shown, the way in is not; once on a path it may lie low."""
     low = END.position + np.array([-500.0, 0.0, 500.0 * np.tan(MIN_ELEVATION_RAD) - 5.0])
     speed = np.array([25.0, 0.0, -5.0])
-    shown, _ = reduced(low - END.position, speed, 1400.0)
-    assert shipped().is_in_domain(shown)
+    shown, _ = reduce_state(low - END.position, speed, 1400.0)
+    assert load_default_network().is_in_domain(shown)
     flight = NeuralOptimalLaw().build(BRIEFING, 0.0)
     flight.command(estimate(low, speed, 1400.0), END, 0.0, 40.0)
     assert [told["reason"] for _, _, told in flight.events] == ["outside the training domain"]
@@ -233,8 +237,8 @@ def test_states_beyond_what_it_was_taught_are_not_told(position, velocity, mass)
 )
 def test_it_does_not_take_over_where_no_descent_that_it_was_taught_begins(gap, velocity, mass):
     """Of the first it ended 52 m off, 37 m too low; Apollo guidance lands."""
-    shown, _ = reduced(gap, velocity, mass)
-    assert shipped().is_in_domain(shown)
+    shown, _ = reduce_state(gap, velocity, mass)
+    assert load_default_network().is_in_domain(shown)
     flight = NeuralOptimalLaw().build(BRIEFING, 0.0)
     flight.command(estimate(END.position + gap, velocity, mass), END, 0.0, 60.0)
     assert [told["reason"] for _, _, told in flight.events] == ["outside the training domain"]
@@ -274,11 +278,13 @@ ASKED: list[np.ndarray] = []
 
 def test_it_is_asked_from_where_commands_take_effect_and_the_end_comes_that_much_later():
     ASKED.clear()
-    flight = NeuralGuidance(NeuralOptimalLaw(), BRIEFING, 0.5, Asked(**vars(shipped())))
+    flight = NeuralGuidance(
+        NeuralOptimalLaw(), BRIEFING, 0.5, Asked(**vars(load_default_network()))
+    )
     flight.command(estimate(time=3.0), END, 3.0, 34.0)
-    ahead, _ = reduced(R + 0.5 * V - END.position, V, 1500.0)
+    ahead, _ = reduce_state(R + 0.5 * V - END.position, V, 1500.0)
     assert np.allclose(ASKED[0], ahead)
-    assert flight.arrival == pytest.approx(3.5 + shipped()(ahead)[3])
+    assert flight.arrival == pytest.approx(3.5 + load_default_network()(ahead)[3])
 
 
 def test_a_divert_is_seen_while_another_law_flies():
@@ -325,16 +331,16 @@ def test_what_is_no_number_is_refused():
 
 
 def test_weights_come_back_and_are_small(tmp_path):
-    network = shipped()
+    network = load_default_network()
     network.save(tmp_path / "a.npz")
     again = OptimalNetwork.load(tmp_path / "a.npz")
-    shown, _ = reduced(R - END.position, V, 1500.0)
+    shown, _ = reduce_state(R - END.position, V, 1500.0)
     assert np.array_equal(network(shown), again(shown))
-    assert SHIPPED.stat().st_size < 1_000_000
+    assert DEFAULT_NETWORK_PATH.stat().st_size < 1_000_000
 
 
 def broken(**changes):
-    with np.load(SHIPPED, allow_pickle=False) as found:
+    with np.load(DEFAULT_NETWORK_PATH, allow_pickle=False) as found:
         return {**{n: found[n] for n in found.files}, **changes}
 
 

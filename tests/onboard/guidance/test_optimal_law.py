@@ -18,11 +18,11 @@ from lunarsim.onboard.guidance import optimal_law
 from lunarsim.onboard.guidance.apollo import ApolloLaw
 from lunarsim.onboard.guidance.approach import Approach
 from lunarsim.onboard.guidance.contract import PhaseEnd, PlansArrival
-from lunarsim.onboard.guidance.divert import divert_cost
+from lunarsim.onboard.guidance.divert_cost import divert_cost
 from lunarsim.onboard.guidance.optimal_law import OptimalLaw
 from lunarsim.onboard.navigation.estimate import Estimate
 from lunarsim.optimal.errors import SolverError
-from lunarsim.optimal.final_time import least_propellant, remaining_log_mass
+from lunarsim.optimal.final_time import minimize_propellant, remaining_log_mass
 from lunarsim.optimal.planner import Planner
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation
@@ -76,7 +76,7 @@ def test_it_spends_the_optimum_and_ends_where_it_should(nominal):
     r, v, mass, flight = nominal
     assert np.linalg.norm(r - END.position) < 0.5
     assert np.linalg.norm(v - END.velocity) < 0.3
-    best = least_propellant(Planner(60), moon()).propellant
+    best = minimize_propellant(Planner(60), moon()).propellant
     assert 0.995 * best < 1500.0 - mass < 1.02 * best
     assert flight.events == []
     assert flight.plans >= 20

@@ -7,7 +7,7 @@ import pytest
 
 from lunarsim.models.lander import Lander
 from lunarsim.onboard.guidance.contract import PhaseEnd
-from lunarsim.onboard.guidance.divert import PathLimits, divert_cost
+from lunarsim.onboard.guidance.divert_cost import PathLimits, divert_cost
 from lunarsim.onboard.guidance.paths import APOLLO, E_GUIDANCE, PathShape
 from lunarsim.onboard.navigation.estimate import Estimate
 from tests.reference import divert as plain

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lunarsim.onboard.guidance.steady import SteadyPlace
+from lunarsim.onboard.guidance.position_correction_limiter import PositionCorrectionLimiter
 from lunarsim.onboard.navigation.estimate import Estimate
 
 SPEED = np.array([3.0, -1.0, -2.0])
@@ -19,7 +19,7 @@ def estimate(time: float, step: float = 0.0) -> Estimate:
 
 
 def flown(left: float, step: float, until: float = 4.0, cycle: float = 0.1) -> np.ndarray:
-    steady = SteadyPlace()
+    steady = PositionCorrectionLimiter()
     times = np.arange(0.0, until, cycle)
     return np.array([steady.of(estimate(t, step), left).position - t * SPEED for t in times])
 
@@ -41,7 +41,7 @@ def test_far_from_the_end_the_place_is_taken_as_it_is():
 
 
 def test_height_and_velocity_are_taken_as_they_are():
-    steady = SteadyPlace()
+    steady = PositionCorrectionLimiter()
     steady.of(estimate(0.0), 1.0)
     later = Estimate(
         0.1, np.array([9.0, 9.0, 7.0]), np.array([1.0, 2.0, 3.0]),
@@ -55,7 +55,7 @@ def test_height_and_velocity_are_taken_as_they_are():
 
 
 def test_small_corrections_pass_unchanged():
-    steady = SteadyPlace()
+    steady = PositionCorrectionLimiter()
     for n in range(20):
         given = estimate(0.1 * n)
         given.position[0] += 0.001 * (-1) ** n
@@ -73,7 +73,7 @@ def test_it_is_slow_within_twelve_seconds_of_the_end_and_after_it(left, slow):
 
 
 def test_a_step_aside_is_taken_up_along_itself():
-    steady = SteadyPlace()
+    steady = PositionCorrectionLimiter()
     for n in range(3):
         given = estimate(0.1 * n)
         given.position[:2] += 3.0 * (n > 1), 4.0 * (n > 1)

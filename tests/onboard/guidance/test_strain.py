@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lunarsim.onboard.guidance.strain import Strain
+from lunarsim.onboard.guidance.limit_violation_monitor import LimitViolationMonitor
 
 MOST = (np.deg2rad(40.0), 5000.0)
 
@@ -15,7 +15,7 @@ def leaning(degrees: float, size: float = 3.0) -> np.ndarray:
 
 def first(commands: list[np.ndarray], mass: float = 1000.0, start: float = 0.0) -> float | None:
     """Return when it is told first, commands coming ten times a second."""
-    strain = Strain()
+    strain = LimitViolationMonitor()
     for n, wanted in enumerate(commands):
         if strain.lasts(wanted, mass, MOST, start + 0.1 * n):
             return round(0.1 * n, 6)
@@ -41,7 +41,7 @@ def test_what_comes_and_goes_is_nothing():
 
 
 def test_it_begins_anew_once_told():
-    strain = Strain()
+    strain = LimitViolationMonitor()
     told = [n for n in range(30) if strain.lasts(leaning(60.0), 1000.0, MOST, 0.1 * n)]
     assert told == [5, 11, 17, 23, 29]
 

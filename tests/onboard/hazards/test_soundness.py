@@ -18,21 +18,26 @@ from lunarsim.onboard.hazards.gaussian_dem import GaussianDemMapper
 from lunarsim.onboard.hazards.quadtree import QuadtreeMapper
 from lunarsim.onboard.hazards.quadtree.site_probability import (
     COUNT,
-    FREE,
     MAX_EXPECTED_HAZARDS,
     MAX_EXPECTED_HOLES,
     MAX_NOISE_RATIO,
+    UNCONSTRAINED_FEATURES,
     SiteEvidence,
-    evidence_of,
-    measured,
+    packaged_ensemble,
+    quadtree_site_evidence,
     site_safety,
 )
 from lunarsim.onboard.navigation.estimate import Estimate
 from lunarsim.rocks.field import RockField
 from lunarsim.rocks.population import RockExpectation
 from lunarsim.safety import exact_safety
-from lunarsim.safety.ensemble import MARGIN, SURE, UNTOLD, Ensemble
-from lunarsim.safety.unseen_rocks import HeightCurve, depth_curve, height_curve, law_share
+from lunarsim.safety.ensemble import LOG_ODDS_MARGIN, MAX_CLAIM_DEFICIT, SURE, Ensemble
+from lunarsim.safety.unseen_rocks import (
+    ExceedanceCurve,
+    depth_curve,
+    distribution_fraction,
+    height_curve,
+)
 from lunarsim.sensors.lidar import FlashLidar
 from lunarsim.vehicle import State
 from lunarsim.world import World
@@ -205,8 +210,10 @@ weights = st.integers(0, 10_000).map(
     lambda seed: Ensemble(
         tuple(
             (
-                *np.random.default_rng([seed, fit]).normal(0.0, 1.0, FREE),
-                *np.random.default_rng([seed, fit, 1]).exponential(0.5, COUNT - FREE),
+                *np.random.default_rng([seed, fit]).normal(0.0, 1.0, UNCONSTRAINED_FEATURES),
+                *np.random.default_rng([seed, fit, 1]).exponential(
+                    0.5, COUNT - UNCONSTRAINED_FEATURES
+                ),
             )
             for fit in range(3)
         )
@@ -226,14 +233,16 @@ def site(rocks: float, noise: float = 0.02, **changes: float) -> SiteEvidence:
     return site_among(curve_of(rocks), curve_of(0.01), noise, **changes)
 
 
-def curve_of(rocks: float) -> HeightCurve:
+def curve_of(rocks: float) -> ExceedanceCurve:
     """Return the height curve of a multiple of the usual rocks."""
     height = Lander().roughness_limit * np.geomspace(0.08, 8.0, 40)
-    return HeightCurve(height, np.minimum(rocks * law_share(height, 0.05, 0.5), 0.5))
+    return ExceedanceCurve(
+        height, np.minimum(rocks * distribution_fraction(height, 0.05, 0.5), 0.5)
+    )
 
 
 def site_among(
-    curve: HeightCurve, holes: HeightCurve, noise: float, **changes: float
+    curve: ExceedanceCurve, holes: ExceedanceCurve, noise: float, **changes: float
 ) -> SiteEvidence:
     own = {k: np.array([v]) for k, v in (SITE | changes).items()}
     own = {"density": np.array([30.0]), "min_density": np.array([30.0])} | own
@@ -285,13 +294,13 @@ def fits_of(*odds: float) -> Ensemble:
 def test_where_fits_differ_on_a_site_the_lowest_counts_and_is_no_frequency():
     for odds, claims in (((2.0, 5.0), False), ((4.0, 5.0), True)):
         p, known = site_safety(site(0.02), fits_of(*odds))
-        left = (1.0 - UNTOLD) * (1.0 if claims else SURE)
-        assert p[0] == pytest.approx(left * expit(odds[0] - MARGIN))
+        left = (1.0 - MAX_CLAIM_DEFICIT) * (1.0 if claims else SURE)
+        assert p[0] == pytest.approx(left * expit(odds[0] - LOG_ODDS_MARGIN))
         assert known[0] == claims
     doubtful = site(0.16, fitted_slope=0.7)
     assert doubtful.in_domain.all()
     p, known = site_safety(doubtful, fits_of(2.8, 2.8))
-    assert p == pytest.approx((1.0 - UNTOLD) * SURE * expit(2.8 - MARGIN))
+    assert p == pytest.approx((1.0 - MAX_CLAIM_DEFICIT) * SURE * expit(2.8 - LOG_ODDS_MARGIN))
     assert not known.any()
     # Far from the domain, p is at most the probability of no undetected rock.
     far = site(30.0)
@@ -348,7 +357,7 @@ def test_gravel_matters_to_a_site_where_it_tilts_the_lander_too_far(slope, matte
     on = {"slope": slope, "mesh_slope": slope, "fitted_slope": slope}
     for gravel in (1e-9, 0.1):
         low = np.where(height < 0.09, gravel, 1e-9)
-        curve = HeightCurve(height, np.full(40, 1e-9), 0.1, low, 0.05)
+        curve = ExceedanceCurve(height, np.full(40, 1e-9), 0.1, low, 0.05)
         p, known = site_safety(site_among(curve, curve_of(0.01), 0.02, **on), fits_of(6.0))
         assert known[0] == (p[0] > 0.95) == (gravel < 0.01 or not matters)
 
@@ -400,7 +409,7 @@ def test_the_noise_of_a_quadtree_is_that_of_its_noisiest_scan():
     assert sigma[0] != sigma[-1]
     for scan, estimate in scans:
         mapper.update(scan, estimate)
-    evidence = evidence_of(
+    evidence = quadtree_site_evidence(
         mapper.map, mapper.select(), mapper.selector.settings.zone, 0.01, Lander(),
         RockExpectation(),
     )  # fmt: skip
@@ -420,19 +429,20 @@ def test_noise_that_the_points_do_not_have_excuses_nothing():
     stated = mapper.noise
     told = (mapper.map, mapper.select(), mapper.selector.settings.zone)
     true, more = (
-        evidence_of(*told, noise, Lander(), RockExpectation()) for noise in (stated, 8.0 * stated)
+        quadtree_site_evidence(*told, noise, Lander(), RockExpectation())
+        for noise in (stated, 8.0 * stated)
     )
     assert true.noise <= stated
     assert more.noise < 1.5 * stated
     p, q = (site_safety(e)[0][true.judged] for e in (true, more))
     assert len(p) > 50
     assert (q - p).max() < 0.05
-    less = evidence_of(*told, 0.1 * stated, Lander(), RockExpectation())
+    less = quadtree_site_evidence(*told, 0.1 * stated, Lander(), RockExpectation())
     assert less.noise == 0.1 * stated
 
 
 def test_the_packaged_weights_of_the_quadtree_do_not_fall():
-    model = measured()
-    assert min(w for fit in model.weights for w in fit[FREE:]) >= 0.0
+    model = packaged_ensemble()
+    assert min(w for fit in model.weights for w in fit[UNCONSTRAINED_FEATURES:]) >= 0.0
     assert len(model.without) == len(model.weights) - 1 > 20
     assert "scenarios/lidar_maps/quadtree_calibration.py" in model.note

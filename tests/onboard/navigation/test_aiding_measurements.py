@@ -10,9 +10,13 @@ import pytest
 
 from lunarsim.errors import InputError
 from lunarsim.frames import quat_from_rotation_vector, quat_multiply
-from lunarsim.messages.briefing import StartEstimate
+from lunarsim.messages.briefing import InitialStateEstimate
 from lunarsim.messages.measurements import AltimeterReading, AttitudeReading, DopplerReading
-from lunarsim.models.instruments import FixedBeam, FixedBeams, StarInstrument
+from lunarsim.models.instruments import (
+    AltimeterInstrument,
+    StarTrackerInstrument,
+    VelocimeterInstrument,
+)
 from lunarsim.onboard.navigation.aiding_measurements import (
     AidingMeasurements,
     aiding_blocks,
@@ -20,20 +24,20 @@ from lunarsim.onboard.navigation.aiding_measurements import (
 )
 from lunarsim.onboard.navigation.error_state import MAP, ErrorState
 from lunarsim.onboard.navigation.inertial import ACCELEROMETER, StartSigmas, StrapdownState
-from lunarsim.onboard.navigation.level_ground import GROUND, LevelGround
 from lunarsim.onboard.navigation.local_frame import empty_map_block
+from lunarsim.onboard.navigation.terrain_prior import TERRAIN, TerrainPrior
 
 UPRIGHT = np.array([0.0, 0.0, 0.0, 1.0])
 BEAMS = ((0.6, 0.0, -0.8), (-0.6, 0.0, -0.8), (0.0, 0.6, -0.8))
 INSTRUMENTS = {
-    "down": FixedBeam((0.0, 0.0, -1.0)), "slanted": FixedBeam((0.6, 0.0, -0.8)),
-    "doppler": FixedBeams(BEAMS), "stars": StarInstrument(1e-4),
+    "down": AltimeterInstrument((0.0, 0.0, -1.0)), "slanted": AltimeterInstrument((0.6, 0.0, -0.8)),
+    "doppler": VelocimeterInstrument(BEAMS), "stars": StarTrackerInstrument(1e-4),
 }  # fmt: skip
 
 
 def made(relief=0.1, sigma=5.0, instruments=INSTRUMENTS):
     inertial = StrapdownState(np.array([0.0, 0.0, 100.0]), np.array([3.0, 0, -2]), UPRIGHT, 1.6)
-    ground, events = LevelGround(0.0, sigma, relief), []
+    ground, events = TerrainPrior(0.0, sigma, relief), []
     state = ErrorState(
         inertial, StartSigmas(1.0, 0.1, 1e-3), blocks=aiding_blocks(instruments, ground)
     )
@@ -42,26 +46,26 @@ def made(relief=0.1, sigma=5.0, instruments=INSTRUMENTS):
 
 def test_terrain_height_noise_grows_with_distance_flown():
     state, aiding, _ = made(relief=0.2)
-    before = state.covariance[state.block(GROUND), state.block(GROUND)][0, 0]
+    before = state.covariance[state.block(TERRAIN), state.block(TERRAIN)][0, 0]
     state.inertial.correct(np.array([30.0, 40.0, 5.0, *np.zeros(12)]))
     aiding.add_terrain_noise()
-    after = state.covariance[state.block(GROUND), state.block(GROUND)][0, 0]
+    after = state.covariance[state.block(TERRAIN), state.block(TERRAIN)][0, 0]
     assert after - before == pytest.approx(0.2**2 * 10.0 * 50.0)
     aiding.add_terrain_noise()
-    assert state.covariance[state.block(GROUND), state.block(GROUND)][0, 0] == after
+    assert state.covariance[state.block(TERRAIN), state.block(TERRAIN)][0, 0] == after
 
 
 def test_terrain_prior_uses_target_elevation_and_slope():
-    start = StartEstimate(
+    start = InitialStateEstimate(
         np.array([-300.0, 450.0, 200.0]), np.zeros(3), UPRIGHT, 5.0, 0.1, 0.01, ground_sigma=4.0
     )
     given = SimpleNamespace(start=start, target=np.array([0.0, 50.0, 7.0]))
     # 500 m away; heights so far apart differ by the slope times 500^0.76 m.
-    found = LevelGround.of(given, 0.05)
+    found = TerrainPrior.of(given, 0.05)
     assert found.elevation == 7.0
     assert found.sigma == pytest.approx(np.hypot(4.0, 0.05 * 112.517), rel=1e-4)
     level = SimpleNamespace(start=replace(start, ground_sigma=0.0), target=given.target)
-    assert LevelGround.of(level, 0.0).sigma == 0.1
+    assert TerrainPrior.of(level, 0.0).sigma == 0.1
 
 
 def test_a_range_is_along_its_own_beam():
@@ -79,7 +83,7 @@ def test_slanted_beam_gives_less_information_on_rough_terrain():
     for relief in (0.0, 0.3):
         state, aiding, _ = made(relief=relief)
         aiding.take("slanted", AltimeterReading(0.0, 125.0, 0.1), 0.0)
-        at = np.array([2, state.block(GROUND).start])
+        at = np.array([2, state.block(TERRAIN).start])
         over = np.array([1.0, -1.0])
         sigma.append(np.sqrt(over @ state.covariance[np.ix_(at, at)] @ over))
     # 125 m away and 75 m aside: the ground there lies off by 0.3 sqrt(10 x 75).
@@ -92,12 +96,12 @@ def test_uncalibrated_beam_gives_less_information_when_tilted():
     lean = quat_from_rotation_vector([0.0, 0.6, 0.0])
     for relief in (0.0, 0.3):
         inertial = StrapdownState(np.array([0.0, 0.0, 100.0]), np.zeros(3), lean, 1.6)
-        ground = LevelGround(0.0, 5.0, relief)
+        ground = TerrainPrior(0.0, 5.0, relief)
         state = ErrorState(inertial, StartSigmas(1.0, 0.1, 1e-3), blocks=aiding_blocks({}, ground))
         aiding = AidingMeasurements(state, {}, ground, [])
         aiding.take("new", AltimeterReading(0.0, 100.0 / np.cos(0.6), 0.1), 0.0)
         assert aiding.watches["new range"].degrees == 1
-        at = np.array([2, state.block(GROUND).start])
+        at = np.array([2, state.block(TERRAIN).start])
         over = np.array([1.0, -1.0])
         sigma.append(np.sqrt(over @ state.covariance[np.ix_(at, at)] @ over))
     # 68 m aside: the ground there lies off by 0.3 sqrt(10 x 68).
@@ -111,7 +115,7 @@ def test_rejections_inflate_height_and_terrain_until_accepted():
     for k in range(6):
         aiding.take("down", AltimeterReading(0.0, 160.0, 0.1), 0.1 * k)
     after = np.diag(state.covariance)
-    place = state.block(GROUND).start
+    place = state.block(TERRAIN).start
     assert [e.name for e in events] == ["doubted"]
     assert after[2] >= 4.0 * before[2]
     assert after[place] >= 4.0 * before[place]
@@ -236,7 +240,7 @@ def test_second_faulty_beam_loses_navigation():
 @pytest.mark.parametrize("stated", [0.0, 0.1])
 def test_common_beam_bias_does_not_bias_velocity(stated):
     """The biases are not specified; the filter assumes its minimum uncertainty."""
-    instruments = INSTRUMENTS | {"doppler": FixedBeams(BEAMS, stated)}
+    instruments = INSTRUMENTS | {"doppler": VelocimeterInstrument(BEAMS, stated)}
     state, aiding, events = made(instruments=instruments)
     truth, rng = state.inertial.velocity.copy(), np.random.default_rng(6)
     for k in range(300):
@@ -366,7 +370,7 @@ def test_time_reversal_and_invalid_terrain_are_rejected():
             aiding.take("down", AltimeterReading(0.0, 100.0, 1.0), time)
     for changes in ({"sigma": -1.0}, {"relief": np.nan}, {"elevation": np.inf}):
         with pytest.raises(InputError, match="ground"):
-            LevelGround(**changes)
+            TerrainPrior(**changes)
 
 
 @pytest.mark.parametrize("relief", [0.05, 0.2])
@@ -394,7 +398,7 @@ def test_moved_footprint_is_new_terrain():
     place = state.block("ground under slanted").start
 
     def spread() -> float:
-        over, at = np.array([1.0, -1.0]), np.array([place, state.block(GROUND).start])
+        over, at = np.array([1.0, -1.0]), np.array([place, state.block(TERRAIN).start])
         return float(over @ state.covariance[np.ix_(at, at)] @ over)
 
     full = 0.2**2 * 10.0 * 75.0
@@ -420,7 +424,7 @@ def slanted(aiding, time, sigma=1e3):
 
 def test_last_footprint_is_stored():
     state, aiding, _ = made(relief=0.2, sigma=0.5)
-    place = np.array([state.block("ground under slanted").start, state.block(GROUND).start])
+    place = np.array([state.block("ground under slanted").start, state.block(TERRAIN).start])
 
     def spread():
         p = state.covariance[np.ix_(place, place)]
@@ -440,7 +444,7 @@ def test_last_footprint_is_stored():
 def test_first_footprint_has_height_below_lander():
     state, aiding, _ = made(relief=0.2)
     error = np.zeros(state.size)
-    error[state.block(GROUND)] = 4.0
+    error[state.block(TERRAIN)] = 4.0
     state.correct(error)
     slanted(aiding, 0.0, 1e6)
     assert state.value("ground under slanted")[0] == pytest.approx(4.0, abs=1e-3)
@@ -449,7 +453,7 @@ def test_first_footprint_has_height_below_lander():
 def test_footprint_offset_uses_site_height():
     """Terrain and site are 50 m higher than specified, the lander 50 m above them."""
     inertial = StrapdownState(np.array([0.0, 0.0, 100.0]), np.array([3.0, 0, -2]), UPRIGHT, 1.6)
-    ground = LevelGround(0.0, 0.5, 0.2)
+    ground = TerrainPrior(0.0, 0.5, 0.2)
     blocks = aiding_blocks(INSTRUMENTS, ground) | empty_map_block()
     state = ErrorState(inertial, StartSigmas(1.0, 0.1, 1e-3), blocks=blocks)
     aiding = AidingMeasurements(state, INSTRUMENTS, ground, [])
@@ -457,7 +461,7 @@ def test_footprint_offset_uses_site_height():
     error[state.block(MAP).start + 2] = 50.0
     state.correct(error)
     slanted(aiding, 0.0, 1e6)
-    at = np.array([state.block("ground under slanted").start, state.block(GROUND).start])
+    at = np.array([state.block("ground under slanted").start, state.block(TERRAIN).start])
     p = state.covariance[np.ix_(at, at)]
     assert p[0, 0] + p[1, 1] - 2.0 * p[0, 1] == pytest.approx(0.2**2 * 10.0 * 37.5, rel=1e-3)
 

@@ -11,12 +11,12 @@ from lunarsim.errors import InputError
 from lunarsim.messages.measurements import (
     AltimeterReading,
     AttitudeReading,
+    CameraImage,
     InertialSamples,
     LidarScan,
-    Picture,
 )
-from lunarsim.onboard.navigation.arrivals import Arrivals
 from lunarsim.onboard.navigation.inertial import StartSigmas, StrapdownState
+from lunarsim.onboard.navigation.measurement_sequencer import MeasurementSequencer
 from lunarsim.onboard.navigation.navigator import Navigator
 from lunarsim.onboard.navigation.scan_odometry import remove_implausible_ranges
 from lunarsim.onboard.navigation.unscented import UnscentedFilter
@@ -26,7 +26,7 @@ UPRIGHT = np.array([0.0, 0.0, 0.0, 1.0])
 
 def made():
     told = []
-    return Arrivals(0.01, lambda *event: told.append(event)), told
+    return MeasurementSequencer(0.01, lambda *event: told.append(event)), told
 
 
 def samples(time: float, count: int = 10, push: float = 0.016) -> InertialSamples:
@@ -175,7 +175,7 @@ def test_nothing_is_overdue_before_the_first_samples():
 
 def test_samples_before_late_start_are_missing():
     told = []
-    arrivals = Arrivals(0.01, lambda *event: told.append(event), begin=0.0, unit="imu")
+    arrivals = MeasurementSequencer(0.01, lambda *event: told.append(event), begin=0.0, unit="imu")
     unit, filled = arrivals.overdue(0.2)
     assert (unit, len(filled.angle)) == ("imu", 20)
     assert len(arrivals.admit("imu", samples(0.5), 0.5).angle) == 30
@@ -214,7 +214,9 @@ def test_stale_measurements_are_rejected():
     assert told == [(1.0, "stale", {"sensor": "down", "stamp": 0.96})]
     assert arrivals.admit("down", AltimeterReading(0.98, 90.0, 1.0), 1.0) is not None
     # The middle of a long exposure is earlier.
-    assert arrivals.admit("eye", Picture(0.9, np.zeros((2, 2), np.uint8), None), 1.0) is not None
+    assert (
+        arrivals.admit("eye", CameraImage(0.9, np.zeros((2, 2), np.uint8), None), 1.0) is not None
+    )
 
 
 @pytest.mark.parametrize(

@@ -9,13 +9,15 @@ import pytest
 
 from lunarsim.errors import InputError
 from lunarsim.frames import quat_from_rotation_vector
-from lunarsim.messages.briefing import StartEstimate
+from lunarsim.messages.briefing import InitialStateEstimate
 from lunarsim.messages.measurements import AltimeterReading, InertialSamples, NavigationFix
 from lunarsim.onboard.navigation.fixes import FixNavigation
 from lunarsim.onboard.navigation.navigator import Navigator
 
 TURN = quat_from_rotation_vector([0.1, 0.2, 0.3])
-START = StartEstimate(np.array([1.0, 2.0, 3.0]), np.array([4.0, 5.0, 6.0]), TURN, 2.0, 0.3, 0.04)
+START = InitialStateEstimate(
+    np.array([1.0, 2.0, 3.0]), np.array([4.0, 5.0, 6.0]), TURN, 2.0, 0.3, 0.04
+)
 
 
 def test_before_the_first_fix_it_is_where_the_start_was():

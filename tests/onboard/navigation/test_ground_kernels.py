@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lunarsim.onboard.navigation import _ground_kernels as kernels
+from lunarsim.onboard.navigation import _kriging_kernels as kernels
 from tests.reference import ground as reference
 
 

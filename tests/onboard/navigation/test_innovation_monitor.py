@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from lunarsim.errors import InputError
-from lunarsim.onboard.navigation.error_state import Outcome
+from lunarsim.onboard.navigation.error_state import UpdateOutcome
 from lunarsim.onboard.navigation.innovation_monitor import (
     InnovationMonitor,
     InnovationMonitorSettings,
@@ -21,7 +21,7 @@ def verdicts(watch: InnovationMonitor, outcomes, step=0.1) -> list[MonitorResult
 
 
 def drawn(rng, n, degrees=3, times=1.0):
-    return [Outcome(times * rng.chisquare(degrees), degrees, True) for _ in range(n)]
+    return [UpdateOutcome(times * rng.chisquare(degrees), degrees, True) for _ in range(n)]
 
 
 def test_consistent_filter_raises_no_alarm():
@@ -38,7 +38,7 @@ def test_consistent_filter_raises_no_alarm():
 
 def test_repeated_rejections_inflate_then_lose():
     watch = InnovationMonitor()
-    found = verdicts(watch, [Outcome(400.0, 1, False)] * 40)
+    found = verdicts(watch, [UpdateOutcome(400.0, 1, False)] * 40)
     assert MonitorResult.INFLATE in found
     assert found.index(MonitorResult.INFLATE) == watch.settings.min_count - 1
     assert watch.nis_ratio == 400.0
@@ -54,7 +54,7 @@ def test_large_accepted_innovations_raise_alarm():
 
 def test_recovers_after_alarm():
     watch = InnovationMonitor()
-    verdicts(watch, [Outcome(400.0, 1, False)] * 40)
+    verdicts(watch, [UpdateOutcome(400.0, 1, False)] * 40)
     rng = np.random.default_rng(2)
     for k, outcome in enumerate(drawn(rng, 200, 1)):
         watch.record(4.0 + 0.1 * k, outcome)
@@ -62,27 +62,27 @@ def test_recovers_after_alarm():
 
 
 def test_slow_sensor_is_monitored():
-    found = verdicts(InnovationMonitor(SPEEDS), [Outcome(400.0, 3, False)] * 10, step=1.0)
+    found = verdicts(InnovationMonitor(SPEEDS), [UpdateOutcome(400.0, 3, False)] * 10, step=1.0)
     assert MonitorResult.LOST in found
 
 
 def test_one_reading_after_gap_does_not_recover():
     watch = InnovationMonitor()
-    verdicts(watch, [Outcome(400.0, 1, False)] * 40)
-    watch.record(60.0, Outcome(400.0, 1, False))
+    verdicts(watch, [UpdateOutcome(400.0, 1, False)] * 40)
+    watch.record(60.0, UpdateOutcome(400.0, 1, False))
     assert watch.lost
 
 
 def test_empty_outcomes_are_ignored():
     watch = InnovationMonitor()
-    nothing = [Outcome(np.nan, 1, False), Outcome(0.0, 0, False)] * 100
+    nothing = [UpdateOutcome(np.nan, 1, False), UpdateOutcome(0.0, 0, False)] * 100
     assert set(verdicts(watch, nothing)) == {MonitorResult.CONSISTENT}
 
 
 def whitened(rng, n, shift=0.0, degrees=3):
     for _ in range(n):
         white = rng.normal(size=degrees) + shift
-        yield Outcome(float(white @ white), degrees, True, white)
+        yield UpdateOutcome(float(white @ white), degrees, True, white)
 
 
 SPEEDS = InnovationMonitorSettings(max_inflations=None, drift_time_scale_s=8.0)
@@ -116,7 +116,7 @@ def test_drift_is_reported_above_threshold():
 
 def test_jump_without_tolerance_is_lost_for_good():
     watch = InnovationMonitor(SPEEDS)
-    assert MonitorResult.LOST in verdicts(watch, [Outcome(400.0, 3, False)] * 10)
+    assert MonitorResult.LOST in verdicts(watch, [UpdateOutcome(400.0, 3, False)] * 10)
     rng = np.random.default_rng(5)
     for k, outcome in enumerate(whitened(rng, 300)):
         watch.record(2.0 + 0.1 * k, outcome)
@@ -155,7 +155,7 @@ def test_monitor_is_calm_without_anomaly():
     # With a third rejected there is no alarm yet, but the monitor is not calm.
     for k in range(20):
         watch.record(
-            6.0 + 0.1 * k, Outcome(400.0 if k % 3 == 0 else 3.0, 3, k % 3 != 0, np.zeros(3))
+            6.0 + 0.1 * k, UpdateOutcome(400.0 if k % 3 == 0 else 3.0, 3, k % 3 != 0, np.zeros(3))
         )
     assert not watch.lost
     assert not watch.is_calm(8.0)
@@ -188,7 +188,8 @@ def test_intermittent_beam_keeps_its_mean():
     white[rng.random(white.shape) < 0.4] = np.nan
     white[np.isnan(white).all(axis=1), 0] = 0.1
     outcomes = [
-        Outcome(float(np.nansum(row**2)), int(np.isfinite(row).sum()), True, row) for row in white
+        UpdateOutcome(float(np.nansum(row**2)), int(np.isfinite(row).sum()), True, row)
+        for row in white
     ]
     found = verdicts(InnovationMonitor(SPEEDS), outcomes)
     seen = np.isfinite(white)
@@ -218,7 +219,7 @@ def test_settings_out_of_range_are_refused(name, value):
 
 def test_no_recovery_soon_after_alarm():
     watch = InnovationMonitor()
-    verdicts(watch, [Outcome(400.0, 1, False)] * 40)
+    verdicts(watch, [UpdateOutcome(400.0, 1, False)] * 40)
     rng = np.random.default_rng(2)
     back = None
     for k, outcome in enumerate(drawn(rng, 200, 1)):
@@ -235,8 +236,8 @@ def test_drift_mean_restarts_after_inflation():
     watch = InnovationMonitor(
         InnovationMonitorSettings(drift_time_scale_s=1e3, window_s=1.0, min_count=6)
     )
-    one = Outcome(2.2, 1, True, np.array([1.5]))
+    one = UpdateOutcome(2.2, 1, True, np.array([1.5]))
     assert all(watch.record(0.1 * k, one) is MonitorResult.CONSISTENT for k in range(10))
-    verdicts = [watch.record(1.0 + 0.1 * k, Outcome(50.0, 1, False)) for k in range(8)]
+    verdicts = [watch.record(1.0 + 0.1 * k, UpdateOutcome(50.0, 1, False)) for k in range(8)]
     assert MonitorResult.INFLATE in verdicts
     assert all(watch.record(2.0 + 0.1 * k, one) is MonitorResult.CONSISTENT for k in range(8))

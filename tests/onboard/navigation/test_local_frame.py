@@ -17,9 +17,9 @@ from lunarsim.frames import (
 from lunarsim.onboard.navigation.error_state import MAP, ErrorState
 from lunarsim.onboard.navigation.inertial import StartSigmas, StrapdownState
 from lunarsim.onboard.navigation.local_frame import LocalFrame, empty_map_block
-from lunarsim.onboard.navigation.measured import (
-    take_range,
+from lunarsim.onboard.navigation.measurement_models import (
     update_with_attitude,
+    update_with_range,
     update_with_speeds,
 )
 
@@ -78,7 +78,7 @@ def measure(state, off, at):
     speeds = BEAMS @ (rotation.T @ at.velocity)
     return [
         update_with_attitude(state, attitude, 1e-6 * np.eye(3)),
-        take_range(
+        update_with_range(
             state, -at.position[2] / down + 1e4 * off, 0.5, [0.0, 0.0, -1.0], 0.0, block="ground"
         ),
         update_with_speeds(state, speeds, np.full(3, 0.05), BEAMS),

@@ -13,12 +13,12 @@ from lunarsim.frames import (
     quat_to_rotation_vector,
 )
 from lunarsim.messages.measurements import AttitudeReading
-from lunarsim.models.instruments import StarInstrument
+from lunarsim.models.instruments import StarTrackerInstrument
 from lunarsim.onboard.navigation.error_state import ErrorState
 from lunarsim.onboard.navigation.inertial import StartSigmas, StrapdownState
-from lunarsim.onboard.navigation.measured import (
-    take_range,
+from lunarsim.onboard.navigation.measurement_models import (
     update_with_attitude,
+    update_with_range,
     update_with_speeds,
 )
 from lunarsim.onboard.navigation.navigator import Navigator
@@ -85,7 +85,7 @@ class Truth:
 
 
 TAKE = {
-    "range": lambda t, s: take_range(t.state, t.range(BEAMS[0], s), s, BEAMS[0], 0.0,
+    "range": lambda t, s: update_with_range(t.state, t.range(BEAMS[0], s), s, BEAMS[0], 0.0,
                                      block="ground"),
     "speeds": lambda t, s: update_with_speeds(t.state, t.speeds(s), np.full(3, s), BEAMS),
     "biased speeds": lambda t, s: t.biased(s),
@@ -152,15 +152,15 @@ def test_speeds_do_not_inform_on_position():
 
 
 BAD = [
-    lambda s: take_range(s, np.nan, 1.0, BEAMS[0], 0.0),
-    lambda s: take_range(s, 100.0, 0.0, BEAMS[0], 0.0),
-    lambda s: take_range(s, 100.0, np.nan, BEAMS[0], 0.0),
-    lambda s: take_range(s, 100.0, 1e155, BEAMS[0], 0.0),
-    lambda s: take_range(s, np.inf, 1.0, BEAMS[0], 0.0),
-    lambda s: take_range(s, 100.0, 1.0, -BEAMS[0], 0.0),
-    lambda s: take_range(s, 100.0, 1.0, BEAMS[0], 1e4, gate=16.0),
-    lambda s: take_range(s, -100.0, 1.0, BEAMS[0], 0.0),
-    lambda s: take_range(s, 1e6, 1.0, BEAMS[0], 0.0, gate=16.0),
+    lambda s: update_with_range(s, np.nan, 1.0, BEAMS[0], 0.0),
+    lambda s: update_with_range(s, 100.0, 0.0, BEAMS[0], 0.0),
+    lambda s: update_with_range(s, 100.0, np.nan, BEAMS[0], 0.0),
+    lambda s: update_with_range(s, 100.0, 1e155, BEAMS[0], 0.0),
+    lambda s: update_with_range(s, np.inf, 1.0, BEAMS[0], 0.0),
+    lambda s: update_with_range(s, 100.0, 1.0, -BEAMS[0], 0.0),
+    lambda s: update_with_range(s, 100.0, 1.0, BEAMS[0], 1e4, gate=16.0),
+    lambda s: update_with_range(s, -100.0, 1.0, BEAMS[0], 0.0),
+    lambda s: update_with_range(s, 1e6, 1.0, BEAMS[0], 0.0, gate=16.0),
     lambda s: update_with_speeds(s, np.full(3, np.nan), np.full(3, 0.1), BEAMS),
     lambda s: update_with_speeds(s, np.zeros(3), np.zeros(3), BEAMS),
     lambda s: update_with_speeds(s, np.full(3, 1e6), np.full(3, 0.1), BEAMS, 23.0),
@@ -231,8 +231,8 @@ def test_successive_velocity_updates_do_not_inform_on_tilt():
 def test_terrain_variance_adds_to_range_noise():
     t, rough = Truth(5), Truth(5)
     far = t.range(BEAMS[0], 0.0) + 3.0
-    plain = take_range(t.state, far, 0.5, BEAMS[0], 0.0, block="ground")
-    found = take_range(
+    plain = update_with_range(t.state, far, 0.5, BEAMS[0], 0.0, block="ground")
+    found = update_with_range(
         rough.state, far, 0.5, BEAMS[0], 0.0, block="ground", terrain_variance=10.0**2
     )
     assert found.nis < plain.nis
@@ -250,7 +250,7 @@ def test_star_tracker_corrects_large_initial_attitude_error(degrees):
     sigma = np.deg2rad(degrees)
     inertial = StrapdownState(np.array([0.0, 0, 300]), np.array([3.0, 0, -2]), [0, 0, 0, 1.0], 1.62)
     navigator = Navigator(
-        inertial, StartSigmas(30.0, 0.3, sigma), instruments={"stars": StarInstrument(9e-5)}
+        inertial, StartSigmas(30.0, 0.3, sigma), instruments={"stars": StarTrackerInstrument(9e-5)}
     )
     true = quat_from_rotation_vector(sigma * np.array([1.0, -1.0, 1.0]))
     navigator.take("stars", AttitudeReading(0.0, true, np.diag([25e-6, 25e-6, 27e-5]) ** 2), 0.0)

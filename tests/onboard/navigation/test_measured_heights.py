@@ -10,10 +10,10 @@ import pytest
 from lunarsim.frames import quat_from_rotation_vector
 from lunarsim.models.gimbal import gimbal_mount
 from lunarsim.onboard.navigation.inertial import StartSigmas, StrapdownState
-from lunarsim.onboard.navigation.level_ground import GROUND, LevelGround
 from lunarsim.onboard.navigation.measured_heights import COMMON_SIGMA_M, INDIVIDUAL_SIGMA_M
 from lunarsim.onboard.navigation.rock_filter import RockFilter
-from lunarsim.onboard.navigation.wandering_ground import intersect_lines, kriging_weights
+from lunarsim.onboard.navigation.terrain_kriging import intersect_lines, kriging_weights
+from lunarsim.onboard.navigation.terrain_prior import TERRAIN, TerrainPrior
 from lunarsim.sensors.camera import Camera
 from tests.reference import laid
 
@@ -36,7 +36,7 @@ def rocks_seen(xyz, ground=None, seed=0, attitude=(0.02, -0.05, 0.3), sigma=3.0)
     """Return a filter with tracked rocks at estimated positions, and its camera."""
     level = quat_from_rotation_vector(np.array(attitude))
     inertial = StrapdownState(EYE, np.zeros(3), level, 1.622)
-    rocks = RockFilter.of(inertial, STARTS, ground=LevelGround(0.0, sigma))
+    rocks = RockFilter.of(inertial, STARTS, ground=TerrainPrior(0.0, sigma))
     rocks.measured = ground
     camera = replace(Camera.with_field_of_view(640, 480, 20.0), mount=gimbal_mount(level, -EYE))
     n = len(xyz)
@@ -217,7 +217,7 @@ def test_a_new_rocks_height_errs_as_the_five_nearest_and_the_ground_below(spacin
     at = np.vstack((rocks.inertial.position[:2], xyz[near, :2]))
     weights = kriging_weights(at[None], new[:, :2], rocks.expected_growth)[0][0]
     heights = rocks.places()[:, 2]
-    ground = rocks.state.block(GROUND).start
+    ground = rocks.state.block(TERRAIN).start
     expected = weights[0] * told[ground] + weights[1:] @ told[heights[near]]
     rocks.add(camera, new, 0.1 * np.eye(2)[None], np.array([0.4]), np.array([0.01]))
     found = rocks.covariance[rocks.places()[30, 2]]
@@ -285,7 +285,7 @@ def sight_lines(ground, depression, count=300):
     eye = np.array([-1000.0 * np.cos(down), 0.0, 1000.0 * np.sin(down)])
     level = np.array([0.0, 0.0, 0.0, 1.0])
     rocks = RockFilter.of(
-        StrapdownState(eye, np.zeros(3), level, 1.622), STARTS, ground=LevelGround(0.0, 3.0)
+        StrapdownState(eye, np.zeros(3), level, 1.622), STARTS, ground=TerrainPrior(0.0, 3.0)
     )
     rocks.measured = ground
     camera = replace(Camera.with_field_of_view(640, 480, 10.0), mount=gimbal_mount(level, -eye))

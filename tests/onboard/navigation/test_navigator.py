@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lunarsim.evaluation.consistency import Consistency, normalised_square
+from lunarsim.evaluation.consistency import Consistency, normalised_squared_error
 from lunarsim.frames import (
     quat_conjugate,
     quat_from_rotation_vector,
@@ -16,7 +16,7 @@ from lunarsim.frames import (
 from lunarsim.grid import Grid
 from lunarsim.messages.measurements import LidarScan
 from lunarsim.messages.prior_map import PriorMap
-from lunarsim.onboard.navigation.error_state import MAP, REFERENCE_POSE, Outcome
+from lunarsim.onboard.navigation.error_state import MAP, REFERENCE_POSE, UpdateOutcome
 from lunarsim.onboard.navigation.inertial import StartSigmas, StrapdownState
 from lunarsim.onboard.navigation.navigator import Navigator
 from lunarsim.onboard.navigation.registration_settings import RegistrationSettings
@@ -104,7 +104,7 @@ def test_wrong_shadow_direction_loses_navigation(world):
     f = Navigator(Descent(world, 8).inertial, StartSigmas(), rocks=True)
     for k in range(60):
         assert f.lost == f.rocks.pictures.lost
-        f.rocks.judge("shadows", 0.1 * k, Outcome(900.0, 1, False))
+        f.rocks.judge("shadows", 0.1 * k, UpdateOutcome(900.0, 1, False))
     assert f.lost
 
 
@@ -139,7 +139,7 @@ def test_odometry_slows_the_drift(world):
             if scans:
                 found = descent.estimate()
                 off, own = VELOCITY - found.velocity, found.covariance[3:6, 3:6]
-                nees = nees.plus(normalised_square(off, own), 3)
+                nees = nees.plus(normalised_squared_error(off, own), 3)
         grown[scans] = np.sqrt(np.mean(np.square(gaps)))
     assert grown[True] < 0.5 * grown[False]
     assert nees.ratio < ratio_bounds(nees.degrees)[1]
@@ -163,7 +163,7 @@ def test_flat_terrain_gives_no_motion_information(relief):
         found = descent.estimate()
         off, own = VELOCITY - found.velocity, found.covariance[3:6, 3:6]
         assert (np.abs(off) < 4.5 * np.sqrt(own.diagonal())).all()
-        nees = nees.plus(normalised_square(off, own), 3)
+        nees = nees.plus(normalised_squared_error(off, own), 3)
     # On very flat terrain, errors are up to twice the estimated ones.
     assert nees.ratio < ratio_bounds(nees.degrees, 2.0**2 if relief == 0.0 else 1.0)[1]
 
@@ -420,7 +420,7 @@ def test_scanner_errors_are_estimated(world):
         true = np.array([-truth.range_bias, *truth.boresight, truth.latency])
         block = state.block("lidar flash")
         off = true - state.value("lidar flash")
-        values = values.plus(normalised_square(off, state.covariance[block, block]), 5)
+        values = values.plus(normalised_squared_error(off, state.covariance[block, block]), 5)
         assert np.sqrt(state.covariance[block, block][1, 1]) < 0.6 * STATED.boresight_sigma
         assert "doubted" not in names(descent)
     assert nees.degrees >= 30

@@ -10,11 +10,11 @@ from lunarsim.errors import InputError
 from lunarsim.grid import Grid
 from lunarsim.messages.prior_map import PriorMap
 from lunarsim.onboard.navigation.features import subtract_plane
-from lunarsim.onboard.navigation.map_features import FeatureSettings, MapFeatures, Tile
-from lunarsim.onboard.navigation.map_information import can_lock
+from lunarsim.onboard.navigation.map_features import FeatureSettings, FeatureTile, MapFeatures
+from lunarsim.onboard.navigation.map_lock_forecast import forecast_lock
 from lunarsim.onboard.navigation.place_search import PlaceSearch, SearchSettings
 from lunarsim.onboard.navigation.submap import Submap
-from lunarsim.world.survey import survey
+from lunarsim.world.survey import simulate_survey
 from lunarsim.world.terrain import hazard_field
 from tests.reference import places as plain
 
@@ -81,7 +81,7 @@ def test_likelihoods_are_those_of_the_reference():
     weight = (rng.random(tile.shape) < 0.8).astype(float)
     variance = 0.011 + 0.01 * rng.random(tile.shape)
     row, col = (part.ravel() for part in np.mgrid[-3:38:3, -4:42:3])
-    ratio, share = features.likelihood(Tile(tile, weight, variance), row, col)
+    ratio, share = features.likelihood(FeatureTile(tile, weight, variance), row, col)
     masked = np.where(weight > 0.0, tile, np.nan)
     for n in range(len(row)):
         expected = plain.tile_ratio(
@@ -146,7 +146,7 @@ def swept(seed=3, **options):
     """A hazard field, its map, and the points of two scans of it."""
     rng = np.random.default_rng(seed)
     terrain = hazard_field(rng, size=60.0, surround=120.0, boulders=150, craters=20)
-    prior = survey(terrain, Grid.centred((0.0, 0.0), 110.0, 0.5), rng, **options)
+    prior = simulate_survey(terrain, Grid.centred((0.0, 0.0), 110.0, 0.5), rng, **options)
     x = np.arange(-20.0, 20.0, 0.12)
     xx, yy = np.meshgrid(x, x)
     xy = np.column_stack((xx.ravel(), yy.ravel()))
@@ -420,14 +420,14 @@ def flat(slope=0.0, sigma=0.1, size=300.0, posting=1.0, seed=0, relief=None):
 @pytest.mark.parametrize("seed", range(4))
 def test_noise_and_slopes_cannot_lock(seed):
     for slope in (0.0, 0.3):
-        forecast = can_lock(flat(slope, seed=seed), (0.0, 0.0), 90.0, 30.0)
+        forecast = forecast_lock(flat(slope, seed=seed), (0.0, 0.0), 90.0, 30.0)
         assert not forecast.can_lock
         assert str(forecast).startswith("cannot lock")
 
 
 def test_ridges_cannot_lock():
     ridge = flat(relief=lambda c: np.sin(c[..., 0] / 3.0))
-    forecast = can_lock(ridge, (0.0, 0.0), 60.0, 20.0)
+    forecast = forecast_lock(ridge, (0.0, 0.0), 60.0, 20.0)
     assert not forecast.can_lock
     # The most probable wrong place lies along the ridges.
     assert abs(forecast.rival[0]) < 2.5
@@ -437,14 +437,14 @@ def test_rich_ground_can_lock_and_more_noise_takes_it_away():
     told = []
     for sigma in (0.03, 0.06, 1.0):
         prior, _ = swept(sigma=sigma)
-        told.append(can_lock(prior, (0.0, 0.0), 40.0, 10.0))
+        told.append(forecast_lock(prior, (0.0, 0.0), 40.0, 10.0))
     assert [f.can_lock for f in told] == [True, True, False]
     assert told[0].expected > told[1].expected > told[2].expected
     # More possible places need more evidence; correlated errors give less.
     prior, _ = swept(sigma=0.06)
-    assert can_lock(prior, (0.0, 0.0), 40.0, 20.0).needed > told[1].needed
+    assert forecast_lock(prior, (0.0, 0.0), 40.0, 20.0).needed > told[1].needed
     alike = PriorMap(prior.grid, prior.elevation, 0.06, 2.0)
-    assert can_lock(alike, (0.0, 0.0), 40.0, 10.0).expected < 0.5 * told[1].expected
+    assert forecast_lock(alike, (0.0, 0.0), 40.0, 10.0).expected < 0.5 * told[1].expected
 
 
 @pytest.mark.parametrize(
@@ -454,7 +454,7 @@ def test_rich_ground_can_lock_and_more_noise_takes_it_away():
 )  # fmt: skip
 def test_impossible_forecasts_are_refused(arguments, match):
     with pytest.raises(InputError, match=match):
-        can_lock(flat(), (0.0, 0.0), *arguments[:2], certainty=arguments[2])
+        forecast_lock(flat(), (0.0, 0.0), *arguments[:2], certainty=arguments[2])
 
 
 # --- maps ---------------------------------------------------------------------------------------
@@ -474,8 +474,8 @@ def test_errors_that_are_alike_count_together():
 def test_a_survey_has_the_errors_and_the_voids_that_it_is_told_to():
     terrain = hazard_field(np.random.default_rng(0), boulders=0, craters=0)
     grid = Grid.centred((0.0, 0.0), 200.0, 1.0)
-    exact = survey(terrain, grid, np.random.default_rng(1), sigma=1e-9).elevation
-    made = survey(
+    exact = simulate_survey(terrain, grid, np.random.default_rng(1), sigma=1e-9).elevation
+    made = simulate_survey(
         terrain, grid, np.random.default_rng(1), sigma=0.2, correlation=3.0, void_share=0.1
     )
     error = made.elevation - exact
@@ -487,4 +487,4 @@ def test_a_survey_has_the_errors_and_the_voids_that_it_is_told_to():
         alike = np.mean(error[:, lag:][pair] * error[:, :-lag][pair]) / 0.04
         assert alike == pytest.approx(expected, abs=0.12)
     with pytest.raises(InputError, match=r"prior\.void_share"):
-        survey(terrain, grid, np.random.default_rng(0), void_share=1.0)
+        simulate_survey(terrain, grid, np.random.default_rng(0), void_share=1.0)

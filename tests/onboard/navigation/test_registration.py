@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from lunarsim.errors import InputError
-from lunarsim.evaluation.consistency import Consistency, normalised_square
+from lunarsim.evaluation.consistency import Consistency, normalised_squared_error
 from lunarsim.frames import (
     quat_conjugate,
     quat_from_rotation_vector,
@@ -21,15 +21,15 @@ from lunarsim.messages.measurements import LidarScan
 from lunarsim.messages.prior_map import PriorMap
 from lunarsim.models.gimbal import gimbal_mount
 from lunarsim.onboard.navigation import _registration_kernels as k
+from lunarsim.onboard.navigation.corrected_scan import CorrectedScan
 from lunarsim.onboard.navigation.map_features import MapFeatures
-from lunarsim.onboard.navigation.registration import fit, register
+from lunarsim.onboard.navigation.registration import fit, register_scan
 from lunarsim.onboard.navigation.registration_settings import RegistrationSettings
-from lunarsim.onboard.navigation.seen_scan import SeenScan
 from lunarsim.onboard.navigation.surface import average_scan
 from lunarsim.sensors.lidar import FlashLidar
 from lunarsim.vehicle import State
 from lunarsim.world import World
-from lunarsim.world.survey import survey
+from lunarsim.world.survey import simulate_survey
 from lunarsim.world.terrain import Terrain, hazard_field
 from tests.chance import ratio_bounds
 
@@ -119,7 +119,7 @@ def test_jacobians_match_finite_differences():
     direction = np.array([[0.02, -0.03, 1.0]]) / np.linalg.norm([0.02, -0.03, 1.0])
     mount = quat_to_matrix(quat_from_rotation_vector([2.2, 0.3, -0.1]))
     flash = LidarScan(0.0, np.array([240.0]), direction, mount, np.ones(1), (1, 1))
-    seen = SeenScan(flash, POSITION, ATTITUDE, velocity, rate)
+    seen = CorrectedScan(flash, POSITION, ATTITUDE, velocity, rate)
     p, n = seen.points()[0], np.array([0.1, -0.2, 1.0])
     moved = []
     for i in range(11):
@@ -141,10 +141,10 @@ def fitted(scan, prior, before, error, variance):
     """Fit a scan from a pose with an error (6,): return estimate, covariance, outcome."""
     # Truth = estimate + error; the scanner has no error.
     attitude = quat_multiply(ATTITUDE, quat_from_rotation_vector(-error[3:]))
-    seen = SeenScan(scan, POSITION - error[:3], attitude, np.zeros(3), np.zeros(3))
+    seen = CorrectedScan(scan, POSITION - error[:3], attitude, np.zeros(3), np.zeros(3))
     whole = np.zeros((11, 11))
     whole[:6, :6] = before
-    result, _ = register(seen, MapFeatures(prior), whole, np.full(prior.grid.shape, variance))
+    result, _ = register_scan(seen, MapFeatures(prior), whole, np.full(prior.grid.shape, variance))
     result = replace(result, information=result.information[:6, :6], vector=result.vector[:6])
     covariance = np.linalg.inv(result.information + np.linalg.inv(before))
     return covariance @ result.vector, covariance, result
@@ -153,7 +153,7 @@ def fitted(scan, prior, before, error, variance):
 def registered(world, seed, stale=0.0):
     """Return the error's estimate, its covariance and the error of one registration."""
     rng = np.random.default_rng(seed)
-    prior = survey(
+    prior = simulate_survey(
         world.terrain, Grid.centred((0.0, 0.0), 120.0, 0.5), rng, sigma=0.1, stale_share=stale
     )
     before = np.diag(np.square([0.3, 0.3, 0.3, 1e-3, 1e-3, 1e-3]))
@@ -169,7 +169,7 @@ def test_registration_errs_as_its_covariance_says(world):
     nees = Consistency()
     for seed in range(runs):
         found, covariance, error, result = registered(world, seed)
-        nees = nees.plus(normalised_square(found - error, covariance), 6)
+        nees = nees.plus(normalised_squared_error(found - error, covariance), 6)
         assert result.share > 0.9
     low, high = ratio_bounds(nees.degrees)
     assert low < nees.ratio < high
@@ -195,7 +195,7 @@ def test_a_fit_begun_far_off_is_right_or_tells_the_level_alone(world, stale):
     for seed in range(40):
         rng = np.random.default_rng([seed, 7])
         grid = Grid.centred((0.0, 0.0), 120.0, 0.5)
-        prior = survey(world.terrain, grid, rng, sigma=0.1, stale_share=stale)
+        prior = simulate_survey(world.terrain, grid, rng, sigma=0.1, stale_share=stale)
         before = np.diag(np.square([1.0, 1.0, 1.0, 1e-3, 1e-3, 1e-3]))
         error = np.sqrt(np.diag(before)) * rng.standard_normal(6)
         scan = scanned(world, rng, [*rng.uniform(-40.0, 40.0, 2), 0.0])
@@ -207,7 +207,7 @@ def test_a_fit_begun_far_off_is_right_or_tells_the_level_alone(world, stale):
         accepted += 1
         gap = found - error
         # Chi-squared of 6 exceeds 40 once in two million.
-        assert normalised_square(gap, covariance) < 40.0, seed
+        assert normalised_squared_error(gap, covariance) < 40.0, seed
         sharp += covariance[0, 0] < 0.25
     assert accepted >= 30
     # The fit is informative where the terrain is.
@@ -220,14 +220,14 @@ def test_errors_that_are_alike_do_not_make_a_fit_too_sure(world):
     for seed in range(30):
         rng = np.random.default_rng([seed, 8])
         grid = Grid.centred((0.0, 0.0), 120.0, 0.5)
-        prior = survey(world.terrain, grid, rng, sigma=0.1, correlation=1.5)
+        prior = simulate_survey(world.terrain, grid, rng, sigma=0.1, correlation=1.5)
         # The map does not specify the correlation of its errors.
         prior = PriorMap(grid, prior.elevation, 0.1)
         before = np.diag(np.square([0.1, 0.1, 0.3, 1e-3, 1e-3, 1e-3]))
         error = np.sqrt(np.diag(before)) * rng.standard_normal(6)
         scan = scanned(world, rng, [*rng.uniform(-30.0, 30.0, 2), 0.0])
         found, covariance, result = fitted(scan, prior, before, error, prior.sigma**2 + 0.03**2)
-        nees = nees.plus(normalised_square(found - error, covariance), 6)
+        nees = nees.plus(normalised_squared_error(found - error, covariance), 6)
     # With independent posts it would be 3.
     assert nees.ratio < ratio_bounds(nees.degrees, 1.25)[1]
 
@@ -235,7 +235,7 @@ def test_errors_that_are_alike_do_not_make_a_fit_too_sure(world):
 def test_errors_that_a_map_tells_to_be_alike_count_as_fewer(world):
     rng = np.random.default_rng(8)
     grid = Grid.centred((0.0, 0.0), 120.0, 0.5)
-    alone = survey(world.terrain, grid, rng, sigma=0.1)
+    alone = simulate_survey(world.terrain, grid, rng, sigma=0.1)
     alike = PriorMap(grid, alone.elevation, 0.1, 1.0)
     before = np.diag(np.square([0.05, 0.05, 0.3, 1e-3, 1e-3, 1e-3]))
     scan = scanned(world, rng)
@@ -249,7 +249,7 @@ def test_where_the_place_is_open_slopes_make_the_level_uncertain(world):
     """With a larger position uncertainty, slopes add more height variance."""
     rng = np.random.default_rng(9)
     grid = Grid.centred((0.0, 0.0), 120.0, 0.5)
-    prior = survey(world.terrain, grid, rng, sigma=0.6)
+    prior = simulate_survey(world.terrain, grid, rng, sigma=0.6)
     scan = scanned(world, rng)
     told = []
     for far in (1.5, 15.0):
@@ -270,14 +270,14 @@ def test_fit_without_data_gives_no_information():
 def test_a_survey_is_the_mean_of_the_ground_with_its_noise():
     terrain = hazard_field(np.random.default_rng(1), boulders=50, craters=5)
     grid = Grid.centred((0.0, 0.0), 60.0, 1.0)
-    exact = survey(terrain, grid, np.random.default_rng(2), sigma=1e-9)
+    exact = simulate_survey(terrain, grid, np.random.default_rng(2), sigma=1e-9)
     x, y = grid.centre_of(20, 31)
     u = (np.arange(40) + 0.5) / 40 - 0.5
     fine = terrain.elevation(np.stack(np.meshgrid(x + u, y + u), -1))
     assert exact.elevation[20, 31] == pytest.approx(fine.mean(), abs=0.02)
-    noisy = survey(terrain, grid, np.random.default_rng(2), sigma=0.2)
+    noisy = simulate_survey(terrain, grid, np.random.default_rng(2), sigma=0.2)
     assert np.std(noisy.elevation - exact.elevation) == pytest.approx(0.2, rel=0.05)
-    stale = survey(terrain, grid, np.random.default_rng(2), sigma=1e-9, stale_share=0.3)
+    stale = simulate_survey(terrain, grid, np.random.default_rng(2), sigma=1e-9, stale_share=0.3)
     changed = np.abs(stale.elevation - exact.elevation) > 1e-6
     assert 0.1 < changed.mean() < 0.35
 
@@ -292,7 +292,7 @@ def test_impossible_maps_are_refused():
         PriorMap(grid, flat, 0.0)
     terrain = Terrain(hazard_field(np.random.default_rng(0), boulders=0, craters=0).relief)
     with pytest.raises(InputError, match=r"prior\.stale_share"):
-        survey(terrain, grid, np.random.default_rng(0), stale_share=1.0)
+        simulate_survey(terrain, grid, np.random.default_rng(0), stale_share=1.0)
 
 
 @pytest.mark.parametrize(

@@ -7,14 +7,14 @@ import pytest
 from filterpy.kalman import ExtendedKalmanFilter
 
 from lunarsim.errors import InputError
-from lunarsim.evaluation.consistency import Consistency, normalised_square
+from lunarsim.evaluation.consistency import Consistency, normalised_squared_error
 from lunarsim.frames import quat_from_rotation_vector, quat_multiply
 from lunarsim.messages.measurements import AltimeterReading
-from lunarsim.onboard.navigation import planar
+from lunarsim.onboard.navigation import matrix_2x2
 from lunarsim.onboard.navigation.inertial import StartSigmas, StrapdownState
-from lunarsim.onboard.navigation.level_ground import LevelGround
 from lunarsim.onboard.navigation.navigator import Navigator
 from lunarsim.onboard.navigation.rock_filter import RockFilter
+from lunarsim.onboard.navigation.terrain_prior import TerrainPrior
 from tests.chance import ratio_bounds
 from tests.reference.shadows import consider_update
 from tests.rock_scene import GRAVITY, Flight
@@ -71,7 +71,7 @@ def test_reset_rocks_equal_new_rocks():
 
 def test_reset_rocks_keep_height_errors_only():
     """A reset equals a measurement with an uninformative prior."""
-    flight = Flight(np.random.default_rng(9), ground=LevelGround(0.0, 2.0, 0.1))
+    flight = Flight(np.random.default_rng(9), ground=TerrainPrior(0.0, 2.0, 0.1))
     flight.draw_heights(2.0, 0.1)
     for _ in range(3):
         flight.advance()
@@ -130,7 +130,7 @@ def test_jacobians_equal_finite_differences():
 
 def test_updates_equal_a_dense_filter():
     """An EKF of filterpy with 16 + 4 n states and scalar updates gives the same."""
-    flight = Flight(np.random.default_rng(2), rocks=4, ground=LevelGround(0.0, 3.0, 0.1))
+    flight = Flight(np.random.default_rng(2), rocks=4, ground=TerrainPrior(0.0, 3.0, 0.1))
     flight.advance()
     flight.image()
     flight.advance()
@@ -256,8 +256,8 @@ def test_nees_and_nis_are_consistent_over_fifty_flights(resting):
         error, p = flight.error(), flight.filter.covariance
         # Rock heights on known terrain have no error.
         level = np.concatenate((np.arange(15), (15 + 3 * np.arange(8)[:, None] + [0, 1]).ravel()))
-        nees = nees.plus(normalised_square(error[level], p[np.ix_(level, level)]), 31)
-        lander = lander.plus(normalised_square(error[:15], p[:15, :15]), 15)
+        nees = nees.plus(normalised_squared_error(error[level], p[np.ix_(level, level)]), 31)
+        lander = lander.plus(normalised_squared_error(error[:15], p[:15, :15]), 15)
     for found in (nees, lander, nis):
         low, high = ratio_bounds(found.degrees)
         assert low < found.ratio < high
@@ -320,7 +320,7 @@ def test_missing_samples_increase_covariance_and_images_reduce_it():
 @pytest.mark.parametrize("reading", [np.nan, np.inf, -5.0, 1e6, 0.0])
 def test_a_wrong_altitude_changes_nothing(reading):
     flight = Flight(np.random.default_rng(8))
-    f = Navigator(flight.filter.inertial, StartSigmas(), ground=LevelGround(0.0, 3.0), rocks=True)
+    f = Navigator(flight.filter.inertial, StartSigmas(), ground=TerrainPrior(0.0, 3.0), rocks=True)
     p, z = f.covariance.copy(), f.inertial.position.copy()
     f.take("altimeter", AltimeterReading(1.0, reading, 1.0), 1.0)
     assert np.array_equal(f.covariance, p)
@@ -331,16 +331,16 @@ def test_closed_forms_of_two_rows():
     rng = np.random.default_rng(4)
     root = rng.standard_normal((500, 2, 2))
     square, offset = root @ np.swapaxes(root, 1, 2) + 0.01 * np.eye(2), rng.normal(size=(500, 2))
-    assert planar.inverse(root) == pytest.approx(np.linalg.inv(root), rel=1e-9, abs=1e-9)
-    assert planar.largest_eigenvalue(square) == pytest.approx(np.linalg.eigvalsh(square)[:, 1])
+    assert matrix_2x2.inverse(root) == pytest.approx(np.linalg.inv(root), rel=1e-9, abs=1e-9)
+    assert matrix_2x2.largest_eigenvalue(square) == pytest.approx(np.linalg.eigvalsh(square)[:, 1])
     distance = [v @ np.linalg.solve(a, v) for v, a in zip(offset, square, strict=True)]
-    assert planar.squared_distance(offset, square) == pytest.approx(distance)
+    assert matrix_2x2.squared_distance(offset, square) == pytest.approx(distance)
 
 
 @pytest.fixture
 def sloped():
     """Return a filter over uneven terrain with four rocks observed once."""
-    flight = Flight(np.random.default_rng(11), rocks=4, ground=LevelGround(0.0, 3.0, 0.1))
+    flight = Flight(np.random.default_rng(11), rocks=4, ground=TerrainPrior(0.0, 3.0, 0.1))
     flight.advance()
     flight.image()
     return flight
@@ -374,14 +374,14 @@ def test_a_new_rock_errs_along_the_line_of_sight_as_its_height_does(sloped):
 def test_flights_over_ground_that_rises_and_falls_are_consistent():
     nees, lander = Consistency(), Consistency()
     for k in range(30):
-        flight = Flight(np.random.default_rng(300 + k), rocks=8, ground=LevelGround(0.0, 3.0, 0.1))
+        flight = Flight(np.random.default_rng(300 + k), rocks=8, ground=TerrainPrior(0.0, 3.0, 0.1))
         flight.draw_heights(3.0, 0.1)
         fly(flight, 8.0, ranges=False)
         error, p = flight.error(), flight.filter.covariance
         rocks = 16 + np.arange(24)
         columns = np.concatenate((np.arange(15), rocks))
-        nees = nees.plus(normalised_square(error, p[np.ix_(columns, columns)]), 39)
-        lander = lander.plus(normalised_square(error[:15], p[:15, :15]), 15)
+        nees = nees.plus(normalised_squared_error(error, p[np.ix_(columns, columns)]), 39)
+        lander = lander.plus(normalised_squared_error(error[:15], p[:15, :15]), 15)
     for found in (nees, lander):
         low, high = ratio_bounds(found.degrees)
         assert low < found.ratio < high

@@ -8,12 +8,12 @@ import pytest
 from lunarsim.errors import InputError
 from lunarsim.models.instruments import LidarInstrument
 from lunarsim.onboard.navigation.aiding_measurements import AidingMeasurements, aiding_blocks
-from lunarsim.onboard.navigation.error_state import POSE, REFERENCE_POSE, ErrorState, Outcome
+from lunarsim.onboard.navigation.error_state import POSE, REFERENCE_POSE, ErrorState, UpdateOutcome
+from lunarsim.onboard.navigation.image_innovation_monitor import RockCorrection
 from lunarsim.onboard.navigation.inertial import StartSigmas, StrapdownState
-from lunarsim.onboard.navigation.level_ground import LevelGround
 from lunarsim.onboard.navigation.navigator import Navigator
-from lunarsim.onboard.navigation.picture_watch import Remedy
 from lunarsim.onboard.navigation.rock_filter import RockFilter
+from lunarsim.onboard.navigation.terrain_prior import TerrainPrior
 from tests.rock_scene import GRAVITY, Flight
 
 
@@ -137,7 +137,7 @@ def test_a_camera_of_other_pixels_shows_rocks_off_by_what_the_coarser_ones_span(
 
 def test_rocks_stand_behind_the_blocks_of_a_state_that_others_share():
     start = Flight(np.random.default_rng(17)).filter.inertial
-    level, events = LevelGround(0.0, 3.0, 0.1), []
+    level, events = TerrainPrior(0.0, 3.0, 0.1), []
     state = ErrorState(start, blocks={**aiding_blocks({}, level), "scan": np.eye(6)})
     f = RockFilter(state, AidingMeasurements(state, {}, level, events))
     shared = state.covariance.copy()
@@ -164,7 +164,7 @@ def test_rock_alarm_inflates_reference_pose():
     key = f.state.block(REFERENCE_POSE)
     before, between = f.covariance.copy(), np.s_[key, POSE]
     for k in range(6):
-        f.judge("places", 0.2 * k, Outcome(900.0, 10, False))
+        f.judge("places", 0.2 * k, UpdateOutcome(900.0, 10, False))
     growth = np.diag(f.covariance)[key] / np.diag(before)[key]
     assert growth == pytest.approx(np.diag(f.covariance)[POSE] / np.diag(before)[POSE])
     assert (growth[:3] > 3.0).all()
@@ -178,9 +178,9 @@ def test_alarm_inflates_lander_and_rocks():
     flight.image()
     f = flight.filter
     before = np.diag(f.covariance).copy()
-    wrong = Outcome(900.0, 200, False)
+    wrong = UpdateOutcome(900.0, 200, False)
     remedies = [f.judge("places", 0.2 * k, wrong) for k in range(6)]
-    assert remedies[-1] is Remedy.DOUBT and [e.name for e in f.events] == ["doubted"]
+    assert remedies[-1] is RockCorrection.DOUBT and [e.name for e in f.events] == ["doubted"]
     after = np.diag(f.covariance)
     assert after[3:6] == pytest.approx(4.5 * before[3:6], rel=1e-4)
     assert after[15:17] == pytest.approx(4.5 * before[15:17])

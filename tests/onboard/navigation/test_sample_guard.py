@@ -11,16 +11,16 @@ import pytest
 from lunarsim.errors import InputError
 from lunarsim.frames import quat_conjugate, quat_multiply, quat_to_rotation_vector
 from lunarsim.messages.measurements import InertialSamples
-from lunarsim.models.inertial_unit import ACCELEROMETERS, GYROSCOPES
+from lunarsim.models.inertial_unit import TACTICAL_ACCELEROMETERS, TACTICAL_GYROSCOPES
 from lunarsim.models.lander import Lander
+from lunarsim.onboard.navigation.imu_outlier_rejection import ImuOutlierDetector, ImuSampleLimits
 from lunarsim.onboard.navigation.inertial import StrapdownState
-from lunarsim.onboard.navigation.sample_guard import ImuOutlierDetector, SampleLimits
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation
 
 STEP = 0.01
 LANDER = Lander()
-LIMITS = SampleLimits.of(LANDER, STEP, GYROSCOPES, ACCELEROMETERS)
+LIMITS = ImuSampleLimits.of(LANDER, STEP, TACTICAL_GYROSCOPES, TACTICAL_ACCELEROMETERS)
 SCENARIO = Path(__file__).parents[3] / "scenarios" / "instruments.toml"
 
 
@@ -30,8 +30,12 @@ def test_limits_are_those_of_thrusters_and_engine():
     assert LIMITS.step[0] <= 1.5 * 600.0 / 1100.0 * STEP
     assert LIMITS.step[5] >= 6000.0 / 1100.0 * 0.0951
     assert LIMITS.step[5] <= 1.5 * 6000.0 / 1100.0 * 0.0952
-    at_once = SampleLimits.of(
-        replace(LANDER, thrust_lag=0.0), STEP, GYROSCOPES, ACCELEROMETERS, slew=0.25
+    at_once = ImuSampleLimits.of(
+        replace(LANDER, thrust_lag=0.0),
+        STEP,
+        TACTICAL_GYROSCOPES,
+        TACTICAL_ACCELEROMETERS,
+        slew=0.25,
     )
     assert at_once.step[5] >= 6000.0 / 1100.0
     assert at_once.step[0] >= 0.5
@@ -47,8 +51,12 @@ def manoeuvres(rng, n=4000):
     for k in range(1, n):
         push[k] = asked[k] + (push[k - 1] - asked[k]) * np.exp(-STEP / 0.1)
     force = np.column_stack((np.zeros((n, 2)), push))
-    angle = rate * STEP + GYROSCOPES.random_walk * np.sqrt(STEP) * rng.standard_normal((n, 3))
-    gained = force * STEP + ACCELEROMETERS.random_walk * np.sqrt(STEP) * rng.standard_normal((n, 3))
+    angle = rate * STEP + TACTICAL_GYROSCOPES.random_walk * np.sqrt(STEP) * rng.standard_normal(
+        (n, 3)
+    )
+    gained = force * STEP + TACTICAL_ACCELEROMETERS.random_walk * np.sqrt(
+        STEP
+    ) * rng.standard_normal((n, 3))
     return angle, gained
 
 
@@ -125,7 +133,7 @@ def test_spikes_that_agree_but_do_not_follow_each_other_are_refused():
 @pytest.mark.parametrize("step", [0.0, -0.01, np.nan, np.inf])
 def test_impossible_steps_are_refused(step):
     with pytest.raises(InputError, match="step"):
-        SampleLimits.of(LANDER, step, GYROSCOPES, ACCELEROMETERS)
+        ImuSampleLimits.of(LANDER, step, TACTICAL_GYROSCOPES, TACTICAL_ACCELEROMETERS)
     with pytest.raises(InputError, match="step"):
         ImuOutlierDetector(LIMITS, step)
 
@@ -133,7 +141,7 @@ def test_impossible_steps_are_refused(step):
 @pytest.mark.parametrize("slew", [-1.0, np.nan, np.inf])
 def test_impossible_slews_are_refused(slew):
     with pytest.raises(InputError, match="slew"):
-        SampleLimits.of(LANDER, STEP, GYROSCOPES, ACCELEROMETERS, slew=slew)
+        ImuSampleLimits.of(LANDER, STEP, TACTICAL_GYROSCOPES, TACTICAL_ACCELEROMETERS, slew=slew)
 
 
 @pytest.mark.parametrize("name", ["step", "noise", "maximum"])
@@ -155,7 +163,7 @@ def test_missing_samples_let_the_lander_have_moved_meanwhile():
     assert found.is_missing.sum() == 40
 
 
-@pytest.mark.parametrize("limits", [LIMITS, SampleLimits.unknown()])
+@pytest.mark.parametrize("limits", [LIMITS, ImuSampleLimits.unknown()])
 @pytest.mark.parametrize("missing", [0, 1])
 def test_a_sample_with_one_number_missing_counts_as_missing(limits, missing):
     given = np.zeros((20, 3)), np.full((20, 3), 0.01)
@@ -165,7 +173,7 @@ def test_a_sample_with_one_number_missing_counts_as_missing(limits, missing):
 
 
 def test_without_a_vehicle_only_what_no_lander_can_do_is_refused():
-    guard = ImuOutlierDetector(SampleLimits.unknown(), STEP)
+    guard = ImuOutlierDetector(ImuSampleLimits.unknown(), STEP)
     angle, velocity = np.zeros((4, 3)), np.zeros((4, 3))
     angle[1, 2], velocity[2, 0] = 10.0 * STEP, 600.0 * STEP
     found = guard.screen(angle, velocity)
@@ -227,7 +235,9 @@ def test_the_worst_spike_under_the_limit_is_no_silent_error(which, axis, size, w
 
 def test_steps_of_the_converter_are_noise_too():
     fine, coarse = (
-        SampleLimits.of(LANDER, STEP, replace(GYROSCOPES, quantum=q), ACCELEROMETERS)
+        ImuSampleLimits.of(
+            LANDER, STEP, replace(TACTICAL_GYROSCOPES, quantum=q), TACTICAL_ACCELEROMETERS
+        )
         for q in (0.0, 1e-4)
     )
     assert coarse.noise[:3] - fine.noise[:3] == pytest.approx(np.full(3, 2e-4 / STEP))

@@ -7,14 +7,14 @@ import pytest
 
 from lunarsim.frames import quat_from_rotation_vector, quat_to_matrix
 from lunarsim.messages.measurements import LidarScan
+from lunarsim.onboard.navigation.corrected_scan import CorrectedScan
 from lunarsim.onboard.navigation.scan_accumulator import ScanAccumulator, count_posts_below
-from lunarsim.onboard.navigation.seen_scan import SeenScan
 
 DOWN = np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]])
 TILT = quat_from_rotation_vector([0.02, -0.03, 0.1])
 
 
-def seen(east, half, position=(0.0, 0.0, 40.0), time=0.0) -> SeenScan:
+def seen(east, half, position=(0.0, 0.0, 40.0), time=0.0) -> CorrectedScan:
     """Return a scan of terrain that rises to the north, from a tilted lander."""
     t = np.linspace(-half, half, 30)
     x, y = (a.ravel() for a in np.meshgrid(east + t, t))
@@ -24,7 +24,7 @@ def seen(east, half, position=(0.0, 0.0, 40.0), time=0.0) -> SeenScan:
     rays = (ground - at) @ turn
     reach = np.linalg.norm(rays, axis=1)
     scan = LidarScan(time, reach, rays / reach[:, None], DOWN, np.full(len(reach), 0.02), (30, 30))
-    return SeenScan(scan, at, TILT, np.zeros(3), np.zeros(3))
+    return CorrectedScan(scan, at, TILT, np.zeros(3), np.zeros(3))
 
 
 def test_a_scan_that_covers_enough_goes_through_as_it_is():

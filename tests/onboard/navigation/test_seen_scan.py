@@ -8,12 +8,12 @@ import pytest
 from lunarsim.errors import InputError
 from lunarsim.frames import quat_from_rotation_vector, quat_to_matrix
 from lunarsim.messages.measurements import LidarScan
-from lunarsim.onboard.navigation.seen_scan import SeenScan
+from lunarsim.onboard.navigation.corrected_scan import CorrectedScan
 
 DOWN = np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]])
 
 
-def seen() -> SeenScan:
+def seen() -> CorrectedScan:
     """Return a scan of ten rays from a moving, rotating lander with a tilted mount."""
     rng = np.random.default_rng(4)
     rays = np.column_stack((rng.uniform(-0.3, 0.3, (10, 2)), np.ones(10)))
@@ -21,7 +21,7 @@ def seen() -> SeenScan:
     mount = DOWN @ quat_to_matrix(quat_from_rotation_vector([0.1, -0.2, 0.3]))
     scan = LidarScan(0.0, rng.uniform(40.0, 90.0, 10), rays, mount, np.full(10, 0.02), (1, 10))
     attitude = quat_from_rotation_vector([0.2, 0.1, -0.4])
-    return SeenScan(
+    return CorrectedScan(
         scan, np.array([5.0, -3.0, 60.0]), attitude, np.array([8.0, -2.0, -5.0]),
         np.array([0.01, 0.04, -0.02]),
     )  # fmt: skip

@@ -14,16 +14,20 @@ from lunarsim.messages.measurements import (
     InertialSamples,
 )
 from lunarsim.models.inertial_unit import TriadErrors
-from lunarsim.models.instruments import FixedBeam, FixedBeams, StarInstrument
+from lunarsim.models.instruments import (
+    AltimeterInstrument,
+    StarTrackerInstrument,
+    VelocimeterInstrument,
+)
 from lunarsim.onboard.navigation.inertial import StartSigmas, StrapdownState
-from lunarsim.onboard.navigation.level_ground import LevelGround
+from lunarsim.onboard.navigation.terrain_prior import TerrainPrior
 from lunarsim.onboard.navigation.unscented import UnscentedFilter, UnscentedNavigation
 
 TILT = quat_from_rotation_vector([0.2, -0.1, 0.3])
 BEAMS = ((0.6, 0.0, -0.8), (-0.6, 0.0, -0.8), (0.0, 0.6, -0.8))
 INSTRUMENTS = {
-    "down": FixedBeam((0.0, 0.0, -1.0)), "doppler": FixedBeams(BEAMS),
-    "stars": StarInstrument(1e-4),
+    "down": AltimeterInstrument((0.0, 0.0, -1.0)), "doppler": VelocimeterInstrument(BEAMS),
+    "stars": StarTrackerInstrument(1e-4),
 }  # fmt: skip
 STILL = TriadErrors(0.0, 0.0, 0.0, 0.0, 0.0)
 PUSHED = TriadErrors(random_walk=3e-4, bias=3e-3, bias_walk=1e-5, scale_factor=0, misalignment=0)
@@ -38,7 +42,7 @@ def made(attitude=TILT, *, errors=STARTS, settings=None, off=10.0, gyroscopes=ST
         step=STEP, gyroscopes=gyroscopes, accelerometers=PUSHED,
     )  # fmt: skip
     return UnscentedFilter(
-        state, errors, settings, ground=LevelGround(GROUND, off), instruments=INSTRUMENTS, **more
+        state, errors, settings, ground=TerrainPrior(GROUND, off), instruments=INSTRUMENTS, **more
     )  # fmt: skip
 
 

@@ -15,8 +15,12 @@ from lunarsim.grid import Grid
 from lunarsim.models.gimbal import gimbal_mount
 from lunarsim.onboard.perception import _patch_kernels as kernels
 from lunarsim.onboard.perception.detector import DetectorSettings, detect_rocks
-from lunarsim.onboard.perception.direction import mean_direction, shadow_directions, turn_from_sun
 from lunarsim.onboard.perception.segmentation import segment
+from lunarsim.onboard.perception.shadow_direction import (
+    mean_direction,
+    measure_shadow_angle,
+    shadow_directions,
+)
 from lunarsim.onboard.perception.shadow_model import ShadowModel
 from lunarsim.rocks.field import RockField, RockModel
 from lunarsim.rocks.shapes import CUBE
@@ -340,7 +344,7 @@ def test_shadows_tell_by_what_angle_the_sun_is_elsewhere(place, off):
     sun = direction_from_angles(1.2 + np.radians(off), np.radians(20.0))
     seen = detect_rocks(counts, camera, state, sun)
     points = np.column_stack((seen.ground, np.zeros(len(seen))))
-    turn = turn_from_sun(seen, camera.view(state), points, sun, MODEL, 0.02)
+    turn = measure_shadow_angle(seen, camera.view(state), points, sun, MODEL, 0.02)
     assert turn.number > 10
     assert turn.sigma < np.radians(5.0)
     far = abs(np.degrees(turn.angle))

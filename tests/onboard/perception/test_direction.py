@@ -8,11 +8,11 @@ import pytest
 from lunarsim.frames import direction_from_angles
 from lunarsim.grid import Grid
 from lunarsim.onboard.perception.detector import detect_rocks
-from lunarsim.onboard.perception.direction import turn_from_sun
-from lunarsim.onboard.perception.health import Fault, PictureHealth
+from lunarsim.onboard.perception.image_quality import ImageQualityCheck, ImageRejection
+from lunarsim.onboard.perception.shadow_direction import measure_shadow_angle
 from lunarsim.onboard.perception.shape_mixture import ShapeMixture
 from lunarsim.rocks.field import RockModel
-from lunarsim.rocks.laws import sample_diameters
+from lunarsim.rocks.size_distribution import sample_diameters
 from lunarsim.sensors.camera import Camera
 from lunarsim.world.terrain import Terrain, fractal_relief, place_rocks
 from tests.shadow_scene import picture
@@ -44,13 +44,13 @@ def looked_at(scene, off):
     state, camera, counts, level, (azimuth, elevation) = scene
     sun = direction_from_angles(azimuth + np.radians(off), np.radians(elevation))
     model = ShapeMixture(np.radians(elevation))
-    health = PictureHealth()
+    health = ImageQualityCheck()
     first = health.before_detection(counts, camera, state)
     assert first.good
     seen = detect_rocks(counts, camera, state, sun, ground=level, model=model)
     points = np.column_stack((seen.ground, np.full(len(seen), level)))
     noise = first.figures["noise"]
-    turn = turn_from_sun(seen, camera.view(state), points, sun, model, noise)
+    turn = measure_shadow_angle(seen, camera.view(state), points, sun, model, noise)
     return turn, health.after_detection(seen, turn, noise).fault
 
 
@@ -69,7 +69,7 @@ def test_the_sun_is_told_to_be_elsewhere(scene, off):
     # Over 24 draws of the noise two scenes have two modes, the farther one at 18 deg; within a mode
     # the deviation is 0.2 deg.
     assert abs(beside) < 20.0
-    assert fault is Fault.SUN_ELSEWHERE
+    assert fault is ImageRejection.SUN_ELSEWHERE
 
 
 @pytest.fixture(scope="module")
@@ -102,10 +102,10 @@ def test_shadows_that_run_into_each_other_far_away_accuse_no_sun_that_is_in_its_
     )  # fmt: skip
     scene = state, camera, counts, level, sun
     turn, fault = looked_at(scene, 0.0)
-    assert fault in (None, Fault.SUN_UNPROVEN)
+    assert fault in (None, ImageRejection.SUN_UNPROVEN)
     by_faces = turn.angle if denied else turn.by_faces
     assert 5.0 < np.degrees(by_faces) < 15.0
     assert denied or turn.angle < 0.0
     assert np.isnan(turn.by_faces) == denied
     for off in (30.0, -30.0, 180.0):
-        assert looked_at(scene, off)[1] is Fault.SUN_ELSEWHERE
+        assert looked_at(scene, off)[1] is ImageRejection.SUN_ELSEWHERE

@@ -8,10 +8,10 @@ import cv2
 import numpy as np
 import pytest
 
-from lunarsim.onboard.perception import _health_kernels as kernels
+from lunarsim.onboard.perception import _image_quality_kernels as kernels
 from lunarsim.onboard.perception.detector import detect_rocks
-from lunarsim.onboard.perception.edges import EdgeWidths, edge_widths
-from lunarsim.onboard.perception.health import HealthSettings
+from lunarsim.onboard.perception.edge_widths import EdgeWidths, edge_widths
+from lunarsim.onboard.perception.image_quality import ImageQualitySettings
 from tests.shadow_scene import SUN, at
 
 
@@ -73,7 +73,7 @@ def test_a_lit_face_beside_a_shadow_does_not_blur_the_shadows_other_edges():
         counts[name] = np.rint(soft[scale // 2 :: scale, scale // 2 :: scale]).astype(np.uint8)
     state, camera = at((0.0, 0.0, 30.0))
     widths = {n: edge_widths(detect_rocks(c, camera, state, SUN), 0.01) for n, c in counts.items()}
-    most = HealthSettings().most_smear * EdgeWidths.expected(0.6)
+    most = ImageQualitySettings().most_smear * EdgeWidths.expected(0.6)
     assert widths["still"].number > 50
     assert widths["still"].least_sharp < most < widths["smeared"].least_sharp
 

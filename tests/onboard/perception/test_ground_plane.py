@@ -14,12 +14,12 @@ from lunarsim.models.pinhole import View
 from lunarsim.onboard.hazards.shadows import HazardPrior, ProbabilityMap
 from lunarsim.onboard.hazards.shadows.viewing_geometry import viewing_geometry
 from lunarsim.onboard.perception.detector import detect_rocks
-from lunarsim.onboard.perception.direction import turn_from_sun
 from lunarsim.onboard.perception.ground_plane import LEVEL, GroundPlane
-from lunarsim.onboard.perception.health import PictureHealth
+from lunarsim.onboard.perception.image_quality import ImageQualityCheck
+from lunarsim.onboard.perception.shadow_direction import measure_shadow_angle
 from lunarsim.onboard.perception.shadow_model import ShadowModel, near_elevation
 from lunarsim.rocks.field import RockModel
-from lunarsim.rocks.laws import sample_diameters
+from lunarsim.rocks.size_distribution import sample_diameters
 from lunarsim.world.terrain import Terrain, place_rocks
 from tests.shadow_scene import at, picture, tracker_at
 from tests.slopes import sloping
@@ -79,9 +79,9 @@ def turn(scene, plane, sun):
     seen = detect_rocks(
         scene.counts, scene.camera, scene.state, sun, ground=plane, model=scene.model
     )
-    before = PictureHealth().before_detection(scene.counts, scene.camera, scene.state)
+    before = ImageQualityCheck().before_detection(scene.counts, scene.camera, scene.state)
     onto = plane.direction(sun)
-    return turn_from_sun(
+    return measure_shadow_angle(
         seen, plane.view(scene.camera.view(scene.state)),
         np.column_stack((seen.ground, np.zeros(len(seen)))), onto,
         scene.model.under(float(np.arcsin(onto[2]))), before.figures["noise"],

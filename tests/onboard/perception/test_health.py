@@ -11,8 +11,12 @@ import pytest
 from lunarsim.errors import InputError
 from lunarsim.frames import direction_from_angles
 from lunarsim.onboard.perception.detector import detect_rocks
-from lunarsim.onboard.perception.direction import SunAngle, turn_from_sun
-from lunarsim.onboard.perception.health import Fault, HealthSettings, PictureHealth
+from lunarsim.onboard.perception.image_quality import (
+    ImageQualityCheck,
+    ImageQualitySettings,
+    ImageRejection,
+)
+from lunarsim.onboard.perception.shadow_direction import SunAngle, measure_shadow_angle
 from lunarsim.onboard.perception.shadow_model import ShadowModel
 from tests.conftest import ROOT
 from tests.picture_faults import all_faults, defocused, halved, rocky, smeared
@@ -42,7 +46,7 @@ def scene(request):
 def judge(scene, counts, sun=None, health=None):
     state, camera, _, right, level = scene
     sun = right if sun is None else sun
-    health = health or PictureHealth()
+    health = health or ImageQualityCheck()
     verdict = health.before_detection(counts, camera, state)
     if not verdict.good:
         return verdict
@@ -50,7 +54,7 @@ def judge(scene, counts, sun=None, health=None):
     seen = detect_rocks(counts, camera, state, sun, ground=level, model=model)
     points = np.column_stack((seen.ground, np.full(len(seen), level)))
     noise = verdict.figures["noise"]
-    turn = turn_from_sun(seen, camera.view(state), points, sun, model, noise)
+    turn = measure_shadow_angle(seen, camera.view(state), points, sun, model, noise)
     return health.after_detection(seen, turn, noise)
 
 
@@ -74,16 +78,22 @@ def test_why_is_told(scene):
     rng = np.random.default_rng(1)
     faults = all_faults(scene[2], rng)
     for name, why in {
-        "black": Fault.FAINT, "white": Fault.SATURATED, "no numbers": Fault.NO_NUMBERS,
-        "noise": Fault.NOISE, "grey with shot noise": Fault.NO_SHADOWS, "half black": Fault.GAPS,
-        "half white": Fault.SATURATED, "repeated rows": Fault.GAPS, "wrong size": Fault.FORM,
-        "colour": Fault.FORM, "words": Fault.FORM, "complex": Fault.FORM,
-        "true or false": Fault.FORM,
-        "picture under noise": Fault.NOISE, "far too dark": Fault.FAINT,
+        "black": ImageRejection.FAINT, "white": ImageRejection.SATURATED,
+        "no numbers": ImageRejection.NO_NUMBERS,
+        "noise": ImageRejection.NOISE, "grey with shot noise": ImageRejection.NO_SHADOWS,
+        "half black": ImageRejection.GAPS,
+        "half white": ImageRejection.SATURATED, "repeated rows": ImageRejection.GAPS,
+        "wrong size": ImageRejection.FORM,
+        "colour": ImageRejection.FORM, "words": ImageRejection.FORM, "complex": ImageRejection.FORM,
+        "true or false": ImageRejection.FORM,
+        "picture under noise": ImageRejection.NOISE, "far too dark": ImageRejection.FAINT,
     }.items():  # fmt: skip
         assert judge(scene, faults[name]).fault is why, name
-    assert judge(scene, faults["strong defocus"]).fault in {Fault.BLURRED, Fault.NO_SHADOWS}
-    unsharp = {Fault.BLURRED, Fault.SMEARED, Fault.NO_SHADOWS}
+    assert judge(scene, faults["strong defocus"]).fault in {
+        ImageRejection.BLURRED,
+        ImageRejection.NO_SHADOWS,
+    }
+    unsharp = {ImageRejection.BLURRED, ImageRejection.SMEARED, ImageRejection.NO_SHADOWS}
     assert {judge(scene, faults[name]).fault for name in ("defocus", "smear")} <= unsharp
     # Nothing is wrong with ground on which there is nothing to see.
     assert not judge(scene, faults["grey with shot noise"]).alarm
@@ -104,28 +114,28 @@ def test_a_frame_read_again_does_not_count_in_whole_or_in_part(scene):
     def again():
         return (counts + rng.integers(-1, 2, counts.shape)).clip(0, 255).astype(np.uint8)
 
-    health = PictureHealth()
+    health = ImageQualityCheck()
     frames = [again() for _ in range(4)]
     for frame in frames[:3]:
         assert health.before_detection(frame, camera, state).good
     # Two buffers that take turns are stuck as well.
-    assert health.before_detection(frames[2], camera, state).fault is Fault.STUCK
-    assert health.before_detection(frames[1], camera, state).fault is Fault.STUCK
+    assert health.before_detection(frames[2], camera, state).fault is ImageRejection.STUCK
+    assert health.before_detection(frames[1], camera, state).fault is ImageRejection.STUCK
     half = frames[3].copy()
     half[:240] = frames[2][:240]
-    assert health.before_detection(half, camera, state).fault is Fault.STUCK
+    assert health.before_detection(half, camera, state).fault is ImageRejection.STUCK
     assert health.before_detection(again(), camera, state).good
 
 
 def test_a_pose_that_is_none_is_not_looked_from(scene):
     state, camera, counts = scene[:3]
-    health = PictureHealth()
+    health = ImageQualityCheck()
     for bad in (
         replace(state, position=np.array([0.0, np.nan, 40.0])),
         replace(state, attitude=np.array([0.0, 0.0, 0.0, 1.5])),
         replace(state, attitude=np.full(4, np.nan)),
     ):
-        assert health.before_detection(counts, camera, bad).fault is Fault.POSE
+        assert health.before_detection(counts, camera, bad).fault is ImageRejection.POSE
 
 
 def test_sky_above_the_horizon_is_no_missing_half():
@@ -140,9 +150,9 @@ def test_sky_above_the_horizon_is_no_missing_half():
     world = World(terrain, 1.622, Light(1.2, np.radians(20.0)))
     counts = level.expose(world, state, 0.0, np.random.default_rng(0)).counts
     assert (counts[:200] <= 1).all()
-    assert PictureHealth().before_detection(counts, level, state).good
+    assert ImageQualityCheck().before_detection(counts, level, state).good
     upside_down = replace(level, mount=level.mount @ np.diag([-1.0, -1.0, 1.0]))
-    assert not PictureHealth().before_detection(counts, upside_down, state).good
+    assert not ImageQualityCheck().before_detection(counts, upside_down, state).good
 
 
 def test_noise_is_measured(scene):
@@ -151,7 +161,7 @@ def test_noise_is_measured(scene):
     ramp = 90.0 + 0.05 * np.arange(640) + np.zeros((480, 1))
     for sigma in (1.5, 4.0):
         counts = np.rint(ramp + sigma * rng.standard_normal(ramp.shape)).astype(np.uint8)
-        found = PictureHealth().before_detection(counts, camera, state).figures
+        found = ImageQualityCheck().before_detection(counts, camera, state).figures
         # That of the noisiest of sixteen parts.
         assert found["noise"] * found["lit"] == pytest.approx(sigma, rel=0.15)
 
@@ -159,14 +169,15 @@ def test_noise_is_measured(scene):
 def test_a_sun_once_seen_is_believed_until_shadows_say_otherwise(scene):
     state, camera, counts, sun, level = scene
     seen = detect_rocks(counts, camera, state, sun, ground=level)
-    health = PictureHealth()
+    health = ImageQualityCheck()
     silent = SunAngle(np.nan, np.inf, 0.0, 0)
     either = SunAngle(0.0, 0.02, 2.5, 900)
     there, between, away = (SunAngle(np.radians(a), 0.02, 6.0, 60) for a in (2.0, 12.0, 25.0))
     for turn, fault in (
-        (silent, Fault.SUN_UNPROVEN), (either, Fault.SUN_UNPROVEN), (between, Fault.SUN_UNPROVEN),
-        (there, None), (silent, None), (between, None), (away, Fault.SUN_ELSEWHERE),
-        (silent, Fault.SUN_UNPROVEN), (there, None),
+        (silent, ImageRejection.SUN_UNPROVEN), (either, ImageRejection.SUN_UNPROVEN), (between,
+        ImageRejection.SUN_UNPROVEN),
+        (there, None), (silent, None), (between, None), (away, ImageRejection.SUN_ELSEWHERE),
+        (silent, ImageRejection.SUN_UNPROVEN), (there, None),
     ):  # fmt: skip
         assert health.after_detection(seen, turn, 0.02).fault is fault
 
@@ -178,22 +189,25 @@ def test_craters_do_not_tell_that_the_sun_is_elsewhere(scene):
     craters = SunAngle(np.radians(34.0), np.radians(4.8), 13.0, 306)
     rocks = SunAngle(np.radians(34.0), np.radians(4.8), 14.0, 306)
     assert craters.agreement == pytest.approx(0.529, abs=1e-3)
-    health = PictureHealth()
-    assert health.after_detection(seen, craters, 0.02).fault is Fault.SUN_UNPROVEN
+    health = ImageQualityCheck()
+    assert health.after_detection(seen, craters, 0.02).fault is ImageRejection.SUN_UNPROVEN
     assert not health.judges(craters)
-    assert health.after_detection(seen, rocks, 0.02).fault is Fault.SUN_ELSEWHERE
+    assert health.after_detection(seen, rocks, 0.02).fault is ImageRejection.SUN_ELSEWHERE
     assert health.judges(rocks)
     # Nor do axes tell it that lit faces deny.
-    for faces, fault in ((-14.0, Fault.SUN_UNPROVEN), (16.0, Fault.SUN_ELSEWHERE)):
+    for faces, fault in (
+        (-14.0, ImageRejection.SUN_UNPROVEN),
+        (16.0, ImageRejection.SUN_ELSEWHERE),
+    ):
         both = replace(rocks, by_faces=np.radians(faces))
-        assert PictureHealth().after_detection(seen, both, 0.02).fault is fault
+        assert ImageQualityCheck().after_detection(seen, both, 0.02).fault is fault
     # Under a high Sun the side is told by other means, which agreement does not measure.
     high = replace(craters, high_sun=True)
-    assert health.after_detection(seen, high, 0.02).fault is Fault.SUN_ELSEWHERE
+    assert health.after_detection(seen, high, 0.02).fault is ImageRejection.SUN_ELSEWHERE
     assert health.judges(high)
     # Bright boulders turn it there.
     turned = replace(high, angle=np.radians(20.0))
-    assert health.after_detection(seen, turned, 0.02).fault is Fault.SUN_UNPROVEN
+    assert health.after_detection(seen, turned, 0.02).fault is ImageRejection.SUN_UNPROVEN
     assert not health.judges(turned)
     # Directions that agree less may show the Sun in its place, and what tells nothing judges not.
     assert health.judges(replace(craters, angle=np.radians(14.0)))
@@ -210,24 +224,24 @@ def test_a_sun_that_shadows_put_elsewhere_is_not_proven_and_no_more_believed(sce
         turn = SunAngle(np.radians(degrees), np.radians(sigma), side, number)
         return health.after_detection(seen, turn, 0.02).fault
 
-    health = PictureHealth()
+    health = ImageQualityCheck()
     # Agreement of 0.18 proves nothing, one of 0.25 does.
-    assert told(-6.0, 3.0, 8.4, 1110) is Fault.SUN_UNPROVEN
+    assert told(-6.0, 3.0, 8.4, 1110) is ImageRejection.SUN_UNPROVEN
     assert told(-6.0, 3.0, 8.4, 570) is None
     # Craters may say otherwise: such a picture does not count, and changes nothing as long as it
     # says so less surely.
-    assert told(179.0, 3.3, 7.1, 90) is Fault.SUN_UNPROVEN
-    assert told(179.0, 5.2, 4.6, 56) is Fault.SUN_UNPROVEN  # no less so if known less well
+    assert told(179.0, 3.3, 7.1, 90) is ImageRejection.SUN_UNPROVEN
+    assert told(179.0, 5.2, 4.6, 56) is ImageRejection.SUN_UNPROVEN  # no less so if known less well
     assert told(np.nan, np.inf, 0.0, 0) is None
-    assert told(174.0, 3.0, 9.3, 340) is Fault.SUN_UNPROVEN
-    assert told(np.nan, np.inf, 0.0, 0) is Fault.SUN_UNPROVEN
+    assert told(174.0, 3.0, 9.3, 340) is ImageRejection.SUN_UNPROVEN
+    assert told(np.nan, np.inf, 0.0, 0) is ImageRejection.SUN_UNPROVEN
     assert told(1.0, 3.0, 5.0, 60) is None
     # An angle far less certain than that it is elsewhere tells nothing.
     assert told(17.0, 4.0, 3.0, 60) is None
     assert told(14.0, 4.0, 6.0, 60) is None
 
 
-@pytest.mark.parametrize(("veil", "fault"), [(0.0, None), (0.6, Fault.VEILED)])
+@pytest.mark.parametrize(("veil", "fault"), [(0.0, None), (0.6, ImageRejection.VEILED)])
 def test_dust_or_stray_light_over_all_of_a_picture_is_noticed(scene, veil, fault):
     counts = scene[2] + veil * (np.median(scene[2]) - scene[2])
     noisy = counts + 0.4 * np.random.default_rng(0).standard_normal(counts.shape)
@@ -235,21 +249,34 @@ def test_dust_or_stray_light_over_all_of_a_picture_is_noticed(scene, veil, fault
     if fault is None:
         assert found.fault is None and found.figures["shade"] < 0.3
     else:
-        assert found.fault in {fault, Fault.NO_SHADOWS, Fault.BLURRED, Fault.SUN_UNPROVEN}
+        assert found.fault in {
+            fault,
+            ImageRejection.NO_SHADOWS,
+            ImageRejection.BLURRED,
+            ImageRejection.SUN_UNPROVEN,
+        }
         assert found.figures.get("shade", 1.0) > 0.35
 
 
 def test_mild_defocus_is_told_by_the_cameras_own_point_spread(scene):
     soft = defocused(scene[2], np.random.default_rng(2), 1.5)
-    assert judge(scene, soft).fault in {Fault.BLURRED, Fault.SMEARED, Fault.NO_SHADOWS}
+    assert judge(scene, soft).fault in {
+        ImageRejection.BLURRED,
+        ImageRejection.SMEARED,
+        ImageRejection.NO_SHADOWS,
+    }
     # A camera that is as soft as that by itself sees what it should.
-    known = PictureHealth(HealthSettings(blur_sigma=1.6))
-    assert judge(scene, soft, health=known).fault in {None, Fault.NO_SHADOWS, Fault.SUN_UNPROVEN}
+    known = ImageQualityCheck(ImageQualitySettings(blur_sigma=1.6))
+    assert judge(scene, soft, health=known).fault in {
+        None,
+        ImageRejection.NO_SHADOWS,
+        ImageRejection.SUN_UNPROVEN,
+    }
 
 
 def test_half_a_picture_from_before_the_shutter_is_noticed(scene):
     counts = halved(scene[2], np.random.default_rng(4), 3)
-    assert judge(scene, counts).fault is Fault.GAPS
+    assert judge(scene, counts).fault is ImageRejection.GAPS
 
 
 @pytest.mark.parametrize(
@@ -258,13 +285,13 @@ def test_half_a_picture_from_before_the_shutter_is_noticed(scene):
 )
 def test_settings_must_make_sense(name, value):
     with pytest.raises(InputError, match=rf"health\.{name}"):
-        HealthSettings(**{name: value})
+        ImageQualitySettings(**{name: value})
 
 
 def test_limits_are_those_of_the_page():
     page = (ROOT / "docs" / "shadow-filter.md").read_text(encoding="utf-8")
     rows = dict(re.findall(r"^\| (\w+) \| [^|]+\| ([^|]*?) \|$", page, re.MULTILINE))
-    s = HealthSettings()
+    s = ImageQualitySettings()
     told = {
         "numbers": [100 * s.most_gaps], "exposure": [s.least_lit, 100 * s.most_saturated],
         "gaps": [100 * s.most_gaps], "stuck": [100 * s.most_same], "noise": [100 * s.most_noise],

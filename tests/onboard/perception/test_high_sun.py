@@ -7,17 +7,21 @@ import pytest
 from scipy.stats import norm
 
 from lunarsim.frames import direction_from_angles
-from lunarsim.onboard.perception import _health_kernels as kernels
+from lunarsim.onboard.perception import _image_quality_kernels as kernels
 from lunarsim.onboard.perception.detector import detect_rocks
-from lunarsim.onboard.perception.direction import turn_from_sun
-from lunarsim.onboard.perception.health import Fault, PictureHealth, SunConfirmation
-from lunarsim.onboard.perception.high_sun import more_certain
+from lunarsim.onboard.perception.high_sun_direction import more_certain
+from lunarsim.onboard.perception.image_quality import (
+    ImageQualityCheck,
+    ImageRejection,
+    SunConfirmation,
+)
 from lunarsim.onboard.perception.lit_faces import lit_faces
+from lunarsim.onboard.perception.shadow_direction import measure_shadow_angle
 from lunarsim.onboard.perception.shadow_model import ShadowModel
 from lunarsim.onboard.perception.shape_mixture import ShapeMixture
 from lunarsim.onboard.perception.sun_angle import SunAngle
 from lunarsim.rocks.field import RockModel
-from lunarsim.rocks.laws import sample_diameters
+from lunarsim.rocks.size_distribution import sample_diameters
 from lunarsim.world import World
 from lunarsim.world.light import Light
 from lunarsim.world.terrain import Terrain, place_rocks
@@ -47,12 +51,12 @@ def looked_at(scene, off):
     """Return the angle found under a Sun taken to be `off` (deg) beside, and the verdict."""
     state, camera, counts, elevation = scene
     sun = direction_from_angles(AZIMUTH + np.radians(off), np.radians(elevation))
-    model, health = ShapeMixture(np.radians(elevation)), PictureHealth(sun=SunConfirmation())
+    model, health = ShapeMixture(np.radians(elevation)), ImageQualityCheck(sun=SunConfirmation())
     first = health.before_detection(counts, camera, state)
     seen = detect_rocks(counts, camera, state, sun, model=model)
     points = np.column_stack((seen.ground, np.zeros(len(seen))))
     noise = first.figures["noise"]
-    turn = turn_from_sun(seen, camera.view(state), points, sun, model, noise)
+    turn = measure_shadow_angle(seen, camera.view(state), points, sun, model, noise)
     return turn, health.after_detection(seen, turn, noise).fault
 
 
@@ -62,7 +66,7 @@ def test_a_high_sun_is_told_to_be_in_its_place(scene):
     # scene where both are largest. Above 10 deg the Sun counts as unproven, not as elsewhere.
     assert abs(np.degrees(turn.angle)) < 10.4 + norm.isf(CHANCE) * 1.1
     assert turn.side > 5.0
-    assert fault in {None, Fault.SUN_UNPROVEN}
+    assert fault in {None, ImageRejection.SUN_UNPROVEN}
 
 
 @pytest.mark.parametrize("beside", [20.0, 100.0, 250.0])
@@ -79,13 +83,13 @@ def test_boulders_brighter_than_the_ground_do_not_put_a_high_sun_elsewhere(besid
     turn, fault = looked_at((state, eye.model, counts, 42.0), 0.0)
     # On some draws of the noise no angle is found.
     assert np.isnan(turn.angle) or abs(np.degrees(turn.angle)) < 20.0
-    assert fault is not Fault.SUN_ELSEWHERE
+    assert fault is not ImageRejection.SUN_ELSEWHERE
 
 
 @pytest.mark.parametrize("off", [30.0, -30.0, 90.0, 180.0])
 def test_a_high_sun_that_is_elsewhere_is_not_believed(scene, off):
     turn, fault = looked_at(scene, off)
-    assert fault in {Fault.SUN_ELSEWHERE, Fault.SUN_UNPROVEN}
+    assert fault in {ImageRejection.SUN_ELSEWHERE, ImageRejection.SUN_UNPROVEN}
     if np.isfinite(turn.angle):
         beside = np.angle(np.exp(1j * (turn.angle - np.radians(off))))
         # 11.3 +- 0.5 deg at most over 20 draws of the noise.
@@ -93,11 +97,11 @@ def test_a_high_sun_that_is_elsewhere_is_not_believed(scene, off):
 
 
 def test_an_angle_known_less_well_proves_the_sun_only_far_from_what_it_may_be_wrong_by():
-    health = PictureHealth()
+    health = ImageQualityCheck()
     limit = np.degrees(health.settings.wrong_turn) / health.settings.wrong_by
 
     def proven(angle, sigma, side=6.0, high=True):
-        scene = PictureHealth(sun=SunConfirmation())
+        scene = ImageQualityCheck(sun=SunConfirmation())
         told = SunAngle(np.radians(angle), np.radians(sigma), side, 50, high_sun=high)
         scene.after_detection(_seen(), told, 0.01)
         return scene.sun.seen
@@ -166,5 +170,5 @@ def test_ground_without_rocks_tells_nothing_of_a_high_sun():
     state, camera, counts = picture(terrain, (0.0, 0.0, 70.0), (AZIMUTH, 45.0))
     seen = detect_rocks(counts, camera, state, sun)
     model = ShadowModel(np.radians(45.0))
-    turn = turn_from_sun(seen, camera.view(state), np.empty((0, 3)), sun, model, 0.01)
+    turn = measure_shadow_angle(seen, camera.view(state), np.empty((0, 3)), sun, model, 0.01)
     assert not np.isfinite(turn.sigma) and turn.number == 0

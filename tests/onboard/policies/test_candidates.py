@@ -6,7 +6,7 @@ import pytest
 from lunarsim.grid import Grid
 from lunarsim.models.lander import Lander
 from lunarsim.onboard.guidance.approach import Approach
-from lunarsim.onboard.guidance.divert import divert_cost
+from lunarsim.onboard.guidance.divert_cost import divert_cost
 from lunarsim.onboard.hazards import HazardMap
 from lunarsim.onboard.hazards.scoreboard import Scoreboard
 from lunarsim.onboard.navigation.estimate import Estimate

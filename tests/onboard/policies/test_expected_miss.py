@@ -8,7 +8,7 @@ import pytest
 from lunarsim.errors import InputError
 from lunarsim.grid import Grid
 from lunarsim.models.lander import Lander
-from lunarsim.onboard.guidance.divert import DivertCost
+from lunarsim.onboard.guidance.divert_cost import DivertCost
 from lunarsim.onboard.hazards import HazardMap
 from lunarsim.onboard.navigation.estimate import Estimate, Navigation
 from lunarsim.onboard.policies.contract import Candidates, Observation
@@ -18,7 +18,7 @@ from lunarsim.safety import SafetyMap
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation
 from lunarsim.simulation.oracle import TruthOracle
-from lunarsim.world.truth import Truth
+from lunarsim.world.truth import TerrainTruth
 from tests.worlds import TINY_FLIGHT
 
 # Instruments in place of fixes.
@@ -118,7 +118,9 @@ def test_the_oracle_asks_for_room_for_the_miss(miss, row):
     for north, half in ((6, 1), (14, 3), (27, 7)):
         safe[middle + north - half : middle + north + half + 1] = True
     none = np.zeros(grid.shape, np.float32)
-    truth = Truth(SafetyMap(grid, none, none, safe, np.ones(grid.shape, bool)), none, Lander())
+    truth = TerrainTruth(
+        SafetyMap(grid, none, none, safe, np.ones(grid.shape, bool)), none, Lander()
+    )
     observation = Observation(
         time=1.0, estimate=estimate((0.0, 0.0, 0.0)), hazard_map=HazardMap.unobserved(grid),
         candidates=Candidates(np.zeros((0, 3)), *(np.zeros(0),) * 3),

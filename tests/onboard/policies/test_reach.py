@@ -9,16 +9,16 @@ import pytest
 
 from lunarsim.grid import Grid
 from lunarsim.models.lander import Lander
-from lunarsim.onboard import outlook
+from lunarsim.onboard import site_evaluator
 from lunarsim.onboard.guidance.approach import Approach
-from lunarsim.onboard.guidance.divert import divert_cost
+from lunarsim.onboard.guidance.divert_cost import divert_cost
 from lunarsim.onboard.hazards import HazardMap
 from lunarsim.onboard.hazards.scoreboard import Scoreboard
 from lunarsim.onboard.navigation.estimate import Estimate
 from lunarsim.onboard.policies import Observation
 from lunarsim.onboard.policies.candidates import candidate_sites
 from lunarsim.onboard.policies.library import NearestSafe, Safest, SafestOrAbort
-from lunarsim.onboard.policies.reach import Reach
+from lunarsim.onboard.policies.reachability import ReachabilityMap
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation
 from tests.worlds import TINY_FLIGHT
@@ -53,7 +53,7 @@ def ground(rows=130, cols=111, posting=1.3, centre=(40.0, -20.0)) -> HazardMap:
 
 def test_a_map_of_reach_says_of_each_cell_what_is_said_of_a_site_there():
     hazard_map, costs = ground(), Costs()
-    reach = Reach.under(hazard_map, np.array([0.0, 0.0, 7.0]), costs)
+    reach = ReachabilityMap.under(hazard_map, np.array([0.0, 0.0, 7.0]), costs)
     assert costs.asked == []  # nobody has looked yet
     assert max(reach.grid.shape) == 100
     assert 0.05 < reach.reachable.mean() < 0.95
@@ -77,14 +77,14 @@ def test_a_map_of_reach_says_of_each_cell_what_is_said_of_a_site_there():
 
 
 def test_a_small_map_keeps_its_cells():
-    reach = Reach.under(ground(20, 30, 0.5), np.zeros(3), Costs())
+    reach = ReachabilityMap.under(ground(20, 30, 0.5), np.zeros(3), Costs())
     assert reach.grid == ground(20, 30, 0.5).grid
 
 
 def test_a_survey_of_cells_that_do_not_come_out_even_leaves_none_out():
     """302 columns in fifths are 60.4: rounded down, the outermost cells would lie beyond it."""
     hazard_map = ground(500, 302, 0.5)
-    reach = Reach.under(hazard_map, np.zeros(3), Costs())
+    reach = ReachabilityMap.under(hazard_map, np.zeros(3), Costs())
     assert reach.grid.shape == (100, 61)
     assert reach.grid.contains(hazard_map.grid.centres()).all()
 
@@ -102,7 +102,7 @@ def test_one_poor_site_in_reach_does_not_hide_better_ones():
         grid, p, np.ones(grid.shape, bool), np.zeros(grid.shape, np.float32)
     )  # fmt: skip
     costs = Costs()
-    reach = Reach.under(hazard_map, site, costs)
+    reach = ReachabilityMap.under(hazard_map, site, costs)
 
     def asked(given, count=4, board=None):
         return candidate_sites(
@@ -145,7 +145,7 @@ def test_where_no_site_will_do_others_are_looked_for_within_reach():
         grid, p, np.ones(grid.shape, bool), np.zeros(grid.shape, np.float32)
     )  # fmt: skip
     costs = Costs()
-    reach = Reach.under(hazard_map, site, costs)
+    reach = ReachabilityMap.under(hazard_map, site, costs)
     blind = candidate_sites(hazard_map, p, site, costs, count=4, separation=3.0)
     # The nearest at 0.95 is as far.
     assert len(blind) > 0
@@ -183,13 +183,13 @@ def test_where_no_site_will_do_others_are_looked_for_within_reach():
 def test_the_computer_hands_its_reach_to_policy_and_candidates(monkeypatch, window):
     """What no window shows is out of reach, though law and engine could fly there."""
     asked = []
-    real = outlook.candidate_sites
+    real = site_evaluator.candidate_sites
 
     def spied(*given, **named):
         asked.append(named["reach"])
         return real(*given, **named)
 
-    monkeypatch.setattr(outlook, "candidate_sites", spied)
+    monkeypatch.setattr(site_evaluator, "candidate_sites", spied)
     tables = {} if window is None else {"window": window}
     simulation = Simulation(Scenario.from_dict(TINY_FLIGHT | tables), 4, "no-divert")
     while not simulation.computer.mapped:

@@ -9,8 +9,8 @@ import pytest
 from lunarsim.frames import direction_from_angles
 from lunarsim.models.instruments import CameraInstrument, LidarInstrument
 from lunarsim.models.lander import Lander
-from lunarsim.onboard.perception.shape_mixture import ShapeMixture
-from lunarsim.onboard.seeking.eyes import (
+from lunarsim.onboard.active_perception.information import ExpectedRocks
+from lunarsim.onboard.active_perception.sensor_coverage import (
     build_camera_model,
     build_coverage_models,
     build_lidar_model,
@@ -18,7 +18,7 @@ from lunarsim.onboard.seeking.eyes import (
     mean_rock_height,
     position_variance,
 )
-from lunarsim.onboard.seeking.information import ExpectedRocks
+from lunarsim.onboard.perception.shape_mixture import ShapeMixture
 from lunarsim.rocks.population import RockExpectation
 from lunarsim.sensors.framing_camera import FramingCamera
 from lunarsim.sensors.lidar import FlashLidar

@@ -5,11 +5,15 @@ import pytest
 
 from lunarsim.errors import InputError
 from lunarsim.grid import Grid
+from lunarsim.onboard.active_perception.information import (
+    ExpectedRocks,
+    entropy,
+    removed_uncertainty,
+)
+from lunarsim.onboard.active_perception.terrain_nodes import terrain_nodes
 from lunarsim.onboard.hazards.hazard_map import HazardMap
 from lunarsim.onboard.perception.detection_rates import DetectionRates
-from lunarsim.onboard.seeking.ground import terrain_nodes
-from lunarsim.onboard.seeking.information import ExpectedRocks, entropy, removed_uncertainty
-from lunarsim.rocks.laws import golombek_cover
+from lunarsim.rocks.size_distribution import golombek_cover
 
 
 def test_rocks_of_all_sizes_cover_what_the_law_says():

@@ -4,7 +4,7 @@ import numba
 import numpy as np
 import pytest
 
-from lunarsim.onboard.seeking import _seeking_kernels as kernels
+from lunarsim.onboard.active_perception import _information_kernels as kernels
 from tests.reference import seeking as plain
 
 POWERS = np.array([1.0, 2.0])

@@ -7,10 +7,10 @@ import pytest
 
 from lunarsim.errors import InputError
 from lunarsim.grid import Grid
-from lunarsim.onboard.guidance.contract import PlansArrival, SeesByMap
+from lunarsim.onboard.active_perception.guidance import InformationSeekingLaw
+from lunarsim.onboard.guidance.contract import PlansArrival, UsesHazardMap
 from lunarsim.onboard.hazards.hazard_map import HazardMap
-from lunarsim.onboard.seeking.law import InformationSeekingLaw
-from lunarsim.onboard.tasking.contract import Looks
+from lunarsim.onboard.tasking.contract import MeasurementAltitudes
 from lunarsim.onboard.tasking.schedules import AtAltitudes, Periodic, Sweep
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation
@@ -28,7 +28,7 @@ def test_it_plans_over_the_site_and_pays_for_it(paper):
     cheap, _ = at_start(paper, allowance=0.0)
     for law in (free, cheap):
         assert isinstance(law, PlansArrival)
-        assert isinstance(law, SeesByMap)
+        assert isinstance(law, UsesHazardMap)
         assert np.isfinite(law.command(*asked, 0.0, 47.0)).all()
     assert free.plan.known > cheap.plan.known + 0.03
     assert cheap.plan.propellant < free.plan.propellant < cheap.plan.propellant + 1.5
@@ -171,9 +171,9 @@ def test_a_lander_that_sees_nothing_is_refused():
 
 
 def test_schedules_tell_where_they_measure():
-    assert Periodic(first_altitude=250.0).looks == Looks(highest=250.0)
-    assert AtAltitudes((300.0, 90.0)).looks == Looks(at=(300.0, 90.0))
-    assert Sweep(last_altitude=20.0).looks == Looks(lowest=20.0)
+    assert Periodic(first_altitude=250.0).looks == MeasurementAltitudes(highest=250.0)
+    assert AtAltitudes((300.0, 90.0)).looks == MeasurementAltitudes(at=(300.0, 90.0))
+    assert Sweep(last_altitude=20.0).looks == MeasurementAltitudes(lowest=20.0)
 
 
 def test_a_flight_lands_and_repeats_bit_for_bit():

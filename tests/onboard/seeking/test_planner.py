@@ -5,11 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lunarsim.onboard.guidance.divert import divert_cost
-from lunarsim.onboard.seeking.eyes import build_coverage_models, footprint_radius
-from lunarsim.onboard.seeking.law import InformationSeekingLaw
-from lunarsim.onboard.seeking.planner import PathPlan, SeekingPlanner, vehicle_params
-from lunarsim.onboard.tasking.contract import Looks
+from lunarsim.onboard.active_perception.guidance import InformationSeekingLaw
+from lunarsim.onboard.active_perception.planner import PathPlan, SeekingPlanner, vehicle_params
+from lunarsim.onboard.active_perception.sensor_coverage import (
+    build_coverage_models,
+    footprint_radius,
+)
+from lunarsim.onboard.guidance.divert_cost import divert_cost
+from lunarsim.onboard.tasking.contract import MeasurementAltitudes
 from tests.onboard.seeking.conftest import at_start
 from tests.reference import seeking as plain
 
@@ -25,7 +28,7 @@ def asked(paper):
 
 
 def planner(eye, looks=None, candidates=600, end_tilt=0.9):
-    return SeekingPlanner([eye], [looks or Looks()], candidates, PRICE, end_tilt)
+    return SeekingPlanner([eye], [looks or MeasurementAltitudes()], candidates, PRICE, end_tilt)
 
 
 def worth(one, problem, plans):
@@ -62,7 +65,7 @@ def plain_eye(eye, looks, stations=()):
 def test_the_kernel_is_given_what_the_lander_and_its_eyes_are(asked, change):
     """Scores of the paper's lander and camera are those of looks taken one by one."""
     _, problem, eye = asked
-    looks, end_tilt = Looks(highest=300.0, lowest=60.0), 0.4
+    looks, end_tilt = MeasurementAltitudes(highest=300.0, lowest=60.0), 0.4
     eye = replace(eye, **change)
     one = planner(eye, looks, end_tilt=end_tilt)
     plans = one.drawn(problem, 47.0, 60)
@@ -130,13 +133,13 @@ def test_what_is_flown_stays_unless_another_is_better(asked):
 
 def test_looks_that_are_past_count_no_more(asked):
     _, problem, eye = asked
-    one = planner(eye, Looks(at=(300.0, 120.0)))
+    one = planner(eye, MeasurementAltitudes(at=(300.0, 120.0)))
     plans = one.drawn(problem, 47.0, 400)
     known = {}
     for passed in (np.inf, 200.0, 100.0):
         scored = one.score(replace(problem, lowest_altitude=passed), plans)
         known[passed] = scored[np.isfinite(scored[:, 1]), 0].max()
-    nothing = planner(eye, Looks(at=(1e5,))).score(problem, plans)
+    nothing = planner(eye, MeasurementAltitudes(at=(1e5,))).score(problem, plans)
     assert known[np.inf] >= known[200.0] > known[100.0] + 0.05
     assert known[100.0] == pytest.approx(nothing[np.isfinite(nothing[:, 1]), 0].max(), abs=1e-9)
 

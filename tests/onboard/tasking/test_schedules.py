@@ -12,7 +12,7 @@ from lunarsim.frames import quat_from_rotation_vector, quat_to_matrix
 from lunarsim.models.instruments import PointedInstrument
 from lunarsim.onboard.navigation.estimate import Estimate
 from lunarsim.onboard.tasking import Situation
-from lunarsim.onboard.tasking.contract import Looks
+from lunarsim.onboard.tasking.contract import MeasurementAltitudes
 from lunarsim.onboard.tasking.schedules import AtAltitudes, Periodic, Sweep
 
 SITE = np.array([5.0, -3.0, 1.0])
@@ -96,7 +96,9 @@ def test_one_camera_hands_over_to_another_at_an_altitude():
     ]  # fmt: skip
     assert [one[1] for one in looks] == [False, True, True, False, False]
     assert [one[2] for one in looks] == [False, False, False, True, True]
-    assert Periodic(first_altitude=900.0, last_altitude=400.0).looks == Looks(900.0, 400.0)
+    assert Periodic(first_altitude=900.0, last_altitude=400.0).looks == MeasurementAltitudes(
+        900.0, 400.0
+    )
     with pytest.raises(InputError, match="last_altitude_m: must be less than"):
         Periodic(first_altitude=900.0, last_altitude=900.0)
 

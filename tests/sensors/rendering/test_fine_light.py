@@ -13,7 +13,7 @@ from lunarsim.models.pinhole import View
 from lunarsim.rocks.field import RockField, RockModel
 from lunarsim.rocks.shapes import CUBE
 from lunarsim.sensors.rendering import Renderer, renderer_of
-from lunarsim.world.light import FULL_EARTH, Light
+from lunarsim.world.light import FULL_EARTH_IRRADIANCE_RATIO, Light
 from lunarsim.world.terrain import Heightfield, Terrain, fractal_relief, place_rocks
 from tests.reference.photometry import scattered_light, scattered_on
 from tests.worlds import flat_terrain
@@ -215,9 +215,13 @@ def test_level_ground_throws_no_light_on_itself():
 
 def test_earthshine_is_the_only_light_of_the_night():
     view = above((0.0, 0.0), 30.0, 0.5, (16, 12))
-    night = Light(0.0, -0.1, 0.2, earthshine=FULL_EARTH, earth_elevation=np.radians(40.0))
+    night = Light(
+        0.0, -0.1, 0.2, earthshine=FULL_EARTH_IRRADIANCE_RATIO, earth_elevation=np.radians(40.0)
+    )
     shine = renderer_of(_PLANE).render(view, night).radiance
-    assert np.allclose(shine, 0.2 * FULL_EARTH * np.sin(np.radians(40.0)), rtol=1e-4)
+    assert np.allclose(
+        shine, 0.2 * FULL_EARTH_IRRADIANCE_RATIO * np.sin(np.radians(40.0)), rtol=1e-4
+    )
     below = replace(night, earth_elevation=-0.2)
     assert np.all(renderer_of(_PLANE).render(view, below).radiance == 0.0)
 
@@ -280,7 +284,8 @@ def test_boulders_are_as_bright_as_told_each_in_its_own_way(rocky):
 def test_lights_do_not_leave_traces_in_one_another(rocky):
     view = above((0.0, 0.0), 60.0, 0.3, (120, 90))
     full = Light(
-        1.0, 0.2, photometry="hapke", diameter=SUN, scattered=True, earthshine=FULL_EARTH,
+        1.0, 0.2, photometry="hapke", diameter=SUN, scattered=True,
+        earthshine=FULL_EARTH_IRRADIANCE_RATIO,
         mottle=0.05, boulder_albedo=1.3, boulder_mottle=0.1,
     )  # fmt: skip
     lights = [Light(1.0, 0.2), full, Light(1.0, 0.05, diameter=SUN)]

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from lunarsim.grid import Grid
-from lunarsim.sensors.rendering import _glow_kernels as kernels
-from lunarsim.sensors.rendering.glow import scattered_light_map
+from lunarsim.sensors.rendering import _scattered_light_kernels as kernels
+from lunarsim.sensors.rendering.scattered_light import scattered_light_map
 from lunarsim.world.light import Light
 from lunarsim.world.terrain import Heightfield
 

@@ -7,9 +7,9 @@ from lunarsim.frames import sensor_axes
 from lunarsim.grid import Grid
 from lunarsim.models.pinhole import View
 from lunarsim.sensors.rendering import _tile_kernels as kernels
-from lunarsim.sensors.rendering.lee_blocks import ShadowCasterBlocks
 from lunarsim.sensors.rendering.relief_tiles import ReliefTiles, level_mesh
 from lunarsim.sensors.rendering.renderer import Renderer
+from lunarsim.sensors.rendering.shadow_caster_blocks import ShadowCasterBlocks
 from lunarsim.world.light import Light
 from lunarsim.world.terrain import Heightfield, Terrain, fractal_relief
 from tests.reference import rendering as plain
@@ -30,7 +30,7 @@ def test_blocks_are_those_with_a_face_turned_away(seed):
         z[5, 6] = np.nan
     first = np.array([[0, 0], [16, 0], [48, 0], [32, 32], [48, 32]], dtype=np.int32)
     sun, p = sun_at(rng), 0.4
-    lee = kernels.lee_blocks(z, first, 16, 4, p, sun, 0.95)
+    lee = kernels.shadow_caster_blocks(z, first, 16, 4, p, sun, 0.95)
     assert 0 < lee.sum() < lee.size
     for tile, found in zip(first, lee, strict=True):
         for block in range(16):

@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lunarsim.rng import Streams, flight_seed
+from lunarsim.rng import RandomStreams, flight_seed
 from lunarsim.scenario import Scenario
 from lunarsim.scenario.shipped import names
 from lunarsim.sensors.rendering import renderer_of
-from lunarsim.simulation.picture import camera_of, camera_state
+from lunarsim.simulation.image_rendering import camera_pointing_state, first_camera
 from lunarsim.simulation.worlds import build_world
 
 ROUGH = {
@@ -24,11 +24,11 @@ def check_scene(scene: dict, elevations, altitudes):
     for elevation in elevations:
         sun = scene.get("sun", {}) | {"elevation_deg": elevation, "scattered": True}
         scenario = Scenario.from_dict(scene | {"sun": sun})
-        world = build_world(scenario, Streams(flight_seed(1, 0)))
-        camera = replace(camera_of(scenario), width=160, height=120)
+        world = build_world(scenario, RandomStreams(flight_seed(1, 0)))
+        camera = replace(first_camera(scenario), width=160, height=120)
         for altitude in altitudes:
             target = scenario.target.position_m
-            state = camera_state(camera, world, target, altitude, 0.2, 1.0)
+            state = camera_pointing_state(camera, world, target, altitude, 0.2, 1.0)
             image = renderer_of(world.terrain).render(camera.view(state), world.light)
             assert np.isfinite(image.radiance).all() and image.radiance.min() >= 0.0
             camera.expose(world, state, 0.0, np.random.default_rng(1))

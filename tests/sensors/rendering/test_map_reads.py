@@ -9,12 +9,12 @@ from lunarsim.frames import sensor_axes
 from lunarsim.models.pinhole import View
 from lunarsim.rocks.field import RockField
 from lunarsim.sensors.rendering.context import gl_context, on_render_thread
-from lunarsim.sensors.rendering.map_reads import ShadowMapReads
 from lunarsim.sensors.rendering.programs import geometry_programs
 from lunarsim.sensors.rendering.renderer import Renderer
-from lunarsim.sensors.rendering.rock_painter import RockRenderer
+from lunarsim.sensors.rendering.rock_renderer import RockRenderer
 from lunarsim.sensors.rendering.rock_tiles import DrawnRocks
 from lunarsim.sensors.rendering.shadow_frame import ShadowFrame
+from lunarsim.sensors.rendering.shadow_map_reads import ShadowMapReads
 from lunarsim.world.light import Light
 from lunarsim.world.terrain import Heightfield, Terrain
 from tests.worlds import random_terrain

@@ -7,9 +7,9 @@ from lunarsim.frames import sensor_axes
 from lunarsim.models.pinhole import View
 from lunarsim.sensors.rendering import _cull_kernels as cull
 from lunarsim.sensors.rendering import _rock_tile_kernels as kernels
-from lunarsim.sensors.rendering.map_reads import ShadowMapReads
 from lunarsim.sensors.rendering.rock_tiles import RockTiles
 from lunarsim.sensors.rendering.shadow_frame import ShadowFrame
+from lunarsim.sensors.rendering.shadow_map_reads import ShadowMapReads
 from tests.reference import rendering as plain
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from lunarsim.errors import InputError
-from lunarsim.rng import Streams
+from lunarsim.rng import RandomStreams
 from lunarsim.scenario import Scenario
 from lunarsim.world.terrain import CraterClusters, place_rocks
 from tests.worlds import flat_terrain
@@ -52,7 +52,7 @@ def test_a_scenario_has_them_about_its_own_craters():
     for share in (0.0, 0.8):
         made = scenario(rocks={"clustered": share, "block_crater_m": 30.0})
         ground = made.terrain.make()
-        rocks = ground.build(made.rocks.make(), Streams(5)).rocks
+        rocks = ground.build(made.rocks.make(), RandomStreams(5)).rocks
         craters = ground.craters(ground.relief())
         large = craters.diameter >= 30.0
         away = np.hypot(rocks.x[:, None] - craters.x[large], rocks.y[:, None] - craters.y[large])
@@ -74,4 +74,4 @@ def test_a_scenario_has_them_about_its_own_craters():
 def test_blocks_need_craters(changes, field):
     with pytest.raises(InputError, match=field):
         made = scenario(**changes)
-        made.terrain.make().build(made.rocks.make(), Streams(5))
+        made.terrain.make().build(made.rocks.make(), RandomStreams(5))

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lunarsim.rng import Streams
-from lunarsim.rocks.laws import golombek_cover
+from lunarsim.rng import RandomStreams
+from lunarsim.rocks.size_distribution import golombek_cover
 from lunarsim.scenario import Scenario
 
 
@@ -23,7 +23,7 @@ from lunarsim.scenario import Scenario
 def test_rocks_cover_what_the_law_says(rocks, share):
     table = {"size_m": 300.0, "posting_m": 3.0, "rms_slope_deg": 0.0}
     made = Scenario.from_dict({"terrain": table, "rocks": {"cover": 0.1, **rocks}})
-    field = made.terrain.make().build(made.rocks.make(), Streams(3)).rocks
+    field = made.terrain.make().build(made.rocks.make(), RandomStreams(3)).rocks
     width = 2.0 * field.a
     area = width**2 if rocks["shape"] == "cube" else 0.25 * np.pi * width**2
     for least in (0.15, 0.4):

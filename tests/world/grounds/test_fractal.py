@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from lunarsim.scenario import Scenario
-from lunarsim.world.grounds.fractal import FractalGround
-from lunarsim.world.terrain.dtm import load_dtm
+from lunarsim.world.terrain.dtm import load_terrain
+from lunarsim.world.terrain_models.fractal import FractalTerrain
 from tests.conftest import ROOT
 
 # Rosenburg et al. (2011): Hurst exponents, and slopes (deg) carried to 1 m; measured: polar.
@@ -38,7 +38,7 @@ def test_presets_fill_what_is_left_out(preset):
 def test_polar_ground_is_as_rough_as_the_ridge_beside_shackleton():
     """Median slopes of posts 40 to 160 m apart, and what they come to at 1 m."""
     file = ROOT / "scenarios" / "data" / "moon_shackleton_ridge_lola_40m.tif"
-    z = load_dtm(file, posting=40.0).z.astype(float)
+    z = load_terrain(file, posting=40.0).z.astype(float)
     steps = np.array([1, 2, 3, 4])
     slopes = [
         np.median(np.hypot(z[:-k, k:] - z[:-k, :-k], z[k:, :-k] - z[:-k, :-k])) / (40.0 * k)
@@ -52,28 +52,28 @@ def test_polar_ground_is_as_rough_as_the_ridge_beside_shackleton():
 
 
 def test_ground_without_a_preset_has_no_craters():
-    plain = FractalGround(size=40.0)
+    plain = FractalTerrain(size=40.0)
     assert np.array_equal(plain.relief().z, replace(plain, crater_density=0.0).relief().z)
     assert slope_at_a_metre(plain.relief()) == pytest.approx(2.5, rel=0.25)
 
 
 def test_ground_of_a_preset_has_posts_that_do_not_show_unless_told_otherwise():
     kind = {"preset": "mare", "crater_density": 0.0, "size": 40.0}
-    near, bare = FractalGround(**kind), FractalGround(**kind, detail=0.0)
+    near, bare = FractalTerrain(**kind), FractalTerrain(**kind, detail=0.0)
     assert near.detail_posting == pytest.approx(0.05)
     assert near.relief().grid.posting == pytest.approx(0.05)
     assert bare.relief().grid.posting == 0.25
     # The same ground, with some millimetres of roughness on it.
     assert 0.0005 < np.std(near.relief().z[::5, ::5] - bare.relief().z) < 0.01
-    asked = FractalGround(**kind, detail=0.0625)
+    asked = FractalTerrain(**kind, detail=0.0625)
     assert asked.relief().grid.posting == 0.0625
-    assert FractalGround(size=40.0).detail_posting is None
+    assert FractalTerrain(size=40.0).detail_posting is None
 
 
 @pytest.mark.parametrize("posting", [0.07, 0.09, 0.25, 1.3, 20.0, 23.9, 30.0])
 @pytest.mark.parametrize("size", [100.0, 300.0, 1234.5])
 def test_detail_that_nobody_asked_for_fits_posts_and_memory(size, posting):
-    ground = FractalGround(preset="mare", size=size, posting=posting)
+    ground = FractalTerrain(preset="mare", size=size, posting=posting)
     found = ground.detail_posting
     least = max(0.05, size / 4000.0)
     if posting < 2.0 * least or posting > 24.0:

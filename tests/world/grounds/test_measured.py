@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from lunarsim.errors import InputError
-from lunarsim.world.grounds.measured import MeasuredGround
+from lunarsim.world.terrain_models.measured import RasterTerrain
 from tests.conftest import SCENARIOS
 
 DTM = SCENARIOS / "data" / "hirise_dteec_010228_1490_crop.tif"
@@ -16,12 +16,12 @@ DTM = SCENARIOS / "data" / "hirise_dteec_010228_1490_crop.tif"
 
 def test_posts_too_fine_for_memory_are_refused():
     with pytest.raises(InputError, match=r"terrain\.posting_m: must be at least 0\.\d+ m"):
-        MeasuredGround(path=DTM, posting=1e-4).relief()
+        RasterTerrain(path=DTM, posting=1e-4).relief()
 
 
 def test_ground_between_measured_posts_is_rough_unless_it_is_asked_not_to_be():
     """The posts keep their elevations; between them a spline is smooth."""
-    ground = MeasuredGround(
+    ground = RasterTerrain(
         path=DTM, dtm_window=(0, 60, 0, 60), relief_scale=0.2, rms_slope=np.deg2rad(3.0)
     )
     rough, smooth = ground.relief(), replace(ground, detail=False).relief()
@@ -34,7 +34,7 @@ def test_ground_between_measured_posts_is_rough_unless_it_is_asked_not_to_be():
 
 def test_ground_is_carried_on_beyond_its_raster_by_mirrors():
     """The middle is what was measured; beyond it lies what lies as far within its edges."""
-    own = MeasuredGround(path=DTM, relief_scale=0.2, detail=False, posting=2.0)
+    own = RasterTerrain(path=DTM, relief_scale=0.2, detail=False, posting=2.0)
     wide, narrow = replace(own, mirrored_to=300.0).relief(), own.relief()
     west, east, south, north = wide.grid.extent
     assert 300.0 <= min(east - west, north - south) < 306.0

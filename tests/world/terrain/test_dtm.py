@@ -7,7 +7,7 @@ from rasterio.transform import from_origin
 
 from lunarsim.errors import InputError
 from lunarsim.world.terrain import Terrain
-from lunarsim.world.terrain.dtm import load_dtm, read_info
+from lunarsim.world.terrain.dtm import load_terrain, read_info
 from tests.worlds import SCENARIOS
 
 MOON = "+proj=eqc +R=1737400 +units=m +no_defs"
@@ -62,12 +62,12 @@ def test_pds_image(tmp_path):
     info = read_info(path)
     assert info.driver == "PDS"
     assert info.posting == pytest.approx(2.0)
-    relief = load_dtm(path)
+    relief = load_terrain(path)
     assert np.allclose(relief.z[::-1] + z.mean(), z)
 
 
 def test_hirise_crop():
-    relief = load_dtm(SCENARIOS / "data" / "hirise_dteec_010228_1490_crop.tif")
+    relief = load_terrain(SCENARIOS / "data" / "hirise_dteec_010228_1490_crop.tif")
     assert relief.grid.shape == (120, 70)
     assert relief.grid.posting == pytest.approx(1.01, abs=1e-6)
     low, high = relief.z_range
@@ -81,7 +81,7 @@ def test_hirise_crop():
 def test_north_is_up(tmp_path):
     z = np.zeros((4, 5))
     z[0, :] = 10.0  # first row of a raster is the northernmost
-    relief = load_dtm(write(tmp_path / "a.tif", z))
+    relief = load_terrain(write(tmp_path / "a.tif", z))
     terrain = Terrain(relief)
     assert terrain.elevation([0.0, 3.0]) > terrain.elevation([0.0, -3.0])
 
@@ -90,7 +90,7 @@ def test_no_data_becomes_nan(tmp_path):
     z = np.ones((6, 6))
     z[2, 3] = -9999.0
     z[4, 4] = -3.4e38
-    relief = load_dtm(write(tmp_path / "a.tif", z, nodata=-9999.0))
+    relief = load_terrain(write(tmp_path / "a.tif", z, nodata=-9999.0))
     assert np.isnan(relief.z).sum() == 2
     assert read_info(tmp_path / "a.tif").no_data_share == pytest.approx(2 / 36)
 
@@ -99,36 +99,36 @@ def test_pds_style_raster_without_crs_needs_a_posting(tmp_path):
     z = np.random.default_rng(1).random((8, 8))
     path = write(tmp_path / "a.tif", z, crs=None)
     with pytest.raises(InputError, match="dtm_posting_m"):
-        load_dtm(path)
-    assert load_dtm(path, posting=40.0).grid.posting == 40.0
+        load_terrain(path)
+    assert load_terrain(path, posting=40.0).grid.posting == 40.0
 
 
 def test_bad_files(tmp_path):
     with pytest.raises(InputError, match="existing"):
-        load_dtm(tmp_path / "none.tif")
+        load_terrain(tmp_path / "none.tif")
     (tmp_path / "text.tif").write_text("not a raster")
     with pytest.raises(InputError, match="must be a raster"):
-        load_dtm(tmp_path / "text.tif")
+        load_terrain(tmp_path / "text.tif")
     nowhere = write(tmp_path / "none.tif", np.ones((4, 4)), crs=None, posting=0.1)
     with pytest.raises(InputError, match="no coordinate reference"):
-        load_dtm(nowhere)
+        load_terrain(nowhere)
     empty = write(tmp_path / "nan.tif", np.full((4, 4), np.nan))
     with pytest.raises(InputError, match="has no elevations"):
-        load_dtm(empty)
+        load_terrain(empty)
     with pytest.raises(InputError, match="must be omitted"):
-        load_dtm(write(tmp_path / "ok.tif", np.ones((4, 4))), posting=5.0)
+        load_terrain(write(tmp_path / "ok.tif", np.ones((4, 4))), posting=5.0)
 
 
 def test_a_window_is_the_same_ground():
     path = SCENARIOS / "data" / "moon_apollo15_nac_dtm_2m.tif"
-    whole = load_dtm(path, posting=2.0)
-    part = load_dtm(path, posting=2.0, window=(10, 60, 20, 100))
+    whole = load_terrain(path, posting=2.0)
+    part = load_terrain(path, posting=2.0, window=(10, 60, 20, 100))
     assert part.grid.shape == (50, 80)
     flipped = whole.z[::-1][10:60, 20:100][::-1]
     assert np.allclose(part.z - part.z[0, 0], flipped - flipped[0, 0], atol=1e-4)
     for window in ((60, 10, 0, 5), (0, 5, 0, 300), (-1, 5, 0, 5)):
         with pytest.raises(InputError, match=r"terrain\.dtm_window"):
-            load_dtm(path, posting=2.0, window=window)
+            load_terrain(path, posting=2.0, window=window)
 
 
 def test_a_raster_in_degrees_becomes_metric(tmp_path):
@@ -148,7 +148,7 @@ def test_a_raster_in_degrees_becomes_metric(tmp_path):
         transform=from_origin(30.0 - 120 * step, -60.0 + 60 * step, step, step),
     ) as out:  # fmt: skip
         out.write(z.astype(np.float32), 1)
-    relief = load_dtm(path, posting=25.0)
+    relief = load_terrain(path, posting=25.0)
     assert relief.grid.posting == pytest.approx(25.0)
     peak = np.unravel_index(np.nanargmax(relief.z), relief.z.shape)
     top = relief.grid.centre_of(*peak)
@@ -197,7 +197,7 @@ def test_a_polar_projection_is_turned_to_true_north(tmp_path):
 
     crs = "+proj=stere +lat_0=-90 +lon_0=0 +R=1737400 +units=m +no_defs"
     ridge_file(path, crs, transform, (160, 160), to_ground)
-    relief = load_dtm(path)
+    relief = load_terrain(path)
     assert relief.grid.posting == pytest.approx(20.0, rel=0.05)
     assert_ridge(relief)
 
@@ -216,5 +216,5 @@ def test_a_turned_raster_is_turned_back(tmp_path):
     assert turn > 0.0
     crs = "+proj=eqc +R=1737400 +units=m +no_defs"
     ridge_file(path, crs, transform, (150, 150), lambda x, y: (x, y))
-    relief = load_dtm(path, posting=5.0)
+    relief = load_terrain(path, posting=5.0)
     assert_ridge(relief)

@@ -7,7 +7,7 @@ import pytest
 from scipy import ndimage
 
 from lunarsim.errors import InputError
-from lunarsim.world.terrain.dtm import load_dtm
+from lunarsim.world.terrain.dtm import load_terrain
 from tests.world.terrain.rasters import (
     ORIENTATIONS,
     Case,
@@ -96,10 +96,10 @@ def test_the_terrain_is_the_analytic_one(case, tmp_path):
     path = case.write(tmp_path)
     if case.refused:
         with pytest.raises(InputError, match=case.refused) as caught:
-            load_dtm(path, **dict(case.options))
+            load_terrain(path, **dict(case.options))
         assert str(path) in str(caught.value)
         return
-    loaded = load_dtm(path, **dict(case.options))
+    loaded = load_terrain(path, **dict(case.options))
     known = np.isfinite(loaded.z)
     exact = terrain(*np.moveaxis(loaded.grid.centres(), -1, 0), case.size)
     error = loaded.z - exact

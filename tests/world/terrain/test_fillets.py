@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from lunarsim.errors import InputError
-from lunarsim.rng import Streams
+from lunarsim.rng import RandomStreams
 from lunarsim.rocks.field import RockField, RockModel
 from lunarsim.scenario import Scenario
 from lunarsim.world.terrain import Terrain, add_fillets, place_rocks
@@ -50,7 +50,7 @@ def test_a_scenarios_soil_is_a_part_of_the_ground_that_all_see():
     banked = Scenario.from_dict(plain).changed(rocks={"fillet": 0.3})
     bare = Scenario.from_dict(plain)
     grounds = [
-        s.terrain.make().build(s.rocks.make(), Streams(3)) for s in (bare, banked)
+        s.terrain.make().build(s.rocks.make(), RandomStreams(3)) for s in (bare, banked)
     ]  # fmt: skip
     raised = grounds[1].relief.z - grounds[0].relief.z
     assert raised.min() >= 0.0 and raised.max() > 0.05

@@ -7,7 +7,7 @@ import pytest
 
 from lunarsim.errors import InputError
 from lunarsim.grid import Grid
-from lunarsim.rng import Streams
+from lunarsim.rng import RandomStreams
 from lunarsim.scenario import Scenario
 from lunarsim.world.terrain import add_fine_roughness, fractal_relief
 
@@ -61,7 +61,7 @@ def test_posts_that_are_no_finer_are_refused(coarse):
 def test_a_scenario_with_detail_is_the_same_ground_nearer():
     told = {"terrain": {"preset": "highland", "size_m": 60.0, "posting_m": 0.25, "detail_m": 0.0}}
     grounds = [
-        s.terrain.make().build(s.rocks.make(), Streams(1))
+        s.terrain.make().build(s.rocks.make(), RandomStreams(1))
         for s in (
             Scenario.from_dict(told),
             Scenario.from_dict(told).changed(terrain={"detail_m": 0.0625}),

@@ -8,7 +8,7 @@ import rasterio
 import xarray as xr
 
 from lunarsim.errors import InputError
-from lunarsim.world.terrain.dtm import load_dtm
+from lunarsim.world.terrain.dtm import load_terrain
 from tests.world.terrain.rasters import RADIUS, SPHERE
 
 N = 40
@@ -40,7 +40,7 @@ def write(path, x=STEPS, y=STEPS[::-1], *, z=PEAK, dims=("y", "x"), unit="m", cr
 
 
 def peak(path):
-    loaded = load_dtm(path)
+    loaded = load_terrain(path)
     return loaded.grid.centre_of(*np.unravel_index(loaded.z.argmax(), loaded.z.shape))
 
 
@@ -72,7 +72,7 @@ def test_axes_place_the_posts(tmp_path, change):
 )  # fmt: skip
 def test_other_axes_are_refused(tmp_path, change, words):
     with pytest.raises(InputError, match=words):
-        load_dtm(write(tmp_path / "z.nc", **change))
+        load_terrain(write(tmp_path / "z.nc", **change))
 
 
 def test_longitudes_that_start_again_within_the_raster(tmp_path):
@@ -86,7 +86,7 @@ def test_longitudes_that_count_west_are_refused(tmp_path):
     path = write(tmp_path / "z.nc", 1e-3 * STEPS, 1e-3 * STEPS[::-1], crs="IAU_2015:49901",
                  unit="degrees")  # fmt: skip
     with pytest.raises(InputError, match="increase to the west or south"):
-        load_dtm(path)
+        load_terrain(path)
 
 
 @pytest.mark.parametrize(
@@ -102,4 +102,4 @@ def test_the_direction_of_an_axis_is_its_name_or_attribute(tmp_path, names, attr
     path = tmp_path / "z.nc"
     xr.Dataset({"z": (tuple(names), PEAK.T)}, coords=axes).to_netcdf(path, engine="h5netcdf")
     with pytest.raises(InputError, match="rows must be northings"):
-        load_dtm(path, posting=1.0)
+        load_terrain(path, posting=1.0)

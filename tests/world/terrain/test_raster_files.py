@@ -18,11 +18,11 @@ from rasterio.windows import Window
 from lunarsim.cli import main
 from lunarsim.errors import InputError
 from lunarsim.models.gravity import CentralGravity
-from lunarsim.rng import Streams
+from lunarsim.rng import RandomStreams
 from lunarsim.scenario import Scenario
-from lunarsim.world.surroundings import Surroundings
+from lunarsim.world.far_terrain import FarTerrainSettings
 from lunarsim.world.terrain import Terrain
-from lunarsim.world.terrain.dtm import load_dtm, read_info
+from lunarsim.world.terrain.dtm import load_terrain, read_info
 from lunarsim.world.terrain.raster_heights import HeightStatistics, metres_in
 from tests.world.terrain.rasters import COLS, ROWS, SPHERE, Case, degrees, equirectangular
 from tests.worlds import SCENARIOS
@@ -72,7 +72,7 @@ def relief(heightfield):
 @pytest.mark.parametrize("crs", [METRIC, LOCAL, None], ids=["projected", "local", "none"])
 def test_a_hill_in_the_north_east_is_there_in_every_orientation(tmp_path, z, transform, crs):
     path = write(tmp_path / "z.tif", z, transform=transform, crs=crs)
-    loaded = load_dtm(path, posting=None if crs else 1.0)
+    loaded = load_terrain(path, posting=None if crs else 1.0)
     top = loaded.grid.centre_of(*np.unravel_index(loaded.z.argmax(), loaded.z.shape))
     assert top == pytest.approx([40.0, 40.0], abs=0.51)
     # Re-indexed, not interpolated.
@@ -82,14 +82,14 @@ def test_a_hill_in_the_north_east_is_there_in_every_orientation(tmp_path, z, tra
 
 def test_a_window_is_counted_in_the_order_of_the_file(tmp_path):
     path = write(tmp_path / "z.tif", HILL[::-1], transform=Affine(1, 0, -N / 2, 0, 1, -N / 2))
-    part = load_dtm(path, window=(120, 160, 110, 170))
+    part = load_terrain(path, window=(120, 160, 110, 170))
     assert part.grid.shape == (40, 60)
     assert np.allclose(np.diff(part.z), np.diff(HILL[::-1][120:160, 110:170]), atol=1e-4)
 
 
 def test_scale_and_offset_of_a_band(tmp_path):
     path = write(tmp_path / "z.tif", np.round(HILL / 0.01), dtype="int16", scale=(0.01, -1900.0))
-    assert relief(load_dtm(path)) == pytest.approx(np.ptp(HILL), abs=0.011)
+    assert relief(load_terrain(path)) == pytest.approx(np.ptp(HILL), abs=0.011)
     assert read_info(path).z_range == pytest.approx((-1905.0, -1883.0), abs=0.1)
 
 
@@ -100,16 +100,16 @@ def test_scale_and_offset_of_a_band(tmp_path):
 )  # fmt: skip
 def test_units_of_height(tmp_path, unit, metres):
     path = write(tmp_path / "z.tif", HILL / metres, unit=unit)
-    assert relief(load_dtm(path)) == pytest.approx(np.ptp(HILL), abs=1e-3)
+    assert relief(load_terrain(path)) == pytest.approx(np.ptp(HILL), abs=1e-3)
 
 
 def test_an_unknown_unit_is_refused_and_can_be_replaced(tmp_path):
     path = write(tmp_path / "z.tif", HILL, unit="furlong")
     with pytest.raises(InputError, match=r"'furlong'.*terrain\.dtm_unit"):
-        load_dtm(path)
-    assert relief(load_dtm(path, unit="km")) == pytest.approx(1e3 * np.ptp(HILL), rel=1e-6)
+        load_terrain(path)
+    assert relief(load_terrain(path, unit="km")) == pytest.approx(1e3 * np.ptp(HILL), rel=1e-6)
     with pytest.raises(InputError, match=r"terrain\.dtm_unit: .*'furlong'"):
-        load_dtm(path, unit="furlong")
+        load_terrain(path, unit="furlong")
     assert metres_in("US_Survey_Foot") == metres_in("us-ft") != metres_in("ft")
 
 
@@ -121,7 +121,7 @@ def test_an_unknown_unit_is_refused_and_can_be_replaced(tmp_path):
 def test_the_unit_of_a_vertical_reference_counts(tmp_path, crs):
     path = write(tmp_path / "z.tif", HILL / 0.3048006096, crs=crs,
                  transform=Affine(1, 0, 5e5, 0, -1, 5e6))  # fmt: skip
-    assert relief(load_dtm(path)) == pytest.approx(np.ptp(HILL), abs=1e-3)
+    assert relief(load_terrain(path)) == pytest.approx(np.ptp(HILL), abs=1e-3)
 
 
 def test_two_units_are_refused(tmp_path):
@@ -130,14 +130,14 @@ def test_two_units_are_refused(tmp_path):
     text = label.read_text().replace("OFFSET = 0.0", "OFFSET = 0.0 <METER>")
     label.write_text(text)
     with pytest.raises(InputError, match=r"several units.*KILOMETER.*dtm_unit"):
-        load_dtm(label)
+        load_terrain(label)
 
 
 def test_a_label_in_another_alphabet_is_read_or_refused(tmp_path):
     label = Case("PDS", equirectangular(0.0), dtype="float32").write(tmp_path).with_suffix(".lbl")
     label.write_bytes(label.read_bytes().replace(b"MOON", b'"\xff\xfeOON"'))
     try:
-        load_dtm(label)
+        load_terrain(label)
     except InputError as error:
         assert str(label) in str(error)
 
@@ -146,15 +146,15 @@ def test_a_data_file_is_opened_by_the_label_beside_it(tmp_path):
     case = Case("PDS", equirectangular(0.0), dtype="int16", scale=0.005, offset=1737400.0)
     data = case.write(tmp_path)
     assert data.suffix == ".img"
-    assert np.array_equal(load_dtm(data).z, load_dtm(data.with_suffix(".lbl")).z)
+    assert np.array_equal(load_terrain(data).z, load_terrain(data.with_suffix(".lbl")).z)
     assert read_info(data).height_scale.scale == 0.005
     label = data.with_suffix(".lbl").rename(tmp_path / "other.lbl")
     with pytest.raises(InputError, match=r"z\.lbl.*z\.img"):
-        load_dtm(data)
+        load_terrain(data)
     label.rename(tmp_path / "z.lbl").write_text(label_of("another.img"))
     (tmp_path / "another.img").write_bytes(data.read_bytes())
     with pytest.raises(InputError, match=r"z\.lbl that names another file"):
-        load_dtm(data)
+        load_terrain(data)
 
 
 def label_of(name):
@@ -175,7 +175,7 @@ def test_hexadecimal_no_data_of_a_label(tmp_path):
     (tmp_path / "z.lbl").write_text(
         text.replace("END_OBJECT", " MISSING_CONSTANT = 16#FF7FFFFB#\nEND_OBJECT")
     )
-    loaded = load_dtm(tmp_path / "z.lbl", posting=1.0)
+    loaded = load_terrain(tmp_path / "z.lbl", posting=1.0)
     assert np.argwhere(~np.isfinite(loaded.z[::-1])).tolist() == [[3, 3]]
 
 
@@ -190,18 +190,18 @@ def test_special_pixels_of_a_cube(tmp_path, kind, dtype, special):
     z[0, : len(special)] = special
     label = path.read_bytes()[:4096].replace(b"SignedWord", kind.encode()).ljust(4096, b"\0")
     path.write_bytes(label[:4096] + z.tobytes())
-    assert np.isnan(load_dtm(path).z).sum() == len(special)
+    assert np.isnan(load_terrain(path).z).sum() == len(special)
 
 
 def test_heights_from_the_centre_of_the_moon_keep_their_millimetres(tmp_path):
     path = write(tmp_path / "z.tif", HILL + 1_737_400.0, dtype="float64")
-    loaded = load_dtm(path)
+    loaded = load_terrain(path)
     assert np.abs(np.diff(loaded.z[::-1]) - np.diff(HILL)).max() < 1e-5
 
 
 def test_a_local_reference_is_a_metric_frame(tmp_path):
     path = write(tmp_path / "local.tif", HILL, crs=LOCAL, transform=Affine(2, 0, 5e3, 0, -2, 5e3))
-    assert load_dtm(path).grid.posting == 2.0
+    assert load_terrain(path).grid.posting == 2.0
     done = CliRunner().invoke(main, ["terrain", "info", str(path)])
     assert "Arbitrary (m)" in done.output
     assert "degrees" not in done.output
@@ -237,11 +237,11 @@ def test_undeclared_no_data_is_refused_and_can_be_declared(tmp_path, value, dtyp
     z[10:14, 20] = value
     path = write(tmp_path / "z.tif", z, dtype=dtype)
     with pytest.raises(InputError, match=r"dtm_nodata") as caught:
-        load_dtm(path)
+        load_terrain(path)
     declared = re.search(r"terrain\.dtm_nodata = (\S+),", str(caught.value))
     if declared:  # as it is proposed
-        assert np.isnan(load_dtm(path, nodata=float(declared.group(1))).z).sum() == 4
-    assert np.isnan(load_dtm(path, nodata=value).z).sum() == 4
+        assert np.isnan(load_terrain(path, nodata=float(declared.group(1))).z).sum() == 4
+    assert np.isnan(load_terrain(path, nodata=value).z).sum() == 4
     with pytest.raises(InputError, match="dtm_nodata"):
         read_info(path)
 
@@ -252,24 +252,24 @@ def test_several_undeclared_no_data_values_are_refused_together(tmp_path, marker
     z[10, 20:22] = markers
     path = write(tmp_path / "z.tif", z, dtype="int16")
     with pytest.raises(InputError, match=r"2 posts.*dtm_nodata = \[.*,.*\]"):
-        load_dtm(path)
-    assert np.isnan(load_dtm(path, nodata=markers).z).sum() == 2
+        load_terrain(path)
+    assert np.isnan(load_terrain(path, nodata=markers).z).sum() == 2
 
 
 def test_a_margin_of_zeros_is_refused(tmp_path):
     z = HILL + 300.0
     z[:4] = 0.0
     with pytest.raises(InputError, match=r"800 posts of value 0, .*dtm_nodata = 0,"):
-        load_dtm(write(tmp_path / "z.tif", z))
+        load_terrain(write(tmp_path / "z.tif", z))
 
 
 def test_a_reference_without_a_transform_is_no_frame(tmp_path):
     """GDAL returns the identity, by which row 0 would be the southern one at steps of 1 m."""
     path = write(tmp_path / "z.tif", HILL, transform=Affine.identity())
     with pytest.raises(InputError, match="a coordinate reference system but no transform"):
-        load_dtm(path)
+        load_terrain(path)
     assert read_info(path).posting is None
-    loaded = load_dtm(path, posting=2.0)
+    loaded = load_terrain(path, posting=2.0)
     top = loaded.grid.centre_of(*np.unravel_index(loaded.z.argmax(), loaded.z.shape))
     assert top == pytest.approx([80.0, 80.0], abs=1.01)
 
@@ -278,7 +278,7 @@ def test_depths_are_refused(tmp_path):
     path = write(tmp_path / "z.tif", HILL, crs="EPSG:32633+5715",
                  transform=Affine(1, 0, 5e5, 0, -1, 5e6))  # fmt: skip
     with pytest.raises(InputError, match="increase upwards, not depths"):
-        load_dtm(path)
+        load_terrain(path)
 
 
 def test_a_raster_of_the_whole_body_is_refused(tmp_path):
@@ -286,27 +286,27 @@ def test_a_raster_of_the_whole_body_is_refused(tmp_path):
     path = write(tmp_path / "z.tif", z, crs=f"+proj=longlat {SPHERE}",
                  transform=Affine(2, 0, -180, 0, -2, 90))  # fmt: skip
     with pytest.raises(InputError, match=r"beyond the edge.*terrain\.dtm_window"):
-        load_dtm(path)
-    assert load_dtm(path, window=(40, 50, 80, 100)).grid.posting > 5e4
+        load_terrain(path)
+    assert load_terrain(path, window=(40, 50, 80, 100)).grid.posting > 5e4
 
 
 @pytest.mark.parametrize("value", [np.inf, -np.inf])
 def test_infinite_heights_are_none(tmp_path, value):
     z = HILL.copy()
     z[7, 7] = value
-    assert np.isnan(load_dtm(write(tmp_path / "z.tif", z)).z).sum() == 1
+    assert np.isnan(load_terrain(write(tmp_path / "z.tif", z)).z).sum() == 1
 
 
 def test_a_no_data_value_is_rounded_to_the_type_of_the_file(tmp_path):
     z = HILL.copy()
     z[7, 7] = -9999.1
-    assert np.isnan(load_dtm(write(tmp_path / "z.tif", z), nodata=-9999.1).z).sum() == 1
+    assert np.isnan(load_terrain(write(tmp_path / "z.tif", z), nodata=-9999.1).z).sum() == 1
 
 
 def test_a_relief_that_no_body_has_is_refused(tmp_path):
     path = write(tmp_path / "z.tif", 2000.0 * EAST)
     with pytest.raises(InputError, match=r"from -199000 to 199000 m"):
-        load_dtm(path)
+        load_terrain(path)
 
 
 def test_extremes_are_counted_across_blocks():
@@ -323,9 +323,9 @@ def test_extremes_are_counted_across_blocks():
 def test_the_scale_of_a_projection_is_found_to_a_tenth_of_a_percent(tmp_path):
     crs = f"+proj=tmerc +lon_0=0 +k=0.998 +units=m {SPHERE}"
     path = write(tmp_path / "z.tif", HILL, crs=crs)
-    assert load_dtm(path).grid.posting == pytest.approx(1.0 / 0.998, rel=1e-5)
+    assert load_terrain(path).grid.posting == pytest.approx(1.0 / 0.998, rel=1e-5)
     with pytest.raises(InputError, match="must be omitted"):
-        load_dtm(write(tmp_path / "z.tif", HILL), posting=1.005)
+        load_terrain(write(tmp_path / "z.tif", HILL), posting=1.005)
 
 
 @pytest.mark.parametrize("step", [0.05, 0.25, 1.0, 1000.0])
@@ -342,14 +342,14 @@ def test_steps_are_measured_whatever_their_length(tmp_path, step):
 def test_unequal_steps_need_a_reference(tmp_path):
     path = write(tmp_path / "z.tif", HILL, crs=None, transform=Affine(1, 0, 5, 0, -1.05, 5))
     with pytest.raises(InputError, match="unequal steps"):
-        load_dtm(path, posting=1.0)
+        load_terrain(path, posting=1.0)
 
 
 def test_coordinates_that_count_south_are_refused(tmp_path):
     path = write(tmp_path / "z.tif", HILL, crs="EPSG:2053",
                  transform=Affine(1, 0, 1e3, 0, -1, 2.9e6))  # fmt: skip
     with pytest.raises(InputError, match="increase to the west or south"):
-        load_dtm(path)
+        load_terrain(path)
 
 
 @pytest.mark.parametrize(
@@ -377,7 +377,7 @@ def test_heights_that_look_like_no_data_can_be_kept(tmp_path):
     z = HILL.copy()
     z[5, 5] = -9999.0
     path = write(tmp_path / "z.tif", z)
-    assert load_dtm(path, nodata=[]).z_range[0] < -9000.0
+    assert load_terrain(path, nodata=[]).z_range[0] < -9000.0
 
 
 def steep_terrains():
@@ -395,13 +395,13 @@ def steep_terrains():
 
 @pytest.mark.parametrize(("name", "z"), steep_terrains(), ids=lambda v: v if type(v) is str else "")
 def test_steep_terrain_is_not_refused(tmp_path, name, z):
-    assert np.isfinite(load_dtm(write(tmp_path / "z.tif", z)).z).all()
+    assert np.isfinite(load_terrain(write(tmp_path / "z.tif", z)).z).all()
 
 
 def test_shipped_rasters_are_not_refused():
     for path in sorted((SCENARIOS / "data").glob("*.tif")):
         placed = path.name.startswith("hirise")
-        loaded = load_dtm(path, posting=None if placed else 2.0)
+        loaded = load_terrain(path, posting=None if placed else 2.0)
         with rasterio.open(path) as source:
             z = source.read(1, masked=True).astype(np.float32).filled(np.nan)[::-1]
         mean = np.float32(np.nanmean(z.astype(np.float64)))
@@ -411,10 +411,10 @@ def test_shipped_rasters_are_not_refused():
 def test_control_points_and_bad_transforms_are_refused(tmp_path):
     path = write(tmp_path / "z.tif", HILL, transform=Affine(1, 1, 0, 1, 1, 0))
     with pytest.raises(InputError, match="singular"):
-        load_dtm(path)
+        load_terrain(path)
     path = write(tmp_path / "n.tif", HILL, transform=Affine(1, 0, np.nan, 0, -1, 0))
     with pytest.raises(InputError, match=r"n\.tif"):
-        load_dtm(path)
+        load_terrain(path)
     point = rasterio.control.GroundControlPoint
     corners = [point(0, 0, 0, 9), point(0, N, 9, 9), point(N, 0, 0, 0), point(N, N, 9, 0)]
     with rasterio.open(
@@ -422,7 +422,7 @@ def test_control_points_and_bad_transforms_are_refused(tmp_path):
     ) as file:  # fmt: skip
         file.gcps = (corners, rasterio.crs.CRS.from_string(METRIC))
     with pytest.raises(InputError, match="control points"):
-        load_dtm(tmp_path / "g.tif", posting=1.0)
+        load_terrain(tmp_path / "g.tif", posting=1.0)
 
 
 def test_a_large_raster_is_described_by_its_header(tmp_path):
@@ -473,12 +473,14 @@ def test_keys_of_a_scenario(tmp_path):
 
 def test_keys_of_the_surroundings(tmp_path):
     path = write(tmp_path / "z.tif", np.where(EAST > 99, -9999.0, HILL), unit="furlong")
-    flat = Terrain(load_dtm(SCENARIOS / "data" / "hirise_dteec_010228_1490_crop.tif"))
+    flat = Terrain(load_terrain(SCENARIOS / "data" / "hirise_dteec_010228_1490_crop.tif"))
 
     def first(**keys):
-        around = Surroundings(sizes=(8e3,), postings=(40.0,), rms_slopes=(0.0,), path=path, **keys)
+        around = FarTerrainSettings(
+            sizes=(8e3,), postings=(40.0,), rms_slopes=(0.0,), path=path, **keys
+        )
         moon = CentralGravity(1.622, 1_737_400.0, np.zeros(3))
-        return around.build(flat, moon, Streams(1)).level(0)
+        return around.build(flat, moon, RandomStreams(1)).level(0)
 
     with pytest.raises(InputError, match=r"surroundings\.path.*surroundings\.dtm_unit"):
         first()

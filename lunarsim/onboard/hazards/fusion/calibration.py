@@ -21,8 +21,8 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import minimize
 from scipy.special import expit, logit
 
+from lunarsim.atomic_files import atomic_write_text, read_json_with_format
 from lunarsim.errors import InputError
-from lunarsim.whole_files import read_tagged, write_text_whole
 
 Array = NDArray[np.float64]
 
@@ -139,7 +139,7 @@ class FusedCalibration:
 
     def save(self, path: Path) -> None:
         """Write the weights as JSON with an atomic file replacement."""
-        write_text_whole(path, json.dumps({"format": _FORMAT, **asdict(self)}, indent=1) + "\n")
+        atomic_write_text(path, json.dumps({"format": _FORMAT, **asdict(self)}, indent=1) + "\n")
 
     @classmethod
     def load(cls, path: Path) -> FusedCalibration:
@@ -150,7 +150,7 @@ class FusedCalibration:
         InputError
             If the file is missing, has another format, or contains an invalid number.
         """
-        data = read_tagged(path, "calibration", _FORMAT)
+        data = read_json_with_format(path, "calibration", _FORMAT)
         missing = [key for key in _KEYS if key not in data]
         if missing:
             raise InputError("calibration", str(path), f"must contain {', '.join(missing)}")

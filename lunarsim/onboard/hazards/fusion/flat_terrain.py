@@ -16,15 +16,15 @@ two bounds:
 - where the rock sensor has observed, the rocks that it misses of those expected by the mission.
 
 The prior is below the threshold for claimed safety, and the result is not a calibrated frequency.
-It never exceeds the limit set by the measurements (`ceiling`), and it is 0 for samples noisier or
-sparser than those of the calibration. p decreases with each of its factors, and applies wherever
-either sensor has observed, so that all sites are compared by the same measure. The formula ignores
-rocks and holes below the roughness limit that would tilt the lander on a slope; the regression
-counts them.
+It never exceeds the limit set by the measurements (`observed_terrain_bound`), and it is 0 for
+samples noisier or sparser than those of the calibration. p decreases with each of its factors, and
+applies wherever either sensor has observed, so that all sites are compared by the same measure. The
+formula ignores rocks and holes below the roughness limit that would tilt the lander on a slope; the
+regression counts them.
 
 A rock sensor that finds far fewer rocks than expected is rejected
-(`lunarsim.onboard.hazards.shadows.plausible`), unless it underestimates their size: here rocks are
-counted with the height scale from the samples.
+(`lunarsim.onboard.hazards.shadows.rock_count_check`), unless it underestimates their size: here
+rocks are counted with the height scale from the samples.
 """
 
 from __future__ import annotations
@@ -35,9 +35,14 @@ from numpy.typing import NDArray
 from lunarsim.grid import Grid
 from lunarsim.onboard.hazards.fusion.resampling import resample_to_grid
 from lunarsim.onboard.hazards.fusion.rock_heights import RockHeights
-from lunarsim.onboard.hazards.published import RockEvidence, RockTracks
-from lunarsim.onboard.hazards.shadows.plausible import too_few
-from lunarsim.safety.calibration import NOISES, SPACINGS, Evidence, ceiling
+from lunarsim.onboard.hazards.map_evidence import RockEvidence, RockTracks
+from lunarsim.onboard.hazards.shadows.rock_count_check import is_rock_count_too_low
+from lunarsim.safety.calibration import (
+    NOISE_RATIO_RANGE,
+    SPACING_RATIO_RANGE,
+    MapEvidence,
+    observed_terrain_bound,
+)
 
 Array = NDArray[np.float64]
 
@@ -47,7 +52,9 @@ _SLOPE_MARGIN, _ROUGHNESS_MARGIN = 0.2, 0.7
 _UNDETECTED_ROCK_FACTOR = 10.0
 
 
-def flat_terrain_probability(site_evidence: Evidence, prior: float, free_of_unseen: Array) -> Array:
+def flat_terrain_probability(
+    site_evidence: MapEvidence, prior: float, free_of_unseen: Array
+) -> Array:
     """Return the probability of safe terrain, ignoring tracked rocks (rows, cols).
 
     It is meaningless where nothing was measured; see `apply_ceiling`.
@@ -67,17 +74,17 @@ def flat_terrain_probability(site_evidence: Evidence, prior: float, free_of_unse
     return np.asarray(prior * level * free_of_unseen)
 
 
-def apply_ceiling(site_evidence: Evidence, p: Array) -> NDArray[np.float32]:
+def apply_ceiling(site_evidence: MapEvidence, p: Array) -> NDArray[np.float32]:
     """Limit probabilities (rows, cols) to what the measurements permit.
 
     The result is 0 where the terrain was not measured and where the evidence is not a number.
     """
-    p = np.minimum(p, ceiling(site_evidence))
+    p = np.minimum(p, observed_terrain_bound(site_evidence))
     return np.where(site_evidence.observed & np.isfinite(p), p, 0.0).astype(np.float32)
 
 
 def no_undetected_rock_probability(
-    site_evidence: Evidence, none_missed: Array | float = 0.0
+    site_evidence: MapEvidence, none_missed: Array | float = 0.0
 ) -> Array:
     """Return the probability of no undetected rock, regardless of the terrain.
 
@@ -90,7 +97,10 @@ def no_undetected_rock_probability(
     none_missed
         Result of `no_missed_rock_probability` (rows, cols).
     """
-    if site_evidence.noise_ratio > NOISES[1] or site_evidence.spacing_ratio > SPACINGS[1]:
+    if (
+        site_evidence.noise_ratio > NOISE_RATIO_RANGE[1]
+        or site_evidence.spacing_ratio > SPACING_RATIO_RANGE[1]
+    ):
         return np.zeros(site_evidence.level.grid.shape)
     return np.asarray(
         np.maximum(np.exp(-_UNDETECTED_ROCK_FACTOR * site_evidence.hazards()), none_missed)
@@ -143,4 +153,4 @@ def is_detection_count_plausible(
         return True
     inside = np.asarray(rocks.hazard_map.grid.contains(placed.xy)) & (placed.existence > 0.5)
     high = heights.scale * placed.radius >= limit
-    return not too_few(int(np.count_nonzero(inside & high)), rocks.expected)
+    return not is_rock_count_too_low(int(np.count_nonzero(inside & high)), rocks.expected)

@@ -4,8 +4,9 @@ p = pi x exp(-Lambda) x prod_i (1 - r_i q_i). The factors are: the terrain is su
 no undetected rock is hazardous, and no tracked rock is hazardous. A calibrated map of elevations
 provides the first two together, from features that increase with the expected number of undetected
 rocks. The rock sensor reduces this number to the rocks that it also misses
-(`lunarsim.safety.thinning`), and the same regression evaluates the remainder. Tracked rocks are
-multiplied, each with the odds that remain after the elevations (`existence_given_elevations`).
+(`lunarsim.safety.undetected_rock_ratio`), and the same regression evaluates the remainder. Tracked
+rocks are multiplied, each with the odds that remain after the elevations
+(`existence_given_elevations`).
 
 Outside the calibrated domain the bound of the regression is weak. There the formula itself is used
 if it is larger (`flat_terrain_probability`). Both decrease with worse evidence of either sensor,
@@ -32,6 +33,7 @@ from lunarsim.onboard.hazards.fusion.flat_terrain import (
     no_missed_rock_probability,
     no_undetected_rock_probability,
 )
+from lunarsim.onboard.hazards.fusion.priors import FusionPriors
 from lunarsim.onboard.hazards.fusion.registration import register_tracks
 from lunarsim.onboard.hazards.fusion.resampling import resample_to_grid
 from lunarsim.onboard.hazards.fusion.rock_existence import (
@@ -43,14 +45,13 @@ from lunarsim.onboard.hazards.fusion.rock_heights import (
     estimate_rock_heights,
     rock_free_probability,
 )
-from lunarsim.onboard.hazards.fusion.terms import FusionTerms
 from lunarsim.onboard.hazards.fusion.unobserved_safety_prior import unobserved_safety_prior
 from lunarsim.onboard.hazards.hazard_map import BoolMap, FloatMap, HazardMap
-from lunarsim.onboard.hazards.published import ReliefEvidence, RockEvidence
-from lunarsim.onboard.hazards.shadows.footprints import mean_over_discs
-from lunarsim.safety.calibration import Evidence, calibrated_safety
+from lunarsim.onboard.hazards.map_evidence import RockEvidence, TerrainEvidence
+from lunarsim.onboard.hazards.shadows.footprints import disc_mean
+from lunarsim.safety.calibration import MapEvidence, calibrated_safety
 from lunarsim.safety.ensemble import HOPELESS, SURE
-from lunarsim.safety.thinning import Thinning
+from lunarsim.safety.undetected_rock_ratio import UndetectedRockRatio
 
 Array = NDArray[np.float64]
 
@@ -59,7 +60,7 @@ _ROUNDING = np.float32(1e-5)
 
 
 def fuse_evidence(
-    relief: ReliefEvidence | None, rocks: RockEvidence | None, terms: FusionTerms
+    relief: TerrainEvidence | None, rocks: RockEvidence | None, terms: FusionPriors
 ) -> HazardMap:
     """Return the map of two sensors, of which either may have no evidence yet.
 
@@ -117,7 +118,7 @@ def fuse_evidence(
     return HazardMap(terrain.grid, p, observed, elevation, terrain.variance, in_domain=known)
 
 
-def _elevation_map(relief: ReliefEvidence, terms: FusionTerms) -> HazardMap:
+def _elevation_map(relief: TerrainEvidence, terms: FusionPriors) -> HazardMap:
     """Return the map of the elevations without rock evidence."""
     if relief.site_evidence is None:
         return relief.hazard_map
@@ -132,7 +133,7 @@ def _elevation_map(relief: ReliefEvidence, terms: FusionTerms) -> HazardMap:
 
 
 def _rock_free_probabilities(
-    relief: ReliefEvidence, rocks: RockEvidence, terms: FusionTerms
+    relief: TerrainEvidence, rocks: RockEvidence, terms: FusionPriors
 ) -> tuple[Array, Array]:
     """Return the probabilities of no hazardous tracked rock and of no missed rock.
 
@@ -154,7 +155,9 @@ def _rock_free_probabilities(
     return rock_free_probability(placed, heights, grid, lander), none_missed
 
 
-def footprint_undetected_ratio(rocks: RockEvidence, grid: Grid, terms: FusionTerms) -> Thinning:
+def footprint_undetected_ratio(
+    rocks: RockEvidence, grid: Grid, terms: FusionPriors
+) -> UndetectedRockRatio:
     """Return the ratio of rocks that remain undetected by the rock sensor, per site.
 
     Both sensors may miss a rock for the same reason, so no observation reduces the ratio below
@@ -179,13 +182,15 @@ def footprint_undetected_ratio(rocks: RockEvidence, grid: Grid, terms: FusionTer
             ratio[n] = 1.0
             continue
         remaining = resample_to_grid(remaining, rocks.hazard_map.grid, grid, 1.0, "maximum")
-        mean = mean_over_discs(remaining, (footprint + 0.5 * diameter) / grid.posting, 1.0)
+        mean = disc_mean(remaining, (footprint + 0.5 * diameter) / grid.posting, 1.0)
         untouched = np.abs(mean - 1.0) < _ROUNDING
         ratio[n] = np.where(untouched, 1.0, np.maximum(mean, np.float32(COMMON_MISS_PROBABILITY)))
-    return Thinning(rocks.diameter, ratio, terms.rocks.cover, terms.height_ratio)
+    return UndetectedRockRatio(rocks.diameter, ratio, terms.rocks.cover, terms.height_ratio)
 
 
-def _reduce_undetected(relief: ReliefEvidence, thinning: Thinning) -> Evidence | None:
+def _reduce_undetected(
+    relief: TerrainEvidence, thinning: UndetectedRockRatio
+) -> MapEvidence | None:
     """Return the site evidence with undetected rocks reduced by the rock sensor.
 
     The original if no rocks are reduced; None if the elevations provide no site evidence.
@@ -196,7 +201,7 @@ def _reduce_undetected(relief: ReliefEvidence, thinning: Thinning) -> Evidence |
 
 
 def _elevation_probability(
-    relief: ReliefEvidence, site_evidence: Evidence | None
+    relief: TerrainEvidence, site_evidence: MapEvidence | None
 ) -> tuple[FloatMap, BoolMap]:
     """Return the probability from elevations, and where it is a frequency.
 

@@ -16,22 +16,22 @@ from lunarsim.grid import Grid
 from lunarsim.messages.briefing import Briefing
 from lunarsim.onboard.hazards.fusion.calibration import FusedCalibration
 from lunarsim.onboard.hazards.fusion.fuse import fuse_evidence
+from lunarsim.onboard.hazards.fusion.priors import FusionPriors
 from lunarsim.onboard.hazards.fusion.resampling import resample_to_grid
-from lunarsim.onboard.hazards.fusion.terms import FusionTerms
-from lunarsim.onboard.hazards.hazard_map import HazardMap, Surface, elevation_under
+from lunarsim.onboard.hazards.hazard_map import HazardMap, TerrainSurface, lookup_elevation
+from lunarsim.onboard.hazards.map_evidence import RockEvidence, TerrainEvidence
 from lunarsim.onboard.hazards.map_update_timer import MapUpdateTimer
 from lunarsim.onboard.hazards.mapper import HazardMapper
-from lunarsim.onboard.hazards.published import ReliefEvidence, RockEvidence
 from lunarsim.onboard.navigation.estimate import Estimate, Navigation
 from lunarsim.parts.quantity import check_bounds, quantity
 
 Array = NDArray[np.float64]
 
-_EVIDENCE_NAMES = {ReliefEvidence: "elevations", RockEvidence: "rocks"}
+_EVIDENCE_NAMES = {TerrainEvidence: "elevations", RockEvidence: "rocks"}
 
 
 @dataclass(frozen=True)
-class FusedMapping:
+class FusedMapperSettings:
     """Settings of a mapper that fuses the evidence of other mappers.
 
     It has no sensor. Its cells are those of the mapper of elevations.
@@ -41,7 +41,7 @@ class FusedMapping:
     of
         Names of the fused mappers: one of elevations, one of rocks, or both. Default: all mappers.
     relief_prior
-        Terrain prior, as in `FusionTerms`.
+        Terrain prior, as in `FusionPriors`.
     calibration_path
         File of a `FusedCalibration`, the last stage of the probability; None: no such stage.
     feature
@@ -104,7 +104,7 @@ class FusedMapping:
             If a mapper is unknown, provides no evidence (as a fused one), is named twice, or
             provides the same evidence as another, or if there is none.
         """
-        others = {n: p for n, p in parts.items() if not isinstance(p, FusedMapping)}
+        others = {n: p for n, p in parts.items() if not isinstance(p, FusedMapperSettings)}
         names = self.of or tuple(n for n in others if n != self.feature)
         if not names:
             raise InputError(
@@ -139,7 +139,7 @@ class FusedMapping:
                 "feature", self.feature, "is unknown", suggestion(self.feature, others)
             )
         published = getattr(parts[self.feature], "publishes", None)
-        if self.feature in of or published is not ReliefEvidence:
+        if self.feature in of or published is not TerrainEvidence:
             raise InputError(
                 "feature", self.feature,
                 "must be a mapper of elevations that is not fused",
@@ -161,7 +161,7 @@ class FusedMapping:
             Mappers built before this one, by name.
         """
         chosen = self.chosen(briefing.software.mappers)
-        terms = FusionTerms(briefing.lander, briefing.rocks, self.relief_prior)
+        terms = FusionPriors(briefing.lander, briefing.rocks, self.relief_prior)
         built = mappers or {}
         return FusedMapper(
             {name: built[name] for name in chosen}, terms, self.calibration(),
@@ -196,7 +196,7 @@ class FusedMapper(HazardMapper):
     def __init__(
         self,
         mappers: Mapping[str, HazardMapper],
-        terms: FusionTerms,
+        terms: FusionPriors,
         calibration: FusedCalibration | None = None,
         feature: Mapping[str, HazardMapper] | None = None,
         *,
@@ -209,7 +209,7 @@ class FusedMapper(HazardMapper):
         self.terms = terms
         self.calibration = calibration
         self._map: HazardMap | None = None
-        self._source_surfaces: tuple[Surface, ...] = ()
+        self._source_surfaces: tuple[TerrainSurface, ...] = ()
         self._timer = MapUpdateTimer(interval)
 
     @property
@@ -254,7 +254,7 @@ class FusedMapper(HazardMapper):
                 self._timer.mark_updated()
         return self._map
 
-    def _is_update_due(self, surfaces: tuple[Surface, ...]) -> bool:
+    def _is_update_due(self, surfaces: tuple[TerrainSurface, ...]) -> bool:
         changed = [
             (n, o)
             for n, o in zip(surfaces, self._source_surfaces, strict=True)
@@ -274,7 +274,7 @@ class FusedMapper(HazardMapper):
     def _compute(self, grid: Grid) -> HazardMap:
         """Return the map; without evidence, an empty one on the given cells."""
         published = [mapper.evidence() for mapper in self._mappers.values()]
-        relief = next((e for e in published if isinstance(e, ReliefEvidence)), None)
+        relief = next((e for e in published if isinstance(e, TerrainEvidence)), None)
         rocks = next((e for e in published if isinstance(e, RockEvidence)), None)
         if relief is None and rocks is None:
             return HazardMap.unobserved(grid)
@@ -301,7 +301,7 @@ class FusedMapper(HazardMapper):
         A measured elevation is preferred to the assumption of a mapper of rocks.
         """
         for mapper in self._mappers.values():
-            height = elevation_under(mapper.surface(), xy)
+            height = lookup_elevation(mapper.surface(), xy)
             if mapper.ground_height(xy) is None and not mapper.blank and np.isfinite(height):
                 return height
         known = [m.ground_height(xy) for m in self._mappers.values() if not m.blank]
@@ -313,7 +313,7 @@ class FusedMapper(HazardMapper):
         return all(mapper.blank for mapper in self._mappers.values())
 
 
-def _is_same_update(new: Surface, old: Surface) -> bool:
+def _is_same_update(new: TerrainSurface, old: TerrainSurface) -> bool:
     """Return whether two surfaces belong to one update; heights may still differ."""
     if isinstance(new, HazardMap) and isinstance(old, HazardMap):
         return new.p_safe is old.p_safe

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from lunarsim.onboard.hazards.fusion.elevation_samples import ElevationSamples
 from lunarsim.onboard.hazards.fusion.rock_heights import MIN_ROCK_RADIUS_M
-from lunarsim.onboard.hazards.published import RockTracks
+from lunarsim.onboard.hazards.map_evidence import RockTracks
 
 Array = NDArray[np.float64]
 

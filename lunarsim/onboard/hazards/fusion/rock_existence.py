@@ -17,7 +17,7 @@ from scipy import ndimage
 
 from lunarsim.grid import Grid
 from lunarsim.models.lander import Lander
-from lunarsim.onboard.hazards.published import ReliefEvidence, RockTracks
+from lunarsim.onboard.hazards.map_evidence import RockTracks, TerrainEvidence
 
 Array = NDArray[np.float64]
 
@@ -36,7 +36,9 @@ _MIN_RADIUS_M = 0.1
 _WINDOW_LEG_RADII = 3.0
 
 
-def existence_given_elevations(tracks: RockTracks, relief: ReliefEvidence, lander: Lander) -> Array:
+def existence_given_elevations(
+    tracks: RockTracks, relief: TerrainEvidence, lander: Lander
+) -> Array:
     """Return the probability that each track is a hazardous rock, given elevations.
 
     The probability never increases. It is unchanged if a rise is visible, if the terrain about the

@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import expit, logit
 
-from lunarsim.onboard.hazards.fusion.terms import FusionTerms
+from lunarsim.onboard.hazards.fusion.priors import FusionPriors
 from lunarsim.onboard.hazards.hazard_map import FloatMap
-from lunarsim.safety.calibration import UNSURE
+from lunarsim.safety.calibration import UNKNOWN_MODEL_WEIGHT
 
 Array = NDArray[np.float64]
 
@@ -17,7 +17,7 @@ _MIN_PROBABILITY = 1e-12
 
 
 def unobserved_safety_prior(
-    free_of_tracks: FloatMap, free_of_unseen: Array, posting: float, terms: FusionTerms
+    free_of_tracks: FloatMap, free_of_unseen: Array, posting: float, terms: FusionPriors
 ) -> float:
     """Return the prior that unmeasured terrain is safe, ignoring tracked rocks.
 
@@ -47,7 +47,7 @@ def unobserved_safety_prior(
         return expected
     footprint = np.pi * (lander.leg_radius + 0.5 * lander.pad_diameter) ** 2
     sites = min(posting**2 / footprint, 1.0) * number
-    free_share = max(float(np.mean(np.nan_to_num(free_of_unseen))), UNSURE)
+    free_share = max(float(np.mean(np.nan_to_num(free_of_unseen))), UNKNOWN_MODEL_WEIGHT)
     mission_site = expected * free_share ** (sites / (sites + 1.0))
     mean = float(np.mean(np.nan_to_num(free_of_tracks), dtype=np.float64))
     each = logit(np.clip((mean, mission_site), _MIN_PROBABILITY, expected))

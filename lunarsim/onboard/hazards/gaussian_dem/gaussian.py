@@ -24,7 +24,7 @@ FloatMap = NDArray[np.float32]
 BoolMap = NDArray[np.bool_]
 
 # Bilinear weight above which a cell is measured and not interpolated.
-DENSE = 0.5
+MIN_MEASURED_WEIGHT = 0.5
 # Pixel numbers of points without a detector.
 NO_PIXELS = np.zeros(0, np.int64)
 # Maximum length parameter of the field, m: its square fits float32.
@@ -108,7 +108,7 @@ def gaussian_dem(
     mean, variance = np.empty(grid.shape, np.float32), np.empty(grid.shape, np.float32)
     observed = np.empty(grid.shape, np.bool_)
     k.measured_cells(
-        height, weight, base, DENSE, sigma_eps * sigma_eps, sigma_f * sigma_f,
+        height, weight, base, MIN_MEASURED_WEIGHT, sigma_eps * sigma_eps, sigma_f * sigma_f,
         mean, variance, observed,
     )  # fmt: skip
     dem = GaussianDem(grid, mean, variance, observed)
@@ -131,7 +131,7 @@ def _regress(
         k.regress(
             mesh.vertices, np.full(len(mesh.vertices), noise), mesh.triangles, mesh.usable,
             np.zeros((count, 2)), grid.x0, grid.y0, grid.posting, np.full(count, prior),
-            np.full(count, length), weight, np.float32(DENSE), dem.mean, dem.variance,
+            np.full(count, length), weight, np.float32(MIN_MEASURED_WEIGHT), dem.mean, dem.variance,
             dem.observed,
         )  # fmt: skip
 

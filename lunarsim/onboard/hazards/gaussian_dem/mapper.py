@@ -14,20 +14,20 @@ from lunarsim.grid import Grid
 from lunarsim.messages.briefing import Briefing
 from lunarsim.messages.measurements import LidarScan
 from lunarsim.models.lander import Lander
-from lunarsim.onboard.hazards.gaussian_dem.drawn import DemSnapshot
+from lunarsim.onboard.hazards.gaussian_dem.dem_snapshot import DemSnapshot
 from lunarsim.onboard.hazards.gaussian_dem.pooled import PooledDem, pooled_dem
 from lunarsim.onboard.hazards.gaussian_dem.samples import SamplePool
-from lunarsim.onboard.hazards.hazard_map import HazardMap, Surface
+from lunarsim.onboard.hazards.hazard_map import HazardMap, TerrainSurface
+from lunarsim.onboard.hazards.map_evidence import TerrainEvidence
 from lunarsim.onboard.hazards.map_update_timer import MapUpdateTimer
-from lunarsim.onboard.hazards.mapper import HazardMapper, is_aside, map_grid
-from lunarsim.onboard.hazards.published import ReliefEvidence
+from lunarsim.onboard.hazards.mapper import HazardMapper, is_off_centre, map_grid
 from lunarsim.onboard.hazards.unleveled_scans import UnleveledScans
 from lunarsim.onboard.navigation.estimate import Estimate, Navigation
 from lunarsim.parts.quantity import check_bounds, quantity
 from lunarsim.rocks.population import RockExpectation
 from lunarsim.safety import footprint_of, plane_stochastic_safety, stochastic_safety
-from lunarsim.safety.calibration import measured
-from lunarsim.safety.refit import ScenarioCalibration
+from lunarsim.safety.calibration import packaged_ensemble
+from lunarsim.safety.scenario_calibration import ScenarioCalibration
 
 Array = NDArray[np.float64]
 # A height offset of a scan is corrected if it exceeds this many standard deviations and this
@@ -37,7 +37,7 @@ Judgement = Literal["calibrated", "level", "planes"]
 
 
 @dataclass(frozen=True)
-class GaussianDemMapping:
+class GaussianDemMapperSettings:
     """Settings of a Gaussian DEM of LiDAR returns with a stochastic safety test.
 
     Attributes
@@ -75,7 +75,7 @@ class GaussianDemMapping:
     )
 
     takes: ClassVar[type] = LidarScan
-    publishes: ClassVar[type] = ReliefEvidence
+    publishes: ClassVar[type] = TerrainEvidence
 
     def __post_init__(self) -> None:
         check_bounds(self, "mappers")
@@ -92,7 +92,7 @@ class GaussianDemMapping:
             return None
         try:
             found = ScenarioCalibration.load(self.calibration_path)
-            found.check_regression(measured())
+            found.check_regression(packaged_ensemble())
         except InputError as error:
             raise InputError(
                 "calibration_path",
@@ -158,7 +158,7 @@ class GaussianDemMapper(HazardMapper):
         if refit is not None:
             if safety != "calibrated":
                 raise InputError("safety", safety, "must be calibrated if refit is given")
-            refit.check(lander, measured())
+            refit.check(lander, packaged_ensemble())
         self.grid = grid
         self.lander = lander
         self.refit = refit
@@ -228,7 +228,7 @@ class GaussianDemMapper(HazardMapper):
         """Return mean and variance of the elevation."""
         return pooled_dem(self.pool)
 
-    def surface(self) -> Surface:
+    def surface(self) -> TerrainSurface:
         """Return the elevations as last computed, after an update if one is due."""
         return self._updated()
 
@@ -243,7 +243,7 @@ class GaussianDemMapper(HazardMapper):
         snapshot = self._updated()
         return snapshot.hazard_map if isinstance(snapshot, DemSnapshot) else snapshot
 
-    def evidence(self) -> ReliefEvidence | None:
+    def evidence(self) -> TerrainEvidence | None:
         """Return the last computed elevations and their evidence; None before any return.
 
         Uncalibrated safety tests provide the map only.
@@ -252,8 +252,8 @@ class GaussianDemMapper(HazardMapper):
         if self.blank:
             return None
         if isinstance(snapshot, HazardMap):
-            return ReliefEvidence(snapshot)
-        return ReliefEvidence(
+            return TerrainEvidence(snapshot)
+        return TerrainEvidence(
             snapshot,
             snapshot.site_evidence,
             self.refit,
@@ -282,7 +282,7 @@ class GaussianDemMapper(HazardMapper):
 
     def recentre(self, centre: Array) -> None:
         """Move the map to another centre (3,), local frame, m, if it is too far away."""
-        if not (self.blank or is_aside(self.grid, centre)):
+        if not (self.blank or is_off_centre(self.grid, centre)):
             return
         self._samples, self._provisional = self._pools_about(centre)
         self.grid = self._samples.grid

@@ -12,7 +12,7 @@ from scipy import ndimage
 from lunarsim.onboard.hazards.gaussian_dem import _kernels as k
 from lunarsim.onboard.hazards.gaussian_dem import _sample_kernels as sk
 from lunarsim.onboard.hazards.gaussian_dem.gaussian import (
-    DENSE,
+    MIN_MEASURED_WEIGHT,
     NO_PIXELS,
     GaussianDem,
     triangle_edges,
@@ -105,7 +105,7 @@ def pooled_dem(pool: SamplePool) -> PooledDem:
     growth = _variogram_growth(squares, middles[usable], increments[usable])
     weight = np.ascontiguousarray(pool.splat[..., 0], dtype=np.float32)
     sk.measured_pool(
-        pool.splat, pool.base or 0.0, DENSE, growth, squares.cells,
+        pool.splat, pool.base or 0.0, MIN_MEASURED_WEIGHT, growth, squares.cells,
         _SAMPLE_DISTANCE_RATIO * grid.posting, float(growth.max()) * _UNOBSERVED_LENGTH_M,
         mean, variance, observed,
     )  # fmt: skip
@@ -121,9 +121,9 @@ def pooled_dem(pool: SamplePool) -> PooledDem:
         prior = _PRIOR_VARIANCE_RATIO * (np.maximum.reduce(noises) + rate * increments[:, 1])
         k.regress(
             vertices, noise, triangles, usable, gradient, grid.x0, grid.y0, grid.posting,
-            prior, prior / rate, weight, np.float32(DENSE), mean, variance, observed,
+            prior, prior / rate, weight, np.float32(MIN_MEASURED_WEIGHT), mean, variance, observed,
         )  # fmt: skip
-    measured = weight > DENSE
+    measured = weight > MIN_MEASURED_WEIGHT
     with np.errstate(divide="ignore", invalid="ignore"):
         mean_variance = pool.splat[..., 3] / pool.splat[..., 1] ** 2
     sk.add_kinks(mean, measured, mean_variance, _CURVATURE_SHARE, variance)

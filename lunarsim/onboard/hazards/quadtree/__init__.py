@@ -6,17 +6,17 @@ SLAM-Refined Map".
 
 from lunarsim.onboard.hazards.quadtree.mapper import QuadtreeMapper
 from lunarsim.onboard.hazards.quadtree.settings import InterestMap, SiteSettings
-from lunarsim.onboard.hazards.quadtree.sites import STATUS, Selection, Site, SiteSelector
+from lunarsim.onboard.hazards.quadtree.sites import SITE_STATUS, Site, SiteSelection, SiteSelector
 from lunarsim.onboard.hazards.quadtree.tree import InsertionCounts, QuadtreeMap
 
 __all__ = [
-    "STATUS",
+    "SITE_STATUS",
     "InsertionCounts",
     "InterestMap",
     "QuadtreeMap",
     "QuadtreeMapper",
-    "Selection",
     "Site",
+    "SiteSelection",
     "SiteSelector",
     "SiteSettings",
 ]

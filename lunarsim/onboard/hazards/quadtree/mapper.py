@@ -15,11 +15,11 @@ from lunarsim.messages.briefing import Briefing
 from lunarsim.messages.measurements import LidarScan
 from lunarsim.models.lander import Lander
 from lunarsim.onboard.hazards.hazard_map import FloatMap, HazardMap
-from lunarsim.onboard.hazards.mapper import HazardMapper, is_aside, map_grid
-from lunarsim.onboard.hazards.published import ReliefEvidence
+from lunarsim.onboard.hazards.map_evidence import TerrainEvidence
+from lunarsim.onboard.hazards.mapper import HazardMapper, is_off_centre, map_grid
 from lunarsim.onboard.hazards.quadtree.settings import InterestMap, SiteSettings
-from lunarsim.onboard.hazards.quadtree.site_probability import evidence_of, site_safety
-from lunarsim.onboard.hazards.quadtree.sites import STATUS, Selection, SiteSelector
+from lunarsim.onboard.hazards.quadtree.site_probability import quadtree_site_evidence, site_safety
+from lunarsim.onboard.hazards.quadtree.sites import SITE_STATUS, SiteSelection, SiteSelector
 from lunarsim.onboard.hazards.quadtree.tree import QuadtreeMap
 from lunarsim.onboard.hazards.scoreboard import Scoreboard
 from lunarsim.onboard.hazards.unleveled_scans import UnleveledScans, rotate_about
@@ -32,7 +32,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class QuadtreeMapping:
+class QuadtreeMapperSettings:
     """Settings of a quadtree of LiDAR points with a ranking of sites.
 
     Attributes
@@ -64,7 +64,7 @@ class QuadtreeMapping:
     sites: SiteSettings = quantity(SiteSettings(), help="criteria for landing sites")
 
     takes: ClassVar[type] = LidarScan
-    publishes: ClassVar[type] = ReliefEvidence
+    publishes: ClassVar[type] = TerrainEvidence
 
     def build(self, briefing: Briefing, navigation: Navigation) -> QuadtreeMapper:
         """Return the mapper of one flight."""
@@ -135,7 +135,7 @@ class QuadtreeMapper(HazardMapper):
         self._quadtree = (least, split_count)
         self._settings = settings
         self._interest = interest
-        self.selection: Selection | None = None
+        self.selection: SiteSelection | None = None
         self._model = model
         self._lander = lander or Lander()
         self._create_tree(grid, elevation)
@@ -177,7 +177,7 @@ class QuadtreeMapper(HazardMapper):
         interest_moves = (
             self._interest is not None and np.abs(by).max() > self._interest.grid.posting
         )
-        if not (self.blank or interest_moves or is_aside(self.grid, centre)):
+        if not (self.blank or interest_moves or is_off_centre(self.grid, centre)):
             return
         self._target = self._target + by
         if self._interest is not None:
@@ -236,7 +236,7 @@ class QuadtreeMapper(HazardMapper):
         # The noisiest scan counts, because the points of all scans are on the map.
         self.noise = max(self.noise, float(np.nanmedian(scan.height_sigma(attitude))))
 
-    def select(self) -> Selection:
+    def select(self) -> SiteSelection:
         """Return the current site selection."""
         if self.selection is None or self._selected_version != self.map.version:
             self._selected_version = self.map.version
@@ -262,9 +262,9 @@ class QuadtreeMapper(HazardMapper):
             self._hazard_map = self._compute_map(self.select())
         return self._hazard_map
 
-    def evidence(self) -> ReliefEvidence | None:
+    def evidence(self) -> TerrainEvidence | None:
         """Return the map only, because its evidence refers to sites and not to cells."""
-        return None if self.blank else ReliefEvidence(self.hazard_map())
+        return None if self.blank else TerrainEvidence(self.hazard_map())
 
     def scoreboard(self, site: Array) -> Scoreboard:
         """Return the ranked sites of the last selection, scored by Eq. 9.
@@ -286,7 +286,7 @@ class QuadtreeMapper(HazardMapper):
             float(s.score[at_site].min(initial=np.inf)),
         )
 
-    def _compute_map(self, selection: Selection) -> HazardMap:
+    def _compute_map(self, selection: SiteSelection) -> HazardMap:
         """Return a map in which each cell has the values of the site at its centre.
 
         The probability depends on the terrain only. The limits of the mission and its interest form
@@ -295,21 +295,24 @@ class QuadtreeMapper(HazardMapper):
         g = self.grid
         if len(selection.nodes) == 0:
             return self._empty_map(g)
-        evidence = evidence_of(
+        evidence = quadtree_site_evidence(
             self.map, selection, self.selector.settings.zone, self.noise, self._lander, self._rocks
         )
         p, known = site_safety(evidence, self._model)
         xy, size = selection.position[:, :2], self.map.sizes(selection.nodes)
-        eligible = rasterised(g, xy, size, selection.status == STATUS.index("eligible"), 0.0) > 0.0
+        eligible = (
+            rasterize_cells(g, xy, size, selection.status == SITE_STATUS.index("eligible"), 0.0)
+            > 0.0
+        )
         value = self._value(g)
         return HazardMap(
             g,
-            rasterised(g, xy, size, p, 0.0).astype(np.float32),
-            rasterised(g, xy, size, evidence.judged, 0.0) > 0.0,
-            rasterised(g, xy, size, selection.position[:, 2], np.nan).astype(np.float32),
+            rasterize_cells(g, xy, size, p, 0.0).astype(np.float32),
+            rasterize_cells(g, xy, size, evidence.judged, 0.0) > 0.0,
+            rasterize_cells(g, xy, size, selection.position[:, 2], np.nan).astype(np.float32),
             eligible=eligible if value is None else eligible & (value > 0.0),
             value=value,
-            in_domain=rasterised(g, xy, size, known, 0.0) > 0.0,
+            in_domain=rasterize_cells(g, xy, size, known, 0.0) > 0.0,
         )
 
     def _empty_map(self, grid: Grid) -> HazardMap:
@@ -328,7 +331,7 @@ class QuadtreeMapper(HazardMapper):
         )
 
 
-def rasterised(grid: Grid, xy: Array, size: Array, value: ArrayLike, fill: float) -> Array:
+def rasterize_cells(grid: Grid, xy: Array, size: Array, value: ArrayLike, fill: float) -> Array:
     """Return the value of the quadtree cell at each centre of a grid (rows, cols).
 
     Parameters

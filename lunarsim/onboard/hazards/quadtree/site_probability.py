@@ -4,10 +4,10 @@ The limits of the paper decide which sites are eligible; they are not a probabil
 uses two kinds of features. The lander is placed on the mean terrain under its legs at every
 heading. The points of its footprint and of the zone add their distances from the planes, their
 spread and the rocks that may stand undetected between them. All features are dimensionless: slopes
-and heights are relative to the limits of the lander. All weights except the first `FREE` are
-non-negative, so that the probability never increases with slope, roughness, exceptions, their
-height, or the number of undetected rocks. It is a calibrated frequency where the
-leave-one-world-out fits agree and few rocks may be undetected, as on the Gaussian DEM
+and heights are relative to the limits of the lander. All weights except the first
+`UNCONSTRAINED_FEATURES` are non-negative, so that the probability never increases with slope,
+roughness, exceptions, their height, or the number of undetected rocks. It is a calibrated frequency
+where the leave-one-world-out fits agree and few rocks may be undetected, as on the Gaussian DEM
 (`lunarsim.safety.calibration`).
 """
 
@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from lunarsim.models.lander import Lander
-from lunarsim.onboard.hazards.quadtree.sites import Selection
+from lunarsim.onboard.hazards.quadtree.sites import SiteSelection
 from lunarsim.onboard.hazards.quadtree.terrain_raster import (
     SamplingCoverage,
     close_holes,
@@ -32,17 +32,17 @@ from lunarsim.onboard.hazards.quadtree.terrain_raster import (
 from lunarsim.onboard.hazards.quadtree.tree import QuadtreeMap
 from lunarsim.rocks.population import RockExpectation
 from lunarsim.safety import SafetyMap, bounded_safety
-from lunarsim.safety.bends import Term, columns
-from lunarsim.safety.calibration import STEEPEST, UNCOUNTED
-from lunarsim.safety.ensemble import Ensemble, cautious
-from lunarsim.safety.exposure import (
+from lunarsim.safety.calibration import MAX_P_UNCOUNTED_ROCKS, SLOPE_LIMIT_RANGE_RAD
+from lunarsim.safety.ensemble import Ensemble, conservative_probability
+from lunarsim.safety.monotone_splines import MonotoneSplineTerm, spline_features
+from lunarsim.safety.rock_effects import (
     footprint_area,
-    least_tilting_height,
+    min_tilt_limit_rock_height,
     pad_ring_area,
+    tilt_limit_rock_height,
     tilt_of,
-    tilting_height,
 )
-from lunarsim.safety.unseen_rocks import HeightCurve, depth_curve, height_curve
+from lunarsim.safety.unseen_rocks import ExceedanceCurve, depth_curve, height_curve
 
 Array = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -56,7 +56,7 @@ _ROUGHNESS_CEILING = np.array([[0.9, 1.0, 1.3, 1.6, 2.2, 3.0], [1.0, 0.9, 0.6, 0
 _RELIEF_CEILING = np.array([[0.9, 1.0, 1.3, 2.2, 4.0], [1.0, 0.94, 0.85, 0.7, 0.4]])
 # Limits of the domain: expected undetected hazards in a footprint, and expected undetected rocks
 # and holes under the pads that tilt the lander over its limit. Rocks are counted by
-# `HeightCurve.missed`, at least three times the count of the Gaussian DEM.
+# `ExceedanceCurve.missed`, at least three times the count of the Gaussian DEM.
 MAX_EXPECTED_HAZARDS = 0.1
 MAX_EXPECTED_TILTING_ROCKS = 0.1
 MAX_EXPECTED_HOLES = 0.03
@@ -68,7 +68,7 @@ _NEAR_DOMAIN_LIMITS = (1.0, 2.0, 1.0)
 MAX_DEEP_SHARE = 0.016
 # Threshold for claiming a site unsafe. The zone is 1.35 times as wide as the lander and counts all
 # hazards in it, so only very low probabilities are unsafe for the lander itself.
-HOPELESS = 0.01
+MAX_CLAIMED_UNSAFE = 0.01
 # Maximum probability: means over cells of a decimetre do not support more.
 MAX_PROBABILITY = 0.99
 # Maximum noise of the points in the fitted worlds, relative to the roughness limit: more noise
@@ -113,11 +113,11 @@ _KNOTS = (
 _RELATIVE_HEIGHTS = np.array([0.3, 0.6, 1.0, 1.6])
 _RELATIVE_DEPTHS = np.array([0.6, 1.0])
 # Intercept, noise, density and its square: their weights may have either sign.
-FREE = 4
-RISING = sum(len(knots) - 1 for knots in _KNOTS) + (
+UNCONSTRAINED_FEATURES = 4
+MONOTONE_FEATURES = sum(len(knots) - 1 for knots in _KNOTS) + (
     len(_RELATIVE_HEIGHTS) + len(_RELATIVE_DEPTHS)
 ) * (len(_SHARE_KNOTS) - 1)
-COUNT = FREE + RISING
+COUNT = UNCONSTRAINED_FEATURES + MONOTONE_FEATURES
 
 
 @dataclass(frozen=True)
@@ -167,8 +167,8 @@ class SiteEvidence:
     footprint_relief: Array
     density: Array
     min_density: Array
-    curve: HeightCurve
-    holes: HeightCurve
+    curve: ExceedanceCurve
+    holes: ExceedanceCurve
     doomed: BoolArray
     lander: Lander
     noise: float
@@ -215,7 +215,7 @@ class SiteEvidence:
         if not (
             noise <= MAX_NOISE_RATIO
             and sunk < MAX_DEEP_SHARE
-            and STEEPEST[0] <= steep <= STEEPEST[1]
+            and SLOPE_LIMIT_RANGE_RAD[0] <= steep <= SLOPE_LIMIT_RANGE_RAD[1]
         ):
             return np.zeros(len(self.slope), np.bool_)
         with np.errstate(invalid="ignore"):
@@ -252,26 +252,29 @@ class SiteEvidence:
 
         The pads may be at any heading.
         """
-        height = tilting_height(self.fitted_slope, self.lander)
+        height = tilt_limit_rock_height(self.fitted_slope, self.lander)
         return np.asarray(pad_ring_area(self.lander) * self.curve.missed(height, self.min_density))
 
     def clear_of_pads(self) -> Array:
         """Return the probability that no undetected gravel tilts the lander too far (n,).
 
-        The gravel count is conservative, as in `lunarsim.safety.calibration.clear_of_pads`. The
-        result is 1 where only rocks higher than `_COUNTED_HEIGHT_FACTOR` times the minimum counted
-        height could tilt the lander.
+        The gravel count is conservative, as in `lunarsim.safety.calibration.p_no_rock_under_pads`.
+        The result is 1 where only rocks higher than `_COUNTED_HEIGHT_FACTOR` times the minimum
+        counted height could tilt the lander.
         """
-        height = least_tilting_height(self.fitted_slope, self.lander)
+        height = min_tilt_limit_rock_height(self.fitted_slope, self.lander)
         found = pad_ring_area(self.lander) * self.curve.careful.missed(height, self.min_density)
-        left = np.where(height < self.curve.gravel_counted, UNCOUNTED, 1.0)
+        left = np.where(height < self.curve.gravel_counted, MAX_P_UNCOUNTED_ROCKS, 1.0)
         return np.where(
             height < _COUNTED_HEIGHT_FACTOR * self.curve.counted, left * np.exp(-found), 1.0
         )
 
     def expected_hole_violations(self) -> Array:
         """Return the expected undetected holes under the pads that tilt too far (n,)."""
-        height, width = tilting_height(self.fitted_slope, self.lander), self.lander.pad_diameter
+        height, width = (
+            tilt_limit_rock_height(self.fitted_slope, self.lander),
+            self.lander.pad_diameter,
+        )
         found = self.holes.sunk(height, self.min_density, width)
         return np.asarray(pad_ring_area(self.lander) * found)
 
@@ -292,9 +295,9 @@ class SiteEvidence:
         return np.asarray(footprint_area(self.lander) * self.curve.missed(limit, self.min_density))
 
 
-def evidence_of(
+def quadtree_site_evidence(
     quadtree: QuadtreeMap,
-    selection: Selection,
+    selection: SiteSelection,
     zone: float,
     noise: float,
     lander: Lander,
@@ -382,10 +385,10 @@ def _max_about(safety: SafetyMap, xy: Array) -> tuple[Array, Array]:
 def features(evidence: SiteEvidence, where: BoolArray) -> Array:
     """Return the regression features of sites selected by a mask (m, `COUNT`)."""
     n = int(np.count_nonzero(where))
-    return np.column_stack((_free(evidence, where), columns(_terms(evidence, where), n)))
+    return np.column_stack((_free(evidence, where), spline_features(_terms(evidence, where), n)))
 
 
-def _terms(e: SiteEvidence, where: BoolArray) -> list[Term]:
+def _terms(e: SiteEvidence, where: BoolArray) -> list[MonotoneSplineTerm]:
     """Return the features with non-negative weights, which indicate danger (n,)."""
     point, spread = e.denoised_relief()
     values = (
@@ -408,22 +411,24 @@ def _terms(e: SiteEvidence, where: BoolArray) -> list[Term]:
         np.log10(e.expected_hole_violations() + 1e-6),
     )
     shares = np.log10(e.curve.at(_RELATIVE_HEIGHTS * e.lander.roughness_limit))
-    own = [Term(v[where], knots) for v, knots in zip(values, _KNOTS, strict=True)]
+    own = [MonotoneSplineTerm(v[where], knots) for v, knots in zip(values, _KNOTS, strict=True)]
     depths = np.log10(e.holes.at(_RELATIVE_DEPTHS * e.lander.roughness_limit))
-    return own + [Term(share, _SHARE_KNOTS) for share in (*shares, *depths)]
+    return own + [MonotoneSplineTerm(share, _SHARE_KNOTS) for share in (*shares, *depths)]
 
 
 def _free(e: SiteEvidence, where: BoolArray) -> Array:
-    """Return the features with unconstrained weights (m, `FREE`)."""
+    """Return the features with unconstrained weights (m, `UNCONSTRAINED_FEATURES`)."""
     density = np.log(np.maximum(e.density[where], 0.1) * e.lander.leg_radius**2)
     noise = np.full(len(density), np.log(e.noise / e.lander.roughness_limit + 1e-3))
     return np.column_stack([np.ones(len(density)), noise, density, density**2])
 
 
 @lru_cache(maxsize=1)
-def measured() -> Ensemble:
+def packaged_ensemble() -> Ensemble:
     """Return the packaged weights from `scenarios/lidar_maps/quadtree_calibration.py`."""
-    return Ensemble.packaged("lunarsim.onboard.hazards.quadtree", "calibration.json", COUNT, RISING)
+    return Ensemble.packaged(
+        "lunarsim.onboard.hazards.quadtree", "calibration.json", COUNT, MONOTONE_FEATURES
+    )
 
 
 def site_safety(evidence: SiteEvidence, model: Ensemble | None = None) -> tuple[Array, BoolArray]:
@@ -443,9 +448,13 @@ def site_safety(evidence: SiteEvidence, model: Ensemble | None = None) -> tuple[
     p, is_calibrated = np.zeros(len(e.slope)), in_domain.copy()
     if e.judged.any():
         evaluated, upper = e.judged, ceiling(e)[e.judged]
-        odds = (model or measured()).judge(_free(e, evaluated), _terms(e, evaluated))
-        p[evaluated] = cautious(odds.low, upper, bound(e)[evaluated], in_domain[evaluated])
-        is_calibrated[evaluated] &= odds.verdict(upper, HOPELESS, e.doomed[evaluated]).agreed
+        odds = (model or packaged_ensemble()).judge(_free(e, evaluated), _terms(e, evaluated))
+        p[evaluated] = conservative_probability(
+            odds.low, upper, bound(e)[evaluated], in_domain[evaluated]
+        )
+        is_calibrated[evaluated] &= odds.verdict(
+            upper, MAX_CLAIMED_UNSAFE, e.doomed[evaluated]
+        ).agreed
     return p, is_calibrated
 
 

@@ -21,8 +21,8 @@ IntArray = NDArray[np.int64]
 
 # Default half side of the lander's footprint, relative to that of the zone.
 _FOOTPRINT_ZONE_RATIO = 0.6
-# Meaning of `Selection.status`.
-STATUS = (
+# Meaning of `SiteSelection.status`.
+SITE_STATUS = (
     "eligible",
     "no ground plane",
     "zone leaves the map",
@@ -59,7 +59,7 @@ class Site:
 
 
 @dataclass(frozen=True)
-class Selection:
+class SiteSelection:
     """All evaluated sites; its arrays are read-only.
 
     Attributes
@@ -90,7 +90,7 @@ class Selection:
         Slope of the least-squares plane through the points of the zone, and its standard error
         (n,), rad; NaN where not evaluated.
     status
-        Index into `STATUS` (n,).
+        Index into `SITE_STATUS` (n,).
     score
         Score by Eq. 9 (n,); inf for sites that are not eligible.
     ranked
@@ -186,7 +186,7 @@ class SiteSelector:
 
     @property
     def reliefs(self) -> NDArray[np.float32]:
-        """Maximum distance of points per square, m, as `Selection.relief`; read-only."""
+        """Maximum distance of points per square, m, as `SiteSelection.relief`; read-only."""
         return _read_only(self._reliefs)
 
     @property
@@ -207,7 +207,7 @@ class SiteSelector:
         seen = sum(a.nbytes for a in self._visited)
         return rasters + seen + self._results.nbytes + self._status.nbytes
 
-    def update(self) -> Selection:
+    def update(self) -> SiteSelection:
         """Process the changes of the map and return all sites."""
         if self.map.version > self._version:
             outlines = self.mesh.update(self._version)
@@ -293,7 +293,7 @@ class SiteSelector:
 
     # --- scores ---------------------------------------------------------------------------
 
-    def _select(self) -> Selection:
+    def _select(self) -> SiteSelection:
         s = self.settings
         nodes = self.map.band(*s.site_band)
         place = k.raster_indices(self.map.tree, nodes, self._site[0])
@@ -333,7 +333,7 @@ class SiteSelector:
                 k.SLOPE_SIGMA,
             )
         )
-        return Selection(
+        return SiteSelection(
             nodes,
             position,
             interest,

@@ -10,7 +10,7 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import min_weight_full_bipartite_matching
 from scipy.spatial import cKDTree
 
-from lunarsim.onboard.navigation.planar import largest_eigenvalue, squared_distance
+from lunarsim.onboard.navigation.matrix_2x2 import largest_eigenvalue_2x2, squared_mahalanobis_2x2
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -60,12 +60,13 @@ def associate(
     if d == 0 or t == 0:
         return none, none, np.zeros(0, bool), np.zeros(d, bool)
     spread = np.sqrt(
-        largest_eigenvalue(predicted_covariance).max() + largest_eigenvalue(pixel_covariance)
+        largest_eigenvalue_2x2(predicted_covariance).max()
+        + largest_eigenvalue_2x2(pixel_covariance)
     )
     i, j = _neighbours(pixel, predicted, np.sqrt(gate) * spread)
     offset = pixel[i] - predicted[j]
     s = pixel_covariance[i] + predicted_covariance[j]
-    distance = squared_distance(offset, s)
+    distance = squared_mahalanobis_2x2(offset, s)
     distance += (radius[i] - tracked_radius[j]) ** 2 / (radius_variance[i] + tracked_variance[j])
     inside = distance < gate
     i, j, distance = i[inside], j[inside], distance[inside]

@@ -18,12 +18,12 @@ from scipy.special import pdtr
 
 from lunarsim.models.camera import CameraModel
 from lunarsim.onboard.hazards.shadows.viewing_geometry import viewing_geometry
-from lunarsim.onboard.perception.along_plane import model_on_plane
 from lunarsim.onboard.perception.detector import Detections
 from lunarsim.onboard.perception.ground_plane import GroundPlane
+from lunarsim.onboard.perception.plane_models import model_on_plane
 from lunarsim.onboard.perception.shadow_model import ShadowModel
 from lunarsim.onboard.perception.shape_mixture import ShapeMixture
-from lunarsim.rocks.laws import golombek_number
+from lunarsim.rocks.size_distribution import golombek_number
 
 Array = NDArray[np.float64]
 

@@ -17,7 +17,7 @@ MIN_OBSERVED_FRACTION = 0.9
 _SUBDIVISIONS = 8
 
 
-def mean_over_discs(layer: NDArray[Any], radius: float, outside: float) -> NDArray[np.float32]:
+def disc_mean(layer: NDArray[Any], radius: float, outside: float) -> NDArray[np.float32]:
     """Return the mean of a layer over the disc about each cell (rows, cols).
 
     Cells at the rim count with their fraction within the disc.
@@ -58,7 +58,7 @@ def footprint_seen(seen: NDArray[np.bool_], radius: float) -> NDArray[np.bool_]:
     """
     if radius <= 0.0:
         return seen
-    share = mean_over_discs(seen, radius, 0.0)
+    share = disc_mean(seen, radius, 0.0)
     half = int(np.ceil(radius))
     whole = np.zeros_like(seen)
     if 2 * half < min(seen.shape):

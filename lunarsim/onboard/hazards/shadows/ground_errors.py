@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lunarsim.models.camera import CameraModel
-from lunarsim.onboard.navigation.planar import inverse, largest_eigenvalue
+from lunarsim.onboard.navigation.matrix_2x2 import invert_2x2, largest_eigenvalue_2x2
 from lunarsim.onboard.navigation.rock_filter import RockFilter
 
 Array = NDArray[np.float64]
@@ -18,7 +18,7 @@ def ground_covariance(
     """Return pixel covariances (n, 2, 2) as ground covariances at points (n, 3), m^2."""
     if len(points) == 0:
         return np.empty((0, 2, 2))
-    back = inverse(rocks.sight(camera, points).by_rock[:, :, :2])
+    back = invert_2x2(rocks.sight(camera, points).by_rock[:, :, :2])
     return np.asarray(back @ pixel_covariance @ np.swapaxes(back, 1, 2))
 
 
@@ -29,5 +29,5 @@ def ground_spread(points: Array, look: Array, rocks: RockFilter, camera: CameraM
     """
     with np.errstate(invalid="ignore"):
         return np.asarray(
-            np.sqrt(largest_eigenvalue(ground_covariance(points, look, rocks, camera)))
+            np.sqrt(largest_eigenvalue_2x2(ground_covariance(points, look, rocks, camera)))
         )

@@ -13,42 +13,42 @@ from numpy.typing import ArrayLike, NDArray
 
 from lunarsim.errors import InputError
 from lunarsim.grid import Grid
-from lunarsim.messages.measurements import Picture
+from lunarsim.messages.measurements import CameraImage
 from lunarsim.models.camera import CameraModel
 from lunarsim.models.pose import Pose
 from lunarsim.onboard.hazards.hazard_map import HazardMap
-from lunarsim.onboard.hazards.mapper import HazardMapper, is_aside
-from lunarsim.onboard.hazards.published import RockEvidence
+from lunarsim.onboard.hazards.map_evidence import RockEvidence
+from lunarsim.onboard.hazards.mapper import HazardMapper, is_off_centre
 from lunarsim.onboard.hazards.shadows.blind_regions import (
     blind_regions,
     cell_centres,
     ground_of_cells,
 )
-from lunarsim.onboard.hazards.shadows.ground_height import height_sigma
 from lunarsim.onboard.hazards.shadows.measured_terrain import MeasuredTerrain
-from lunarsim.onboard.hazards.shadows.place_errors import position_sigma
-from lunarsim.onboard.hazards.shadows.plausible import too_few
+from lunarsim.onboard.hazards.shadows.position_errors import position_sigma
 from lunarsim.onboard.hazards.shadows.probability_map import (
     ProbabilityMap,
     rock_tracks,
 )
+from lunarsim.onboard.hazards.shadows.rock_count_check import is_rock_count_too_low
+from lunarsim.onboard.hazards.shadows.terrain_height_errors import height_sigma
 from lunarsim.onboard.hazards.shadows.tracker import RockTracker
-from lunarsim.onboard.navigation.error_state import Outcome
+from lunarsim.onboard.navigation.error_state import UpdateOutcome
 from lunarsim.onboard.navigation.estimate import Estimate, NavigationEvent
-from lunarsim.onboard.navigation.rock_filter import Region
-from lunarsim.onboard.perception.along_plane import model_on_plane
+from lunarsim.onboard.navigation.rock_filter import MapRegion
 from lunarsim.onboard.perception.detector import (
     Detections,
     DetectorSettings,
     detect_rocks,
 )
-from lunarsim.onboard.perception.direction import turn_from_sun
 from lunarsim.onboard.perception.ground_plane import LEVEL, GroundPlane
-from lunarsim.onboard.perception.health import (
-    Fault,
+from lunarsim.onboard.perception.image_quality import (
     ImageQuality,
-    PictureHealth,
+    ImageQualityCheck,
+    ImageRejection,
 )
+from lunarsim.onboard.perception.plane_models import model_on_plane
+from lunarsim.onboard.perception.shadow_direction import measure_shadow_angle
 from lunarsim.onboard.perception.shape_mixture import ShapeMixture
 from lunarsim.onboard.perception.sun_angle import SunAngle
 from lunarsim.onboard.perception.sun_direction import unit_vector
@@ -71,8 +71,8 @@ _MAX_SUN_ELEVATION_ERROR_RAD = float(np.deg2rad(1.0))
 class _CameraState:
     """Quality check of a camera, its last fault, and last recorded image."""
 
-    health: PictureHealth
-    fault: Fault | None = None
+    health: ImageQualityCheck
+    fault: ImageRejection | None = None
     recorded_at: float = -np.inf
 
 
@@ -123,7 +123,7 @@ class ShadowMapper(HazardMapper):
         detector: DetectorSettings | None = None,
         interval: float = 1.0,
         look_interval: float = 0.0,
-        health: PictureHealth | Mapping[str, PictureHealth] | None = None,
+        health: ImageQualityCheck | Mapping[str, ImageQualityCheck] | None = None,
         relief: HazardMapper | None = None,
     ) -> None:
         _check_sun(sun, tracker.model.elevation)
@@ -136,10 +136,12 @@ class ShadowMapper(HazardMapper):
         self._terrain = MeasuredTerrain(relief)
         tracker.filter.measured = None if relief is None else self._terrain
         self.detector = detector or DetectorSettings()
-        checks = dict(health) if isinstance(health, Mapping) else {"": health or PictureHealth()}
+        checks = (
+            dict(health) if isinstance(health, Mapping) else {"": health or ImageQualityCheck()}
+        )
         self._cameras = {name: _CameraState(one) for name, one in checks.items()}
         self._camera = next(iter(self._cameras))
-        self.refused: Counter[Fault] = Counter()
+        self.refused: Counter[ImageRejection] = Counter()
         self.seen: Detections | None = None
         self._map = HazardMap.unobserved(self.grid)
         # Probability of untracked rocks; None if it must be computed again.
@@ -153,11 +155,11 @@ class ShadowMapper(HazardMapper):
         self._reported_event = ""
 
     @property
-    def health(self) -> PictureHealth:
+    def health(self) -> ImageQualityCheck:
         """Quality check of the camera of the last image."""
         return self._cameras[self._camera].health
 
-    def take(self, sensor: str, measurement: Picture, estimate: Estimate) -> None:
+    def take(self, sensor: str, measurement: CameraImage, estimate: Estimate) -> None:
         """Process one image of a named camera, see `update`.
 
         With several cameras, an image taken before the last one of another camera is dropped and
@@ -171,11 +173,12 @@ class ShadowMapper(HazardMapper):
             return
         self.update(measurement, estimate)
 
-    def update(self, measurement: Picture, estimate: Estimate) -> None:
+    def update(self, measurement: CameraImage, estimate: Estimate) -> None:
         """Process one image taken at the estimated pose, if it passes the quality check.
 
-        A rejected image, see `PictureHealth`, changes only `refused`. The event "picture-refused"
-        is recorded when images start to fail for a reason, "picture-accepted" when they pass again.
+        A rejected image, see `ImageQualityCheck`, changes only `refused`. The event
+        "picture-refused" is recorded when images start to fail for a reason, "picture-accepted"
+        when they pass again.
 
         Raises
         ------
@@ -205,7 +208,7 @@ class ShadowMapper(HazardMapper):
                 self.probability.forget()
                 self._residual = None
         if health.good and not self._process_image(seen, image, sun):
-            health = ImageQuality(Fault.MISPLACED, health.figures)
+            health = ImageQuality(ImageRejection.MISPLACED, health.figures)
         self._report(image.time, health)
 
     def refresh(self, time: float) -> None:
@@ -221,7 +224,7 @@ class ShadowMapper(HazardMapper):
             details = {"rocks": outcome.degrees, "nis": outcome.nis}
             rocks.events.append(NavigationEvent(time, "measured-ground-refused", details))
 
-    def _process_image(self, seen: Detections, image: Picture, sun: Array) -> bool:
+    def _process_image(self, seen: Detections, image: CameraImage, sun: Array) -> bool:
         """Process an accepted image; return whether it shows the tracked rocks.
 
         If not, it belongs to another place or time, or rocks and lander are not where they are
@@ -246,7 +249,7 @@ class ShadowMapper(HazardMapper):
         return True
 
     def _record_visible_terrain(
-        self, seen: Detections, image: Picture, sun: Array, plane: GroundPlane
+        self, seen: Detections, image: CameraImage, sun: Array, plane: GroundPlane
     ) -> None:
         """Record the terrain that an image shows lit."""
         self._cameras[self._camera].recorded_at = image.time
@@ -259,7 +262,7 @@ class ShadowMapper(HazardMapper):
         )  # fmt: skip
 
     def _blind_pixels(
-        self, seen: Detections, image: Picture, sun: Array, plane: GroundPlane
+        self, seen: Detections, image: CameraImage, sun: Array, plane: GroundPlane
     ) -> NDArray[np.bool_]:
         """Return the pixels (height, width) in which rocks would not be visible."""
         camera, rocks = image.camera, self.tracker.filter
@@ -293,7 +296,7 @@ class ShadowMapper(HazardMapper):
             self._residual = None
 
     def _check_shadows(
-        self, seen: Detections, image: Picture, pose: Pose, sun: Array, previous: ImageQuality
+        self, seen: Detections, image: CameraImage, pose: Pose, sun: Array, previous: ImageQuality
     ) -> ImageQuality:
         """Check an image by its shadows, and the Sun direction by their directions."""
         rocks = self.tracker.filter
@@ -303,8 +306,8 @@ class ShadowMapper(HazardMapper):
         if self.health.judges(turn) and image.time >= self._sun_check_time + _SUN_CHECK_INTERVAL_S:
             self._sun_check_time = image.time
             nis = turn.angle**2 / (turn.sigma**2 + _SHADOW_DIRECTION_SIGMA_RAD**2)
-            is_sun_in_place = after.fault is not Fault.SUN_ELSEWHERE
-            rocks.judge("shadows", image.time, Outcome(nis, 1, is_sun_in_place))
+            is_sun_in_place = after.fault is not ImageRejection.SUN_ELSEWHERE
+            rocks.judge("shadows", image.time, UpdateOutcome(nis, 1, is_sun_in_place))
         return ImageQuality(after.fault, previous.figures | after.figures)
 
     def _shadow_direction_error(
@@ -314,9 +317,9 @@ class ShadowMapper(HazardMapper):
         view, model, plane = camera.view(pose), self.tracker.model, self._terrain.plane()
         if plane is None:
             points = self.tracker.filter.ground_points(camera, seen.pixel)
-            return turn_from_sun(seen, view, points, sun, model, noise)
+            return measure_shadow_angle(seen, view, points, sun, model, noise)
         points = np.column_stack((seen.ground, np.zeros(len(seen))))
-        return turn_from_sun(
+        return measure_shadow_angle(
             seen,
             plane.view(view),
             points,
@@ -398,7 +401,7 @@ class ShadowMapper(HazardMapper):
         prior = self.probability.prior
         expected = self.probability.expected_rocks()
         found = int(self.tracker.large_rocks(prior.least_diameter, self.grid))
-        is_too_few = too_few(found, expected)
+        is_too_few = is_rock_count_too_low(found, expected)
         unsafe = drawn.observed & (drawn.p_safe < _MIN_P_SAFE_WITHOUT_HAZARD)
         all_safe = bool(drawn.observed.any() and not unsafe.any())
         name = "few-rocks" if is_too_few else "all-safe" if all_safe else ""
@@ -418,7 +421,7 @@ class ShadowMapper(HazardMapper):
 
         Rocks outside remain tracked, but no more of them are added.
         """
-        if not (self.blank or is_aside(self.grid, centre)):
+        if not (self.blank or is_off_centre(self.grid, centre)):
             return
         self.probability.recentre(centre)
         self.grid, self._residual = self.probability.grid, None
@@ -455,7 +458,7 @@ class ShadowMapper(HazardMapper):
         }  # fmt: skip
 
 
-def tracked_region(grid: Grid) -> Region:
+def tracked_region(grid: Grid) -> MapRegion:
     """Return west, east, south and north limits of the tracked area of a map, m."""
     west, east, south, north = grid.extent
     return (

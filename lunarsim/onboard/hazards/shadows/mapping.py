@@ -10,25 +10,29 @@ import numpy as np
 
 from lunarsim.errors import InputError, suggestion
 from lunarsim.messages.briefing import Briefing
-from lunarsim.messages.measurements import Picture
+from lunarsim.messages.measurements import CameraImage
 from lunarsim.models.instruments import CameraInstrument
-from lunarsim.onboard.hazards.mapper import HazardMapper, map_grid, sensors_of
-from lunarsim.onboard.hazards.published import ReliefEvidence, RockEvidence
+from lunarsim.onboard.hazards.map_evidence import RockEvidence, TerrainEvidence
+from lunarsim.onboard.hazards.mapper import HazardMapper, map_grid, sensor_names
 from lunarsim.onboard.hazards.shadows.mapper import ShadowMapper, tracked_region
 from lunarsim.onboard.hazards.shadows.probability_map import HazardPrior, ProbabilityMap
 from lunarsim.onboard.hazards.shadows.tracker import RockTracker
 from lunarsim.onboard.hazards.shadows.tracker_settings import TrackerSettings
 from lunarsim.onboard.navigation.estimate import Navigation
-from lunarsim.onboard.navigation.kinds import RockNavigation
+from lunarsim.onboard.navigation.navigation_kinds import RockNavigation
 from lunarsim.onboard.navigation.navigator import Navigator
-from lunarsim.onboard.perception.health import HealthSettings, PictureHealth, SunConfirmation
+from lunarsim.onboard.perception.image_quality import (
+    ImageQualityCheck,
+    ImageQualitySettings,
+    SunConfirmation,
+)
 from lunarsim.onboard.perception.shadow_model import ShadowModel
 from lunarsim.onboard.perception.shape_mixture import ShapeMixture
 from lunarsim.parts.quantity import quantity
 from lunarsim.rocks.population import RockExpectation
 
 # Point spread of a camera without a known one, pixels.
-_BLUR = HealthSettings().blur_sigma
+_BLUR = ImageQualitySettings().blur_sigma
 
 
 @dataclass(frozen=True)
@@ -82,7 +86,7 @@ class ShadowMapping:
         "rice", help="Form of the cover probability (paper: gaussian)"
     )
 
-    takes: ClassVar[type] = Picture
+    takes: ClassVar[type] = CameraImage
     publishes: ClassVar[type] = RockEvidence
     navigation: ClassVar[type | None] = RockNavigation
 
@@ -109,7 +113,7 @@ class ShadowMapping:
         """
         if not self.ground:
             return
-        able = [n for n, p in parts.items() if getattr(p, "publishes", None) is ReliefEvidence]
+        able = [n for n, p in parts.items() if getattr(p, "publishes", None) is TerrainEvidence]
         if self.ground not in able:
             raise InputError("ground", self.ground, "is unknown", suggestion(self.ground, able))
 
@@ -153,7 +157,7 @@ class ShadowMapping:
         return ShadowMapper(
             tracker, probability, briefing.sun, reach, interval=self.interval,
             look_interval=self.look_interval,
-            health={name: _health_of(briefing, name, proof) for name in sensors_of(self)},
+            health={name: _health_of(briefing, name, proof) for name in sensor_names(self)},
             relief=(mappers or {})[self.ground] if self.ground else None,
         )  # fmt: skip
 
@@ -164,8 +168,8 @@ class ShadowMapping:
         return ShadowModel(elevation, rocks.model() if self.shapes == "told" else None)
 
 
-def _health_of(briefing: Briefing, camera: str, sun: SunConfirmation) -> PictureHealth:
+def _health_of(briefing: Briefing, camera: str, sun: SunConfirmation) -> ImageQualityCheck:
     """Return the quality check of a camera, with its own point spread."""
     known = briefing.instruments.get(camera)
     blur = known.blur_sigma if isinstance(known, CameraInstrument) else _BLUR
-    return PictureHealth(HealthSettings(blur_sigma=blur), sun)
+    return ImageQualityCheck(ImageQualitySettings(blur_sigma=blur), sun)

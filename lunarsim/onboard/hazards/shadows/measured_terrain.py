@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from lunarsim.onboard.hazards.hazard_map import Surface
+from lunarsim.onboard.hazards.hazard_map import TerrainSurface
 from lunarsim.onboard.hazards.mapper import HazardMapper
 from lunarsim.onboard.hazards.shadows.terrain_plane import fit_terrain_plane
 from lunarsim.onboard.perception.ground_plane import GroundPlane
@@ -29,7 +29,7 @@ class MeasuredTerrain:
 
     def __init__(self, mapper: HazardMapper | None) -> None:
         self._mapper = mapper
-        self._last_surface: Surface | None = None
+        self._last_surface: TerrainSurface | None = None
         self._plane: GroundPlane | None = None
         self._heights: Array | None = None
         self._changed = False
@@ -59,7 +59,7 @@ class MeasuredTerrain:
         out[at] = self._heights[surface.grid.cell(xy[at])]
         return out
 
-    def _current_surface(self) -> Surface | None:
+    def _current_surface(self) -> TerrainSurface | None:
         """Return the mapper's surface; update the derived values if it is new."""
         if self._mapper is None:
             return None
@@ -74,7 +74,7 @@ class MeasuredTerrain:
         return surface
 
 
-def _smoothed_elevation(surface: Surface) -> Array | None:
+def _smoothed_elevation(surface: TerrainSurface) -> Array | None:
     """Return the mean known elevation about each known cell (rows, cols), m.
 
     NaN elsewhere; None if no elevation is known.

@@ -13,9 +13,9 @@ from lunarsim.errors import InputError, check_types
 from lunarsim.grid import Grid
 from lunarsim.models.pinhole import View
 from lunarsim.onboard.hazards.hazard_map import HazardMap
-from lunarsim.onboard.hazards.published import RockTracks
+from lunarsim.onboard.hazards.map_evidence import RockTracks
 from lunarsim.onboard.hazards.shadows import _probability_kernels as kernels
-from lunarsim.onboard.hazards.shadows.evidence import ClearEvidence, Heights
+from lunarsim.onboard.hazards.shadows.clear_evidence import ClearEvidence, Heights
 from lunarsim.onboard.hazards.shadows.footprints import footprint_seen
 from lunarsim.onboard.hazards.shadows.probability import Form, checked_form, cover_probability
 from lunarsim.onboard.hazards.shadows.tracker import RockTracker
@@ -25,7 +25,7 @@ from lunarsim.onboard.perception.ground_plane import LEVEL, GroundPlane
 from lunarsim.onboard.perception.shadow_model import ShadowModel
 from lunarsim.onboard.perception.shape_mixture import ShapeMixture
 from lunarsim.onboard.perception.sun_direction import has_usable_shadows, unit_vector
-from lunarsim.rocks.laws import golombek_cover, golombek_exponent
+from lunarsim.rocks.size_distribution import golombek_cover, golombek_exponent
 
 Array = NDArray[np.float64]
 

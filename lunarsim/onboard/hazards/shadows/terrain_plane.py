@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from lunarsim.onboard.hazards.hazard_map import Surface
+from lunarsim.onboard.hazards.hazard_map import TerrainSurface
 from lunarsim.onboard.perception.ground_plane import GroundPlane
 
 Array = NDArray[np.float64]
@@ -20,7 +20,7 @@ _CELLS_PER_SIDE = 40
 _SQUARES_PER_SIDE, _MIN_SIGNIFICANCE, _MAX_SLOPE_SIGMA = 6, 2.5, 0.02
 
 
-def fit_terrain_plane(surface: Surface) -> GroundPlane | None:
+def fit_terrain_plane(surface: TerrainSurface) -> GroundPlane | None:
     """Return the least-squares plane through the elevations of a map.
 
     None if too little is observed, the slope exceeds that of landing terrain, or the slope is

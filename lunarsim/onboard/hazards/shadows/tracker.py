@@ -10,20 +10,20 @@ from lunarsim.errors import InputError
 from lunarsim.grid import Grid
 from lunarsim.models.camera import CameraModel
 from lunarsim.onboard.hazards.shadows.association import associate
-from lunarsim.onboard.hazards.shadows.dark_places import is_dark_at_patch
 from lunarsim.onboard.hazards.shadows.ground_errors import ground_covariance, ground_spread
-from lunarsim.onboard.hazards.shadows.tentative import TentativeRocks
+from lunarsim.onboard.hazards.shadows.shadow_overlap import is_dark_at_patch
+from lunarsim.onboard.hazards.shadows.tentative_rocks import TentativeRocks
 from lunarsim.onboard.hazards.shadows.tracker_settings import TrackerSettings
 from lunarsim.onboard.hazards.shadows.viewing_geometry import viewing_geometry
-from lunarsim.onboard.navigation.error_state import Outcome
-from lunarsim.onboard.navigation.picture_watch import Remedy
-from lunarsim.onboard.navigation.planar import positive, squared_distance
+from lunarsim.onboard.navigation.error_state import UpdateOutcome
+from lunarsim.onboard.navigation.image_innovation_monitor import RockCorrection
+from lunarsim.onboard.navigation.matrix_2x2 import is_positive_definite_2x2, squared_mahalanobis_2x2
 from lunarsim.onboard.navigation.rock_filter import RockFilter
-from lunarsim.onboard.navigation.rock_sight import Sight
-from lunarsim.onboard.perception.along_plane import model_on_plane
+from lunarsim.onboard.navigation.rock_projection import RockProjection
 from lunarsim.onboard.perception.detection_rates import DetectionRates
 from lunarsim.onboard.perception.detector import Detections
 from lunarsim.onboard.perception.ground_plane import LEVEL, GroundPlane
+from lunarsim.onboard.perception.plane_models import model_on_plane
 from lunarsim.onboard.perception.shadow_model import ShadowModel
 from lunarsim.onboard.perception.shape_mixture import ShapeMixture
 from lunarsim.onboard.perception.sun_direction import (
@@ -141,7 +141,7 @@ class RockTracker:
     def update(
         self, seen: Detections, camera: CameraModel, sun: Array, time: float,
         plane: GroundPlane = LEVEL,
-    ) -> Outcome:  # fmt: skip
+    ) -> UpdateOutcome:  # fmt: skip
         """Process the detections of one image; return the outcome of the position update.
 
         Parameters
@@ -234,7 +234,7 @@ class RockTracker:
         return self.filter.radius < _DROP_RADIUS_RATIO * least
 
     def _associate(
-        self, seen: Detections, sight: Sight, at: Index, radius_variance: Array
+        self, seen: Detections, sight: RockProjection, at: Index, radius_variance: Array
     ) -> tuple[Index, Index, NDArray[np.bool_], NDArray[np.bool_]]:
         """Return pairs of detections and rocks, and whether they are unambiguous.
 
@@ -294,16 +294,16 @@ class RockTracker:
         self.as_expected = True
         self.renewals += 1
 
-    def _passes_monitors(self, found: Outcome, expected: Outcome, time: float) -> bool:
+    def _passes_monitors(self, found: UpdateOutcome, expected: UpdateOutcome, time: float) -> bool:
         """Update the innovation monitors; return whether the rocks can be kept."""
         remedies = [
             self.filter.judge("places", time, found),
             self.filter.judge("expected", time, expected),
         ]
-        return Remedy.RENEW not in remedies
+        return RockCorrection.RENEW not in remedies
 
     def _consistent_pairs(
-        self, seen: Detections, sight: Sight, d: Index, rock: Index
+        self, seen: Detections, sight: RockProjection, d: Index, rock: Index
     ) -> NDArray[np.bool_]:
         """Return which pairs (p,) have the offset that most pairs have in common.
 
@@ -320,7 +320,7 @@ class RockTracker:
             own, 1, 2
         )
         s = s + self.settings.common_pixels**2 * np.eye(2)
-        return np.asarray(squared_distance(off, s) < _CHI2_2DOF_997)
+        return np.asarray(squared_mahalanobis_2x2(off, s) < _CHI2_2DOF_997)
 
     def _update_existence(
         self,
@@ -331,7 +331,7 @@ class RockTracker:
         camera: CameraModel,
         sun: Array,
         plane: GroundPlane,
-    ) -> Outcome:
+    ) -> UpdateOutcome:
         """Update the existence of each rock in view by Bayes' rule.
 
         Returns
@@ -367,8 +367,8 @@ class RockTracker:
         odds[lost] *= np.clip(miss, _MIN_MISS_FACTOR, 1.0)
         self.existence = np.clip(odds / (1.0 + odds), 1e-6, 1.0 - 1e-4)
         if found + missed < self.settings.least_expected:
-            return Outcome(np.nan, 0, False)
-        return Outcome(1.0, 1, found > self.settings.least_found * (found + missed))
+            return UpdateOutcome(np.nan, 0, False)
+        return UpdateOutcome(1.0, 1, found > self.settings.least_found * (found + missed))
 
     def _store_tentative(
         self, vague: NDArray[np.bool_], seen: Detections, points: Array, covariance: Array,
@@ -402,7 +402,7 @@ class RockTracker:
         sharp = spread < self._max_birth_sigma(seen.radius)
         fresh = fresh & (seen.q >= s.birth_q) & sharp
         fresh &= np.isfinite(points).all(1) & np.isfinite(variance)
-        fresh &= positive(seen.look_covariance)
+        fresh &= is_positive_definite_2x2(seen.look_covariance)
         if s.region is not None:
             west, east, south, north = s.region
             x, y = points[:, :2].T
@@ -441,7 +441,7 @@ class RockTracker:
         """
         look = seen.look_covariance[d]
         points = self.filter.ground_points(camera, seen.pixel[d])
-        good = np.isfinite(points).all(1) & positive(look)
+        good = np.isfinite(points).all(1) & is_positive_definite_2x2(look)
         good &= np.isfinite(variance[d]) & (variance[d] > 0.0)
         # Inaccurate observations are skipped for all rocks alike, without a selection by accuracy.
         vague = ground_spread(points, look, self.filter, camera)
@@ -510,7 +510,7 @@ class RockTracker:
             self._last_positions = self._last_positions[keep]
 
 
-def _in_view(sight: Sight, camera: CameraModel, margin: float = 4.0) -> NDArray[np.bool_]:
+def _in_view(sight: RockProjection, camera: CameraModel, margin: float = 4.0) -> NDArray[np.bool_]:
     u, v = sight.pixel.T
     with np.errstate(invalid="ignore"):
         return np.asarray(

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lunarsim.errors import InputError, check_types
-from lunarsim.onboard.navigation.rock_filter import Region
+from lunarsim.onboard.navigation.rock_filter import MapRegion
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ class TrackerSettings:
     least_radius: float = 0.1
     landmark_radius: float = 0.1
     few: int = 30
-    region: Region | None = None
+    region: MapRegion | None = None
     birth_q: float = 2.4
     birth_sigma: float = 0.25
     radius_wander: float = 0.02

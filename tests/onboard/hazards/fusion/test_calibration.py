@@ -9,10 +9,10 @@ import pytest
 from scipy.special import expit, logit
 
 from lunarsim.errors import InputError
-from lunarsim.onboard.hazards.fusion import FusedMapper, FusedMapping
+from lunarsim.onboard.hazards.fusion import FusedMapper, FusedMapperSettings
 from lunarsim.onboard.hazards.fusion.calibration import FusedCalibration
-from lunarsim.onboard.hazards.gaussian_dem.mapper import GaussianDemMapping
-from lunarsim.onboard.hazards.quadtree.mapper import QuadtreeMapping
+from lunarsim.onboard.hazards.gaussian_dem.mapper import GaussianDemMapperSettings
+from lunarsim.onboard.hazards.quadtree.mapper import QuadtreeMapperSettings
 from tests.made_mapper import TERMS, Made
 
 
@@ -70,7 +70,7 @@ def test_a_file_that_is_none_is_refused(tmp_path, content, told):
     elif content is not None:
         file.write_text(json.dumps({"format": "lunarsim fused calibration 1"} | content))
     with pytest.raises(InputError, match=told) as error:
-        FusedMapping(calibration_path=file)
+        FusedMapperSettings(calibration_path=file)
     assert error.value.field == "calibration_path"
 
 
@@ -97,14 +97,14 @@ def test_a_feature_is_a_second_map_of_elevations_with_a_weight(tmp_path):
     FusedCalibration(other=0.4).save(tmp_path / "c.json")
     file = tmp_path / "c.json"
     with pytest.raises(InputError, match=r"feature: .* got 'tree'"):
-        FusedMapping(feature="tree")
+        FusedMapperSettings(feature="tree")
     with pytest.raises(InputError, match="without feature"):
-        FusedMapping(calibration_path=file)
-    part = FusedMapping(calibration_path=file, feature="tree")
-    parts = {"dem": GaussianDemMapping(), "tree": QuadtreeMapping(), "all": part}
+        FusedMapperSettings(calibration_path=file)
+    part = FusedMapperSettings(calibration_path=file, feature="tree")
+    parts = {"dem": GaussianDemMapperSettings(), "tree": QuadtreeMapperSettings(), "all": part}
     assert list(part.chosen(parts)) == ["dem"]
     for wrong in ("trea", "all", "dem"):
-        other = FusedMapping(("dem",), calibration_path=file, feature=wrong)
+        other = FusedMapperSettings(("dem",), calibration_path=file, feature=wrong)
         with pytest.raises(InputError) as error:
             other.chosen(parts)
         assert error.value.field == "feature"

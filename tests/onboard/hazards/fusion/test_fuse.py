@@ -25,11 +25,15 @@ from lunarsim.onboard.hazards.fusion.rock_heights import (
     rock_free_probability,
 )
 from lunarsim.onboard.hazards.hazard_map import HazardMap
-from lunarsim.onboard.hazards.published import ReliefEvidence
-from lunarsim.safety.calibration import calibrated_safety, measured
+from lunarsim.onboard.hazards.map_evidence import TerrainEvidence
+from lunarsim.safety.calibration import calibrated_safety, packaged_ensemble
 from lunarsim.safety.domain import Domain
 from lunarsim.safety.ensemble import HOPELESS, SURE
-from lunarsim.safety.refit import ScenarioCalibration, Stage, lander_figures
+from lunarsim.safety.scenario_calibration import (
+    CalibrationStage,
+    ScenarioCalibration,
+    lander_safety_params,
+)
 from tests.map_evidence import LANDER, SIDE, evidence, rocky
 from tests.reference import fusion as plain
 from tests.two_eyes import (
@@ -81,15 +85,15 @@ def test_a_map_of_elevations_that_do_not_tell_how_they_were_judged_is_its_own():
 @pytest.mark.parametrize("told", [True, False])
 def test_what_a_calibration_of_its_own_claims_stays_where_the_other_eye_saw_nothing(told):
     refit = ScenarioCalibration(
-        Stage(-3.0), Stage(-3.0), Domain(10.0, 10.0, (0.0, 0.5), (0.01, 1.0)),
-        lander_figures(LANDER), measured().digest,
+        CalibrationStage(-3.0), CalibrationStage(-3.0), Domain(10.0, 10.0, (0.0, 0.5), (0.01, 1.0)),
+        lander_safety_params(LANDER), packaged_ensemble().digest,
     )  # fmt: skip
     judged = evidence(slope=0.7, rough=0.5, density=5.0)
     p, known = calibrated_safety(judged, refit=refit)
     assert known.all()
     assert ((p > HOPELESS) & (p < SURE)).any()
     drawn = HazardMap(GRID, p, judged.observed, SAMPLED, in_domain=known)
-    own = ReliefEvidence(drawn, judged if told else None, refit, SAMPLED)
+    own = TerrainEvidence(drawn, judged if told else None, refit, SAMPLED)
     blind = fuse_evidence(own, eyes(seen=False), TERMS)
     assert np.array_equal(blind.p_safe, p)
     assert np.array_equal(blind.in_domain, known)

@@ -11,10 +11,10 @@ from lunarsim.errors import InputError
 from lunarsim.grid import Grid
 from lunarsim.messages.briefing import Briefing
 from lunarsim.models.lander import Lander
-from lunarsim.onboard.hazards.fusion import FusedMapper, FusedMapping
+from lunarsim.onboard.hazards.fusion import FusedMapper, FusedMapperSettings
 from lunarsim.onboard.hazards.fusion.calibration import FusedCalibration
-from lunarsim.onboard.hazards.gaussian_dem.mapper import GaussianDemMapping
-from lunarsim.onboard.hazards.quadtree.mapper import QuadtreeMapping
+from lunarsim.onboard.hazards.gaussian_dem.mapper import GaussianDemMapperSettings
+from lunarsim.onboard.hazards.quadtree.mapper import QuadtreeMapperSettings
 from lunarsim.onboard.hazards.shadows.mapping import ShadowMapping
 from lunarsim.rocks.population import RockExpectation
 from tests.made_mapper import GRID, TERMS, Made
@@ -75,8 +75,8 @@ def test_where_nobody_tells_the_time_it_draws_whenever_another_has():
 def test_what_its_part_says_of_drawing_counts(tmp_path):
     c = FusedCalibration(0.2, 1.1, 0.4)
     c.save(tmp_path / "c.json")
-    part = FusedMapping(calibration_path=tmp_path / "c.json", feature="tree", interval=3.0)
-    parts = {"dem": GaussianDemMapping(), "tree": QuadtreeMapping(), "all": part}
+    part = FusedMapperSettings(calibration_path=tmp_path / "c.json", feature="tree", interval=3.0)
+    parts = {"dem": GaussianDemMapperSettings(), "tree": QuadtreeMapperSettings(), "all": part}
     given = {"lander": Lander(), "rocks": RockExpectation()}
     briefing: Briefing = SimpleNamespace(software=SimpleNamespace(mappers=parts), **given)
     own = Made()
@@ -161,16 +161,20 @@ def test_it_takes_no_measurement_and_is_made_of_something():
 
 
 def test_left_out_it_is_made_of_all_that_publish():
-    parts = {"dem": GaussianDemMapping(), "eye": ShadowMapping(), "all": FusedMapping()}
+    parts = {
+        "dem": GaussianDemMapperSettings(),
+        "eye": ShadowMapping(),
+        "all": FusedMapperSettings(),
+    }
     assert list(parts["all"].chosen(parts)) == ["dem", "eye"]
-    assert list(FusedMapping(("eye",)).chosen(parts)) == ["eye"]
+    assert list(FusedMapperSettings(("eye",)).chosen(parts)) == ["eye"]
     parts["mine"] = SimpleNamespace(sensor="flash")
     with pytest.raises(InputError, match="publishes evidence"):
-        FusedMapping(("mine",)).chosen(parts)
+        FusedMapperSettings(("mine",)).chosen(parts)
 
 
 def test_it_is_built_of_those_that_were_built_before():
-    parts = {"dem": GaussianDemMapping(), "all": FusedMapping(relief_prior=0.7)}
+    parts = {"dem": GaussianDemMapperSettings(), "all": FusedMapperSettings(relief_prior=0.7)}
     given = {"lander": Lander(), "rocks": RockExpectation()}
     briefing: Briefing = SimpleNamespace(software=SimpleNamespace(mappers=parts), **given)
     made = parts["all"].build(briefing, None, {"dem": Made(), "other": Made()})
@@ -178,4 +182,4 @@ def test_it_is_built_of_those_that_were_built_before():
     assert made.terms.relief_prior == 0.7
     assert made.calibration is None
     with pytest.raises(InputError, match="relief_prior"):
-        FusedMapping(relief_prior=1.0)
+        FusedMapperSettings(relief_prior=1.0)

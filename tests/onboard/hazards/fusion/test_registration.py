@@ -8,7 +8,7 @@ import pytest
 from lunarsim.grid import Grid
 from lunarsim.onboard.hazards.fusion.elevation_samples import ElevationSamples
 from lunarsim.onboard.hazards.fusion.registration import estimate_shift, register_tracks
-from lunarsim.onboard.hazards.published import RockTracks
+from lunarsim.onboard.hazards.map_evidence import RockTracks
 from tests.reference import fusion as plain
 from tests.two_eyes import bumps
 

@@ -23,7 +23,7 @@ from lunarsim.onboard.hazards.fusion.rock_heights import (
     rock_free_probability,
 )
 from lunarsim.onboard.hazards.hazard_map import HazardMap
-from lunarsim.onboard.hazards.published import ReliefEvidence, RockTracks
+from lunarsim.onboard.hazards.map_evidence import RockTracks, TerrainEvidence
 from lunarsim.onboard.hazards.shadows.probability import cover_probability
 from tests.reference import fusion as plain
 
@@ -211,7 +211,7 @@ def test_rocks_of_flat_tops_are_too_high_as_far_as_they_reach():
 def test_rises_of_other_cells_than_the_map_are_refused():
     unseen = HazardMap.unobserved(GRID)
     with pytest.raises(InputError, match=r"evidence\.rises"):
-        ReliefEvidence(unseen, residual_heights=np.zeros((2, 2), np.float32))
+        TerrainEvidence(unseen, residual_heights=np.zeros((2, 2), np.float32))
 
 
 def test_only_tracks_told_to_be_too_high_are_rocks_by_the_share_of_them_that_are(monkeypatch):

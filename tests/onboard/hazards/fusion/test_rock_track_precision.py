@@ -14,7 +14,7 @@ from lunarsim.models.lander import Lander
 from lunarsim.onboard.hazards.fusion.elevation_samples import ElevationSamples
 from lunarsim.onboard.hazards.fusion.rock_heights import estimate_rock_heights
 from lunarsim.onboard.hazards.fusion.rock_track_precision import rock_track_precision
-from lunarsim.onboard.hazards.published import RockTracks
+from lunarsim.onboard.hazards.map_evidence import RockTracks
 from tests.reference import fusion as plain
 from tests.two_eyes import bumps
 

@@ -18,16 +18,20 @@ from lunarsim.onboard.hazards.fusion.rock_heights import (
     estimate_rock_heights,
     rock_free_probability,
 )
-from lunarsim.onboard.hazards.gaussian_dem.drawn import DemSnapshot
+from lunarsim.onboard.hazards.gaussian_dem.dem_snapshot import DemSnapshot
 from lunarsim.onboard.hazards.gaussian_dem.pooled import pooled_dem
 from lunarsim.onboard.hazards.gaussian_dem.samples import SamplePool
 from lunarsim.onboard.hazards.hazard_map import HazardMap
-from lunarsim.onboard.hazards.published import ReliefEvidence
+from lunarsim.onboard.hazards.map_evidence import TerrainEvidence
 from lunarsim.rocks.population import RockExpectation
-from lunarsim.safety.calibration import calibrated_safety, measured
+from lunarsim.safety.calibration import calibrated_safety, packaged_ensemble
 from lunarsim.safety.domain import Domain
 from lunarsim.safety.ensemble import SURE
-from lunarsim.safety.refit import ScenarioCalibration, Stage, lander_figures
+from lunarsim.safety.scenario_calibration import (
+    CalibrationStage,
+    ScenarioCalibration,
+    lander_safety_params,
+)
 from tests.map_evidence import LANDER, evidence
 from tests.two_eyes import (
     DOUBTED,
@@ -158,8 +162,10 @@ def test_rocks_are_where_the_samples_have_them_and_of_the_shape_that_is_expected
 def own_calibration() -> ScenarioCalibration:
     """Return a calibration that makes sites much less safe everywhere."""
     wide = Domain(10.0, 10.0, (0.0, 0.5), (0.01, 1.0))
-    figures = lander_figures(LANDER)
-    return ScenarioCalibration(Stage(-3.0), Stage(-3.0), wide, figures, measured().digest)
+    figures = lander_safety_params(LANDER)
+    return ScenarioCalibration(
+        CalibrationStage(-3.0), CalibrationStage(-3.0), wide, figures, packaged_ensemble().digest
+    )
 
 
 def test_what_is_left_of_rocks_is_judged_by_the_calibration_of_the_elevations():
@@ -167,7 +173,7 @@ def test_what_is_left_of_rocks_is_judged_by_the_calibration_of_the_elevations():
     p, known = calibrated_safety(judged, refit=refit)
     drawn = HazardMap(GRID, p, judged.observed, SAMPLED, in_domain=known)
     rocks = eyes(0.3)
-    both = fuse_evidence(ReliefEvidence(drawn, judged, refit), rocks, TERMS)
+    both = fuse_evidence(TerrainEvidence(drawn, judged, refit), rocks, TERMS)
     thinned = replace(judged, thinning=footprint_undetected_ratio(rocks, GRID, TERMS))
     expected, _ = calibrated_safety(thinned, refit=refit)
     assert np.array_equal(both.p_safe, expected)

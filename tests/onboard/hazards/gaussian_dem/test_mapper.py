@@ -18,9 +18,13 @@ from lunarsim.onboard.hazards.quadtree import QuadtreeMapper
 from lunarsim.onboard.hazards.unleveled_scans import UnleveledScans
 from lunarsim.onboard.navigation import Estimate
 from lunarsim.rocks.population import RockExpectation
-from lunarsim.safety.calibration import calibrated_safety, measured
+from lunarsim.safety.calibration import calibrated_safety, packaged_ensemble
 from lunarsim.safety.domain import Domain
-from lunarsim.safety.refit import ScenarioCalibration, Stage, lander_figures
+from lunarsim.safety.scenario_calibration import (
+    CalibrationStage,
+    ScenarioCalibration,
+    lander_safety_params,
+)
 from lunarsim.sensors.lidar import FlashLidar
 
 GRID = Grid.centred((0.0, 0.0), 8.0, 0.5)
@@ -96,8 +100,8 @@ def test_a_map_that_is_laid_off_all_samples_is_blank_again():
 
 def test_it_publishes_what_its_map_follows_from():
     refit = ScenarioCalibration(
-        Stage(-3.0), Stage(-3.0), Domain(10.0, 10.0, (0.0, 0.5), (0.01, 1.0)),
-        lander_figures(Lander()), measured().digest,
+        CalibrationStage(-3.0), CalibrationStage(-3.0), Domain(10.0, 10.0, (0.0, 0.5), (0.01, 1.0)),
+        lander_safety_params(Lander()), packaged_ensemble().digest,
     )  # fmt: skip
     mapper = GaussianDemMapper(GRID, Lander(), refit=refit)
     flash(mapper)

@@ -12,7 +12,7 @@ from lunarsim.frames import quat_from_rotation_vector, quat_to_matrix
 from lunarsim.grid import Grid
 from lunarsim.messages.measurements import LidarScan
 from lunarsim.onboard.hazards.quadtree import (
-    STATUS,
+    SITE_STATUS,
     InterestMap,
     QuadtreeMap,
     QuadtreeMapper,
@@ -82,7 +82,7 @@ def test_the_ground_makes_the_probability_and_the_mission_the_layers():
         int(np.argmin(np.hypot(*(selection.position[:, :2] - xy).T)))
         for xy in ((4.0, 0.0), (-4.0, 3.0))
     ]]  # fmt: skip
-    assert [STATUS[i] for i in status] == ["hazard in the zone", "eligible"]
+    assert [SITE_STATUS[i] for i in status] == ["hazard in the zone", "eligible"]
     assert a.eligible_at([[4.0, 0.0], [-4.0, 3.0], [99.0, 0.0]]).tolist() == [False, True, False]
 
 

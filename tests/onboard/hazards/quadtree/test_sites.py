@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from lunarsim.errors import InputError
 from lunarsim.grid import Grid
 from lunarsim.onboard.hazards.quadtree import (
-    STATUS,
+    SITE_STATUS,
     InterestMap,
     QuadtreeMap,
     SiteSelector,
@@ -156,7 +156,7 @@ def test_sites_follow_the_equations(form):
     for i in rng.choice(len(selection.nodes), 150, replace=False):
         r = selection.position[i]
         normal = reference.steepest_plane(np.rint((r[:2] - corner) / half), corners, mesh.normals)
-        status = STATUS[selection.status[i]]
+        status = SITE_STATUS[selection.status[i]]
         if normal is None:
             assert status == "no ground plane"
             continue
@@ -220,7 +220,7 @@ def test_a_cell_whose_only_point_stands_apart_has_too_few_points():
     selection = SiteSelector(quadtree, replace(SMALL, site_band=(0.4, 0.4))).update()
     i = np.argmin(np.hypot(*(selection.position[:, :2] - 0.6).T))
     assert selection.position[i, :2] == pytest.approx([0.6, 0.6])
-    assert STATUS[selection.status[i]] == "too few points"
+    assert SITE_STATUS[selection.status[i]] == "too few points"
 
 
 def test_every_quarter_of_a_cell_is_to_be_seen():

@@ -9,7 +9,7 @@ import pytest
 
 from lunarsim.models.lander import Lander
 from lunarsim.onboard.hazards.quadtree import QuadtreeMap, SiteSelector, SiteSettings
-from lunarsim.onboard.hazards.quadtree.site_probability import evidence_of
+from lunarsim.onboard.hazards.quadtree.site_probability import quadtree_site_evidence
 from lunarsim.onboard.hazards.quadtree.terrain_raster import (
     close_holes,
     residual_heights,
@@ -183,7 +183,7 @@ def evidence(points: np.ndarray, side: float = 12.8):
     quadtree.insert(points)
     settings = SiteSettings(zone=1.5, mesh_band=(1.6, 3.2))
     selection = SiteSelector(quadtree, settings, thorough=True, footprint=1.1).update()
-    found = evidence_of(quadtree, selection, 1.5, 0.01, lander, RockExpectation())
+    found = quadtree_site_evidence(quadtree, selection, 1.5, 0.01, lander, RockExpectation())
     return found, selection.position[:, :2]
 
 

@@ -11,27 +11,27 @@ import pytest
 
 from lunarsim.frames import direction_from_angles
 from lunarsim.grid import Grid
-from lunarsim.messages.measurements import Picture
+from lunarsim.messages.measurements import CameraImage
 from lunarsim.models.lander import Lander
-from lunarsim.onboard.hazards.building import built_mappers
+from lunarsim.onboard.hazards.mapper_factory import build_mappers
 from lunarsim.onboard.hazards.shadows import HazardPrior, ProbabilityMap, ShadowMapper
 from lunarsim.onboard.hazards.shadows.mapping import ShadowMapping
 from lunarsim.onboard.hazards.shadows.measured_terrain import MeasuredTerrain
-from lunarsim.onboard.hazards.shadows.place_errors import position_sigma
+from lunarsim.onboard.hazards.shadows.position_errors import position_sigma
 from lunarsim.onboard.hazards.shadows.terrain_plane import fit_terrain_plane
 from lunarsim.onboard.hazards.shadows.viewing_geometry import viewing_geometry
 from lunarsim.onboard.navigation.inertial import StartSigmas, StrapdownState
-from lunarsim.onboard.navigation.level_ground import LevelGround
 from lunarsim.onboard.navigation.navigator import Navigator
+from lunarsim.onboard.navigation.terrain_prior import TerrainPrior
 from lunarsim.onboard.perception.detection_rates import DetectionRates
 from lunarsim.onboard.perception.detector import detect_rocks
-from lunarsim.onboard.perception.direction import turn_from_sun
 from lunarsim.onboard.perception.ground_plane import GroundPlane
-from lunarsim.onboard.perception.health import PictureHealth
+from lunarsim.onboard.perception.image_quality import ImageQualityCheck
+from lunarsim.onboard.perception.shadow_direction import measure_shadow_angle
 from lunarsim.onboard.perception.shadow_model import ShadowModel
 from lunarsim.rocks.field import RockModel
-from lunarsim.rocks.laws import sample_diameters
 from lunarsim.rocks.population import RockExpectation
+from lunarsim.rocks.size_distribution import sample_diameters
 from lunarsim.world.terrain import Terrain, place_rocks
 from tests.shadow_scene import picture, tracker_at
 from tests.slopes import Slope, sloping
@@ -68,7 +68,7 @@ def update(mapper, scene):
     _, camera, counts = scene
     rocks = mapper.tracker.filter
     estimate = rocks.inertial.estimate(rocks.covariance, 0.0, 1.0)
-    mapper.update(Picture(0.0, counts, camera.model), estimate)
+    mapper.update(CameraImage(0.0, counts, camera.model), estimate)
 
 
 def test_rocks_are_found_tracked_and_ruled_out_along_the_measured_ground(scene):
@@ -100,11 +100,11 @@ def test_the_sun_is_judged_along_the_measured_ground(scene):
     plane = fit_terrain_plane(Slope(GRADIENT).drawn)
     seen = detect_rocks(counts, camera.model, state, sun, ground=plane, model=MODEL)
     onto = plane.direction(sun)
-    told = turn_from_sun(
+    told = measure_shadow_angle(
         seen, plane.view(camera.model.view(state)),
         np.column_stack((seen.ground, np.zeros(len(seen)))), onto,
         MODEL.under(float(np.arcsin(onto[2]))),
-        PictureHealth().before_detection(counts, camera.model, state).figures["noise"],
+        ImageQualityCheck().before_detection(counts, camera.model, state).figures["noise"],
     )  # fmt: skip
     (event,) = [e for e in mapper.tracker.filter.events if e.name == "picture-refused"]
     assert event.details["turn"] == pytest.approx(told.angle)
@@ -179,7 +179,7 @@ def test_a_rock_is_not_missing_whose_shadow_on_a_slope_falls_into_the_dark(scene
 def test_a_mapper_is_built_after_the_one_whose_ground_it_asks_for(scene):
     state, _, _ = scene
     inertial = StrapdownState(state.position, np.zeros(3), state.attitude, 1.622)
-    ground = LevelGround(0.0, 2.0)
+    ground = TerrainPrior(0.0, 2.0)
     navigation = Navigator(inertial, StartSigmas(1e-3, 1e-3, 1e-5), ground=ground, rocks=True)
     relief = Slope(GRADIENT)
     told = {}
@@ -197,7 +197,7 @@ def test_a_mapper_is_built_after_the_one_whose_ground_it_asks_for(scene):
         software=SimpleNamespace(mappers=parts), lander=Lander(), rocks=RockExpectation(),
         target=np.zeros(3), sun=SUN, instruments={},
     )  # fmt: skip
-    built = built_mappers(briefing, navigation)
+    built = build_mappers(briefing, navigation)
     assert list(built) == list(parts)
     assert set(told) == {"eye", "dem"}
     tracked = built["eye"].tracker.settings

@@ -10,7 +10,7 @@ import pytest
 from scipy.stats import poisson
 
 from lunarsim.grid import Grid
-from lunarsim.messages.measurements import Picture
+from lunarsim.messages.measurements import CameraImage
 from lunarsim.onboard.hazards.shadows import HazardPrior, ProbabilityMap, ShadowMapper
 from lunarsim.onboard.hazards.shadows.blind_regions import (
     COLS,
@@ -20,7 +20,7 @@ from lunarsim.onboard.hazards.shadows.blind_regions import (
     expected_shares,
     glare,
 )
-from lunarsim.rocks.laws import golombek_number
+from lunarsim.rocks.size_distribution import golombek_number
 from tests.picture_faults import rocky
 from tests.shadow_scene import MODEL, SUN, picture, tracker_at
 
@@ -125,7 +125,7 @@ def test_ground_behind_a_part_that_shows_nothing_is_not_seen(spoil):
     for k in range(3):
         frame = (counts + rng.integers(-1, 2, counts.shape)).clip(0, 255).astype(np.uint8)
         estimate = rocks.inertial.estimate(rocks.covariance, 0.1 * k, 1.0)
-        mapper.update(Picture(0.1 * k, spoil(frame, rng), camera.model), estimate)
+        mapper.update(CameraImage(0.1 * k, spoil(frame, rng), camera.model), estimate)
     assert mapper.refused.total() == 0
     observed = mapper.probability.observed
     xy = np.stack(np.meshgrid(place.grid.x, place.grid.y), -1).reshape(-1, 2)

@@ -8,10 +8,10 @@ import pytest
 from lunarsim.errors import InputError
 from lunarsim.grid import Grid
 from lunarsim.onboard.hazards.shadows import HazardPrior, ProbabilityMap
-from lunarsim.onboard.hazards.shadows.footprints import footprint_seen, mean_over_discs
+from lunarsim.onboard.hazards.shadows.footprints import disc_mean, footprint_seen
 from lunarsim.onboard.perception.detection_rates import DetectionRates
 from lunarsim.onboard.perception.detector import detect_rocks
-from lunarsim.rocks.laws import golombek_number
+from lunarsim.rocks.size_distribution import golombek_number
 from tests.shadow_scene import MODEL, SUN, picture, rocks_on_a_plane, tracker_at
 
 GRID = Grid.centred((0.0, 0.0), 60.0, 0.25)
@@ -21,7 +21,7 @@ def test_mean_over_discs_is_that_of_points_drawn_in_them():
     rng = np.random.default_rng(0)
     layer = rng.random((23, 31))
     radius = 3.7
-    found = mean_over_discs(layer, radius, 0.4)
+    found = disc_mean(layer, radius, 0.4)
     for i, j in ((11, 15), (0, 0), (22, 4), (5, 30)):
         angle, away = 2.0 * np.pi * rng.random(40_000), radius * np.sqrt(rng.random(40_000))
         rows = np.rint(i + away * np.sin(angle)).astype(int)

@@ -5,10 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lunarsim.onboard.hazards.shadows.ground_height import height_sigma, height_variance_growth
+from lunarsim.onboard.hazards.shadows.terrain_height_errors import (
+    height_sigma,
+    height_variance_growth,
+)
 from lunarsim.onboard.navigation.inertial import StrapdownState
-from lunarsim.onboard.navigation.level_ground import LevelGround
 from lunarsim.onboard.navigation.rock_filter import RockFilter
+from lunarsim.onboard.navigation.terrain_prior import TerrainPrior
 
 BEFORE = 10.0 * np.tan(np.radians(3.0)) ** 2
 
@@ -19,7 +22,7 @@ def tracked(count, seed=0):
     inertial = StrapdownState(
         np.array([0.0, 0.0, 80.0]), np.zeros(3), np.array([0, 0, 0, 1.0]), 1.6
     )
-    rocks = RockFilter.of(inertial, ground=LevelGround(0.0, 1.0, float(np.tan(np.radians(3.0)))))
+    rocks = RockFilter.of(inertial, ground=TerrainPrior(0.0, 1.0, float(np.tan(np.radians(3.0)))))
     points = rng.normal(0.0, [12.0, 12.0, 0.8], (count, 3))
     rocks.append(points, np.full(count, 0.3), np.full(count, 0.01))
     root = rng.normal(0.0, 0.1, (rocks.state.size, rocks.state.size))
@@ -88,4 +91,4 @@ def test_ground_at_one_height_everywhere_rises_nowhere():
     inertial = StrapdownState(
         np.array([0.0, 0.0, 80.0]), np.zeros(3), np.array([0, 0, 0, 1.0]), 1.6
     )
-    assert RockFilter.of(inertial, ground=LevelGround(2.0, None)).expected_growth == 0.0
+    assert RockFilter.of(inertial, ground=TerrainPrior(2.0, None)).expected_growth == 0.0

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from lunarsim.grid import Grid
-from lunarsim.messages.measurements import Picture
+from lunarsim.messages.measurements import CameraImage
 from lunarsim.onboard.hazards.shadows import HazardPrior, ProbabilityMap, ShadowMapper
-from lunarsim.onboard.perception.health import PictureHealth
+from lunarsim.onboard.perception.image_quality import ImageQualityCheck
 from lunarsim.scenario import Scenario
 from lunarsim.world import World
 from lunarsim.world.light import Light
@@ -35,7 +35,7 @@ def looks(frames, shots, interval):
     """Return how often each camera's pictures were looks, and the mapper; `shots` are who, when."""
     camera, counts = frames
     mapping = ProbabilityMap(Grid.centred((0.0, 0.0), 40.0, 0.5), MODEL, HazardPrior(0.05, 0.5))
-    health = {name: PictureHealth() for name, _ in shots}
+    health = {name: ImageQualityCheck() for name, _ in shots}
     mapper = ShadowMapper(
         tracker_at(PLACE), mapping, SUN, 1.0, health=health, look_interval=interval
     )
@@ -43,7 +43,7 @@ def looks(frames, shots, interval):
     mapping.see = lambda *a, **k: (found.append(now), see(*a, **k))
     for n, (name, time) in enumerate(shots):
         now = (name, time)
-        mapper.take(name, Picture(time, counts[n], camera), mapper.tracker.filter.inertial)
+        mapper.take(name, CameraImage(time, counts[n], camera), mapper.tracker.filter.inertial)
     return found, mapper
 
 

@@ -8,7 +8,7 @@ import pytest
 from lunarsim.grid import Grid
 from lunarsim.onboard.hazards.shadows import HazardPrior, ProbabilityMap
 from lunarsim.onboard.hazards.shadows import _evidence_kernels as kernels
-from lunarsim.onboard.hazards.shadows.evidence import ClearEvidence
+from lunarsim.onboard.hazards.shadows.clear_evidence import ClearEvidence
 from lunarsim.onboard.perception.detection_rates import DetectionRates
 from lunarsim.onboard.perception.detector import detect_rocks
 from lunarsim.onboard.perception.ground_plane import LEVEL, GroundPlane

@@ -10,10 +10,14 @@ import pytest
 from lunarsim.errors import InputError
 from lunarsim.frames import direction_from_angles
 from lunarsim.grid import Grid
-from lunarsim.messages.measurements import Picture
+from lunarsim.messages.measurements import CameraImage
 from lunarsim.onboard.hazards.shadows import HazardPrior, ProbabilityMap, ShadowMapper
 from lunarsim.onboard.hazards.shadows.blind_regions import cell_centres
-from lunarsim.onboard.perception.health import Fault, HealthSettings, PictureHealth
+from lunarsim.onboard.perception.image_quality import (
+    ImageQualityCheck,
+    ImageQualitySettings,
+    ImageRejection,
+)
 from lunarsim.onboard.perception.shadow_model import ShadowModel
 from lunarsim.world import World
 from lunarsim.world.light import Light
@@ -62,7 +66,7 @@ def test_where_no_rock_is_tracked_pictures_show_no_clear_ground(scene):
 def see(mapper, camera, counts, time):
     rocks = mapper.tracker.filter
     estimate = rocks.inertial.estimate(rocks.covariance, time, 1.0)
-    mapper.update(Picture(time, counts, camera), estimate)
+    mapper.update(CameraImage(time, counts, camera), estimate)
 
 
 @pytest.mark.parametrize("level", [0, 255])
@@ -177,9 +181,9 @@ def test_pictures_of_elsewhere_add_nothing_though_no_two_are_alike(scene, honest
         again = scene[1][k] + rng.integers(-2, 3, scene[1][k].shape)
         mapper.tracker.filter.inertial.position[:2] += (3.0, -2.0)
         see(mapper, scene[0], again.clip(0, 255).astype(np.uint8), 2.0 + 0.3 * k)
-    assert mapper.refused[Fault.MISPLACED] == 3
+    assert mapper.refused[ImageRejection.MISPLACED] == 3
     assert not (mapper.probability.observed & ~before).any()
-    assert mapper.tracker.filter.events[-1].details["why"] == Fault.MISPLACED.value
+    assert mapper.tracker.filter.events[-1].details["why"] == ImageRejection.MISPLACED.value
 
 
 def test_what_was_looked_at_under_a_sun_that_is_no_longer_believed_is_not_seen(scene):
@@ -187,7 +191,7 @@ def test_what_was_looked_at_under_a_sun_that_is_no_longer_believed_is_not_seen(s
     assert mapper.probability.observed.any()
     mapper.sun = turned(180.0)
     see(mapper, scene[0], scene[1][4], 0.5)
-    assert mapper.refused[Fault.SUN_ELSEWHERE] == 1
+    assert mapper.refused[ImageRejection.SUN_ELSEWHERE] == 1
     assert not mapper.probability.observed.any()
 
 
@@ -199,7 +203,7 @@ def test_a_pose_that_is_none_adds_nothing(scene):
         replace(good, position=np.array([np.nan, 0.0, 50.0])),
         replace(good, attitude=1.5 * good.attitude),
     )):  # fmt: skip
-        mapper.update(Picture(0.1 * k, scene[1][k], scene[0]), bad)
+        mapper.update(CameraImage(0.1 * k, scene[1][k], scene[0]), bad)
     assert mapper.refused.total() == 2
     assert not mapper.probability.observed.any()
     assert mapper.tracker.filter.count == 0
@@ -298,7 +302,7 @@ def test_a_plane_in_its_own_shadow_shows_nothing():
     rise = 0.27 * sun[:2] / np.hypot(*sun[:2])
     mapper = ShadowMapper(tracker, mapping, sun, 1.0, relief=Slope(rise))
     see(mapper, camera.model, counts, 0.0)
-    assert mapper.refused == {Fault.NO_SHADOWS: 1}
+    assert mapper.refused == {ImageRejection.NO_SHADOWS: 1}
     assert not mapper.hazard_map().observed.any()
 
 
@@ -407,7 +411,7 @@ def test_a_map_counts_the_point_spread_that_its_camera_is_judged_by(scene):
     sharpest = {}
     for blur in (0.6, 0.7):
         mapping = ProbabilityMap(Grid.centred((0.0, 0.0), 40.0, 0.5), MODEL, HazardPrior(0.05, 0.5))
-        health = PictureHealth(HealthSettings(blur_sigma=blur))
+        health = ImageQualityCheck(ImageQualitySettings(blur_sigma=blur))
         mapper = ShadowMapper(tracker_at(PLACE), mapping, SUN, 1.0, health=health)
         see(mapper, camera, honest[0], 0.0)
         assert not mapper.refused

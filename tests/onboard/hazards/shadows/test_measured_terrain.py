@@ -9,14 +9,14 @@ import pytest
 
 from lunarsim.frames import direction_from_angles
 from lunarsim.grid import Grid
-from lunarsim.messages.measurements import Picture
+from lunarsim.messages.measurements import CameraImage
 from lunarsim.onboard.hazards.hazard_map import HazardMap
 from lunarsim.onboard.hazards.shadows import HazardPrior, ProbabilityMap, ShadowMapper
 from lunarsim.onboard.hazards.shadows.measured_terrain import MeasuredTerrain
-from lunarsim.onboard.navigation.error_state import Outcome
+from lunarsim.onboard.navigation.error_state import UpdateOutcome
 from lunarsim.onboard.navigation.inertial import StrapdownState
-from lunarsim.onboard.navigation.level_ground import LevelGround
 from lunarsim.onboard.navigation.rock_filter import RockFilter
+from lunarsim.onboard.navigation.terrain_prior import TerrainPrior
 from lunarsim.onboard.perception.shadow_model import ShadowModel
 from lunarsim.rocks.field import RockModel
 from lunarsim.world.terrain import Heightfield, Terrain, place_rocks
@@ -140,7 +140,7 @@ def tracked(terrain, relief):
     )
     rocks = tracker.filter
     estimate = rocks.inertial.estimate(rocks.covariance, 0.0, 1.0)
-    mapper.update(Picture(0.0, counts, camera.model), estimate)
+    mapper.update(CameraImage(0.0, counts, camera.model), estimate)
     return rocks.xyz, mapper
 
 
@@ -202,7 +202,7 @@ def test_heights_are_doubted_where_nobody_has_measured_them(terrain):
 def rocks_on(ground, xy):
     """Return a filter of rocks that stand on ground somebody has measured."""
     inertial = StrapdownState(np.array(PLACE), np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]), 1.622)
-    rocks = RockFilter.of(inertial, ground=LevelGround(0.0, 2.0))
+    rocks = RockFilter.of(inertial, ground=TerrainPrior(0.0, 2.0))
     rocks.measured = MeasuredTerrain(Maps(ground))
     n = len(xy)
     rocks.add_known(xy, np.full(n, 0.1), np.full(n, 0.5), np.full(n, 0.01))
@@ -260,11 +260,11 @@ def test_rocks_are_laid_on_ground_once_each_time_that_it_is_measured(terrain, mo
     estimate = rocks.inertial.estimate(rocks.covariance, 0.5, 1.0)
     black = np.zeros_like(counts)
     for time in (0.5, 1.0):
-        mapper.update(Picture(time, black, camera.model), estimate)
+        mapper.update(CameraImage(time, black, camera.model), estimate)
     assert calls == [0]
     maps.drawn = measured(seen.z + np.float32(0.1), seen.grid)
     # Even if the picture is none, or none comes.
-    mapper.update(Picture(1.5, black, camera.model), estimate)
+    mapper.update(CameraImage(1.5, black, camera.model), estimate)
     assert calls == [0, rocks.count] and rocks.count > 15
     maps.drawn = measured(seen.z, seen.grid)
     mapper.refresh(1.6)
@@ -276,7 +276,7 @@ def test_ground_that_cannot_be_under_the_rocks_is_told(terrain, monkeypatch):
     seen = terrace(60.0, 0.5)
     maps = Maps(measured(seen.z, seen.grid))
     _, mapper = tracked(terrain, maps)
-    refused = Outcome(90.0, 4, False)
+    refused = UpdateOutcome(90.0, 4, False)
     monkeypatch.setattr(RockFilter, "lay_on_measured", lambda _: refused)
     mapper.refresh(2.0)
     assert not mapper.tracker.filter.events

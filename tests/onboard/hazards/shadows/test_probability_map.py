@@ -12,7 +12,7 @@ from lunarsim.errors import InputError
 from lunarsim.evaluation.classification import RELIABILITY_EDGES, classify
 from lunarsim.evaluation.reliability import reliability
 from lunarsim.grid import Grid
-from lunarsim.onboard.hazards.published import RockTracks
+from lunarsim.onboard.hazards.map_evidence import RockTracks
 from lunarsim.onboard.hazards.shadows import (
     HazardPrior,
     ProbabilityMap,
@@ -23,7 +23,7 @@ from lunarsim.onboard.perception.detector import detect_rocks
 from lunarsim.onboard.perception.shadow_model import ShadowModel
 from lunarsim.onboard.perception.shape_mixture import ShapeMixture
 from lunarsim.rocks.field import RockModel
-from lunarsim.rocks.laws import golombek_cover, golombek_exponent, golombek_number
+from lunarsim.rocks.size_distribution import golombek_cover, golombek_exponent, golombek_number
 from tests.shadow_scene import MODEL, SUN, at, follow, picture, rocks_on_a_plane, tracker_at
 
 GRID = Grid.centred((0.0, 0.0), 40.0, 0.25)

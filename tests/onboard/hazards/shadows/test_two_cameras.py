@@ -9,11 +9,15 @@ import pytest
 
 from lunarsim.errors import InputError
 from lunarsim.grid import Grid
-from lunarsim.messages.measurements import Picture
+from lunarsim.messages.measurements import CameraImage
 from lunarsim.onboard.hazards.shadows import HazardPrior, ProbabilityMap, ShadowMapper
 from lunarsim.onboard.hazards.shadows.mapping import ShadowMapping
 from lunarsim.onboard.perception.detector import detect_rocks
-from lunarsim.onboard.perception.health import Fault, PictureHealth, SunConfirmation
+from lunarsim.onboard.perception.image_quality import (
+    ImageQualityCheck,
+    ImageRejection,
+    SunConfirmation,
+)
 from lunarsim.onboard.perception.shadow_model import ShadowModel
 from lunarsim.rocks.field import RockModel
 from lunarsim.sensors.camera import Camera
@@ -68,14 +72,14 @@ def mapper_of(*names):
     grid = Grid.centred((0.0, 0.0), 40.0, 0.5)
     mapping = ProbabilityMap(grid, MODEL, HazardPrior(0.05, 0.5))
     sun = SunConfirmation()
-    health = {name: PictureHealth(sun=sun) for name in names}
+    health = {name: ImageQualityCheck(sun=sun) for name in names}
     return ShadowMapper(tracker_at(NEAR), mapping, SUN, 1.0, health=health)
 
 
 def look(mapper, sensor, eye, counts, time):
     rocks = mapper.tracker.filter
     estimate = rocks.inertial.estimate(rocks.covariance, time, 1.0)
-    mapper.take(sensor, Picture(time, counts, eye), estimate)
+    mapper.take(sensor, CameraImage(time, counts, eye), estimate)
 
 
 @pytest.fixture(scope="module")
@@ -99,7 +103,7 @@ def test_each_camera_is_compared_with_its_own_last_pictures(frames):
         look(mapper, "wide", eye, pictures[0], 0.2 * k)
         for n in range(2):
             look(mapper, "narrow", eye, pictures[(2 * k + n) % 4 + 1], 0.2 * k + 0.05 * (n + 1))
-    assert mapper.refused[Fault.STUCK] == 4
+    assert mapper.refused[ImageRejection.STUCK] == 4
     told = [e for e in mapper.tracker.filter.events if e.name == "picture-refused"]
     assert [e.details["camera"] for e in told] == ["wide"]
     # Each by itself is told of once, not at every change from one to the other.

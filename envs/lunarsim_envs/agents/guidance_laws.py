@@ -1,0 +1,165 @@
+"""Fly ``Guidance-v0`` with the guidance laws of the onboard computer."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium
+import numpy as np
+from numpy.typing import NDArray
+
+from lunarsim.frames import attitude_from_thrust
+from lunarsim.messages.briefing import Briefing, FlightSoftware, InitialStateEstimate
+from lunarsim.models.gravity import UniformGravity
+from lunarsim.onboard.guidance.contract import PlansArrival
+from lunarsim.onboard.guidance.vertical import descent_law
+from lunarsim.onboard.navigation.estimate import Estimate
+from lunarsim.parts import resolve, settings_of
+from lunarsim.scenario import Scenario
+from lunarsim_envs.agents.agent_interface import incompatible_agent_error
+from lunarsim_envs.descent.baseline import PolynomialGuidance
+from lunarsim_envs.descent.core import DescentEnvCore
+from lunarsim_envs.descent.env import GuidanceEnv
+
+Array = NDArray[np.float64]
+
+# Observation components that a law needs.
+_NEEDED = ("position", "velocity", "attitude", "rate", "propellant")
+# Time-to-go if no path is within limits: this factor times distance over speed (at least _SLOWEST,
+# m/s), and at least _LEAST, s. The onboard computer uses the same rule after braking.
+_LONGER, _LEAST, _SLOWEST = 2.0, 5.0, 1.0
+
+
+def _descents(name: str, env: gymnasium.Env[Any, Any]) -> DescentEnvCore:
+    flown = env.unwrapped
+    if not isinstance(flown, GuidanceEnv):
+        raise incompatible_agent_error(name, env, "Guidance-v0")
+    missing = [part for part in _NEEDED if part not in flown.descents.shown.places]
+    if missing:
+        raise incompatible_agent_error(name, env, f"the observation component {missing[0]!r}")
+    return flown.descents
+
+
+def _briefing(scenario: Scenario, software: FlightSoftware, time_to_go: float) -> Briefing:
+    """Return the inputs for building a law; the target is the origin of positions."""
+    start, clock = scenario.start.make(), scenario.simulation.make()
+    upright = attitude_from_thrust([0.0, 0.0, 1.0], start.heading)
+    known = InitialStateEstimate(
+        np.asarray(start.position, dtype=np.float64), np.asarray(start.velocity, dtype=np.float64),
+        upright, 0.0, 0.0, 0.0,
+    )  # fmt: skip
+    return Briefing(
+        software=software, lander=scenario.vehicle.make(), instruments={},
+        gravity=UniformGravity(scenario.gravity_m_s2), target=np.zeros(3), heading=start.heading,
+        start=known, time_to_go=time_to_go, sun=np.array([0.0, 0.0, 1.0]),
+        rocks=scenario.expected_rocks.make(), prior_map=None, step=clock.step, cycle=clock.cycle,
+    )  # fmt: skip
+
+
+class GuidanceLawAgent:
+    """Fly a guidance law to the end of the approach, then the scenario's terminal descent.
+
+    Phases, time-to-go and limits are those of the onboard computer; the observation replaces
+    navigation. The law is evaluated at every step of the environment, not once per control cycle.
+
+    Parameters
+    ----------
+    env
+        ``Guidance-v0`` with position, velocity, attitude, rate and propellant in its observation.
+    kind
+        Kind of guidance from `lunarsim parts guidance`. Other kinds than the scenario's have their
+        default settings.
+
+    Raises
+    ------
+    InputError
+        If the environment is another one or its observation lacks a component.
+    """
+
+    def __init__(self, env: gymnasium.Env[Any, Any], kind: str) -> None:
+        self._descents = _descents(kind, env)
+        scenario = self._descents.scenario
+        own = kind == scenario.guidance.kind
+        table = scenario.guidance if own else settings_of(resolve("guidance", kind))()
+        self._part = table.make()
+        self._software: FlightSoftware = scenario.software()
+        self._approach = self._software.approach
+        self._lander = scenario.vehicle.make()
+        self._begun = False
+
+    def begin(self, rng: np.random.Generator) -> None:
+        """Reset the agent for a new episode."""
+        self._begun = False
+
+    def _start(self, estimate: Estimate) -> None:
+        """Choose the time-to-go from the start state and build the laws."""
+        descents, software = self._descents, self._software
+        briefing = _briefing(descents.scenario, software, self._time_to_go(estimate))
+        lag = software.control.response_time + self._lander.thrust_lag
+        self._law = self._part.build(briefing, lag)
+        self._down = descent_law(software.descent, briefing, lag)
+        self._arrival = briefing.time_to_go
+        self._time, self._vertical, self._begun = 0.0, False, True
+
+    def _time_to_go(self, estimate: Estimate) -> float:
+        """Return the duration of the approach with minimum propellant within the limits, s."""
+        if self._approach.time_to_go is not None:
+            return float(self._approach.time_to_go)
+        end = self._approach.end(np.zeros((1, 3)), self._lander)
+        gravity = self._descents.lanes.craft.dynamics.gravity
+        cost = self._part.cost(estimate, end, self._lander, gravity, self._approach.limits)
+        found = float(cost.time_to_go[0])
+        if np.isfinite(found):
+            return found
+        way = float(np.linalg.norm(end.position[0] - estimate.position))
+        speed = max(float(np.linalg.norm(estimate.velocity)), _SLOWEST)
+        return max(_LONGER * way / speed, _LEAST)
+
+    def _estimate(self, observation: Array, time: float) -> Estimate:
+        """Convert an observation to a state estimate."""
+        places = self._descents.shown.places
+        seen = {name: observation[places[name]].astype(np.float64) for name in _NEEDED}
+        mass = self._lander.dry_mass + float(seen["propellant"][0])
+        return Estimate(
+            time, seen["position"], seen["velocity"], seen["attitude"], seen["rate"], mass,
+            np.zeros((9, 9)),
+        )  # fmt: skip
+
+    def act(self, observation: Any, info: dict[str, Any]) -> NDArray[np.float32]:
+        """Return the action closest to the acceleration that the law commands."""
+        estimate = self._estimate(observation, self._time if self._begun else 0.0)
+        if not self._begun:
+            self._start(estimate)
+        left = self._arrival - self._time
+        height = float(estimate.position[2]) - self._lander.com_height
+        self._vertical |= height <= self._approach.vertical_altitude or left <= 0.0
+        if self._vertical:
+            end = self._approach.ground(np.zeros(3), self._lander)
+            wanted = self._down.command(estimate, end, self._time)
+        else:
+            end = self._approach.end(np.zeros(3), self._lander)
+            wanted = self._law.command(estimate, end, self._time, left)
+            if isinstance(self._law, PlansArrival) and self._law.arrival is not None:
+                self._arrival = self._law.arrival
+        self._time += self._descents.period
+        return self._descents.actions.action(wanted)
+
+
+class PolynomialLawAgent:
+    """Agent interface for the stateless `lunarsim_envs.descent.baseline.PolynomialGuidance`.
+
+    Parameters
+    ----------
+    env
+        ``Guidance-v0`` with position and velocity as the first observation components.
+    """
+
+    def __init__(self, env: gymnasium.Env[Any, Any]) -> None:
+        self._law = PolynomialGuidance(_descents("polynomial", env))
+
+    def begin(self, rng: np.random.Generator) -> None:
+        """Do nothing: the agent has no memory and is deterministic."""
+
+    def act(self, observation: Any, info: dict[str, Any]) -> NDArray[np.float32]:
+        """Return the action of the law."""
+        return self._law(observation)

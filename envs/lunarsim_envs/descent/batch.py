@@ -1,0 +1,314 @@
+"""Simulate many landers in parallel: vehicle parameters, states and motion.
+
+A lane is one lander of the batch with its current flight.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lunarsim._jit import threads_for
+from lunarsim.errors import InputError
+from lunarsim.frames import attitude_from_thrust
+from lunarsim.models.jet_lander import JetLander
+from lunarsim.models.lander import STANDARD_GRAVITY, Lander
+from lunarsim.onboard.control.attitude import ProportionalDerivative
+from lunarsim.scenario import Scenario
+from lunarsim.vehicle._kernels import SIMD_BATCH
+from lunarsim.vehicle.domain_randomization import RANDOM_QUANTITIES, DomainRandomization
+from lunarsim.vehicle.dynamics import PLAIN_RIG, Dynamics
+from lunarsim.vehicle.touchdown import TERRAIN_SAMPLE_SPACING_M, pad_disc
+from lunarsim_envs.descent import _kernels as k
+from lunarsim_envs.descent.worlds import WorldPool
+
+Array = NDArray[np.float64]
+
+FLYING, LANDED, LOST, LATE = k.FLYING, k.LANDED, k.LOST, k.LATE
+# Compute time per lane and step, microseconds.
+_STEP = 0.1
+# Values of the randomized parameters without domain randomization.
+_ALIKE = np.zeros(len(RANDOM_QUANTITIES))
+_ALIKE[k.FAILS] = np.inf
+_ALIKE[k.ENGINE : k.SEES_LATE] = 1.0
+# Names of the touchdown limits of `judge_touchdown`, in the order of the bits of
+# `DescentBatch.failed`.
+LIMITS = (
+    "off-map", "vertical-speed", "horizontal-speed", "tilt", "rate", "slope", "roughness", "belly",
+    "tip-over",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class VehicleParams:
+    """Parameters of lander, start, target and clock, in the form that kernels use.
+
+    Attributes
+    ----------
+    dynamics
+        Vehicle, gravity and time step.
+    gains
+        Gains of the attitude loop (3,), defined in `ProportionalDerivative`.
+    heading, max_tilt
+        Azimuth of body x, and maximum tilt of a commanded thrust, rad.
+    start
+        Planned position (3,) and velocity (3,), and their standard deviations per axis (8,), m and
+        m/s.
+    aim
+        Centre and half widths of the target area, east and north (4,), m.
+    limit
+        Time limit of a flight, s.
+    variation
+        Ranges of the randomized parameters; None disables domain randomization.
+    """
+
+    dynamics: Dynamics
+    gains: Array
+    heading: float
+    max_tilt: float
+    start: Array
+    aim: Array
+    limit: float
+    variation: DomainRandomization | None = None
+
+    @classmethod
+    def of(cls, scenario: Scenario) -> VehicleParams:
+        """Return the parameters of a scenario.
+
+        Raises
+        ------
+        InputError
+            If the scenario has thrusters, legs, faults, a round Moon or another control law, which
+            only the full simulation supports.
+        """
+        lander, control = scenario.vehicle.make(), scenario.control.make()
+        if isinstance(lander, JetLander):
+            raise InputError("vehicle.kind", "jet-lander", "must be 'lander' in this environment")
+        if scenario.legs is not None:
+            raise InputError("legs", "given", "is not supported in this environment", "Omit it.")
+        if scenario.faults is not None:
+            raise InputError(
+                "faults", "given", "is not supported in this environment", "Use [variation]."
+            )
+        if scenario.moon is not None:
+            raise InputError("moon", "given", "is not supported in this environment", "Omit it.")
+        if type(control) is not ProportionalDerivative:
+            raise InputError(
+                "control.kind", type(control).__name__, "must be 'pd' in this environment"
+            )
+        lander.check_hover(scenario.gravity_m_s2)
+        varied = None if scenario.variation is None else scenario.variation.make()
+        _check_ranges(varied, lander, scenario.simulation.make().step)
+        start, target = scenario.start.make(), scenario.target.make()
+        clock, approach = scenario.simulation.make(), scenario.approach.make()
+        return cls(
+            Dynamics(lander, scenario.gravity_m_s2, clock.step),
+            control.gains,
+            start.heading,
+            approach.max_tilt,
+            np.array(
+                [*start.position, *start.velocity, start.position_sigma, start.velocity_sigma]
+            ),
+            np.array([*target.position, *target.scatter]),
+            clock.max_time,
+            varied,
+        )
+
+    def steps(self, rate: float) -> int:
+        """Return the number of integration steps between two actions.
+
+        Raises
+        ------
+        InputError
+            If the number is not an integer.
+        """
+        steps = 1.0 / (rate * self.dynamics.step)
+        if not (steps >= 1.0 and abs(steps - round(steps)) < 1e-6):
+            raise InputError(
+                "rate_hz", rate, f"must have a period that is a multiple of {self.dynamics.step} s"
+            )
+        return round(steps)
+
+
+def _check_ranges(varied: DomainRandomization | None, lander: Lander, step: float) -> None:
+    """Check that randomized parameters stay positive and large enough for integration."""
+    if varied is None:
+        return
+    for name, most in (
+        ("load", lander.dry_mass), ("specific_impulse", lander.specific_impulse),
+        ("thrust_lag", lander.thrust_lag - 2.0 * step),
+    ):  # fmt: skip
+        given = getattr(varied, name)
+        if given > 0.0 and not given < most:
+            raise InputError(
+                f"variation.{name}",
+                given,
+                f"must be 0, or less than {max(most, 0.0):g}, for this lander",
+            )
+
+
+class DescentBatch:
+    """A batch of landers.
+
+    Parameters
+    ----------
+    count
+        Number of lanes n.
+    craft, worlds
+        Vehicle parameters, and pool of worlds.
+    guided
+        Whether actions are thrust accelerations (true), or thrust and torques (false).
+    rate
+        Action rate, Hz.
+
+    Attributes
+    ----------
+    y
+        States (n, 15), SI: position, velocity (ENU), attitude (scalar last), body rate, mass and
+        thrust.
+    target
+        Target positions (n, 3), m.
+    world
+        Index of the world of each lane (n,).
+    time
+        Time since the start of each flight (n,), s.
+    ended
+        State of the flight: FLYING, LANDED (a pad has touched), LOST (off the map) or LATE (time
+        limit) (n,).
+    failed
+        Violated touchdown limits, one bit each in the order of `LIMITS` (n,).
+    told
+        Vertical and horizontal speed, tilt, rate, slope, roughness and tip-over margin at
+        touchdown (n, 7), SI.
+    starts, aims
+        Start and target parameters of each lane, as `VehicleParams.start` (n, 8) and
+        `VehicleParams.aim` (n, 4).
+    spans
+        Index of the first world that each lane may use, and number of these worlds (n, 2).
+    has_key
+        Whether each lane has a random key (n,).
+    figures
+        Gravity, exhaust velocity, thrust lag, dry mass and wet mass of each lane (n, 5), SI.
+    drawn
+        Other randomized parameters of each flight (n, 13), in the order of
+        `variation.RANDOM_QUANTITIES`.
+    """
+
+    def __init__(
+        self, count: int, craft: VehicleParams, worlds: WorldPool, *, guided: bool, rate: float
+    ) -> None:
+        d, lander = craft.dynamics, craft.dynamics.lander
+        self.count, self.craft, self.worlds, self.guided = count, craft, worlds, guided
+        self.steps = craft.steps(rate)
+        self.y, self.target = np.zeros((count, 15)), np.zeros((count, 3))
+        self.time, self.told = np.zeros(count), np.full((count, 7), np.nan)
+        self.ended, self.failed = np.full(count, LATE), np.zeros(count, np.int64)
+        self.starts, self.aims = np.tile(craft.start, (count, 1)), np.tile(craft.aim, (count, 1))
+        self.spans = np.tile(worlds.span(None), (count, 1))
+        self.has_key = np.zeros(count, np.bool_)
+        self._keys, self._begun = np.zeros(count, np.uint64), np.zeros(count, np.int64)
+        self._rate, self.world = np.zeros((count, 3)), np.zeros(count, np.int64)
+        self.figures = np.tile(d.figures, (count, 1))
+        self.drawn = np.tile(_ALIKE, (count, 1))
+        self._counts = np.zeros(count, np.int64)
+        self._upright = attitude_from_thrust([0.0, 0.0, 1.0], craft.heading)
+        self._weight = np.array([lander.wet_mass, lander.wet_mass * d.gravity])
+        v = lander
+        control = [v.thrust_min, v.thrust_max, craft.max_tilt, *craft.gains, *v.torque_max]
+        limits = [
+            v.vertical_speed_limit, v.horizontal_speed_limit, v.tilt_limit, v.rate_limit,
+            v.slope_limit, v.roughness_limit, v.belly_clearance,
+        ]  # fmt: skip
+        self._vehicle = k.Vehicle(
+            self.figures, self.drawn, d.inertia, PLAIN_RIG, np.array(control), craft.heading,
+            v.pads, pad_disc(0.5 * v.pad_diameter), TERRAIN_SAMPLE_SPACING_M, np.array(limits),
+            v.com_height,
+        )  # fmt: skip
+        self._grounds = k.Grounds(worlds.grounds, worlds.frame, worlds.levels)
+
+    @property
+    def _flights(self) -> k.Flights:
+        return k.Flights(self.world, self.time, self.ended, self.failed, self.told)
+
+    @property
+    def keys(self) -> NDArray[np.uint64]:
+        """Random key of each lane (n,)."""
+        return self._keys
+
+    @property
+    def begun(self) -> NDArray[np.int64]:
+        """Number of flights that each lane has started with its key (n,)."""
+        return self._begun
+
+    def seed(self, mask: NDArray[np.bool_], keys: NDArray[np.uint64]) -> None:
+        """Set the random keys of lanes; all later flights derive from them."""
+        self._keys[mask] = keys
+        self._begun[mask] = 0
+        self._counts[mask] = 0
+        self.has_key[mask] = True
+
+    def begin(self, mask: NDArray[np.bool_]) -> None:
+        """Start a new random flight in every lane of `mask` (n,)."""
+        w = self.worlds
+        with threads_for(_STEP * self.count):
+            k.begin(
+                mask, self._keys, self._begun, self.y, self._rate, self.target, self.world,
+                self.time, self.ended, self.starts, self.aims, self.spans, self._upright,
+                self._weight, w.reliefs, w.relief_frame,
+            )  # fmt: skip
+            if self.craft.variation is not None:
+                k.vary(
+                    mask, self._keys, self._begun, self.craft.variation.ranges, STANDARD_GRAVITY,
+                    self.craft.dynamics.figures, self.drawn, self.figures, self.y,
+                )  # fmt: skip
+        self.failed[mask] = 0
+        self.told[mask] = np.nan
+
+    def normals(self, mask: NDArray[np.bool_], size: int) -> Array:
+        """Return standard normal numbers for lanes of `mask` (n, size); 0 in the others."""
+        found = np.zeros((self.count, size))
+        with threads_for(0.02 * self.count * size):
+            k.scatter(mask, self._keys, self._counts, found)
+        return found
+
+    def move(self, actions: Array) -> None:
+        """Fly all flying lanes until the next action is due, or to their end.
+
+        Parameters
+        ----------
+        actions
+            Thrust accelerations (n, 3), ENU, m/s^2, or thrust and torques (n, 4), N and N m.
+        """
+        step = self.craft.dynamics.step
+        with threads_for(_STEP * self.count * self.steps):
+            k.advance(
+                self.y, self._rate, actions, self.guided, self.steps, step, self.craft.limit,
+                min(SIMD_BATCH, self.count), self._vehicle, self._grounds, self._flights,
+            )  # fmt: skip
+
+    def stop(self, mask: NDArray[np.bool_]) -> None:
+        """End the flights of `mask` (n,) that are still flying, as if by the time limit."""
+        self.ended[mask & (self.ended == FLYING)] = LATE
+
+    @property
+    def safe(self) -> NDArray[np.bool_]:
+        """Whether each lander has landed within all limits (n,)."""
+        return np.asarray((self.ended == LANDED) & (self.failed == 0))
+
+    @property
+    def miss(self) -> Array:
+        """Horizontal distance from the target (n,), m."""
+        return np.asarray(np.linalg.norm(self.y[:, :2] - self.target[:, :2], axis=1))
+
+    @property
+    def burnt(self) -> Array:
+        """Propellant used since the start (n,), kg."""
+        return np.asarray(self.figures[:, 4] - self.y[:, 13])
+
+    def words(self, lane: int) -> tuple[str, ...]:
+        """Return the names of the limits that a lane's flight violated."""
+        if self.ended[lane] == LATE:
+            return ("time-limit",)
+        return tuple(name for bit, name in enumerate(LIMITS) if self.failed[lane] >> bit & 1)

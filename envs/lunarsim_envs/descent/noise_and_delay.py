@@ -1,0 +1,119 @@
+"""Model noise and delay of observations, and delay of actions."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from lunarsim_envs.descent import _kernels as k
+from lunarsim_envs.descent.batch import DescentBatch
+from lunarsim_envs.descent.observations import ObservationLayout
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+
+class DelayLine:
+    """Delay line with a separate delay for each lane.
+
+    Parameters
+    ----------
+    lanes, size
+        Batch of landers, and number of values per row.
+    place
+        Column of `DescentBatch.drawn` with the delay, s. Delays are rounded to whole steps.
+    most, period
+        Maximum delay and duration of a step, s.
+    """
+
+    def __init__(
+        self, lanes: DescentBatch, size: int, place: int, most: float, period: float
+    ) -> None:
+        self._lanes, self._place, self._period = lanes, place, period
+        self._kept = np.zeros((round(most / period) + 1, lanes.count, size))
+        self._rows = np.arange(lanes.count)
+
+    def begin(self, mask: Mask, row: Array) -> None:
+        """Fill the delay line of the lanes of `mask` with one row."""
+        self._kept[:, mask] = row[mask]
+
+    def put(self, mask: Mask, row: Array) -> None:
+        """Insert the rows of this step for the lanes of `mask`."""
+        self._kept[1:, mask] = self._kept[:-1, mask]
+        self._kept[0, mask] = row[mask]
+
+    @property
+    def rows(self) -> Array:
+        """Delayed rows of the current step (n, size)."""
+        steps = np.round(self._lanes.drawn[:, self._place] / self._period).astype(int)
+        return np.asarray(self._kept[steps, self._rows])
+
+
+class SensingModel:
+    """Add noise and delay to observations, and delay to actions.
+
+    Parameters
+    ----------
+    lanes, shown
+        Batch of landers whose `VehicleParams.variation` is set, and the observation components.
+    period
+        Duration of a step, s.
+    idle
+        Command before the first action (size,).
+    """
+
+    def __init__(
+        self, lanes: DescentBatch, shown: ObservationLayout, period: float, idle: Array
+    ) -> None:
+        varied = lanes.craft.variation
+        assert varied is not None
+        self._lanes, self._shown = lanes, shown
+        self._idle = np.tile(idle, (lanes.count, 1))
+        width = shown.space.shape[0]
+        self._seen = DelayLine(lanes, width, k.SEES_LATE, varied.sensing_delay, period)
+        self._asked = DelayLine(lanes, len(idle), k.ACTS_LATE, varied.actuation_delay, period)
+        self._noise = [
+            (shown.places[name], sigma, name == "attitude")
+            for name, sigma in varied.noise.items() if sigma > 0.0 and name in shown.places
+        ]  # fmt: skip
+
+    def begin(self, mask: Mask) -> None:
+        """Take the first observation of a flight in the lanes of `mask`."""
+        self._seen.begin(mask, self._look(mask))
+        self._asked.begin(mask, self._idle)
+
+    def look(self, mask: Mask) -> None:
+        """Take a new observation in the lanes of `mask`."""
+        self._seen.put(mask, self._look(mask))
+
+    def act(self, mask: Mask, physical: Array) -> Array:
+        """Insert the commands (n, size) and return the delayed commands."""
+        self._asked.put(mask, physical)
+        return self._asked.rows
+
+    @property
+    def seen(self) -> NDArray[np.float32]:
+        """Delayed, noisy observations of all lanes (n, size)."""
+        return self._seen.rows.astype(np.float32)
+
+    def _look(self, mask: Mask) -> Array:
+        """Return the undelayed observations (n, size), with noise in the lanes of `mask`."""
+        found = self._shown.of(self._lanes).astype(np.float64)
+        if not self._noise:
+            return found
+        drawn = self._lanes.normals(mask, 3 * len(self._noise))[mask]
+        mine = found[mask]
+        for i, (place, sigma, turned) in enumerate(self._noise):
+            error = sigma * drawn[:, 3 * i : 3 * i + 3]
+            if turned:
+                mine[:, place] = _turned(mine[:, place], error)
+            else:
+                mine[:, place] += error
+        found[mask] = np.clip(mine, self._shown.space.low, self._shown.space.high)
+        return found
+
+
+def _turned(attitude: Array, error: Array) -> Array:
+    """Rotate attitudes (n, 4) by small rotation vectors (n, 3) in body axes, rad."""
+    return np.asarray((Rotation.from_quat(attitude) * Rotation.from_rotvec(error)).as_quat())

@@ -1,0 +1,129 @@
+"""Fly episodes of several agents in parallel processes; results do not depend on their number."""
+
+from __future__ import annotations
+
+import multiprocessing
+from collections.abc import Callable, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from typing import Any
+
+import gymnasium
+
+from lunarsim.campaign.engines.picklable import check_picklable
+from lunarsim.campaign.plan import MAX_FLIGHTS
+from lunarsim.errors import InputError
+from lunarsim_envs.agents.registry import agent_of, check, label
+from lunarsim_envs.evaluation.episodes import EvaluationStudy, fly_episodes
+
+# Number of episodes per task: small enough for a smooth progress bar.
+_CHUNK = 10
+
+Rows = list[dict[str, Any]]
+
+
+class WorkersDieError(RuntimeError):
+    """Report that a worker process died."""
+
+
+def check_agents(study: EvaluationStudy, agents: Sequence[str]) -> None:
+    """Check that agents exist, have distinct names and can fly the environment.
+
+    Raises
+    ------
+    InputError
+        Naming ``--agent``.
+    """
+    if not agents:
+        raise InputError("--agent", "", "must be given at least once")
+    for agent in agents:
+        check(agent, trust_pickle=study.trust_pickle)
+    names = [label(agent) for agent in agents]
+    if len(set(names)) < len(names):
+        raise InputError("--agent", ", ".join(names), "must have distinct names")
+    env = study.make()
+    try:
+        for agent in agents:
+            agent_of(agent, env, trust_pickle=study.trust_pickle)
+    finally:
+        env.close()
+
+
+def _chunk(study: EvaluationStudy, agent: str, episodes: range) -> Rows:
+    return list(fly_episodes(study, agent, episodes))
+
+
+def fly(
+    study: EvaluationStudy, agents: Sequence[str], episodes: int, jobs: int,
+    progress: Callable[[int], None] | None = None,
+) -> Rows:  # fmt: skip
+    """Fly the same episodes with every agent.
+
+    Parameters
+    ----------
+    study, agents
+        Definition of the evaluation, and agents.
+    episodes, jobs
+        Number of episodes per agent, and number of processes.
+    progress
+        Function called with the number of episodes finished since the last call.
+
+    Returns
+    -------
+    list of dict
+        One row per episode, ordered by agent and episode.
+
+    Raises
+    ------
+    InputError
+        If there are too many episodes, or worker processes cannot load the environment or an agent.
+    """
+    if episodes > MAX_FLIGHTS:
+        raise InputError("--episodes", episodes, f"must be at most {MAX_FLIGHTS}")
+    tell = progress or (lambda n: None)
+    work = [
+        (agent, range(first, min(first + _CHUNK, episodes)))
+        for agent in agents
+        for first in range(0, episodes, _CHUNK)
+    ]
+    if jobs == 1:
+        rows: Rows = []
+        for agent in agents:
+            for row in fly_episodes(study, agent, range(episodes)):
+                rows.append(row)
+                tell(1)
+        return rows
+    return _spread(study, work, jobs, tell)
+
+
+def _spread(
+    study: EvaluationStudy, work: list[tuple[str, range]], jobs: int, tell: Callable[[int], None]
+) -> Rows:
+    """Fly tasks in worker processes.
+
+    Workers are spawned, because a fork of a process that has flown or rendered may hang.
+    """
+    check_picklable("study", study)
+    # Agents and environments are sent by name, so classes defined in a notebook fail here.
+    entry = gymnasium.spec(study.env.rpartition(":")[2]).entry_point
+    if callable(entry):
+        name = getattr(entry, "__qualname__", type(entry).__qualname__)
+        check_picklable("env", f"{entry.__module__}:{name}")
+    for agent, _ in work:
+        check_picklable("--agent", agent)
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(min(jobs, len(work)), mp_context=context) as pool:
+        futures: list[Future[Rows]] = [pool.submit(_chunk, study, *chunk) for chunk in work]
+        waiting = set(futures)
+        try:
+            while waiting:
+                done, waiting = wait(waiting, return_when=FIRST_COMPLETED)
+                tell(sum(len(future.result()) for future in done))
+        except BrokenProcessPool:
+            raise WorkersDieError(
+                "A worker process died. Use --jobs 1 to fly the episodes in the main process."
+            ) from None
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
+    return [row for future in futures for row in future.result()]

@@ -1,0 +1,263 @@
+"""Simulate many landers with site decisions: guidance, perception and touchdown in kernels."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lunarsim._jit import threads_for
+from lunarsim.errors import InputError
+from lunarsim.onboard.guidance.path_law import PathLaw
+from lunarsim.onboard.guidance.paths import PathShape
+from lunarsim.onboard.guidance.vertical import VerticalDescent
+from lunarsim.onboard.policies.candidates import SAFETY_LEVELS
+from lunarsim.scenario import Scenario
+from lunarsim.vehicle._kernels import SIMD_BATCH
+from lunarsim_envs.descent.batch import FLYING, DescentBatch, VehicleParams
+from lunarsim_envs.sites import _choice_kernels as choice
+from lunarsim_envs.sites import _flight_kernels as f
+from lunarsim_envs.sites import _map_kernels as m
+from lunarsim_envs.sites.field_of_view import deciding_mapper, scan_altitudes
+from lunarsim_envs.sites.pool import SiteWorldPool
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+# Compute time per lane and control cycle, and per lane and map, microseconds.
+_CYCLE, _MAP = 6.0, 2000.0
+# Values of the current site before the first map: not observed, out of reach, no miss.
+_NOTHING = np.array([np.nan, np.inf, 0.0])
+
+
+def kernel_guidance(scenario: Scenario, craft: VehicleParams) -> f.Law:
+    """Return the guidance of a scenario in the form that kernels use.
+
+    Raises
+    ------
+    InputError
+        If the scenario has parts that only the full simulation supports.
+    """
+    software = scenario.software()
+    guidance, approach, window = software.guidance, software.approach, software.decisions
+    _refuse_others(scenario, guidance)
+    lander = craft.dynamics.lander
+    gravity = scenario.gravity_m_s2
+    lag = software.control.response_time + lander.thrust_lag
+    down = VerticalDescent.behind(lag, gravity)
+    limits = approach.limits
+    margin = limits.throttle_margin * (lander.thrust_max - lander.thrust_min)
+    end = approach.end(np.zeros(3), lander)
+    figures = np.array([
+        gravity, lander.wet_mass, lander.exhaust_velocity, lander.thrust_min + margin,
+        lander.thrust_max - margin, np.tan(limits.max_tilt), np.tan(limits.glideslope),
+    ])  # fmt: skip
+    descent = np.array([
+        down.frequency, down.damping, down.speed_gain, down.lean, down.lean_low, down.lean_height,
+        down.low_height, down.slip, down.slowest, -approach.rate,
+    ])  # fmt: skip
+    clock = scenario.simulation.make()
+    return f.Law(
+        np.array(guidance.shape.powers), np.array([end.velocity, end.acceleration]),
+        np.asarray(end.position, dtype=np.float64), figures, samples(guidance.shape, 8),
+        samples(guidance.shape, 24),
+        np.array([
+            lander.thrust_max / lander.dry_mass, lander.dry_mass, lander.exhaust_velocity,
+            limits.reserve,
+        ]),
+        np.array([max(approach.vertical_altitude, approach.takeover_altitude), approach.ends_at]),
+        descent,
+        np.array([window.last_altitude, window.first_altitude, window.interval]),
+        scan_altitudes(scenario), lag, guidance.least_time_to_go, approach.max_tilt,
+        lander.thrust_max, lander.com_height, clock.steps,
+    )  # fmt: skip
+
+
+def samples(shape: PathShape, count: int) -> Array:
+    """Return the remaining time fraction and its powers along a path (count + 1, 3)."""
+    left = 1.0 - np.arange(count + 1) / count
+    return np.column_stack((left, left**shape.low, left**shape.high))
+
+
+def _refuse_others(scenario: Scenario, guidance: Any) -> None:
+    plain = isinstance(guidance, PathLaw) and type(guidance).cost is PathLaw.cost
+    if not plain or guidance.feedback(scenario.gravity_m_s2) is not None:
+        kind = scenario.guidance.kind
+        raise InputError("guidance.kind", kind, "must be apollo or e-guidance for kernels")
+    for table in ("braking", "window", "descent", "variation", "prior_map"):
+        if getattr(scenario, table) is not None:
+            raise InputError(table, "given", "is not supported by kernels", "Omit it.")
+    if not scenario.approach.make().free:
+        raise InputError(
+            "approach.time_to_go_s", "given", "is not supported by kernels", "Omit it."
+        )
+
+
+class SiteDescentBatch(DescentBatch):
+    """A batch of landers that fly to selectable sites.
+
+    Parameters
+    ----------
+    count
+        Number of lanes n.
+    scenario
+        Scenario of the flights.
+    pool
+        Worlds with their true safety.
+    errors
+        Error model of the perception, from `surrogate`.
+    view
+        Field of view of the LiDAR, from `fov_and_footprint`.
+    drift, claimed
+        True standard deviation of the drift velocity, east and north (2,), and the standard
+        deviation that navigation reports per axis, m/s.
+    posting
+        Cell size of the maps, m.
+
+    Attributes
+    ----------
+    course, maps, found
+        Guidance states, hazard maps and site candidates, defined in the kernels.
+    refused, unstretched
+        Whether the site of the last decision was out of reach, and whether its factor on the
+        time-to-go was refused (n,).
+    """
+
+    levels: ClassVar[Array] = np.array(SAFETY_LEVELS)
+    keeps_maps: ClassVar[bool] = True
+
+    def __init__(
+        self, count: int, scenario: Scenario, pool: SiteWorldPool, *, errors: m.Errors, view: Array,
+        drift: Array, claimed: float, posting: float,
+    ) -> None:  # fmt: skip
+        craft = VehicleParams.of(scenario)
+        clock = scenario.simulation.make()
+        super().__init__(count, craft, pool.grounds, guided=True, rate=1.0 / clock.cycle)
+        self.pool, self.errors, self.view = pool, errors, view
+        self.law = kernel_guidance(scenario, craft)
+        self.decisions = scenario.decisions.make()
+        size = scenario.mappers[deciding_mapper(scenario)].make().size
+        cells = max(1, round(size / posting)) if self.keeps_maps else 1
+        self.drift = np.asarray(drift, dtype=np.float64)
+        approach = scenario.approach.make()
+        stated = np.array([
+            self.decisions.touchdown_sigma, claimed,
+            approach.vertical_altitude / approach.rate,
+        ])  # fmt: skip
+        self.course = _course(count)
+        self.maps = _maps(count, cells, posting, stated)
+        # Twice the number: reachable candidates, plus substitutes for those out of reach.
+        self.found = _found(count, 2 * (self.decisions.candidates + len(self.levels)))
+        self.refused, self.unstretched = np.zeros(count, np.bool_), np.zeros(count, np.bool_)
+        self._control = self._vehicle.control
+
+    def begin(self, mask: Mask) -> None:
+        """Start a new flight in every lane of `mask` (n,) and fly to its first decision."""
+        super().begin(mask)
+        self._run(
+            f.begin, 100.0 * self.count, mask, self._keys, self._begun, self.y,
+            self.target, self.drift, self._control, self.craft.heading, self.course, self.law,
+        )  # fmt: skip
+        maps = self.maps
+        half = 0.5 * (maps.p.shape[1] - 1) * maps.posting
+        maps.corner[mask] = self.target[mask, :2] - half
+        maps.p[mask], maps.seen[mask], maps.aim[mask] = 0.0, False, 0.0
+        maps.height[mask] = np.nan
+        maps.aimed[mask], maps.mapped[mask] = np.nan, 0.0
+        self.refused[mask] = self.unstretched[mask] = False
+        # Clear the candidates of the last flight, because a flight may end before its first map.
+        self.found.number[mask], self.found.here[mask] = 0, _NOTHING
+        self.mapped = mask.copy()
+        self._on(mask)
+
+    def decide(self, sites: Array, mask: Mask, stretches: Array | None = None) -> None:
+        """Apply decisions in the lanes of `mask` and fly to the next decision or the end.
+
+        Parameters
+        ----------
+        sites
+            New sites (n, 3), local frame, m; NaN keeps the site.
+        mask
+            Lanes that decide (n,).
+        stretches
+            Factors on the time-to-go of the minimum-propellant path (n,); NaN or None keeps the
+            time-to-go.
+        """
+        mask = mask & (self.ended == FLYING)
+        asked = np.full(self.count, np.nan) if stretches is None else stretches
+        self._run(
+            f.decide, 20.0 * self.count, mask, self.time, self.y, sites, asked, self.course,
+            self.law, self.refused, self.unstretched,
+        )  # fmt: skip
+        self.mapped = np.zeros(self.count, np.bool_)
+        self._on(mask)
+
+    def _on(self, mask: Mask) -> None:
+        """Fly to the next decision, with scans on the way, and evaluate the candidates."""
+        while True:
+            self._run(
+                f.fly, 10.0 * _CYCLE * self.count, self.y, self._rate, min(SIMD_BATCH, self.count),
+                self.craft.dynamics.step, self.craft.limit, self._vehicle, self._grounds,
+                self._flights, self.course, self.law,
+            )  # fmt: skip
+            due = (self.course.event == f.SCAN) & (self.ended == FLYING)
+            if not due.any():
+                break
+            self.scan(due)
+            self.mapped |= due
+        asked = mask & (self.ended == FLYING)
+        if asked.any():
+            self._run(
+                choice.look, _MAP * self.count, asked, self.y, self.time, self.course, self.law,
+                self.maps, self.decisions.candidates, self.decisions.separation, self.levels,
+                self.found,
+            )  # fmt: skip
+
+    def _run(self, kernel: Any, microseconds: float, *given: Any) -> None:
+        """Run a kernel over the lanes; a single lane runs without threads."""
+        if self.count == 1:
+            kernel.compiled((0, 1), *given)
+            return
+        with threads_for(microseconds):
+            kernel(*given)
+
+    def scan(self, due: Mask) -> None:
+        """Take the due scans in the lanes of `due` (n,) and update their maps."""
+        self._run(
+            m.scan, _MAP * self.count, due, self._keys, self._begun, self.y, self.time, self.world,
+            self.course, self.maps, self.pool.layers, self.errors, self.view,
+        )  # fmt: skip
+
+    @property
+    def believed(self) -> tuple[Array, Array]:
+        """Estimated position, m, and velocity, m/s, (n, 3) each, local frame."""
+        slip, place = self.course.slip, self.y[:, :3].copy()
+        velocity = self.y[:, 3:6].copy()
+        place[:, :2] += slip * self.time[:, None]
+        velocity[:, :2] += slip
+        return place, velocity
+
+
+def _course(n: int) -> f.Course:
+    return f.Course(
+        np.zeros((n, 3)), np.zeros(n), np.zeros(n), np.full(n, np.nan), np.zeros(n, np.int64),
+        np.zeros(n, np.int64), np.zeros(n, np.int64), np.zeros(n, np.bool_), np.zeros((n, 7)),
+        np.full((n, 8), np.nan), np.zeros((n, 2)),
+    )  # fmt: skip
+
+
+def _maps(n: int, cells: int, posting: float, stated: Array) -> m.Maps:
+    shape = (n, cells, cells)
+    return m.Maps(
+        np.zeros((n, 2)), posting, np.zeros(shape, np.float32), np.zeros(shape, np.bool_),
+        np.full(shape, np.nan, np.float32), np.zeros(shape, np.float32), np.full(n, np.nan), stated,
+        np.zeros(n),
+    )  # fmt: skip
+
+
+def _found(n: int, most: int) -> choice.Found:
+    return choice.Found(
+        np.zeros((n, most, 3)), np.zeros((n, most)), np.zeros((n, most)), np.zeros((n, most)),
+        np.zeros(n, np.int64), np.tile(_NOTHING, (n, 1)),
+    )  # fmt: skip

@@ -1,0 +1,136 @@
+"""Record maps of a real mapper in simulated flights with the truth, to fit a surrogate."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lunarsim.rng import flight_seed
+from lunarsim.scenario import Scenario
+from lunarsim.simulation import Simulation
+from lunarsim_envs.sites.field_of_view import fov_and_footprint, in_view, scan_altitudes
+from lunarsim_envs.sites.hazard import UNKNOWN, TruthLayers
+
+Array = NDArray[np.float64]
+
+# Sampling interval of map cells per axis; neighbouring cells are strongly correlated.
+EVERY = 2
+# Flight time after the last scan, to measure the drift, s.
+_AFTER = 4.0
+
+
+@dataclass(frozen=True)
+class MapSample:
+    """A map after a scan, with the truth at its cells.
+
+    Attributes
+    ----------
+    stage
+        Index of the last scan in the map, from 0.
+    altitude
+        Altitude of the lander above the site at the last scan, m.
+    posting
+        Spacing of the sampled cells, m.
+    p_safe, observed
+        p_safe and observed mask of the map (rows, cols).
+    kind
+        Class of the true terrain at each cell (rows, cols), from `hazard`; `hazard.UNKNOWN` where
+        it is not known.
+    safe
+        True safety of each cell (rows, cols).
+    viewed
+        Whether each cell is in the field of view of the last scan (rows, cols), from `view`.
+    """
+
+    stage: int
+    altitude: float
+    posting: float
+    p_safe: NDArray[np.float32]
+    observed: NDArray[np.bool_]
+    kind: NDArray[np.uint8]
+    safe: NDArray[np.bool_]
+    viewed: NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class SampledFlight:
+    """Maps and navigation drift of one flight.
+
+    Attributes
+    ----------
+    looks
+        Maps in time order.
+    drift
+        Mean rate of the position error from the first scan to the end, east and north (2,), m/s.
+    claimed
+        Velocity standard deviation that navigation reports at the first scan, per axis, m/s.
+    safe_share
+        Truly safe fraction of the terrain.
+    """
+
+    looks: tuple[MapSample, ...]
+    drift: Array
+    claimed: float
+    safe_share: float
+
+
+def sample_flights(
+    scenario: Scenario, seed: int, flights: Iterable[int]
+) -> Iterator[SampledFlight]:
+    """Fly flights of a campaign to their last scan and yield their maps.
+
+    The flights do not divert, and end 4 s after the last scan.
+
+    Parameters
+    ----------
+    scenario
+        Scenario with a mapper.
+    seed, flights
+        Root seed, and indices of the flights.
+    """
+    scans = len(scan_altitudes(scenario))
+    for flight in flights:
+        simulation = Simulation(scenario, flight_seed(seed, flight), "no-divert")
+        layers = TruthLayers.of(simulation.truth)
+        looks: list[MapSample] = []
+        first: tuple[float, Array] | None = None
+        claimed = float("nan")
+        name = simulation.computer.decisions_map
+        until = np.inf
+        while not simulation.done and simulation.time < until:
+            simulation.step()
+            if name in simulation.computer.mapped and not simulation.done:
+                error = simulation.navigation_error
+                if first is None:
+                    first = simulation.time, error
+                    level = simulation.estimate.covariance[3:5, 3:5]
+                    claimed = float(np.sqrt(max(0.5 * np.trace(level), 0.0)))
+                looks.append(_look(simulation, layers, error, len(looks)))
+                if len(looks) == scans:
+                    until = simulation.time + _AFTER
+        drift = np.full(2, np.nan)
+        if first is not None and simulation.time > first[0]:
+            drift = (simulation.navigation_error - first[1])[:2] / (simulation.time - first[0])
+        share = float(layers.safe[layers.kind != UNKNOWN].mean())
+        yield SampledFlight(tuple(looks), drift, claimed, share)
+
+
+def _look(simulation: Simulation, layers: TruthLayers, error: Array, stage: int) -> MapSample:
+    mapper = simulation.computer.mapper
+    assert mapper is not None
+    drawn = mapper.hazard_map()
+    rows, cols = np.arange(0, drawn.grid.rows, EVERY), np.arange(0, drawn.grid.cols, EVERY)
+    xy = drawn.grid.centre_of(rows[:, None], cols[None, :]) - error[:2]
+    kind, safe = layers.at(xy)
+    pick = np.ix_(rows, cols)
+    here, aim = simulation.state.position, simulation.site - error
+    viewed = in_view(
+        xy, layers.height(xy), here, aim - here, fov_and_footprint(simulation.scenario)
+    )
+    return MapSample(
+        stage, simulation.altitude, EVERY * drawn.grid.posting, drawn.p_safe[pick].copy(),
+        drawn.observed[pick].copy(), kind, safe, viewed,
+    )  # fmt: skip

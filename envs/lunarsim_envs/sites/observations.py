@@ -1,0 +1,213 @@
+"""Build observations of ``Retarget-v0`` from named components, one array each.
+
+`register` adds custom components, which can then be named in an environment's `observation`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from lunarsim.errors import InputError
+from lunarsim_envs.named_components import check_new, check_shape, named_parts
+from lunarsim_envs.sites.site_inputs import CROP_CELLS, MAP_CELLS, SiteInputs
+
+Array = NDArray[Any]
+Shown = dict[str, NDArray[np.float32]]
+
+SITES = 20  # number of candidate sites in observations and actions
+# Bound of distances (m), speeds (m/s) and masses (kg) in observations; larger values are clipped.
+FAR = 5000.0
+
+
+@dataclass(frozen=True)
+class SiteObservationComponent:
+    """One component of an observation.
+
+    Attributes
+    ----------
+    name
+        Name by which `observation` selects it.
+    shape
+        Shape for one lander.
+    units
+        Units along the last axis, or one unit for all.
+    low, high
+        Bounds that can be broadcast to the shape.
+    meaning
+        Description, for the documentation.
+    of
+        Function that returns the values of all landers (n, *shape).
+    """
+
+    name: str
+    shape: tuple[int, ...]
+    units: tuple[str, ...]
+    low: Any
+    high: Any
+    meaning: str
+    of: Callable[[SiteInputs], Array]
+
+    @property
+    def space(self) -> spaces.Box:
+        """Space of one lander."""
+        low = np.broadcast_to(np.asarray(self.low, np.float32), self.shape).copy()
+        high = np.broadcast_to(np.asarray(self.high, np.float32), self.shape).copy()
+        return spaces.Box(low, high, self.shape, np.float32)
+
+
+PARTS: dict[str, SiteObservationComponent] = {}
+# Default components of the observation.
+DEFAULT = ("estimate", "hazard_map", "sites", "to_go")
+
+
+def register(part: SiteObservationComponent) -> None:
+    """Register a component.
+
+    Raises
+    ------
+    InputError
+        If the name exists, the shape is empty, or the bounds are empty.
+    """
+    check_new(part.name, PARTS)
+    space = part.space
+    if not part.shape or not (space.low < space.high).all():
+        raise InputError(
+            part.name, (part.shape, part.low, part.high), "must have a shape and a range"
+        )
+    PARTS[part.name] = part
+
+
+def _estimate(s: SiteInputs) -> Array:
+    return np.concatenate((s.position - s.site, s.velocity, s.attitude), axis=1)
+
+
+def _to_go(s: SiteInputs) -> Array:
+    altitude = s.position[:, 2] - s.site[:, 2]
+    return np.stack((s.time_to_go, s.propellant, altitude), axis=1)
+
+
+def _rows(s: SiteInputs, columns: Sequence[Array]) -> Array:
+    """Return a table of sites (n, 20, columns); rows without a site are zero."""
+    out = np.zeros((len(s.site), SITES, len(columns)))
+    n = min(SITES, s.p_safe.shape[1])
+    known = np.arange(n) < s.count[:, None]
+    for k, column in enumerate(columns):
+        out[:, :n, k] = np.where(known, column[:, :n], 0.0)
+    return out
+
+
+def _away(s: SiteInputs) -> Array:
+    return s.position_of - s.site[:, None]
+
+
+def _sites(s: SiteInputs) -> Array:
+    away, there = _away(s), np.isfinite(s.cost)
+    cost = np.where(there, s.cost, FAR)
+    return _rows(s, (away[..., 0], away[..., 1], away[..., 2], s.p_safe, cost, there))
+
+
+def _candidates(s: SiteInputs) -> Array:
+    away, there = _away(s), np.isfinite(s.cost)
+    stay = np.where(np.isfinite(s.here[:, 1]), s.here[:, 1], 0.0)
+    more = np.where(there, s.cost - stay[:, None], FAR)
+    return _rows(s, (away[..., 0], away[..., 1], s.p_safe, more, s.distance, there))
+
+
+def _site(s: SiteInputs) -> Array:
+    p, cost, miss = s.here.T
+    seen = np.isfinite(p)
+    return np.stack((np.where(seen, p, 0.0), seen, np.minimum(cost, FAR), miss), axis=1)
+
+
+def _small(s: SiteInputs) -> Array:
+    return s.small
+
+
+def _crop(s: SiteInputs) -> Array:
+    return s.crop
+
+
+for _part in (
+    SiteObservationComponent(
+        "estimate", (10,), (*["m"] * 3, *["m/s"] * 3, *[""] * 4),
+        [-FAR] * 6 + [-1.0] * 4, [FAR] * 6 + [1.0] * 4,
+        "estimated position relative to the current site, velocity and attitude (scalar last), ENU",
+        _estimate,
+    ),
+    SiteObservationComponent(
+        "hazard_map", (2, MAP_CELLS, MAP_CELLS), ("",), 0.0, 1.0,
+        "mean p_safe and observed fraction in equal blocks of the hazard map; row 0 south, column "
+        "0 west", _small,
+    ),
+    SiteObservationComponent(
+        "sites", (SITES, 6), ("m", "m", "m", "", "kg", ""),
+        [-FAR, -FAR, -FAR, 0.0, 0.0, 0.0], [FAR, FAR, FAR, 1.0, FAR, 1.0],
+        "offset from the current site east, north, up, p_safe, propellant to reach it, 1 if "
+        "available; rows without a site are zero", _sites,
+    ),
+    SiteObservationComponent(
+        "to_go", (3,), ("s", "kg", "m"), 0.0, FAR,
+        "time-to-go, remaining propellant, altitude above the site", _to_go,
+    ),
+    SiteObservationComponent(
+        "candidates", (SITES, 6), ("m", "m", "", "kg", "m", ""),
+        [-FAR, -FAR, 0.0, -FAR, 0.0, 0.0], [FAR, FAR, 1.0, FAR, FAR, 1.0],
+        "offset from the current site east and north, p_safe, propellant minus that of the current "
+        "site, distance, 1 if available; one row per divert action", _candidates,
+    ),
+    SiteObservationComponent(
+        "site", (4,), ("", "", "kg", "m"), [0.0, 0.0, 0.0, 0.0], [1.0, 1.0, FAR, FAR],
+        "current site: p_safe, 1 if observed, propellant to reach it, expected miss", _site,
+    ),
+    SiteObservationComponent(
+        "hazard_crop", (2, CROP_CELLS, CROP_CELLS), ("",), 0.0, 1.0,
+        "p_safe and observed mask around the current site, 1 m spacing; row 0 south, column 0 west",
+        _crop,
+    ),
+):  # fmt: skip
+    register(_part)
+
+
+class SiteObservationLayout:
+    """A ``Dict`` observation that consists of named components.
+
+    Parameters
+    ----------
+    names
+        Names of the components.
+
+    Raises
+    ------
+    InputError
+        If a name is unknown or occurs twice, or there are no names.
+    """
+
+    def __init__(self, names: Sequence[str]) -> None:
+        self.parts = named_parts("observation", names, PARTS)
+        self._bounds = {part.name: (part.space.low, part.space.high) for part in self.parts}
+
+    def __reduce__(self) -> tuple[type[SiteObservationLayout], tuple[list[str]]]:
+        """Pickle the names only, because functions of components may not be picklable."""
+        return SiteObservationLayout, ([part.name for part in self.parts],)
+
+    @property
+    def space(self) -> spaces.Dict:
+        """Observation space of one lander."""
+        return spaces.Dict({part.name: part.space for part in self.parts})
+
+    def of(self, sights: SiteInputs) -> Shown:
+        """Return the observations of all landers, an array (n, ...) per component."""
+        told = {}
+        for part in self.parts:
+            value = np.array(part.of(sights), dtype=np.float32)
+            check_shape(f"observation: {part.name}", value, (len(sights.site), *part.shape))
+            low, high = self._bounds[part.name]
+            np.maximum(value, low, out=value)
+            told[part.name] = np.minimum(value, high, out=value)
+        return told

@@ -1,0 +1,154 @@
+"""Fly millions of descents in kernels, with a surrogate for perception."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lunarsim.errors import InputError
+from lunarsim.scenario import Scenario
+from lunarsim_envs.descent.batch import LATE, LIMITS
+from lunarsim_envs.sites import _sparse_kernels as k
+from lunarsim_envs.sites.batch import Mask, SiteDescentBatch
+from lunarsim_envs.sites.perception import create_batch
+
+# Number of parallel lanes (results do not depend on it); spacing of the site lattice, cells; half
+# side of the lattice, m.
+LANES, _EVERY, _REACH = 4096, 8, 24.0
+
+
+@dataclass(frozen=True)
+class FlightSummary:
+    """Summary of many flights.
+
+    Attributes
+    ----------
+    flights, safe
+        Number of flights, and of safe landings.
+    failed
+        Number of violations of each limit in `LIMITS` and of the time limit.
+    seconds
+        Total flight time, s.
+    propellant
+        Total propellant used by safe landings, kg.
+    told, told_safe
+        Number of flights, and of safe landings, by tenths of the p_safe that the map predicted for
+        the site (10,).
+    """
+
+    flights: int
+    safe: int
+    failed: dict[str, int]
+    seconds: float
+    propellant: float
+    told: NDArray[np.int64]
+    told_safe: NDArray[np.int64]
+
+    def __add__(self, other: FlightSummary) -> FlightSummary:
+        """Add two summaries."""
+        return FlightSummary(
+            self.flights + other.flights, self.safe + other.safe,
+            {name: self.failed[name] + other.failed[name] for name in self.failed},
+            self.seconds + other.seconds, self.propellant + other.propellant,
+            self.told + other.told, self.told_safe + other.told_safe,
+        )  # fmt: skip
+
+
+def batches(
+    scenario: Scenario,
+    flights: int,
+    seed: int,
+    worlds: int,
+    lanes: int = LANES,
+    surrogate: Any = None,
+) -> Iterator[FlightSummary]:
+    """Fly batches of flights and yield the summary of each.
+
+    Flight i does not depend on the number of lanes and threads.
+
+    Parameters
+    ----------
+    scenario
+        Scenario of the flights. After every scan, the lander diverts to the nearest site that is
+        safe enough.
+    flights, seed
+        Number of flights, and root seed.
+    worlds
+        Number of worlds in the pool.
+    lanes
+        Number of parallel flights.
+    surrogate
+        `Surrogate` or the path of its file; None is the packaged one.
+
+    Raises
+    ------
+    InputError
+        If `flights` is less than 1, or kernels do not support the scenario.
+    """
+    if flights < 1:
+        raise InputError("--flights", flights, "must be at least 1")
+    one = create_batch(1, "surrogate", scenario, worlds, 0, surrogate)
+    many = SparseDescentBatch(
+        min(lanes, flights), without_site_decisions(scenario), one.pool, errors=one.errors,
+        view=one.view, drift=one.drift, claimed=float(one.maps.stated[1]),
+        posting=one.maps.posting,
+    )  # fmt: skip
+    keys = np.random.default_rng(seed).integers(2**64, size=flights, dtype=np.uint64)
+    for first in range(0, flights, many.count):
+        own = keys[first : first + many.count]
+        mask = np.arange(many.count) < len(own)
+        many.ended[:] = LATE
+        many.seed(mask, own)
+        many.begin(mask)
+        yield many.tally(mask)
+
+
+class SparseDescentBatch(SiteDescentBatch):
+    """A batch with perception on a sparse lattice of sites and one decision after every scan.
+
+    Attributes
+    ----------
+    said
+        Predicted p_safe of the current site (n,); NaN if it was not observed.
+    """
+
+    keeps_maps = False
+
+    def begin(self, mask: Mask) -> None:
+        """Fly a new flight in every lane of `mask` (n,) to its end."""
+        self.said = np.full(self.count, np.nan)
+        super().begin(mask)
+
+    def scan(self, due: Mask) -> None:
+        """Take the due scans in the lanes of `due` (n,) and choose their sites."""
+        side = int(2.0 * _REACH / self.maps.posting) + 1
+        self._run(
+            k.choose, 200.0 * self.count, due, self._keys, self._begun, self.y, self.time,
+            self.world, self.target, self.course, self.law, side, _EVERY, self.maps.posting,
+            self.pool.layers, self.errors, self.view, self.said,
+        )  # fmt: skip
+
+    def tally(self, mask: Mask) -> FlightSummary:
+        """Return the summary of the lanes of `mask` (n,)."""
+        safe = self.safe & mask
+        failed = {
+            name: int(((self.failed >> bit & 1).astype(bool) & mask).sum())
+            for bit, name in enumerate(LIMITS)
+        }
+        failed["time-limit"] = int(((self.ended == LATE) & mask).sum())
+        known = mask & np.isfinite(self.said)
+        tenth = np.minimum((np.nan_to_num(self.said) * 10).astype(int), 9)
+        return FlightSummary(
+            int(mask.sum()), int(safe.sum()), failed, float(self.time[mask].sum()),
+            float(self.burnt[safe].sum()), np.bincount(tenth[known], minlength=10),
+            np.bincount(tenth[known & safe], minlength=10),
+        )  # fmt: skip
+
+
+def without_site_decisions(scenario: Scenario) -> Scenario:
+    """Return a scenario without decisions: their altitude window is below the pads."""
+    return scenario.changed(decisions={"first_altitude_m": 2e-4, "last_altitude_m": 1e-4})

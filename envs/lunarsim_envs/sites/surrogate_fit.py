@@ -1,0 +1,168 @@
+"""Fit a surrogate to maps from simulated flights."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import nnls
+from scipy.special import ndtr, ndtri
+from scipy.stats import rankdata
+
+from lunarsim.errors import InputError
+from lunarsim.scenario import Scenario
+from lunarsim_envs.sites import hazard
+from lunarsim_envs.sites.map_samples import MapSample, SampledFlight
+from lunarsim_envs.sites.surrogate import LENGTHS, MOST, NODES, Surrogate, surrogate_tables
+from lunarsim_envs.sites.surrogate_maps import (
+    correlation,
+    correlation_length,
+    draw_surrogate_maps,
+    is_evaluated,
+)
+
+Array = NDArray[np.float64]
+
+# Minimum number of sites for a separate table of a class; smaller classes share that of their size.
+_ENOUGH = 150
+# Number of iterations that correct the correlation lengths.
+_ROUNDS = 3
+# Lags at which the correlation is fitted, in cells.
+_LAGS = np.array([0, 1, 2, 3, 4, 6, 8, 12, 16, 24, 32])
+
+
+def fit_mapper_surrogate(
+    scenario: Scenario, grounds: Sequence[Sequence[SampledFlight]]
+) -> Surrogate:
+    """Fit the surrogate of a scenario's mapper.
+
+    Parameters
+    ----------
+    scenario
+        Scenario of the flights.
+    grounds
+        Flights over several terrains, which differ in their fraction of safe sites.
+
+    Raises
+    ------
+    InputError
+        If flights are missing, or have more than two scans.
+    """
+    looks = [[look for flight in ground for look in flight.looks] for ground in grounds]
+    scans = 1 + max((look.stage for ground in looks for look in ground), default=-1)
+    if not 1 <= scans <= 2:
+        raise InputError("scans", scans, "must be one or two in every flight")
+    shares = np.array([np.mean([f.safe_share for f in ground]) for ground in grounds])
+    order = np.argsort(shares)
+    tables = np.zeros((len(grounds), scans, hazard.COUNT, NODES))
+    common, weights = np.zeros((len(grounds), scans)), np.zeros((len(grounds), scans, len(LENGTHS)))
+    scores: list[list[Array]] = [[] for _ in range(scans)]
+    for g, ground in enumerate(order):
+        for stage in range(scans):
+            own = [look for look in looks[ground] if look.stage == stage]
+            tables[g, stage] = quantile_tables(own)
+            found = normal_scores(own)
+            means = np.array([np.nanmean(one) for one in found])
+            every = np.nanvar(np.concatenate([one.ravel() for one in found]))
+            common[g, stage] = min(np.var(means) / max(every, 1e-9), 0.95)
+            weights[g, stage] = correlation_weights(found, own[0].posting)
+            scores[stage] += found
+    every = [flight for ground in grounds for flight in ground]
+    drift = np.array([flight.drift for flight in every])
+    plain = Surrogate(
+        shares[order], tables, common, weights, np.ones(common.shape), _kept(scores),
+        np.sqrt(np.nanmean(drift**2, axis=0)), float(np.mean([f.claimed for f in every])),
+        np.array([_altitude(looks, stage) for stage in range(scans)]),
+        json.dumps(surrogate_tables(scenario), sort_keys=True),
+    )  # fmt: skip
+    return _stretched(plain, [grounds[ground] for ground in order])
+
+
+def _stretched(surrogate: Surrogate, grounds: Sequence[Sequence[SampledFlight]]) -> Surrogate:
+    """Return a surrogate with the correlation lengths of the mapper on the fitted terrains."""
+    for _ in range(_ROUNDS):
+        stretch = surrogate.stretch.copy()
+        for g, ground in enumerate(grounds):
+            rng = np.random.default_rng(g)
+            drawn = [draw_surrogate_maps(surrogate, flight, rng) for flight in ground]
+            for scan in range(stretch.shape[1]):
+                looks = [look for f in ground for look in f.looks if look.stage == scan]
+                wanted = correlation_length(looks, [look.p_safe for look in looks])
+                found = correlation_length(looks, [one[scan] for one in drawn if len(one) > scan])
+                if np.isfinite(wanted) and np.isfinite(found):
+                    stretch[g, scan] = np.clip(stretch[g, scan] * wanted / found, 0.5, 5.0)
+        surrogate = replace(surrogate, stretch=stretch)
+    return surrogate
+
+
+def _altitude(looks: Sequence[Sequence[MapSample]], stage: int) -> float:
+    return float(np.mean([k.altitude for ground in looks for k in ground if k.stage == stage]))
+
+
+def quantile_tables(looks: Sequence[MapSample]) -> Array:
+    """Return p_safe of each class at the nodes (classes, nodes)."""
+    kind = np.concatenate([look.kind[is_evaluated(look)] for look in looks])
+    p = np.concatenate([look.p_safe[is_evaluated(look)] for look in looks]).astype(np.float64)
+    share = ndtr(np.linspace(-MOST, MOST, NODES))
+    sizes = hazard.size_class(kind)
+    known = np.flatnonzero(np.bincount(sizes, minlength=len(hazard.SIZES) + 1) >= 1)
+    if not len(known):
+        raise InputError("looks", len(looks), "must include a site with known truth")
+    out = np.empty((hazard.COUNT, NODES))
+    for c in range(hazard.COUNT):
+        size = int(hazard.size_class(np.array([c], np.uint8))[0])
+        own = p[kind == c]
+        if len(own) < _ENOUGH:
+            nearest = known[np.argmin(np.abs(known - size))]
+            own = p[sizes == nearest]
+        out[c] = np.quantile(own, share)
+    return out
+
+
+def normal_scores(looks: Sequence[MapSample]) -> list[Array]:
+    """Return the normal score of each site within its class (rows, cols); NaN elsewhere."""
+    masks = [is_evaluated(look) for look in looks]
+    kind = np.concatenate([look.kind[mask] for look, mask in zip(looks, masks, strict=True)])
+    p = np.concatenate([look.p_safe[mask] for look, mask in zip(looks, masks, strict=True)])
+    z = np.empty(len(p))
+    for c in np.unique(kind):
+        own = kind == c
+        z[own] = ndtri((rankdata(p[own]) - 0.5) / own.sum())
+    out, at = [], 0
+    for mask in masks:
+        one = np.full(mask.shape, np.nan)
+        count = int(mask.sum())
+        one[mask] = z[at : at + count]
+        out.append(one)
+        at += count
+    return out
+
+
+def correlation_weights(fields: Sequence[Array], posting: float) -> Array:
+    """Return the weights of the Gaussian correlation lengths (lengths,), which sum to 1."""
+    wanted = correlation(fields, _LAGS)
+    away = _LAGS * posting
+    basis = np.stack(
+        [(away == 0.0).astype(float)]
+        + [np.exp(-0.5 * (away / length) ** 2) for length in LENGTHS[1:]],
+        axis=1,
+    )
+    weights = nnls(basis, np.maximum(wanted, 0.0))[0]
+    return np.asarray(weights / weights.sum())
+
+
+def _kept(scores: Sequence[Sequence[Array]]) -> float:
+    """Return the correlation of normal scores between the first and the second map."""
+    if len(scores) < 2:
+        return 0.0
+    first, second = scores
+    if len(first) != len(second):
+        raise InputError("scans", (len(first), len(second)), "must be the same number")
+    pairs = np.concatenate([
+        np.stack((a, b), axis=-1).reshape(-1, 2) for a, b in zip(first, second, strict=True)
+    ])  # fmt: skip
+    known = pairs[np.isfinite(pairs).all(axis=1)]
+    return float(np.clip(np.corrcoef(known.T)[0, 1], 0.0, 0.99)) if len(known) > 2 else 0.0

@@ -1,0 +1,93 @@
+"""Draw surrogate maps in plain NumPy, and measure the correlation length of their errors."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lunarsim_envs.sites import hazard
+from lunarsim_envs.sites.map_samples import MapSample, SampledFlight
+from lunarsim_envs.sites.surrogate import Surrogate
+
+Array = NDArray[np.float64]
+
+_LAGS = np.arange(0, 33)
+
+
+def is_evaluated(look: MapSample) -> NDArray[np.bool_]:
+    """Return the mask of cells with a p_safe from the last scan and with known truth."""
+    return np.asarray(look.viewed & look.observed & (look.kind != hazard.UNKNOWN))
+
+
+def draw_surrogate_maps(
+    surrogate: Surrogate, flight: SampledFlight, rng: np.random.Generator
+) -> list[NDArray[np.float32]]:
+    """Draw surrogate maps for the scans of a flight; NaN for cells outside `is_evaluated`.
+
+    The computation is the same as in the kernel, cell by cell.
+    """
+    posting = flight.looks[0].posting
+    errors = surrogate.errors(np.array([flight.safe_share]), posting)
+    noise, nodes = errors.noise[errors.bank[0]], errors.tables.shape[3]
+    side = noise.shape[2]
+    steps = np.linspace(-errors.most, errors.most, nodes)
+    out, last, whole = [], None, None
+    for look in flight.looks:
+        one = noise[look.stage, rng.integers(noise.shape[1])]
+        one = np.roll(one, tuple(rng.integers(side, size=2)), (0, 1))
+        one = one[: look.kind.shape[0], : look.kind.shape[1]].astype(np.float64)
+        mean = rng.standard_normal()
+        if last is not None and whole is not None:
+            fresh = np.sqrt(1.0 - errors.kept**2)
+            one = errors.kept * last + fresh * one
+            mean = errors.kept * whole + fresh * mean
+        last, whole = one, mean
+        common = errors.common[0, look.stage]
+        z = np.sqrt(common) * mean + np.sqrt(1.0 - common) * one
+        p = np.full(look.kind.shape, np.nan, np.float32)
+        for c in np.unique(look.kind[is_evaluated(look)]):
+            own = is_evaluated(look) & (look.kind == c)
+            p[own] = np.interp(z[own], steps, errors.tables[0, look.stage, c])
+        out.append(p)
+    return out
+
+
+def correlation(fields: Sequence[Array], lags: NDArray[np.int64]) -> Array:
+    """Return the autocorrelation of fields (without their means) at lags in cells."""
+    top, count = np.zeros(len(lags)), np.zeros(len(lags))
+    for one in fields:
+        if np.isnan(one).all():
+            continue
+        field = one - np.nanmean(one)
+        for k, lag in enumerate(lags):
+            for moved in (field[lag:, :] * field[: field.shape[0] - lag, :],
+                          field[:, lag:] * field[:, : field.shape[1] - lag]):  # fmt: skip
+                known = np.isfinite(moved)
+                top[k] += moved[known].sum()
+                count[k] += known.sum()
+    mean = top / np.maximum(count, 1.0)
+    return np.asarray(mean / max(mean[0], 1e-12))
+
+
+def correlation_length(looks: Sequence[MapSample], maps: Sequence[NDArray[np.float32]]) -> float:
+    """Return the correlation length of p_safe minus its class mean (fall to 1 / e), m."""
+    masks = [is_evaluated(look) for look in looks]
+    total, count = np.zeros(hazard.COUNT), np.zeros(hazard.COUNT)
+    for look, one, mask in zip(looks, maps, masks, strict=True):
+        np.add.at(total, look.kind[mask], one[mask])
+        np.add.at(count, look.kind[mask], 1.0)
+    means = total / np.maximum(count, 1.0)
+    fields = []
+    for look, one, mask in zip(looks, maps, masks, strict=True):
+        field = np.full(mask.shape, np.nan)
+        field[mask] = one[mask] - means[look.kind[mask]]
+        fields.append(field)
+    falls = correlation(fields, _LAGS)
+    below = np.flatnonzero(falls < np.exp(-1.0))
+    if not len(below):
+        return float("nan")
+    k = int(below[0])
+    part = (falls[k - 1] - np.exp(-1.0)) / (falls[k - 1] - falls[k])
+    return float((k - 1 + part) * looks[0].posting)

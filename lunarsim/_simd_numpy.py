@@ -1,0 +1,61 @@
+"""NumPy versions of the functions of `_lanes`, for NUMBA_DISABLE_JIT; vectors are arrays (16,)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+LANES = 16
+
+Vector = NDArray[np.float32]
+
+
+def load(array: Vector, at: int) -> Vector:
+    """Return sixteen elements, starting at index `at`; zeros beyond the end of the array."""
+    out = np.zeros(LANES, np.float32)
+    part = array[at : at + LANES]
+    out[: part.size] = part
+    return out
+
+
+def item(array: NDArray[Any], at: int) -> Any:
+    """Return one element."""
+    return array[at]
+
+
+def store(array: Vector, at: int, value: Vector) -> None:
+    """Write up to sixteen elements, starting at index `at`, but not beyond the array."""
+    part = array[at : at + LANES]
+    part[:] = value[: part.size]
+
+
+def lane_fill(number: float) -> Vector:
+    """Return a vector with the same number in all lanes."""
+    return np.full(LANES, number, np.float32)
+
+
+def lane_max(a: Vector, b: Vector) -> Vector:
+    """Return the maximum in each lane; b if either is NaN."""
+    return np.where(a > b, a, b)
+
+
+def lane_sqrt(a: Vector) -> Vector:
+    """Return the square lane_sqrt in each lane."""
+    return np.sqrt(a)
+
+
+def lane_abs(a: Vector) -> Vector:
+    """Return the absolute value in each lane."""
+    return np.abs(a)
+
+
+def select_ge(a: Vector, b: Vector, yes: Vector, no: Vector) -> Vector:
+    """Return `yes` in lanes with a >= b, and `no` in the others."""
+    return np.where(a >= b, yes, no)
+
+
+def any_greater(a: Vector, b: Vector) -> bool:
+    """Return whether a > b in any lane."""
+    return bool((a > b).any())

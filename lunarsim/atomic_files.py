@@ -1,0 +1,110 @@
+"""Write files and folders atomically: they are complete or absent."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from lunarsim.errors import InputError
+from lunarsim.json_files import read_json
+
+
+def atomic_write(path: Path, write: Callable[[Path], object]) -> None:
+    """Write a file atomically: to a temporary file that is then renamed to `path`.
+
+    Parameters
+    ----------
+    path
+        File to write. Readers find the old or the new file, never an incomplete one.
+    write
+        Function that writes to the path it receives. That path has another suffix than `path`.
+
+    Raises
+    ------
+    OSError
+        With `path` as its file name, for instance if the disk is full.
+    """
+    temporary = path.with_name(f".{path.name}.part")
+    try:
+        write(temporary)
+        with temporary.open("rb") as file:
+            os.fsync(file.fileno())
+        temporary.replace(path)
+    except BaseException as error:
+        temporary.unlink(missing_ok=True)
+        if isinstance(error, OSError) and error.errno is not None:
+            raise OSError(error.errno, os.strerror(error.errno), str(path)) from error
+        raise
+
+
+def atomic_write_text(path: Path, text: str) -> None:
+    """Write a text file atomically, in UTF-8."""
+
+    def write(part: Path) -> None:
+        part.write_text(text, encoding="utf-8")
+
+    atomic_write(path, write)
+
+
+def read_json_with_format(path: Path, field: str, tag: str, hint: str = "") -> dict[str, Any]:
+    """Read a JSON file and check its key `format`.
+
+    Parameters
+    ----------
+    path
+        File to read.
+    field
+        Field name for errors.
+    tag
+        Required value of `format`.
+    hint
+        Clause added to errors, such as how to create the file.
+
+    Raises
+    ------
+    InputError
+        If the file is missing, is not JSON, or has another format.
+    """
+    if not path.is_file():
+        raise InputError(field, str(path), f"must be an existing file{hint}")
+    try:
+        data = read_json(path)
+    except ValueError as error:
+        raise InputError(field, str(path), f"must be a JSON file ({error}){hint}") from None
+    if not isinstance(data, dict) or data.get("format") != tag:
+        raise InputError(field, str(path), f"must be a file with format = {tag!r}{hint}")
+    return data
+
+
+def new_contents_remover(folder: Path) -> Callable[[], None]:
+    """Return a function that removes all files created in a folder after this call.
+
+    It also removes parent folders that were created after this call and are empty.
+    """
+    above = next(p for p in (folder, *folder.absolute().parents) if p.exists()).absolute()
+    before = set(folder.iterdir()) if folder.is_dir() else set()
+
+    def remove() -> None:
+        for path in set(folder.iterdir()) - before if folder.is_dir() else ():
+            shutil.rmtree(path) if path.is_dir() else path.unlink()
+        created = folder.absolute()
+        while created != above and created.is_dir() and not any(created.iterdir()):
+            created.rmdir()
+            created = created.parent
+
+    return remove
+
+
+@contextmanager
+def remove_contents_on_error(folder: Path) -> Iterator[None]:
+    """Remove new contents of a folder if the block that fills it raises an exception."""
+    remove = new_contents_remover(folder)
+    try:
+        yield
+    except BaseException:
+        remove()
+        raise

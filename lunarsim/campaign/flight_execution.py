@@ -1,0 +1,255 @@
+"""Fly one flight of a campaign in a worker; worlds and truth are computed once per group.
+
+Campaigns name `fly` in their `Work`; other functions serve tests of the engines.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import shutil
+import tempfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from lunarsim.campaign.cache import DiskCache
+from lunarsim.campaign.dispersions import Choice, world_index
+from lunarsim.campaign.factors import Arm, folder_name, group_arms_by_terrain
+from lunarsim.campaign.outcomes import RecordNotWrittenError
+from lunarsim.campaign.plan import WEIGHT, Group, Plan, Work, kind_of
+from lunarsim.campaign.scenario_tables import GROUND_TABLES, tables_as_text
+from lunarsim.campaign.shared_paths import fly_on_shared_path, shared_path_classes
+from lunarsim.campaign.spec import CampaignSpec
+from lunarsim.campaign.subset import CHAIN, LEVEL, WORLD, SubsetChains
+from lunarsim.campaign.world_truth import SAFE_SHARE_COLUMNS, WorldTruthProvider
+from lunarsim.errors import InputError
+from lunarsim.evaluation.flight_metrics import COLUMNS, evaluate
+from lunarsim.rng import RandomStreams, flight_seed
+from lunarsim.scenario import Scenario
+from lunarsim.scenario.changes import path_of, with_values
+from lunarsim.simulation import Flight, Simulation, build_world
+from lunarsim.world.terrain import Terrain
+
+# Columns that locate a flight in a subset simulation.
+_SUBSET_COLUMNS = (LEVEL, CHAIN, WORLD)
+
+
+@dataclass(frozen=True)
+class Study:
+    """Settings of a campaign that workers need.
+
+    Attributes
+    ----------
+    seed
+        Root seed.
+    arms
+        Arms that are compared.
+    out
+        Folder for records and figures, or None.
+    records
+        Flights whose complete records are kept: none, failures or all.
+    figures
+        Whether to draw the first flight of each arm and every flight that was not safe.
+    cache
+        Cache of the truth about worlds, or None.
+    block
+        Flights in a block of a Saltelli design, which share two worlds; 0: one world per flight.
+    paths
+        Class of each arm for shared flight paths, from `shared_path_classes`; empty: no sharing.
+    """
+
+    seed: int
+    arms: Sequence[Arm]
+    out: Path | None = None
+    records: str = "none"
+    figures: bool = False
+    cache: DiskCache | None = None
+    block: int = 0
+    paths: tuple[int, ...] = ()
+
+
+def build_plan(spec: CampaignSpec, out: Path | None = None, cache: DiskCache | None = None) -> Plan:
+    """Build the plan of a spec; records and figures go to `out`, truth to `cache`."""
+    arms = [(arm.name, _by_full_key(arm.values)) for arm in spec.arms]
+    laws = spec.dispersions.distributions
+    chains = None if spec.dispersions.subset is None else SubsetChains(spec.dispersions)
+    is_weighted = spec.dispersions.importance is not None
+
+    def draws(flight: int) -> dict[str, Any]:
+        if chains is not None:
+            return _by_full_key(chains.draws(flight))
+        drawn = _by_full_key(spec.dispersions.draws(flight))
+        return drawn | {WEIGHT: spec.dispersions.weight(flight)} if is_weighted else drawn
+
+    keys = dict.fromkeys(key for _, values in arms for key in values)
+    inputs = {key: kind_of([v[key] for _, v in arms if key in v]) for key in keys}
+    inputs |= _draw_kinds(laws)
+    if is_weighted:
+        inputs[WEIGHT] = "float"
+    if chains is not None:
+        inputs = dict.fromkeys(_SUBSET_COLUMNS, "int") | inputs
+    head, block = spec.head, spec.dispersions.block
+    study = Study(head.seed, spec.arms, out, head.records, head.figures, cache, block,
+                  shared_path_classes(spec.arms))  # fmt: skip
+    return Plan(
+        name=spec.head.name,
+        seed=spec.head.seed,
+        flights=spec.head.flights if chains is None else chains.max_flights,
+        arms=arms,
+        groups=group_arms_by_terrain(spec.arms),
+        draws=draws,
+        columns=COLUMNS | dict.fromkeys(SAFE_SHARE_COLUMNS, "float"),
+        inputs=inputs,
+        work=Work("lunarsim.campaign.flight_execution:fly", study),
+        identity=spec.identity,
+        chains=chains,
+    )
+
+
+def _draw_kinds(laws: Mapping[str, Any]) -> dict[str, str]:
+    """Return the kind of each column of draws; a choice of tables gives a column for each key."""
+    found: dict[str, list[Any]] = {}
+    for key, law in laws.items():
+        for value in law.values if isinstance(law, Choice) else (0.0,):
+            for name, one in _by_full_key({key: value}).items():
+                found.setdefault(name, []).append(one)
+    return {name: kind_of(values) for name, values in found.items()}
+
+
+def check_first_flights(spec: CampaignSpec) -> None:
+    """Set up the first flight of every arm without flying it.
+
+    Raises
+    ------
+    InputError
+        If a flight cannot be set up, or a file of another flight cannot be read.
+    """
+    check_files(spec)
+    seed = flight_seed(spec.head.seed, 0)
+    grounds: dict[str, Terrain] = {}
+    for i, arm in enumerate(spec.arms):
+        scenario = spec.scenario_of(0, i)
+        key = tables_as_text(scenario, GROUND_TABLES)
+        world = build_world(scenario, RandomStreams(seed), grounds.get(key))
+        grounds = {key: world.terrain}
+        Simulation(scenario, seed, arm.policy or scenario.policy.kind, world=world)
+
+
+def check_files(spec: CampaignSpec) -> None:
+    """Read the files of the terrain of all arms, including all choices that may be drawn.
+
+    Raises
+    ------
+    InputError
+        If a file cannot be read, or does not fit its use.
+    """
+    choices = {
+        key: law.values
+        for key, law in spec.dispersions.distributions.items()
+        if isinstance(law, Choice) and key.partition(".")[0] == "terrain"
+    }
+    read: set[str] = set()
+    for arm in spec.arms:
+        others = [{key: value} for key, values in choices.items() for value in values]
+        for values in others or [{}]:
+            scenario = with_values(arm.scenario, values, "dispersions")
+            key = tables_as_text(scenario, ("terrain",))
+            if key not in read:
+                scenario.check_files()
+                read.add(key)
+
+
+def _by_full_key(values: Any, before: str = "") -> dict[str, Any]:
+    """Return values by complete key, as in the columns: ``policy`` as ``policy.kind``."""
+    found: dict[str, Any] = {}
+    for key, value in values.items():
+        name = before + ".".join(path_of(key, value))
+        found |= _by_full_key(value, f"{name}.") if isinstance(value, Mapping) else {name: value}
+    return found
+
+
+def fly(study: Study, group: Group, arm: int, memory: dict[Any, Any]) -> dict[str, Any]:
+    """Fly one flight index under one arm; return its metrics.
+
+    Parameters
+    ----------
+    study
+        Settings of the campaign.
+    group, arm
+        Group of the flight; index of the arm.
+    memory
+        Worlds and truth that the group has computed so far; extended here.
+
+    Raises
+    ------
+    RecordNotWrittenError
+        With the metrics, if the record or the figures cannot be written.
+    """
+    flight, simulation, row = fly_with_simulation(study, group, arm, memory)
+    name = study.arms[arm].name
+    try:
+        _save_record(study, group.flight, name, flight, row["safe"])
+        if study.out is not None and study.figures and (group.flight == 0 or not row["safe"]):
+            from lunarsim.viz import draw_flight  # noqa: PLC0415  (matplotlib is slow to load)
+
+            folder = study.out / "figures" / folder_name(name)
+            if group.flight:
+                folder /= f"failed-{group.flight}"
+            draw_flight(flight, simulation.world, simulation.truth, folder)
+    except OSError as error:
+        raise RecordNotWrittenError(row, f"Record or figures were not written: {error}.") from error
+    return row
+
+
+def fly_with_simulation(
+    study: Study, group: Group, arm: int, memory: dict[Any, Any]
+) -> tuple[Flight, Simulation, dict[str, Any]]:
+    """Fly as `fly` does, without writing; return the record, the simulation and the metrics."""
+    draws = {k: value for k, value in group.draws.items() if k not in (WEIGHT, *_SUBSET_COLUMNS)}
+    scenario = with_values(study.arms[arm].scenario, draws, "dispersions")
+    seed = flight_seed(study.seed, group.draws.get(WORLD, world_index(group.flight, study.block)))
+    grounds = WorldTruthProvider(seed, memory, study.cache)
+    world, truth = grounds.world_and_truth(scenario)
+
+    def new_simulation(policy: Any) -> Simulation:
+        return Simulation(scenario, seed, policy, world=world, truth=truth)
+
+    others = _same_path_scenarios(study, group, arm, draws)
+    if others:
+        branches = memory.setdefault(("paths", study.paths[arm]), {})
+        scenarios = {arm: scenario} | others
+        simulation = fly_on_shared_path(
+            arm, scenarios, lambda: new_simulation(scenario.policy.kind), branches
+        )
+    else:
+        simulation = new_simulation(study.arms[arm].policy or scenario.policy.kind)
+        simulation.run()
+    flight = simulation.flight()
+    return flight, simulation, evaluate(flight, truth) | grounds.shares(scenario, truth)
+
+
+def _same_path_scenarios(
+    study: Study, group: Group, arm: int, draws: Mapping[str, Any]
+) -> dict[int, Scenario]:
+    """Return the scenarios of the group's other arms that differ from an arm only in policy."""
+    found = {}
+    for i in group.arms if study.paths else ():
+        if i != arm and study.paths[i] == study.paths[arm]:
+            with contextlib.suppress(InputError):  # raised again when that arm is flown
+                found[i] = with_values(study.arms[i].scenario, draws, "dispersions")
+    return found
+
+
+def _save_record(study: Study, index: int, arm: str, flight: Flight, safe: bool) -> None:
+    """Write the complete record of a flight atomically, if it is to be kept."""
+    if study.out is None or study.records == "none" or (study.records == "failures" and safe):
+        return
+    folder = study.out / "flights" / folder_name(arm)
+    folder.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(prefix=".part-", dir=folder) as temporary:
+        flight.save(Path(temporary) / "flight")
+        target = folder / f"{index:05d}"
+        if target.exists():
+            shutil.rmtree(target)  # leftover of the same flight, whose row was not written
+        (Path(temporary) / "flight").rename(target)

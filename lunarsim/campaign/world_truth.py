@@ -1,0 +1,104 @@
+"""Terrain of a flight and the truth about it, shared by all arms and cached on disk.
+
+Terrain and rocks are generated again for each flight index, which takes hundredths of a second.
+The exact safety map takes half a second and more; it is what the cache stores.
+"""
+
+from __future__ import annotations
+
+from dataclasses import astuple, dataclass
+from typing import Any
+
+import numpy as np
+
+from lunarsim.campaign.cache import Arrays, DiskCache
+from lunarsim.campaign.files import file_digests
+from lunarsim.campaign.scenario_tables import GROUND_TABLES, TRUTH_TABLES, tables_as_text
+from lunarsim.grid import Grid
+from lunarsim.rng import RandomStreams
+from lunarsim.safety import SafetyMap
+from lunarsim.scenario import Scenario
+from lunarsim.simulation import build_world
+from lunarsim.world import World
+from lunarsim.world.truth import TerrainTruth
+
+# Share of the target area that is exactly safe, at any heading and at one heading.
+SAFE_SHARE_COLUMNS = ("safe_share", "safe_share_at_heading")
+
+
+@dataclass(frozen=True)
+class WorldTruthProvider:
+    """Worlds and truths of one flight index.
+
+    Attributes
+    ----------
+    seed
+        Seed of the flight.
+    memory
+        Results for this index in this process so far; extended here.
+    cache
+        Disk cache, or None.
+    """
+
+    seed: np.random.SeedSequence
+    memory: dict[Any, Any]
+    cache: DiskCache | None = None
+
+    def world_and_truth(self, scenario: Scenario) -> tuple[World, TerrainTruth]:
+        """Return world and truth of a scenario; the truth depends on the lander's limits."""
+        ground = ("ground", tables_as_text(scenario, GROUND_TABLES))
+        world = build_world(scenario, RandomStreams(self.seed), self.memory.get(ground))
+        self.memory.setdefault(ground, world.terrain)
+        known = ("truth", tables_as_text(scenario, TRUTH_TABLES))
+        if known not in self.memory:
+            self.memory[known] = self._truth(scenario, world)
+        return world, self.memory[known]
+
+    def shares(self, scenario: Scenario, truth: TerrainTruth) -> dict[str, float]:
+        """Return the share of safe terrain in the target area, at any heading and at one."""
+        tables = tables_as_text(scenario, (*TRUTH_TABLES, "target"))
+        key = ("shares", tables, scenario.start.heading_deg)
+        if key not in self.memory:
+            found = self._cached(key, scenario, lambda: _compute_shares(scenario, truth))
+            self.memory[key] = {name: float(found[name]) for name in SAFE_SHARE_COLUMNS}
+        return self.memory[key]  # type: ignore[no-any-return]
+
+    def _truth(self, scenario: Scenario, world: World) -> TerrainTruth:
+        lander = scenario.vehicle.make()
+        key = ("truth", tables_as_text(scenario, TRUTH_TABLES))
+        found = self._cached(key, scenario, lambda: _truth_arrays(TerrainTruth.of(world, lander)))
+        x0, y0, posting, rows, cols = found["grid"]
+        grid = Grid(float(x0), float(y0), float(posting), int(rows), int(cols))
+        maps = (found[name] for name in ("slope", "roughness", "safe", "observed"))
+        return TerrainTruth(SafetyMap(grid, *maps), found["elevation"], lander)
+
+    def _cached(self, key: tuple[Any, ...], scenario: Scenario, make: Any) -> Arrays:
+        """Return arrays from the cache; compute them if they are missing."""
+        tables = {name: scenario.to_dict().get(name) for name in TRUTH_TABLES}
+        # Changes in the code of external parts are not detected, so they are not cached.
+        if self.cache is None or any(":" in str((t or {}).get("kind")) for t in tables.values()):
+            return make()  # type: ignore[no-any-return]
+        files = file_digests(tables)
+        seed = (self.seed.entropy, self.seed.spawn_key)
+        return self.cache.get(key[0], repr((key, sorted(files.items()), seed)), make)
+
+
+def _truth_arrays(truth: TerrainTruth) -> Arrays:
+    safety = truth.safety
+    return {
+        "grid": np.array(astuple(safety.grid)),
+        "slope": safety.slope,
+        "roughness": safety.roughness,
+        "safe": safety.safe,
+        "observed": safety.observed,
+        "elevation": truth.elevation,
+    }
+
+
+def _compute_shares(scenario: Scenario, truth: TerrainTruth) -> Arrays:
+    # A scatter of zero still means a spot: evaluate a footprint's width around it.
+    half = np.maximum(scenario.target.scatter_m, 2.0)
+    centre = scenario.target.position_m
+    heading = float(np.deg2rad(scenario.start.heading_deg))
+    values = truth.safe_share(centre, half), truth.safe_share(centre, half, heading)
+    return {name: np.array(value) for name, value in zip(SAFE_SHARE_COLUMNS, values, strict=True)}

@@ -1,0 +1,130 @@
+"""Compute the result row of one flight from its record and the truth."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lunarsim.evaluation.map_quality import MapQuality, map_quality
+from lunarsim.evaluation.reach import divert_cost_from
+from lunarsim.simulation.flight import Flight
+from lunarsim.vehicle.touchdown import ABORTED, min_touchdown_margin
+from lunarsim.world.truth import TerrainTruth
+
+Array = NDArray[np.float64]
+
+# Columns that `evaluate` returns, and their kinds.
+COLUMNS: dict[str, str] = {
+    "policy": "text",
+    "safe": "bool",
+    "failed": "text",
+    "aborted": "bool",
+    "navigation_lost": "bool",
+    "propellant_kg": "float",
+    "duration_s": "float",
+    "divert_m": "float",
+    "decisions": "int",
+    "target_exactly_safe": "bool",
+    "touchdown_x_m": "float",
+    "touchdown_y_m": "float",
+    "touchdown_exactly_safe": "bool",
+    "vertical_speed_m_s": "float",
+    "horizontal_speed_m_s": "float",
+    "tilt_deg": "float",
+    "slope_deg": "float",
+    "roughness_m": "float",
+    "tip_margin": "float",
+    "touchdown_margin": "float",
+    "p_safe": "float",
+    "map_hits": "int",
+    "map_false_safe": "int",
+    "map_missed": "int",
+    "safe_site_in_reach": "bool",
+}
+# Maximum number of safe cells tested for reachability; they are spread over the mapped terrain.
+_MAX_TESTED_SITES = 400
+
+
+def evaluate(flight: Flight, truth: TerrainTruth) -> dict[str, Any]:
+    """Return one row of results: plain numbers, without wall-clock times.
+
+    Map counts include observed cells only; a cell is classified safe if p_safe > 0.5.
+
+    Parameters
+    ----------
+    flight
+        Record of the flight.
+    truth
+        Exact safety of its world.
+    """
+    touchdown = flight.verdict.touchdown
+    nan = float("nan")
+    row: dict[str, Any] = {
+        "policy": flight.policy,
+        "safe": flight.verdict.safe,
+        "failed": ",".join(flight.verdict.failed),
+        "aborted": flight.verdict.failed == (ABORTED,),
+        "navigation_lost": flight.lost,
+        "propellant_kg": flight.propellant_used,
+        "duration_s": flight.duration,
+        "divert_m": flight.divert_distance,
+        "decisions": len(flight.decisions),
+        "target_exactly_safe": bool(truth.safe_at(initial_aim_point(flight))),
+        "touchdown_x_m": float(touchdown.position[0]) if touchdown else nan,
+        "touchdown_y_m": float(touchdown.position[1]) if touchdown else nan,
+        "touchdown_exactly_safe": bool(
+            touchdown is not None and truth.safe_at(touchdown.position[:2])
+        ),
+        "vertical_speed_m_s": touchdown.vertical_speed if touchdown else nan,
+        "horizontal_speed_m_s": touchdown.horizontal_speed if touchdown else nan,
+        "tilt_deg": float(np.rad2deg(touchdown.tilt)) if touchdown else nan,
+        "slope_deg": float(np.rad2deg(touchdown.slope)) if touchdown else nan,
+        "roughness_m": touchdown.roughness if touchdown else nan,
+        "tip_margin": touchdown.tip_margin if touchdown else nan,
+        "touchdown_margin": min_touchdown_margin(truth.lander, touchdown) if touchdown else nan,
+    }
+    row["p_safe"] = predicted_p_safe(flight)
+    quality = MapQuality.none()
+    if flight.hazard_map is not None:
+        quality = map_quality(flight.hazard_map, truth, flight.map_error)
+    return row | {
+        "map_hits": quality.hits,
+        "map_false_safe": quality.false_safe,
+        "map_missed": quality.missed,
+        "safe_site_in_reach": safe_site_in_reach(flight, truth),
+    }
+
+
+def predicted_p_safe(flight: Flight) -> float:
+    """Return p_safe of the decision map at the last site; NaN where it observed nothing."""
+    m = flight.hazard_map
+    if m is None or not m.grid.contains(flight.sites[-1, :2]):
+        return float("nan")
+    row, col = (int(i) for i in m.grid.cell(flight.sites[-1, :2]))
+    return float(m.p_safe[row, col]) if m.observed[row, col] else float("nan")
+
+
+def initial_aim_point(flight: Flight) -> Array:
+    """Return the true point (2,), m, that the lander aimed at before any divert."""
+    t = flight.trajectory
+    row = -1
+    if flight.decisions:
+        row = int(np.argmin(np.abs(t["time"] - flight.decisions[0]["time"])))
+    error = [t[f"estimated_{a}"][row] - t[f"position_{a}"][row] for a in "xy"]
+    return np.asarray(flight.sites[row, :2] - error)
+
+
+def safe_site_in_reach(flight: Flight, truth: TerrainTruth) -> bool:
+    """Return whether an exactly safe site was within reach when terrain was first mapped."""
+    m, first = flight.hazard_map, flight.first_map
+    if m is None or first is None:
+        return False
+    xy = m.grid.centres()[m.observed]
+    spots = xy[truth.safe_at(xy - flight.map_error[:2])]
+    spots = spots[:: max(1, len(spots) // _MAX_TESTED_SITES)]
+    if len(spots) == 0:
+        return False
+    sites = np.column_stack((spots, np.full(len(spots), flight.sites[-1, 2])))
+    return bool(divert_cost_from(flight, first, sites).feasible.any())

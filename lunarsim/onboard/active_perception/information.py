@@ -1,0 +1,117 @@
+"""Information that an observation gives about a hazard under the lander.
+
+Rocks are a Poisson field, so the expected number of each size that reaches into the footprint of
+the lander is known. An observation misses a rock at a rate that depends on its sharpness. The
+presence of a rock (X) and its detection (Y) are input and output of a Z-channel without false
+detections. Their mutual information divided by the entropy of X is the fraction of uncertainty
+that the observation removes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lunarsim.errors import InputError
+from lunarsim.rocks.size_distribution import golombek_cover
+
+Array = NDArray[np.float64]
+
+MAX_ROCK_DIAMETER_M = 4.0  # maximum rock diameter, m
+_SIZES = 16
+
+
+def entropy(p: ArrayLike) -> Array:
+    """Return the entropy of events of given probabilities (...), bits.
+
+    Examples
+    --------
+    >>> entropy([0.0, 0.5, 1.0]).tolist()
+    [0.0, 1.0, 0.0]
+    """
+    p = np.clip(np.asarray(p, dtype=np.float64), 0.0, 1.0)
+    q = 1.0 - p
+    # The subtraction from 0.0 avoids a result of -0.0.
+    return 0.0 - (p * np.log2(np.where(p > 0.0, p, 1.0)) + q * np.log2(np.where(q > 0.0, q, 1.0)))
+
+
+@dataclass(frozen=True)
+class ExpectedRocks:
+    """Expected rocks in classes of equal size.
+
+    Attributes
+    ----------
+    radius
+        Radius of each class, ascending (n,), m.
+    number
+        Expected number of each class per area (n,), 1/m^2.
+    """
+
+    radius: Array
+    number: Array
+
+    @classmethod
+    def of(cls, cover: float, least_diameter: float) -> ExpectedRocks:
+        """Return the expected rocks by Golombek's law between a diameter and 4 m.
+
+        Parameters
+        ----------
+        cover
+            Fraction k of the terrain covered by rocks of any size.
+        least_diameter
+            Minimum diameter, m.
+
+        Raises
+        ------
+        InputError
+            If the cover is not a fraction, or the diameter is not between 0 and 4 m.
+        """
+        if not 0.0 < least_diameter < MAX_ROCK_DIAMETER_M:
+            raise InputError(
+                "least_diameter", least_diameter, f"must be between 0 and {MAX_ROCK_DIAMETER_M} m"
+            )
+        edges = np.geomspace(least_diameter, MAX_ROCK_DIAMETER_M, _SIZES + 1)
+        diameter = np.sqrt(edges[1:] * edges[:-1])
+        share = golombek_cover(edges, cover)
+        number = (share[:-1] - share[1:]) / (0.25 * np.pi * diameter**2)
+        return cls(0.5 * diameter, number)
+
+    def reaching(self, footprint: float) -> Array:
+        """Return the expected number of each size that reaches into a disc (n,).
+
+        `footprint` is the radius of the disc, m.
+        """
+        return np.asarray(self.number * np.pi * (self.radius + footprint) ** 2)
+
+    def hazard(self, footprint: float) -> float:
+        """Return the probability that a rock reaches into a disc of `footprint` (m)."""
+        return float(-np.expm1(-self.reaching(footprint).sum()))
+
+
+def removed_uncertainty(
+    rocks: ExpectedRocks, footprint: float, missed: Callable[[Array], Array], sharpness: ArrayLike
+) -> Array:
+    """Return the fraction of uncertainty that an observation removes (...), 0 to 1.
+
+    ``[H(h (1 - m)) - h H(m)] / H(h)`` with h the probability of a hazard and m that of missing it.
+
+    Parameters
+    ----------
+    rocks
+        Rocks that are hazards.
+    footprint
+        Radius of the disc that must be free of rocks, m.
+    missed
+        Returns the rate at which rocks are missed from radius times sharpness (..., n).
+    sharpness
+        Sharpness of the observations (...), for 1 m of radius.
+    """
+    weight = rocks.reaching(footprint)
+    s = np.asarray(sharpness, dtype=np.float64)[..., None]
+    m = (missed(s * rocks.radius) * weight).sum(-1) / weight.sum()
+    h = rocks.hazard(footprint)
+    told = entropy(h * (1.0 - m)) - h * entropy(m)
+    return np.asarray(np.clip(told / entropy(h), 0.0, 1.0))

@@ -1,0 +1,329 @@
+"""Search for the path that gains most information about reachable terrain.
+
+Paths are those of the Apollo law (Klumpp 1974), defined by time-to-go and acceleration at the end.
+The end acceleration bends the complete path laterally and vertically, so that it can overfly the
+site or approach it from another direction. One kernel scores thousands of paths: a Halton sequence
+over all parameters, then a denser one about the best path.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import qmc
+
+from lunarsim._jit import threads_for
+from lunarsim.models.lander import Lander
+from lunarsim.onboard.active_perception import _information_kernels as kernels
+from lunarsim.onboard.active_perception.sensor_coverage import SensorCoverageModel
+from lunarsim.onboard.guidance.contract import PhaseEnd
+from lunarsim.onboard.guidance.divert_cost import PathLimits
+from lunarsim.onboard.guidance.paths import APOLLO
+from lunarsim.onboard.navigation.estimate import Estimate
+from lunarsim.onboard.tasking.contract import MeasurementAltitudes
+
+Array = NDArray[np.float64]
+
+# Samples at which limits are checked (Simpson intervals), and at which sensors observe.
+_LIMIT_SAMPLES, _OBSERVATION_SAMPLES = 24, 24
+# Bounds of the path parameters: time-to-go as a fraction of the expected one, and end accelerations
+# as fractions of gravity, along and across the way, and vertical.
+_TIME_TO_GO_RANGE = (0.7, 1.8)
+_MAX_HORIZONTAL, _VERTICAL_RANGE = 1.2, (-0.5, 1.2)
+# Width of the refinement about the best path, as a fraction of the parameter ranges.
+_REFINEMENT_WIDTH = 0.12
+
+
+@dataclass(frozen=True)
+class PathPlan:
+    """Planned path and its expected result.
+
+    Attributes
+    ----------
+    time_to_go
+        Time-to-go, s.
+    acceleration
+        Acceleration at the end (3,), m/s^2.
+    known
+        Expected fraction of uncertainty removed, averaged over the reachable terrain.
+    propellant
+        Propellant, kg.
+    """
+
+    time_to_go: float
+    acceleration: Array
+    known: float
+    propellant: float
+
+
+@dataclass(frozen=True)
+class PlanningProblem:
+    """Inputs of a plan.
+
+    Attributes
+    ----------
+    estimate
+        Navigation estimate at the start of the path.
+    end
+        End of the approach.
+    site
+        Site (3,), m.
+    nodes
+        Terrain nodes (g, 6), see `_seeking_kernels.score`.
+    lander
+        Lander.
+    gravity
+        Gravity, m/s^2.
+    limits
+        Limits of the path.
+    com_height
+        Height of the centre of mass above the pads, m.
+    min_altitude
+        Altitude of the pads above the site below which observations do not count, m.
+    lowest_altitude
+        Lowest altitude so far, m; single observations above it are in the past.
+    """
+
+    estimate: Estimate
+    end: PhaseEnd
+    site: Array
+    nodes: Array
+    lander: Lander
+    gravity: float
+    limits: PathLimits
+    com_height: float
+    min_altitude: float
+    lowest_altitude: float = np.inf
+
+
+class SeekingPlanner:
+    """Scores candidate paths with models of the sensors and their schedules.
+
+    Parameters
+    ----------
+    sensors, looks
+        Models of the sensors, and the altitudes at which each of them measures.
+    candidates
+        Number of paths evaluated for a plan.
+    propellant_weight
+        Fraction of uncertainty that one kilogram of propellant is worth, 1/kg.
+    end_tilt
+        Maximum tilt of the thrust at the end of the approach, rad.
+    """
+
+    def __init__(
+        self,
+        sensors: list[SensorCoverageModel],
+        looks: list[MeasurementAltitudes],
+        candidates: int,
+        propellant_weight: float,
+        end_tilt: float,
+    ) -> None:
+        self.candidates, self.propellant_weight, self.end_tilt = (
+            candidates,
+            propellant_weight,
+            end_tilt,
+        )
+        self._looks = looks
+        self._tables = [
+            np.ascontiguousarray([getattr(sensor, name) for sensor in sensors])
+            for name in ("sharpness", "visible_fraction", "displacement", "reduction")
+        ]
+        self._sensor_params = np.array(
+            [_sensor_params(e, o) for e, o in zip(sensors, looks, strict=True)]
+        )
+        self._fine, self._coarse = _samples(_LIMIT_SAMPLES), _samples(_OBSERVATION_SAMPLES)
+
+    def best(
+        self,
+        problem: PlanningProblem,
+        expected: float,
+        max_propellant: float,
+        last: PathPlan | None,
+    ) -> PathPlan | None:
+        """Return the best path within the limits; None if there is none.
+
+        If no path stays below `max_propellant`, the path with the least propellant is returned.
+
+        Parameters
+        ----------
+        problem
+            Planning problem.
+        expected
+            Time-to-go about which paths are sampled, s.
+        max_propellant
+            Propellant that a path may use, kg.
+        last
+            Plan being flown; it is kept unless another is better.
+        """
+        low, high = self._bounds(problem, expected)
+        plans = self.drawn(problem, expected, 2 * self.candidates // 3)
+        if last is not None:
+            plans = np.vstack((_plan_row(last), plans))
+        value, known, propellant = self._values(problem, plans, max_propellant)
+        if not np.isfinite(value).any():
+            max_propellant = float(np.min(propellant))
+            value, known, propellant = self._values(problem, plans, max_propellant)
+        first = int(np.argmax(value))
+        if not np.isfinite(value[first]):
+            return None
+        offsets = _REFINEMENT_WIDTH * (high - low) * (_halton_points(self.candidates // 3) - 0.5)
+        refined = plans[first] + _to_enu(problem, offsets)
+        refined[:, 0] = np.maximum(refined[:, 0], 1.0)
+        refined_value, refined_known, refined_propellant = self._values(
+            problem, refined, max_propellant
+        )
+        plans = np.vstack((plans, refined))
+        value = np.append(value, refined_value)
+        known, propellant = (
+            np.append(known, refined_known),
+            np.append(propellant, refined_propellant),
+        )
+        k = int(np.argmax(value))
+        return PathPlan(
+            float(plans[k, 0]), plans[k, 1:].copy(), float(known[k]), float(propellant[k])
+        )
+
+    def _bounds(self, problem: PlanningProblem, expected: float) -> tuple[Array, Array]:
+        """Return lower and upper bounds of the path parameters (4,), along and across."""
+        g = problem.gravity
+        low = np.array(
+            [
+                _TIME_TO_GO_RANGE[0] * expected,
+                -_MAX_HORIZONTAL * g,
+                -_MAX_HORIZONTAL * g,
+                _VERTICAL_RANGE[0] * g,
+            ]
+        )
+        high = np.array(
+            [
+                _TIME_TO_GO_RANGE[1] * expected,
+                _MAX_HORIZONTAL * g,
+                _MAX_HORIZONTAL * g,
+                _VERTICAL_RANGE[1] * g,
+            ]
+        )
+        low[0] = max(low[0], 1.0)
+        return low, np.maximum(high, low)
+
+    def drawn(self, problem: PlanningProblem, expected: float, count: int) -> Array:
+        """Return evenly spread plans (count, 4): time-to-go and acceleration at the end.
+
+        Parameters
+        ----------
+        problem
+            Planning problem.
+        expected
+            Time-to-go about which plans are sampled, s.
+        count
+            Number of plans.
+        """
+        low, high = self._bounds(problem, expected)
+        return _to_enu(problem, low + (high - low) * _halton_points(count))
+
+    def _values(
+        self, problem: PlanningProblem, plans: Array, max_propellant: float
+    ) -> tuple[Array, Array, Array]:
+        """Return value (-inf: not admissible), known fraction and propellant (kg)."""
+        scored = self.score(problem, plans)
+        e, lander = problem.estimate, problem.lander
+        propellant = e.mass * -np.expm1(-scored[:, 1] / lander.exhaust_velocity)
+        available = e.mass - lander.dry_mass - problem.limits.reserve
+        is_admissible = propellant <= min(max_propellant, available)
+        value = np.where(
+            is_admissible,
+            scored[:, 0] - self.propellant_weight * np.where(is_admissible, propellant, 0.0),
+            -np.inf,
+        )
+        return value, scored[:, 0], propellant
+
+    def score(self, problem: PlanningProblem, plans: Array) -> Array:
+        """Return known fraction and delta-v (m/s) of plans (n, 2).
+
+        The plans (n, 4) consist of time-to-go (s) and acceleration at the end (m/s^2).
+        """
+        p = problem
+        out = np.empty((len(plans), 2))
+        vehicle = vehicle_params(p.estimate, p.lander, p.gravity, p.limits)
+        ground = np.array([*p.site, p.site[2] + p.com_height, p.min_altitude])
+        with threads_for(10.0 * len(plans)):
+            kernels.score(
+                np.array([p.estimate.position, p.estimate.velocity], dtype=np.float64),
+                np.asarray(p.end.position, dtype=np.float64),
+                np.asarray(p.end.velocity, dtype=np.float64), np.ascontiguousarray(plans),
+                self._fine, self._coarse, np.array(APOLLO.powers), vehicle,
+                float(np.tan(self.end_tilt)), ground, np.ascontiguousarray(p.nodes),
+                *self._tables, self._sensor_params, self._single_altitudes(p.lowest_altitude), out,
+            )  # fmt: skip
+        return out
+
+    def _single_altitudes(self, lowest_altitude: float) -> Array:
+        """Return altitudes of future single observations (sensors, k), m; NaN for none.
+
+        A sensor without future observations gets an altitude of -inf, which is never reached.
+        """
+        max_count = max(max((len(o.at) for o in self._looks), default=0), 1)
+        out = np.full((len(self._looks), max_count), np.nan)
+        for row, looks in zip(out, self._looks, strict=True):
+            if looks.at:
+                ahead = [h for h in looks.at if h < lowest_altitude] or [-np.inf]
+                row[: len(ahead)] = ahead
+        return out
+
+
+def _to_enu(problem: PlanningProblem, plans: Array) -> Array:
+    """Return plans with end accelerations rotated from along/across to ENU."""
+    direction = problem.end.position[:2] - problem.estimate.position[:2]
+    length = float(np.hypot(*direction))
+    along = direction / length if length > 1.0 else np.array([1.0, 0.0])
+    out = plans.copy()
+    a, b = plans[:, 1], plans[:, 2]
+    out[:, 1] = a * along[0] - b * along[1]
+    out[:, 2] = a * along[1] + b * along[0]
+    return out
+
+
+def _sensor_params(sensor: SensorCoverageModel, looks: MeasurementAltitudes) -> list[float]:
+    """Return the parameters of a sensor for the kernel (9,)."""
+    field = 1.0 / np.sqrt(1.0 + sensor.half_field**2)
+    limit = float(np.cos(min(sensor.gimbal_limit, np.pi)))
+    return [
+        sensor.pixel,
+        sensor.max_sharpness,
+        field,
+        limit,
+        sensor.max_range,
+        looks.highest,
+        looks.lowest,
+        *sensor.sun,
+    ]
+
+
+def vehicle_params(estimate: Estimate, lander: Lander, gravity: float, limits: PathLimits) -> Array:
+    """Return vehicle and limits as an array for `measure` (7,)."""
+    margin = limits.throttle_margin * (lander.thrust_max - lander.thrust_min)
+    return np.array([
+        gravity, estimate.mass, lander.exhaust_velocity, lander.thrust_min + margin,
+        lander.thrust_max - margin, np.tan(limits.max_tilt), np.tan(limits.glideslope),
+    ])  # fmt: skip
+
+
+def _samples(count: int) -> Array:
+    """Return the fraction of time left and its powers along a path (count + 1, 3)."""
+    left = 1.0 - np.arange(count + 1) / count
+    return np.column_stack((left, left**APOLLO.low, left**APOLLO.high))
+
+
+def _plan_row(plan: PathPlan) -> Array:
+    return np.array([[plan.time_to_go, *plan.acceleration]])
+
+
+@lru_cache(maxsize=8)
+def _halton_points(count: int) -> Array:
+    """Return evenly spread points of the unit cube (count, 4)."""
+    points: Any = qmc.Halton(4, scramble=False).random(max(count, 1) + 1)[1:]
+    return np.asarray(points)

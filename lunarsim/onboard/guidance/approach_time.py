@@ -1,0 +1,43 @@
+"""Choice of the time-to-go at the start of the approach."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from lunarsim.onboard.guidance.apollo import time_to_go_for_jerk
+from lunarsim.onboard.guidance.approach import Approach
+from lunarsim.onboard.guidance.contract import GuidanceLaw, PhaseEnd, PlansArrival
+from lunarsim.onboard.navigation.estimate import Estimate
+
+# Fallback time-to-go if none is admissible: this multiple of distance over speed, at least this
+# time (s); the speed is taken as at least the last value (m/s).
+_FALLBACK_TIME_FACTOR, _MIN_FALLBACK_TIME_S, _MIN_SPEED_M_S = 2.0, 5.0, 1.0
+
+
+def initial_time_to_go(
+    approach: Approach, estimate: Estimate, end: PhaseEnd, admissible: float
+) -> tuple[float, bool]:
+    """Return the initial time-to-go of the approach, s, and whether it is admissible.
+
+    It follows from the jerk or the time that the mission sets, else it is `admissible`, s. If that
+    is not finite, no time is admissible, and a fallback from distance and speed is returned.
+    """
+    if approach.jerk is not None:
+        guess = approach.time_to_go or fallback_time(estimate, end)
+        return time_to_go_for_jerk(estimate, end, approach.jerk, guess, share=np.inf), True
+    left = approach.time_to_go or admissible
+    return (left, True) if np.isfinite(left) else (fallback_time(estimate, end), False)
+
+
+def reason_time_is_fixed(approach: Approach, law: GuidanceLaw) -> str:
+    """Return why the computer does not choose the time-to-go; empty if it does."""
+    if not approach.free:
+        return "the mission sets the time-to-go"
+    return "the law plans its own arrival" if isinstance(law, PlansArrival) else ""
+
+
+def fallback_time(estimate: Estimate, end: PhaseEnd) -> float:
+    """Return a time-to-go from distance and speed only, s."""
+    distance = float(np.linalg.norm(end.position - estimate.position))
+    speed = float(np.linalg.norm(estimate.velocity))
+    return max(_FALLBACK_TIME_FACTOR * distance / max(speed, _MIN_SPEED_M_S), _MIN_FALLBACK_TIME_S)

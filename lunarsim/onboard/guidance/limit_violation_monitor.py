@@ -1,0 +1,57 @@
+"""Detection of paths that exceed the lander's limits and need replanning."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass
+class LimitViolationMonitor:
+    """Measure how long commands have exceeded the limits of tilt or thrust.
+
+    A path is planned within the limits from the position estimate at that time. Later corrections
+    of the estimate may drive commands beyond the limits. A lander that cannot follow its path
+    arrives with excess speed.
+
+    Attributes
+    ----------
+    longest
+        Tolerated duration of a violation, s.
+    slack
+        Tolerated relative violation of a limit.
+    """
+
+    longest: float = 0.5
+    slack: float = 0.02
+    _start_time: float | None = None
+
+    def lasts(
+        self, wanted: NDArray[np.float64], mass: float, limits: tuple[float, float], time: float
+    ) -> bool:
+        """Return whether a violation lasts too long; restart the timer if so.
+
+        Parameters
+        ----------
+        wanted
+            Commanded thrust acceleration (3,), ENU, m/s^2.
+        mass
+            kg.
+        limits
+            Maximum tilt from the vertical, rad, and maximum thrust, N.
+        time
+            s, once per cycle.
+        """
+        tilt = float(np.arctan2(np.hypot(wanted[0], wanted[1]), wanted[2]))
+        thrust = mass * float(np.linalg.norm(wanted))
+        if tilt <= (1.0 + self.slack) * limits[0] and thrust <= (1.0 + self.slack) * limits[1]:
+            self._start_time = None
+            return False
+        if self._start_time is None:
+            self._start_time = time
+        if time - self._start_time < self.longest - 1e-9:
+            return False
+        self._start_time = None
+        return True

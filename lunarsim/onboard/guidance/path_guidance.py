@@ -1,0 +1,132 @@
+"""Guidance along paths of one shape, with lag compensation and an open-loop end."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lunarsim.errors import InputError
+from lunarsim.models.gravity import GravityModel
+from lunarsim.onboard.guidance.contract import PhaseEnd
+from lunarsim.onboard.guidance.paths import PathShape, PolynomialPath
+from lunarsim.onboard.navigation.estimate import Estimate
+
+Array = NDArray[np.float64]
+
+# Maps position, velocity, end and time-to-go to the required acceleration, gravity included.
+FeedbackLaw = Callable[[Array, Array, PhaseEnd, float], Array]
+
+
+class ActuatorLagModel:
+    """First-order model of the vehicle's response to acceleration commands.
+
+    Parameters
+    ----------
+    lead
+        Time constant, s.
+    """
+
+    def __init__(self, lead: float) -> None:
+        self.lead = lead
+        self._lagged = np.zeros(3)
+        self._command = np.zeros(3)
+        self._time: float | None = None
+
+    def follow(self, time: float) -> None:
+        """Propagate the modelled acceleration to `time`, s."""
+        if self.lead > 0.0 and self._time is not None:
+            keep = np.exp(-(time - self._time) / self.lead)
+            self._lagged = self._command + keep * (self._lagged - self._command)
+        self._time = time
+
+    def ask(self, acceleration: Array) -> None:
+        """Store the commanded acceleration (3,), gravity included, m/s^2."""
+        self._command = acceleration
+
+    def ahead(self, estimate: Estimate) -> tuple[Array, Array]:
+        """Predict position and velocity (3,) one lag ahead."""
+        a, lead = self._lagged, self.lead
+        position = estimate.position + lead * (estimate.velocity + 0.5 * lead * a)
+        return position, estimate.velocity + lead * a
+
+
+class PathGuidance:
+    """Guidance law whose paths have one shape.
+
+    The vehicle responds to a command with a lag. The boundary value problem is therefore solved
+    from the state predicted a `lead` ahead with a first-order model of the past commands. Near the
+    target the gains would grow without bound; below `least_time_to_go` the last path is flown open
+    loop.
+
+    Parameters
+    ----------
+    shape
+        Shape of the paths.
+    gravity
+        Downward acceleration, m/s^2.
+    lead
+        Lag of attitude and engine that is compensated, s.
+    least_time_to_go
+        Time-to-go below which the loop is open, s.
+    feedback
+        Feedback formula of the law; None: initial acceleration of the path.
+    answering
+        Response model shared with another law; it replaces `lead`.
+    field
+        Non-uniform gravity and rotating frame to compensate; None: uniform `gravity`.
+
+    Raises
+    ------
+    InputError
+        From `command`, if the estimate or the end is not finite.
+    """
+
+    def __init__(
+        self,
+        shape: PathShape,
+        gravity: float,
+        *,
+        lead: float = 0.0,
+        least_time_to_go: float = 1.5,
+        feedback: FeedbackLaw | None = None,
+        answering: ActuatorLagModel | None = None,
+        field: GravityModel | None = None,
+    ) -> None:
+        self.shape = shape
+        self.field = field
+        self.gravity = np.array([0.0, 0.0, -gravity])
+        self.least_time_to_go = least_time_to_go
+        self.feedback = feedback
+        self._answering = answering or ActuatorLagModel(lead)
+        self.lead = self._answering.lead
+        self._last: tuple[float, PolynomialPath] | None = None
+
+    def command(self, estimate: Estimate, end: PhaseEnd, time: float, time_to_go: float) -> Array:
+        """Return the thrust acceleration (3,), ENU, m/s^2.
+
+        If no path exists yet, time-to-go is raised to the minimum.
+        """
+        self._answering.follow(time)
+        left = time_to_go - self.lead
+        if not np.isfinite(left):
+            raise InputError("guidance.time_to_go", time_to_go, "must be finite")
+        if left >= self.least_time_to_go or self._last is None:
+            position, velocity = self._answering.ahead(estimate)
+            left = max(left, self.least_time_to_go)
+            path = self.shape.path(position, velocity, end, left)
+            self._last = (time, path)
+            wanted = (
+                path.command
+                if self.feedback is None
+                else np.asarray(self.feedback(position, velocity, end, left))
+            )
+        else:
+            since, path = self._last
+            wanted = path.at(min(time - since, path.time_to_go))[2]
+        self._answering.ask(wanted)
+        pull = self.gravity
+        if self.field is not None:
+            pull = self.field.felt(estimate.position, estimate.velocity)
+        return np.asarray(wanted - pull)

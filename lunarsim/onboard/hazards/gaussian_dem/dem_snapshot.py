@@ -1,0 +1,111 @@
+"""Snapshot of a Gaussian DEM: elevations now, site evaluation on demand."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lunarsim.grid import Grid
+from lunarsim.models.lander import Lander
+from lunarsim.onboard.hazards.gaussian_dem.pooled import PooledDem
+from lunarsim.onboard.hazards.hazard_map import BoolMap, FloatMap, HazardMap
+from lunarsim.rocks.population import RockExpectation
+from lunarsim.safety import bounded_safety, plane_stochastic_safety, stochastic_safety
+from lunarsim.safety.calibration import MapEvidence, calibrated_safety
+from lunarsim.safety.scenario_calibration import ScenarioCalibration
+from lunarsim.safety.unseen_rocks import depth_curve, height_curve
+
+
+@dataclass(frozen=True)
+class DemSnapshot:
+    """Elevations, site evidence and landing safety of a DEM, computed on demand.
+
+    Attributes
+    ----------
+    dem
+        Elevations.
+    lander, rocks
+        Geometry and limits of the lander; rock population expected by the mission.
+    refit
+        Last stage of the calibration; None: that of the package.
+    """
+
+    dem: PooledDem
+    lander: Lander
+    rocks: RockExpectation
+    refit: ScenarioCalibration | None = None
+
+    @property
+    def grid(self) -> Grid:
+        """Cells of the map."""
+        return self.dem.grid
+
+    @property
+    def elevation(self) -> FloatMap:
+        """Mean elevation (rows, cols), m; NaN where unknown."""
+        return self.dem.mean
+
+    @property
+    def variance(self) -> FloatMap:
+        """Variance of the elevation (rows, cols), m^2."""
+        return self.dem.variance
+
+    @property
+    def observed(self) -> BoolMap:
+        """Where the complete footprint has been observed (rows, cols)."""
+        return self.site_evidence.observed
+
+    @property
+    def residual_heights(self) -> NDArray[np.float32]:
+        """Height of the samples above the local plane, per cell (rows, cols), m."""
+        return self.dem.sampling.residual_raster
+
+    @cached_property
+    def site_evidence(self) -> MapEvidence:
+        """Evidence for the safety of each site."""
+        return dem_site_evidence(self.dem, self.lander, self.rocks)
+
+    @cached_property
+    def hazard_map(self) -> HazardMap:
+        """Calibrated probability of a safe landing."""
+        p, known = calibrated_safety(self.site_evidence, refit=self.refit)
+        return HazardMap(
+            self.grid, p, self.observed, self.elevation, self.variance, in_domain=known
+        )
+
+
+def dem_site_evidence(dem: PooledDem, lander: Lander, rocks: RockExpectation) -> MapEvidence:
+    """Return the evidence of a DEM for the safety of each site.
+
+    Parameters
+    ----------
+    dem
+        Elevations.
+    lander
+        Geometry and limits.
+    rocks
+        Rock population expected by the mission.
+    """
+    observed_mean = np.where(dem.observed, dem.mean, np.float32(np.nan))
+    s = dem.sampling
+    curve_args = (
+        s.residual_heights,
+        s.noise,
+        lander.roughness_limit,
+        rocks.cover,
+        rocks.height_ratio[0],
+    )
+    return MapEvidence(
+        stochastic_safety(observed_mean, dem.variance, dem.grid, lander),
+        plane_stochastic_safety(observed_mean, dem.variance, dem.grid, lander),
+        bounded_safety(observed_mean, dem.grid, lander),
+        lander,
+        height_curve(*curve_args),
+        depth_curve(*curve_args),
+        s.density,
+        s.noise,
+        s.spacing,
+    )

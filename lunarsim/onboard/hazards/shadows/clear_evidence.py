@@ -1,0 +1,394 @@
+"""Evidence about untracked rocks: where images exclude a rock.
+
+A rock darkens the ground behind it. If an image shows this ground lit, there is no rock of that
+size, whatever was detected or tracked. If the ground is dark, a rock is possible: its shadow may
+merge with another, its size or shape may be misjudged, or the terrain may be in its own shadow.
+The position then counts as not observed. This is evaluated for every position and several sizes,
+with the shadow that even a low rock of this size would cast.
+
+Untracked rocks are a Poisson field. Where their shadow would fall on lit ground, the density is
+that of the size law times the miss rate. Where it would fall on dark ground, all remaining rocks
+of the size are concentrated. The probability that no rock reaches into a disc follows from the
+integral of the density over the disc.
+
+Evidence is stored by position on the terrain; positions move in the local frame as rocks do.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lunarsim.grid import Grid
+from lunarsim.models.pinhole import View
+from lunarsim.onboard.hazards.shadows import _density_kernels as density
+from lunarsim.onboard.hazards.shadows import _evidence_kernels as kernels
+from lunarsim.onboard.hazards.shadows.footprints import disc_mean
+from lunarsim.onboard.hazards.shadows.map_motion import MapMotion
+from lunarsim.onboard.hazards.shadows.viewing_geometry import viewing_geometry
+from lunarsim.onboard.perception.detection_rates import DetectionRates
+from lunarsim.onboard.perception.detector import Detections
+from lunarsim.onboard.perception.ground_plane import LEVEL, GroundPlane
+from lunarsim.onboard.perception.plane_models import model_on_plane
+from lunarsim.onboard.perception.shadow_model import ShadowModel
+from lunarsim.onboard.perception.shape_mixture import LOW_POWER, ShapeMixture
+
+Array = NDArray[np.float64]
+Heights = Callable[[Array], Array]
+
+# Spacing of the nodes at which shadows and terrain heights are computed, m.
+_NODE_SPACING_M = 4.0
+# Test points of a shadow's core: its centre, and points at these fractions of length and width.
+_CORE_LENGTH_FRACTION, _CORE_WIDTH_FRACTION = 0.25, 0.2
+# Ratio of the radius of a rock's disc to its longer half axis, for round and for elongated rocks.
+_RADIUS_RATIOS = (1.0, 0.7)
+# Minimum number of dark test points, of five, for a rock to be possible.
+_MIN_DARK_POINTS = 4
+# Minimum gain in sharpness over earlier observations.
+_MIN_SHARPNESS_GAIN = 1.03
+# Number of standard deviations of the terrain height to test, and maximum height error, m.
+_HEIGHT_SIGMAS, _MAX_HEIGHT_ERROR_M = 2.0, 1e3
+# Rocks of a size cannot be concentrated on less than this multiple of their own area.
+_MIN_AREA_PER_ROCK = 2.0
+# A position is observed if the smallest hazard there is missed at most at this rate.
+_MAX_MISS_RATE = 0.25
+# Nothing is observed if more than this fraction of the rocks has no shadow under this Sun.
+_MAX_SHADOWLESS_FRACTION = 0.02
+# Minimum density that replaces zero, 1/m^2.
+_MIN_DENSITY = 1e-30
+# Maximum size ratio within one class, and maximum number of classes. The last class has few rocks:
+# its sizes start at nearly three times the minimum.
+_SIZE_CLASS_RATIO, _MAX_SIZE_CLASSES = 1.4, 4
+
+
+class ClearEvidence:
+    """Sharpest observations of the shadow position of a rock at each position.
+
+    Parameters
+    ----------
+    grid
+        Grid of the stored positions.
+    model
+        Shadow model, which gives the number of pixels of a shadow.
+    diameters
+        Diameters of the rocks (n,), ascending, m.
+    number
+        Expected number of rocks of these sizes per area (n,), 1/m^2.
+    rates
+        Detection rates, including that of positions falsely declared free.
+
+    Attributes
+    ----------
+    lit, dark
+        Sharpness (q in pixels per metre of radius) of the sharpest observation in which the shadow
+        would fall on lit ground, and on dark ground (sizes, rows, cols); 0: none.
+    explained
+        Whether that dark ground was the shadow of a tracked rock (sizes, rows, cols).
+    motion
+        Motion of the stored positions in the local frame.
+    """
+
+    def __init__(
+        self,
+        grid: Grid,
+        model: ShadowModel | ShapeMixture,
+        diameters: Array,
+        number: Array,
+        rates: DetectionRates,
+    ) -> None:
+        self.grid = grid
+        self.motion = MapMotion(np.array(grid.centre))
+        self.model = model
+        # The shadow of a low rock lies within that of a higher one.
+        self._low_rocks = ShadowModel(model.elevation, LOW_POWER)
+        self.rates = rates
+        self._radius = 0.5 * diameters
+        self._number = np.maximum(number, _MIN_DENSITY)
+        # Sizes within a ratio share one test.
+        step = np.log(diameters / diameters[0]) / np.log(_SIZE_CLASS_RATIO)
+        first = np.minimum((step + 1e-9).astype(int), _MAX_SIZE_CLASSES - 1)
+        self._class = np.unique(first, return_inverse=True)[1]
+        classes = int(self._class.max()) + 1
+        self._tested = np.array([self._radius[self._class == s][0] for s in range(classes)])
+        self.lit = np.zeros((classes, *grid.shape), np.float32)
+        self.dark = np.zeros_like(self.lit)
+        self.explained = np.zeros(self.lit.shape, np.bool_)
+
+    def forget(self) -> None:
+        """Discard all evidence."""
+        self.lit[:] = 0.0
+        self.dark[:] = 0.0
+        self.motion.forget()
+
+    def recentre(self, off: Array) -> Array:
+        """Shift the grid by an offset (2,), m, rounded to cells; evidence is kept.
+
+        Returns
+        -------
+        by
+            Shift applied (2,), m.
+        """
+        g = self.grid
+        cols, rows = (int(v) for v in np.rint(np.asarray(off) / g.posting))
+        by = g.posting * np.array([cols, rows], dtype=np.float64)
+        self.grid = g.moved(by)
+        to = (slice(None), _overlap(rows, g.rows), _overlap(cols, g.cols))
+        of = (slice(None), _overlap(-rows, g.rows), _overlap(-cols, g.cols))
+        for name in ("lit", "dark", "explained"):
+            old = getattr(self, name)
+            moved = np.zeros_like(old)
+            moved[to] = old[of]
+            setattr(self, name, moved)
+        return by
+
+    def see(
+        self,
+        view: View,
+        sun: Array,
+        seen: Detections,
+        heights: Heights,
+        explained: NDArray[np.bool_] | None = None,
+        position_sigma: Heights | None = None,
+        plane: GroundPlane = LEVEL,
+        height_sigma: Heights | None = None,
+        blur: float = 0.0,
+    ) -> None:
+        """Add the evidence of an image.
+
+        An image without rock shadows has not proven that they are visible, so it is ignored.
+
+        Parameters
+        ----------
+        view
+            View of the image.
+        sun
+            Direction towards the Sun (3,), ENU.
+        seen
+            Dark patches, and the rocks that may cast them.
+        heights
+            Returns the terrain height (n,) at points (n, 2), m.
+        explained
+            Which detections are tracked rocks (rocks,); default: none.
+        position_sigma
+            Returns the error of points (n, 2) relative to the camera, 1 sigma per axis (n,), m.
+            Where it exceeds the radius of the smallest hazard, nothing is recorded. Default: no
+            error.
+        plane
+            Plane on which shadows fall; default: horizontal.
+        height_sigma
+            Returns the error of `heights` (n,), m; lit ground must be lit within two sigma above
+            and below. Default: 0.
+        blur
+            Point spread of the camera, 1 sigma, pixels; default: at most that of the rates.
+        """
+        if len(seen) == 0:
+            return
+        every, xy = self._nodes()
+        height = _evaluate(heights, xy)
+        place = np.dstack((xy, height))
+        focal = float(np.sqrt(view.fx * view.fy))
+        azimuth, depression, pixel = viewing_geometry(place, view.position, focal, sun, plane)
+        model, low_rocks = (
+            model_on_plane(self.model, plane, sun),
+            model_on_plane(self._low_rocks, plane, sun),
+        )
+        sharpness = model.visible_pixels(1.0, azimuth, depression, pixel * self.rates.wider(blur))
+        view, place = plane.view(view), plane.points(place)
+        is_visible = (view.position[2] > place[..., 2]) & self._is_position_known(
+            xy, position_sigma
+        )
+        sharpness = np.where(is_visible, sharpness, 0.0)
+        largest = seen.largest if explained is None else _mark_explained(seen, explained)
+        reach = np.zeros(height.shape) if height_sigma is None else _evaluate(height_sigma, xy)
+        core = _cores(model, low_rocks, azimuth, depression, sun)
+        coarse = np.dstack(
+            (sharpness, place, np.minimum(_HEIGHT_SIGMAS * reach, _MAX_HEIGHT_ERROR_M), *core)
+        )
+        kernels.look(
+            self.lit, self.dark, self.explained, self._tested, coarse, every, view.position,
+            np.ascontiguousarray(view.into.T), view.fx, view.fy, view.cx, view.cy, seen.labels,
+            largest, _MIN_DARK_POINTS, _MIN_SHARPNESS_GAIN, len(_RADIUS_RATIOS),
+        )  # fmt: skip
+
+    def _is_position_known(self, xy: Array, position_sigma: Heights | None) -> NDArray[np.bool_]:
+        """Return where positions (rows, cols, 2) are accurate to the smallest radius."""
+        if position_sigma is None:
+            return np.ones(xy.shape[:2], np.bool_)
+        return np.asarray(_evaluate(position_sigma, xy) <= self._radius[0])
+
+    def _nodes(self) -> tuple[int, Array]:
+        """Return the spacing of nodes in cells, and their positions (rows, cols, 2), m."""
+        g = self.grid
+        every = max(1, round(_NODE_SPACING_M / g.posting))
+        x = g.x0 + every * g.posting * np.arange(-(-g.cols // every) + 1)
+        y = g.y0 + every * g.posting * np.arange(-(-g.rows // every) + 1)
+        return every, self.motion.now(np.stack(np.meshgrid(x, y), -1))
+
+    def _possible(self, test: int) -> NDArray[np.bool_]:
+        """Return where the sharpest observation does not exclude a rock (rows, cols)."""
+        possible = np.empty(self.grid.shape, np.bool_)
+        density.mark_possible(possible, self.lit[test], self.dark[test], self._tested[test])
+        return possible
+
+    def _density(self, test: int) -> NDArray[np.float32]:
+        """Return the density of untracked rocks (rows, cols), 1/m^2."""
+        mine = self._class == test
+        radius, number = self._radius[mine], self._number[mine]
+        possible, explained = self._possible(test), self.explained[test]
+        # All untracked rocks of the size are where one is possible. Behind the shadow of a tracked
+        # rock, another rock is as probable as anywhere.
+        crowded, looked = density.count_crowded(self.lit[test], possible, explained)
+        least = _MIN_AREA_PER_ROCK * float((number * np.pi * radius**2).sum())
+        hidden = float(number.sum())
+        out = np.empty(self.grid.shape, np.float32)
+        density.fill(
+            out, self.lit[test], possible, explained, radius, number, self.rates.cleared,
+            self.model.shadowless_fraction, hidden, hidden / max(crowded / max(looked, 1), least),
+        )  # fmt: skip
+        return out
+
+    @property
+    def tested(self) -> Array:
+        """Minimum diameter of the rocks of each size class (sizes,), ascending, m."""
+        return np.asarray(2.0 * self._tested)
+
+    def ratios(self) -> NDArray[np.float32]:
+        """Return the ratio of untracked rocks to those expected without observation.
+
+        It is below 1 where the ground was observed lit, and 1 without an observation or where the
+        shadow of a tracked rock may hide a rock. On other dark ground the untracked rocks are
+        concentrated: all expected rocks times the miss rate at this sharpness; never below 1.
+
+        Returns
+        -------
+        ratio
+            Ratio (sizes, rows, cols).
+        """
+        out = np.ones(self.lit.shape, np.float32)
+        for s in range(len(out)):
+            looked = (self.lit[s] > 0.0) | (self.dark[s] > 0.0)
+            number = np.float32(self._number[self._class == s].sum())
+            out[s][looked] = self._density(s)[looked] / number
+            crowded = self._possible(s) & ~self.explained[s]
+            out[s][crowded] = np.maximum(out[s] * self._miss_fraction(s), np.float32(1.0))[crowded]
+        return out
+
+    def _miss_fraction(self, test: int) -> NDArray[np.float32]:
+        """Return the miss rate of the sharpest dark observation (rows, cols)."""
+        mine = self._class == test
+        dark = self.dark[test]
+        table = np.linspace(0.0, max(float(dark.max()), 1e-6), 257)
+        missed = self.rates.false_negative(self._radius[mine][:, None] * table)
+        share = np.maximum(
+            self._number[mine] @ missed / self._number[mine].sum(), self.model.shadowless_fraction
+        )
+        return np.asarray(np.interp(dark, table, share), np.float32)
+
+    def expected(self, footprint: float = 0.0) -> NDArray[np.float32]:
+        """Return the expected number of untracked rocks that reach into a disc.
+
+        Parameters
+        ----------
+        footprint
+            Radius of the disc, m; 0: rocks that cover the position.
+
+        Returns
+        -------
+        number
+            Expected number about each position (rows, cols).
+        """
+        total = np.zeros(self.grid.shape, np.float32)
+        for s in range(len(self._tested)):
+            mine = self._class == s
+            weight = self._number[mine] / self._number[mine].sum()
+            radius = self._radius[mine]
+            reach = footprint + float(weight @ radius)
+            area = np.float32(np.pi * weight @ (footprint + radius) ** 2)
+            total += area * disc_mean(
+                self._density(s), reach / self.grid.posting, float(self._number[mine].sum())
+            )
+        return total
+
+    def unseen(self, footprint: float = 0.0) -> float:
+        """Return the value of `expected` without any observation."""
+        return float(np.pi * self._number @ (footprint + self._radius) ** 2)
+
+    def expected_found(self, beyond: int = 0) -> float:
+        """Return the number of rocks that should have been detected where observed.
+
+        `beyond` cells along each edge are excluded.
+        """
+        total = 0.0
+        inner = slice(beyond, -beyond or None)
+        for s in range(len(self._tested)):
+            mine = self._class == s
+            sharpest = np.maximum(self.lit[s], self.dark[s])[inner, inner]
+            # Sharpness is rounded to a tenth, because counting is faster than sorting.
+            tenths = np.bincount(np.rint(sharpest[sharpest > 0.0] * np.float32(10.0)).astype(int))
+            held = np.flatnonzero(tenths)
+            levels, counts = held.astype(np.float32) / np.float32(10.0), tenths[held]
+            found = 1.0 - self.rates.false_negative(self._radius[mine][:, None] * levels)
+            total += float(self._number[mine] @ found @ counts)
+        return total * self.grid.posting**2
+
+    def seen(self) -> NDArray[np.bool_]:
+        """Return whether a rock of the smallest size would have been visible (rows, cols)."""
+        if self.model.shadowless_fraction > _MAX_SHADOWLESS_FRACTION:
+            return np.zeros(self.grid.shape, np.bool_)
+        missed = self.rates.false_clear(self._radius[0] * self.lit[0])
+        return np.asarray((missed < _MAX_MISS_RATE) & ~self._possible(0))
+
+
+def _evaluate(given: Heights, xy: Array) -> Array:
+    """Return the values of a function at points (rows, cols, 2)."""
+    return given(xy.reshape(-1, 2)).reshape(xy.shape[:2])
+
+
+def _cores(
+    model: ShadowModel | ShapeMixture,
+    low_rocks: ShadowModel,
+    azimuth: Array,
+    depression: Array,
+    sun: Array,
+) -> list[Array]:
+    """Return east and north of five test points of the shadow's core, for each core.
+
+    The unit is the longer half axis; the first core is of round rocks, the second of elongated
+    ones, whose discs are smaller. Terrain that rises away from the Sun shortens the shadow. The
+    core is that on terrain as steep as the slopes here; it is also dark on flatter terrain.
+    """
+    unit = low_rocks.patch(azimuth, depression)
+    s = sun[:2] / np.hypot(sun[0], sun[1])
+    height = np.tan(model.elevation)
+    length = unit.length * height / (height + model.slope)
+    middle = unit.along + 0.5 * (unit.length - length)
+    points = []
+    cross = (
+        (0.0, 0.0),
+        (_CORE_LENGTH_FRACTION, 0.0),
+        (-_CORE_LENGTH_FRACTION, 0.0),
+        (0.0, _CORE_WIDTH_FRACTION),
+        (0.0, -_CORE_WIDTH_FRACTION),
+    )
+    for share, (a, b) in product(_RADIUS_RATIOS, cross):
+        along, side = share * (middle + a * length), share * (unit.side + b * unit.width)
+        points += [along * s[0] - side * s[1], along * s[1] + side * s[0]]
+    return points
+
+
+def _mark_explained(seen: Detections, explained: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """Return `Detections.largest`, negative for the patches of tracked rocks."""
+    # A patch of several merged shadows is not explained by one rock.
+    label = seen.label[explained]
+    label = label[np.isfinite(seen.largest[label])]
+    largest = seen.largest.copy()
+    largest[label] *= -1.0
+    return largest
+
+
+def _overlap(by: int, count: int) -> slice:
+    """Return the slice of cells that remain within the grid after a shift."""
+    return slice(max(-by, 0), max(min(count, count - by), 0))

@@ -1,0 +1,126 @@
+"""LiDAR scan with the pose and the scanner errors that its points depend on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lunarsim.frames import quat_from_rotation_vector, quat_multiply, quat_to_matrix
+from lunarsim.grid import Grid
+from lunarsim.messages.measurements import LidarScan
+from lunarsim.models.instruments import LidarInstrument
+from lunarsim.onboard.navigation import _registration_kernels as kernels
+from lunarsim.onboard.navigation.inertial import StrapdownState
+from lunarsim.onboard.navigation.surface import ScanSurface, average_scan
+
+Array = NDArray[np.float64]
+
+# Indices of the scanner errors among the 11 errors of a scan: position (ENU, m), small rotation
+# (body axes, rad), range (m), boresight (small rotation, sensor axes, rad), latency (s).
+SCANNER_ERRORS = slice(6, 11)
+# Minimum standard deviations of range, boresight and latency; m, rad, s. If a scanner is specified
+# better than it is, its error looks like a pose error, and nothing contradicts that.
+MIN_SCANNER_SIGMAS = np.array([0.1, *np.full(3, np.deg2rad(0.15)), 0.01])
+# Standard deviations of the scanner errors after a drift of the innovations; m, rad, s.
+DRIFTED_SCANNER_SIGMAS = np.array([0.5, *np.full(3, np.deg2rad(0.5)), 0.02])
+
+
+def scanner_block(name: str) -> str:
+    """Return the block name of a scanner's errors."""
+    return f"lidar {name}"
+
+
+def scanner_covariance(instrument: LidarInstrument) -> Array:
+    """Return the prior covariance of a scanner's errors (5, 5), bounded from below."""
+    i = instrument
+    stated = np.array([i.range_bias, *np.full(3, i.boresight), i.latency])
+    return np.diag(np.maximum(stated, MIN_SCANNER_SIGMAS) ** 2)
+
+
+@dataclass(frozen=True)
+class CorrectedScan:
+    """LiDAR scan with the estimated pose.
+
+    Attributes
+    ----------
+    scan
+        Scan with corrected ranges and mount.
+    position, attitude
+        Pose of the lander at the time of the scan (3,), (4,).
+    velocity, rate
+        (3,), m/s, same frame; (3,), rad/s, body axes.
+    """
+
+    scan: LidarScan
+    position: Array
+    attitude: Array
+    velocity: Array
+    rate: Array
+
+    @classmethod
+    def of(cls, scan: LidarScan, own: StrapdownState, scanner: Array) -> CorrectedScan:
+        """Return a scan at the estimated state, corrected by scanner errors (5,)."""
+        corrected = cls(
+            scan, own.position.copy(), own.attitude.copy(), own.velocity.copy(), own.rate
+        )
+        return (
+            corrected.moved(np.concatenate((np.zeros(6), scanner))) if scanner.any() else corrected
+        )
+
+    def turned(self, rotation: Array, attitude: Array, position: Array) -> CorrectedScan:
+        """Transform the scan to another frame.
+
+        Parameters
+        ----------
+        rotation
+            Rotation matrix from this frame to the other (3, 3).
+        attitude, position
+            Quaternion of the same rotation (4,), and origin of this frame in the other (3,).
+        """
+        return replace(
+            self,
+            position=rotation @ self.position + position,
+            attitude=quat_multiply(attitude, self.attitude),
+            velocity=rotation @ self.velocity,
+        )
+
+    def moved(self, error: Array) -> CorrectedScan:
+        """Return the scan with errors (11,) added."""
+        latency = float(error[10])
+        turn = quat_from_rotation_vector(error[3:6])
+        attitude = quat_multiply(self.attitude, turn)
+        if latency:
+            attitude = quat_multiply(attitude, quat_from_rotation_vector(-latency * self.rate))
+        scan = self.scan
+        if np.any(error[6:10]):
+            boresight = quat_to_matrix(quat_from_rotation_vector(error[7:10]))
+            scan = replace(scan, range=scan.range + error[6], mount=scan.mount @ boresight)
+        position = self.position + error[:3] - latency * self.velocity
+        return replace(self, scan=scan, position=position, attitude=attitude)
+
+    def points(self) -> Array:
+        """Return the points (n, 3), m; NaN marks missing returns."""
+        return self.scan.points(self.position, self.attitude)
+
+    def surface(self, grid: Grid) -> ScanSurface:
+        """Return the scan averaged over the squares of a grid."""
+        return average_scan(self.points(), grid)
+
+    def point_jacobian(self, point: Array) -> Array:
+        """Return the Jacobian of a point (3,) with respect to the scan's errors (3, 11)."""
+        return self.jacobian(np.broadcast_to(point, (3, 3)), np.eye(3))
+
+    def jacobian(self, points: Array, normals: Array) -> Array:
+        """Return the Jacobian of points (m, 3) along vectors (m, 3): (m, 11).
+
+        With normals (-dz/dx, -dz/dy, 1) this is the Jacobian of the height at fixed places.
+        """
+        rotation = quat_to_matrix(self.attitude)
+        return np.asarray(
+            kernels.scan_jacobian(
+                np.ascontiguousarray(points), np.ascontiguousarray(normals), self.position,
+                rotation, rotation @ self.scan.mount, self.velocity, self.rate,
+            )
+        )  # fmt: skip

@@ -1,0 +1,87 @@
+"""Measurement model of the speeds along the beams of a Doppler velocimeter."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from lunarsim.frames import quat_to_matrix
+from lunarsim.models.instruments import VelocimeterInstrument
+from lunarsim.onboard.navigation.error_state import ErrorState, UpdateOutcome
+
+_COLUMNS = np.r_[3:6, 9:12]
+# Minimum standard deviation of the speed bias of a beam, m/s. A constant bias affects all readings
+# alike, and with a smaller value they would together move the velocity by it.
+_MIN_SPEED_BIAS_M_S = 0.02
+# Minimum random walk of the bias in 1 s, m/s.
+_MIN_SPEED_WALK_M_S = 0.005
+
+
+def speed_bias_model(velocimeter: VelocimeterInstrument) -> tuple[float, float]:
+    """Return the initial speed bias of a beam, and its random walk in 1 s.
+
+    Both are standard deviations, m/s: the specified ones, but not less than realistic minima.
+    """
+    return (
+        max(velocimeter.speed_bias, _MIN_SPEED_BIAS_M_S),
+        max(velocimeter.speed_wander, _MIN_SPEED_WALK_M_S),
+    )
+
+
+def update_with_speeds(
+    state: ErrorState,
+    speed: ArrayLike,
+    sigma: ArrayLike,
+    beams: ArrayLike,
+    gate: float = np.inf,
+    *,
+    biases: ArrayLike | None = None,
+    known: ArrayLike | float = 0.0,
+) -> UpdateOutcome:
+    """Update the error state with speeds along beams.
+
+    A beam b (body axes) measures ``b' R' v``; a small rotation of the body changes this by the
+    product of ``(b x R' v)'`` and the rotation.
+
+    Parameters
+    ----------
+    state
+        Error state of the filter.
+    speed, sigma
+        Speed along each beam and its standard deviation (n,), m/s; beams without a return or with a
+        deviation that is not positive are ignored.
+    beams
+        Unit vectors of the beams (n, 3), body axes.
+    gate
+        Maximum normalised innovation squared, as for `ErrorState.measure`.
+    biases
+        Indices of the beam biases in the error state (n,); default: no biases.
+    known
+        Estimated biases (n,), m/s.
+
+    Returns
+    -------
+    Outcome
+        Outcome of the update; `white` has one element per beam.
+    """
+    measured, noise = np.asarray(speed, np.float64), np.asarray(sigma, np.float64)
+    has_return = np.isfinite(measured) & np.isfinite(noise) & (noise > 0.0)
+    if not has_return.any():
+        return UpdateOutcome(np.nan, 0, False)
+    b = np.asarray(beams, np.float64)[has_return]
+    rotation = quat_to_matrix(state.inertial.attitude)
+    body_velocity = rotation.T @ state.inertial.velocity
+    jacobian, columns = np.hstack((b @ rotation.T, np.cross(b, body_velocity))), _COLUMNS
+    innovation = measured[has_return] - b @ body_velocity
+    if biases is not None:
+        jacobian = np.hstack((jacobian, np.eye(len(b))))
+        columns = np.append(columns, np.asarray(biases)[has_return])
+        innovation = innovation - np.broadcast_to(known, len(has_return))[has_return]
+    outcome = state.measure(jacobian, columns, innovation, noise[has_return] ** 2, gate)
+    if not outcome.taken:
+        return outcome
+    white = np.full(len(has_return), np.nan)
+    white[has_return] = outcome.white
+    return replace(outcome, white=white)

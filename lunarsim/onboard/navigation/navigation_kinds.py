@@ -1,0 +1,90 @@
+"""Navigation part kinds that use the error-state filter."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from lunarsim.errors import InputError
+from lunarsim.messages.briefing import Briefing
+from lunarsim.messages.measurements import (
+    AltimeterReading,
+    AttitudeReading,
+    DopplerReading,
+    InertialSamples,
+    LidarScan,
+)
+from lunarsim.onboard.navigation.inertial import StrapdownState
+from lunarsim.onboard.navigation.navigator import Navigator
+from lunarsim.onboard.navigation.terrain_prior import TerrainPrior
+from lunarsim.parts.quantity import check_bounds, quantity
+
+
+@dataclass(frozen=True)
+class InertialNavigation:
+    """Use all sensors: IMU, LiDAR, altimeter, velocimeter and star tracker.
+
+    All but the IMU are optional. Scans are matched with each other and, if there is one, with a
+    prior map.
+    """
+
+    relief: float = quantity(5.0, "deg", ge=0, le=45, help="typical slope of the overflown terrain")
+
+    needs: ClassVar[tuple[type, ...]] = (InertialSamples,)
+    takes: ClassVar[tuple[type, ...]] = (
+        LidarScan, AltimeterReading, DopplerReading, AttitudeReading,
+    )  # fmt: skip
+    needs_prior_map: ClassVar[bool] = False
+    uses_prior_map: ClassVar[bool] = True
+    rocks: ClassVar[bool] = False
+
+    def __post_init__(self) -> None:
+        check_bounds(self, "navigation")
+
+    def build(self, briefing: Briefing) -> Navigator:
+        """Build the navigation filter of one flight."""
+        return _navigator(briefing, float(np.tan(self.relief)), rocks=self.rocks)
+
+
+@dataclass(frozen=True)
+class PriorMapNavigation:
+    """Match LiDAR scans with a prior map, and propagate with the IMU (quadtree paper)."""
+
+    needs: ClassVar[tuple[type, ...]] = (InertialSamples, LidarScan)
+    takes: ClassVar[tuple[type, ...]] = (AltimeterReading, DopplerReading, AttitudeReading)
+    needs_prior_map: ClassVar[bool] = True
+    uses_prior_map: ClassVar[bool] = True
+
+    def build(self, briefing: Briefing) -> Navigator:
+        """Build the navigation filter of one flight.
+
+        Raises
+        ------
+        InputError
+            If there is no prior map.
+        """
+        if briefing.prior_map is None:
+            raise InputError(
+                "prior_map", None, "must be a table for this navigation",
+                "Give a prior map or choose another navigation.",
+            )  # fmt: skip
+        return _navigator(briefing, TerrainPrior().relief)
+
+
+@dataclass(frozen=True)
+class RockNavigation(InertialNavigation):
+    """Extend `InertialNavigation` by rocks that the camera detects by their shadows."""
+
+    relief: float = quantity(6.0, "deg", ge=0, le=45, help="typical slope of the overflown terrain")
+
+    rocks: ClassVar[bool] = True
+
+
+def _navigator(briefing: Briefing, relief: float, *, rocks: bool = False) -> Navigator:
+    state, sigmas = StrapdownState.of(briefing)
+    return Navigator(
+        state, sigmas, briefing.prior_map, instruments=briefing.instruments,
+        ground=TerrainPrior.of(briefing, relief), rocks=rocks,
+    )  # fmt: skip

@@ -1,0 +1,57 @@
+"""Predict the pixels of rocks in a camera image (Eqs. 10-11)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lunarsim.frames import quat_to_matrix
+from lunarsim.models.camera import CameraModel
+from lunarsim.onboard.navigation.inertial import StrapdownState
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class RockProjection:
+    """Predicted pixels of rocks and their Jacobians.
+
+    Attributes
+    ----------
+    pixel
+        Predicted pixels (n, 2), without distortion (Eq. 10).
+    depth
+        Distance along the boresight (n,), m; not positive behind the camera.
+    by_pose
+        Derivatives by position and attitude error (n, 2, 6).
+    by_rock
+        Derivatives by the rock's east, north and height (n, 2, 3).
+    """
+
+    pixel: Array
+    depth: Array
+    by_pose: Array
+    by_rock: Array
+
+
+def project_points(inertial: StrapdownState, camera: CameraModel, points: Array) -> RockProjection:
+    """Predict the pixels of points (n, 3) from the estimated pose (Eqs. 10-11)."""
+    rotation = quat_to_matrix(inertial.attitude)
+    body = (points - inertial.position) @ rotation
+    in_camera = (body - np.asarray(camera.offset)) @ camera.mount
+    with np.errstate(divide="ignore", invalid="ignore"):
+        pixel = camera.pinhole.project(in_camera)
+        by_camera = camera.pinhole.jacobian(in_camera)
+    by_body = by_camera @ camera.mount.T
+    by_point = by_body @ rotation.T
+    # d(body) = [body x] d(attitude); (row @ [body x])_k = (row x body)_k.
+    by_attitude = np.empty_like(by_body)
+    for k in range(3):
+        a, b = (k + 1) % 3, (k + 2) % 3
+        by_attitude[..., k] = (
+            by_body[..., a] * body[:, None, b] - by_body[..., b] * body[:, None, a]
+        )
+    by_pose = np.concatenate((-by_point, by_attitude), axis=-1)
+    return RockProjection(pixel, in_camera[:, 2], by_pose, by_point)

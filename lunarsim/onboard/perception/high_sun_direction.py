@@ -1,0 +1,214 @@
+"""Angle of shadows under a high Sun, from the positions of black and grey pixels.
+
+See `lunarsim.onboard.perception.lit_faces`. The shape of rocks matters: from the side, faces
+towards the camera shift the grey of cubes 30 deg farther than that of low rocks. The axes of
+patches, which give little information by themselves, constrain the shape: with the true shape and
+the true Sun, axes and faces give the same angle.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from lunarsim.models.pinhole import View
+from lunarsim.onboard.perception import _image_quality_kernels as kernels
+from lunarsim.onboard.perception.detector import Detections
+from lunarsim.onboard.perception.lit_faces import BLACK, GREY, MOST_GREY, lit_faces
+from lunarsim.onboard.perception.shadow_model import ShadowModel
+from lunarsim.onboard.perception.shape_mixture import ShapeMixture
+from lunarsim.onboard.perception.sun_angle import (
+    PRIOR_NUMBER,
+    SunAngle,
+    doubled_axes,
+    local_relative_brightness,
+    mean_angle,
+    viewing_angles,
+)
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+Complex = NDArray[np.complex128]
+
+# Range of q: smaller patches are completely grey, and in larger ones optics contribute little grey.
+_MIN_Q, _MAX_Q = 4.0, 9.0
+# Maximum distance of grey and bright pixels from a patch, pixels.
+_RING_PX = 3
+# Minimum sums of black and of lit pixels, and minimum distance of their centroids, pixels.
+_MIN_SUM, _MIN_GAP_PX = 0.3, 0.3
+# Systematic differences of axes and of faces under the true shape of rocks, rad. The first reduces
+# the weight of shapes that fit worse, the second bounds the accuracy of the angle.
+_AXIS_SIGMA_RAD, _FACE_SIGMA_RAD = float(np.deg2rad(8.0)), float(np.deg2rad(2.5))
+# Relative uncertainty of the shift by faces towards the camera.
+_FACE_SHIFT_RATIO = 0.2
+# Tolerance (rad) and maximum number of iterations about the current Sun direction.
+_TOLERANCE_RAD, _MAX_ITERATIONS = float(np.deg2rad(2.0)), 4
+# Reject all shape hypotheses if the total likelihood is below this threshold.
+_MIN_LIKELIHOOD = float(np.exp(-4.5))
+# Grey and bright faces disagree beyond this many standard deviations.
+_DISAGREEMENT_SIGMAS = 3.0
+
+_NO_ANGLE = SunAngle(float("nan"), float("inf"), 0.0, 0)
+
+
+def high_sun_angle(
+    seen: Detections,
+    view: View,
+    points: Array,
+    sun: Array,
+    model: ShadowModel | ShapeMixture,
+    threshold: float,
+) -> SunAngle:
+    """Measure the angle between shadows and their direction under an assumed high Sun.
+
+    Parameters
+    ----------
+    seen, view, points, sun, model
+        See `turn_from_sun`.
+    cut
+        Relative excess over lit terrain from which a pixel counts as bright.
+    """
+    at, gap = _shadow_to_lit(seen, view, points, threshold)
+    if len(at) == 0:
+        return _NO_ANGLE
+    gap = gap / abs(gap)
+    # Axes are vectors at twice their angle from east.
+    towards = _sun_azimuth(sun)
+    axes = doubled_axes(seen.length[at], seen.width[at], seen.skew[at]) * towards**2
+    turned, found = 0.0, _NO_ANGLE
+    for _ in range(_MAX_ITERATIONS):
+        # Which faces the camera sees depends on the Sun direction, so iterate.
+        found = _angle_under_sun(towards * np.exp(1j * turned), gap, axes, view, points[at], model)
+        if not np.isfinite(found.angle):
+            return _NO_ANGLE
+        turned += found.angle
+        if abs(found.angle) < _TOLERANCE_RAD:
+            break
+    wrapped = float(np.angle(np.exp(1j * turned)))
+    return SunAngle(wrapped, found.sigma, found.side, len(at))
+
+
+def more_certain(one: SunAngle, other: SunAngle) -> SunAngle:
+    """Return the more accurate of two angles, or no angle if they disagree."""
+    if np.isfinite(one.sigma) and np.isfinite(other.sigma):
+        apart = np.angle(np.exp(1j * (one.angle - other.angle)))
+        if abs(apart) > _DISAGREEMENT_SIGMAS * np.hypot(one.sigma, other.sigma):
+            return _NO_ANGLE
+    return min(one, other, key=lambda angle: angle.sigma)
+
+
+def _sun_azimuth(sun: Array) -> complex:
+    """Return the azimuth of the Sun as a unit vector, east real and north imaginary."""
+    towards = complex(sun[0], sun[1])
+    return towards / abs(towards)
+
+
+def _angle_under_sun(
+    towards: complex,
+    gap: Complex,
+    axes: Complex,
+    view: View,
+    points: Array,
+    model: ShadowModel | ShapeMixture,
+) -> SunAngle:
+    """Return the angle of faces (n,) and axes (n,) relative to an assumed Sun."""
+    seen_at = viewing_angles(view, points, np.array([towards.real, towards.imag, 0.0]))
+    models = model.models if isinstance(model, ShapeMixture) else (model,)
+    shares = model.shape_shares if isinstance(model, ShapeMixture) else np.ones(1)
+    estimates = []
+    for one, share in zip(models, shares, strict=True):
+        direction, axis = lit_faces(one, *seen_at)
+        faces = gap * np.conj(towards * direction)
+        beside = abs(np.angle(-direction))
+        drawn = _FACE_SHIFT_RATIO * float(np.average(beside, weights=abs(direction) + 1e-9))
+        estimates.append(
+            _angle_for_shape(faces, axes * np.conj(towards**2 * axis), float(share), drawn)
+        )
+    return _combine(estimates, len(gap))
+
+
+def _shadow_to_lit(
+    seen: Detections, view: View, points: Array, threshold: float
+) -> tuple[Index, Complex]:
+    """Return rocks with separate black and lit parts (n,), and ground vectors (n,).
+
+    The vectors point from lit to black; east is real, north imaginary.
+    """
+    ring = cv2.dilate(seen.rock, np.ones((2 * _RING_PX + 1, 2 * _RING_PX + 1), np.uint8))
+    sums = kernels.black_and_lit(
+        seen.relative,
+        local_relative_brightness(seen),
+        seen.rock,
+        ring,
+        len(seen),
+        BLACK,
+        GREY,
+        MOST_GREY,
+        threshold,
+    )[1:]
+    black, lit = sums[:, kernels.BLACK], sums[:, kernels.LIT]
+    shown = (black > _MIN_SUM) & (lit > _MIN_SUM)
+    shown &= (seen.q >= _MIN_Q) & (seen.q <= _MAX_Q)
+    at = np.flatnonzero(shown & np.isfinite(points).all(1))
+    sums, black, lit = sums[at], black[at, None], lit[at, None]
+    gap = sums[:, [kernels.BLACK_U, kernels.BLACK_V]] / black
+    gap -= sums[:, [kernels.LIT_U, kernels.LIT_V]] / lit
+    apart = np.hypot(*gap.T) > _MIN_GAP_PX
+    at, gap = at[apart], gap[apart]
+    moves = view.pinhole.jacobian((points[at] - view.position) @ view.into.T, view.into[:, :2])
+    return at, np.linalg.solve(moves, gap[:, :, None])[:, :, 0] @ np.array([1.0, 1.0j])
+
+
+@dataclass(frozen=True)
+class _ShapeAngle:
+    """Angle under one hypothesis of the rock shape, see `SunAngle`, and its weight."""
+
+    angle: float
+    sigma: float
+    side: float
+    weight: float
+
+
+def _angle_for_shape(faces: Complex, axes: Complex, share: float, drawn: float) -> _ShapeAngle:
+    """Return the angle given by faces and axes (n,) under one rock shape.
+
+    `drawn` is the common error of the faces, 1 sigma, rad.
+    """
+    angle, sigma = mean_angle(faces)
+    sigma = float(np.hypot(sigma, drawn))
+    if not np.isfinite(sigma):
+        return _ShapeAngle(0.0, np.inf, 0.0, share)
+    along = np.real(faces * np.exp(-1j * angle))
+    # For random directions, half of the squared sum lies along a given line.
+    square = float((abs(faces) ** 2).sum())
+    spread = np.sqrt(0.5 * square * (1.0 + PRIOR_NUMBER / len(faces)))
+    turned, axis_sigma = mean_angle(axes)
+    likelihood = 1.0
+    if np.isfinite(axis_sigma):
+        off = 0.5 * np.angle(np.exp(1j * (turned - 2.0 * angle)))
+        likelihood = float(
+            np.exp(-0.5 * off**2 / (0.25 * axis_sigma**2 + sigma**2 + _AXIS_SIGMA_RAD**2))
+        )
+    return _ShapeAngle(angle, sigma, float(along.sum() / spread), share * likelihood)
+
+
+def _combine(estimates: list[_ShapeAngle], number: int) -> SunAngle:
+    """Return the angle averaged over the hypotheses of the rock shape."""
+    weight = np.array([one.weight for one in estimates])
+    known = np.array([np.isfinite(one.sigma) for one in estimates])
+    if weight.sum() < _MIN_LIKELIHOOD or weight[known].sum() < 0.5 * weight.sum():
+        return _NO_ANGLE
+    weight = np.where(known, weight, 0.0) / weight[known].sum()
+    vector = np.exp(1j * np.array([one.angle for one in estimates]))
+    mean = weight @ vector
+    # The difference between shapes adds to the uncertainty.
+    shapes = weight @ np.angle(vector * np.conj(mean)) ** 2
+    scatter = (
+        weight @ np.array([one.sigma if np.isfinite(one.sigma) else 0.0 for one in estimates]) ** 2
+    )
+    sigma = float(np.sqrt(scatter + shapes + _FACE_SIGMA_RAD**2))
+    side = float(weight @ np.array([one.side for one in estimates]))
+    return SunAngle(float(np.angle(mean)), sigma, side, number)

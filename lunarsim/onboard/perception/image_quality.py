@@ -1,0 +1,479 @@
+"""Quality check of camera images before they are used for hazard mapping.
+
+A map is based on what images do not show. An image is therefore used only if it proves that rocks
+would be visible: it is exposed, sharp, new and complete, it contains shadows, and these point away
+from the Sun. A covered lens or terrain without rocks proves nothing and is not used.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+from enum import Enum
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.special import ndtri
+
+from lunarsim.errors import InputError, check_types
+from lunarsim.frames import is_position, is_rotation
+from lunarsim.models.camera import CameraModel
+from lunarsim.models.pinhole import View
+from lunarsim.models.pose import Pose
+from lunarsim.onboard.perception.detector import Detections
+from lunarsim.onboard.perception.edge_widths import MIN_WIDTH, EdgeWidths, edge_widths
+from lunarsim.onboard.perception.sun_angle import SunAngle
+
+Array = NDArray[np.float64]
+
+# Stride of the pixels and rows from which fractions of the image are estimated.
+_PIXEL_STRIDE = 4
+# Number of bands along each side of the image; each of them must pass.
+_BAND_COUNT = 8
+# Quantile of the response, from the quietest pixels, from which noise is estimated.
+_NOISE_QUANTILE = 0.25
+# Counts that read noise alone can produce; minimum fraction of the pixels above them.
+_MAX_BLACK_COUNTS, _MIN_LIT_FRACTION = 3, 0.02
+# Terrain below this fraction of the lit brightness may be missing. A missing line has more than the
+# second fraction of such pixels, and a line beside a straight end less than the third.
+_MISSING_BRIGHTNESS_RATIO, _MISSING_LINE_DARK, _NEIGHBOUR_LINE_DARK = 0.15, 0.98, 0.6
+# Quantile of the shadowed pixels that defines the brightness of shadows.
+_SHADE_QUANTILE = 0.01
+# Number of earlier frames with which an image is compared, since a buffer may be read repeatedly.
+_COMPARED_FRAMES = 3
+
+
+class ImageRejection(Enum):
+    """Reason for rejecting an image."""
+
+    FORM = "size or type differs from the camera's"
+    POSE = "camera pose is unknown"
+    NO_NUMBERS = "too many pixels are not finite"
+    FAINT = "lit terrain is too dark"
+    SATURATED = "too many pixels are saturated"
+    VEILED = "shadows are too bright"
+    NOISE = "noise hides shadows"
+    STUCK = "image repeats an earlier one, completely or in part"
+    GAPS = "rows or columns are missing"
+    DARK = "too much of the image is dark"
+    NO_SHADOWS = "too few shadows to prove that rocks are visible"
+    BLURRED = "shadow edges are blurred"
+    SMEARED = "shadow edges are blurred along one direction"
+    SUN_ELSEWHERE = "shadows do not point away from the Sun"
+    MISPLACED = "tracked rocks are not at their predicted positions"
+    SUN_UNPROVEN = "shadows do not confirm the assumed Sun direction"
+
+
+# These images have no defect, but prove nothing.
+_INCONCLUSIVE = frozenset({ImageRejection.NO_SHADOWS, ImageRejection.SUN_UNPROVEN})
+
+
+@dataclass(frozen=True)
+class ImageQuality:
+    """Result of the quality check of an image.
+
+    Attributes
+    ----------
+    fault
+        First fault found; None: the image is accepted.
+    figures
+        Metrics measured so far, by name: `lit` (counts), `saturated`, `gaps`, `dark` (fractions),
+        `noise` (relative to lit terrain), `shadows` (number), `shade` (relative to lit terrain),
+        `width`, `smear` (pixels, 1 sigma of edges), `turn`, `turn_sigma` (rad), `turn_side`
+        (standard deviations).
+    """
+
+    fault: ImageRejection | None
+    figures: dict[str, float]
+
+    @property
+    def good(self) -> bool:
+        """Whether the image is accepted."""
+        return self.fault is None
+
+    @property
+    def alarm(self) -> bool:
+        """Whether camera, image or Sun direction is faulty, not only the view empty."""
+        return self.fault is not None and self.fault not in _INCONCLUSIVE
+
+
+@dataclass(frozen=True)
+class ImageQualitySettings:
+    """Criteria for accepting an image.
+
+    Attributes
+    ----------
+    blur_sigma
+        Calibrated point spread of the camera, 1 sigma, pixels.
+    least_lit
+        Minimum counts of lit terrain; one count is then an eighth of its brightness.
+    most_saturated
+        Maximum fraction of the pixels at the highest count.
+    most_noise
+        Maximum noise of a pixel relative to lit terrain, in any part of the image.
+    most_dark
+        Maximum fraction of the image that is dark, whether shadow or sky.
+    most_gaps
+        Maximum fraction of pixels that are not finite, and of rows or columns that are missing.
+    most_same
+        Maximum fraction of the lit pixels of a band that equal those of an earlier image.
+    most_shade
+        Maximum brightness of the darkest shadows relative to lit terrain.
+    least_shadows
+        Minimum number of rock shadows.
+    most_width
+        Maximum width of the sharpest shadow edges, relative to that of the point spread.
+    most_smear
+        The same for the direction in which edges are least sharp.
+    most_turn, least_turn
+        Angle between shadows and their expected direction up to which the Sun direction is
+        confirmed, and from which it is contradicted, rad; in between neither holds.
+    high_turn
+        Replaces `least_turn` under a high Sun, where boulders brighter than the terrain bias the
+        angle by up to 18 deg, rad.
+    turn_sigma
+        Maximum standard deviation of that angle for a conclusion, rad.
+    least_side
+        Minimum significance against an error of half a turn, standard deviations.
+    least_agreement
+        Minimum mean resultant length of the directions from lit faces to shadows for a
+        contradiction. Craters and slopes shift the angle too, but agree less.
+    proof_agreement
+        The same for a confirmation. Where shadows merge, terrain between them is taken for lit
+        faces on the wrong side, and fewer directions agree.
+    wrong_turn, wrong_by
+        Maximum error of the Sun direction, rad. Under a high Sun a less accurate angle also
+        confirms the direction if it is `wrong_by` standard deviations away from `wrong_turn`.
+    """
+
+    blur_sigma: float = 0.6
+    least_lit: float = 8.0
+    most_saturated: float = 0.1
+    most_noise: float = 0.08
+    most_dark: float = 0.6
+    most_gaps: float = 0.02
+    most_same: float = 0.9
+    most_shade: float = 0.35
+    least_shadows: int = 4
+    most_width: float = 1.25
+    most_smear: float = 1.15
+    most_turn: float = float(np.deg2rad(10.0))
+    least_turn: float = float(np.deg2rad(15.0))
+    high_turn: float = float(np.deg2rad(25.0))
+    turn_sigma: float = float(np.deg2rad(5.0))
+    least_side: float = 4.0
+    least_agreement: float = 0.55
+    proof_agreement: float = 0.2
+    wrong_turn: float = float(np.deg2rad(30.0))
+    wrong_by: float = 3.5
+
+    def __post_init__(self) -> None:
+        check_types("health", self)
+        if not (np.isfinite(self.blur_sigma) and self.blur_sigma >= 0.0):
+            raise InputError("health.blur_sigma", self.blur_sigma, "must be 0 or positive")
+        for name in ("most_saturated", "most_dark", "most_gaps", "most_same"):
+            if not 0.0 < getattr(self, name) <= 1.0:
+                raise InputError(
+                    f"health.{name}", getattr(self, name), "must be above 0 and at most 1"
+                )
+        for name in ("least_lit", "most_noise", "least_shadows", "most_shade", "most_width",
+                     "most_smear", "most_turn", "least_turn", "high_turn", "turn_sigma",
+                     "least_side", "least_agreement", "proof_agreement", "wrong_turn",
+                     "wrong_by"):  # fmt: skip
+            if not (np.isfinite(getattr(self, name)) and getattr(self, name) > 0.0):
+                raise InputError(
+                    f"health.{name}", getattr(self, name), "must be positive and finite"
+                )
+        for name in ("least_agreement", "proof_agreement"):
+            if getattr(self, name) > 1.0:
+                raise InputError(f"health.{name}", getattr(self, name), "must be at most 1")
+        if not self.most_turn <= self.least_turn <= np.pi:
+            turns = (self.most_turn, self.least_turn)
+            raise InputError(
+                "health.most_turn, least_turn", turns, "must be ascending angles of at most pi rad"
+            )
+
+
+@dataclass
+class SunConfirmation:
+    """Whether shadows have confirmed the assumed Sun direction.
+
+    The Sun does not move, so later images, also of other cameras of the same lander, need not
+    confirm it again. An image that contradicts it withdraws the confirmation.
+
+    Attributes
+    ----------
+    seen
+        Whether the direction is confirmed.
+    side
+        Highest significance of a confirming image, see `SunAngle.side`.
+    """
+
+    seen: bool = False
+    side: float = 0.0
+
+
+class ImageQualityCheck:
+    """Checks the quality of the images of one camera in sequence.
+
+    Parameters
+    ----------
+    settings
+        See `ImageQualitySettings`.
+    sun
+        Confirmation of the Sun direction, shared with other cameras of the lander; default: its
+        own.
+    """
+
+    def __init__(
+        self, settings: ImageQualitySettings | None = None, sun: SunConfirmation | None = None
+    ) -> None:
+        self.settings = settings or ImageQualitySettings()
+        self.sun = sun or SunConfirmation()
+        self._last: deque[NDArray[Any]] = deque(maxlen=_COMPARED_FRAMES)
+
+    def before_detection(self, counts: ArrayLike, camera: CameraModel, pose: Pose) -> ImageQuality:
+        """Check an image by itself.
+
+        Parameters
+        ----------
+        counts
+            Image (camera.height, camera.width), expected as counts or numbers.
+        camera, pose
+            Camera model, and pose of the camera.
+        """
+        try:
+            raw = np.asarray(counts)
+        except ValueError:
+            return ImageQuality(ImageRejection.FORM, {})
+        if raw.shape != (camera.height, camera.width) or raw.dtype.kind not in "uif":
+            return ImageQuality(ImageRejection.FORM, {})
+        if not (is_position(pose.position) and is_rotation(pose.attitude)):
+            return ImageQuality(ImageRejection.POSE, {})
+        figures: dict[str, float] = {}
+        return ImageQuality(
+            self._check_counts(raw, _looks_down(camera.view(pose)), figures), figures
+        )
+
+    def _check_counts(
+        self, raw: NDArray[Any], ground: NDArray[np.bool_], figures: dict[str, float]
+    ) -> ImageRejection | None:
+        s = self.settings
+        sampled = raw[::_PIXEL_STRIDE, ::_PIXEL_STRIDE]
+        is_finite = np.isfinite(sampled)
+        figures["gaps"] = 1.0 - float(is_finite.mean())
+        if figures["gaps"] > s.most_gaps:
+            return ImageRejection.NO_NUMBERS
+        same = self._repeated_fraction(sampled, s.least_lit)
+        self._last.append(sampled.copy())
+        ground = ground & is_finite
+        if not ground.any():
+            return ImageRejection.NO_SHADOWS
+        figures["lit"] = _lit_brightness(sampled[ground])
+        if not figures["lit"] >= s.least_lit:
+            return ImageRejection.FAINT
+        figures["saturated"] = float((sampled[ground] == sampled[ground].max()).mean())
+        if figures["saturated"] > s.most_saturated:
+            return ImageRejection.SATURATED
+        figures["gaps"] = max(figures["gaps"], _missing_lines(raw, ground, figures["lit"]))
+        if figures["gaps"] > s.most_gaps:
+            return ImageRejection.GAPS
+        if same > s.most_same:
+            return ImageRejection.STUCK
+        figures["noise"] = _noise(raw) / figures["lit"]
+        return ImageRejection.NOISE if not figures["noise"] <= s.most_noise else None
+
+    def _repeated_fraction(self, sampled: NDArray[Any], lit: float) -> float:
+        """Return the maximum fraction of lit pixels of a band that repeat earlier ones."""
+        highest = 0.0
+        bright = sampled >= lit
+        for last in self._last:
+            if last.shape != sampled.shape:
+                continue
+            same = bright & (sampled == last)
+            for axis in (0, 1):
+                for same_band, bright_band in zip(
+                    np.array_split(same, _BAND_COUNT, axis),
+                    np.array_split(bright, _BAND_COUNT, axis),
+                    strict=True,
+                ):
+                    lit_here = np.count_nonzero(bright_band)
+                    if lit_here >= 0.2 * bright_band.size:
+                        highest = max(highest, np.count_nonzero(same_band) / lit_here)
+        return highest
+
+    def after_detection(self, seen: Detections, turn: SunAngle, noise: float) -> ImageQuality:
+        """Check an image by the shadows found in it.
+
+        Parameters
+        ----------
+        seen
+            Detections in the image.
+        turn
+            Angle between shadows and their expected direction.
+        noise
+            Noise from `before_detection`.
+        """
+        s = self.settings
+        dark = float((seen.labels[::_PIXEL_STRIDE, ::_PIXEL_STRIDE] > 0).mean())
+        figures = {"dark": dark, "shadows": float(len(seen))}
+        if dark > s.most_dark:
+            return ImageQuality(ImageRejection.DARK, figures)
+        widths = edge_widths(seen, noise)
+        figures |= {"width": widths.sharpest, "smear": widths.least_sharp}
+        figures |= {"turn": turn.angle, "turn_sigma": turn.sigma, "turn_side": turn.side}
+        if widths.number < s.least_shadows:
+            return ImageQuality(ImageRejection.NO_SHADOWS, figures)
+        fault = self._check_sharpness(widths)
+        figures["shade"] = _shadow_brightness(seen)
+        if fault is None and figures["shade"] > s.most_shade:
+            fault = ImageRejection.VEILED
+        return ImageQuality(fault or self._check_sun(turn), figures)
+
+    def _check_sharpness(self, widths: EdgeWidths) -> ImageRejection | None:
+        expected = EdgeWidths.expected(self.settings.blur_sigma)
+        if not widths.sharpest <= self.settings.most_width * expected:
+            return ImageRejection.BLURRED
+        if not widths.least_sharp <= self.settings.most_smear * max(expected, MIN_WIDTH):
+            return ImageRejection.SMEARED
+        return None
+
+    def tells(self, turn: SunAngle) -> bool:
+        """Return whether the angle is accurate enough to locate the Sun."""
+        s = self.settings
+        return turn.sigma <= s.turn_sigma and turn.side >= s.least_side
+
+    def judges(self, turn: SunAngle) -> bool:
+        """Return whether shadows confirm or contradict the Sun direction."""
+        near = abs(turn.angle) < self.settings.least_turn
+        return self.contradicts(turn) or (self.tells(turn) and near)
+
+    def contradicts(self, turn: SunAngle) -> bool:
+        """Return whether consistent shadows of rocks contradict the Sun direction.
+
+        If lit faces agree with the Sun direction but axes do not, the axes belong to merged shadows
+        and do not count.
+        """
+        s = self.settings
+        agrees = turn.high_sun or turn.agreement >= s.least_agreement
+        wrong_angle = s.high_turn if turn.high_sun else s.least_turn
+        contradicted_by_faces = abs(turn.by_faces) < wrong_angle
+        return (
+            self.tells(turn)
+            and agrees
+            and abs(turn.angle) >= wrong_angle
+            and not contradicted_by_faces
+        )
+
+    def _check_sun(self, turn: SunAngle) -> ImageRejection | None:
+        s = self.settings
+        if self.contradicts(turn):
+            self.sun.seen, self.sun.side = False, 0.0
+            return ImageRejection.SUN_ELSEWHERE
+        is_far = (
+            turn.side >= s.least_side and abs(turn.angle) - s.wrong_by * turn.sigma > s.most_turn
+        )
+        if is_far or (self.tells(turn) and abs(turn.angle) >= s.least_turn):
+            # Either craters and merged shadows cause this, or the Sun direction is wrong.
+            self.sun.seen &= turn.side <= self.sun.side
+            return ImageRejection.SUN_UNPROVEN
+        agrees = turn.high_sun or turn.agreement >= s.proof_agreement
+        is_proven = (self.tells(turn) and agrees) or (
+            turn.high_sun
+            and turn.side >= s.least_side
+            and abs(turn.angle) + s.wrong_by * turn.sigma <= s.wrong_turn
+        )
+        if is_proven and abs(turn.angle) <= s.most_turn:
+            self.sun.seen, self.sun.side = True, max(self.sun.side, turn.side)
+        return None if self.sun.seen else ImageRejection.SUN_UNPROVEN
+
+
+def _shadow_brightness(seen: Detections) -> float:
+    """Return the brightness of the darkest rock shadows relative to lit terrain."""
+    shaded = seen.relative[seen.rock > 0]
+    at = int(_SHADE_QUANTILE * shaded.size)
+    return float(np.partition(shaded, at)[at]) if shaded.size else np.inf
+
+
+def _lit_brightness(seen: NDArray[Any]) -> float:
+    """Return the brightness of lit terrain among pixels (n,), counts.
+
+    Lit pixels have at least half of the brightness of the 90th percentile, also if most of the
+    image is dark.
+    """
+    shown = seen[seen > _MAX_BLACK_COUNTS]
+    if len(shown) < _MIN_LIT_FRACTION * len(seen):
+        return 0.0
+    return float(np.median(shown[shown >= 0.5 * np.percentile(shown, 90.0)]))
+
+
+def _looks_down(view: View) -> NDArray[np.bool_]:
+    """Return which sampled pixels look below the horizon."""
+    u = (np.arange(0, view.width, _PIXEL_STRIDE) - view.cx) / view.fx
+    v = (np.arange(0, view.height, _PIXEL_STRIDE) - view.cy) / view.fy
+    up = view.axes[2]
+    return np.asarray(up[0] * u + up[1] * v[:, None] + up[2] < 0.0)
+
+
+def _missing_lines(raw: NDArray[Any], ground: NDArray[np.bool_], lit: float) -> float:
+    """Return the fraction of rows or columns of terrain that were not read out.
+
+    Such lines repeat the previous line, which never happens on lit terrain, or they are completely
+    dark up to a straight end, which no shadow has.
+    """
+    highest = 0.0
+    for image, below in ((raw, ground), (raw.T, ground.T)):
+        lines = image[:, ::_PIXEL_STRIDE]
+        dark = (lines < _MISSING_BRIGHTNESS_RATIO * lit).mean(1)
+        is_ground = np.repeat(below.all(1), _PIXEL_STRIDE)[: len(image)]
+        is_ground = _exclude_sky(is_ground, dark > _MISSING_LINE_DARK)
+        if not is_ground.any():
+            continue
+        repeats = np.zeros(len(lines), np.bool_)
+        repeats[1:] = (lines[1:] == lines[:-1]).all(1)
+        empty = dark > _MISSING_LINE_DARK
+        ends = (empty[1:] & (dark[:-1] < _NEIGHBOUR_LINE_DARK)) | (
+            empty[:-1] & (dark[1:] < _NEIGHBOUR_LINE_DARK)
+        )
+        straight = (ends & is_ground[1:] & is_ground[:-1]).any()
+        is_missing = empty | repeats if straight else repeats & ~empty
+        highest = max(highest, float(is_missing[is_ground].mean()))
+    return highest
+
+
+def _exclude_sky(ground: NDArray[np.bool_], dark: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return which lines (n,) show terrain, without dark lines next to the sky."""
+    out = ground.copy()
+    for order in (range(1, len(out)), range(len(out) - 2, -1, -1)):
+        for i in order:
+            before = i - 1 if order.step > 0 else i + 1
+            if not out[before] and dark[i]:
+                out[i] = False
+    return out
+
+
+def _noise(raw: NDArray[Any]) -> float:
+    """Return the noise of a pixel, 1 sigma, in the noisiest part of the image.
+
+    Uses the Laplacian of Immerkaer (1996, Computer Vision and Image Understanding 64), which is 0
+    on a slope. Its lower quartile is insensitive to edges, also if they fill half of the image.
+    """
+    h, w = raw.shape
+    if min(h, w) < 3 * _BAND_COUNT:
+        return 0.0
+
+    def at(di: int, dj: int) -> NDArray[np.float32]:
+        return raw[1 + di : h - 1 + di : _PIXEL_STRIDE, 1 + dj : w - 1 + dj : _PIXEL_STRIDE].astype(
+            np.float32
+        )
+
+    corners = at(-1, -1) + at(-1, 1) + at(1, -1) + at(1, 1)
+    sides = at(-1, 0) + at(1, 0) + at(0, -1) + at(0, 1)
+    response = np.abs(corners - 2.0 * sides + 4.0 * at(0, 0)) / 6.0
+    parts = [
+        np.nanquantile(same_band, _NOISE_QUANTILE)
+        for rows in np.array_split(response, _BAND_COUNT // 2)
+        for same_band in np.array_split(rows, _BAND_COUNT // 2, 1)
+    ]
+    return float(np.max(parts)) / float(ndtri(0.5 + 0.5 * _NOISE_QUANTILE))

@@ -1,0 +1,98 @@
+"""Map the cells that the lander can still land in."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lunarsim.grid import Grid
+from lunarsim.onboard.guidance.divert_cost import DivertCost
+from lunarsim.onboard.hazards.hazard_map import HazardMap
+
+Array = NDArray[np.float64]
+BoolMap = NDArray[np.bool_]
+
+_MAX_CELLS_PER_SIDE = 100
+
+
+class ReachabilityMap:
+    """Cost of landing in each cell of a grid, computed on first use.
+
+    Parameters
+    ----------
+    grid
+        Grid of the cells.
+    height
+        Terrain height (rows, cols), m.
+    cost_of
+        Returns the cost of flying to sites (n, 3), m, with the guidance law in use, within the
+        limits of thrust, tilt, glideslope and propellant.
+    """
+
+    def __init__(self, grid: Grid, height: Array, cost_of: Callable[[Array], DivertCost]) -> None:
+        self.grid = grid
+        self._height, self._cost_of = height, cost_of
+
+    @classmethod
+    def under(
+        cls, hazard_map: HazardMap, site: Array, cost_of: Callable[[Array], DivertCost]
+    ) -> ReachabilityMap:
+        """Return the reachability over a hazard map, on at most 100 x 100 cells.
+
+        Where the map has no height, the height of `site` (3,), m, is used.
+        """
+        fine = hazard_map.grid
+        ratio = max(1.0, max(fine.shape) / _MAX_CELLS_PER_SIDE)
+        posting = fine.posting * ratio
+        # Rounded up, so that the grid covers every cell of the map.
+        rows, cols = (np.ceil(n / ratio - 1e-9) for n in fine.shape)
+        grid = Grid.centred(fine.centre, cols * posting, posting, rows * posting)
+        return cls(grid, elevation_on_grid(grid, hazard_map, float(site[2])), cost_of)
+
+    @cached_property
+    def cost(self) -> DivertCost:
+        """Cost for each cell, row by row (rows * cols,)."""
+        return self._cost_of(np.column_stack((self.grid.centres().reshape(-1, 2),
+                                              self._height.ravel())))  # fmt: skip
+
+    @property
+    def propellant(self) -> Array:
+        """Propellant to reach each cell (rows, cols), kg; inf if out of reach."""
+        return self.cost.propellant.reshape(self.grid.shape)
+
+    @property
+    def reachable(self) -> BoolMap:
+        """Whether each cell can be reached (rows, cols)."""
+        return self.cost.feasible.reshape(self.grid.shape)
+
+    def at(self, xy: ArrayLike) -> BoolMap:
+        """Return which points (..., 2), m, lie in reachable cells; none outside the grid."""
+        points = np.asarray(xy, dtype=np.float64)
+        inside = np.asarray(self.grid.contains(points))
+        row, col = self.grid.cell(np.where(inside[..., None], points, self.grid.centre))
+        return inside & self.reachable[row, col]
+
+
+def elevation_on_grid(grid: Grid, hazard_map: HazardMap | None, otherwise: float) -> Array:
+    """Return the mapped terrain height at the cells of a grid (rows, cols), m.
+
+    Parameters
+    ----------
+    grid
+        Grid of the cells.
+    hazard_map
+        Hazard map; None or one without elevation gives `otherwise` everywhere.
+    otherwise
+        Height where the map has none, m.
+    """
+    height = np.full(grid.shape, otherwise)
+    if hazard_map is None or hazard_map.elevation is None:
+        return height
+    xy = grid.centres()
+    known = np.asarray(hazard_map.grid.contains(xy))
+    mapped = hazard_map.elevation[hazard_map.grid.cell(xy[known])].astype(np.float64)
+    height[known] = np.where(np.isfinite(mapped), mapped, otherwise)
+    return height

@@ -1,0 +1,73 @@
+"""Check the return values of custom parts; errors name the part and its method."""
+
+from __future__ import annotations
+
+import reprlib
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lunarsim.errors import InputError
+
+Array = NDArray[np.float64]
+
+
+def wrong_result_error(
+    table: str, part: object, method: str, value: Any, wanted: str, time: float | None = None
+) -> InputError:
+    """Return the error for a part whose method returned an invalid value.
+
+    Parameters
+    ----------
+    table
+        Scenario table of the part.
+    part
+        Part that returned the value; None for an external caller.
+    method
+        Method that returned the value.
+    value
+        Value returned.
+    wanted
+        Description of a valid return value, a noun phrase.
+    time
+        Time of the call, s; None if unknown.
+    """
+    shown = value.tolist() if isinstance(value, np.ndarray) else value
+    short = reprlib.repr(shown)
+    if "..." in short:
+        shown = short
+    kind = type(part)
+    name = "external" if part is None else f"{kind.__module__}:{kind.__qualname__}"
+    when = "" if time is None else f" (at {time:.1f} s)"
+    return InputError(table, shown, f"{name}.{method} must return {wanted}{when}")
+
+
+def checked_vector(
+    table: str, part: object, method: str, value: Any, unit: str, time: float | None = None
+) -> Array:
+    """Return a vector (3,) computed by a part as an array, in `unit`; refuse others.
+
+    Raises
+    ------
+    InputError
+        If the value is not three finite numbers.
+    """
+    try:
+        vector = np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        vector = np.empty(0)
+    if vector.shape == (3,) and np.isfinite(vector).all() and not np.iscomplexobj(value):
+        return vector
+    raise wrong_result_error(table, part, method, value, f"three finite numbers in {unit}", time)
+
+
+def checked_command(table: str, part: object, value: Any, time: float) -> Array:
+    """Return the commanded thrust acceleration (3,) of a guidance law, m/s^2.
+
+    Raises
+    ------
+    InputError
+        If the value is not three finite numbers.
+    """
+    return checked_vector(table, part, "command", value, "m/s^2", time)

@@ -1,0 +1,200 @@
+"""Evaluate landing sites, and prepare the observation of the policy."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lunarsim.messages.briefing import Briefing
+from lunarsim.onboard.guidance.divert_cost import DivertCost
+from lunarsim.onboard.hazards.mapper import HazardMapper, checked_hazard_map
+from lunarsim.onboard.navigation.estimate import Estimate, Navigation
+from lunarsim.onboard.policies.candidates import candidate_sites
+from lunarsim.onboard.policies.contract import Observation
+from lunarsim.onboard.policies.expected_miss import LandingDispersion
+from lunarsim.onboard.policies.reachability import ReachabilityMap
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class DescentStatus:
+    """Current state of the descent.
+
+    Attributes
+    ----------
+    time
+        Time, s.
+    mass
+        Estimated mass of the lander, kg.
+    estimate
+        Current navigation estimate.
+    site
+        Site that the lander flies to, local frame (3,), m.
+    time_to_go
+        Time until the planned end of the approach, s.
+    """
+
+    time: float
+    mass: float
+    estimate: Estimate
+    site: Array
+    time_to_go: float
+
+
+class SiteEvaluator:
+    """Evaluates landing sites by the decision map and the paths of the guidance law.
+
+    Parameters
+    ----------
+    briefing
+        Briefing of the flight.
+    navigation
+        Reports whether the lander drifts relative to its map.
+    mappers
+        Mappers by name.
+    """
+
+    def __init__(
+        self, briefing: Briefing, navigation: Navigation, mappers: Mapping[str, HazardMapper]
+    ) -> None:
+        software = briefing.software
+        self.briefing, self.lander = briefing, briefing.lander
+        self.approach, self.decisions = software.approach, software.decisions
+        self._navigation, self._mappers = navigation, mappers
+        descent = self.approach.vertical_altitude / self.approach.rate
+        self._dispersion = LandingDispersion(self.decisions.touchdown_sigma, descent)
+
+    @property
+    def decisions_map(self) -> str:
+        """Name of the mapper whose map is used for decisions; empty without a mapper.
+
+        If the scenario names none, it is the first mapper that combines other maps, else the first.
+        """
+        combining = (name for name, mapper in self._mappers.items() if mapper.sources)
+        return str(self.decisions.map or next(combining, next(iter(self._mappers), "")))
+
+    @property
+    def mapper(self) -> HazardMapper | None:
+        """Mapper whose map is used for decisions; None for a lander without one."""
+        return self._mappers.get(self.decisions_map)
+
+    def record_update(self, names: set[str], time: float) -> None:
+        """Record the mappers that received a measurement, and the time (s)."""
+        if self.decisions_map in names:
+            self._dispersion.mapped_at = time
+
+    def cost_of(
+        self, sites: Array, estimate: Estimate, times: Array | None = None
+    ) -> DivertCost:  # fmt: skip
+        """Return the cost of flying from an estimate to each site (n, 3), local frame, m.
+
+        With `times` (n,), s, it is the cost of the path of that duration, otherwise of the path
+        that takes the least propellant.
+        """
+        cost: DivertCost = self.briefing.software.guidance.cost(
+            estimate,
+            self.approach.end(sites, self.lander),
+            self.lander,
+            self.briefing.weight,
+            self.approach.limits,
+            # Guidance laws need not accept times.
+            *(() if times is None else (times,)),
+        )
+        return cost
+
+    def time_to(
+        self, site: Array, estimate: Estimate, stretch: float | None = None
+    ) -> tuple[float, str]:
+        """Return the time-to-go to a site (3,), s, and why a time scale was refused.
+
+        Without `stretch` it is the time-to-go of the minimum-propellant path within all limits, NaN
+        if there is none. With `stretch` it is that time multiplied by `stretch`, if this path also
+        keeps the limits. The reason is empty if nothing was refused.
+        """
+        one = np.asarray(site, dtype=np.float64)[None]
+        cheapest = self.cost_of(one, estimate).time_to_go
+        if stretch is None:
+            return float(cheapest[0]), ""
+        if not np.isfinite(cheapest[0]):
+            return float("nan"), "out of reach"
+        if not self.cost_of(one, estimate, stretch * cheapest).feasible[0]:
+            return float(cheapest[0]), "beyond the limits"
+        return stretch * float(cheapest[0]), ""
+
+    def is_visible(self, site: Array, estimate: Estimate) -> bool:
+        """Return whether a site (3,) is visible; always True without a window."""
+        window = self.briefing.software.window
+        return window is None or bool(window.sees(estimate, site))
+
+    def _cost_of_visible(self, sites: Array, estimate: Estimate) -> DivertCost:
+        """Return the cost of sites (n, 3), infinite for those that are not visible."""
+        cost, window = self.cost_of(sites, estimate), self.briefing.software.window
+        if window is None:
+            return cost
+        seen = window.sees(estimate, sites)
+        return replace(
+            cost,
+            propellant=np.where(seen, cost.propellant, np.inf),
+            time_to_go=np.where(seen, cost.time_to_go, np.nan),
+        )
+
+    def observe(self, course: DescentStatus) -> Observation:
+        """Return the observation of a policy at a given state of the descent.
+
+        Raises
+        ------
+        RuntimeError
+            If the lander has no mapper.
+        """
+        mapper = self.mapper
+        if mapper is None:
+            raise RuntimeError("this lander has no mapper, so no map is available for decisions")
+        site, estimate = course.site, course.estimate
+        part = self.briefing.software.mappers[self.decisions_map]
+        hazard_map = checked_hazard_map(self.decisions_map, part, mapper, course.time)
+        miss = float(self._miss_of(np.array([course.time_to_go]), course)[0])
+        aim = self._dispersion.spread(hazard_map, miss)
+        scoreboard = mapper.scoreboard(site)
+        cost_of_visible = partial(self._cost_of_visible, estimate=estimate)
+        reach = ReachabilityMap.under(hazard_map, site, cost_of_visible)
+        candidates = candidate_sites(
+            hazard_map,
+            aim,
+            site,
+            cost_of_visible,
+            count=self.decisions.candidates,
+            separation=self.decisions.separation,
+            miss_of=partial(self._miss_of, course=course) if self._navigation.adrift else None,
+            mapper=self.decisions_map,
+            scoreboard=scoreboard,
+            reach=reach,
+        )
+        row, col = (int(v) for v in hazard_map.grid.cell(site[:2]))
+        inside = bool(hazard_map.grid.contains(site[:2]))
+        seen = inside and bool(hazard_map.observed[row, col])
+        return Observation(
+            time=course.time,
+            estimate=estimate,
+            hazard_map=hazard_map,
+            candidates=candidates,
+            site=site,
+            site_p_safe=float(aim[row, col]) if seen else float("nan"),
+            site_propellant=float(self.cost_of(site[None, :], estimate).propellant[0]),
+            time_to_go=course.time_to_go,
+            propellant=course.mass - self.lander.dry_mass,
+            site_eligible=bool(hazard_map.eligible_at(site[:2])),
+            site_value=float(hazard_map.value_at(site[:2])),
+            scoreboard=scoreboard,
+            expected_miss=miss,
+            reach=reach,
+        )
+
+    def _miss_of(self, time_to_go: Array, course: DescentStatus) -> Array:
+        """Return the expected miss for times-to-go (n,), s: 1 sigma per axis (n,), m."""
+        until = np.where(np.isfinite(time_to_go), time_to_go, course.time_to_go)
+        return self._dispersion.misses(course.estimate, self._navigation.adrift, until)

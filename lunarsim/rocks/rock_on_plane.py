@@ -1,0 +1,51 @@
+"""A single rock on a horizontal plane, for computing its image and shadow."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lunarsim.rocks import _kernels as kernels
+from lunarsim.rocks.field import RockField
+from lunarsim.rocks.shapes import shape_table
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class RockOnPlane:
+    """A rock of a field, placed at the origin of the plane z = 0.
+
+    Attributes
+    ----------
+    field, index
+        Field and index of the rock; its base is kept, its position is not.
+    """
+
+    field: RockField
+    index: int = 0
+
+    def _row(self) -> Array:
+        row = self.field.rows()[self.index : self.index + 1].copy()
+        row[:, :2] = 0.0
+        return row
+
+    def cast(self, origin: Array, direction: Array) -> tuple[Array, Array]:
+        """Return distances (n,), inf for the sky, and unit normals (n, 3) of rays (n, 3)."""
+        distance = np.empty(len(origin))
+        normal = np.empty((len(origin), 3))
+        table = shape_table()
+        kernels.cast_on_plane(
+            np.ascontiguousarray(origin), np.ascontiguousarray(direction), self._row(),
+            table.planes, table.count, distance, normal,
+        )  # fmt: skip
+        return distance, normal
+
+    def covers(self, xy: Array) -> NDArray[np.bool_]:
+        """Return which points (..., 2) of the plane the rock covers."""
+        start = np.column_stack((xy.reshape(-1, 2), np.full(xy.size // 2, 60.0)))
+        down = np.broadcast_to([0.0, 0.0, -1.0], start.shape)
+        distance, _ = self.cast(start, np.ascontiguousarray(down))
+        return np.asarray(distance < 60.0).reshape(xy.shape[:-1])

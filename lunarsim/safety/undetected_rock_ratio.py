@@ -1,0 +1,198 @@
+"""Ratio of rocks missed by samples that another sensor also misses.
+
+A camera that sees lit terrain where a rock's shadow would fall has not excluded the rock, because
+it misses some rocks. Of the rocks that no sample has met, the fraction that the camera misses
+remains. This ratio is given for each size class and place: below 1 where the terrain was seen lit,
+above 1 where it is dark and no known object casts the shadow, and 1 where nothing was seen.
+
+Rocks above a height have many sizes. Where the ratio is below 1, the mean ratio of the
+distribution's rocks above the height is used, with a ratio of at least 1 for the smallest rocks,
+which no camera detects. To keep this mean from increasing with height, larger rocks are never
+assumed to be missed more often than smaller ones.
+
+Where the ratio is above 1, the excess is added class by class. A large rock may be two hundred
+times as likely in the dark as elsewhere, but samples would have met it; the mean would apply this
+factor to the small rocks. The excess of a class is therefore multiplied by the unseen rocks above
+the class's minimum height. A larger class never has a smaller excess than a smaller class. The
+result is U(h) times the mean, plus for each class its additional excess times U(max(h, its minimum
+height)); all parts are non-negative. It never increases with the height, and never decreases with
+the number U at any height, or with any ratio.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lunarsim._jit import threads_for
+from lunarsim.errors import InputError
+from lunarsim.rocks.size_distribution import golombek_number
+from lunarsim.safety._undetected_rock_kernels import mean_ratios
+
+Array = NDArray[np.float64]
+
+
+class UnseenRockCount(Protocol):
+    """Unseen rocks above heights per unit of area, as `UndetectedRockRatio.left` needs them."""
+
+    def __call__(self, above: Array, where: NDArray[np.bool_] | None = None, /) -> Array:
+        """Return their number at all sites (rows, cols), or at those of a mask (n,)."""
+
+
+# Below all requested heights, m.
+_MIN_HEIGHT_M = 0.005
+# Diameters between which the distribution is interpolated, m, with a relative error of 1e-6.
+_TABLE = np.geomspace(1e-3, 30.0, 2**14)
+_LOG_TABLE = np.log(_TABLE)
+
+
+@dataclass(frozen=True)
+class UndetectedRockRatio:
+    """Ratio of undetected rocks that remain after observation by another sensor.
+
+    Attributes
+    ----------
+    diameter
+        Minimum diameter of each size class (n,), increasing, m; smaller rocks are not observed.
+    ratio
+        Remaining rocks of each class over those before, mean over the terrain relevant for a site
+        (n, rows, cols).
+    cover, height_ratio
+        Cover of the Golombek distribution that the mission expects, and height over diameter of its
+        rocks.
+
+    Raises
+    ------
+    InputError
+        If diameters do not increase, or a ratio is negative or not finite.
+    """
+
+    diameter: Array
+    ratio: NDArray[np.float32]
+    cover: float
+    height_ratio: float
+
+    def __post_init__(self) -> None:
+        d = np.asarray(self.diameter)
+        if not (d.ndim == 1 and d.size and d[0] > 0.0 and (np.diff(d) > 0.0).all()):
+            raise InputError(
+                "thinning.diameter", self.diameter, "must be positive, increasing lengths"
+            )
+        if self.ratio.ndim != 3 or len(self.ratio) != d.size:
+            raise InputError(
+                "thinning.ratio", self.ratio.shape, f"must have the shape ({d.size}, rows, cols)"
+            )
+        if not (np.isfinite(self.ratio).all() and self.ratio.min(initial=0.0) >= 0.0):
+            raise InputError(
+                "thinning.ratio", float(self.ratio.min()), "must be finite and 0 or more"
+            )
+        if not (np.isfinite(self.height_ratio) and self.height_ratio > 0.0):
+            raise InputError("thinning.height_ratio", self.height_ratio, "must be positive")
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns."""
+        return self.ratio.shape[1], self.ratio.shape[2]
+
+    @property
+    def touched(self) -> NDArray[np.bool_]:
+        """Where any ratio differs from 1 (rows, cols)."""
+        return np.asarray((self.ratio != 1.0).any(axis=0))
+
+    @cached_property
+    def _falling(self) -> Array:
+        """Ratios that do not increase with size, unobserved sizes first (n + 1, ...)."""
+        return self._falling_of(self.ratio)
+
+    @staticmethod
+    def _falling_of(ratio: NDArray[np.float32]) -> Array:
+        # Class by class: a running maximum along the first axis is ten times slower.
+        out = np.empty((len(ratio) + 1, *ratio.shape[1:]))
+        out[-1] = ratio[-1]
+        for n in range(len(ratio) - 1, 0, -1):
+            np.maximum(out[n + 1], ratio[n - 1], out=out[n])
+        np.maximum(out[1], 1.0, out=out[0])
+        return out
+
+    def at(self, height: ArrayLike) -> Array:
+        """Return the remaining fraction of unseen rocks above heights (rows, cols).
+
+        It is the mean over the sizes of the distribution only.
+
+        Parameters
+        ----------
+        height
+            Heights, m, () or (rows, cols).
+        """
+        return self._mean(height, self._falling)
+
+    def left(self, unseen: UnseenRockCount, height: ArrayLike) -> Array:
+        """Return the remaining unseen rocks above heights (rows, cols).
+
+        Where there may be more than before, the excess is added class by class.
+
+        Parameters
+        ----------
+        unseen
+            Function that returns the previous number above heights, () or (rows, cols), m, as
+            (rows, cols); with a mask (rows, cols), and heights () or of its cells (n,), as (n,).
+        height
+            Heights, m, () or (rows, cols).
+        """
+        h = np.asarray(height, dtype=np.float64)
+        out: Array = unseen(h) * self._mean(h, self._falling_reduction)
+        for min_diameter, (where, further) in zip(self.diameter, self._excess, strict=True):
+            if len(further):
+                above = np.maximum(h[where] if h.ndim else h, self.height_ratio * min_diameter)
+                out[where] += further * unseen(above, where)
+        return out
+
+    def _mean(self, height: ArrayLike, falling: Array) -> Array:
+        """Return the mean of non-increasing ratios over the rocks above heights."""
+        flat = falling.reshape(len(falling), -1)
+        out = np.empty(flat.shape[1])
+        with threads_for(0.05 * out.size):
+            mean_ratios(
+                _of_sites(height, self.shape), flat, np.asarray(self.diameter, float),
+                _rock_number(self.diameter, self.cover), _MIN_HEIGHT_M, self.height_ratio,
+                _LOG_TABLE[0], _LOG_TABLE[1] - _LOG_TABLE[0], _log_rock_number(self.cover), out,
+            )  # fmt: skip
+        return out.reshape(self.shape)
+
+    @cached_property
+    def _falling_reduction(self) -> Array:
+        """Like `_falling`, with ratios limited to 1."""
+        return self._falling_of(np.minimum(self.ratio, np.float32(1.0)))
+
+    @cached_property
+    def _excess(self) -> list[tuple[NDArray[np.bool_], Array]]:
+        """Mask and value of each class's excess over that of the next smaller class."""
+        out, before = [], np.zeros(self.shape, np.float32)
+        for ratio in self.ratio:
+            more = np.maximum(ratio - np.float32(1.0), before)
+            where = more > before
+            out.append((where, more[where].astype(np.float64) - before[where]))
+            before = more
+        return out
+
+
+def _of_sites(height: ArrayLike, shape: tuple[int, int]) -> Array:
+    """Return scalar heights as (1,), and others flattened over all sites."""
+    h = np.asarray(height, dtype=np.float64)
+    return h.reshape(1) if h.size == 1 else np.ravel(np.broadcast_to(h, shape))
+
+
+def _rock_number(diameter: ArrayLike, cover: float) -> Array:
+    """Return `golombek_number`, interpolated with a relative error of 1e-6."""
+    d = np.log(np.asarray(diameter, dtype=np.float64))
+    return np.asarray(np.exp(np.interp(d, _LOG_TABLE, _log_rock_number(cover))))
+
+
+@lru_cache(maxsize=8)
+def _log_rock_number(cover: float) -> Array:
+    """Return the logarithm of the number of rocks at the diameters `_TABLE` (n,)."""
+    return np.asarray(np.log(np.maximum(golombek_number(_TABLE, cover), 1e-300)))

@@ -1,0 +1,215 @@
+"""Warn about inconsistent values and about keys without effect in a valid scenario."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+
+from lunarsim.messages.measurements import CameraImage
+from lunarsim.models.lander import Lander
+from lunarsim.onboard.hazards.mapper import sensor_names
+from lunarsim.parts import PartSettings, kinds
+from lunarsim.scenario.scenario import Scenario
+
+# Kinds of sensors that depend on sunlight.
+_SEE_LIGHT = ("camera", "star-tracker")
+# Plausible radius of gyration over the radius of the leg circle. A solid sphere has 0.63, a thin
+# ring 1.
+_MIN_GYRATION_RATIO, _MAX_GYRATION_RATIO = 0.1, 0.75
+# Plausible angular acceleration at full torque, rad/s^2.
+_SLOW, _FAST = 0.01, 20.0
+# Keys of the terrain detail that is added between the posts of a raster.
+_ROUGHNESS = (
+    "preset", "hurst", "rms_slope_deg", "crater_density", "crater_saturation_m",
+    "crater_min_diameter_m", "crater_ageing",
+)  # fmt: skip
+_CRATERS = ("crater_saturation_m", "crater_min_diameter_m", "crater_ageing")
+
+
+def warnings_for(scenario: Scenario) -> list[str]:
+    """Return warnings about a scenario, each with field and value.
+
+    Parameters
+    ----------
+    scenario
+        A valid scenario. Warnings do not prevent a flight.
+    """
+    lander = scenario.vehicle.make()
+    figures = list(_lander_warnings(lander)) if isinstance(lander, Lander) else []
+    return [
+        *figures,
+        *_unused_key_warnings(scenario),
+        *_sensor_warnings(scenario),
+        *_variation(scenario),
+    ]
+
+
+# --- inconsistent lander parameters -------------------------------------------------------------
+
+
+def _lander_warnings(lander: Lander) -> Iterator[str]:
+    yield from _gyration_warnings(lander)
+    dry, full = np.asarray(lander.inertia_dry), np.asarray(lander.inertia_full)
+    if (full < dry).any():
+        yield (
+            f"vehicle.inertia_full_kg_m2: less than inertia_dry_kg_m2 = {_listed(dry)} in spite of "
+            f"{lander.propellant_mass:g} kg of propellant, got {_listed(full)}."
+        )
+    turn = np.asarray(lander.torque_max) / full
+    if turn.min() < _SLOW or turn.max() > _FAST:
+        yield (
+            f"vehicle.torque_max_n_m: gives {turn.min():.3g} to {turn.max():.3g} rad/s^2 (usual: "
+            f"{_SLOW:g} to {_FAST:g}), got {_listed(lander.torque_max)}. Check it against "
+            "inertia_full_kg_m2."
+        )
+    yield from _geometry_warnings(lander)
+
+
+def _gyration_warnings(lander: Lander) -> Iterator[str]:
+    """Yield a warning if the radii of gyration do not fit the size of the lander."""
+    for name, mass in (("dry", lander.dry_mass), ("full", lander.wet_mass)):
+        moments = np.asarray(getattr(lander, f"inertia_{name}"))
+        radius = np.sqrt(moments / mass)
+        least = _MIN_GYRATION_RATIO * lander.leg_radius
+        most = _MAX_GYRATION_RATIO * lander.leg_radius
+        if radius.min() < least or radius.max() > most:
+            yield (
+                f"vehicle.inertia_{name}_kg_m2: radii of gyration are {radius.min():.2g} to "
+                f"{radius.max():.2g} m for {mass:g} kg (usual for legs at {lander.leg_radius:g} m: "
+                f"{least:.2g} to {most:.2g} m), got {_listed(moments)}. Omit it to derive it from "
+                "the mass."
+            )
+            return
+
+
+def _geometry_warnings(lander: Lander) -> Iterator[str]:
+    """Yield warnings about landing limits that the geometry does not allow."""
+    stands = math.degrees(
+        math.atan(lander.leg_radius * math.cos(math.pi / lander.legs) / lander.com_height)
+    )
+    slope = math.degrees(lander.slope_limit)
+    if stands < slope:
+        yield (
+            f"vehicle.slope_limit_deg: the lander tips over at {stands:.3g} deg (legs: "
+            f"{lander.legs} at {lander.leg_radius:g} m, centre of mass {lander.com_height:g} m "
+            f"high), got {slope:.3g}."
+        )
+    if lander.belly_clearance < lander.roughness_limit:
+        yield (
+            f"vehicle.roughness_limit_m: exceeds belly_clearance_m = {lander.belly_clearance:g}, "
+            f"got {lander.roughness_limit:g}."
+        )
+
+
+def _listed(values: Any) -> str:
+    return "[" + ", ".join(f"{float(v):.6g}" for v in values) + "]"
+
+
+# --- sensors and commands ------------------------------------------------------------------------
+
+
+def _sensor_warnings(scenario: Scenario) -> Iterator[str]:
+    """Yield warnings about sensors without returns or without a user."""
+    mapped = {name for part in scenario.mappers.values() for name in sensor_names(part.make())}
+    for name, settings in scenario.sensors.items():
+        sensor = settings.make()
+        looks = getattr(scenario.tasking[name].make(), "looks", None) if sensor.tasked else None
+        reach = getattr(sensor, "max_range", None)
+        if looks is not None and reach is not None:
+            lowest = min(looks.at) if looks.at else looks.lowest
+            if lowest >= reach:
+                yield (
+                    f"sensors.{name}.max_range_m: too short for any return, because "
+                    f"[tasking.{name}] measures above {lowest:g} m only, got {reach:g}. Raise "
+                    "max_range_m or lower the altitudes."
+                )
+        if issubclass(sensor.gives, CameraImage) and name not in mapped:
+            yield (
+                f"sensors.{name}: no mapper uses its images, got {settings.kind!r}. The flight "
+                "record contains their times only."
+            )
+
+
+def _variation(scenario: Scenario) -> Iterator[str]:
+    """Yield a warning about a table that only environments use."""
+    if scenario.variation is not None:
+        yield (
+            "variation: only environments accept this table; `fly`, `compare` and campaigns refuse "
+            "it. Use `lunarsim evaluate Guidance-v0 --scenario FILE --agent apollo`."
+        )
+
+
+# --- settings without effect --------------------------------------------------------------------
+
+
+def _unused_key_warnings(scenario: Scenario) -> Iterator[str]:
+    lit = [p.kind for p in scenario.sensors.values() if _sees_light(p.kind)]
+    if not lit:
+        yield from _unused_keys("sun", scenario.sun, "there is no camera or star tracker")
+    if scenario.terrain.kind == "hazard-field":
+        yield from _unused_keys(
+            "rocks", scenario.rocks, "terrain 'hazard-field' has its own boulders"
+        )
+    elif scenario.rocks.cover == 0.0:
+        yield from _unused_keys("rocks", scenario.rocks, "cover = 0 means no rocks", but=("cover",))
+    elif scenario.rocks.clustered == 0.0:
+        yield from _unused_keys(
+            "rocks", scenario.rocks, "clustered = 0 means no rocks around craters",
+            only=("block_crater_m",),
+        )  # fmt: skip
+    yield from _unused_terrain_keys(scenario)
+    if scenario.policy.kind == "no-divert":
+        yield from _unused_keys(
+            "decisions", scenario.decisions, "policy 'no-divert' never diverts", but=("map",)
+        )
+    if not scenario.mappers:
+        yield from _unused_keys("expected_rocks", scenario.expected_rocks, "there is no mapper")
+
+
+def _unused_terrain_keys(scenario: Scenario) -> Iterator[str]:
+    ground = scenario.terrain
+    if ground.kind == "dtm" and not ground.detail:
+        yield from _unused_keys(
+            "terrain", ground.table, "detail = false adds nothing between the posts",
+            only=_ROUGHNESS,
+        )  # fmt: skip
+    elif ground.kind in ("fractal", "dtm"):
+        density = ground.crater_density
+        if density == 0.0 or (density is None and ground.preset == "none"):
+            yield from _unused_keys(
+                "terrain", ground.table, "the terrain has no craters", only=_CRATERS
+            )
+
+
+def _sees_light(kind: str) -> bool:
+    """Return whether a sensor may depend on sunlight; true for all custom kinds."""
+    return kind in _SEE_LIGHT or kind not in kinds("sensor")
+
+
+def _unused_keys(
+    table: str,
+    settings: PartSettings,
+    why: str,
+    *,
+    only: tuple[str, ...] | None = None,
+    but: tuple[str, ...] = (),
+) -> Iterator[str]:
+    """Yield one warning that names the keys of a table that are set but have no effect."""
+    fields = type(settings).model_fields
+    values: Mapping[str, Any] = {key: getattr(settings, key) for key in fields}
+    found = [
+        f"{table}.{key} = {_word(value)}"
+        for key, value in values.items()
+        if key not in but and (only is None or key in only) and value != fields[key].default
+    ]
+    if found:
+        yield f"{', '.join(found)}: no effect, because {why}."
+
+
+def _word(value: Any) -> str:
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(_word(v) for v in value) + "]"
+    return f"{value:g}" if isinstance(value, float) else repr(value)

@@ -1,0 +1,59 @@
+"""A camera with automatic or commanded exposure."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lunarsim.messages.measurements import CameraImage
+from lunarsim.sensors.camera import Camera
+from lunarsim.sensors.exposure_control import ExposureControl
+from lunarsim.vehicle.state import State
+from lunarsim.world import World
+
+Array = NDArray[np.float64]
+
+
+class AutoExposureCamera:
+    """A camera that sets its exposure from the previous image, or as commanded.
+
+    Parameters
+    ----------
+    camera
+        Camera with the exposure time of its first image.
+    control
+        Settings of automatic exposure; None: commanded exposure.
+    """
+
+    def __init__(self, camera: Camera, control: ExposureControl | None) -> None:
+        self.camera = camera
+        self.control = control
+
+    def command(self, exposure: float, gain: float | None = None) -> None:
+        """Fix exposure time (s) and gain, and end automatic exposure.
+
+        Raises
+        ------
+        InputError
+            If they are not positive; nothing changes.
+        """
+        gain = self.camera.gain if gain is None else gain
+        self.camera = replace(self.camera, exposure=exposure, gain=gain)
+        self.control = None
+
+    def measure(
+        self,
+        world: World,
+        state: State,
+        time: float,
+        rng: np.random.Generator,
+        mount: Array | None = None,
+    ) -> CameraImage:
+        """Take an image with the gimbal at `mount` (3, 3), and set the next exposure time."""
+        picture = self.camera.measure(world, state, time, rng, mount)
+        if self.control is not None:
+            exposure = self.control.after(picture.counts, self.camera.bits, self.camera.exposure)
+            self.camera = replace(self.camera, exposure=exposure)
+        return picture

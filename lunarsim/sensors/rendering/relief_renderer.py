@@ -1,0 +1,148 @@
+"""Drawing of the relief: tiles at the level of detail that an image needs."""
+
+from __future__ import annotations
+
+import moderngl
+import numpy as np
+from numpy.typing import NDArray
+
+from lunarsim.sensors.rendering import _tile_kernels as kernels
+from lunarsim.sensors.rendering.programs import CORNERS, float_texture, tile_mesh
+from lunarsim.sensors.rendering.relief_tiles import BLOCKS, LEVELS, SIDE, ReliefTiles
+from lunarsim.sensors.rendering.shadow_caster_blocks import ShadowCasterBlocks
+from lunarsim.sensors.rendering.shadow_frame import ShadowFrame
+from lunarsim.world.terrain import Heightfield
+
+Array = NDArray[np.float64]
+
+# Instance attributes of a tile in relief_vertex.glsl.
+_INSTANCE = np.dtype([("tile", "4i4"), ("edges", "4i4"), ("placed", "16f4")])
+
+
+class ReliefRenderer:
+    """Draws the depth and the shadow map of a relief.
+
+    Parameters
+    ----------
+    ctx
+        OpenGL context.
+    programs
+        Programs of the context.
+    relief
+        Relief to draw.
+
+    Attributes
+    ----------
+    tiles
+        Tiles of the relief.
+    corners
+        Texture of the elevations of the corners of each cell.
+    ground
+        Elevation that is zero in the texture, m.
+    """
+
+    def __init__(
+        self, ctx: moderngl.Context, programs: dict[str, moderngl.Program], relief: Heightfield
+    ) -> None:
+        self.tiles = ReliefTiles.of(relief)
+        self._lee = ShadowCasterBlocks(relief, self.tiles)
+        self._grid = relief.grid
+        # Elevations are relative to the middle, in whole metres, for the precision of float32.
+        finite = relief.z[np.isfinite(relief.z)]
+        self.ground = float(np.round(0.5 * (finite.min() + finite.max()))) if finite.size else 0.0
+        self.corners = float_texture(ctx, kernels.cell_corners(relief.z, self.ground))
+        self._programs = programs
+        self._ctx = ctx
+        self._buffer = ctx.buffer(reserve=_INSTANCE.itemsize)
+        self._vaos: dict[tuple[str, int], moderngl.VertexArray] = {}
+
+    def draw(
+        self, matrix: Array, eye: Array, shown: NDArray[np.bool_], level: NDArray[np.int64]
+    ) -> None:
+        """Draw the depth of tiles.
+
+        Parameters
+        ----------
+        matrix
+            Transform from metres relative to the camera, ENU, to clip coordinates (4, 4).
+        eye
+            Position of the camera, ENU (3,), m.
+        shown, level
+            Tiles to draw, and the level of detail of every tile (n,).
+        """
+        self.corners.use(CORNERS)
+        for k in range(LEVELS):
+            picked = np.flatnonzero(shown & (level == k))
+            if picked.size:
+                self._draw_instances("relief", k, self._instances(matrix, eye, picked, level))
+
+    def draw_shadows(
+        self, frame: ShadowFrame, sun: Array, eye: Array, shades: NDArray[np.bool_],
+        level: NDArray[np.int64],
+    ) -> None:  # fmt: skip
+        """Draw the parts of tiles that are turned away from the Sun into a shadow map.
+
+        Parameters
+        ----------
+        frame
+            Frame of the map.
+        sun
+            Unit vector to the Sun (3,), ENU.
+        eye
+            Position of the camera, ENU (3,), m.
+        shades, level
+            Tiles to draw, and the level of detail of every tile (n,).
+        """
+        self.corners.use(CORNERS)
+        matrix = frame.matrix()
+        for k in range(LEVELS):
+            picked = np.flatnonzero(shades & (level == k))
+            if picked.size == 0:
+                continue
+            rows = self._instances(matrix, eye, picked, level)
+            if k > 0:
+                self._draw_instances("relief-shadow", k, rows)
+                continue
+            lee = self._lee.of(picked, rows["edges"], sun, frame.texel)
+            for block, some in enumerate(lee.T):
+                if some.any():
+                    self._draw_instances("relief-shadow", 0, rows[some], block)
+
+    def _draw_instances(
+        self, name: str, k: int, rows: NDArray[np.void], block: int | None = None
+    ) -> None:
+        """Draw instances of a mesh, or of one of its blocks."""
+        if (name, k) not in self._vaos:
+            posts, triangles = tile_mesh(self._ctx, k)
+            instance = (self._buffer, "4i 4i 16f/i", "tile", "edges", "placed")
+            self._vaos[name, k] = self._ctx.vertex_array(
+                self._programs[name], [(posts, "2i", "post"), instance], triangles
+            )
+        self._buffer.orphan(rows.nbytes)
+        self._buffer.write(rows.tobytes())
+        if block is None:
+            self._vaos[name, k].render(instances=len(rows))
+        else:
+            count = 6 * (SIDE // BLOCKS) ** 2
+            self._vaos[name, k].render(vertices=count, first=count * block, instances=len(rows))
+
+    def _instances(
+        self, matrix: Array, eye: Array, picked: NDArray[np.int64], level: NDArray[np.int64]
+    ) -> NDArray[np.void]:
+        """Return the instance attributes of tiles; positions are computed in float64."""
+        g, tiles = self._grid, self.tiles
+        rows = np.empty(picked.size, _INSTANCE)
+        first = tiles.first[picked]
+        rows["tile"][:, :2] = first
+        rows["tile"][:, 2:] = np.array([g.cols, g.rows]) - 1 - first
+        rows["edges"] = np.maximum(level[tiles.neighbour[picked]], level[picked, None])
+        corner = np.empty((picked.size, 4))
+        corner[:, :2] = first * g.posting + np.array([g.x0, g.y0]) - eye[:2]
+        corner[:, 2] = self.ground - eye[2]
+        corner[:, 3] = 1.0
+        placed = rows["placed"].reshape(-1, 4, 4)  # column by column
+        placed[:, 0] = matrix[:, 0] * g.posting
+        placed[:, 1] = matrix[:, 1] * g.posting
+        placed[:, 2] = matrix[:, 2]
+        placed[:, 3] = corner @ matrix.T
+        return rows

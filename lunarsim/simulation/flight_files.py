@@ -1,0 +1,274 @@
+"""Read the folder of a recorded flight, which may be damaged or from an untrusted source.
+
+Every file is compared with its digest in ``flight.json``. Types, columns and shapes are checked
+before use, and sizes before anything is decompressed.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from lunarsim.errors import InputError
+from lunarsim.grid import Grid
+from lunarsim.json_files import read_json
+from lunarsim.scenario.files import parsed_toml
+from lunarsim.untrusted_folders import check_no_links
+
+Array = NDArray[np.float64]
+
+# Maximum decompressed size of a table or layer, bytes. A flight of three hours has 25 MB.
+MAX_EXPANDED_BYTES = 2**28
+
+_Name = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_-]*$", max_length=100)]
+_Whole = Annotated[int, Field(ge=0)]
+_Vector = Annotated[list[float], Field(min_length=3, max_length=3)]
+_Quaternion = Annotated[list[float], Field(min_length=4, max_length=4)]
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(strict=True, extra="allow")
+
+
+class _Touchdown(BaseModel):
+    model_config = ConfigDict(strict=True, extra="forbid")
+
+    position: _Vector
+    heading: float
+    vertical_speed: float
+    horizontal_speed: float
+    tilt: float
+    rate: float
+    slope: float
+    roughness: float
+    tip_margin: float
+
+
+class _Verdict(_Strict):
+    safe: bool
+    failed: list[str]
+    touchdown: _Touchdown | None
+
+
+class _Seed(_Strict):
+    entropy: _Whole | list[_Whole]
+    spawn_key: list[Annotated[int, Field(ge=0, lt=2**32)]]
+
+
+class _Event(_Strict):
+    time: float
+    name: str
+
+
+class _Decision(_Strict):
+    time: float
+    reason: str
+    come_from: Annotated[_Vector, Field(alias="from")]
+    to: _Vector
+
+
+class _Estimate(_Strict):
+    time: float
+    position: _Vector
+    velocity: _Vector
+    attitude: _Quaternion
+    rate: _Vector
+    mass: float
+    lost: bool = False
+
+
+class FlightRecord(_Strict):
+    """Required content of ``flight.json``; keys as in `lunarsim.simulation.flight.Flight`."""
+
+    scenario: str
+    seed: _Seed
+    policy: str
+    target: _Vector
+    verdict: _Verdict
+    decisions: list[_Decision]
+    events: list[_Event]
+    decided_on: str
+    maps: list[_Name]
+    first_map: _Estimate | None
+    digests: dict[str, str] = {}
+
+
+@contextmanager
+def reading(path: Path) -> Iterator[None]:
+    """Turn any error while a file is read into one `InputError` that names the file."""
+    try:
+        yield
+    except Exception as error:  # the libraries raise many types on damaged files
+        if isinstance(error, InputError) and error.field == "flight":
+            raise
+        raise _damaged(path, _reason(error)) from None
+
+
+def _reason(error: Exception) -> str:
+    """Return the first line of an error, with the field it refers to."""
+    if isinstance(error, ValidationError):
+        first = error.errors()[0]
+        return f"{'.'.join(map(str, first['loc']))}: {first['msg']}"
+    if isinstance(error, InputError):
+        return error.problem
+    if isinstance(error, KeyError):
+        return f"{error} is missing"
+    return str(error).split("\n", maxsplit=1)[0] or type(error).__name__
+
+
+def _damaged(path: Path, reason: str) -> InputError:
+    return InputError(
+        "flight", str(path), f"is not a complete record of this version ({reason[:100]})",
+        "Restore it from a copy, or fly again.",
+    )  # fmt: skip
+
+
+def read_record(folder: Path) -> dict[str, Any]:
+    """Return the checked tables of ``flight.json``; the digests of all its files must match.
+
+    Raises
+    ------
+    InputError
+        If the folder holds no flight, or a file is damaged.
+    """
+    file = folder / "flight.json"
+    if not file.is_file():
+        raise InputError("flight", str(folder), "must be a folder that contains flight.json")
+    with reading(file):
+        check_no_links(folder)
+        tables: dict[str, Any] = read_json(file)
+        checked = FlightRecord.model_validate(tables)
+        parsed_toml(checked.scenario)
+    for name, digest in checked.digests.items():
+        with reading(folder / name):
+            if digest_of(_inside(folder, folder / name)) != digest:
+                raise ValueError("its digest differs from the one in flight.json")
+    return tables
+
+
+def digest_of(path: Path) -> str:
+    """Return the digest of a file."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def _inside(folder: Path, path: Path) -> Path:
+    """Return a path; refuse one outside the folder."""
+    if not path.resolve().is_relative_to(folder.resolve()):
+        raise ValueError("the path is outside the folder")
+    return path
+
+
+def read_columns(
+    folder: Path, path: Path, required: Sequence[str] | None = None, min_rows: int = 0
+) -> dict[str, Array]:
+    """Read numeric columns of a Parquet file, each (n,).
+
+    Parameters
+    ----------
+    folder
+        Folder of the flight, which must contain the file.
+    path
+        Path of the file.
+    required
+        Names of the columns to read; None: all columns.
+    min_rows
+        Minimum number of rows.
+
+    Raises
+    ------
+    InputError
+        If the file is damaged.
+    """
+    with reading(path), pq.ParquetFile(_inside(folder, path), page_checksum_verification=True) as f:
+        names = list(f.schema_arrow.names) if required is None else list(required)
+        for name in names:
+            kind = f.schema_arrow.field(name).type
+            if not (pa.types.is_floating(kind) or pa.types.is_integer(kind) or kind == pa.bool_()):
+                raise ValueError(f"column {name} is of type {kind}")
+        if 8 * f.metadata.num_rows * max(len(names), 1) > MAX_EXPANDED_BYTES:
+            raise ValueError(f"more than {MAX_EXPANDED_BYTES} bytes when decompressed")
+        table = f.read(names)
+        if len(table) < min_rows:
+            raise ValueError(f"only {len(table)} rows")
+        if any(column.null_count for column in table.columns):
+            raise ValueError("values are missing")
+        return {name: np.array(table[name].to_numpy()) for name in names}
+
+
+def read_trajectory(folder: Path, names: Sequence[str]) -> dict[str, Array]:
+    """Read the columns of the trajectory (n,), which needs a row and finite times."""
+    path = folder / "trajectory.parquet"
+    found = read_columns(folder, path, names, min_rows=1)
+    with reading(path):
+        if not np.isfinite(found["time"]).all():
+            raise ValueError("times are not finite")
+    return {name: column.astype(np.float64, copy=False) for name, column in found.items()}
+
+
+def read_rows(folder: Path, name: str, columns: Sequence[str]) -> NDArray[np.float32]:
+    """Read columns of a Parquet file as an array (n, columns)."""
+    found = read_columns(folder, folder / f"{name}.parquet", columns)
+    return np.column_stack([found[c] for c in columns]).astype(np.float32)
+
+
+def read_layers(
+    folder: Path, path: Path, names: Sequence[str], flags: Sequence[str]
+) -> tuple[Grid, dict[str, NDArray[Any]], Array]:
+    """Read grid, layers (rows, cols) and navigation error (3,) of a map.
+
+    Parameters
+    ----------
+    folder, path
+        Folder of the flight; NetCDF file in it.
+    names, flags
+        Names of possible layers; names of the boolean ones among them.
+
+    Raises
+    ------
+    InputError
+        If the file is damaged.
+    """
+    import h5py  # noqa: PLC0415  (loads slowly)
+
+    with reading(path), h5py.File(_inside(folder, path)) as file:
+        found = {name: _local_dataset(file, name) for name in names if name in file}
+        shape = found["p_safe"].shape
+        for name, layer in found.items():
+            if layer.shape != shape or layer.dtype.kind not in "fi":
+                raise ValueError(f"layer {name} is {layer.dtype} of shape {layer.shape}")
+        if shape != tuple(_local_dataset(file, name).size for name in "yx"):
+            raise ValueError(f"layers of shape {shape} do not fit the axes y and x")
+        if 8 * math.prod(shape) > MAX_EXPANDED_BYTES:
+            raise ValueError(f"more than {MAX_EXPANDED_BYTES} bytes when decompressed")
+        layers = {
+            name: layer[()].astype(np.bool_ if name in flags else np.float32)
+            for name, layer in found.items()
+        }
+        a = file.attrs
+        x0, y0, posting = (np.asarray(a[key]).item() for key in ("x0_m", "y0_m", "posting_m"))
+        grid = Grid(float(x0), float(y0), float(posting), *shape)
+        error = np.array(a["navigation_error_m"], dtype=np.float64)
+        if error.shape != (3,) or not np.isfinite(error).all():
+            raise ValueError("navigation_error_m is not three finite numbers")
+        return grid, layers, error
+
+
+def _local_dataset(file: Any, name: str) -> Any:
+    """Return a dataset of an HDF5 file; refuse links and data in other files."""
+    import h5py  # noqa: PLC0415  (loads slowly)
+
+    link, dataset = file.get(name, getlink=True), file[name]
+    if not isinstance(link, h5py.HardLink) or dataset.external or dataset.is_virtual:
+        raise ValueError(f"{name} links to another place or file")
+    return dataset

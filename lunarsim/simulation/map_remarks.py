@@ -1,0 +1,62 @@
+"""Describe hazard maps that contain no useful information."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from lunarsim.onboard.hazards.hazard_map import HazardMap
+from lunarsim.simulation.map_record import MapRecord
+
+# Threshold of p_safe: if all cells are above it, the map classifies everything safe.
+_SAFE_THRESHOLD = 0.5
+
+
+def map_remark(hazard_map: HazardMap | None) -> str | None:
+    """Return a remark on a map that does not distinguish safe from unsafe terrain, else None.
+
+    Parameters
+    ----------
+    hazard_map
+        Recorded map; None if no map was generated.
+    """
+    if hazard_map is None or not hazard_map.observed.any():
+        return "observed nothing: it has no observed cell"
+    seen = hazard_map.p_safe[hazard_map.observed]
+    low, high = float(np.min(seen)), float(np.max(seen))
+    words = None
+    if low > _SAFE_THRESHOLD:
+        words = f"classifies all observed terrain safe: p_safe {low:.2f} to {high:.2f}"
+    elif high <= _SAFE_THRESHOLD:
+        words = f"classifies no observed terrain safe: p_safe {low:.2f} to {high:.2f}"
+    elif hazard_map.in_domain is not None and not hazard_map.in_domain[hazard_map.observed].any():
+        words = "is outside its calibrated domain"
+    if words is None or hazard_map.in_domain is None:
+        return words
+    if not hazard_map.in_domain[hazard_map.observed].any() and "calibrated" not in words:
+        words += ", outside its calibrated domain"
+    return words
+
+
+def map_remarks_by_mapper(maps: Mapping[str, MapRecord], decided_on: str) -> dict[str, str]:
+    """Return remarks on the maps of a flight by mapper.
+
+    Parameters
+    ----------
+    maps
+        Last map of each mapper.
+    decided_on
+        Mapper whose map the policy used; it is reported even without a map. Empty: none.
+    """
+    names = dict.fromkeys([*maps, *([decided_on] if decided_on else [])])
+    found: dict[str, str] = {}
+    for name in names:
+        record = maps.get(name)
+        words = map_remark(None if record is None else record.hazard_map)
+        rocks = None if record is None else record.tables.get("rocks")
+        if words is not None and rocks is not None:
+            words += f", {len(rocks['x'])} rocks tracked"
+        if words is not None:
+            found[name] = words
+    return found

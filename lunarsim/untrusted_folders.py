@@ -1,0 +1,51 @@
+"""Check folders of results from other people before files in them are opened or written."""
+
+from __future__ import annotations
+
+import os
+import stat
+from pathlib import Path
+
+from lunarsim.errors import InputError
+
+# Maximum size of a file that is read at once, bytes. A part of a campaign has 1 MB.
+MAX_FILE_BYTES = 2**28
+
+
+def check_no_links(folder: Path) -> None:
+    """Check that a folder contains no links, pipes or devices.
+
+    A link redirects readers and writers to another folder, and a pipe blocks them for ever.
+
+    Raises
+    ------
+    InputError
+        Naming the first link, pipe or device.
+    """
+    for root, folders, files in os.walk(folder):
+        for path in (Path(root, name) for name in (*folders, *files)):
+            try:
+                mode = path.lstat().st_mode
+            except FileNotFoundError:  # a running campaign has removed it
+                continue
+            if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
+                name = path.relative_to(folder)
+                raise InputError(
+                    "folder",
+                    str(folder),
+                    f"contains a link, pipe or device ({name})",
+                    "Replace it by a regular file.",
+                )
+
+
+def read_bounded_bytes(path: Path) -> bytes:
+    """Return the bytes of a file, or refuse a file that is too large.
+
+    Raises
+    ------
+    InputError
+        If the file has more than `MAX_FILE_BYTES` bytes.
+    """
+    if path.stat().st_size > MAX_FILE_BYTES:
+        raise InputError("folder", str(path), f"must have at most {MAX_FILE_BYTES} bytes")
+    return path.read_bytes()

@@ -1,0 +1,44 @@
+"""An artificial hazard field on flat grassland."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from lunarsim.errors import InputError
+from lunarsim.parts.quantity import quantity
+from lunarsim.rng import RandomStreams
+from lunarsim.rocks.population import RockPopulation
+from lunarsim.world.terrain import Terrain, hazard_field
+from lunarsim.world.terrain_models.interface import check_posts
+
+
+@dataclass(frozen=True)
+class HazardFieldTerrain:
+    """Boulders and craters on flat grassland, drawn for every flight (quadtree paper).
+
+    The rock settings of the scenario are not used.
+    """
+
+    size: float = quantity(160.0, "m", gt=0, help="side of the square of grassland")
+    posting: float = quantity(0.25, "m", gt=0, help="distance between posts of the relief")
+    field: float = quantity(100.0, "m", gt=0, help="side of the hazard field in the grassland")
+    field_turn: float = quantity(20.0, "deg", help="rotation of the hazard field")
+    boulders: int = quantity(300, ge=0, help="number of boulders, 0.4 to 1 m across")
+    craters: int = quantity(24, ge=0, help="number of craters, 2 to 5 m across")
+
+    def __post_init__(self) -> None:
+        check_posts(self.size, self.posting)
+        if self.field > self.size:
+            raise InputError("field", self.field, f"must be at most size_m ({self.size})")
+
+    def build(self, rocks: RockPopulation, streams: RandomStreams) -> Terrain:
+        """Return the terrain of one flight."""
+        return hazard_field(
+            streams.get("rocks"),
+            size=self.field,
+            surround=self.size,
+            posting=self.posting,
+            turn=self.field_turn,
+            boulders=self.boulders,
+            craters=self.craters,
+        )

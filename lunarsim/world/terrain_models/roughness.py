@@ -1,0 +1,139 @@
+"""Roughness and craters of procedural relief, by preset or parameters."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from lunarsim.errors import InputError
+from lunarsim.grid import Grid
+from lunarsim.parts.quantity import quantity
+from lunarsim.world.terrain import (
+    AgedCraters,
+    CraterLaw,
+    Heightfield,
+    add_craters,
+    add_fine_roughness,
+    fractal_relief,
+)
+
+# Fixed: relief is the same for all flights of a scenario; only rocks are drawn for each flight.
+_RELIEF_SEED = 20260101
+# Hurst exponent, RMS slope at 1 m (rad) and crater density. Mare and highland: median Hurst
+# exponents and slopes from Rosenburg et al. (2011), J. Geophys. Res. 116, E02001; the exponents
+# extrapolate the slopes to 1 m. Polar: the ridge beside Shackleton crater at the south pole, which
+# is steeper than most highland. Its median slope of LOLA elevations 40 m apart, 12.4 deg, is
+# extrapolated to 1 m by the Hurst exponent of medians over 40 to 160 m
+# (tests/world/grounds/test_fractal.py).
+_PRESETS: dict[str, tuple[float, float, float]] = {
+    "none": (0.85, np.deg2rad(2.5), 0.0),
+    "mare": (0.76, np.deg2rad(3.9), 0.079),
+    "highland": (0.95, np.deg2rad(8.6), 0.079),
+    "polar": (0.983, np.deg2rad(13.2), 0.079),
+}
+
+# Minimum diameter of a crater that the relief resolves, in postings.
+_MIN_CRATER_POSTS = 4.0
+
+
+@dataclass(frozen=True)
+class ReliefRoughness:
+    """Settings of fractal relief and craters.
+
+    Attributes
+    ----------
+    crater_ageing
+        Wear of the craters. "even": depth-diameter ratios are uniform from 0 to a fifth;
+        "diffusion": craters degrade by diffusion, so that small ones are shallow
+        (`lunarsim.world.terrain.crater_ages`).
+    """
+
+    preset: Literal["none", "mare", "highland", "polar"] = quantity(
+        "none", help="terrain type whose roughness and craters replace omitted keys"
+    )
+    hurst: float | None = quantity(None, gt=0, lt=1, help="Hurst exponent of the relief")
+    rms_slope: float | None = quantity(
+        None, "deg", ge=0, lt=45, help="RMS slope over a baseline of 1 m"
+    )
+    crater_density: float | None = quantity(
+        None, ge=0, le=0.3, help="craters of 1 m or more per m^2 in equilibrium; 0: none"
+    )
+    crater_saturation: float = quantity(
+        200.0, "m", gt=0, help="crater diameter where equilibrium ends"
+    )
+    crater_min_diameter: float = quantity(2.0, "m", gt=0, help="minimum crater diameter")
+    crater_ageing: Literal["even", "diffusion"] = quantity(
+        "even",
+        help="crater wear: even (all depths equally likely) or diffusion (most are shallow)",
+    )
+
+    def procedural(
+        self, grid: Grid, largest: float | None = None, *, detail: float | None = None
+    ) -> Heightfield:
+        """Return fractal relief with craters of up to `largest` diameter (m).
+
+        If a `detail` posting (m) is given, the same relief is sampled at that posting, with
+        roughness down to it and craters from four postings up.
+        """
+        hurst, slope, density = self._parameters()
+        rng = np.random.default_rng(_RELIEF_SEED)
+        relief = fractal_relief(grid, rng, hurst=hurst, rms_slope=slope)
+        if detail is not None:
+            fine = np.random.default_rng([_RELIEF_SEED, 2])
+            relief = add_fine_roughness(relief, detail, fine, hurst=hurst, rms_slope=slope)
+            relief = self._add_small_craters(relief, fine, density)
+        if density == 0.0:
+            return relief
+        if self.crater_ageing == "diffusion":
+            return self.craters(relief, largest).on(relief)
+        law = CraterLaw(density, self.crater_saturation)
+        return add_craters(relief, rng, minimum=self.crater_min_diameter, maximum=largest, law=law)
+
+    def _add_small_craters(
+        self, relief: Heightfield, rng: np.random.Generator, density: float
+    ) -> Heightfield:
+        """Return relief with the craters that the coarser posting could not resolve."""
+        min_diameter, max_diameter = (
+            _MIN_CRATER_POSTS * relief.grid.posting,
+            self.crater_min_diameter,
+        )
+        if density == 0.0 or min_diameter >= max_diameter:
+            return relief
+        law = CraterLaw(density, self.crater_saturation)
+        if self.crater_ageing == "even":
+            return add_craters(relief, rng, minimum=min_diameter, maximum=max_diameter, law=law)
+        return AgedCraters.draw(
+            relief, rng, minimum=min_diameter, maximum=max_diameter, law=law
+        ).on(relief)
+
+    def craters(self, relief: Heightfield, largest: float | None = None) -> AgedCraters:
+        """Return the craters of a relief of this grid that are degraded by diffusion.
+
+        Raises
+        ------
+        InputError
+            If there are no craters or their ageing is not "diffusion".
+        """
+        density = self._parameters()[2]
+        if density == 0.0 or self.crater_ageing != "diffusion":
+            raise InputError(
+                "rocks.clustered",
+                f"crater_ageing {self.crater_ageing!r}, crater_density {density}",
+                'must be 0 unless the terrain has craters with crater_ageing = "diffusion"',
+            )
+        law = CraterLaw(density, self.crater_saturation)
+        rng = np.random.default_rng([_RELIEF_SEED, 1])
+        return AgedCraters.draw(
+            relief, rng, minimum=self.crater_min_diameter, maximum=largest, law=law
+        )
+
+    def _parameters(self) -> tuple[float, float, float]:
+        """Return Hurst exponent, RMS slope and crater density, with preset values."""
+        own = (self.hurst, self.rms_slope, self.crater_density)
+        hurst, slope, density = (
+            preset if mine is None else mine
+            for mine, preset in zip(own, _PRESETS[self.preset], strict=True)
+        )
+        return hurst, slope, density

@@ -1,0 +1,308 @@
+"""Fly one world with the map of each mapper and evaluate all maps on the way.
+
+Flights with the same index have the same world, start and noise. The first one runs all mappers at
+once and decides with one of them: their maps use the same returns and are directly comparable.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rows import MAPPERS
+from scipy import ndimage
+
+from lunarsim.evaluation.flight_metrics import evaluate
+from lunarsim.evaluation.reliability import EDGES, reliability
+from lunarsim.grid import Grid
+from lunarsim.onboard.hazards.gaussian_dem.mapper import GaussianDemMapper
+from lunarsim.onboard.hazards.hazard_map import HazardMap
+from lunarsim.onboard.hazards.mapper import HazardMapper
+from lunarsim.onboard.hazards.quadtree import QuadtreeMapper
+from lunarsim.rng import RandomStreams, flight_seed
+from lunarsim.rocks.field import RockField
+from lunarsim.scenario import Scenario
+from lunarsim.simulation import Simulation, build_world
+from lunarsim.world import World
+from lunarsim.world.terrain import Terrain
+from lunarsim.world.truth import TerrainTruth
+
+SCENARIOS = Path(__file__).resolve().parents[1]
+# Maps are compared, not navigation: the position comes from the truth with an error budget.
+WITH_FIXES: dict[str, Any] = {
+    "sensors": {
+        "altimeter": None,
+        "velocimeter": None,
+        "stars": None,
+        "fix": {"kind": "navigation-fix"},
+    }
+}
+# Scenario file and its changes.
+WORLDS: dict[str, tuple[str, dict[str, Any]]] = {
+    "HiRISE, c = 0.2": ("hirise.toml", WITH_FIXES),
+    "HiRISE, c = 0.5": ("hirise.toml", {**WITH_FIXES, "terrain": {"relief_scale": 0.5}}),
+    # The published results are for terrain without detail below its posting.
+    "cratered highland": ("highland.toml", {**WITH_FIXES, "terrain": {"detail_m": 0.0}}),
+    "Apollo 15": ("apollo15.toml", WITH_FIXES),
+    "hazard field": ("morpheus.toml", {}),
+}
+# Mapper and policy; the first flight runs all mappers.
+WAYS: dict[str, tuple[str, str]] = {
+    "Gaussian DEM, calibrated": ("calibrated", "safest"),
+    "Gaussian DEM, Eqs. 15-17": ("level", "safest"),
+    "quadtree": ("quadtree", "safest"),
+    "quadtree, scoreboard": ("quadtree", "scoreboard"),
+}
+# Ratio of the half side of the quadtree landing zone to that of the lander footprint (its paper).
+ZONE = 1.35
+STRATA = (
+    "level, no rock",
+    "sloping, no rock",
+    "rock in the footprint",
+    "steeper than the limit",
+)
+
+
+@dataclass(frozen=True)
+class MapperFlightTask:
+    """One flight index of one world."""
+
+    world: str
+    flight: int
+    seed: int
+
+
+@dataclass(frozen=True)
+class MapEvaluation:
+    """Evaluation of a map against the truth, by stratum.
+
+    Attributes
+    ----------
+    counts
+        True safe, false safe, missed and rejected cells (strata, 4).
+    claimed
+        Cells with a calibrated probability: number, safe cells, sum of squared errors (strata, 3).
+    table
+        Result of `reliability` over these cells, all strata together (bins, 3).
+    """
+
+    counts: np.ndarray
+    claimed: np.ndarray
+    table: np.ndarray
+
+
+@dataclass(frozen=True)
+class MapperRecord:
+    """Results of a mapper in one flight.
+
+    Attributes
+    ----------
+    first, last
+        Its map at the first and the last decision that had one; None without.
+    seconds
+        Computing time, s.
+    megabytes
+        Memory at the end, MB.
+    """
+
+    first: MapEvaluation | None
+    last: MapEvaluation | None
+    seconds: float
+    megabytes: float
+
+
+@dataclass(frozen=True)
+class MapperFlight:
+    """Results of one flight index.
+
+    Attributes
+    ----------
+    rows
+        By map and policy: result of `lunarsim.evaluation.flight_metrics.evaluate`.
+    maps
+        By mapper.
+    """
+
+    rows: dict[str, dict[str, Any]]
+    maps: dict[str, MapperRecord]
+
+
+def scenario_of(world: str) -> Scenario:
+    """Return the scenario of a world."""
+    file, changes = WORLDS[world]
+    return Scenario.load(SCENARIOS / file).changed(**changes)
+
+
+def with_mappers(scenario: Scenario, mappers: tuple[str, ...]) -> Scenario:
+    """Return a scenario with other mappers; decisions use the first of them."""
+    name = next(iter(scenario.mappers))
+    tables: dict[str, Any] = {m: _table(scenario, m) for m in mappers}
+    if name not in tables:
+        tables[name] = None
+    return scenario.changed(mappers=tables, decisions={"map": mappers[0]})
+
+
+def _table(scenario: Scenario, mapper: str) -> dict[str, Any]:
+    own = next(iter(scenario.mappers.values()))
+    table = {"sensor": own.sensor, "size_m": own.size_m, "posting_m": own.posting_m}
+    # As often as decisions are made.
+    table["interval_s"] = scenario.decisions.interval_s
+    if mapper != "quadtree":
+        return table | {"kind": "gaussian-dem", "safety": mapper}
+    if own.kind == "quadtree":
+        return table | {"kind": "quadtree"}
+    lander = scenario.vehicle.make()
+    sites = {
+        "zone_m": ZONE * (lander.leg_radius + 0.5 * lander.pad_diameter),
+        "roughness_limit_m": lander.roughness_limit,
+    }
+    return table | {"kind": "quadtree", "sites": sites}
+
+
+class SingleMapperTimer:
+    """Measure the computing time of a mapper."""
+
+    def __init__(self, mapper: HazardMapper) -> None:
+        self.seconds = 0.0
+        for name in ("update", "refresh", "surface", "hazard_map", "scoreboard"):
+            setattr(mapper, name, self._timed(getattr(mapper, name)))
+
+    def _timed(self, method: Any) -> Any:
+        def call(*args: Any, **options: Any) -> Any:
+            began = time.perf_counter()
+            try:
+                return method(*args, **options)
+            finally:
+                self.seconds += time.perf_counter() - began
+
+        return call
+
+
+def megabytes(mapper: HazardMapper) -> float:
+    """Return the memory that a mapper keeps between scans, MB."""
+    if isinstance(mapper, GaussianDemMapper):
+        return mapper.pool.nbytes / 1e6
+    assert isinstance(mapper, QuadtreeMapper)
+    return (mapper.map.nbytes + mapper.selector.nbytes) / 1e6
+
+
+def strata_of(world: World, truth: TerrainTruth) -> np.ndarray:
+    """Return the stratum of each truth cell (rows, cols), from the true terrain.
+
+    The slope is that of the relief without rocks over the width of the lander.
+    """
+    grid, lander = truth.safety.grid, truth.lander
+    bare = Terrain(world.terrain.relief, RockField.empty()).raster(grid).astype(np.float64)
+    reach = lander.leg_radius + 0.5 * lander.pad_diameter
+    smooth = ndimage.uniform_filter(bare, round(2.0 * reach / grid.posting))
+    north, east = np.gradient(smooth, grid.posting)
+    slope = np.hypot(north, east) / np.tan(lander.slope_limit)
+    tall = (truth.elevation - bare) > lander.roughness_limit
+    near = ndimage.distance_transform_edt(~tall) * grid.posting < reach
+    return np.where(slope >= 1.0, 3, np.where(near, 2, np.where(slope >= 0.5, 1, 0)))
+
+
+def judge(
+    hazard_map: HazardMap, where: np.ndarray, safe: np.ndarray, strata: np.ndarray
+) -> MapEvaluation:
+    """Evaluate cells (rows, cols) of a map by their true safety and stratum."""
+    p = np.where(hazard_map.observed, hazard_map.p_safe, 0.0)[where].astype(np.float64)
+    s, k = safe[where], strata[where]
+    called = p > 0.5
+    counts = np.stack(
+        [np.bincount(k[c], minlength=len(STRATA))
+         for c in (called & s, called & ~s, ~called & s, ~called & ~s)], axis=-1,
+    )  # fmt: skip
+    claim = hazard_map.observed if hazard_map.in_domain is None else hazard_map.in_domain
+    c = (claim & hazard_map.observed)[where]
+    claimed = np.stack(
+        [np.bincount(k[c], weights=w[c], minlength=len(STRATA))
+         for w in (np.ones(p.size), s.astype(np.float64), (p - s) ** 2)], axis=-1,
+    )  # fmt: skip
+    return MapEvaluation(counts, claimed, reliability(p[c], s[c], EDGES))
+
+
+def raster_under(
+    grid: Grid, error: np.ndarray, truth: TerrainTruth, raster: np.ndarray
+) -> np.ndarray:
+    """Return the values of a truth raster at the cells of a map; clipped at its edge."""
+    own = truth.safety.grid
+    xy = grid.centres() - error[:2]
+    row, col = own.cell(xy)
+    at = np.clip(row, 0, own.rows - 1), np.clip(col, 0, own.cols - 1)
+    return raster[at]
+
+
+Maps = dict[str, HazardMap]
+
+
+def fly(task: MapperFlightTask) -> MapperFlight:
+    """Fly one index of one world with each map."""
+    plain = scenario_of(task.world)
+    world = build_world(plain, RandomStreams(flight_seed(task.seed, task.flight)))
+    truth = TerrainTruth.of(world, plain.vehicle.make())
+    rows: dict[str, dict[str, Any]] = {}
+    maps: dict[str, MapperRecord] = {}
+    for n, (way, (mapper, policy)) in enumerate(WAYS.items()):
+        seed = flight_seed(task.seed, task.flight)
+        carried = tuple(MAPPERS) if n == 0 else (mapper,)
+        simulation = Simulation(
+            with_mappers(plain, carried), seed, policy, world=world, truth=truth
+        )
+        if n == 0:
+            maps = _with_all(simulation, strata_of(world, truth))
+        else:
+            simulation.run()
+        rows[way] = evaluate(simulation.flight(), truth)
+    return MapperFlight(rows, maps)
+
+
+def _with_all(simulation: Simulation, strata: np.ndarray) -> dict[str, MapperRecord]:
+    """Fly to the end and evaluate all maps at the first and the last decision."""
+    mappers = simulation.computer.mappers
+    clocks = {name: SingleMapperTimer(mapper) for name, mapper in mappers.items()}
+    seen: list[tuple[Maps, np.ndarray]] = []
+    while not simulation.done:
+        if simulation.decision_due:
+            drawn = {name: mapper.hazard_map() for name, mapper in mappers.items()}
+            if any(m.observed.any() for m in drawn.values()):
+                seen = [*seen[:1], (drawn, simulation.navigation_error)]
+        simulation.step()
+    ends = [judge_all(*moment, simulation.truth, strata) for moment in seen[:1] + seen[-1:]]
+    return {
+        name: MapperRecord(
+            *((ends[0][name], ends[-1][name]) if ends else (None, None)), clocks[name].seconds,
+            megabytes(mappers[name]),
+        )
+        for name in mappers
+    }  # fmt: skip
+
+
+def judge_all(
+    maps: Maps, error: np.ndarray, truth: TerrainTruth, strata: np.ndarray
+) -> dict[str, MapEvaluation]:
+    """Evaluate maps over all terrain that any of them has observed.
+
+    Unobserved cells count as not called safe. Each map is evaluated on its own grid,
+    because mappers
+    can center their grids on different points.
+    """
+    out = {}
+    for name, drawn in maps.items():
+        where = np.logical_or.reduce([seen_under(drawn.grid, m) for m in maps.values()])
+        where &= truth.safety.grid.contains(drawn.grid.centres() - error[:2])
+        where &= raster_under(drawn.grid, error, truth, truth.safety.observed)
+        safe = raster_under(drawn.grid, error, truth, truth.safety.safe)
+        out[name] = judge(drawn, where, safe, raster_under(drawn.grid, error, truth, strata))
+    return out
+
+
+def seen_under(grid: Grid, hazard_map: HazardMap) -> np.ndarray:
+    """Return whether a map has observed each cell of a grid (rows, cols)."""
+    own, xy = hazard_map.grid, grid.centres()
+    row, col = own.cell(xy)
+    at = np.clip(row, 0, own.rows - 1), np.clip(col, 0, own.cols - 1)
+    return np.asarray(own.contains(xy) & hazard_map.observed[at])

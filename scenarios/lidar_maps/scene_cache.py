@@ -1,0 +1,109 @@
+"""Cache evaluated scenes in a file for repeated fits.
+
+The file is valid for one matrix of scenes. To detect changed code, the first scene is generated
+again and compared.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from zipfile import BadZipFile
+
+import click
+import numpy as np
+from rich.console import Console
+from worlds import LidarScene
+
+from lunarsim.atomic_files import atomic_write
+from lunarsim.campaign.pool import collect_results
+
+
+@dataclass(frozen=True)
+class SceneSites:
+    """Evaluated sites of one scene (n, ...); `features` is float32.
+
+    `ceiling` is an upper bound everywhere,
+    `bound` only outside the domain. Sites with `doomed` may be
+    classified as certainly unsafe. `cover` and `slope` select the stratum.
+    """
+
+    scene: LidarScene
+    features: np.ndarray
+    known: np.ndarray
+    ceiling: np.ndarray
+    bound: np.ndarray
+    slope: np.ndarray
+    doomed: np.ndarray
+    cover: float
+    safe: np.ndarray
+
+
+ARRAYS = ("features", "known", "ceiling", "bound", "slope", "doomed", "safe")
+
+
+def evaluated_scenes(
+    judge: Callable[[LidarScene], SceneSites],
+    deck: list[LidarScene],
+    file: Path | None,
+    jobs: int,
+    console: Console,
+) -> list[SceneSites]:
+    """Return evaluated scenes from the file; compute and write it if missing.
+
+    Raises
+    ------
+    click.ClickException
+        If the file holds other scenes, or was computed with different code.
+    """
+    if file is None or not file.exists():
+        judged = collect_results(judge, deck, jobs, console, "scenes")
+        if file is not None:
+            _save(judged, file)
+        return judged
+    judged = _load(file)
+    if [j.scene for j in judged] != deck:
+        raise click.ClickException(f"{file} holds other scenes. Delete it or choose another file.")
+    first = judge(deck[0])
+    same = first.cover == judged[0].cover and all(
+        np.array_equal(getattr(first, name), getattr(judged[0], name), equal_nan=True)
+        for name in ARRAYS
+    )
+    if not same:
+        raise click.ClickException(
+            f"{file} was computed by another version: its first scene differs. "
+            "Delete it or choose another file."
+        )
+    return judged
+
+
+def _save(judged: list[SceneSites], file: Path) -> None:
+    columns = {name: np.concatenate([getattr(j, name) for j in judged]) for name in ARRAYS}
+    count = np.array([len(j.safe) for j in judged])
+    scenes = json.dumps([asdict(j.scene) for j in judged])
+    file.parent.mkdir(parents=True, exist_ok=True)
+
+    def write(part: Path) -> None:
+        with part.open("wb") as opened:
+            np.savez_compressed(
+                opened, count=count, cover=[j.cover for j in judged], scenes=scenes, **columns
+            )
+
+    atomic_write(file, write)
+
+
+def _load(file: Path) -> list[SceneSites]:
+    try:
+        with np.load(file) as data:
+            scenes = [LidarScene(**scene) for scene in json.loads(str(data["scenes"]))]
+            ends = np.cumsum(data["count"])[:-1]
+            columns = [np.split(data[name], ends) for name in ARRAYS]
+            covers = [float(cover) for cover in data["cover"]]
+    except (OSError, ValueError, KeyError, TypeError, EOFError, BadZipFile) as error:
+        raise click.ClickException(f"{file} is not a file of scenes ({error})") from None
+    return [
+        SceneSites(scene, *(column[n] for column in columns[:-1]), cover, columns[-1][n])
+        for n, (scene, cover) in enumerate(zip(scenes, covers, strict=True))
+    ]

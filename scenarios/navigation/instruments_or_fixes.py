@@ -1,0 +1,194 @@
+"""Compare landings with onboard instruments and with position fixes.
+
+Each scenario is flown twice over the same terrain from the same starts: as it is, with a radar
+altimeter, a Doppler velocimeter and a star tracker in one filter; and with position fixes (truth
+plus an error budget equal to the initial errors of the first).
+
+The miss is the distance from the touchdown to the true position of the selected site, according to
+the decision map. The table also gives the miss expected at the last decision (`expected_miss`) and
+the root mean square of the ratio per axis, which is 1 if the expectation is correct. An error that
+map and vehicle share has no effect on the miss; it appears only in the last column.
+
+python scenarios/navigation/instruments_or_fixes.py --flights 10
+python scenarios/navigation/instruments_or_fixes.py --flights 10 --only golombek
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+
+import click
+import numpy as np
+from consistency import SCENARIOS
+from rich.table import Table
+from scipy.stats import binomtest
+
+from lunarsim.campaign.pool import collect_results
+from lunarsim.console import plain_console
+from lunarsim.evaluation.statistics import Proportion
+from lunarsim.rng import flight_seed
+from lunarsim.scenario import Scenario
+from lunarsim.simulation import Simulation
+
+SCENARIO_NAMES = ("apollo15", "golombek", "highland", "hirise", "mare")
+WAYS = ("fixes", "inertial")
+FIXES = {
+    "altimeter": None,
+    "velocimeter": None,
+    "stars": None,
+    "fix": {"kind": "navigation-fix"},
+}
+
+
+@dataclass(frozen=True)
+class FixesComparisonTask:
+    """One flight."""
+
+    scenario: str
+    way: str
+    flight: int
+    seed: int
+    policy: str
+
+
+@dataclass(frozen=True)
+class FixesComparisonFlight:
+    """Results of a flight.
+
+    Attributes
+    ----------
+    safe, failed
+        Whether the landing was safe, and the failed criteria.
+    miss
+        Horizontal distance from the site on the decision map, m; NaN without a touchdown.
+    expected
+        Expected miss at the last decision, 1 sigma per axis, m.
+    error
+        Position error at the end, m.
+    lost, doubted
+        Whether navigation ended lost, and the number of doubted measurements.
+    seconds
+        Wall time of the flight without world generation, s.
+    """
+
+    safe: bool
+    failed: str
+    miss: float
+    expected: float
+    error: float
+    lost: bool
+    doubted: int
+    seconds: float
+
+
+def scenario_of(name: str, way: str) -> Scenario:
+    """Return a scenario as it is, or with fixes."""
+    scenario = Scenario.load(SCENARIOS / f"{name}.toml")
+    if scenario.terrain.kind == "fractal":
+        # The published results are for terrain without detail below its posting.
+        scenario = scenario.changed(terrain={"detail_m": 0.0})
+    return scenario.changed(sensors=FIXES) if way == "fixes" else scenario
+
+
+def fly(task: FixesComparisonTask) -> FixesComparisonFlight:
+    """Fly once."""
+    simulation = Simulation(
+        scenario_of(task.scenario, task.way), flight_seed(task.seed, task.flight), task.policy
+    )
+    start_s = time.perf_counter()
+    flight = simulation.run()
+    seconds = time.perf_counter() - start_s
+    touchdown = flight.verdict.touchdown
+    miss = np.nan
+    if touchdown is not None:
+        there = flight.sites[-1] - flight.map_error
+        miss = float(np.linalg.norm((touchdown.position - there)[:2]))
+    names = [event["name"] for event in flight.events]
+    return FixesComparisonFlight(
+        flight.verdict.safe, ", ".join(flight.verdict.failed), miss,
+        simulation.computer.expected_miss,
+        float(np.linalg.norm(simulation.navigation_error)), simulation.computer.estimate.lost,
+        names.count("doubted"), seconds,
+    )  # fmt: skip
+
+
+def misses(mine: list[FixesComparisonFlight]) -> tuple[str, str]:
+    """Return the miss distances, and their ratio to the expected ones."""
+    miss, expected = np.array([(f.miss, f.expected) for f in mine]).T
+    down = miss[np.isfinite(miss)]
+    if len(down) == 0:
+        return "no touchdown", ""
+    known = np.isfinite(miss) & np.isfinite(expected)
+    over = ""
+    if known.any():
+        ratio = np.sqrt(0.5 * np.mean((miss[known] / expected[known]) ** 2))
+        over = f"{np.median(expected[known]):.2f}, {ratio:.2f}"
+    return f"{np.median(down):.2f}, {np.quantile(down, 0.95):.2f}, {down.max():.2f}", over
+
+
+def table_of(flown: dict[tuple[str, str], list[FixesComparisonFlight]]) -> Table:
+    """Return a table with one row per scenario and navigation."""
+    table = Table(title="Onboard instruments compared with fixes over the same terrain")
+    for left in ("scenario", "navigation"):
+        table.add_column(left)
+    for heading in ("safe landings", "only inertial safe,\nonly fixes safe (p)",
+                    "miss of the site (m)\nmedian, 95th pct., max",
+                    "expected miss (m),\nRMS of miss / expected",
+                    "doubted,\nlost", "time per flight,\nmedian (s)",
+                    "final position error,\nmedian (m)"):  # fmt: skip
+        table.add_column(heading, justify="right")
+    for (name, way), mine in flown.items():
+        landed = Proportion(sum(f.safe for f in mine), len(mine))
+        low, high = landed.interval
+        pairs = ""
+        if way == "inertial":
+            both = list(zip(mine, flown[name, "fixes"], strict=True))
+            won = sum(a.safe and not b.safe for a, b in both)
+            lost = sum(b.safe and not a.safe for a, b in both)
+            p = binomtest(won, won + lost).pvalue if won + lost else 1.0
+            pairs = f"{won}, {lost} ({p:.2f})"
+        table.add_row(
+            name, way, f"{landed.count} of {landed.total} [{low:.2f}, {high:.2f}]", pairs,
+            *misses(mine),
+            f"{sum(f.doubted for f in mine)}, {sum(f.lost for f in mine)}",
+            f"{np.median([f.seconds for f in mine]):.2f}",
+            f"{np.median([f.error for f in mine]):.2f}",
+        )  # fmt: skip
+    return table
+
+
+@click.command()
+@click.option(
+    "--flights", type=click.IntRange(min=1), default=10, show_default=True,
+    help="Number of flights per scenario and navigation.",
+)  # fmt: skip
+@click.option(
+    "--only", type=click.Choice(SCENARIO_NAMES), multiple=True,
+    help="Scenario; repeatable (default: all).",
+)  # fmt: skip
+@click.option("--policy", default="safest", show_default=True, help="Retargeting policy.")
+@click.option(
+    "--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Root random seed."
+)
+@click.option(
+    "--jobs", type=click.IntRange(min=1), default=1, show_default=True,
+    help="Number of processes; changes only the run times.",
+)  # fmt: skip
+def main(flights: int, only: tuple[str, ...], policy: str, seed: int, jobs: int) -> None:
+    """Fly with fixes and with onboard instruments; compare."""
+    console = plain_console(160)
+    flown: dict[tuple[str, str], list[FixesComparisonFlight]] = {}
+    for name in only or SCENARIO_NAMES:
+        for way in WAYS:
+            tasks = [FixesComparisonTask(name, way, n, seed, policy) for n in range(flights)]
+            flown[name, way] = collect_results(fly, tasks, jobs, console, f"{name}, {way}")
+    console.print(table_of(flown))
+    for (name, way), mine in flown.items():
+        for n, f in enumerate(mine):
+            if not f.safe:
+                console.print(f"{name}, {way}, flight {n}: {f.failed}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,269 @@
+"""Measure how fast and reliably a LiDAR sweep is located on prior maps.
+
+No flight is simulated: a vehicle on a straight path sweeps the terrain around its target as in
+`tasking.sweep`, with errors of position (30 m per axis), attitude (0.5 deg) and velocity
+(0.05 m/s). Its scans are searched on the map until the position is certain. Every search has its
+own terrain, map and errors; the measured terrain is one crop with random targets.
+
+python scenarios/navigation/map_localisation.py --searches 20 --jobs 2
+python scenarios/navigation/map_localisation.py --only "stale 0.2" --searches 300
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+from rich.table import Table
+from study import seed_and_jobs
+
+from lunarsim.campaign.pool import collect_results
+from lunarsim.console import plain_console
+from lunarsim.frames import attitude_from_thrust, quat_from_rotation_vector, quat_multiply
+from lunarsim.grid import Grid
+from lunarsim.models.gimbal import gimbal_mount
+from lunarsim.onboard.navigation.map_features import MapFeatures
+from lunarsim.onboard.navigation.map_lock_forecast import forecast_lock
+from lunarsim.onboard.navigation.place_search import MapMatch, PlaceSearch
+from lunarsim.rng import RandomStreams, flight_seed
+from lunarsim.scenario import Scenario
+from lunarsim.sensors.lidar import FlashLidar
+from lunarsim.simulation.worlds import build_world
+from lunarsim.vehicle import State
+from lunarsim.world import World
+from lunarsim.world.survey import simulate_survey
+from lunarsim.world.terrain import Terrain, add_craters, fractal_relief, hazard_field
+
+SCENARIOS = Path(__file__).resolve().parents[1]
+UPRIGHT = attitude_from_thrust([0.0, 0.0, 1.0], np.pi / 2)
+LIDAR = FlashLidar(128, 128, 0.0131, 5e-5)
+START, VELOCITY = np.array([-390.0, 0.0, 240.0]), np.array([10.0, 0.0, -5.0])
+SWEPT, RATE, SEARCH = 90.0, 20.0, 0.5
+SIGMA, TURN, DRIFT = 30.0, np.deg2rad(0.5), 0.05
+SIZE = 300.0
+
+
+def objects(rng: np.random.Generator) -> World:
+    """Return a hazard field: boulders and craters on horizontal grass."""
+    return World(hazard_field(rng), 9.81)
+
+
+def craters(rng: np.random.Generator) -> World:
+    """Return procedural relief of 2 deg with craters from 1 m."""
+    grid = Grid.centred((0.0, 0.0), 400.0, 0.5)
+    relief = fractal_relief(grid, rng, hurst=0.9, rms_slope=np.deg2rad(2.0))
+    return World(Terrain(add_craters(relief, rng, minimum=1.0)), 1.62)
+
+
+@cache
+def apollo15() -> World:
+    """Return the measured relief of the Apollo 15 region with its detail."""
+    scenario = Scenario.load(SCENARIOS / "apollo15.toml")
+    return build_world(scenario, RandomStreams(flight_seed(1, 0)))
+
+
+def measured(rng: np.random.Generator) -> World:
+    """Return measured relief."""
+    return apollo15()
+
+
+@dataclass(frozen=True)
+class MapCase:
+    """A row of the table: terrain, posting and map noise (m), and map defects."""
+
+    ground: Callable[[np.random.Generator], World]
+    posting: float
+    sigma: float
+    wrong: dict[str, Any] = field(default_factory=dict)
+
+    def __str__(self) -> str:
+        ground = {objects: "objects", craters: "craters", measured: "Apollo 15"}[self.ground]
+        wrong = ", ".join(f"{k.split('_')[0]} {v:g}" for k, v in self.wrong.items())
+        return f"{ground} {self.posting:g} m, {self.sigma:g} m" + (f", {wrong}" if wrong else "")
+
+
+CASES = (
+    MapCase(objects, 0.5, 0.1),
+    MapCase(objects, 0.5, 0.1, {"stale_share": 0.2}),
+    MapCase(objects, 0.5, 0.1, {"stale_share": 0.3}),
+    MapCase(objects, 0.5, 0.1, {"void_share": 0.05}),
+    MapCase(objects, 0.5, 0.1, {"correlation": 2.0}),
+    MapCase(objects, 0.5, 0.3),
+    MapCase(objects, 1.0, 0.3),
+    MapCase(objects, 3.0, 0.1),
+    MapCase(craters, 0.5, 0.3),
+    MapCase(craters, 1.0, 0.3),
+    MapCase(craters, 1.0, 0.3, {"stale_share": 0.2}),
+    MapCase(craters, 1.0, 0.3, {"void_share": 0.05}),
+    MapCase(craters, 1.0, 0.3, {"correlation": 3.0}),
+    MapCase(craters, 3.0, 0.3),
+    MapCase(measured, 1.0, 0.3),
+    MapCase(measured, 5.0, 0.3),
+    MapCase(measured, 5.0, 0.3, {"stale_share": 0.2}),
+)
+
+
+@dataclass(frozen=True)
+class PlaceSearchTask:
+    """One search."""
+
+    case: int
+    number: int
+    seed: int
+    seconds: float
+
+
+@dataclass(frozen=True)
+class PlaceSearchResult:
+    """Results of a search.
+
+    Attributes
+    ----------
+    time, scans
+        Time (s) and number of scans until the lock; time None without one.
+    error, sigma
+        Position error at the lock and its standard deviation, east, north and up (3,), m.
+    forecast
+        Whether a lock was predicted from the map.
+    off
+        Horizontal position error at the start, m.
+    """
+
+    time: float | None
+    scans: int
+    error: np.ndarray
+    sigma: np.ndarray
+    forecast: bool
+    off: float
+
+
+@dataclass
+class SweepingLander:
+    """A vehicle on a straight path with errors in its estimated state."""
+
+    world: World
+    target: np.ndarray
+    rng: np.random.Generator
+
+    def __post_init__(self) -> None:
+        self.shift = SIGMA * self.rng.standard_normal(3)
+        self.drift = DRIFT * self.rng.standard_normal(3)
+        turn = quat_from_rotation_vector(TURN * self.rng.standard_normal(3))
+        self.attitude = quat_multiply(UPRIGHT, turn)
+        # Height correction, m: when it is known, the sweep is aimed with it.
+        self.up = 0.0
+
+    def scan(self, count: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return the points of a scan with estimated and with true state (n, 3), m."""
+        time = count / RATE
+        true = self.target + START + VELOCITY * time
+        believed = true - self.shift + self.drift * time
+        aim = self.target + sweep_aim_point(count) - believed - np.array([0.0, 0.0, self.up])
+        mount = gimbal_mount(self.attitude, aim)
+        state = State(true, VELOCITY, UPRIGHT, np.zeros(3), 1.0)
+        scan = LIDAR.measure(self.world, state, time, self.rng, mount)
+        return scan.points(believed, self.attitude), scan.points(true, UPRIGHT)
+
+
+def sweep_aim_point(count: int) -> np.ndarray:
+    """Return the aim point of a scan of the sweep relative to its center (3,), m."""
+    rows = 20
+    row, col = divmod(count, rows)
+    row %= rows
+    col = col if row % 2 == 0 else rows - 1 - col
+    return SWEPT * (np.array([row, col, 0.0]) / (rows - 1) - np.array([0.5, 0.5, 0.0]))
+
+
+def search(task: PlaceSearchTask) -> PlaceSearchResult:
+    """Search once."""
+    case = CASES[task.case]
+    rng = np.random.default_rng([task.seed, task.case, task.number])
+    world = case.ground(rng)
+    xy = rng.uniform(-60.0, 60.0, 2) if case.ground is measured else np.zeros(2)
+    target = np.append(xy, float(world.terrain.elevation(xy)))
+    grid = Grid.centred(target, SIZE, case.posting)
+    prior = simulate_survey(world.terrain, grid, rng, sigma=case.sigma, **case.wrong)
+    places = PlaceSearch(MapFeatures(prior))
+    forecast = forecast_lock(prior, (float(xy[0]), float(xy[1])), SWEPT, SIGMA).can_lock
+    lander = SweepingLander(world, target, rng)
+    off = float(np.hypot(*lander.shift[:2]))
+    for count in range(round(task.seconds * RATE)):
+        believed, true = lander.scan(count)
+        places.add(believed)
+        if (count + 1) % round(SEARCH * RATE):
+            continue
+        match = places.search(count / RATE, np.zeros(2), np.eye(2) * (SIGMA**2 + 16.0), DRIFT)
+        if match is None:
+            continue
+        if match.up_variance < 4.0:
+            lander.up = match.up
+        if is_lock(match):
+            error = match.shift - np.nanmean(true - believed, axis=0)
+            sigma = np.sqrt(np.diag(match.covariance))
+            return PlaceSearchResult(count / RATE, count + 1, error, sigma, forecast, off)
+    return PlaceSearchResult(None, count + 1, np.full(3, np.nan), np.full(3, np.nan), forecast, off)
+
+
+def is_lock(match: MapMatch) -> bool:
+    """Return whether navigation would accept a match as a lock."""
+    return match.certainty >= 0.99999 and match.share >= 0.6
+
+
+def row_of(case: MapCase, found: list[PlaceSearchResult]) -> list[str]:
+    """Return the cells of a table row."""
+    locked = [f for f in found if f.time is not None]
+    away = [f.off for f in found if f.time is None]
+    missed = f"{min(away):.0f} to {max(away):.0f}" if away else ""
+    if not locked:
+        return [str(case), f"0 of {len(found)}", "", "", "0", "", forecasts(found), missed]
+    time = [f.time for f in locked if f.time is not None]
+    aside = np.array([np.abs(f.error[:2]).max() for f in locked])
+    over = np.array([np.abs(f.error[:2] / f.sigma[:2]).max() for f in locked])
+    wrong = int(np.sum(aside > np.maximum(2.0 * case.posting, 2.0)))
+    return [
+        str(case), f"{len(locked)} of {len(found)}",
+        f"{np.median(time):.1f} / {max(time):.1f}",
+        f"{np.median([f.scans for f in locked]):.0f}", f"{wrong}",
+        f"{np.median(aside):.2f} m, {over.max():.1f}", forecasts(found), missed,
+    ]  # fmt: skip
+
+
+def forecasts(found: list[PlaceSearchResult]) -> str:
+    """Return the number of searches for which a lock was predicted."""
+    return f"{sum(f.forecast for f in found)} of {len(found)}"
+
+
+@click.command()
+@click.option("--searches", type=click.IntRange(min=1), default=10, show_default=True,
+              help="Number of searches per row.")  # fmt: skip
+@click.option("--only", default="", help="Select rows whose name contains this text.")
+@click.option("--seconds", type=click.FloatRange(min=1.0), default=15.0, show_default=True,
+              help="Time limit of a search (s).")  # fmt: skip
+@seed_and_jobs
+def main(searches: int, only: str, seconds: float, seed: int, jobs: int) -> None:
+    """Locate sweeps on maps and print time, error and success."""
+    console = plain_console(180)
+    rows = [n for n, case in enumerate(CASES) if only in str(case)]
+    if not rows:
+        raise click.UsageError(f"--only: must match one of {', '.join(map(str, CASES))}")
+    tasks = [PlaceSearchTask(n, k, seed, seconds) for n in rows for k in range(searches)]
+    found = collect_results(search, tasks, jobs, console, "searches")
+    table = Table(title=f"Searches with a time limit of {seconds:g} s")
+    for heading in ("map", "locked", "lock time, median / max (s)", "scans", "wrong",
+                    "error, median; max error / sigma", "predicted",
+                    "not locked: initial error (m)"):  # fmt: skip
+        table.add_column(heading, justify="left" if heading == "map" else "right")
+    for n in rows:
+        mine = [f for t, f in zip(tasks, found, strict=False) if t.case == n]
+        if mine:
+            table.add_row(*row_of(CASES[n], mine))
+    console.print(table)
+
+
+if __name__ == "__main__":
+    main()

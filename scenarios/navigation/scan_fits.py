@@ -1,0 +1,174 @@
+"""Measure how often a wrong scan-to-map fit is accepted (local minima).
+
+No flight is simulated: single flashes, wide and narrow, from heights of 100 to 400 m at slants of
+30 to 80 deg, over the terrains of `places.py`. The fits start from random errors of position,
+attitude and scanner with the assumed covariance. A fit is wrong if, after the update, the center of
+the scan has an error of more than half a posting and of more than five of its standard deviations,
+east or north. `RegistrationSettings.believes` decides which fits are accepted. The filter gate,
+with
+which `MapMatcher` rejects more fits, is not applied.
+
+python scenarios/navigation/scan_fits.py --fits 1000 --jobs 2
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import product
+
+import click
+import numpy as np
+from places import UPRIGHT, craters, objects
+from rich.table import Table
+from study import seed_and_jobs
+
+from lunarsim.campaign.pool import collect_results
+from lunarsim.console import plain_console
+from lunarsim.evaluation.statistics import Proportion
+from lunarsim.frames import quat_from_rotation_vector, quat_multiply
+from lunarsim.grid import Grid
+from lunarsim.models.gimbal import gimbal_mount
+from lunarsim.onboard.navigation.corrected_scan import MIN_SCANNER_SIGMAS, CorrectedScan
+from lunarsim.onboard.navigation.map_features import MapFeatures
+from lunarsim.onboard.navigation.registration import register_scan
+from lunarsim.onboard.navigation.registration_settings import RegistrationSettings
+from lunarsim.sensors.lidar import FlashLidar
+from lunarsim.vehicle import State
+from lunarsim.world.survey import simulate_survey
+
+GROUNDS = {"objects": objects, "craters": craters}
+SIGMAS = (0.3, 1.0, 2.0)  # position, 1 sigma per axis, m
+STALE = (0.0, 0.2)
+POSTINGS = (0.5, 1.0)
+TURN = np.deg2rad(0.1)
+LIDARS = (FlashLidar(128, 128, 0.0131, 5e-5), FlashLidar(128, 128, 0.1, 5e-5))
+PER_WORLD = 20
+MAX_ERROR_SIGMA = 5.0  # standard deviations
+
+
+@dataclass(frozen=True)
+class FitTask:
+    """Fits over one world."""
+
+    ground: str
+    posting: float
+    stale: float
+    world: int
+    seed: int
+
+
+@dataclass(frozen=True)
+class FitTrial:
+    """Results of a fit.
+
+    Attributes
+    ----------
+    sigma
+        Initial position error, 1 sigma per axis, m.
+    believed, wrong
+        Whether it was accepted, and whether it is wrong.
+    tells
+        Whether it reduces the position uncertainty by a fifth or more.
+    """
+
+    sigma: float
+    believed: bool
+    wrong: bool
+    tells: bool
+
+
+def fits(task: FitTask) -> list[FitTrial]:
+    """Fit flashes to the map of one world."""
+    index = list(GROUNDS).index(task.ground)
+    rng = np.random.default_rng(
+        [task.seed, index, round(10 * task.posting), round(10 * task.stale), task.world]
+    )
+    world = GROUNDS[task.ground](rng)
+    grid = Grid.centred((0.0, 0.0), 300.0, task.posting)
+    sigma = 0.1 if task.posting < 1.0 else 0.3
+    prior = simulate_survey(world.terrain, grid, rng, sigma=sigma, stale_share=task.stale)
+    features = MapFeatures(prior)
+    settings = RegistrationSettings()
+    variance = np.full(grid.shape, 2.0 * prior.sigma**2 + settings.model_sigma**2)
+    out = []
+    for n in range(PER_WORLD):
+        place_sigma = SIGMAS[n % len(SIGMAS)]
+        sigmas = np.array([*[place_sigma] * 3, *[TURN] * 3, *MIN_SCANNER_SIGMAS])
+        error = sigmas * rng.standard_normal(11)
+        seen = flash(world, rng, error)
+        result, _ = register_scan(seen, features, np.diag(sigmas**2), variance)
+        out.append(
+            evaluate_fit(seen, error, sigmas, result, settings.believes(result), task.posting)
+        )
+    return [FitTrial(SIGMAS[n % len(SIGMAS)], *f) for n, f in enumerate(out)]
+
+
+def flash(world, rng: np.random.Generator, error: np.ndarray) -> CorrectedScan:  # type: ignore[no-untyped-def]
+    """Return a flash with erroneous state; adding `error` (11,) makes it correct."""
+    aim = np.append(rng.uniform(-50.0, 50.0, 2), 0.0)
+    height, slant = rng.uniform(100.0, 400.0), np.deg2rad(rng.uniform(30.0, 80.0))
+    heading = rng.uniform(-np.pi, np.pi)
+    away = height / np.tan(slant) * np.array([np.cos(heading), np.sin(heading)])
+    position = np.append(aim[:2] + away, height)
+    mount = gimbal_mount(UPRIGHT, aim - position)
+    state = State(position, np.zeros(3), UPRIGHT, np.zeros(3), 1.0)
+    scan = LIDARS[int(rng.integers(len(LIDARS)))].measure(world, state, 0.0, rng, mount)
+    attitude = quat_multiply(UPRIGHT, quat_from_rotation_vector(-error[3:6]))
+    seen = CorrectedScan(scan, position - error[:3], attitude, np.zeros(3), np.zeros(3))
+    # The scanner error has the opposite sign.
+    return seen.moved(np.concatenate((np.zeros(6), -error[6:10], [0.0])))
+
+
+def evaluate_fit(seen, error, sigmas, result, believed, posting):  # type: ignore[no-untyped-def]
+    """Return whether a fit is accepted, wrong and informative."""
+    before = np.diag(sigmas**2)
+    both = np.eye(11) + result.information @ before
+    found = before @ np.linalg.solve(both, result.vector)
+    after = before @ np.linalg.inv(both)
+    points = seen.points()
+    middle = np.nanmean(points, axis=0) if np.isfinite(points).any() else seen.position
+    across = seen.point_jacobian(middle)[:2]
+    off = np.abs(across @ (error - found))
+    own = np.sqrt(np.diag(across @ after @ across.T))
+    first = np.sqrt(np.diag(across @ before @ across.T))
+    far = (off > 0.5 * posting) & (off > MAX_ERROR_SIGMA * own)
+    return believed, bool(believed and far.any()), bool(believed and (own < 0.8 * first).all())
+
+
+@click.command()
+@click.option("--fits", "count", type=click.IntRange(min=1), default=200, show_default=True,
+              help="Minimum number of fits per row.")  # fmt: skip
+@seed_and_jobs
+def main(count: int, seed: int, jobs: int) -> None:
+    """Fit flashes to maps and count the accepted wrong fits."""
+    console = plain_console(120)
+    worlds = -(-count // PER_WORLD)
+    rows = list(product(GROUNDS, POSTINGS, STALE))
+    tasks = [FitTask(*row, n, seed) for row in rows for n in range(worlds)]
+    tried = collect_results(fits, tasks, jobs, console, "worlds")
+    table = Table(title="Fits of single flashes to a map")
+    for heading in ("terrain, posting (m), outdated fraction, position sigma (m)", "fits",
+    "accepted",
+                    "of these,\ninformative", "wrong [95 % interval]"):  # fmt: skip
+        table.add_column(heading, justify="left" if heading.startswith("terrain") else "right")
+    lines = {
+        f"{ground} {posting:g} {stale:g} {sigma:g}": [
+            f for task, some in zip(tasks, tried, strict=True) for f in some
+            if (task.ground, task.posting, task.stale, f.sigma) == (ground, posting, stale, sigma)
+        ]
+        for (ground, posting, stale), sigma in product(rows, SIGMAS)
+    }  # fmt: skip
+    lines["all"] = [f for some in tried for f in some]
+    for name, some in lines.items():
+        believed = sum(f.believed for f in some)
+        wrong = sum(f.wrong for f in some)
+        low, high = Proportion(wrong, believed).interval if believed else (0.0, 1.0)
+        table.add_row(
+            name, f"{len(some)}", f"{believed}", f"{sum(f.tells for f in some)}",
+            f"{wrong} [{low:.4f}, {high:.4f}]",
+        )  # fmt: skip
+    console.print(table)
+
+
+if __name__ == "__main__":
+    main()

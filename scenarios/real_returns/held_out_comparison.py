@@ -1,0 +1,267 @@
+"""Compare heights and safety of the maps with the held-out returns."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from returns import (
+    SCAN_SPACING,
+    SHIPPED,
+    SIGMA,
+    STRATA,
+    AirborneCloud,
+    fit_prior,
+    one_map,
+    pooled_map,
+    quadtree_map,
+    scaled_lander,
+    slope_of,
+    stratum,
+    without_trend,
+)
+from scipy import ndimage
+
+from lunarsim.evaluation.map_quality import MapQuality
+from lunarsim.evaluation.reliability import brier_score, calibration_error, reliability
+from lunarsim.grid import Grid
+from lunarsim.models.lander import Lander
+from lunarsim.onboard.hazards.gaussian_dem import GaussianDem
+from lunarsim.onboard.hazards.quadtree import SITE_STATUS, QuadtreeMapper
+from lunarsim.onboard.hazards.quadtree.mapper import rasterize_cells
+from lunarsim.safety import exact_safety, plane_stochastic_safety, stochastic_safety
+
+POSTING = 0.25  # posting of the maps in the height test, m
+STRIDE = 5  # spacing of the safety test sites in cells: neighbours are correlated
+ELIGIBLE = SITE_STATUS.index("eligible")
+MIN_RETURNS = 4  # minimum number of mapped and of held-out returns in an evaluated quadtree cell
+
+
+@dataclass(frozen=True)
+class HeightErrors:
+    """Errors of a map at the held-out returns.
+
+    Attributes
+    ----------
+    error
+        Mapped minus measured height (n,), m.
+    sigma
+        Predicted standard deviation of the error, including return noise (n,), m.
+    stratum
+        Index into `STRATA` (n,).
+    xy
+        Position (n, 2), m.
+    """
+
+    error: np.ndarray
+    sigma: np.ndarray
+    stratum: np.ndarray
+    xy: np.ndarray
+
+    def figures(self, which: int | None = None) -> dict[str, float]:
+        """Return count, bias, RMSE, NEES and fractions beyond 2 and 3 sigma."""
+        use = slice(None) if which is None else self.stratum == which
+        error, ratio = self.error[use], self.error[use] / self.sigma[use]
+        if not error.size:
+            return dict.fromkeys(("bias", "rmse", "nees", "beyond2", "beyond3"), np.nan) | {"n": 0}
+        return {
+            "n": int(error.size),
+            "bias": float(error.mean()),
+            "rmse": float(np.sqrt(np.mean(error**2))),
+            "nees": float(np.mean(ratio**2)),
+            "beyond2": float((np.abs(ratio) > 2.0).mean()),
+            "beyond3": float((np.abs(ratio) > 3.0).mean()),
+        }
+
+
+def bilinear(raster: np.ndarray, grid: Grid, xy: np.ndarray) -> np.ndarray:
+    """Interpolate a raster between its cell centers (n,); NaN next to unknown cells."""
+    place = ((xy[:, 1] - grid.y0) / grid.posting, (xy[:, 0] - grid.x0) / grid.posting)
+    return np.asarray(
+        ndimage.map_coordinates(raster.astype(np.float64), place, order=1, cval=np.nan)
+    )
+
+
+def heights_of(dem: GaussianDem, held: np.ndarray, slope: np.ndarray) -> HeightErrors:
+    """Compare a Gaussian DEM with held-out returns (n, 3); `slope`: on its grid, deg."""
+    seen = np.where(dem.observed, dem.mean, np.nan)
+    mean = bilinear(seen, dem.grid, held[:, :2])
+    variance = bilinear(np.where(dem.observed, dem.variance, np.nan), dem.grid, held[:, :2])
+    row, col = dem.grid.cell(held[:, :2])
+    inside = dem.grid.contains(held[:, :2])
+    where = np.full(len(held), -1)
+    where[inside] = stratum(slope[row[inside], col[inside]])
+    use = np.isfinite(mean) & np.isfinite(variance) & (where >= 0)
+    sigma = np.sqrt(variance[use] + SIGMA**2)
+    return HeightErrors(mean[use] - held[use, 2], sigma, where[use], held[use, :2])
+
+
+def heights_of_cells(
+    mapper: QuadtreeMapper, held: np.ndarray, slope: np.ndarray, grid: Grid
+) -> HeightErrors:
+    """Compare quadtree site cells with the held-out returns in the same cells.
+
+    The predicted sigma is that of the difference of two means, from the variance in the cell.
+    """
+    tree = mapper.map
+    nodes = tree.band(*mapper.selector.settings.site_band)
+    xy, side = tree.centres(nodes), tree.sizes(nodes)
+    count, mean, square = np.zeros((3, len(nodes)))
+    for size in np.unique(side):
+        mine = np.flatnonzero(side == size)
+        corner = xy[mine].min(axis=0) - 0.5 * size
+        place = {tuple(k): n for n, k in zip(mine, cells(xy[mine], corner, size), strict=True)}
+        for key, z in zip(cells(held, corner, size), held[:, 2], strict=True):
+            n = place.get(tuple(key))
+            if n is not None:
+                count[n] += 1
+                mean[n] += z
+                square[n] += z * z
+    number = tree.number(nodes)
+    use = (count >= MIN_RETURNS) & (number >= MIN_RETURNS)
+    count, number = count[use], number[use]
+    mean = mean[use] / count
+    squares = number * tree.variance(nodes)[use] + square[use] - count * mean**2
+    inner = squares / (number + count - 2)
+    sigma = np.sqrt(inner * (1.0 / number + 1.0 / count))
+    row, col = grid.cell(xy[use])
+    where = stratum(slope[np.clip(row, 0, grid.rows - 1), np.clip(col, 0, grid.cols - 1)])
+    good = (sigma > 0.0) & (where >= 0)
+    error = tree.elevation(nodes)[use] - mean
+    return HeightErrors(error[good], sigma[good], where[good], xy[use][good])
+
+
+def cells(xy: np.ndarray, corner: np.ndarray, size: float) -> np.ndarray:
+    """Return column and row (n, 2) of points in a raster of squares."""
+    return np.floor((xy[:, :2] - corner) / size).astype(np.int64)
+
+
+def judge_heights(cloud: AirborneCloud, seed: int) -> dict[str, HeightErrors]:
+    """Map a random half of the returns in several ways; compare with the other half."""
+    rng = np.random.default_rng([seed, 0])
+    mapped, held = cloud.split(0.5, rng)
+    grid = cloud.grid(POSTING)
+    slope = slope_of(cloud, grid)
+    own = fit_prior(without_trend(mapped), rng)
+    apart = cloud.spacing(0.5)
+    out = {
+        "field of Table 6": heights_of(one_map(mapped, grid, SHIPPED), held, slope),
+        "fitted": heights_of(one_map(mapped, grid, fit_prior(mapped, rng)), held, slope),
+        "fitted without trend": heights_of(one_map(mapped, grid, own), held, slope),
+        "as flights do": heights_of(pooled_map(mapped, grid, apart, 1), held, slope),
+        "as flights do, 4 parts": heights_of(pooled_map(mapped, grid, apart, 4), held, slope),
+    }
+    factor = cloud.spacing(0.5) / SCAN_SPACING
+    mapper = quadtree_map(mapped, grid, factor, 1.0 / cloud.spacing(0.5) ** 2)
+    out["quadtree cells"] = heights_of_cells(mapper, held, slope, grid)
+    return out
+
+
+@dataclass(frozen=True)
+class SafetyComparison:
+    """Safety of sites according to the maps and to the held-out returns.
+
+    Attributes
+    ----------
+    p
+        p_safe (n,) by method; NaN where a method has too few data.
+    safe, stratum
+        Exact safety on the held-out returns (n,); index into `STRATA` (n,).
+    agreement
+        Fraction of sites for which the exact safety on the mapped returns is the same.
+    dense_share, held_share
+        Fraction of sites exactly safe on all returns, and on the held-out returns.
+    scale
+        Scale of the lander.
+    pictures
+        Truth and probabilities by method as rasters, evaluated cells, and their grid.
+    """
+
+    p: dict[str, np.ndarray]
+    safe: np.ndarray
+    stratum: np.ndarray
+    agreement: float
+    dense_share: float
+    held_share: float
+    scale: float
+    pictures: Any = None
+
+
+def judge_safety(cloud: AirborneCloud, share: float, seed: int) -> SafetyComparison:
+    """Map a fraction of the returns with a scaled lander; test on the others."""
+    rng = np.random.default_rng([seed, 1])
+    mapped, held = cloud.split(share, rng)
+    factor = cloud.spacing(share) / SCAN_SPACING
+    lander = scaled_lander(Lander(), factor)
+    grid = cloud.grid(0.1 * factor)
+    own = fit_prior(without_trend(mapped), rng)
+    # All lengths scale, including the amplitude and the correlation length of the field.
+    shipped = {name: factor * value for name, value in SHIPPED.items()}
+    verdict = exact_on(held, grid, lander, own)
+    use = verdict.observed.copy()
+    rasters = {}
+    for form, test, name, setting in (
+        ("Eqs. 15-17", stochastic_safety, "field of Table 6", shipped),
+        ("planes", plane_stochastic_safety, "field of Table 6", shipped),
+        ("planes", plane_stochastic_safety, "fitted", own),
+    ):
+        dem = one_map(mapped, grid, setting)
+        seen = np.where(dem.observed, dem.mean, np.float32(np.nan))
+        safety = test(seen, dem.variance, grid, lander)
+        use &= safety.observed
+        rasters[f"{form}, {name}"] = safety.p_safe
+    again = exact_on(mapped, grid, lander, own)
+    dense = exact_on(cloud.points, grid, lander, own)
+    use &= again.observed & dense.observed
+    use &= (np.arange(grid.rows) % STRIDE == 0)[:, None] & (np.arange(grid.cols) % STRIDE == 0)
+    mapper = quadtree_map(mapped, grid, factor, 1.0 / cloud.spacing(share) ** 2)
+    tree, sites = mapper.hazard_map(), mapper.select()
+    size = mapper.map.sizes(sites.nodes)
+    eligible = rasterize_cells(grid, sites.position[:, :2], size, sites.status == ELIGIBLE, np.nan)
+    rasters["quadtree"] = np.where(tree.observed, tree.p_safe, np.float32(np.nan))
+    rasters["quadtree, eligible"] = np.where(tree.observed, eligible, np.nan)
+    p = {name: raster[use] for name, raster in rasters.items()}
+    return SafetyComparison(
+        p,
+        verdict.safe[use],
+        stratum(slope_of(cloud, grid))[use],
+        float((again.safe == verdict.safe)[use].mean()),
+        float(dense.safe[use].mean()),
+        float(verdict.safe[use].mean()),
+        factor,
+        (np.where(verdict.observed, verdict.safe, np.nan), rasters, use, grid),
+    )
+
+
+def exact_on(points: np.ndarray, grid: Grid, lander: Lander, setting: dict[str, float]) -> Any:
+    """Return the exact safety of the surface through returns."""
+    dem = one_map(points, grid, setting)
+    return exact_safety(np.where(dem.observed, dem.mean, np.nan), grid, lander)
+
+
+def scores(p: np.ndarray, safe: np.ndarray) -> dict[str, float]:
+    """Return calibration error, Brier skill, and precision and recall at p > 0.5."""
+    known = np.isfinite(p)
+    p, safe = p[known], safe[known]
+    names = ("n", "share", "mean_p", "ece", "skill", "precision", "recall", "above")
+    if not p.size:
+        return dict.fromkeys(names, float("nan")) | {"n": 0}
+    base = safe.mean()
+    spread = base * (1.0 - base)
+    quality = MapQuality.of(p > 0.5, safe)
+    sure = p > 0.95
+    values = (
+        int(p.size), float(base), float(p.mean()), calibration_error(reliability(p, safe)),
+        1.0 - brier_score(p, safe) / spread if spread else float("nan"),
+        quality.precision, quality.recall, float(safe[sure].mean()) if sure.any() else float("nan"),
+    )  # fmt: skip
+    return dict(zip(names, values, strict=True))
+
+
+def strata_of(verdicts: SafetyComparison, method: str) -> list[dict[str, float]]:
+    """Return the scores of one method by stratum."""
+    return [
+        scores(verdicts.p[method][verdicts.stratum == k], verdicts.safe[verdicts.stratum == k])
+        for k in range(len(STRATA))
+    ]

@@ -1,0 +1,123 @@
+"""Fit the calibration stage of the fused map to flights of the all-sensor study.
+
+The quadtree maps the same LiDAR returns as the Gaussian DEM. It is therefore a feature of the
+calibration stage and never an independent factor. The fit uses fields on which no map is
+evaluated; the fields of each row are evaluated with a fit to the other rows.
+
+python scenarios/sensor_fusion.py --fields 3 --seed 11 --json out/fit.json
+python scenarios/sensor_fusion_calibration.py out/fit.json --out out/fused.json
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+from eyes_flights import ODDS, POSTING
+from rich.table import Table
+from scipy.special import expit
+
+from lunarsim.console import plain_console
+from lunarsim.errors import InputError
+from lunarsim.models.lander import Lander
+from lunarsim.onboard.hazards.fusion.calibration import FusedCalibration
+
+Array = np.ndarray[Any, Any]
+
+# Fits without a second map and with it.
+FITS = ("none", "without the quadtree", "with the quadtree")
+
+
+def counts_of(flights: list[dict[str, Any]]) -> Array:
+    """Return pooled site counts (safe, fused, quadtree), see `eyes_flights.joint`."""
+    shape = (2, len(ODDS) - 1, len(ODDS))
+    pooled = np.zeros(shape)
+    for flight in flights:
+        for maps in flight["maps"].values():
+            pooled += np.array(maps["fused"]["joint"])
+    return pooled
+
+
+def probability_bins() -> tuple[Array, Array, Array]:
+    """Return fused probability, quadtree probability and observed flag per count."""
+    middle = expit(0.5 * (ODDS[1:] + ODDS[:-1]))
+    p, q = np.meshgrid(middle, np.append(middle, 0.5), indexing="ij")
+    seen = np.ones(p.shape, np.bool_)
+    seen[:, -1] = False
+    return p.ravel(), q.ravel(), seen.ravel()
+
+
+def fit_calibration(counts: Array, with_quadtree: bool, lander: Lander) -> FusedCalibration:
+    """Fit C to counts; sites whose footprints overlap count as one."""
+    p, q, seen = probability_bins()
+    unsafe, safe = counts.reshape(2, -1)
+    footprint = np.pi * (lander.leg_radius + 0.5 * lander.pad_diameter) ** 2
+    return FusedCalibration.fit(
+        p, q, seen & with_quadtree, safe, unsafe, worth=min(POSTING**2 / footprint, 1.0)
+    )
+
+
+def loss_of(calibration: FusedCalibration, counts: Array) -> tuple[float, float]:
+    """Return the Brier score of C and its bias (mean C minus safe fraction)."""
+    p, q, seen = probability_bins()
+    unsafe, safe = counts.reshape(2, -1)
+    c = calibration.probability(p.astype(np.float32), q, seen).astype(np.float64)
+    n = max(counts.sum(), 1.0)
+    return (
+        float((safe * (1.0 - c) ** 2 + unsafe * c**2).sum() / n),
+        float((safe * (c - 1.0) + unsafe * c).sum() / n),
+    )
+
+
+@click.command()
+@click.argument("file", type=click.Path(path_type=Path, exists=True, dir_okay=False))
+@click.option("--out", type=click.Path(path_type=Path, dir_okay=False), default=None,
+              help="Output file of the fit to all rows.")  # fmt: skip
+def main(file: Path, out: Path | None) -> None:
+    """Fit C to the flights in FILE and evaluate it on held-out rows."""
+    try:
+        flights = list(json.loads(file.read_text(encoding="utf-8"))["flights"].values())
+        rows = {row: [f for f in flights if f["row"] == row] for row in (f["row"] for f in flights)}
+        all_counts = {row: counts_of(mine) for row, mine in rows.items()}
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        raise click.BadParameter(
+            f"{file} is not a file of flights ({error!r})", param_hint="FILE"
+        ) from None
+    if len(all_counts) < 2:
+        raise click.BadParameter(
+            f"{file} must hold flights of two rows or more: each is evaluated by a fit to the "
+            f"others",
+            param_hint="FILE",
+        )
+    console, lander = plain_console(140), Lander()
+    table = Table(title="Brier score and bias (mean C minus safe fraction), leave-one-row-out")
+    table.add_column("row")
+    for name in FITS:
+        table.add_column(name, justify="right")
+    try:
+        for row, mine in all_counts.items():
+            rest = np.sum([c for other, c in all_counts.items() if other != row], axis=0)
+            fits = [
+                FusedCalibration(),
+                *(fit_calibration(rest, second, lander) for second in (False, True)),
+            ]
+            words = (loss_of(c, mine) for c in fits)
+            table.add_row(row, *(f"{square:.4f}, {off:+.4f}" for square, off in words))
+        whole = fit_calibration(np.sum(list(all_counts.values()), axis=0), True, lander)
+    except InputError as error:
+        raise click.ClickException(str(error)) from None
+    console.print(table)
+    console.print(
+        f"all rows: logit C = {whole.intercept:+.3f} + {whole.slope:.3f} logit p + "
+        f"{whole.other:.3f} logit q"
+    )
+    if out is not None:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        whole.save(out)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,369 @@
+"""Fly the descents of the all-sensor study and evaluate the maps on the way.
+
+Every flight runs all mappers at once, so their maps use the same returns and images of the same
+terrain. All maps are evaluated on the same cells at the same times.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import lru_cache, partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+from scipy.special import logit
+
+from lunarsim.evaluation.map_quality import true_elevation_in_map_frame
+from lunarsim.evaluation.precision_recall import PrecisionRecall
+from lunarsim.evaluation.reliability import reliability
+from lunarsim.messages.measurements import LidarScan
+from lunarsim.onboard.hazards.hazard_map import HazardMap, TerrainSurface
+from lunarsim.onboard.hazards.mapper import HazardMapper
+from lunarsim.rng import RandomStreams, flight_seed
+from lunarsim.safety import exact_safety
+from lunarsim.scenario import Scenario
+from lunarsim.simulation import Simulation, build_world
+from lunarsim.world import World
+
+Array = NDArray[np.float64]
+
+HERE = Path(__file__).parent
+SIZE, POSTING = 60.0, 0.25
+# Ratio of the half side of the quadtree landing zone to that of the lander footprint (its paper).
+ZONE = 1.35
+DROPPED = 0.5
+DEAD_BELOW = 400.0
+# Minimum diameter of a large rock, m.
+LARGE = 0.7
+# Log-odds bins of the joint site counts of two maps.
+ODDS = np.linspace(-8.0, 8.0, 33)
+# "alone" has the form of the fused map but only the Gaussian DEM as input: it separates the effect
+# of the form from that of the camera.
+MAPS = {
+    "dem": "Gaussian DEM", "quadtree": "quadtree", "rocks": "shadows", "alone": "fused, DEM alone",
+    "fused": "fused",
+}  # fmt: skip
+SINGLE = ("dem", "quadtree", "rocks")
+
+_TILTED = {
+    "kind": "dtm", "posting_m": 0.5, "detail": False, "mirrored_to_m": 500.0,
+    "path": str(HERE / "data" / "hirise_dteec_010228_1490_crop.tif"),
+}  # fmt: skip
+_MIXED = {"shape": "mixed", "cover": 0.04, "burial": [0.0, 0.5]}
+WORLDS: dict[str, dict[str, Any]] = {
+    "level": {},
+    "HiRISE 0.2": {"terrain": _TILTED | {"relief_scale": 0.2}},
+    "HiRISE 0.5": {"terrain": _TILTED | {"relief_scale": 0.5}},
+    "highland": {
+        "terrain": {"preset": "highland", "rms_slope_deg": 4.0, "detail_m": 0.0},
+        "rocks": _MIXED, "expected_rocks": _MIXED,
+    },
+    "15 % cover": {"rocks": {"cover": 0.15}, "expected_rocks": {"cover": 0.15}},
+    "Sun 5 deg": {"sun": {"elevation_deg": 5.0}},
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class FusionStudyRow:
+    """A row of the study.
+
+    Attributes
+    ----------
+    world
+        Name of the world; rows with the same world share it.
+    drops
+        Whether half of the LiDAR returns are lost.
+    dead
+        Sensors that stop measuring below `DEAD_BELOW`.
+    left
+        Map of the sensor that remains after a failure; empty if no sensor fails completely.
+    """
+
+    world: str
+    drops: bool = False
+    dead: tuple[str, ...] = ()
+    left: str = ""
+
+
+ROWS: dict[str, FusionStudyRow] = {
+    "level, rocks": FusionStudyRow("level"),
+    "HiRISE, c = 0.2": FusionStudyRow("HiRISE 0.2"),
+    "HiRISE, c = 0.5": FusionStudyRow("HiRISE 0.5"),
+    "cratered highland": FusionStudyRow("highland"),
+    "15 % cover": FusionStudyRow("15 % cover"),
+    "Sun at 5 deg": FusionStudyRow("Sun 5 deg"),
+    "LiDAR with 50 % drop-outs": FusionStudyRow("level", drops=True),
+    "cameras dead from 400 m on": FusionStudyRow("level", dead=("narrow", "wide"), left="dem"),
+    "LiDAR dead from 400 m on": FusionStudyRow("level", dead=("flash",), left="rocks"),
+}
+
+
+@dataclass(frozen=True)
+class FusionFlightTask:
+    """One flight: row, field, root seed, and altitudes of map evaluation, m."""
+
+    row: str
+    field: int
+    seed: int
+    altitudes: tuple[float, ...]
+
+    @property
+    def key(self) -> str:
+        """Key of the row and field in the result file."""
+        return f"{self.row} | {self.field}"
+
+
+def scenario_of(world: str, altitudes: tuple[float, ...]) -> Scenario:
+    """Return the descent over a world with all mappers and a flash at every altitude."""
+    base = Scenario.load(HERE / "all_eyes.toml").changed(**WORLDS[world])
+    lander = base.vehicle.make()
+    half = lander.leg_radius + 0.5 * lander.pad_diameter
+    # On the trajectory of the scenario, with the speed scaled as in a fall from the start.
+    highest = max(altitudes)
+    top = max(1.2 * highest, highest + 40.0)
+    start = base.start.make()
+    share = top / start.position[2]
+    rocks = base.expected_rocks
+    # Height ratio of rocks: gives the minimum diameter that exceeds the roughness limit.
+    ratio = {"hemisphere": 0.5, "cube": 1.0}.get(rocks.shape, rocks.height_ratio[0])
+    return base.changed(
+        start={
+            "position_m": [share * x for x in start.position], "position_sigma_m": 0.0,
+            "velocity_m_s": [np.sqrt(share) * v for v in start.velocity],
+        },
+        tasking={"flash": {"altitudes_m": [a + 15.0 for a in altitudes]}},
+        mappers={
+            "dem": {"size_m": SIZE, "posting_m": POSTING},
+            "rocks": {
+                "size_m": SIZE, "posting_m": POSTING,
+                "hazard_diameter_m": lander.roughness_limit / ratio,
+            },
+            "quadtree": {
+                "kind": "quadtree", "sensor": "flash", "size_m": SIZE, "posting_m": POSTING,
+                "sites": {"zone_m": ZONE * half, "roughness_limit_m": lander.roughness_limit},
+            },
+            # Evaluated as it is at the altitude, not as it was for the last decision.
+            "fused": {"interval_s": 0.0},
+            "alone": {"kind": "fused", "of": ["dem"], "interval_s": 0.0},
+        },
+    )  # fmt: skip
+
+
+@lru_cache(maxsize=1)
+def world_of(world: str, seed: int) -> World:
+    """Build the world of a seed; the last one is cached."""
+    return build_world(scenario_of(world, (100.0,)), RandomStreams(seed))
+
+
+def fly(task: FusionFlightTask) -> dict[str, Any]:
+    """Fly once; return the counts of each map at each altitude for JSON."""
+    row = ROWS[task.row]
+    seed = flight_seed(task.seed, task.field)
+    scenario = scenario_of(row.world, task.altitudes)
+    simulation = Simulation(scenario, seed, "no-divert", world=world_of(row.world, seed))
+    mappers = simulation.computer.mappers
+    if row.drops:
+        for name in ("dem", "quadtree"):
+            mappers[name].update = with_dropouts(mappers[name].update)  # type: ignore[method-assign]
+    clock = MapperTimer({name: mappers[name] for name in MAPS})
+    judged: dict[str, Any] = {}
+    waiting = sorted(task.altitudes, reverse=True)
+    while waiting and not simulation.done:
+        simulation.step()
+        if simulation.altitude < DEAD_BELOW:
+            schedules = zip(scenario.tasking, simulation.computer.tasking, strict=True)
+            for part in (part for name, part in schedules if name in row.dead):
+                part.stop()
+        if simulation.altitude <= waiting[0]:
+            judged[f"{waiting.pop(0):g}"] = judge(simulation)
+    refused = mappers["rocks"].refused  # type: ignore[attr-defined]
+    return {"row": task.row, "field": task.field, "maps": judged, "ms": clock.mean_ms(),
+            "refused": {fault.name: count for fault, count in refused.items()}}  # fmt: skip
+
+
+class MapperTimer:
+    """Measure the computing time of each mapper, without the mappers that it calls.
+
+    Parameters
+    ----------
+    mappers
+        Mappers by name.
+    """
+
+    def __init__(self, mappers: dict[str, HazardMapper]) -> None:
+        self._seconds = dict.fromkeys(mappers, 0.0)
+        self._drawn: dict[str, dict[int, Any]] = {name: {} for name in mappers}
+        self._inside = 0.0
+        for name, mapper in mappers.items():
+            for method in ("update", "refresh", "hazard_map", "evidence"):
+                setattr(mapper, method, self._timed(name, getattr(mapper, method)))
+            judged = partial(_evaluated_surface, mapper, mapper.surface)
+            setattr(mapper, "surface", self._timed(name, judged))  # noqa: B010
+
+    def _timed(self, name: str, method: Callable[..., Any]) -> Callable[..., Any]:
+        def call(*args: Any) -> Any:
+            began, others, self._inside = time.perf_counter(), self._inside, 0.0
+            try:
+                given = method(*args)
+                if isinstance(given, HazardMap):
+                    # Hold a reference, so that no other array receives the same id.
+                    self._drawn[name][id(given.p_safe)] = given.p_safe
+                return given
+            finally:
+                whole = time.perf_counter() - began
+                self._seconds[name] += whole - self._inside
+                self._inside = others + whole
+
+        return call
+
+    def mean_ms(self) -> dict[str, float]:
+        """Return the total time of each mapper divided by its number of maps, ms."""
+        return {n: 1e3 * s / max(len(self._drawn[n]), 1) for n, s in self._seconds.items()}
+
+
+def _evaluated_surface(
+    mapper: HazardMapper, surface: Callable[[], TerrainSurface]
+) -> TerrainSurface:
+    """Evaluate the map within the time of its own mapper, then return its surface."""
+    mapper.hazard_map()
+    return surface()
+
+
+def with_dropouts(update: Callable[..., None]) -> Callable[..., None]:
+    """Return a mapper method that receives scans with half of the returns lost."""
+
+    def taken(scan: LidarScan, estimate: Any) -> None:
+        # Seeded with the scan time: all mappers lose the same returns.
+        lost = np.random.default_rng(round(1e3 * scan.time)).random(scan.range.shape) < DROPPED
+        update(replace(scan, range=np.where(lost, np.nan, scan.range)), estimate)
+
+    return taken
+
+
+# --- map evaluation ---------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class MapTruth:
+    """True terrain safety under a map.
+
+    Attributes
+    ----------
+    xy, safe
+        Positions (n, 2), local frame, m, and whether they are safe (n,).
+    under_large
+        Whether a rock of diameter `LARGE` or more lies under the lander there (n,).
+    objects
+        Centers of rocks higher than the roughness limit (k, 2), local frame, m.
+    """
+
+    xy: Array
+    safe: NDArray[np.bool_]
+    under_large: NDArray[np.bool_]
+    objects: Array
+
+
+def ground_under(simulation: Simulation) -> MapTruth:
+    """Return the true safety on the cells of the Gaussian DEM."""
+    lander, terrain = simulation.lander, simulation.world.terrain
+    grid = simulation.computer.mappers["dem"].hazard_map().grid
+    error = simulation.navigation_error
+    truth = exact_safety(true_elevation_in_map_frame(terrain, grid, error), grid, lander)
+    xy = grid.centres()[truth.observed]
+    rocks = terrain.rocks
+    middles = np.column_stack((rocks.x, rocks.y)) + error[:2]
+    diameter = 2.0 * np.sqrt(rocks.a * rocks.b)
+    footprint = lander.leg_radius + 0.5 * lander.pad_diameter
+    near = grid.contains(middles)
+    high = near & (rock_heights(terrain) >= lander.roughness_limit)
+    return MapTruth(
+        xy, truth.safe[truth.observed],
+        has_rock_in_footprint(
+            xy, middles[diameter >= LARGE], 0.5 * diameter[diameter >= LARGE], footprint
+        ),
+        middles[high],
+    )  # fmt: skip
+
+
+def rock_heights(terrain: Any) -> Array:
+    """Return the height of each rock above the surrounding terrain (n,), m."""
+    rocks = terrain.rocks
+    middles = np.column_stack((rocks.x, rocks.y))
+    around = 0.25 * np.pi * np.arange(8)
+    ring = np.column_stack((np.cos(around), np.sin(around)))
+    off = 1.3 * np.maximum(rocks.a, rocks.b)[:, None, None] * ring
+    about = terrain.elevation((middles[:, None] + off).reshape(-1, 2)).reshape(-1, 8)
+    return np.asarray(terrain.elevation(middles) - np.nanmedian(about, axis=1))
+
+
+def has_rock_in_footprint(
+    xy: Array, middles: Array, radius: Array, footprint: float
+) -> NDArray[np.bool_]:
+    """Return whether any rock (k, 2) reaches into the footprint at each position (n,)."""
+    out = np.zeros(len(xy), np.bool_)
+    if len(middles):
+        found = cKDTree(xy).query_ball_point(middles, radius + footprint)
+        out[np.concatenate([np.asarray(own, np.int64) for own in found])] = True
+    return out
+
+
+def judge(simulation: Simulation) -> dict[str, Any]:
+    """Compare all current maps with the truth."""
+    ground = ground_under(simulation)
+    drawn = {name: simulation.computer.mappers[name].hazard_map() for name in MAPS}
+    found = {name: count_sites(one, ground) for name, one in drawn.items()}
+    found["fused"]["joint"] = joint(drawn["fused"], drawn["quadtree"], ground)
+    return found
+
+
+def joint(fused: HazardMap, second: HazardMap, ground: MapTruth) -> list[Any]:
+    """Return joint site counts by the probabilities of two maps (safe, fused, second).
+
+    The bins are `ODDS`. The last column of the second map counts sites that it has not observed.
+    Sites that the fused map has not observed are omitted.
+    """
+    kept = _layer_at(fused, fused.observed, ground.xy)
+    xy, safe = ground.xy[kept], ground.safe[kept]
+    place = [np.searchsorted(ODDS[1:-1], _log_odds(m.p_safe_at(xy))) for m in (fused, second)]
+    columns = len(ODDS) - 1
+    place[1] = np.where(_layer_at(second, second.observed, xy), place[1], columns)
+    counts = np.zeros((2, columns, columns + 1), np.int64)
+    np.add.at(counts, (safe.astype(np.int64), *place), 1)
+    return list(counts.tolist())
+
+
+def _log_odds(p: Array) -> Array:
+    with np.errstate(divide="ignore"):
+        return np.asarray(logit(p.astype(np.float64)))
+
+
+def count_sites(drawn: HazardMap, ground: MapTruth) -> dict[str, Any]:
+    """Return the site counts of one map for JSON."""
+    p = drawn.p_safe_at(ground.xy)
+    layer = drawn.observed if drawn.in_domain is None else drawn.in_domain
+    claimed = _layer_at(drawn, layer, ground.xy)
+    curve = PrecisionRecall.of(p, ground.safe)
+    large = PrecisionRecall.of(p, ground.under_large)
+    c, s = p[claimed], ground.safe[claimed].astype(np.float64)
+    over = drawn.p_safe_at(ground.objects) if len(ground.objects) else np.empty(0)
+    return {
+        "unsafe": curve.unsafe.tolist(),
+        "safe": curve.safe.tolist(),
+        "large": large.safe.tolist(),
+        "objects": [len(over), int((over > 0.5).sum())],
+        "table": reliability(c, s).tolist(),
+        "squares": [float(c.size), float(s.sum()), float(((c - s) ** 2).sum())],
+        "observed": float(_layer_at(drawn, drawn.observed, ground.xy).mean()),
+    }
+
+
+def _layer_at(drawn: HazardMap, layer: NDArray[np.bool_], xy: Array) -> NDArray[np.bool_]:
+    g = drawn.grid
+    row, col = g.cell(xy)
+    found = layer[np.clip(row, 0, g.rows - 1), np.clip(col, 0, g.cols - 1)]
+    return np.asarray(found & g.contains(xy))

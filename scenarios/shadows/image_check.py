@@ -1,0 +1,224 @@
+"""Measure how often the image check rejects good images and accepts faulty ones.
+
+Fields of rocks by Golombek's law on relief are seen from random positions, with one image each. All
+faults below are applied to every image. Each image is evaluated independently; good ones are also
+evaluated as in a flight in which the Sun direction has already been confirmed.
+
+python scenarios/shadows/image_check.py --fields 2 --seed 7 --json out/health.json
+"""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from dataclasses import dataclass, replace
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import click
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from rich.console import Console
+from rich.table import Table
+
+from lunarsim.campaign.pool import collect_results
+from lunarsim.console import plain_console
+from lunarsim.frames import direction_from_angles
+from lunarsim.grid import Grid
+from lunarsim.models.gimbal import gimbal_mount
+from lunarsim.onboard.perception.detector import detect_rocks
+from lunarsim.onboard.perception.image_quality import ImageQualityCheck
+from lunarsim.onboard.perception.shadow_direction import measure_shadow_angle
+from lunarsim.onboard.perception.shadow_model import ShadowModel
+from lunarsim.rocks.field import RockModel
+from lunarsim.rocks.size_distribution import sample_diameters
+from lunarsim.sensors.camera import Camera
+from lunarsim.vehicle import State
+from lunarsim.world import World
+from lunarsim.world.light import Light
+from lunarsim.world.terrain import Heightfield, Terrain, fractal_relief, place_rocks
+
+COVERS = (0.02, 0.05, 0.08, 0.15)
+SLOPES = (0.0, 2.0, 4.0)
+SUNS = (5.0, 10.0, 20.0, 45.0, 60.0)
+ALTITUDES = (10.0, 30.0, 100.0)
+SHAPES = ("cube", "mixed", "hemisphere", "irregular", "ellipsoid")
+FIELD = 130.0
+# Good images after one that confirmed the Sun direction, as in most of a flight.
+SEEN = "none, the Sun seen before"
+Counts = NDArray[np.uint8]
+
+
+@dataclass(frozen=True)
+class ImageCheckTask:
+    """One field, seen under all Suns from all altitudes."""
+
+    number: int
+    cover: float
+    slope: float
+    seed: int
+    faults: bool
+
+
+def make_terrain(task: ImageCheckTask, rng: np.random.Generator) -> Terrain:
+    """Return relief 1 km wide with rocks around its center."""
+    grid = Grid.centred((0.0, 0.0), 1000.0, 4.0)
+    relief = fractal_relief(grid, rng, hurst=0.8, rms_slope=np.radians(task.slope))
+    low, high = (int(k) for k in np.searchsorted(grid.x, [-0.5 * FIELD, 0.5 * FIELD]))
+    inner = Grid(grid.x[low], grid.y[low], 4.0, high - low, high - low)
+    middle = Heightfield(inner, np.ascontiguousarray(relief.z[low:high, low:high]))
+    diameters = sample_diameters(FIELD**2, task.cover, 0.2, 3.0, rng)
+    shape = RockModel(SHAPES[task.number % len(SHAPES)])  # type: ignore[arg-type]
+    return Terrain(relief, place_rocks(middle, diameters, rng, model=shape))
+
+
+def check_images(task: ImageCheckTask) -> list[dict[str, Any]]:
+    """Return the check result of every image of a field, good and faulty."""
+    rng = np.random.default_rng(np.random.SeedSequence(task.seed, spawn_key=(task.number,)))
+    terrain = make_terrain(task, rng)
+    rows = []
+    for elevation, altitude in product(SUNS, ALTITUDES):
+        light = Light(rng.uniform(0.0, 2.0 * np.pi), np.radians(elevation))
+        aim = np.append(rng.uniform(-15.0, 15.0, 2), 0.0)
+        aim[2] = float(terrain.elevation(aim[None, :2])[0])
+        back = direction_from_angles(rng.uniform(0.0, 2.0 * np.pi), rng.uniform(0.8, 0.5 * np.pi))
+        position = aim + back * altitude / back[2]
+        if position[2] < float(terrain.elevation(position[None, :2])[0]) + 0.5 * altitude:
+            continue
+        state = State(position, np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]), np.zeros(3), 1000.0)
+        camera = replace(Camera(), mount=gimbal_mount(state.attitude, aim - position))
+        counts = camera.expose(World(terrain, 1.622, light), state, 0.0, rng).counts
+        cell = {"cover": task.cover, "slope": task.slope, "sun": elevation, "altitude": altitude}
+        cases = [("none", counts, 0.0), (SEEN, counts, 0.0)]
+        for name, image, turn in cases + (faulty_images(counts, rng) if task.faults else []):
+            sun = direction_from_angles(light.azimuth + turn, light.elevation)
+            health = ImageQualityCheck()
+            health.sun.seen = name == SEEN
+            verdict = judge(image, camera, state, sun, aim[2], health)
+            rows.append(cell | {"fault": name, "verdict": verdict})
+    return rows
+
+
+def judge(
+    image: Counts, camera: Camera, state: State, sun: Any, ground: float, health: ImageQualityCheck
+) -> str:
+    """Return why an image is rejected; "counts" if it is accepted."""
+    verdict = health.before_detection(image, camera, state)
+    if verdict.good:
+        # The rock population is unknown to the check.
+        model = ShadowModel(float(np.arcsin(sun[2])))
+        seen = detect_rocks(image, camera, state, sun, ground=ground, model=model)
+        points = np.column_stack((seen.ground, np.full(len(seen), ground)))
+        noise = verdict.figures["noise"]
+        turn = measure_shadow_angle(seen, camera.view(state), points, sun, model, noise)
+        verdict = health.after_detection(seen, turn, noise)
+    if verdict.fault is None:
+        return "counts"
+    return f"{'' if verdict.alarm else '('}{verdict.fault.name}{'' if verdict.alarm else ')'}"
+
+
+def faulty_images(counts: Counts, rng: np.random.Generator) -> list[tuple[str, Any, float]]:
+    """Return name, image and Sun rotation (rad) of all faults."""
+    grey, shape = counts.astype(np.float32), counts.shape
+    out: list[tuple[str, Any, float]] = [
+        ("black", np.zeros_like(counts), 0.0), ("white", np.full_like(counts, 255), 0.0),
+        ("no numbers", np.full(shape, np.nan), 0.0),
+        ("noise", rng.integers(0, 256, shape).astype(np.uint8), 0.0),
+    ]  # fmt: skip
+    for share in (0.1, 0.3):
+        noise = share * np.median(grey) * rng.standard_normal(shape)
+        out.append((f"under noise of {share}", read(grey + noise, rng), 0.0))
+    for sigma in (1.0, 1.5, 2.0, 3.0):
+        out.append((f"defocus {sigma} px", read(cv2.GaussianBlur(grey, (0, 0), sigma), rng), 0.0))
+    for length in (4, 6, 8, 12):
+        out.append((f"smear {length} px", read(smear(grey, length, rng), rng), 0.0))
+    half = counts.copy()
+    rows, cols = shape
+    half[(np.s_[rows // 2 :], np.s_[: rows // 2], np.s_[:, cols // 2 :], np.s_[:, : cols // 2])[
+        rng.integers(4)
+    ]] = 0  # fmt: skip
+    out.append(("half black", half, 0.0))
+    out += [(f"Sun {turn:+d} deg", counts, float(np.radians(turn))) for turn in (30, -30, 180)]
+    return out
+
+
+def read(grey: Any, rng: np.random.Generator) -> Counts:
+    """Return counts with read noise."""
+    noisy = grey + 0.6 * rng.standard_normal(grey.shape)
+    return np.asarray(np.rint(noisy).clip(0, 255), np.uint8)
+
+
+def smear(grey: NDArray[np.float32], length: int, rng: np.random.Generator) -> Any:
+    """Return an image smeared by a number of pixels in a random direction."""
+    angle = rng.uniform(0.0, np.pi)
+    kernel = np.zeros((2 * length + 1,) * 2, np.float32)
+    for t in np.linspace(-0.5, 0.5, 100) * length:
+        kernel[length + round(t * np.sin(angle)), length + round(t * np.cos(angle))] += 0.01
+    return cv2.filter2D(grey, -1, kernel)
+
+
+def show(rows: list[dict[str, Any]], console: Console) -> None:
+    """Print the tables."""
+    good = [r for r in rows if r["fault"] == SEEN]
+    for key in ("sun", "altitude", "cover", "slope"):
+        table = Table(title=f"Good images with confirmed Sun direction, by {key}")
+        for heading in (
+            key,
+            "images",
+            "accepted (fraction)",
+            "insufficient (fraction)",
+            "rejected (fraction)",
+        ):
+            table.add_column(heading, justify="right")
+        for value in sorted({r[key] for r in good}):
+            of = [r["verdict"] for r in good if r[key] == value]
+            counts = sum(v == "counts" for v in of)
+            little = sum(v.startswith("(") for v in of)
+            shares = (n / len(of) for n in (counts, little, len(of) - counts - little))
+            table.add_row(str(value), str(len(of)), *(f"{share:.3f}" for share in shares))
+        console.print(table)
+    table = Table(title="Results of the image check")
+    for heading in ("fault", "images", "accepted", "reasons of rejection"):
+        table.add_column(heading, justify="left" if heading in {"fault"} else "right")
+    for name in dict.fromkeys(r["fault"] for r in rows):
+        of = Counter(r["verdict"] for r in rows if r["fault"] == name)
+        why = ", ".join(f"{v} {n}" for v, n in of.most_common() if v != "counts")
+        table.add_row(name, str(of.total()), str(of["counts"]), why)
+    console.print(table)
+
+
+@click.command()
+@click.option("--fields", type=click.IntRange(min=1), default=1, show_default=True,
+              help="Number of fields per cover and slope.")  # fmt: skip
+@click.option(
+    "--faults/--good-only", default=True, show_default=True, help="Also check faulty images."
+)
+@click.option("--seed", type=int, default=7, show_default=True, help="Root random seed.")
+@click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True,
+              help="Number of processes; does not change the results.")  # fmt: skip
+@click.option("--json", "json_file", type=click.Path(path_type=Path, dir_okay=False), default=None,
+              help="Output file of all results.")  # fmt: skip
+def main(fields: int, faults: bool, seed: int, jobs: int, json_file: Path | None) -> None:
+    """Check good and faulty images."""
+    console = plain_console(140)
+    cells = list(product(range(fields), COVERS, SLOPES))
+    tasks = [
+        ImageCheckTask(k, cover, slope, seed, faults) for k, (_, cover, slope) in enumerate(cells)
+    ]
+    rows = [
+        row
+        for found in collect_results(check_images, tasks, jobs, console, "fields")
+        for row in found
+    ]
+    if not rows:
+        raise click.Abort
+    show(rows, console)
+    if json_file is not None:
+        json_file.parent.mkdir(parents=True, exist_ok=True)
+        json_file.write_text(json.dumps(rows, indent=0), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

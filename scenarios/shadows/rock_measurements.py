@@ -1,0 +1,294 @@
+"""Measure how rock centers from shadows vary between images and views.
+
+A camera with known pose descends to a rendered field along a straight path, and the detected rock
+positions are compared with the true ones. The difference between two images 0.1 s apart is
+measurement noise; the table compares it with the covariance of the detector (`look_covariance`).
+The additional difference after a rotation of the view is specific to a rock or common to all rocks
+(`RockFilter.turn`); both are random walks, in radii per square root of a radian, as in
+`TrackerSettings.view_wander`. The remaining error after averaging the measurements of a rock comes
+from its shape; `ShadowModel` contains such values. The first measurement good enough to start a
+track is compared with the later ones: it is selected and they are not, so a tracker restarts with
+the second one.
+
+python scenarios/shadows/rock_measurements.py
+python scenarios/shadows/rock_measurements.py --shape irregular --sun-elevation 10
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import click
+import numpy as np
+from numpy.typing import NDArray
+from rates import SHAPES, make_world, model_of
+from rich.console import Console
+from rich.progress import track
+from rich.table import Table
+from scipy.spatial import cKDTree
+
+from lunarsim.console import plain_console
+from lunarsim.frames import direction_from_angles
+from lunarsim.models.gimbal import gimbal_mount
+from lunarsim.onboard.hazards.shadows import TrackerSettings
+from lunarsim.onboard.perception.detector import detect_rocks
+from lunarsim.onboard.perception.shadow_model import ShadowModel
+from lunarsim.sensors.camera import Camera
+from lunarsim.vehicle import State
+from lunarsim.world import World
+
+Array = NDArray[np.float64]
+
+# Bins of the rock radius, pixels.
+EDGES = (0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 10.0)
+# First and last distance from the field, m; image rate, Hz; descent speed along the path, m/s.
+FAR, NEAR, RATE, SPEED = 160.0, 25.0, 10.0, 12.0
+# Number of images between two that measure the random walk; minimum rotation, rad.
+LAG, MIN_TURN = 20, 0.05
+# Maximum distance of a detection from a rock, pixels (or the rock radius), and maximum size ratio.
+MAX_DISTANCE_PX, MAX_SIZE_RATIO = 2.5, 1.6
+# Minimum number of measurements of a rock whose mean error is attributed to its shape.
+MIN_MEASUREMENTS = 10
+# Number of images after the first good one from which measurements count as settled.
+SETTLED = 6
+# Minimum number of rocks visible in both images for the common error.
+MIN_COMMON_ROCKS = 8
+
+
+@dataclass(frozen=True)
+class RockMeasurements:
+    """Measurements of rocks in a sequence of images.
+
+    Attributes
+    ----------
+    off, said
+        Error along and across the Sun direction, m, and standard deviation of the detector
+        (images, rocks, 2); NaN without a measurement.
+    pixel
+        Ground size of a pixel along and across, m (images, rocks, 2).
+    sight
+        Directions to the rocks (images, rocks, 3).
+    ratio
+        Measured over true radius (images, rocks).
+    radius
+        True radius, m (rocks,).
+    good
+        Measurements that can start a track (images, rocks).
+    """
+
+    off: Array
+    said: Array
+    pixel: Array
+    sight: Array
+    ratio: Array
+    radius: Array
+    good: NDArray[np.bool_]
+
+
+def descend(world: World, model: ShadowModel, rng: np.random.Generator) -> RockMeasurements:
+    """Descend towards the center of a field and measure the rocks."""
+    rocks, sun = world.terrain.rocks, world.light.direction
+    true = np.column_stack((rocks.x, rocks.y, np.zeros(len(rocks))))
+    tree = cKDTree(true[:, :2])
+    level = sun[:2] / np.hypot(*sun[:2])
+    axes = np.array([level, [-level[1], level[0]]]).T
+    back = direction_from_angles(rng.uniform(0.0, 2.0 * np.pi), np.radians(rng.uniform(30.0, 60.0)))
+    # Slightly off the line of sight, so that the view rotates.
+    aside = np.append(rng.uniform(-0.3, 0.3, 2), 0.0)
+    rows = []
+    for way in np.arange(0.0, FAR - NEAR, SPEED / RATE):
+        position = back * (FAR - way) + aside * way
+        state = State(position, np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]), np.zeros(3), 1.0)
+        camera = replace(Camera(), mount=gimbal_mount(state.attitude, -position))
+        counts = camera.expose(world, state, 0.0, rng).counts
+        seen = detect_rocks(counts, camera, state, sun, model=model)
+        row = np.full((len(rocks), 11), np.nan)
+        if len(seen):
+            away, nearest = tree.query(seen.ground)
+            like = np.abs(np.log(seen.radius / rocks.a[nearest])) < np.log(MAX_SIZE_RATIO)
+            view = camera.view(state)
+            pixel = np.linalg.norm(true[nearest] - position, axis=1) / view.pinhole.fx
+            # A limit of one radius would cut off the errors of small rocks.
+            at = (away < np.maximum(rocks.a[nearest], MAX_DISTANCE_PX * pixel)) & like
+            of = nearest[at]
+            by_place = view.pinhole.jacobian((true[of] - position) @ view.axes, view.axes[:2].T)
+            on_ground = np.linalg.inv(by_place @ axes)
+            moved = seen.pixel[at] - view.pinhole.project((true[of] - position) @ view.axes)
+            own = on_ground @ seen.look_covariance[at] @ np.swapaxes(on_ground, 1, 2)
+            row[of, :2] = np.einsum("nij,nj->ni", on_ground, moved)
+            row[of, 2:4] = np.sqrt(np.diagonal(own, axis1=1, axis2=2))
+            row[of, 9] = seen.radius[at] / rocks.a[of]
+            row[of, 10] = seen.q[at]
+            row[of, 4:6] = 1.0 / np.linalg.norm(by_place @ axes, axis=1)
+        sight = true - position
+        row[:, 6:9] = sight / np.linalg.norm(sight, axis=1)[:, None]
+        rows.append(row)
+    table = np.array(rows)
+    off, said, pixel, sight = np.split(table[..., :9], (2, 4, 6), axis=-1)
+    ratio, q = table[..., 9], table[..., 10]
+    begins, read = TrackerSettings(), ratio * rocks.a
+    sharp = said.max(axis=-1) < np.maximum(begins.birth_sigma, read / 3.0)
+    good = (q >= begins.birth_q) & (read >= begins.least_radius) & sharp
+    return RockMeasurements(off, said, pixel, sight, ratio, rocks.a, good)
+
+
+def successive_changes(looks: list[RockMeasurements]) -> Array:
+    """Return rock radius, normalised and pixel changes of measurement pairs (n, 5).
+
+    Columns: radius in pixels; change along and across over its standard deviation; change along and
+    across in pixels, scaled to a single measurement.
+    """
+    out = []
+    for one in looks:
+        change = np.diff(one.off, axis=0)
+        change -= np.nanmedian(change, axis=1, keepdims=True)
+        said = np.hypot(one.said[1:], one.said[:-1])
+        pixel = np.sqrt(2.0) * one.pixel[1:]
+        size = np.broadcast_to(one.radius, change.shape[:2]) / one.pixel[1:].mean(axis=-1)
+        out.append(np.concatenate((size[..., None], change / said, change / pixel), axis=-1))
+    rows = np.concatenate([o.reshape(-1, 5) for o in out])
+    return rows[np.isfinite(rows).all(1)]
+
+
+def after_the_first(looks: list[RockMeasurements]) -> Array:
+    """Return the bias of the first good measurement and of the following ones (n, 4).
+
+    The reference is the mean of the measurements `SETTLED` to twice as many images after the first.
+    Only rocks that were first seen below the quality limit are used. Columns: along and across the
+    Sun direction, pixels, and their standard errors.
+    """
+    out = []
+    for one in looks:
+        for rock in np.flatnonzero(one.good.any(axis=0) & ~one.good[0]):
+            first = int(np.argmax(one.good[:, rock]))
+            late = one.off[first + SETTLED : first + 2 * SETTLED, rock]
+            if len(late) < SETTLED or np.isfinite(late[:, 0]).sum() < SETTLED // 2:
+                continue
+            row = one.off[first : first + SETTLED, rock] - np.nanmean(late, axis=0)
+            out.append(row / one.pixel[first, rock])
+    if len(out) < 2:
+        return np.full((SETTLED, 4), np.nan)
+    rows = np.array(out)
+    count = np.maximum(np.isfinite(rows[..., 0]).sum(axis=0), 2)[:, None]
+    error = np.nanstd(rows, axis=0, ddof=1) / np.sqrt(count)
+    return np.concatenate((np.nanmean(rows, axis=0), error), axis=1)
+
+
+def random_walks(looks: list[RockMeasurements]) -> tuple[Array, Array]:
+    """Return the random walk of the centers, in radii per square root of a radian.
+
+    Returns
+    -------
+    own
+        Random walk of each rock, along and across the Sun direction (2,), without noise.
+    shared
+        Random walk common to all rocks, along and across (2,).
+    """
+    own, shared = [], []
+    for one in looks:
+        dot = np.einsum("kij,kij->ki", one.sight[LAG:], one.sight[:-LAG])
+        turn = np.arccos(np.clip(dot, -1.0, 1.0))
+        change = (one.off[LAG:] - one.off[:-LAG]) / one.radius[:, None]
+        noise = (one.said[LAG:] ** 2 + one.said[:-LAG] ** 2) / one.radius[:, None] ** 2
+        for move, said, angle in zip(change, noise, turn, strict=True):
+            both = np.isfinite(move).all(1) & (np.abs(move) < 1.2).all(1)
+            if both.sum() < MIN_COMMON_ROCKS or angle[both].mean() < MIN_TURN:
+                continue
+            mean, angle_mean = move[both].mean(axis=0), angle[both].mean()
+            spread = move[both].var(axis=0, ddof=1)
+            own.append((spread - said[both].mean(axis=0)) / angle_mean)
+            shared.append((mean**2 - spread / both.sum()) / angle_mean)
+    if not own:
+        return np.full(2, np.nan), np.full(2, np.nan)
+    roots = [np.sqrt(np.maximum(np.mean(v, axis=0), 0.0)) for v in (own, shared)]
+    return roots[0], roots[1]
+
+
+def shapes(looks: list[RockMeasurements]) -> tuple[float, float, int]:
+    """Return the errors that averaging does not remove, and the number of rocks.
+
+    These are the scatter of mean radius / true radius between rocks, and the RMS error of the mean
+    position per axis, in radii. Only rocks with `MIN_MEASUREMENTS` measurements or more are used,
+    and the noise is
+    subtracted.
+    """
+    sizes, places = [], []
+    for one in looks:
+        count = np.isfinite(one.ratio).sum(axis=0)
+        some = count >= MIN_MEASUREMENTS
+        ratio = one.ratio[:, some]
+        place = one.off[:, some] / one.radius[some, None]
+        noise = np.nanvar(ratio, axis=0, ddof=1) / count[some]
+        spread = (np.nanvar(place, axis=0, ddof=1) / count[some, None]).mean(axis=1)
+        sizes.append(np.column_stack((np.nanmean(ratio, axis=0), noise)))
+        mean = np.nanmean(place, axis=0)
+        mean = mean - mean.mean(axis=0)
+        places.append((mean**2).mean(axis=1) - spread)
+    size, place = np.concatenate(sizes), np.concatenate(places)
+    if len(size) < 2:
+        return np.nan, np.nan, len(size)
+    left = size[:, 0].var(ddof=1) - size[:, 1].mean()
+    return float(np.sqrt(max(left, 0.0))), float(np.sqrt(max(place.mean(), 0.0))), len(size)
+
+
+def show(looks: list[RockMeasurements], console: Console) -> None:
+    """Print the tables."""
+    rows = successive_changes(looks)
+    table = Table(title="Change between successive measurements")
+    for heading in ("radius (pixels)", "measurements", "along the Sun (pixels)", "across (pixels)",
+                    "along / predicted", "across / predicted"):  # fmt: skip
+        table.add_column(heading, justify="right")
+    for low, high in pairwise(EDGES):
+        at = rows[(rows[:, 0] >= low) & (rows[:, 0] < high)]
+        if len(at) < 2:
+            continue
+        along, across, along_px, across_px = np.sqrt(np.mean(at[:, 1:] ** 2, axis=0))
+        table.add_row(f"{low:g} - {high:g}", f"{len(at)}", f"{along_px:.2f}", f"{across_px:.2f}",
+                      f"{along:.2f}", f"{across:.2f}")  # fmt: skip
+    console.print(table)
+    table = Table(
+        title="Bias after the first measurement that can start a track, relative to settled ones"
+    )
+    for heading in ("measurement", "along the Sun (pixels)", "across (pixels)"):
+        table.add_column(heading, justify="right")
+    for k, (along, across, e, f) in enumerate(after_the_first(looks)):
+        table.add_row(f"{k + 1}", f"{along:+.2f} ± {e:.2f}", f"{across:+.2f} ± {f:.2f}")
+    console.print(table)
+    own, shared = random_walks(looks)
+    console.print(
+        f"Random walk with the view rotation (radii per sqrt(rad)): per rock {own[0]:.2f} along "
+        f"the Sun, "
+        f"{own[1]:.2f} across; common {shared[0]:.2f} along, {shared[1]:.2f} across"
+    )
+    radius, centre, rocks = shapes(looks)
+    console.print(
+        f"Remaining error after {MIN_MEASUREMENTS} measurements or more ({rocks} rocks): radius "
+        f"{radius:.2f} (relative), center "
+        f"{centre:.2f} radii per axis"
+    )
+
+
+@click.command()
+@click.option("--fields", type=click.IntRange(min=1), default=4, show_default=True,
+              help="Number of fields, each with its own path.")  # fmt: skip
+@click.option("--shape", type=click.Choice(SHAPES), default="cube", show_default=True,
+              help="Rock shape, known to the detector.")  # fmt: skip
+@click.option("--sun-elevation", type=click.FloatRange(2.0, 80.0), default=20.0, show_default=True,
+              help="Sun elevation (deg).")  # fmt: skip
+@click.option(
+    "--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Root random seed."
+)
+def main(fields: int, shape: str, sun_elevation: float, seed: int) -> None:
+    """Measure the errors of rock centers between images and views."""
+    elevation = np.radians(sun_elevation)
+    model = ShadowModel(elevation, model_of(shape))
+    looks = []
+    for k in track(range(fields), description="fields"):
+        rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(k,)))
+        looks.append(descend(make_world(shape, elevation, rng), model, rng))
+    show(looks, plain_console(120))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,288 @@
+"""Compare rendered images with a real LROC narrow-angle camera image of boulders.
+
+    python scenarios/terrain/compare_with_nac.py --out out/nac --json out/nac.json
+
+Terrains of the shipped scenarios are rendered with the pixels, point spread and Sun of the real
+image: once with the plain light (point Sun, lunar-Lambert) and once with all effects of `[sun]`. No
+parameter is fitted to the image except the mean albedo, by which both images are divided. The
+comparison covers histogram, power spectrum, autocorrelation and shadow lengths.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+from matplotlib.ticker import NullFormatter
+from numpy.typing import NDArray
+from rich.console import Console
+from rich.table import Table
+from scipy import ndimage
+
+from lunarsim.console import plain_console
+from lunarsim.rng import RandomStreams, flight_seed
+from lunarsim.scenario import Scenario
+from lunarsim.sensors.camera import Camera
+from lunarsim.simulation.worlds import build_world
+from lunarsim.vehicle import State
+from lunarsim.viz.style import COLOURS, new_figure, save
+from lunarsim.world import World
+from lunarsim.world.light import FULL_EARTH_IRRADIANCE_RATIO, SUN_DIAMETER_RAD, Light
+
+Array = NDArray[np.float64]
+
+ROOT = Path(__file__).parents[1]
+REAL = ROOT / "data" / "moon_nac_M143947267L_iof_400.npz"
+SAMPLE, LINE, SIDE = 0.545, 0.58, 400
+ALTITUDE = 3000.0
+# Sun elevation 36.56 deg; shadows point along (0.82, -0.57) in samples and lines: east and north.
+SHADOWS = np.array([0.82 * SAMPLE, 0.57 * LINE])
+ELEVATION = np.radians(36.56)
+AZIMUTH = float(np.arctan2(-SHADOWS[0], -SHADOWS[1]))
+GROUNDS = ("highland", "mare")
+# High-pass scale, pixels, 1 sigma: larger structures belong to the region, not the terrain, and are
+# divided out of the real and the rendered images.
+REGION = 40.0
+# Pixels below this value, relative to the local mean, count as shadow.
+DARK = 0.55
+
+
+def light(full: bool, seed: int) -> Light:
+    """Return the Sun of the real image, plain or with all effects."""
+    plain = Light(AZIMUTH, ELEVATION)
+    if not full:
+        return plain
+    return replace(
+        plain, photometry="hapke", diameter=SUN_DIAMETER_RAD, scattered=True,
+        earthshine=0.5 * FULL_EARTH_IRRADIANCE_RATIO, mottle=0.05, boulder_albedo=1.3,
+        boulder_mottle=0.15,
+        mottle_seed=seed,
+    )  # fmt: skip
+
+
+def camera() -> Camera:
+    """Return a camera with the pixels of the real one; 12 bits over an I/F of 0.3."""
+    return Camera(
+        SIDE, SIDE, ALTITUDE / SAMPLE, ALTITUDE / LINE, exposure=1e-3,
+        mount=np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]]),
+        sensitivity=2e8, full_well=60_000.0, bits=12, read_noise=70.0,
+    )  # fmt: skip
+
+
+def render(name: str, full: bool, seed: int) -> Array:
+    """Return I/F (400, 400) of the terrain of a scenario as seen by the real camera."""
+    scenario = Scenario.load(ROOT / f"{name}.toml")
+    if hasattr(scenario.terrain, "size_m"):
+        scenario = scenario.changed(terrain={"size_m": 260.0})
+    world = build_world(scenario, RandomStreams(flight_seed(seed, 0)))
+    world = World(world.terrain, world.gravity, light(full, seed))
+    x, y = scenario.target.position_m
+    height = float(world.terrain.elevation([x, y])) + ALTITUDE
+    state = State(
+        np.array([x, y, height]), np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]), np.zeros(3), 1.0
+    )
+    nac = camera()
+    counts = nac.expose(world, state, 0.0, np.random.default_rng(seed)).counts
+    return counts / (2**nac.bits - 1) * nac.full_well / (nac.sensitivity * nac.exposure)
+
+
+def divide_by_local_mean(image: Array) -> Array:
+    """Return an image divided by its local mean."""
+    return np.asarray(image / ndimage.gaussian_filter(image, REGION, mode="reflect"))
+
+
+def spectrum(flat: Array) -> tuple[Array, Array]:
+    """Return wave numbers (cycles/m) and power (m^2) in rings of equal ratio."""
+    window = np.outer(np.hanning(SIDE), np.hanning(SIDE))
+    window /= np.sqrt(np.mean(window**2))
+    power = np.abs(np.fft.fft2((flat - flat.mean()) * window)) ** 2 * SAMPLE * LINE / SIDE**2
+    k = np.hypot(np.fft.fftfreq(SIDE, SAMPLE)[None, :], np.fft.fftfreq(SIDE, LINE)[:, None])
+    edges = np.geomspace(0.02, 0.85, 14)
+    ring = np.digitize(k.ravel(), edges)
+    mean = [power.ravel()[ring == n].mean() for n in range(1, edges.size)]
+    return np.sqrt(edges[1:] * edges[:-1]), np.array(mean)
+
+
+def correlation(flat: Array) -> tuple[Array, Array]:
+    """Return the autocorrelation at distances (m) along and across the Sun azimuth."""
+    f = np.fft.fft2(flat - flat.mean())
+    auto = np.fft.ifft2(np.abs(f) ** 2).real
+    auto = np.fft.fftshift(auto / auto[0, 0])
+    distance = np.arange(0.0, 15.0, 0.5)
+    along = SHADOWS / np.hypot(*SHADOWS)
+    out = []
+    for east, north in (along, (-along[1], along[0])):
+        rows = SIDE // 2 - distance * north / LINE
+        columns = SIDE // 2 + distance * east / SAMPLE
+        out.append(ndimage.map_coordinates(auto, [rows, columns], order=1))
+    return distance, np.array(out)
+
+
+def shadow_lengths(flat: Array) -> Array:
+    """Return the length of each dark patch of two pixels or more along the shadows, m."""
+    patches, count = ndimage.label(flat < DARK, np.ones((3, 3)))
+    along = SHADOWS / np.hypot(*SHADOWS)
+    lengths = []
+    for at in ndimage.find_objects(patches)[:count]:
+        rows, columns = np.nonzero(patches[at] == patches[at].max())
+        if rows.size >= 2:
+            reach = columns * SAMPLE * along[0] - rows * LINE * along[1]
+            lengths.append(float(np.ptp(reach)) + 0.56)
+    return np.array(lengths)
+
+
+def figures(image: Array) -> dict[str, Any]:
+    """Return the metrics of an image."""
+    flat = divide_by_local_mean(image)
+    k, power = spectrum(flat)
+    distance, auto = correlation(flat)
+    lengths = shadow_lengths(flat)
+    fine = (k > 0.05) & (k < 0.6)
+    slope = np.polyfit(np.log(k[fine]), np.log(power[fine]), 1)[0]
+    half = [float(distance[np.argmax(a < 0.5)]) for a in auto]
+    return {
+        "mean": float(image.mean()), "spread": float(flat.std()),
+        "skewness": float(np.mean((flat - flat.mean()) ** 3) / flat.std() ** 3),
+        "percentiles": np.percentile(flat, [1, 5, 25, 75, 95, 99]).round(4).tolist(),
+        "slope": float(slope), "half_along_m": half[0], "half_across_m": half[1],
+        "shadow_share": float(np.mean(flat < DARK)),
+        "shadows_ha": float(lengths.size / (SIDE**2 * SAMPLE * LINE) * 1e4),
+        "length_median_m": float(np.median(lengths)) if lengths.size else 0.0,
+        "length_90_m": float(np.percentile(lengths, 90)) if lengths.size else 0.0,
+        "wave_numbers": k.tolist(), "power": power.tolist(),
+        "histogram_distance": 0.0,
+    }  # fmt: skip
+
+
+def histogram_distance(one: Array, other: Array) -> float:
+    """Return the mean difference of the sorted values of two normalised images."""
+    return float(
+        np.mean(
+            np.abs(
+                np.sort(divide_by_local_mean(one).ravel())
+                - np.sort(divide_by_local_mean(other).ravel())
+            )
+        )
+    )
+
+
+def smooth_part(image: Array) -> tuple[float, float]:
+    """Return spread and correlation length (m, to 1/e) of the smooth terrain.
+
+    This is an upper limit of the albedo variation, because it includes unresolved relief.
+    """
+    part = divide_by_local_mean(image)[60:380, 260:390]
+    part = part - part.mean()
+    rows = [np.mean(part[: part.shape[0] - k] * part[k:]) for k in range(24)]
+    columns = [np.mean(part[:, : part.shape[1] - k] * part[:, k:]) for k in range(24)]
+    lengths = [
+        side * float(np.interp(-np.exp(-1.0), -np.array(auto) / auto[0], np.arange(24)))
+        for side, auto in ((LINE, rows), (SAMPLE, columns))
+    ]
+    return float(part.std()), float(np.mean(lengths))
+
+
+ROWS = (
+    ("mean", "mean I/F", ".3f"), ("spread", "spread / local mean", ".3f"),
+    ("skewness", "skewness", "+.2f"), ("histogram_distance", "histogram distance", ".3f"),
+    ("slope", "spectral slope", "+.2f"),
+    ("half_along_m", "correlation 0.5 along (m)", ".1f"),
+    ("half_across_m", "correlation 0.5 across (m)", ".1f"),
+    ("shadow_share", "shadow fraction", ".4f"), ("shadows_ha", "shadows per hectare", ".0f"),
+    ("length_median_m", "shadow length, median (m)", ".2f"), ("length_90_m",
+    "shadow length, 90th pct. (m)", ".2f"),
+)  # fmt: skip
+
+
+def show(found: dict[str, dict[str, Any]], console: Console) -> None:
+    """Print a table of all images."""
+    table = Table(title="Rendered images compared with M143947267L")
+    table.add_column("")
+    for name in found:
+        table.add_column(name, justify="right")
+    for key, title, form in ROWS:
+        table.add_row(title, *(format(one[key], form) for one in found.values()))
+    console.print(table)
+
+
+def draw(images: dict[str, Array], found: dict[str, dict[str, Any]], path: Path) -> None:
+    """Plot the images, their histograms, spectra and correlations."""
+    count = len(images)
+    figure = new_figure(3.1 * count, 6.6)
+    axes = figure.subplots(2, max(count, 3), gridspec_kw={"height_ratios": [1.15, 1.0]})
+    for ax in axes.ravel():
+        ax.axis("off")
+    for ax, (name, image) in zip(axes[0], images.items(), strict=False):
+        ax.imshow(
+            divide_by_local_mean(image), cmap="gray", vmin=0.2, vmax=1.6, interpolation="nearest"
+        )
+        ax.set_title(name)
+    histogram, power, auto = axes[1, :3]
+    for ax in (histogram, power, auto):
+        ax.axis("on")
+    for n, (name, image) in enumerate(images.items()):
+        colour, width = ("black", 2.0) if n == 0 else (COLOURS[n % len(COLOURS)], 1.0)
+        histogram.hist(divide_by_local_mean(image).ravel(), np.linspace(0.0, 2.0, 80),
+        histtype="step",
+                       color=colour, linewidth=width, density=True, label=name)  # fmt: skip
+        power.loglog(found[name]["wave_numbers"], found[name]["power"], color=colour,
+                     linewidth=width)  # fmt: skip
+        distance, both = correlation(divide_by_local_mean(image))
+        auto.plot(distance, both[0], color=colour, linewidth=width)
+        auto.plot(distance, both[1], "--", color=colour, linewidth=width)
+    histogram.set_yscale("log")
+    histogram.set_xlabel("I/F / local mean")
+    histogram.legend(fontsize=7)
+    power.set_xlabel("Wave number (cycles/m)")
+    power.set_title("power (m²)")
+    power.xaxis.set_minor_formatter(NullFormatter())
+    auto.set_xlabel("Distance along the Sun (m); dashed: across")
+    auto.set_title("autocorrelation")
+    save(figure, path)
+
+
+def compare(grounds: tuple[str, ...], seed: int) -> tuple[dict[str, Array], dict[str, Any]]:
+    """Return the images and their metrics, the real one first."""
+    with np.load(REAL) as data:
+        images = {"real": data["iof"].astype(np.float64)}
+    for name in grounds:
+        for full in (False, True):
+            images[f"{name}, {'full' if full else 'plain'}"] = render(name, full, seed)
+    found = {name: figures(image) for name, image in images.items()}
+    for name, image in images.items():
+        found[name]["histogram_distance"] = histogram_distance(image, images["real"])
+    return images, found
+
+
+@click.command()
+@click.option("--ground", "grounds", multiple=True, default=GROUNDS, show_default=True,
+              help="Scenario of the terrain; repeatable.")  # fmt: skip
+@click.option(
+    "--seed", default=1, show_default=True, help="Random seed of rocks, albedo and noise."
+)
+@click.option("--json", "json_file", type=click.Path(path_type=Path, dir_okay=False), default=None,
+              help="Output file of the metrics.")  # fmt: skip
+@click.option("--out", type=click.Path(path_type=Path, file_okay=False), default=None,
+              help="Output folder of the figure (default: none).")  # fmt: skip
+def main(grounds: tuple[str, ...], seed: int, json_file: Path | None, out: Path | None) -> None:
+    """Compare rendered images with the real image."""
+    images, found = compare(grounds, seed)
+    console = plain_console(150)
+    show(found, console)
+    spread, length = smooth_part(images["real"])
+    console.print(
+        f"Smooth terrain of the real image: spread {spread:.3f}, correlation 1/e at {length:.1f} m"
+    )
+    if json_file is not None:
+        json_file.parent.mkdir(parents=True, exist_ok=True)
+        json_file.write_text(json.dumps(found, indent=1), encoding="utf-8")
+    if out is not None:
+        draw(images, found, out / "beside_nac.png")
+
+
+if __name__ == "__main__":
+    main()
