@@ -14,7 +14,11 @@ import pytest
 from click.testing import CliRunner
 
 from lunarsim.onboard.guidance.approach import Approach
-from lunarsim.onboard.guidance.neural_law import LEAST_ELEVATION, MOST_ACROSS, MOST_HEIGHT
+from lunarsim.onboard.guidance.neural_law import (
+    MAX_CROSSRANGE_SPEED_M_S,
+    MAX_HEIGHT_M,
+    MIN_ELEVATION_RAD,
+)
 from lunarsim.scenario import Scenario
 
 
@@ -138,9 +142,9 @@ def test_shards_of_other_limits_are_rejected(small, tmp_path, monkeypatch):
 
 def test_descents_start_in_the_domain_of_the_law(small):
     starts = small.StartDistribution()
-    assert starts.elevation == pytest.approx(np.rad2deg(LEAST_ELEVATION))
-    assert starts.height[1] == MOST_HEIGHT
-    assert starts.across == (-MOST_ACROSS, MOST_ACROSS)
+    assert starts.elevation == pytest.approx(np.rad2deg(MIN_ELEVATION_RAD))
+    assert starts.height[1] == MAX_HEIGHT_M
+    assert starts.across == (-MAX_CROSSRANGE_SPEED_M_S, MAX_CROSSRANGE_SPEED_M_S)
 
 
 def test_invalid_limits_file_is_rejected(small, tmp_path):

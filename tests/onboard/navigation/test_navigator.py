@@ -125,6 +125,7 @@ def test_an_azimuth_that_is_corrected_turns_no_ground(world):
 @pytest.mark.statistical
 def test_odometry_slows_the_drift(world):
     grown = {}
+    inflated = 0
     nees = Consistency()
     for scans in (True, False):
         gaps = []
@@ -135,12 +136,15 @@ def test_odometry_slows_the_drift(world):
             first = descent.error()
             descent.fly(4.0, aim=np.zeros(3), scans=scans)
             gaps.append(np.linalg.norm((descent.error() - first)[:3]))
-            assert names(descent) == []
+            assert set(names(descent)) <= {"doubted"}
+            inflated += len(names(descent))
             if scans:
                 found = descent.estimate()
                 off, own = VELOCITY - found.velocity, found.covariance[3:6, 3:6]
                 nees = nees.plus(normalised_squared_error(off, own), 3)
         grown[scans] = np.sqrt(np.mean(np.square(gaps)))
+    # On 480 flights of other draws there were two; more than three in 24 have a chance below 1e-5.
+    assert inflated <= 3
     assert grown[True] < 0.5 * grown[False]
     assert nees.ratio < ratio_bounds(nees.degrees)[1]
 
