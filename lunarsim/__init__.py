@@ -10,11 +10,9 @@ All public names are listed in docs/api.md; contracts for custom parts are in `l
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import Any
-
 __version__ = "0.1.0"
 
+from lunarsim._lazy import lazy_names
 from lunarsim.forks import watch_forks
 from lunarsim.user_cache import ensure_caches
 
@@ -27,7 +25,7 @@ _MODULES = {
     "InputError": "lunarsim.errors",
     "RenderingError": "lunarsim.errors",
     "map_quality": "lunarsim.evaluation.map_quality",
-    "world_of": "lunarsim.evaluation.world_reconstruction",
+    "rebuild_world": "lunarsim.evaluation.world_reconstruction",
     "compare": "lunarsim.facade",
     "fly": "lunarsim.facade",
     "load_scenario": "lunarsim.facade",
@@ -36,7 +34,7 @@ _MODULES = {
     "gaussian_dem": "lunarsim.onboard.hazards.gaussian_dem",
     "HazardMap": "lunarsim.onboard.hazards.hazard_map",
     "allow_modules": "lunarsim.parts.module_permission",
-    "Streams": "lunarsim.rng",
+    "RandomStreams": "lunarsim.rng",
     "flight_seed": "lunarsim.rng",
     "conservative_safety": "lunarsim.safety",
     "exact_safety": "lunarsim.safety",
@@ -46,20 +44,9 @@ _MODULES = {
     "build_world": "lunarsim.simulation.worlds",
     "FlightFigures": "lunarsim.viz.flight",
     "plot_flight": "lunarsim.viz.flight",
-    "load_dtm": "lunarsim.world.terrain.dtm",
+    "load_terrain": "lunarsim.world.terrain.dtm",
     "Heightfield": "lunarsim.world.terrain.heightfield",
     "Terrain": "lunarsim.world.terrain.terrain",
 }
 __all__ = sorted(_MODULES)  # noqa: PLE0605
-
-
-def __getattr__(name: str) -> Any:
-    if name not in _MODULES:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    found = getattr(import_module(_MODULES[name]), name)
-    globals()[name] = found
-    return found
-
-
-def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+__getattr__, __dir__ = lazy_names(__name__, _MODULES, globals())
