@@ -143,8 +143,9 @@ def test_odometry_slows_the_drift(world):
                 off, own = VELOCITY - found.velocity, found.covariance[3:6, 3:6]
                 nees = nees.plus(normalised_squared_error(off, own), 3)
         grown[scans] = np.sqrt(np.mean(np.square(gaps)))
-    # On 480 flights of other draws there were two; more than three in 24 have a chance below 1e-5.
-    assert inflated <= 3
+    # Three of 12 other draws had one; at twice that rate (4 % of the flights with scans), more
+    # than four have a chance of 7e-5.
+    assert inflated <= 4
     assert grown[True] < 0.5 * grown[False]
     assert nees.ratio < ratio_bounds(nees.degrees)[1]
 
