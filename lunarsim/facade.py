@@ -170,6 +170,6 @@ def render(scenario: Scenario | str | Path = "hirise", **options: Any) -> SceneI
     --------
     >>> import lunarsim
     >>> lunarsim.render("hirise", altitude=60.0).counts.shape
-    (1024, 1024)
+    (480, 640)
     """
     return render_scenario(load_scenario(scenario), **options)

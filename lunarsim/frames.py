@@ -38,7 +38,7 @@ def rotation_about_up(angle: float) -> Array:
 
     Examples
     --------
-    >>> np.round(turned_about_up(np.pi / 2) @ [1.0, 0.0, 0.0], 6)
+    >>> np.round(rotation_about_up(np.pi / 2) @ [1.0, 0.0, 0.0], 6)
     array([0., 1., 0.])
     """
     c, s = np.cos(angle), np.sin(angle)
@@ -59,7 +59,7 @@ class SiteToLocal:
 
     Examples
     --------
-    >>> shift = Shift(np.array([10.0, -5.0, 1.0]))
+    >>> shift = SiteToLocal(np.array([10.0, -5.0, 1.0]))
     >>> shift.to_local([[0.0, 0.0, 0.0]])
     array([[10., -5.,  1.]])
     >>> shift.to_site(shift.to_local([[3.0, 4.0, 5.0]]))
@@ -119,7 +119,7 @@ def is_position(position: ArrayLike) -> bool:
 
     Examples
     --------
-    >>> is_place([0.0, 1.0, 2.0]), is_place([0.0, 1.0]), is_place(None)
+    >>> is_position([0.0, 1.0, 2.0]), is_position([0.0, 1.0]), is_position(None)
     (True, False, False)
     """
     return _numbers(position, 3) is not None

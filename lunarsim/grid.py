@@ -17,7 +17,7 @@ def format_bytes(count: float) -> str:
 
     Examples
     --------
-    >>> bytes_in_words(5e9)
+    >>> format_bytes(5e9)
     '4.66 GiB'
     """
     power = 0

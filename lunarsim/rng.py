@@ -55,7 +55,7 @@ class RandomStreams:
 
         Examples
         --------
-        >>> first, again = Streams(flight_seed(1, 0)), Streams(flight_seed(1, 0))
+        >>> first, again = RandomStreams(flight_seed(1, 0)), RandomStreams(flight_seed(1, 0))
         >>> float(first.get("rocks").random()) == float(again.get("rocks").random())
         True
         """

@@ -30,16 +30,16 @@ observation, reward, terminated, truncated, info = env.step(0)
 
 `views=True` draws such frames (`python scripts/environment_film.py docs/images/retarget.gif` makes
 this film); the drawn terrain ends at the edge of the generated world. `render_mode="human"` shows
-the frames in a window if there is a screen. `RecordFilm` writes flights as films. Gymnasium's
+the frames in a window if there is a screen. `RecordVideos` writes flights as films. Gymnasium's
 `RecordVideo` also works with MoviePy; MoviePy requires an older Pillow but works with the current
 one: `pip install --no-deps moviepy imageio imageio-ffmpeg proglog tqdm decorator python-dotenv`.
 
 ```python
 import gymnasium
-from lunarsim_envs.video import RecordFilm
+from lunarsim_envs.video import RecordVideos
 
 env = gymnasium.make("lunarsim/Retarget-v0", render_mode="rgb_array", perception="truth")
-env = RecordFilm(env, "out/films")
+env = RecordVideos(env, "out/films")
 observation, info = env.reset(seed=1)
 over = False
 while not over:

@@ -50,7 +50,7 @@ def test_fly_prints_the_verdict_and_writes_the_record(small, tmp_path):
     out = tmp_path / "flight"
     result = run("fly", str(small), "--seed", "3", "--out", str(out))
     assert result.exit_code == 0, result.output
-    told = dict(re.findall(r"^ (\S.*?)  +(\S.*?) *$", result.stdout, re.MULTILINE))
+    told = dict(re.findall(r"^ +(\S.*?)  +(\S.*?) *$", result.stdout, re.MULTILINE))
     assert told.pop("map 'dem'") == "is outside its calibrated domain"
     flight = Flight.load(out)
     touchdown, degrees = flight.verdict.touchdown, np.rad2deg
@@ -86,7 +86,7 @@ def test_compare_prints_a_row_a_policy(tmp_path):
     assert f"results, flight records and figures are in {out}" in result.stdout
     # As of `campaign run`: its engine, its cache, kernels first.
     assert json.loads((out / "manifest.json").read_text())["engine"] == "local"
-    assert list((tmp_path / "cache").rglob("*.npz")) and "kernels are ready" in result.output
+    assert list((tmp_path / "cache").rglob("*.npz")) and "Kernels are ready" in result.output
     assert "truly safe fraction" in result.output
     rows = {row["policy"]: row for row in pq.read_table(out / "results.parquet").to_pylist()}
     for policy in ("no-divert", "safest"):

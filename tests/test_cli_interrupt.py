@@ -70,13 +70,13 @@ def command():
 """
 ANSWERED = f"""
 import sys
-from lunarsim.cli_start import heard
+from lunarsim.cli_start import acknowledge_interrupt
 
 def command():
     try:
         exec("{PRESS}; time.sleep(9)")
     except KeyboardInterrupt:  # as a group of commands does
-        heard()
+        acknowledge_interrupt()
         sys.exit(130)
 """
 FOLDERS_GO = f"""
@@ -245,7 +245,7 @@ def test_a_record_is_there_whole_or_not_at_all(small, monkeypatch):
     assert done.exit_code == 130
     assert set(state(small)) == {small / "small.toml"}
     with monkeypatch.context() as patch:
-        patch.setattr("lunarsim.cli._print_outcome", pressed)
+        patch.setattr("lunarsim.simulation.Flight.__str__", pressed)
         done = _fly()
     assert done.stderr.splitlines()[-1].startswith("interrupted: scenario and record are in ")
     shutil.rmtree(small / "above")

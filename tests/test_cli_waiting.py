@@ -148,7 +148,7 @@ def runs(pid: int) -> bool:
 
 def test_the_process_that_helps_ends_with_the_one_that_began_it():
     helper = (
-        "import sys; from lunarsim.safety.compile_kernels import end_with\n"
+        "import sys; from lunarsim.safety.compile_kernels import exit_with_parent\n"
         "print(flush=True)\n"
         "end_with(int(sys.argv[1]))\n"
     )

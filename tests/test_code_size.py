@@ -1,4 +1,4 @@
-"""No function is over 60 lines, and none takes over 20 arguments."""
+"""No function has more than 60 lines without its docstring, or more than 20 arguments."""
 
 import ast
 from pathlib import Path
@@ -14,6 +14,8 @@ def _too_large(path):
         if not isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
             continue
         lines = node.end_lineno - node.lineno + 1
+        if ast.get_docstring(node) is not None:
+            lines -= node.body[0].end_lineno - node.body[0].lineno + 1
         a = node.args
         arguments = len(a.posonlyargs + a.args + a.kwonlyargs) + bool(a.vararg) + bool(a.kwarg)
         if lines > MOST_LINES or arguments > MOST_ARGUMENTS:

@@ -65,7 +65,7 @@ _WORKQUEUE = (
     + """
 import threading
 from threading import Barrier
-from lunarsim._work_partition import Shared
+from lunarsim._work_partition import PartitionedKernel
 from lunarsim.onboard.navigation._rock_filter_kernels import subtract_few
 from lunarsim.sensors.rendering import renderer_of
 from lunarsim.models.pinhole import View
@@ -103,7 +103,7 @@ os.waitpid(child, 0)
 
 def outlive():
     threading.main_thread().join()
-    twice = Shared(lambda share, out: out.append(share))
+    twice = PartitionedKernel(lambda share, out: out.append(share))
     twice(shares := [])
     twice(shares)
     print(draw(), sorted(shares), flush=True)

@@ -94,5 +94,5 @@ def test_a_forked_child_starts_threads_of_its_own():
 
 def test_an_inner_kernel_refuses_a_call_from_python():
     assert halves(8.0) == 2.0
-    with pytest.raises(TypeError, match="_half: only kernels call it"):
+    with pytest.raises(TypeError, match="_half: only kernels can call this"):
         _half(8.0)

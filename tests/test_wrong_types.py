@@ -94,7 +94,7 @@ def test_models_of_shadows_refuse_what_is_no_sun_and_no_shape():
 def test_distortion_that_can_be_taken_out_is_taken():
     """Brown-Conrady folds a wide picture over where a narrow one is well."""
     strong = (-0.6, 0.0, 0.0, 0.0, 0.0)
-    with pytest.raises(InputError, match=r"camera\.distortion .*narrower"):
+    with pytest.raises(InputError, match=r"camera\.distortion: .*narrower"):
         Camera.with_field_of_view(320, 240, 80.0, distortion=strong)
     x, y = Camera.with_field_of_view(320, 240, 30.0, distortion=strong).tangents
     shrunk = 1.0 - 0.6 * (x * x + y * y)

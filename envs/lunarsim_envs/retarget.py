@@ -214,23 +214,18 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], Any]):
         views: bool = False,
     ) -> None:
         if not isinstance(perception, str) or perception not in PERCEPTIONS:
-            raise InputError(
-                "perception", perception, "is unknown", suggestion(str(perception), PERCEPTIONS)
-            )
+            near = suggestion(str(perception), PERCEPTIONS)
+            raise InputError("perception", perception, "is unknown", near)
         if perception not in FULL_SIMULATION:
-            self.metadata = self.metadata | {
-                "render_modes": ["rgb_array", "human"],
-                "render_fps": 1,
-            }
+            modes = ["rgb_array", "human"]
+            self.metadata = self.metadata | {"render_modes": modes, "render_fps": 1}
         modes = self.metadata["render_modes"]
         if render_mode is not None and render_mode not in modes:
             named = ", ".join(map(repr, modes))
             raise ValueError(f"render_mode: must be {named} or None, got {render_mode!r}.")
         views = checked_bool("views", views)
-        worlds, world_seed = (
-            checked_int("worlds", worlds, 1),
-            checked_int("world_seed", world_seed, 0),
-        )
+        worlds = checked_int("worlds", worlds, 1)
+        world_seed = checked_int("world_seed", world_seed, 0)
         if views and (render_mode is None or perception not in FULL_SIMULATION):
             named = ", ".join(map(repr, FULL_SIMULATION))
             raise InputError("views", views, f"needs a render_mode and a perception from {named}")
@@ -257,8 +252,7 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], Any]):
         if render_mode is not None and isinstance(self.flight, KernelFlight):
             self._picture = PlaneView(self.flight.lanes)
         self._with_views = views
-        self._begun, self._over = False, False
-        self._due = 0.0
+        self._begun, self._over, self._due = False, False, 0.0
         self._film: list[NDArray[np.uint8]] = []
         # Values of the last step for frame titles: row, reward, time scale.
         self._last: tuple[int | None, float | None, float | None] = (None, None, None)

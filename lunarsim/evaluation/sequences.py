@@ -28,7 +28,7 @@ def share_confidence_sequence(count: int, total: int, level: float = 0.95) -> tu
 
     Examples
     --------
-    >>> low, high = share_sequence(18, 20)
+    >>> low, high = share_confidence_sequence(18, 20)
     >>> round(low, 3), round(high, 3)
     (0.591, 0.996)
     """

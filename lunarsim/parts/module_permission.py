@@ -81,7 +81,7 @@ def find_module_names(texts: Iterable[str | None]) -> list[str]:
 
     Examples
     --------
-    >>> modules_in(["policy=my_package.own:Mine", "rocks.cover=0.1", None])
+    >>> find_module_names(["policy=my_package.own:Mine", "rocks.cover=0.1", None])
     ['my_package.own']
     """
     found = [module for text in texts if text is not None for module in _PART_PATTERN.findall(text)]

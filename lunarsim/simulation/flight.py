@@ -247,11 +247,6 @@ class Flight:
         ------
         InputError
             If that is not possible, for instance because a raster file is missing.
-
-        Examples
-        --------
-        >>> figures = flight.plot()  # doctest: +SKIP
-        >>> figures.save("out/one")  # doctest: +SKIP
         """
         return lunarsim.plot_flight(self)
 

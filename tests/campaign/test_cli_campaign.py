@@ -46,7 +46,7 @@ def swept(tmp_path_factory):
         "--cache-size", 0,
     )  # fmt: skip
     assert done.exit_code == 0, done.output
-    assert "complete: 8 flights flown" in done.output
+    assert "complete: 8 new flights" in done.output
     return folder / "out"
 
 

@@ -317,7 +317,7 @@ def test_files_of_stable_baselines3_are_told_apart(tmp_path, monkeypatch):
             agent_of(str(tmp_path / "m.zip"), GuidanceEnv(changes=LOW), trust_pickle=True)
         assert asked[-1] == package
     _saved(tmp_path / "m.zip", "somebody.else")
-    with pytest.raises(InputError, match=r"its policy is of somebody\.else"):
+    with pytest.raises(InputError, match=r"its policy is from somebody\.else"):
         agent_of(str(tmp_path / "m.zip"), GuidanceEnv(changes=LOW), trust_pickle=True)
     with zipfile.ZipFile(tmp_path / "n.zip", "w") as file:
         file.writestr("data", io.BytesIO(b"[]").getvalue())

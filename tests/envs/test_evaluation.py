@@ -156,7 +156,7 @@ def test_the_command_writes_what_it_prints(tmp_path):
 
 
 def test_a_scenario_is_asked_for_where_an_environment_tells_none():
-    with pytest.raises(InputError, match="--scenario as well"):
+    with pytest.raises(InputError, match="needs --scenario"):
         evaluation_study("tests/Wanted-v0", None, ["rocks.cover=0.1"], 1)
 
 
@@ -174,7 +174,7 @@ def test_agents_are_shown_the_parts_that_are_asked_for():
         "lunarsim_envs:Guidance-v0", None, [], 1, observation=["velocity", "rate"]
     )
     assert given.make().observation_space.shape == (6,)
-    with pytest.raises(InputError, match="none of lunarsim's"):
+    with pytest.raises(InputError, match="does not apply to"):
         evaluation_study("tests/Wanted-v0", None, [], 1, observation=["velocity"])
     words = ["evaluate", "Guidance-v0", "--agent", "apollo", "--episodes", "1", "--jobs", "1"]
     done = CliRunner().invoke(main, [*words, "--observation", "velocity"])
@@ -200,7 +200,9 @@ def test_any_number_of_processes_gives_the_same_rows():
 
 def test_names_of_a_notebook_are_refused_before_processes_start(monkeypatch):
     monkeypatch.setitem(sys.modules, "__main__", types.ModuleType("__main__"))
-    with pytest.raises(InputError, match=r"^--agent = '__main__:Mine': Mine is defined in a noteb"):
+    with pytest.raises(
+        InputError, match=r"^--agent: Mine is defined in a notebook.* got '__main__:Mine'"
+    ):
         fly(asked(), ["__main__:Mine"], 11, jobs=2)
     monkeypatch.setattr(Wanted, "__module__", "__main__")
     with pytest.raises(InputError, match=r"^env = '__main__:Wanted': .* or use jobs = 1"):

@@ -80,7 +80,7 @@ def test_an_option_that_does_not_exist_is_refused(tmp_path):
     path = stored(tmp_path / "a.onnx", nodes, inputs, outputs)
     agent = agent_of(path, Space(SCALARS, gymnasium.spaces.Discrete(3)))
     assert agent.act(np.array([0, 0, 5, 0]), {}) == 2
-    with pytest.raises(InputError, match=r"an action of Discrete\(3\)"):
+    with pytest.raises(InputError, match=r"an output for Discrete\(3\)"):
         agent.act(np.array([0, 0, 0, 5]), {})
 
 
@@ -109,7 +109,7 @@ def test_networks_of_other_sizes_are_refused(tmp_path):
     with pytest.raises(InputError, match="finite numbers"):
         agent_of(linear(tmp_path / "nan.onnx", np.full((4, 3), np.nan)), space)
     named = gymnasium.spaces.Dict({"a": SCALARS})
-    with pytest.raises(InputError, match="inputs among a, not x"):
+    with pytest.raises(InputError, match="inputs from a, not x"):
         agent_of(linear(tmp_path / "names.onnx", np.zeros((4, 3))), Space(named, BOX))
     mask = [info("x", [1, 4]), info("action_mask", [1, 4])]
     nodes = [helper.make_node("Add", ["x", "action_mask"], ["y"])]

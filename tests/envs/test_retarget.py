@@ -168,7 +168,7 @@ def test_frames_say_of_a_map_that_tells_nothing_what_it_is(env):
     frames, drawn = FrameRenderer(env.unwrapped.simulation, observation), []
     m = observation.hazard_map
     for observed, p, words in (
-        (False, 0.9, "map saw nothing"),
+        (False, 0.9, "Map observed nothing"),
         (True, 0.9, "map calls everything that it saw safe"),
         (True, 0.2, "map calls nothing that it saw safe"),
     ):

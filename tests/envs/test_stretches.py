@@ -287,7 +287,7 @@ def test_a_part_of_ones_own(monkeypatch):
     with pytest.raises(InputError, match="one component that sets the stretch"):
         SiteActions(("slow", "stretch"))
     for part, says in (
-        (slow, "a name of its own"), (ActionComponent("a", "abort", 2, "", slow.of), "'site' or"),
+        (slow, "is already registered"), (ActionComponent("a", "abort", 2, "", slow.of), "'site' or"),
         (ActionComponent("b", "stretch", 1, "", slow.of), "at least 2"),
     ):  # fmt: skip
         with pytest.raises(InputError, match=says):
@@ -365,7 +365,7 @@ def test_frames_say_by_which_stretch():
     env.reset(seed=3)
     env.step([0, 3])
     env.render()
-    assert "keep the site,  stretch 1.15,  reward" in env.frames.title
+    assert "keep the site,  time scale 1.15,  reward" in env.frames.title
     env.step([0, 0])
     env.render()
     assert "stretch" not in env.frames.title

@@ -23,5 +23,5 @@ def test_it_flies_to_the_site(small):
 
 
 def test_its_settings_are_checked(small):
-    with pytest.raises(ValueError, match=r"guidance\.least_time_to_go_s = -1"):
+    with pytest.raises(ValueError, match=r"guidance\.least_time_to_go_s: .*got -1"):
         small.changed(guidance={"kind": OWN, "least_time_to_go_s": -1.0})

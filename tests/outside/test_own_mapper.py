@@ -25,5 +25,7 @@ def test_a_policy_flies_on_it_and_the_record_holds_both(small, tmp_path):
 
 
 def test_it_must_be_given_a_lidar(small):
-    with pytest.raises(InputError, match=r"mappers\.level\.sensor = 'imu': a sensor of"):
+    with pytest.raises(
+        InputError, match=r"mappers\.level\.sensor: must be a sensor of .*got 'imu'"
+    ):
         small.changed(mappers={"level": {"kind": OWN, "sensor": "imu"}})

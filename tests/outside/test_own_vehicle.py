@@ -26,5 +26,5 @@ def test_its_figures_can_be_set_and_are_checked(small):
     )
     with pytest.raises(InputError, match=r"vehicle\.thrust_max_n"):
         Simulation(small.changed(vehicle={"kind": OWN, "thrust_max_n": 200.0}), 1)
-    with pytest.raises(InputError, match=r"vehicle\.wheels = 4: unknown key"):
+    with pytest.raises(InputError, match=r"vehicle\.wheels: is an unknown key, got 4"):
         small.changed(vehicle={"kind": OWN, "wheels": 4})

@@ -186,7 +186,7 @@ def test_run_killed_while_writing_resumes(small, tmp_path, monkeypatch):
         raise SystemExit(9)
 
     monkeypatch.setattr(small, "write_dataset", killed)
-    monkeypatch.setattr(small, "filled_whole", lambda folder: nullcontext())
+    monkeypatch.setattr(small, "remove_contents_on_error", lambda folder: nullcontext())
     CliRunner().invoke(small.main, ["--descents", "7", "--out", str(tmp_path)])
     assert not (tmp_path / "data").exists()
     monkeypatch.setattr(small, "write_dataset", write)

@@ -51,7 +51,7 @@ def test_a_number_too_long_to_show_is_still_an_input_error():
 @pytest.mark.parametrize("key", ["name", "description"])
 def test_texts_hold_no_commands_for_a_terminal(key):
     for odd in ("\x1b]0;x\x07", "\x9b31m", "\x00"):
-        with pytest.raises(InputError, match=f"{key} = .*control characters"):
+        with pytest.raises(InputError, match=f"{key}: .*control characters"):
             Scenario.from_dict({key: odd})
     text = "Mare\u202fImbrium, \u00fc, \u6708"
     assert Scenario.from_dict({key: text}).to_dict()[key] == text

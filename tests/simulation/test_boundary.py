@@ -138,7 +138,7 @@ def test_a_policy_gets_interest_and_scoreboard_where_there_is_no_world(tmp_path)
     simulation = Simulation(sites(tmp_path), 2, "scoreboard", tap=tap)
     flight = simulation.run()
     assert flight.decisions
-    assert {d["reason"] for d in flight.decisions} == {"best of the scoreboard"}
+    assert {d["reason"] for d in flight.decisions} == {"best ranked site"}
     observation = simulation.observe()
     board = observation.scoreboard
     assert (board.position[:, 1] > 0.0).all()

@@ -149,25 +149,9 @@ def path_state(target, end_state, total, table, s, powers, x, gravity, position,
 
 @kernel(inner=True)
 def observe_along_path(
-    target,
-    end_state,
-    total,
-    table,
-    powers,
-    x,
-    gravity,
-    end_tilt,
-    ground,
-    nodes,
-    sharpness,
-    visible,
-    displacement,
-    reduction,
-    sensor_params,
-    single_altitudes,
-    samples,
-    known,
-):
+    target, end_state, total, table, powers, x, gravity, end_tilt, ground, nodes, sharpness,
+    visible, displacement, reduction, sensor_params, single_altitudes, samples, known,
+):  # fmt: skip
     """Raise the known fraction of each node (g,) by all observations along a path.
 
     Returns False if the thrust tilts by more than `end_tilt` (a tangent) below the altitude at
@@ -208,38 +192,18 @@ def observe_along_path(
                     for i in range(3):
                         samples[3, i] = samples[2, i] + part * (samples[0, i] - samples[2, i])
                     observe_nodes(
-                        samples[3],
-                        samples[1],
-                        time_left,
-                        ground,
-                        nodes,
-                        sensor,
-                        sharpness,
-                        visible,
-                        displacement,
-                        reduction,
-                        sensor_params,
-                        known,
-                    )
+                        samples[3], samples[1], time_left, ground, nodes, sensor, sharpness,
+                        visible, displacement, reduction, sensor_params, known,
+                    )  # fmt: skip
             elif (
                 max(sensor_params[sensor, MIN_ALTITUDE], min_altitude)
                 <= altitude
                 <= sensor_params[sensor, MAX_ALTITUDE]
             ):
                 observe_nodes(
-                    samples[0],
-                    samples[1],
-                    time_left,
-                    ground,
-                    nodes,
-                    sensor,
-                    sharpness,
-                    visible,
-                    displacement,
-                    reduction,
-                    sensor_params,
-                    known,
-                )
+                    samples[0], samples[1], time_left, ground, nodes, sensor, sharpness, visible,
+                    displacement, reduction, sensor_params, known,
+                )  # fmt: skip
         lowest_altitude = min(lowest_altitude, altitude)
         samples[2] = samples[0]
     return True

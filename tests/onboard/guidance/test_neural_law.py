@@ -352,7 +352,7 @@ def broken(**changes):
         ({"bias_0": np.full(96, np.nan)}, "not finite"),
         ({"scale": np.ones(3)}, "wrong shape"),
         ({"far": np.ones(5)}, "missing"),
-        ({"more": np.random.default_rng(1).random(200_000)}, "more than 1 MB"),
+        ({"more": np.random.default_rng(1).random(200_000)}, "exceeds 1 MB"),
         ({"low": np.array([None])}, "pickle"),
     ],
 )

@@ -181,9 +181,7 @@ def _regress_triangle(
     if i0 > i1 or j0 > j1:
         return
     # Gram matrix and its inverse, both symmetric.
-    da = prior + noise[a]
-    db = prior + noise[b]
-    dc = prior + noise[c]
+    da, db, dc = prior + noise[a], prior + noise[b], prior + noise[c]
     per_length = 1.0 / length_scale
     ab = prior * _correlation(ax, ay, bx, by, per_length)
     ac = prior * _correlation(ax, ay, cx, cy, per_length)

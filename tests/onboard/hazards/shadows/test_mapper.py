@@ -243,7 +243,8 @@ def test_a_map_that_calls_all_safe_says_so_and_what_follows_too(scene, monkeypat
     monkeypatch.setattr(probability, "hazard_map", safe)
     few = []
     monkeypatch.setattr(
-        "lunarsim.onboard.hazards.shadows.mapper.too_few", lambda found, expected: bool(few)
+        "lunarsim.onboard.hazards.shadows.mapper.is_rock_count_too_low",
+        lambda found, expected: bool(few),
     )
     names = []
     for k in range(4):

@@ -14,7 +14,7 @@ from lunarsim.onboard.tasking.contract import MeasurementAltitudes
 from lunarsim.onboard.tasking.schedules import AtAltitudes, Periodic, Sweep
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation
-from tests.onboard.seeking.conftest import QUICK, at_start
+from tests.onboard.active_perception.conftest import QUICK, at_start
 from tests.worlds import SMALL_FLIGHT
 
 

@@ -13,7 +13,7 @@ from lunarsim.onboard.active_perception.sensor_coverage import (
 )
 from lunarsim.onboard.guidance.divert_cost import divert_cost
 from lunarsim.onboard.tasking.contract import MeasurementAltitudes
-from tests.onboard.seeking.conftest import at_start
+from tests.onboard.active_perception.conftest import at_start
 from tests.reference import seeking as plain
 
 PRICE, MOST = 0.02, 20.0
