@@ -43,7 +43,7 @@ _POLICIES = "no-divert,safest,nearest-safe,fuel-aware,truth-oracle"
 @click.group(cls=Group, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(lunarsim.__version__, prog_name="lunarsim")
 def main() -> None:
-    """Simulate lunar landings in closed loop: terrain, LiDAR, hazard map, divert, touchdown.
+    """Simulate lunar landings: terrain, LiDAR, hazard map, divert, touchdown.
 
     \b
     Start here:

@@ -1,4 +1,4 @@
-"""Define the commands `lunarsim campaign ...`, `lunarsim sweep` and `lunarsim replay`."""
+"""Define the commands `lunarsim campaign`, `lunarsim sweep`, `lunarsim replay`."""
 
 from __future__ import annotations
 

@@ -25,7 +25,7 @@ def _groups(result: CalibrationResult) -> tuple[tuple[str, CalibrationComparison
 
 
 def calibration_table(result: CalibrationResult) -> Table:
-    """Build the table of packaged and refitted calibration per domain, with 95 % intervals."""
+    """Build the table of packaged and refitted calibration, with 95 % intervals."""
     c = result.calibration
     table = Table(
         title=f"{c.scenario}: {c.sites} sites on {result.maps} maps of {c.flights} flights, "

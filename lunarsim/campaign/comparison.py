@@ -1,4 +1,4 @@
-"""Compare policies or guidance laws over the same worlds: a short form of a campaign.
+"""Compare policies or guidance laws over the same worlds, as a small campaign.
 
 Flight i of every policy has the same world, start, sensor noise and navigation errors. They derive
 from the root seed and i only, so the number of processes does not change any bit.
@@ -142,7 +142,7 @@ def compare(
     apart: bool = False,
     guidance: Sequence[str] = (),
 ) -> CompareResult:
-    """Fly `flights` flights under each policy, and with each guidance law if some are named.
+    """Fly `flights` flights under each policy, and with each guidance law if given.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Compile kernels once, before several workers would compile them at the same time."""
+"""Compile kernels once, before several workers compile them at the same time."""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""Sensitivity of a metric to the dispersions, with intervals; by SALib (extra `sensitivity`).
+"""Compute sensitivity indices of a metric with intervals, by SALib.
+
+SALib is in the extra `sensitivity`.
 
 Sobol indices need a Saltelli design (`method = "saltelli"`). For other methods PAWN is computed
 (Pianosi and Wagener 2018): the Kolmogorov distance between the distribution of the metric and its
@@ -157,7 +159,7 @@ def _pawn(
     arm: str, metric: str, keys: Sequence[str], inputs: Array, values: Array, resamples: int,
     rng: np.random.Generator,
 ) -> Sensitivity:  # fmt: skip
-    """Compute PAWN medians with bootstrap intervals, and the value that chance alone gives."""
+    """Compute PAWN medians with bootstrap intervals, and their value by chance."""
     good = np.isfinite(values) & np.isfinite(inputs).all(axis=1)
     inputs, y = inputs[good], values[good]
     result = Sensitivity(

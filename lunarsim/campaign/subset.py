@@ -134,7 +134,7 @@ class SubsetChains:
         return 0 if level == 0 else self.flights + (level - 1) * (self.flights - self.chains)
 
     def _locate(self, flight: int) -> tuple[int, int, int]:
-        """Return level, step and chain of a flight; flights of the first level have step 0."""
+        """Return level, step and chain of a flight; the first level has step 0."""
         if flight < self.flights:
             return 0, 0, flight
         level, rest = divmod(flight - self.flights, self.flights - self.chains)
@@ -232,7 +232,7 @@ class SubsetChains:
         self._waiting = deque(range(end, end + self.chains))
 
     def resume(self, rows: Iterable[Row]) -> list[int]:
-        """Add the rows of a folder, sorted by flight; return flights whose predecessor is missing.
+        """Add a folder's rows, by flight; return flights that lack their predecessor.
 
         Parameters
         ----------

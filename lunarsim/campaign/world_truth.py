@@ -1,4 +1,4 @@
-"""Terrain of a flight and the truth about it, shared by all arms and cached on disk.
+"""Terrain of a flight and its truth, shared by all arms and cached on disk.
 
 Terrain and rocks are generated again for each flight index, which takes hundredths of a second.
 The exact safety map takes half a second and more; it is what the cache stores.

@@ -107,7 +107,7 @@ def map_quality(
 def true_elevation_in_map_frame(
     terrain: Terrain, grid: Grid, error: ArrayLike
 ) -> NDArray[np.float32]:
-    """Return the true elevation at the cells of a map, in the map's frame (rows, cols), m.
+    """Return the true elevation at a map's cells (rows, cols), m, in its frame.
 
     Parameters
     ----------

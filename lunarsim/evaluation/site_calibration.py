@@ -1,4 +1,7 @@
-"""Refit the last calibration stage to a scenario's sites, and cross-validate it by flight."""
+"""Refit the last calibration stage to a scenario's sites, and cross-validate it.
+
+Cross-validation is by flight.
+"""
 
 from __future__ import annotations
 
@@ -159,7 +162,7 @@ def sample_sites(
     flight: int,
     rng: np.random.Generator,
 ) -> SiteSamples:
-    """Sample sites of a map at random, where the map has observed and the truth is known.
+    """Sample sites of a map at random, where observed and with known truth.
 
     Parameters
     ----------
@@ -182,7 +185,7 @@ def sample_sites(
 
 @dataclass(frozen=True)
 class ProbabilityQuality:
-    """Quality of safety probabilities; arrays hold value and ends of the 95 % interval (3,).
+    """Quality of probabilities; arrays hold value and 95 % interval ends (3,).
 
     Attributes
     ----------
@@ -240,7 +243,7 @@ class CalibrationComparison:
 
 @dataclass(frozen=True)
 class CrossValidation:
-    """Cross-validated quality of a refit: each flight is evaluated by a fit to the others.
+    """Cross-validated quality of a refit: fits exclude the flight under test.
 
     Attributes
     ----------
@@ -290,7 +293,7 @@ def cross_validate(
 
 
 def check_site_counts(sites: SiteSamples) -> None:
-    """Raise `InputError` if there are too few sites for a fit in and outside the domain."""
+    """Raise `InputError` if too few sites are inside or outside the domain."""
     safe, known = sites.safe, sites.known
     if not (has_enough_sites(safe[known]) or has_enough_sites(safe[~known])):
         raise InputError(
@@ -366,7 +369,7 @@ def _interval(samples: Array) -> Array:
 
 
 def _unbiased(samples: Array) -> Array:
-    """Return the interval of a non-negative statistic that noise increases, such as the ECE.
+    """Return the interval of a non-negative statistic that noise increases.
 
     Resampling adds noise; the interval is shifted back by the mean increase.
     """

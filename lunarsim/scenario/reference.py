@@ -1,4 +1,4 @@
-"""Generate the scenario reference from the parts: keys, defaults, units, bounds and meaning."""
+"""Generate the scenario reference: keys, defaults, units, bounds, meaning."""
 
 from __future__ import annotations
 

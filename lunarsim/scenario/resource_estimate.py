@@ -1,4 +1,4 @@
-"""Estimate memory and time of a flight, and refuse scenarios that need too much memory."""
+"""Estimate memory and time of a flight; refuse scenarios that need too much."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Warn about inconsistent values and about keys without effect in a valid scenario."""
+"""Warn about inconsistent values and keys without effect in a scenario."""
 
 from __future__ import annotations
 
@@ -197,7 +197,7 @@ def _unused_keys(
     only: tuple[str, ...] | None = None,
     but: tuple[str, ...] = (),
 ) -> Iterator[str]:
-    """Yield one warning that names the keys of a table that are set but have no effect."""
+    """Yield one warning that names the keys that are set but have no effect."""
     fields = type(settings).model_fields
     values: Mapping[str, Any] = {key: getattr(settings, key) for key in fields}
     found = [

@@ -239,7 +239,7 @@ class Flight:
         return facts
 
     def plot(self) -> FlightFigures:
-        """Plot the descent, the maps and the touchdown; a notebook shows the three figures.
+        """Plot descent, maps and touchdown; a notebook shows the three figures.
 
         The world is drawn again from the scenario and the seed of the record.
 

@@ -1,4 +1,4 @@
-"""Read the folder of a recorded flight, which may be damaged or from an untrusted source.
+"""Read a recorded flight's folder, which may be damaged or untrusted.
 
 Every file is compared with its digest in ``flight.json``. Types, columns and shapes are checked
 before use, and sizes before anything is decompressed.
@@ -88,7 +88,7 @@ class _Estimate(_Strict):
 
 
 class FlightRecord(_Strict):
-    """Required content of ``flight.json``; keys as in `lunarsim.simulation.flight.Flight`."""
+    """Required content of ``flight.json``, with the keys of `flight.Flight`."""
 
     scenario: str
     seed: _Seed
@@ -134,7 +134,7 @@ def _damaged(path: Path, reason: str) -> InputError:
 
 
 def read_record(folder: Path) -> dict[str, Any]:
-    """Return the checked tables of ``flight.json``; the digests of all its files must match.
+    """Return the tables of ``flight.json``; the digests of all files must match.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Render one camera image of a scenario's terrain for the command line and for figures."""
+"""Render one camera image of a scenario's terrain, for commands and figures."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def camera_pointing_state(
 
 
 def auto_exposure(camera: Camera, world: World, state: State) -> float:
-    """Return the exposure (s) for which all but the brightest 0.5 % stay below 0.9 full well."""
+    """Return the exposure (s) that keeps 99.5 % of pixels below 0.9 full well."""
     radiance = renderer_of(world.terrain).render(camera.view(state), world.light).radiance
     bright = float(np.percentile(radiance, 99.5))
     if bright <= 0.0:

@@ -210,7 +210,7 @@ class Simulation:
 
     @property
     def true_to_local(self) -> SiteToLocal:
-        """Shift from the true to the local frame, from the error of the estimated position.
+        """Shift from true to local frame, from the error of the estimated position.
 
         If the local frame has its own azimuth, the shift includes the lander's azimuth error.
         """
@@ -313,7 +313,7 @@ class Simulation:
         )
 
     def _ending_details(self) -> dict[str, Any]:
-        """Return values of thrusters, slosh and legs for the last event; empty without them."""
+        """Return thruster, slosh and leg values for the last event; empty without."""
         actuators, rest = self.plant.actuators, self.plant.rest
         details: dict[str, Any] = {} if rest is None else rest.told()
         if actuators is None:

@@ -99,7 +99,7 @@ class Recorder:
     def record_measurements(
         self, measurements: Measurements, computer: OnboardComputer, error: Array
     ) -> None:
-        """Record measurements that the computer has processed; `error` is its position error, m."""
+        """Record processed measurements; `error` is the error of their position, m."""
         for sensor, measurement in measurements.items:
             if isinstance(measurement, LidarScan | CameraImage):
                 self._record_sensor(sensor, measurement, computer)

@@ -28,7 +28,7 @@ _VIOLATION_COLOUR = COLOURS[1]
 
 
 def draw_footprint(flight: Flight, world: World, path: Path | None = None) -> Figure:
-    """Draw the terrain at touchdown relative to the pads, and metrics relative to their limits.
+    """Draw terrain at touchdown relative to the pads, and metrics over limits.
 
     Heights refer to a plane through three pads that the lander can stand on. Of the two candidate
     planes, the one with the highest terrain above it is used, as for the touchdown roughness.
@@ -121,7 +121,7 @@ def _inside(grid: Grid, pads: Array) -> Any:
 
 
 def _mark_belly_contact(axes: Any, grid: Grid, above: Array, pads: Array, clearance: float) -> bool:
-    """Mark terrain in the polygon of the legs above the belly; return whether there is any."""
+    """Mark terrain above the belly between the legs; return whether there is any."""
     high = _inside(grid, pads) & (above > clearance)
     if high.any():
         axes.contourf(grid.x, grid.y, high.astype(float), levels=[0.5, 1.5], colors="#C00000")

@@ -75,7 +75,7 @@ class FarTerrainSettings:
             check_raster_size("surroundings.sizes", size, posting, _MAX_POSTS_PER_SIDE, "posts")
 
     def posts_read(self) -> int:
-        """Return the number of posts of the raster, from the file's header; 0 without a raster.
+        """Return the number of posts in the raster's header; 0 without a raster.
 
         Raises
         ------
