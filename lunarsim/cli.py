@@ -16,8 +16,8 @@ from lunarsim.cli_common import (
     FLIGHT,
     PATH,
     SEED,
+    ErrorReportingGroup,
     FloatRange,
-    Group,
     IntRange,
     add_to_interrupt_message,
     allow_named_modules,
@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 _POLICIES = "no-divert,safest,nearest-safe,fuel-aware,truth-oracle"
 
 
-@click.group(cls=Group, context_settings={"help_option_names": ["-h", "--help"]})
+@click.group(cls=ErrorReportingGroup, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(lunarsim.__version__, prog_name="lunarsim")
 def main() -> None:
     """Simulate lunar landings: terrain, LiDAR, hazard map, divert, touchdown.

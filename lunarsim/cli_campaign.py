@@ -87,10 +87,12 @@ def plan(spec: Path, out: Path | None) -> None:
         from lunarsim.campaign.plan_file import write_plan
 
         atomic_write(out, lambda path: write_plan(planned, path, out.suffix.lower()))
-        told = f"{planned.flights} flights of {len(planned.arms)} arms"
+        summary = f"{planned.flights} flights of {len(planned.arms)} arms"
         if planned.chains is not None:
-            told = f"{planned.chains.flights} flights of the first level; later levels depend on it"
-        click.echo(f"{out}: {told}")
+            summary = (
+                f"{planned.chains.flights} flights of the first level; later levels depend on it"
+            )
+        click.echo(f"{out}: {summary}")
         return
     names = ["id", "flight", "arm", "seed", *planned.inputs]
     writer = csv.DictWriter(sys.stdout, names, lineterminator="\n")
@@ -381,14 +383,14 @@ def _print_levels(found: Results) -> None:
     from lunarsim.campaign.subset_estimate import completion_remark, level_table_rows, load_chains
 
     chains = load_chains(found)
-    told = level_table_rows(chains)
-    if told:
-        table = Table(*told[0])
-        for level in told:
+    level_rows = level_table_rows(chains)
+    if level_rows:
+        table = Table(*level_rows[0])
+        for level in level_rows:
             table.add_row(*level.values())
         wide_console(140).print(table)
-    if said := completion_remark(chains):
-        click.echo(said)
+    if remark := completion_remark(chains):
+        click.echo(remark)
 
 
 @campaign.command()

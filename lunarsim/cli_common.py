@@ -42,7 +42,7 @@ class FloatRange(click.FloatRange):
     name = "float"
 
 
-class Group(click.Group):
+class ErrorReportingGroup(click.Group):
     """Report a user's mistake as one line with exit code 2."""
 
     def invoke(self, ctx: click.Context) -> Any:

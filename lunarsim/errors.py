@@ -23,7 +23,7 @@ class InputError(ValueError):
     problem
         Clause that follows the field: ``must be positive``.
     remedy
-        Sentence that says what to do; the problem can imply it.
+        Sentence with the remedy; it can be omitted if the problem implies it.
 
     Examples
     --------

@@ -63,7 +63,7 @@ def _with_interval(values: NDArray[np.float64], form: str = "{:.4f}") -> str:
 
 
 def calibration_remarks(result: CalibrationResult) -> Iterator[str]:
-    """Yield sentences that say whether the refit is better, and its coefficients."""
+    """Yield sentences that state whether the refit is better, and its coefficients."""
     left = result.left_out.refit_domain
     for name, judgement in _groups(result):
         gain = judgement.gain

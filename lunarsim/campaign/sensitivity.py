@@ -134,15 +134,15 @@ def _sobol(
     block = len(keys) + 3
     blocks = np.full((int(flights.max(initial=-1)) // block + 1, block), np.nan)
     blocks[flights // block, flights % block] = values
-    whole = blocks[np.isfinite(blocks).all(axis=1)]
+    complete = blocks[np.isfinite(blocks).all(axis=1)]
     result = Sensitivity(
-        arm, metric, "sobol", whole.size, len(values) - whole.size, names, {},
-        why_not=_reason_without_indices(whole.ravel()),
+        arm, metric, "sobol", complete.size, len(values) - complete.size, names, {},
+        why_not=_reason_without_indices(complete.ravel()),
     )  # fmt: skip
     if result.why_not:
         return result
     made = sobol.analyze(
-        {"num_vars": len(names), "names": list(names)}, whole.ravel(), calc_second_order=False,
+        {"num_vars": len(names), "names": list(names)}, complete.ravel(), calc_second_order=False,
         num_resamples=resamples, seed=int(rng.integers(1, 2**31)),
     )  # fmt: skip
     indices = {

@@ -42,7 +42,7 @@ class Branch:
 def shared_path_classes(arms: Sequence[Arm]) -> tuple[int, ...]:
     """Return a class number per arm; arms that differ only in policy share one.
 
-    An arm that cannot share its path has a class of its own.
+    An arm that cannot share its path has a separate class.
     """
     seen: dict[str, int] = {}
     found = []

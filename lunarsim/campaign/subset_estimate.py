@@ -163,11 +163,11 @@ def level_variance(level: SubsetLevel) -> float:
 def _chain_correlation(near: np.ndarray, share: float) -> float:
     """Return the correlation factor gamma of a chain's states (eq. 29), at least 0."""
     steps = near.shape[1]
-    whole = share * (1.0 - share)
-    if whole == 0.0:
+    variance = share * (1.0 - share)
+    if variance == 0.0:
         return 0.0
     total = 0.0
     for apart in range(1, steps):
         together = float(np.mean(near[:, :-apart] & near[:, apart:])) - share**2
-        total += 2.0 * (1.0 - apart / steps) * together / whole
+        total += 2.0 * (1.0 - apart / steps) * together / variance
     return max(0.0, total)

@@ -62,8 +62,8 @@ class Classification:
         return asdict(self)
 
 
-def _share(part: int, whole: int) -> float:
-    return Proportion(part, whole).value
+def _share(part: int, total: int) -> float:
+    return Proportion(part, total).value
 
 
 def classify(

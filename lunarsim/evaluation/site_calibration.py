@@ -97,7 +97,7 @@ class SiteSamples:
         return cls(
             np.full(n, flight, np.int64),
             odds.low,
-            odds.verdict(np.minimum(most, clear)).agreed,
+            odds.estimate(np.minimum(most, clear)).agreed,
             most,
             clear,
             outside_domain_bound(e)[where],
@@ -330,7 +330,7 @@ def _compute_quality(
     """
     flights = weights.shape[1]
     s, p = sites.at(where), p[where]
-    sure = p > _CONFIDENT_P
+    confident = p > _CONFIDENT_P
 
     def total(values: Array | BoolArray | None, among: BoolArray | None = None) -> Array:
         at = s.flight if among is None else s.flight[among]
@@ -347,12 +347,12 @@ def _compute_quality(
         base = safe / number
         spread = base * (1.0 - base)
         skill = 1.0 - total((p - s.safe) ** 2) / number / np.where(spread > 0.0, spread, np.nan)
-        gap = total(p - s.safe, sure) / total(None, sure)
+        gap = total(p - s.safe, confident) / total(None, confident)
         share = number / (weights @ _per_flight(sites.flight, None, flights))
         ece = np.abs(table[..., 1] - table[..., 2]).sum(axis=1) / number
     return ProbabilityQuality(
         len(s), _interval(share), _interval(base), _unbiased(ece), _interval(skill),
-        int(sure.sum()), _interval(gap),
+        int(confident.sum()), _interval(gap),
     )  # fmt: skip
 
 

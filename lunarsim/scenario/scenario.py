@@ -389,11 +389,11 @@ def _table(
     try:
         model = settings_of(of)
     except Exception as error:  # pydantic raises many types for custom annotations
-        said = str(error).split("\n")[0]
+        message = str(error).split("\n")[0]
         raise InputError(
             f"{path}.kind",
             kind or of.__name__,
-            f"must have fields with types that TOML supports ({said})",
+            f"must have fields with types that TOML supports ({message})",
         ) from error
     try:
         table = model.model_validate(dict(_mapping(path, value)))

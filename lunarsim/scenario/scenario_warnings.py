@@ -170,17 +170,17 @@ def _unused_key_warnings(scenario: Scenario) -> Iterator[str]:
 
 
 def _unused_terrain_keys(scenario: Scenario) -> Iterator[str]:
-    ground = scenario.terrain
-    if ground.kind == "dtm" and not ground.detail:
+    terrain = scenario.terrain
+    if terrain.kind == "dtm" and not terrain.detail:
         yield from _unused_keys(
-            "terrain", ground.table, "detail = false adds nothing between the posts",
+            "terrain", terrain.table, "detail = false adds nothing between the posts",
             only=_ROUGHNESS,
         )  # fmt: skip
-    elif ground.kind in ("fractal", "dtm"):
-        density = ground.crater_density
-        if density == 0.0 or (density is None and ground.preset == "none"):
+    elif terrain.kind in ("fractal", "dtm"):
+        density = terrain.crater_density
+        if density == 0.0 or (density is None and terrain.preset == "none"):
             yield from _unused_keys(
-                "terrain", ground.table, "the terrain has no craters", only=_CRATERS
+                "terrain", terrain.table, "the terrain has no craters", only=_CRATERS
             )
 
 

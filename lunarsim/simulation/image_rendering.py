@@ -46,8 +46,8 @@ def camera_pointing_state(
     heading
         Azimuth of the top of the image, rad.
     """
-    ground = float(world.terrain.elevation(target))
-    if not np.isfinite(ground):
+    terrain_height = float(world.terrain.elevation(target))
+    if not np.isfinite(terrain_height):
         raise InputError("target.position_m", target, "must be a point with known elevation")
     if not 0.0 < altitude < _MAX_ALTITUDE_M:
         raise InputError("--altitude", altitude, f"must be above 0 and below {_MAX_ALTITUDE_M:g} m")
@@ -64,7 +64,7 @@ def camera_pointing_state(
         axes = np.column_stack((right, -forward, boresight))
     else:
         axes = sensor_axes(boresight)
-    position = np.array([*target, ground]) - boresight * altitude / np.cos(off_nadir)
+    position = np.array([*target, terrain_height]) - boresight * altitude / np.cos(off_nadir)
     attitude = matrix_to_quat(axes @ camera.mount.T)
     return State(position, np.zeros(3), attitude, np.zeros(3), 1.0)
 
@@ -179,7 +179,7 @@ def render(
     InputError
         If a value cannot be used.
     RenderingError
-        If OpenGL is missing; the message says what to install.
+        If OpenGL is missing; the message names the package to install.
     """
     changes = {"elevation_deg": sun_elevation_deg, "azimuth_deg": sun_azimuth_deg}
     given: Any = {name: value for name, value in changes.items() if value is not None}

@@ -315,7 +315,7 @@ class Simulation:
     def _ending_details(self) -> dict[str, Any]:
         """Return thruster, slosh and leg values for the last event; empty without."""
         actuators, rest = self.plant.actuators, self.plant.rest
-        details: dict[str, Any] = {} if rest is None else rest.told()
+        details: dict[str, Any] = {} if rest is None else rest.record_values()
         if actuators is None:
             return details
         if actuators.liquid is not None:

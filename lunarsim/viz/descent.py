@@ -91,7 +91,7 @@ def _draw_profile(
             Line2D([], [], ls="", marker=marker, color=colour, mec="black", mew=0.6, label=label)
         )
     profile.legend(handles=handles, loc="upper left")
-    profile.set_xlabel(f"Ground distance to {last} (m)")
+    profile.set_xlabel(f"Horizontal distance to {last} (m)")
     profile.set_ylabel(f"Altitude above {last} (m)")
     profile.grid(alpha=0.3)
 

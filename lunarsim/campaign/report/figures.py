@@ -81,14 +81,14 @@ def shares_plot(figures: list[ArmStatistics], intervals: dict[str, tuple[float, 
 def landings_plot(
     results: Results,
     figures: list[ArmStatistics],
-    ground: tuple[list[float], list[float], Any] | str | None,
+    terrain: tuple[list[float], list[float], Any] | str | None,
 ) -> Plot | None:
     """Plot touchdown points with 95 % ellipses, over the terrain if it is available."""
     if "touchdown_x_m" not in results.manifest["columns"]:
         return None
     traces: list[Plot] = []
-    if isinstance(ground, tuple):
-        x, y, shade = ground
+    if isinstance(terrain, tuple):
+        x, y, shade = terrain
         traces.append({
             "type": "heatmap", "x": x, "y": y, "z": shade, "colorscale": "Greys", "opacity": 0.55,
             "showscale": False, "hoverinfo": "skip",
@@ -121,10 +121,10 @@ def landings_plot(
         "height": 620,
     }
     caption = "Each point is a flight; crosses are landings that were not safe. "
-    if isinstance(ground, tuple):
+    if isinstance(terrain, tuple):
         caption += "Shading: terrain without rocks, which all flights share."
-    elif ground is not None:
-        caption += f"The terrain is not shown: {ground}"
+    elif terrain is not None:
+        caption += f"The terrain is not shown: {terrain}"
     return _plot("landings", "Touchdown points", caption, traces, layout)
 
 

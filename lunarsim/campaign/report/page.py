@@ -134,7 +134,7 @@ def _content(results: Results) -> dict[str, Any]:
     made = differences(results) if len(figures) > 1 else []
     plots = [
         shares_plot(figures, intervals),
-        landings_plot(results, figures, _ground(results)),
+        landings_plot(results, figures, _terrain_image(results)),
         reliability_plot(results, figures),
         differences_plot(made) if made else None,
         *(spread_plot(results, n, _LABELS[n]) for n in _LABELS if n in results.manifest["columns"]),
@@ -299,7 +299,7 @@ def _timing(results: Results) -> dict[str, Any]:
     }
 
 
-def _ground(results: Results) -> tuple[list[float], list[float], Any] | str | None:
+def _terrain_image(results: Results) -> tuple[list[float], list[float], Any] | str | None:
     """Return a coarse image of the terrain, why it is missing, or None."""
     if not (results.folder / "scenario.toml").is_file() or any(
         key.startswith("terrain") for key in results.manifest["inputs"]
