@@ -192,7 +192,7 @@ def compare(
             result = fly_all(
                 loaded, names, flights=flights, seed=seed, jobs=jobs, out=out, figures=figures,
                 progress=advance, cache=kept, apart=True, guidance=laws,
-                say=lambda line: click.echo(line, err=True),
+                notify=lambda line: click.echo(line, err=True),
             )  # fmt: skip
         except WorkerStartError as error:
             raise click.ClickException(str(error)) from None

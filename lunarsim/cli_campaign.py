@@ -215,7 +215,7 @@ def _fly_campaign(
         try:
             ran = fly_spec(
                 spec, flies, out, retry=retry, progress=advance, cache=kept,
-                say=lambda line: click.echo(line, err=True),
+                notify=lambda line: click.echo(line, err=True),
             )  # fmt: skip
         except WorkerStartError as error:
             raise click.ClickException(str(error)) from None

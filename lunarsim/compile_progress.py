@@ -101,6 +101,7 @@ def report_compilation(beside: Sequence[str] = ()) -> Iterator[None]:
         helper.stop()
     if compilations.count:
         click.echo(
-            f"compiled {compilations.count} kernels in {compilations.seconds:.0f} s; the cache keeps them",
+            f"compiled {compilations.count} kernels in {compilations.seconds:.0f} s; "
+            "the cache keeps them",
             err=True,
         )

@@ -138,7 +138,7 @@ def compare(
     progress: Progress | None = None,
     figures: bool = True,
     cache: DiskCache | None = None,
-    say: Callable[[str], None] | None = None,
+    notify: Callable[[str], None] | None = None,
     apart: bool = False,
     guidance: Sequence[str] = (),
 ) -> CompareResult:
@@ -158,7 +158,7 @@ def compare(
     progress, figures
         Function called with the number of flights finished since the last call; whether to draw
         the first flight of each policy and the comparison.
-    cache, say
+    cache, notify
         Cache of worlds, and function that receives messages for the user; as in
         `lunarsim.campaign.fly_spec.fly_spec`.
     apart
@@ -183,7 +183,7 @@ def compare(
     if apart:
         for policy in policies:
             check_picklable("policies", policy)
-    fly = partial(fly_spec, engine=engine, progress=progress, cache=cache, say=say)
+    fly = partial(fly_spec, engine=engine, progress=progress, cache=cache, notify=notify)
     if out is None:
         with tempfile.TemporaryDirectory(prefix="lunarsim-") as folder:
             spec_here = spec.with_settings(records="none", figures=False)
