@@ -308,7 +308,7 @@ class Simulation:
             scenario=self.scenario.to_toml(),
             seed={"entropy": seed.entropy, "spawn_key": list(seed.spawn_key)},
             policy=self.policy.name if self.policy is not None else "external",
-            verdict=self.verdict or LandingOutcome(False, ("unfinished",), None),
+            outcome=self.verdict or LandingOutcome(False, ("unfinished",), None),
             ending=self._ending_details(),
         )
 

@@ -165,7 +165,7 @@ class Recorder:
             scenario=scenario,
             seed=seed,
             policy=policy,
-            outcome=outcome,
+            verdict=outcome,
             target=self._target,
             trajectory=self.trajectory(),
             decisions=[_as_dict(*divert) for divert in computer.diverts],
