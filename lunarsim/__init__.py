@@ -1,4 +1,4 @@
-"""Simulate lunar landings in closed loop: terrain, sensing, hazard maps, retargeting, guidance.
+"""Simulate lunar landings: terrain, sensing, hazard maps, retargeting, guidance.
 
     import lunarsim
 

@@ -1,5 +1,8 @@
 # mypy: allow-untyped-defs, no-check-untyped-defs
-"""Compiled quaternion arithmetic (scalar last, body to ENU; conventions in `lunarsim.frames`)."""
+"""Compiled quaternion arithmetic.
+
+Quaternions are scalar last, body to ENU; `lunarsim.frames` has the conventions.
+"""
 
 from __future__ import annotations
 
@@ -45,7 +48,7 @@ def rotate_quaternion(q, phi):
 
 @kernel()
 def rotate_to_body(q, v, out):
-    """Rotate the ENU vector v into body axes by the unit quaternion q; write it to `out`."""
+    """Rotate the ENU vector v into body axes by the unit quaternion q, into `out`."""
     x, y, z, w = q[0], q[1], q[2], q[3]
     # Inverse rotation: v + 2 u x (u x v - w v), where u is the vector part.
     cx = y * v[2] - z * v[1] - w * v[0]
@@ -58,7 +61,7 @@ def rotate_to_body(q, v, out):
 
 @kernel()
 def ray_points(position, rotation, direction, reach):
-    """Return the points (n, 3) at distances `reach` (n,) along rays from a position (3,).
+    """Return the points (n, 3) at distances `reach` (n,) along rays from (3,).
 
     `direction` (n, 3) has the rays in sensor axes; `rotation` (3, 3) rotates sensor axes into the
     axes of the position.
@@ -82,7 +85,7 @@ def thrust_attitude(direction, heading):
 
 @kernel(allocates=False)
 def write_thrust_attitude(east, north, up, heading, q):
-    """Write the quaternion (4,) with body z along a direction and body x near `heading`."""
+    """Write the quaternion (4,) with body z along thrust and body x near `heading`."""
     size = np.sqrt(east * east + north * north + up * up)
     zx, zy, zz = east / size, north / size, up / size
     fx, fy = np.sin(heading), np.cos(heading)

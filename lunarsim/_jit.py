@@ -47,13 +47,16 @@ _one_at_a_time = RLock()
 
 @lru_cache(maxsize=1)
 def _parallel_lock() -> AbstractContextManager[Any]:
-    """Return the lock for parallel kernels; the layer "workqueue" aborts if two run together."""
+    """Return the lock for parallel kernels.
+
+    The threading layer "workqueue" aborts if two parallel kernels run at the same time.
+    """
     numba.get_num_threads()  # starts the layer
     return _one_at_a_time if numba.threading_layer() == "workqueue" else nullcontext()
 
 
 class _ParallelKernel(CPUDispatcher):  # type: ignore[misc]
-    """A parallel kernel that is safe in forked processes and with several Python threads."""
+    """A parallel kernel that is safe in forked processes and with Python threads."""
 
     def __call__(self, *args: Any) -> Any:
         """Run the kernel, or raise an error if running it would end the process."""

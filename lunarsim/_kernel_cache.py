@@ -21,7 +21,7 @@ _DIGEST_BYTES = 16
 
 @lru_cache
 def _folder_of(modules: Path) -> Path | None:
-    """Return the cache folder for the kernels of a folder of modules; None if none is writable.
+    """Return the kernel cache for a folder of modules; None if none is writable.
 
     Candidates in order: NUMBA_CACHE_DIR, ``__pycache__`` beside the modules, the user's cache.
     """

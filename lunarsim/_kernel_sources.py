@@ -43,7 +43,7 @@ def sources_digest(module: str) -> bytes:
 
 
 def linked_modules(module: str) -> frozenset[str]:
-    """Return the names of a module and of all kernel modules that its kernels can call."""
+    """Return a module and all kernel modules that its kernels can call, by name."""
     found = {module}
     pending = [module]
     while pending:
@@ -56,7 +56,7 @@ def linked_modules(module: str) -> frozenset[str]:
 
 
 def _module_of(value: Any) -> str:
-    """Return the name of the module that defines a function, kernel or class; a module's own."""
+    """Return the name of the module that defines an object, or of a module itself."""
     if isinstance(value, ModuleType):
         return value.__name__
     value = _function_of(value) or value
@@ -83,7 +83,7 @@ def _has_kernels(name: str) -> bool:
 
 
 def _contents(name: str) -> bytes:
-    """Return the name, source and constants of a module, without source in interactive sessions."""
+    """Return name, source (empty if interactive) and constants of a module."""
     file = Path(getattr(sys.modules[name], "__file__", None) or "")
     constants = _constants(vars(sys.modules[name]))
     return repr((name, file.read_bytes() if file.is_file() else b"", constants)).encode()
@@ -99,7 +99,7 @@ _contents_when_complete = cache(_contents)
 
 
 def _constant(value: Any) -> str:
-    """Return what kernels can use of a global: a value, or the fields of a tuple class."""
+    """Return what kernels can use of a global: its value, or a tuple class's fields."""
     if isinstance(value, _PLAIN):
         return repr(value)
     if isinstance(value, tuple):

@@ -65,7 +65,7 @@ def _want_line(array: Any, dtype: Any = None) -> None:
 
 @intrinsic  # type: ignore[untyped-decorator]
 def load(typing: Any, array: Any, at: Any) -> Any:
-    """Return sixteen elements of a contiguous float32 array (n,), starting at index `at`."""
+    """Return sixteen elements of a contiguous float32 array (n,) from index `at`."""
     _want_line(array, types.float32)
     _want(at, types.Integer)
 
@@ -77,7 +77,7 @@ def load(typing: Any, array: Any, at: Any) -> Any:
 
 @intrinsic  # type: ignore[untyped-decorator]
 def item(typing: Any, array: Any, at: Any) -> Any:
-    """Return one element of a contiguous array (n,); negative indices are not supported."""
+    """Return one element of a contiguous array (n,); `at` must not be negative."""
     _want_line(array)
     _want(at, types.Integer)
 
@@ -91,7 +91,7 @@ def item(typing: Any, array: Any, at: Any) -> Any:
 
 @intrinsic  # type: ignore[untyped-decorator]
 def store(typing: Any, array: Any, at: Any, value: Any) -> Any:
-    """Write sixteen elements of a contiguous float32 array (n,), starting at index `at`."""
+    """Write sixteen elements of a contiguous float32 array (n,) from index `at`."""
     _want_line(array, types.float32)
     _want(at, types.Integer)
     _want(value, _Lanes)
@@ -120,7 +120,7 @@ def lane_fill(typing: Any, number: Any) -> Any:
 
 
 def _binary(make: Callable[[Any, Any, Any], Any]) -> Any:
-    """Return a function of two vectors that the compiler makes by `make(builder, a, b)`."""
+    """Return a function of two vectors that compiles to `make(builder, a, b)`."""
 
     def typed(typing: Any, a: Any, b: Any) -> Any:
         _want(a, _Lanes)

@@ -1,4 +1,7 @@
-"""NumPy versions of the functions of `_lanes`, for NUMBA_DISABLE_JIT; vectors are arrays (16,)."""
+"""NumPy versions of the functions of `_lanes`, for NUMBA_DISABLE_JIT.
+
+Vectors are arrays (16,).
+"""
 
 from __future__ import annotations
 
@@ -13,7 +16,7 @@ Vector = NDArray[np.float32]
 
 
 def load(array: Vector, at: int) -> Vector:
-    """Return sixteen elements, starting at index `at`; zeros beyond the end of the array."""
+    """Return sixteen elements from index `at`; zeros beyond the end of the array."""
     out = np.zeros(LANES, np.float32)
     part = array[at : at + LANES]
     out[: part.size] = part

@@ -1,4 +1,6 @@
-"""Contracts and helpers for custom parts: policies, laws, sensors, mappers, navigation, terrain.
+"""Contracts and helpers for custom parts.
+
+The parts are policies, guidance laws, sensors, mappers, navigation filters and terrain.
 
 A part is a frozen dataclass whose fields are declared with `quantity`; CONTRIBUTING.md has an
 example of each. Names are imported at first use.

@@ -16,8 +16,8 @@ from lunarsim.cli_common import (
     FLIGHT,
     PATH,
     SEED,
+    ErrorReportingGroup,
     FloatRange,
-    Group,
     IntRange,
     add_to_interrupt_message,
     allow_named_modules,
@@ -40,10 +40,10 @@ if TYPE_CHECKING:
 _POLICIES = "no-divert,safest,nearest-safe,fuel-aware,truth-oracle"
 
 
-@click.group(cls=Group, context_settings={"help_option_names": ["-h", "--help"]})
+@click.group(cls=ErrorReportingGroup, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(lunarsim.__version__, prog_name="lunarsim")
 def main() -> None:
-    """Simulate lunar landings in closed loop: terrain, LiDAR, hazard map, divert, touchdown.
+    """Simulate lunar landings: terrain, LiDAR, hazard map, divert, touchdown.
 
     \b
     Start here:
@@ -192,7 +192,7 @@ def compare(
             result = fly_all(
                 loaded, names, flights=flights, seed=seed, jobs=jobs, out=out, figures=figures,
                 progress=advance, cache=kept, apart=True, guidance=laws,
-                say=lambda line: click.echo(line, err=True),
+                notify=lambda line: click.echo(line, err=True),
             )  # fmt: skip
         except WorkerStartError as error:
             raise click.ClickException(str(error)) from None

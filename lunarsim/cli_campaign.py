@@ -1,4 +1,4 @@
-"""Define the commands `lunarsim campaign ...`, `lunarsim sweep` and `lunarsim replay`."""
+"""Define the commands `lunarsim campaign`, `lunarsim sweep`, `lunarsim replay`."""
 
 from __future__ import annotations
 
@@ -87,10 +87,12 @@ def plan(spec: Path, out: Path | None) -> None:
         from lunarsim.campaign.plan_file import write_plan
 
         atomic_write(out, lambda path: write_plan(planned, path, out.suffix.lower()))
-        told = f"{planned.flights} flights of {len(planned.arms)} arms"
+        summary = f"{planned.flights} flights of {len(planned.arms)} arms"
         if planned.chains is not None:
-            told = f"{planned.chains.flights} flights of the first level; later levels depend on it"
-        click.echo(f"{out}: {told}")
+            summary = (
+                f"{planned.chains.flights} flights of the first level; later levels depend on it"
+            )
+        click.echo(f"{out}: {summary}")
         return
     names = ["id", "flight", "arm", "seed", *planned.inputs]
     writer = csv.DictWriter(sys.stdout, names, lineterminator="\n")
@@ -213,7 +215,7 @@ def _fly_campaign(
         try:
             ran = fly_spec(
                 spec, flies, out, retry=retry, progress=advance, cache=kept,
-                say=lambda line: click.echo(line, err=True),
+                notify=lambda line: click.echo(line, err=True),
             )  # fmt: skip
         except WorkerStartError as error:
             raise click.ClickException(str(error)) from None
@@ -381,14 +383,14 @@ def _print_levels(found: Results) -> None:
     from lunarsim.campaign.subset_estimate import completion_remark, level_table_rows, load_chains
 
     chains = load_chains(found)
-    told = level_table_rows(chains)
-    if told:
-        table = Table(*told[0])
-        for level in told:
+    level_rows = level_table_rows(chains)
+    if level_rows:
+        table = Table(*level_rows[0])
+        for level in level_rows:
             table.add_row(*level.values())
         wide_console(140).print(table)
-    if said := completion_remark(chains):
-        click.echo(said)
+    if remark := completion_remark(chains):
+        click.echo(remark)
 
 
 @campaign.command()

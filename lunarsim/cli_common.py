@@ -1,4 +1,4 @@
-"""Share error handling, options, scenario loading and progress bars between commands."""
+"""Handle errors, options, scenario loading and progress bars for all commands."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class FloatRange(click.FloatRange):
     name = "float"
 
 
-class Group(click.Group):
+class ErrorReportingGroup(click.Group):
     """Report a user's mistake as one line with exit code 2."""
 
     def invoke(self, ctx: click.Context) -> Any:
@@ -225,7 +225,7 @@ def add_to_interrupt_message(what: str) -> Iterator[None]:
 
 @contextmanager
 def progress_bar(name: str, total: int) -> Iterator[Callable[[int], None]]:
-    """Show a progress bar on stderr; yield a function that advances it by a number of items."""
+    """Show a progress bar on stderr; yield a function that advances it."""
     from lunarsim.console import plain_console, plain_progress
 
     with plain_progress(plain_console(stderr=True)) as bar:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from lunarsim.cli_common import PATH, Group, load_scenario, scenario_options
+from lunarsim.cli_common import PATH, ErrorReportingGroup, load_scenario, scenario_options
 from lunarsim.errors import check_output
 
 
@@ -23,7 +23,7 @@ def parts(contract: str | None) -> None:
         click.echo(line)
 
 
-@click.group(cls=Group)
+@click.group(cls=ErrorReportingGroup)
 def scenario() -> None:
     """List, copy, check and document scenario files."""
 

@@ -1,4 +1,4 @@
-"""Run the `lunarsim` command so that Ctrl-C always ends it with one line and code 130.
+"""Run `lunarsim` so that Ctrl-C always ends it with one line and code 130.
 
 Libraries swallow interrupts: a KeyboardInterrupt raised in the C code of a compiler, or while an
 object is freed, is lost or becomes another error. This module raises an interrupt again every

@@ -8,14 +8,21 @@ from typing import TYPE_CHECKING
 
 import click
 
-from lunarsim.cli_common import FLIGHT, PATH, SEED, Group, load_scenario, scenario_options
+from lunarsim.cli_common import (
+    FLIGHT,
+    PATH,
+    SEED,
+    ErrorReportingGroup,
+    load_scenario,
+    scenario_options,
+)
 from lunarsim.errors import check_output
 
 if TYPE_CHECKING:
     from lunarsim.world.terrain.dtm import DtmInfo
 
 
-@click.group(cls=Group)
+@click.group(cls=ErrorReportingGroup)
 def terrain() -> None:
     """Inspect measured and procedural terrain."""
 

@@ -89,18 +89,19 @@ def report_compilation(beside: Sequence[str] = ()) -> Iterator[None]:
                 self.last = now
                 click.echo(f"  {self.count} kernels in {self.seconds:.0f} s", err=True)
 
-    told = CompileListener()
+    compilations = CompileListener()
     # The compiler creates millions of permanent objects: garbage collection would cost 6 % of time.
     before = gc.get_threshold()
     gc.set_threshold(100_000, 50, 1_000)
     try:
-        with event.install_listener("numba:compile", told):
+        with event.install_listener("numba:compile", compilations):
             yield
     finally:
         gc.set_threshold(*before)
         helper.stop()
-    if told.count:
+    if compilations.count:
         click.echo(
-            f"compiled {told.count} kernels in {told.seconds:.0f} s; the cache keeps them",
+            f"compiled {compilations.count} kernels in {compilations.seconds:.0f} s; "
+            "the cache keeps them",
             err=True,
         )

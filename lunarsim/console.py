@@ -28,7 +28,7 @@ def plain_console(
     stderr
         Print to standard error instead of standard output.
     soft_wrap
-        Leave long lines whole.
+        Do not break long lines.
     """
     return Console(width=width, stderr=stderr, soft_wrap=soft_wrap, markup=False, emoji=False)
 

@@ -23,7 +23,7 @@ class InputError(ValueError):
     problem
         Clause that follows the field: ``must be positive``.
     remedy
-        Sentence that says what to do; the problem can imply it.
+        Sentence with the remedy; it can be omitted if the problem implies it.
 
     Examples
     --------
@@ -100,7 +100,7 @@ _KINDS = (
 
 
 def _format_value(value: object) -> str:
-    """Return the repr of a value, shortened if it is nested too deep or has too many digits."""
+    """Return the repr of a value, shortened if nested too deep or too long."""
     try:
         return repr(value)
     except RecursionError:
@@ -138,7 +138,7 @@ def check_folder(out: Path, *, hidden: bool = True) -> None:
 
 
 def check_writable(out: Path) -> None:
-    """Check that a folder for results can be created or written to, without creating it.
+    """Check that a folder is writable or can be created, without creating it.
 
     Raises
     ------
@@ -179,7 +179,7 @@ def check_output(field: str, path: Path, suffix: str) -> None:
 
 
 def suggestion(name: str, known: Iterable[str]) -> str:
-    """Return a sentence with the known name closest to `name`, or with all known names.
+    """Return a sentence with the known name closest to `name`, or with all names.
 
     Examples
     --------

@@ -164,7 +164,7 @@ def render(scenario: Scenario | str | Path = "hirise", **options: Any) -> SceneI
     InputError
         If a value cannot be used.
     RenderingError
-        If OpenGL is missing; the message says what to install.
+        If OpenGL is missing; the message names the package to install.
 
     Examples
     --------

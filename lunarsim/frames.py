@@ -164,7 +164,9 @@ def quat_conjugate(q: ArrayLike) -> Array:
 
 
 def quat_to_matrix(q: ArrayLike) -> Array:
-    """Return the direction cosine matrix (..., 3, 3), body to ENU, of unit quaternions.
+    """Return direction cosine matrices (..., 3, 3), body to ENU, of quaternions.
+
+    The quaternions must have unit length.
 
     Examples
     --------
@@ -213,7 +215,9 @@ def quat_from_rotation_vector(phi: ArrayLike) -> Array:
 
 
 def quat_to_rotation_vector(q: ArrayLike) -> Array:
-    """Return the shortest rotation vectors (..., 3), rad, of unit quaternions (..., 4).
+    """Return the shortest rotation vectors (..., 3), rad, of quaternions (..., 4).
+
+    The quaternions must have unit length.
 
     Examples
     --------
@@ -242,7 +246,7 @@ def quat_angle(p: ArrayLike, q: ArrayLike) -> Array:
 
 
 def attitude_from_thrust(direction: ArrayLike, heading: float) -> Array:
-    """Return the quaternion (4,) with body z along `direction` and body x near `heading`.
+    """Return the quaternion with body z along `direction`, body x near `heading`.
 
     Parameters
     ----------
@@ -311,7 +315,7 @@ def direction_from_angles(azimuth: float, elevation: float) -> Array:
 
 
 def sensor_axes(boresight: ArrayLike) -> Array:
-    """Return the rotation matrix (3, 3), sensor to ENU, for a boresight direction (3,).
+    """Return the matrix (3, 3), sensor to ENU, for a boresight direction (3,).
 
     The image x axis is horizontal. For a boresight straight down, x points east and y south.
 

@@ -32,7 +32,7 @@ def calibration_seed(root: int, flight: int) -> np.random.SeedSequence:
 
 
 def design_seed(root: int) -> np.random.SeedSequence:
-    """Return the seed sequence of a campaign's design of experiments; no flight uses it."""
+    """Return the seed sequence of a design of experiments; no flight uses it."""
     return np.random.SeedSequence(root, spawn_key=(zlib.crc32(b"design"), 0))
 
 

@@ -1,4 +1,4 @@
-"""Check folders of results from other people before files in them are opened or written."""
+"""Check folders of results from others before opening or writing files."""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Locate the cache folder for recomputable data: the user's cache, or a temporary substitute."""
+"""Locate the cache folder: the user's cache, or a temporary substitute.
+
+The cache holds data that can be recomputed.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +19,7 @@ def user_cache(name: str) -> Path:
 
 
 def ensure_caches() -> None:
-    """Set the environment to a temporary cache if the user's cache cannot be written to.
+    """Set a temporary cache if the user's cache is not writable.
 
     Other libraries and processes started later use it too. Matplotlib needs a folder for its
     configuration as well. A ``~`` that no shell has expanded is expanded here.
@@ -40,7 +43,7 @@ def ensure_caches() -> None:
 
 
 def expanded(folder: str) -> Path:
-    """Return a folder with ``~`` as the home folder; an impossible one if there is no home."""
+    """Return a folder with ``~`` as home; an impossible folder without a home."""
     if not folder.startswith("~"):
         return Path(folder)
     name, _, below = folder.partition("/")
@@ -75,7 +78,7 @@ def _cache_home() -> Path:
 
 
 def _xdg(variable: str, below_home: str) -> Path:
-    """Return a base folder of the XDG rule; an impossible one for a user without a home."""
+    """Return an XDG base folder; an impossible one for a user without a home."""
     given = Path(os.environ.get(variable, ""))
     if given.is_absolute():
         return given
@@ -83,7 +86,7 @@ def _xdg(variable: str, below_home: str) -> Path:
 
 
 def _temporary_folder() -> Path:
-    """Create a folder for this user only, the same one in each process if it can be trusted."""
+    """Create a folder for this user only, the same in each process if trusted."""
     import stat  # noqa: PLC0415  (seldom needed)
     import tempfile  # noqa: PLC0415
 

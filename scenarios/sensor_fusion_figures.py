@@ -60,7 +60,7 @@ def figures_of(judged: list[Counts]) -> dict[str, float]:
         "missed_objects": missed / objects if objects else float("nan"),
         "ece": calibration_error(_pooled(judged, "table")),
         "skill": 1.0 - squares / n / spread if n and spread > 0.0 else float("nan"),
-        "claimed": n / max(quality.judged, 1),
+        "claimed": n / max(quality.evaluated, 1),
         "observed": float(np.mean([j["observed"] for j in judged])),
     }
 

@@ -294,10 +294,10 @@ def test_a_folder_that_was_there_stays_and_what_is_made_goes(tmp_path):
 
 
 def test_a_nested_group_tells_of_it_once():
-    @click.group(cls=cli_common.Group)
+    @click.group(cls=cli_common.ErrorReportingGroup)
     def outer(): ...
 
-    @outer.group(cls=cli_common.Group)
+    @outer.group(cls=cli_common.ErrorReportingGroup)
     def inner(): ...
 
     @inner.command()

@@ -83,7 +83,7 @@ def arm_rows(results: Results) -> dict[str, NDArray[np.bool_]]:
 
 
 def compute_arm_statistics(results: Results) -> list[ArmStatistics]:
-    """Compute the statistics of every arm; flights without an outcome are only counted.
+    """Compute the statistics of every arm; only count flights without an outcome.
 
     Raises
     ------
@@ -130,14 +130,14 @@ def _ellipse(results: Results, rows: NDArray[np.bool_]) -> Ellipse | None:
 
 
 def arm_pairs(arms: Sequence[str]) -> list[tuple[str, str]]:
-    """Return the pairs of arms to compare: all pairs of a few arms, else each with the first."""
+    """Return the pairs of arms to compare: all of few arms, else each with the first."""
     if len(arms) <= _MAX_ALL_PAIRS:
         return list(combinations(arms, 2))
     return [(arms[0], other) for other in arms[1:]]
 
 
 def differences(results: Results, metric: str = "safe") -> list[Difference]:
-    """Compute the differences of a metric between arms on the flights that both have flown.
+    """Compute differences of a metric between arms, paired by flight.
 
     Raises
     ------

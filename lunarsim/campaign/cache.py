@@ -185,7 +185,7 @@ def _has_room(store: DiskCache, size: int) -> bool:
 
 
 def _evict_entries(folder: Path, max_bytes: float, since: float) -> float:
-    """Delete entries not used since a time, oldest first, down to a size; return the size."""
+    """Delete the oldest entries by last use, down to a size; return the size."""
     entries = []
     for path in folder.glob("??/*"):
         with contextlib.suppress(OSError):  # another process may have deleted it

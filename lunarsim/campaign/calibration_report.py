@@ -25,7 +25,7 @@ def _groups(result: CalibrationResult) -> tuple[tuple[str, CalibrationComparison
 
 
 def calibration_table(result: CalibrationResult) -> Table:
-    """Build the table of packaged and refitted calibration per domain, with 95 % intervals."""
+    """Build the table of packaged and refitted calibration, with 95 % intervals."""
     c = result.calibration
     table = Table(
         title=f"{c.scenario}: {c.sites} sites on {result.maps} maps of {c.flights} flights, "
@@ -63,7 +63,7 @@ def _with_interval(values: NDArray[np.float64], form: str = "{:.4f}") -> str:
 
 
 def calibration_remarks(result: CalibrationResult) -> Iterator[str]:
-    """Yield sentences that say whether the refit is better, and its coefficients."""
+    """Yield sentences that state whether the refit is better, and its coefficients."""
     left = result.left_out.refit_domain
     for name, judgement in _groups(result):
         gain = judgement.gain

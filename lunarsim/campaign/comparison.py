@@ -1,4 +1,4 @@
-"""Compare policies or guidance laws over the same worlds: a short form of a campaign.
+"""Compare policies or guidance laws over the same worlds, as a small campaign.
 
 Flight i of every policy has the same world, start, sensor noise and navigation errors. They derive
 from the root seed and i only, so the number of processes does not change any bit.
@@ -138,11 +138,11 @@ def compare(
     progress: Progress | None = None,
     figures: bool = True,
     cache: DiskCache | None = None,
-    say: Callable[[str], None] | None = None,
+    notify: Callable[[str], None] | None = None,
     apart: bool = False,
     guidance: Sequence[str] = (),
 ) -> CompareResult:
-    """Fly `flights` flights under each policy, and with each guidance law if some are named.
+    """Fly `flights` flights under each policy, and with each guidance law if given.
 
     Parameters
     ----------
@@ -158,7 +158,7 @@ def compare(
     progress, figures
         Function called with the number of flights finished since the last call; whether to draw
         the first flight of each policy and the comparison.
-    cache, say
+    cache, notify
         Cache of worlds, and function that receives messages for the user; as in
         `lunarsim.campaign.fly_spec.fly_spec`.
     apart
@@ -183,7 +183,7 @@ def compare(
     if apart:
         for policy in policies:
             check_picklable("policies", policy)
-    fly = partial(fly_spec, engine=engine, progress=progress, cache=cache, say=say)
+    fly = partial(fly_spec, engine=engine, progress=progress, cache=cache, notify=notify)
     if out is None:
         with tempfile.TemporaryDirectory(prefix="lunarsim-") as folder:
             spec_here = spec.with_settings(records="none", figures=False)

@@ -449,7 +449,9 @@ class Dispersions:
 
 
 def world_index(flight: int, block: int) -> int:
-    """Return the index of the flight that gives a flight its seed: itself, outside Saltelli blocks.
+    """Return the index of the flight whose seed a flight uses.
+
+    Outside Saltelli blocks, this is the flight itself.
 
     Parameters
     ----------

@@ -110,7 +110,7 @@ def product(factors: Mapping[str, Sequence[Any]]) -> list[tuple[str, dict[str, A
 
 
 def check_plain(field: str, value: Any) -> None:
-    """Refuse values that no scenario key accepts: dates, times and integers above 64 bits.
+    """Refuse values that no key accepts: dates, times and integers above 64 bits.
 
     Raises
     ------

@@ -39,7 +39,7 @@ def bytes_digest(data: bytes) -> str:
 
 @cache
 def code_digest() -> str:
-    """Return a digest of the package's source files; other code may give other results."""
+    """Return a digest of the package's sources; other code may give other results."""
     root = Path(lunarsim.__file__).parent
     digest = hashlib.sha256()
     for path in sorted(root.rglob("*")):
@@ -79,7 +79,7 @@ def _file_digest(path: Path) -> str:
 
 
 def module_digest(name: str) -> dict[str, str]:
-    """Return the digest of a loaded external module's source file; {} for other modules."""
+    """Return the digest of an external module's source file; {} for other modules."""
     source = getattr(sys.modules.get(name), "__file__", None)
     if name.partition(".")[0] == "lunarsim" or source is None or not Path(source).is_file():
         return {}
@@ -87,13 +87,13 @@ def module_digest(name: str) -> dict[str, str]:
 
 
 def environment_differences(there: Mapping[str, str], here: Mapping[str, str]) -> list[str]:
-    """Return the names of differences between two environments that may change results."""
+    """Name the differences between two environments that may change results."""
     names = dict.fromkeys([*there, *here])
     return [n for n in names if n not in _IGNORED_DIFFERENCES and there.get(n) != here.get(n)]
 
 
 def environment() -> dict[str, str]:
-    """Return interpreter, platform, processor and package versions that results depend on."""
+    """Return interpreter, platform, processor and versions that affect results."""
     packages = {}
     for name in _PACKAGES:
         try:

@@ -1,4 +1,6 @@
-"""Fly one flight of a campaign in a worker; worlds and truth are computed once per group.
+"""Fly one flight of a campaign in a worker.
+
+Worlds and truth are computed once per group.
 
 Campaigns name `fly` in their `Work`; other functions serve tests of the engines.
 """
@@ -108,7 +110,10 @@ def build_plan(spec: CampaignSpec, out: Path | None = None, cache: DiskCache | N
 
 
 def _draw_kinds(laws: Mapping[str, Any]) -> dict[str, str]:
-    """Return the kind of each column of draws; a choice of tables gives a column for each key."""
+    """Return the kind of each column of draws.
+
+    A choice of tables gives a column for each key.
+    """
     found: dict[str, list[Any]] = {}
     for key, law in laws.items():
         for value in law.values if isinstance(law, Choice) else (0.0,):
@@ -137,7 +142,7 @@ def check_first_flights(spec: CampaignSpec) -> None:
 
 
 def check_files(spec: CampaignSpec) -> None:
-    """Read the files of the terrain of all arms, including all choices that may be drawn.
+    """Read the terrain files of all arms, including all choices that may be drawn.
 
     Raises
     ------
@@ -205,7 +210,7 @@ def fly(study: Study, group: Group, arm: int, memory: dict[Any, Any]) -> dict[st
 def fly_with_simulation(
     study: Study, group: Group, arm: int, memory: dict[Any, Any]
 ) -> tuple[Flight, Simulation, dict[str, Any]]:
-    """Fly as `fly` does, without writing; return the record, the simulation and the metrics."""
+    """Fly like `fly`, without writing; return record, simulation and metrics."""
     draws = {k: value for k, value in group.draws.items() if k not in (WEIGHT, *_SUBSET_COLUMNS)}
     scenario = with_values(study.arms[arm].scenario, draws, "dispersions")
     seed = flight_seed(study.seed, group.draws.get(WORLD, world_index(group.flight, study.block)))
@@ -232,7 +237,7 @@ def fly_with_simulation(
 def _same_path_scenarios(
     study: Study, group: Group, arm: int, draws: Mapping[str, Any]
 ) -> dict[int, Scenario]:
-    """Return the scenarios of the group's other arms that differ from an arm only in policy."""
+    """Return the scenarios of other arms of the group that differ only in policy."""
     found = {}
     for i in group.arms if study.paths else ():
         if i != arm and study.paths[i] == study.paths[arm]:

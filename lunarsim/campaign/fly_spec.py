@@ -25,7 +25,7 @@ def fly_spec(
     retry: bool = False,
     progress: Callable[[int], None] | None = None,
     cache: DiskCache | None = None,
-    say: Callable[[str], None] | None = None,
+    notify: Callable[[str], None] | None = None,
 ) -> RunResult:
     """Fly the missing flights of a spec.
 
@@ -37,7 +37,7 @@ def fly_spec(
         Whether to repeat flights without an outcome; function called with the number of new rows.
     cache
         Cache of the truth about worlds; results do not depend on it.
-    say
+    notify
         Function that receives messages while kernels are compiled first, by one process. Without
         it, without a cache, or with another engine than local, each worker compiles its kernels.
 
@@ -54,8 +54,8 @@ def fly_spec(
         for arm in spec.arms:
             check_picklable(f"arm {arm.name!r}", arm.policy or arm.scenario)
         check_picklable("campaign", plan.work)
-    if cache is not None and say is not None and engine.name == "local":
-        compile_kernels(spec, plan, cache, say)
+    if cache is not None and notify is not None and engine.name == "local":
+        compile_kernels(spec, plan, cache, notify)
     stop = spec.stop
     rule = None if stop is None else IntervalWidthRule(stop.metric, stop.width, len(spec.arms))
     return run(

@@ -1,4 +1,4 @@
-"""Compile kernels once, before several workers would compile them at the same time."""
+"""Compile kernels once, before several workers compile them at the same time."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _COMPILATION_TIME_S = 900.0
 
 
 def compile_kernels(
-    spec: CampaignSpec, plan: Plan, cache: DiskCache, say: Callable[[str], None]
+    spec: CampaignSpec, plan: Plan, cache: DiskCache, notify: Callable[[str], None]
 ) -> None:
     """Fly flight 0 of arms whose parts no campaign on this machine has flown yet.
 
@@ -31,7 +31,7 @@ def compile_kernels(
         Spec and flights of the campaign.
     cache
         Cache that holds the marks.
-    say
+    notify
         Function that receives messages for the user.
     """
     cold = {}
@@ -41,7 +41,7 @@ def compile_kernels(
             cold[parts] = i
     if not cold:
         return
-    say(f"Compiling kernels, once per machine and code version: {len(cold)} flights.")
+    notify(f"Compiling kernels, once per machine and code version: {len(cold)} flights.")
     began = time.perf_counter()
     study = replace(plan.work.study, out=None, records="none", figures=False)
     limit = None if spec.head.time_limit is None else spec.head.time_limit + _COMPILATION_TIME_S
@@ -55,7 +55,7 @@ def compile_kernels(
     for parts, index in cold.items():
         if index in flown:
             cache.mark(parts)
-    say(f"Kernels are ready after {time.perf_counter() - began:.0f} s.")
+    notify(f"Kernels are ready after {time.perf_counter() - began:.0f} s.")
 
 
 def _texts_and_flags(table: Any) -> Any:

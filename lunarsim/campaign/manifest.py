@@ -103,7 +103,7 @@ _FIXED_FIELDS = ("name", "seed", "arms", "columns", "inputs")
 
 
 def matching_manifest(folder: Path, plan: Plan) -> dict[str, Any] | None:
-    """Return the manifest of a folder of the same campaign; None for a new or empty folder.
+    """Return a folder's manifest of the same campaign; None if new or empty.
 
     Raises
     ------

@@ -21,7 +21,7 @@ def row_id(flight: int, arm: int) -> str:
 
 @dataclass(frozen=True)
 class Group:
-    """Flights of one index under several arms over the same terrain; one worker flies them.
+    """Flights of one index under several arms over the same terrain, in one worker.
 
     Attributes
     ----------
@@ -56,7 +56,7 @@ class Work:
 
 
 class DependentFlights(Protocol):
-    """Flights that depend on earlier results, as `lunarsim.campaign.subset.SubsetChains`.
+    """Flights that depend on earlier results, e.g. `subset.SubsetChains`.
 
     Attributes
     ----------

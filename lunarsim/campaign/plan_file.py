@@ -22,8 +22,10 @@ def write_plan(plan: Plan, path: Path, suffix: str) -> None:
     suffix
         Format, .csv or .parquet.
     """
-    whole = schema_of(plan.inputs, {})
-    schema = pa.schema([whole.field(n) for n in ("id", "flight", "arm", "seed", *plan.inputs)])
+    full_schema = schema_of(plan.inputs, {})
+    schema = pa.schema(
+        [full_schema.field(n) for n in ("id", "flight", "arm", "seed", *plan.inputs)]
+    )
     rows = [
         row | {key: to_cell(row.get(key), kind) for key, kind in plan.inputs.items()}
         for row in plan.rows()

@@ -1,4 +1,4 @@
-"""Distribute tasks over processes; results do not depend on the number of processes."""
+"""Distribute tasks over processes; results do not depend on their number."""
 
 from __future__ import annotations
 

@@ -149,7 +149,7 @@ def _effective_sample_size(weights: Array) -> float:
 def estimate_weighted_share(
     hits: NDArray[np.bool_], weights: Array, max_weight: float
 ) -> tuple[float, float, float, float]:
-    """Return the weighted share of hits, its 95 % interval, and the equivalent number of draws.
+    """Return the weighted share of hits, its 95 % interval and effective sample size.
 
     The interval is symmetric in the logarithm, since the share is positive. If the effective number
     of hits is small, the upper end is at least that of the worst case: the hits of maximum weight,

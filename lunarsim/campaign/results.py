@@ -295,7 +295,7 @@ def _is_locked(folder: Path) -> bool:
 
 
 def export(folder: str | Path, out: Path, *, timing: bool = False) -> int:
-    """Write all rows into one CSV or Parquet file (by its suffix); return their number.
+    """Write all rows into one CSV or Parquet file (by suffix); return their number.
 
     Parameters
     ----------

@@ -28,7 +28,7 @@ TIMING = pa.schema(
 
 
 def schema_of(inputs: Mapping[str, str], columns: Mapping[str, str]) -> pa.Schema:
-    """Return the Arrow schema of results with these inputs and metrics, by name and kind."""
+    """Return the Arrow schema of results for inputs and metrics, by name and kind."""
     return pa.schema(
         [
             ("id", pa.string()),

@@ -170,7 +170,7 @@ def _fly_groups(
     time_budget: float | None,
     progress: Callable[[int], None] | None,
 ) -> tuple[int, int, bool, str]:
-    """Fly; return rows, rows without outcome, whether time sufficed, and why records are lost."""
+    """Fly; return rows, failed rows, whether time sufficed, and why records are lost."""
     flown = failed = 0
     not_kept: list[str] = []
     began = time.monotonic()
@@ -238,7 +238,7 @@ def _resume_chains(plan: Plan, store: Store) -> None:
 
 
 def _close_store(store: Store, plan: Plan, rule: IntervalWidthRule | None, in_time: bool) -> str:
-    """Close the folder, truncated at the last flight of a stopped campaign; return the state."""
+    """Close the folder, truncated where the campaign stopped; return the state."""
     state = _final_state(store, plan, rule, in_time)
     by = plan.chains if plan.chains is not None else rule
     if state in (STOPPED, COMPLETE) and by is not None and by.stop is not None:

@@ -18,6 +18,6 @@ def value_at(scenario: Scenario, key: str) -> Any:
 
 
 def tables_as_text(scenario: Scenario, tables: tuple[str, ...]) -> str:
-    """Return tables as a text that is equal for two scenarios exactly if the tables are."""
+    """Return tables as text: two texts are equal exactly if the tables are."""
     data = scenario.to_dict()
     return repr({name: data.get(name) for name in tables})

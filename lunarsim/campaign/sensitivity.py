@@ -1,4 +1,6 @@
-"""Sensitivity of a metric to the dispersions, with intervals; by SALib (extra `sensitivity`).
+"""Compute sensitivity indices of a metric with intervals, by SALib.
+
+SALib is in the extra `sensitivity`.
 
 Sobol indices need a Saltelli design (`method = "saltelli"`). For other methods PAWN is computed
 (Pianosi and Wagener 2018): the Kolmogorov distance between the distribution of the metric and its
@@ -132,15 +134,15 @@ def _sobol(
     block = len(keys) + 3
     blocks = np.full((int(flights.max(initial=-1)) // block + 1, block), np.nan)
     blocks[flights // block, flights % block] = values
-    whole = blocks[np.isfinite(blocks).all(axis=1)]
+    complete = blocks[np.isfinite(blocks).all(axis=1)]
     result = Sensitivity(
-        arm, metric, "sobol", whole.size, len(values) - whole.size, names, {},
-        why_not=_reason_without_indices(whole.ravel()),
+        arm, metric, "sobol", complete.size, len(values) - complete.size, names, {},
+        why_not=_reason_without_indices(complete.ravel()),
     )  # fmt: skip
     if result.why_not:
         return result
     made = sobol.analyze(
-        {"num_vars": len(names), "names": list(names)}, whole.ravel(), calc_second_order=False,
+        {"num_vars": len(names), "names": list(names)}, complete.ravel(), calc_second_order=False,
         num_resamples=resamples, seed=int(rng.integers(1, 2**31)),
     )  # fmt: skip
     indices = {
@@ -157,7 +159,7 @@ def _pawn(
     arm: str, metric: str, keys: Sequence[str], inputs: Array, values: Array, resamples: int,
     rng: np.random.Generator,
 ) -> Sensitivity:  # fmt: skip
-    """Compute PAWN medians with bootstrap intervals, and the value that chance alone gives."""
+    """Compute PAWN medians with bootstrap intervals, and their value by chance."""
     good = np.isfinite(values) & np.isfinite(inputs).all(axis=1)
     inputs, y = inputs[good], values[good]
     result = Sensitivity(

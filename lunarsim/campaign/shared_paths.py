@@ -1,4 +1,6 @@
-"""Share the flight path of arms that differ only in policy, until their decisions differ.
+"""Share the flight path of arms that differ only in policy.
+
+The arms share it until their decisions differ.
 
 Up to that point worlds, scans, navigation and maps are the same; they are most of the cost of a
 flight. At each decision the flown arm also queries the other policies. While their decisions agree,
@@ -38,9 +40,9 @@ class Branch:
 
 
 def shared_path_classes(arms: Sequence[Arm]) -> tuple[int, ...]:
-    """Return a class number for each arm; arms that differ only in policy have the same.
+    """Return a class number per arm; arms that differ only in policy share one.
 
-    An arm that cannot share its path has a class of its own.
+    An arm that cannot share its path has a separate class.
     """
     seen: dict[str, int] = {}
     found = []
@@ -51,7 +53,7 @@ def shared_path_classes(arms: Sequence[Arm]) -> tuple[int, ...]:
 
 
 def _scenario_without_policy(arm: Arm) -> str | None:
-    """Return an arm's scenario without its policy as text; None for an external policy.
+    """Return an arm's scenario without policy as text; None for an external policy.
 
     Draws need no comparison: they are the same for all arms of a group.
     """

@@ -146,7 +146,7 @@ class StopSettings:
 
 @dataclass(frozen=True)
 class CampaignSpec:
-    """Complete specification of a campaign; `load` and `from_dict` create and check it.
+    """Complete specification of a campaign; create it by `load` or `from_dict`.
 
     Attributes
     ----------
@@ -398,7 +398,7 @@ _IMPORTANCE_TABLES = ("shifts", "scales")
 
 
 def _distribution_tables(table: Mapping[str, Any], before: str = "") -> list[tuple[str, Any]]:
-    """Return the key and table of each distribution: a table with a text `kind`, or a non-table."""
+    """Return key and table of each distribution: a non-table, or one with text `kind`."""
     found = []
     for key, value in table.items():
         name = f"{before}{key}"
@@ -492,7 +492,7 @@ def _overlap(a: tuple[str, ...], b: tuple[str, ...]) -> bool:
 
 
 def _check_no_overlap(keys: Iterable[str], values: Mapping[str, Sequence[Any]], where: str) -> None:
-    """Refuse two keys of which one contains the other: the result would depend on their order."""
+    """Refuse a key that contains another: the result would depend on their order."""
     for a, b in itertools.combinations(keys, 2):
         if _overlap(_key_path(a, values.get(a, [0.0])), _key_path(b, values.get(b, [0.0]))):
             raise InputError(f"{where}.{b}", b, f"must not be set together with {a}")

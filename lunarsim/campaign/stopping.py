@@ -9,7 +9,7 @@ from lunarsim.evaluation.sequences import share_confidence_sequence
 
 
 class IntervalWidthRule:
-    """Stops at the first flight after which the confidence sequences of all arms are narrow enough.
+    """Stops when the confidence sequences of all arms are narrow enough.
 
     The rule evaluates consecutive flights from 0, so the stopping index does not depend on the
     order in which flights finish. A flight without an outcome counts as a failure.

@@ -1,4 +1,4 @@
-"""Storage of a campaign: a journal of finished flights, Parquet parts and a manifest.
+"""Store a campaign: journal of finished flights, Parquet parts and manifest.
 
 ``manifest.json``
     What is flown, with which code and on which machine; the state of the campaign.
@@ -47,7 +47,7 @@ _FSYNC_INTERVAL_S = 1.0
 
 
 class Store:
-    """Open folder of a campaign; create it with `open`, and close it or use a `with` statement.
+    """Open folder of a campaign, a context manager; create it with `open`.
 
     Attributes
     ----------
@@ -342,7 +342,7 @@ class Store:
         write_json(self.folder / "manifest.json", with_digest(self.manifest))
 
     def close(self, state: str) -> None:
-        """Write all rows into parts, empty the journal, record the state, release the folder."""
+        """Write all rows into parts, empty the journal, record the state, unlock."""
         try:
             for part in sorted(self._open):
                 self._write_part(part)
@@ -371,7 +371,7 @@ class Store:
 
 
 def _check_types(row: Any, timing: Any, schema: pa.Schema) -> None:
-    """Raise `ValueError` (base of Arrow's errors) for values that do not fit their columns."""
+    """Raise `ValueError` for values that do not fit their columns, as Arrow does."""
     pa.Table.from_pylist([row], schema)
     pa.Table.from_pylist([timing], TIMING)
 
@@ -382,7 +382,10 @@ def _journal_line(row: Row) -> str:
 
 
 def _column_table(lines: list[str], column: int, schema: pa.Schema) -> pa.Table:
-    """Return the rows (column 0) or times (column 1) of lines, in batches to limit memory."""
+    """Return the rows (column 0) or times (column 1) of lines, in batches.
+
+    Batches limit memory.
+    """
     tables = [
         pa.Table.from_pylist(
             [json.loads(line)[column] for line in lines[at : at + _ROWS_PER_BATCH]], schema

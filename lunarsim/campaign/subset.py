@@ -7,7 +7,7 @@ probability is the product of the conditional probabilities of the levels. The c
 conditional sampling (Papaioannou et al. 2015): the candidate for normal scores z is
 sqrt(1 - s^2) z + s xi; it is accepted if its flight is close enough, else the state is repeated.
 The world of a flight (rocks, noise, navigation errors) is part of the state: a step keeps it or
-uses the world of its own index, which is a draw from all worlds. Both leave the conditional
+uses the world of its index, which is a draw from all worlds. Both leave the conditional
 distribution invariant, so the effect of chance is included in the probability.
 """
 
@@ -74,7 +74,7 @@ class SubsetLevel:
 class SubsetChains:
     """Markov chains of a subset simulation, and the flights that can start next.
 
-    A flight depends on the root seed, its index and the rows of earlier flights of its own chain
+    A flight depends on the root seed, its index and the rows of earlier flights of its chain
     and of the lower levels. It therefore does not depend on the engine or the order of execution.
 
     Parameters
@@ -134,7 +134,7 @@ class SubsetChains:
         return 0 if level == 0 else self.flights + (level - 1) * (self.flights - self.chains)
 
     def _locate(self, flight: int) -> tuple[int, int, int]:
-        """Return level, step and chain of a flight; flights of the first level have step 0."""
+        """Return level, step and chain of a flight; the first level has step 0."""
         if flight < self.flights:
             return 0, 0, flight
         level, rest = divmod(flight - self.flights, self.flights - self.chains)
@@ -232,7 +232,7 @@ class SubsetChains:
         self._waiting = deque(range(end, end + self.chains))
 
     def resume(self, rows: Iterable[Row]) -> list[int]:
-        """Add the rows of a folder, sorted by flight; return flights whose predecessor is missing.
+        """Add a folder's rows, by flight; return flights that lack their predecessor.
 
         Parameters
         ----------

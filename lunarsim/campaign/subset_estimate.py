@@ -130,7 +130,7 @@ def estimate_failure_probability(levels: Sequence[SubsetLevel]) -> SubsetEstimat
 
 
 def _reached_share_bound(levels: Sequence[SubsetLevel]) -> float:
-    """Return an upper bound of the probability to reach the last level with many worlds.
+    """Bound the probability to reach the last level with many worlds, from above.
 
     0 if the last level itself has many: its own variation is then sufficient.
     """
@@ -149,7 +149,7 @@ def _interval_factor(variation: float) -> float:
 
 
 def level_variance(level: SubsetLevel) -> float:
-    """Return the squared coefficient of variation of a level's conditional probability."""
+    """Return the squared coefficient of variation of a level's probability."""
     near = level.margins <= level.threshold
     share, count = float(near.mean()), near.size
     even = (1.0 - share) / (share * count)
@@ -161,13 +161,13 @@ def level_variance(level: SubsetLevel) -> float:
 
 
 def _chain_correlation(near: np.ndarray, share: float) -> float:
-    """Return the correlation factor gamma of the states of a chain (eq. 29), at least 0."""
+    """Return the correlation factor gamma of a chain's states (eq. 29), at least 0."""
     steps = near.shape[1]
-    whole = share * (1.0 - share)
-    if whole == 0.0:
+    variance = share * (1.0 - share)
+    if variance == 0.0:
         return 0.0
     total = 0.0
     for apart in range(1, steps):
         together = float(np.mean(near[:, :-apart] & near[:, apart:])) - share**2
-        total += 2.0 * (1.0 - apart / steps) * together / whole
+        total += 2.0 * (1.0 - apart / steps) * together / variance
     return max(0.0, total)

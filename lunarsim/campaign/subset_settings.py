@@ -60,7 +60,7 @@ class SubsetSettings:
         return round(1.0 / self.keep)
 
     def check_flights(self, flights: int) -> None:
-        """Raise `InputError` if a level does not consist of complete chains, or of too few."""
+        """Raise `InputError` if a level has incomplete chains, or too few."""
         least = _MIN_CHAINS * self.steps
         if flights % self.steps or flights < least:
             up = max(least, -(-flights // self.steps) * self.steps)

@@ -1,4 +1,4 @@
-"""Terrain of a flight and the truth about it, shared by all arms and cached on disk.
+"""Terrain of a flight and its truth, shared by all arms and cached on disk.
 
 Terrain and rocks are generated again for each flight index, which takes hundredths of a second.
 The exact safety map takes half a second and more; it is what the cache stores.
@@ -46,9 +46,9 @@ class WorldTruthProvider:
 
     def world_and_truth(self, scenario: Scenario) -> tuple[World, TerrainTruth]:
         """Return world and truth of a scenario; the truth depends on the lander's limits."""
-        ground = ("ground", tables_as_text(scenario, GROUND_TABLES))
-        world = build_world(scenario, RandomStreams(self.seed), self.memory.get(ground))
-        self.memory.setdefault(ground, world.terrain)
+        terrain_key = ("ground", tables_as_text(scenario, GROUND_TABLES))
+        world = build_world(scenario, RandomStreams(self.seed), self.memory.get(terrain_key))
+        self.memory.setdefault(terrain_key, world.terrain)
         known = ("truth", tables_as_text(scenario, TRUTH_TABLES))
         if known not in self.memory:
             self.memory[known] = self._truth(scenario, world)

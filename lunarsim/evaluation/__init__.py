@@ -1,1 +1,1 @@
-"""Evaluation of hazard maps, probabilities, flights and campaigns against the truth."""
+"""Evaluate hazard maps, probabilities, flights and campaigns against the truth."""

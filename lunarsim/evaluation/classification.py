@@ -1,4 +1,4 @@
-"""Evaluate a probability map: three classes, confusion, reliability (paper, V.B and V.C)."""
+"""Evaluate a probability map: classes, confusion, reliability (V.B and V.C)."""
 
 from __future__ import annotations
 
@@ -62,8 +62,8 @@ class Classification:
         return asdict(self)
 
 
-def _share(part: int, whole: int) -> float:
-    return Proportion(part, whole).value
+def _share(part: int, total: int) -> float:
+    return Proportion(part, total).value
 
 
 def classify(
@@ -74,7 +74,7 @@ def classify(
     *,
     observed: NDArray[np.bool_],
 ) -> Classification:
-    """Compare a map of the hazard probability (rows, cols) with the truth (rows, cols).
+    """Compare a map of the hazard probability (rows, cols) with the truth.
 
     A cell is classified clear if it was `observed` (rows, cols) and has a small probability.
     Where few rocks are expected, the probability is small before any image.

@@ -114,7 +114,9 @@ def mean_difference(
 def bootstrap_interval(
     values: ArrayLike, rng: np.random.Generator, level: float = 0.95
 ) -> tuple[float, float]:
-    """Return the bootstrap interval (BCa) of a mean, ignoring NaN; NaN for fewer than 2 values.
+    """Return the BCa bootstrap interval of a mean; NaN for fewer than 2 values.
+
+    NaN values are ignored.
 
     Above 20,000 values the normal interval is used, which is then practically equal.
     """
@@ -191,7 +193,10 @@ class Ellipse:
 
 
 def landing_ellipse(xy: ArrayLike, level: float = 0.95) -> Ellipse | None:
-    """Return the ellipse of landing points (n, 2), m, ignoring NaN; None for fewer than 3."""
+    """Return the ellipse of landing points (n, 2), m; None for fewer than 3.
+
+    NaN values are ignored.
+    """
     points = np.asarray(xy, dtype=np.float64).reshape(-1, 2)
     points = points[np.isfinite(points).all(axis=1)]
     if len(points) < 3:

@@ -38,7 +38,7 @@ class Consistency:
 
     @property
     def ratio(self) -> float:
-        """Mean square over its expected value: 1 for a consistent filter; NaN without trials."""
+        """Mean square over its expected value: 1 if consistent; NaN without trials."""
         return self.total / self.degrees if self.degrees else float("nan")
 
     def bounds(self, level: float = 0.95) -> tuple[float, float]:

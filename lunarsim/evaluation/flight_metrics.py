@@ -98,7 +98,7 @@ def evaluate(flight: Flight, truth: TerrainTruth) -> dict[str, Any]:
 
 
 def predicted_p_safe(flight: Flight) -> float:
-    """Return p_safe of the decision map at the last site; NaN where it observed nothing."""
+    """Return p_safe of the decision map at the last site; NaN if unobserved."""
     m = flight.hazard_map
     if m is None or not m.grid.contains(flight.sites[-1, :2]):
         return float("nan")
@@ -117,7 +117,10 @@ def initial_aim_point(flight: Flight) -> Array:
 
 
 def safe_site_in_reach(flight: Flight, truth: TerrainTruth) -> bool:
-    """Return whether an exactly safe site was within reach when terrain was first mapped."""
+    """Return whether a safe site was in reach when terrain was first mapped.
+
+    Exact safety (the truth) counts.
+    """
     m, first = flight.hazard_map, flight.first_map
     if m is None or first is None:
         return False

@@ -75,14 +75,14 @@ class MapQuality:
         return self.hits / safe if safe else float("nan")
 
     @property
-    def judged(self) -> int:
+    def evaluated(self) -> int:
         """Number of evaluated cells."""
         return self.hits + self.false_safe + self.missed + self.rejected
 
     @property
     def safe_share(self) -> float:
         """Share of all cells that are safe; NaN without any."""
-        return (self.hits + self.missed) / self.judged if self.judged else float("nan")
+        return (self.hits + self.missed) / self.evaluated if self.evaluated else float("nan")
 
 
 def map_quality(
@@ -107,7 +107,7 @@ def map_quality(
 def true_elevation_in_map_frame(
     terrain: Terrain, grid: Grid, error: ArrayLike
 ) -> NDArray[np.float32]:
-    """Return the true elevation at the cells of a map, in the map's frame (rows, cols), m.
+    """Return the true elevation at a map's cells (rows, cols), m, in its frame.
 
     Parameters
     ----------

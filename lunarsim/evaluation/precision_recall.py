@@ -43,7 +43,7 @@ class PrecisionRecall:
         return PrecisionRecall(self.unsafe + other.unsafe, self.safe + other.safe)
 
     def curve(self) -> tuple[Array, Array]:
-        """Return precision and recall for falling thresholds, from the first classified cell."""
+        """Return precision and recall for falling thresholds, from the first cell."""
         wrong, hits = np.cumsum(self.unsafe[::-1]), np.cumsum(self.safe[::-1])
         used = hits + wrong > 0
         return hits[used] / (hits + wrong)[used], hits[used] / max(hits[-1], 1.0)
@@ -55,11 +55,11 @@ class PrecisionRecall:
         return MapQuality(*(int(n.sum()) for n in numbers))
 
     def precision_at(self, recall: float) -> float:
-        """Return the precision at the highest threshold with this recall, or at the lowest."""
+        """Return the precision at the highest (else lowest) threshold with this recall."""
         precision, found = self.curve()
         return float(precision[min(int(np.searchsorted(found, recall)), len(found) - 1)])
 
     def recall_at(self, precision: float) -> float:
-        """Return the maximum recall of thresholds with at least this precision; 0 without any."""
+        """Return the maximum recall with at least this precision; 0 without any."""
         own, found = self.curve()
         return float(found[own >= precision].max(initial=0.0))

@@ -18,7 +18,7 @@ _APPROACH_PHASE = 0.0
 
 
 def divert_cost_from(flight: Flight, here: Estimate, sites: Array) -> DivertCost:
-    """Return the divert cost of the flight's guidance law to sites (n, 3), local frame."""
+    """Return the guidance law's divert cost to sites (n, 3) in the local frame."""
     scenario = Scenario.from_toml(flight.scenario)
     approach, lander = scenario.approach.make(), scenario.vehicle.make()
     cost: DivertCost = scenario.guidance.make().cost(
@@ -62,7 +62,7 @@ def decision_rows(flight: Flight) -> tuple[int, int] | None:
 
 
 def reach_at_row(flight: Flight, row: int, grid: Grid) -> ReachabilityMap:
-    """Return where the lander could still land in a row of the trajectory, on a local grid.
+    """Return, on a local grid, where the lander could land from a trajectory row.
 
     Heights are those of the last map, and the height of the site elsewhere. Sites that are not
     visible through the lander's window count as within reach.

@@ -41,13 +41,16 @@ def bin_frequencies(table: Array) -> tuple[Array, Array]:
 
 
 def brier_score(probability: ArrayLike, happened: ArrayLike) -> float:
-    """Return the Brier score: mean squared difference of probability and outcome (0 or 1)."""
+    """Return the Brier score: mean squared difference from the outcome (0 or 1)."""
     p = np.asarray(probability, dtype=np.float64)
     return float(np.mean((p - np.asarray(happened, dtype=np.float64)) ** 2))
 
 
 def brier_skill(probability: ArrayLike, happened: ArrayLike) -> float:
-    """Return the Brier skill score relative to the base rate; NaN if all outcomes are equal."""
+    """Return the Brier skill score relative to the base rate.
+
+    It is NaN if all outcomes are equal.
+    """
     base = float(np.mean(np.asarray(happened, dtype=np.float64)))
     if base in (0.0, 1.0):
         return float("nan")
@@ -68,7 +71,7 @@ def chance_calibration_error(
     draws: int = 400,
     edges: ArrayLike = EDGES,
 ) -> float:
-    """Return a quantile of the calibration error that correct probabilities have by chance.
+    """Return a quantile of the error that calibrated probabilities have by chance.
 
     The outcomes are drawn independently with the probabilities (n,), `draws` times. NaN without
     probabilities.

@@ -1,4 +1,4 @@
-"""Confidence sequences of a share: intervals that are valid at every number of trials.
+"""Compute confidence sequences of a share, valid at every number of trials.
 
 A Wilson interval is valid for a number of trials fixed in advance. If one evaluates it after every
 flight and stops at a favourable moment, its coverage is below the nominal level. A confidence

@@ -1,4 +1,7 @@
-"""Refit the last calibration stage to a scenario's sites, and cross-validate it by flight."""
+"""Refit the last calibration stage to a scenario's sites, and cross-validate it.
+
+Cross-validation is by flight.
+"""
 
 from __future__ import annotations
 
@@ -94,7 +97,7 @@ class SiteSamples:
         return cls(
             np.full(n, flight, np.int64),
             odds.low,
-            odds.verdict(np.minimum(most, clear)).agreed,
+            odds.estimate(np.minimum(most, clear)).agreed,
             most,
             clear,
             outside_domain_bound(e)[where],
@@ -159,7 +162,7 @@ def sample_sites(
     flight: int,
     rng: np.random.Generator,
 ) -> SiteSamples:
-    """Sample sites of a map at random, where the map has observed and the truth is known.
+    """Sample sites of a map at random, where observed and with known truth.
 
     Parameters
     ----------
@@ -182,7 +185,7 @@ def sample_sites(
 
 @dataclass(frozen=True)
 class ProbabilityQuality:
-    """Quality of safety probabilities; arrays hold value and ends of the 95 % interval (3,).
+    """Quality of probabilities; arrays hold value and 95 % interval ends (3,).
 
     Attributes
     ----------
@@ -240,7 +243,7 @@ class CalibrationComparison:
 
 @dataclass(frozen=True)
 class CrossValidation:
-    """Cross-validated quality of a refit: each flight is evaluated by a fit to the others.
+    """Cross-validated quality of a refit: fits exclude the flight under test.
 
     Attributes
     ----------
@@ -290,7 +293,7 @@ def cross_validate(
 
 
 def check_site_counts(sites: SiteSamples) -> None:
-    """Raise `InputError` if there are too few sites for a fit in and outside the domain."""
+    """Raise `InputError` if too few sites are inside or outside the domain."""
     safe, known = sites.safe, sites.known
     if not (has_enough_sites(safe[known]) or has_enough_sites(safe[~known])):
         raise InputError(
@@ -327,7 +330,7 @@ def _compute_quality(
     """
     flights = weights.shape[1]
     s, p = sites.at(where), p[where]
-    sure = p > _CONFIDENT_P
+    confident = p > _CONFIDENT_P
 
     def total(values: Array | BoolArray | None, among: BoolArray | None = None) -> Array:
         at = s.flight if among is None else s.flight[among]
@@ -344,12 +347,12 @@ def _compute_quality(
         base = safe / number
         spread = base * (1.0 - base)
         skill = 1.0 - total((p - s.safe) ** 2) / number / np.where(spread > 0.0, spread, np.nan)
-        gap = total(p - s.safe, sure) / total(None, sure)
+        gap = total(p - s.safe, confident) / total(None, confident)
         share = number / (weights @ _per_flight(sites.flight, None, flights))
         ece = np.abs(table[..., 1] - table[..., 2]).sum(axis=1) / number
     return ProbabilityQuality(
         len(s), _interval(share), _interval(base), _unbiased(ece), _interval(skill),
-        int(sure.sum()), _interval(gap),
+        int(confident.sum()), _interval(gap),
     )  # fmt: skip
 
 
@@ -366,7 +369,7 @@ def _interval(samples: Array) -> Array:
 
 
 def _unbiased(samples: Array) -> Array:
-    """Return the interval of a non-negative statistic that noise increases, such as the ECE.
+    """Return the interval of a non-negative statistic that noise increases.
 
     Resampling adds noise; the interval is shifted back by the mean increase.
     """

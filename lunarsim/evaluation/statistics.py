@@ -71,7 +71,9 @@ class MeanInterval:
 
 
 def mean_interval(values: ArrayLike) -> MeanInterval:
-    """Return the mean of values (n,) with its 95 % interval (Student's t), ignoring NaN.
+    """Return the mean of values (n,) with its 95 % interval (Student's t).
+
+    NaN values are ignored.
 
     Examples
     --------

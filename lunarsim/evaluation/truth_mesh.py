@@ -1,4 +1,4 @@
-"""Reference truth of the quadtree paper: a coarse mesh, and deviations from its planes."""
+"""Reference truth of the quadtree paper: deviations from a coarse mesh."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class TruthMesh:
         self.y0 = grid.y0 + 0.5 * (n - 1) * grid.posting
 
     def plane(self, xy: ArrayLike) -> tuple[Array, Array]:
-        """Return the unit normals (..., 3) and heights (...,) of the mesh at points (..., 2).
+        """Return unit normals (..., 3) and heights (...,) of the mesh at (..., 2).
 
         Points outside the outermost nodes give NaN. The diagonal between four nodes runs from
         south-west to north-east.
@@ -69,7 +69,7 @@ class TruthMesh:
         return np.asarray((np.asarray(elevation, dtype=np.float64) - height) * normal[..., 2])
 
     def hazards(self, elevation: ArrayLike, grid: Grid, limit: float) -> Array:
-        """Return 1 where the terrain deviates from the mesh by more than `limit` (m), else 0.
+        """Return 1 where terrain deviates from the mesh by over `limit` (m), else 0.
 
         NaN where there is no mesh (rows, cols).
         """

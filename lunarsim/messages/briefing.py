@@ -24,13 +24,13 @@ class InitialStateEstimate:
     Attributes
     ----------
     position, velocity
-            Site frame, ENU (3,), m and m/s.
+        Site frame, ENU (3,), m and m/s.
     attitude
         Quaternion, body to ENU (4,).
     position_sigma, velocity_sigma, attitude_sigma
-            Standard deviations per axis, m, m/s, rad.
-        ground_sigma
-            Standard deviation of the target's elevation, m.
+        Standard deviations per axis, m, m/s, rad.
+    target_elevation_sigma
+        Standard deviation of the target's elevation, m.
     """
 
     position: Array
@@ -39,7 +39,7 @@ class InitialStateEstimate:
     position_sigma: float
     velocity_sigma: float
     attitude_sigma: float
-    ground_sigma: float = 0.0
+    target_elevation_sigma: float = 0.0
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 
 # Number of test points per image side, and maximum error (pixels) of the inverse distortion.
 _TEST_POINTS_PER_SIDE, _MAX_INVERSION_ERROR_PX = 17, 0.5
-# Body z points up through the lander: the camera looks straight down, its x along body -y.
+# Body z points up through the lander: the camera points straight down, its x along body -y.
 DOWNWARD_MOUNT = np.array([[0.0, -1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 
 

@@ -138,7 +138,7 @@ class TerrainRaster:
     def half_spaces(self, path: OptimalPath, clearance: float) -> HalfSpaces:
         """Return three planes per control point: its own and its neighbours'.
 
-        The path over an interval lies in the hull of its own control point and its neighbours';
+        The path over an interval lies in the hull of its control point and its neighbours';
         all three are therefore above the plane of that interval.
         """
         control = path.position[:-1] + 0.5 * path.step * path.velocity[:-1]
@@ -210,7 +210,7 @@ def minimize_propellant_over_terrain(
         cone = terrain.majorant(descent.end_position, sectors, clearance)
         majorant_path = minimize_propellant(planner, replace(descent, cone=cone))
     except (InfeasibleError, SolverError):
-        pass  # a majorant may block every path, or be active so long that relaxation is lossy
+        pass  # a majorant may block every path, or be active for a time that makes relaxation lossy
     # The majorant considers posts only; between and outside them, check the terrain itself.
     if majorant_path is not None and terrain.above(majorant_path) > clearance - 1e-3:
         if (

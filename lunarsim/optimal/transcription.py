@@ -338,10 +338,10 @@ class Transcription:
     ) -> dict[str, tuple[Array, Array]]:
         """Return the rows of maximum and minimum thrust, at the interval centres."""
         k = units.kappa
-        whole = self._unit_force(d, units) * np.exp(-log_mass)
+        unit_acceleration = self._unit_force(d, units) * np.exp(-log_mass)
         out = {}
         for name, sign, force in (("high", 1.0, d.thrust_max), ("low", -1.0, d.thrust_min)):
-            most = force * whole
+            most = force * unit_acceleration
             half = 0.5 * k * most
             entries = sign * np.column_stack((1.0 + half, half - 1.0))
             out[name] = entries, sign * most * (1.0 + log_mass)

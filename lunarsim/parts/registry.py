@@ -237,7 +237,7 @@ def resolve(contract: str, kind: str, field: str | None = None) -> type:
     """
     field = field or f"{contract}.kind"
     module, colon, _ = kind.partition(":")
-    # A look-up of entry points scans all installed packages (10 ms): only if needed.
+    # Finding entry points scans all installed packages (10 ms): only if needed.
     if colon and kind not in kinds(contract).values():
         check_allowed(field, kind, module)
     return _resolve(contract, kind, field)
@@ -269,10 +269,10 @@ def _resolve(contract: str, kind: str, field: str) -> type:
     except KeyboardInterrupt:
         raise
     except BaseException as error:  # a custom module can raise anything, including SystemExit
-        said = str(error).split("\n")[0]
+        message = str(error).split("\n")[0]
         raise InputError(
             field, kind,
-            f"must be a class that can be imported ({type(error).__name__}: {said})",
+            f"must be a class that can be imported ({type(error).__name__}: {message})",
             "Run in its directory or install its package.",
         ) from error  # fmt: skip
     if not (isinstance(found, type) and dataclasses.is_dataclass(found)):

@@ -38,9 +38,9 @@ class PartSettings(BaseModel):
         except InputError as error:
             raise self._with_scenario_key(error, keys) from None
         except (TypeError, ValueError) as error:
-            said = str(error).split("\n")[0]
+            message = str(error).split("\n")[0]
             raise InputError(
-                "kind", cls.__name__, f"must accept the values of its table ({said})"
+                "kind", cls.__name__, f"must accept the values of its table ({message})"
             ) from error
 
     def _with_scenario_key(

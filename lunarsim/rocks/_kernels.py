@@ -152,16 +152,16 @@ def cast_on_plane(origin, direction, rocks, planes, count, distance, normal):
     for i in range(origin.shape[0]):
         ox, oy, oz = origin[i, 0], origin[i, 1], origin[i, 2]
         dx, dy, dz = direction[i, 0], direction[i, 1], direction[i, 2]
-        ground = -oz / dz if dz < 0.0 and oz >= 0.0 else np.inf
+        plane_distance = -oz / dz if dz < 0.0 and oz >= 0.0 else np.inf
         hit = rock_hit(ox, oy, oz, dx, dy, dz, rocks, 0, planes, count)
         # Hits below the plane do not count; the tolerance accepts a ray that starts on the rock.
-        if hit >= -1e-9 and hit < ground:
+        if hit >= -1e-9 and hit < plane_distance:
             distance[i] = hit
             rock_normal(
                 ox + hit * dx, oy + hit * dy, oz + hit * dz, rocks, 0, planes, count, normal[i]
             )
         else:
-            distance[i] = ground
+            distance[i] = plane_distance
             normal[i, 0] = 0.0
             normal[i, 1] = 0.0
             normal[i, 2] = 1.0

@@ -144,12 +144,12 @@ def _lids(z, slopes, height, east, north):
 
 
 @kernel()
-def _lift_lids(ground, here, corners, lids):
+def _lift_lids(window, here, corners, lids):
     """Write the lids' heights of all blocks of sixteen sites, raised for gradients.
 
     Returns nothing; block n of site k is lids[LANES n + k].
     """
-    height, east, north = ground[2], ground[3], ground[4]
+    height, east, north = window[2], window[3], window[4]
     gx, gy = load(east, here), load(north, here)
     for n in range(len(corners)):
         at = here + item(corners, n)
@@ -236,15 +236,15 @@ def _drop_steep(tangent, limit, lanes):
 
 @kernel()
 def _write_roughness(
-    ground, here, wide, legs, cells, covers, posting, limit_rough, decide, start, lanes, lids,
+    window, here, wide, legs, cells, covers, posting, limit_rough, decide, start, lanes, lids,
 ):  # fmt: skip
     """Raise lanes[1] to tan(slope), write the roughness of sixteen sites to lanes[2].
 
     lanes[0] is FAR for sites to skip, lanes[3] the margin for rounding; `lids` is from
     `_lift_lids`. Returns the heading that raised the roughness last; `start` is the first heading.
     """
-    z, feet = ground[0], ground[1]
-    ex, ey = load(ground[3], here), load(ground[4], here)
+    z, feet = window[0], window[1]
+    ex, ey = load(window[3], here), load(window[4], here)
     inverse, place = cells.inverse, cells.place
     blocks, centres, first = covers.which, covers.centres, covers.first
     polygon = (covers.corners.reshape(covers.corners.size), covers.allowed)
@@ -292,7 +292,7 @@ _ROUNDING = np.float32(2e-6)
 def _mark(todo, size, i, first, lanes):
     """Mark the sites to evaluate and write their margins; return if there are any.
 
-    A site's margin depends on the heights of its own footprint, which are FAR where unknown.
+    A site's margin depends on the heights of its footprint, which are FAR where unknown.
     """
     found = False
     for k in range(SIMD_WIDTH):
@@ -305,21 +305,21 @@ def _mark(todo, size, i, first, lanes):
 
 
 @kernel()
-def _prepare(z, middle, cells, r0, c0, ground, size):
+def _prepare(z, middle, cells, r0, c0, window, size):
     """Fill the windows of a tile and the maximum height of each footprint.
 
-    `ground` (5, rows, cols) becomes elevation, terrain under pads, heights and gradients of lids;
+    `window` (5, rows, cols) becomes elevation, terrain under pads, heights and gradients of lids;
     `size` is FAR where a footprint contains unknown terrain or leaves the raster.
     """
     reach = cells.reach
-    _, tall, wide = ground.shape
+    _, tall, wide = window.shape
     h, w = size.shape
     levels = levels_of(cells, tall, wide)
     datum = datum_of(z, middle, r0, c0, h, w)
-    load_window(z, middle, datum, r0 - reach, c0 - reach, ground[0])
+    load_window(z, middle, datum, r0 - reach, c0 - reach, window[0])
     for i in range(tall):
         for j in range(wide):
-            levels[0, i, j] = abs(ground[0, i, j])
+            levels[0, i, j] = abs(window[0, i, j])
     fill(levels, cells)
     over_runs(levels, cells.depth, cells.leg_windows, reach, size)
     body = np.empty((h, w), np.float32)
@@ -327,9 +327,9 @@ def _prepare(z, middle, cells, r0, c0, ground, size):
     for i in range(h):
         for j in range(w):
             size[i, j] = max(size[i, j], body[i, j])
-    clear(ground[0])
-    terrain_under_pads(levels, ground[0], cells, ground[1])
-    ground[2:] = np.float32(0.0)
+    clear(window[0])
+    terrain_under_pads(levels, window[0], cells, window[1])
+    window[2:] = np.float32(0.0)
     slopes = np.empty((2, tall // SQUARE, wide // SQUARE), np.float32)
     rows, cols = z.shape
     inside = (
@@ -338,19 +338,19 @@ def _prepare(z, middle, cells, r0, c0, ground, size):
         max(reach - c0, 0),
         min(w + 2 * reach, cols - c0 + reach) - 1,
     )
-    slopes_at_large(ground[0], inside, max(reach // 2, 1), slopes)
-    flat = ground.reshape(5, tall * wide)
-    _lids(ground[0], slopes, flat[2], flat[3], flat[4])
+    slopes_at_large(window[0], inside, max(reach // 2, 1), slopes)
+    flat = window.reshape(5, tall * wide)
+    _lids(window[0], slopes, flat[2], flat[3], flat[4])
 
 
 @kernel()
 def _exact_tile(
-    ground, size, todo, cells, covers, posting, limit_slope, limit_rough, decide, slope_out,
+    window, size, todo, cells, covers, posting, limit_slope, limit_rough, decide, slope_out,
     rough_out,
 ):  # fmt: skip
     """Write tan(slope) and roughness of the sites `todo` of a tile."""
-    wide = ground.shape[2]
-    flat = ground.reshape(5, ground.shape[1] * wide)
+    wide = window.shape[2]
+    flat = window.reshape(5, window.shape[1] * wide)
     legs = flat_offsets(cells.legs, wide)
     corners = flat_offsets(covers.distinct, wide)
     lanes = np.zeros((4, SIMD_WIDTH), np.float32)
@@ -409,10 +409,10 @@ def exact(
         if not todo[r0:r1, c0:c1].any():
             continue
         tall, wide = window_shape(cells, r1 - r0, c1 - c0)
-        ground = np.empty((5, tall, wide), np.float32)
+        window = np.empty((5, tall, wide), np.float32)
         size = np.empty((r1 - r0, c1 - c0), np.float32)
-        _prepare(z, middle, cells, r0, c0, ground, size)
+        _prepare(z, middle, cells, r0, c0, window, size)
         _exact_tile(
-            ground, size, todo[r0:r1, c0:c1], cells, covers, posting, limit_slope, limit_rough,
+            window, size, todo[r0:r1, c0:c1], cells, covers, posting, limit_slope, limit_rough,
             decide, slope_out[r0:r1, c0:c1], rough_out[r0:r1, c0:c1],
         )  # fmt: skip

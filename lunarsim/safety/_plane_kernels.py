@@ -208,14 +208,14 @@ def _bound_tile(tops, feet, cells, covers, block, posting, upright, slope_out, r
     legs = flat_offsets(cells.legs, wide)
     blocks = flat_offsets(covers.corners, wide)
     inverse, place, centres, first = cells.inverse, cells.place, covers.centres, covers.first
-    ground, below = tops.reshape(tops.size), feet.reshape(feet.size)
+    upper, lower = tops.reshape(tops.size), feet.reshape(feet.size)
     span = np.float32(0.5 * (block - 1))
     lanes = np.empty((2, SIMD_WIDTH), np.float32)
     for i in range(rows):
         for j in range(0, cols, SIMD_WIDTH):
             here = (i + cells.reach) * wide + cells.reach + j
             steepest, worst = _bound_sites(
-                ground, below, here, legs, inverse, place, blocks, centres, first, span, posting,
+                upper, lower, here, legs, inverse, place, blocks, centres, first, span, posting,
                 upright,
             )  # fmt: skip
             store(lanes[0], 0, lane_sqrt(steepest))
@@ -238,14 +238,14 @@ def bounded(share, z, middle, cells, covers, block, posting, slope_out, rough_ou
         r0, r1, c0, c1 = tile_at(tile, across, PLANE_ROWS, rows, cols)
         tall, wide = window_shape(cells, r1 - r0, c1 - c0)
         levels = levels_of(cells, tall, wide)
-        ground = np.empty((3, tall, wide), np.float32)
+        window = np.empty((3, tall, wide), np.float32)
         datum = datum_of(z, middle, r0, c0, r1 - r0, c1 - c0)
-        load_window(z, middle, datum, r0 - reach, c0 - reach, ground[0])
-        clear(ground[0])
-        terrain_under_pads(levels, ground[0], cells, ground[1])
-        block_tops(ground[0], block, ground[2])
+        load_window(z, middle, datum, r0 - reach, c0 - reach, window[0])
+        clear(window[0])
+        terrain_under_pads(levels, window[0], cells, window[1])
+        block_tops(window[0], block, window[2])
         _bound_tile(
-            ground[2], ground[1], cells, covers, block, posting, False,
+            window[2], window[1], cells, covers, block, posting, False,
             slope_out[r0:r1, c0:c1], rough_out[r0:r1, c0:c1],
         )  # fmt: skip
 

@@ -8,12 +8,12 @@ of both bounds is used.
 
 Proof that no site classified as safe is unsafe. Let g be the gradient of an admissible support
 plane at some heading, and x a cell of the polygon of the legs. The blocks cover the polygon, so x
-lies in a block with centre c, half side s and maximum B >= z(x). The height of the plane at x is at
-least its height at c minus ``s (|gx| + |gy|)``. The height of the terrain above the plane at x is
-therefore at most B minus the plane's height at c plus ``s (|gx| + |gy|)``, which the test computes;
-the maximum over blocks, headings and planes bounds the exact roughness. At each leg the plane is at
-least as high as the highest terrain under the pad. Everywhere in the polygon it is therefore at
-least as high as the lowest terrain that a pad may touch. The height of x above it, along its normal
+lies in a block with centre c, half side s and maximum B >= z(x). The plane at x is not below its
+height at c minus ``s (|gx| + |gy|)``. The height of the terrain above the plane at x is therefore
+at most B minus the plane's height at c plus ``s (|gx| + |gy|)``, which the test computes;
+the maximum over blocks, headings and planes bounds the exact roughness. At each leg the plane is
+not below the highest terrain under the pad. Everywhere in the polygon it is therefore not below
+the lowest terrain that a pad may touch. The height of x above it, along its normal
 or vertical, is at most max over U minus min over L of Eq. 10. This also bounds the exact roughness,
 and so does the minimum of both. The slope is that of the exact test, which Proposition III.1 bounds
 by Eq. 11. Hence slope and roughness are below their limits if this test or the conservative one

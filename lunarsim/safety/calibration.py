@@ -12,7 +12,7 @@ almost certainly safe or almost certainly unsafe, and where few unobserved hazar
 Elsewhere a fit to other worlds cannot predict how often a site is safe. Near that domain the odds
 that a site is unsafe are multiplied by twelve. Farther away the result is the minimum of that, of
 Eqs. 15 to 17 and of the probability that no unobserved rock is present. With a weight of one in a
-thousand the fits are used alone, so that the best of nearly hopeless sites can be distinguished.
+thousand the fits are used alone, so that sites of very low probability can still be ranked.
 Across all these boundaries, worse evidence never increases the probability. A scenario's own
 calibration (`lunarsim.safety.scenario_calibration`) has its own last stage and its own domain.
 """
@@ -360,15 +360,15 @@ def calibrated_safety(
             observed_terrain_bound(evidence)[seen],
             p_no_rock_under_pads(evidence)[seen],
         )
-        outside_bound, said = (
+        outside_bound, odds_bounds = (
             outside_domain_bound(evidence)[seen],
             log_odds_bounds(evidence, seen, model),
         )
         p[seen] = site_probability(
-            said.low, upper_bound, p_clear, outside_bound, known[seen], covered[seen], refit
+            odds_bounds.low, upper_bound, p_clear, outside_bound, known[seen], covered[seen], refit
         )
         if refit is None:
-            claimed[seen] &= said.verdict(np.minimum(upper_bound, p_clear)).agreed
+            claimed[seen] &= odds_bounds.estimate(np.minimum(upper_bound, p_clear)).agreed
     return p, claimed
 
 
@@ -407,15 +407,15 @@ def site_probability(
         p = conservative_probability(
             odds, both, outside_bound, covered, NEAR_DOMAIN_LOG_ODDS_MARGIN
         )
-        whole = p >= SURE
+        is_final = p >= SURE
     else:
         inside = np.minimum(refit.probability(odds, known), upper_bound)
         unbound = np.minimum(unbound, inside)
         lowest = out_of_domain_bound(odds, both, outside_bound, NEAR_DOMAIN_LOG_ODDS_MARGIN)
         p = np.where(covered, inside, np.minimum(inside, lowest))
-        whole = covered
+        is_final = covered
     return np.asarray(
-        np.where(whole, p, (1.0 - UNKNOWN_MODEL_WEIGHT) * p + UNKNOWN_MODEL_WEIGHT * unbound)
+        np.where(is_final, p, (1.0 - UNKNOWN_MODEL_WEIGHT) * p + UNKNOWN_MODEL_WEIGHT * unbound)
     )
 
 

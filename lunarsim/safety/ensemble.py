@@ -10,7 +10,7 @@ certainly unsafe: then no single world decides. In between, a single world nearl
 and that may change in either direction with any feature. No frequency is claimed there, even where
 the fits agree, because worse evidence could otherwise enter a region of higher probability. No site
 there reaches the threshold of claimed safety. The spread between fits that all classify a site as
-safe says little about a world that none of them includes.
+safe is no evidence about a world that none of them includes.
 """
 
 from __future__ import annotations
@@ -60,8 +60,8 @@ class LogOddsBounds:
     low: Array
     high: Array
 
-    def verdict(
-        self, upper_bound: Array, hopeless: float = HOPELESS, doomed: BoolArray | None = None
+    def estimate(
+        self, upper_bound: Array, max_unsafe_p: float = HOPELESS, doomed: BoolArray | None = None
     ) -> SafetyEstimate:
         """Return the reported probability of the sites (n,).
 
@@ -69,13 +69,13 @@ class LogOddsBounds:
         ----------
         upper_bound
             Upper bound of the probability (n,).
-        hopeless
+        max_unsafe_p
             Probability up to which sites are almost certainly unsafe.
         doomed
             Where sites may be classified as such (n,); omitted: anywhere.
         """
         p = lower_bound_probability(self.low, upper_bound)
-        never = expit(self.high) <= hopeless
+        never = expit(self.high) <= max_unsafe_p
         return SafetyEstimate(p, (p >= SURE) | (never if doomed is None else never & doomed))
 
 
@@ -211,10 +211,10 @@ class Ensemble:
         named = {name: inside for name, inside in worlds.items() if inside.any()}
         begin = {} if start is None else dict(zip(start.without, start.weights[1:], strict=True))
         first = None if start is None else start.weights[0]
-        whole = Logistic.fit(x, y, rising=rising, start=first)
-        fits = [whole]
+        full_fit = Logistic.fit(x, y, rising=rising, start=first)
+        fits = [full_fit]
         for name, inside in named.items():
-            first = begin.get(name, whole.weights)
+            first = begin.get(name, full_fit.weights)
             fits.append(Logistic.fit(x[~inside], y[~inside], rising=rising, start=first))
         return cls(tuple(f.weights for f in fits), tuple(named), note)
 

@@ -74,9 +74,9 @@ def exact_safety(
     Examples
     --------
     >>> grid = Grid.centred((0.0, 0.0), 12.0, 0.2)
-    >>> ground = np.zeros(grid.shape)
-    >>> ground[30, 30] = 0.6  # a rock in the middle
-    >>> found = exact_safety(ground, grid, Lander())
+    >>> terrain = np.zeros(grid.shape)
+    >>> terrain[30, 30] = 0.6  # a rock in the middle
+    >>> found = exact_safety(terrain, grid, Lander())
     >>> bool(found.safe[30, 30]), round(float(found.roughness[30, 30]), 2)
     (False, 0.6)
     """
@@ -114,13 +114,13 @@ def safe_sites(elevation: ArrayLike, grid: Grid, lander: Lander) -> tuple[BoolMa
     height = prepare_elevation("elevation", elevation, grid, footprint)
     span, rise = height_differences(height, footprint)
     observed = rise < k.FAR
-    sure = (span < footprint.least_height * np.sin(lander.slope_limit)) & (
+    clearly_safe = (span < footprint.least_height * np.sin(lander.slope_limit)) & (
         rise < lander.roughness_limit
     )
-    todo = observed & ~sure
+    todo = observed & ~clearly_safe
     tangent, roughness = _evaluate(height, todo, footprint, lander, grid.posting, True)
     passed = (np.arctan(tangent) < lander.slope_limit) & (roughness < lander.roughness_limit)
-    return observed & (sure | passed), observed
+    return observed & (clearly_safe | passed), observed
 
 
 def height_differences(height: ElevationRaster, footprint: Footprint) -> tuple[FloatMap, FloatMap]:

@@ -7,7 +7,7 @@ heights. The complete relief of the Moon is 20 km, so that values farther away a
 contain them unobserved. A marker within 30 km of the terrain (-9999), or one below 1e9 m that fills
 half of a map, cannot be distinguished from terrain: mask it.
 
-Heights keep their type until a tile's datum, one of its own heights, has been subtracted. Height
+Heights keep their type until a tile's datum, one of its heights, has been subtracted. Height
 differences in float32 are therefore as precise at 10,000 km above zero as at zero.
 """
 

@@ -41,7 +41,7 @@ def tilt_limit_rock_height(slope: Array, lander: Lander) -> Array:
 
 
 def min_tilt_limit_rock_height(slope: Array, lander: Lander) -> Array:
-    """Return the minimum over headings of the height of `tilt_limit_rock_height` (...), m.
+    """Minimize `tilt_limit_rock_height` over headings: heights (...), m.
 
     One pad of four tilts the lander about the line through its neighbours and the centre; one pad
     of three tilts it about the line through the other two.

@@ -37,7 +37,7 @@ Array = NDArray[np.float64]
 
 
 class UnseenRockCount(Protocol):
-    """Unseen rocks above heights per unit of area, as `UndetectedRockRatio.left` needs them."""
+    """Unseen rocks above heights per unit of area, for `UndetectedRockRatio.left`."""
 
     def __call__(self, above: Array, where: NDArray[np.bool_] | None = None, /) -> Array:
         """Return their number at all sites (rows, cols), or at those of a mask (n,)."""

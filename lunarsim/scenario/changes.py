@@ -126,7 +126,7 @@ def _parsed(text: str, value: str) -> Any:
 
 
 def at(data: Any, steps: tuple[str, ...]) -> Any:
-    """Return the value of nested tables at the steps of a key, or None if it is missing."""
+    """Return the value of nested tables at a key's steps, or None if missing."""
     for step in steps:
         if isinstance(data, Mapping):
             data = data.get(step)

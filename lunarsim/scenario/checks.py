@@ -111,7 +111,7 @@ class CheckedTables(Protocol):
 
 
 def check(scenario: CheckedTables) -> None:
-    """Check that parts have what they need, do not contradict each other, and have an effect.
+    """Check that parts have what they need, are consistent, and have an effect.
 
     Raises
     ------

@@ -75,7 +75,7 @@ def parsed_toml(text: str, name: str = "scenario", shown: str = "text") -> dict[
 
 
 def _check_values(value: Any, depth: int = 0) -> None:
-    """Refuse deeply nested tables and integers of more than 64 bits, which TOML excludes."""
+    """Refuse deeply nested tables and integers above 64 bits, which TOML excludes."""
     if depth > _MAX_DEPTH:
         raise ValueError("nested too deep")
     if isinstance(value, int) and not -(2**63) <= value < 2**63:

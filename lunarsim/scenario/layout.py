@@ -112,7 +112,10 @@ def default_kind(table: str, data: Mapping[str, Any]) -> str:
 
 
 def _kinds(data: Mapping[str, Any], table: str) -> set[Any]:
-    """Return the kinds of named parts; values that are not tables are reported elsewhere."""
+    """Return the kinds of named parts, without values that are not tables.
+
+    Other checks report those.
+    """
     parts = data.get(table, {})
     named = parts.values() if isinstance(parts, Mapping) else ()
     kinds = [part.get("kind") for part in named if isinstance(part, Mapping)]

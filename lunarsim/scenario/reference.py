@@ -1,4 +1,4 @@
-"""Generate the scenario reference from the parts: keys, defaults, units, bounds and meaning."""
+"""Generate the scenario reference: keys, defaults, units, bounds, meaning."""
 
 from __future__ import annotations
 
@@ -101,8 +101,8 @@ def _tables() -> Iterator[tuple[str, str, type[PartSettings] | None]]:
                 of = resolve(contract, kind)
                 table = settings_of(of)
             except Exception as error:
-                said = error.problem if isinstance(error, InputError) else str(error)
-                yield heading, f"cannot be loaded: {said}", None
+                message = error.problem if isinstance(error, InputError) else str(error)
+                yield heading, f"cannot be loaded: {message}", None
             else:
                 yield heading, _first_line(of), table
 

@@ -1,4 +1,4 @@
-"""Estimate memory and time of a flight, and refuse scenarios that need too much memory."""
+"""Estimate memory and time of a flight; refuse scenarios that need too much."""
 
 from __future__ import annotations
 
@@ -62,20 +62,20 @@ def estimate(scenario: Any) -> ResourceEstimate:
 
     Rasters that cannot be opened are not counted. Loading the terrain reports them.
     """
-    ground = scenario.terrain.make()
+    terrain = scenario.terrain.make()
     posts, read, area = 0.0, 0.0, 0.0
     memory: dict[str, float] = {}
-    if hasattr(ground, "posts"):
+    if hasattr(terrain, "posts"):
         with contextlib.suppress(InputError):
-            read, posts = ground.posts()
-        area = posts * ground.posting**2
+            read, posts = terrain.posts()
+        area = posts * terrain.posting**2
         memory["terrain.path"] = _BYTES_PER_POST_READ * read
-        detailed = getattr(ground, "detail", True)
+        detailed = getattr(terrain, "detail", True)
         per_post = _BYTES_PER_POST if detailed else _BYTES_PER_SPLINE_POST
         memory["terrain.posting_m"] = per_post * posts
-    elif hasattr(ground, "size") and hasattr(ground, "posting"):
-        finest = getattr(ground, "detail_posting", None) or ground.posting
-        posts, area = (ground.size / finest) ** 2, ground.size**2
+    elif hasattr(terrain, "size") and hasattr(terrain, "posting"):
+        finest = getattr(terrain, "detail_posting", None) or terrain.posting
+        posts, area = (terrain.size / finest) ** 2, terrain.size**2
         memory["terrain.size_m"] = _BYTES_PER_POST * posts
     drawn_rocks = scenario.rocks.make()
     ends = np.array([drawn_rocks.min_diameter, drawn_rocks.max_diameter])
@@ -110,7 +110,7 @@ def check_memory(scenario: Any) -> None:
     Raises
     ------
     InputError
-        Naming the key that needs the most memory.
+        If it needs more; the error names the key with the maximum memory.
     """
     found = estimate(scenario)
     if found.total > MAX_MEMORY_BYTES:

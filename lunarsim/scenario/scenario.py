@@ -56,7 +56,7 @@ class SelectedPart:
 
 @dataclass(frozen=True)
 class Scenario:
-    """Complete definition of a study: world, vehicle, sensors, onboard software and clock.
+    """Complete definition of a study: world, vehicle, sensors, software, clock.
 
     Attributes are the tables of the file; `lunarsim scenario reference` lists all keys. Create
     scenarios with `load`, `from_dict` or `changed`, which check all values.
@@ -385,15 +385,15 @@ def _table(
     contract: str | None = None,
     kind: str = "",
 ) -> PartSettings:
-    """Return a checked table; the part is created once so that it can check its values."""
+    """Return a checked table; the part is created once to check its values."""
     try:
         model = settings_of(of)
     except Exception as error:  # pydantic raises many types for custom annotations
-        said = str(error).split("\n")[0]
+        message = str(error).split("\n")[0]
         raise InputError(
             f"{path}.kind",
             kind or of.__name__,
-            f"must have fields with types that TOML supports ({said})",
+            f"must have fields with types that TOML supports ({message})",
         ) from error
     try:
         table = model.model_validate(dict(_mapping(path, value)))

@@ -1,4 +1,4 @@
-"""Warn about inconsistent values and about keys without effect in a valid scenario."""
+"""Warn about inconsistent values and keys without effect in a scenario."""
 
 from __future__ import annotations
 
@@ -170,17 +170,17 @@ def _unused_key_warnings(scenario: Scenario) -> Iterator[str]:
 
 
 def _unused_terrain_keys(scenario: Scenario) -> Iterator[str]:
-    ground = scenario.terrain
-    if ground.kind == "dtm" and not ground.detail:
+    terrain = scenario.terrain
+    if terrain.kind == "dtm" and not terrain.detail:
         yield from _unused_keys(
-            "terrain", ground.table, "detail = false adds nothing between the posts",
+            "terrain", terrain.table, "detail = false adds nothing between the posts",
             only=_ROUGHNESS,
         )  # fmt: skip
-    elif ground.kind in ("fractal", "dtm"):
-        density = ground.crater_density
-        if density == 0.0 or (density is None and ground.preset == "none"):
+    elif terrain.kind in ("fractal", "dtm"):
+        density = terrain.crater_density
+        if density == 0.0 or (density is None and terrain.preset == "none"):
             yield from _unused_keys(
-                "terrain", ground.table, "the terrain has no craters", only=_CRATERS
+                "terrain", terrain.table, "the terrain has no craters", only=_CRATERS
             )
 
 
@@ -197,7 +197,7 @@ def _unused_keys(
     only: tuple[str, ...] | None = None,
     but: tuple[str, ...] = (),
 ) -> Iterator[str]:
-    """Yield one warning that names the keys of a table that are set but have no effect."""
+    """Yield one warning that names the keys that are set but have no effect."""
     fields = type(settings).model_fields
     values: Mapping[str, Any] = {key: getattr(settings, key) for key in fields}
     found = [

@@ -17,7 +17,7 @@ _PACKAGE = Path(__file__).parent.parent
 
 
 def folder() -> Path:
-    """Return the folder of packaged scenarios: in the installed package or the repository."""
+    """Return the folder of packaged scenarios: installed, or in the repository."""
     installed = _PACKAGE / "shipped"
     return installed if installed.is_dir() else _PACKAGE.parent / "scenarios"
 
@@ -42,7 +42,7 @@ def path_of(name: str) -> Path:
 
 
 def found(given: Path, beside: Path | None = None) -> Path:
-    """Return the path of a scenario given by path or by packaged name; paths come first.
+    """Return the path of a scenario by path (first) or by packaged name.
 
     Parameters
     ----------

@@ -52,8 +52,8 @@ class AutoExposureCamera:
         mount: Array | None = None,
     ) -> CameraImage:
         """Take an image with the gimbal at `mount` (3, 3), and set the next exposure time."""
-        picture = self.camera.measure(world, state, time, rng, mount)
+        image = self.camera.measure(world, state, time, rng, mount)
         if self.control is not None:
-            exposure = self.control.after(picture.counts, self.camera.bits, self.camera.exposure)
+            exposure = self.control.after(image.counts, self.camera.bits, self.camera.exposure)
             self.camera = replace(self.camera, exposure=exposure)
-        return picture
+        return image

@@ -216,20 +216,20 @@ class Camera(CameraModel):
         bands = [(0, view.height, state)]
         if self.shutter == "rolling":
             bands = self._bands(world, state, view)
-        pictures = []
+        images = []
         for first, last, then in bands:
-            whole = self._with_border(self.view(then))
+            full = self._with_border(self.view(then))
             band = View(
-                whole.position, whole.axes, whole.fx, whole.fy, whole.cx, whole.cy - first,
-                whole.width, last - first,
+                full.position, full.axes, full.fx, full.fy, full.cx, full.cy - first,
+                full.width, last - first,
             )  # fmt: skip
-            pictures.append(_supersample(world, band, self.antialias))
-        return pictures[0] if len(pictures) == 1 else np.concatenate(pictures)
+            images.append(_supersample(world, band, self.antialias))
+        return images[0] if len(images) == 1 else np.concatenate(images)
 
     def _bands(self, world: World, state: State, view: View) -> list[tuple[int, int, State]]:
         """Return first line, end line and state for each band rendered at once."""
-        ground = world.terrain.relief.z_range[1]
-        near = max(float(view.position[2]) - ground, 1.0)
+        max_elevation = world.terrain.relief.z_range[1]
+        near = max(float(view.position[2]) - max_elevation, 1.0)
         focal = max(view.fx, view.fy)
         speed = focal * (
             float(np.linalg.norm(state.velocity)) / near + float(np.linalg.norm(state.rate))

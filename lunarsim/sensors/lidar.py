@@ -208,8 +208,8 @@ class FlashLidar:
         radius = 0.5 * self.divergence * np.sqrt(7.0 / 3.0)
         total, count = centre.copy(), np.ones(centre.size)
         for angle in np.arange(6) * np.pi / 3.0:
-            aside = radius * (np.cos(angle) * across + np.sin(angle) * third)
-            ray = rays + aside
+            offset = radius * (np.cos(angle) * across + np.sin(angle) * third)
+            ray = rays + offset
             ray /= np.linalg.norm(ray, axis=1, keepdims=True)
             found = world.terrain.cast(origin, ray, self.max_range, normals=False).range
             seen = np.isfinite(found)
@@ -254,7 +254,7 @@ class BiasedLidar:
         mount: Array | None = None,
     ) -> LidarScan:
         """Return one scan; the lander's motion is assumed constant over the latency."""
-        told = DOWNWARD_MOUNT if mount is None else mount
+        used_mount = DOWNWARD_MOUNT if mount is None else mount
         aim = quat_to_matrix(quat_from_rotation_vector(self.boresight))
         turn = quat_from_rotation_vector(-self.latency * np.asarray(state.rate))
         then = replace(
@@ -262,7 +262,7 @@ class BiasedLidar:
             position=state.position - self.latency * state.velocity,
             attitude=quat_multiply(state.attitude, turn),
         )
-        scan = self.params.measure(world, then, time, rng, told @ aim)
+        scan = self.params.measure(world, then, time, rng, used_mount @ aim)
         # A negative measured range is not a return.
         biased = scan.range + self.range_bias
-        return replace(scan, range=np.where(biased > 0.0, biased, np.nan), mount=told)
+        return replace(scan, range=np.where(biased > 0.0, biased, np.nan), mount=used_mount)

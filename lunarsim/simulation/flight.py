@@ -197,10 +197,10 @@ class Flight:
         return float(np.hypot(last[0] - first[0], last[1] - first[1]))
 
     def __str__(self) -> str:
-        verdict = self.verdict
+        outcome = self.verdict
         facts = self._facts()
         width = max(len(name) for name, _ in facts)
-        lines = ["landed safely" if verdict.safe else "not safe: " + ", ".join(verdict.failed)]
+        lines = ["landed safely" if outcome.safe else "not safe: " + ", ".join(outcome.failed)]
         lines += [f"  {name:{width}}  {value}" for name, value in facts]
         if self.decisions:
             lines.append("diverts (east, north in m; local frame):")
@@ -239,7 +239,7 @@ class Flight:
         return facts
 
     def plot(self) -> FlightFigures:
-        """Plot the descent, the maps and the touchdown; a notebook shows the three figures.
+        """Plot descent, maps and touchdown; a notebook shows the three figures.
 
         The world is drawn again from the scenario and the seed of the record.
 
@@ -313,7 +313,7 @@ class Flight:
                 scenario=record["scenario"],
                 seed=record["seed"],
                 policy=record["policy"],
-                verdict=_verdict(record["verdict"]),
+                verdict=_landing_outcome(record["verdict"]),
                 target=np.array(record["target"]),
                 trajectory=read_trajectory(folder, list(COLUMNS)),
                 decisions=record["decisions"],
@@ -339,7 +339,7 @@ def _plain(value: Any) -> Any:
     return value
 
 
-def _verdict(record: dict[str, Any]) -> LandingOutcome:
+def _landing_outcome(record: dict[str, Any]) -> LandingOutcome:
     touchdown = record["touchdown"]
     if touchdown is not None:
         touchdown = Touchdown(**touchdown | {"position": np.array(touchdown["position"])})

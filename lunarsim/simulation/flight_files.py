@@ -1,4 +1,4 @@
-"""Read the folder of a recorded flight, which may be damaged or from an untrusted source.
+"""Read a recorded flight's folder, which may be damaged or untrusted.
 
 Every file is compared with its digest in ``flight.json``. Types, columns and shapes are checked
 before use, and sizes before anything is decompressed.
@@ -31,12 +31,12 @@ Array = NDArray[np.float64]
 MAX_EXPANDED_BYTES = 2**28
 
 _Name = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_-]*$", max_length=100)]
-_Whole = Annotated[int, Field(ge=0)]
+_Count = Annotated[int, Field(ge=0)]
 _Vector = Annotated[list[float], Field(min_length=3, max_length=3)]
 _Quaternion = Annotated[list[float], Field(min_length=4, max_length=4)]
 
 
-class _Strict(BaseModel):
+class _StrictRecord(BaseModel):
     model_config = ConfigDict(strict=True, extra="allow")
 
 
@@ -54,30 +54,30 @@ class _Touchdown(BaseModel):
     tip_margin: float
 
 
-class _Verdict(_Strict):
+class _OutcomeRecord(_StrictRecord):
     safe: bool
     failed: list[str]
     touchdown: _Touchdown | None
 
 
-class _Seed(_Strict):
-    entropy: _Whole | list[_Whole]
+class _Seed(_StrictRecord):
+    entropy: _Count | list[_Count]
     spawn_key: list[Annotated[int, Field(ge=0, lt=2**32)]]
 
 
-class _Event(_Strict):
+class _Event(_StrictRecord):
     time: float
     name: str
 
 
-class _Decision(_Strict):
+class _Decision(_StrictRecord):
     time: float
     reason: str
     come_from: Annotated[_Vector, Field(alias="from")]
     to: _Vector
 
 
-class _Estimate(_Strict):
+class _Estimate(_StrictRecord):
     time: float
     position: _Vector
     velocity: _Vector
@@ -87,14 +87,14 @@ class _Estimate(_Strict):
     lost: bool = False
 
 
-class FlightRecord(_Strict):
-    """Required content of ``flight.json``; keys as in `lunarsim.simulation.flight.Flight`."""
+class FlightRecord(_StrictRecord):
+    """Required content of ``flight.json``, with the keys of `flight.Flight`."""
 
     scenario: str
     seed: _Seed
     policy: str
     target: _Vector
-    verdict: _Verdict
+    verdict: _OutcomeRecord
     decisions: list[_Decision]
     events: list[_Event]
     decided_on: str
@@ -134,7 +134,7 @@ def _damaged(path: Path, reason: str) -> InputError:
 
 
 def read_record(folder: Path) -> dict[str, Any]:
-    """Return the checked tables of ``flight.json``; the digests of all its files must match.
+    """Return the tables of ``flight.json``; the digests of all files must match.
 
     Raises
     ------

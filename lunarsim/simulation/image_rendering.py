@@ -1,4 +1,4 @@
-"""Render one camera image of a scenario's terrain for the command line and for figures."""
+"""Render one camera image of a scenario's terrain, for commands and figures."""
 
 from __future__ import annotations
 
@@ -46,8 +46,8 @@ def camera_pointing_state(
     heading
         Azimuth of the top of the image, rad.
     """
-    ground = float(world.terrain.elevation(target))
-    if not np.isfinite(ground):
+    terrain_height = float(world.terrain.elevation(target))
+    if not np.isfinite(terrain_height):
         raise InputError("target.position_m", target, "must be a point with known elevation")
     if not 0.0 < altitude < _MAX_ALTITUDE_M:
         raise InputError("--altitude", altitude, f"must be above 0 and below {_MAX_ALTITUDE_M:g} m")
@@ -64,13 +64,13 @@ def camera_pointing_state(
         axes = np.column_stack((right, -forward, boresight))
     else:
         axes = sensor_axes(boresight)
-    position = np.array([*target, ground]) - boresight * altitude / np.cos(off_nadir)
+    position = np.array([*target, terrain_height]) - boresight * altitude / np.cos(off_nadir)
     attitude = matrix_to_quat(axes @ camera.mount.T)
     return State(position, np.zeros(3), attitude, np.zeros(3), 1.0)
 
 
 def auto_exposure(camera: Camera, world: World, state: State) -> float:
-    """Return the exposure (s) for which all but the brightest 0.5 % stay below 0.9 full well."""
+    """Return the exposure (s) that keeps 99.5 % of pixels below 0.9 full well."""
     radiance = renderer_of(world.terrain).render(camera.view(state), world.light).radiance
     bright = float(np.percentile(radiance, 99.5))
     if bright <= 0.0:
@@ -179,7 +179,7 @@ def render(
     InputError
         If a value cannot be used.
     RenderingError
-        If OpenGL is missing; the message says what to install.
+        If OpenGL is missing; the message names the package to install.
     """
     changes = {"elevation_deg": sun_elevation_deg, "azimuth_deg": sun_azimuth_deg}
     given: Any = {name: value for name, value in changes.items() if value is not None}

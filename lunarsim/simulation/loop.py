@@ -210,7 +210,7 @@ class Simulation:
 
     @property
     def true_to_local(self) -> SiteToLocal:
-        """Shift from the true to the local frame, from the error of the estimated position.
+        """Shift from true to local frame, from the error of the estimated position.
 
         If the local frame has its own azimuth, the shift includes the lander's azimuth error.
         """
@@ -308,14 +308,14 @@ class Simulation:
             scenario=self.scenario.to_toml(),
             seed={"entropy": seed.entropy, "spawn_key": list(seed.spawn_key)},
             policy=self.policy.name if self.policy is not None else "external",
-            verdict=self.verdict or LandingOutcome(False, ("unfinished",), None),
+            outcome=self.verdict or LandingOutcome(False, ("unfinished",), None),
             ending=self._ending_details(),
         )
 
     def _ending_details(self) -> dict[str, Any]:
-        """Return values of thrusters, slosh and legs for the last event; empty without them."""
+        """Return thruster, slosh and leg values for the last event; empty without."""
         actuators, rest = self.plant.actuators, self.plant.rest
-        details: dict[str, Any] = {} if rest is None else rest.told()
+        details: dict[str, Any] = {} if rest is None else rest.record_values()
         if actuators is None:
             return details
         if actuators.liquid is not None:

@@ -49,5 +49,5 @@ def _round_layer(layer: NDArray[np.float32]) -> NDArray[np.float32]:
     The error is up to 2 mm within 256 m of the frame's origin, and up to 8 mm within 1 km.
     """
     bits = np.ascontiguousarray(layer, dtype=np.float32).view(np.uint32)
-    whole = (bits + np.uint32(0x80)) & np.uint32(0xFFFFFF00)
-    return np.asarray(np.where(np.isfinite(layer), whole, bits).view(np.float32))
+    rounded = (bits + np.uint32(0x80)) & np.uint32(0xFFFFFF00)
+    return np.asarray(np.where(np.isfinite(layer), rounded, bits).view(np.float32))

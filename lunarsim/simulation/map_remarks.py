@@ -14,7 +14,7 @@ _SAFE_THRESHOLD = 0.5
 
 
 def map_remark(hazard_map: HazardMap | None) -> str | None:
-    """Return a remark on a map that does not distinguish safe from unsafe terrain, else None.
+    """Return a remark if a map does not distinguish safe from unsafe terrain.
 
     Parameters
     ----------

@@ -79,14 +79,14 @@ def draw_start(
     rng = streams.get("start")
     position = site + np.asarray(start.position) + start.position_sigma * rng.standard_normal(3)
     velocity = np.asarray(start.velocity) + start.velocity_sigma * rng.standard_normal(3)
-    ground, level = float(world.terrain.elevation(position[:2])), position[2]
-    if not np.isfinite(ground):
-        ground, level = world.terrain.z_range[1], float(world.height(position))
-    if level - lander.com_height <= ground:
+    elevation, level = float(world.terrain.elevation(position[:2])), position[2]
+    if not np.isfinite(elevation):
+        elevation, level = world.terrain.z_range[1], float(world.height(position))
+    if level - lander.com_height <= elevation:
         raise InputError(
             "start.position_m",
             start.position,
-            f"must be above the terrain, which is {ground - site[2]:.0f} m above the target",
+            f"must be above the terrain, which is {elevation - site[2]:.0f} m above the target",
         )
     mass = lander.wet_mass
     up = attitude_from_thrust([0.0, 0.0, 1.0], start.heading)

@@ -1,4 +1,7 @@
-"""Policy that uses the truth, as an upper bound; it therefore belongs to the simulation."""
+"""Policy that uses the truth, as an upper bound.
+
+It belongs to the simulation because no onboard part may use the truth.
+"""
 
 from __future__ import annotations
 
@@ -48,7 +51,7 @@ class TruthOracle:
         error: Array,
         cost_of: Callable[[Array], DivertCost],
     ) -> Decision:
-        """Keep a site with enough clearance, else choose the nearest such site within reach.
+        """Keep a site with enough clearance, else choose the nearest one in reach.
 
         Parameters
         ----------

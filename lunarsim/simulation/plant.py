@@ -244,7 +244,7 @@ class Plant:
         if not np.any(gap <= 2.0):
             return None
         for step, y in enumerate(history):
-            ground = pad_contacts(self.lander, State.from_vector(y), self.world.terrain)[:, 2]
-            if np.any(pads[step, :, 2] <= ground):
+            pad_heights = pad_contacts(self.lander, State.from_vector(y), self.world.terrain)[:, 2]
+            if np.any(pads[step, :, 2] <= pad_heights):
                 return step
         return None

@@ -99,7 +99,7 @@ class Recorder:
     def record_measurements(
         self, measurements: Measurements, computer: OnboardComputer, error: Array
     ) -> None:
-        """Record measurements that the computer has processed; `error` is its position error, m."""
+        """Record processed measurements; `error` is the error of their position, m."""
         for sensor, measurement in measurements.items:
             if isinstance(measurement, LidarScan | CameraImage):
                 self._record_sensor(sensor, measurement, computer)
@@ -140,7 +140,7 @@ class Recorder:
         scenario: str,
         seed: dict[str, Any],
         policy: str,
-        verdict: LandingOutcome,
+        outcome: LandingOutcome,
         ending: dict[str, Any] | None = None,
     ) -> Flight:
         """Return the record so far; `ending` is added to its last event."""
@@ -152,11 +152,11 @@ class Recorder:
             if name in self._errors and not mapper.blank
         }
         decided = computer.decisions_map
-        name = "touchdown" if verdict.touchdown else "end"
+        name = "touchdown" if outcome.touchdown else "end"
         last: list[dict[str, Any]] = [
-            {"time": computer.time, "name": name, "failed": list(verdict.failed)} | (ending or {})
+            {"time": computer.time, "name": name, "failed": list(outcome.failed)} | (ending or {})
         ]
-        if verdict.failed == ("unfinished",):
+        if outcome.failed == ("unfinished",):
             last = []
         telemetry = [
             {"time": time, "name": name, **more} for time, name, more in computer.telemetry
@@ -165,7 +165,7 @@ class Recorder:
             scenario=scenario,
             seed=seed,
             policy=policy,
-            verdict=verdict,
+            verdict=outcome,
             target=self._target,
             trajectory=self.trajectory(),
             decisions=[_as_dict(*divert) for divert in computer.diverts],

@@ -130,9 +130,9 @@ def fit_terrain(legs, spacing, z, frame, out):
             x = west + j * spacing
             if not _inside(x, y, legs):
                 continue
-            ground = height_at(z, frame, x, y)
+            terrain_height = height_at(z, frame, x, y)
             for p in range(2):
-                above = ground - planes[p, 0] - planes[p, 1] * x - planes[p, 2] * y
+                above = terrain_height - planes[p, 0] - planes[p, 1] * x - planes[p, 2] * y
                 if not above / plane_norm[p] <= rough:  # NaN must propagate
                     rough = above / plane_norm[p]
             if np.isnan(rough):

@@ -117,7 +117,7 @@ class Actuators:
         return moved
 
     def rig(self, force: Array, flow: float) -> Array:
-        """Return forces and geometry other than torques for the kernel, as `build_rig` does."""
+        """Return the kernel's forces and geometry except torques, like `build_rig`."""
         v, (x, y) = self.lander, self.gimbal
         engine = (np.sin(y) * np.cos(x), -np.sin(x), np.cos(y) * np.cos(x))
         pivot = (0.0, 0.0, -v.engine.pivot_depth)

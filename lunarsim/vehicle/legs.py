@@ -98,7 +98,7 @@ class RestState:
     energy: float
     clearance: float
 
-    def told(self) -> dict[str, object]:
+    def record_values(self) -> dict[str, object]:
         """Return the values for a record."""
         return {
             "rest_time_s": self.time, "rest_tilt_deg": float(np.rad2deg(self.tilt)),
@@ -124,14 +124,14 @@ class TerrainPatch:
     frame: Array = field(repr=False)
 
     @classmethod
-    def of(cls, lander: Lander, state: State, ground: ElevationModel) -> TerrainPatch:
+    def of(cls, lander: Lander, state: State, terrain: ElevationModel) -> TerrainPatch:
         """Sample the terrain around a lander at touchdown."""
         half = lander.leg_radius + lander.pad_diameter + lander.com_height + _SLIDE_MARGIN_M
         n = int(np.ceil(half / _POSTING_M))
         axis = _POSTING_M * np.arange(-n, n + 1)
         x, y = state.position[0] + axis, state.position[1] + axis
         heights = np.asarray(
-            ground.elevation(np.stack(np.meshgrid(x, y), axis=-1)), dtype=np.float64
+            terrain.elevation(np.stack(np.meshgrid(x, y), axis=-1)), dtype=np.float64
         )
         # Floating point: 0.15 / 0.05 is slightly less than 3.
         reach = int(np.floor(0.5 * lander.pad_diameter / _POSTING_M + 1e-9))
@@ -158,15 +158,15 @@ def _belly_clearance(lander: Lander, state: State, patch: TerrainPatch, shift: A
     )
     x, y = x[inside], y[inside]
     u, v = (x - patch.frame[0]) / _POSTING_M, (y - patch.frame[1]) / _POSTING_M
-    ground = ndimage.map_coordinates(patch.heights, [v, u], order=1, cval=np.nan)
+    terrain = ndimage.map_coordinates(patch.heights, [v, u], order=1, cval=np.nan)
     plane = middle[2] - (lift[0] * (x - middle[0]) + lift[1] * (y - middle[1])) / lift[2]
-    return float(np.min((plane - ground) * lift[2]) + lander.belly_clearance)
+    return float(np.min((plane - terrain) * lift[2]) + lander.belly_clearance)
 
 
-def settle(legs: Legs, dynamics: Dynamics, state: State, ground: ElevationModel) -> RestState:
+def settle(legs: Legs, dynamics: Dynamics, state: State, terrain: ElevationModel) -> RestState:
     """Simulate a lander from touchdown to rest or tip-over, with the engine off."""
     lander = dynamics.lander
-    patch = TerrainPatch.of(lander, state, ground)
+    patch = TerrainPatch.of(lander, state, terrain)
     shift = centre_of_mass(lander, state.mass)
     pads = np.ascontiguousarray(lander.pads - shift)
     law = np.array(
@@ -229,7 +229,7 @@ def _tilt(state: State) -> float:
 
 
 def evaluate_motion(
-    legs: Legs, dynamics: Dynamics, state: State, ground: ElevationModel
+    legs: Legs, dynamics: Dynamics, state: State, terrain: ElevationModel
 ) -> tuple[LandingOutcome, RestState | None]:
     """Determine the landing outcome from the motion after touchdown.
 
@@ -238,10 +238,10 @@ def evaluate_motion(
     lander's slope limit). The values at touchdown are those of the static evaluation.
     """
     lander = dynamics.lander
-    static = evaluate_touchdown(lander, state, ground, dynamics.gravity)
+    static = evaluate_touchdown(lander, state, terrain, dynamics.gravity)
     if "off-map" in static.failed:
         return static, None
-    rest = settle(legs, dynamics, state, ground)
+    rest = settle(legs, dynamics, state, terrain)
     checks = {
         "off-map": not np.isfinite(rest.clearance) and not rest.tipped,
         "tip-over": rest.tipped,

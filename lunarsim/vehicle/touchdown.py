@@ -127,12 +127,12 @@ def pad_disc(radius: float) -> Array:
     return np.concatenate((xy[np.hypot(xy[:, 0], xy[:, 1]) < radius], rim))
 
 
-def pad_contacts(lander: Lander, state: State, ground: ElevationModel) -> Array:
+def pad_contacts(lander: Lander, state: State, terrain: ElevationModel) -> Array:
     """Return the contact points (legs, 3), m, on the highest terrain under each pad."""
     pads = lander.pads - centre_of_mass(lander, state.mass)
     centres = state.position + quat_rotate(state.attitude, pads)
     spots = centres[:, None, :2] + pad_disc(0.5 * lander.pad_diameter)
-    return np.column_stack((centres[:, :2], ground.elevation(spots).max(axis=1)))
+    return np.column_stack((centres[:, :2], terrain.elevation(spots).max(axis=1)))
 
 
 def _inside_polygon(points: Array, polygon: Array) -> NDArray[np.bool_]:
@@ -144,7 +144,7 @@ def _inside_polygon(points: Array, polygon: Array) -> NDArray[np.bool_]:
     return inside
 
 
-def ground_fit(lander: Lander, legs: Array, ground: ElevationModel) -> tuple[float, float]:
+def fit_terrain_plane(lander: Lander, legs: Array, terrain: ElevationModel) -> tuple[float, float]:
     """Return slope (rad) and roughness (m) of the terrain under a standing lander.
 
     They follow Eqs. 8 and 9 of the Gaussian DEM paper, as maxima over the admissible planes.
@@ -156,7 +156,7 @@ def ground_fit(lander: Lander, legs: Array, ground: ElevationModel) -> tuple[flo
     ]
     points = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
     points = points[_inside_polygon(points, legs[:, :2])]
-    z = ground.elevation(points)
+    z = terrain.elevation(points)
     slope = roughness = 0.0
     for z0, gx, gy in support_planes(legs):
         plane_norm = np.hypot(1.0, np.hypot(gx, gy))
@@ -218,7 +218,7 @@ def min_touchdown_margin(lander: Lander, touchdown: Touchdown) -> float:
 
 
 def evaluate_touchdown(
-    lander: Lander, state: State, ground: ElevationModel, gravity: float
+    lander: Lander, state: State, terrain: ElevationModel, gravity: float
 ) -> LandingOutcome:
     """Determine the landing outcome of `state` on the true terrain.
 
@@ -226,10 +226,10 @@ def evaluate_touchdown(
     ``horizontal-speed``, ``tilt``, ``rate``, ``slope``, ``roughness``, ``belly`` (terrain above the
     belly clearance), ``tip-over``.
     """
-    legs = pad_contacts(lander, state, ground)
+    legs = pad_contacts(lander, state, terrain)
     up = quat_to_matrix(state.attitude)[2, 2]
     known = bool(np.isfinite(legs).all())
-    slope, roughness = ground_fit(lander, legs, ground) if known else (np.nan, np.nan)
+    slope, roughness = fit_terrain_plane(lander, legs, terrain) if known else (np.nan, np.nan)
     forward = quat_rotate(state.attitude, [1.0, 0.0, 0.0])
     known = known and bool(np.isfinite(roughness))
     touchdown = Touchdown(

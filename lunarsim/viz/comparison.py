@@ -21,7 +21,7 @@ _HATCHES = ("", "///", "...", "xxx", "\\\\\\", "ooo", "+++", "---")
 
 
 def draw_comparison(rows: Rows, scenario: Scenario, path: Path) -> None:
-    """Draw safety, failure causes, metrics with limits, paired differences and map quality.
+    """Draw safety, failure causes, metrics, paired differences and map quality.
 
     Parameters
     ----------
@@ -117,7 +117,7 @@ def _draw_boxes(ax: Any, rows: Rows, names: list[str], column: str, label: str) 
 
 
 def _draw_differences(ax: Any, rows: Rows, names: list[str]) -> None:
-    """Draw the number of flights that are safe under only one of a policy and the first."""
+    """Draw the number of flights that are safe under one of two policies only."""
     safe = {(row["policy"], row["flight"]): row["safe"] for row in rows}
     flights = sorted({row["flight"] for row in rows})
     for place, name in enumerate(names):
@@ -157,7 +157,7 @@ def paired_differences(rows: Rows, first: str, other: str, column: str) -> NDArr
 def _draw_limit_differences(
     ax: Any, rows: Rows, names: list[str], limits: dict[str, tuple[str, float]]
 ) -> None:
-    """Draw paired differences of speeds and tilt from the first policy, relative to their limits.
+    """Draw paired differences from the first policy, relative to their limits.
 
     Marker: mean; thick bar: its 95 % interval (Student's t); thin bar: range of all flights.
     """

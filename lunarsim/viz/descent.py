@@ -91,7 +91,7 @@ def _draw_profile(
             Line2D([], [], ls="", marker=marker, color=colour, mec="black", mew=0.6, label=label)
         )
     profile.legend(handles=handles, loc="upper left")
-    profile.set_xlabel(f"Ground distance to {last} (m)")
+    profile.set_xlabel(f"Horizontal distance to {last} (m)")
     profile.set_ylabel(f"Altitude above {last} (m)")
     profile.grid(alpha=0.3)
 
@@ -131,7 +131,7 @@ def _draw_engine(thrust: Any, propellant: Any, flight: Flight, lander: Lander) -
 def _share_time(
     axes: Any, flight: Flight, marks: list[tuple[str, str, str, list[float]]], *, named: bool
 ) -> None:
-    """Draw diverts and phase changes as vertical lines; one of the axes has their legend."""
+    """Draw diverts and phase changes as vertical lines, with one legend."""
     t = flight.trajectory
     axes.set_xlim(0.0, t["time"][-1])
     axes.grid(alpha=0.3)

@@ -46,7 +46,7 @@ class FlightFigures:
     touchdown: Figure | None
 
     def save(self, folder: str | Path) -> Path:
-        """Write ``descent.png``, ``maps.png`` and ``touchdown.png`` into `folder`; return it."""
+        """Write ``descent.png``, ``maps.png``, ``touchdown.png``; return the folder."""
         for name, figure in self._named():
             save(figure, Path(folder) / f"{name}.png")
         return Path(folder)

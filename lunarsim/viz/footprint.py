@@ -28,7 +28,7 @@ _VIOLATION_COLOUR = COLOURS[1]
 
 
 def draw_footprint(flight: Flight, world: World, path: Path | None = None) -> Figure:
-    """Draw the terrain at touchdown relative to the pads, and metrics relative to their limits.
+    """Draw terrain at touchdown relative to the pads, and metrics over limits.
 
     Heights refer to a plane through three pads that the lander can stand on. Of the two candidate
     planes, the one with the highest terrain above it is used, as for the touchdown roughness.
@@ -45,14 +45,14 @@ def draw_footprint(flight: Flight, world: World, path: Path | None = None) -> Fi
     lander = Scenario.world_of(flight.scenario).vehicle.make()
     middle = touchdown.position[:2]
     grid = Grid.centred(middle, 2.0 * _HALF_SIDE_IN_LEG_RADII * lander.leg_radius, _POSTING)
-    ground = world.terrain.raster(grid).astype(np.float64)
+    elevation = world.terrain.raster(grid).astype(np.float64)
     pads = _pads(lander, touchdown)
-    heights = _pad_elevations(grid, ground, pads, 0.5 * lander.pad_diameter)
-    above = _height_above_pads(grid, ground, heights, pads)
+    heights = _pad_elevations(grid, elevation, pads, 0.5 * lander.pad_diameter)
+    above = _height_above_pads(grid, elevation, heights, pads)
 
     figure = new_figure(11, 5.6)
     left, right = figure.subplots(1, 2, width_ratios=[1.25, 1.0])
-    show(left, hillshade(ground, _POSTING), grid, cmap="gray", vmin=0.2, vmax=1.0)
+    show(left, hillshade(elevation, _POSTING), grid, cmap="gray", vmin=0.2, vmax=1.0)
     most = 2.0 * lander.belly_clearance
     drawn = show(left, above, grid, cmap="PuOr_r", vmin=-most, vmax=most, alpha=0.7)
     figure.colorbar(drawn, ax=left, label="Terrain above the worst three-pad plane (m)",
@@ -80,14 +80,14 @@ def _pads(lander: Lander, touchdown: Touchdown) -> Array:
     )
 
 
-def _pad_elevations(grid: Grid, ground: Array, pads: Array, radius: float) -> Array:
+def _pad_elevations(grid: Grid, elevation: Array, pads: Array, radius: float) -> Array:
     """Return the maximum terrain elevation under each pad (legs,), m."""
     x, y = np.meshgrid(grid.x, grid.y)
-    found = [ground[np.hypot(x - px, y - py) <= radius + 0.5 * _POSTING] for px, py in pads]
-    return np.array([np.nanmax(heights, initial=np.nanmin(ground)) for heights in found])
+    found = [elevation[np.hypot(x - px, y - py) <= radius + 0.5 * _POSTING] for px, py in pads]
+    return np.array([np.nanmax(heights, initial=np.nanmin(elevation)) for heights in found])
 
 
-def _height_above_pads(grid: Grid, ground: Array, heights: Array, pads: Array) -> Array:
+def _height_above_pads(grid: Grid, elevation: Array, heights: Array, pads: Array) -> Array:
     """Return terrain above the worst plane through three pads (rows, cols), m.
 
     With four legs, both candidate planes contain the diagonal with the higher pads. The worst plane
@@ -99,7 +99,7 @@ def _height_above_pads(grid: Grid, ground: Array, heights: Array, pads: Array) -
     for three in _stances(heights):
         sides = np.column_stack((pads[three], np.ones(3)))
         a, b, c = np.linalg.solve(sides, heights[three])
-        found.append(ground - (a * x + b * y + c))
+        found.append(elevation - (a * x + b * y + c))
     highest = [np.nanmax(above[inside], initial=-np.inf) for above in found]
     return np.asarray(found[int(np.argmax(highest))])
 
@@ -121,7 +121,7 @@ def _inside(grid: Grid, pads: Array) -> Any:
 
 
 def _mark_belly_contact(axes: Any, grid: Grid, above: Array, pads: Array, clearance: float) -> bool:
-    """Mark terrain in the polygon of the legs above the belly; return whether there is any."""
+    """Mark terrain above the belly between the legs; return whether there is any."""
     high = _inside(grid, pads) & (above > clearance)
     if high.any():
         axes.contourf(grid.x, grid.y, high.astype(float), levels=[0.5, 1.5], colors="#C00000")

@@ -38,7 +38,7 @@ def divert_segments(flight: Flight) -> list[tuple[NDArray[Any], NDArray[Any]]]:
 
 
 def map_figure_bounds(flight: Flight, world: World) -> Bounds:
-    """Return the bounds of the figure of a flight: its map, sites, diverts and touchdown.
+    """Return the bounds of a flight's figure: map, sites, diverts, touchdown.
 
     A world that is not much larger than the map is shown completely. In a larger world only the end
     of the path lies within the bounds.

@@ -61,7 +61,7 @@ def _path_and_sites(axes: Any, flight: Flight, radius: float) -> None:
 def draw_maps(
     flight: Flight, world: World, truth: TerrainTruth, path: Path | None = None
 ) -> Figure:
-    """Draw true terrain, exact safety, the map, and the LiDAR returns or tracked rocks.
+    """Draw true terrain, exact safety, the map, and LiDAR returns or rocks.
 
     All panels are in the true frame: the map is shifted by the navigation error when it was drawn.
     They show the part of the world that `lunarsim.viz.map_bounds.map_figure_bounds` returns.
@@ -140,7 +140,7 @@ def _draw_map(figure: Any, panel: Any, flight: Flight, line_length: int) -> None
 
 
 def _add_colour_bar(figure: Any, drawn: Any, panel: Any, label: str) -> Any:
-    """Draw a colour bar below its panel, so that it is not read as the axis of the next one."""
+    """Draw a colour bar below its panel, clear of the next panel's axis."""
     return figure.colorbar(drawn, ax=panel, label=label, location="bottom", shrink=0.8, aspect=30)
 
 

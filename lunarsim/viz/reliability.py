@@ -10,8 +10,10 @@ from numpy.typing import NDArray
 from lunarsim.evaluation.reliability import bin_frequencies
 
 
-def plot_reliability(axes: Any, table: NDArray[np.float64], least: int = 50, **style: Any) -> None:
-    """Draw the bins of a reliability table that hold at least `least` cells.
+def plot_reliability(
+    axes: Any, table: NDArray[np.float64], min_count: int = 50, **style: Any
+) -> None:
+    """Draw the bins of a reliability table that hold at least `min_count` cells.
 
     Parameters
     ----------
@@ -19,12 +21,12 @@ def plot_reliability(axes: Any, table: NDArray[np.float64], least: int = 50, **s
         Axes to draw on.
     table
         Count, sum of probabilities and number of events (bins, 3), as from `reliability`.
-    least
+    min_count
         Minimum number of cells of a bin that is drawn.
     style
         Options of the line, for instance colour and label.
     """
-    axes.plot(*bin_frequencies(table[table[:, 0] >= least]), "o-", **{"ms": 4, **style})
+    axes.plot(*bin_frequencies(table[table[:, 0] >= min_count]), "o-", **{"ms": 4, **style})
 
 
 def plot_ideal(axes: Any, **style: Any) -> None:

@@ -75,7 +75,7 @@ class FarTerrainSettings:
             check_raster_size("surroundings.sizes", size, posting, _MAX_POSTS_PER_SIDE, "posts")
 
     def posts_read(self) -> int:
-        """Return the number of posts of the raster, from the file's header; 0 without a raster.
+        """Return the number of posts in the raster's header; 0 without a raster.
 
         Raises
         ------
@@ -162,9 +162,9 @@ class FarTerrain:
     def way(self, position: ArrayLike) -> Array:
         """Return the arcs (..., 2) east and north below positions (..., 3), m."""
         r = self.moon.from_centre(position)
-        aside = np.hypot(r[..., 0], r[..., 1])
-        arc = self.moon.radius * np.arctan2(aside, r[..., 2])
-        unit = r[..., :2] / np.maximum(aside, 1e-12)[..., None]
+        lateral = np.hypot(r[..., 0], r[..., 1])
+        arc = self.moon.radius * np.arctan2(lateral, r[..., 2])
+        unit = r[..., :2] / np.maximum(lateral, 1e-12)[..., None]
         return np.asarray(unit * arc[..., None])
 
     def elevation(self, way: ArrayLike) -> Array:

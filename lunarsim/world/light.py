@@ -40,7 +40,7 @@ class Light:
     photometry
         "lambert", "lunar-lambert" (McEwen 1991) or "hapke" (`lunarsim.world.photometry.Hapke`).
     hapke_b, hapke_c, hapke_surge, hapke_surge_width, hapke_roughness
-        Parameters of Hapke's model besides the albedo. b and c of the maria and the roughness are
+        Parameters of Hapke's model except the albedo. b and c of the maria and the roughness are
         from Sato et al. (2014); the surge is the mean of the Moon, from Helfenstein and Veverka
         (1987), Icarus 72, 342-357.
     diameter

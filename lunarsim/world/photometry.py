@@ -83,8 +83,8 @@ class Hapke:
             np.asarray(mu0, float), np.asarray(mu, float), np.asarray(cos_phase, float)
         )
         lit = mu0 > 0.0
-        low, eye = np.asarray(np.maximum(mu0, _MIN_COSINE)), np.asarray(np.maximum(mu, 1e-4))
-        mu0_rough, mu_rough, shadow = self._roughness_correction(low, eye, cos_g)
+        low, mu_clipped = np.asarray(np.maximum(mu0, _MIN_COSINE)), np.asarray(np.maximum(mu, 1e-4))
+        mu0_rough, mu_rough, shadow = self._roughness_correction(low, mu_clipped, cos_g)
         single = self._phase_function(cos_g) * (1.0 + self._surge(cos_g))
         several = self._h(mu0_rough) * self._h(mu_rough) - 1.0
         out = 0.25 * self.w * mu0_rough / (mu0_rough + mu_rough) * (single + several) * shadow

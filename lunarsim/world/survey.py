@@ -108,8 +108,8 @@ def simulate_survey(
         grid.rows * _SAMPLES,
         grid.cols * _SAMPLES,
     )
-    ground = terrain.raster(fine).astype(np.float64)
-    mean = ground.reshape(grid.rows, _SAMPLES, grid.cols, _SAMPLES).mean(axis=(1, 3))
+    true_elevation = terrain.raster(fine).astype(np.float64)
+    mean = true_elevation.reshape(grid.rows, _SAMPLES, grid.cols, _SAMPLES).mean(axis=(1, 3))
     area = grid.rows * grid.cols * grid.posting**2
     patches = round(stale_share * area / stale_side**2)
     if patches:

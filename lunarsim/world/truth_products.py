@@ -62,8 +62,8 @@ class TruthProducts:
         dark = np.einsum("ijk,k->ij", normal, sun) <= 0.0
         if sun[2] > 0.0:
             lit = ~dark & np.isfinite(elevation)
-            ground = np.dstack((centres, elevation.astype(np.float64)))
-            start = ground + _RAY_OFFSET_M * normal
+            points = np.dstack((centres, elevation.astype(np.float64)))
+            start = points + _RAY_OFFSET_M * normal
             rays = np.broadcast_to(sun, (int(lit.sum()), 3))
             dark[lit] = np.isfinite(terrain.cast(start[lit], rays, normals=False).range)
         safe = exact_safety(elevation, grid, lander).safe

@@ -140,7 +140,7 @@ def probability(
     """
     odds = model.of_features(sites.features)
     p = conservative_probability(odds.low, sites.ceiling, sites.bound, sites.known, farther)
-    return p, sites.known & odds.verdict(sites.ceiling, hopeless, sites.doomed).agreed
+    return p, sites.known & odds.estimate(sites.ceiling, hopeless, sites.doomed).agreed
 
 
 def nearest_range(scene: LidarScene) -> str:

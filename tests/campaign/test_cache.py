@@ -180,7 +180,7 @@ def test_folders_that_will_not_do(tmp_path):
 def test_kernels_are_compiled_once_before_workers_start(tmp_path):
     cache, said = open_cache(tmp_path / "c"), []
     one = spec(flights=1, factors={"policy": ["no-divert"]}, time_limit_s=300.0)
-    ran = fly_spec(one, LocalEngine(1, 300.0), tmp_path / "a", cache=cache, say=said.append)
+    ran = fly_spec(one, LocalEngine(1, 300.0), tmp_path / "a", cache=cache, notify=said.append)
     assert ran.complete and ran.flown == 1
     assert len(said) == 2 and "1 flights" in said[0] and "ready" in said[1]
     # Other numbers choose no other kernel; another part does.

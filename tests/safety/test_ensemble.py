@@ -53,7 +53,7 @@ def test_odds_of_terms_are_those_of_their_features(seed, fits, each):
 def test_fits_agree_where_all_call_a_site_surely_safe_or_surely_not():
     low = np.array([-9.0, -9.0, -3.0, 0.0, 3.6, 3.8, 3.8, 9.0])
     apart = np.array([2.0, 6.5, 0.05, 0.0, 0.1, 0.8, 2.5, 5.0])
-    said = LogOddsBounds(low, low + apart).verdict(np.ones(8))
+    said = LogOddsBounds(low, low + apart).estimate(np.ones(8))
     assert (
         expit(3.6 - LOG_ODDS_MARGIN)
         < SURE
@@ -65,7 +65,7 @@ def test_fits_agree_where_all_call_a_site_surely_safe_or_surely_not():
     assert (1.0 - MAX_CLAIM_DEFICIT) / said.p - 1.0 == pytest.approx(2.0 * np.exp(-low))
     assert said.p.max() < 1.0 - MAX_CLAIM_DEFICIT
     # What is fatal by itself leaves it neither safe nor told.
-    said = LogOddsBounds(low, low + apart).verdict(np.full(8, 0.5))
+    said = LogOddsBounds(low, low + apart).estimate(np.full(8, 0.5))
     assert said.p.max() == 0.5
     assert said.agreed.tolist() == [True, False, True, *[False] * 5]
 
@@ -95,7 +95,7 @@ def test_what_no_world_can_tell_is_what_a_world_of_750_sites_may_hide():
     hidden = (1.0 - MAX_CLAIM_DEFICIT) ** 750
     assert hidden == pytest.approx(0.05, abs=0.001)
     # Odds of being unsafe: doubled where claimed, twelve times near the domain of the packaged fit.
-    even = LogOddsBounds(np.zeros(1), np.zeros(1)).verdict(np.ones(1)).p
+    even = LogOddsBounds(np.zeros(1), np.zeros(1)).estimate(np.ones(1)).p
     assert even == pytest.approx((1.0 - MAX_CLAIM_DEFICIT) / 3.0)
     near = conservative_probability(
         np.zeros(1), np.ones(1), np.ones(1), np.zeros(1, bool), NEAR_DOMAIN_LOG_ODDS_MARGIN
@@ -118,7 +118,7 @@ def test_what_one_world_decides_is_not_agreed_on():
     assert min(w for row in model.weights for w in row[1:]) >= 0.0
     sites = np.array([[1.0, 0.9, 0.0], [1.0, 0.5, 0.9]])
     odds = model.of_features(sites)
-    assert odds.verdict(np.ones(2)).agreed.tolist() == [True, False]
+    assert odds.estimate(np.ones(2)).agreed.tolist() == [True, False]
     whole = sites @ np.array(model.weights[0])
     assert whole == pytest.approx(sites @ [-4.0, 9.0, 3.0], abs=0.4)
     assert (odds.low <= whole).all()

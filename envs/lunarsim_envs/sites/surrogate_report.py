@@ -22,14 +22,14 @@ _RESAMPLED = 500
 
 
 @dataclass(frozen=True)
-class MapQuality:
+class SurrogateMapQuality:
     """Quality metrics of maps: names and values (n,) in the same order."""
 
     names: tuple[str, ...]
     values: Array
 
 
-def quality(looks: Sequence[MapSample], maps: Sequence[NDArray[np.float32]]) -> MapQuality:
+def quality(looks: Sequence[MapSample], maps: Sequence[NDArray[np.float32]]) -> SurrogateMapQuality:
     """Return calibration error, false rates and correlation length of maps."""
     masks = [is_evaluated(look) for look in looks]
     p = np.concatenate([one[mask] for one, mask in zip(maps, masks, strict=True)])
@@ -57,7 +57,7 @@ def quality(looks: Sequence[MapSample], maps: Sequence[NDArray[np.float32]]) -> 
     ):
         named[words] = _share(p[own] < TOLD_UNSAFE)
     named["correlation length (m)"] = correlation_length(looks, maps)
-    return MapQuality(tuple(named), np.array(list(named.values())))
+    return SurrogateMapQuality(tuple(named), np.array(list(named.values())))
 
 
 def _share(told: NDArray[np.bool_]) -> float:

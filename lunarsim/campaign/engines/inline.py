@@ -10,7 +10,7 @@ from lunarsim.campaign.plan import Group, Work
 
 
 class InlineEngine:
-    """Executes flights in this process, without pickling, time limit or crash protection.
+    """Executes flights in this process, without pickling, time limit or isolation.
 
     Attributes
     ----------

@@ -229,7 +229,7 @@ class LocalEngine:
 
 @contextlib.contextmanager
 def block_interrupts() -> Iterator[None]:
-    """Block an interrupt from processes that start meanwhile; this one receives it afterwards.
+    """Block interrupts in processes that start meanwhile; this one gets them later.
 
     The keyboard sends SIGINT to all processes, and one that is still loading would die of it with
     a traceback.

@@ -49,7 +49,7 @@ def check_picklable(field: str, value: object) -> None:
 
 
 class _NamePickler(pickle.Pickler):
-    """Pickles and collects the names in texts such as ``__main__:Mine``, as in scenarios."""
+    """Pickles; collects names in texts such as ``__main__:Mine``, as in scenarios."""
 
     def __init__(self, file: io.BytesIO) -> None:
         super().__init__(file)
@@ -62,7 +62,7 @@ class _NamePickler(pickle.Pickler):
 
 
 class _NameUnpickler(pickle.Unpickler):
-    """Loads a pickle and collects the names that it takes from the module ``__main__``."""
+    """Loads a pickle; collects the names that it takes from module ``__main__``."""
 
     def __init__(self, file: io.BytesIO) -> None:
         super().__init__(file)
@@ -76,7 +76,7 @@ class _NameUnpickler(pickle.Unpickler):
 
 
 def _is_main_importable() -> bool:
-    """Return whether a spawned process can load the ``__main__`` module of this process."""
+    """Return whether a spawned process can load this process's ``__main__`` module."""
     data = get_preparation_data("worker")
     path = data.get("init_main_from_path")
     return "init_main_from_name" in data or (path is not None and Path(path).is_file())

@@ -56,7 +56,7 @@ def _literal(value: Any) -> Any:
 
 
 def shares_plot(figures: list[ArmStatistics], intervals: dict[str, tuple[float, float]]) -> Plot:
-    """Plot the share of safe landings of each arm with its interval; omit arms without one."""
+    """Plot the share of safe landings with its interval; omit arms without a share."""
     traces = []
     for i, arm in enumerate(figures):
         share = arm.shares["safe"].value
@@ -81,14 +81,14 @@ def shares_plot(figures: list[ArmStatistics], intervals: dict[str, tuple[float, 
 def landings_plot(
     results: Results,
     figures: list[ArmStatistics],
-    ground: tuple[list[float], list[float], Any] | str | None,
+    terrain: tuple[list[float], list[float], Any] | str | None,
 ) -> Plot | None:
     """Plot touchdown points with 95 % ellipses, over the terrain if it is available."""
     if "touchdown_x_m" not in results.manifest["columns"]:
         return None
     traces: list[Plot] = []
-    if isinstance(ground, tuple):
-        x, y, shade = ground
+    if isinstance(terrain, tuple):
+        x, y, shade = terrain
         traces.append({
             "type": "heatmap", "x": x, "y": y, "z": shade, "colorscale": "Greys", "opacity": 0.55,
             "showscale": False, "hoverinfo": "skip",
@@ -121,10 +121,10 @@ def landings_plot(
         "height": 620,
     }
     caption = "Each point is a flight; crosses are landings that were not safe. "
-    if isinstance(ground, tuple):
+    if isinstance(terrain, tuple):
         caption += "Shading: terrain without rocks, which all flights share."
-    elif ground is not None:
-        caption += f"The terrain is not shown: {ground}"
+    elif terrain is not None:
+        caption += f"The terrain is not shown: {terrain}"
     return _plot("landings", "Touchdown points", caption, traces, layout)
 
 
@@ -139,7 +139,7 @@ def _outline(ellipse: Ellipse) -> tuple[list[float], list[float]]:
 
 
 def reliability_plot(results: Results, figures: list[ArmStatistics]) -> Plot | None:
-    """Plot the observed share of exactly safe touchdown sites against predicted p_safe."""
+    """Plot the observed share of exactly safe sites against predicted p_safe."""
     if "p_safe" not in results.manifest["columns"]:
         return None
     predicted = column(results, "p_safe")
@@ -252,7 +252,7 @@ def levels_plot(chains: SubsetChains) -> Plot | None:
 
 
 def sensitivity_plot(made: list[Sensitivity]) -> Plot:
-    """Plot the sensitivity indices of every arm with their intervals; total indices are hollow."""
+    """Plot sensitivity indices of every arm with intervals; hollow: total indices."""
     traces = []
     names: tuple[str, ...] = ()
     for i, one in enumerate(made):

@@ -134,7 +134,7 @@ def _content(results: Results) -> dict[str, Any]:
     made = differences(results) if len(figures) > 1 else []
     plots = [
         shares_plot(figures, intervals),
-        landings_plot(results, figures, _ground(results)),
+        landings_plot(results, figures, _terrain_image(results)),
         reliability_plot(results, figures),
         differences_plot(made) if made else None,
         *(spread_plot(results, n, _LABELS[n]) for n in _LABELS if n in results.manifest["columns"]),
@@ -152,7 +152,7 @@ def _content(results: Results) -> dict[str, Any]:
 
 
 def _rare_content(results: Results) -> dict[str, Any]:
-    """Return the page's content for rare failures, without statistics that need equal weights."""
+    """Return the content for rare failures, without equal-weight statistics."""
     shares = estimate_failure_shares(results)
     chains = load_chains(results) if results.is_subset else None
     rows = [
@@ -221,7 +221,7 @@ def _sensitivity(results: Results) -> tuple[list[Sensitivity], str]:
 
 
 def _interval(arm: ArmStatistics, watched: bool) -> tuple[float, float]:
-    """Return the interval of the safe share; a confidence sequence if it was monitored."""
+    """Return the interval of the safe share; a confidence sequence if monitored."""
     share = arm.shares["safe"]
     return share_confidence_sequence(share.count, share.total) if watched else share.interval
 
@@ -265,7 +265,7 @@ def _factors(results: Results) -> dict[str, list[str]]:
 
 
 def _worst(results: Results) -> list[dict[str, Any]]:
-    """Return the worst flights of each arm: no outcome first, then the hardest landings."""
+    """Return the worst flights of each arm: no outcome first, then hard landings."""
     table = results.table
     speed = np.zeros(len(table))
     for name in ("vertical_speed_m_s", "horizontal_speed_m_s", "tilt_deg"):
@@ -299,8 +299,8 @@ def _timing(results: Results) -> dict[str, Any]:
     }
 
 
-def _ground(results: Results) -> tuple[list[float], list[float], Any] | str | None:
-    """Return a coarse image of the shared terrain, the reason if it is missing, or None."""
+def _terrain_image(results: Results) -> tuple[list[float], list[float], Any] | str | None:
+    """Return a coarse image of the terrain, why it is missing, or None."""
     if not (results.folder / "scenario.toml").is_file() or any(
         key.startswith("terrain") for key in results.manifest["inputs"]
     ):

@@ -19,7 +19,7 @@ _POINTS = 160
 
 
 def shaded(path: Path, seed: int) -> tuple[list[float], list[float], list[list[float | None]]]:
-    """Return east and north (m) of the points, and the shading in [0, 1] (None: no terrain)."""
+    """Return east and north (m), and the shading in [0, 1]; None without terrain."""
     scenario = Scenario.world_of(
         read_bounded_bytes(path).decode(errors="replace"), path.parent.resolve()
     )

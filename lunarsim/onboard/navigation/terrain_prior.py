@@ -60,7 +60,7 @@ class TerrainPrior:
         """
         distance = float(np.linalg.norm((briefing.start.position - briefing.target)[:2]))
         rise = relief * distance**_HURST_EXPONENT
-        sigma = float(np.hypot(briefing.start.ground_sigma, rise))
+        sigma = float(np.hypot(briefing.start.target_elevation_sigma, rise))
         return cls(float(briefing.target[2]), max(sigma, _MIN_HEIGHT_SIGMA_M), relief)
 
     @property

@@ -58,7 +58,9 @@ def _fit(u0, v0, u1, v1, width, height, box, m):
 
 
 @kernel()
-def visible_rocks(rocks, reach, foot, number, eye, to_sensor, fx, fy, cx, cy, width, height, near):
+def visible_rocks(
+    rocks, reach, foot, number, viewpoint, to_sensor, fx, fy, cx, cy, width, height, near
+):
     """Return the pixels (m, 4) that each rock may cover, and whether any (m,).
 
     A rock between the centres of pixels covers none and is omitted.
@@ -72,9 +74,9 @@ def visible_rocks(rocks, reach, foot, number, eye, to_sensor, fx, fy, cx, cy, wi
     lower = np.hypot(fy, height - 0.5 - cy)
     for m in range(count):
         n = number[m]
-        dx = rocks[n, 0] - eye[0]
-        dy = rocks[n, 1] - eye[1]
-        dz = rocks[n, 2] - eye[2]
+        dx = rocks[n, 0] - viewpoint[0]
+        dy = rocks[n, 1] - viewpoint[1]
+        dz = rocks[n, 2] - viewpoint[2]
         sx = to_sensor[0, 0] * dx + to_sensor[0, 1] * dy + to_sensor[0, 2] * dz
         sy = to_sensor[1, 0] * dx + to_sensor[1, 1] * dy + to_sensor[1, 2] * dz
         sz = to_sensor[2, 0] * dx + to_sensor[2, 1] * dy + to_sensor[2, 2] * dz
@@ -90,8 +92,8 @@ def visible_rocks(rocks, reach, foot, number, eye, to_sensor, fx, fy, cx, cy, wi
         if outside:
             continue
         sides = _sides(rocks, n, reach)
-        top = rocks[n, 2] + rocks[n, 5] - eye[2]
-        base = foot[n] - eye[2]
+        top = rocks[n, 2] + rocks[n, 5] - viewpoint[2]
+        base = foot[n] - viewpoint[2]
         u0 = np.inf
         u1 = -np.inf
         v0 = np.inf
@@ -99,8 +101,8 @@ def visible_rocks(rocks, reach, foot, number, eye, to_sensor, fx, fy, cx, cy, wi
         for k in range(8):
             e = 1.0 if k & 1 else -1.0
             f = 1.0 if k & 2 else -1.0
-            x = rocks[n, 0] + e * sides[0] - f * sides[2] - eye[0]
-            y = rocks[n, 1] + e * sides[1] + f * sides[3] - eye[1]
+            x = rocks[n, 0] + e * sides[0] - f * sides[2] - viewpoint[0]
+            y = rocks[n, 1] + e * sides[1] + f * sides[3] - viewpoint[1]
             z = top if k & 4 else base
             sz = to_sensor[2, 0] * x + to_sensor[2, 1] * y + to_sensor[2, 2] * z
             if sz < 0.02:  # extends behind the camera: may cover any pixel
@@ -142,7 +144,7 @@ def shading_rocks(
     reach,
     foot,
     number,
-    eye,
+    viewpoint,
     lean,
     axes,
     corner,
@@ -169,9 +171,9 @@ def shading_rocks(
         v0 = np.inf
         v1 = -np.inf
         for high in range(2):
-            z = (rocks[n, 2] + rocks[n, 5] if high else foot[n]) - eye[2]
-            shift_x = eye[0] + z * lean[0]
-            shift_y = eye[1] + z * lean[1]
+            z = (rocks[n, 2] + rocks[n, 5] if high else foot[n]) - viewpoint[2]
+            shift_x = viewpoint[0] + z * lean[0]
+            shift_y = viewpoint[1] + z * lean[1]
             for k in range(4):
                 e = 1.0 if k & 1 else -1.0
                 f = 1.0 if k & 2 else -1.0

@@ -42,7 +42,7 @@ def tile_bounds(rocks, reach, foot, order, start):
 
 
 @kernel()
-def tiles_in_view(low, high, radius, eye, to_sensor, fx, fy, cx, cy, width, height, near):
+def tiles_in_view(low, high, radius, viewpoint, to_sensor, fx, fy, cx, cy, width, height, near):
     """Return which tiles (t,) may contain a rock that `visible_rocks` selects."""
     count = low.shape[0]
     kept = np.zeros(count, np.bool_)
@@ -68,8 +68,8 @@ def tiles_in_view(low, high, radius, eye, to_sensor, fx, fy, cx, cy, width, heig
             maximum = 0.0
             scale = 0.0
             for k in range(3):
-                lower = (low[t, k] - eye[k]) * normal[s, k]
-                upper = (high[t, k] - eye[k]) * normal[s, k]
+                lower = (low[t, k] - viewpoint[k]) * normal[s, k]
+                upper = (high[t, k] - viewpoint[k]) * normal[s, k]
                 maximum += max(lower, upper)
                 scale += max(abs(lower), abs(upper))
             begin = near if s == 0 else 0.0
@@ -81,7 +81,7 @@ def tiles_in_view(low, high, radius, eye, to_sensor, fx, fy, cx, cy, width, heig
 
 
 @kernel()
-def tiles_that_shade(low, high, margin, eye, lean, axes, corner, texel, width, height):
+def tiles_that_shade(low, high, margin, viewpoint, lean, axes, corner, texel, width, height):
     """Return which tiles (t,) may contain a rock that `shading_rocks` selects."""
     count = low.shape[0]
     kept = np.zeros(count, np.bool_)
@@ -96,8 +96,8 @@ def tiles_that_shade(low, high, margin, eye, lean, axes, corner, texel, width, h
             for k in range(3):
                 slope = rise if k == 2 else axes[s, k]
                 wider = 0.0 if k == 2 else margin[t]
-                lower = (low[t, k] - wider - eye[k]) * slope
-                upper = (high[t, k] + wider - eye[k]) * slope
+                lower = (low[t, k] - wider - viewpoint[k]) * slope
+                upper = (high[t, k] + wider - viewpoint[k]) * slope
                 minimum += min(lower, upper)
                 maximum += max(lower, upper)
                 scale += max(abs(lower), abs(upper))

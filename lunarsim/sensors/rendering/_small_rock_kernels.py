@@ -34,7 +34,9 @@ def split(box):
 
 
 @kernel()
-def sight(rocks, planes, count, box, number, small, start, eye, to_sensor, fx, fy, cx, cy, near):
+def sight(
+    rocks, planes, count, box, number, small, start, viewpoint, to_sensor, fx, fy, cx, cy, near
+):
     """Write pixel, depth, normal and index of small rocks where rays hit them.
 
     Returns rows (m, 7), float32, and which of them are hits (m,).
@@ -54,11 +56,20 @@ def sight(rocks, planes, count, box, number, small, start, eye, to_sensor, fx, f
             dx = to_sensor[0, 0] * sx + to_sensor[1, 0] * sy + to_sensor[2, 0]
             dy = to_sensor[0, 1] * sx + to_sensor[1, 1] * sy + to_sensor[2, 1]
             dz = to_sensor[0, 2] * sx + to_sensor[1, 2] * sy + to_sensor[2, 2]
-            t = rock_hit(eye[0], eye[1], eye[2], dx, dy, dz, rocks, n, planes, count)
+            t = rock_hit(
+                viewpoint[0], viewpoint[1], viewpoint[2], dx, dy, dz, rocks, n, planes, count
+            )
             if not (t >= near and t < np.inf):
                 continue
             rock_normal(
-                eye[0] + t * dx, eye[1] + t * dy, eye[2] + t * dz, rocks, n, planes, count, normal
+                viewpoint[0] + t * dx,
+                viewpoint[1] + t * dy,
+                viewpoint[2] + t * dz,
+                rocks,
+                n,
+                planes,
+                count,
+                normal,
             )
             row = out[at + p]
             row[0] = u
@@ -74,7 +85,20 @@ def sight(rocks, planes, count, box, number, small, start, eye, to_sensor, fx, f
 
 @kernel()
 def shade(
-    rocks, planes, count, box, number, small, start, eye, lean, axes, corner, texel, highest, lowest
+    rocks,
+    planes,
+    count,
+    box,
+    number,
+    small,
+    start,
+    viewpoint,
+    lean,
+    axes,
+    corner,
+    texel,
+    highest,
+    lowest,
 ):
     """Write texel and depth of small rocks' highest faces away from the Sun.
 
@@ -93,10 +117,10 @@ def shade(
             v = np.float64(box[m, 1]) + 0.5 + p // wide
             a = corner[0] + texel * (u + 0.5)
             b = corner[1] + texel * (v + 0.5)
-            x = eye[0] + axes[0, 0] * a + axes[1, 0] * b
-            y = eye[1] + axes[0, 1] * a + axes[1, 1] * b
+            x = viewpoint[0] + axes[0, 0] * a + axes[1, 0] * b
+            y = viewpoint[1] + axes[0, 1] * a + axes[1, 1] * b
             # The ray points to the Sun: where it enters the rock, a ray from the Sun leaves it.
-            t = rock_hit(x, y, eye[2], lean[0], lean[1], 1.0, rocks, n, planes, count)
+            t = rock_hit(x, y, viewpoint[2], lean[0], lean[1], 1.0, rocks, n, planes, count)
             if t == np.inf:
                 continue
             row = out[at + p]

@@ -123,7 +123,7 @@ def shadow_caster_blocks(z, first, side, blocks, p, sun, share):
 
 
 @kernel(parallel=True)
-def cell_corners(z, ground):
+def cell_corners(z, datum):
     """Return the heights of the corners of every cell (rows, cols, 4), float32.
 
     The order is SW, SE, NW, NE. Beyond the last post its value is repeated.
@@ -134,10 +134,10 @@ def cell_corners(z, ground):
         up = min(i + 1, rows - 1)
         for j in range(cols):
             right = min(j + 1, cols - 1)
-            out[i, j, 0] = np.float64(z[i, j]) - ground
-            out[i, j, 1] = np.float64(z[i, right]) - ground
-            out[i, j, 2] = np.float64(z[up, j]) - ground
-            out[i, j, 3] = np.float64(z[up, right]) - ground
+            out[i, j, 0] = np.float64(z[i, j]) - datum
+            out[i, j, 1] = np.float64(z[i, right]) - datum
+            out[i, j, 2] = np.float64(z[up, j]) - datum
+            out[i, j, 3] = np.float64(z[up, right]) - datum
     return out
 
 
@@ -151,7 +151,7 @@ def _coarsest(error, n, max_error):
 
 
 @kernel()
-def choose(low, high, error, eye, axes, bounds, near, tolerance, shadow_tolerance):
+def choose(low, high, error, viewpoint, axes, bounds, near, tolerance, shadow_tolerance):
     """Return the visible tiles (n,) of a camera, their levels and bounds.
 
     Levels (n,) are for the image and for the shadow map. The bounds are the minimum distance of a
@@ -169,21 +169,21 @@ def choose(low, high, error, eye, axes, bounds, near, tolerance, shadow_toleranc
         square = 0.0
         run = 0.0
         for k in range(3):
-            gap = max(low[n, k] - eye[k], eye[k] - high[n, k], 0.0)
+            gap = max(low[n, k] - viewpoint[k], viewpoint[k] - high[n, k], 0.0)
             square += gap * gap
             if k < 2:
-                run = max(run, eye[k] - low[n, k], high[n, k] - eye[k])
+                run = max(run, viewpoint[k] - low[n, k], high[n, k] - viewpoint[k])
         distance = np.sqrt(square)
         # The shader corrects the displacement by coarse tiles for steeply descending rays.
-        slant = run / max(eye[2] - high[n, 2], 1e-9)
+        slant = run / max(viewpoint[2] - high[n, 2], 1e-9)
         steep = min(max(_STEEP_VIEW_FACTOR / max(slant * slant, 1.0), 1.0), _STEEP_VIEW_FACTOR)
         level[n] = _coarsest(error, n, tolerance * steep * distance)
         shadow_level[n] = _coarsest(error, n, shadow_tolerance * distance)
         behind = left = right = above = below = 0
         for corner in range(8):
-            e = (high[n, 0] if corner & 1 else low[n, 0]) - eye[0]
-            f = (high[n, 1] if corner & 2 else low[n, 1]) - eye[1]
-            g = (high[n, 2] if corner & 4 else low[n, 2]) - eye[2]
+            e = (high[n, 0] if corner & 1 else low[n, 0]) - viewpoint[0]
+            f = (high[n, 1] if corner & 2 else low[n, 1]) - viewpoint[1]
+            g = (high[n, 2] if corner & 4 else low[n, 2]) - viewpoint[2]
             x = e * axes[0, 0] + f * axes[1, 0] + g * axes[2, 0]
             y = e * axes[0, 1] + f * axes[1, 1] + g * axes[2, 1]
             z = e * axes[0, 2] + f * axes[1, 2] + g * axes[2, 2]

@@ -33,10 +33,10 @@ def albedo_field(seed: int) -> NDArray[np.uint8]:
     return np.clip(np.rint(128.0 + field), 0, 255).astype(np.uint8)
 
 
-def albedo_from_camera(light: Light, eye: Array) -> Array:
+def albedo_from_camera(light: Light, viewpoint: Array) -> Array:
     """Return scale and offset (4,) from the camera's metres to the field."""
     scale = _DETAIL / (light.mottle_length * _SIDE)
-    return np.array([scale, scale, *((eye[:2] * scale) % 1.0)])
+    return np.array([scale, scale, *((viewpoint[:2] * scale) % 1.0)])
 
 
 def rock_albedos(light: Light, count: int) -> Array:

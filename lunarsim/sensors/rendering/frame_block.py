@@ -41,7 +41,7 @@ FRAME = np.dtype(
 
 def frame_block(
     view: View, clip: tuple[float, float], light: Light, grid: Grid, cells: tuple[int, int],
-    ground: float, frame: ShadowFrame | None, texture: tuple[int, int],
+    datum: float, frame: ShadowFrame | None, texture: tuple[int, int],
 ) -> NDArray[np.void]:  # fmt: skip
     """Return the uniform block of an image.
 
@@ -55,7 +55,7 @@ def frame_block(
         Grid of the relief.
     cells
         Columns and rows of cells in the relief's texture.
-    ground
+    datum
         Elevation that is zero in that texture, m.
     frame, texture
         Shadow map (None: no shadows), and the size of its texture, texels.
@@ -66,7 +66,7 @@ def frame_block(
     block["image"] = view.width, view.height
     block["clip"] = clip
     block["eye"][:3] = view.position
-    block["eye"][3] = view.position[2] - ground
+    block["eye"][3] = view.position[2] - datum
     sun = light.direction
     if sun[2] > 0.0:
         block["sunlight"][:3] = sun

@@ -37,7 +37,7 @@ class ReliefRenderer:
         Tiles of the relief.
     corners
         Texture of the elevations of the corners of each cell.
-    ground
+    datum
         Elevation that is zero in the texture, m.
     """
 
@@ -47,17 +47,17 @@ class ReliefRenderer:
         self.tiles = ReliefTiles.of(relief)
         self._lee = ShadowCasterBlocks(relief, self.tiles)
         self._grid = relief.grid
-        # Elevations are relative to the middle, in whole metres, for the precision of float32.
+        # Elevations are relative to the middle, rounded to metres, for the precision of float32.
         finite = relief.z[np.isfinite(relief.z)]
-        self.ground = float(np.round(0.5 * (finite.min() + finite.max()))) if finite.size else 0.0
-        self.corners = float_texture(ctx, kernels.cell_corners(relief.z, self.ground))
+        self.datum = float(np.round(0.5 * (finite.min() + finite.max()))) if finite.size else 0.0
+        self.corners = float_texture(ctx, kernels.cell_corners(relief.z, self.datum))
         self._programs = programs
         self._ctx = ctx
         self._buffer = ctx.buffer(reserve=_INSTANCE.itemsize)
         self._vaos: dict[tuple[str, int], moderngl.VertexArray] = {}
 
     def draw(
-        self, matrix: Array, eye: Array, shown: NDArray[np.bool_], level: NDArray[np.int64]
+        self, matrix: Array, viewpoint: Array, shown: NDArray[np.bool_], level: NDArray[np.int64]
     ) -> None:
         """Draw the depth of tiles.
 
@@ -65,7 +65,7 @@ class ReliefRenderer:
         ----------
         matrix
             Transform from metres relative to the camera, ENU, to clip coordinates (4, 4).
-        eye
+        viewpoint
             Position of the camera, ENU (3,), m.
         shown, level
             Tiles to draw, and the level of detail of every tile (n,).
@@ -74,10 +74,10 @@ class ReliefRenderer:
         for k in range(LEVELS):
             picked = np.flatnonzero(shown & (level == k))
             if picked.size:
-                self._draw_instances("relief", k, self._instances(matrix, eye, picked, level))
+                self._draw_instances("relief", k, self._instances(matrix, viewpoint, picked, level))
 
     def draw_shadows(
-        self, frame: ShadowFrame, sun: Array, eye: Array, shades: NDArray[np.bool_],
+        self, frame: ShadowFrame, sun: Array, viewpoint: Array, shades: NDArray[np.bool_],
         level: NDArray[np.int64],
     ) -> None:  # fmt: skip
         """Draw the parts of tiles that are turned away from the Sun into a shadow map.
@@ -88,7 +88,7 @@ class ReliefRenderer:
             Frame of the map.
         sun
             Unit vector to the Sun (3,), ENU.
-        eye
+        viewpoint
             Position of the camera, ENU (3,), m.
         shades, level
             Tiles to draw, and the level of detail of every tile (n,).
@@ -99,7 +99,7 @@ class ReliefRenderer:
             picked = np.flatnonzero(shades & (level == k))
             if picked.size == 0:
                 continue
-            rows = self._instances(matrix, eye, picked, level)
+            rows = self._instances(matrix, viewpoint, picked, level)
             if k > 0:
                 self._draw_instances("relief-shadow", k, rows)
                 continue
@@ -127,7 +127,7 @@ class ReliefRenderer:
             self._vaos[name, k].render(vertices=count, first=count * block, instances=len(rows))
 
     def _instances(
-        self, matrix: Array, eye: Array, picked: NDArray[np.int64], level: NDArray[np.int64]
+        self, matrix: Array, viewpoint: Array, picked: NDArray[np.int64], level: NDArray[np.int64]
     ) -> NDArray[np.void]:
         """Return the instance attributes of tiles; positions are computed in float64."""
         g, tiles = self._grid, self.tiles
@@ -137,8 +137,8 @@ class ReliefRenderer:
         rows["tile"][:, 2:] = np.array([g.cols, g.rows]) - 1 - first
         rows["edges"] = np.maximum(level[tiles.neighbour[picked]], level[picked, None])
         corner = np.empty((picked.size, 4))
-        corner[:, :2] = first * g.posting + np.array([g.x0, g.y0]) - eye[:2]
-        corner[:, 2] = self.ground - eye[2]
+        corner[:, :2] = first * g.posting + np.array([g.x0, g.y0]) - viewpoint[:2]
+        corner[:, 2] = self.datum - viewpoint[2]
         corner[:, 3] = 1.0
         placed = rows["placed"].reshape(-1, 4, 4)  # column by column
         placed[:, 0] = matrix[:, 0] * g.posting

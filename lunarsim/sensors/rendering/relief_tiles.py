@@ -93,14 +93,14 @@ class ReliefTiles:
         return np.asarray(np.where(pick, self.high[:, None, :], self.low[:, None, :]))
 
     def choose(
-        self, eye: Array, axes: Array, bounds: Array, near: float, tolerance: float,
+        self, viewpoint: Array, axes: Array, bounds: Array, near: float, tolerance: float,
         shadow_tolerance: float,
     ) -> TileChoice:  # fmt: skip
         """Return the tiles to draw for a camera.
 
         Parameters
         ----------
-        eye, axes
+        viewpoint, axes
             Position (3,), m, and axes (3, 3) of the camera, ENU.
         bounds
             Tangents at the left, right, upper and lower border of the image (4,).
@@ -110,7 +110,7 @@ class ReliefTiles:
             Maximum vertical error per metre of distance, in the image and in the shadow map.
         """
         return TileChoice(*kernels.choose(
-            self.low, self.high, self.error, eye, np.ascontiguousarray(axes), bounds, near,
+            self.low, self.high, self.error, viewpoint, np.ascontiguousarray(axes), bounds, near,
             tolerance, shadow_tolerance,
         ))  # fmt: skip
 

@@ -131,7 +131,7 @@ class Renderer:
             frame = self._shadow_frame(view, sun, choice)
         size = (1, 1) if self._shadow is None else self._shadow.texture.size
         block = frame_block(
-            view, clip, light, self._relief.grid, self._ground.corners.size, self._ground.ground,
+            view, clip, light, self._relief.grid, self._ground.corners.size, self._ground.datum,
             frame, size,
         )  # fmt: skip
         shades = self._shading_tiles(view, sun, frame)
@@ -139,7 +139,7 @@ class Renderer:
         programs = self._set_surface(block, light, view, wide=reach > 1.0)
         self._upload_frame(block)
         seen = self._rocks.seen(view, clip[0])
-        with self._ctx.scope(target.picture, moderngl.DEPTH_TEST):
+        with self._ctx.scope(target.image_buffer, moderngl.DEPTH_TEST):
             leaks = False
             if frame is not None:
                 reads = self._map_reads(view, frame, choice, seen, reach)
@@ -177,8 +177,8 @@ class Renderer:
             over.clear(depth=1.0)
             self._ctx.depth_func = "1"
         else:
-            target.picture.use()
-            target.picture.clear()
+            target.image_buffer.use()
+            target.image_buffer.clear()
             self._ctx.disable(moderngl.DEPTH_TEST)
         target.depth.use(DEPTHS)
         if program not in self._screens:
@@ -201,11 +201,11 @@ class Renderer:
         u, v = (e - g.x0) / g.posting, (n - g.y0) / g.posting
         if 0.0 <= u <= g.cols - 1 and 0.0 <= v <= g.rows - 1:
             i, j = min(int(v), g.rows - 2), min(int(u), g.cols - 2)
-            ground = float(np.max(self._relief.z[i : i + 2, j : j + 2]))
-            if up <= ground:
+            terrain_height = float(np.max(self._relief.z[i : i + 2, j : j + 2]))
+            if up <= terrain_height:
                 raise InputError(
                     "camera.position", [float(x) for x in view.position],
-                    f"must be above the terrain, which is at {ground:.2f} m",
+                    f"must be above the terrain, which is at {terrain_height:.2f} m",
                 )  # fmt: skip
 
     def _clip(self, view: View) -> tuple[float, float]:
@@ -219,7 +219,7 @@ class Renderer:
 
     @staticmethod
     def _corner_tangent(view: View) -> float:
-        """Return the tangent of the angle between boresight and the most distant corner."""
+        """Return the tangent of the angle between boresight and the farthest corner."""
         left, right, upper, lower = view.border
         return float(np.hypot(max(-left, right), max(-upper, lower)))
 

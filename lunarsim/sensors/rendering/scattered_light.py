@@ -38,11 +38,11 @@ class ScatteredLightMap:
     posting: float
     values: NDArray[np.float32]
 
-    def from_camera(self, eye: Array) -> Array:
+    def from_camera(self, viewpoint: Array) -> Array:
         """Return scale and offset (4,) from metres relative to the camera to the texture."""
         rows, cols = self.values.shape[:2]
         size = np.array([cols, rows])
-        posts = (eye[:2] - self.corner) / self.posting
+        posts = (viewpoint[:2] - self.corner) / self.posting
         return np.concatenate((1.0 / (self.posting * size), (posts + 0.5) / size))
 
 

@@ -90,9 +90,9 @@ class ShadowFrame:
             (top - view.position[2] + 1.0, lowest - view.position[2] - 1.0), slack,
         )  # fmt: skip
 
-    def shades(self, corners: Array, eye: Array) -> NDArray[np.bool_]:
+    def shades(self, corners: Array, viewpoint: Array) -> NDArray[np.bool_]:
         """Return which boxes (n, 8, 3) may cast a shadow onto the area of the map."""
-        place = corners - eye
+        place = corners - viewpoint
         place = (place[..., :2] - place[..., 2:] * self.lean) @ self.axes.T
         high_corner = self.corner + self.texel * np.array(self.size)
         return np.asarray(

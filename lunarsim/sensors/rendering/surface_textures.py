@@ -37,24 +37,24 @@ class SurfaceTextures:
         self._glow: dict[Light, tuple[ScatteredLightMap, moderngl.Texture]] = {}
         self._mottles: tuple[int, moderngl.Texture] | None = None
 
-    def use(self, light: Light, eye: Array, block: NDArray[np.void]) -> None:
+    def use(self, light: Light, viewpoint: Array, block: NDArray[np.void]) -> None:
         """Bind the textures that a light needs, and write their coordinates.
 
         Parameters
         ----------
         light
             Light.
-        eye
+        viewpoint
             Position of the camera (3,), ENU, m.
         block
             Uniform block of the image.
         """
         if light.scattered:
             found, texture = self._glow_of(light)
-            block["glow_from"] = found.from_camera(eye)
+            block["glow_from"] = found.from_camera(viewpoint)
             texture.use(GLOW)
         if light.mottle > 0.0:
-            block["mottle_from"] = albedo_from_camera(light, eye)
+            block["mottle_from"] = albedo_from_camera(light, viewpoint)
             self._mottles_of(light.mottle_seed).use(MOTTLES)
 
     def _glow_of(self, light: Light) -> tuple[ScatteredLightMap, moderngl.Texture]:

@@ -27,7 +27,7 @@ class ImageTarget:
     mended: moderngl.Texture
     colours: tuple[moderngl.Texture, ...]
     depth_only: moderngl.Framebuffer
-    picture: moderngl.Framebuffer
+    image_buffer: moderngl.Framebuffer
     over: moderngl.Framebuffer
     over_mended: moderngl.Framebuffer
 

@@ -101,13 +101,13 @@ def drop_rocks(
             else:
                 px = west + (east - west) * np.random.random()  # noqa: NPY002
                 py = south + (north - south) * np.random.random()  # noqa: NPY002
-            ground = relief_at(px, py, z, x0, y0, p)
-            if np.isnan(ground) or not _is_free(
+            terrain_height = relief_at(px, py, z, x0, y0, p)
+            if np.isnan(terrain_height) or not _is_free(
                 px, py, radius[n], x, y, radius, west, south, sides[: c + 1], widths, heights,
                 offset, head, follow,
             ):  # fmt: skip
                 continue
-            x[n], y[n], base[n] = px, py, ground
+            x[n], y[n], base[n] = px, py, terrain_height
             i, j = int((py - south) / sides[c]), int((px - west) / sides[c])
             bucket = offset[c] + i * widths[c] + j
             follow[n] = head[bucket]

@@ -4,8 +4,8 @@
 The relief has a pyramid of maxima (Tevs, Ihrke and Seidel 2008): level 0 holds the highest post of
 each cell, level l that of 2^l x 2^l cells. All levels lie in one flat array `peak`; level l starts
 at `offset[l]` and has `high[l]` x `wide[l]` nodes. From the level of the buckets (`base`) upward
-the maxima include the rocks; `ground` holds the maxima of the buckets without them. Each bucket
-lists its rocks (`start`, `index`, in compressed rows).
+the maxima include the rocks; `terrain_peak` holds the maxima of the buckets without them. Each
+bucket lists its rocks (`start`, `index`, in compressed rows).
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ class Pyramid(NamedTuple):
 
     base: Any  # level of the buckets
     peak: Any
-    ground: Any
+    terrain_peak: Any
     offset: Any
     high: Any
     wide: Any
@@ -102,7 +102,7 @@ def build_pyramid(z, rocks, start, index, base, offset, high, wide):
                 for c in range(2):
                     best = max(best, z[i + r, j + c])
             peak[i * wide[0] + j] = best
-    ground = peak[: high[0] * wide[0]].copy()
+    terrain_peak = peak[: high[0] * wide[0]].copy()
     for level in range(offset.size):
         if level > 0:
             below = level - 1
@@ -115,7 +115,7 @@ def build_pyramid(z, rocks, start, index, base, offset, high, wide):
                     peak[offset[level] + i * wide[level] + j] = best
         if level == base:
             here = offset[level]
-            ground = peak[here : here + high[level] * wide[level]].copy()
+            terrain_peak = peak[here : here + high[level] * wide[level]].copy()
             for bucket in range(high[level] * wide[level]):
                 for m in range(start[bucket], start[bucket + 1]):
                     n = index[m]
@@ -123,7 +123,7 @@ def build_pyramid(z, rocks, start, index, base, offset, high, wide):
                     top = np.float32(rocks[n, 2] + rocks[n, 5])
                     top = np.nextafter(top, np.float32(np.inf))
                     peak[here + bucket] = max(peak[here + bucket], top)
-    return peak, ground
+    return peak, terrain_peak
 
 
 @kernel(inline=True)
@@ -288,7 +288,7 @@ def _steep_hit(ray, t, t1, z, pyramid, rocks):
         if inside and rocks.start[bucket] < rocks.start[bucket + 1]:
             best, which = _try_rocks(ray, t, bucket, best, which, rocks)
             t1 = min(t1, best)
-            t, ci, cj = _descend_to(ray, pyramid.ground[bucket], t, t1, ci, cj, rows, cols)
+            t, ci, cj = _descend_to(ray, pyramid.terrain_peak[bucket], t, t1, ci, cj, rows, cols)
             inside = (cj >> base) == j and (ci >> base) == i
         if inside:
             hit, t, ci, cj = _walk_cells(ray, z, base, t, t1, ci, cj)
@@ -352,7 +352,7 @@ def _grazing_hit(ray, t, t1, z, pyramid, rocks):
         if inside and level == base and rocks.start[bucket] < rocks.start[bucket + 1]:
             best, which = _try_rocks(ray, t, bucket, best, which, rocks)
             t1 = min(t1, best)
-            bare = np.float64(pyramid.ground[bucket])
+            bare = np.float64(pyramid.terrain_peak[bucket])
             leave = max(min(leave, t1), t)
             inside = ray.oz + (leave if down else t) * ray.dz <= bare
             if inside and down:
@@ -426,7 +426,7 @@ def _first_hit(ray, max_range, z, pyramid, rocks):
 @kernel(shared=True, allocates=False)
 def cast(
     share, origin, direction, max_range, normals, z, frame,
-    base, peak, ground, offset, high, wide, rows, planes, count, start, index, hits,
+    base, peak, terrain_peak, offset, high, wide, rows, planes, count, start, index, hits,
 ):  # fmt: skip
     """Cast rays; write distance (n,), normal (n, 3) and rock index (n,) into `hits`.
 
@@ -437,7 +437,7 @@ def cast(
     x0, y0, p = frame
     distance, normal, rock = hits
     each = 1 if origin.shape[0] > 1 else 0
-    pyramid = Pyramid(base, peak, ground, offset, high, wide)
+    pyramid = Pyramid(base, peak, terrain_peak, offset, high, wide)
     rocks = Rocks(rows, planes, count, start, index)
     for n in range(share[0], rays, share[1]):
         ox = origin[n * each, 0]

@@ -61,11 +61,11 @@ def _top_rock(x, y, x0, y0, p, leaf, rocks, planes, count, start, index, cols):
 
 @kernel()
 def _surface(x, y, z, x0, y0, p, leaf, rocks, planes, count, start, index):
-    ground = relief_at(x, y, z, x0, y0, p)
-    if np.isnan(ground) or rocks.shape[0] == 0:
-        return ground
+    terrain_height = relief_at(x, y, z, x0, y0, p)
+    if np.isnan(terrain_height) or rocks.shape[0] == 0:
+        return terrain_height
     top, _ = _top_rock(x, y, x0, y0, p, leaf, rocks, planes, count, start, index, z.shape[1])
-    return max(ground, top)
+    return max(terrain_height, top)
 
 
 @kernel()
@@ -122,8 +122,8 @@ def normal_at(xy, z, x0, y0, p, leaf, rocks, planes, count, start, index):
     for i in range(xy.shape[0]):
         x = xy[i, 0]
         y = xy[i, 1]
-        ground = relief_at(x, y, z, x0, y0, p)
-        if np.isnan(ground):
+        terrain_height = relief_at(x, y, z, x0, y0, p)
+        if np.isnan(terrain_height):
             continue
         top = -np.inf
         n = -1
@@ -131,7 +131,7 @@ def normal_at(xy, z, x0, y0, p, leaf, rocks, planes, count, start, index):
             top, n = _top_rock(
                 x, y, x0, y0, p, leaf, rocks, planes, count, start, index, z.shape[1]
             )
-        if top > ground:
+        if top > terrain_height:
             rock_normal(x, y, top, rocks, n, planes, count, out[i])
         else:
             relief_normal(x, y, z, x0, y0, p, out[i])
@@ -146,10 +146,10 @@ def rock_raster(share, gx, gy, gp, z, x0, y0, p, leaf, rocks, planes, count, sta
         y = gy + gp * i
         for j in range(cols):
             x = gx + gp * j
-            ground = relief_at(x, y, z, x0, y0, p)
-            if rocks.shape[0] > 0 and not np.isnan(ground):
+            terrain_height = relief_at(x, y, z, x0, y0, p)
+            if rocks.shape[0] > 0 and not np.isnan(terrain_height):
                 top, n = _top_rock(
                     x, y, x0, y0, p, leaf, rocks, planes, count, start, index, z.shape[1]
                 )
-                if top > ground:
+                if top > terrain_height:
                     out[i, j] = n

@@ -35,8 +35,8 @@ def add_fillets(relief: Heightfield, rocks: RockField, share: float) -> Heightfi
     if share == 0.0 or len(rocks) == 0:
         return relief
     g = relief.grid
-    ground = Terrain(relief).elevation(np.column_stack((rocks.x, rocks.y)))
-    height = share * np.clip(np.nan_to_num(rocks.base + rocks.height - ground), 0.0, None)
+    terrain_height = Terrain(relief).elevation(np.column_stack((rocks.x, rocks.y)))
+    height = share * np.clip(np.nan_to_num(rocks.base + rocks.height - terrain_height), 0.0, None)
     soil = np.zeros(g.shape, np.float32)
     raise_fillets(
         soil, g.x0, g.y0, g.posting, rocks.x, rocks.y, rocks.a, rocks.b, np.cos(rocks.yaw),

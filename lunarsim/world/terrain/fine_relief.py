@@ -75,9 +75,9 @@ def _short_waves(
     k[0, 0] = np.inf
     noise = rng.standard_normal(k.shape) + 1j * rng.standard_normal(k.shape)
     waves = noise * k ** -(1.0 + hurst)
-    whole = np.fft.irfft2(waves, s=(side, side))
+    periodic = np.fft.irfft2(waves, s=(side, side))
     lag = max(1, round(baseline / step))
-    steps = [np.roll(whole, -lag, axis) - whole for axis in (0, 1)]
+    steps = [np.roll(periodic, -lag, axis) - periodic for axis in (0, 1)]
     slope = np.sqrt(sum(float(np.mean(d**2)) for d in steps)) / (lag * step)
     short = np.fft.irfft2(np.where(k > 0.5 / old, waves, 0.0), s=(side, side))
     return np.asarray(short * np.tan(rms_slope) / slope)

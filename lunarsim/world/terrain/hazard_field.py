@@ -79,8 +79,8 @@ def hazard_field(
     )
     relief = Heightfield(grid, (z - z.mean()).astype(np.float32))
     x, y, diameter = _scatter_objects(rng, boulders, 0.4, 1.0, size, turn)
-    ground = Terrain(relief).elevation(np.column_stack((x, y)))
-    return Terrain(relief, RockField.hemispheres(x, y, ground, 0.5 * diameter))
+    terrain_height = Terrain(relief).elevation(np.column_stack((x, y)))
+    return Terrain(relief, RockField.hemispheres(x, y, terrain_height, 0.5 * diameter))
 
 
 def _scatter_objects(

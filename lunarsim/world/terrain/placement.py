@@ -97,7 +97,7 @@ def place_rocks(
     west, east, south, north = relief.bounds
     g = relief.grid
     seed = int(rng.integers(2**32))
-    x, y, ground, placed = drop_rocks(
+    x, y, terrain_height, placed = drop_rocks(
         reach[order], west, east, south, north, relief.z, g.x0, g.y0, g.posting, seed, tries,
         clusters.share, clusters.rows(), _MAX_CLUSTER_RADII,
     )  # fmt: skip
@@ -110,7 +110,7 @@ def place_rocks(
     return RockField(
         x,
         y,
-        ground + field.base[order],
+        terrain_height + field.base[order],
         field.a[order],
         field.b[order],
         field.height[order],

@@ -132,8 +132,8 @@ def _number(text: Any, dtype: np.dtype[Any]) -> float | None:
     bits = re.fullmatch(r"\s*(?:16#([0-9A-Fa-f]+)#|0x([0-9A-Fa-f]+))\s*", str(text))
     try:
         if bits:
-            whole = int(bits.group(1) or bits.group(2), 16)
-            sample = whole.to_bytes(dtype.itemsize, "big")
+            pattern = int(bits.group(1) or bits.group(2), 16)
+            sample = pattern.to_bytes(dtype.itemsize, "big")
             return float(np.frombuffer(sample, dtype.newbyteorder(">"))[0])
         return float(text)
     except (TypeError, ValueError, OverflowError):

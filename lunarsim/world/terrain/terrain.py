@@ -72,11 +72,13 @@ class Terrain:
         start, index = _ray_kernels.list_rocks(
             rows, self.rocks.reach(), g.x0, g.y0, g.posting * 2**base, high[base], wide[base]
         )
-        peak, ground = _ray_kernels.build_pyramid(z, rows, start, index, base, offset, high, wide)
+        peak, terrain_peak = _ray_kernels.build_pyramid(
+            z, rows, start, index, base, offset, high, wide
+        )
         object.__setattr__(self, "_frame", (g.x0, g.y0, g.posting))
         object.__setattr__(self, "_leaf", 2**base)
         listed = _ray_kernels.Rocks(rows, table.planes, table.count, start, index)
-        pyramid = _ray_kernels.Pyramid(base, peak, ground, offset, high, wide)
+        pyramid = _ray_kernels.Pyramid(base, peak, terrain_peak, offset, high, wide)
         object.__setattr__(self, "_rock_arrays", listed)
         object.__setattr__(self, "_pyramid", pyramid)
 

@@ -75,6 +75,6 @@ class FractalTerrain(ReliefRoughness):
 
 
 @lru_cache(maxsize=4)
-def _cached_relief(ground: FractalTerrain) -> Heightfield:
-    grid = Grid.centred((0.0, 0.0), ground.size, ground.posting)
-    return ground.procedural(grid, detail=ground.detail_posting)
+def _cached_relief(model: FractalTerrain) -> Heightfield:
+    grid = Grid.centred((0.0, 0.0), model.size, model.posting)
+    return model.procedural(grid, detail=model.detail_posting)

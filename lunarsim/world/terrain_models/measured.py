@@ -94,42 +94,42 @@ class RasterTerrain(ReliefRoughness):
         return _cached_relief(self)
 
 
-def _load_measured(ground: RasterTerrain) -> Heightfield:
+def _load_measured(model: RasterTerrain) -> Heightfield:
     """Return the raster's elevations, dequantized, scaled and mirrored."""
     from lunarsim.world.terrain.dtm import load_terrain  # noqa: PLC0415  (rasterio loads slowly)
 
-    assert ground.path is not None
+    assert model.path is not None
     measured = load_terrain(
-        ground.path, posting=ground.dtm_posting, window=ground.dtm_window, unit=ground.dtm_unit,
-        nodata=ground.dtm_nodata,
+        model.path, posting=model.dtm_posting, window=model.dtm_window, unit=model.dtm_unit,
+        nodata=model.dtm_nodata,
     )  # fmt: skip
-    if ground.height_step is not None:
-        measured = measured.dequantised(ground.height_step)
-    measured = measured.scaled(ground.relief_scale)
-    if ground.mirrored_to is not None:
-        _check_posts(ground, ground.mirrored_to)
-        measured = measured.mirrored(ground.mirrored_to)
+    if model.height_step is not None:
+        measured = measured.dequantised(model.height_step)
+    measured = measured.scaled(model.relief_scale)
+    if model.mirrored_to is not None:
+        _check_posts(model, model.mirrored_to)
+        measured = measured.mirrored(model.mirrored_to)
     west, east, south, north = measured.bounds
-    _check_posts(ground, max(east - west, north - south))
+    _check_posts(model, max(east - west, north - south))
     return measured
 
 
-def _check_posts(ground: RasterTerrain, side: float) -> None:
+def _check_posts(model: RasterTerrain, side: float) -> None:
     """Refuse a posting too fine for a square of the given side, m."""
-    if side / ground.posting > MAX_POSTS_PER_SIDE:
+    if side / model.posting > MAX_POSTS_PER_SIDE:
         raise InputError(
-            "terrain.posting_m", ground.posting,
+            "terrain.posting_m", model.posting,
             f"must be at least {side / MAX_POSTS_PER_SIDE:.3g} m",
             f"At most {MAX_POSTS_PER_SIDE} posts are allowed along the {side:.0f} m of the raster.",
         )  # fmt: skip
 
 
 @lru_cache(maxsize=4)
-def _cached_relief(ground: RasterTerrain) -> Heightfield:
-    measured = _load_measured(ground)
-    fine = measured.refined(ground.posting)
-    if not ground.detail:
+def _cached_relief(model: RasterTerrain) -> Heightfield:
+    measured = _load_measured(model)
+    fine = measured.refined(model.posting)
+    if not model.detail:
         return fine
     # The measurement already contains the craters that its posts resolve.
     largest = 2.0 * measured.grid.posting
-    return add_detail(measured, ground.procedural(fine.grid, largest))
+    return add_detail(measured, model.procedural(fine.grid, largest))

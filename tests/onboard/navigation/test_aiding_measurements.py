@@ -57,14 +57,20 @@ def test_terrain_height_noise_grows_with_distance_flown():
 
 def test_terrain_prior_uses_target_elevation_and_slope():
     start = InitialStateEstimate(
-        np.array([-300.0, 450.0, 200.0]), np.zeros(3), UPRIGHT, 5.0, 0.1, 0.01, ground_sigma=4.0
+        np.array([-300.0, 450.0, 200.0]),
+        np.zeros(3),
+        UPRIGHT,
+        5.0,
+        0.1,
+        0.01,
+        target_elevation_sigma=4.0,
     )
     given = SimpleNamespace(start=start, target=np.array([0.0, 50.0, 7.0]))
     # 500 m away; heights so far apart differ by the slope times 500^0.76 m.
     found = TerrainPrior.of(given, 0.05)
     assert found.elevation == 7.0
     assert found.sigma == pytest.approx(np.hypot(4.0, 0.05 * 112.517), rel=1e-4)
-    level = SimpleNamespace(start=replace(start, ground_sigma=0.0), target=given.target)
+    level = SimpleNamespace(start=replace(start, target_elevation_sigma=0.0), target=given.target)
     assert TerrainPrior.of(level, 0.0).sigma == 0.1
 
 

@@ -452,7 +452,7 @@ def site_safety(evidence: SiteEvidence, model: Ensemble | None = None) -> tuple[
         p[evaluated] = conservative_probability(
             odds.low, upper, bound(e)[evaluated], in_domain[evaluated]
         )
-        is_calibrated[evaluated] &= odds.verdict(
+        is_calibrated[evaluated] &= odds.estimate(
             upper, MAX_CLAIMED_UNSAFE, e.doomed[evaluated]
         ).agreed
     return p, is_calibrated
