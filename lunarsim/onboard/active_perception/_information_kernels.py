@@ -157,7 +157,7 @@ def observe_along_path(
     x,
     gravity,
     end_tilt,
-    ground,
+    site,
     nodes,
     sharpness,
     visible,
@@ -175,7 +175,7 @@ def observe_along_path(
 
     Parameters
     ----------
-    ground
+    site
         Site (3,), height of the centre of mass of a landed vehicle, and altitude below which
         observations do not count, m (5,).
     single_altitudes
@@ -184,7 +184,7 @@ def observe_along_path(
     samples
         Scratch array (4, 3).
     """
-    standing_height, min_altitude = ground[3], ground[4]
+    standing_height, min_altitude = site[3], site[4]
     lowest_altitude = np.inf
     for s in range(table.shape[0]):
         path_state(target, end_state, total, table, s, powers, x, gravity, samples[0], samples[1])
@@ -211,7 +211,7 @@ def observe_along_path(
                         samples[3],
                         samples[1],
                         time_left,
-                        ground,
+                        site,
                         nodes,
                         sensor,
                         sharpness,
@@ -230,7 +230,7 @@ def observe_along_path(
                     samples[0],
                     samples[1],
                     time_left,
-                    ground,
+                    site,
                     nodes,
                     sensor,
                     sharpness,
@@ -247,7 +247,7 @@ def observe_along_path(
 
 @kernel(shared=True)
 def score(
-    share, state, target, speed, plans, fine, coarse, powers, vehicle, end_tilt, ground, nodes,
+    share, state, target, speed, plans, fine, coarse, powers, vehicle, end_tilt, site, nodes,
     sharpness, visible, displacement, reduction, sensor_params, single_altitudes, out,
 ):  # fmt: skip
     """Write the information gained on each path, and its delta-v (n, 2).
@@ -267,7 +267,7 @@ def score(
     end_tilt
         Tangent of the maximum tilt of the thrust at the end, and below the minimum altitude of
         observations.
-    ground, single_altitudes
+    site, single_altitudes
         See `observe_along_path`.
     nodes
         Terrain nodes (g, 6): position (m), weight, fraction known already, and minimum time-to-go
@@ -309,7 +309,7 @@ def score(
             x,
             vehicle[GRAVITY],
             end_tilt,
-            ground,
+            site,
             nodes,
             sharpness,
             visible,

@@ -147,7 +147,7 @@ class SeekingPlanner:
     ) -> PathPlan | None:
         """Return the best path within the limits; None if there is none.
 
-        If no path stays below `max_propellant`, the path with the least propellant is returned.
+        If no path stays below `max_propellant`, the minimum-propellant path is returned.
 
         Parameters
         ----------
@@ -249,14 +249,14 @@ class SeekingPlanner:
         p = problem
         out = np.empty((len(plans), 2))
         vehicle = vehicle_params(p.estimate, p.lander, p.gravity, p.limits)
-        ground = np.array([*p.site, p.site[2] + p.com_height, p.min_altitude])
+        site = np.array([*p.site, p.site[2] + p.com_height, p.min_altitude])
         with threads_for(10.0 * len(plans)):
             kernels.score(
                 np.array([p.estimate.position, p.estimate.velocity], dtype=np.float64),
                 np.asarray(p.end.position, dtype=np.float64),
                 np.asarray(p.end.velocity, dtype=np.float64), np.ascontiguousarray(plans),
                 self._fine, self._coarse, np.array(APOLLO.powers), vehicle,
-                float(np.tan(self.end_tilt)), ground, np.ascontiguousarray(p.nodes),
+                float(np.tan(self.end_tilt)), site, np.ascontiguousarray(p.nodes),
                 *self._tables, self._sensor_params, self._single_altitudes(p.lowest_altitude), out,
             )  # fmt: skip
         return out

@@ -133,7 +133,7 @@ def _angle_under_sun(
 def _shadow_to_lit(
     seen: Detections, view: View, points: Array, threshold: float
 ) -> tuple[Index, Complex]:
-    """Return rocks with separate black and lit parts (n,), and ground vectors (n,).
+    """Return rocks with separate black and lit parts (n,), and horizontal vectors (n,).
 
     The vectors point from lit to black; east is real, north imaginary.
     """

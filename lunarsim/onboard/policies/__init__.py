@@ -1,6 +1,6 @@
 """Retargeting policies: keep the landing site or divert to another one.
 
-A policy receives only what is available onboard. A policy that uses the true state says so in its
+A policy receives only what is available onboard. A policy that uses the true state states this in its
 name and belongs to the simulation package.
 """
 

@@ -17,7 +17,7 @@ _SURER, _PLAIN, _PLAIN_SURER = np.float32(1.5), np.float32(5.0), np.float32(1.15
 def mark_possible(possible, lit, dark, radius):
     """Write where the sharpest observations do not exclude a rock (rows, cols).
 
-    `lit` and `dark` are the sharpness of the sharpest observation on lit and on dark ground, q in
+    `lit` and `dark` are the sharpness of the sharpest observation on lit and on dark terrain, q in
     pixels per metre of radius (rows, cols); 0: none.
     """
     rows, cols = lit.shape
@@ -41,7 +41,7 @@ def count_crowded(lit, possible, explained):
 
 @kernel()
 def _missed(sharpness, radius, number, line, least):
-    """Return the density of rocks missed by an observation of lit ground, 1/m^2."""
+    """Return the density of rocks missed by an observation of lit terrain, 1/m^2."""
     start, slope, floor = line
     total = 0.0
     for k in range(len(radius)):
@@ -59,17 +59,17 @@ def fill(density, lit, possible, explained, radius, number, line, least, hidden,
     density
         Result (rows, cols).
     lit
-        Sharpness of the sharpest observation on lit ground, q in pixels per metre of radius.
+        Sharpness of the sharpest observation on lit terrain, q in pixels per metre of radius.
     possible, explained
         Where a rock may be in the dark, and where a tracked rock explains that (rows, cols).
     radius, number
         Radii of the rocks (n,), m, and their expected number per area (n,), 1/m^2.
     line
-        Miss rate on lit ground: value at q = 0, slope, minimum.
+        Miss rate on lit terrain: value at q = 0, slope, minimum.
     least
         Further lower bound of the miss rate.
     hidden, crowded
-        Density where dark ground is explained, and on other dark ground.
+        Density where dark terrain is explained, and on other dark terrain.
     """
     rows, cols = lit.shape
     for i in prange(rows):
