@@ -144,7 +144,7 @@ class Navigator(Navigation):
     @property
     def watches(self) -> dict[str, InnovationMonitor]:
         """Innovation monitors by "sensor kind"; those of rocks by "rocks' kind"."""
-        corrected = {} if self.rocks is None else self.rocks.pictures.watches
+        corrected = {} if self.rocks is None else self.rocks.image_monitor.watches
         return {**self._aiding.watches, **{f"rocks' {kind}": w for kind, w in corrected.items()}}
 
     @property

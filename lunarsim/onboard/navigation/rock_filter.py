@@ -74,7 +74,7 @@ class RockFilter(RockStates):
 
     Attributes
     ----------
-    pictures
+    image_monitor
         Monitor of the image observations.
     events
         Events of this filter and of `aiding`.
@@ -85,7 +85,7 @@ class RockFilter(RockStates):
     ) -> None:
         super().__init__(state, aiding.terrain_prior, capacity)
         self.events = aiding.events
-        self.pictures = ImageInnovationMonitor(self.events)
+        self.image_monitor = ImageInnovationMonitor(self.events)
         self._aiding = aiding
         self._last_camera_position: Array | None = None
         self._pixel = 0.0
@@ -206,7 +206,7 @@ class RockFilter(RockStates):
     @property
     def lost(self) -> bool:
         """Whether measurements or rock observations contradict the estimate."""
-        return self._aiding.lost or self.pictures.lost
+        return self._aiding.lost or self.image_monitor.lost
 
     # --- time -----------------------------------------------------------------------------
 
@@ -382,9 +382,9 @@ class RockFilter(RockStates):
         The caller must reset the rocks if the returned action asks for it; see
         `ImageInnovationMonitor`.
         """
-        remedy = self.pictures.record(kind, time, outcome)
+        remedy = self.image_monitor.record(kind, time, outcome)
         if remedy is not RockCorrection.NONE and kind != "shadows":
-            nis_ratio = self.pictures.watches[kind].nis_ratio
+            nis_ratio = self.image_monitor.watches[kind].nis_ratio
             growth = float(np.clip(nis_ratio, _MIN_GROWTH, _MAX_GROWTH))
             size = self.state.size
             max_sigma = np.full(size, _MAX_POSITION_SIGMA_M)

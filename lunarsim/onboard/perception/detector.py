@@ -357,7 +357,7 @@ def _measure_rocks(
     settings: DetectorSettings,
     shade: Segmentation,
 ) -> Detections:
-    """Convert the table of patches into rocks; the view is relative to terrain at height 0."""
+    """Convert the table of patches into rocks; terrain is at height 0 of the view."""
     k = kernels
     is_noise = (
         (table[:, k.PIXELS] < settings.least_pixels)
@@ -475,7 +475,7 @@ def _viewing_angles(table: Array, view: View, sun: Array) -> tuple[Array, Array]
 
 
 def _to_pixels(offset: Array, view: View, frame: Array) -> tuple[Array, Array]:
-    """Return pixels of terrain points (n, 2) and their Jacobian along/across (n, 2, 2)."""
+    """Return pixels of points (n, 2) and their Jacobian along/across (n, 2, 2)."""
     points = np.column_stack((offset, np.full(len(offset), -view.position[2]))) @ view.into.T
     # The Jacobian by east and north is rotated to along the Sun and across.
     turned = view.pinhole.jacobian(points, view.into[:, :2]) @ frame

@@ -125,7 +125,7 @@ class ImageQualitySettings:
     most_width
         Maximum width of the sharpest shadow edges, relative to that of the point spread.
     most_smear
-        The same for the direction in which edges are least sharp.
+        The same for the direction with the widest edges.
     most_turn, least_turn
         Angle between shadows and their expected direction up to which the Sun direction is
         confirmed, and from which it is contradicted, rad; in between neither holds.

@@ -241,7 +241,7 @@ def _face_errors(
 def _expected_gap(
     view: View, points: Array, sun: Array, model: ShadowModel | ShapeMixture
 ) -> Array:
-    """Return the vector from lit faces to dark patches on the terrain (n, 2), in radii."""
+    """Return the vectors from lit faces to dark patches (n, 2), in radii."""
     towards = sun[:2] / np.hypot(sun[0], sun[1])
     left = np.array([-towards[1], towards[0]])
     sight = points - view.position

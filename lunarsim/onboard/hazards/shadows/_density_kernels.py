@@ -40,18 +40,18 @@ def count_crowded(lit, possible, explained):
 
 
 @kernel()
-def _missed(sharpness, radius, number, line, least):
+def _missed(sharpness, radius, number, line, min_rate):
     """Return the density of rocks missed by an observation of lit terrain, 1/m^2."""
     start, slope, floor = line
     total = 0.0
     for k in range(len(radius)):
         rate = min(max(start + slope * radius[k] * sharpness, floor), 1.0)
-        total += number[k] * max(rate, least)
+        total += number[k] * max(rate, min_rate)
     return total
 
 
 @kernel(parallel=True)
-def fill(density, lit, possible, explained, radius, number, line, least, hidden, crowded):
+def fill(density, lit, possible, explained, radius, number, line, min_rate, hidden, crowded):
     """Write the density of possible untracked rocks (rows, cols), 1/m^2.
 
     Parameters
@@ -66,7 +66,7 @@ def fill(density, lit, possible, explained, radius, number, line, least, hidden,
         Radii of the rocks (n,), m, and their expected number per area (n,), 1/m^2.
     line
         Miss rate on lit terrain: value at q = 0, slope, minimum.
-    least
+    min_rate
         Further lower bound of the miss rate.
     hidden, crowded
         Density where dark terrain is explained, and on other dark terrain.
@@ -77,4 +77,4 @@ def fill(density, lit, possible, explained, radius, number, line, least, hidden,
             if possible[i, j]:
                 density[i, j] = hidden if explained[i, j] else crowded
             else:
-                density[i, j] = _missed(lit[i, j], radius, number, line, least)
+                density[i, j] = _missed(lit[i, j], radius, number, line, min_rate)

@@ -125,7 +125,8 @@ def _dark_elsewhere(at, here, extent, up, cores, radius, lens, high, wide, shado
     """Return whether a part of the core may be dark if the terrain is higher or lower.
 
     The height varies by up to the reach of the position, which displaces it laterally on horizontal
-    terrain, in steps of about a rock's radius. The shadow of a tracked rock belongs to no rock here.
+    terrain, in steps of about a rock's radius. The shadow of a tracked rock belongs to no rock
+    here.
     """
     reach, e, n, h = here[FAR], here[E], here[N], here[H]
     lateral = reach * np.sqrt(e * e + n * n) / max(-h, 1e-9)
@@ -208,7 +209,7 @@ def _shadow_of(labels, largest):
 @kernel()
 def _look_along(
     i, lit, dark, explained, radii, nodes, in_view, clear, every, up, lens, shape, shadow_of,
-    blocks, least, gain, cores,
+    blocks, min_count, gain, cores,
 ):  # fmt: skip
     """Record row i of the positions, see `look`."""
     sizes, _, cols = lit.shape
@@ -245,7 +246,7 @@ def _look_along(
             count, tracked = _dark_points(
                 at, here, 0.0, up, cores, radii[s], lens, high, wide, shadow_of
             )
-            if count >= least:
+            if count >= min_count:
                 dark[s, i, j] = sharpness
                 explained[s, i, j] = 2 * tracked > count
             elif count >= 0 and not _dark_elsewhere(
@@ -257,7 +258,7 @@ def _look_along(
 @kernel(parallel=True)
 def look(
     lit, dark, explained, radii, coarse, every, position, axes, fx, fy, cx, cy, labels, largest,
-    least, gain, cores,
+    min_count, gain, cores,
 ):  # fmt: skip
     """Record where the shadow of a rock of each size would fall on lit terrain.
 
@@ -283,7 +284,7 @@ def look(
         Dark patch of each pixel (height, width), 0 where the image is lit.
     largest
         Radius of the largest rock that may cast each patch, m; negative for tracked rocks.
-    least
+    min_count
         Minimum number of dark points for a rock to be possible.
     gain
         Minimum ratio of sharpness to that of earlier observations.
@@ -301,5 +302,5 @@ def look(
     for k in prange(lit.shape[1]):
         _look_along(
             order[k], lit, dark, explained, radii, nodes, in_view, clear, every, axes[2], lens,
-            labels.shape, shadow_of, blocks, least, gain, cores,
+            labels.shape, shadow_of, blocks, min_count, gain, cores,
         )  # fmt: skip

@@ -2,8 +2,8 @@
 """Compiled search for tiles of terrain about which an image is lit.
 
 If nothing dark lies in the image box that contains all core points of a tile's positions, all their
-shadows would fall on lit terrain. The box follows from interval arithmetic: values between nodes are
-bilinear, so they lie between minimum and maximum of the tile's corners.
+shadows would fall on lit terrain. The box follows from interval arithmetic: values between nodes
+are bilinear, so they lie between minimum and maximum of the tile's corners.
 """
 
 from __future__ import annotations

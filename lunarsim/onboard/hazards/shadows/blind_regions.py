@@ -2,8 +2,8 @@
 
 The quality check uses the best parts of an image. A region may still be useless: saturated, behind
 dust or dirt, out of focus, or read out wrongly. Such a region lacks the shadows that the rest of
-the image has. Terrain with few rocks has the same appearance and is also excluded if the rest of the image
-has many. Only an image from a lower altitude can separate the two.
+the image has. Terrain with few rocks has the same appearance and is also excluded if the rest of
+the image has many. Only an image from a lower altitude can separate the two.
 """
 
 from __future__ import annotations

@@ -51,7 +51,7 @@ _MIN_DARK_POINTS = 4
 _MIN_SHARPNESS_GAIN = 1.03
 # Number of standard deviations of the terrain height to test, and maximum height error, m.
 _HEIGHT_SIGMAS, _MAX_HEIGHT_ERROR_M = 2.0, 1e3
-# Rocks of a size cannot be concentrated on less than this multiple of their own area.
+# Rocks of a size cannot be concentrated on less than this multiple of the rocks' area.
 _MIN_AREA_PER_ROCK = 2.0
 # A position is observed if the smallest hazard there is missed at most at this rate.
 _MAX_MISS_RATE = 0.25

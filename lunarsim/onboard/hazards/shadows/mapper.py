@@ -363,7 +363,7 @@ class ShadowMapper(HazardMapper):
 
         While shadows contradict the Sun direction, the map is unobserved.
         """
-        if self.tracker.filter.pictures.watches["shadows"].lost:
+        if self.tracker.filter.image_monitor.watches["shadows"].lost:
             return self._with_flat_elevation(HazardMap.unobserved(self.grid))
         self._forget_lost_rocks()
         if not self.blank and self._time >= self._map_time + self.interval - 1e-9:
@@ -379,7 +379,7 @@ class ShadowMapper(HazardMapper):
         If the map is implausible, see `_with_plausibility`, rocks count and clear terrain does not.
         """
         drawn = self.hazard_map()
-        if self.blank or self.tracker.filter.pictures.watches["shadows"].lost:
+        if self.blank or self.tracker.filter.image_monitor.watches["shadows"].lost:
             return None
         ratio = self.probability.ratios()
         if drawn.in_domain is not None and not drawn.in_domain.any():
