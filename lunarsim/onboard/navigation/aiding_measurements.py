@@ -350,8 +350,8 @@ class AidingMeasurements:
                     np.hypot(*self._footprint_offset(beam))
                 )
         outcome = update_with_range(
-            self.state, distance, sigma, beam, self.terrain_prior.elevation, block=block, part=number,
-            terrain_variance=terrain_variance, gate=innovation_gate(1),
+            self.state, distance, sigma, beam, self.terrain_prior.elevation, block=block,
+            part=number, terrain_variance=terrain_variance, gate=innovation_gate(1),
         )  # fmt: skip
         self.record_outcome(sensor, "range", outcome, columns, _MAX_HEIGHT_SIGMA_M, time)
 

@@ -22,7 +22,7 @@ _TILE_POSTS, _MAX_SCAN_POSTS = 12, 600
 
 @dataclass(frozen=True)
 class InitialShift:
-    """Most probable shift of a scan on a map, in integer posts.
+    """Most probable shift of a scan on a map, an integer number of posts.
 
     Attributes
     ----------

@@ -113,7 +113,8 @@ class UnscentedNavigation:
         """Build the navigation filter of one flight."""
         state, sigmas = StrapdownState.of(briefing)
         return UnscentedFilter(
-            state, sigmas, self, terrain_prior=TerrainPrior.of(briefing, float(np.tan(self.relief))),
+            state, sigmas, self,
+            terrain_prior=TerrainPrior.of(briefing, float(np.tan(self.relief))),
             mass=briefing.lander.wet_mass,
             exhaust_velocity=briefing.lander.exhaust_velocity, lag=briefing.lander.thrust_lag,
             instruments=briefing.instruments,

@@ -25,8 +25,8 @@ from scipy.interpolate import RegularGridInterpolator
 from lunarsim.frames import direction_from_angles
 from lunarsim.onboard.perception.shadow_model import (
     ShadowModel,
-    visible_points_about_rock,
     shadow_reach,
+    visible_points_about_rock,
 )
 from lunarsim.rocks.field import RockModel
 from lunarsim.rocks.rock_on_plane import RockOnPlane

@@ -285,8 +285,8 @@ def visible_points_about_rock(
 ) -> tuple[tuple[int, int], Array, Array, Array]:
     """Return the points that a camera sees in front of the terrain around a rock.
 
-    A rock of radius 1 hides the terrain behind it: its dark face appears up to its height divided by
-    the tangent of the depression.
+    A rock of radius 1 hides the terrain behind it: its dark face appears up to its height divided
+    by the tangent of the depression.
 
     Parameters
     ----------
@@ -319,7 +319,8 @@ def visible_points_about_rock(
 def _dark_patch(scene: RockOnPlane, sun: Array, camera: Array, reach: float) -> tuple[float, ...]:
     """Return parameters of the dark patch of a rock of radius 1.
 
-    These are along, side, length, width, skew and area. The Sun is in the north, so `along` is y and `across`, to its left, is -x.
+    These are along, side, length, width, skew and area. The Sun is in the north, so `along` is y
+    and `across`, to its left, is -x.
     """
     step = 1.0 / _SAMPLES_PER_RADIUS
     _, position, point, normal = visible_points_about_rock(scene, camera, reach, step)

@@ -322,7 +322,7 @@ class RockTracker:
         s = seen.look_covariance[d] + own @ self.filter.relative_covariance()[rock] @ np.swapaxes(
             own, 1, 2
         )
-        s = s + self.settings.common_pixels**2 * np.camera_position(2)
+        s = s + self.settings.common_pixels**2 * np.eye(2)
         return np.asarray(squared_mahalanobis_2x2(off, s) < _CHI2_2DOF_997)
 
     def _update_existence(
