@@ -294,14 +294,19 @@ def _radius_of_patch(
 
     Length and width each give a radius. Its variance consists of pixel noise (standard deviations
     `along` and `across`, m), the spread of shapes, and the relative elongation by slopes. The mean
-    is weighted by inverse variance; the likelihood grows with the agreement of the two. """ l0, w0
-    = np.maximum(unit.length, _MIN_LENGTH), np.maximum(unit.width, _MIN_LENGTH) by_length, by_width
-    = length / l0, width / w0 var_length = (along**2 + (by_length * unit.length_sigma) ** 2) / l0**2
-    var_length += (by_length * stretch) ** 2 var_width = (across**2 + (by_width * unit.width_sigma)
-    ** 2) / w0**2 total = var_length + var_width radius = (var_width * by_length + var_length *
-    by_width) / total fit = -0.5 * (by_length - by_width) ** 2 / total - 0.5 * np.log(total) #
-    Densities refer to metres, and the prior of the radius is uniform in its logarithm. fit -=
-    np.log(l0 * w0 * np.maximum(radius, 1e-3)) return radius, var_length * var_width / total, fit
+    is weighted by inverse variance; the likelihood grows with the agreement of the two.
+    """
+    l0, w0 = np.maximum(unit.length, _MIN_LENGTH), np.maximum(unit.width, _MIN_LENGTH)
+    by_length, by_width = length / l0, width / w0
+    var_length = (along**2 + (by_length * unit.length_sigma) ** 2) / l0**2
+    var_length += (by_length * stretch) ** 2
+    var_width = (across**2 + (by_width * unit.width_sigma) ** 2) / w0**2
+    total = var_length + var_width
+    radius = (var_width * by_length + var_length * by_width) / total
+    fit = -0.5 * (by_length - by_width) ** 2 / total - 0.5 * np.log(total)
+    # Densities refer to metres, and the prior of the radius is uniform in its logarithm.
+    fit -= np.log(l0 * w0 * np.maximum(radius, 1e-3))
+    return radius, var_length * var_width / total, fit
 
 
 def _mean_patch(units: list[ShadowPatch], share: Array) -> ShadowPatch:

@@ -81,7 +81,8 @@ class TrackerSettings:
         check_types("tracker", self)
         for name in ("least_radius", "landmark_radius", "few", "radius_wander",
                      "relative_radius_sigma", "range_wander", "birth_q", "birth_sigma",
-                     "radius_floor", "most_off", "least_expected", "large", "most_rocks", "most_updates"):  # fmt: skip
+                     "radius_floor", "most_off", "least_expected", "large",
+                     "most_rocks", "most_updates"):  # fmt: skip
             if not 0.0 <= getattr(self, name) < np.inf:
                 raise InputError(f"tracker.{name}", getattr(self, name), "must be 0 or positive")
         if not 0.0 <= self.least_found <= 1.0:
