@@ -293,8 +293,9 @@ def _radius_of_patch(
     """Return radius, its variance and the log likelihood of patches (n,).
 
     Length and width each give a radius. Its variance consists of pixel noise (standard deviations
-    `along` and `across`, m), the spread of shapes, and the relative elongation by slopes. The mean
-    is weighted by inverse variance; the likelihood grows with the agreement of the two.
+    `along` and `across`, m), the spread of shapes, and the relative elongation by slopes
+    (`stretch`). The mean is weighted by inverse variance; the likelihood grows with the agreement
+    of the two.
     """
     l0, w0 = np.maximum(unit.length, _MIN_LENGTH), np.maximum(unit.width, _MIN_LENGTH)
     by_length, by_width = length / l0, width / w0
