@@ -45,7 +45,7 @@ class Flight:
             gyroscopes=GYROSCOPES,
             accelerometers=ACCELEROMETERS,
         )
-        self.filter = RockFilter.of(start, ERRORS, ground=ground, capacity=4)
+        self.filter = RockFilter.of(start, ERRORS, terrain_prior=ground, capacity=4)
         self.pixel_sigma = 0.8
         self.seen = rocks  # by the last image
         self.resting: np.random.Generator | None = None  # draws which rocks an image leaves alone
@@ -131,7 +131,12 @@ class Flight:
         down = quat_to_matrix(self.attitude)[2] @ np.array([0.0, 0.0, -1.0])
         reading = -self.position[2] / down + sigma * self.rng.standard_normal()
         return update_with_range(
-            self.filter.state, reading, sigma, (0.0, 0.0, -1.0), self.filter.ground, gate=16.0
+            self.filter.state,
+            reading,
+            sigma,
+            (0.0, 0.0, -1.0),
+            self.filter.terrain_height_below,
+            gate=16.0,
         ).nis
 
     def error(self):

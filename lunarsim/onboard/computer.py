@@ -316,7 +316,7 @@ class OnboardComputer:
         mapper = self.mapper
         if mapper is None or mapper.blank:
             return
-        height = mapper.ground_height(self.site[:2])
+        height = mapper.terrain_height(self.site[:2])
         if height is None:
             height = lookup_elevation(mapper.surface(), self.site[:2])
         if np.isfinite(height):
@@ -471,7 +471,7 @@ class OnboardComputer:
             ):
                 self._extend_time_to_go()
         elif self.phase == VERTICAL:
-            end = self.approach.ground(self.site, self.lander)
+            end = self.approach.touchdown_end(self.site, self.lander)
             given = self.vertical.command(here, end, self.time)
             wanted = checked_command("descent", self.briefing.software.descent, given, self.time)
             tilt = self.vertical.lean

@@ -93,8 +93,8 @@ class SiteEvaluator:
     ) -> DivertCost:  # fmt: skip
         """Return the cost of flying from an estimate to each site (n, 3), local frame, m.
 
-        With `times` (n,), s, it is the cost of the path of that duration, otherwise of the path
-        that takes the least propellant.
+        With `times` (n,), s, it is the cost of the path of that duration, otherwise of the
+        minimum-propellant path.
         """
         cost: DivertCost = self.briefing.software.guidance.cost(
             estimate,

@@ -201,7 +201,7 @@ def _check_mappers(scenario: CheckedTables, sensors: dict[str, Any]) -> None:
             _check_other_mappers(field, mapper.chosen, scenario)
             continue
         if isinstance(mapper, ShadowMapping):
-            _check_other_mappers(field, mapper.check_ground, scenario)
+            _check_other_mappers(field, mapper.check_terrain_mapper, scenario)
             _check_sun_elevation(field, scenario.sun.elevation_deg)
         _check_map(field, mapper, scenario)
         _check_sensors(field, mapper, sensors)

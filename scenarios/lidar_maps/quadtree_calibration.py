@@ -61,7 +61,7 @@ def judge(scene: LidarScene) -> SceneSites:
     row, col = grid.cell(selection.position[:, :2])
     inside = (row >= 0) & (col >= 0) & (row < grid.rows) & (col < grid.cols)
     row, col = np.clip(row, 0, grid.rows - 1), np.clip(col, 0, grid.cols - 1)
-    sites = np.flatnonzero(evidence.judged & inside & truth.observed[row, col])
+    sites = np.flatnonzero(evidence.is_evaluated & inside & truth.observed[row, col])
     sites = np.sort(scene.rng(4).choice(sites, min(SITES, len(sites)), replace=False))
     where = np.zeros(len(row), bool)
     where[sites] = True

@@ -159,7 +159,7 @@ class RockNavigationErrors:
         # The altimeter can measure the terrain or the top of a rock.
         below = [float(t.elevation(state.position[:2])) for t in (self.bare, self.rough)]
         above = state.position[2] - np.array(below)
-        height = np.min(np.abs(above - (rocks.inertial.position[2] - rocks.ground)))
+        height = np.min(np.abs(above - (rocks.inertial.position[2] - rocks.terrain_height_below)))
         spread = np.sqrt(max(over @ rocks.covariance[np.ix_(at, at)] @ over, 1e-12))
         off_height = height / spread if np.isfinite(height) else 0.0
         return float(off[:3].max()), float(off[3:].max()), float(off_height), self.among_rocks()

@@ -106,7 +106,7 @@ def take_image(world: World, model: ShapeMixture, rng: np.random.Generator) -> d
     found = np.zeros(len(xy), bool)
     false = np.zeros(len(seen), bool)
     if len(seen):
-        near = cKDTree(seen.ground).query_ball_point(xy, np.maximum(rocks.a, 1.5 * pixel))
+        near = cKDTree(seen.terrain_xy).query_ball_point(xy, np.maximum(rocks.a, 1.5 * pixel))
         found = np.array(
             [
                 any(0.5 < seen.radius[j] / rocks.a[i] < 2.0 for j in hits)
@@ -114,7 +114,9 @@ def take_image(world: World, model: ShapeMixture, rng: np.random.Generator) -> d
             ]
         )
         reach = np.maximum(1.5 * seen.radius, 2.0 * np.median(pixel))
-        false = np.array([not hits for hits in cKDTree(xy).query_ball_point(seen.ground, reach)])
+        false = np.array(
+            [not hits for hits in cKDTree(xy).query_ball_point(seen.terrain_xy, reach)]
+        )
     # A rock whose patch runs into another one is not detected separately: dark, but not missed.
     unit = model.patch(azimuth, np.arctan2(altitude, level))
     sun = np.array([np.sin(world.light.azimuth), np.cos(world.light.azimuth)])

@@ -109,8 +109,8 @@ def judge(
     if verdict.good:
         # The rock population is unknown to the check.
         model = ShadowModel(float(np.arcsin(sun[2])))
-        seen = detect_rocks(image, camera, state, sun, ground=ground, model=model)
-        points = np.column_stack((seen.ground, np.full(len(seen), ground)))
+        seen = detect_rocks(image, camera, state, sun, terrain=ground, model=model)
+        points = np.column_stack((seen.terrain_xy, np.full(len(seen), ground)))
         noise = verdict.figures["noise"]
         turn = measure_shadow_angle(seen, camera.view(state), points, sun, model, noise)
         verdict = health.after_detection(seen, turn, noise)

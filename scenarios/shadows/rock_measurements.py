@@ -105,7 +105,7 @@ def descend(world: World, model: ShadowModel, rng: np.random.Generator) -> RockM
         seen = detect_rocks(counts, camera, state, sun, model=model)
         row = np.full((len(rocks), 11), np.nan)
         if len(seen):
-            away, nearest = tree.query(seen.ground)
+            away, nearest = tree.query(seen.terrain_xy)
             like = np.abs(np.log(seen.radius / rocks.a[nearest])) < np.log(MAX_SIZE_RATIO)
             view = camera.view(state)
             pixel = np.linalg.norm(true[nearest] - position, axis=1) / view.pinhole.fx

@@ -95,7 +95,7 @@ class _MethodTimer:
         for part in parts:
             for name in ("take", "estimate", "update_rocks", "add", "sight", "remove", "widen",
                          "innovation_covariance", "relative_covariance", "turn",
-                         "ground_points"):  # fmt: skip
+                         "terrain_points"):  # fmt: skip
                 if hasattr(part, name):
                     setattr(part, name, self._timed(getattr(part, name)))
 

@@ -105,7 +105,7 @@ def _check_image(counts, camera, state, sun, seen, model):
 
     health = ImageQualityCheck()
     first = health.before_detection(counts, camera, state)
-    points = np.column_stack((seen.ground, np.zeros(len(seen))))
+    points = np.column_stack((seen.terrain_xy, np.zeros(len(seen))))
     noise = first.figures["noise"]
     turn = measure_shadow_angle(seen, camera.view(state), points, sun, model, noise)
     return health.after_detection(seen, turn, noise)

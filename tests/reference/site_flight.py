@@ -109,7 +109,9 @@ class SiteFlight:
         approach, e = self.software.approach, self.estimate
         self.low = self.low or approach.over(self.altitude, self.arrival - self.time)
         if self.low:
-            return self.vertical.command(e, approach.ground(self.site, self.lander), self.time)
+            return self.vertical.command(
+                e, approach.touchdown_end(self.site, self.lander), self.time
+            )
         end = approach.end(self.site, self.lander)
         asked = self.law.command(e, end, self.time, self.arrival - self.time)
         most = approach.max_tilt, self.lander.thrust_max

@@ -49,7 +49,7 @@ def test_the_estimate_is_as_good_as_it_says(flown):
     sigma = np.sqrt(np.diag(f.covariance)[3:6])
     assert (np.abs(error) < 5.0 * sigma + 0.02).all()
     # Height above the ground, which the altimeter sees; the horizontal start error stays.
-    height = f.inertial.position[2] - f.rocks.ground
+    height = f.inertial.position[2] - f.rocks.terrain_height_below
     assert height == pytest.approx(simulation.state.position[2], abs=0.5)
     # Places relative to each other are known exactly at first: not under 0 but for rounding.
     assert np.linalg.eigvalsh(f.covariance).min() > -1e-12

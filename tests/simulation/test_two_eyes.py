@@ -113,11 +113,11 @@ def test_scans_lie_one_on_the_other_though_the_altimeter_moves_the_height(flown)
     assert len(heights) == 2
     assert abs(heights[1] - heights[0]) < 0.25 * abs(moved)
     # Measured ground, plane of the rocks and site are at one height now.
-    ground = simulation.computer.mappers["rocks"].ground_height(np.zeros(2))
+    ground = simulation.computer.mappers["rocks"].terrain_height(np.zeros(2))
     assert heights[1] == pytest.approx(ground, abs=0.4)
     drawn = flight.maps["rocks"].hazard_map
     middle = np.array([drawn.grid.x.mean(), drawn.grid.y.mean()])
-    ground = simulation.computer.mappers["rocks"].ground_height(middle)
+    ground = simulation.computer.mappers["rocks"].terrain_height(middle)
     assert drawn.elevation[0, 0] == pytest.approx(ground, abs=1e-3)
 
 

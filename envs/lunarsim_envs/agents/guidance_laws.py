@@ -134,7 +134,7 @@ class GuidanceLawAgent:
         height = float(estimate.position[2]) - self._lander.com_height
         self._vertical |= height <= self._approach.vertical_altitude or left <= 0.0
         if self._vertical:
-            end = self._approach.ground(np.zeros(3), self._lander)
+            end = self._approach.touchdown_end(np.zeros(3), self._lander)
             wanted = self._down.command(estimate, end, self._time)
         else:
             end = self._approach.end(np.zeros(3), self._lander)

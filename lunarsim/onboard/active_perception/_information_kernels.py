@@ -149,7 +149,7 @@ def path_state(target, end_state, total, table, s, powers, x, gravity, position,
 
 @kernel(inner=True)
 def observe_along_path(
-    target, end_state, total, table, powers, x, gravity, end_tilt, ground, nodes, sharpness,
+    target, end_state, total, table, powers, x, gravity, end_tilt, site, nodes, sharpness,
     visible, displacement, reduction, sensor_params, single_altitudes, samples, known,
 ):  # fmt: skip
     """Raise the known fraction of each node (g,) by all observations along a path.
@@ -159,7 +159,7 @@ def observe_along_path(
 
     Parameters
     ----------
-    ground
+    site
         Site (3,), height of the centre of mass of a landed vehicle, and altitude below which
         observations do not count, m (5,).
     single_altitudes
@@ -168,7 +168,7 @@ def observe_along_path(
     samples
         Scratch array (4, 3).
     """
-    standing_height, min_altitude = ground[3], ground[4]
+    standing_height, min_altitude = site[3], site[4]
     lowest_altitude = np.inf
     for s in range(table.shape[0]):
         path_state(target, end_state, total, table, s, powers, x, gravity, samples[0], samples[1])
@@ -192,7 +192,7 @@ def observe_along_path(
                     for i in range(3):
                         samples[3, i] = samples[2, i] + part * (samples[0, i] - samples[2, i])
                     observe_nodes(
-                        samples[3], samples[1], time_left, ground, nodes, sensor, sharpness,
+                        samples[3], samples[1], time_left, site, nodes, sensor, sharpness,
                         visible, displacement, reduction, sensor_params, known,
                     )  # fmt: skip
             elif (
@@ -201,7 +201,7 @@ def observe_along_path(
                 <= sensor_params[sensor, MAX_ALTITUDE]
             ):
                 observe_nodes(
-                    samples[0], samples[1], time_left, ground, nodes, sensor, sharpness, visible,
+                    samples[0], samples[1], time_left, site, nodes, sensor, sharpness, visible,
                     displacement, reduction, sensor_params, known,
                 )  # fmt: skip
         lowest_altitude = min(lowest_altitude, altitude)
@@ -211,7 +211,7 @@ def observe_along_path(
 
 @kernel(shared=True)
 def score(
-    share, state, target, speed, plans, fine, coarse, powers, vehicle, end_tilt, ground, nodes,
+    share, state, target, speed, plans, fine, coarse, powers, vehicle, end_tilt, site, nodes,
     sharpness, visible, displacement, reduction, sensor_params, single_altitudes, out,
 ):  # fmt: skip
     """Write the information gained on each path, and its delta-v (n, 2).
@@ -231,7 +231,7 @@ def score(
     end_tilt
         Tangent of the maximum tilt of the thrust at the end, and below the minimum altitude of
         observations.
-    ground, single_altitudes
+    site, single_altitudes
         See `observe_along_path`.
     nodes
         Terrain nodes (g, 6): position (m), weight, fraction known already, and minimum time-to-go
@@ -273,7 +273,7 @@ def score(
             x,
             vehicle[GRAVITY],
             end_tilt,
-            ground,
+            site,
             nodes,
             sharpness,
             visible,

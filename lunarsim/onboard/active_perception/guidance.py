@@ -291,7 +291,7 @@ class SeekingGuidance:
         self.events.append((time, "seeking-over", {"time_to_go": fastest, "lean": tilt}))
 
     def _descent_paths(self, start: Estimate, end: PhaseEnd) -> list[tuple[float, float, float]]:
-        """Return propellant (kg), time-to-go (s) and tilt (rad), least tilt first."""
+        """Return propellant (kg), time-to-go (s) and tilt (rad), by increasing tilt."""
         paths = []
         for share in _TILT_FRACTIONS:
             tilt = share * min(self.settings.end_tilt, self.limits.max_tilt)

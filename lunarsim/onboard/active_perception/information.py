@@ -113,5 +113,5 @@ def removed_uncertainty(
     s = np.asarray(sharpness, dtype=np.float64)[..., None]
     m = (missed(s * rocks.radius) * weight).sum(-1) / weight.sum()
     h = rocks.hazard(footprint)
-    told = entropy(h * (1.0 - m)) - h * entropy(m)
-    return np.asarray(np.clip(told / entropy(h), 0.0, 1.0))
+    information = entropy(h * (1.0 - m)) - h * entropy(m)
+    return np.asarray(np.clip(information / entropy(h), 0.0, 1.0))

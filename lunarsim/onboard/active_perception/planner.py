@@ -105,7 +105,7 @@ class SeekingPlanner:
 
     Parameters
     ----------
-    sensors, looks
+    sensors, schedules
         Models of the sensors, and the altitudes at which each of them measures.
     candidates
         Number of paths evaluated for a plan.
@@ -118,7 +118,7 @@ class SeekingPlanner:
     def __init__(
         self,
         sensors: list[SensorCoverageModel],
-        looks: list[MeasurementAltitudes],
+        schedules: list[MeasurementAltitudes],
         candidates: int,
         propellant_weight: float,
         end_tilt: float,
@@ -128,13 +128,13 @@ class SeekingPlanner:
             propellant_weight,
             end_tilt,
         )
-        self._looks = looks
+        self._schedules = schedules
         self._tables = [
             np.ascontiguousarray([getattr(sensor, name) for sensor in sensors])
             for name in ("sharpness", "visible_fraction", "displacement", "reduction")
         ]
         self._sensor_params = np.array(
-            [_sensor_params(e, o) for e, o in zip(sensors, looks, strict=True)]
+            [_sensor_params(e, o) for e, o in zip(sensors, schedules, strict=True)]
         )
         self._fine, self._coarse = _samples(_LIMIT_SAMPLES), _samples(_OBSERVATION_SAMPLES)
 
@@ -147,7 +147,7 @@ class SeekingPlanner:
     ) -> PathPlan | None:
         """Return the best path within the limits; None if there is none.
 
-        If no path stays below `max_propellant`, the path with the least propellant is returned.
+        If no path stays below `max_propellant`, the minimum-propellant path is returned.
 
         Parameters
         ----------
@@ -249,14 +249,14 @@ class SeekingPlanner:
         p = problem
         out = np.empty((len(plans), 2))
         vehicle = vehicle_params(p.estimate, p.lander, p.gravity, p.limits)
-        ground = np.array([*p.site, p.site[2] + p.com_height, p.min_altitude])
+        site = np.array([*p.site, p.site[2] + p.com_height, p.min_altitude])
         with threads_for(10.0 * len(plans)):
             kernels.score(
                 np.array([p.estimate.position, p.estimate.velocity], dtype=np.float64),
                 np.asarray(p.end.position, dtype=np.float64),
                 np.asarray(p.end.velocity, dtype=np.float64), np.ascontiguousarray(plans),
                 self._fine, self._coarse, np.array(APOLLO.powers), vehicle,
-                float(np.tan(self.end_tilt)), ground, np.ascontiguousarray(p.nodes),
+                float(np.tan(self.end_tilt)), site, np.ascontiguousarray(p.nodes),
                 *self._tables, self._sensor_params, self._single_altitudes(p.lowest_altitude), out,
             )  # fmt: skip
         return out
@@ -266,11 +266,11 @@ class SeekingPlanner:
 
         A sensor without future observations gets an altitude of -inf, which is never reached.
         """
-        max_count = max(max((len(o.at) for o in self._looks), default=0), 1)
-        out = np.full((len(self._looks), max_count), np.nan)
-        for row, looks in zip(out, self._looks, strict=True):
-            if looks.at:
-                ahead = [h for h in looks.at if h < lowest_altitude] or [-np.inf]
+        max_count = max(max((len(o.at) for o in self._schedules), default=0), 1)
+        out = np.full((len(self._schedules), max_count), np.nan)
+        for row, schedules in zip(out, self._schedules, strict=True):
+            if schedules.at:
+                ahead = [h for h in schedules.at if h < lowest_altitude] or [-np.inf]
                 row[: len(ahead)] = ahead
         return out
 
@@ -287,7 +287,7 @@ def _to_enu(problem: PlanningProblem, plans: Array) -> Array:
     return out
 
 
-def _sensor_params(sensor: SensorCoverageModel, looks: MeasurementAltitudes) -> list[float]:
+def _sensor_params(sensor: SensorCoverageModel, schedules: MeasurementAltitudes) -> list[float]:
     """Return the parameters of a sensor for the kernel (9,)."""
     field = 1.0 / np.sqrt(1.0 + sensor.half_field**2)
     limit = float(np.cos(min(sensor.gimbal_limit, np.pi)))
@@ -297,8 +297,8 @@ def _sensor_params(sensor: SensorCoverageModel, looks: MeasurementAltitudes) -> 
         field,
         limit,
         sensor.max_range,
-        looks.highest,
-        looks.lowest,
+        schedules.highest,
+        schedules.lowest,
         *sensor.sun,
     ]
 

@@ -34,9 +34,9 @@ def terrain_nodes(hazard_map: HazardMap, side: int, prior: float, site: Array) -
     fine = hazard_map.grid
     posting = max(fine.shape) * fine.posting / side
     grid = Grid.centred(fine.centre, side * posting, posting)
-    whole = float(entropy(prior))
-    left = np.where(hazard_map.observed, entropy(1.0 - hazard_map.p_safe), whole)
-    known = 1.0 - np.minimum(_averaged(left, side) / whole, 1.0)
+    prior_entropy = float(entropy(prior))
+    left = np.where(hazard_map.observed, entropy(1.0 - hazard_map.p_safe), prior_entropy)
+    known = 1.0 - np.minimum(_averaged(left, side) / prior_entropy, 1.0)
     allowed = np.ones(fine.shape) if hazard_map.eligible is None else hazard_map.eligible
     weight = _averaged(np.asarray(allowed, dtype=np.float64), side)
     place = grid.centres().reshape(-1, 2)

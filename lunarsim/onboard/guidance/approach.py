@@ -116,7 +116,7 @@ class Approach:
             np.asarray(self.arrival_acceleration, dtype=np.float64),
         )
 
-    def ground(self, site: ArrayLike, lander: Lander) -> PhaseEnd:
+    def touchdown_end(self, site: ArrayLike, lander: Lander) -> PhaseEnd:
         """Return the end of the vertical descent to a site (3,), local frame."""
         stand = np.array([0.0, 0.0, lander.com_height])
         return PhaseEnd(

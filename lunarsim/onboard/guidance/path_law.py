@@ -39,7 +39,7 @@ class GuidancePart(Protocol):
     ) -> DivertCost:
         """Return the cost of reaching each of n ends, as `divert_cost` does.
 
-        `times` (n,), s, are given only if a decision stretches the time-to-go.
+        `times` (n,), s, are given only if a decision changes the time-to-go.
         """
         ...
 

@@ -85,7 +85,7 @@ class HazardMapper(ABC):
             Present standard deviation of the tilt, rad.
         """
 
-    def ground_height(self, xy: Array) -> float | None:
+    def terrain_height(self, xy: Array) -> float | None:
         """Return the terrain height at a point if the map itself does not state it.
 
         The default returns None: the map states the height in the local frame.

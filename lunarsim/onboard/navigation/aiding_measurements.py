@@ -85,24 +85,24 @@ def innovation_gate(degrees: int) -> float:
     return float(chdtri(degrees, 1.0 / _SAMPLES_PER_FALSE_REJECTION))
 
 
-def aiding_blocks(instruments: Mapping[str, Any], ground: TerrainPrior) -> dict[str, Array]:
+def aiding_blocks(instruments: Mapping[str, Any], terrain_prior: TerrainPrior) -> dict[str, Array]:
     """Return the error-state blocks that the measurements of these instruments need.
 
     Parameters
     ----------
     instruments
         Calibrations of the sensors, by name.
-    ground
+    terrain_prior
         Prior knowledge of the terrain height.
     """
-    out = {} if ground.sigma is None else {TERRAIN: np.array([[ground.sigma**2]])}
+    out = {} if terrain_prior.sigma is None else {TERRAIN: np.array([[terrain_prior.sigma**2]])}
     for name, instrument in instruments.items():
         beams = {
             AltimeterInstrument: 1,
             VelocimeterInstrument: len(getattr(instrument, "directions", ())),
         }
-        if ground.sigma is not None and type(instrument) in beams:
-            out[_footprint_block(name)] = ground.sigma**2 * np.eye(beams[type(instrument)])
+        if terrain_prior.sigma is not None and type(instrument) in beams:
+            out[_footprint_block(name)] = terrain_prior.sigma**2 * np.eye(beams[type(instrument)])
         if isinstance(instrument, VelocimeterInstrument):
             out[_speed_block(name)] = speed_bias_model(instrument)[0] ** 2 * np.eye(
                 len(instrument.directions)
@@ -150,7 +150,7 @@ class AidingMeasurements:
         Error state with the blocks of `aiding_blocks`.
     instruments
         Calibrations of the sensors, by name.
-    ground
+    terrain_prior
         Prior knowledge of the terrain height.
     events
         List that receives the events "doubted", "drift", "shut-off", "lost" and "believed".
@@ -160,11 +160,11 @@ class AidingMeasurements:
         self,
         state: ErrorState,
         instruments: Mapping[str, Any],
-        ground: TerrainPrior,
+        terrain_prior: TerrainPrior,
         events: list[NavigationEvent],
     ) -> None:
         self.state = state
-        self.ground = ground
+        self.terrain_prior = terrain_prior
         self._events = events
         self._beams = {n: i for n, i in instruments.items() if isinstance(i, AltimeterInstrument)}
         self._beam_sets = {
@@ -221,7 +221,7 @@ class AidingMeasurements:
         self._last_position = here.copy()
         if np.isfinite(moved):
             at = [self.state.block(TERRAIN).start]
-            self.state.widen(at, self.ground.growth * moved)
+            self.state.widen(at, self.terrain_prior.growth * moved)
 
     def check_sensor_biases(self) -> None:
         """Declare navigation lost if an estimated bias contradicts its specification.
@@ -229,7 +229,7 @@ class AidingMeasurements:
         Either the sensor does not meet its specification, or the measurement that the bias was
         estimated with drifts. The first case does not affect velocity and attitude, but in the
         second they drift too, and the two cases cannot be distinguished. Likewise, an undetected
-        rotation of the lander looks like a boresight error of the scanner.
+        rotation of the lander cannot be distinguished from a boresight error of the scanner.
         """
         if self._has_contradiction:
             return
@@ -346,18 +346,18 @@ class AidingMeasurements:
                 columns = np.append(columns, self._move_footprint(sensor, beam, number))
             elif not self.state.has(block):
                 block, number = TERRAIN, 0
-                terrain_variance = self.ground.growth * float(
+                terrain_variance = self.terrain_prior.growth * float(
                     np.hypot(*self._footprint_offset(beam))
                 )
         outcome = update_with_range(
-            self.state, distance, sigma, beam, self.ground.elevation, block=block, part=number,
-            terrain_variance=terrain_variance, gate=innovation_gate(1),
+            self.state, distance, sigma, beam, self.terrain_prior.elevation, block=block,
+            part=number, terrain_variance=terrain_variance, gate=innovation_gate(1),
         )  # fmt: skip
         self.record_outcome(sensor, "range", outcome, columns, _MAX_HEIGHT_SIGMA_M, time)
 
     def _footprint_offset(self, beam: Any) -> Array:
         """Return the horizontal offset of a beam's footprint from the lander (2,), m."""
-        inertial, level = self.state.inertial, self.ground.elevation
+        inertial, level = self.state.inertial, self.terrain_prior.elevation
         level += float(self.state.value(TERRAIN)[0]) if self.state.has(TERRAIN) else 0.0
         level += float(self.state.value(MAP)[2]) if self.state.has(MAP) else 0.0
         direction = quat_rotate(inertial.attitude, beam)
@@ -387,7 +387,10 @@ class AidingMeasurements:
         value[number] = weight * value[number] + (1.0 - weight) * float(state.value(TERRAIN)[0])
         weights = np.array([weight, 1.0 - weight])
         state.follow(
-            at, np.array([at, below]), weights, self.ground.growth * distance * (1.0 - weight)
+            at,
+            np.array([at, below]),
+            weights,
+            self.terrain_prior.growth * distance * (1.0 - weight),
         )
         return at
 

@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 # (body axes, rad), range (m), boresight (small rotation, sensor axes, rad), latency (s).
 SCANNER_ERRORS = slice(6, 11)
 # Minimum standard deviations of range, boresight and latency; m, rad, s. If a scanner is specified
-# better than it is, its error looks like a pose error, and nothing contradicts that.
+# better than it is, its error is attributed to the pose, and no measurement contradicts this.
 MIN_SCANNER_SIGMAS = np.array([0.1, *np.full(3, np.deg2rad(0.15)), 0.01])
 # Standard deviations of the scanner errors after a drift of the innovations; m, rad, s.
 DRIFTED_SCANNER_SIGMAS = np.array([0.5, *np.full(3, np.deg2rad(0.5)), 0.02])

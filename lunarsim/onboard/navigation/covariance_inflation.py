@@ -21,7 +21,7 @@ def inflate(p: Array, columns: ArrayLike, factor: float, max_sigma: ArrayLike) -
     Each error is the sum of its regression on the other errors and a residual. Only the residual is
     inflated, so that the correlations remain valid. If the total variance were inflated, a later
     measurement of a difference would create information. Example: two heights have standard
-    deviations of 5 m and are known to be equal to 2 cm. If one variance is inflated as a whole, a
+    deviations of 5 m and are known to be equal to 2 cm. If one variance is inflated in full, a
     measurement of their difference makes both seem known to be near zero.
 
     Parameters

@@ -34,7 +34,7 @@ class DeferredColumns:
         self.is_outdated = False
 
     def catch_up(self, p: Array, is_frozen: Flags) -> None:
-        """Update the columns of the symmetric p (n, n); `is_frozen` (n,) marks frozen errors."""
+        """Update the columns of the symmetric p (n, n) for frozen errors (n,)."""
         if self.is_outdated:
             self.is_outdated = False
             _take_over(p, np.flatnonzero(is_frozen), np.flatnonzero(~is_frozen))

@@ -133,7 +133,10 @@ class ErrorState(SchmidtKalmanCovariance):
         return name in self._blocks
 
     def inflate(self, columns: ArrayLike, factor: float, max_sigma: ArrayLike) -> None:
-        """Multiply the variances of errors (k,) by a factor; see `covariance_inflation.inflate`."""
+        """Multiply the variances of errors (k,) by a factor.
+
+        See `covariance_inflation.inflate`.
+        """
         inflate(self.covariance, columns, factor, max_sigma)
 
     def raise_variances(self, columns: ArrayLike, sigma: ArrayLike) -> None:

@@ -22,7 +22,7 @@ _TILE_POSTS, _MAX_SCAN_POSTS = 12, 600
 
 @dataclass(frozen=True)
 class InitialShift:
-    """Most probable shift of a scan on a map, in whole posts.
+    """Most probable shift of a scan on a map, an integer number of posts.
 
     Attributes
     ----------
@@ -44,7 +44,7 @@ def find_initial_shift(
 ) -> InitialShift:
     """Find the most probable shift of a scan within its position uncertainty.
 
-    All shifts by whole posts are evaluated, as in `PlaceSearch`, for a single scan.
+    All shifts by an integer number of posts are evaluated, as in `PlaceSearch`, for a single scan.
 
     Parameters
     ----------
@@ -89,7 +89,7 @@ def _tiles(surface: ScanSurface, features: MapFeatures) -> list[tuple[int, int, 
     height[place] = surface.position[:, 2]
     known[place] = True
     above, kept = subtract_plane(height, known, features.reach)
-    # The true shift can differ from a whole number of posts by half a post.
+    # The true shift can differ from an integer number of posts by half a post.
     slope = surface.normal[:, :2] - surface.normal[:, :2].mean(axis=0)
     spread[place] = (slope**2).sum(axis=1) * features.prior.grid.posting**2 / 12.0
     variance = features.variance + spread

@@ -155,14 +155,14 @@ def _extract_features(features: MapFeatures) -> tuple[Array, Array]:
         impulse = np.asarray(ndimage.gaussian_filter(impulse, min(alike, 16.0)), np.float64)
         impulse /= np.sqrt((impulse**2).sum())
     limit = _THRESHOLD_SIGMAS * np.sqrt(features.variance)
-    out, added, whole = np.zeros(left.shape), np.zeros(left.shape), impulse
+    out, added, full_impulse = np.zeros(left.shape), np.zeros(left.shape), impulse
     for scale in range(_SCALES + 1):
         last = scale == _SCALES
         smooth, spread = (0.0 * of if last else _smoothed(of, 2**scale) for of in (left, impulse))
         response, detail = impulse - spread, left - smooth
         clear = np.abs(detail) > limit * np.sqrt((response**2).sum())
         out += np.where(clear, detail, 0.0)
-        added += np.where(clear, features.variance * float((whole * response).sum()), 0.0)
+        added += np.where(clear, features.variance * float((full_impulse * response).sum()), 0.0)
         left, impulse = smooth, spread
     return out, added
 

@@ -68,7 +68,7 @@ class RockErrors(Protocol):
         ...
 
 
-def correct_heights(rocks: RockErrors, ground: TerrainHeights) -> UpdateOutcome:
+def correct_heights(rocks: RockErrors, terrain: TerrainHeights) -> UpdateOutcome:
     """Correct rock heights by terrain heights measured from the current pose.
 
     Rocks whose relative height is known equally well are not updated directly, but through their
@@ -79,7 +79,7 @@ def correct_heights(rocks: RockErrors, ground: TerrainHeights) -> UpdateOutcome:
     ----------
     rocks
         Rocks in the error state.
-    ground
+    terrain
         Source of the measured heights.
 
     Returns
@@ -87,9 +87,9 @@ def correct_heights(rocks: RockErrors, ground: TerrainHeights) -> UpdateOutcome:
     outcome
         Outcome for the heights, with one degree of freedom per rock.
     """
-    height = ground.heights(rocks.xy)
+    height = terrain.heights(rocks.xy)
     index = np.flatnonzero(np.isfinite(height))
-    gradient, bend = _slope_and_curvature(ground, rocks.xy[index])
+    gradient, bend = _slope_and_curvature(terrain, rocks.xy[index])
     by_pose, by_rock = _jacobians(rocks.state, rocks.xyz[index], gradient)
     own = INDIVIDUAL_SIGMA_M**2 + bend**2
     nis_ratio = _variances(rocks, index, by_pose, by_rock) / (own + COMMON_SIGMA_M**2)
@@ -136,17 +136,17 @@ def _variances(rocks: RockErrors, index: Index, by_pose: Array, by_rock: Array) 
     return np.asarray(np.einsum("ka,kab,kb->k", both, own, both))
 
 
-def _slope_and_curvature(ground: TerrainHeights, xy: Array) -> tuple[Array, Array]:
+def _slope_and_curvature(terrain: TerrainHeights, xy: Array) -> tuple[Array, Array]:
     """Return gradient (k, 2) and curvature height (k,), m, of measured terrain.
 
     The latter is the height error of a rock at a slightly wrong place. Both are 0 if the terrain
     around the point is unknown.
     """
     gradient, bend = np.zeros((len(xy), 2)), np.zeros(len(xy))
-    middle = ground.heights(xy)
+    middle = terrain.heights(xy)
     for axis in range(2):
         step = _SLOPE_BASE_M * np.eye(2)[axis]
-        more, less = ground.heights(xy + step), ground.heights(xy - step)
+        more, less = terrain.heights(xy + step), terrain.heights(xy - step)
         known = np.isfinite(more - less)
         gradient[known, axis] = (more - less)[known] / (2.0 * _SLOPE_BASE_M)
         bend[known] = np.hypot(bend, 0.5 * (more + less) - middle)[known]

@@ -86,5 +86,5 @@ def _navigator(briefing: Briefing, relief: float, *, rocks: bool = False) -> Nav
     state, sigmas = StrapdownState.of(briefing)
     return Navigator(
         state, sigmas, briefing.prior_map, instruments=briefing.instruments,
-        ground=TerrainPrior.of(briefing, relief), rocks=rocks,
+        terrain_prior=TerrainPrior.of(briefing, relief), rocks=rocks,
     )  # fmt: skip

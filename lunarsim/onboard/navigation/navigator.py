@@ -73,7 +73,7 @@ class Navigator(Navigation):
         Settings of the scan registration.
     instruments
         Calibrations of the sensors, by name.
-    ground
+    terrain_prior
         Prior knowledge of the terrain height.
     rocks
         Whether rocks are tracked.
@@ -102,10 +102,10 @@ class Navigator(Navigation):
         settings: RegistrationSettings | None = None,
         *,
         instruments: Mapping[str, Any] | None = None,
-        ground: TerrainPrior | None = None,
+        terrain_prior: TerrainPrior | None = None,
         rocks: bool = False,
     ) -> None:
-        terrain, calibrations, limits = ground or TerrainPrior(), instruments or {}, settings
+        terrain, calibrations, limits = terrain_prior or TerrainPrior(), instruments or {}, settings
         limits = limits or RegistrationSettings()
         blocks = (
             reference_pose_block()
@@ -144,7 +144,7 @@ class Navigator(Navigation):
     @property
     def watches(self) -> dict[str, InnovationMonitor]:
         """Innovation monitors by "sensor kind"; those of rocks by "rocks' kind"."""
-        corrected = {} if self.rocks is None else self.rocks.pictures.watches
+        corrected = {} if self.rocks is None else self.rocks.image_monitor.watches
         return {**self._aiding.watches, **{f"rocks' {kind}": w for kind, w in corrected.items()}}
 
     @property

@@ -24,7 +24,7 @@ _MAX_LOG_DEFICIT = 14.0
 _HEIGHT_SAMPLE_PLACES = 2048
 # Standard deviations of the prior within which places are searched.
 _SEARCH_SIGMAS = 3.5
-# Maximum number of places with a spacing of half a post, else a whole post; maximum per side.
+# Maximum number of places with a spacing of half a post, else one post; maximum per side.
 _MAX_HALF_POST_PLACES, _MAX_PLACES_PER_SIDE = 250_000, 2000
 # Minimum log-likelihood ratio of a tile at an exact fit, in a search with many places.
 _MIN_TILE_INFORMATION = 5.0
@@ -95,20 +95,22 @@ class _SampledTile:
     ----------
     first
         Row and column of the first post, in half posts from the first post of the map.
-    whole
+    samples
         Heights, weights and variances at every half post (r, c).
     level
         Terrain heights (r, c), m.
     """
 
     first: tuple[int, int]
-    whole: FeatureTile
+    samples: FeatureTile
     level: Array
 
     def lay(self, a: int, b: int) -> FeatureTile:
         """Return every second post, starting at an offset of `a` rows and `b` columns."""
         cut = (slice(a, None, 2), slice(b, None, 2))
-        return FeatureTile(self.whole.height[cut], self.whole.weight[cut], self.whole.variance[cut])
+        return FeatureTile(
+            self.samples.height[cut], self.samples.weight[cut], self.samples.variance[cut]
+        )
 
 
 class PlaceSearch:
@@ -159,7 +161,7 @@ class PlaceSearch:
 
     @property
     def spacing(self) -> float:
-        """Distance of the places, m: half a post, or a whole one if there are many places."""
+        """Distance of the places, m: half a post, or one post if there are many places."""
         return self._unit
 
     def add(self, points: Array) -> None:
@@ -207,7 +209,7 @@ class PlaceSearch:
             for tile, mean in zip(complete, mean_log_ratios, strict=True)
         ]
         least = _MIN_TILE_INFORMATION * min(1.0, self._log.size / _MAX_HALF_POST_PLACES)
-        # Tiles with the most information first: the others need fewer places then.
+        # Tiles in order of decreasing information: the others need fewer places then.
         for n in np.argsort(np.negative(information), kind="stable"):
             if mean_log_ratios[n] is not None and information[n] >= least:
                 self._add_evidence(complete[n], prior_distance, mean_log_ratios[n])
@@ -268,13 +270,13 @@ class PlaceSearch:
         if not known.any():
             return []
         first = self._submap.first
-        # Count only whole posts, the first of the four offsets of posts over the half-post squares.
+        # Count only full posts, the first of the four offsets of posts over the half-post squares.
         skip = (first[0] % 2, first[1] % 2)
-        whole = subtract_plane(
+        kept = subtract_plane(
             height[skip[0] :: 2, skip[1] :: 2], known[skip[0] :: 2, skip[1] :: 2],
             self.features.reach,
         )[1]  # fmt: skip
-        row, col = np.nonzero(whole)
+        row, col = np.nonzero(kept)
         row += (first[0] + skip[0]) // 2
         col += (first[1] + skip[1]) // 2
         place, count = np.unique(
@@ -316,8 +318,8 @@ class PlaceSearch:
             spread += (2.0 / self._offsets * np.where(near, rise, 0.0)) ** 2 / 12.0
         inner = (slice(margin, margin + side),) * 2
         weight, variance = kept.astype(np.float64), self.features.variance + spread
-        whole = FeatureTile(above[inner], weight[inner], variance[inner])
-        return _SampledTile((side * key[0], side * key[1]), whole, z[inner])
+        samples = FeatureTile(above[inner], weight[inner], variance[inner])
+        return _SampledTile((side * key[0], side * key[1]), samples, z[inner])
 
     # --- evidence -------------------------------------------------------------------------
 
@@ -406,9 +408,9 @@ class PlaceSearch:
             shown, elevation = (
                 _at(of, r[0], c[0]) for of in (self.features.shown, self.prior.elevation)
             )
-            both = (tile.whole.weight[cut] > 0.0) & (_at(self.features.kept, r[0], c[0]) > 0.0)
-            gap = shown - tile.whole.height[cut]
-            agree = both & (gap**2 <= 9.0 * tile.whole.variance[cut])
+            both = (tile.samples.weight[cut] > 0.0) & (_at(self.features.kept, r[0], c[0]) > 0.0)
+            gap = shown - tile.samples.height[cut]
+            agree = both & (gap**2 <= 9.0 * tile.samples.variance[cut])
             agreed, compared = agreed + int(agree.sum()), compared + int(both.sum())
             if n < 6:
                 rises.append((elevation - tile.level[cut])[agree])
@@ -433,7 +435,7 @@ class PlaceSearch:
         row, col, mass = row[keep], col[keep], mass[keep]
         tile = self._tiles[-1]
         cut, r, c = self._posts_below(tile, row, col)
-        ours = tile.whole.weight[cut] > 0.0
+        ours = tile.samples.weight[cut] > 0.0
         i, j = np.nonzero(ours)
         some = slice(None, None, max(1, len(i) // 32))
         i, j = i[some], j[some]

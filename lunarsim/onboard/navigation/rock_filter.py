@@ -74,7 +74,7 @@ class RockFilter(RockStates):
 
     Attributes
     ----------
-    pictures
+    image_monitor
         Monitor of the image observations.
     events
         Events of this filter and of `aiding`.
@@ -83,9 +83,9 @@ class RockFilter(RockStates):
     def __init__(
         self, state: ErrorState, aiding: AidingMeasurements, *, capacity: int = 128
     ) -> None:
-        super().__init__(state, aiding.ground, capacity)
+        super().__init__(state, aiding.terrain_prior, capacity)
         self.events = aiding.events
-        self.pictures = ImageInnovationMonitor(self.events)
+        self.image_monitor = ImageInnovationMonitor(self.events)
         self._aiding = aiding
         self._last_camera_position: Array | None = None
         self._pixel = 0.0
@@ -96,7 +96,7 @@ class RockFilter(RockStates):
         inertial: StrapdownState,
         errors: StartSigmas | None = None,
         *,
-        ground: TerrainPrior | None = None,
+        terrain_prior: TerrainPrior | None = None,
         capacity: int = 128,
     ) -> RockFilter:
         """Return a filter of lander and rocks only, in the frame of the initial estimate.
@@ -107,12 +107,12 @@ class RockFilter(RockStates):
             Initial state of the lander.
         errors
             Its standard deviations.
-        ground
+        terrain_prior
             Prior knowledge of the terrain height; default: horizontal at 0 m, exact.
         capacity
             Initial number of rocks to allocate.
         """
-        level = ground or TerrainPrior(0.0, None)
+        level = terrain_prior or TerrainPrior(0.0, None)
         state = ErrorState(inertial, errors, blocks=aiding_blocks({}, level))
         return cls(state, AidingMeasurements(state, {}, level, []), capacity=capacity)
 
@@ -128,7 +128,7 @@ class RockFilter(RockStates):
         """Covariance of the lander (15), the blocks, and the rock coordinates (3 n)."""
         return self.state.covariance
 
-    def ground_points(
+    def terrain_points(
         self, camera: CameraModel, pixel: Array, near: MapRegion | None = None
     ) -> Array:
         """Intersect lines of sight through undistorted pixels (n, 2) with the terrain.
@@ -141,7 +141,7 @@ class RockFilter(RockStates):
             return out
         origin, per_drop = self._sight_lines(camera, pixel)
         middle = None if near is None else np.reshape(near, (2, 2)).mean(axis=1)
-        out[:, 2] = self.ground if middle is None else self.ground_at(middle)[0]
+        out[:, 2] = self.terrain_height_below if middle is None else self.ground_at(middle)[0]
         out[:, :2] = origin[:2] + per_drop * (origin[2] - out[:, 2:])
         is_finite = np.isfinite(out[:, :2]).all(1)
         if near is not None:
@@ -206,7 +206,7 @@ class RockFilter(RockStates):
     @property
     def lost(self) -> bool:
         """Whether measurements or rock observations contradict the estimate."""
-        return self._aiding.lost or self.pictures.lost
+        return self._aiding.lost or self.image_monitor.lost
 
     # --- time -----------------------------------------------------------------------------
 
@@ -382,9 +382,9 @@ class RockFilter(RockStates):
         The caller must reset the rocks if the returned action asks for it; see
         `ImageInnovationMonitor`.
         """
-        remedy = self.pictures.record(kind, time, outcome)
+        remedy = self.image_monitor.record(kind, time, outcome)
         if remedy is not RockCorrection.NONE and kind != "shadows":
-            nis_ratio = self.pictures.watches[kind].nis_ratio
+            nis_ratio = self.image_monitor.watches[kind].nis_ratio
             growth = float(np.clip(nis_ratio, _MIN_GROWTH, _MAX_GROWTH))
             size = self.state.size
             max_sigma = np.full(size, _MAX_POSITION_SIGMA_M)
@@ -475,7 +475,7 @@ class RockFilter(RockStates):
     def _set_position_covariance(
         self, index: Index, by_pose: Array, by_height: Array, own: Array
     ) -> None:
-        """Set the covariance of rocks' east and north from the result of `_position_jacobians`."""
+        """Set the horizontal covariance of rocks from `_position_jacobians`."""
         b = len(index)
         size, i = self.state.size, self.places(index)
         p, level = self.state.for_rows(POSE, i), i[:, :2].ravel()

@@ -160,7 +160,7 @@ class RockStates:
         return self._level.growth if self.state.has(TERRAIN) else 0.0
 
     @property
-    def ground(self) -> float:
+    def terrain_height_below(self) -> float:
         """Height of the terrain below the lander, m."""
         below = sum(float(self.state.value(name)[at]) for name, at in self._height_blocks())
         return self._level.elevation + below
@@ -207,13 +207,13 @@ class RockStates:
     def _interpolate_height(self, at: Array) -> Array:
         """Interpolate the terrain height at points (b, 2) between rocks (b,), m."""
         if not self.can_interpolate_height:
-            return np.full(len(at), self.ground)
+            return np.full(len(at), self.terrain_height_below)
         return interpolate_heights(*self._known_heights(), at, self._level.growth)
 
     def _known_heights(self) -> tuple[Array, Array]:
         """Return places (n, 2) and heights (n,), m, of the terrain below lander and rocks."""
         places = np.vstack((self.state.inertial.position[:2], self.xy))
-        return places, np.append(self.ground, self.xyz[:, 2])
+        return places, np.append(self.terrain_height_below, self.xyz[:, 2])
 
     def update_radii(
         self, index: Index, radius: Array, radius_variance: Array, floor: float = 0.0

@@ -65,7 +65,7 @@ class ScanAccumulator:
 
 
 def count_posts_below(points: Array, posting: float, max_count: int = 1 << 40) -> int:
-    """Count the posts below points (n, 3), up to `max_count`; NaN marks missing points."""
+    """Count the posts below points (n, 3), NaN if missing, up to `max_count`."""
     count = int(kernels.squares_under(np.ascontiguousarray(points), posting, max_count))
     if count >= 0:
         return count

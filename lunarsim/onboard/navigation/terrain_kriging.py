@@ -83,12 +83,12 @@ def intersect_lines(
     growth: float,
     search: tuple[int, float, float, float],
 ) -> Array:
-    """Intersect lines of sight with the terrain interpolated by `interpolate_heights` (b, 3), m.
+    """Intersect lines of sight with the interpolated terrain (b, 3), m.
 
     Parameters
     ----------
     places, known, growth
-        As for `interpolate_heights`.
+        As for `interpolate_heights`, which gives the terrain.
     origin
         Start of the lines (3,), m.
     per_drop

@@ -113,7 +113,8 @@ class UnscentedNavigation:
         """Build the navigation filter of one flight."""
         state, sigmas = StrapdownState.of(briefing)
         return UnscentedFilter(
-            state, sigmas, self, ground=TerrainPrior.of(briefing, float(np.tan(self.relief))),
+            state, sigmas, self,
+            terrain_prior=TerrainPrior.of(briefing, float(np.tan(self.relief))),
             mass=briefing.lander.wet_mass,
             exhaust_velocity=briefing.lander.exhaust_velocity, lag=briefing.lander.thrust_lag,
             instruments=briefing.instruments,
@@ -131,7 +132,7 @@ class UnscentedFilter(Navigation):
         Its standard deviations.
     settings
         Standard deviations of the other errors.
-    ground
+    terrain_prior
         Prior knowledge of the terrain height.
     mass
         Initial mass, kg.
@@ -149,7 +150,7 @@ class UnscentedFilter(Navigation):
         errors: StartSigmas | None = None,
         settings: UnscentedNavigation | None = None,
         *,
-        ground: TerrainPrior | None = None,
+        terrain_prior: TerrainPrior | None = None,
         mass: float = 1000.0,
         exhaust_velocity: float = 3000.0,
         lag: float = 0.0,
@@ -162,7 +163,11 @@ class UnscentedFilter(Navigation):
         self.settings = settings or UnscentedNavigation()
         self.events: list[NavigationEvent] = []
         self._monitors: dict[tuple[str, str], InnovationMonitor] = {}
-        self._ground, self._exhaust, self._lag = ground or TerrainPrior(), exhaust_velocity, lag
+        self._ground, self._exhaust, self._lag = (
+            terrain_prior or TerrainPrior(),
+            exhaust_velocity,
+            lag,
+        )
         calibrations = instruments or {}
         self._beams = {
             n: i.boresight for n, i in calibrations.items() if isinstance(i, AltimeterInstrument)

@@ -47,14 +47,14 @@ def _range_along(image, i, j, down, right):
 
 
 @kernel(inline=True)
-def _raise_along(out, k, direction, slope, size, least):
+def _raise_along(out, k, direction, slope, size, min_range):
     """Update the maximum slope of patch k along a direction, relative to the range."""
-    if size >= least:
+    if size >= min_range:
         out[k, direction] = max(out[k, direction], slope / size)
 
 
 @kernel(inline=True)
-def _raise_slopes(out, k, image, i, j, least):
+def _raise_slopes(out, k, image, i, j, min_range):
     """Update the maximum slopes of patch k with those at a pixel."""
     gu = 0.5 * (image[i, j + 1] - image[i, j - 1])
     gv = 0.5 * (image[i + 1, j] - image[i - 1, j])
@@ -63,23 +63,23 @@ def _raise_slopes(out, k, image, i, j, least):
     if not steep > 0.02:
         return
     size = _range_about(image, i, j)
-    if not size >= least:
+    if not size >= min_range:
         return
     out[k, 4] = max(out[k, 4], steep / size)
     # Beside a lit face, the range all about belongs to another edge.
     half = ABOUT * size
     along = max(_range_along(image, i, j, 0, 1), half)
-    _raise_along(out, k, 0, abs(gu), along, least)
+    _raise_along(out, k, 0, abs(gu), along, min_range)
     along = max(_range_along(image, i, j, 1, 1), half)
-    _raise_along(out, k, 1, abs(gu + gv) * _DIAGONAL, along, least)
+    _raise_along(out, k, 1, abs(gu + gv) * _DIAGONAL, along, min_range)
     along = max(_range_along(image, i, j, 1, 0), half)
-    _raise_along(out, k, 2, abs(gv), along, least)
+    _raise_along(out, k, 2, abs(gv), along, min_range)
     along = max(_range_along(image, i, j, 1, -1), half)
-    _raise_along(out, k, 3, abs(gv - gu) * _DIAGONAL, along, least)
+    _raise_along(out, k, 3, abs(gv - gu) * _DIAGONAL, along, min_range)
 
 
 @kernel()
-def edge_slopes(image, patch, count, every, least):
+def edge_slopes(image, patch, count, every, min_range):
     """Return the maximum relative slope of brightness at the rim of each patch.
 
     Along a direction the range is that along it, or half of the range all about if this is larger.
@@ -95,7 +95,7 @@ def edge_slopes(image, patch, count, every, least):
         Number of patches.
     every
         Only patches whose number is a multiple of this are measured.
-    least
+    min_range
         Minimum brightness range of an edge.
 
     Returns
@@ -116,16 +116,16 @@ def edge_slopes(image, patch, count, every, least):
             left, right = patch[i, j - 1] != k, patch[i, j + 1] != k
             if not (up or low or left or right):
                 continue
-            _raise_slopes(out, k, image, i, j, least)
+            _raise_slopes(out, k, image, i, j, min_range)
             # The edge lies between this pixel and its neighbour outside.
             if up:
-                _raise_slopes(out, k, image, i - 1, j, least)
+                _raise_slopes(out, k, image, i - 1, j, min_range)
             if low:
-                _raise_slopes(out, k, image, i + 1, j, least)
+                _raise_slopes(out, k, image, i + 1, j, min_range)
             if left:
-                _raise_slopes(out, k, image, i, j - 1, least)
+                _raise_slopes(out, k, image, i, j - 1, min_range)
             if right:
-                _raise_slopes(out, k, image, i, j + 1, least)
+                _raise_slopes(out, k, image, i, j + 1, min_range)
     return out
 
 

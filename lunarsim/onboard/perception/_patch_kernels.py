@@ -11,7 +11,7 @@ from lunarsim._jit import kernel
 # the camera, m; length and width of the rectangle with the same variances, m; pixels; pixels at the
 # rim and how many of these lie on an edge of the image; whether the patch touches the border or the
 # horizon; mean tangents; size of a pixel along the Sun and across at the patch, m; covariance of
-# the two coordinates, m^2; pixels that are darker than half way to lit ground.
+# the two coordinates, m^2; pixels that are darker than half way to lit terrain.
 (
     ALONG, ACROSS, LENGTH, WIDTH, PIXELS, EDGE, SEEN, BORDER, TX, TY, SPAN_ALONG, SPAN_ACROSS,
     SKEW, DEEP,
@@ -66,9 +66,9 @@ def _to_sun(e, n, sun):
 
 
 @kernel()
-def _pixel_on_ground(depth, ray, right, down, sun):
+def _pixel_size_on_terrain(depth, ray, right, down, sun):
     """Return the size of a pixel along the Sun and across, m, times the focal length."""
-    # Displacement of the ground point along and across for one pixel right and down.
+    # Displacement of the terrain point along and across for one pixel right and down.
     along_u, across_u = _to_sun(
         depth * (right[0] - ray[0] * right[2] / ray[2]),
         depth * (right[1] - ray[1] * right[2] / ray[2]),
@@ -100,7 +100,7 @@ def _sums_to_means(out):
 
 
 @kernel()
-def measure_patches(labels, count, edges, deep, x, y, position, axes, ground, sun_e, sun_n):
+def measure_patches(labels, count, edges, deep, x, y, position, axes, elevation, sun_e, sun_n):
     """Measure the patches of a label image on a horizontal plane.
 
     Parameters
@@ -117,7 +117,7 @@ def measure_patches(labels, count, edges, deep, x, y, position, axes, ground, su
         Tangents of the line of sight of each pixel, right and down (height, width).
     position, axes
         Camera parameters as in `View`.
-    ground
+    elevation
         Elevation of the plane, m.
     sun_e, sun_n
         Horizontal unit vector towards the Sun.
@@ -129,7 +129,7 @@ def measure_patches(labels, count, edges, deep, x, y, position, axes, ground, su
     """
     out = np.zeros((count + 1, COLUMNS))
     height, width = labels.shape
-    drop = ground - position[2]
+    drop = elevation - position[2]
     sun = (sun_e, sun_n)
     right = (axes[0, 0], axes[1, 0], axes[2, 0])
     down = (axes[0, 1], axes[1, 1], axes[2, 1])
@@ -154,7 +154,7 @@ def measure_patches(labels, count, edges, deep, x, y, position, axes, ground, su
             along, across = _to_sun(depth * ray[0], depth * ray[1], sun)
             _add_place(out, k, along, across)
             if rim:
-                along, across = _pixel_on_ground(depth, ray, right, down, sun)
+                along, across = _pixel_size_on_terrain(depth, ray, right, down, sun)
                 out[k, SPAN_ALONG] += along
                 out[k, SPAN_ACROSS] += across
     _sums_to_means(out)

@@ -21,7 +21,7 @@ class DetectionRates:
     """Detection rates that are linear in q and limited at both ends.
 
     q is the square root of the number of dark pixels. The defaults are printed by
-    `python scenarios/shadows/detection_rates.py`: rocks of all shapes on horizontal ground, 5 %
+    `python scenarios/shadows/detection_rates.py`: rocks of all shapes on horizontal terrain, 5 %
     cover, Sun elevation 20 deg, blur 0.6 pixels. A test repeats the study.
 
     The paper defines q along the shadow (III.C). The square root of the area equals it for a square

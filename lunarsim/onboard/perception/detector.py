@@ -61,12 +61,12 @@ class DetectorSettings:
     largest_radius
         Maximum radius of a rock, m; larger dark patches are shadows of the terrain.
     least_fill
-        Minimum fraction of its bounding box on the ground that a patch fills.
+        Minimum fraction of its bounding box on the terrain that a patch fills.
     pixel_sigma
         Standard deviation of the position of an end of a patch, pixels.
     look_sigma
         Standard deviations of a centre between observations, along the Sun and across, relative to
-        the size of a pixel on the ground; determined by `scenarios/shadows/rock_measurements.py`.
+        the size of a pixel on the terrain; determined by `scenarios/shadows/rock_measurements.py`.
     look_small
         Additional standard deviations for patches of one pixel per radius, along the Sun and
         across, pixels; they decrease as patches grow. They were tuned on filters in flight, because
@@ -118,13 +118,13 @@ class Detections:
     Attributes
     ----------
     pixel
-        Image position of the rock centres on the ground (n, 2), undistorted.
+        Image position of the rock centres on the terrain (n, 2), undistorted.
     pixel_covariance
         Covariance of `pixel` (n, 2, 2).
     look_covariance
         Part of it that is independent between observations (n, 2, 2). The effect of the shape of a
         rock on its patch persists.
-    ground
+    terrain_xy
         Centres (n, 2), ENU, m, for the given pose and plane.
     radius, radius_sigma
         Radius and its standard deviation (n,), m.
@@ -146,7 +146,7 @@ class Detections:
         the image border, and invalid pixels.
     relative
         Brightness relative to the nearby slopes if they were lit (height, width).
-    over_ground
+    relative_to_lit_terrain
         Brightness relative to the nearby lit terrain including its slopes (height, width).
     largest
         Longest half axis of the largest rock that each label may be the shadow of (labels + 1,), m;
@@ -158,7 +158,7 @@ class Detections:
     pixel: Array
     pixel_covariance: Array
     look_covariance: Array
-    ground: Array
+    terrain_xy: Array
     radius: Array
     radius_sigma: Array
     height: Array
@@ -170,7 +170,7 @@ class Detections:
     labels: NDArray[np.int32]
     extended: NDArray[np.int32]
     relative: NDArray[np.float32]
-    over_ground: NDArray[np.float32]
+    relative_to_lit_terrain: NDArray[np.float32]
     largest: NDArray[np.float32]
     shapes: Array
 
@@ -212,14 +212,14 @@ def detect_rocks(
     pose: Pose,
     sun: ArrayLike,
     *,
-    ground: float | GroundPlane = 0.0,
+    terrain: float | GroundPlane = 0.0,
     model: ShadowModel | ShapeMixture | None = None,
     settings: DetectorSettings | None = None,
 ) -> Detections:
     """Detect rocks by their shadows.
 
     The image is segmented into light and shadow. Each dark patch with a complete edge is projected
-    onto the ground. The end towards the Sun gives the position of the rock, the length along the
+    onto the terrain. The end towards the Sun gives the position of the rock, the length along the
     azimuth of the Sun its height. `model` predicts the patch of a rock of radius 1 from this
     direction, including the part that the rock itself hides.
 
@@ -231,10 +231,10 @@ def detect_rocks(
         Camera model, and pose of the camera.
     sun
         Direction towards the Sun (3,), ENU, unit vector.
-    ground
+    terrain
         Plane on which rocks stand, or the elevation of a horizontal one, m.
     model
-        Model of the shadows for the Sun elevation above horizontal ground; default: half spheres.
+        Model of the shadows for the Sun elevation above horizontal terrain; default: half spheres.
     settings
         Criteria for shadows.
 
@@ -260,7 +260,7 @@ def detect_rocks(
             f"must have the camera's size ({camera.height}, {camera.width})",
         )
     shade = segment(image, gamma=settings.gamma, window=settings.window)
-    plane = ground if isinstance(ground, GroundPlane) else GroundPlane(float(ground))
+    plane = terrain if isinstance(terrain, GroundPlane) else GroundPlane(float(terrain))
     view, onto = plane.view(camera.view(pose)), plane.direction(direction)
     labels, table = _label_patches(shade, camera, view, onto, settings)
     if len(table) == 0 or not has_usable_shadows(onto) or not view.position[2] > 0.0:
@@ -300,7 +300,7 @@ def _no_detections(
     return Detections(
         np.empty((0, 2)), np.empty((0, 2, 2)), np.empty((0, 2, 2)), np.empty((0, 2)),
         none, none, none, none, none, none, none,
-        np.empty(0, np.int32), labels, extended, shade.relative, shade.over_ground,
+        np.empty(0, np.int32), labels, extended, shade.relative, shade.relative_to_lit_terrain,
         _unknown_largest(len(extended)), np.empty((0, 1)),
     )  # fmt: skip
 
@@ -357,7 +357,7 @@ def _measure_rocks(
     settings: DetectorSettings,
     shade: Segmentation,
 ) -> Detections:
-    """Convert the table of patches into rocks; the view is above ground at height 0."""
+    """Convert the table of patches into rocks; terrain is at height 0 of the view."""
     k = kernels
     is_noise = (
         (table[:, k.PIXELS] < settings.least_pixels)
@@ -393,7 +393,7 @@ def _measure_rocks(
         pixel[keep], covariance[keep], white[keep], (offset + view.position[:2])[keep],
         rocks.radius[keep], rocks.sigma[keep], height[keep], length[keep], width[keep],
         t[keep, k.SKEW], np.sqrt(t[keep, k.PIXELS]), number[keep],
-        labels, extended, shade.relative, shade.over_ground, largest, read.weight[keep],
+        labels, extended, shade.relative, shade.relative_to_lit_terrain, largest, read.weight[keep],
     )  # fmt: skip
 
 
@@ -475,7 +475,7 @@ def _viewing_angles(table: Array, view: View, sun: Array) -> tuple[Array, Array]
 
 
 def _to_pixels(offset: Array, view: View, frame: Array) -> tuple[Array, Array]:
-    """Return pixels of ground points (n, 2) and their Jacobian along/across (n, 2, 2)."""
+    """Return pixels of points (n, 2) and their Jacobian along/across (n, 2, 2)."""
     points = np.column_stack((offset, np.full(len(offset), -view.position[2]))) @ view.into.T
     # The Jacobian by east and north is rotated to along the Sun and across.
     turned = view.pinhole.jacobian(points, view.into[:, :2]) @ frame

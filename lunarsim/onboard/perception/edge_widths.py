@@ -71,7 +71,9 @@ def edge_widths(seen: Detections, noise: float) -> EdgeWidths:
     min_step = max(_MIN_STEP, _MIN_STEP_SIGMAS * noise)
     # Labels are sorted by image row, so every n-th samples the image evenly.
     every = -(-len(seen) // _MAX_SHADOWS) or 1
-    slopes = kernels.edge_slopes(seen.over_ground, seen.rock, len(seen), every, min_step)[1:]
+    slopes = kernels.edge_slopes(
+        seen.relative_to_lit_terrain, seen.rock, len(seen), every, min_step
+    )[1:]
     slopes = slopes[slopes[:, -1] > 0.0]
     if len(slopes) == 0:
         return EdgeWidths(0, np.inf, np.inf)

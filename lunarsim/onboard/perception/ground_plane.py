@@ -1,8 +1,8 @@
 """Sloping terrain as a plane, and coordinates in which it is horizontal.
 
 Measuring heights from the plane makes it horizontal without lateral displacement and keeps straight
-lines straight. A shadow on a slope thus equals one on horizontal ground under a higher or lower
-Sun, seen from a steeper or flatter direction. Models for horizontal ground then apply, if rocks
+lines straight. A shadow on a slope thus equals one on horizontal terrain under a higher or lower
+Sun, seen from a steeper or flatter direction. Models for horizontal terrain then apply, if rocks
 stand upright on either.
 """
 
@@ -78,10 +78,10 @@ class GroundPlane:
         return out
 
     def seen_pixel(self, pixel: Array, away: Array, levelled: Array) -> Array:
-        """Return pixel sizes (...), m, at which horizontal ground appears as this plane.
+        """Return pixel sizes (...), m, at which horizontal terrain appears as this plane.
 
         Of two equal patches of terrain, the one that is seen more steeply and from nearby covers
-        more pixels. Models for horizontal ground use the depression in levelled coordinates.
+        more pixels. Models for horizontal terrain use the depression in levelled coordinates.
 
         Parameters
         ----------

@@ -133,9 +133,9 @@ def _angle_under_sun(
 def _shadow_to_lit(
     seen: Detections, view: View, points: Array, threshold: float
 ) -> tuple[Index, Complex]:
-    """Return rocks with separate black and lit parts (n,), and ground vectors (n,).
+    """Return rocks with separate black and lit parts (n,), and vectors (n,).
 
-    The vectors point from lit to black; east is real, north imaginary.
+    The horizontal vectors point from lit to black; east is real, north imaginary.
     """
     ring = cv2.dilate(seen.rock, np.ones((2 * _RING_PX + 1, 2 * _RING_PX + 1), np.uint8))
     sums = kernels.black_and_lit(

@@ -125,7 +125,7 @@ class ImageQualitySettings:
     most_width
         Maximum width of the sharpest shadow edges, relative to that of the point spread.
     most_smear
-        The same for the direction in which edges are least sharp.
+        The same for the direction with the widest edges.
     most_turn, least_turn
         Angle between shadows and their expected direction up to which the Sun direction is
         confirmed, and from which it is contradicted, rad; in between neither holds.
@@ -257,7 +257,7 @@ class ImageQualityCheck:
         )
 
     def _check_counts(
-        self, raw: NDArray[Any], ground: NDArray[np.bool_], figures: dict[str, float]
+        self, raw: NDArray[Any], below_horizon: NDArray[np.bool_], figures: dict[str, float]
     ) -> ImageRejection | None:
         s = self.settings
         sampled = raw[::_PIXEL_STRIDE, ::_PIXEL_STRIDE]
@@ -267,16 +267,18 @@ class ImageQualityCheck:
             return ImageRejection.NO_NUMBERS
         same = self._repeated_fraction(sampled, s.least_lit)
         self._last.append(sampled.copy())
-        ground = ground & is_finite
-        if not ground.any():
+        below_horizon = below_horizon & is_finite
+        if not below_horizon.any():
             return ImageRejection.NO_SHADOWS
-        figures["lit"] = _lit_brightness(sampled[ground])
+        figures["lit"] = _lit_brightness(sampled[below_horizon])
         if not figures["lit"] >= s.least_lit:
             return ImageRejection.FAINT
-        figures["saturated"] = float((sampled[ground] == sampled[ground].max()).mean())
+        figures["saturated"] = float(
+            (sampled[below_horizon] == sampled[below_horizon].max()).mean()
+        )
         if figures["saturated"] > s.most_saturated:
             return ImageRejection.SATURATED
-        figures["gaps"] = max(figures["gaps"], _missing_lines(raw, ground, figures["lit"]))
+        figures["gaps"] = max(figures["gaps"], _missing_lines(raw, below_horizon, figures["lit"]))
         if figures["gaps"] > s.most_gaps:
             return ImageRejection.GAPS
         if same > s.most_same:
@@ -339,7 +341,7 @@ class ImageQualityCheck:
             return ImageRejection.SMEARED
         return None
 
-    def tells(self, turn: SunAngle) -> bool:
+    def is_accurate(self, turn: SunAngle) -> bool:
         """Return whether the angle is accurate enough to locate the Sun."""
         s = self.settings
         return turn.sigma <= s.turn_sigma and turn.side >= s.least_side
@@ -347,7 +349,7 @@ class ImageQualityCheck:
     def judges(self, turn: SunAngle) -> bool:
         """Return whether shadows confirm or contradict the Sun direction."""
         near = abs(turn.angle) < self.settings.least_turn
-        return self.contradicts(turn) or (self.tells(turn) and near)
+        return self.contradicts(turn) or (self.is_accurate(turn) and near)
 
     def contradicts(self, turn: SunAngle) -> bool:
         """Return whether consistent shadows of rocks contradict the Sun direction.
@@ -360,7 +362,7 @@ class ImageQualityCheck:
         wrong_angle = s.high_turn if turn.high_sun else s.least_turn
         contradicted_by_faces = abs(turn.by_faces) < wrong_angle
         return (
-            self.tells(turn)
+            self.is_accurate(turn)
             and agrees
             and abs(turn.angle) >= wrong_angle
             and not contradicted_by_faces
@@ -374,12 +376,12 @@ class ImageQualityCheck:
         is_far = (
             turn.side >= s.least_side and abs(turn.angle) - s.wrong_by * turn.sigma > s.most_turn
         )
-        if is_far or (self.tells(turn) and abs(turn.angle) >= s.least_turn):
+        if is_far or (self.is_accurate(turn) and abs(turn.angle) >= s.least_turn):
             # Either craters and merged shadows cause this, or the Sun direction is wrong.
             self.sun.seen &= turn.side <= self.sun.side
             return ImageRejection.SUN_UNPROVEN
         agrees = turn.high_sun or turn.agreement >= s.proof_agreement
-        is_proven = (self.tells(turn) and agrees) or (
+        is_proven = (self.is_accurate(turn) and agrees) or (
             turn.high_sun
             and turn.side >= s.least_side
             and abs(turn.angle) + s.wrong_by * turn.sigma <= s.wrong_turn
@@ -416,19 +418,19 @@ def _looks_down(view: View) -> NDArray[np.bool_]:
     return np.asarray(up[0] * u + up[1] * v[:, None] + up[2] < 0.0)
 
 
-def _missing_lines(raw: NDArray[Any], ground: NDArray[np.bool_], lit: float) -> float:
+def _missing_lines(raw: NDArray[Any], below_horizon: NDArray[np.bool_], lit: float) -> float:
     """Return the fraction of rows or columns of terrain that were not read out.
 
     Such lines repeat the previous line, which never happens on lit terrain, or they are completely
     dark up to a straight end, which no shadow has.
     """
     highest = 0.0
-    for image, below in ((raw, ground), (raw.T, ground.T)):
+    for image, below in ((raw, below_horizon), (raw.T, below_horizon.T)):
         lines = image[:, ::_PIXEL_STRIDE]
         dark = (lines < _MISSING_BRIGHTNESS_RATIO * lit).mean(1)
-        is_ground = np.repeat(below.all(1), _PIXEL_STRIDE)[: len(image)]
-        is_ground = _exclude_sky(is_ground, dark > _MISSING_LINE_DARK)
-        if not is_ground.any():
+        is_terrain = np.repeat(below.all(1), _PIXEL_STRIDE)[: len(image)]
+        is_terrain = _exclude_sky(is_terrain, dark > _MISSING_LINE_DARK)
+        if not is_terrain.any():
             continue
         repeats = np.zeros(len(lines), np.bool_)
         repeats[1:] = (lines[1:] == lines[:-1]).all(1)
@@ -436,15 +438,15 @@ def _missing_lines(raw: NDArray[Any], ground: NDArray[np.bool_], lit: float) -> 
         ends = (empty[1:] & (dark[:-1] < _NEIGHBOUR_LINE_DARK)) | (
             empty[:-1] & (dark[1:] < _NEIGHBOUR_LINE_DARK)
         )
-        straight = (ends & is_ground[1:] & is_ground[:-1]).any()
+        straight = (ends & is_terrain[1:] & is_terrain[:-1]).any()
         is_missing = empty | repeats if straight else repeats & ~empty
-        highest = max(highest, float(is_missing[is_ground].mean()))
+        highest = max(highest, float(is_missing[is_terrain].mean()))
     return highest
 
 
-def _exclude_sky(ground: NDArray[np.bool_], dark: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _exclude_sky(below_horizon: NDArray[np.bool_], dark: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Return which lines (n,) show terrain, without dark lines next to the sky."""
-    out = ground.copy()
+    out = below_horizon.copy()
     for order in (range(1, len(out)), range(len(out) - 2, -1, -1)):
         for i in order:
             before = i - 1 if order.step > 0 else i + 1

@@ -1,7 +1,7 @@
 """Lit faces of rocks beside their shadows under a high Sun.
 
 Under a low Sun the face towards the Sun is the brightest part of the scene. At 45 deg an upright
-face is at most as bright as horizontal ground. Most faces are darker, some so dark that they are
+face is at most as bright as horizontal terrain. Most faces are darker, some so dark that they are
 taken for shadow; rounded and faceted rocks are similar. But faces are lit, and shadow is not:
 within and around the dark patch, pixels that are neither black nor as bright as the terrain lie on
 the Sun's side of the black ones. The directions for which this holds, and the lateral shift by
@@ -23,7 +23,11 @@ from numpy.typing import NDArray
 from scipy.interpolate import RegularGridInterpolator
 
 from lunarsim.frames import direction_from_angles
-from lunarsim.onboard.perception.shadow_model import ShadowModel, ground_about, shadow_reach
+from lunarsim.onboard.perception.shadow_model import (
+    ShadowModel,
+    shadow_reach,
+    visible_points_about_rock,
+)
 from lunarsim.rocks.field import RockModel
 from lunarsim.rocks.rock_on_plane import RockOnPlane
 
@@ -53,7 +57,7 @@ _BLUR_RADII = 0.22
 def lit_faces(model: ShadowModel, azimuth: Any, depression: Any) -> tuple[Complex, Complex]:
     """Return the mean directions of faces and patches of rocks under a high Sun.
 
-    Directions are complex numbers on the ground: the real axis points towards the Sun, the
+    Directions are complex numbers in the terrain plane: the real axis points towards the Sun, the
     imaginary axis to the left of it.
 
     Parameters
@@ -115,9 +119,11 @@ def _directions_of_rock(scene: RockOnPlane, sun: Array, camera: Array) -> tuple[
 
 
 def _render(scene: RockOnPlane, sun: Array, camera: Array) -> tuple[Complex, Array]:
-    """Return ground positions (n,) and their blurred relative brightness."""
+    """Return positions on the terrain (n,) and their blurred relative brightness."""
     reach = shadow_reach(float(np.arcsin(sun[2])))
-    shape, ground, point, normal = ground_about(scene, camera, reach, 1.0 / _SAMPLES_PER_RADIUS)
+    shape, position, point, normal = visible_points_about_rock(
+        scene, camera, reach, 1.0 / _SAMPLES_PER_RADIUS
+    )
     brightness = np.clip(normal @ sun, 0.0, None) / sun[2]
     at = np.flatnonzero(brightness > 0.0)
     shaded = np.isfinite(scene.cast(point[at], np.broadcast_to(sun, (at.size, 3)))[0])
@@ -126,4 +132,4 @@ def _render(scene: RockOnPlane, sun: Array, camera: Array) -> tuple[Complex, Arr
     blurred = cv2.GaussianBlur(
         image, (0, 0), _BLUR_RADII * _SAMPLES_PER_RADIUS, borderType=cv2.BORDER_REPLICATE
     )
-    return ground[:, 1] - 1j * ground[:, 0], blurred.ravel()
+    return position[:, 1] - 1j * position[:, 0], blurred.ravel()

@@ -1,4 +1,4 @@
-"""Adapt shadow models for horizontal ground to shadows on a sloping plane."""
+"""Adapt shadow models for horizontal terrain to shadows on a sloping plane."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def model_on_plane(model: Model, plane: GroundPlane, sun: Array) -> Model:
     Parameters
     ----------
     model
-        Model for the Sun elevation above horizontal ground.
+        Model for the Sun elevation above horizontal terrain.
     plane
         Plane on which shadows fall.
     sun

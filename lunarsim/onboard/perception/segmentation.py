@@ -44,7 +44,7 @@ class Segmentation:
         Gamma-corrected brightness relative to nearby lit terrain, 8 bits (height, width).
     relative
         Brightness relative to the nearby slopes if they were lit (height, width).
-    over_ground
+    relative_to_lit_terrain
         Brightness relative to nearby lit terrain including its slopes (height, width).
     left_out
         Mask of pixels that are not finite (height, width); None if all are finite.
@@ -54,7 +54,7 @@ class Segmentation:
     deep: NDArray[np.uint8]
     brightness: NDArray[np.uint8]
     relative: NDArray[np.float32]
-    over_ground: NDArray[np.float32]
+    relative_to_lit_terrain: NDArray[np.float32]
     left_out: NDArray[np.bool_] | None = None
 
 
@@ -93,7 +93,7 @@ def segment(image: ArrayLike, *, gamma: float = 0.7, window: float = 0.12) -> Se
         if not valid.any():
             return _no_shadows(raw.shape, ~valid)
         grey = np.where(valid, grey, np.float32(np.median(grey[valid])))
-    lit = lit_ground(grey, window)
+    lit = lit_terrain_brightness(grey, window)
     left_out = None if valid.all() else ~valid
     if not lit.max() > 0.0:
         return _no_shadows(raw.shape, left_out)
@@ -118,7 +118,7 @@ def _no_shadows(shape: tuple[int, ...], left_out: NDArray[np.bool_] | None) -> S
     return Segmentation(none, none, none, black, black, left_out)
 
 
-def lit_ground(grey: NDArray[np.float32], window: float) -> NDArray[np.float32]:
+def lit_terrain_brightness(grey: NDArray[np.float32], window: float) -> NDArray[np.float32]:
     """Return the brightness of lit terrain about each pixel (height, width).
 
     `window` is the side of the neighbourhood as a fraction of the width.

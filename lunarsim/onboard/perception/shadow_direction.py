@@ -14,7 +14,7 @@ from lunarsim.onboard.perception import _image_quality_kernels as kernels
 from lunarsim.onboard.perception.detector import Detections, DetectorSettings
 from lunarsim.onboard.perception.high_sun_direction import high_sun_angle, more_certain
 from lunarsim.onboard.perception.lit_faces import LEAST_ELEVATION
-from lunarsim.onboard.perception.segmentation import lit_ground
+from lunarsim.onboard.perception.segmentation import lit_terrain_brightness
 from lunarsim.onboard.perception.shadow_model import ShadowModel
 from lunarsim.onboard.perception.shape_mixture import ShapeMixture
 from lunarsim.onboard.perception.sun_angle import (
@@ -78,7 +78,7 @@ def shadow_directions(image: ArrayLike, seen: Detections, rocks: Index | None = 
         raise InputError(
             "image", grey.shape, f"must have the shape of the detections, {seen.labels.shape}"
         )
-    relative = grey / lit_ground(grey.astype(np.float32), DetectorSettings().window)
+    relative = grey / lit_terrain_brightness(grey.astype(np.float32), DetectorSettings().window)
     index = np.arange(len(seen)) if rocks is None else rocks
     out = np.full((len(index), 2), np.nan)
     for n, rock in enumerate(index):
@@ -114,7 +114,7 @@ def measure_shadow_angle(
 ) -> SunAngle:
     """Measure the angle between shadows and their direction under the assumed Sun.
 
-    Two cues are used. Patches are elongated along the Sun: the axes of all patches on the ground,
+    Two cues are used. Patches are elongated along the Sun: the axes of all patches on the terrain,
     compared with those of the model, give an accurate angle with an ambiguity of half a turn. They
     give nothing under a high Sun, when patches are round. Pixels beside a patch that are brighter
     than the terrain nearby are the lit face of the rock. The direction from there to the centre of
@@ -129,7 +129,7 @@ def measure_shadow_angle(
     view
         View of the image.
     points
-        Positions of the rocks on the ground (n, 3), ENU, m.
+        Positions of the rocks on the terrain (n, 3), ENU, m.
     sun
         Assumed direction towards the Sun (3,), ENU.
     model
@@ -241,13 +241,13 @@ def _face_errors(
 def _expected_gap(
     view: View, points: Array, sun: Array, model: ShadowModel | ShapeMixture
 ) -> Array:
-    """Return the vector from lit faces to dark patches on the ground (n, 2), in radii."""
+    """Return the vectors from lit faces to dark patches (n, 2), in radii."""
     towards = sun[:2] / np.hypot(sun[0], sun[1])
     left = np.array([-towards[1], towards[0]])
     sight = points - view.position
     unit = model.patch(*viewing_angles(view, points, sun))
     dark = unit.along[:, None] * towards + unit.side[:, None] * left
-    # A point above the ground appears in front of terrain farther away.
+    # A point above the terrain appears in front of terrain farther away.
     lean = sight[:, :2] / np.maximum(-sight[:, 2:], 1e-9)
     return np.asarray(dark - _FACE_OFFSET * towards - _FACE_HEIGHT * lean)
 

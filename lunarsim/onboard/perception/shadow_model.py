@@ -1,7 +1,7 @@
 """Model of the dark patch of a rock as seen from a given direction.
 
 A camera sees two dark parts of a rock: the side away from the Sun, and the visible part of the
-shadow on the ground behind the rock. Projected along the line of sight onto the ground they form
+shadow on the terrain behind the rock. Projected along the line of sight onto the terrain they form
 one dark patch. Its size in units of the rock's radius depends only on the directions of Sun and
 camera and on the shape. The shadow EKF paper (III.A) assumes half spheres seen from above. Here
 the patch of any population of shapes is tabulated by ray casting; for half spheres from above this
@@ -48,7 +48,7 @@ MAX_SUN_ELEVATION = np.deg2rad(80.0)
 
 @dataclass(frozen=True)
 class ShadowPatch:
-    """Dark patches of rocks of radius 1 on the ground, seen from (...) directions.
+    """Dark patches of rocks of radius 1 on the terrain, seen from (...) directions.
 
     The origin is the rock's centre: `along` points to the azimuth of the Sun, `across` to its left
     as seen from above.
@@ -94,13 +94,13 @@ class ShadowModel:
     Attributes
     ----------
     height
-        Mean height above the ground, in radii.
+        Mean height above the terrain, in radii.
     elongation
         Maximum half axis of a rock, in radii; half the side for a cube.
     longer_axis
         Mean and standard deviation of the longer half axis, in radii.
     slope
-        Spread of the terrain slope, tangent; 0, since rocks stand on horizontal ground.
+        Spread of the terrain slope, tangent; 0, since rocks stand on horizontal terrain.
     shadowless_fraction
         Fraction of the rocks without anything dark, see `faceted_shadowless_fraction`.
     outline
@@ -280,13 +280,13 @@ def _compute_table(elevation: float, shapes: RockModel) -> Array:
     return table
 
 
-def ground_about(
+def visible_points_about_rock(
     scene: RockOnPlane, camera: Array, reach: float, step: float
 ) -> tuple[tuple[int, int], Array, Array, Array]:
-    """Return the points that a camera sees in front of the ground about a rock.
+    """Return the points that a camera sees in front of the terrain around a rock.
 
-    A rock of radius 1 hides the ground behind it: its dark face appears up to its height divided by
-    the tangent of the depression.
+    A rock of radius 1 hides the terrain behind it: its dark face appears up to its height divided
+    by the tangent of the depression.
 
     Parameters
     ----------
@@ -303,26 +303,27 @@ def ground_about(
     -------
     shape
         Rows and columns of the positions.
-    ground, point, normal
-        Positions on the ground (n, 3), visible points, slightly lifted off, and normals there.
+    position, point, normal
+        Positions on the terrain (n, 3), visible points, slightly lifted off, and normals there.
     """
     lean = 2.0 * camera[:2] / camera[2]
     x = np.arange(min(0.0, -lean[0]) - 1.6, max(0.0, -lean[0]) + 1.6, step)
     y = np.arange(min(-reach, -lean[1] - 1.6), max(0.0, -lean[1]) + 1.6, step)
     xx, yy = np.meshgrid(x, y)
-    ground = np.column_stack((xx.ravel(), yy.ravel(), np.zeros(xx.size)))
-    start = ground + 60.0 * camera
+    position = np.column_stack((xx.ravel(), yy.ravel(), np.zeros(xx.size)))
+    start = position + 60.0 * camera
     distance, normal = scene.cast(start, np.broadcast_to(-camera, start.shape))
-    return xx.shape, ground, start - distance[:, None] * camera + 1e-4 * normal, normal
+    return xx.shape, position, start - distance[:, None] * camera + 1e-4 * normal, normal
 
 
 def _dark_patch(scene: RockOnPlane, sun: Array, camera: Array, reach: float) -> tuple[float, ...]:
-    """Return along, side, length, width, skew and area of the dark patch of a rock of radius 1.
+    """Return parameters of the dark patch of a rock of radius 1.
 
-    The Sun is in the north, so `along` is y and `across`, to its left, is -x.
+    These are along, side, length, width, skew and area. The Sun is in the north, so `along` is y
+    and `across`, to its left, is -x.
     """
     step = 1.0 / _SAMPLES_PER_RADIUS
-    _, ground, point, normal = ground_about(scene, camera, reach, step)
+    _, position, point, normal = visible_points_about_rock(scene, camera, reach, step)
     lit = normal @ sun > 0.0
     shaded = np.ones(len(point), bool)
     towards = np.broadcast_to(sun, (int(lit.sum()), 3))
@@ -330,7 +331,7 @@ def _dark_patch(scene: RockOnPlane, sun: Array, camera: Array, reach: float) -> 
     if not shaded.any():
         # Nothing is visible: a patch without extent at the centre.
         return 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    along, across = ground[shaded, 1], -ground[shaded, 0]
+    along, across = position[shaded, 1], -position[shaded, 0]
     return (
         along.mean(), across.mean(), np.sqrt(12.0) * along.std(), np.sqrt(12.0) * across.std(),
         np.mean(along * across) - along.mean() * across.mean(), float(shaded.sum()) * step**2,

@@ -1,6 +1,6 @@
 """Mixture of rock shapes whose fractions are estimated from the shadows.
 
-The length of a shadow depends on the height of the rock and on the slope of the ground, its width
+The length of a shadow depends on the height of the rock and on the slope of the terrain, its width
 on that of the rock. The radius that belongs to a patch thus depends on the unknown shape and
 slope. Each patch is evaluated under every hypothesis, a shape and a spread of slopes. The weight
 of a hypothesis is its fraction in the population times the agreement of length and width under it.
@@ -127,7 +127,7 @@ class ShapeMixture:
 
     @classmethod
     def known(cls, model: ShadowModel) -> ShapeMixture:
-        """Return the mixture of one shape on horizontal ground."""
+        """Return the mixture of one shape on horizontal terrain."""
         one = cls.__new__(cls)
         one.elevation, one.models = model.elevation, (model,)
         one.slopes, one._prior, one._observed_weight = np.zeros(1), np.ones(1), np.zeros(1)
@@ -177,7 +177,7 @@ class ShapeMixture:
 
     @property
     def height(self) -> float:
-        """Mean height above the ground, in radii."""
+        """Mean height above the terrain, in radii."""
         return self._mean("height")
 
     @property
@@ -243,7 +243,7 @@ class ShapeMixture:
             Standard deviation of an end of a patch, pixels.
         """
         units = [m.patch(azimuth, depression) for m in self.models]
-        # A slope lengthens the shadow on the ground, and its image at a grazing angle.
+        # A slope lengthens the shadow on the terrain, and its image at a grazing angle.
         lean = 1.0 / np.tan(self.elevation) + np.abs(np.cos(azimuth)) / np.tan(
             np.maximum(depression, 0.1)
         )
@@ -293,9 +293,9 @@ def _radius_of_patch(
     """Return radius, its variance and the log likelihood of patches (n,).
 
     Length and width each give a radius. Its variance consists of pixel noise (standard deviations
-    `along` and `across`, m), the spread of shapes, and the relative stretch of the length by
-    slopes. The mean is weighted by inverse variance; the likelihood grows with the agreement of the
-    two.
+    `along` and `across`, m), the spread of shapes, and the relative elongation by slopes
+    (`stretch`). The mean is weighted by inverse variance; the likelihood grows with the agreement
+    of the two.
     """
     l0, w0 = np.maximum(unit.length, _MIN_LENGTH), np.maximum(unit.width, _MIN_LENGTH)
     by_length, by_width = length / l0, width / w0

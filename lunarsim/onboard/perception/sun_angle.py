@@ -28,7 +28,7 @@ class SunAngle:
     Attributes
     ----------
     angle
-        Angle on the ground, rad, from -pi to pi; NaN if unknown.
+        Angle on the terrain, rad, from -pi to pi; NaN if unknown.
     sigma
         Standard deviation by scatter, given the side, rad; infinite if unknown.
     side

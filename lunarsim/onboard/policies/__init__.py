@@ -1,7 +1,7 @@
 """Retargeting policies: keep the landing site or divert to another one.
 
-A policy receives only what is available onboard. A policy that uses the true state says so in its
-name and belongs to the simulation package.
+A policy receives only what is available onboard. The name of a policy that uses the true state
+states this; such a policy belongs to the simulation package.
 """
 
 from lunarsim.onboard.policies.contract import (

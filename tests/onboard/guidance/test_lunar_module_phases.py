@@ -131,8 +131,8 @@ def test_the_descent_after_the_approach_may_have_a_speed_of_its_own():
         assert approach.end(site, lander).velocity[2] == -1.5
         # Both ends are the centre of mass's: pads stand lower.
         assert approach.end(site, lander).position[2] == 10.0 + lander.com_height
-        assert approach.ground(site, lander).position[2] == lander.com_height
-        assert approach.ground(site, lander).velocity[2] == -rate
+        assert approach.touchdown_end(site, lander).position[2] == lander.com_height
+        assert approach.touchdown_end(site, lander).velocity[2] == -rate
 
 
 @pytest.mark.parametrize("jerk", [-0.0036, 0.0, 0.004])

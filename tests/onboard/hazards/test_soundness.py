@@ -324,7 +324,7 @@ def test_a_site_is_surely_unsafe_only_where_it_is_so_without_its_holes():
 def test_a_site_of_which_anything_is_unknown_is_not_judged(name):
     for value in (np.nan, np.inf):
         own = site(0.02, **{name: value})
-        assert not own.judged.any()
+        assert not own.is_evaluated.any()
         p, known = site_safety(own)
         assert p[0] == 0.0
         assert not known[0]
@@ -434,7 +434,7 @@ def test_noise_that_the_points_do_not_have_excuses_nothing():
     )
     assert true.noise <= stated
     assert more.noise < 1.5 * stated
-    p, q = (site_safety(e)[0][true.judged] for e in (true, more))
+    p, q = (site_safety(e)[0][true.is_evaluated] for e in (true, more))
     assert len(p) > 50
     assert (q - p).max() < 0.05
     less = quadtree_site_evidence(*told, 0.1 * stated, Lander(), RockExpectation())

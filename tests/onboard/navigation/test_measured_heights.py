@@ -36,7 +36,7 @@ def rocks_seen(xyz, ground=None, seed=0, attitude=(0.02, -0.05, 0.3), sigma=3.0)
     """Return a filter with tracked rocks at estimated positions, and its camera."""
     level = quat_from_rotation_vector(np.array(attitude))
     inertial = StrapdownState(EYE, np.zeros(3), level, 1.622)
-    rocks = RockFilter.of(inertial, STARTS, ground=TerrainPrior(0.0, sigma))
+    rocks = RockFilter.of(inertial, STARTS, terrain_prior=TerrainPrior(0.0, sigma))
     rocks.measured = ground
     camera = replace(Camera.with_field_of_view(640, 480, 20.0), mount=gimbal_mount(level, -EYE))
     n = len(xyz)
@@ -240,11 +240,11 @@ def test_lines_of_sight_meet_ground_that_rocks_tell_pass_by_pass(rocks_told):
     rocks, camera = rocks_seen(xyz)
     pixel = rng.uniform(-200.0, [840.0, 680.0], (300, 2))
     pixel[7] = np.nan
-    found = rocks.ground_points(camera, pixel)
+    found = rocks.terrain_points(camera, pixel)
     rocks.measured = Unknown()
     assert np.isfinite(found).all(1).sum() > 100
     assert not np.isfinite(found).all()
-    np.testing.assert_array_equal(found, rocks.ground_points(camera, pixel))
+    np.testing.assert_array_equal(found, rocks.terrain_points(camera, pixel))
 
 
 def test_a_line_of_sight_that_goes_nowhere_meets_nothing():
@@ -259,9 +259,9 @@ def test_a_line_of_sight_that_goes_nowhere_meets_nothing():
 def test_lines_of_sight_far_beside_a_region_are_left_out():
     rocks, camera = rocks_seen(places(5))
     pixel = np.random.default_rng(0).uniform(0.0, [640.0, 480.0], (200, 2))
-    whole = rocks.ground_points(camera, pixel)
+    whole = rocks.terrain_points(camera, pixel)
     near = (-10.0, 20.0, -15.0, 5.0)
-    found = rocks.ground_points(camera, pixel, near)
+    found = rocks.terrain_points(camera, pixel, near)
     beside = np.maximum(
         np.maximum(near[0] - whole[:, 0], whole[:, 0] - near[1]),
         np.maximum(near[2] - whole[:, 1], whole[:, 1] - near[3]),
@@ -285,7 +285,7 @@ def sight_lines(ground, depression, count=300):
     eye = np.array([-1000.0 * np.cos(down), 0.0, 1000.0 * np.sin(down)])
     level = np.array([0.0, 0.0, 0.0, 1.0])
     rocks = RockFilter.of(
-        StrapdownState(eye, np.zeros(3), level, 1.622), STARTS, ground=TerrainPrior(0.0, 3.0)
+        StrapdownState(eye, np.zeros(3), level, 1.622), STARTS, terrain_prior=TerrainPrior(0.0, 3.0)
     )
     rocks.measured = ground
     camera = replace(Camera.with_field_of_view(640, 480, 10.0), mount=gimbal_mount(level, -eye))
@@ -297,7 +297,7 @@ def sight_lines(ground, depression, count=300):
 def test_lines_of_sight_meet_ground_that_is_steeper_than_they_are_long_to_find(slope):
     """Fixed-point iteration would leave decimetres after eight iterations."""
     rocks, camera, _, true = sight_lines(Plane((slope, 0.0)), 40.0)
-    found = rocks.ground_points(camera, rocks.sight(camera, true).pixel)
+    found = rocks.terrain_points(camera, rocks.sight(camera, true).pixel)
     # Heights are correct to 1 cm along lines at 9 deg to the terrain.
     assert np.abs(found - true).max() < 0.05
 
@@ -308,7 +308,7 @@ def test_lines_that_no_pass_brings_onto_steps_end_on_the_ground_at_most_a_step_o
     rocks, camera, eye, true = sight_lines(ground, 40.0, 2000)
     # Lines through points above the slope also pass between the steps.
     above = true + [0.0, 0.0, 1.0] * np.random.default_rng(1).uniform(0.0, 3.0, (2000, 1))
-    found = rocks.ground_points(camera, rocks.sight(camera, above).pixel)
+    found = rocks.terrain_points(camera, rocks.sight(camera, above).pixel)
     np.testing.assert_array_equal(found[:, 2], ground.heights(found[:, :2]))
     way = (above - eye) / (eye[2] - above[:, 2:])
     along = np.linalg.norm(found[:, :2] - eye[:2], axis=1) / np.linalg.norm(way[:, :2], axis=1)
@@ -324,5 +324,5 @@ def test_lines_of_sight_meet_slopes_where_they_are(slope, depression):
     """No intersection within a region is missed, even in steep or low views."""
     rocks, camera, _, true = sight_lines(Plane((slope, 0.0)), depression)
     pixel = rocks.sight(camera, true).pixel
-    found = rocks.ground_points(camera, pixel, (-43.0, 43.0, -43.0, 43.0))
+    found = rocks.terrain_points(camera, pixel, (-43.0, 43.0, -43.0, 43.0))
     assert np.abs(found - true).max() < 0.03

@@ -103,7 +103,7 @@ def test_an_estimate_tells_tilts_about_the_axes_of_the_frame():
 def test_wrong_shadow_direction_loses_navigation(world):
     f = Navigator(Descent(world, 8).inertial, StartSigmas(), rocks=True)
     for k in range(60):
-        assert f.lost == f.rocks.pictures.lost
+        assert f.lost == f.rocks.image_monitor.lost
         f.rocks.judge("shadows", 0.1 * k, UpdateOutcome(900.0, 1, False))
     assert f.lost
 

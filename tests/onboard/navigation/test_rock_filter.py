@@ -320,7 +320,9 @@ def test_missing_samples_increase_covariance_and_images_reduce_it():
 @pytest.mark.parametrize("reading", [np.nan, np.inf, -5.0, 1e6, 0.0])
 def test_a_wrong_altitude_changes_nothing(reading):
     flight = Flight(np.random.default_rng(8))
-    f = Navigator(flight.filter.inertial, StartSigmas(), ground=TerrainPrior(0.0, 3.0), rocks=True)
+    f = Navigator(
+        flight.filter.inertial, StartSigmas(), terrain_prior=TerrainPrior(0.0, 3.0), rocks=True
+    )
     p, z = f.covariance.copy(), f.inertial.position.copy()
     f.take("altimeter", AltimeterReading(1.0, reading, 1.0), 1.0)
     assert np.array_equal(f.covariance, p)

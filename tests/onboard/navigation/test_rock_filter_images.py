@@ -146,7 +146,7 @@ def test_rocks_stand_behind_the_blocks_of_a_state_that_others_share():
     assert np.diag(state.covariance)[22:25] == pytest.approx([0.25, 0.25, 9.0], rel=2.0)
     assert state.covariance[15, 24] == pytest.approx(9.0)  # follows the terrain
     state.measure([[1.0]], [15], [2.0], [1.0])
-    assert f.ground == pytest.approx(1.8)
+    assert f.terrain_height_below == pytest.approx(1.8)
     assert f.xyz[0, 2] == pytest.approx(1.8)
     with pytest.raises(InputError, match=r"navigation\.rocks"):
         RockFilter(state, AidingMeasurements(state, {}, level, events))

@@ -42,7 +42,8 @@ def made(attitude=TILT, *, errors=STARTS, settings=None, off=10.0, gyroscopes=ST
         step=STEP, gyroscopes=gyroscopes, accelerometers=PUSHED,
     )  # fmt: skip
     return UnscentedFilter(
-        state, errors, settings, ground=TerrainPrior(GROUND, off), instruments=INSTRUMENTS, **more
+        state, errors, settings, terrain_prior=TerrainPrior(GROUND, off),
+        instruments=INSTRUMENTS, **more
     )  # fmt: skip
 
 

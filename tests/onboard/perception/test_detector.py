@@ -105,12 +105,12 @@ def test_rocks_are_found_where_they_are(shape, position):
     seen = detect_rocks(counts, camera, state, SUN, model=model)
     rocks = terrain.rocks
     true = np.column_stack((rocks.x, rocks.y))
-    distance, nearest = cKDTree(true).query(seen.ground)
+    distance, nearest = cKDTree(true).query(seen.terrain_xy)
     ok = distance < rocks.a[nearest]
     assert ok.mean() > (0.85 if shape == "hemisphere" else 0.75)
     ratio = seen.radius[ok] / rocks.a[nearest][ok]
     assert np.median(ratio) == pytest.approx(1.0, abs=0.08)
-    off = seen.ground[ok] - true[nearest][ok]
+    off = seen.terrain_xy[ok] - true[nearest][ok]
     pixel = np.linalg.norm(position) / camera.fx
     # A cube's yaw moves the middle of its patch by up to a fifth of its radius.
     assert np.abs(np.median(off, axis=0)).max() < pixel + 0.2 * np.median(rocks.a)
@@ -119,7 +119,7 @@ def test_rocks_are_found_where_they_are(shape, position):
     s = (np.column_stack((true, np.zeros(len(true)))) - view.position) @ view.axes
     uv = s[:, :2] / s[:, 2:] * view.fx + [view.cx, view.cy]
     inside = (uv > 40.0).all(1) & (uv < [600.0, 440.0]).all(1)
-    back, _ = cKDTree(seen.ground).query(true[inside])
+    back, _ = cKDTree(seen.terrain_xy).query(true[inside])
     # Long shadows of cubes run into each other: then one rock is told where there are more.
     assert np.mean(back < rocks.a[inside]) > (0.75 if shape == "hemisphere" else 0.55)
 
@@ -130,7 +130,7 @@ def test_errors_are_as_large_as_their_covariance_says():
     seen = detect_rocks(counts, camera, state, SUN)
     rocks = terrain.rocks
     true = np.column_stack((rocks.x, rocks.y, np.zeros(len(rocks))))
-    distance, nearest = cKDTree(true[:, :2]).query(seen.ground)
+    distance, nearest = cKDTree(true[:, :2]).query(seen.terrain_xy)
     ok = distance < 0.7 * rocks.a[nearest]
     view = camera.view(state)
     s = (true[nearest[ok]] - view.position) @ view.axes
@@ -154,7 +154,7 @@ def test_from_look_to_look_centres_differ_by_what_is_said(height):
     for step in range(5):
         state, camera, counts = picture(terrain, (-0.6 * height + step, 0.3 * step, height))
         seen = detect_rocks(counts, camera, state, SUN, model=model)
-        distance, nearest = tree.query(seen.ground)
+        distance, nearest = tree.query(seen.terrain_xy)
         look = np.full((len(rocks), 2), np.nan)
         own = np.full((len(rocks), 2, 2), np.nan)
         ok = distance < rocks.a[nearest]
@@ -183,7 +183,7 @@ def test_distortion_is_taken_out():
     lens = {"distortion": (-0.15, 0.03, 0.001, -0.001, 0.0)}
     clean = detect_rocks(*_seen(picture(terrain, (0.0, 0.0, 60.0))))
     bent = detect_rocks(*_seen(picture(terrain, (0.0, 0.0, 60.0), **lens)))
-    gap, _ = cKDTree(clean.ground).query(bent.ground)
+    gap, _ = cKDTree(clean.terrain_xy).query(bent.terrain_xy)
     assert np.median(gap) < 0.1
     assert abs(len(bent) - len(clean)) < 0.2 * len(clean)
 
@@ -256,7 +256,7 @@ def test_nan_pixels_are_left_out():
     away = np.abs(whole.pixel[:, 0] - 310.0) > 30.0
     gap, _ = cKDTree(part.pixel).query(whole.pixel[away])
     assert np.mean(gap < 0.5) > 0.95
-    assert np.isfinite(part.ground).all()
+    assert np.isfinite(part.terrain_xy).all()
 
 
 def test_five_thousand_patches_are_taken_in_stride():
@@ -279,7 +279,7 @@ def test_a_sun_five_degrees_off_moves_finds_by_little():
     for azimuth, elevation in ((5.0, 0.0), (0.0, 5.0), (0.0, -5.0)):
         sun = direction_from_angles(1.2 + np.radians(azimuth), np.radians(20.0 + elevation))
         wrong = detect_rocks(counts, camera, state, sun)
-        gap, nearest = cKDTree(right.ground).query(wrong.ground)
+        gap, nearest = cKDTree(right.terrain_xy).query(wrong.terrain_xy)
         assert np.median(gap) < 0.4
         assert np.median(wrong.radius / right.radius[nearest]) == pytest.approx(1.0, abs=0.25)
 
@@ -343,7 +343,7 @@ def test_shadows_tell_by_what_angle_the_sun_is_elsewhere(place, off):
     state, camera, counts = picture(terrain, place)
     sun = direction_from_angles(1.2 + np.radians(off), np.radians(20.0))
     seen = detect_rocks(counts, camera, state, sun)
-    points = np.column_stack((seen.ground, np.zeros(len(seen))))
+    points = np.column_stack((seen.terrain_xy, np.zeros(len(seen))))
     turn = measure_shadow_angle(seen, camera.view(state), points, sun, MODEL, 0.02)
     assert turn.number > 10
     assert turn.sigma < np.radians(5.0)
@@ -451,7 +451,7 @@ def test_small_patches_differ_more_from_look_to_look_along_the_sun_and_across(sm
     def looks(*given):
         settings = DetectorSettings(look_small=given[0]) if given else DetectorSettings()
         seen = detect_rocks(counts, camera, state, SUN, model=model, settings=settings)
-        point = seen.ground - state.position[:2]
+        point = seen.terrain_xy - state.position[:2]
         by_place = camera.view(state).pinhole.jacobian(
             np.column_stack((point, np.full(len(seen), -90.0))) @ camera.view(state).axes,
             camera.view(state).axes[:2].T,

@@ -47,8 +47,8 @@ def looked_at(scene, off):
     health = ImageQualityCheck()
     first = health.before_detection(counts, camera, state)
     assert first.good
-    seen = detect_rocks(counts, camera, state, sun, ground=level, model=model)
-    points = np.column_stack((seen.ground, np.full(len(seen), level)))
+    seen = detect_rocks(counts, camera, state, sun, terrain=level, model=model)
+    points = np.column_stack((seen.terrain_xy, np.full(len(seen), level)))
     noise = first.figures["noise"]
     turn = measure_shadow_angle(seen, camera.view(state), points, sun, model, noise)
     return turn, health.after_detection(seen, turn, noise).fault

@@ -92,11 +92,13 @@ def test_nothing_to_measure_is_not_sharp():
 def test_noise_is_no_edge():
     seen = drawn(4.0)
     rng = np.random.default_rng(3)
-    under_noise = (seen.over_ground + 0.1 * rng.standard_normal((480, 640))).astype(np.float32)
-    found = edge_widths(replace(seen, over_ground=under_noise), 0.1)
+    under_noise = (seen.relative_to_lit_terrain + 0.1 * rng.standard_normal((480, 640))).astype(
+        np.float32
+    )
+    found = edge_widths(replace(seen, relative_to_lit_terrain=under_noise), 0.1)
     assert found.number == 0 or found.sharpest > 2.0
     # Told that there is none, it takes noise for edges.
-    assert edge_widths(replace(seen, over_ground=under_noise), 0.0).sharpest < 2.0
+    assert edge_widths(replace(seen, relative_to_lit_terrain=under_noise), 0.0).sharpest < 2.0
 
 
 def test_slopes_equal_plain_loops():

@@ -52,7 +52,7 @@ def scene(request):
 
 def read(scene, plane):
     return detect_rocks(
-        scene.counts, scene.camera, scene.state, scene.sun, ground=plane, model=scene.model
+        scene.counts, scene.camera, scene.state, scene.sun, terrain=plane, model=scene.model
     )
 
 
@@ -60,7 +60,7 @@ def off_by(scene, seen):
     """Return how far rocks lie from where they were seen, m, and sizes seen over theirs."""
     sharp = seen.q > 4.0
     true = np.column_stack((scene.rocks.x, scene.rocks.y))
-    distance, at = cKDTree(true).query(seen.ground[sharp])
+    distance, at = cKDTree(true).query(seen.terrain_xy[sharp])
     radius = np.sqrt(scene.rocks.a * scene.rocks.b)[at]
     return distance, seen.radius[sharp] / radius
 
@@ -77,13 +77,13 @@ def test_rocks_are_where_they_stand_and_as_large_as_they_are(scene):
 
 def turn(scene, plane, sun):
     seen = detect_rocks(
-        scene.counts, scene.camera, scene.state, sun, ground=plane, model=scene.model
+        scene.counts, scene.camera, scene.state, sun, terrain=plane, model=scene.model
     )
     before = ImageQualityCheck().before_detection(scene.counts, scene.camera, scene.state)
     onto = plane.direction(sun)
     return measure_shadow_angle(
         seen, plane.view(scene.camera.view(scene.state)),
-        np.column_stack((seen.ground, np.zeros(len(seen)))), onto,
+        np.column_stack((seen.terrain_xy, np.zeros(len(seen)))), onto,
         scene.model.under(float(np.arcsin(onto[2]))), before.figures["noise"],
     )  # fmt: skip
 
@@ -133,7 +133,15 @@ def test_ground_above_the_camera_shows_no_rocks(scene):
 
 
 def test_level_ground_is_read_as_without_a_plane(scene):
-    for name in ("pixel", "pixel_covariance", "ground", "radius", "radius_sigma", "q", "shapes"):
+    for name in (
+        "pixel",
+        "pixel_covariance",
+        "terrain_xy",
+        "radius",
+        "radius_sigma",
+        "q",
+        "shapes",
+    ):
         one, other = (getattr(read(scene, p), name) for p in (1.5, GroundPlane(1.5, (0.0, 0.0))))
         np.testing.assert_array_equal(one, other)
 
@@ -164,7 +172,7 @@ def test_shadows_on_a_slope_show_what_is_clear():
     cell_centres = np.column_stack((rocks.x, rocks.y))
     missed = {}
     for name, along in (("slope", plane), ("level", LEVEL)):
-        seen = detect_rocks(counts, camera, state, towards, ground=along, model=model)
+        seen = detect_rocks(counts, camera, state, towards, terrain=along, model=model)
         drawn = ProbabilityMap(grid, model, HazardPrior(0.05, 1.0))
         drawn.see(camera.view(state), towards, seen, plane.heights, plane=along)
         places = drawn.evidence.grid

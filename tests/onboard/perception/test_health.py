@@ -51,8 +51,8 @@ def judge(scene, counts, sun=None, health=None):
     if not verdict.good:
         return verdict
     model = ShadowModel(float(np.arcsin(sun[2])))
-    seen = detect_rocks(counts, camera, state, sun, ground=level, model=model)
-    points = np.column_stack((seen.ground, np.full(len(seen), level)))
+    seen = detect_rocks(counts, camera, state, sun, terrain=level, model=model)
+    points = np.column_stack((seen.terrain_xy, np.full(len(seen), level)))
     noise = verdict.figures["noise"]
     turn = measure_shadow_angle(seen, camera.view(state), points, sun, model, noise)
     return health.after_detection(seen, turn, noise)
@@ -168,7 +168,7 @@ def test_noise_is_measured(scene):
 
 def test_a_sun_once_seen_is_believed_until_shadows_say_otherwise(scene):
     state, camera, counts, sun, level = scene
-    seen = detect_rocks(counts, camera, state, sun, ground=level)
+    seen = detect_rocks(counts, camera, state, sun, terrain=level)
     health = ImageQualityCheck()
     silent = SunAngle(np.nan, np.inf, 0.0, 0)
     either = SunAngle(0.0, 0.02, 2.5, 900)
@@ -185,7 +185,7 @@ def test_a_sun_once_seen_is_believed_until_shadows_say_otherwise(scene):
 def test_craters_do_not_tell_that_the_sun_is_elsewhere(scene):
     """What is dark beside bright in all directions may be turned as a whole, and is no rock."""
     state, camera, counts, sun, level = scene
-    seen = detect_rocks(counts, camera, state, sun, ground=level)
+    seen = detect_rocks(counts, camera, state, sun, terrain=level)
     craters = SunAngle(np.radians(34.0), np.radians(4.8), 13.0, 306)
     rocks = SunAngle(np.radians(34.0), np.radians(4.8), 14.0, 306)
     assert craters.agreement == pytest.approx(0.529, abs=1e-3)
@@ -218,7 +218,7 @@ def test_craters_do_not_tell_that_the_sun_is_elsewhere(scene):
 def test_a_sun_that_shadows_put_elsewhere_is_not_proven_and_no_more_believed(scene):
     """Where shadows run into each other few directions agree, and they may be the wrong ones."""
     state, camera, counts, sun, level = scene
-    seen = detect_rocks(counts, camera, state, sun, ground=level)
+    seen = detect_rocks(counts, camera, state, sun, terrain=level)
 
     def told(degrees, sigma, side, number):
         turn = SunAngle(np.radians(degrees), np.radians(sigma), side, number)

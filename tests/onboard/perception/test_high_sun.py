@@ -54,7 +54,7 @@ def looked_at(scene, off):
     model, health = ShapeMixture(np.radians(elevation)), ImageQualityCheck(sun=SunConfirmation())
     first = health.before_detection(counts, camera, state)
     seen = detect_rocks(counts, camera, state, sun, model=model)
-    points = np.column_stack((seen.ground, np.zeros(len(seen))))
+    points = np.column_stack((seen.terrain_xy, np.zeros(len(seen))))
     noise = first.figures["noise"]
     turn = measure_shadow_angle(seen, camera.view(state), points, sun, model, noise)
     return turn, health.after_detection(seen, turn, noise).fault

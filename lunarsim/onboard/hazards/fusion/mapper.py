@@ -295,16 +295,16 @@ class FusedMapper(HazardMapper):
             seen = resample_to_grid(second.observed, second.grid, fused.grid, False, "minimum")
         return replace(fused, p_safe=self.calibration.probability(fused.p_safe, other, seen))
 
-    def ground_height(self, xy: Array) -> float | None:
+    def terrain_height(self, xy: Array) -> float | None:
         """Return the terrain height at a point (2,), local frame, m; None if unknown.
 
         A measured elevation is preferred to the assumption of a mapper of rocks.
         """
         for mapper in self._mappers.values():
             height = lookup_elevation(mapper.surface(), xy)
-            if mapper.ground_height(xy) is None and not mapper.blank and np.isfinite(height):
+            if mapper.terrain_height(xy) is None and not mapper.blank and np.isfinite(height):
                 return height
-        known = [m.ground_height(xy) for m in self._mappers.values() if not m.blank]
+        known = [m.terrain_height(xy) for m in self._mappers.values() if not m.blank]
         return next((height for height in known if height is not None), None)
 
     @property

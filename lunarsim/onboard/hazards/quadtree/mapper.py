@@ -308,7 +308,7 @@ class QuadtreeMapper(HazardMapper):
         return HazardMap(
             g,
             rasterize_cells(g, xy, size, p, 0.0).astype(np.float32),
-            rasterize_cells(g, xy, size, evidence.judged, 0.0) > 0.0,
+            rasterize_cells(g, xy, size, evidence.is_evaluated, 0.0) > 0.0,
             rasterize_cells(g, xy, size, selection.position[:, 2], np.nan).astype(np.float32),
             eligible=eligible if value is None else eligible & (value > 0.0),
             value=value,

@@ -174,7 +174,7 @@ class SiteEvidence:
     noise: float
 
     @property
-    def judged(self) -> BoolArray:
+    def is_evaluated(self) -> BoolArray:
         """Where the complete zone and footprint were observed (n,)."""
         needed = (
             self.slope,
@@ -223,7 +223,7 @@ class SiteEvidence:
                 self.expected_tilt_violations() <= expected_tilt_violations
             )
             few &= self.expected_hole_violations() <= expected_hole_violations
-        return np.asarray(self.judged & few)
+        return np.asarray(self.is_evaluated & few)
 
     def max_roughness(self) -> Array:
         """Return the larger of roughness and highest point over the limit (n,)."""
@@ -446,8 +446,8 @@ def site_safety(evidence: SiteEvidence, model: Ensemble | None = None) -> tuple[
     """
     e, in_domain = evidence, evidence.in_domain
     p, is_calibrated = np.zeros(len(e.slope)), in_domain.copy()
-    if e.judged.any():
-        evaluated, upper = e.judged, ceiling(e)[e.judged]
+    if e.is_evaluated.any():
+        evaluated, upper = e.is_evaluated, ceiling(e)[e.is_evaluated]
         odds = (model or packaged_ensemble()).judge(_free(e, evaluated), _terms(e, evaluated))
         p[evaluated] = conservative_probability(
             odds.low, upper, bound(e)[evaluated], in_domain[evaluated]

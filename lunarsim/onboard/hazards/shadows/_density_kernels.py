@@ -17,7 +17,7 @@ _SURER, _PLAIN, _PLAIN_SURER = np.float32(1.5), np.float32(5.0), np.float32(1.15
 def mark_possible(possible, lit, dark, radius):
     """Write where the sharpest observations do not exclude a rock (rows, cols).
 
-    `lit` and `dark` are the sharpness of the sharpest observation on lit and on dark ground, q in
+    `lit` and `dark` are the sharpness of the sharpest observation on lit and on dark terrain, q in
     pixels per metre of radius (rows, cols); 0: none.
     """
     rows, cols = lit.shape
@@ -40,18 +40,18 @@ def count_crowded(lit, possible, explained):
 
 
 @kernel()
-def _missed(sharpness, radius, number, line, least):
-    """Return the density of rocks missed by an observation of lit ground, 1/m^2."""
+def _missed(sharpness, radius, number, line, min_rate):
+    """Return the density of rocks missed by an observation of lit terrain, 1/m^2."""
     start, slope, floor = line
     total = 0.0
     for k in range(len(radius)):
         rate = min(max(start + slope * radius[k] * sharpness, floor), 1.0)
-        total += number[k] * max(rate, least)
+        total += number[k] * max(rate, min_rate)
     return total
 
 
 @kernel(parallel=True)
-def fill(density, lit, possible, explained, radius, number, line, least, hidden, crowded):
+def fill(density, lit, possible, explained, radius, number, line, min_rate, hidden, crowded):
     """Write the density of possible untracked rocks (rows, cols), 1/m^2.
 
     Parameters
@@ -59,17 +59,17 @@ def fill(density, lit, possible, explained, radius, number, line, least, hidden,
     density
         Result (rows, cols).
     lit
-        Sharpness of the sharpest observation on lit ground, q in pixels per metre of radius.
+        Sharpness of the sharpest observation on lit terrain, q in pixels per metre of radius.
     possible, explained
         Where a rock may be in the dark, and where a tracked rock explains that (rows, cols).
     radius, number
         Radii of the rocks (n,), m, and their expected number per area (n,), 1/m^2.
     line
-        Miss rate on lit ground: value at q = 0, slope, minimum.
-    least
+        Miss rate on lit terrain: value at q = 0, slope, minimum.
+    min_rate
         Further lower bound of the miss rate.
     hidden, crowded
-        Density where dark ground is explained, and on other dark ground.
+        Density where dark terrain is explained, and on other dark terrain.
     """
     rows, cols = lit.shape
     for i in prange(rows):
@@ -77,4 +77,4 @@ def fill(density, lit, possible, explained, radius, number, line, least, hidden,
             if possible[i, j]:
                 density[i, j] = hidden if explained[i, j] else crowded
             else:
-                density[i, j] = _missed(lit[i, j], radius, number, line, least)
+                density[i, j] = _missed(lit[i, j], radius, number, line, min_rate)

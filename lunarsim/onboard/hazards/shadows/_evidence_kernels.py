@@ -1,5 +1,5 @@
 # mypy: allow-untyped-defs, no-check-untyped-defs
-"""Compiled evidence for clear terrain: whether a shadow would fall on lit ground."""
+"""Compiled evidence for clear terrain: whether a shadow would fall on lit terrain."""
 
 from __future__ import annotations
 
@@ -102,7 +102,7 @@ def _dark_points(at, here, by, up, cores, radius, lens, high, wide, shadow_of):
     """Return the number of dark points of the darkest core, and of explained ones.
 
     -1 if a point of any core is out of view. A point is dark if it may be in the shadow of a rock
-    of this size. The ground is raised by `by`; `up` is the vertical in sensor axes.
+    of this size. The terrain is raised by `by`; `up` is the vertical in sensor axes.
     """
     if not _pixels_of_core(at, here, by, up, radius, lens, high, wide):
         return -1, 0
@@ -122,10 +122,11 @@ def _dark_points(at, here, by, up, cores, radius, lens, high, wide, shadow_of):
 
 @kernel(allocates=False)
 def _dark_elsewhere(at, here, extent, up, cores, radius, lens, high, wide, shadow_of, blocks):
-    """Return whether a part of the core may be dark if the ground is higher or lower.
+    """Return whether a part of the core may be dark if the terrain is higher or lower.
 
     The height varies by up to the reach of the position, which displaces it laterally on horizontal
-    ground, in steps of about a rock's radius. The shadow of a tracked rock belongs to no rock here.
+    terrain, in steps of about a rock's radius. The shadow of a tracked rock belongs to no rock
+    here.
     """
     reach, e, n, h = here[FAR], here[E], here[N], here[H]
     lateral = reach * np.sqrt(e * e + n * n) / max(-h, 1e-9)
@@ -208,7 +209,7 @@ def _shadow_of(labels, largest):
 @kernel()
 def _look_along(
     i, lit, dark, explained, radii, nodes, in_view, clear, every, up, lens, shape, shadow_of,
-    blocks, least, gain, cores,
+    blocks, min_count, gain, cores,
 ):  # fmt: skip
     """Record row i of the positions, see `look`."""
     sizes, _, cols = lit.shape
@@ -245,7 +246,7 @@ def _look_along(
             count, tracked = _dark_points(
                 at, here, 0.0, up, cores, radii[s], lens, high, wide, shadow_of
             )
-            if count >= least:
+            if count >= min_count:
                 dark[s, i, j] = sharpness
                 explained[s, i, j] = 2 * tracked > count
             elif count >= 0 and not _dark_elsewhere(
@@ -257,20 +258,20 @@ def _look_along(
 @kernel(parallel=True)
 def look(
     lit, dark, explained, radii, coarse, every, position, axes, fx, fy, cx, cy, labels, largest,
-    least, gain, cores,
+    min_count, gain, cores,
 ):  # fmt: skip
-    """Record where the shadow of a rock of each size would fall on lit ground.
+    """Record where the shadow of a rock of each size would fall on lit terrain.
 
-    It falls on lit ground if it does so at all possible terrain heights. Ground that is dark only
+    It falls on lit terrain if it does so at all possible terrain heights. Terrain that is dark only
     at another height is recorded neither as lit nor as dark.
 
     Parameters
     ----------
     lit, dark
-        Sharpness of the sharpest observation on lit and on dark ground (sizes, rows, cols);
+        Sharpness of the sharpest observation on lit and on dark terrain (sizes, rows, cols);
         updated.
     explained
-        Whether that dark ground was the shadow of a tracked rock (sizes, rows, cols); updated.
+        Whether that dark terrain was the shadow of a tracked rock (sizes, rows, cols); updated.
     radii
         Radii of the rocks (sizes,), m.
     coarse
@@ -283,7 +284,7 @@ def look(
         Dark patch of each pixel (height, width), 0 where the image is lit.
     largest
         Radius of the largest rock that may cast each patch, m; negative for tracked rocks.
-    least
+    min_count
         Minimum number of dark points for a rock to be possible.
     gain
         Minimum ratio of sharpness to that of earlier observations.
@@ -301,5 +302,5 @@ def look(
     for k in prange(lit.shape[1]):
         _look_along(
             order[k], lit, dark, explained, radii, nodes, in_view, clear, every, axes[2], lens,
-            labels.shape, shadow_of, blocks, least, gain, cores,
+            labels.shape, shadow_of, blocks, min_count, gain, cores,
         )  # fmt: skip

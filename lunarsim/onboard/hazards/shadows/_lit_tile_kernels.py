@@ -2,8 +2,8 @@
 """Compiled search for tiles of terrain about which an image is lit.
 
 If nothing dark lies in the image box that contains all core points of a tile's positions, all their
-shadows would fall on lit ground. The box follows from interval arithmetic: values between nodes are
-bilinear, so they lie between minimum and maximum of the tile's corners.
+shadows would fall on lit terrain. The box follows from interval arithmetic: values between nodes
+are bilinear, so they lie between minimum and maximum of the tile's corners.
 """
 
 from __future__ import annotations
@@ -179,8 +179,8 @@ def all_lit(low, high, extent, up, radius, lens, high_px, wide, shadow_of, block
     """
     by = max(abs(low[FAR]), abs(high[FAR]))
     east, north = max(abs(low[E]), abs(high[E])), max(abs(low[N]), abs(high[N]))
-    aside = by * np.sqrt(east * east + north * north) / max(-high[H], 1e-9)
-    if not aside < MOST_STEPS * radius:
+    lateral = by * np.sqrt(east * east + north * north) / max(-high[H], 1e-9)
+    if not lateral < MOST_STEPS * radius:
         return False
     return lit_within(
         low, high, extent, -by, by, up, radius, lens, high_px, wide, shadow_of, blocks
@@ -189,7 +189,7 @@ def all_lit(low, high, extent, up, radius, lens, high_px, wide, shadow_of, block
 
 @kernel(parallel=True)
 def lit_tiles(nodes, every, radii, up, lens, height, width, shadow_of, blocks):
-    """Return the tiles and rock sizes whose shadows would all fall on lit ground.
+    """Return the tiles and rock sizes whose shadows would all fall on lit terrain.
 
     Parameters
     ----------

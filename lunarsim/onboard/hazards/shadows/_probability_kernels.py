@@ -74,7 +74,7 @@ def _rice(d, sigma, mean, spread, node, weight):
 
 @kernel(parallel=True)
 def rice_profiles(distance, sigma, mean, spread, node, weight):
-    """Return the probabilities (n, m) that rocks (n,) cover points at distances (n, m)."""
+    """Return the probabilities that rocks (n,) cover points at distances (n, m)."""
     out = np.empty(distance.shape)
     for j in prange(distance.shape[0]):
         for k in range(distance.shape[1]):
@@ -84,7 +84,7 @@ def rice_profiles(distance, sigma, mean, spread, node, weight):
 
 @kernel(parallel=True)
 def paint(clear, x0, y0, posting, xy, reach, profile, weight):
-    """Multiply the probabilities that cells are clear (rows, cols) by those of every rock.
+    """Multiply the probabilities of clear cells (rows, cols) by those of each rock.
 
     `profile` (n, m) is tabulated at equal steps from 0 to `reach` (n,), where it ends at 0.
     """

@@ -2,8 +2,8 @@
 
 The quality check uses the best parts of an image. A region may still be useless: saturated, behind
 dust or dirt, out of focus, or read out wrongly. Such a region lacks the shadows that the rest of
-the image has. Terrain with few rocks looks the same and is also excluded if the rest of the image
-has many. Only an image from a lower altitude can separate the two.
+the image has. Terrain with few rocks has the same appearance and is also excluded if the rest of
+the image has many. Only an image from a lower altitude can separate the two.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ def cell_centres(width: int, height: int) -> Array:
     return np.stack(np.meshgrid(u, v), -1).reshape(-1, 2)
 
 
-def ground_of_cells(
+def sharpness_and_area_of_cells(
     camera: CameraModel,
     points: Array,
     camera_position: Array,
@@ -97,8 +97,8 @@ def expected_shares(sharpness: Array, area: Array, cover: float) -> Array:
     """
     shown = np.isfinite(area) & (sharpness > 0.0)
     least = 2.0 * _MIN_Q / np.where(shown, sharpness, 1.0)
-    ground = np.where(shown, area, 0.0)
-    return np.stack((ground * golombek_number(least, cover), ground))
+    terrain_area = np.where(shown, area, 0.0)
+    return np.stack((terrain_area * golombek_number(least, cover), terrain_area))
 
 
 def empty_cells(found: NDArray[np.int64], expected: Array) -> NDArray[np.bool_]:

@@ -1,13 +1,13 @@
 """Evidence about untracked rocks: where images exclude a rock.
 
-A rock darkens the ground behind it. If an image shows this ground lit, there is no rock of that
-size, whatever was detected or tracked. If the ground is dark, a rock is possible: its shadow may
+A rock darkens the terrain behind it. If an image shows this terrain lit, there is no rock of that
+size, whatever was detected or tracked. If the terrain is dark, a rock is possible: its shadow may
 merge with another, its size or shape may be misjudged, or the terrain may be in its own shadow.
 The position then counts as not observed. This is evaluated for every position and several sizes,
 with the shadow that even a low rock of this size would cast.
 
-Untracked rocks are a Poisson field. Where their shadow would fall on lit ground, the density is
-that of the size law times the miss rate. Where it would fall on dark ground, all remaining rocks
+Untracked rocks are a Poisson field. Where their shadow would fall on lit terrain, the density is
+that of the size law times the miss rate. Where it would fall on dark terrain, all remaining rocks
 of the size are concentrated. The probability that no rock reaches into a disc follows from the
 integral of the density over the disc.
 
@@ -51,7 +51,7 @@ _MIN_DARK_POINTS = 4
 _MIN_SHARPNESS_GAIN = 1.03
 # Number of standard deviations of the terrain height to test, and maximum height error, m.
 _HEIGHT_SIGMAS, _MAX_HEIGHT_ERROR_M = 2.0, 1e3
-# Rocks of a size cannot be concentrated on less than this multiple of their own area.
+# Rocks of a size cannot be concentrated on less than this multiple of the rocks' area.
 _MIN_AREA_PER_ROCK = 2.0
 # A position is observed if the smallest hazard there is missed at most at this rate.
 _MAX_MISS_RATE = 0.25
@@ -84,9 +84,9 @@ class ClearEvidence:
     ----------
     lit, dark
         Sharpness (q in pixels per metre of radius) of the sharpest observation in which the shadow
-        would fall on lit ground, and on dark ground (sizes, rows, cols); 0: none.
+        would fall on lit terrain, and on dark terrain (sizes, rows, cols); 0: none.
     explained
-        Whether that dark ground was the shadow of a tracked rock (sizes, rows, cols).
+        Whether that dark terrain was the shadow of a tracked rock (sizes, rows, cols).
     motion
         Motion of the stored positions in the local frame.
     """
@@ -179,7 +179,7 @@ class ClearEvidence:
         plane
             Plane on which shadows fall; default: horizontal.
         height_sigma
-            Returns the error of `heights` (n,), m; lit ground must be lit within two sigma above
+            Returns the error of `heights` (n,), m; lit terrain must be lit within two sigma above
             and below. Default: 0.
         blur
             Point spread of the camera, 1 sigma, pixels; default: at most that of the rates.
@@ -258,8 +258,8 @@ class ClearEvidence:
     def ratios(self) -> NDArray[np.float32]:
         """Return the ratio of untracked rocks to those expected without observation.
 
-        It is below 1 where the ground was observed lit, and 1 without an observation or where the
-        shadow of a tracked rock may hide a rock. On other dark ground the untracked rocks are
+        It is below 1 where the terrain was observed lit, and 1 without an observation or where the
+        shadow of a tracked rock may hide a rock. On other dark terrain the untracked rocks are
         concentrated: all expected rocks times the miss rate at this sharpness; never below 1.
 
         Returns

@@ -60,7 +60,7 @@ def footprint_seen(seen: NDArray[np.bool_], radius: float) -> NDArray[np.bool_]:
         return seen
     share = disc_mean(seen, radius, 0.0)
     half = int(np.ceil(radius))
-    whole = np.zeros_like(seen)
+    is_inside = np.zeros_like(seen)
     if 2 * half < min(seen.shape):
-        whole[half : seen.shape[0] - half, half : seen.shape[1] - half] = True
-    return np.asarray(whole & seen & (share >= MIN_OBSERVED_FRACTION))
+        is_inside[half : seen.shape[0] - half, half : seen.shape[1] - half] = True
+    return np.asarray(is_inside & seen & (share >= MIN_OBSERVED_FRACTION))

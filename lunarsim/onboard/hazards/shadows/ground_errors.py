@@ -1,4 +1,4 @@
-"""Convert image errors to errors on the ground."""
+"""Convert image errors to errors on the terrain."""
 
 from __future__ import annotations
 
@@ -12,22 +12,26 @@ from lunarsim.onboard.navigation.rock_filter import RockFilter
 Array = NDArray[np.float64]
 
 
-def ground_covariance(
+def terrain_position_covariance(
     points: Array, pixel_covariance: Array, rocks: RockFilter, camera: CameraModel
 ) -> Array:
-    """Return pixel covariances (n, 2, 2) as ground covariances at points (n, 3), m^2."""
+    """Return pixel covariances (n, 2, 2) as covariances at terrain points (n, 3), m^2."""
     if len(points) == 0:
         return np.empty((0, 2, 2))
     back = invert_2x2(rocks.sight(camera, points).by_rock[:, :, :2])
     return np.asarray(back @ pixel_covariance @ np.swapaxes(back, 1, 2))
 
 
-def ground_spread(points: Array, look: Array, rocks: RockFilter, camera: CameraModel) -> Array:
+def terrain_position_sigma(
+    points: Array, look: Array, rocks: RockFilter, camera: CameraModel
+) -> Array:
     """Return the error at points (n, 3), 1 sigma along the worst axis (n,), m.
 
     NaN where a point is not visible.
     """
     with np.errstate(invalid="ignore"):
         return np.asarray(
-            np.sqrt(largest_eigenvalue_2x2(ground_covariance(points, look, rocks, camera)))
+            np.sqrt(
+                largest_eigenvalue_2x2(terrain_position_covariance(points, look, rocks, camera))
+            )
         )

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-# Prior against rotation and stretch, equivalent to this many rocks at this distance (m): few rocks
+# Prior against rotation and scale, equivalent to this many rocks at this distance (m): few rocks
 # only shift the map.
 _PRIOR_ROCK_COUNT, _PRIOR_DISTANCE_M = 10.0, 20.0
 # Rocks whose motion deviates by more than this many median deviations are ignored.

@@ -22,7 +22,7 @@ from lunarsim.onboard.hazards.mapper import HazardMapper, is_off_centre
 from lunarsim.onboard.hazards.shadows.blind_regions import (
     blind_regions,
     cell_centres,
-    ground_of_cells,
+    sharpness_and_area_of_cells,
 )
 from lunarsim.onboard.hazards.shadows.measured_terrain import MeasuredTerrain
 from lunarsim.onboard.hazards.shadows.position_errors import position_sigma
@@ -100,7 +100,7 @@ class ShadowMapper(HazardMapper):
         Quality checks by sensor name, or one for all cameras; default: default settings.
     relief
         Elevation mapper whose terrain is used: rocks stand at its heights and shadows fall on its
-        plane. None: horizontal ground.
+        plane. None: horizontal terrain.
 
     Attributes
     ----------
@@ -198,7 +198,7 @@ class ShadowMapper(HazardMapper):
             sun = rocks.in_frame(self.sun)
             seen = detect_rocks(
                 image.counts, image.camera, estimate, sun,
-                ground=self._ground(image.camera), model=self.tracker.model,
+                terrain=self._detection_plane(image.camera), model=self.tracker.model,
                 settings=self.detector,
             )  # fmt: skip
             was_confirmed = self.health.sun.seen
@@ -243,7 +243,7 @@ class ShadowMapper(HazardMapper):
         self.probability.follow(*self.tracker.moved())
         if not self.tracker.as_expected:
             return False
-        self.probability.ground = self._height_in_view(image.camera)
+        self.probability.terrain_height = self._height_in_view(image.camera)
         if blind is not None:
             self._record_visible_terrain(seen.hiding(blind), image, sun, plane)
         return True
@@ -266,8 +266,8 @@ class ShadowMapper(HazardMapper):
     ) -> NDArray[np.bool_]:
         """Return the pixels (height, width) in which rocks would not be visible."""
         camera, rocks = image.camera, self.tracker.filter
-        points = rocks.ground_points(camera, cell_centres(camera.width, camera.height))
-        sharpness, area = ground_of_cells(
+        points = rocks.terrain_points(camera, cell_centres(camera.width, camera.height))
+        sharpness, area = sharpness_and_area_of_cells(
             camera, points, rocks.inertial.position, sun, plane, self.tracker.model
         )
         counts = np.asarray(image.counts)
@@ -316,9 +316,9 @@ class ShadowMapper(HazardMapper):
         """Measure the angle between shadows and their expected direction."""
         view, model, plane = camera.view(pose), self.tracker.model, self._terrain.plane()
         if plane is None:
-            points = self.tracker.filter.ground_points(camera, seen.pixel)
+            points = self.tracker.filter.terrain_points(camera, seen.pixel)
             return measure_shadow_angle(seen, view, points, sun, model, noise)
-        points = np.column_stack((seen.ground, np.zeros(len(seen))))
+        points = np.column_stack((seen.terrain_xy, np.zeros(len(seen))))
         return measure_shadow_angle(
             seen,
             plane.view(view),
@@ -328,8 +328,8 @@ class ShadowMapper(HazardMapper):
             noise,
         )
 
-    def _ground(self, camera: CameraModel) -> float | GroundPlane:
-        """Return the ground for detection: the measured plane or a horizontal one."""
+    def _detection_plane(self, camera: CameraModel) -> float | GroundPlane:
+        """Return the terrain plane for detection: the measured or a horizontal one."""
         plane = self._terrain.plane()
         return self._height_in_view(camera) if plane is None else plane
 
@@ -355,15 +355,15 @@ class ShadowMapper(HazardMapper):
         """Return the terrain height at the centre of the image, m."""
         rocks = self.tracker.filter
         middle = np.array([[0.5 * (camera.width - 1), 0.5 * (camera.height - 1)]])
-        height = float(rocks.ground_points(camera, middle)[0, 2])
-        return height if np.isfinite(height) else rocks.ground
+        height = float(rocks.terrain_points(camera, middle)[0, 2])
+        return height if np.isfinite(height) else rocks.terrain_height_below
 
     def hazard_map(self) -> HazardMap:
         """Return the map, at most `interval` seconds old.
 
         While shadows contradict the Sun direction, the map is unobserved.
         """
-        if self.tracker.filter.pictures.watches["shadows"].lost:
+        if self.tracker.filter.image_monitor.watches["shadows"].lost:
             return self._with_flat_elevation(HazardMap.unobserved(self.grid))
         self._forget_lost_rocks()
         if not self.blank and self._time >= self._map_time + self.interval - 1e-9:
@@ -379,7 +379,7 @@ class ShadowMapper(HazardMapper):
         If the map is implausible, see `_with_plausibility`, rocks count and clear terrain does not.
         """
         drawn = self.hazard_map()
-        if self.blank or self.tracker.filter.pictures.watches["shadows"].lost:
+        if self.blank or self.tracker.filter.image_monitor.watches["shadows"].lost:
             return None
         ratio = self.probability.ratios()
         if drawn.in_domain is not None and not drawn.in_domain.any():
@@ -412,7 +412,7 @@ class ShadowMapper(HazardMapper):
         self._reported_event = name
         return replace(drawn, in_domain=np.zeros_like(drawn.observed)) if is_too_few else drawn
 
-    def ground_height(self, xy: Array) -> float:
+    def terrain_height(self, xy: Array) -> float:
         """Return the terrain height at a point (2,), measured or from the rocks, m."""
         return float(self.tracker.filter.ground_at(xy)[0])
 
@@ -432,7 +432,7 @@ class ShadowMapper(HazardMapper):
     def _with_flat_elevation(self, drawn: HazardMap) -> HazardMap:
         """Return the map with the current terrain height at its centre as elevation."""
         middle = np.array([np.mean(self.grid.x), np.mean(self.grid.y)])
-        height = np.float32(self.ground_height(middle))
+        height = np.float32(self.terrain_height(middle))
         if (
             self._displayed is None
             or self._displayed[0] is not drawn

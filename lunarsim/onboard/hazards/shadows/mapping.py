@@ -59,7 +59,7 @@ class ShadowMapping:
         the paper's half spheres.
     ground
         Elevation mapper: rocks stand on its terrain, and shadows fall on its plane; empty:
-        horizontal ground.
+        horizontal terrain.
     form
         Form of the probability that a rock covers a point, see `cover_probability`.
 
@@ -81,7 +81,7 @@ class ShadowMapping:
     shapes: Literal["inferred", "told", "hemisphere"] = quantity(
         "inferred", help="Rock shapes of the shadow model (paper: hemisphere)"
     )
-    ground: str = quantity("", help="Elevation mapper of the terrain; omitted: horizontal ground")
+    ground: str = quantity("", help="Elevation mapper of the terrain; omitted: horizontal terrain")
     form: Literal["rice", "gaussian"] = quantity(
         "rice", help="Form of the cover probability (paper: gaussian)"
     )
@@ -98,7 +98,7 @@ class ShadowMapping:
                 "sensor", self.sensor, f"must be omitted or one of sensors, {self.sensors}"
             )
 
-    def check_ground(self, parts: Mapping[str, Any]) -> None:
+    def check_terrain_mapper(self, parts: Mapping[str, Any]) -> None:
         """Check that `ground` names a mapper that publishes elevations.
 
         Parameters
@@ -151,7 +151,9 @@ class ShadowMapping:
         rocks = navigation.rocks
         tracker = RockTracker(rocks, model, settings=settings)
         prior = HazardPrior(briefing.rocks.cover, self.hazard_diameter)
-        probability = ProbabilityMap(grid, model, prior, ground=rocks.ground, form=self.form)
+        probability = ProbabilityMap(
+            grid, model, prior, terrain_height=rocks.terrain_height_below, form=self.form
+        )
         reach = lander.leg_radius + 0.5 * lander.pad_diameter
         proof = SunConfirmation()
         return ShadowMapper(

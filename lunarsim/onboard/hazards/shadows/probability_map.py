@@ -81,7 +81,7 @@ class ProbabilityMap:
         Shadow model, and rates of missed and false detections.
     prior
         Expected rocks.
-    ground
+    terrain_height
         Terrain height for the next image, m.
     form
         See `cover_probability`.
@@ -94,14 +94,14 @@ class ProbabilityMap:
         prior: HazardPrior | None = None,
         rates: DetectionRates | None = None,
         *,
-        ground: float = 0.0,
+        terrain_height: float = 0.0,
         form: Form = "rice",
     ) -> None:
         self.grid = grid
         self.model = model
         self.prior = prior or HazardPrior()
         self.rates = rates or DetectionRates()
-        self.ground = float(ground)
+        self.terrain_height = float(terrain_height)
         self.form: Form = checked_form(form)
         every = max(1, round(_BLOCK_SIZE_M / grid.posting))
         margin_blocks = round(_MARGIN_M / (every * grid.posting))
@@ -147,7 +147,7 @@ class ProbabilityMap:
     ) -> None:
         """Record where an image excludes rocks, see `ClearEvidence.see`.
 
-        The default of `heights` is `ground` everywhere. If the Sun casts no usable shadows
+        The default of `heights` is `terrain_height` everywhere. If the Sun casts no usable shadows
         (`has_usable_shadows`), nothing is recorded.
 
         Raises
@@ -157,7 +157,7 @@ class ProbabilityMap:
         """
         if not has_usable_shadows(unit_vector(sun)):
             return
-        level = heights or (lambda xy: np.full(len(xy), self.ground))
+        level = heights or (lambda xy: np.full(len(xy), self.terrain_height))
         self.evidence.see(
             view, sun, seen, level, explained, position_sigma, plane, height_sigma, blur
         )
@@ -296,7 +296,7 @@ class ProbabilityMap:
             self.grid,
             np.where(observed, np.float32(1.0) - p, np.float32(0.0)),
             observed,
-            np.full(self.grid.shape, self.ground, np.float32),
+            np.full(self.grid.shape, self.terrain_height, np.float32),
         )
 
     def expected_rocks(self) -> float:

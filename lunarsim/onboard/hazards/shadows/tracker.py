@@ -10,7 +10,10 @@ from lunarsim.errors import InputError
 from lunarsim.grid import Grid
 from lunarsim.models.camera import CameraModel
 from lunarsim.onboard.hazards.shadows.association import associate
-from lunarsim.onboard.hazards.shadows.ground_errors import ground_covariance, ground_spread
+from lunarsim.onboard.hazards.shadows.ground_errors import (
+    terrain_position_covariance,
+    terrain_position_sigma,
+)
 from lunarsim.onboard.hazards.shadows.shadow_overlap import is_dark_at_patch
 from lunarsim.onboard.hazards.shadows.tentative_rocks import TentativeRocks
 from lunarsim.onboard.hazards.shadows.tracker_settings import TrackerSettings
@@ -164,8 +167,8 @@ class RockTracker:
         """
         s = self.settings
         self._propagate(camera, plane.direction(unit_vector(sun)), time)
-        radius_variance = seen.radius_sigma**2 + (s.radius_doubt * seen.radius) ** 2
-        points = self.filter.ground_points(camera, seen.pixel, s.region)
+        radius_variance = seen.radius_sigma**2 + (s.relative_radius_sigma * seen.radius) ** 2
+        points = self.filter.terrain_points(camera, seen.pixel, s.region)
         split_count = self._split(seen, points, camera, radius_variance)
         sight = self.filter.sight(camera)
         view = _in_view(sight, camera)
@@ -175,13 +178,13 @@ class RockTracker:
         self.filter.rest(~view & large)
         # Resting rocks do not move until they are seen again.
         self._last_positions[~view & large] = np.nan
-        d, rock, sure, close = self._associate(seen, sight, at, radius_variance)
+        d, rock, is_unambiguous, close = self._associate(seen, sight, at, radius_variance)
         # Rocks just added by splitting must not be updated with the same image.
         known = self.filter.count - split_count
         at, is_old = at[at < known], rock < known
-        d, rock, sure = d[is_old], rock[is_old], sure[is_old]
+        d, rock, is_unambiguous = d[is_old], rock[is_old], is_unambiguous[is_old]
         self.hits[rock] += 1
-        use = np.flatnonzero(sure)
+        use = np.flatnonzero(is_unambiguous)
         use = use[self._consistent_pairs(seen, sight, d[use], rock[use])]
         is_seen_once = self._seen_once[rock[use]]
         second, use = use[is_seen_once], use[~is_seen_once]
@@ -208,11 +211,11 @@ class RockTracker:
         if not self._passes_monitors(found, expected, time):
             self.renew()
             self.explained[:] = False
-        points = self.filter.ground_points(camera, seen.pixel, s.region)
+        points = self.filter.terrain_points(camera, seen.pixel, s.region)
         begins = seen.radius >= (s.landmark_radius if in_view < s.few else s.least_radius)
         born = self._birth(~close & begins, seen, points, camera, radius_variance)
-        on_ground = ground_covariance(points, seen.pixel_covariance, self.filter, camera)
-        self._store_tentative(~close & ~born, seen, points, on_ground, radius_variance)
+        on_terrain = terrain_position_covariance(points, seen.pixel_covariance, self.filter, camera)
+        self._store_tentative(~close & ~born, seen, points, on_terrain, radius_variance)
         self._merge()
         self._drop(np.flatnonzero(self._too_small(in_view) | (self.existence < _MIN_EXISTENCE)))
         return found
@@ -238,15 +241,15 @@ class RockTracker:
     ) -> tuple[Index, Index, NDArray[np.bool_], NDArray[np.bool_]]:
         """Return pairs of detections and rocks, and whether they are unambiguous.
 
-        The last result tells which detections (d,) lie in the gate of a rock.
+        The last result states which detections (d,) lie in the gate of a rock.
         """
         covariance = self.filter.innovation_covariance(sight)[at]
-        d, j, sure, close = associate(
+        d, j, is_unambiguous, close = associate(
             seen.pixel, seen.pixel_covariance, seen.radius, radius_variance,
             sight.pixel[at], covariance,
             self.filter.radius[at], self.filter.radius_variance[at],
         )  # fmt: skip
-        return d, at[j], sure, close
+        return d, at[j], is_unambiguous, close
 
     def _propagate(self, camera: CameraModel, sun: Array, time: float) -> None:
         """Add process noise since the last image; `sun` (3,) is relative to the plane."""
@@ -344,8 +347,13 @@ class RockTracker:
         false = self.rates.false_positive(seen.q[d])
         odds[hit] *= np.clip((1.0 - false) / false, 1.0, _MAX_ODDS_FACTOR)
         lost = np.setdiff1d(view, hit)
-        eye, focal = self.filter.inertial.position, float(np.sqrt(camera.fx * camera.fy))
-        azimuth, depression, pixel = viewing_geometry(self.filter.xyz[lost], eye, focal, sun, plane)
+        camera_position, focal = (
+            self.filter.inertial.position,
+            float(np.sqrt(camera.fx * camera.fy)),
+        )
+        azimuth, depression, pixel = viewing_geometry(
+            self.filter.xyz[lost], camera_position, focal, sun, plane
+        )
         model = model_on_plane(self.model, plane, sun)
         miss = self.rates.false_negative(
             model.visible_pixels(self.filter.radius[lost], azimuth, depression, pixel)
@@ -376,7 +384,7 @@ class RockTracker:
     ) -> None:  # fmt: skip
         """Store untracked detections, so that the map does not declare them clear.
 
-        Detections that do not lie on the ground, such as above the horizon, are dropped.
+        Detections that do not lie on the terrain, such as above the horizon, are dropped.
         """
         sigma = np.sqrt(0.5 * np.trace(covariance, axis1=1, axis2=2))
         kept = vague & np.isfinite(points[:, :2]).all(1) & np.isfinite(sigma + variance)
@@ -394,11 +402,11 @@ class RockTracker:
     ) -> NDArray[np.bool_]:  # fmt: skip
         """Add detections that belong to no rock; return which were added (d,).
 
-        `points` (d, 3) are their positions on the ground, m.
+        `points` (d, 3) are their positions on the terrain, m.
         """
         s = self.settings
         # The position error must be a fraction of the distance between rocks.
-        spread = ground_spread(points, seen.look_covariance, self.filter, camera)
+        spread = terrain_position_sigma(points, seen.look_covariance, self.filter, camera)
         sharp = spread < self._max_birth_sigma(seen.radius)
         fresh = fresh & (seen.q >= s.birth_q) & sharp
         fresh &= np.isfinite(points).all(1) & np.isfinite(variance)
@@ -440,11 +448,11 @@ class RockTracker:
         has no such selection bias. Using both would appear as a motion of the lander.
         """
         look = seen.look_covariance[d]
-        points = self.filter.ground_points(camera, seen.pixel[d])
+        points = self.filter.terrain_points(camera, seen.pixel[d])
         good = np.isfinite(points).all(1) & is_positive_definite_2x2(look)
         good &= np.isfinite(variance[d]) & (variance[d] > 0.0)
         # Inaccurate observations are skipped for all rocks alike, without a selection by accuracy.
-        vague = ground_spread(points, look, self.filter, camera)
+        vague = terrain_position_sigma(points, look, self.filter, camera)
         good &= vague <= _MAX_SIGMA_RATIO * self._max_birth_sigma(seen.radius[d])
         rock, d = rock[good], d[good]
         self.filter.begin_anew(

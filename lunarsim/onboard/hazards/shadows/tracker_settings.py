@@ -30,7 +30,7 @@ class TrackerSettings:
         a low Sun it scales with `observation_scatter_factor`.
     radius_wander
         Relative change of the measured radius per second as the view changes.
-    radius_doubt
+    relative_radius_sigma
         Relative standard deviation of a measured radius, in addition to the detector's.
     radius_floor
         See `RockFilter.update_rocks`.
@@ -65,7 +65,7 @@ class TrackerSettings:
     birth_q: float = 2.4
     birth_sigma: float = 0.25
     radius_wander: float = 0.02
-    radius_doubt: float = 0.15
+    relative_radius_sigma: float = 0.15
     radius_floor: float = 0.25
     common_pixels: float = 0.12
     view_wander: tuple[float, float, float] = (0.2, 0.05, 0.25)
@@ -79,9 +79,10 @@ class TrackerSettings:
 
     def __post_init__(self) -> None:
         check_types("tracker", self)
-        for name in ("least_radius", "landmark_radius", "few", "radius_wander", "radius_doubt",
-                     "range_wander", "birth_q", "birth_sigma", "radius_floor", "most_off",
-                     "least_expected", "large", "most_rocks", "most_updates"):  # fmt: skip
+        for name in ("least_radius", "landmark_radius", "few", "radius_wander",
+                     "relative_radius_sigma", "range_wander", "birth_q", "birth_sigma",
+                     "radius_floor", "most_off", "least_expected", "large",
+                     "most_rocks", "most_updates"):  # fmt: skip
             if not 0.0 <= getattr(self, name) < np.inf:
                 raise InputError(f"tracker.{name}", getattr(self, name), "must be 0 or positive")
         if not 0.0 <= self.least_found <= 1.0:

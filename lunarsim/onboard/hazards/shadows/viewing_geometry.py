@@ -1,4 +1,4 @@
-"""Viewing geometry of rocks on a plane, for shadow tables of horizontal ground."""
+"""Viewing geometry of rocks on a plane, for shadow tables of horizontal terrain."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from lunarsim.onboard.perception.ground_plane import GroundPlane
 
 Array = NDArray[np.float64]
 
-# Minimum height of the camera above the ground, m.
+# Minimum height of the camera above the terrain, m.
 _MIN_HEIGHT_M = 1e-3
 
 
@@ -18,7 +18,7 @@ def viewing_geometry(
 ) -> tuple[Array, Array, Array]:
     """Return azimuth from the Sun, depression (rad) and pixel size (m) of rocks (...).
 
-    On a slope these are the values at which horizontal ground shows the same.
+    On a slope these are the values at which horizontal terrain shows the same.
 
     Parameters
     ----------

@@ -21,7 +21,7 @@ def update_with_range(
     distance: float,
     sigma: float,
     beam: ArrayLike,
-    ground: float,
+    elevation: float,
     *,
     block: str | None = None,
     part: int = 0,
@@ -39,7 +39,7 @@ def update_with_range(
         deviation is not positive or too large.
     beam
         Unit vector of the beam (3,), body axes.
-    ground
+    elevation
         Elevation of the terrain in the site frame, m.
     block
         Name of the block with the correction of this elevation; default: no correction.
@@ -56,7 +56,7 @@ def update_with_range(
     rotation = quat_to_matrix(state.inertial.attitude)
     b = np.asarray(beam, dtype=np.float64)
     down = float(rotation[2] @ b)
-    level = ground if block is None else ground + float(state.value(block)[part])
+    level = elevation if block is None else elevation + float(state.value(block)[part])
     if state.has(MAP):
         level += float(state.value(MAP)[2])
     height = float(state.inertial.position[2]) - level

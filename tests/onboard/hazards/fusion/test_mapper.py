@@ -26,7 +26,7 @@ def test_it_draws_when_another_has_drawn_and_only_then():
     assert fused.blank
     assert fused.sources == {"own"}
     assert not fused.hazard_map().observed.any()
-    assert fused.ground_height(np.zeros(2)) is None
+    assert fused.terrain_height(np.zeros(2)) is None
     own.update(0.7, None)
     for _ in range(3):
         assert (fused.hazard_map().p_safe == np.float32(0.7)).all()
@@ -34,7 +34,7 @@ def test_it_draws_when_another_has_drawn_and_only_then():
     own.update(0.4, None)
     assert (fused.hazard_map().p_safe == np.float32(0.4)).all()
     assert not fused.blank
-    assert fused.ground_height(np.zeros(2)) == 3.0
+    assert fused.terrain_height(np.zeros(2)) == 3.0
     assert fused.grid == GRID
 
 
@@ -114,14 +114,14 @@ def test_the_worst_of_a_second_map_near_by_is_what_the_calibration_looks_at():
 
 def test_the_height_that_a_mapper_expects_of_ground_it_has_not_seen_is_none():
     class Expects(Made):
-        def ground_height(self, xy):
+        def terrain_height(self, xy):
             return 5.0
 
     own = Expects()
     fused = FusedMapper({"own": own}, TERMS)
-    assert fused.ground_height(np.zeros(2)) is None
+    assert fused.terrain_height(np.zeros(2)) is None
     own.update(0.7, None)
-    assert fused.ground_height(np.zeros(2)) == 5.0
+    assert fused.terrain_height(np.zeros(2)) == 5.0
 
 
 class Lazy(Made):

@@ -75,8 +75,8 @@ def test_rocks_are_found_tracked_and_ruled_out_along_the_measured_ground(scene):
     state, camera, counts = scene
     mapper = look(scene, Slope(GRADIENT))
     plane = fit_terrain_plane(Slope(GRADIENT).drawn)
-    seen = detect_rocks(counts, camera.model, state, SUN, ground=plane, model=MODEL)
-    np.testing.assert_array_equal(mapper.seen.ground, seen.ground)
+    seen = detect_rocks(counts, camera.model, state, SUN, terrain=plane, model=MODEL)
+    np.testing.assert_array_equal(mapper.seen.terrain_xy, seen.terrain_xy)
     tracker, probability = parts_of_a_map()
     tracker.filter.measured = MeasuredTerrain(Slope(GRADIENT))
     tracker.update(seen, camera.model, SUN, 0.0, plane)
@@ -98,11 +98,11 @@ def test_the_sun_is_judged_along_the_measured_ground(scene):
     state, camera, counts = scene
     sun = direction_from_angles(AZIMUTH + np.radians(30.0), ELEVATION)
     plane = fit_terrain_plane(Slope(GRADIENT).drawn)
-    seen = detect_rocks(counts, camera.model, state, sun, ground=plane, model=MODEL)
+    seen = detect_rocks(counts, camera.model, state, sun, terrain=plane, model=MODEL)
     onto = plane.direction(sun)
     told = measure_shadow_angle(
         seen, plane.view(camera.model.view(state)),
-        np.column_stack((seen.ground, np.zeros(len(seen)))), onto,
+        np.column_stack((seen.terrain_xy, np.zeros(len(seen)))), onto,
         MODEL.under(float(np.arcsin(onto[2]))),
         ImageQualityCheck().before_detection(counts, camera.model, state).figures["noise"],
     )  # fmt: skip
@@ -180,7 +180,9 @@ def test_a_mapper_is_built_after_the_one_whose_ground_it_asks_for(scene):
     state, _, _ = scene
     inertial = StrapdownState(state.position, np.zeros(3), state.attitude, 1.622)
     ground = TerrainPrior(0.0, 2.0)
-    navigation = Navigator(inertial, StartSigmas(1e-3, 1e-3, 1e-5), ground=ground, rocks=True)
+    navigation = Navigator(
+        inertial, StartSigmas(1e-3, 1e-3, 1e-5), terrain_prior=ground, rocks=True
+    )
     relief = Slope(GRADIENT)
     told = {}
 

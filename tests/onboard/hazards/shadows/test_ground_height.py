@@ -22,7 +22,9 @@ def tracked(count, seed=0):
     inertial = StrapdownState(
         np.array([0.0, 0.0, 80.0]), np.zeros(3), np.array([0, 0, 0, 1.0]), 1.6
     )
-    rocks = RockFilter.of(inertial, ground=TerrainPrior(0.0, 1.0, float(np.tan(np.radians(3.0)))))
+    rocks = RockFilter.of(
+        inertial, terrain_prior=TerrainPrior(0.0, 1.0, float(np.tan(np.radians(3.0))))
+    )
     points = rng.normal(0.0, [12.0, 12.0, 0.8], (count, 3))
     rocks.append(points, np.full(count, 0.3), np.full(count, 0.01))
     root = rng.normal(0.0, 0.1, (rocks.state.size, rocks.state.size))
@@ -91,4 +93,4 @@ def test_ground_at_one_height_everywhere_rises_nowhere():
     inertial = StrapdownState(
         np.array([0.0, 0.0, 80.0]), np.zeros(3), np.array([0, 0, 0, 1.0]), 1.6
     )
-    assert RockFilter.of(inertial, ground=TerrainPrior(2.0, None)).expected_growth == 0.0
+    assert RockFilter.of(inertial, terrain_prior=TerrainPrior(2.0, None)).expected_growth == 0.0

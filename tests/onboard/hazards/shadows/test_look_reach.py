@@ -79,7 +79,7 @@ def one_rock(plane=LEVEL):
     rocks = RockField.hemispheres([0.0], [0.0], 0.0, 0.6)
     terrain = Terrain(sloping(plane.gradient, 400.0, 10.0), rocks)
     state, camera, counts = picture(terrain, (-25.0, 0.0, 30.0))
-    seen = detect_rocks(counts, camera, state, SUN, ground=plane, model=MODEL)
+    seen = detect_rocks(counts, camera, state, SUN, terrain=plane, model=MODEL)
     assert len(seen) == 1
     return camera.view(state), seen
 

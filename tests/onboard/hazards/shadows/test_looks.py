@@ -64,7 +64,7 @@ def test_a_rock_stands_where_its_second_look_shows_it():
         given = replace(seen, pixel=seen.pixel + shift, radius=bigger * seen.radius)
         outcome = tracker.update(given, camera, SUN, 0.1 * k)
         rocks = tracker.filter
-        off = np.linalg.norm(rocks.xy[:, None] - seen.ground, axis=-1)
+        off = np.linalg.norm(rocks.xy[:, None] - seen.terrain_xy, axis=-1)
         if k == 0:
             first = rocks.count
         if k == 1:

@@ -202,7 +202,7 @@ def test_heights_are_doubted_where_nobody_has_measured_them(terrain):
 def rocks_on(ground, xy):
     """Return a filter of rocks that stand on ground somebody has measured."""
     inertial = StrapdownState(np.array(PLACE), np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]), 1.622)
-    rocks = RockFilter.of(inertial, ground=TerrainPrior(0.0, 2.0))
+    rocks = RockFilter.of(inertial, terrain_prior=TerrainPrior(0.0, 2.0))
     rocks.measured = MeasuredTerrain(Maps(ground))
     n = len(xy)
     rocks.add_known(xy, np.full(n, 0.1), np.full(n, 0.5), np.full(n, 0.01))

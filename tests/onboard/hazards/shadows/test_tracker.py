@@ -88,7 +88,7 @@ def test_what_is_seen_above_the_horizon_has_no_place():
     seen = detect_rocks(counts, camera, state, SUN, model=MODEL)
     ahead = gimbal_mount(state.attitude, np.array([1.0, 0.0, 0.0]))
     camera = dataclasses.replace(camera, mount=ahead)
-    on_ground = np.isfinite(tracker.filter.ground_points(camera, seen.pixel)).all(1)
+    on_ground = np.isfinite(tracker.filter.terrain_points(camera, seen.pixel)).all(1)
     assert on_ground.any() and not on_ground.all()
     tracker.update(seen, camera, SUN, 1.0)
     assert 0 < len(tracker.tentative.xy) <= on_ground.sum()
@@ -138,7 +138,7 @@ def nothing_like(seen):
     fields = {
         f.name: getattr(seen, f.name)[none]
         for f in dataclasses.fields(seen)
-        if f.name not in {"labels", "extended", "largest", "relative", "over_ground"}
+        if f.name not in {"labels", "extended", "largest", "relative", "relative_to_lit_terrain"}
     }  # fmt: skip
     return dataclasses.replace(seen, **fields, labels=np.zeros_like(seen.labels))
 

@@ -49,7 +49,7 @@ def found(world, place, degrees):
     state, eye = camera(place, degrees)
     counts = eye.expose(world, state, 0.0, np.random.default_rng(0)).counts
     seen = detect_rocks(counts, eye, state, SUN, model=MODEL)
-    off = np.linalg.norm(seen.ground[:, None] - places_of(world.terrain), axis=2)
+    off = np.linalg.norm(seen.terrain_xy[:, None] - places_of(world.terrain), axis=2)
     pixel = np.linalg.norm(place) / eye.fx
     away = np.arctan2(place[0], place[1]) - 1.2
     q = CUBES.visible_pixels(0.5, away, np.radians(40.0), pixel)
