@@ -39,7 +39,7 @@ class CallableAgent:
 
 
 def _accepts(call: Callable[..., Any], count: int) -> bool:
-    """Return whether a callable accepts `count` positional arguments, or is unknown."""
+    """Return whether a callable accepts `count` arguments; True if unknown."""
     try:
         inspect.signature(call).bind(*[None] * count)
     except TypeError:

@@ -88,7 +88,10 @@ def sense(block, own, width, dt, turn):
 
 @kernel(inner=True)
 def give(block, own, width, gives, torque):
-    """Write thrusts (width,), N, and torques (3, width), N m, with failures."""
+    """Write thrusts (width,), N, and torques (3, width), N m, with failures.
+
+    Torques include the effect of the thrust offset.
+    """
     for n in range(width):
         asked = own[THRUST, n] * (1.0 + own[SHARE, n])
         gives[n] = asked * own[ENGINE, n] if own[TIME, n] >= own[FAILS, n] else asked

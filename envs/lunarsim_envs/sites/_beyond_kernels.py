@@ -56,7 +56,7 @@ def _square(a, b, c, out, sign):
 def _positive(c, low, high):
     """Return whether a quartic (5,), constant first, is positive in an interval.
 
-    False may also mean that the bound is too loose.
+    The test is sufficient, not necessary.
     """
     w = high - low
     # Bernstein form on the interval from low to high.
@@ -87,7 +87,10 @@ def _over(way, gap, wide, tall, glide, time):
 
 @kernel(inner=True)
 def sunk(ways, gap, wide, tall, glide, first):
-    """Return a time after `first`, s, from which no path clears the cone; or inf."""
+    """Return a time after `first`, s, after which all paths are below the cone.
+
+    It is inf if no such time is known.
+    """
     best = np.inf
     for s in range(len(ways) - 1):
         way = ways[s]

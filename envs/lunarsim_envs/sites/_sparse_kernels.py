@@ -34,7 +34,7 @@ def _around(
 
 @kernel()
 def _nearer(p, far, best_p, best_far):
-    """Prefer the nearest safe enough site, or the safest if none is safe enough."""
+    """Return whether a site is better: the nearest safe enough one, else the safest."""
     if p >= _ENOUGH:
         return best_p < _ENOUGH or far < best_far
     return best_p < _ENOUGH and p > best_p
