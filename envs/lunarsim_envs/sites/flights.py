@@ -96,7 +96,7 @@ class OnboardFlight:
     """A flight in the full simulation, with mappers and navigation of the scenario."""
 
     def __init__(self, scenario: Scenario) -> None:
-        self.scenario = self._told = scenario
+        self.scenario = self._flown_scenario = scenario
         self.simulation: Simulation | None = None
         self._seen: Observation | None = None
         self._small: tuple[object, NDArray[np.float32]] | None = None
@@ -109,11 +109,11 @@ class OnboardFlight:
 
     def apply_options(self, options: Mapping[str, Any]) -> None:
         """Apply reset options to the next flights."""
-        self._told = scenario_with_options(options, self.scenario)
+        self._flown_scenario = scenario_with_options(options, self.scenario)
 
     def begin(self, rng: np.random.Generator) -> None:
         """Draw a new flight and fly it to its first decision."""
-        self.simulation = Simulation(self._told, int(rng.integers(2**62)))
+        self.simulation = Simulation(self._flown_scenario, int(rng.integers(2**62)))
         self.unstretched = False
         self._on(lambda: None)
 
