@@ -52,7 +52,7 @@ def table(tally: FlightSummary, seconds: float) -> str:
         lines.append(f"{name:<18} {count:>9,} {count / n:>9.5f}  [{low:.5f}, {high:.5f}]")
     lines += ["", "reported p_safe   flights   safe fraction  95 % interval"]
     for k in range(10):
-        count, safe = int(tally.told[k]), int(tally.told_safe[k])
+        count, safe = int(tally.by_p_safe[k]), int(tally.safe_by_p_safe[k])
         if count:
             low, high = Proportion(safe, count).interval
             lines.append(

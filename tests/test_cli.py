@@ -58,7 +58,7 @@ def test_fly_prints_the_verdict_and_writes_the_record(small, tmp_path):
         "time of flight": f"{flight.trajectory['time'][-1]:.1f} s",
         "propellant": f"{flight.trajectory['mass'][0] - flight.trajectory['mass'][-1]:.1f} kg",
         "divert": f"{flight.divert_distance:.1f} m",
-        "touchdown": "({:.1f}, {:.1f}) m east and north, true frame".format(
+        "touchdown": "({:.1f}, {:.1f}) m (east, north; true frame)".format(
             *flight.positions[-1, :2]
         ),
         "vertical speed": f"{touchdown.vertical_speed:.2f} m/s",

@@ -247,7 +247,9 @@ def test_a_record_is_there_whole_or_not_at_all(small, monkeypatch):
     with monkeypatch.context() as patch:
         patch.setattr("lunarsim.simulation.Flight.__str__", pressed)
         done = _fly()
-    assert done.stderr.splitlines()[-1].startswith("interrupted: scenario and record are in ")
+    assert done.stderr.splitlines()[-1].endswith(
+        "has the scenario and the record, but not all figures"
+    )
     shutil.rmtree(small / "above")
     monkeypatch.setattr("lunarsim.viz.draw_flight", pressed)
     done = _fly()

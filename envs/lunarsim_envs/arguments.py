@@ -17,7 +17,7 @@ Weights = TypeVar("Weights")
 
 
 def scenario_argument(given: Any, changes: Any, otherwise: Scenario) -> Scenario:
-    """Return a scenario given as an object, a path, a name or None, with changed values.
+    """Return a scenario from an object, path, name or None, with changed values.
 
     Parameters
     ----------

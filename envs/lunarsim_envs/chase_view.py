@@ -66,7 +66,7 @@ class ChaseViewRenderer:
         self._bright = self._exposure()
 
     def chase(self) -> View:
-        """Return the chase camera: behind the lander, towards the site within angle limits."""
+        """Return the view from behind the lander to the site, within angle limits."""
         s = self.simulation
         at = s.state.position
         away = at - s.true_to_local.to_site(s.site)
@@ -74,12 +74,12 @@ class ChaseViewRenderer:
         down = np.arctan2(away[2], float(np.hypot(away[0], away[1])))
         down = np.clip(down, _FLAT, most)
         behind = np.array([0.0, 0.0, np.sin(down)]) - np.cos(down) * self._along
-        eye = at + _BEHIND * s.lander.leg_radius * behind
-        ground = float(s.world.terrain.elevation(eye[:2]))
-        if np.isfinite(ground):
-            eye[2] = max(eye[2], ground + _LEAST_OVER)
+        position = at + _BEHIND * s.lander.leg_radius * behind
+        terrain_height = float(s.world.terrain.elevation(position[:2]))
+        if np.isfinite(terrain_height):
+            position[2] = max(position[2], terrain_height + _LEAST_OVER)
         middle = 0.5 * (WIDTH - 1), 0.5 * (HEIGHT - 1)
-        return View(eye, sensor_axes(at - eye), _FOCAL, _FOCAL, *middle, WIDTH, HEIGHT)
+        return View(position, sensor_axes(at - position), _FOCAL, _FOCAL, *middle, WIDTH, HEIGHT)
 
     def _exposure(self) -> float:
         """Return the radiance shown as white: 1.5 times the 90th percentile of lit pixels."""
@@ -91,11 +91,11 @@ class ChaseViewRenderer:
 
     def _onboard(self) -> View:
         """Return the view of the onboard camera with reduced resolution."""
-        whole, share = self._camera.view(self.simulation.state), self._shrunk
-        width, height = round(share * whole.width), round(share * whole.height)
+        view, share = self._camera.view(self.simulation.state), self._shrunk
+        width, height = round(share * view.width), round(share * view.height)
         return View(
-            whole.position, whole.axes, share * whole.fx, share * whole.fy,
-            share * (whole.cx + 0.5) - 0.5, share * (whole.cy + 0.5) - 0.5, width, height,
+            view.position, view.axes, share * view.fx, share * view.fy,
+            share * (view.cx + 0.5) - 0.5, share * (view.cy + 0.5) - 0.5, width, height,
         )  # fmt: skip
 
     def seen_by(self, view: View) -> Image:
@@ -113,16 +113,16 @@ class ChaseViewRenderer:
         self._lander(chase, view)
         _say(chase, "chase view", (8, 18))
         below = self._onboard()
-        eye = np.full((ASIDE, ASIDE, 3), _SKY, np.uint8)
+        onboard = np.full((ASIDE, ASIDE, 3), _SKY, np.uint8)
         try:
             seen = self.seen_by(below)
             self._mark(seen, below)
-            eye[: seen.shape[0], : seen.shape[1]] = seen
+            onboard[: seen.shape[0], : seen.shape[1]] = seen
         except InputError:  # the camera is below the terrain
-            _say(eye, "below the terrain", (8, 40))
-        _say(eye, "onboard camera", (8, ASIDE - 10))
-        aside = np.vstack((eye, self.gauges()))
-        return np.hstack((chase, aside))
+            _say(onboard, "below the terrain", (8, 40))
+        _say(onboard, "onboard camera", (8, ASIDE - 10))
+        side_panel = np.vstack((onboard, self.gauges()))
+        return np.hstack((chase, side_panel))
 
     def _mark(self, image: Image, view: View) -> None:
         """Draw the footprint circle around the current site, if it is in view."""
@@ -176,7 +176,7 @@ class ChaseViewRenderer:
         tilt = np.degrees(np.arccos(np.clip(quat_rotate(y.attitude, [0.0, 0.0, 1.0])[2], -1, 1)))
         left = y.mass - vehicle.dry_mass
         away = y.position - s.true_to_local.to_site(s.site)
-        told = [
+        shown = [
             ("height", f"{away[2] - vehicle.com_height:.1f} m", None),
             ("to site", f"{np.hypot(away[0], away[1]):.1f} m", None),
             ("down, lateral", f"{-y.velocity[2]:.1f}, {np.hypot(*y.velocity[:2]):.1f} m/s", None),
@@ -185,7 +185,7 @@ class ChaseViewRenderer:
             ("propellant", f"{left:.0f} kg", left / vehicle.propellant_mass),
         ]
         image = np.full((HEIGHT - ASIDE, ASIDE, 3), _SKY, np.uint8)
-        for i, (name, value, share) in enumerate(told):
+        for i, (name, value, share) in enumerate(shown):
             top = 16 + 19 * i
             _say(image, name, (8, top))
             _say(image, value, (112, top))

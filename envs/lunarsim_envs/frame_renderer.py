@@ -137,10 +137,10 @@ class FrameRenderer:
             words.append(f"time scale {stretch:g}")
         if reward is not None:
             words.append(f"reward {reward:+.3f}")
-        verdict = self.simulation.verdict
-        if verdict is not None:
+        outcome = self.simulation.verdict
+        if outcome is not None:
             words.append(
-                "landed safely" if verdict.safe else "failed: " + ", ".join(verdict.failed)
+                "landed safely" if outcome.safe else "failed: " + ", ".join(outcome.failed)
             )
         return ",  ".join(words)
 

@@ -29,7 +29,7 @@ def reset_mask(given: Any, lanes: int) -> NDArray[np.bool_]:
     return mask
 
 
-def check_all_reset(begun: NDArray[np.bool_], mask: NDArray[np.bool_]) -> None:
+def check_all_reset(was_reset: NDArray[np.bool_], mask: NDArray[np.bool_]) -> None:
     """Check that all lanes outside the mask (n,) have been reset before.
 
     Raises
@@ -37,8 +37,8 @@ def check_all_reset(begun: NDArray[np.bool_], mask: NDArray[np.bool_]) -> None:
     gymnasium.error.ResetNeeded
         If a lane outside the mask has never been reset.
     """
-    if not (begun | mask).all():
-        lanes = np.flatnonzero(~(begun | mask)).tolist()
+    if not (was_reset | mask).all():
+        lanes = np.flatnonzero(~(was_reset | mask)).tolist()
         raise gymnasium.error.ResetNeeded(
             f"options['reset_mask']: omits lanes that were never reset, {lanes}. Reset all first."
         )
@@ -47,7 +47,7 @@ def check_all_reset(begun: NDArray[np.bool_], mask: NDArray[np.bool_]) -> None:
 def lane_seeds(
     seed: int | Sequence[int | None] | None, mask: NDArray[np.bool_]
 ) -> list[int | None]:
-    """Return the seed of each lane of a mask (n,): ``seed + i`` or ``seed[i]`` for lane i.
+    """Return the seed of each lane of a mask: ``seed + i`` or ``seed[i]`` for lane i.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Environment ``lunarsim/Retarget-v0``: choose the landing site once per second of descent."""
+"""Environment ``lunarsim/Retarget-v0``: choose the landing site once per second."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ LATE = ("time-limit",)
 
 
 def default_scenario() -> Scenario:
-    """Return the default scenario: gently rolling highland terrain with 7 % rock cover."""
+    """Return the default scenario: gently rolling highlands with 7 % rock cover."""
     return Scenario.from_dict(
         {
             "name": "golombek",
@@ -52,7 +52,7 @@ def default_scenario() -> Scenario:
 def retarget_scenario(
     given: Scenario | str | Path | None, changes: Mapping[str, Any] | None
 ) -> Scenario:
-    """Return a scenario given as an object, a path, a name or None, with changed values.
+    """Return a scenario from an object, path, name or None, with changed values.
 
     Raises
     ------
@@ -252,7 +252,7 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], Any]):
         if render_mode is not None and isinstance(self.flight, KernelFlight):
             self._picture = PlaneView(self.flight.lanes)
         self._with_views = views
-        self._begun, self._over, self._due = False, False, 0.0
+        self._has_started, self._over, self._due = False, False, 0.0
         self._film: list[NDArray[np.uint8]] = []
         # Values of the last step for frame titles: row, reward, time scale.
         self._last: tuple[int | None, float | None, float | None] = (None, None, None)
@@ -270,7 +270,7 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], Any]):
         self.flight.apply_options(checked_options(options))
         self._begin(seed)
         self.frames, self._last, self._film = None, (None, None, None), []
-        self._begun, self._over = True, False
+        self._has_started, self._over = True, False
         self.rewards.begin(np.ones(1, np.bool_), *self.standing())
         if self._picture is not None:
             self._picture.begin()
@@ -297,7 +297,7 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], Any]):
     def step(self, action: Any) -> tuple[dict[str, Any], float, bool, bool, dict[str, Any]]:
         """Apply a decision and fly to the next one."""
         flight = self.flight
-        if not self._begun:
+        if not self._has_started:
             raise gymnasium.error.ResetNeeded("Call reset() before step().")
         if self._over:
             raise gymnasium.error.ResetNeeded("The episode has ended. Call reset().")
@@ -310,16 +310,16 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], Any]):
         self._last = (row, None, stretch)
         self._due = flight.time + 1.0 / self.metadata["render_fps"]
         # A flight may end before its first decision; the first step then reports the end.
-        if flight.verdict is None:
+        if flight.outcome is None:
             flight.decide(site, self._each, stretch)
-        verdict = flight.verdict
-        self._over = verdict is not None
+        outcome = flight.outcome
+        self._over = outcome is not None
         # At the time limit, the outcome of the flight is unknown.
-        late = verdict is not None and verdict[1] == LATE
+        late = outcome is not None and outcome[1] == LATE
         ended = self._over and not late
-        terms = self._terms(invalid, None if late else verdict)
+        terms = self._terms(invalid, None if late else outcome)
         info = self._info() | {"reward_terms": terms}
-        info["cost"] = float(verdict is not None and ended and not verdict[0])
+        info["cost"] = float(outcome is not None and ended and not outcome[0])
         if self.actions.stretches:
             info["stretch_refused"] = bool(orders.lost[0]) or flight.unstretched
         reward = float(sum_terms(terms))
@@ -333,10 +333,10 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], Any]):
         return np.array([self.flight.mass]), sights.here[:, 0], sights.p, sights.seen
 
     def _terms(
-        self, invalid: bool, verdict: tuple[bool, tuple[str, ...]] | None
+        self, invalid: bool, outcome: tuple[bool, tuple[str, ...]] | None
     ) -> dict[str, float]:
         """Return the reward terms of the last decision by name."""
-        over, safe = verdict is not None, verdict is not None and verdict[0]
+        over, safe = outcome is not None, outcome is not None and outcome[0]
         touch = self.flight.touch if over else np.full((1, 3), np.nan)
         one, wrong, ended, well = np.array([[True], [invalid], [over], [safe]])
         terms = self.rewards.terms(one, wrong, ended, well, touch, one, *self.standing())
@@ -351,7 +351,7 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], Any]):
         """
         if self.render_mode is None:
             return None
-        if not self._begun:
+        if not self._has_started:
             raise gymnasium.error.ResetNeeded("Call reset() before render().")
         if self.render_mode == "rgb_array_list":
             film, self._film = self._film, []
@@ -361,14 +361,14 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], Any]):
     @property
     def seen(self) -> Observation | None:
         """Current observation of onboard policies; None before the first reset."""
-        return self.flight.seen if self._begun else None
+        return self.flight.seen if self._has_started else None
 
     def action_masks(self) -> NDArray[np.bool_]:
         """Return the available options (21,), as sb3-contrib's MaskablePPO needs them.
 
         The masks of several components are concatenated.
         """
-        if not self._begun:
+        if not self._has_started:
             raise gymnasium.error.ResetNeeded("Call reset() before action_masks().")
         return np.asarray(self.actions.masks(self.flight.sights)[0])
 
@@ -383,7 +383,7 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], Any]):
     def close(self) -> None:
         """Release the flight, its frames and their graphics memory."""
         self.frames, self.views, self._film = None, None, []
-        self._begun = False
+        self._has_started = False
         if self._screen is not None:
             self._screen.close()
         self.flight.close()
@@ -410,9 +410,9 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], Any]):
         flight = self.flight
         mask = self.actions.masks(flight.sights)[0].astype(np.int8)
         info: dict[str, Any] = {"time": flight.time, "action_mask": mask}
-        verdict = flight.verdict
-        if verdict is not None:
-            info["safe"], info["failed"] = verdict
+        outcome = flight.outcome
+        if outcome is not None:
+            info["safe"], info["failed"] = outcome
             info["propellant_kg"] = self._wet_mass - flight.mass
         return info
 

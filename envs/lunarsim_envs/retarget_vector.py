@@ -93,7 +93,7 @@ class RetargetVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         seed: int | Sequence[int | None] | None = None,
         options: dict[str, Any] | None = None,
     ) -> tuple[Shown, dict[str, Any]]:
-        """Start new episodes in all environments, or those of ``options["reset_mask"]`` (n,)."""
+        """Start new episodes in all lanes or in those of ``options["reset_mask"]`` (n,)."""
         left = checked_options(options)
         mask = reset_mask(left.pop("reset_mask", None), self.num_envs)
         check_all_reset(np.array([rng is not None for rng in self._rngs]), mask)
@@ -139,15 +139,18 @@ class RetargetVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         return self.shown.of(self.sights)
 
     def action_masks(self) -> NDArray[np.bool_]:
-        """Return the available options (n, 21); masks of several components are concatenated."""
+        """Return the available options (n, 21); masks of components are concatenated."""
         if any(rng is None for rng in self._rngs):
             raise gymnasium.error.ResetNeeded("Call reset() before action_masks().")
         return self.actions.masks(self.sights)
 
     def _info(self) -> dict[str, Any]:
         every = np.ones(self.num_envs, np.bool_)
-        told = {"time": self.lanes.time.copy(), "action_mask": self.action_masks().astype(np.int8)}
-        return told | {f"_{name}": every for name in told}
+        values = {
+            "time": self.lanes.time.copy(),
+            "action_mask": self.action_masks().astype(np.int8),
+        }
+        return values | {f"_{name}": every for name in values}
 
     def step(
         self, actions: ArrayLike
@@ -168,7 +171,7 @@ class RetargetVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         terminated = over & ~late
         terms = self._terms(moved, terminated, orders.invalid)
         rewards = sum_terms(terms)
-        info = self._told(terms, moved, over, late)
+        info = self._step_info(terms, moved, over, late)
         truncated = late | self._limit.reached(moved)
         over = terminated | truncated
         self._open &= ~over
@@ -189,12 +192,14 @@ class RetargetVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
 
     def _terms(self, moved: Mask, over: Mask, invalid: Mask) -> dict[str, Any]:
         lanes = self.lanes
-        touch = touchdown_limit_ratios(self._lander, lanes.told)
+        touch = touchdown_limit_ratios(self._lander, lanes.touchdown_values)
         return self.rewards.terms(
             moved, invalid, over, lanes.safe, touch, lanes.mapped, *self.standing()
         )
 
-    def _told(self, terms: dict[str, Any], moved: Mask, over: Mask, late: Mask) -> dict[str, Any]:
+    def _step_info(
+        self, terms: dict[str, Any], moved: Mask, over: Mask, late: Mask
+    ) -> dict[str, Any]:
         info: dict[str, Any] = {"reward_terms": terms, "_reward_terms": moved}
         info |= {"cost": np.where(over & ~late & ~self.lanes.safe, 1.0, 0.0), "_cost": moved}
         if over.any():

@@ -59,14 +59,14 @@ class RewardWeights(SiteReward):
             )  # fmt: skip
 
 
-def touchdown_limit_ratios(lander: Lander, told: ArrayLike) -> Array:
+def touchdown_limit_ratios(lander: Lander, touchdown: ArrayLike) -> Array:
     """Return touchdown values over their limits (n, 3): speed, tilt and terrain.
 
     Parameters
     ----------
     lander
         Vehicle with the limits.
-    told
+    touchdown
         Vertical and horizontal speed, tilt, rate, slope and roughness at touchdown (n, 6 or more),
         SI. Rows of NaN (no touchdown) give NaN.
     """
@@ -74,13 +74,13 @@ def touchdown_limit_ratios(lander: Lander, told: ArrayLike) -> Array:
         lander.vertical_speed_limit, lander.horizontal_speed_limit, lander.tilt_limit,
         lander.slope_limit, lander.roughness_limit,
     ])  # fmt: skip
-    share = np.abs(np.asarray(told, dtype=np.float64)[:, [0, 1, 2, 4, 5]]) / limits
-    ground = np.maximum(share[:, 3], share[:, 4])
-    return np.column_stack((np.maximum(share[:, 0], share[:, 1]), share[:, 2], ground))
+    share = np.abs(np.asarray(touchdown, dtype=np.float64)[:, [0, 1, 2, 4, 5]]) / limits
+    terrain = np.maximum(share[:, 3], share[:, 4])
+    return np.column_stack((np.maximum(share[:, 0], share[:, 1]), share[:, 2], terrain))
 
 
 def map_information(p: NDArray[np.float32], seen: Mask) -> float:
-    """Return the information in a map (rows, cols), from 0 (none) to 1 (all cells certain).
+    """Return the information in a map (rows, cols), 0 (none) to 1 (all cells certain).
 
     It is the mean over all cells of 1 - 4 p (1 - p), with 0 for unobserved cells.
     """
@@ -128,7 +128,7 @@ class SiteRewards:
         self._mass, self._potential = np.zeros(count), np.zeros(count)
         self._known, self._invalid = np.zeros(count), np.zeros(count, np.int64)
 
-    def _sure(self, p: NDArray[np.float32], seen: Mask, of: Mask) -> Array:
+    def _map_information(self, p: NDArray[np.float32], seen: Mask, of: Mask) -> Array:
         """Return the map information (n,), updated for the lanes of `of` (n,)."""
         known = self._known.copy()
         if self.weights.information > 0.0:
@@ -138,7 +138,7 @@ class SiteRewards:
         return known
 
     def _hope(self, p_here: Array) -> Array:
-        """Return the shaping potential (n,) from p_safe of the sites (n,); NaN is unobserved."""
+        """Return the shaping potential (n,) of p_safe (n,); NaN (unobserved) counts as 0."""
         return np.asarray(self.weights.shaping * np.nan_to_num(p_here, nan=0.0))
 
     def begin(
@@ -160,13 +160,13 @@ class SiteRewards:
         self._mass[mask] = mass[mask]
         self._potential[mask] = self._hope(p_here)[mask]
         self._invalid[mask] = 0
-        self._known = self._sure(p, seen, mask)
+        self._known = self._map_information(p, seen, mask)
 
     def terms(
         self, moved: Mask, invalid: Mask, over: Mask, safe: Mask, touch: Array, drawn: Mask,
         mass: Array, p_here: Array, p: NDArray[np.float32], seen: Mask,
     ) -> dict[str, Array]:  # fmt: skip
-        """Return the terms of the last decision (n,) by name; 0 in flights that did not move.
+        """Return the terms of the last decision (n,); 0 in flights that did not move.
 
         Parameters
         ----------
@@ -184,28 +184,28 @@ class SiteRewards:
         w = self.weights
         ended, landed = moved & over, moved & over & safe
         counts = moved & invalid & (self._invalid < MAX_PENALISED_CHOICES)
-        told = {name: np.zeros(len(moved)) for name in self.names}
+        terms = {name: np.zeros(len(moved)) for name in self.names}
         # Terms that are zero for all flights are skipped.
         spent = -w.propellant * (self._mass - mass) / self._tanks
-        told["propellant"] = np.where(moved, spent, 0.0)
+        terms["propellant"] = np.where(moved, spent, 0.0)
         if ended.any():
-            told["touchdown"] = np.where(ended, np.where(safe, w.safe, w.unsafe), 0.0)
+            terms["touchdown"] = np.where(ended, np.where(safe, w.safe, w.unsafe), 0.0)
         if counts.any():
-            told["invalid"] = np.where(counts, -w.invalid, 0.0)
+            terms["invalid"] = np.where(counts, -w.invalid, 0.0)
         if landed.any():
             near = np.where(landed[:, None], np.clip(touch, 0.0, 1.0), 0.0)
             for k, (name, weight) in enumerate(
                 (("speed", w.speed), ("tilt", w.tilt), ("hazard", w.hazard))
             ):
-                told[name] = -weight * near[:, k]
+                terms[name] = -weight * near[:, k]
         if w.information > 0.0:
-            known = self._sure(p, seen, moved & drawn)
-            told["information"] = np.where(moved, w.information * (known - self._known), 0.0)
+            known = self._map_information(p, seen, moved & drawn)
+            terms["information"] = np.where(moved, w.information * (known - self._known), 0.0)
             self._known = known
         if w.shaping != 0.0:
             after = np.where(over, 0.0, self._hope(p_here))
-            told["shaping"] = np.where(moved, w.discount * after - self._potential, 0.0)
+            terms["shaping"] = np.where(moved, w.discount * after - self._potential, 0.0)
             self._potential = np.where(moved, after, self._potential)
         self._invalid += counts
         self._mass = np.where(moved, mass, self._mass)
-        return told
+        return terms

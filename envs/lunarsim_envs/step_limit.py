@@ -1,4 +1,4 @@
-"""Truncate episodes after a number of steps, as Gymnasium's wrapper `TimeLimit` does."""
+"""Truncate episodes after a number of steps, as Gymnasium's `TimeLimit` does."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class StepLimit:
         self._steps[mask] = 0
 
     def reached(self, moved: Mask) -> Mask:
-        """Count a step of the lanes that moved (n,) and return the lanes at the limit (n,)."""
+        """Count a step of the moved lanes (n,) and return the lanes at the limit (n,)."""
         self._steps[moved] += 1
         if self.most is None:
             return np.zeros_like(moved)

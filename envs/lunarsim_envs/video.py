@@ -78,11 +78,11 @@ class RecordVideos(gymnasium.Wrapper[Any, Any, Any, Any]):
 
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
         """Step, and write the video if the episode has ended."""
-        told = super().step(action)
+        result = super().step(action)
         self._take()
-        if told[2] or told[3]:
+        if result[2] or result[3]:
             self._write()
-        return told
+        return result
 
     def _take(self) -> None:
         if self._filming:

@@ -35,8 +35,7 @@ def fly(control: str, shut: int | None, seed: int, watch: bool) -> tuple[bool, f
     """Fly with one thruster shut, or none, and return the outcome.
 
     Returns whether the landing was safe, the tilt at touchdown (deg), the time of detection (s),
-    and
-    the number of working thrusters that were isolated.
+    and the number of working thrusters that were isolated.
     """
     faults = {"jets_shut": [] if shut is None else [shut], "jets_from_s": FAILURE_TIME_S}
     scenario = Scenario.from_dict({**BASE_SCENARIO, "control": {"kind": control}, "faults": faults})
@@ -44,7 +43,7 @@ def fly(control: str, shut: int | None, seed: int, watch: bool) -> tuple[bool, f
     loop = sim.computer.attitude_loop
     assert isinstance(loop, JetLoop)
     if not watch:
-        loop.watch.see = lambda *_: []  # type: ignore[method-assign]
+        loop.watch.update = lambda *_: []  # type: ignore[method-assign]
     flight = sim.run()
     detections = [e for e in flight.events if e["name"] == "thruster-failed"]
     noticed = next((e["time"] for e in detections if e["thruster"] == shut), np.nan)

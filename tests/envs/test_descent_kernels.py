@@ -68,7 +68,7 @@ def asked(lanes, rng):
 
 
 def ground_of(lanes, lane):
-    return RasterGround(lanes.worlds.grounds[lanes.world[lane]], lanes.worlds.frame)
+    return RasterGround(lanes.worlds.terrains[lanes.world[lane]], lanes.worlds.frame)
 
 
 def end_of(path, lander, ground, gravity):
@@ -112,7 +112,8 @@ def against_plain(worlds, guided, count, scenario=ROUGH):
             if verdict is not None:
                 assert lanes.words(i) == verdict.failed
                 assert lanes.safe[i] == verdict.safe
-                assert lanes.told[i, 4] == pytest.approx(verdict.touchdown.slope, abs=1e-9)
+                slope = lanes.touchdown_values[i, 4]
+                assert slope == pytest.approx(verdict.touchdown.slope, abs=1e-9)
     return lanes
 
 
@@ -228,7 +229,9 @@ def test_a_lane_flies_the_same_bits_in_any_company_and_on_any_threads(worlds, gu
             lanes, rng = lanes_of(worlds, count, guided), np.random.default_rng(4)
             for _ in range(30):
                 lanes.move(asked(lanes, rng))
-            kept.append((lanes.y[:5].copy(), lanes.ended[:5].copy(), lanes.told[:5].copy()))
+            kept.append(
+                (lanes.y[:5].copy(), lanes.ended[:5].copy(), lanes.touchdown_values[:5].copy())
+            )
     finally:
         numba.set_num_threads(threads)
     for first, second in zip(*kept, strict=True):
@@ -287,5 +290,5 @@ def test_worlds_are_those_of_a_campaign(worlds):
     x, y, p = worlds.frame
     for row, col in ((10, 20), (300, 400), (500, 77)):
         height = terrain.elevation([x + p * col, y + p * row])
-        assert worlds.grounds[1][row, col] == pytest.approx(float(height), abs=1e-5)
-    assert not np.array_equal(worlds.grounds[0], worlds.grounds[1])
+        assert worlds.terrains[1][row, col] == pytest.approx(float(height), abs=1e-5)
+    assert not np.array_equal(worlds.terrains[0], worlds.terrains[1])

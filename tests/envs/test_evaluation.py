@@ -151,7 +151,7 @@ def test_the_command_writes_what_it_prints(tmp_path):
     safe = sum(table["safe"].to_pylist()[4:])
     assert summary["agents"][1]["safe"] == {"count": safe, "total": 4}
     assert str(Proportion(safe, 4)) in told[0]
-    assert "safe within 30 m" in told[0] and "polynomial - zero" in told[0]
+    assert "Safe within 30 m" in told[0] and "polynomial - zero" in told[0]
     assert (tmp_path / "one" / "scenario.toml").exists()
 
 
@@ -178,7 +178,7 @@ def test_agents_are_shown_the_parts_that_are_asked_for():
         evaluation_study("tests/Wanted-v0", None, [], 1, observation=["velocity"])
     words = ["evaluate", "Guidance-v0", "--agent", "apollo", "--episodes", "1", "--jobs", "1"]
     done = CliRunner().invoke(main, [*words, "--observation", "velocity"])
-    assert done.exit_code == 2 and "observations with 'position'" in done.output
+    assert done.exit_code == 2 and "observation component 'position'" in done.output
     done = CliRunner().invoke(main, [*words, "--observation", "velocty"])
     assert done.exit_code == 2 and "Did you mean 'velocity'" in done.output
 
@@ -205,6 +205,6 @@ def test_names_of_a_notebook_are_refused_before_processes_start(monkeypatch):
     ):
         fly(asked(), ["__main__:Mine"], 11, jobs=2)
     monkeypatch.setattr(Wanted, "__module__", "__main__")
-    with pytest.raises(InputError, match=r"^env = '__main__:Wanted': .* or use jobs = 1"):
+    with pytest.raises(InputError, match=r"^env: .*got '__main__:Wanted'.* or use jobs = 1"):
         fly(asked(), ["zero"], 11, jobs=2)
     assert len(fly(asked(), ["zero"], 11, jobs=1)) == 11

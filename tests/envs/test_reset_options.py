@@ -66,11 +66,11 @@ def test_more_covers_leave_the_scenario_s_worlds_as_they_are():
     scenario = SMALL.changed(rocks={"cover": 0.0})
     alone, more = WorldPool.of(scenario, 2, 3), WorldPool.of(scenario, 2, 3, [0.05, 0.15])
     assert more.covers == (0.0, 0.05, 0.15)
-    assert np.array_equal(more.grounds[:2], alone.grounds)
+    assert np.array_equal(more.terrains[:2], alone.terrains)
     for cover, first in ((None, 0), (0.0, 0), (0.05, 2), (0.15, 4)):
         assert more.span(cover) == (first, 2)
     # More ground stands above the relief where there are more rocks.
-    bumps = [(more.grounds[k] - more.grounds[k % 2] > 0.05).mean() for k in range(6)]
+    bumps = [(more.terrains[k] - more.terrains[k % 2] > 0.05).mean() for k in range(6)]
     assert max(bumps[:2]) == 0.0 < max(bumps[2:4]) < min(bumps[4:])
 
 

@@ -169,8 +169,8 @@ def test_frames_say_of_a_map_that_tells_nothing_what_it_is(env):
     m = observation.hazard_map
     for observed, p, words in (
         (False, 0.9, "Map observed nothing"),
-        (True, 0.9, "map calls everything that it saw safe"),
-        (True, 0.2, "map calls nothing that it saw safe"),
+        (True, 0.9, "Map classifies all observed terrain safe"),
+        (True, 0.2, "Map classifies no observed terrain safe"),
     ):
         flat = np.full(m.grid.shape, np.float32(p))
         told = replace(m, p_safe=flat, observed=np.full(m.grid.shape, observed), in_domain=None)

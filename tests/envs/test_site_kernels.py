@@ -247,7 +247,7 @@ def test_a_map_is_what_numpy_draws(perception):
         wanted = layers.safe[world][row, col].astype(np.float32)
     else:
         e = many.errors
-        key, first = m.drawn_from(many.keys[0], many.begun[0])
+        key, first = m.drawn_from(many.keys[0], many.flight_counts[0])
         places, draw, axes = np.empty((2, 5), np.int64), np.empty(3), np.empty((3, 3))
         course = f.Course(*many.course[:5], np.zeros(1, np.int64), *many.course[6:])
         m.drawn_scan(0, key, first, kept.y, kept.time, world, course, e, places, draw, axes)
@@ -343,5 +343,5 @@ def test_a_lattice_is_told_what_maps_are():
         compared += 1
         near = [(0, 0), (1, 0), (-1, 0), (0, 1), (0, -1)]
         p = np.mean([one.maps.p[i, r + a, c + b] for a, b in near])
-        assert sparse.said[i] == pytest.approx(p, abs=1e-5)
+        assert sparse.site_p_safe[i] == pytest.approx(p, abs=1e-5)
     assert moved >= 2 and compared >= 3 and dense.count == 6

@@ -32,7 +32,7 @@ SETTINGS = {
 def touch_of(env):
     """Return vertical and horizontal speed, tilt, slope and roughness of an ended flight."""
     if env.simulation is None:
-        return env.flight.lanes.told[0, [0, 1, 2, 4, 5]]
+        return env.flight.lanes.touchdown_values[0, [0, 1, 2, 4, 5]]
     t = env.simulation.verdict.touchdown
     return t.vertical_speed, t.horizontal_speed, t.tilt, t.slope, t.roughness
 

@@ -182,7 +182,7 @@ def test_a_part_of_ones_own():
         env = made(observation=[name])
         observation, _ = env.reset(seed=1)
         assert observation[name] == pytest.approx(env.unwrapped.flight.sights.site[0, :1])
-        with pytest.raises(InputError, match="own"):
+        with pytest.raises(InputError, match="is already registered"):
             observations.register(own)
     finally:
         del observations.PARTS[name]

@@ -287,7 +287,8 @@ def test_a_part_of_ones_own(monkeypatch):
     with pytest.raises(InputError, match="one component that sets the stretch"):
         SiteActions(("slow", "stretch"))
     for part, says in (
-        (slow, "is already registered"), (ActionComponent("a", "abort", 2, "", slow.of), "'site' or"),
+        (slow, "is already registered"),
+        (ActionComponent("a", "abort", 2, "", slow.of), "'site' or"),
         (ActionComponent("b", "stretch", 1, "", slow.of), "at least 2"),
     ):  # fmt: skip
         with pytest.raises(InputError, match=says):

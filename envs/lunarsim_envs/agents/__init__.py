@@ -1,1 +1,1 @@
-"""Agents behind one interface: built-in agents, guidance laws, policies, networks in files."""
+"""Agents with one interface: built-in agents, guidance laws, policies, networks."""

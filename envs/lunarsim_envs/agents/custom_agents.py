@@ -39,7 +39,7 @@ class CallableAgent:
 
 
 def _accepts(call: Callable[..., Any], count: int) -> bool:
-    """Return whether a callable accepts a number of positional arguments; true if unknown."""
+    """Return whether a callable accepts `count` arguments; True if unknown."""
     try:
         inspect.signature(call).bind(*[None] * count)
     except TypeError:
@@ -64,10 +64,10 @@ def custom_agent(env: gymnasium.Env[Any, Any], name: str) -> Any:
     try:
         found = getattr(import_part_module(module), attribute)
     except (ImportError, AttributeError, SyntaxError) as error:
-        said = str(error).split("\n")[0]
+        message = str(error).split("\n")[0]
         raise InputError(
             "--agent", name,
-            f"cannot be imported ({type(error).__name__}: {said})",
+            f"cannot be imported ({type(error).__name__}: {message})",
             "Put the module into the working directory or install it.",
         ) from error  # fmt: skip
     if isinstance(found, type) and not _accepts(found, 1):

@@ -57,7 +57,7 @@ def _briefing(scenario: Scenario, software: FlightSoftware, time_to_go: float) -
 
 
 class GuidanceLawAgent:
-    """Fly a guidance law to the end of the approach, then the scenario's terminal descent.
+    """Fly the approach with a guidance law, then the scenario's terminal descent.
 
     Phases, time-to-go and limits are those of the onboard computer; the observation replaces
     navigation. The law is evaluated at every step of the environment, not once per control cycle.
@@ -85,11 +85,11 @@ class GuidanceLawAgent:
         self._software: FlightSoftware = scenario.software()
         self._approach = self._software.approach
         self._lander = scenario.vehicle.make()
-        self._begun = False
+        self._has_started = False
 
     def begin(self, rng: np.random.Generator) -> None:
         """Reset the agent for a new episode."""
-        self._begun = False
+        self._has_started = False
 
     def _start(self, estimate: Estimate) -> None:
         """Choose the time-to-go from the start state and build the laws."""
@@ -99,10 +99,10 @@ class GuidanceLawAgent:
         self._law = self._part.build(briefing, lag)
         self._down = descent_law(software.descent, briefing, lag)
         self._arrival = briefing.time_to_go
-        self._time, self._vertical, self._begun = 0.0, False, True
+        self._time, self._vertical, self._has_started = 0.0, False, True
 
     def _time_to_go(self, estimate: Estimate) -> float:
-        """Return the duration of the approach with minimum propellant within the limits, s."""
+        """Return the approach duration with minimum propellant within the limits, s."""
         if self._approach.time_to_go is not None:
             return float(self._approach.time_to_go)
         end = self._approach.end(np.zeros((1, 3)), self._lander)
@@ -127,8 +127,8 @@ class GuidanceLawAgent:
 
     def act(self, observation: Any, info: dict[str, Any]) -> NDArray[np.float32]:
         """Return the action closest to the acceleration that the law commands."""
-        estimate = self._estimate(observation, self._time if self._begun else 0.0)
-        if not self._begun:
+        estimate = self._estimate(observation, self._time if self._has_started else 0.0)
+        if not self._has_started:
             self._start(estimate)
         left = self._arrival - self._time
         height = float(estimate.position[2]) - self._lander.com_height
@@ -146,7 +146,7 @@ class GuidanceLawAgent:
 
 
 class PolynomialLawAgent:
-    """Agent interface for the stateless `lunarsim_envs.descent.baseline.PolynomialGuidance`.
+    """Fly `Guidance-v0` with `lunarsim_envs.descent.baseline.PolynomialGuidance`.
 
     Parameters
     ----------

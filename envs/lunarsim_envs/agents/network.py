@@ -23,7 +23,7 @@ _FORMAT = "lunarsim network 1"
 
 @dataclass(frozen=True)
 class Network:
-    """Multilayer perceptron with tanh layers and two input scales per observation value.
+    """Multilayer perceptron with tanh layers and two scales per observation value.
 
     Attributes
     ----------

@@ -1,5 +1,6 @@
-"""Fly networks in ONNX files, which any framework can export and which contain no code.
+"""Fly networks from ONNX files.
 
+Any framework can export such files, and they contain no code.
 These agents need the extra ``onnx``.
 """
 
@@ -93,7 +94,7 @@ class OnnxAgent:
         names = list(space) if isinstance(space, gymnasium.spaces.Dict) else None
         seen = [name for name in self._inputs if name != _MASK]
         if names is None and len(seen) != 1:
-            raise self._error(f"one input besides {_MASK}, not {', '.join(seen) or 'none'}")
+            raise self._error(f"one input apart from {_MASK}, not {', '.join(seen) or 'none'}")
         if names is not None and not set(seen) <= set(names):
             raise self._error(f"inputs from {', '.join(names)}, not {', '.join(seen)}")
         sizes = _choices(self._space)
@@ -173,7 +174,7 @@ def _zeros(space: gymnasium.Space[Any]) -> Any:
 
 
 def _choices(space: gymnasium.Space[Any]) -> list[int]:
-    """Return the number of options of each choice of a discrete action; empty for others."""
+    """Return the number of options of each choice of an action; empty if continuous."""
     if isinstance(space, gymnasium.spaces.Discrete):
         return [int(space.n)]
     if isinstance(space, gymnasium.spaces.MultiDiscrete):

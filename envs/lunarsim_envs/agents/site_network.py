@@ -32,7 +32,7 @@ _LEAST, _MOST = 1e-6, 0.999
 
 
 def features(sights: SiteInputs) -> tuple[Array, NDArray[np.bool_]]:
-    """Return the features (n, 21, features) and the availability (n, 21) of all options.
+    """Return features (n, 21, features) and availability (n, 21) of all options.
 
     Option 0 is the current site, the others are the rows of the action space.
     """
@@ -138,7 +138,9 @@ def is_site_network(path: Path) -> bool:
 
 
 class SiteNetworkAgent:
-    """Fly ``Retarget-v0`` with a site network, which gets the same inputs as onboard policies.
+    """Fly ``Retarget-v0`` with a site network.
+
+    The network gets the same inputs as onboard policies.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Trivial agents; their scores are the baseline that an environment gives without skill."""
+"""Trivial agents, whose scores are a lower reference for other agents."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class ZeroAgent:
 
 
 class RandomAgent:
-    """Return uniformly distributed actions; discrete ones only among available options.
+    """Return uniformly distributed actions, restricted to available options.
 
     Parameters
     ----------

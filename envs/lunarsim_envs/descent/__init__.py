@@ -1,1 +1,1 @@
-"""Descents that an agent flies itself; one kernel flies one lander or thousands in parallel."""
+"""Descents in which an agent commands thrust and attitude or torques."""

@@ -1,5 +1,5 @@
 # mypy: allow-untyped-defs, no-check-untyped-defs
-"""Compiled kernels of the descent environments: random starts, flight steps and touchdown."""
+"""Compiled kernels of descents: random starts, flight steps and touchdown."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _SECOND = np.uint64(0x94D049BB133111EB)
 
 @kernel()
 def uniform(key, count):
-    """Return draw `count` of a key in (0, 1), by SplitMix64 (Steele, Lea and Flood, 2014)."""
+    """Return draw `count` of a key in (0, 1) by SplitMix64 (Steele et al. 2014)."""
     x = np.uint64(key) + _GOLDEN * np.uint64(count + 1)
     x = (x ^ (x >> np.uint64(30))) * _FIRST
     x = (x ^ (x >> np.uint64(27))) * _SECOND
@@ -41,15 +41,15 @@ def normal(key, count):
 
 @kernel(shared=True)
 def begin(
-    share, mask, keys, begun, y, rate, target, world, time, ended, starts, aims, spans, upright,
+    share, mask, keys, counts, y, rate, target, world, time, ended, starts, aims, spans, upright,
     weight, reliefs, frame,
 ):  # fmt: skip
     """Start a new random flight in every lane of `mask` (n,)."""
     for i in range(share[0], len(y), share[1]):
         if not mask[i]:
             continue
-        first = begun[i] * _DRAWS
-        begun[i] += 1
+        first = counts[i] * _DRAWS
+        counts[i] += 1
         key = keys[i]
         worlds = spans[i, 1]
         world[i] = spans[i, 0] + min(int(uniform(key, first) * worlds), worlds - 1)
@@ -84,7 +84,7 @@ VARIED = np.uint64(0xD1342543DE82EF95)
 
 @kernel()
 def draw(key, flight, ranges, out):
-    """Draw the randomized parameters of a flight (13,) from the ranges of `Variation` (12,)."""
+    """Draw the parameters of a flight (13,) from the ranges of `Variation` (12,)."""
     key = np.uint64(key) ^ VARIED
     first = flight * 2 * DRAWS
     for k in range(6):
@@ -103,12 +103,12 @@ def draw(key, flight, ranges, out):
 
 
 @kernel(shared=True)
-def vary(share, mask, keys, begun, ranges, standard, nominal, drawn, figures, y):
+def vary(share, mask, keys, counts, ranges, standard, nominal, drawn, figures, y):
     """Apply new randomized parameters to the started flights of `mask` (n,)."""
     for i in range(share[0], len(y), share[1]):
         if not mask[i]:
             continue
-        draw(keys[i], begun[i] - 1, ranges, drawn[i])
+        draw(keys[i], counts[i] - 1, ranges, drawn[i])
         own = drawn[i]
         figures[i, 0] = nominal[0]
         figures[i, 1] = nominal[1] + own[IMPULSE] * standard
@@ -120,7 +120,7 @@ def vary(share, mask, keys, begun, ranges, standard, nominal, drawn, figures, y)
 
 @kernel(shared=True)
 def scatter(share, mask, keys, counts, out):
-    """Write standard normal numbers into the rows of `out` (n, k) in `mask`, and count them."""
+    """Write standard normal numbers to rows `mask` of `out` (n, k), and count them."""
     for i in range(share[0], len(out), share[1]):
         if mask[i]:
             for k in range(out.shape[1]):
@@ -149,8 +149,11 @@ class Vehicle(NamedTuple):
     com_height: float
 
 
-class Grounds(NamedTuple):
-    """Heights with rocks (k, rows, cols), m; corner and posting (3,), m; height range (k, 2), m."""
+class TerrainRasters(NamedTuple):
+    """Heights with rocks (k, rows, cols), grid frame (3,) and height ranges (k, 2), m.
+
+    `frame`: east and north of cell (0, 0), and posting.
+    """
 
     z: np.ndarray
     frame: np.ndarray
@@ -158,30 +161,30 @@ class Grounds(NamedTuple):
 
 
 class Flights(NamedTuple):
-    """Status of all lanes (n,): world, time (s), end, failed limits, touchdown values (n, 7)."""
+    """Status of all lanes (n,): world, time (s), end, violated limits and touchdown."""
 
     world: np.ndarray
     time: np.ndarray
     ended: np.ndarray
     failed: np.ndarray
-    told: np.ndarray
+    touchdown_values: np.ndarray
 
 
 @kernel()
-def _end(i, y, vehicle, grounds, flights):
-    """Record the end of a flight by touchdown or below the map; return 1 if it ended, else 0."""
+def _end(i, y, vehicle, terrains, flights):
+    """Record a touchdown or a flight below the map; return 1 if the flight ended."""
     w = flights.world[i]
-    z, frame = grounds.z[w], grounds.frame
+    z, frame = terrains.z[w], terrains.frame
     if has_contact(y, vehicle.pads, vehicle.disc, z, frame):
         figures = vehicle.figures[i]
         flights.ended[i] = LANDED
         flights.failed[i] = violated_limits(
             y, vehicle.pads, vehicle.disc, vehicle.spacing, z, frame, vehicle.limits,
             vehicle.com_height, figures[0], figures[3], figures[4], vehicle.inertia,
-            flights.told[i],
+            flights.touchdown_values[i],
         )  # fmt: skip
         return 1
-    if y[2] < grounds.levels[w, 0] - 1.0:
+    if y[2] < terrains.levels[w, 0] - 1.0:
         flights.ended[i] = LOST
         flights.failed[i] = OFF_MAP
         return 1
@@ -190,7 +193,7 @@ def _end(i, y, vehicle, grounds, flights):
 
 @kernel(exact=True)
 def _loaded(first, beyond, ended, y, lanes, block):
-    """Copy flying lanes into a block (15, width), padded by the first; return their number."""
+    """Copy flying lanes to a padded block (15, width); return their number."""
     count = 0
     for i in range(first, beyond):
         if ended[i] == FLYING:
@@ -205,7 +208,10 @@ def _loaded(first, beyond, ended, y, lanes, block):
 
 @kernel(exact=True)
 def _asked(block, own, n, action, guided, control, heading, load, attitude):
-    """Store the commanded thrust, and attitude or torques, of lane n; ignores a random load."""
+    """Store the commanded thrust, and attitude or torques, of lane n.
+
+    The command does not take a random load into account.
+    """
     if guided:
         own[loop.THRUST, n] = thrust_attitude(
             action, block[13, n] - load, control[0], control[1], heading, control[2], attitude
@@ -220,7 +226,7 @@ def _asked(block, own, n, action, guided, control, heading, load, attitude):
 
 @kernel(exact=True)
 def _takes(i, block, own, n, figures, rate, vehicle, levels, reach, flights):
-    """Copy parameters, random draws and controller state of lane i to place n of a block."""
+    """Copy parameters, draws and controller state of lane i to place n of a block."""
     for k in range(5):
         figures[k, n] = vehicle.figures[i, k]
     drawn, inertia = vehicle.drawn[i], vehicle.inertia
@@ -247,19 +253,19 @@ def _stored(block, own, n, i, y, rate, flights):
 
 
 @kernel()
-def _ended(block, own, count, lanes, y, rate, vehicle, grounds, flights):
+def _ended(block, own, count, lanes, y, rate, vehicle, terrains, flights):
     """Return the number of lanes of a block that have ended."""
     over = 0
     for n in range(count):
         i = lanes[n]
         if flights.ended[i] == FLYING and block[2, n] <= own[loop.FLOOR, n]:
             _stored(block, own, n, i, y, rate, flights)
-            over += _end(i, y[i], vehicle, grounds, flights)
+            over += _end(i, y[i], vehicle, terrains, flights)
     return over
 
 
 @kernel(shared=True)
-def advance(share, y, rate, actions, guided, steps, dt, limit, width, vehicle, grounds, flights):
+def advance(share, y, rate, actions, guided, steps, dt, limit, width, vehicle, terrains, flights):
     """Fly every flying lane for `steps` steps with its action, or to its end."""
     v, ended = vehicle, flights.ended
     gains, most = v.control[3:6], v.control[6:]
@@ -274,7 +280,7 @@ def advance(share, y, rate, actions, guided, steps, dt, limit, width, vehicle, g
             continue
         for n in range(width):
             i = lanes[n] if n < count else lanes[0]
-            _takes(i, block, own, n, figures, rate, v, grounds.levels, reach, flights)
+            _takes(i, block, own, n, figures, rate, v, terrains.levels, reach, flights)
             _asked(
                 block, own, n, actions[i], guided, v.control, v.heading, v.drawn[i, LOAD], attitude
             )
@@ -289,7 +295,7 @@ def advance(share, y, rate, actions, guided, steps, dt, limit, width, vehicle, g
             if guided:
                 loop.sense(block, own, width, dt, spare)
             if loop.low(block, own, width) > 0:
-                left -= _ended(block, own, count, lanes, y, rate, v, grounds, flights)
+                left -= _ended(block, own, count, lanes, y, rate, v, terrains, flights)
                 if left == 0:
                     break
         for n in range(count):

@@ -45,7 +45,7 @@ def arc(s, w):
 
 @kernel(exact=True)
 def _between(block, a, other, b, out, n):
-    """Write the rotation vector of lane n between the quaternions in rows a and rows b."""
+    """Write the rotation vector of lane n from the quaternion in rows a to rows b."""
     qx, qy, qz, qw = block[a, n], block[a + 1, n], block[a + 2, n], block[a + 3, n]
     tx, ty, tz, tw = other[b, n], other[b + 1, n], other[b + 2, n], other[b + 3, n]
     x = qw * tx - qx * tw - qy * tz + qz * ty
@@ -88,7 +88,10 @@ def sense(block, own, width, dt, turn):
 
 @kernel(inner=True)
 def give(block, own, width, gives, torque):
-    """Write thrusts (width,), N, and torques (3, width), N m, with failures and thrust offset."""
+    """Write thrusts (width,), N, and torques (3, width), N m, with failures.
+
+    Torques include the effect of the thrust offset.
+    """
     for n in range(width):
         asked = own[THRUST, n] * (1.0 + own[SHARE, n])
         gives[n] = asked * own[ENGINE, n] if own[TIME, n] >= own[FAILS, n] else asked

@@ -67,8 +67,10 @@ class Actions:
         wide = given.astype(np.float64).reshape(-1, size)
         most = np.abs(wide).max(initial=0.0)
         if not most <= 1.0 + _ROUNDING:
-            told = "a value that is not finite" if not np.isfinite(most) else f"magnitude {most:g}"
-            raise ValueError(f"action: must be from -1 to 1, got {told}.")
+            problem = (
+                "a value that is not finite" if not np.isfinite(most) else f"magnitude {most:g}"
+            )
+            raise ValueError(f"action: must be from -1 to 1, got {problem}.")
         return np.asarray(self.offset + self.scale * np.clip(wide, -1.0, 1.0))
 
     def action(self, physical: ArrayLike) -> NDArray[np.float32]:

@@ -22,7 +22,7 @@ _ACROSS, _ALONG = 0.25, 1.0
 
 
 class PolynomialGuidance:
-    """Fly E-guidance (Cherry 1964) to a gate above the target, then descend vertically.
+    """Fly E-guidance (Cherry 1964) to a gate above the target, then vertically.
 
     Parameters
     ----------

@@ -179,7 +179,7 @@ class DescentBatch:
         limit) (n,).
     failed
         Violated touchdown limits, one bit each in the order of `LIMITS` (n,).
-    told
+    touchdown_values
         Vertical and horizontal speed, tilt, rate, slope, roughness and tip-over margin at
         touchdown (n, 7), SI.
     starts, aims
@@ -203,12 +203,12 @@ class DescentBatch:
         self.count, self.craft, self.worlds, self.guided = count, craft, worlds, guided
         self.steps = craft.steps(rate)
         self.y, self.target = np.zeros((count, 15)), np.zeros((count, 3))
-        self.time, self.told = np.zeros(count), np.full((count, 7), np.nan)
+        self.time, self.touchdown_values = np.zeros(count), np.full((count, 7), np.nan)
         self.ended, self.failed = np.full(count, LATE), np.zeros(count, np.int64)
         self.starts, self.aims = np.tile(craft.start, (count, 1)), np.tile(craft.aim, (count, 1))
         self.spans = np.tile(worlds.span(None), (count, 1))
         self.has_key = np.zeros(count, np.bool_)
-        self._keys, self._begun = np.zeros(count, np.uint64), np.zeros(count, np.int64)
+        self._keys, self._flight_counts = np.zeros(count, np.uint64), np.zeros(count, np.int64)
         self._rate, self.world = np.zeros((count, 3)), np.zeros(count, np.int64)
         self.figures = np.tile(d.figures, (count, 1))
         self.drawn = np.tile(_ALIKE, (count, 1))
@@ -226,11 +226,11 @@ class DescentBatch:
             v.pads, pad_disc(0.5 * v.pad_diameter), TERRAIN_SAMPLE_SPACING_M, np.array(limits),
             v.com_height,
         )  # fmt: skip
-        self._grounds = k.Grounds(worlds.grounds, worlds.frame, worlds.levels)
+        self._terrains = k.TerrainRasters(worlds.terrains, worlds.frame, worlds.levels)
 
     @property
     def _flights(self) -> k.Flights:
-        return k.Flights(self.world, self.time, self.ended, self.failed, self.told)
+        return k.Flights(self.world, self.time, self.ended, self.failed, self.touchdown_values)
 
     @property
     def keys(self) -> NDArray[np.uint64]:
@@ -238,14 +238,14 @@ class DescentBatch:
         return self._keys
 
     @property
-    def begun(self) -> NDArray[np.int64]:
+    def flight_counts(self) -> NDArray[np.int64]:
         """Number of flights that each lane has started with its key (n,)."""
-        return self._begun
+        return self._flight_counts
 
     def seed(self, mask: NDArray[np.bool_], keys: NDArray[np.uint64]) -> None:
         """Set the random keys of lanes; all later flights derive from them."""
         self._keys[mask] = keys
-        self._begun[mask] = 0
+        self._flight_counts[mask] = 0
         self._counts[mask] = 0
         self.has_key[mask] = True
 
@@ -254,17 +254,17 @@ class DescentBatch:
         w = self.worlds
         with threads_for(_STEP * self.count):
             k.begin(
-                mask, self._keys, self._begun, self.y, self._rate, self.target, self.world,
+                mask, self._keys, self._flight_counts, self.y, self._rate, self.target, self.world,
                 self.time, self.ended, self.starts, self.aims, self.spans, self._upright,
                 self._weight, w.reliefs, w.relief_frame,
             )  # fmt: skip
             if self.craft.variation is not None:
                 k.vary(
-                    mask, self._keys, self._begun, self.craft.variation.ranges, STANDARD_GRAVITY,
-                    self.craft.dynamics.figures, self.drawn, self.figures, self.y,
+                    mask, self._keys, self._flight_counts, self.craft.variation.ranges,
+                    STANDARD_GRAVITY, self.craft.dynamics.figures, self.drawn, self.figures, self.y,
                 )  # fmt: skip
         self.failed[mask] = 0
-        self.told[mask] = np.nan
+        self.touchdown_values[mask] = np.nan
 
     def normals(self, mask: NDArray[np.bool_], size: int) -> Array:
         """Return standard normal numbers for lanes of `mask` (n, size); 0 in the others."""
@@ -285,7 +285,7 @@ class DescentBatch:
         with threads_for(_STEP * self.count * self.steps):
             k.advance(
                 self.y, self._rate, actions, self.guided, self.steps, step, self.craft.limit,
-                min(SIMD_BATCH, self.count), self._vehicle, self._grounds, self._flights,
+                min(SIMD_BATCH, self.count), self._vehicle, self._terrains, self._flights,
             )  # fmt: skip
 
     def stop(self, mask: NDArray[np.bool_]) -> None:

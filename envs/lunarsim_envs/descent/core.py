@@ -1,4 +1,4 @@
-"""Combine landers, observations, actions and rewards for single and vector environments."""
+"""Combine landers, observations, actions and rewards of descent environments."""
 
 from __future__ import annotations
 
@@ -109,15 +109,15 @@ class DescentEnvCore:
         craft = VehicleParams.of(self.scenario)
         self.shown = ObservationLayout(observation)
         self.actions = Actions(craft.dynamics.lander, guided=guided)
-        ground = WorldPool.of(self.scenario, worlds, world_seed, checked_covers(covers))
-        self.lanes = DescentBatch(count, craft, ground, guided=guided, rate=rate_hz)
+        pool = WorldPool.of(self.scenario, worlds, world_seed, checked_covers(covers))
+        self.lanes = DescentBatch(count, craft, pool, guided=guided, rate=rate_hz)
         check_height(craft.start, self.lanes)
         self.rewards = Rewards(weights or DescentWeights.of(self.scenario), self.lanes)
         self.truth = ObservationLayout(DEFAULT) if privileged else None
         self.senses = self._senses() if craft.variation is not None else None
 
     def _senses(self) -> SensingModel:
-        """Return the model of noise and delays; before the first action, thrust equals weight."""
+        """Return the noise and delay model; before the first action, thrust equals weight."""
         d = self.lanes.craft.dynamics
         weight = d.lander.wet_mass * d.gravity
         idle = [0.0, 0.0, d.gravity] if self.lanes.guided else [weight, 0.0, 0.0, 0.0]
@@ -148,7 +148,7 @@ class DescentEnvCore:
         apply_options(options, self.lanes, mask)
 
     def restart(self, mask: Mask) -> None:
-        """Start new episodes for the landers of `mask`, with the options of `apply_options`."""
+        """Start new episodes for the lanes of `mask`, with options of `apply_options`."""
         self.lanes.begin(mask)
         self.rewards.begin(mask)
         if self.senses is not None:
@@ -165,16 +165,16 @@ class DescentEnvCore:
         ``privileged``: true state with the components of `observations.DEFAULT`, followed by all
         randomized parameters (n, 28), if requested.
         """
-        told: dict[str, Any] = {}
+        hidden: dict[str, Any] = {}
         drawn = self.lanes.drawn
         if self.senses is not None:
-            told["drawn"] = {name: drawn[:, i].copy() for i, name in enumerate(RANDOM_QUANTITIES)}
+            hidden["drawn"] = {name: drawn[:, i].copy() for i, name in enumerate(RANDOM_QUANTITIES)}
         if self.truth is not None:
             finite = np.minimum(drawn, self.lanes.craft.limit).astype(np.float32)
-            told["privileged"] = np.hstack((self.truth.of(self.lanes), finite))
-        return told
+            hidden["privileged"] = np.hstack((self.truth.of(self.lanes), finite))
+        return hidden
 
-    def told(self) -> dict[str, NDArray[np.float64]]:
+    def outcome(self) -> dict[str, NDArray[np.float64]]:
         """Return flight time (s), propellant used (kg) and miss distance (m), each (n,)."""
         lanes = self.lanes
         return {"time_s": lanes.time, "propellant_kg": lanes.burnt, "miss_m": lanes.miss}

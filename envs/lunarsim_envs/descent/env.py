@@ -1,4 +1,4 @@
-"""Environments ``lunarsim/Guidance-v0`` and ``lunarsim/Control-v0``: an agent flies the descent."""
+"""Environments ``lunarsim/Guidance-v0`` and ``lunarsim/Control-v0``: descents."""
 
 from __future__ import annotations
 
@@ -63,12 +63,12 @@ class DescentEnv(gymnasium.Env[Any, Any]):
         return self.descents.observe()[0], self._hidden()
 
     def _hidden(self) -> dict[str, Any]:
-        told = self.descents.hidden()
-        if "drawn" in told:
-            told["drawn"] = {name: float(one[0]) for name, one in told["drawn"].items()}
-        if "privileged" in told:
-            told["privileged"] = told["privileged"][0]
-        return told
+        hidden = self.descents.hidden()
+        if "drawn" in hidden:
+            hidden["drawn"] = {name: float(one[0]) for name, one in hidden["drawn"].items()}
+        if "privileged" in hidden:
+            hidden["privileged"] = hidden["privileged"][0]
+        return hidden
 
     def step(self, action: ArrayLike) -> tuple[Shown, float, bool, bool, dict[str, Any]]:
         """Fly with an action until the next one is due, or to the end."""
@@ -84,7 +84,7 @@ class DescentEnv(gymnasium.Env[Any, Any]):
         info: dict[str, Any] = {"reward_terms": named, "cost": float(crash)} | self._hidden()
         if terminated[0] or truncated[0]:
             info |= {"safe": bool(d.lanes.safe[0]), "failed": d.lanes.words(0)}
-            info |= {name: float(told[0]) for name, told in d.told().items()}
+            info |= {name: float(value[0]) for name, value in d.outcome().items()}
         ends = bool(terminated[0]), bool(truncated[0])
         return d.observe()[0], float(sum_terms(named)), *ends, info
 
@@ -139,7 +139,7 @@ class DescentVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         batch = gymnasium.vector.utils.batch_space
         self.action_space = batch(self.single_action_space, num_envs)
         self.observation_space = batch(self.single_observation_space, num_envs)
-        self._due, self._begun = np.zeros((2, num_envs), np.bool_)
+        self._due, self._was_reset = np.zeros((2, num_envs), np.bool_)
         self._limit = StepLimit(max_episode_steps, num_envs)
         self.render_mode = None
 
@@ -149,15 +149,15 @@ class DescentVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         seed: int | Sequence[int | None] | None = None,
         options: dict[str, Any] | None = None,
     ) -> tuple[Shown, dict[str, Any]]:
-        """Start new episodes in all environments, or those of ``options["reset_mask"]`` (n,)."""
+        """Start new episodes in all lanes or in those of ``options["reset_mask"]`` (n,)."""
         left = checked_options(options)
         mask = reset_mask(left.pop("reset_mask", None), self.num_envs)
-        check_all_reset(self._begun, mask)
+        check_all_reset(self._was_reset, mask)
         seeds = lane_seeds(seed, mask)
         self.descents.apply_options(mask, left)
         self.descents.seed(mask, seeds)
         self._restart(mask)
-        self._begun |= mask
+        self._was_reset |= mask
         self._due[mask] = False
         return self.descents.observe(), self._hidden()
 
@@ -166,9 +166,9 @@ class DescentVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         self._limit.begin(mask)
 
     def _hidden(self) -> dict[str, Any]:
-        told = self.descents.hidden()
+        hidden = self.descents.hidden()
         every = np.ones(self.num_envs, np.bool_)
-        return told | {f"_{name}": every for name in told}
+        return hidden | {f"_{name}": every for name in hidden}
 
     def step(
         self, actions: ArrayLike
@@ -187,8 +187,8 @@ class DescentVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         if over.any():
             info |= {"safe": d.lanes.safe & over, "_safe": over}
             info |= {"failed": np.where(over, d.lanes.failed, 0), "_failed": over}
-            for name, told in d.told().items():
-                info |= {name: np.where(over, told, 0.0), f"_{name}": over}
+            for name, values in d.outcome().items():
+                info |= {name: np.where(over, values, 0.0), f"_{name}": over}
         truncated = truncated | self._limit.reached(moved)
         over = terminated | truncated
         d.lanes.stop(over)

@@ -22,7 +22,8 @@ class DelayLine:
     lanes, size
         Batch of landers, and number of values per row.
     place
-        Column of `DescentBatch.drawn` with the delay, s. Delays are rounded to whole steps.
+        Column of `DescentBatch.drawn` with the delay, s. Delays are rounded to multiples
+        of the step.
     most, period
         Maximum delay and duration of a step, s.
     """

@@ -158,5 +158,5 @@ class ObservationLayout:
         for part, value in () if self._checked else zip(self.parts, each, strict=True):
             check_shape(f"observation: {part.name}", value, (lanes.count, part.size))
         self._checked = True
-        told = np.concatenate(each, axis=1).astype(np.float32)
-        return np.clip(told, self._low, self._high, out=told)
+        observation = np.concatenate(each, axis=1).astype(np.float32)
+        return np.clip(observation, self._low, self._high, out=observation)

@@ -114,8 +114,8 @@ def _numbers(key: str, value: Any, room: Array) -> Array:
     several = list(plain) if isinstance(plain, Sequence) else []
     listed = [plain] if len(room) == 1 else several
     kinds = int, float, np.integer, np.floating
-    told = all(isinstance(one, kinds) and not isinstance(one, bool) for one in listed)
-    numbers = np.array(listed, dtype=np.float64) if told else np.full(1, np.nan)
+    are_numbers = all(isinstance(one, kinds) and not isinstance(one, bool) for one in listed)
+    numbers = np.array(listed, dtype=np.float64) if are_numbers else np.full(1, np.nan)
     if numbers.shape != room.shape or not np.isfinite(numbers).all():
         what = (
             "must be a finite number" if len(room) == 1 else f"must be {len(room)} finite numbers"
@@ -129,7 +129,7 @@ def _numbers(key: str, value: Any, room: Array) -> Array:
 
 
 def _check_aims(aims: Array, lanes: DescentBatch) -> None:
-    """Check that targets are within the target area of the scenario, where terrain is stored."""
+    """Check that targets are in the target area, for which terrain is stored."""
     middle, scatter = lanes.craft.aim[:2], lanes.craft.aim[2:]
     low, high = middle - scatter, middle + scatter
     if np.any(aims[:2] - aims[2:] < low - 1e-9) or np.any(aims[:2] + aims[2:] > high + 1e-9):

@@ -1,4 +1,4 @@
-"""Render images of a descent: the vertical plane through start and target, with gauges."""
+"""Render a descent in the vertical plane through start and target, with gauges."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class PlaneView:
         self._along = np.array([1.0, 0.0])
 
     def begin(self) -> None:
-        """Start a flight: the view is the vertical plane through the lander and its target."""
+        """Start a flight and set the view plane through the lander and its target."""
         away = (self._lanes.y[self._lane, :2] - self._lanes.target[self._lane, :2]).copy()
         far = float(np.linalg.norm(away))
         self._along = away / far if far > 1.0 else np.array([1.0, 0.0])
@@ -52,7 +52,7 @@ class PlaneView:
         self._path.append(self._flat(self._lanes.y[self._lane, :3]))
 
     def _flat(self, points: Array) -> Array:
-        """Project points (..., 3) to the plane: horizontal and vertical offset from target, m."""
+        """Project points (..., 3) to the plane, as offsets (..., 2) from the target, m."""
         off = points - self._lanes.target[self._lane]
         return np.stack((off[..., :2] @ self._along, off[..., 2]), axis=-1)
 
@@ -69,10 +69,10 @@ class PlaneView:
             return np.round(np.clip(spot, -4 * SIDE, 5 * SIDE)).astype(np.int32)
 
         image = np.full((SIDE, SIDE, 3), _SKY, np.uint8)
-        ground = pixels(self._ground(left, extent))
+        profile = pixels(self._terrain_profile(left, extent))
         corners = np.array([[SIDE, 2 * SIDE], [0, 2 * SIDE]], np.int32)
-        cv2.fillPoly(image, [np.vstack((ground, corners))], _GROUND)
-        cv2.polylines(image, [ground], False, _LINE, 1, cv2.LINE_AA)
+        cv2.fillPoly(image, [np.vstack((profile, corners))], _GROUND)
+        cv2.polylines(image, [profile], False, _LINE, 1, cv2.LINE_AA)
         aim = pixels(np.zeros(2))
         cv2.line(image, aim + np.array([0, 3]), aim - np.array([0, 12]), _AIM, 2, cv2.LINE_AA)
         cv2.polylines(image, [pixels(np.array(self._path))], False, _PATH, 1, cv2.LINE_AA)
@@ -81,10 +81,10 @@ class PlaneView:
                     _WORDS, 1, cv2.LINE_AA)  # fmt: skip
         return np.hstack((image, self._gauges()))
 
-    def _ground(self, left: float, extent: float) -> Array:
-        """Return the terrain profile (n, 2), m; unknown terrain has the height of the target."""
+    def _terrain_profile(self, left: float, extent: float) -> Array:
+        """Return the terrain profile (n, 2), m, with target height for unknown terrain."""
         lanes, worlds = self._lanes, self._lanes.worlds
-        z = worlds.grounds[lanes.world[self._lane]]
+        z = worlds.terrains[lanes.world[self._lane]]
         x0, y0, posting = worlds.frame
         along = np.linspace(left, left + extent, 2 * SIDE)
         target = lanes.target[self._lane]
@@ -110,8 +110,8 @@ class PlaneView:
         side = np.array([side[0], side[1], 0.0])
         side /= max(float(np.linalg.norm(side)), 1e-9)
 
-        def at(aside: float, up: float) -> NDArray[np.int32]:
-            point = quat_rotate(y[6:10], size * aside * side + np.array([0.0, 0.0, up]))
+        def at(lateral: float, up: float) -> NDArray[np.int32]:
+            point = quat_rotate(y[6:10], size * lateral * side + np.array([0.0, 0.0, up]))
             return pixels(self._flat(y[:3] + more * point))
 
         low, high = foot + _UNDER * size, foot + _TOP * size
@@ -119,8 +119,8 @@ class PlaneView:
             length = 1.6 * size * float(y[14]) / vehicle.thrust_max
             flame = np.array([at(-0.2, low), at(0.2, low), at(0.0, low - length)])
             cv2.fillPoly(image, [flame], _FLAME, cv2.LINE_AA)
-        for aside in (-1.0, 1.0):
-            cv2.line(image, at(0.5 * aside, 0.5 * (low + high)), at(aside, foot), _BODY, 2,
+        for lateral in (-1.0, 1.0):
+            cv2.line(image, at(0.5 * lateral, 0.5 * (low + high)), at(lateral, foot), _BODY, 2,
                      cv2.LINE_AA)  # fmt: skip
         body = [at(-_HALF, low), at(_HALF, low), at(0.7 * _HALF, high), at(-0.7 * _HALF, high)]
         cv2.fillPoly(image, [np.array(body)], _BODY, cv2.LINE_AA)
@@ -131,7 +131,7 @@ class PlaneView:
         vehicle = lanes.craft.dynamics.lander
         tilt = np.degrees(np.arccos(np.clip(quat_rotate(y[6:10], [0.0, 0.0, 1.0])[2], -1.0, 1.0)))
         off = self._flat(y[:3])
-        told = [
+        gauges = [
             ("time", f"{lanes.time[self._lane]:.1f} s", None),
             ("height", f"{off[1] - vehicle.com_height:.1f} m", None),
             ("to target", f"{lanes.miss[self._lane]:.1f} m", None),
@@ -144,7 +144,7 @@ class PlaneView:
         ]  # fmt: skip
         image = np.full((SIDE, ASIDE, 3), _SKY, np.uint8)
         font = cv2.FONT_HERSHEY_SIMPLEX
-        for i, (name, value, share) in enumerate(told):
+        for i, (name, value, share) in enumerate(gauges):
             top = 28 + 46 * i
             cv2.putText(image, name, (10, top), font, 0.42, _LINE, 1, cv2.LINE_AA)
             cv2.putText(image, value, (108, top), font, 0.42, _WORDS, 1, cv2.LINE_AA)

@@ -1,4 +1,4 @@
-"""Compute the shaping potential: deviation from a velocity that leads to the target."""
+"""Compute the shaping potential: deviation from a velocity towards the target."""
 
 from __future__ import annotations
 

@@ -20,7 +20,8 @@ MAX_MISS_M = 50.0
 # Maximum severity of a crash (distance plus speed, each over that of the planned start), and
 # maximum excess over a limit (natural logarithm of the ratio).
 MAX_SEVERITY, MAX_EXCESS = 2.0, 3.0
-# Number of columns of `DescentBatch.told` with a limit: vertical and horizontal speed, tilt, rate.
+# Number of columns of `DescentBatch.touchdown_values` with a limit: vertical and horizontal
+# speed, tilt, rate.
 _LIMITED = 4
 
 
@@ -87,7 +88,7 @@ class Rewards:
         self._potential = np.zeros(lanes.count)
 
     def _off(self) -> Array:
-        """Return distance plus speed of every lane, each over that of the planned start (n,)."""
+        """Return distance plus speed (n,), each over that of the planned start."""
         y = self.lanes.y
         away = np.linalg.norm(y[:, :3] - self.lanes.target, axis=1) / self._far
         fast = np.linalg.norm(y[:, 3:6], axis=1) / self._fast
@@ -104,7 +105,7 @@ class Rewards:
             vehicle.vertical_speed_limit, vehicle.horizontal_speed_limit, vehicle.tilt_limit,
             vehicle.rate_limit,
         ])  # fmt: skip
-        times = np.abs(self.lanes.told[:, :_LIMITED]) / limits
+        times = np.abs(self.lanes.touchdown_values[:, :_LIMITED]) / limits
         folds = np.log(np.maximum(times, 1.0))
         folds = np.where(np.isfinite(folds), np.minimum(folds, MAX_EXCESS), MAX_EXCESS)
         return np.asarray(folds.sum(axis=1))
@@ -115,13 +116,13 @@ class Rewards:
         self._potential[mask] = self.potential()[mask]
 
     def terms(self, moved: NDArray[np.bool_]) -> dict[str, Array]:
-        """Return the reward terms of the last step (n,) by name; 0 in lanes that did not move."""
+        """Return the reward terms of the last step (n,); 0 in lanes that did not move."""
         w, lanes = self.weights, self.lanes
         over = (lanes.ended != FLYING) & (lanes.ended != LATE)
         after = np.where(over, 0.0, self.potential())
         safe = lanes.safe
         severity = 0.5 * w.severity * np.minimum(self._off(), MAX_SEVERITY)
-        told = {
+        rewards = {
             "touchdown": np.where(over, np.where(safe, w.safe, w.crash), 0.0),
             "propellant": -w.propellant * (self._mass - lanes.y[:, 13]),
             "miss": np.where(safe, -w.miss * np.minimum(lanes.miss, MAX_MISS_M), 0.0),
@@ -131,4 +132,4 @@ class Rewards:
         }
         self._mass = np.where(moved, lanes.y[:, 13], self._mass)
         self._potential = np.where(moved, after, self._potential)
-        return {name: np.where(moved, term, 0.0) for name, term in told.items()}
+        return {name: np.where(moved, term, 0.0) for name, term in rewards.items()}

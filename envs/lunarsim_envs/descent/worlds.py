@@ -31,7 +31,7 @@ class WorldPool:
 
     Attributes
     ----------
-    grounds, frame
+    terrains, frame
         Heights with rocks (k, rows, cols), m; east and north of cell (0, 0), and posting (3,), m.
     reliefs, relief_frame
         The same without rocks, as the mission knows the terrain.
@@ -42,7 +42,7 @@ class WorldPool:
         cover of the scenario is the first.
     """
 
-    grounds: NDArray[np.float32]
+    terrains: NDArray[np.float32]
     frame: NDArray[np.float64]
     reliefs: NDArray[np.float32]
     relief_frame: NDArray[np.float64]
@@ -85,29 +85,29 @@ class WorldPool:
         cls, scenario: Scenario, count: int, drawn: Iterable[World], covers: Sequence[float] = ()
     ) -> WorldPool:
         """Store the terrain around the targets of generated worlds; arguments as in `of`."""
-        told = tuple(one.rocks.cover for one in scenarios_by_cover(scenario, covers))
-        grounds, reliefs, grids = [], [], None
+        all_covers = tuple(one.rocks.cover for one in scenarios_by_cover(scenario, covers))
+        terrains, reliefs, grids = [], [], None
         for world in drawn:
             if grids is None:
                 grids = _grids(scenario, world.terrain)
-                size = 4.0 * count * len(told) * sum(g.rows * g.cols for g in grids)
+                size = 4.0 * count * len(all_covers) * sum(g.rows * g.cols for g in grids)
                 if size > _MOST_BYTES:
                     raise InputError(
                         "worlds", count,
                         f"must be smaller, because the worlds need {format_bytes(size)}",
                         "A smaller target.scatter_m also helps.",
                     )  # fmt: skip
-            grounds.append(world.terrain.raster(grids[0]))
+            terrains.append(world.terrain.raster(grids[0]))
             reliefs.append(Terrain(world.terrain.relief).raster(grids[1]))
         assert grids is not None
-        ground, relief = np.stack(grounds), np.stack(reliefs)
+        height, relief = np.stack(terrains), np.stack(reliefs)
         if not np.isfinite(relief).all():
             raise InputError(
                 "target.scatter_m", scenario.target.make().scatter, "must be on terrain with data"
             )
-        levels = np.stack((np.nanmin(ground, (1, 2)), np.nanmax(ground, (1, 2))), axis=1)
+        levels = np.stack((np.nanmin(height, (1, 2)), np.nanmax(height, (1, 2))), axis=1)
         frames = [np.array([g.x0, g.y0, g.posting]) for g in grids]
-        return cls(ground, frames[0], relief, frames[1], levels.astype(np.float64), told)
+        return cls(height, frames[0], relief, frames[1], levels.astype(np.float64), all_covers)
 
     def span(self, cover: float | None) -> tuple[int, int]:
         """Return index of the first world and number of worlds of a cover.
@@ -119,7 +119,7 @@ class WorldPool:
         InputError
             If there are no worlds with this cover.
         """
-        count = len(self.grounds) // len(self.covers)
+        count = len(self.terrains) // len(self.covers)
         if cover is None:
             return 0, count
         k = int(np.abs(np.array(self.covers) - cover).argmin())

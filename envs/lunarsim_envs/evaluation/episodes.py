@@ -1,4 +1,4 @@
-"""Fly episodes of one agent; all random numbers derive from root seed and episode index."""
+"""Fly episodes of one agent, with random numbers by root seed and episode index."""
 
 from __future__ import annotations
 
@@ -107,7 +107,7 @@ def fly_episodes(study: EvaluationStudy, agent: str, episodes: range) -> Iterato
             score = total - terms.get("shaping", 0.0)
             row = {"agent": label(agent), "episode": episode, "return": total, "score": score}
             row["steps"] = steps
-            told = {f"reward_{name}": term for name, term in terms.items()}
-            yield row | _ending(info) | {"late": bool(late and not ended)} | told
+            rewards = {f"reward_{name}": term for name, term in terms.items()}
+            yield row | _ending(info) | {"late": bool(late and not ended)} | rewards
     finally:
         env.close()

@@ -1,4 +1,4 @@
-"""Fly episodes of several agents in parallel processes; results do not depend on their number."""
+"""Fly episodes of agents in parallel; results do not depend on the process count."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def fly(
     """
     if episodes > MAX_FLIGHTS:
         raise InputError("--episodes", episodes, f"must be at most {MAX_FLIGHTS}")
-    tell = progress or (lambda n: None)
+    report = progress or (lambda n: None)
     work = [
         (agent, range(first, min(first + _CHUNK, episodes)))
         for agent in agents
@@ -91,13 +91,13 @@ def fly(
         for agent in agents:
             for row in fly_episodes(study, agent, range(episodes)):
                 rows.append(row)
-                tell(1)
+                report(1)
         return rows
-    return _spread(study, work, jobs, tell)
+    return _spread(study, work, jobs, report)
 
 
 def _spread(
-    study: EvaluationStudy, work: list[tuple[str, range]], jobs: int, tell: Callable[[int], None]
+    study: EvaluationStudy, work: list[tuple[str, range]], jobs: int, report: Callable[[int], None]
 ) -> Rows:
     """Fly tasks in worker processes.
 
@@ -118,7 +118,7 @@ def _spread(
         try:
             while waiting:
                 done, waiting = wait(waiting, return_when=FIRST_COMPLETED)
-                tell(sum(len(future.result()) for future in done))
+                report(sum(len(future.result()) for future in done))
         except BrokenProcessPool:
             raise WorkersDieError(
                 "A worker process died. Use --jobs 1 to fly the episodes in the main process."

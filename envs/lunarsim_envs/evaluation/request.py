@@ -26,7 +26,9 @@ _DEFAULTS = {
 
 
 def _environment(given: str) -> str:
-    """Return the id of a registered environment; the prefix ``lunarsim/`` may be omitted.
+    """Return the id of a registered environment.
+
+    The prefix ``lunarsim/`` may be omitted.
 
     Raises
     ------

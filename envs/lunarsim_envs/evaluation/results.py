@@ -1,4 +1,4 @@
-"""Compute and write the results of an evaluation: metrics per agent and paired differences."""
+"""Compute and write evaluation results: metrics per agent, paired differences."""
 
 from __future__ import annotations
 
@@ -150,7 +150,7 @@ def _corrected(found: list[Difference]) -> list[Difference]:
 
 
 def write(
-    out: Path, rows: Rows, told: dict[str, Any], found: list[AgentMetrics],
+    out: Path, rows: Rows, arguments: dict[str, Any], found: list[AgentMetrics],
     between: dict[str, list[Difference]],
 ) -> None:  # fmt: skip
     """Write ``results.parquet`` (one row per episode and agent) and ``summary.json``.
@@ -161,7 +161,7 @@ def write(
         Folder to write to; it is created if needed.
     rows
         Results of the episodes.
-    told
+    arguments
         Arguments of the evaluation, stored in the summary.
     found, between
         Metrics of agents, and differences between agents.
@@ -170,7 +170,7 @@ def write(
     names = list(dict.fromkeys(name for row in rows for name in row))
     table = pa.table({name: [row.get(name) for row in rows] for name in names})
     atomic_write(out / "results.parquet", lambda part: pq.write_table(table, part))
-    summary = told | {
+    summary = arguments | {
         "version": lunarsim.__version__,
         "agents": [asdict(agent) for agent in found],
         "differences": {metric: [asdict(d) for d in many] for metric, many in between.items()},

@@ -43,8 +43,8 @@ def agents_table(found: list[AgentMetrics], within: float) -> Table:
 
 def _interval(d: Difference) -> str:
     """Format a difference with its interval, if there is more than one pair."""
-    told = f"{d.value:+.3f}"
-    return told if np.isnan(d.low) else f"{told} [{d.low:+.3f}, {d.high:+.3f}]"
+    value = f"{d.value:+.3f}"
+    return value if np.isnan(d.low) else f"{value} [{d.low:+.3f}, {d.high:+.3f}]"
 
 
 def differences_table(between: dict[str, list[Difference]]) -> Table:

@@ -54,7 +54,10 @@ def _square(a, b, c, out, sign):
 
 @kernel(inline=True)
 def _positive(c, low, high):
-    """Return whether a quartic (5,), constant first, is certainly positive in an interval."""
+    """Return whether a quartic (5,), constant first, is positive in an interval.
+
+    The test is sufficient, not necessary.
+    """
     w = high - low
     # Bernstein form on the interval from low to high.
     b0 = c[0] + low * (c[1] + low * (c[2] + low * (c[3] + low * c[4])))
@@ -73,7 +76,7 @@ def _positive(c, low, high):
 
 @kernel(inline=True)
 def _over(way, gap, wide, tall, glide, time):
-    """Return the maximum height of a sample above the cone, m, and its derivative in T."""
+    """Return the maximum sample height above the cone, m, and its derivative in T."""
     part = abs(way[4])
     east, north = way[4] * gap[0] + way[5] * time, way[4] * gap[1] + way[6] * time
     side = np.sqrt(east * east + north * north)
@@ -84,7 +87,10 @@ def _over(way, gap, wide, tall, glide, time):
 
 @kernel(inner=True)
 def sunk(ways, gap, wide, tall, glide, first):
-    """Return a time after `first`, s, beyond which all paths are below the cone; inf if unknown."""
+    """Return a time after `first`, s, after which all paths are below the cone.
+
+    It is inf if no such time is known.
+    """
     best = np.inf
     for s in range(len(ways) - 1):
         way = ways[s]
@@ -93,7 +99,7 @@ def sunk(ways, gap, wide, tall, glide, first):
         part = abs(way[4])
         u = way[4] * gap[2] + 0.5 + part * (tall + glide * wide) + _LENGTH
         v = way[7] + _SPEED
-        lowest = -u / v  # below the ground from then on
+        lowest = -u / v  # below the terrain after this time
         g = glide * glide
         a = v * v - g * (way[5] * way[5] + way[6] * way[6])
         b = u * v - g * way[4] * (gap[0] * way[5] + gap[1] * way[6])

@@ -32,7 +32,7 @@ def _scored(aim, dy, offset, score):
 
 
 @kernel()
-def greatest(cells, row):
+def row_max(cells, row):
     """Return the maximum of a row of cells (rows, cols) without NaN."""
     cols = cells.shape[1]
     best = cells[row, 0]
@@ -53,14 +53,14 @@ def greatest(cells, row):
 
 @kernel()
 def score_all(aim, corner, posting, site, score, most, highest):
-    """Write the score of each cell (rows, cols), and the row maxima of score and aim (rows,)."""
+    """Write the scores (rows, cols), and the row maxima of score and aim (rows,)."""
     rows, cols = aim.shape
     offset = np.empty(cols, np.float32)
     offsets(corner[0], posting, site[0], offset)
     for r in range(rows):
         dy = np.float32(corner[1] + r * posting - site[1])
         _scored(aim[r], dy, offset, score[r])
-        most[r], highest[r] = greatest(score, r), greatest(aim, r)
+        most[r], highest[r] = row_max(score, r), row_max(aim, r)
 
 
 @kernel(inner=True)
@@ -81,7 +81,7 @@ def clear(score, most, row, col, halves):
         half = halves[abs(r - row)]
         for c in range(max(col - half + 1, 0), min(col + half, cols)):
             score[r, c] = NOWHERE
-        most[r] = greatest(score, r)
+        most[r] = row_max(score, r)
 
 
 @kernel()
@@ -109,7 +109,7 @@ def best_cells(aim, corner, posting, site, count, separation, score, highest, ce
 
 @kernel()
 def nearest(aim, corner, posting, site, level, highest, place):
-    """Write the nearest cell with an aim of at least `level` (2,); return whether one exists."""
+    """Write the nearest cell (2,) with `aim` >= `level`; return whether one exists."""
     rows, cols = aim.shape
     middle = min(max(int(np.floor((site[1] - corner[1]) / posting + 0.5)), 0), rows - 1)
     best = np.inf

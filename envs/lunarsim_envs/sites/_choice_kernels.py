@@ -1,5 +1,5 @@
 # mypy: allow-untyped-defs, no-check-untyped-defs
-"""Compiled selection of candidate sites from maps, with their cost and expected miss."""
+"""Compiled selection of candidate sites from maps, with cost and expected miss."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from lunarsim._jit import kernel
 from lunarsim_envs.sites._cell_kernels import best_cells, nearest_cells
 from lunarsim_envs.sites._flight_kernels import believed, reach
 from lunarsim_envs.sites._map_kernels import cell
-from lunarsim_envs.sites.reachable_candidates import beaten, in_their_stead, within
+from lunarsim_envs.sites.reachable_candidates import beaten, replace_unreachable, within
 
 # An averaged map is recomputed if the miss has changed by this fraction.
 _ALIKE = 0.05
@@ -20,7 +20,7 @@ _MOST = 30.0
 
 
 class Found(NamedTuple):
-    """Candidate sites (n, m, ...): position, p_safe, distance, propellant; their number (n,).
+    """Candidate sites (n, m, ...) with p_safe and cost; their number (n,).
 
     `here` (n, 3): current site: p_safe (NaN: not observed), propellant to it, expected miss.
     """
@@ -80,8 +80,8 @@ def spread(p, seen, sigma, out, line, weight):
             two(out[r], line[k:], weight[k], line[k + 1 :], weight[k + 1])
         one(out[r], line[2 * reach_ :], weight[2 * reach_])
         for c in range(cols):
-            told = min(out[r, c], np.float32(1.0))
-            out[r, c] = told if seen[r, c] else np.float32(0.0)
+            capped = min(out[r, c], np.float32(1.0))
+            out[r, c] = capped if seen[r, c] else np.float32(0.0)
 
 
 @kernel()
@@ -131,7 +131,7 @@ def _sorted(order, count, p):
 
 @kernel()
 def _costs(i, cells, n, site, state, mass, law, maps, sites, cost):
-    """Write the positions of candidate cells and the cost of each and of the current site."""
+    """Write candidate positions and the costs of candidates and the current site."""
     for m in range(n):
         row, col = cells[m, 0], cells[m, 1]
         sites[m, 0] = maps.corner[i, 0] + col * maps.posting
@@ -143,8 +143,8 @@ def _costs(i, cells, n, site, state, mass, law, maps, sites, cost):
 
 
 @kernel()
-def _told(i, time, left, cells, n, cost, maps, p):
-    """Write p_safe of candidate cells (n,), each averaged over the miss of its own path."""
+def _average_p_safe(i, time, left, cells, n, cost, maps, p):
+    """Write p_safe of candidates (n,), each averaged over the miss of its path."""
     for m in range(n):
         row, col = cells[m, 0], cells[m, 1]
         p[m] = maps.aim[i, row, col]
@@ -182,9 +182,9 @@ def look(share, mask, y, time, course, law, maps, count, separation, levels, fou
                 aim, corner, maps.posting, maps.height[i], site, state, mass, law, count,
                 separation, levels, work, score, more,
             )  # fmt: skip
-            n = in_their_stead(cells, cost, n, more, k)
+            n = replace_unreachable(cells, cost, n, more, k)
             _costs(i, cells, n, site, state, mass, law, maps, sites, cost)
-        _told(i, time[i], left, cells, n, cost, maps, p)
+        _average_p_safe(i, time[i], left, cells, n, cost, maps, p)
         _sorted(order, n, p)
         for m in range(n):
             o = order[m]

@@ -140,7 +140,7 @@ def _burnt(increment, mass, law):
 
 @kernel()
 def reach(state, mass, sites, law, out):
-    """Write propellant (kg) and time-to-go (s) to sites (m, 4); inf and NaN if out of reach."""
+    """Write propellant (kg) and time-to-go (s) (m, 4); inf and NaN if out of reach."""
     m = len(sites)
     targets = np.empty((m, 3))
     first, last, likely = np.empty(m), np.empty(m), np.empty(m)
@@ -226,14 +226,14 @@ def _approach(i, time, course, law, wanted, spare):
 
 @kernel(exact=True)
 def leaning(height, full, descent):
-    """Return the tangent of the maximum tilt at a height, as `VerticalDescent._leaning`."""
+    """Return tan(maximum tilt) at a height, as `VerticalDescent._leaning`."""
     share = min(max(height / full, 0.0), 1.0)
     return np.tan(descent[4] + share * (descent[3] - descent[4]))
 
 
 @kernel(exact=True)
 def vertical(state, end, descent, gravity, wanted):
-    """Write the thrust acceleration of the vertical descent, as `VerticalDescent.command`."""
+    """Write the vertical-descent acceleration, as `VerticalDescent.command`."""
     frequency, damping, planned = descent[0], descent[1], descent[9]
     height = state[0, 2] - end[2]
     speed = np.hypot(state[1, 0], state[1, 1])
@@ -273,7 +273,7 @@ def _strains(i, wanted, mass, time, course, law):
 
 @kernel(exact=True)
 def guide(i, y, time, course, law, wanted, spare):
-    """Write the commanded acceleration (3,), m/s^2; return whether to search a new time-to-go."""
+    """Write the commanded acceleration; return whether to search a new time-to-go."""
     state = spare[:2]
     slip, site = course.slip[i], course.site[i]
     believed(y, slip, time, state)
@@ -317,7 +317,7 @@ def due(i, y, time, course, law):
 
 
 @kernel(shared=True)
-def begin(share, mask, keys, begun, y, target, drift, control, heading, course, law):
+def begin(share, mask, keys, flight_counts, y, target, drift, control, heading, course, law):
     """Initialise guidance for the started flights of `mask` (n,)."""
     wanted, attitude, spare = np.empty(3), np.empty(4), np.empty((7, 3))
     for i in range(share[0], len(y), share[1]):
@@ -325,7 +325,7 @@ def begin(share, mask, keys, begun, y, target, drift, control, heading, course, 
             continue
         key = np.uint64(keys[i]) ^ _DRIFT
         for k in range(2):
-            course.slip[i, k] = drift[k] * d.normal(key, 4 * (begun[i] - 1) + 2 * k)
+            course.slip[i, k] = drift[k] * d.normal(key, 4 * (flight_counts[i] - 1) + 2 * k)
         for k in range(3):
             course.site[i, k] = target[i, k]
         course.phase[i], course.scanned[i], course.event[i] = APPROACH, 0, NOTHING
@@ -395,7 +395,7 @@ def decide(share, mask, time, y, sites, stretches, course, law, refused, unstret
 
 
 @kernel(shared=True)
-def fly(share, y, rate, width, dt, limit, vehicle, grounds, flights, course, law):
+def fly(share, y, rate, width, dt, limit, vehicle, terrains, flights, course, law):
     """Fly every flying lane to its next event or its end."""
     wanted, spare = np.zeros((width, 3)), np.empty((7, 3))
     n = len(y)
@@ -408,7 +408,7 @@ def fly(share, y, rate, width, dt, limit, vehicle, grounds, flights, course, law
         )  # fmt: skip
         here = d.Flights(
             flights.world[low:high], flights.time[low:high], flights.ended[low:high],
-            flights.failed[low:high], flights.told[low:high],
+            flights.failed[low:high], flights.touchdown_values[low:high],
         )  # fmt: skip
         while True:
             flying = 0
@@ -428,7 +428,7 @@ def fly(share, y, rate, width, dt, limit, vehicle, grounds, flights, course, law
                 # Same argument types as for descents, so that no second version is compiled.
                 _advance(
                     (np.int64(0), np.int64(1)), y[low:high], rate[low:high], wanted, np.bool_(True),
-                    law.cycle, dt, limit, width, own, grounds, here,
+                    law.cycle, dt, limit, width, own, terrains, here,
                 )  # fmt: skip
             for i in range(low, high):
                 if flights.ended[i] == _WAITING:

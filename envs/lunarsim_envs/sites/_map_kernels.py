@@ -1,5 +1,5 @@
 # mypy: allow-untyped-defs, no-check-untyped-defs
-"""Compiled hazard maps of a pool's worlds (n, rows, cols), in each lander's local frame."""
+"""Compiled hazard maps (n, rows, cols) of worlds, in each lander's local frame."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _DRAWS = 16
 
 
 class Pool(NamedTuple):
-    """True layers (k, rows, cols): class, safety, height (m); corner and posting (3,), m."""
+    """True class, safety and height, m (k, rows, cols); corner and posting (3,), m."""
 
     kind: np.ndarray
     safe: np.ndarray
@@ -30,8 +30,8 @@ class Errors(NamedTuple):
     """Error model of a mapper, from `surrogate.Surrogate`.
 
     `tables` (worlds, scans, classes, nodes): p_safe at evenly spaced normal scores from `-most` to
-    `most`. `noise` (grounds, scans, fields, m, m): periodic standard normal fields; `bank`
-    (worlds,): index of the ground for each world. `common` (worlds, scans): fraction of the
+    `most`. `noise` (terrains, scans, fields, m, m): periodic standard normal fields; `bank`
+    (worlds,): index of the terrain of each world. `common` (worlds, scans): fraction of the
     variance that is common to a complete map. `kept`: correlation of consecutive maps. `exact`:
     whether maps are the truth.
     """
@@ -46,8 +46,9 @@ class Errors(NamedTuple):
 
 
 class Maps(NamedTuple):
-    """Maps of all lanes: corner (n, 2) and posting, m; p_safe, seen and height (n, rows, cols).
+    """Maps of all lanes: p_safe, observed mask and height, m (n, rows, cols).
 
+    `corner` (n, 2) and `posting`: position of cell (0, 0) and spacing of cells, m.
     `aim` (n, rows, cols) is p_safe averaged over the miss `aimed` (n,), m (NaN: not computed).
     `stated` (3,): touchdown sigma, m, drift velocity sigma, m/s, and duration of the vertical
     descent, s. `mapped` (n,): time of the last map, s.
@@ -65,7 +66,7 @@ class Maps(NamedTuple):
 
 
 @kernel(inline=True)
-def _told(tables, world, stage, kind, z, most):
+def _p_safe_at(tables, world, stage, kind, z, most):
     """Return the p_safe of a class at a normal score."""
     nodes = tables.shape[3]
     at = (min(max(z, -most), most) + most) * ((nodes - 1) / (2.0 * most))
@@ -78,7 +79,7 @@ def _told(tables, world, stage, kind, z, most):
 
 @kernel()
 def axes_to(way, out):
-    """Write image x, image y and boresight (3, 3) of a camera with a line of sight (3,)."""
+    """Write image x, image y and boresight (3, 3) of a camera with boresight `way`."""
     size = np.sqrt(way[0] ** 2 + way[1] ** 2 + way[2] ** 2)
     for k in range(3):
         out[2, k] = way[k] / size
@@ -135,7 +136,7 @@ def drawn_scan(i, key, first, y, time, world, course, errors, places, draw, axes
 
 
 @kernel(inline=True)
-def told_at(r, c, true_x, true_y, y, world, stage, pool, errors, view, places, draw, axes):
+def scanned_cell(r, c, true_x, true_y, y, world, stage, pool, errors, view, places, draw, axes):
     """Return p_safe (-1: not in view or unknown) and height that a scan gives a cell."""
     row = int(np.floor((true_y - pool.frame[1]) / pool.frame[2] + 0.5))
     col = int(np.floor((true_x - pool.frame[0]) / pool.frame[2] + 0.5))
@@ -158,7 +159,7 @@ def told_at(r, c, true_x, true_y, y, world, stage, pool, errors, view, places, d
     if stage > 0:
         z = errors.kept * z + draw[2] * _noise(errors.noise, bank, stage, places[1], r, c)
     z = draw[0] + draw[1] * z
-    return _told(errors.tables, world, stage, kind, z, errors.most), height
+    return _p_safe_at(errors.tables, world, stage, kind, z, errors.most), height
 
 
 @kernel()
@@ -171,7 +172,7 @@ def _lay(i, key, first, y, time, world, course, maps, pool, errors, view):
         true_y = maps.corner[i, 1] + r * maps.posting - north
         for c in range(maps.p.shape[2]):
             true_x = maps.corner[i, 0] + c * maps.posting - east
-            p, height = told_at(
+            p, height = scanned_cell(
                 r, c, true_x, true_y, y, world, stage, pool, errors, view, places, draw, axes
             )
             if p >= 0.0:
@@ -181,20 +182,20 @@ def _lay(i, key, first, y, time, world, course, maps, pool, errors, view):
 
 
 @kernel(shared=True)
-def scan(share, mask, keys, begun, y, time, world, course, maps, pool, errors, view):
+def scan(share, mask, keys, flight_counts, y, time, world, course, maps, pool, errors, view):
     """Take the due scans in the lanes of `mask` (n,)."""
     for i in range(share[0], len(y), share[1]):
         if not mask[i]:
             continue
-        key, first = drawn_from(keys[i], begun[i])
+        key, first = drawn_from(keys[i], flight_counts[i])
         _lay(i, key, first, y[i], time[i], world[i], course, maps, pool, errors, view)
         taken(i, time[i], course, maps)
 
 
 @kernel()
-def drawn_from(key, begun):
+def drawn_from(key, flight_count):
     """Return the random key and the first draw for the maps of a flight."""
-    return np.uint64(key) ^ _ERRORS, (begun - 1) * _DRAWS
+    return np.uint64(key) ^ _ERRORS, (flight_count - 1) * _DRAWS
 
 
 @kernel()
@@ -228,7 +229,7 @@ def cell(i, x, y, maps):
 
 @kernel(shared=True)
 def shrink(share, mask, p, seen, out):
-    """Write mean p_safe and observed fraction of equal blocks of maps (n, 2, cells, cells)."""
+    """Write mean p_safe and observed fraction of map blocks (n, 2, cells, cells)."""
     rows, cols, cells = p.shape[1], p.shape[2], out.shape[2]
     total = np.zeros((cells, cells))
     for i in range(share[0], len(p), share[1]):
@@ -254,7 +255,7 @@ shrink_here = partial(cast(Any, shrink).compiled, (0, 1))
 
 @kernel(shared=True)
 def crop(share, p, seen, corner, posting, middle, spacing, out):
-    """Write p_safe and observed mask around points (n, 2), `spacing` m apart (n, 2, m, m)."""
+    """Write p_safe and observed mask (n, 2, m, m) around points, `spacing` m apart."""
     half = out.shape[2] // 2
     for i in range(share[0], len(p), share[1]):
         for a in range(out.shape[2]):

@@ -7,7 +7,7 @@ import numpy as np
 
 from lunarsim._jit import kernel
 from lunarsim_envs.sites._flight_kernels import NOTHING, time_to
-from lunarsim_envs.sites._map_kernels import drawn_from, drawn_scan, told_at
+from lunarsim_envs.sites._map_kernels import drawn_from, drawn_scan, scanned_cell
 
 # p_safe of a site that is safe enough; number of sites tested for reach.
 _ENOUGH, _TRIES = 0.95, 6
@@ -17,14 +17,14 @@ _ENOUGH, _TRIES = 0.95, 6
 def _around(
     r, c, near, corner, posting, slip, time, y, world, stage, pool, errors, view, places, draw, axes
 ):
-    """Return mean p_safe of a cell and four neighbours (-1: not observed), and its height."""
+    """Return mean p_safe of a cell and 4 neighbours (-1: unobserved), and its height."""
     total, height, unseen = 0.0, 0.0, False
     for k in range(5):
         a = r + (near if k == 1 else -near if k == 2 else 0)
         b = c + (near if k == 3 else -near if k == 4 else 0)
         x = corner[0] + b * posting - slip[0] * time
         north = corner[1] + a * posting - slip[1] * time
-        p, z = told_at(a, b, x, north, y, world, stage, pool, errors, view, places, draw, axes)
+        p, z = scanned_cell(a, b, x, north, y, world, stage, pool, errors, view, places, draw, axes)
         if k == 0:
             height = z
             unseen = p < 0.0
@@ -34,14 +34,14 @@ def _around(
 
 @kernel()
 def _nearer(p, far, best_p, best_far):
-    """Return whether a site is preferred: the nearest safe enough one, otherwise the safest."""
+    """Return whether a site is better: the nearest safe enough one, else the safest."""
     if p >= _ENOUGH:
         return best_p < _ENOUGH or far < best_far
     return best_p < _ENOUGH and p > best_p
 
 
 @kernel()
-def _fly_to_best(i, y, time, n, sites, p, far, course, law, told):
+def _fly_to_best(i, y, time, n, sites, p, far, course, law, site_p_safe):
     """Divert a lane to the best of n sites within reach, if there is one."""
     for _ in range(min(n, _TRIES)):
         best = 0
@@ -56,15 +56,15 @@ def _fly_to_best(i, y, time, n, sites, p, far, course, law, told):
                 course.site[i, k] = sites[best, k]
             course.arrival[i] = time + left
             course.decided[i] = True
-            told[i] = p[best]
+            site_p_safe[i] = p[best]
             return
         p[best] = -1.0
 
 
 @kernel(shared=True)
 def choose(
-    share, mask, keys, begun, y, time, world, target, course, law, side, every, posting, pool,
-    errors, view, told,
+    share, mask, keys, flight_counts, y, time, world, target, course, law, side, every, posting,
+    pool, errors, view, site_p_safe,
 ):  # fmt: skip
     """Scan in the lanes of `mask` (n,) and divert to the best site of the lattice."""
     count = (side - 1) // every + 1
@@ -77,7 +77,7 @@ def choose(
             continue
         for k in range(2):
             corner[k] = target[i, k] - 0.5 * (side - 1) * posting
-        key, first = drawn_from(keys[i], begun[i])
+        key, first = drawn_from(keys[i], flight_counts[i])
         stage = drawn_scan(
             i, key, first, y[i], time[i], world[i], course, errors, places, draw, axes
         )
@@ -88,7 +88,7 @@ def choose(
             here_r, here_c, near, corner, posting, course.slip[i], time[i], y[i], world[i], stage,
             pool, errors, view, places, draw, axes,
         )  # fmt: skip
-        told[i] = stay if stay >= 0.0 else np.nan
+        site_p_safe[i] = stay if stay >= 0.0 else np.nan
         if stay >= 0.0:
             course.site[i, 2] = height
         course.scanned[i] += 1
@@ -98,14 +98,14 @@ def choose(
         n = 0
         for r in range(0, side, every):
             for c in range(0, side, every):
-                told_p, z = _around(
+                cell_p, z = _around(
                     r, c, near, corner, posting, course.slip[i], time[i], y[i], world[i], stage,
                     pool, errors, view, places, draw, axes,
                 )  # fmt: skip
-                if told_p <= stay:
+                if cell_p <= stay:
                     continue
                 sites[n, 0], sites[n, 1] = corner[0] + c * posting, corner[1] + r * posting
-                sites[n, 2], p[n] = z, told_p
+                sites[n, 2], p[n] = z, cell_p
                 far[n] = np.hypot(sites[n, 0] - site[0], sites[n, 1] - site[1])
                 n += 1
-        _fly_to_best(i, y[i], time[i], n, sites, p, far, course, law, told)
+        _fly_to_best(i, y[i], time[i], n, sites, p, far, course, law, site_p_safe)

@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 Choice = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
-# Factors on the time-to-go for choices 1 and above of "stretch" (see `Decision`). No factor is less
+# Factors on the time-to-go for choices 1 and above of `stretch` (see `Decision`). No factor is less
 # than 1, because the minimum-propellant path is usually the fastest one within the limits.
 STRETCHES = (1.0, 1.07, 1.15, 1.3)
 
@@ -148,7 +148,7 @@ def _array(given: Any) -> NDArray[Any]:
 
 
 class SiteActions:
-    """Action space of named components: ``Discrete`` for one, ``MultiDiscrete`` for several.
+    """Action space of named components: ``Discrete`` or ``MultiDiscrete``.
 
     Parameters
     ----------
@@ -191,12 +191,12 @@ class SiteActions:
         return any(part.name == name for part in self.parts)
 
     def alone(self, name: str, choice: int) -> Any:
-        """Return the action with one choice of a component; other components change nothing."""
+        """Return the action that makes one choice of one component, and no other choice."""
         chosen = np.array([choice * (part.name == name) for part in self.parts], np.int64)
         return chosen[0] if len(chosen) == 1 else chosen
 
     def choice(self, name: str, chosen: Choice) -> Choice:
-        """Return the choices (n,) of a component in actions (n, parts); 0 if it is not included."""
+        """Return the choices (n,) of a component in actions (n, parts), or 0 without it."""
         at = [k for k, part in enumerate(self.parts) if part.name == name]
         return np.asarray(chosen[:, at].sum(axis=1))
 
@@ -238,16 +238,16 @@ class SiteActions:
             )
         wide = given.reshape(count, len(self.parts))
         if self._out(wide):
-            told = (wide.min(axis=0), wide.max(axis=0))
-            low, high = (str(v[0] if one else v.tolist()) for v in told)
+            limits = (wide.min(axis=0), wide.max(axis=0))
+            low, high = (str(v[0] if one else v.tolist()) for v in limits)
             raise ValueError(f"actions: must be {count} {wanted}, got values from {low} to {high}.")
         return wide.astype(np.int64)
 
     @property
     def _bounds(self) -> str:
         """Description of valid actions with several components, for messages."""
-        told = (f"{part.name} from 0 to {part.count - 1}" for part in self.parts)
-        return f"{len(self.parts)} integers, {', '.join(told)}"
+        ranges = (f"{part.name} from 0 to {part.count - 1}" for part in self.parts)
+        return f"{len(self.parts)} integers, {', '.join(ranges)}"
 
     def _out(self, given: NDArray[Any]) -> bool:
         return bool(((given < 0) | (given >= np.array(self.counts))).any())
@@ -273,16 +273,18 @@ class SiteActions:
         places = chosen + np.cumsum([0, *self.counts[:-1]])
         had = np.take_along_axis(self.masks(sights), places, axis=1)
         invalid: Mask = np.asarray(~had.all(axis=1))
-        told = {"site": np.full((n, 3), np.nan), "stretch": np.full(n, np.nan)}
+        decided = {"site": np.full((n, 3), np.nan), "stretch": np.full(n, np.nan)}
         for part, own in zip(self.parts, chosen.T, strict=True):
             value = np.array(part.of(sights, own), dtype=np.float64)
-            check_shape(f"action: {part.name}", value, told[part.sets].shape)
-            told[part.sets] = value
-        if (told["stretch"] <= 0.0).any() or np.isinf(told["stretch"]).any():
+            check_shape(f"action: {part.name}", value, decided[part.sets].shape)
+            decided[part.sets] = value
+        if (decided["stretch"] <= 0.0).any() or np.isinf(decided["stretch"]).any():
             raise InputError(
-                "action: stretch", told["stretch"].tolist(), "must be positive and finite, or NaN"
+                "action: stretch",
+                decided["stretch"].tolist(),
+                "must be positive and finite, or NaN",
             )
-        lost = invalid & np.isfinite(told["stretch"])
-        for value in told.values():
+        lost = invalid & np.isfinite(decided["stretch"])
+        for value in decided.values():
             value[invalid] = np.nan
-        return SiteDecisions(told["site"], told["stretch"], invalid, lost)
+        return SiteDecisions(decided["site"], decided["stretch"], invalid, lost)

@@ -1,4 +1,4 @@
-"""Simulate many landers with site decisions: guidance, perception and touchdown in kernels."""
+"""Simulate many landers with site decisions in compiled kernels."""
 
 from __future__ import annotations
 
@@ -133,7 +133,7 @@ class SiteDescentBatch(DescentBatch):
     ) -> None:  # fmt: skip
         craft = VehicleParams.of(scenario)
         clock = scenario.simulation.make()
-        super().__init__(count, craft, pool.grounds, guided=True, rate=1.0 / clock.cycle)
+        super().__init__(count, craft, pool.terrains, guided=True, rate=1.0 / clock.cycle)
         self.pool, self.errors, self.view = pool, errors, view
         self.law = kernel_guidance(scenario, craft)
         self.decisions = scenario.decisions.make()
@@ -156,7 +156,7 @@ class SiteDescentBatch(DescentBatch):
         """Start a new flight in every lane of `mask` (n,) and fly to its first decision."""
         super().begin(mask)
         self._run(
-            f.begin, 100.0 * self.count, mask, self._keys, self._begun, self.y,
+            f.begin, 100.0 * self.count, mask, self._keys, self._flight_counts, self.y,
             self.target, self.drift, self._control, self.craft.heading, self.course, self.law,
         )  # fmt: skip
         maps = self.maps
@@ -198,7 +198,7 @@ class SiteDescentBatch(DescentBatch):
         while True:
             self._run(
                 f.fly, 10.0 * _CYCLE * self.count, self.y, self._rate, min(SIMD_BATCH, self.count),
-                self.craft.dynamics.step, self.craft.limit, self._vehicle, self._grounds,
+                self.craft.dynamics.step, self.craft.limit, self._vehicle, self._terrains,
                 self._flights, self.course, self.law,
             )  # fmt: skip
             due = (self.course.event == f.SCAN) & (self.ended == FLYING)
@@ -225,8 +225,8 @@ class SiteDescentBatch(DescentBatch):
     def scan(self, due: Mask) -> None:
         """Take the due scans in the lanes of `due` (n,) and update their maps."""
         self._run(
-            m.scan, _MAP * self.count, due, self._keys, self._begun, self.y, self.time, self.world,
-            self.course, self.maps, self.pool.layers, self.errors, self.view,
+            m.scan, _MAP * self.count, due, self._keys, self._flight_counts, self.y, self.time,
+            self.world, self.course, self.maps, self.pool.layers, self.errors, self.view,
         )  # fmt: skip
 
     @property

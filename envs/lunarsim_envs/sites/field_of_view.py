@@ -1,4 +1,4 @@
-"""Compute which terrain is in the field of view of a flash LiDAR pointed at a site."""
+"""Compute the terrain in the field of view of a flash LiDAR pointed at a site."""
 
 from __future__ import annotations
 

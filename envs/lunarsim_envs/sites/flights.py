@@ -78,13 +78,13 @@ class SiteFlight(Protocol):
         ...
 
     @property
-    def verdict(self) -> tuple[bool, tuple[str, ...]] | None:
+    def outcome(self) -> tuple[bool, tuple[str, ...]] | None:
         """Whether the landing was safe, and the violated limits; None during the flight."""
         ...
 
     @property
     def touch(self) -> Array:
-        """Touchdown values over their limits (1, 3), by `touchdown_limit_ratios`; NaN in flight."""
+        """Ratios of `touchdown_limit_ratios` (1, 3); NaN in flight."""
         ...
 
     def close(self) -> None:
@@ -96,7 +96,7 @@ class OnboardFlight:
     """A flight in the full simulation, with mappers and navigation of the scenario."""
 
     def __init__(self, scenario: Scenario) -> None:
-        self.scenario = self._told = scenario
+        self.scenario = self._flown_scenario = scenario
         self.simulation: Simulation | None = None
         self._seen: Observation | None = None
         self._small: tuple[object, NDArray[np.float32]] | None = None
@@ -109,11 +109,11 @@ class OnboardFlight:
 
     def apply_options(self, options: Mapping[str, Any]) -> None:
         """Apply reset options to the next flights."""
-        self._told = scenario_with_options(options, self.scenario)
+        self._flown_scenario = scenario_with_options(options, self.scenario)
 
     def begin(self, rng: np.random.Generator) -> None:
         """Draw a new flight and fly it to its first decision."""
-        self.simulation = Simulation(self._told, int(rng.integers(2**62)))
+        self.simulation = Simulation(self._flown_scenario, int(rng.integers(2**62)))
         self.unstretched = False
         self._on(lambda: None)
 
@@ -162,20 +162,20 @@ class OnboardFlight:
         return self._flown.state.mass
 
     @property
-    def verdict(self) -> tuple[bool, tuple[str, ...]] | None:
-        """Whether the flight ended safe, and what it failed."""
-        verdict = self._flown.verdict
-        return None if verdict is None else (verdict.safe, verdict.failed)
+    def outcome(self) -> tuple[bool, tuple[str, ...]] | None:
+        """Whether the landing was safe, and the violated limits; None during the flight."""
+        outcome = self._flown.verdict
+        return None if outcome is None else (outcome.safe, outcome.failed)
 
     @property
     def touch(self) -> Array:
-        """How near its touchdown is to the limits (1, 3)."""
-        verdict = self._flown.verdict
-        t = None if verdict is None else verdict.touchdown
+        """Ratios of `touchdown_limit_ratios` (1, 3); NaN in flight."""
+        outcome = self._flown.verdict
+        t = None if outcome is None else outcome.touchdown
         if t is None:
             return np.full((1, 3), np.nan)
-        told = t.vertical_speed, t.horizontal_speed, t.tilt, t.rate, t.slope, t.roughness
-        return touchdown_limit_ratios(self._flown.lander, [told])
+        values = t.vertical_speed, t.horizontal_speed, t.tilt, t.rate, t.slope, t.roughness
+        return touchdown_limit_ratios(self._flown.lander, [values])
 
     def close(self) -> None:
         """Release the simulation, including graphics buffers of its terrain."""
@@ -217,7 +217,7 @@ class KernelFlight:
 
     @property
     def unstretched(self) -> bool:
-        """Whether the last decision asked for a stretch that is not flown."""
+        """Whether the last decision requested a time-to-go factor that is not flown."""
         return bool(self.lanes.unstretched[0])
 
     @property
@@ -243,23 +243,23 @@ class KernelFlight:
         return float(self.lanes.y[0, 13])
 
     @property
-    def verdict(self) -> tuple[bool, tuple[str, ...]] | None:
-        """Whether the flight ended safe, and what it failed."""
+    def outcome(self) -> tuple[bool, tuple[str, ...]] | None:
+        """Whether the landing was safe, and the violated limits; None during the flight."""
         if self.lanes.ended[0] == FLYING:
             return None
         return bool(self.lanes.safe[0]), self.lanes.words(0)
 
     @property
     def touch(self) -> Array:
-        """How near its touchdown is to the limits (1, 3)."""
-        return touchdown_limit_ratios(self.lanes.craft.dynamics.lander, self.lanes.told)
+        """Ratios of `touchdown_limit_ratios` (1, 3); NaN in flight."""
+        return touchdown_limit_ratios(self.lanes.craft.dynamics.lander, self.lanes.touchdown_values)
 
     def close(self) -> None:
         """Do nothing: there are no resources to release."""
 
 
 def site_inputs(lanes: SiteDescentBatch, small: NDArray[np.float32]) -> SiteInputs:
-    """Return the observation arrays of all lanes; `small` are downsampled maps (n, 2, 48, 48)."""
+    """Return the observation arrays of all lanes; `small`: coarse maps (n, 2, 48, 48)."""
     place, velocity = lanes.believed
     course, found, maps = lanes.course, lanes.found, lanes.maps
     left = np.maximum(course.arrival - lanes.time, 0.0)

@@ -60,7 +60,7 @@ class TruthLayers:
         return cls(safety.grid, kind, safety.safe, truth.elevation)
 
     def at(self, xy: ArrayLike) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
-        """Return class and true safety of the cells nearest to points (..., 2), true frame, m."""
+        """Return class and safety of the cells nearest to points (..., 2), true frame, m."""
         grid = self.grid
         row, col = grid.cell(xy)
         inside = grid.contains(xy)
@@ -69,7 +69,7 @@ class TruthLayers:
         return kind, np.asarray(inside & self.safe[row, col])
 
     def height(self, xy: ArrayLike) -> NDArray[np.float64]:
-        """Return the elevation of the cells nearest to points (..., 2), m; NaN off the map."""
+        """Return elevations of the cells nearest to points (..., 2), m; NaN off the map."""
         row, col = self.grid.cell(xy)
         inside = self.grid.contains(xy)
         row, col = np.clip(row, 0, self.grid.rows - 1), np.clip(col, 0, self.grid.cols - 1)
@@ -79,7 +79,7 @@ class TruthLayers:
 def hazard_size(
     slope: NDArray[np.float32], roughness: NDArray[np.float32], lander: Lander
 ) -> NDArray[np.float64]:
-    """Return the larger of slope (rad) and roughness (m) over a lander's limits (rows, cols)."""
+    """Return the larger of slope and roughness over their limits (rows, cols)."""
     return np.maximum(
         slope.astype(np.float64) / lander.slope_limit,
         roughness.astype(np.float64) / lander.roughness_limit,

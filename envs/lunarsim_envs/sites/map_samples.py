@@ -1,4 +1,4 @@
-"""Record maps of a real mapper in simulated flights with the truth, to fit a surrogate."""
+"""Record maps and truth in simulated flights, to fit a surrogate."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ class SampledFlight:
 
     Attributes
     ----------
-    looks
+    samples
         Maps in time order.
     drift
         Mean rate of the position error from the first scan to the end, east and north (2,), m/s.
@@ -71,7 +71,7 @@ class SampledFlight:
         Truly safe fraction of the terrain.
     """
 
-    looks: tuple[MapSample, ...]
+    samples: tuple[MapSample, ...]
     drift: Array
     claimed: float
     safe_share: float
@@ -95,7 +95,7 @@ def sample_flights(
     for flight in flights:
         simulation = Simulation(scenario, flight_seed(seed, flight), "no-divert")
         layers = TruthLayers.of(simulation.truth)
-        looks: list[MapSample] = []
+        samples: list[MapSample] = []
         first: tuple[float, Array] | None = None
         claimed = float("nan")
         name = simulation.computer.decisions_map
@@ -108,17 +108,17 @@ def sample_flights(
                     first = simulation.time, error
                     level = simulation.estimate.covariance[3:5, 3:5]
                     claimed = float(np.sqrt(max(0.5 * np.trace(level), 0.0)))
-                looks.append(_look(simulation, layers, error, len(looks)))
-                if len(looks) == scans:
+                samples.append(_map_sample(simulation, layers, error, len(samples)))
+                if len(samples) == scans:
                     until = simulation.time + _AFTER
         drift = np.full(2, np.nan)
         if first is not None and simulation.time > first[0]:
             drift = (simulation.navigation_error - first[1])[:2] / (simulation.time - first[0])
         share = float(layers.safe[layers.kind != UNKNOWN].mean())
-        yield SampledFlight(tuple(looks), drift, claimed, share)
+        yield SampledFlight(tuple(samples), drift, claimed, share)
 
 
-def _look(simulation: Simulation, layers: TruthLayers, error: Array, stage: int) -> MapSample:
+def _map_sample(simulation: Simulation, layers: TruthLayers, error: Array, stage: int) -> MapSample:
     mapper = simulation.computer.mapper
     assert mapper is not None
     drawn = mapper.hazard_map()

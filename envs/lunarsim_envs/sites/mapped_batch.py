@@ -1,4 +1,4 @@
-"""Simulate many landers in kernels with maps from simulated scans and the Gaussian DEM."""
+"""Simulate many landers in kernels with simulated scans and Gaussian DEM maps."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 
 
 class MappedDescentBatch(SiteDescentBatch):
-    """A batch like `SiteDescentBatch`, with LiDAR scans of the true terrain and Gaussian DEM maps.
+    """A `SiteDescentBatch` with LiDAR scans of the terrain and Gaussian DEM maps.
 
     Raises
     ------
@@ -63,7 +63,7 @@ class MappedDescentBatch(SiteDescentBatch):
             )  # fmt: skip
         y, time = self.y[i], float(self.time[i])
         place, velocity = (one[i] for one in self.believed)
-        seed = (int(self._keys[i]), int(self._begun[i]), int(self.course.scanned[i]))
+        seed = (int(self._keys[i]), int(self._flight_counts[i]), int(self.course.scanned[i]))
         limit = self._lidar.calibration().gimbal_limit
         mount = gimbal_mount(y[6:10], self.course.site[i] - place, limit)
         scan: LidarScan = self._lidar.measure(

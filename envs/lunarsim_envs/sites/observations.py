@@ -203,11 +203,11 @@ class SiteObservationLayout:
 
     def of(self, sights: SiteInputs) -> Shown:
         """Return the observations of all landers, an array (n, ...) per component."""
-        told = {}
+        observation = {}
         for part in self.parts:
             value = np.array(part.of(sights), dtype=np.float32)
             check_shape(f"observation: {part.name}", value, (len(sights.site), *part.shape))
             low, high = self._bounds[part.name]
             np.maximum(value, low, out=value)
-            told[part.name] = np.minimum(value, high, out=value)
-        return told
+            observation[part.name] = np.minimum(value, high, out=value)
+        return observation

@@ -58,7 +58,7 @@ def _named(scenario: Scenario, name: str) -> str:
     return name
 
 
-def _ground(scenario: Scenario) -> dict[str, Any]:
+def _map_size(scenario: Scenario) -> dict[str, Any]:
     """Return size and posting of the map that decisions use, if its mapper has them."""
     part = scenario.mappers[deciding_mapper(scenario)]
     return {key: getattr(part, key) for key in ("size_m", "posting_m") if hasattr(part, key)}
@@ -77,7 +77,7 @@ def _quadtree(scenario: Scenario) -> dict[str, Any]:
         "zone_m": _ZONE * (lander.leg_radius + 0.5 * lander.pad_diameter),
         "roughness_limit_m": lander.roughness_limit,
     }
-    table = _ground(scenario) | {"kind": "quadtree", "sensor": part.sensor, "sites": sites}
+    table = _map_size(scenario) | {"kind": "quadtree", "sensor": part.sensor, "sites": sites}
     return {"mappers": {before: None, name: table}, "decisions": {"map": name}}
 
 
@@ -109,7 +109,7 @@ def _camera(scenario: Scenario) -> dict[str, Any]:
     camera = cameras[0] if cameras else _named(scenario, "camera")
     name = _named(scenario, "rocks")
     given: dict[str, Any] = {
-        "mappers": {name: _ground(scenario) | {"kind": "shadow", "sensor": camera}}
+        "mappers": {name: _map_size(scenario) | {"kind": "shadow", "sensor": camera}}
     }
     if not cameras:
         given["sensors"] = {camera: {"kind": "camera"}}

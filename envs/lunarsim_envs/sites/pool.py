@@ -19,7 +19,7 @@ from lunarsim_envs.descent.worlds import WorldPool, scenarios_by_cover
 from lunarsim_envs.sites._map_kernels import Pool
 from lunarsim_envs.sites.hazard import UNKNOWN, TruthLayers
 
-# Number of pools that a process keeps in memory (least recently used are dropped).
+# Number of pools that a process keeps in memory (the oldest are dropped).
 _REMEMBERED = 4
 _pools: OrderedDict[str, SiteWorldPool] = OrderedDict()
 
@@ -32,7 +32,7 @@ class SiteWorldPool:
     ----------
     worlds
         Worlds for sensor models.
-    grounds
+    terrains
         Terrain around the target areas, for touchdown.
     layers
         Class, true safety and height of all cells, for kernels.
@@ -41,7 +41,7 @@ class SiteWorldPool:
     """
 
     worlds: tuple[World, ...]
-    grounds: WorldPool
+    terrains: WorldPool
     layers: Pool
     shares: NDArray[np.float64]
 
@@ -88,13 +88,13 @@ def _made(scenario: Scenario, count: int, seed: int, covers: Sequence[float]) ->
     def drawn() -> Iterator[World]:
         for one in scenarios_by_cover(scenario, covers):
             for k in range(count):
-                grounds = WorldTruthProvider(flight_seed(seed, k), {}, cache)
-                world, truth = grounds.world_and_truth(one)
+                provider = WorldTruthProvider(flight_seed(seed, k), {}, cache)
+                world, truth = provider.world_and_truth(one)
                 worlds.append(world)
                 layers.append(TruthLayers.of(truth))
                 yield world
 
-    grounds = WorldPool.about(scenario, count, drawn(), covers)
+    terrains = WorldPool.about(scenario, count, drawn(), covers)
     grid = layers[0].grid
     frame = np.array([grid.x0, grid.y0, grid.posting])
     pool = Pool(
@@ -102,4 +102,4 @@ def _made(scenario: Scenario, count: int, seed: int, covers: Sequence[float]) ->
         np.stack([one.elevation for one in layers]), frame,
     )  # fmt: skip
     shares = np.array([one.safe[one.kind != UNKNOWN].mean() for one in layers])
-    return SiteWorldPool(tuple(worlds), grounds, pool, shares)
+    return SiteWorldPool(tuple(worlds), terrains, pool, shares)

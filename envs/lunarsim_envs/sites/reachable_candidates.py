@@ -13,9 +13,9 @@ from lunarsim_envs.sites._beyond_kernels import beyond, ways_of
 from lunarsim_envs.sites._cell_kernels import (
     NOWHERE,
     clear,
-    greatest,
     halves_of,
     nearest,
+    row_max,
     score_all,
 )
 from lunarsim_envs.sites._flight_kernels import Law, reach
@@ -51,7 +51,7 @@ def _grid(rows, cols, corner, posting, out):
 
 
 class Place(NamedTuple):
-    """A map (corner, posting, heights), its reach grid from `_grid`, and the current site.
+    """A map (corner, posting, heights), its `_grid`, and the current site.
 
     `row` (rows,), `col` (cols,): reach-grid indices of the rows and columns of the map.
     """
@@ -66,7 +66,7 @@ class Place(NamedTuple):
 
 
 class Flying(NamedTuple):
-    """State of a lander (2, 3), mass, guidance law, and path coefficients from `ways_of`.
+    """State of a lander (2, 3), mass, guidance law, and paths from `ways_of`.
 
     `speed`, m/s, `most`, m/s^2, and `figures` are arguments of `beyond`.
     """
@@ -106,7 +106,7 @@ def _at(k, row, col, side, place, site):
 
 @kernel(inner=True)
 def _lost(row, col, side, place, lander):
-    """Return whether a square of the reach grid is out of reach for certain, by `beyond`."""
+    """Return whether a square of the reach grid is out of reach, by `beyond`."""
     low, high, site = np.full(3, np.inf), np.full(3, -np.inf), np.empty(3)
     for k in range(side * side):
         _at(k, row, col, side, place, site)
@@ -148,7 +148,7 @@ def _open(row, col, side, place, score, masked, most, reached):
             wide = place.col[c] - col
             if 0 <= wide < side and (len(reached) == 0 or not reached[far * side + wide]):
                 masked[r, c], score[r, c] = 0.0, NOWHERE
-        most[r] = greatest(score, r)
+        most[r] = row_max(score, r)
 
 
 @kernel()
@@ -201,7 +201,7 @@ def within(
     halves_of(separation, posting, halves)
     n = 0
     while n < count:
-        row = np.int64(0)  # a plain zero is a type of its own
+        row = np.int64(0)  # Numba would give a plain zero another type
         for r in range(1, rows):
             if most[r] > most[row]:
                 row = r
@@ -229,7 +229,7 @@ def within(
 
 
 @kernel()
-def in_their_stead(cells, cost, count, more, found):
+def replace_unreachable(cells, cost, count, more, found):
     """Replace unreachable candidates by reachable cells; return the number."""
     kept = 0
     new = np.ones(found, np.bool_)

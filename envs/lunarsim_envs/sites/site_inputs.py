@@ -62,7 +62,7 @@ class SiteInputs:
 
     @classmethod
     def of(cls, observation: Observation, small: NDArray[np.float32]) -> SiteInputs:
-        """Convert the observation of one policy; `small` is its map in blocks (1, 2, 48, 48)."""
+        """Convert the observation of one policy; `small`: its coarse map (1, 2, 48, 48)."""
         o, c, e = observation, observation.candidates, observation.estimate
         grid = o.hazard_map.grid
 

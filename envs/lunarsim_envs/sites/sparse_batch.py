@@ -35,7 +35,7 @@ class FlightSummary:
         Total flight time, s.
     propellant
         Total propellant used by safe landings, kg.
-    told, told_safe
+    by_p_safe, safe_by_p_safe
         Number of flights, and of safe landings, by tenths of the p_safe that the map predicted for
         the site (10,).
     """
@@ -45,8 +45,8 @@ class FlightSummary:
     failed: dict[str, int]
     seconds: float
     propellant: float
-    told: NDArray[np.int64]
-    told_safe: NDArray[np.int64]
+    by_p_safe: NDArray[np.int64]
+    safe_by_p_safe: NDArray[np.int64]
 
     def __add__(self, other: FlightSummary) -> FlightSummary:
         """Add two summaries."""
@@ -54,7 +54,7 @@ class FlightSummary:
             self.flights + other.flights, self.safe + other.safe,
             {name: self.failed[name] + other.failed[name] for name in self.failed},
             self.seconds + other.seconds, self.propellant + other.propellant,
-            self.told + other.told, self.told_safe + other.told_safe,
+            self.by_p_safe + other.by_p_safe, self.safe_by_p_safe + other.safe_by_p_safe,
         )  # fmt: skip
 
 
@@ -108,11 +108,11 @@ def batches(
 
 
 class SparseDescentBatch(SiteDescentBatch):
-    """A batch with perception on a sparse lattice of sites and one decision after every scan.
+    """A batch with perception on a sparse lattice and one decision after every scan.
 
     Attributes
     ----------
-    said
+    site_p_safe
         Predicted p_safe of the current site (n,); NaN if it was not observed.
     """
 
@@ -120,16 +120,16 @@ class SparseDescentBatch(SiteDescentBatch):
 
     def begin(self, mask: Mask) -> None:
         """Fly a new flight in every lane of `mask` (n,) to its end."""
-        self.said = np.full(self.count, np.nan)
+        self.site_p_safe = np.full(self.count, np.nan)
         super().begin(mask)
 
     def scan(self, due: Mask) -> None:
         """Take the due scans in the lanes of `due` (n,) and choose their sites."""
         side = int(2.0 * _REACH / self.maps.posting) + 1
         self._run(
-            k.choose, 200.0 * self.count, due, self._keys, self._begun, self.y, self.time,
+            k.choose, 200.0 * self.count, due, self._keys, self._flight_counts, self.y, self.time,
             self.world, self.target, self.course, self.law, side, _EVERY, self.maps.posting,
-            self.pool.layers, self.errors, self.view, self.said,
+            self.pool.layers, self.errors, self.view, self.site_p_safe,
         )  # fmt: skip
 
     def tally(self, mask: Mask) -> FlightSummary:
@@ -140,8 +140,8 @@ class SparseDescentBatch(SiteDescentBatch):
             for bit, name in enumerate(LIMITS)
         }
         failed["time-limit"] = int(((self.ended == LATE) & mask).sum())
-        known = mask & np.isfinite(self.said)
-        tenth = np.minimum((np.nan_to_num(self.said) * 10).astype(int), 9)
+        known = mask & np.isfinite(self.site_p_safe)
+        tenth = np.minimum((np.nan_to_num(self.site_p_safe) * 10).astype(int), 9)
         return FlightSummary(
             int(mask.sum()), int(safe.sum()), failed, float(self.time[mask].sum()),
             float(self.burnt[safe].sum()), np.bincount(tenth[known], minlength=10),

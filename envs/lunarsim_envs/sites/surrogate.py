@@ -46,16 +46,16 @@ class Surrogate:
     Attributes
     ----------
     shares
-        Safe fraction of the fitted terrains, ascending (grounds,).
+        Safe fraction of the fitted terrains, ascending (terrains,).
     tables
-        Quantiles of p_safe (grounds, scans, classes, nodes).
+        Quantiles of p_safe (terrains, scans, classes, nodes).
     common
         Fraction of the variance of normal scores that is common to a complete map
-        (grounds, scans).
+        (terrains, scans).
     weights
-        Weights of the correlation `LENGTHS` (grounds, scans, lengths), which sum to 1.
+        Weights of the correlation `LENGTHS` (terrains, scans, lengths), which sum to 1.
     stretch
-        Factor on the correlation lengths (grounds, scans). Patches of low p_safe are longer than a
+        Factor on the correlation lengths (terrains, scans). Patches of low p_safe are longer than a
         Gaussian copula with the correlation of the normal scores gives.
     kept
         Correlation of normal scores between consecutive scans.
@@ -206,11 +206,11 @@ def surrogate_tables(scenario: Scenario) -> dict[str, Any]:
 def noise(
     weights: bytes, stretch: bytes, shape: tuple[int, int, int], posting: float
 ) -> NDArray[np.float32]:
-    """Return periodic standard normal fields (grounds, scans, fields, side, side).
+    """Return periodic standard normal fields (terrains, scans, fields, side, side).
 
     Their spatial correlation is a mixture of Gaussians with the lengths `LENGTHS` times `stretch`
-    (grounds, scans) and `weights` (grounds, scans, lengths). Both are passed as bytes, so that the
-    result can be cached.
+    (terrains, scans) and `weights` (terrains, scans, lengths). Both are passed as bytes, so that
+    the result can be cached.
     """
     mixed = np.frombuffer(weights).reshape(shape)
     longer = np.frombuffer(stretch).reshape(shape[:2])

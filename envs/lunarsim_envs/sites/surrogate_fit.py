@@ -35,7 +35,7 @@ _LAGS = np.array([0, 1, 2, 3, 4, 6, 8, 12, 16, 24, 32])
 
 
 def fit_mapper_surrogate(
-    scenario: Scenario, grounds: Sequence[Sequence[SampledFlight]]
+    scenario: Scenario, terrains: Sequence[Sequence[SampledFlight]]
 ) -> Surrogate:
     """Fit the surrogate of a scenario's mapper.
 
@@ -43,7 +43,7 @@ def fit_mapper_surrogate(
     ----------
     scenario
         Scenario of the flights.
-    grounds
+    terrains
         Flights over several terrains, which differ in their fraction of safe sites.
 
     Raises
@@ -51,18 +51,21 @@ def fit_mapper_surrogate(
     InputError
         If flights are missing, or have more than two scans.
     """
-    looks = [[look for flight in ground for look in flight.looks] for ground in grounds]
-    scans = 1 + max((look.stage for ground in looks for look in ground), default=-1)
+    samples = [[sample for flight in terrain for sample in flight.samples] for terrain in terrains]
+    scans = 1 + max((sample.stage for terrain in samples for sample in terrain), default=-1)
     if not 1 <= scans <= 2:
         raise InputError("scans", scans, "must be one or two in every flight")
-    shares = np.array([np.mean([f.safe_share for f in ground]) for ground in grounds])
+    shares = np.array([np.mean([f.safe_share for f in terrain]) for terrain in terrains])
     order = np.argsort(shares)
-    tables = np.zeros((len(grounds), scans, hazard.COUNT, NODES))
-    common, weights = np.zeros((len(grounds), scans)), np.zeros((len(grounds), scans, len(LENGTHS)))
+    tables = np.zeros((len(terrains), scans, hazard.COUNT, NODES))
+    common, weights = (
+        np.zeros((len(terrains), scans)),
+        np.zeros((len(terrains), scans, len(LENGTHS))),
+    )
     scores: list[list[Array]] = [[] for _ in range(scans)]
-    for g, ground in enumerate(order):
+    for g, index in enumerate(order):
         for stage in range(scans):
-            own = [look for look in looks[ground] if look.stage == stage]
+            own = [sample for sample in samples[index] if sample.stage == stage]
             tables[g, stage] = quantile_tables(own)
             found = normal_scores(own)
             means = np.array([np.nanmean(one) for one in found])
@@ -70,47 +73,49 @@ def fit_mapper_surrogate(
             common[g, stage] = min(np.var(means) / max(every, 1e-9), 0.95)
             weights[g, stage] = correlation_weights(found, own[0].posting)
             scores[stage] += found
-    every = [flight for ground in grounds for flight in ground]
+    every = [flight for terrain in terrains for flight in terrain]
     drift = np.array([flight.drift for flight in every])
     plain = Surrogate(
         shares[order], tables, common, weights, np.ones(common.shape), _kept(scores),
         np.sqrt(np.nanmean(drift**2, axis=0)), float(np.mean([f.claimed for f in every])),
-        np.array([_altitude(looks, stage) for stage in range(scans)]),
+        np.array([_altitude(samples, stage) for stage in range(scans)]),
         json.dumps(surrogate_tables(scenario), sort_keys=True),
     )  # fmt: skip
-    return _stretched(plain, [grounds[ground] for ground in order])
+    return _stretched(plain, [terrains[index] for index in order])
 
 
-def _stretched(surrogate: Surrogate, grounds: Sequence[Sequence[SampledFlight]]) -> Surrogate:
-    """Return a surrogate with the correlation lengths of the mapper on the fitted terrains."""
+def _stretched(surrogate: Surrogate, terrains: Sequence[Sequence[SampledFlight]]) -> Surrogate:
+    """Return a surrogate with the mapper's correlation lengths on the terrains."""
     for _ in range(_ROUNDS):
         stretch = surrogate.stretch.copy()
-        for g, ground in enumerate(grounds):
+        for g, terrain in enumerate(terrains):
             rng = np.random.default_rng(g)
-            drawn = [draw_surrogate_maps(surrogate, flight, rng) for flight in ground]
+            drawn = [draw_surrogate_maps(surrogate, flight, rng) for flight in terrain]
             for scan in range(stretch.shape[1]):
-                looks = [look for f in ground for look in f.looks if look.stage == scan]
-                wanted = correlation_length(looks, [look.p_safe for look in looks])
-                found = correlation_length(looks, [one[scan] for one in drawn if len(one) > scan])
+                samples = [sample for f in terrain for sample in f.samples if sample.stage == scan]
+                wanted = correlation_length(samples, [sample.p_safe for sample in samples])
+                found = correlation_length(samples, [one[scan] for one in drawn if len(one) > scan])
                 if np.isfinite(wanted) and np.isfinite(found):
                     stretch[g, scan] = np.clip(stretch[g, scan] * wanted / found, 0.5, 5.0)
         surrogate = replace(surrogate, stretch=stretch)
     return surrogate
 
 
-def _altitude(looks: Sequence[Sequence[MapSample]], stage: int) -> float:
-    return float(np.mean([k.altitude for ground in looks for k in ground if k.stage == stage]))
+def _altitude(samples: Sequence[Sequence[MapSample]], stage: int) -> float:
+    return float(np.mean([k.altitude for terrain in samples for k in terrain if k.stage == stage]))
 
 
-def quantile_tables(looks: Sequence[MapSample]) -> Array:
+def quantile_tables(samples: Sequence[MapSample]) -> Array:
     """Return p_safe of each class at the nodes (classes, nodes)."""
-    kind = np.concatenate([look.kind[is_evaluated(look)] for look in looks])
-    p = np.concatenate([look.p_safe[is_evaluated(look)] for look in looks]).astype(np.float64)
+    kind = np.concatenate([sample.kind[is_evaluated(sample)] for sample in samples])
+    p = np.concatenate([sample.p_safe[is_evaluated(sample)] for sample in samples]).astype(
+        np.float64
+    )
     share = ndtr(np.linspace(-MOST, MOST, NODES))
     sizes = hazard.size_class(kind)
     known = np.flatnonzero(np.bincount(sizes, minlength=len(hazard.SIZES) + 1) >= 1)
     if not len(known):
-        raise InputError("looks", len(looks), "must include a site with known truth")
+        raise InputError("samples", len(samples), "must include a site with known truth")
     out = np.empty((hazard.COUNT, NODES))
     for c in range(hazard.COUNT):
         size = int(hazard.size_class(np.array([c], np.uint8))[0])
@@ -122,11 +127,11 @@ def quantile_tables(looks: Sequence[MapSample]) -> Array:
     return out
 
 
-def normal_scores(looks: Sequence[MapSample]) -> list[Array]:
-    """Return the normal score of each site within its class (rows, cols); NaN elsewhere."""
-    masks = [is_evaluated(look) for look in looks]
-    kind = np.concatenate([look.kind[mask] for look, mask in zip(looks, masks, strict=True)])
-    p = np.concatenate([look.p_safe[mask] for look, mask in zip(looks, masks, strict=True)])
+def normal_scores(samples: Sequence[MapSample]) -> list[Array]:
+    """Return the normal score of each site in its class (rows, cols); NaN elsewhere."""
+    masks = [is_evaluated(sample) for sample in samples]
+    kind = np.concatenate([sample.kind[mask] for sample, mask in zip(samples, masks, strict=True)])
+    p = np.concatenate([sample.p_safe[mask] for sample, mask in zip(samples, masks, strict=True)])
     z = np.empty(len(p))
     for c in np.unique(kind):
         own = kind == c
@@ -142,7 +147,7 @@ def normal_scores(looks: Sequence[MapSample]) -> list[Array]:
 
 
 def correlation_weights(fields: Sequence[Array], posting: float) -> Array:
-    """Return the weights of the Gaussian correlation lengths (lengths,), which sum to 1."""
+    """Return the weights of the correlation `LENGTHS` (lengths,), which sum to 1."""
     wanted = correlation(fields, _LAGS)
     away = _LAGS * posting
     basis = np.stack(

@@ -1,4 +1,4 @@
-"""Draw surrogate maps in plain NumPy, and measure the correlation length of their errors."""
+"""Draw surrogate maps in NumPy, and measure the correlation length of errors."""
 
 from __future__ import annotations
 
@@ -16,40 +16,41 @@ Array = NDArray[np.float64]
 _LAGS = np.arange(0, 33)
 
 
-def is_evaluated(look: MapSample) -> NDArray[np.bool_]:
+def is_evaluated(sample: MapSample) -> NDArray[np.bool_]:
     """Return the mask of cells with a p_safe from the last scan and with known truth."""
-    return np.asarray(look.viewed & look.observed & (look.kind != hazard.UNKNOWN))
+    return np.asarray(sample.viewed & sample.observed & (sample.kind != hazard.UNKNOWN))
 
 
 def draw_surrogate_maps(
     surrogate: Surrogate, flight: SampledFlight, rng: np.random.Generator
 ) -> list[NDArray[np.float32]]:
-    """Draw surrogate maps for the scans of a flight; NaN for cells outside `is_evaluated`.
+    """Draw surrogate maps for the scans of a flight.
 
+    Cells outside `is_evaluated` are NaN.
     The computation is the same as in the kernel, cell by cell.
     """
-    posting = flight.looks[0].posting
+    posting = flight.samples[0].posting
     errors = surrogate.errors(np.array([flight.safe_share]), posting)
     noise, nodes = errors.noise[errors.bank[0]], errors.tables.shape[3]
     side = noise.shape[2]
     steps = np.linspace(-errors.most, errors.most, nodes)
-    out, last, whole = [], None, None
-    for look in flight.looks:
-        one = noise[look.stage, rng.integers(noise.shape[1])]
+    out, last, last_mean = [], None, None
+    for sample in flight.samples:
+        one = noise[sample.stage, rng.integers(noise.shape[1])]
         one = np.roll(one, tuple(rng.integers(side, size=2)), (0, 1))
-        one = one[: look.kind.shape[0], : look.kind.shape[1]].astype(np.float64)
+        one = one[: sample.kind.shape[0], : sample.kind.shape[1]].astype(np.float64)
         mean = rng.standard_normal()
-        if last is not None and whole is not None:
+        if last is not None and last_mean is not None:
             fresh = np.sqrt(1.0 - errors.kept**2)
             one = errors.kept * last + fresh * one
-            mean = errors.kept * whole + fresh * mean
-        last, whole = one, mean
-        common = errors.common[0, look.stage]
+            mean = errors.kept * last_mean + fresh * mean
+        last, last_mean = one, mean
+        common = errors.common[0, sample.stage]
         z = np.sqrt(common) * mean + np.sqrt(1.0 - common) * one
-        p = np.full(look.kind.shape, np.nan, np.float32)
-        for c in np.unique(look.kind[is_evaluated(look)]):
-            own = is_evaluated(look) & (look.kind == c)
-            p[own] = np.interp(z[own], steps, errors.tables[0, look.stage, c])
+        p = np.full(sample.kind.shape, np.nan, np.float32)
+        for c in np.unique(sample.kind[is_evaluated(sample)]):
+            own = is_evaluated(sample) & (sample.kind == c)
+            p[own] = np.interp(z[own], steps, errors.tables[0, sample.stage, c])
         out.append(p)
     return out
 
@@ -71,18 +72,18 @@ def correlation(fields: Sequence[Array], lags: NDArray[np.int64]) -> Array:
     return np.asarray(mean / max(mean[0], 1e-12))
 
 
-def correlation_length(looks: Sequence[MapSample], maps: Sequence[NDArray[np.float32]]) -> float:
+def correlation_length(samples: Sequence[MapSample], maps: Sequence[NDArray[np.float32]]) -> float:
     """Return the correlation length of p_safe minus its class mean (fall to 1 / e), m."""
-    masks = [is_evaluated(look) for look in looks]
+    masks = [is_evaluated(sample) for sample in samples]
     total, count = np.zeros(hazard.COUNT), np.zeros(hazard.COUNT)
-    for look, one, mask in zip(looks, maps, masks, strict=True):
-        np.add.at(total, look.kind[mask], one[mask])
-        np.add.at(count, look.kind[mask], 1.0)
+    for sample, one, mask in zip(samples, maps, masks, strict=True):
+        np.add.at(total, sample.kind[mask], one[mask])
+        np.add.at(count, sample.kind[mask], 1.0)
     means = total / np.maximum(count, 1.0)
     fields = []
-    for look, one, mask in zip(looks, maps, masks, strict=True):
+    for sample, one, mask in zip(samples, maps, masks, strict=True):
         field = np.full(mask.shape, np.nan)
-        field[mask] = one[mask] - means[look.kind[mask]]
+        field[mask] = one[mask] - means[sample.kind[mask]]
         fields.append(field)
     falls = correlation(fields, _LAGS)
     below = np.flatnonzero(falls < np.exp(-1.0))
@@ -90,4 +91,4 @@ def correlation_length(looks: Sequence[MapSample], maps: Sequence[NDArray[np.flo
         return float("nan")
     k = int(below[0])
     part = (falls[k - 1] - np.exp(-1.0)) / (falls[k - 1] - falls[k])
-    return float((k - 1 + part) * looks[0].posting)
+    return float((k - 1 + part) * samples[0].posting)

@@ -29,18 +29,20 @@ class SurrogateMapQuality:
     values: Array
 
 
-def quality(looks: Sequence[MapSample], maps: Sequence[NDArray[np.float32]]) -> SurrogateMapQuality:
+def quality(
+    samples: Sequence[MapSample], maps: Sequence[NDArray[np.float32]]
+) -> SurrogateMapQuality:
     """Return calibration error, false rates and correlation length of maps."""
-    masks = [is_evaluated(look) for look in looks]
+    masks = [is_evaluated(sample) for sample in samples]
     p = np.concatenate([one[mask] for one, mask in zip(maps, masks, strict=True)])
-    safe = np.concatenate([look.safe[mask] for look, mask in zip(looks, masks, strict=True)])
-    kind = np.concatenate([look.kind[mask] for look, mask in zip(looks, masks, strict=True)])
+    safe = np.concatenate([sample.safe[mask] for sample, mask in zip(samples, masks, strict=True)])
+    kind = np.concatenate([sample.kind[mask] for sample, mask in zip(samples, masks, strict=True)])
     named = {"calibration error": _calibration_error(p, safe), "mean p_safe": float(p.mean())}
     size = np.append(0.0, _SIZES)[hazard.size_class(kind)]
     for low, high in ((1.0, 1.25), (1.25, 1.5), (1.5, np.inf)):
         own = ~safe & (size >= low) & (size < high)
-        told = f"unsafe, {low:g} to {high:g} of the limit, classified safe"
-        named[told] = _share(p[own] >= TOLD_SAFE)
+        name = f"unsafe, {low:g} to {high:g} of the limit, classified safe"
+        named[name] = _share(p[own] >= TOLD_SAFE)
     for low, high in ((0.0, 0.5), (0.5, 0.8), (0.8, 1.0)):
         own = safe & (size >= low) & (size < high)
         name = f"safe, {low:g} to {high:g} of the limit, classified unsafe"
@@ -56,12 +58,12 @@ def quality(looks: Sequence[MapSample], maps: Sequence[NDArray[np.float32]]) -> 
         ("safe, at the edge, classified unsafe", safe & (edge < 8)),
     ):
         named[words] = _share(p[own] < TOLD_UNSAFE)
-    named["correlation length (m)"] = correlation_length(looks, maps)
+    named["correlation length (m)"] = correlation_length(samples, maps)
     return SurrogateMapQuality(tuple(named), np.array(list(named.values())))
 
 
-def _share(told: NDArray[np.bool_]) -> float:
-    return float(told.mean()) if told.size >= 20 else float("nan")
+def _share(is_wrong: NDArray[np.bool_]) -> float:
+    return float(is_wrong.mean()) if is_wrong.size >= 20 else float("nan")
 
 
 def _calibration_error(p: NDArray[np.float32], safe: NDArray[np.bool_]) -> float:
@@ -105,16 +107,16 @@ def compare_metrics(
     surrogate: Surrogate, flights: Sequence[SampledFlight], scan: int, rng: np.random.Generator
 ) -> list[MetricComparison]:
     """Return the metrics of one scan of all flights, for mapper and surrogate."""
-    looks = [look for f in flights for look in f.looks if look.stage == scan]
-    maps = [look.p_safe for look in looks]
-    drawn = [draw_surrogate_maps(surrogate, f, rng)[scan] for f in flights if len(f.looks) > scan]
-    real, made = quality(looks, maps), quality(looks, drawn)
+    samples = [sample for f in flights for sample in f.samples if sample.stage == scan]
+    maps = [sample.p_safe for sample in samples]
+    drawn = [draw_surrogate_maps(surrogate, f, rng)[scan] for f in flights if len(f.samples) > scan]
+    real, made = quality(samples, maps), quality(samples, drawn)
     again = []
     for _ in range(_RESAMPLED // 10):
-        pick = rng.integers(len(looks), size=len(looks))
-        again.append(quality([looks[k] for k in pick], [maps[k] for k in pick]).values)
+        pick = rng.integers(len(samples), size=len(samples))
+        again.append(quality([samples[k] for k in pick], [maps[k] for k in pick]).values)
     # Small-sample correction of the bootstrap standard deviation.
-    spread = np.nanstd(again, axis=0) * 1.96 * np.sqrt(len(looks) / max(len(looks) - 1, 1))
+    spread = np.nanstd(again, axis=0) * 1.96 * np.sqrt(len(samples) / max(len(samples) - 1, 1))
     low, high = real.values - spread, real.values + spread
     return [
         MetricComparison(n, *map(float, row))

@@ -1,1 +1,1 @@
-"""Train agents, with vector environments adapted to Stable-Baselines3; needs the extra ``rl``."""
+"""Train agents with Stable-Baselines3 and other methods; needs the extra ``rl``."""

@@ -10,7 +10,7 @@ from lunarsim.viz.style import COLOURS, new_figure, save
 
 
 def draw_curve(curve: list[dict[str, float]], path: Path) -> None:
-    """Plot landing fractions, and propellant of on-target landings, over training steps.
+    """Plot landing fractions and propellant of on-target landings over training.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Train an agent of ``Guidance-v0`` by PPO, with checkpoints that allow exact resumption.
+"""Train an agent of ``Guidance-v0`` by PPO, with checkpoints.
 
 A resumed training gives bitwise the same result as an uninterrupted one. Checkpoints contain the
 agent, its optimiser, the flights in progress and all random generators.
@@ -158,14 +158,14 @@ class TrainingRun:
 
     def advance(self) -> None:
         """Collect a rollout in all lanes and update the agent."""
-        begun, s = time.perf_counter(), self.settings
+        start, s = time.perf_counter(), self.settings
         rate = s.learning_rate(self.done)
         self.model.lr_schedule = lambda _: rate
         with torch.no_grad():
             self.model.policy.log_std.clamp_(max=s.most_spread(self.done))
         self.model.learn(s.lanes * s.horizon, reset_num_timesteps=False)
         self.done += 1
-        self.seconds += time.perf_counter() - begun
+        self.seconds += time.perf_counter() - start
 
     def look(self) -> HeldOutResult:
         """Evaluate the agent and append the result to the learning curve."""
@@ -205,7 +205,8 @@ class TrainingRun:
 
 
 def train(
-    settings: PpoSettings, out: Path, looks: int, tell: Callable[[TrainingRun, HeldOutResult], None]
+    settings: PpoSettings, out: Path, interval: int,
+    report: Callable[[TrainingRun, HeldOutResult], None],
 ) -> TrainingRun:  # fmt: skip
     """Train to the end, with regular evaluations and checkpoints.
 
@@ -213,17 +214,17 @@ def train(
     ----------
     settings, out
         Settings and folder of the `TrainingRun`.
-    looks
+    interval
         Number of updates between two evaluations.
-    tell
+    report
         Function called after each evaluation.
     """
     torch.set_num_threads(1)
     run = TrainingRun(settings, out)
     while run.done < settings.updates:
         run.advance()
-        if run.done % looks == 0 or run.done == settings.updates:
+        if run.done % interval == 0 or run.done == settings.updates:
             seen = run.look()
             run.checkpoint()
-            tell(run, seen)
+            report(run, seen)
     return run

@@ -55,17 +55,17 @@ class Sb3VecEnv(VecEnv):  # type: ignore[misc]
     def reset(self) -> Any:
         """Start new episodes in all lanes, with the values of `seed` and `set_options`."""
         seeds: Any = None if self._seeds[0] is None else list(self._seeds)
-        told = self._told()
+        pairs = self._reset_groups()
         self._reset_seeds()
         self._reset_options()
         observation, _ = self.batch.reset(seed=seeds)
-        for options, lanes in told:
+        for options, lanes in pairs:
             mine = np.isin(np.arange(self.num_envs), lanes)
             observation, _ = self.batch.reset(options=options | {"reset_mask": mine})
         return observation
 
-    def _told(self) -> list[tuple[dict[str, Any], list[int]]]:
-        """Return pairs of reset options (`set_options` overrides `starts`) and their lanes."""
+    def _reset_groups(self) -> list[tuple[dict[str, Any], list[int]]]:
+        """Return reset options (`set_options` overrides `starts`) and their lanes."""
         given = self._options
         if len(given) != self.num_envs or not all(isinstance(one, dict) for one in given):
             raise InputError(
@@ -76,12 +76,12 @@ class Sb3VecEnv(VecEnv):  # type: ignore[misc]
             # Lanes with the same options object, or without options, are reset together.
             key = lane * len(self.starts) // self.num_envs, id(own) if own else 0
             alike.setdefault(key, []).append(lane)
-        told = []
+        pairs = []
         for (start, _), lanes in alike.items():
             options = (self.starts[start] if self.starts else {}) | self._options[lanes[0]]
             if self.starts or options:
-                told.append((options, lanes))
-        return told
+                pairs.append((options, lanes))
+        return pairs
 
     def step_async(self, actions: NDArray[np.float32]) -> None:
         """Store the actions (n, size)."""
@@ -91,16 +91,16 @@ class Sb3VecEnv(VecEnv):  # type: ignore[misc]
         """Step all lanes; only lanes whose episode has ended have a non-empty info."""
         observation, reward, terminated, truncated, info = self.batch.step(self._actions)
         over = terminated | truncated
-        told: list[dict[str, Any]] = [{}] * self.num_envs
+        infos: list[dict[str, Any]] = [{}] * self.num_envs
         for lane in np.flatnonzero(over):
-            told[lane] = {
+            infos[lane] = {
                 "terminal_observation": _of(info["final_obs"], lane),
                 "TimeLimit.truncated": bool(truncated[lane]),
                 "safe": bool(info["safe"][lane]),
             }
             if "miss_m" in info:
-                told[lane]["miss_m"] = float(info["miss_m"][lane])
-        return observation, reward.astype(np.float32), over, told
+                infos[lane]["miss_m"] = float(info["miss_m"][lane])
+        return observation, reward.astype(np.float32), over, infos
 
     def close(self) -> None:
         """Close the vector environment."""
@@ -114,7 +114,7 @@ class Sb3VecEnv(VecEnv):  # type: ignore[misc]
         return [value] * len(list(self._get_indices(indices)))
 
     def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
-        """Raise an `InputError`, because lanes have no attributes of their own."""
+        """Raise an `InputError`, because lanes have no separate attributes."""
         raise InputError("set_attr", attr_name, _SHARED)
 
     def env_method(

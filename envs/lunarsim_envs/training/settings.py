@@ -133,7 +133,7 @@ class PpoSettings:
         return self._falls(self.spread, self.spread_last, done)
 
     def starts(self, planned: np.ndarray) -> list[dict[str, Any]]:
-        """Return reset options with start distances from near the target to the full distance.
+        """Return reset options with starts from near the target to the full distance.
 
         Parameters
         ----------
@@ -142,10 +142,10 @@ class PpoSettings:
             fraction f of the distance, the speed is multiplied by sqrt(f), as for a constant
             deceleration.
         """
-        whole = max(self.shares - 5, 1)
+        full = max(self.shares - 5, 1)
         found = []
         for k in range(self.shares):
-            way = self.nearest ** (1.0 - min(k / whole, 1.0))
+            way = self.nearest ** (1.0 - min(k / full, 1.0))
             fast = float(np.sqrt(way))
             found.append({
                 "position_m": (way * planned[:3]).tolist(),

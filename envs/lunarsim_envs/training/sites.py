@@ -56,7 +56,7 @@ class CemSettings:
 
 
 def start(hidden: int) -> SiteNetwork:
-    """Return an initial network that imitates `fuel-aware`: log-odds of safety vs. propellant."""
+    """Return an initial network that imitates the policy `fuel-aware`."""
     linear = np.zeros(len(FEATURES))
     # Score: 1 per unit of log-odds, -0.25 per kilogram, +0.7 for keeping the site.
     linear[0], linear[1], linear[3] = 5.0, -0.5, 0.7
@@ -65,7 +65,7 @@ def start(hidden: int) -> SiteNetwork:
 
 
 def flown(lanes: SiteDescentBatch, keys: NDArray[np.uint64], weights: Array, hidden: int) -> Array:
-    """Fly every lane once with its own network; return safety (0 or 1) and propellant (n, 2).
+    """Fly each lane with its own network; return safety (0, 1) and propellant (n, 2).
 
     Parameters
     ----------
@@ -104,7 +104,7 @@ def flown(lanes: SiteDescentBatch, keys: NDArray[np.uint64], weights: Array, hid
 def train(
     lanes: SiteDescentBatch,
     settings: CemSettings,
-    told: Callable[[int, float, float, float], None],
+    report: Callable[[int, float, float, float], None],
 ) -> SiteNetwork:
     """Train a network and return it.
 
@@ -114,7 +114,7 @@ def train(
         Batch with population x flights landers.
     settings
         Settings of the training.
-    told
+    report
         Function called after every generation with its number, the fraction of safe landings and
         the mean propellant (kg) of the best networks, and the mean standard deviation of weights.
     """
@@ -133,5 +133,5 @@ def train(
         mean = s.kept * mean + (1.0 - s.kept) * drawn[best].mean(axis=0)
         sigma = s.kept * sigma + (1.0 - s.kept) * drawn[best].std(axis=0)
         safe, burnt = found[best].mean(axis=(0, 1))
-        told(generation, float(safe), float(burnt), float(sigma.mean()))
+        report(generation, float(safe), float(burnt), float(sigma.mean()))
     return SiteNetwork.of(mean, s.hidden)
