@@ -41,9 +41,9 @@ Flights = list[MapperFlight]
 Figures = dict[str, dict[str, Any]]
 
 
-def counts_of(judged: list[MapEvaluation]) -> np.ndarray:
+def counts_of(evaluated: list[MapEvaluation]) -> np.ndarray:
     """Return true safe, false safe, missed and rejected cells of maps (n, strata, 4)."""
-    return np.array([j.counts for j in judged], dtype=np.float64)
+    return np.array([j.counts for j in evaluated], dtype=np.float64)
 
 
 def ratio_interval(
@@ -107,17 +107,17 @@ def landings(flights: Flights) -> Figures:
     return out
 
 
-def quality(judged: list[MapEvaluation]) -> dict[str, Any]:
+def quality(evaluated: list[MapEvaluation]) -> dict[str, Any]:
     """Return the metrics of the maps of a mapper at one decision; empty without maps."""
-    if not judged:
+    if not evaluated:
         return {}
-    counts = counts_of(judged)
-    claims = np.sum([j.claimed for j in judged], axis=0)
+    counts = counts_of(evaluated)
+    claims = np.sum([j.claimed for j in evaluated], axis=0)
     return {
         "precision": ratio_interval(counts.sum(axis=1), precision),
         "recall": ratio_interval(counts.sum(axis=1), recall),
         "claimed": float(claims[:, 0].sum() / max(counts.sum(), 1.0)),
-        "ece": calibration_error(np.sum([j.table for j in judged], axis=0)),
+        "ece": calibration_error(np.sum([j.table for j in evaluated], axis=0)),
         "skill": skill_of(claims.sum(axis=0)),
         "strata": {
             name: {

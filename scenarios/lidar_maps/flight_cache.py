@@ -68,9 +68,9 @@ def _load(file: Path, task: MapperFlightTask) -> MapperFlight:
 
 
 def _mapped(kept: dict[str, Any]) -> MapperRecord:
-    ends = [_judged(kept[moment]) for moment in ("first", "last")]
+    ends = [_map_evaluation(kept[moment]) for moment in ("first", "last")]
     return MapperRecord(*ends, seconds=kept["seconds"], megabytes=kept["megabytes"])
 
 
-def _judged(kept: dict[str, Any] | None) -> MapEvaluation | None:
+def _map_evaluation(kept: dict[str, Any] | None) -> MapEvaluation | None:
     return MapEvaluation(**{name: np.array(v) for name, v in kept.items()}) if kept else None

@@ -173,7 +173,7 @@ class InstrumentFaultFlight:
     far
         Whether the velocity or attitude error was too large at the end.
     lost, doubted
-        Whether navigation declared itself lost at the end; number of doubted measurements.
+        Whether navigation declared itself lost at the end; number of `doubted` events.
     safe
         Whether the landing was safe.
     """

@@ -47,7 +47,7 @@ def pool_safety(verdicts: list[SafetyComparison]) -> SafetyComparison:
         np.concatenate([v.stratum for v in verdicts]),
         *means,
         first.scale,
-        first.pictures,
+        first.maps,
     )
 
 
