@@ -115,7 +115,7 @@ def fly(task: ThrusterMapTask) -> ThrusterMapFlight:
         figures["tilt_deg"] = float(np.rad2deg(touchdown.tilt))
     figures["thruster_kg"] = float(last.get("thruster_propellant_kg", 0.0))
     figures["engine_kg"] = flight.propellant_used
-    values = {name: figures.get(name, float("nan")) for name in METRICS}
+    metrics = {name: figures.get(name, float("nan")) for name in METRICS}
     outcome = flight.verdict
     return ThrusterMapFlight(
         task.way, task.flight, outcome.safe, ", ".join(outcome.failed), metrics
