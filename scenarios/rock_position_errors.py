@@ -14,10 +14,10 @@ from typing import Any, NamedTuple
 
 import click
 import numpy as np
-from eyes_flights import WORLDS, scenario_of, world_of
 from numpy.typing import NDArray
 from rich.table import Table
 from scipy.spatial import cKDTree
+from sensor_fusion_flights import WORLDS, scenario_of, world_of
 
 from lunarsim.campaign.pool import iterate_results
 from lunarsim.console import plain_console, plain_progress

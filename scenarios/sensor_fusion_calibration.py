@@ -16,9 +16,9 @@ from typing import Any
 
 import click
 import numpy as np
-from eyes_flights import ODDS, POSTING
 from rich.table import Table
 from scipy.special import expit
+from sensor_fusion_flights import ODDS, POSTING
 
 from lunarsim.console import plain_console
 from lunarsim.errors import InputError
@@ -32,7 +32,7 @@ FITS = ("none", "without the quadtree", "with the quadtree")
 
 
 def counts_of(flights: list[dict[str, Any]]) -> Array:
-    """Return pooled site counts (safe, fused, quadtree), see `eyes_flights.joint`."""
+    """Return pooled site counts (safe, fused, quadtree), see `sensor_fusion_flights.joint`."""
     shape = (2, len(ODDS) - 1, len(ODDS))
     pooled = np.zeros(shape)
     for flight in flights:

@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from eyes_flights import LARGE, MAPS, ROWS, SINGLE
 from rich.console import Console
 from rich.table import Table
+from sensor_fusion_flights import LARGE, MAPS, ROWS, SINGLE
 
 from lunarsim.evaluation.map_quality import MapQuality
 from lunarsim.evaluation.precision_recall import PrecisionRecall

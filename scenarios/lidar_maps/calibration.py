@@ -22,9 +22,9 @@ from typing import Any, TypeVar
 
 import click
 import numpy as np
-from kept import SceneSites, evaluated_scenes
 from rich.console import Console
 from rich.table import Table
+from scene_cache import SceneSites, evaluated_scenes
 from worlds import LANDERS, RANGES, RELIEFS, ROCKS, UPRIGHT, LidarScene, scenes
 
 from lunarsim.campaign.pool import collect_results

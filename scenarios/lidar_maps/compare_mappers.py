@@ -23,10 +23,19 @@ from typing import Any
 
 import click
 import numpy as np
-from flown import MAPPERS, STRATA, WAYS, WORLDS, MapEvaluation, MapperFlight, MapperFlightTask, fly
-from flown_kept import load_or_fly
+from comparison_rows import ROWS
+from flight_cache import load_or_fly
+from mapper_flights import (
+    MAPPERS,
+    STRATA,
+    WAYS,
+    WORLDS,
+    MapEvaluation,
+    MapperFlight,
+    MapperFlightTask,
+    fly,
+)
 from rich.table import Table
-from rows import ROWS
 from scipy.stats import binomtest
 
 from lunarsim.campaign.pool import collect_results

@@ -20,7 +20,7 @@ from typing import Any
 import click
 import numpy as np
 from rich.table import Table
-from study import seed_and_jobs
+from shared_options import seed_and_jobs
 
 from lunarsim.campaign.pool import collect_results
 from lunarsim.console import plain_console

@@ -18,9 +18,9 @@ from itertools import product
 
 import click
 import numpy as np
-from places import UPRIGHT, craters, objects
+from map_localisation import UPRIGHT, craters, objects
 from rich.table import Table
-from study import seed_and_jobs
+from shared_options import seed_and_jobs
 
 from lunarsim.campaign.pool import collect_results
 from lunarsim.console import plain_console

@@ -17,7 +17,9 @@ from typing import Any
 
 import click
 import numpy as np
-from judging import (
+from rich.console import Console
+from rich.table import Table
+from truth_comparison import (
     QuadtreeTruth,
     evaluated_sites,
     hazard_confusion,
@@ -25,8 +27,6 @@ from judging import (
     slope_errors,
     terrain_truth_of,
 )
-from rich.console import Console
-from rich.table import Table
 
 from lunarsim.campaign.pool import collect_results
 from lunarsim.console import plain_console

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from judging import HeightErrors, SafetyComparison
+from held_out_comparison import HeightErrors, SafetyComparison
 from matplotlib.colors import ListedColormap
 from returns import STRATA
 from scipy.stats import norm

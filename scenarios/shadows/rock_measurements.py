@@ -21,8 +21,8 @@ from itertools import pairwise
 
 import click
 import numpy as np
+from detection_rates import SHAPES, make_world, model_of
 from numpy.typing import NDArray
-from rates import SHAPES, make_world, model_of
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
