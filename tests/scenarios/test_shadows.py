@@ -68,7 +68,7 @@ def _outline_sigmas() -> tuple[float, float]:
 
 
 def test_rates_fall_with_size(script, tmp_path):
-    rates = script("shadows", "rates")
+    rates = script("shadows", "detection_rates")
     done = CliRunner().invoke(
         rates.main, ["--images", "5", "--shape", "cube", "--out", str(tmp_path)]
     )
@@ -133,7 +133,7 @@ def test_invalid_requests_are_rejected(script):
 
 @pytest.mark.slow
 def test_default_rates_are_those_printed_by_the_script(script, tmp_path):
-    rates = script("shadows", "rates")
+    rates = script("shadows", "detection_rates")
     done = CliRunner().invoke(rates.main, ["--out", str(tmp_path)])
     assert done.exit_code == 0, done.output
     lines = json.loads((tmp_path / "rates_all.json").read_text())["lines"]
