@@ -36,7 +36,7 @@ def test_the_lunar_module_can_be_loaded():
 
 
 def test_failed_thruster_with_and_without_detection(script):
-    study = script("landers", "dead_thruster")
+    study = script("landers", "thruster_failure")
     blind, seeing = (study.fly("phase-plane", 1, 1, watch) for watch in (False, True))
     assert blind[2] != blind[2]
     assert seeing[3] == 0

@@ -78,7 +78,8 @@ def test_heights_are_interpolated_and_split_by_stratum(script, scattered):
 
 def test_quadtree_cell_errors_match_the_scatter_of_their_returns(script):
     """On flat terrain with noise the error has the predicted deviation."""
-    returns, judging = (
+    returns = script("real_returns", "returns")
+    judging = script("real_returns", "held_out_comparison")
         script("real_returns", "returns"),
         script("real_returns", "held_out_comparison"),
     )

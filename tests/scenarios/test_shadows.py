@@ -237,7 +237,7 @@ def test_matrix_names_missed_goals(matrix):
 
 
 def test_faulty_images_are_rejected_and_most_good_ones_accepted(script):
-    health = script("shadows", "health")
+    health = script("shadows", "image_check")
     rows = health.check_images(health.ImageCheckTask(2, 0.05, 2.0, 11, True))
     by = {}
     for row in rows:
