@@ -80,9 +80,6 @@ def test_quadtree_cell_errors_match_the_scatter_of_their_returns(script):
     """On flat terrain with noise the error has the predicted deviation."""
     returns = script("real_returns", "returns")
     judging = script("real_returns", "held_out_comparison")
-        script("real_returns", "returns"),
-        script("real_returns", "held_out_comparison"),
-    )
     rng = np.random.default_rng(4)
     both = np.column_stack((rng.uniform(-32.0, 32.0, (40_000, 2)), rng.normal(0.0, 0.2, 40_000)))
     grid = Grid.centred((0.0, 0.0), 64.0, 0.5)

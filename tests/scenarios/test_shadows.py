@@ -23,7 +23,7 @@ from tests.worlds import SMALL_SHADOW_FLIGHT
 
 
 def test_measurement_noise_is_constant_in_pixels(script, monkeypatch):
-    study = script("shadows", "looks")
+    study = script("shadows", "rock_measurements")
     monkeypatch.setattr(study, "FAR", 45.0)
     monkeypatch.setattr(study, "LAG", 5)
     done = CliRunner().invoke(study.main, ["--fields", "1"])
@@ -50,7 +50,7 @@ def test_measurement_noise_is_constant_in_pixels(script, monkeypatch):
 
 
 def test_first_measurement_is_biased_towards_the_sun_by_selection(script, monkeypatch):
-    study = script("shadows", "looks")
+    study = script("shadows", "rock_measurements")
     monkeypatch.setattr(study, "FAR", 150.0)
     monkeypatch.setattr(study, "NEAR", 125.0)
     monkeypatch.setattr(study, "LAG", 5)
