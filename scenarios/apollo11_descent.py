@@ -66,11 +66,11 @@ class ApolloDescentRun:
     results: dict[str, Any]
 
 
-def scenario_of(isp: float, ground: str, load: str = apollo11.FLOWN) -> Scenario:
+def scenario_of(isp: float, terrain: str, load: str = apollo11.FLOWN) -> Scenario:
     """Return the descent with the targets of a load, from its own ignition point."""
     base = Scenario.load(HERE / "landers/apollo11.toml")
     base = base.changed(vehicle={"specific_impulse_s": isp})
-    if ground == "measured":
+    if terrain == "measured":
         base = base.changed(**MEASURED)
     return apollo11.with_ignition_start(apollo11.with_load(base, load), load)
 
@@ -83,10 +83,10 @@ def with_pilot(scenario: Scenario, **pilot: float) -> Scenario:
 
 def fly(name: str, scenario: Scenario, seed: int) -> ApolloDescentRun:
     """Fly one descent and compare it with the record."""
-    begun = time.process_time()
+    start_time = time.process_time()
     sim = Simulation(scenario, seed, "no-divert")
     flight = sim.run()
-    seconds = time.process_time() - begun
+    seconds = time.process_time() - start_time
     moon, lander = sim.world.moon, sim.lander
     assert moon is not None
     results = apollo11.flight_summary(flight, moon, lander.com_height, lander.engine.gap_to)
@@ -112,11 +112,11 @@ def _terrain_and_visibility(sim: Simulation, flight: Flight) -> dict[str, float]
     phase, about = flight.trajectory["phase"], sim.world.surroundings
     braking = flight.positions[phase == BRAKING][::10]
     assert about is not None
-    ground = about.elevation(about.way(braking))
+    terrain_height = about.elevation(about.way(braking))
     out = {
-        "ground_rms_m": float(np.sqrt(np.mean(ground**2))),
-        "ground_least_m": float(ground.min()),
-        "ground_most_m": float(ground.max()),
+        "ground_rms_m": float(np.sqrt(np.mean(terrain_height**2))),
+        "ground_least_m": float(terrain_height.min()),
+        "ground_most_m": float(terrain_height.max()),
     }
     look = look_angles(flight)[phase == APPROACH]
     window = Scenario.load(HERE / "landers/apollo11.toml").window.make()
@@ -143,7 +143,7 @@ def table_of(runs: list[ApolloDescentRun]) -> Table:
     table.add_column("")
     for run in runs:
         table.add_column(run.name, justify="right")
-    whole = apollo11.REPORTED
+    total = apollo11.REPORTED
     rows: list[tuple[str, Any]] = [
         ("landing outcome", _outcome_text),
         ("throttle recovery: time (s) / altitude (m)", lambda t: _time_and_altitude(t, "recovery")),
@@ -153,7 +153,7 @@ def table_of(runs: list[ApolloDescentRun]) -> Table:
         lambda t: f"{t['duration_s']:.0f} / {t['miss_m']:.0f}"),
         ("propellant, ignition to touchdown (kg)", lambda t: f"{t['propellant_kg']:.0f}"),
         ("propellant in P63 / P64 / last phase (kg)", _by_phase),
-        (f"propellant with insertion (kg), reported {whole:.0f}", _relative_to_report),
+        (f"propellant with insertion (kg), reported {total:.0f}", _relative_to_report),
         (f"propellant with insertion (kg), chart {apollo11.CHART:.0f}", _relative_to_chart),
         (f"propellant until lock-on (kg), chart {apollo11.CHART_LOCK_ON:.0f}",
          lambda t: f"{t['burnt_at_lock_on_kg'] + apollo11.INSERTION:.0f}"),
@@ -187,8 +187,8 @@ def _rms_text(results: dict[str, Any], unit: str) -> str:
 
 
 def _relative_to_report(results: dict[str, Any], reported: float = apollo11.REPORTED) -> str:
-    whole = results["propellant_kg"] + apollo11.INSERTION
-    return f"{whole:.0f}, {100.0 * (whole / reported - 1.0):+.1f} %"
+    total = results["propellant_kg"] + apollo11.INSERTION
+    return f"{total:.0f}, {100.0 * (total / reported - 1.0):+.1f} %"
 
 
 def _relative_to_chart(results: dict[str, Any]) -> str:
@@ -204,11 +204,11 @@ def _hover(run: ApolloDescentRun) -> str:
     results, mass = run.results, run.flight.trajectory["mass"]
     longer = apollo11.LANDING - results["duration_s"]
     flow = mass[-1] * run.sim.world.gravity / run.sim.lander.exhaust_velocity
-    whole = results["propellant_kg"] + apollo11.INSERTION + longer * flow
+    total = results["propellant_kg"] + apollo11.INSERTION + longer * flow
     return (
         f"{run.name}: the record is {longer:.0f} s longer. Hovering for that time uses "
-        f"{flow:.2f} kg/s, {longer * flow:.0f} kg; the total is {whole:.0f} kg, "
-        f"{100.0 * (whole / apollo11.REPORTED - 1.0):+.1f} % relative to the report."
+        f"{flow:.2f} kg/s, {longer * flow:.0f} kg; the total is {total:.0f} kg, "
+        f"{100.0 * (total / apollo11.REPORTED - 1.0):+.1f} % relative to the report."
     )
 
 

@@ -14,10 +14,10 @@ from typing import Any, NamedTuple
 
 import click
 import numpy as np
-from eyes_flights import WORLDS, scenario_of, world_of
 from numpy.typing import NDArray
 from rich.table import Table
 from scipy.spatial import cKDTree
+from sensor_fusion_flights import WORLDS, scenario_of, world_of
 
 from lunarsim.campaign.pool import iterate_results
 from lunarsim.console import plain_console, plain_progress
@@ -59,16 +59,16 @@ def position_errors(simulation: Simulation) -> tuple[float, float, float, int] |
     Error and sigma are per axis, m. None with fewer than five rocks.
     """
     tracker = simulation.computer.mappers["rocks"].tracker  # type: ignore[attr-defined]
-    sure = np.flatnonzero(tracker.existence > _MIN_EXISTENCE)
+    confirmed = np.flatnonzero(tracker.existence > _MIN_EXISTENCE)
     rocks = simulation.world.terrain.rocks
     true = np.column_stack((rocks.x, rocks.y)) + simulation.navigation_error[:2]
     true = true[np.sqrt(rocks.a * rocks.b) > _MIN_RADIUS_M]
-    if len(sure) < _MIN_ROCKS:
+    if len(confirmed) < _MIN_ROCKS:
         return None
-    away, nearest = cKDTree(true).query(tracker.filter.xy[sure])
+    away, nearest = cKDTree(true).query(tracker.filter.xy[confirmed])
     paired = away < max(_PAIRING_DISTANCE_M, 3.0 * float(np.median(away)))
-    error = (tracker.filter.xy[sure] - true[nearest])[paired].mean(axis=0)
-    covariance = _mean_covariance(tracker.filter, sure[paired])
+    error = (tracker.filter.xy[confirmed] - true[nearest])[paired].mean(axis=0)
+    covariance = _mean_covariance(tracker.filter, confirmed[paired])
     nees = float(error @ np.linalg.solve(covariance, error))
     claim = float(np.sqrt(0.5 * np.trace(covariance)))
     return float(np.sqrt(0.5 * error @ error)), claim, nees, int(paired.sum())

@@ -53,7 +53,7 @@ class SeekingFlightTask:
     field: int
     seed: int
     sensors: str = "camera"
-    ground: SunAndTerrain = SunAndTerrain()
+    conditions: SunAndTerrain = SunAndTerrain()
 
     @property
     def key(self) -> str:
@@ -73,7 +73,7 @@ def scenario_of(task: SeekingFlightTask) -> Scenario:
 
     Sites are chosen between altitudes of 75 m and 50 m.
     """
-    g = task.ground
+    g = task.conditions
     start = "modified" if task.path == "modified" else "nominal"
     changes: dict[str, Any] = {
         "terrain": {"posting_m": 1.0, "rms_slope_deg": g.slope},
@@ -127,25 +127,25 @@ def fly(task: SeekingFlightTask) -> dict[str, Any]:
         simulation.step()
         if pending and simulation.altitude <= pending[0]:
             last = len(pending) == 1
-            levels[f"{pending.pop(0):g}"] = map_metrics(simulation, whole=last)
+            levels[f"{pending.pop(0):g}"] = map_metrics(simulation, with_cells=last)
             if last:
                 simulation.computer.stop_sensors()
-    verdict = simulation.verdict
-    touched = verdict is not None and verdict.touchdown is not None
+    outcome = simulation.verdict
+    touched = outcome is not None and outcome.touchdown is not None
     events = simulation.computer.telemetry
     return {
-        "ground": asdict(task.ground),
+        "ground": asdict(task.conditions),
         "levels": levels,
         "propellant": simulation.lander.wet_mass - simulation.state.mass,
         "duration": simulation.time,
         "landed": touched,
-        "safe": bool(touched and verdict is not None and verdict.safe),
+        "safe": bool(touched and outcome is not None and outcome.safe),
         "fallbacks": sum(name == "guidance-fallback" for _, name, _ in events),
         "plans": sum(name == "guidance-planned" for _, name, _ in events),
     }
 
 
-def map_metrics(simulation: Simulation, *, whole: bool) -> dict[str, Any]:
+def map_metrics(simulation: Simulation, *, with_cells: bool) -> dict[str, Any]:
     """Compare the decision map with the truth in the onboard frame.
 
     Sites are sampled at a spacing of 1 m. `whole` adds the classification of shadow map cells.
@@ -170,7 +170,7 @@ def map_metrics(simulation: Simulation, *, whole: bool) -> dict[str, Any]:
         "place": [float(v) for v in simulation.state.position - computer.briefing.target],
     }
     out["recall_at_099"] = PrecisionRecall.of(p, safe).recall_at(0.99)
-    if whole and "rocks" in computer.mappers:
+    if with_cells and "rocks" in computer.mappers:
         out |= cells_of(simulation)
     return out
 

@@ -15,10 +15,10 @@ from pathlib import Path
 from typing import Any
 
 import click
-import eyes_flights
-from eyes_figures import draw, show
-from eyes_flights import DEAD_BELOW, ROWS, FusionFlightTask, fly
+import sensor_fusion_flights
 from rich.console import Console
+from sensor_fusion_figures import draw, show
+from sensor_fusion_flights import DEAD_BELOW, ROWS, FusionFlightTask, fly
 
 from lunarsim.atomic_files import atomic_write_text
 from lunarsim.campaign.files import code_digest
@@ -73,7 +73,7 @@ class FusionFlightStore:
 
 def code() -> str:
     """Return a digest of the package and of the flight code."""
-    own = Path(eyes_flights.__file__).read_bytes()
+    own = Path(sensor_fusion_flights.__file__).read_bytes()
     return hashlib.sha256(code_digest().encode() + own).hexdigest()[:16]
 
 

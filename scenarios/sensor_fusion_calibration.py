@@ -16,9 +16,9 @@ from typing import Any
 
 import click
 import numpy as np
-from eyes_flights import ODDS, POSTING
 from rich.table import Table
 from scipy.special import expit
+from sensor_fusion_flights import ODDS, POSTING
 
 from lunarsim.console import plain_console
 from lunarsim.errors import InputError
@@ -32,7 +32,7 @@ FITS = ("none", "without the quadtree", "with the quadtree")
 
 
 def counts_of(flights: list[dict[str, Any]]) -> Array:
-    """Return pooled site counts (safe, fused, quadtree), see `eyes_flights.joint`."""
+    """Return pooled site counts (safe, fused, quadtree), see `sensor_fusion_flights.joint`."""
     shape = (2, len(ODDS) - 1, len(ODDS))
     pooled = np.zeros(shape)
     for flight in flights:
@@ -106,17 +106,17 @@ def main(file: Path, out: Path | None) -> None:
             ]
             words = (loss_of(c, mine) for c in fits)
             table.add_row(row, *(f"{square:.4f}, {off:+.4f}" for square, off in words))
-        whole = fit_calibration(np.sum(list(all_counts.values()), axis=0), True, lander)
+        overall = fit_calibration(np.sum(list(all_counts.values()), axis=0), True, lander)
     except InputError as error:
         raise click.ClickException(str(error)) from None
     console.print(table)
     console.print(
-        f"all rows: logit C = {whole.intercept:+.3f} + {whole.slope:.3f} logit p + "
-        f"{whole.other:.3f} logit q"
+        f"all rows: logit C = {overall.intercept:+.3f} + {overall.slope:.3f} logit p + "
+        f"{overall.other:.3f} logit q"
     )
     if out is not None:
         out.parent.mkdir(parents=True, exist_ok=True)
-        whole.save(out)
+        overall.save(out)
 
 
 if __name__ == "__main__":

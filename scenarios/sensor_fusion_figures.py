@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from eyes_flights import LARGE, MAPS, ROWS, SINGLE
 from rich.console import Console
 from rich.table import Table
+from sensor_fusion_flights import LARGE, MAPS, ROWS, SINGLE
 
 from lunarsim.evaluation.map_quality import MapQuality
 from lunarsim.evaluation.precision_recall import PrecisionRecall
@@ -29,27 +29,27 @@ COLOURS = {
 }  # fmt: skip
 
 
-def recall_of(judged: list[Counts]) -> float:
+def recall_of(evaluated: list[Counts]) -> float:
     """Return the recall of pooled maps at precision `PRECISION`."""
-    return curve_of(judged).recall_at(PRECISION)
+    return curve_of(evaluated).recall_at(PRECISION)
 
 
-def curve_of(judged: list[Counts]) -> PrecisionRecall:
+def curve_of(evaluated: list[Counts]) -> PrecisionRecall:
     """Return the precision-recall curve of pooled maps."""
-    return PrecisionRecall(*(_pooled(judged, name) for name in ("unsafe", "safe")))
+    return PrecisionRecall(*(_pooled(evaluated, name) for name in ("unsafe", "safe")))
 
 
-def _pooled(judged: list[Counts], name: str) -> np.ndarray:
-    return np.asarray(np.sum([j[name] for j in judged], axis=0))
+def _pooled(evaluated: list[Counts], name: str) -> np.ndarray:
+    return np.asarray(np.sum([j[name] for j in evaluated], axis=0))
 
 
-def figures_of(judged: list[Counts]) -> dict[str, float]:
+def figures_of(evaluated: list[Counts]) -> dict[str, float]:
     """Return the metrics of one map over the fields; a hazard is missed at p > 0.5."""
-    curve = curve_of(judged)
+    curve = curve_of(evaluated)
     quality: MapQuality = curve.at_half()
     unsafe = quality.false_safe + quality.rejected
-    objects, missed = _pooled(judged, "objects")
-    n, good, squares = _pooled(judged, "squares")
+    objects, missed = _pooled(evaluated, "objects")
+    n, good, squares = _pooled(evaluated, "squares")
     base = good / n if n else float("nan")
     spread = base * (1.0 - base)
     return {
@@ -58,20 +58,20 @@ def figures_of(judged: list[Counts]) -> dict[str, float]:
         "recall_at_precision": curve.recall_at(PRECISION),
         "missed_hazard": quality.false_safe / unsafe if unsafe else float("nan"),
         "missed_objects": missed / objects if objects else float("nan"),
-        "ece": calibration_error(_pooled(judged, "table")),
+        "ece": calibration_error(_pooled(evaluated, "table")),
         "skill": 1.0 - squares / n / spread if n and spread > 0.0 else float("nan"),
         "claimed": n / max(quality.evaluated, 1),
-        "observed": float(np.mean([j["observed"] for j in judged])),
+        "observed": float(np.mean([j["observed"] for j in evaluated])),
     }
 
 
-def large_share(judged: list[Counts], recall: float) -> float:
+def large_share(evaluated: list[Counts], recall: float) -> float:
     """Return the fraction of terrain called safe with a large rock underneath.
 
     The threshold is the highest one with the given recall. NaN if no threshold reaches it or if the
     recall is zero.
     """
-    curve, large = curve_of(judged), _pooled(judged, "large")
+    curve, large = curve_of(evaluated), _pooled(evaluated, "large")
     found = np.cumsum(curve.safe[::-1])
     called = found + np.cumsum(curve.unsafe[::-1])
     enough = np.flatnonzero(found >= recall * max(found[-1], 1.0))

@@ -171,7 +171,7 @@ def fly(task: FusionFlightTask) -> dict[str, Any]:
         for name in ("dem", "quadtree"):
             mappers[name].update = with_dropouts(mappers[name].update)  # type: ignore[method-assign]
     clock = MapperTimer({name: mappers[name] for name in MAPS})
-    judged: dict[str, Any] = {}
+    evaluated: dict[str, Any] = {}
     waiting = sorted(task.altitudes, reverse=True)
     while waiting and not simulation.done:
         simulation.step()
@@ -180,9 +180,9 @@ def fly(task: FusionFlightTask) -> dict[str, Any]:
             for part in (part for name, part in schedules if name in row.dead):
                 part.stop()
         if simulation.altitude <= waiting[0]:
-            judged[f"{waiting.pop(0):g}"] = judge(simulation)
+            evaluated[f"{waiting.pop(0):g}"] = judge(simulation)
     refused = mappers["rocks"].refused  # type: ignore[attr-defined]
-    return {"row": task.row, "field": task.field, "maps": judged, "ms": clock.mean_ms(),
+    return {"row": task.row, "field": task.field, "maps": evaluated, "ms": clock.mean_ms(),
             "refused": {fault.name: count for fault, count in refused.items()}}  # fmt: skip
 
 
@@ -202,8 +202,8 @@ class MapperTimer:
         for name, mapper in mappers.items():
             for method in ("update", "refresh", "hazard_map", "evidence"):
                 setattr(mapper, method, self._timed(name, getattr(mapper, method)))
-            judged = partial(_evaluated_surface, mapper, mapper.surface)
-            setattr(mapper, "surface", self._timed(name, judged))  # noqa: B010
+            evaluated = partial(_evaluated_surface, mapper, mapper.surface)
+            setattr(mapper, "surface", self._timed(name, evaluated))  # noqa: B010
 
     def _timed(self, name: str, method: Callable[..., Any]) -> Callable[..., Any]:
         def call(*args: Any) -> Any:
@@ -215,9 +215,9 @@ class MapperTimer:
                     self._drawn[name][id(given.p_safe)] = given.p_safe
                 return given
             finally:
-                whole = time.perf_counter() - began
-                self._seconds[name] += whole - self._inside
-                self._inside = others + whole
+                elapsed = time.perf_counter() - began
+                self._seconds[name] += elapsed - self._inside
+                self._inside = others + elapsed
 
         return call
 
@@ -229,7 +229,7 @@ class MapperTimer:
 def _evaluated_surface(
     mapper: HazardMapper, surface: Callable[[], TerrainSurface]
 ) -> TerrainSurface:
-    """Evaluate the map within the time of its own mapper, then return its surface."""
+    """Evaluate the map in the time account of its mapper, then return its surface."""
     mapper.hazard_map()
     return surface()
 
@@ -268,7 +268,7 @@ class MapTruth:
     objects: Array
 
 
-def ground_under(simulation: Simulation) -> MapTruth:
+def map_truth(simulation: Simulation) -> MapTruth:
     """Return the true safety on the cells of the Gaussian DEM."""
     lander, terrain = simulation.lander, simulation.world.terrain
     grid = simulation.computer.mappers["dem"].hazard_map().grid
@@ -314,21 +314,21 @@ def has_rock_in_footprint(
 
 def judge(simulation: Simulation) -> dict[str, Any]:
     """Compare all current maps with the truth."""
-    ground = ground_under(simulation)
+    truth = map_truth(simulation)
     drawn = {name: simulation.computer.mappers[name].hazard_map() for name in MAPS}
-    found = {name: count_sites(one, ground) for name, one in drawn.items()}
-    found["fused"]["joint"] = joint(drawn["fused"], drawn["quadtree"], ground)
+    found = {name: count_sites(one, truth) for name, one in drawn.items()}
+    found["fused"]["joint"] = joint(drawn["fused"], drawn["quadtree"], truth)
     return found
 
 
-def joint(fused: HazardMap, second: HazardMap, ground: MapTruth) -> list[Any]:
+def joint(fused: HazardMap, second: HazardMap, truth: MapTruth) -> list[Any]:
     """Return joint site counts by the probabilities of two maps (safe, fused, second).
 
     The bins are `ODDS`. The last column of the second map counts sites that it has not observed.
     Sites that the fused map has not observed are omitted.
     """
-    kept = _layer_at(fused, fused.observed, ground.xy)
-    xy, safe = ground.xy[kept], ground.safe[kept]
+    kept = _layer_at(fused, fused.observed, truth.xy)
+    xy, safe = truth.xy[kept], truth.safe[kept]
     place = [np.searchsorted(ODDS[1:-1], _log_odds(m.p_safe_at(xy))) for m in (fused, second)]
     columns = len(ODDS) - 1
     place[1] = np.where(_layer_at(second, second.observed, xy), place[1], columns)
@@ -342,15 +342,15 @@ def _log_odds(p: Array) -> Array:
         return np.asarray(logit(p.astype(np.float64)))
 
 
-def count_sites(drawn: HazardMap, ground: MapTruth) -> dict[str, Any]:
+def count_sites(drawn: HazardMap, truth: MapTruth) -> dict[str, Any]:
     """Return the site counts of one map for JSON."""
-    p = drawn.p_safe_at(ground.xy)
+    p = drawn.p_safe_at(truth.xy)
     layer = drawn.observed if drawn.in_domain is None else drawn.in_domain
-    claimed = _layer_at(drawn, layer, ground.xy)
-    curve = PrecisionRecall.of(p, ground.safe)
-    large = PrecisionRecall.of(p, ground.under_large)
-    c, s = p[claimed], ground.safe[claimed].astype(np.float64)
-    over = drawn.p_safe_at(ground.objects) if len(ground.objects) else np.empty(0)
+    claimed = _layer_at(drawn, layer, truth.xy)
+    curve = PrecisionRecall.of(p, truth.safe)
+    large = PrecisionRecall.of(p, truth.under_large)
+    c, s = p[claimed], truth.safe[claimed].astype(np.float64)
+    over = drawn.p_safe_at(truth.objects) if len(truth.objects) else np.empty(0)
     return {
         "unsafe": curve.unsafe.tolist(),
         "safe": curve.safe.tolist(),
@@ -358,7 +358,7 @@ def count_sites(drawn: HazardMap, ground: MapTruth) -> dict[str, Any]:
         "objects": [len(over), int((over > 0.5).sum())],
         "table": reliability(c, s).tolist(),
         "squares": [float(c.size), float(s.sum()), float(((c - s) ** 2).sum())],
-        "observed": float(_layer_at(drawn, drawn.observed, ground.xy).mean()),
+        "observed": float(_layer_at(drawn, drawn.observed, truth.xy).mean()),
     }
 
 

@@ -14,12 +14,12 @@ from collections.abc import Callable
 
 import click
 import numba
+from bench_parts.all_sensors import eyes
 from bench_parts.campaigns import campaign
 from bench_parts.closed_loop import flight, frames
 from bench_parts.cold_start import cold_start
 from bench_parts.common import reference_ms
 from bench_parts.environments import envs
-from bench_parts.eyes import eyes
 from bench_parts.gaussian_dem import gaussian_dem
 from bench_parts.guidance import guidance
 from bench_parts.interrupts import interrupts

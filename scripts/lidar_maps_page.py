@@ -17,7 +17,7 @@ from typing import Any
 import click
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "scenarios" / "lidar_maps"))
-from rows import MAPPERS, ROWS, WorldResults
+from comparison_rows import MAPPERS, ROWS, WorldResults
 
 DOCS = Path(__file__).parents[1] / "docs"
 PAGE = DOCS / "lidar-maps.md"

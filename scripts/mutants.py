@@ -227,12 +227,12 @@ def _report(
     """Print the table and the surviving faults; return whether enough are caught."""
     console = plain_console(None if sys.stdout.isatty() else 120)
     console.print(_summary(faults, trials, listed))
-    for title, verdict in (("survived", "survived"), ("not compiled", "refused")):
+    for title, outcome in (("survived", "survived"), ("not compiled", "refused")):
         for fault in faults:
             result = trials.known(fault)
-            if result is not None and result.verdict == verdict:
+            if result is not None and result.verdict == outcome:
                 click.echo(f"{title}: {fault.name}")
-                if verdict == "survived":
+                if outcome == "survived":
                     click.echo(f"    {fault.code}\n    {fault.line_after(texts[fault.path])}")
     for fault, reason in listed:
         click.echo(f"equivalent: {fault.name}\n    {fault.code}\n    {reason}")

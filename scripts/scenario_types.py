@@ -1,4 +1,6 @@
-"""Print types of scenario tables: `scripts/scenario_types.py > lunarsim/scenario/tables.pyi`.
+"""Print the types of scenario tables, the content of a stub file.
+
+`python scripts/scenario_types.py > lunarsim/scenario/tables.pyi` writes the file.
 
 Keys and types come from the parts, so that editors complete the tables and mypy checks them. A
 table with a `kind` has the keys of all kinds that the package registers.

@@ -89,7 +89,7 @@ def complexity_terrain(c: float, seed: int) -> tuple[np.ndarray, Grid]:
 
 def table_3(seeds: int) -> dict[str, Any]:
     """Evaluate the conservative test on perfect maps against terrain complexity."""
-    rows, pictures = [], []
+    rows, shown = [], []
     for c, paper in PAPER_3.items():
         ours, through = [], []
         for seed in track(range(seeds), description=f"table 3, c = {c}"):
@@ -100,7 +100,7 @@ def table_3(seeds: int) -> dict[str, Any]:
             ours.append(MapQuality.of(level, exact))
             through.append(MapQuality.of(planes, exact))
             if seed == 0:
-                pictures.append((c, z, exact, level, planes, grid))
+                shown.append((c, z, exact, level, planes, grid))
         rows.append(
             {
                 "c": c,
@@ -111,7 +111,7 @@ def table_3(seeds: int) -> dict[str, Any]:
                 "false_safe": sum(q.false_safe for q in ours + through),
             }
         )
-    return {"rows": rows, "pictures": pictures}
+    return {"rows": rows, "pictures": shown}
 
 
 def table_4_row(distance: float, angle_deg: float) -> tuple[float, float, float, float, float]:
@@ -141,7 +141,7 @@ def table_5(seeds: int) -> dict[str, Any]:
     method, and the baseline RMSE at its best and worst phase.
     """
     rows: list[list[list[float]]] = [[[] for _ in range(6)] for _ in CONFIGURATIONS]
-    pictures: dict[str, list[Any]] = {"baseline": [], "mean": [], "sigma": []}
+    shown: dict[str, list[Any]] = {"baseline": [], "mean": [], "sigma": []}
     for seed in track(range(seeds), description="table 5"):
         field = testbed(seed)
         for n, (distance, angle) in enumerate(CONFIGURATIONS):
@@ -158,8 +158,8 @@ def table_5(seeds: int) -> dict[str, Any]:
                 rmse.append(rms(error))
                 nlpd.append(density(error, one.sigma**2))
                 if seed == 0 and phase == (0.0, 0.0):
-                    picture = (coarse.elevation[nearest], one.grid, one.points)
-                    pictures["baseline"].append(picture)
+                    one_shown = (coarse.elevation[nearest], one.grid, one.points)
+                    shown["baseline"].append(one_shown)
             own = (one.dem.mean - truth)[inside].astype(float)
             values = (
                 statistics.mean(rmse), rms(own), statistics.mean(nlpd),
@@ -168,9 +168,9 @@ def table_5(seeds: int) -> dict[str, Any]:
             for column, value in zip(rows[n], values, strict=True):
                 column.append(value)
             if seed == 0:
-                pictures["mean"].append((one.dem.mean, one.grid, one.points))
-                pictures["sigma"].append((np.sqrt(one.dem.variance), one.grid, one.points))
-    return {"rows": rows, "pictures": pictures}
+                shown["mean"].append((one.dem.mean, one.grid, one.points))
+                shown["sigma"].append((np.sqrt(one.dem.variance), one.grid, one.points))
+    return {"rows": rows, "pictures": shown}
 
 
 def rms(error: np.ndarray) -> float:
@@ -189,7 +189,7 @@ class ScanEvaluation:
         entry per phase of its grid.
     truth
         True safety by kind, on the grid.
-    judged
+    evaluated
         Cells for which the truth and all methods have a value.
     p_safe
         Probability of safety of the proposed method, both kinds together.
@@ -199,7 +199,7 @@ class ScanEvaluation:
 
     p: dict[tuple[str, str], list[np.ndarray]]
     truth: dict[str, np.ndarray]
-    judged: np.ndarray
+    evaluated: np.ndarray
     p_safe: np.ndarray
     scan: ScannedDem
 
@@ -219,7 +219,7 @@ def judge(field: TestbedField, seed: int, n: int) -> ScanEvaluation:
     # Occluded cells have the prior variance and therefore count as unsafe.
     own = stochastic_safety(one.dem.mean, one.dem.variance, one.grid, LANDER)
     planes = plane_stochastic_safety(one.dem.mean, one.dem.variance, one.grid, LANDER)
-    judged = own.observed & field.safety.observed[one.window]
+    evaluated = own.observed & field.safety.observed[one.window]
     p: dict[tuple[str, str], list[np.ndarray]] = {
         ("baseline", "slope"): [],
         ("baseline", "roughness"): [],
@@ -232,10 +232,10 @@ def judge(field: TestbedField, seed: int, n: int) -> ScanEvaluation:
         posting = sample_distance(distance, angle)
         coarse, nearest = baseline(one.points, one.grid, posting, phase)
         other = alhat_safety(coarse.elevation, coarse.grid, LANDER, sigma=one.sigma)
-        judged &= other.observed[nearest]
+        evaluated &= other.observed[nearest]
         p["baseline", "slope"].append(other.p_slope[nearest])
         p["baseline", "roughness"].append(other.p_roughness[nearest])
-    return ScanEvaluation(p, truth_of(field, one), judged, own.p_safe, one)
+    return ScanEvaluation(p, truth_of(field, one), evaluated, own.p_safe, one)
 
 
 def table_6(seeds: int) -> dict[str, Any]:
@@ -246,7 +246,7 @@ def table_6(seeds: int) -> dict[str, Any]:
     computed from them. The baseline pools the phases of its grid.
     """
     numbers = range(len(CONFIGURATIONS))
-    pictures: dict[str, list[Any]] = {f"{m} {k}": [] for m in METHODS[:2] for k in KINDS}
+    shown: dict[str, list[Any]] = {f"{m} {k}": [] for m in METHODS[:2] for k in KINDS}
     bins = np.zeros((len(CONFIGURATIONS), 20, 3))
     curves: dict[tuple[str, int, str], list[PrecisionRecall]] = {
         (kind, n, method): [] for kind in KINDS for n in numbers for method in METHODS
@@ -255,20 +255,20 @@ def table_6(seeds: int) -> dict[str, Any]:
         field = testbed(seed)
         for n in numbers:
             one = judge(field, seed, n)
-            seen = one.judged
+            seen = one.evaluated
             for (method, kind), maps in one.p.items():
                 truth = one.truth[kind]
                 counted = [PrecisionRecall.of(p[seen], truth[seen]) for p in maps]
                 curves[kind, n, method].append(pool_counts(counted))
                 if seed == 0 and method != "planes":
                     missing = np.where(seen, truth - maps[0], np.nan)
-                    picture = (missing, one.scan.grid, one.scan.points)
-                    pictures[f"{method} {kind}"].append(picture)
+                    one_shown = (missing, one.scan.grid, one.scan.points)
+                    shown[f"{method} {kind}"].append(one_shown)
             safe = np.logical_and(*one.truth.values())
             bins[n] += reliability(one.p_safe[seen], safe[seen], np.linspace(0.0, 1.0, 21))
     together = {key: pool_counts(own) for key, own in curves.items()}
     return {
-        "pictures": pictures,
+        "pictures": shown,
         "reliability": bins.tolist(),
         "curves": curves,
         "at_half": {

@@ -2,7 +2,7 @@
 
 Four scans from decreasing altitudes observe fractal terrain with ellipsoid boulders. After each
 scan, the ratio of the squared error of the mean to the variance is averaged over all observed
-cells of a stratum: cells with samples of their own, cells between samples, and cells that the map
+cells of a stratum: cells that contain samples, cells between samples, and cells that the map
 shows as rocks. A rock stands 0.12 m, or four times the noise of the first scan, above the terrain
 without rocks. A NEES of 1 is consistent; more is overconfident, less is conservative.
 
@@ -55,11 +55,11 @@ WORLDS = {
 }
 
 
-def make_terrain(ground: DemTerrainParams, rng: np.random.Generator) -> Terrain:
+def make_terrain(params: DemTerrainParams, rng: np.random.Generator) -> Terrain:
     """Return a terrain of 60 x 60 m."""
     grid = Grid.centred((0.0, 0.0), 60.0, 0.25)
-    relief = fractal_relief(grid, rng, hurst=ground.hurst, rms_slope=np.deg2rad(ground.slope))
-    diameters = rng.uniform(*ground.diameters, ground.rocks)
+    relief = fractal_relief(grid, rng, hurst=params.hurst, rms_slope=np.deg2rad(params.slope))
+    diameters = rng.uniform(*params.diameters, params.rocks)
     return Terrain(relief, place_rocks(relief, diameters, rng, model=RockModel("ellipsoid")))
 
 

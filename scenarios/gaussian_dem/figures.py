@@ -16,12 +16,12 @@ from lunarsim.viz.style import hillshade, map_axes, new_figure, save, show
 _VIEW = 10.0  # side of the map segment in the paper, m
 
 
-def draw_conservativeness(pictures: list[Any], path: Path) -> None:
+def draw_conservativeness(maps: list[Any], path: Path) -> None:
     """Plot terrain and three safety tests against complexity: Figure 12 plus one row."""
-    figure = new_figure(2.4 * len(pictures), 12.5)
-    axes = figure.subplots(4, len(pictures), sharex=True, sharey=True)
+    figure = new_figure(2.4 * len(maps), 12.5)
+    axes = figure.subplots(4, len(maps), sharex=True, sharey=True)
     palette = ListedColormap(["#303030", "#ffffff"])
-    for n, (c, z, exact, ours, through, grid) in enumerate(pictures):
+    for n, (c, z, exact, ours, through, grid) in enumerate(maps):
         show(axes[0, n], hillshade(z, grid.posting), grid, cmap="gray", vmin=0, vmax=1)
         map_axes(axes[0, n], f"c = {c}: relief")
         layers = ((exact, "exact test"), (ours, "conservative"), (through, "support planes"))
@@ -40,7 +40,7 @@ def draw_conservativeness(pictures: list[Any], path: Path) -> None:
 
 
 def draw_panels(
-    pictures: list[Any],
+    maps: list[Any],
     configurations: list[tuple[float, float]],
     label: str,
     path: Path,
@@ -52,14 +52,14 @@ def draw_panels(
     axes = figure.subplots(3, 3, sharex=True, sharey=True)
     half = 0.5 * _VIEW
     spans = []
-    for layer, grid, _ in pictures:
+    for layer, grid, _ in maps:
         inside = np.ix_(np.abs(grid.y) < half, np.abs(grid.x) < half)
         spans.append(layer[inside][np.isfinite(layer[inside])])
     values = np.concatenate(spans)
     low, high = (-1.0, 1.0) if diverging else (float(values.min()), float(values.max()))
     image = None
     for ax, (layer, grid, points), (distance, angle) in zip(
-        axes.ravel(), pictures, configurations, strict=True
+        axes.ravel(), maps, configurations, strict=True
     ):
         ax.set_facecolor("0.7")
         image = show(
@@ -146,15 +146,15 @@ def draw_testbed(field: Any, configurations: list[tuple[float, float]], path: Pa
     save(figure, path)
 
 
-def draw_profiles(pictures: dict[str, list[Any]], field: Any,
+def draw_profiles(maps: dict[str, list[Any]], field: Any,
                   configurations: list[tuple[float, float]], path: Path) -> None:  # fmt: skip
     """Plot east-west profiles of truth and DEMs through two rocks: Figure 17."""
     figure = new_figure(9.0, 16.0)
     axes = figure.subplots(len(configurations), 2, sharey=True, sharex="col")
     rocks = central_rocks(field.terrain.rocks)
     for n, (distance, angle) in enumerate(configurations):
-        base, grid, _ = pictures["baseline"][n]
-        mean, sigma = pictures["mean"][n][0], pictures["sigma"][n][0]
+        base, grid, _ = maps["baseline"][n]
+        mean, sigma = maps["mean"][n][0], maps["sigma"][n][0]
         for ax, (name, x, y) in zip(axes[n], rocks, strict=True):
             row = int(grid.cell((x, y))[0])
             near = np.abs(grid.x - x) < 1.5

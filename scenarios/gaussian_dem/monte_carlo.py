@@ -102,18 +102,18 @@ def judge(configuration: int, seed: int, share: np.ndarray) -> dict[str, Any]:
     dem = scan.dem
     own = stochastic_safety(dem.mean, dem.variance, MAP, LANDER)
     planes = plane_stochastic_safety(dem.mean, dem.variance, MAP, LANDER)
-    _, judged = safe_sites(dem.mean, MAP, LANDER)
-    judged &= own.observed & planes.observed
+    _, evaluated = safe_sites(dem.mean, MAP, LANDER)
+    evaluated &= own.observed & planes.observed
     truth = exact_safety(field.elevation, field.grid, LANDER).safe[scan.window]
-    p = {"Eqs. 15-17": own.p_safe[judged], "support planes": planes.p_safe[judged]}
+    p = {"Eqs. 15-17": own.p_safe[evaluated], "support planes": planes.p_safe[evaluated]}
     return {
-        "sampled": float(share[judged].mean()),
-        "true": float(truth[judged].mean()),
-        "bias": {m: float((p[m] - share[judged]).mean()) for m in METHODS},
-        "rms": {m: float(np.sqrt(((p[m] - share[judged]) ** 2).mean())) for m in METHODS},
-        "over": {m: float((p[m] > share[judged] + 0.1).mean()) for m in METHODS},
-        "table": {m: reliability(p[m], share[judged]) for m in METHODS},
-        "cells": int(judged.sum()),
+        "sampled": float(share[evaluated].mean()),
+        "true": float(truth[evaluated].mean()),
+        "bias": {m: float((p[m] - share[evaluated]).mean()) for m in METHODS},
+        "rms": {m: float(np.sqrt(((p[m] - share[evaluated]) ** 2).mean())) for m in METHODS},
+        "over": {m: float((p[m] > share[evaluated] + 0.1).mean()) for m in METHODS},
+        "table": {m: reliability(p[m], share[evaluated]) for m in METHODS},
+        "cells": int(evaluated.sum()),
     }
 
 

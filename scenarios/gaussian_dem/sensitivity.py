@@ -134,7 +134,7 @@ def show_field(results: list[Any], console: Console) -> dict[str, Any]:
 def show_best_field(
     values: dict[str, np.ndarray], rows: dict[str, np.ndarray], console: Console
 ) -> None:
-    """Print both tables for the largest growth with the most rows at the paper's NLPD."""
+    """Print both tables at the largest growth with most rows at the paper's NLPD."""
     most = np.flatnonzero(rows["NLPD"] == rows["NLPD"].max())
     own = {"Table 5": growth(DENSITY), "both": GROWTHS[most[-1]], "Table 6": growth(MARGIN)}
     table = Table(
@@ -263,9 +263,9 @@ def count_missed_sites(task: tuple[int, int]) -> list[MissedSites]:
     return out
 
 
-def share(part: int, whole: int) -> float:
-    """Return part / whole; NaN if `whole` is zero."""
-    return float(part / whole) if whole else float("nan")
+def share(part: int, total: int) -> float:
+    """Return `part / total`; NaN if `total` is zero."""
+    return float(part / total) if total else float("nan")
 
 
 def show_misses(results: list[list[MissedSites]], seeds: int, console: Console) -> list[Any]:

@@ -127,8 +127,10 @@ class LawFlight:
 def scenario_of(law: str, position_sigma: float, velocity_sigma: float) -> Scenario:
     """Return the scenario of a law."""
     start = {"position_sigma_m": position_sigma, "velocity_sigma_m_s": velocity_sigma}
-    eyes = SEEKING_SENSORS if law == SEEKING else {}
-    return Scenario.from_dict({**BASE_SCENARIO, **eyes, "start": start, "guidance": {"kind": law}})
+    sensors = SEEKING_SENSORS if law == SEEKING else {}
+    return Scenario.from_dict(
+        {**BASE_SCENARIO, **sensors, "start": start, "guidance": {"kind": law}}
+    )
 
 
 @cache
@@ -189,14 +191,14 @@ def _fly_law(law: str, number: int, flight: Simulation, optimum: float) -> LawFl
     at_end, believed = flight.state, flight.estimate
     while not flight.done:
         flight.step()
-    verdict = flight.verdict
+    outcome = flight.verdict
     fell = sum(name == "guidance-fallback" for _, name, _ in computer.telemetry)
     return LawFlight(
         law, number, optimum, _steady(computer.briefing, wet - optimum),
         wet - at_end.mass, wet - flight.state.mass,
         float(np.linalg.norm(believed.position - end.position)),
         float(np.linalg.norm(at_end.velocity - end.velocity)),
-        bool(verdict.safe), " ".join(verdict.failed), fell,
+        bool(outcome.safe), " ".join(outcome.failed), fell,
         *(int(getattr(computer.guidance, name, 0)) for name in ("plans", "asked", "infeasible")),
     )  # fmt: skip
 

@@ -75,7 +75,7 @@ def nominal(console: Console, control: str, flights: int, first: int) -> None:
 @click.option("--held-out", is_flag=True, help="Fail thrusters that the tuning did not use.")
 @click.option("--nominal", "whole", type=click.IntRange(min=0), default=0, show_default=True,
               help="Number of extra flights per control without failure.")  # fmt: skip
-def main(seeds: int, first_seed: int, held_out: bool, whole: int) -> None:
+def main(seeds: int, first_seed: int, held_out: bool, flights: int) -> None:
     """Fly with a failed thruster, with and without detection."""
     console = plain_console(160)
     shut_ones = [n for n in range(16) if (n in TUNED_ON) != held_out]
@@ -98,8 +98,8 @@ def main(seeds: int, first_seed: int, held_out: bool, whole: int) -> None:
                 f"tilt {np.nanmedian(tilt):.1f} deg (median), {np.nanmax(tilt):.1f} deg "
                 f"(maximum){when}"
             )
-        if whole:
-            nominal(console, control, whole, first_seed)
+        if flights:
+            nominal(console, control, flights, first_seed)
 
 
 if __name__ == "__main__":

@@ -115,9 +115,11 @@ def fly(task: ThrusterMapTask) -> ThrusterMapFlight:
         figures["tilt_deg"] = float(np.rad2deg(touchdown.tilt))
     figures["thruster_kg"] = float(last.get("thruster_propellant_kg", 0.0))
     figures["engine_kg"] = flight.propellant_used
-    whole = {name: figures.get(name, float("nan")) for name in METRICS}
-    verdict = flight.verdict
-    return ThrusterMapFlight(task.way, task.flight, verdict.safe, ", ".join(verdict.failed), whole)
+    metrics = {name: figures.get(name, float("nan")) for name in METRICS}
+    outcome = flight.verdict
+    return ThrusterMapFlight(
+        task.way, task.flight, outcome.safe, ", ".join(outcome.failed), metrics
+    )
 
 
 def _rms(values: np.ndarray) -> float:
@@ -129,9 +131,9 @@ def _map_metrics(simulation: Simulation, flight: Flight) -> dict[str, float]:
     found, error = flight.hazard_map, flight.map_error
     if found is None or found.elevation is None:
         return {}
-    ground = true_elevation_in_map_frame(simulation.world.terrain, found.grid, error)
-    known = found.observed & np.isfinite(found.elevation) & np.isfinite(ground)
-    off = (found.elevation - ground)[known].astype(np.float64)
+    true_height = true_elevation_in_map_frame(simulation.world.terrain, found.grid, error)
+    known = found.observed & np.isfinite(found.elevation) & np.isfinite(true_height)
+    off = (found.elevation - true_height)[known].astype(np.float64)
     quality = map_quality(found, simulation.truth, error)
     return {
         "height_m": _rms(off), "mean_m": float(off.mean()), "precision": quality.precision,

@@ -50,11 +50,11 @@ def check(surrogate: Surrogate, scenario: Scenario, flights: int) -> None:
     """Print metrics of the surrogate and the mapper on held-out terrain."""
     rng = np.random.default_rng(1)
     inside = total = 0
-    grounds = fly_covers(scenario, HELD_OUT, HELD_OUT_SEED, flights)
-    for cover, ground in zip(HELD_OUT, grounds, strict=True):
+    flown = fly_covers(scenario, HELD_OUT, HELD_OUT_SEED, flights)
+    for cover, episodes in zip(HELD_OUT, flown, strict=True):
         for scan in range(len(surrogate.altitudes)):
             print(f"cover {cover:g}, scan {scan + 1}: mapper, 95 % interval, surrogate")
-            for row in compare_metrics(surrogate, ground, scan, rng):
+            for row in compare_metrics(surrogate, episodes, scan, rng):
                 if np.isnan(row.mapper):
                     continue
                 total, inside = total + 1, inside + row.within

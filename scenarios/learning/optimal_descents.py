@@ -341,8 +341,8 @@ def main(descents: int, intervals: int, seed: int, jobs: int, out: Path) -> None
     data = out / "data"
     if data.exists() and any(data.iterdir()):
         raise click.UsageError(f"--out: must be a folder without a data set, but {data} exists")
-    whole, rest = divmod(descents, SHARD)
-    counts = [SHARD] * whole + [rest] * (rest > 0)
+    full, rest = divmod(descents, SHARD)
+    counts = [SHARD] * full + [rest] * (rest > 0)
     tasks = [DescentShardTask(k, count, seed, intervals) for k, count in enumerate(counts)]
     try:
         _write_limits(out / "shards")

@@ -44,7 +44,7 @@ def stack(shown: list[Any]) -> Any:
 def episode(
     env: gymnasium.Env[Any, Any], flies: Agent, name: str, streams: RandomStreams
 ) -> dict[str, Any]:
-    """Fly an episode; return Minari buffer arguments, with metadata in ``told``.
+    """Fly an episode; return Minari buffer arguments and metadata.
 
     Raises
     ------
@@ -82,7 +82,7 @@ def episode(
                 name: np.array([0.0, *(one[name] for one in terms)]) for name in terms[0]
             },
         },
-        "told": metadata,
+        "metadata": metadata,
     }  # fmt: skip
 
 
@@ -101,7 +101,7 @@ def record(flown: EvaluationStudy, agent: str, episodes: int, folder: Path) -> i
         )
         for number in range(episodes):
             shown = episode(env, flies, agent, RandomStreams(flight_seed(flown.seed, number)))
-            metadata = shown.pop("told")
+            metadata = shown.pop("metadata")
             storage.update_episodes([EpisodeBuffer(id=number, **shown)])
             storage.update_episode_metadata([metadata], [number])
             safe += metadata["safe"]

@@ -22,9 +22,9 @@ from typing import Any, TypeVar
 
 import click
 import numpy as np
-from kept import SceneSites, evaluated_scenes
 from rich.console import Console
 from rich.table import Table
+from scene_cache import SceneSites, evaluated_scenes
 from worlds import LANDERS, RANGES, RELIEFS, ROCKS, UPRIGHT, LidarScene, scenes
 
 from lunarsim.campaign.pool import collect_results
@@ -99,27 +99,27 @@ class PooledSites:
     safe: np.ndarray
 
     @classmethod
-    def of(cls, judged: list[SceneSites]) -> PooledSites:
+    def of(cls, evaluated: list[SceneSites]) -> PooledSites:
         """Concatenate scenes."""
         columns = [
-            np.concatenate([getattr(j, name) for j in judged])
+            np.concatenate([getattr(j, name) for j in evaluated])
             for name in ("features", "known", "ceiling", "bound", "slope", "doomed")
         ]
-        cover = np.concatenate([np.full(len(j.safe), j.cover) for j in judged])
-        return cls(*columns, cover, np.concatenate([j.safe for j in judged]))
+        cover = np.concatenate([np.full(len(j.safe), j.cover) for j in evaluated])
+        return cls(*columns, cover, np.concatenate([j.safe for j in evaluated]))
 
 
 def fit_model(
-    judged: list[SceneSites],
+    evaluated: list[SceneSites],
     rising: int = MONOTONE_FEATURES,
     note: str = "",
     start: Ensemble | None = None,
 ) -> Ensemble:
     """Fit to the sites in the domain, and without each world; see `Ensemble.fit`."""
-    s = PooledSites.of(judged)
-    number = np.repeat(np.arange(len(judged)), [len(j.safe) for j in judged])[s.known]
+    s = PooledSites.of(evaluated)
+    number = np.repeat(np.arange(len(evaluated)), [len(j.safe) for j in evaluated])[s.known]
     worlds = {
-        f"{axis} {name}": np.array([of(j.scene) == name for j in judged])[number]
+        f"{axis} {name}": np.array([of(j.scene) == name for j in evaluated])[number]
         for axis, names, of in AXES
         for name in names
     }
@@ -131,16 +131,16 @@ def probability(
     model: Ensemble,
     sites: PooledSites,
     farther: float = NEAR_DOMAIN_LOG_ODDS_MARGIN,
-    hopeless: float = HOPELESS,
+    unsafe_limit: float = HOPELESS,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the probability of all sites in a map, and whether it is calibrated (n,).
 
     `farther` is the log-odds margin outside the calibrated domain. Sites with a probability up to
-    `hopeless` are classified as certainly unsafe.
+    `unsafe_limit` are classified as certainly unsafe.
     """
     odds = model.of_features(sites.features)
     p = conservative_probability(odds.low, sites.ceiling, sites.bound, sites.known, farther)
-    return p, sites.known & odds.estimate(sites.ceiling, hopeless, sites.doomed).agreed
+    return p, sites.known & odds.estimate(sites.ceiling, unsafe_limit, sites.doomed).agreed
 
 
 def nearest_range(scene: LidarScene) -> str:
@@ -157,14 +157,14 @@ AXES: tuple[tuple[str, tuple[str, ...], Callable[[LidarScene], str]], ...] = (
 
 
 def held_out_rows(
-    judged: list[SceneSites],
+    evaluated: list[SceneSites],
 ) -> Iterator[tuple[str, list[SceneSites], list[SceneSites]]]:
     """Yield each row of the matrix: name, scenes outside it, scenes in it."""
     for axis, names, of in AXES:
         for name in names:
-            inside = [of(j.scene) == name for j in judged]
-            others = [j for j, i in zip(judged, inside, strict=True) if not i]
-            kept = [j for j, i in zip(judged, inside, strict=True) if i]
+            inside = [of(j.scene) == name for j in evaluated]
+            others = [j for j, i in zip(evaluated, inside, strict=True) if not i]
+            kept = [j for j, i in zip(evaluated, inside, strict=True) if i]
             if kept and others:
                 yield f"{axis} {name}", others, kept
 
@@ -177,16 +177,16 @@ def figures(p: np.ndarray, safe: np.ndarray) -> dict[str, float]:
     if not p.size:
         return dict.fromkeys(FIGURES, np.nan)
     base = safe.mean()
-    sure, surer = p > 0.95, p > 0.99
+    above_95, above_99 = p > 0.95, p > 0.99
     return {
         "base": base,
         "ece": calibration_error(reliability(p, safe)),
         "chance": chance_calibration_error(p, np.random.default_rng(0)),
         "skill": brier_skill(p, safe),
-        "share": sure.mean(),
-        "gap": p[sure].mean() - safe[sure].mean() if sure.any() else np.nan,
-        "surer": surer.mean(),
-        "right": safe[surer].mean() if surer.any() else np.nan,
+        "share": above_95.mean(),
+        "gap": p[above_95].mean() - safe[above_95].mean() if above_95.any() else np.nan,
+        "surer": above_99.mean(),
+        "right": safe[above_99].mean() if above_99.any() else np.nan,
     }
 
 
@@ -292,7 +292,7 @@ def options(count: int, own: str) -> Callable[[F], F]:
         click.option("--save", "target", type=click.Path(path_type=Path, dir_okay=False),
                      default=None,
                      help=f"Output file of the model (shipped: {own})."),
-        click.option("--out", "picture", type=click.Path(path_type=Path, file_okay=False),
+        click.option("--out", "folder", type=click.Path(path_type=Path, file_okay=False),
                      default=None, help="Output folder of the reliability diagram."),
         click.option("--row", type=click.Choice(tuple(_REPLACED)), default=None, metavar="ROW",
                      help="Evaluate one row ('rocks posts') on new scenes "
@@ -325,60 +325,60 @@ class CalibrationMethod:
     ----------
     command
         Script that fits and evaluates it.
-    judge, draw
+    evaluate, draw
         Functions that map and evaluate a scene, and that generate scenes (count, seed).
-    rising, farther, hopeless
+    rising, farther, unsafe_limit
         See `fit_model` and `probability`.
     """
 
     command: str
-    judge: Callable[[LidarScene], SceneSites]
+    evaluate: Callable[[LidarScene], SceneSites]
     draw: Callable[[int, int], list[LidarScene]]
     rising: int
     farther: float = NEAR_DOMAIN_LOG_ODDS_MARGIN
-    hopeless: float = HOPELESS
+    unsafe_limit: float = HOPELESS
 
     def row(self, name: str, model: Ensemble, inside: list[SceneSites]) -> HeldOutRow:
         """Return the probabilities of a model for scenes."""
         sites = PooledSites.of(inside)
-        return HeldOutRow(name, *probability(model, sites, self.farther, self.hopeless), sites)
+        return HeldOutRow(name, *probability(model, sites, self.farther, self.unsafe_limit), sites)
 
 
 def report(
     method: CalibrationMethod,
-    judged: list[SceneSites],
+    evaluated: list[SceneSites],
     note: str,
     target: Path | None,
-    picture: Path | None,
+    folder: Path | None,
     jobs: int,
     console: Console,
 ) -> None:
     """Fit to all scenes and save the model; evaluate each row with the fit without it."""
-    model = fit_model(judged, method.rising, note)
+    model = fit_model(evaluated, method.rising, note)
     if target is not None:
         model.save(target)
-    left = list(held_out_rows(judged))
+    left = list(held_out_rows(evaluated))
     fit = partial(fit_model, rising=method.rising, start=model)
     models = [
         model,
         *collect_results(fit, [others for _, others, _ in left], jobs, console, "fits"),
     ]
-    kept = [("nothing", judged), *((name, inside) for name, _, inside in left)]
+    kept = [("nothing", evaluated), *((name, inside) for name, _, inside in left)]
     rows = [
         method.row(name, own, inside)
         for (name, inside), own in zip(kept, models, strict=False)
     ]  # fmt: skip
     console.print(table_of(rows))
     rows = [row for row in rows if row.claimed.any()]
-    if picture is not None:
-        draw(rows, picture)
+    if folder is not None:
+        draw(rows, folder)
 
 
 def evaluate_row(
-    method: CalibrationMethod, judged: list[SceneSites], name: str, fresh: list[SceneSites]
+    method: CalibrationMethod, evaluated: list[SceneSites], name: str, fresh: list[SceneSites]
 ) -> HeldOutRow:
     """Evaluate new scenes of a row with the fit to all scenes outside this row."""
-    others = next((others for row, others, _ in held_out_rows(judged) if row == name), judged)
+    others = next((others for row, others, _ in held_out_rows(evaluated) if row == name), evaluated)
     return method.row(name, fit_model(others, method.rising), fresh)
 
 
@@ -391,24 +391,26 @@ def fresh_scenes(method: CalibrationMethod, name: str, count: int, seed: int) ->
 def study(
     method: CalibrationMethod, *, count: int, seed: int, jobs: int, file: Path | None,
     target: Path | None,
-    picture: Path | None, row: str | None, fresh: int,
+    folder: Path | None, row: str | None, fresh: int,
 ) -> None:  # fmt: skip
     """Run a calibration study with the options of the command."""
-    if row is not None and (target is not None or picture is not None):
+    if row is not None and (target is not None or folder is not None):
         raise click.UsageError("--row: cannot be combined with --save or --out")
     console = plain_console(205)
-    judged = evaluated_scenes(method.judge, method.draw(count, seed), file, jobs, console)
-    judged = [j for j in judged if len(j.safe)]
+    evaluated = evaluated_scenes(method.evaluate, method.draw(count, seed), file, jobs, console)
+    evaluated = [j for j in evaluated if len(j.safe)]
     if row is not None:
         deck = fresh_scenes(method, row, fresh, seed)
         more = [
-            j for j in collect_results(method.judge, deck, jobs, console, "scenes") if len(j.safe)
+            j
+            for j in collect_results(method.evaluate, deck, jobs, console, "scenes")
+            if len(j.safe)
         ]
-        console.print(table_of([evaluate_row(method, judged, row, more)]))
+        console.print(table_of([evaluate_row(method, evaluated, row, more)]))
         return
     note = f"{method.command} --scenes {count} --seed {seed}"
-    path = None if picture is None else picture / f"{Path(method.command).stem}.png"
-    report(method, judged, note, target, path, jobs, console)
+    path = None if folder is None else folder / f"{Path(method.command).stem}.png"
+    report(method, evaluated, note, target, path, jobs, console)
 
 
 def draw_scenes(count: int, seed: int) -> list[LidarScene]:

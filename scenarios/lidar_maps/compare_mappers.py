@@ -23,10 +23,19 @@ from typing import Any
 
 import click
 import numpy as np
-from flown import MAPPERS, STRATA, WAYS, WORLDS, MapEvaluation, MapperFlight, MapperFlightTask, fly
-from flown_kept import load_or_fly
+from comparison_rows import ROWS
+from flight_cache import load_or_fly
+from mapper_flights import (
+    MAPPERS,
+    STRATA,
+    WAYS,
+    WORLDS,
+    MapEvaluation,
+    MapperFlight,
+    MapperFlightTask,
+    fly,
+)
 from rich.table import Table
-from rows import ROWS
 from scipy.stats import binomtest
 
 from lunarsim.campaign.pool import collect_results
@@ -41,9 +50,9 @@ Flights = list[MapperFlight]
 Figures = dict[str, dict[str, Any]]
 
 
-def counts_of(judged: list[MapEvaluation]) -> np.ndarray:
+def counts_of(evaluated: list[MapEvaluation]) -> np.ndarray:
     """Return true safe, false safe, missed and rejected cells of maps (n, strata, 4)."""
-    return np.array([j.counts for j in judged], dtype=np.float64)
+    return np.array([j.counts for j in evaluated], dtype=np.float64)
 
 
 def ratio_interval(
@@ -107,17 +116,17 @@ def landings(flights: Flights) -> Figures:
     return out
 
 
-def quality(judged: list[MapEvaluation]) -> dict[str, Any]:
+def quality(evaluated: list[MapEvaluation]) -> dict[str, Any]:
     """Return the metrics of the maps of a mapper at one decision; empty without maps."""
-    if not judged:
+    if not evaluated:
         return {}
-    counts = counts_of(judged)
-    claims = np.sum([j.claimed for j in judged], axis=0)
+    counts = counts_of(evaluated)
+    claims = np.sum([j.claimed for j in evaluated], axis=0)
     return {
         "precision": ratio_interval(counts.sum(axis=1), precision),
         "recall": ratio_interval(counts.sum(axis=1), recall),
         "claimed": float(claims[:, 0].sum() / max(counts.sum(), 1.0)),
-        "ece": calibration_error(np.sum([j.table for j in judged], axis=0)),
+        "ece": calibration_error(np.sum([j.table for j in evaluated], axis=0)),
         "skill": skill_of(claims.sum(axis=0)),
         "strata": {
             name: {

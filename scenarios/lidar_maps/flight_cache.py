@@ -13,9 +13,9 @@ from pathlib import Path
 from typing import Any
 
 import click
-import flown
+import mapper_flights
 import numpy as np
-from flown import MapEvaluation, MapperFlight, MapperFlightTask, MapperRecord
+from mapper_flights import MapEvaluation, MapperFlight, MapperFlightTask, MapperRecord
 
 from lunarsim.campaign.files import code_digest, write_json
 
@@ -31,7 +31,7 @@ def load_or_fly(folder: Path, task: MapperFlightTask) -> MapperFlight:
     file = folder / f"{_file_name(task.world)}-seed{task.seed}-{task.flight:04d}.json"
     if file.exists():
         return _load(file, task)
-    made = flown.fly(task)
+    made = mapper_flights.fly(task)
     folder.mkdir(parents=True, exist_ok=True)
     write_json(file, {"code": code_of(task.world), "task": asdict(task), **_tables(made)})
     return made
@@ -39,8 +39,8 @@ def load_or_fly(folder: Path, task: MapperFlightTask) -> MapperFlight:
 
 def code_of(world: str) -> str:
     """Return a digest of the package, the study and the scenario of a world."""
-    scenario = json.dumps(flown.scenario_of(world).to_dict(), default=str)
-    study = Path(flown.__file__).read_bytes()
+    scenario = json.dumps(mapper_flights.scenario_of(world).to_dict(), default=str)
+    study = Path(mapper_flights.__file__).read_bytes()
     return hashlib.sha256(code_digest().encode() + study + scenario.encode()).hexdigest()[:16]
 
 
@@ -68,9 +68,9 @@ def _load(file: Path, task: MapperFlightTask) -> MapperFlight:
 
 
 def _mapped(kept: dict[str, Any]) -> MapperRecord:
-    ends = [_judged(kept[moment]) for moment in ("first", "last")]
+    ends = [_map_evaluation(kept[moment]) for moment in ("first", "last")]
     return MapperRecord(*ends, seconds=kept["seconds"], megabytes=kept["megabytes"])
 
 
-def _judged(kept: dict[str, Any] | None) -> MapEvaluation | None:
+def _map_evaluation(kept: dict[str, Any] | None) -> MapEvaluation | None:
     return MapEvaluation(**{name: np.array(v) for name, v in kept.items()}) if kept else None

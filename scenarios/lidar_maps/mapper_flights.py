@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rows import MAPPERS
+from comparison_rows import MAPPERS
 from scipy import ndimage
 
 from lunarsim.evaluation.flight_metrics import evaluate

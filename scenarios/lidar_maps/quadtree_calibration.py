@@ -14,7 +14,7 @@ from typing import Any
 import click
 import numpy as np
 from calibration import SITES, CalibrationMethod, options, study
-from kept import SceneSites
+from scene_cache import SceneSites
 from worlds import LANDERS, UPRIGHT, LidarScene, scenes
 
 from lunarsim.onboard.hazards.quadtree import QuadtreeMap, SiteSelector, SiteSettings

@@ -59,16 +59,16 @@ def evaluated_scenes(
         If the file holds other scenes, or was computed with different code.
     """
     if file is None or not file.exists():
-        judged = collect_results(judge, deck, jobs, console, "scenes")
+        evaluated = collect_results(judge, deck, jobs, console, "scenes")
         if file is not None:
-            _save(judged, file)
-        return judged
-    judged = _load(file)
-    if [j.scene for j in judged] != deck:
+            _save(evaluated, file)
+        return evaluated
+    evaluated = _load(file)
+    if [j.scene for j in evaluated] != deck:
         raise click.ClickException(f"{file} holds other scenes. Delete it or choose another file.")
     first = judge(deck[0])
-    same = first.cover == judged[0].cover and all(
-        np.array_equal(getattr(first, name), getattr(judged[0], name), equal_nan=True)
+    same = first.cover == evaluated[0].cover and all(
+        np.array_equal(getattr(first, name), getattr(evaluated[0], name), equal_nan=True)
         for name in ARRAYS
     )
     if not same:
@@ -76,19 +76,19 @@ def evaluated_scenes(
             f"{file} was computed by another version: its first scene differs. "
             "Delete it or choose another file."
         )
-    return judged
+    return evaluated
 
 
-def _save(judged: list[SceneSites], file: Path) -> None:
-    columns = {name: np.concatenate([getattr(j, name) for j in judged]) for name in ARRAYS}
-    count = np.array([len(j.safe) for j in judged])
-    scenes = json.dumps([asdict(j.scene) for j in judged])
+def _save(evaluated: list[SceneSites], file: Path) -> None:
+    columns = {name: np.concatenate([getattr(j, name) for j in evaluated]) for name in ARRAYS}
+    count = np.array([len(j.safe) for j in evaluated])
+    scenes = json.dumps([asdict(j.scene) for j in evaluated])
     file.parent.mkdir(parents=True, exist_ok=True)
 
     def write(part: Path) -> None:
         with part.open("wb") as opened:
             np.savez_compressed(
-                opened, count=count, cover=[j.cover for j in judged], scenes=scenes, **columns
+                opened, count=count, cover=[j.cover for j in evaluated], scenes=scenes, **columns
             )
 
     atomic_write(file, write)

@@ -89,8 +89,8 @@ class LidarScene:
 
     def terrain(self) -> Terrain:
         """Return relief and rocks."""
-        ground = relief(self.relief, self.seed)
-        return Terrain(ground, rocks(self.rocks, ground, self.rng(1)))
+        heightfield = relief(self.relief, self.seed)
+        return Terrain(heightfield, rocks(self.rocks, heightfield, self.rng(1)))
 
     def grid(self) -> Grid:
         """Return the map grid: the area covered by the flash, at most `MAX_MAP_SIDE` wide."""
@@ -127,10 +127,10 @@ def relief(name: str, seed: int) -> Heightfield:
         return _cut(kind, rng)
     hurst = {"fractal": 0.85, "rough": 0.6, "craters": 0.9}[kind]
     slope = np.deg2rad(float(figure or 3.0))
-    ground = fractal_relief(grid, rng, hurst=hurst, rms_slope=slope)
+    heightfield = fractal_relief(grid, rng, hurst=hurst, rms_slope=slope)
     if kind == "craters":
-        ground = add_craters(ground, rng, minimum=2.0)
-    return ground
+        heightfield = add_craters(heightfield, rng, minimum=2.0)
+    return heightfield
 
 
 def _cut(kind: str, rng: np.random.Generator) -> Heightfield:
@@ -170,10 +170,10 @@ def _measured(kind: str, scale: float) -> Heightfield:
     return part.relief()
 
 
-def rocks(name: str, ground: Heightfield, rng: np.random.Generator) -> RockField:
+def rocks(name: str, heightfield: Heightfield, rng: np.random.Generator) -> RockField:
     """Return the rocks of a rock law, placed on a relief."""
     kind, _, figure = name.partition("-")
-    west, east, south, north = ground.bounds
+    west, east, south, north = heightfield.bounds
     area = (east - west) * (north - south)
     if kind == "none":
         return RockField.empty()
@@ -181,17 +181,17 @@ def rocks(name: str, ground: Heightfield, rng: np.random.Generator) -> RockField
         # The number that covers 1 % of the terrain: 500 rocks of 1 m on 200 x 200 m.
         diameter = {"one": 1.0, "small": 0.6, "large": 2.0}[kind]
         count = rng.poisson(0.01 * area / (0.25 * np.pi * diameter**2))
-        return place_rocks(ground, np.full(count, diameter), rng)
+        return place_rocks(heightfield, np.full(count, diameter), rng)
     if kind == "posts":
         diameters = rng.uniform(0.2, 0.6, rng.poisson(0.005 * area / (0.25 * np.pi * 0.4**2)))
         tall = RockModel("ellipsoid", (0.95, 0.05), (0.0, 0.1), (0.6, 1.0))
-        return place_rocks(ground, diameters, rng, model=tall)
+        return place_rocks(heightfield, diameters, rng, model=tall)
     cover = 0.01 * float(figure)
     model = {
         "golombek": RockModel(), "cubes": RockModel("cube"), "irregular": RockModel("mixed"),
     }[kind]  # fmt: skip
     diameters = sample_diameters(area, cover, 0.15, 3.0, rng)
-    return place_rocks(ground, diameters, rng, model=model)
+    return place_rocks(heightfield, diameters, rng, model=model)
 
 
 def scenes(count: int, seed: int) -> Iterator[LidarScene]:

@@ -31,7 +31,7 @@ import click
 import numpy as np
 from rich.table import Table
 from scipy.stats import binomtest
-from study import seed_and_jobs
+from shared_options import seed_and_jobs
 
 from lunarsim.campaign.pool import collect_results
 from lunarsim.console import plain_console
@@ -102,10 +102,10 @@ class ConsistencyFlight:
     latest, innovations
         Sums of normalised squares before each epoch, by kind of measurement: of the last cycle
         with a measurement, and of all cycles since the previous epoch.
-    whole
+    totals
         The same for the complete flight.
     refused, doubted
-        Number of rejected measurements by kind; number of times that a kind was doubted.
+        Number of rejected measurements by kind; number of `doubted` events.
     lost
         Whether navigation declared itself lost at the end, and whether it ever did.
     start_error, map_error
@@ -118,7 +118,7 @@ class ConsistencyFlight:
     covariance: np.ndarray
     latest: list[dict[str, Consistency]]
     innovations: list[dict[str, Consistency]]
-    whole: dict[str, Consistency]
+    totals: dict[str, Consistency]
     refused: dict[str, int]
     doubted: int
     lost: tuple[bool, bool]
@@ -353,9 +353,9 @@ def flight_to_json(flight: ConsistencyFlight) -> dict[str, Any]:
         [{kind: [c.total, c.degrees] for kind, c in at.items() if c.degrees} for at in epochs]
         for epochs in (flight.innovations, flight.latest)
     )
-    whole = {kind: c.ratio for kind, c in flight.whole.items() if c.degrees}
+    sums = {kind: c.ratio for kind, c in flight.totals.items() if c.degrees}
     return {
-        "nees": nees, "nis": whole, "nis_at": nis, "nis_last": last, "error": flight.error.tolist(),
+        "nees": nees, "nis": sums, "nis_at": nis, "nis_last": last, "error": flight.error.tolist(),
         "sigma": [np.sqrt(np.diag(c)).tolist() for c in flight.covariance],
         "start_error": flight.start_error, "map_error": flight.map_error,
         "lost": flight.lost[0], "safe": bool(flight.safe),

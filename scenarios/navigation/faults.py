@@ -18,7 +18,7 @@ from typing import Any
 import click
 import numpy as np
 from consistency import SCENARIOS, error_of
-from study import declared_table, json_option, seed_and_jobs, write_flights
+from shared_options import declared_table, json_option, seed_and_jobs, write_flights
 
 from lunarsim.campaign.pool import collect_results
 from lunarsim.console import plain_console
@@ -173,7 +173,7 @@ class InstrumentFaultFlight:
     far
         Whether the velocity or attitude error was too large at the end.
     lost, doubted
-        Whether navigation declared itself lost at the end; number of doubted measurements.
+        Whether navigation declared itself lost at the end; number of `doubted` events.
     safe
         Whether the landing was safe.
     """

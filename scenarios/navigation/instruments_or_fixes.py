@@ -67,7 +67,7 @@ class FixesComparisonFlight:
     error
         Position error at the end, m.
     lost, doubted
-        Whether navigation ended lost, and the number of doubted measurements.
+        Whether navigation ended lost, and the number of `doubted` events.
     seconds
         Wall time of the flight without world generation, s.
     """

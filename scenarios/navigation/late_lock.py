@@ -18,7 +18,7 @@ import click
 import numpy as np
 from rich.table import Table
 from scipy.stats import binomtest
-from study import seed_and_jobs
+from shared_options import seed_and_jobs
 
 from lunarsim.campaign.pool import collect_results
 from lunarsim.console import plain_console

@@ -20,7 +20,7 @@ from typing import Any
 import click
 import numpy as np
 from rich.table import Table
-from study import seed_and_jobs
+from shared_options import seed_and_jobs
 
 from lunarsim.campaign.pool import collect_results
 from lunarsim.console import plain_console
@@ -76,15 +76,15 @@ def measured(rng: np.random.Generator) -> World:
 class MapCase:
     """A row of the table: terrain, posting and map noise (m), and map defects."""
 
-    ground: Callable[[np.random.Generator], World]
+    make_world: Callable[[np.random.Generator], World]
     posting: float
     sigma: float
     wrong: dict[str, Any] = field(default_factory=dict)
 
     def __str__(self) -> str:
-        ground = {objects: "objects", craters: "craters", measured: "Apollo 15"}[self.ground]
+        name = {objects: "objects", craters: "craters", measured: "Apollo 15"}[self.make_world]
         wrong = ", ".join(f"{k.split('_')[0]} {v:g}" for k, v in self.wrong.items())
-        return f"{ground} {self.posting:g} m, {self.sigma:g} m" + (f", {wrong}" if wrong else "")
+        return f"{name} {self.posting:g} m, {self.sigma:g} m" + (f", {wrong}" if wrong else "")
 
 
 CASES = (
@@ -183,8 +183,8 @@ def search(task: PlaceSearchTask) -> PlaceSearchResult:
     """Search once."""
     case = CASES[task.case]
     rng = np.random.default_rng([task.seed, task.case, task.number])
-    world = case.ground(rng)
-    xy = rng.uniform(-60.0, 60.0, 2) if case.ground is measured else np.zeros(2)
+    world = case.make_world(rng)
+    xy = rng.uniform(-60.0, 60.0, 2) if case.make_world is measured else np.zeros(2)
     target = np.append(xy, float(world.terrain.elevation(xy)))
     grid = Grid.centred(target, SIZE, case.posting)
     prior = simulate_survey(world.terrain, grid, rng, sigma=case.sigma, **case.wrong)
@@ -222,14 +222,14 @@ def row_of(case: MapCase, found: list[PlaceSearchResult]) -> list[str]:
     if not locked:
         return [str(case), f"0 of {len(found)}", "", "", "0", "", forecasts(found), missed]
     time = [f.time for f in locked if f.time is not None]
-    aside = np.array([np.abs(f.error[:2]).max() for f in locked])
+    lateral = np.array([np.abs(f.error[:2]).max() for f in locked])
     over = np.array([np.abs(f.error[:2] / f.sigma[:2]).max() for f in locked])
-    wrong = int(np.sum(aside > np.maximum(2.0 * case.posting, 2.0)))
+    wrong = int(np.sum(lateral > np.maximum(2.0 * case.posting, 2.0)))
     return [
         str(case), f"{len(locked)} of {len(found)}",
         f"{np.median(time):.1f} / {max(time):.1f}",
         f"{np.median([f.scans for f in locked]):.0f}", f"{wrong}",
-        f"{np.median(aside):.2f} m, {over.max():.1f}", forecasts(found), missed,
+        f"{np.median(lateral):.2f} m, {over.max():.1f}", forecasts(found), missed,
     ]  # fmt: skip
 
 

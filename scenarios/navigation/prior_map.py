@@ -20,7 +20,7 @@ from typing import Any
 import click
 import numpy as np
 from consistency import SCENARIOS, error_of
-from study import declared_table, json_option, seed_and_jobs, write_flights
+from shared_options import declared_table, json_option, seed_and_jobs, write_flights
 
 from lunarsim.campaign.pool import collect_results
 from lunarsim.console import plain_console
@@ -81,7 +81,7 @@ class PriorMapTask:
     """One flight with one fault."""
 
     row: str
-    ground: str
+    terrain: str
     flight: int
     seed: int
 
@@ -92,7 +92,7 @@ class PriorMapFlight:
 
     Attributes
     ----------
-    row, ground
+    row, terrain
         Name of the fault and of the terrain.
     worst
         Maximum errors at the end in standard deviations: position, velocity, attitude.
@@ -101,13 +101,13 @@ class PriorMapFlight:
     lost, ever
         Whether navigation declared itself lost at the end, and whether it ever did.
     doubted
-        Number of doubted measurements.
+        Number of `doubted` events.
     safe
         Whether the landing was safe.
     """
 
     row: str
-    ground: str
+    terrain: str
     worst: tuple[float, float, float]
     lock: float
     lost: bool
@@ -125,8 +125,8 @@ def fly(task: PriorMapTask) -> PriorMapFlight:
     """Fly once."""
     row = ROWS[task.row]
     scenario = Scenario.load(SCENARIOS / "morpheus.toml")
-    if GROUNDS[task.ground]:
-        scenario = scenario.changed(terrain=GROUNDS[task.ground])
+    if GROUNDS[task.terrain]:
+        scenario = scenario.changed(terrain=GROUNDS[task.terrain])
     scenario = scenario.changed(prior_map=row.prior, sensors={"flash": row.scanner})
     simulation = Simulation(scenario, flight_seed(task.seed, task.flight), "safest")
     navigation = simulation.computer.navigation
@@ -147,10 +147,10 @@ def fly(task: PriorMapTask) -> PriorMapFlight:
     names = [name for _, name, _ in simulation.computer.telemetry]
     locks = [time for time, name, _ in simulation.computer.telemetry if name == "lock"]
     worst = (float(off[:3].max()), float(off[3:6].max()), float(off[6:].max()))
-    verdict = simulation.verdict
+    outcome = simulation.verdict
     return PriorMapFlight(
-        task.row, task.ground, worst, locks[0] if locks else np.nan, lost, "lost" in names,
-        names.count("doubted"), verdict is not None and verdict.safe,
+        task.row, task.terrain, worst, locks[0] if locks else np.nan, lost, "lost" in names,
+        names.count("doubted"), outcome is not None and outcome.safe,
     )  # fmt: skip
 
 
@@ -174,15 +174,15 @@ def main(
     rows = list(only or ROWS)
     # Every row has its own terrain.
     tasks = [
-        PriorMapTask(row, ground, n * len(ROWS) + list(ROWS).index(row), seed)
-        for row in rows for ground in GROUNDS for n in range(flights)
+        PriorMapTask(row, terrain, n * len(ROWS) + list(ROWS).index(row), seed)
+        for row in rows for terrain in GROUNDS for n in range(flights)
     ]  # fmt: skip
     flown = collect_results(fly, tasks, jobs, console, "flights")
     for f in flown if cells else ():
         off = ", ".join(f"{w:.1f}" for w in f.worst)
         console.print(
-            f"{f.row}, {f.ground}: {off} sigma, lock {f.lock:.1f} s, lost {f.lost} (ever {f.ever}),"
-            f" doubted {f.doubted}, safe {f.safe}"
+            f"{f.row}, {f.terrain}: {off} sigma, lock {f.lock:.1f} s, lost {f.lost} (ever "
+            f"{f.ever}), suspect {f.doubted}, safe {f.safe}"
         )
     table = [(row, [f for f in flown if f.row == row]) for row in rows]
     title = "Flights on a prior map; hazard field and craters pooled"

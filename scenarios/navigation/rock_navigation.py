@@ -21,7 +21,7 @@ import click
 import numpy as np
 from consistency import SCENARIOS, error_of
 from scipy.spatial import cKDTree
-from study import declared_table, json_option, seed_and_jobs, write_flights
+from shared_options import declared_table, json_option, seed_and_jobs, write_flights
 
 from lunarsim.campaign.pool import collect_results
 from lunarsim.console import plain_console
@@ -44,9 +44,9 @@ MAX_ERROR_SIGMA = 5.0  # standard deviations
 Tamper = Callable[[CameraImage, np.random.Generator], CameraImage | None]
 
 
-def black(picture: CameraImage, rng: np.random.Generator) -> CameraImage:
+def black(image: CameraImage, rng: np.random.Generator) -> CameraImage:
     """Return a black image."""
-    return CameraImage(picture.time, np.zeros_like(picture.counts), picture.camera)
+    return CameraImage(image.time, np.zeros_like(image.counts), image.camera)
 
 
 FAULTS: dict[str, tuple[float, Tamper]] = {
@@ -81,7 +81,7 @@ class RockNavigationFlight:
     lost, ever
         Whether navigation declared itself lost at the end, and whether it ever did.
     doubted
-        Number of times that rocks were doubted or their tracks restarted.
+        Number of events `doubted` and `renewed` (tracks restarted) of the rocks.
     safe
         Whether the landing was safe.
     """
@@ -131,8 +131,8 @@ def mislead(mapper: ShadowMapper, task: RockNavigationTask) -> None:
     rng = np.random.default_rng([task.seed, task.flight])
     update_unchanged, (end, tamper) = mapper.update, FAULTS[task.fault]
 
-    def update_faulty(picture: CameraImage, estimate: Any) -> None:
-        left = tamper(picture, rng) if FAULT_START_S <= picture.time < end else picture
+    def update_faulty(image: CameraImage, estimate: Any) -> None:
+        left = tamper(image, rng) if FAULT_START_S <= image.time < end else image
         if left is not None:
             update_unchanged(left, estimate)
 
@@ -252,7 +252,7 @@ def main(
             t, off = f.task, ", ".join(f"{w:.1f}" for w in f.worst)
             console.print(
                 f"relief {t.relief:g} cover {t.cover:g} Sun {t.sun:g} {t.fault or 'no fault'}: "
-                f"{off} sigma, lost {f.lost} (ever {f.ever}), doubted {f.doubted}, safe {f.safe}"
+                f"{off} sigma, lost {f.lost} (ever {f.ever}), suspect {f.doubted}, safe {f.safe}"
             )
     title = "Flights with rock navigation; rows of relief and cover: correct Sun, no fault"
     console.print(declared_table(title, "flights with", rows_of(flown)))

@@ -18,9 +18,9 @@ from itertools import product
 
 import click
 import numpy as np
-from places import UPRIGHT, craters, objects
+from map_localisation import UPRIGHT, craters, objects
 from rich.table import Table
-from study import seed_and_jobs
+from shared_options import seed_and_jobs
 
 from lunarsim.campaign.pool import collect_results
 from lunarsim.console import plain_console
@@ -50,7 +50,7 @@ MAX_ERROR_SIGMA = 5.0  # standard deviations
 class FitTask:
     """Fits over one world."""
 
-    ground: str
+    terrain: str
     posting: float
     stale: float
     world: int
@@ -65,25 +65,25 @@ class FitTrial:
     ----------
     sigma
         Initial position error, 1 sigma per axis, m.
-    believed, wrong
+    accepted, wrong
         Whether it was accepted, and whether it is wrong.
-    tells
+    informative
         Whether it reduces the position uncertainty by a fifth or more.
     """
 
     sigma: float
-    believed: bool
+    accepted: bool
     wrong: bool
-    tells: bool
+    informative: bool
 
 
 def fits(task: FitTask) -> list[FitTrial]:
     """Fit flashes to the map of one world."""
-    index = list(GROUNDS).index(task.ground)
+    index = list(GROUNDS).index(task.terrain)
     rng = np.random.default_rng(
         [task.seed, index, round(10 * task.posting), round(10 * task.stale), task.world]
     )
-    world = GROUNDS[task.ground](rng)
+    world = GROUNDS[task.terrain](rng)
     grid = Grid.centred((0.0, 0.0), 300.0, task.posting)
     sigma = 0.1 if task.posting < 1.0 else 0.3
     prior = simulate_survey(world.terrain, grid, rng, sigma=sigma, stale_share=task.stale)
@@ -119,7 +119,7 @@ def flash(world, rng: np.random.Generator, error: np.ndarray) -> CorrectedScan: 
     return seen.moved(np.concatenate((np.zeros(6), -error[6:10], [0.0])))
 
 
-def evaluate_fit(seen, error, sigmas, result, believed, posting):  # type: ignore[no-untyped-def]
+def evaluate_fit(seen, error, sigmas, result, accepted, posting):  # type: ignore[no-untyped-def]
     """Return whether a fit is accepted, wrong and informative."""
     before = np.diag(sigmas**2)
     both = np.eye(11) + result.information @ before
@@ -132,7 +132,7 @@ def evaluate_fit(seen, error, sigmas, result, believed, posting):  # type: ignor
     own = np.sqrt(np.diag(across @ after @ across.T))
     first = np.sqrt(np.diag(across @ before @ across.T))
     far = (off > 0.5 * posting) & (off > MAX_ERROR_SIGMA * own)
-    return believed, bool(believed and far.any()), bool(believed and (own < 0.8 * first).all())
+    return accepted, bool(accepted and far.any()), bool(accepted and (own < 0.8 * first).all())
 
 
 @click.command()
@@ -152,19 +152,19 @@ def main(count: int, seed: int, jobs: int) -> None:
                     "of these,\ninformative", "wrong [95 % interval]"):  # fmt: skip
         table.add_column(heading, justify="left" if heading.startswith("terrain") else "right")
     lines = {
-        f"{ground} {posting:g} {stale:g} {sigma:g}": [
+        f"{terrain} {posting:g} {stale:g} {sigma:g}": [
             f for task, some in zip(tasks, tried, strict=True) for f in some
-            if (task.ground, task.posting, task.stale, f.sigma) == (ground, posting, stale, sigma)
+            if (task.terrain, task.posting, task.stale, f.sigma) == (terrain, posting, stale, sigma)
         ]
-        for (ground, posting, stale), sigma in product(rows, SIGMAS)
+        for (terrain, posting, stale), sigma in product(rows, SIGMAS)
     }  # fmt: skip
     lines["all"] = [f for some in tried for f in some]
     for name, some in lines.items():
-        believed = sum(f.believed for f in some)
+        accepted = sum(f.accepted for f in some)
         wrong = sum(f.wrong for f in some)
-        low, high = Proportion(wrong, believed).interval if believed else (0.0, 1.0)
+        low, high = Proportion(wrong, accepted).interval if accepted else (0.0, 1.0)
         table.add_row(
-            name, f"{len(some)}", f"{believed}", f"{sum(f.tells for f in some)}",
+            name, f"{len(some)}", f"{accepted}", f"{sum(f.informative for f in some)}",
             f"{wrong} [{low:.4f}, {high:.4f}]",
         )  # fmt: skip
     console.print(table)

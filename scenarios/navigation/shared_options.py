@@ -28,7 +28,7 @@ class DeclaredFlight(Protocol):
 
     @property
     def doubted(self) -> int:
-        """Number of doubted measurements."""
+        """Number of `doubted` events."""
         ...
 
     @property
@@ -78,7 +78,7 @@ def declared_table(
     """
     table = Table(title=title)
     for heading in (first, "flights", "over 5 sigma\nat the end", "of these, not\ndeclared lost",
-                    "declared lost\nat the end", "with doubted\nmeasurements",
+                    "declared lost\nat the end", "with suspect\nmeasurements",
                     "safe landings"):  # fmt: skip
         table.add_column(heading, justify="left" if heading == first else "right")
     for name, mine in rows:

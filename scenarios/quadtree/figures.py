@@ -114,9 +114,9 @@ def draw_hazards(look: dict[str, Any], path: Path) -> None:
     _outline(over, raster > maps["limit"], extent, colour="white")
     _frame(over, maps, "hazards on the true terrain")
     estimated, hazard = maps["estimated"], maps["hazard"]
-    judged = np.isfinite(estimated) & np.isfinite(hazard)
+    evaluated = np.isfinite(estimated) & np.isfinite(hazard)
     classes = np.where(
-        judged, np.where(estimated == hazard, 0.0, np.where(estimated == 1.0, 1.0, 2.0)), np.nan
+        evaluated, np.where(estimated == hazard, 0.0, np.where(estimated == 1.0, 1.0, 2.0)), np.nan
     )
     right.set_facecolor(GREY)
     show(

@@ -17,16 +17,16 @@ from typing import Any
 
 import click
 import numpy as np
-from judging import (
-    QuadtreeTruth,
-    ground_under,
-    hazard_confusion,
-    judged_sites,
-    map_errors,
-    slope_errors,
-)
 from rich.console import Console
 from rich.table import Table
+from truth_comparison import (
+    QuadtreeTruth,
+    evaluated_sites,
+    hazard_confusion,
+    map_errors,
+    slope_errors,
+    terrain_truth_of,
+)
 
 from lunarsim.campaign.pool import collect_results
 from lunarsim.console import plain_console
@@ -62,7 +62,7 @@ class HazardFieldTask:
 
     field: int
     seed: int
-    pictures: bool
+    keep_maps: bool
 
 
 def interest_map(scenario: Scenario) -> InterestMap:
@@ -98,7 +98,7 @@ def fly(task: HazardFieldTask) -> dict[str, Any]:
         simulation.step()
         track.append((simulation.time, *navigation_error(simulation), *deviations(simulation)))
         if simulation.time >= pending[0] - 1e-9:
-            looks.append(evaluate_map(simulation, pending.pop(0), task.pictures))
+            looks.append(evaluate_map(simulation, pending.pop(0), task.keep_maps))
     tree = simulation.computer.mappers["sites"].map
     return {
         "field": task.field,
@@ -111,7 +111,7 @@ def fly(task: HazardFieldTask) -> dict[str, Any]:
         "points": tree.count,
         "megabytes": tree.nbytes / 1e6,
         "looks": looks,
-        "track": np.array(track) if task.pictures else None,
+        "track": np.array(track) if task.keep_maps else None,
     }
 
 
@@ -129,17 +129,17 @@ def deviations(simulation: Simulation) -> np.ndarray:
     return np.sqrt(np.diag(simulation.estimate.covariance)[np.r_[0:3, 6:9]])
 
 
-def evaluate_map(simulation: Simulation, time: float, pictures: bool) -> dict[str, Any]:
+def evaluate_map(simulation: Simulation, time: float, keep_maps: bool) -> dict[str, Any]:
     """Compare the current map and sites with the truth."""
     mapper = simulation.computer.mappers["sites"]
     selection = mapper.select()
-    ground = ground_under(mapper, simulation)
-    height = map_errors(mapper, ground)
-    slope = slope_errors(mapper, selection, ground.mesh)
-    areas, estimated = hazard_confusion(mapper, ground)
+    actual = terrain_truth_of(mapper, simulation)
+    height = map_errors(mapper, actual)
+    slope = slope_errors(mapper, selection, actual.mesh)
+    areas, estimated = hazard_confusion(mapper, actual)
     maps = None
-    if pictures:
-        maps = figure_data(mapper, selection, ground)
+    if keep_maps:
+        maps = figure_data(mapper, selection, actual)
         maps |= {"height": height, "slope": slope, "estimated": estimated}
     finite = height[2][np.isfinite(height[2])]
     angles = slope[np.isfinite(slope)]
@@ -153,20 +153,20 @@ def evaluate_map(simulation: Simulation, time: float, pictures: bool) -> dict[st
             SITE_STATUS[k]: int((selection.status == k).sum()) for k in range(len(SITE_STATUS))
         },
         **areas,
-        "sites": judged_sites(simulation, selection, mapper.selector.settings, ground),
+        "sites": evaluated_sites(simulation, selection, mapper.selector.settings, actual),
         "maps": maps,
     }
 
 
 def figure_data(
-    mapper: QuadtreeMapper, selection: SiteSelection, ground: QuadtreeTruth
+    mapper: QuadtreeMapper, selection: SiteSelection, actual: QuadtreeTruth
 ) -> dict[str, Any]:
     """Return additional data for the figures."""
     tree, selector = mapper.map, mapper.selector
     return {
-        "elevation": ground.elevation,
-        "hazard": ground.hazard,
-        "fine": ground.grid,
+        "elevation": actual.elevation,
+        "hazard": actual.hazard,
+        "fine": actual.grid,
         "selection": selection,
         "sizes": tree.sizes(selection.nodes),
         "cells": cells_of(tree),

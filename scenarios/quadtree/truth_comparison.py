@@ -47,7 +47,7 @@ class QuadtreeTruth:
     frame: SiteToLocal
 
 
-def ground_under(mapper: QuadtreeMapper, simulation: Simulation) -> QuadtreeTruth:
+def terrain_truth_of(mapper: QuadtreeMapper, simulation: Simulation) -> QuadtreeTruth:
     """Return the true terrain at the current cells of the map."""
     s, frame = mapper.selector.settings, simulation.true_to_local
     west, east, _, _ = mapper.grid.extent
@@ -60,8 +60,11 @@ def ground_under(mapper: QuadtreeMapper, simulation: Simulation) -> QuadtreeTrut
     return QuadtreeTruth(grid, elevation, hazard, mesh, frame)
 
 
-def judged_sites(
-    simulation: Simulation, selection: SiteSelection, settings: SiteSettings, ground: QuadtreeTruth
+def evaluated_sites(
+    simulation: Simulation,
+    selection: SiteSelection,
+    settings: SiteSettings,
+    actual: QuadtreeTruth,
 ) -> list[dict[str, Any]]:
     """Return the ranked sites with their flight cost and their true safety."""
     com = np.array([0.0, 0.0, simulation.lander.com_height])
@@ -80,18 +83,18 @@ def judged_sites(
             "propellant": float(cost.propellant[i]),
             "increment": float(cost.increment[i]),
             "time_to_go": float(cost.time_to_go[i]),
-            "hazard_m2": zone_hazard(site.position, ground, settings.zone),
-            "exactly_safe": bool(simulation.truth.safe_at(ground.frame.to_site(site.position)[:2])),
+            "hazard_m2": zone_hazard(site.position, actual, settings.zone),
+            "exactly_safe": bool(simulation.truth.safe_at(actual.frame.to_site(site.position)[:2])),
         }
         for i, site in enumerate(selection.ranked)
     ]
 
 
 def map_errors(
-    mapper: QuadtreeMapper, ground: QuadtreeTruth
+    mapper: QuadtreeMapper, actual: QuadtreeTruth
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Return centers, sides, elevation errors and truth (n,) of cells of 0.4 m."""
-    tree, fine = mapper.map, ground.grid
+    tree, fine = mapper.map, actual.grid
     nodes = tree.band(4.0 * tree.least, 8.0 * tree.least)
     xy, side = tree.centres(nodes), tree.sizes(nodes)
     truth = np.full(len(nodes), np.nan)
@@ -102,7 +105,7 @@ def map_errors(
         good = (row >= 0) & (col >= 0) & (row + n <= fine.rows) & (col + n <= fine.cols)
         rows = row[good, None] + np.arange(n)
         cols = col[good, None] + np.arange(n)
-        truth[mine[good]] = ground.elevation[rows[:, :, None], cols[:, None, :]].mean(axis=(1, 2))
+        truth[mine[good]] = actual.elevation[rows[:, :, None], cols[:, None, :]].mean(axis=(1, 2))
     return xy, side, tree.elevation(nodes) - truth, truth
 
 
@@ -115,21 +118,21 @@ def slope_errors(mapper: QuadtreeMapper, selection: SiteSelection, mesh: TruthMe
 
 
 def hazard_confusion(
-    mapper: QuadtreeMapper, ground: QuadtreeTruth
+    mapper: QuadtreeMapper, actual: QuadtreeTruth
 ) -> tuple[dict[str, float], np.ndarray]:
     """Compare hazard cells with the truth; return areas (m^2) and the estimate.
 
     The estimate is NaN where cells have too few points (grey in the paper).
     """
-    fine, hazard = ground.grid, ground.hazard
+    fine, hazard = actual.grid, actual.hazard
     hazards, tree = mapper.selector.hazards, mapper.map
     square = tree.side / len(hazards)
     corner = tree.centre[:2] - 0.5 * tree.side
     col = np.floor((fine.x - corner[0]) / square).astype(int)
     row = np.floor((fine.y - corner[1]) / square).astype(int)
     estimated = hazards[np.ix_(row, col)].astype(np.float64)
-    judged = np.isfinite(estimated) & np.isfinite(hazard)
-    quality = MapQuality.of(estimated[judged] == 0.0, hazard[judged] == 0.0)
+    evaluated = np.isfinite(estimated) & np.isfinite(hazard)
+    quality = MapQuality.of(estimated[evaluated] == 0.0, hazard[evaluated] == 0.0)
     area = fine.posting**2
     objects, wholly = missed_objects(hazard == 1.0, estimated)
     return {
@@ -145,15 +148,15 @@ def hazard_confusion(
 def missed_objects(hazard: np.ndarray, estimated: np.ndarray) -> tuple[int, int]:
     """Return the number of evaluated connected hazards, and of completely missed ones."""
     label, count = ndimage.label(hazard, structure=np.ones((3, 3)))
-    judged, called = (
+    evaluated, called = (
         np.bincount(label[where], minlength=count + 1)[1:] > 0
         for where in (np.isfinite(estimated), estimated == 1.0)
     )
-    return int(judged.sum()), int((judged & ~called).sum())
+    return int(evaluated.sum()), int((evaluated & ~called).sum())
 
 
-def zone_hazard(position: np.ndarray, ground: QuadtreeTruth, zone: float) -> float:
+def zone_hazard(position: np.ndarray, actual: QuadtreeTruth, zone: float) -> float:
     """Return the area of true hazards in a landing zone, m^2."""
-    g = ground.grid
+    g = actual.grid
     near = np.ix_(np.abs(g.y - position[1]) <= zone, np.abs(g.x - position[0]) <= zone)
-    return float((ground.hazard[near] == 1.0).sum() * g.posting**2)
+    return float((actual.hazard[near] == 1.0).sum() * g.posting**2)

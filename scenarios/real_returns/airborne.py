@@ -16,7 +16,14 @@ from typing import Any
 import click
 import numpy as np
 from figures import draw
-from judging import HeightErrors, SafetyComparison, judge_heights, judge_safety, scores, strata_of
+from held_out_comparison import (
+    HeightErrors,
+    SafetyComparison,
+    judge_heights,
+    judge_safety,
+    scores,
+    strata_of,
+)
 from returns import SLOPE_LIMIT_DEG, STRATA, AirborneCloud, load
 from rich.console import Console
 from rich.progress import track
@@ -47,7 +54,7 @@ def pool_safety(verdicts: list[SafetyComparison]) -> SafetyComparison:
         np.concatenate([v.stratum for v in verdicts]),
         *means,
         first.scale,
-        first.pictures,
+        first.maps,
     )
 
 

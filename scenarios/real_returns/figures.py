@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from judging import HeightErrors, SafetyComparison
+from held_out_comparison import HeightErrors, SafetyComparison
 from matplotlib.colors import ListedColormap
 from returns import STRATA
 from scipy.stats import norm
@@ -62,7 +62,7 @@ def draw(
         ax.legend(loc="lower right", fontsize=7)
         ax.grid(alpha=0.3)
     share, verdicts = next(iter(safety.items()))
-    truth, rasters, _, grid = verdicts.pictures
+    truth, rasters, _, grid = verdicts.maps
     called = rasters[_SHOWN[0]] > 0.5
     classes = np.where(np.isnan(truth), np.nan, 2.0 * (truth == 1.0) + called)
     palette = ListedColormap(["#8c8c8c", "#e31a1c", "#fdbf6f", "#a6cee3"])

@@ -174,7 +174,7 @@ class SafetyComparison:
         Fraction of sites exactly safe on all returns, and on the held-out returns.
     scale
         Scale of the lander.
-    pictures
+    maps
         Truth and probabilities by method as rasters, evaluated cells, and their grid.
     """
 
@@ -185,7 +185,7 @@ class SafetyComparison:
     dense_share: float
     held_share: float
     scale: float
-    pictures: Any = None
+    maps: Any = None
 
 
 def judge_safety(cloud: AirborneCloud, share: float, seed: int) -> SafetyComparison:
@@ -198,8 +198,8 @@ def judge_safety(cloud: AirborneCloud, share: float, seed: int) -> SafetyCompari
     own = fit_prior(without_trend(mapped), rng)
     # All lengths scale, including the amplitude and the correlation length of the field.
     shipped = {name: factor * value for name, value in SHIPPED.items()}
-    verdict = exact_on(held, grid, lander, own)
-    use = verdict.observed.copy()
+    held_out = exact_on(held, grid, lander, own)
+    use = held_out.observed.copy()
     rasters = {}
     for form, test, name, setting in (
         ("Eqs. 15-17", stochastic_safety, "field of Table 6", shipped),
@@ -224,13 +224,13 @@ def judge_safety(cloud: AirborneCloud, share: float, seed: int) -> SafetyCompari
     p = {name: raster[use] for name, raster in rasters.items()}
     return SafetyComparison(
         p,
-        verdict.safe[use],
+        held_out.safe[use],
         stratum(slope_of(cloud, grid))[use],
-        float((again.safe == verdict.safe)[use].mean()),
+        float((again.safe == held_out.safe)[use].mean()),
         float(dense.safe[use].mean()),
-        float(verdict.safe[use].mean()),
+        float(held_out.safe[use].mean()),
         factor,
-        (np.where(verdict.observed, verdict.safe, np.nan), rasters, use, grid),
+        (np.where(held_out.observed, held_out.safe, np.nan), rasters, use, grid),
     )
 
 
@@ -250,11 +250,11 @@ def scores(p: np.ndarray, safe: np.ndarray) -> dict[str, float]:
     base = safe.mean()
     spread = base * (1.0 - base)
     quality = MapQuality.of(p > 0.5, safe)
-    sure = p > 0.95
+    high = p > 0.95
     values = (
         int(p.size), float(base), float(p.mean()), calibration_error(reliability(p, safe)),
         1.0 - brier_score(p, safe) / spread if spread else float("nan"),
-        quality.precision, quality.recall, float(safe[sure].mean()) if sure.any() else float("nan"),
+        quality.precision, quality.recall, float(safe[high].mean()) if high.any() else float("nan"),
     )  # fmt: skip
     return dict(zip(names, values, strict=True))
 

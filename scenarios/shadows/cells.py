@@ -96,7 +96,7 @@ class ShadowCell:
         which needs a fifteenth of the
         time of the complete experiment.
         """
-        whole = Scenario.load(SCENARIOS / f"shadow_{path}.toml")
+        base = Scenario.load(SCENARIOS / f"shadow_{path}.toml")
         terrain: dict[str, Any] = {"posting_m": 1.0, "rms_slope_deg": self.relief}
         if self.craters > 0.0:
             terrain |= {"posting_m": 0.5, "crater_density": self.craters}
@@ -111,7 +111,7 @@ class ShadowCell:
             body["height_ratio"] = [self.height, 0.1]
         if self.slenderness is not None:
             body["axis_ratio"] = [self.slenderness - 0.1, self.slenderness + 0.1]
-        return whole.changed(
+        return base.changed(
             terrain=terrain,
             rocks={"cover": self.cover, "shape": self.shape, **level, **body},
             expected_rocks={"cover": self.told_cover, "shape": self.told_shape, **level},
@@ -129,8 +129,8 @@ class ShadowCell:
 
 
 HOME = ShadowCell("home")
-# Mixed rocks with cubes expected, under a higher Sun, seen from the side that shows the least
-# shadow.
+# Mixed rocks with cubes expected, under a higher Sun. The visible shadow area is minimal from this
+# side.
 ASIDE = ShadowCell("aside", shape="mixed", elevation=30.0, turn=120.0)
 
 

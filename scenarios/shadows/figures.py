@@ -119,7 +119,7 @@ def draw_slice(first: dict[str, dict[str, Any]], path: Path) -> None:
     """Plot the probability along one line by altitude (Figure 5 of the paper)."""
     figure = new_figure(9.6, 4.4)
     axes = figure.subplots(1, 2, sharex=True, sharey=True)
-    # The line with the most hazards near the site.
+    # The line with the maximum number of hazards near the site.
     occupied = first["modified"]["levels"][50.0]["occupied"]
     rows, cols = occupied.shape
     near = slice(cols // 2 - 60, cols // 2 + 60)

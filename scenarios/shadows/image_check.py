@@ -96,27 +96,32 @@ def check_images(task: ImageCheckTask) -> list[dict[str, Any]]:
             sun = direction_from_angles(light.azimuth + turn, light.elevation)
             health = ImageQualityCheck()
             health.sun.seen = name == SEEN
-            verdict = judge(image, camera, state, sun, aim[2], health)
-            rows.append(cell | {"fault": name, "verdict": verdict})
+            checked = judge(image, camera, state, sun, aim[2], health)
+            rows.append(cell | {"fault": name, "verdict": checked})
     return rows
 
 
 def judge(
-    image: Counts, camera: Camera, state: State, sun: Any, ground: float, health: ImageQualityCheck
+    image: Counts,
+    camera: Camera,
+    state: State,
+    sun: Any,
+    height: float,
+    health: ImageQualityCheck,
 ) -> str:
     """Return why an image is rejected; "counts" if it is accepted."""
-    verdict = health.before_detection(image, camera, state)
-    if verdict.good:
+    checked = health.before_detection(image, camera, state)
+    if checked.good:
         # The rock population is unknown to the check.
         model = ShadowModel(float(np.arcsin(sun[2])))
-        seen = detect_rocks(image, camera, state, sun, terrain=ground, model=model)
-        points = np.column_stack((seen.terrain_xy, np.full(len(seen), ground)))
-        noise = verdict.figures["noise"]
+        seen = detect_rocks(image, camera, state, sun, terrain=height, model=model)
+        points = np.column_stack((seen.terrain_xy, np.full(len(seen), height)))
+        noise = checked.figures["noise"]
         turn = measure_shadow_angle(seen, camera.view(state), points, sun, model, noise)
-        verdict = health.after_detection(seen, turn, noise)
-    if verdict.fault is None:
+        checked = health.after_detection(seen, turn, noise)
+    if checked.fault is None:
         return "counts"
-    return f"{'' if verdict.alarm else '('}{verdict.fault.name}{'' if verdict.alarm else ')'}"
+    return f"{'' if checked.alarm else '('}{checked.fault.name}{'' if checked.alarm else ')'}"
 
 
 def faulty_images(counts: Counts, rng: np.random.Generator) -> list[tuple[str, Any, float]]:

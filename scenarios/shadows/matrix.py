@@ -67,11 +67,11 @@ def fly(task: ShadowMatrixTask) -> dict[str, Any]:
     simulation.computer.stop_sensors()
     while not simulation.done:
         simulation.step()
-    verdict = simulation.verdict
-    out["landed"] = verdict is not None and verdict.touchdown is not None
+    outcome = simulation.verdict
+    out["landed"] = outcome is not None and outcome.touchdown is not None
     out["on_hazard"] = False
-    if verdict is not None and verdict.touchdown is not None:
-        out["on_hazard"] = bool(reach_into(simulation, verdict.touchdown.position[None, :2]).any())
+    if outcome is not None and outcome.touchdown is not None:
+        out["on_hazard"] = bool(reach_into(simulation, outcome.touchdown.position[None, :2]).any())
     return out
 
 

@@ -102,9 +102,9 @@ def draw(image: np.ndarray, seen: Detections, result: dict[str, Any], window: di
          path: Path) -> None:  # fmt: skip
     """Plot the detections over the image, and the window with the labels."""
     figure = new_figure(11.0, 5.6)
-    whole, part = figure.subplots(1, 2)
+    full, part = figure.subplots(1, 2)
     low, high = np.percentile(image, [0.5, 99.5])
-    for ax in (whole, part):
+    for ax in (full, part):
         ax.imshow(image, cmap="gray", vmin=low, vmax=high, interpolation="nearest")
         ax.set_xlabel("Sample (0.545 m)")
         ax.set_ylabel("Line (0.58 m)")
@@ -112,11 +112,11 @@ def draw(image: np.ndarray, seen: Detections, result: dict[str, Any], window: di
             ax.add_patch(Circle((u, v), r / SAMPLE, fill=False, color=COLOURS[4], linewidth=1.0))
     ends = (window["columns"], window["rows"])
     corner = (window["column"] - 0.5, window["row"] - 0.5)
-    whole.add_patch(Rectangle(corner, *ends, fill=False, color=COLOURS[5]))
-    whole.annotate("", xy=(80, 345), xytext=(80 - 45 * 0.82, 345 + 45 * 0.57),
+    full.add_patch(Rectangle(corner, *ends, fill=False, color=COLOURS[5]))
+    full.annotate("", xy=(80, 345), xytext=(80 - 45 * 0.82, 345 + 45 * 0.57),
                    arrowprops={"arrowstyle": "->", "color": COLOURS[4]})  # fmt: skip
-    whole.text(86, 352, "published shadow direction", color=COLOURS[4])
-    whole.set_title(f"{len(seen)} rocks detected in {NAME}")
+    full.text(86, 352, "published shadow direction", color=COLOURS[4])
+    full.set_title(f"{len(seen)} rocks detected in {NAME}")
     top, left = window["row"], window["column"]
     dark, bright = np.percentile(image[top : top + ends[1], left : left + ends[0]], [0.5, 97])
     part.images[0].set_clim(dark, bright)

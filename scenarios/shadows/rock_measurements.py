@@ -21,8 +21,8 @@ from itertools import pairwise
 
 import click
 import numpy as np
+from detection_rates import SHAPES, make_world, model_of
 from numpy.typing import NDArray
-from rates import SHAPES, make_world, model_of
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
@@ -62,11 +62,11 @@ class RockMeasurements:
 
     Attributes
     ----------
-    off, said
+    off, sigma
         Error along and across the Sun direction, m, and standard deviation of the detector
         (images, rocks, 2); NaN without a measurement.
     pixel
-        Ground size of a pixel along and across, m (images, rocks, 2).
+        Size of a pixel on the terrain along and across, m (images, rocks, 2).
     sight
         Directions to the rocks (images, rocks, 3).
     ratio
@@ -78,7 +78,7 @@ class RockMeasurements:
     """
 
     off: Array
-    said: Array
+    sigma: Array
     pixel: Array
     sight: Array
     ratio: Array
@@ -95,10 +95,10 @@ def descend(world: World, model: ShadowModel, rng: np.random.Generator) -> RockM
     axes = np.array([level, [-level[1], level[0]]]).T
     back = direction_from_angles(rng.uniform(0.0, 2.0 * np.pi), np.radians(rng.uniform(30.0, 60.0)))
     # Slightly off the line of sight, so that the view rotates.
-    aside = np.append(rng.uniform(-0.3, 0.3, 2), 0.0)
+    lateral = np.append(rng.uniform(-0.3, 0.3, 2), 0.0)
     rows = []
     for way in np.arange(0.0, FAR - NEAR, SPEED / RATE):
-        position = back * (FAR - way) + aside * way
+        position = back * (FAR - way) + lateral * way
         state = State(position, np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]), np.zeros(3), 1.0)
         camera = replace(Camera(), mount=gimbal_mount(state.attitude, -position))
         counts = camera.expose(world, state, 0.0, rng).counts
@@ -113,10 +113,10 @@ def descend(world: World, model: ShadowModel, rng: np.random.Generator) -> RockM
             at = (away < np.maximum(rocks.a[nearest], MAX_DISTANCE_PX * pixel)) & like
             of = nearest[at]
             by_place = view.pinhole.jacobian((true[of] - position) @ view.axes, view.axes[:2].T)
-            on_ground = np.linalg.inv(by_place @ axes)
+            to_terrain = np.linalg.inv(by_place @ axes)
             moved = seen.pixel[at] - view.pinhole.project((true[of] - position) @ view.axes)
-            own = on_ground @ seen.look_covariance[at] @ np.swapaxes(on_ground, 1, 2)
-            row[of, :2] = np.einsum("nij,nj->ni", on_ground, moved)
+            own = to_terrain @ seen.look_covariance[at] @ np.swapaxes(to_terrain, 1, 2)
+            row[of, :2] = np.einsum("nij,nj->ni", to_terrain, moved)
             row[of, 2:4] = np.sqrt(np.diagonal(own, axis1=1, axis2=2))
             row[of, 9] = seen.radius[at] / rocks.a[of]
             row[of, 10] = seen.q[at]
@@ -125,12 +125,12 @@ def descend(world: World, model: ShadowModel, rng: np.random.Generator) -> RockM
         row[:, 6:9] = sight / np.linalg.norm(sight, axis=1)[:, None]
         rows.append(row)
     table = np.array(rows)
-    off, said, pixel, sight = np.split(table[..., :9], (2, 4, 6), axis=-1)
+    off, sigma, pixel, sight = np.split(table[..., :9], (2, 4, 6), axis=-1)
     ratio, q = table[..., 9], table[..., 10]
     begins, read = TrackerSettings(), ratio * rocks.a
-    sharp = said.max(axis=-1) < np.maximum(begins.birth_sigma, read / 3.0)
+    sharp = sigma.max(axis=-1) < np.maximum(begins.birth_sigma, read / 3.0)
     good = (q >= begins.birth_q) & (read >= begins.least_radius) & sharp
-    return RockMeasurements(off, said, pixel, sight, ratio, rocks.a, good)
+    return RockMeasurements(off, sigma, pixel, sight, ratio, rocks.a, good)
 
 
 def successive_changes(looks: list[RockMeasurements]) -> Array:
@@ -143,10 +143,10 @@ def successive_changes(looks: list[RockMeasurements]) -> Array:
     for one in looks:
         change = np.diff(one.off, axis=0)
         change -= np.nanmedian(change, axis=1, keepdims=True)
-        said = np.hypot(one.said[1:], one.said[:-1])
+        sigma = np.hypot(one.sigma[1:], one.sigma[:-1])
         pixel = np.sqrt(2.0) * one.pixel[1:]
         size = np.broadcast_to(one.radius, change.shape[:2]) / one.pixel[1:].mean(axis=-1)
-        out.append(np.concatenate((size[..., None], change / said, change / pixel), axis=-1))
+        out.append(np.concatenate((size[..., None], change / sigma, change / pixel), axis=-1))
     rows = np.concatenate([o.reshape(-1, 5) for o in out])
     return rows[np.isfinite(rows).all(1)]
 
@@ -190,14 +190,14 @@ def random_walks(looks: list[RockMeasurements]) -> tuple[Array, Array]:
         dot = np.einsum("kij,kij->ki", one.sight[LAG:], one.sight[:-LAG])
         turn = np.arccos(np.clip(dot, -1.0, 1.0))
         change = (one.off[LAG:] - one.off[:-LAG]) / one.radius[:, None]
-        noise = (one.said[LAG:] ** 2 + one.said[:-LAG] ** 2) / one.radius[:, None] ** 2
-        for move, said, angle in zip(change, noise, turn, strict=True):
+        noise = (one.sigma[LAG:] ** 2 + one.sigma[:-LAG] ** 2) / one.radius[:, None] ** 2
+        for move, sigma, angle in zip(change, noise, turn, strict=True):
             both = np.isfinite(move).all(1) & (np.abs(move) < 1.2).all(1)
             if both.sum() < MIN_COMMON_ROCKS or angle[both].mean() < MIN_TURN:
                 continue
             mean, angle_mean = move[both].mean(axis=0), angle[both].mean()
             spread = move[both].var(axis=0, ddof=1)
-            own.append((spread - said[both].mean(axis=0)) / angle_mean)
+            own.append((spread - sigma[both].mean(axis=0)) / angle_mean)
             shared.append((mean**2 - spread / both.sum()) / angle_mean)
     if not own:
         return np.full(2, np.nan), np.full(2, np.nan)

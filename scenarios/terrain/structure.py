@@ -59,13 +59,13 @@ def differences(relief: Heightfield, lag: float, box: tuple[float, ...]) -> tupl
     return one, two
 
 
-def reliefs(ground: RasterTerrain) -> dict[str, Heightfield]:
+def reliefs(raster: RasterTerrain) -> dict[str, Heightfield]:
     """Return the relief as filed, refined, and with generated detail."""
-    filed = load_terrain(ground.path, posting=ground.dtm_posting, window=ground.dtm_window)
+    filed = load_terrain(raster.path, posting=raster.dtm_posting, window=raster.dtm_window)
     return {
-        "as filed": filed.scaled(ground.relief_scale),
-        "refined": replace(ground, detail=False).relief(),
-        "with detail": replace(ground, detail=True).relief(),
+        "as filed": filed.scaled(raster.relief_scale),
+        "refined": replace(raster, detail=False).relief(),
+        "with detail": replace(raster, detail=True).relief(),
     }
 
 
@@ -103,13 +103,13 @@ def draw(rows: dict[str, np.ndarray], posting: float, path: Path) -> None:
               help="Output folder of the figure.")  # fmt: skip
 def main(scenario: Path, box: tuple[float, ...], json_file: Path | None, out: Path | None) -> None:
     """Print the roughness of measured terrain with and without detail."""
-    ground = Scenario.load(scenario).terrain.make()
-    if not isinstance(ground, RasterTerrain):
+    raster = Scenario.load(scenario).terrain.make()
+    if not isinstance(raster, RasterTerrain):
         raise click.BadParameter(f"{scenario}: must have measured terrain", param_hint="--scenario")
-    found = reliefs(ground)
+    found = reliefs(raster)
     rows = {n: np.array([differences(r, lag, box) for lag in LAGS]) for n, r in found.items()}
     # Rounding to height steps adds the variance of each value in a difference.
-    step = (ground.height_step or 0.0) * ground.relief_scale
+    step = (raster.height_step or 0.0) * raster.relief_scale
     noise = step**2 / 12.0 * np.array([2.0, 6.0])
     rows["as filed, less rounding"] = np.sqrt(np.maximum(rows["as filed"] ** 2 - noise, 0.0))
     table = Table(title=f"{scenario.stem}: RMS difference / lag")

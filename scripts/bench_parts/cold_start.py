@@ -13,11 +13,11 @@ from pathlib import Path
 _RUN = """
 import atexit, resource, sys
 
-def told():
+def print_times():
     own, beside = map(resource.getrusage, (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
     print("time", own.ru_utime + own.ru_stime, beside.ru_utime + beside.ru_stime)
 
-atexit.register(told)
+atexit.register(print_times)
 from lunarsim.__main__ import main
 
 main()

@@ -51,7 +51,7 @@ def _fixed() -> float:
 
     clarabel = each(ClarabelSolver().solve)
     updated = each(kept.solve)
-    anew = each(lambda p: QocoSolver().solve(p))
+    cold = each(lambda p: QocoSolver().solve(p))
     filled = median_ms(lambda: [made.program(d, 30.0, masses) for d in descents], 7) / len(descents)
     print(
         f"  40 intervals, fixed final time: {made.variables} variables, "
@@ -59,10 +59,10 @@ def _fixed() -> float:
         f"{np.median(counts[1]):.0f}"
     )
     print(f"    Clarabel, cold start            {clarabel:7.2f} ms")
-    print(f"    QOCO, cold start                {anew:7.2f} ms  {anew / clarabel:5.2f} x")
+    print(f"    QOCO, cold start                {cold:7.2f} ms  {cold / clarabel:5.2f} x")
     print(f"    QOCO updated and solved         {updated:7.2f} ms  {updated / clarabel:5.2f} x")
-    whole = updated + filled
-    print(f"    with setup of the matrices      {whole:7.2f} ms  {whole / clarabel:5.2f} x")
+    total = updated + filled
+    print(f"    with setup of the matrices      {total:7.2f} ms  {total / clarabel:5.2f} x")
     return clarabel
 
 

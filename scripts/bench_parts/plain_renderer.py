@@ -79,10 +79,10 @@ class PlainRenderer:
         self._count = len(rows)
         self._passes = []
         for fragment in (_DEPTH, _SHADE.strip()):
-            ground = ctx.program(vertex_shader=_RELIEF, fragment_shader=fragment)
+            surface = ctx.program(vertex_shader=_RELIEF, fragment_shader=fragment)
             rock = ctx.program(vertex_shader=_ROCK, fragment_shader=fragment)
             self._passes.append((
-                (ground, ctx.vertex_array(ground, [(relief, "3f", "post")], index), 1),
+                (surface, ctx.vertex_array(surface, [(relief, "3f", "post")], index), 1),
                 (rock, ctx.vertex_array(
                     rock, [(corners, "3f", "corner"), (stones, "4f 3f/i", "rock", "more")], order
                 ), self._count),

@@ -109,9 +109,9 @@ def _lights() -> None:
         "scattered light": {"scattered": True},
         "mottles and boulders": {"mottle": 0.05, "boulder_albedo": 1.3, "boulder_mottle": 0.15},
     }
-    whole = {"earthshine": FULL_EARTH_IRRADIANCE_RATIO}
+    combined = {"earthshine": FULL_EARTH_IRRADIANCE_RATIO}
     for settings in parts.values():
-        whole |= settings
+        combined |= settings
     terrain = make_terrain(4.0, 10_000, 1.0, 512.0)
     renderer = renderer_of(terrain)
     axes = sensor_axes([0.0, 0.0, -1.0])
@@ -125,7 +125,7 @@ def _lights() -> None:
             ]  # fmt: skip
             plain = Light(1.5708, np.radians(elevation))
             drawn = {"plain": (views[0], plain)}
-            for name, settings in (parts | {"all": whole}).items():
+            for name, settings in (parts | {"all": combined}).items():
                 drawn[name] = (views[0], replace(plain, **settings))
             drawn["all, four rays per pixel"] = (views[1], drawn["all"][1])
             took = alternating_medians({

@@ -195,8 +195,8 @@ def _evidence(elevation: float) -> None:
         Grid.centred((0.0, 0.0), 104.0, 0.2), model, sizes, np.ones(10), DetectionRates()
     )
 
-    def look(anew: bool) -> None:
-        if anew:
+    def look(restart: bool) -> None:
+        if restart:
             evidence.forget()
         evidence.see(view, sun, seen, lambda xy: np.zeros(len(xy)))
 
@@ -233,11 +233,11 @@ def _flights() -> None:
         before = reference_ms()
         flown, took, mapped, shutter = _time_flight(scenario)
         reference = 0.5 * (before + reference_ms())
-        drawn, pictures = shutter.seconds, shutter.calls
+        drawn, images = shutter.seconds, shutter.calls
         print(
             f"  flight, {name}: {flown:.0f} s simulated in {took:.1f} s, {flown / took:.2f} times "
             f"real "
-            f"time ({pictures} images: {drawn:.1f} s for rendering and exposure; maps {mapped:.1f} "
+            f"time ({images} images: {drawn:.1f} s for rendering and exposure; maps {mapped:.1f} "
             f"s; "
             f"rest: detection, tracking, flight); without rendering {flown / (took - drawn):.2f} "
             f"times\n    in units of the reference task ({reference:.0f} ms, before and after): "

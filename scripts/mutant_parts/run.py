@@ -87,7 +87,7 @@ class MutationRun:
         return kept if kept.verdict != "survived" or kept.tests == tests else None
 
     def run(
-        self, faults: list[Mutant], jobs: int, limit: float, tell: Callable[[MutantResult], None]
+        self, faults: list[Mutant], jobs: int, limit: float, report: Callable[[MutantResult], None]
     ) -> None:
         """Try faults, one file at a time, and store their results.
 
@@ -100,7 +100,7 @@ class MutationRun:
         limit
             Time limit of one fault, s. The actual limit is smaller if the tests are fast: 30 s plus
             three times their time without a fault.
-        tell
+        report
             Callback for every result.
 
         Raises
@@ -117,7 +117,7 @@ class MutationRun:
             try:
                 needed = self._time_without_fault(space, group[0].path)
                 for fault in group:
-                    tell(self._try_fault(space, fault, min(limit, 30.0 + 3.0 * needed)))
+                    report(self._try_fault(space, fault, min(limit, 30.0 + 3.0 * needed)))
             except TrialStopped:
                 pass
             finally:
@@ -153,9 +153,9 @@ class MutationRun:
     def _try_fault(self, space: MutantWorkspace, fault: Mutant, limit: float) -> MutantResult:
         """Try a fault and store its result."""
         start = time.monotonic()
-        verdict, test = space.trial(fault, self._tests[fault.path], limit)
+        outcome, test = space.trial(fault, self._tests[fault.path], limit)
         seconds = round(time.monotonic() - start, 1)
-        result = MutantResult(fault.name, verdict, test, seconds, *self._digests[fault.path])
+        result = MutantResult(fault.name, outcome, test, seconds, *self._digests[fault.path])
         self._keep(result)
         return result
 

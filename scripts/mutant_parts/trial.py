@@ -98,8 +98,8 @@ class MutantWorkspace:
         for file in self._compiled(path):
             file.unlink()
         start = time.monotonic()
-        verdict, output = self._run(tests, None)
-        if verdict != "survived":
+        outcome, output = self._run(tests, None)
+        if outcome != "survived":
             raise BrokenTestsError(
                 f"tests of {path}: must pass without a fault, but fail:\n{output}"
             )
@@ -124,11 +124,11 @@ class MutantWorkspace:
             the failed test, or "".
         """
         with self._with_fault(fault):
-            verdict, output = self._run(tests, limit)
+            outcome, output = self._run(tests, limit)
         failed = _FAILED.search(output)
-        if verdict == "caught" and _REFUSED.search(output):
-            verdict = "refused"
-        return verdict, failed.group(1) if failed else ""
+        if outcome == "caught" and _REFUSED.search(output):
+            outcome = "refused"
+        return outcome, failed.group(1) if failed else ""
 
     def stop(self) -> None:
         """End the current trial of another thread; it and later ones raise `TrialStopped`."""
@@ -147,13 +147,13 @@ class MutantWorkspace:
 
     @contextmanager
     def _with_fault(self, fault: Mutant) -> Iterator[None]:
-        """Put a fault in, set aside the kernels compiled without it, and restore both."""
+        """Put a fault in, move away the kernels compiled without it, and restore both."""
         file = self.folder / fault.path
         stat = file.stat()
         source = file.read_bytes()
-        aside = self.folder / "compiled"
-        kept = [(cached, aside / str(n)) for n, cached in enumerate(self._compiled(fault.path))]
-        aside.mkdir()
+        stored = self.folder / "compiled"
+        kept = [(cached, stored / str(n)) for n, cached in enumerate(self._compiled(fault.path))]
+        stored.mkdir()
         for cached, place in kept:
             cached.rename(place)
         file.write_text(fault.apply(source.decode()), encoding="utf-8")
@@ -169,7 +169,7 @@ class MutantWorkspace:
             _forget_byte_code(file)
             for cached, place in kept:
                 place.rename(cached)
-            aside.rmdir()
+            stored.rmdir()
 
     def _run(self, tests: list[str], limit: float | None) -> tuple[str, str]:
         """Return the outcome of the tests, and their output."""
@@ -209,7 +209,7 @@ class MutantWorkspace:
 def _forget_byte_code(file: Path) -> None:
     """Delete the byte code of a module, which could seem valid for a new source.
 
-    Python compares only sizes, and times in whole seconds.
+    Python compares only sizes, and times in integer seconds.
     """
     for byte_code in file.parent.glob(f"__pycache__/{file.stem}.*.pyc"):
         byte_code.unlink()

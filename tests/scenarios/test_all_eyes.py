@@ -36,12 +36,12 @@ def study(script):
 
 @pytest.fixture
 def figures(study):
-    return pytest.importorskip("eyes_figures")
+    return pytest.importorskip("sensor_fusion_figures")
 
 
 @pytest.fixture
 def flights(study):
-    return study.eyes_flights
+    return study.sensor_fusion_flights
 
 
 def judged(flights, p, safe, large=None, objects=()):

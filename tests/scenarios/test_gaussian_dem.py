@@ -115,7 +115,7 @@ def test_table_6_counts_each_cell_once_per_map(script, monkeypatch):
     monkeypatch.setattr(computed, "CONFIGURATIONS", [(200.0, 60.0)])
     result = computed.table_6(1)
     one = computed.judge(computed.testbed(0), 0, 0)
-    seen, truth = one.judged, one.truth["roughness"]
+    seen, truth = one.evaluated, one.truth["roughness"]
     for method, maps in (("proposed", 1), ("baseline", 4)):
         (curve,) = result["curves"]["roughness", 0, method]
         assert curve.safe.sum() + curve.unsafe.sum() == maps * seen.sum()

@@ -49,7 +49,7 @@ def test_infeasible_starts_and_invalid_files_are_rejected(script, tmp_path, monk
 
 
 def test_spherical_and_flat_moon_are_compared(script):
-    study = script("guidance", "round_and_flat")
+    study = script("guidance", "spherical_and_flat_moon")
     done = CliRunner().invoke(study.main, ["--flights", "1"])
     assert done.exit_code == 0, done.output
     assert "55418.29" in done.output

@@ -47,7 +47,7 @@ def test_every_part_of_the_matrix_is_used(script):
 
 
 def test_time_of_the_requested_surface_counts_for_the_mapper(script, monkeypatch):
-    flown = script("lidar_maps", "flown")
+    flown = script("lidar_maps", "mapper_flights")
     now = [0.0]
     monkeypatch.setattr(flown.time, "perf_counter", lambda: now[0])
 
@@ -72,7 +72,7 @@ def test_scene_evaluation_is_repeatable(script, name):
 
 
 def test_scene_cache_is_exact_and_rejects_other_scenes(script, tmp_path):
-    kept = script("lidar_maps", "kept")
+    kept = script("lidar_maps", "scene_cache")
     worlds = script("lidar_maps", "worlds")
     drawn = []
 
@@ -152,7 +152,7 @@ def test_held_out_rows_are_evaluated_by_a_fit_without_them(script):
 @pytest.fixture
 def small_world(script, monkeypatch, tmp_path):
     """The comparison of mappers on one small world."""
-    flown = script("lidar_maps", "flown")
+    flown = script("lidar_maps", "mapper_flights")
     compare = script("lidar_maps", "compare_mappers")
     # A short descent, with position fixes as in the study.
     small = Scenario.load(SCENARIOS / "golombek.toml").changed(
@@ -167,7 +167,7 @@ def small_world(script, monkeypatch, tmp_path):
     worlds = {"small": ("small.toml", {"rocks": {"cover": 0.04}})}
     for module in (flown, compare):
         monkeypatch.setattr(module, "WORLDS", worlds)
-    kept = script("lidar_maps", "flown_kept")
+    kept = script("lidar_maps", "flight_cache")
     monkeypatch.setattr(kept, "flown", flown)
     monkeypatch.setattr(compare, "load_or_fly", kept.load_or_fly)
     monkeypatch.setattr(compare, "fly", flown.fly)
@@ -220,7 +220,7 @@ def test_extra_mappers_do_not_change_a_flight(small_world):
 
 
 def test_map_evaluation_counts_cells(script):
-    flown = script("lidar_maps", "flown")
+    flown = script("lidar_maps", "mapper_flights")
     rng = np.random.default_rng(2)
     grid = Grid.centred((0.0, 0.0), 8.0, 0.2)
     p = rng.random(grid.shape).astype(np.float32)
@@ -247,7 +247,7 @@ def test_map_evaluation_counts_cells(script):
 
 
 def test_map_is_compared_with_the_terrain_under_it(script):
-    flown = script("lidar_maps", "flown")
+    flown = script("lidar_maps", "mapper_flights")
     # Safe terrain ends 1 m east; the truth ends 3 m south.
     own = Grid.centred((0.0, 0.0), 12.0, 0.5)
     east, north = own.centres()[..., 0], own.centres()[..., 1]
@@ -266,7 +266,7 @@ def test_map_is_compared_with_the_terrain_under_it(script):
 
 
 def test_maps_on_different_grids_are_evaluated_on_the_same_terrain(script):
-    flown = script("lidar_maps", "flown")
+    flown = script("lidar_maps", "mapper_flights")
     own = Grid.centred((0.0, 0.0), 30.0, 0.5)
     east = own.centres()[..., 0]
     flat = np.zeros(own.shape, np.float32)
@@ -287,7 +287,7 @@ def test_maps_on_different_grids_are_evaluated_on_the_same_terrain(script):
 
 
 def test_strata_depend_on_slope_and_rocks(script):
-    flown = script("lidar_maps", "flown")
+    flown = script("lidar_maps", "mapper_flights")
     lander = Lander()
     limit = np.tan(lander.slope_limit)
     grid = Grid.centred((0.0, 0.0), 60.0, 0.5)

@@ -128,7 +128,7 @@ def test_flights_with_faults_are_written_and_summed(script, tmp_path, monkeypatc
         {"row": "Sun 45 deg off", "far": 1, "lost": 0, "doubted": 0, "safe": 0},
     ]
     more.write_text(json.dumps(wrong))
-    text = run(script("navigation", "undeclared").main, out, more)
+    text = run(script("navigation", "undeclared_failures").main, out, more)
     lines = [line.split("│") for line in text.splitlines() if line.startswith("│")]
     cells = {line[1].strip(): [cell.split(" [")[0].strip() for cell in line[2:5]] for line in lines}
     assert cells["rocks"] == ["1 of 3", "1 of 1", "1 of 3"]
@@ -136,7 +136,7 @@ def test_flights_with_faults_are_written_and_summed(script, tmp_path, monkeypatc
 
 
 def test_fits_with_the_assumed_error_are_correct_and_errors_are_detected(script, monkeypatch):
-    study = script("navigation", "fits")
+    study = script("navigation", "scan_fits")
     tasks = [study.FitTask(*row, 0, 11) for row in (("objects", 0.5, 0.0), ("craters", 1.0, 0.2))]
     tried = [f for task in tasks for f in study.fits(task)]
     assert sum(f.believed for f in tried) > 10
@@ -176,7 +176,7 @@ def test_errors_of_fifty_flights_are_consistent(script, name):
 
 @pytest.mark.slow
 def test_fewer_than_one_accepted_fit_in_a_thousand_is_wrong(script):
-    text = run(script("navigation", "fits").main, "--fits", 1000, "--seed", 11)
+    text = run(script("navigation", "scan_fits").main, "--fits", 1000, "--seed", 11)
     last = next(line for line in text.splitlines() if line.startswith("│ all"))
     fits, believed, _, wrong = (cell.strip() for cell in last.split("│")[2:6])
     assert int(fits) >= 8000

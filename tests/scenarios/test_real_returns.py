@@ -55,7 +55,7 @@ def test_only_lengths_of_the_lander_are_scaled(script):
 
 def test_heights_are_interpolated_and_split_by_stratum(script, scattered):
     """Bilinear interpolation is exact on a plane; known errors are recovered."""
-    judging = script("real_returns", "judging")
+    judging = script("real_returns", "held_out_comparison")
     grid = Grid.centred((0.0, 0.0), 30.0, 0.5)
     mean = plane(grid.centres()).astype(np.float32)
     seen = np.ones(grid.shape, np.bool_)
@@ -78,7 +78,8 @@ def test_heights_are_interpolated_and_split_by_stratum(script, scattered):
 
 def test_quadtree_cell_errors_match_the_scatter_of_their_returns(script):
     """On flat terrain with noise the error has the predicted deviation."""
-    returns, judging = script("real_returns", "returns"), script("real_returns", "judging")
+    returns = script("real_returns", "returns")
+    judging = script("real_returns", "held_out_comparison")
     rng = np.random.default_rng(4)
     both = np.column_stack((rng.uniform(-32.0, 32.0, (40_000, 2)), rng.normal(0.0, 0.2, 40_000)))
     grid = Grid.centred((0.0, 0.0), 64.0, 0.5)
@@ -95,7 +96,7 @@ def test_quadtree_cell_errors_match_the_scatter_of_their_returns(script):
 
 
 def test_scores_of_a_known_map(script):
-    judging = script("real_returns", "judging")
+    judging = script("real_returns", "held_out_comparison")
     p = np.array([0.9, 0.9, 0.1, 0.1, np.nan])
     safe = np.array([True, False, False, False, True])
     s = judging.scores(p, safe)

@@ -23,7 +23,7 @@ from tests.worlds import SMALL_SHADOW_FLIGHT
 
 
 def test_measurement_noise_is_constant_in_pixels(script, monkeypatch):
-    study = script("shadows", "looks")
+    study = script("shadows", "rock_measurements")
     monkeypatch.setattr(study, "FAR", 45.0)
     monkeypatch.setattr(study, "LAG", 5)
     done = CliRunner().invoke(study.main, ["--fields", "1"])
@@ -50,7 +50,7 @@ def test_measurement_noise_is_constant_in_pixels(script, monkeypatch):
 
 
 def test_first_measurement_is_biased_towards_the_sun_by_selection(script, monkeypatch):
-    study = script("shadows", "looks")
+    study = script("shadows", "rock_measurements")
     monkeypatch.setattr(study, "FAR", 150.0)
     monkeypatch.setattr(study, "NEAR", 125.0)
     monkeypatch.setattr(study, "LAG", 5)
@@ -68,7 +68,7 @@ def _outline_sigmas() -> tuple[float, float]:
 
 
 def test_rates_fall_with_size(script, tmp_path):
-    rates = script("shadows", "rates")
+    rates = script("shadows", "detection_rates")
     done = CliRunner().invoke(
         rates.main, ["--images", "5", "--shape", "cube", "--out", str(tmp_path)]
     )
@@ -133,7 +133,7 @@ def test_invalid_requests_are_rejected(script):
 
 @pytest.mark.slow
 def test_default_rates_are_those_printed_by_the_script(script, tmp_path):
-    rates = script("shadows", "rates")
+    rates = script("shadows", "detection_rates")
     done = CliRunner().invoke(rates.main, ["--out", str(tmp_path)])
     assert done.exit_code == 0, done.output
     lines = json.loads((tmp_path / "rates_all.json").read_text())["lines"]
@@ -237,7 +237,7 @@ def test_matrix_names_missed_goals(matrix):
 
 
 def test_faulty_images_are_rejected_and_most_good_ones_accepted(script):
-    health = script("shadows", "health")
+    health = script("shadows", "image_check")
     rows = health.check_images(health.ImageCheckTask(2, 0.05, 2.0, 11, True))
     by = {}
     for row in rows:

@@ -66,7 +66,7 @@ def test_detail_of_apollo_15_continues_the_relief(script, tmp_path):
 
 def test_shadows_are_measured_along_the_sun(script):
     """Dark strips of known length along and across the shadows' direction."""
-    study = script("terrain", "beside_nac")
+    study = script("terrain", "compare_with_nac")
     along = study.SHADOWS / np.hypot(*study.SHADOWS)
     rows, columns = np.indices((study.SIDE, study.SIDE))
     east, north = study.SAMPLE * (columns - 200), -study.LINE * (rows - 200)
@@ -82,7 +82,7 @@ def test_shadows_are_measured_along_the_sun(script):
 
 
 def test_spectrum_keeps_the_variance_of_white_noise(script):
-    study = script("terrain", "beside_nac")
+    study = script("terrain", "compare_with_nac")
     noise = 1.0 + 0.1 * np.random.default_rng(0).standard_normal((study.SIDE, study.SIDE))
     _, power = study.spectrum(noise)
     # Equal in every ring: variance times pixel area; the first ring has few waves.
@@ -92,7 +92,7 @@ def test_spectrum_keeps_the_variance_of_white_noise(script):
 
 @pytest.mark.slow
 def test_rendered_images_are_close_to_the_real_image(script):
-    study = script("terrain", "beside_nac")
+    study = script("terrain", "compare_with_nac")
     images, found = study.compare(("highland", "golombek"), 7)
     spread, length = study.smooth_part(images["real"])
     assert spread == pytest.approx(0.056, abs=0.002)
