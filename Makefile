@@ -18,11 +18,12 @@ slow: $(STAMP)          ## the tests and studies that take minutes; one of them 
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c requirements.lock --editable ".[ray]"
 	$(BIN)/python -m pytest -n 2 --dist loadfile -m slow
 
-lint: $(STAMP)          ## style, types, and the walls between rooms
+lint: $(STAMP)          ## style, types, import contracts, words and names
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+	$(BIN)/python scripts/lint_words.py
 
 bench: $(STAMP)         ## speed, as ratios to references in the same run
 	$(BIN)/python scripts/bench.py

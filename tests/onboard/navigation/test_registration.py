@@ -229,7 +229,7 @@ def test_errors_that_are_alike_do_not_make_a_fit_too_sure(world):
         found, covariance, result = fitted(scan, prior, before, error, prior.sigma**2 + 0.03**2)
         nees = nees.plus(normalised_squared_error(found - error, covariance), 6)
     # Ten draws of 30 fits gave 1.63 with a standard deviation of 0.27, hence 0.16 for 90 fits.
-    # The bound has a chance below 1e-5. With independent posts the ratio would be 3.
+    # The bound has a chance below 1e-5. If correlated residuals count as independent, it is 19.
     assert nees.ratio < 2.4, nees.ratio
 
 
