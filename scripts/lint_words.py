@@ -9,7 +9,6 @@ from __future__ import annotations
 import ast
 import io
 import re
-import subprocess
 import sys
 import tokenize
 import tomllib
@@ -95,11 +94,9 @@ def main() -> None:
 
 
 def _files() -> list[str]:
-    listed = subprocess.run(
-        ["git", "ls-files", *(f"{folder}/*.py" for folder in CODE), *PAGES],
-        cwd=ROOT, check=True, capture_output=True, text=True,
-    ).stdout.split()  # fmt: skip
-    return [file for file in listed if not file.endswith("lint_words.py")]
+    found = [path for folder in CODE for path in sorted((ROOT / folder).rglob("*.py"))]
+    found += [ROOT / page for page in PAGES if (ROOT / page).exists()]
+    return [path.relative_to(ROOT).as_posix() for path in found if path.name != "lint_words.py"]
 
 
 def _in_file(file: str, phrases: list[re.Pattern[str]]) -> Iterator[Finding]:

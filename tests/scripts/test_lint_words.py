@@ -14,7 +14,7 @@ CLEAN = '"""Store images."""\n\n\nclass Store:\n    """Store images at least onc
 
 
 @pytest.fixture
-def repository(tmp_path):
+def check(tmp_path):
     """Return a function that checks a module beside a clean one and returns the lines printed."""
     (tmp_path / "scripts").mkdir()
     (tmp_path / "lunarsim").mkdir()
@@ -22,12 +22,10 @@ def repository(tmp_path):
     phrases = '[[exception]]\nphrase = "at least"\nreason = "a bound"\n'
     (tmp_path / "scripts" / "allowed_words.toml").write_text(phrases)
     (tmp_path / "lunarsim" / "clean.py").write_text(CLEAN)
-    subprocess.run(["git", "init", "-q"], cwd=tmp_path, check=True)
 
-    def check(text, exceptions=""):
+    def run(text, exceptions=""):
         (tmp_path / "lunarsim" / "other.py").write_text(text)
         (tmp_path / "scripts" / "allowed_words.toml").write_text(phrases + exceptions)
-        subprocess.run(["git", "add", "."], cwd=tmp_path, check=True)
         done = subprocess.run(
             [sys.executable, tmp_path / "scripts" / "lint_words.py"],
             check=False, capture_output=True, text=True,
@@ -35,11 +33,11 @@ def repository(tmp_path):
         assert (done.returncode == 0) == (not done.stdout), done.stderr
         return done.stdout.splitlines()
 
-    return check
+    return run
 
 
-def test_plain_text_has_no_finding(repository):
-    assert repository('"""Return an image."""\n') == []
+def test_plain_text_has_no_finding(check):
+    assert check('"""Return an image."""\n') == []
 
 
 @pytest.mark.parametrize(
@@ -54,14 +52,14 @@ def test_plain_text_has_no_finding(repository):
         (CLEAN, "other.py:4:", "lunarsim/clean.py:4"),
     ],
 )
-def test_a_finding_has_file_line_and_better_word(repository, text, place, word):
-    lines = repository(text)
+def test_a_finding_has_file_line_and_better_word(check, text, place, word):
+    lines = check(text)
     assert lines and lines[0].startswith(f"lunarsim/{place}") and word in lines[0]
 
 
-def test_an_exception_has_a_use(repository):
+def test_an_exception_has_a_use(check):
     text = '"""Return a picture."""\n'
     exception = '\n[[exception]]\nfile = "lunarsim/other.py"\nword = "picture"\nreason = "a key"\n'
-    assert repository(text, exception) == []
-    (line,) = repository('"""Return an image."""\n', exception)
+    assert check(text, exception) == []
+    (line,) = check('"""Return an image."""\n', exception)
     assert "nothing in lunarsim/other.py needs the exception 'picture'" in line
