@@ -254,7 +254,7 @@ def test_a_record_is_there_whole_or_not_at_all(small, monkeypatch):
     monkeypatch.setattr("lunarsim.viz.draw_flight", pressed)
     done = _fly()
     assert done.exit_code == 130
-    told = "interrupted: scenario and record are in above/out, not all figures"
+    told = "interrupted: above/out has the scenario and the record, but not all figures"
     assert done.stderr.splitlines()[-1] == told
     assert Flight.load(small / "above" / "out").verdict is not None
     assert Scenario.load(small / "above" / "out" / "scenario.toml").name

@@ -195,7 +195,7 @@ OWN = {
     "scenario list": [(["more"], ["more", "list --help"])],
     "scenario reference": [(["more"], ["more", "reference --help"])],
     "terrain info": [
-        (["gone.tif"], ["terrain.path: ", "got 'gone.tif'", "no such file"]),
+        (["gone.tif"], ["terrain.path: ", "got 'gone.tif'", "an existing raster file"]),
         (["cut.tif"], ["terrain.path: ", "got 'cut.tif'", "cannot be read"]),
         (["bands.tif"], ["terrain.path: ", "got 'bands.tif'", "one band"]),
         (["high.tif"], ["terrain.path: ", "got 'high.tif'", "heights reach"]),

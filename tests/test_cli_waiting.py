@@ -117,7 +117,7 @@ def test_the_helper_is_ended_with_a_flight_that_fails(processes):
 def test_warming_compiles_what_maps_call(monkeypatch):
     called = []
     for module, name in (
-        (_kernels, "stochastic"), (_kernels, "extremes"), (_plane_kernels, "stochastic_planes"),
+        (_kernels, "stochastic"), (_kernels, "footprint_extremes"), (_plane_kernels, "stochastic_planes"),
         (_plane_kernels, "bounded"), (_exact_kernels, "exact"),
     ):  # fmt: skip
         inner = getattr(module, name)
@@ -130,7 +130,7 @@ def test_warming_compiles_what_maps_call(monkeypatch):
     compile_safety_kernels(exact=False)
     assert {name for name, _ in called} == {
         "stochastic",
-        "extremes",
+        "footprint_extremes",
         "stochastic_planes",
         "bounded",
     }

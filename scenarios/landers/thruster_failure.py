@@ -73,7 +73,7 @@ def nominal(console: Console, control: str, flights: int, first: int) -> None:
 )
 @click.option("--first-seed", type=click.IntRange(min=0), default=1, show_default=True)
 @click.option("--held-out", is_flag=True, help="Fail thrusters that the tuning did not use.")
-@click.option("--nominal", "whole", type=click.IntRange(min=0), default=0, show_default=True,
+@click.option("--nominal", "flights", type=click.IntRange(min=0), default=0, show_default=True,
               help="Number of extra flights per control without failure.")  # fmt: skip
 def main(seeds: int, first_seed: int, held_out: bool, flights: int) -> None:
     """Fly with a failed thruster, with and without detection."""

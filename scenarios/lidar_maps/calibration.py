@@ -52,7 +52,7 @@ from lunarsim.safety.ensemble import HOPELESS, Ensemble, conservative_probabilit
 from lunarsim.viz.reliability import plot_ideal, plot_reliability
 from lunarsim.viz.style import COLOURS, new_figure, save
 
-F = TypeVar("F", outside_domain_bound=Callable[..., Any])
+F = TypeVar("F", bound=Callable[..., Any])
 
 SITES = 100  # evaluated sites per scene
 # Edges of the strata: nominal slope / limit, and fraction of terrain above the roughness limit.

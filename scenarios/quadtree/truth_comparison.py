@@ -81,7 +81,7 @@ def evaluated_sites(
         | {
             "position": list(site.position),
             "propellant": float(cost.propellant[i]),
-            "increment": float(cost.increment[i]),
+            "increment": float(cost.delta_v[i]),
             "time_to_go": float(cost.time_to_go[i]),
             "hazard_m2": zone_hazard(site.position, actual, settings.zone),
             "exactly_safe": bool(simulation.truth.safe_at(actual.frame.to_site(site.position)[:2])),

@@ -37,13 +37,13 @@ def entries(folder):
 def made(monkeypatch):
     """Return a list that grows by one whenever truth is worked out."""
     calls = []
-    of = world_truth.Truth.of
+    of = world_truth.TerrainTruth.of
 
     def counted(*args, **kwargs):
         calls.append(args)
         return of(*args, **kwargs)
 
-    monkeypatch.setattr(world_truth.Truth, "of", counted)
+    monkeypatch.setattr(world_truth.TerrainTruth, "of", counted)
     return calls
 
 
@@ -80,7 +80,7 @@ def test_other_seeds_grounds_and_targets_are_other_entries(tmp_path, made):
     assert len(made) == 4
     world, truth = WorldTruthProvider(flight_seed(1, 0), {}, cache).world_and_truth(tiny)
     assert len(made) == 4
-    fresh = world_truth.Truth.of(world, tiny.vehicle.make())
+    fresh = world_truth.TerrainTruth.of(world, tiny.vehicle.make())
     assert truth.safety.grid == fresh.safety.grid and truth.lander == fresh.lander
     for name in ("slope", "roughness", "safe", "observed"):
         a, b = (np.asarray(getattr(t.safety, name)) for t in (truth, fresh))

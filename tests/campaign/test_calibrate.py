@@ -176,7 +176,7 @@ def test_an_interrupt_writes_nothing(done, tmp_path, monkeypatch):
         raise KeyboardInterrupt
         yield
 
-    monkeypatch.setattr(campaign, "outcomes", stop)
+    monkeypatch.setattr(campaign, "iterate_results", stop)
     _, _, toml = done
     result = run(toml, "--out", tmp_path / "c.json")
     assert result.exit_code == 130

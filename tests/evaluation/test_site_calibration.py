@@ -78,7 +78,7 @@ def sites(flight: int, n: int = 1500, shift: float = 0.0, known: float = 0.5, se
     )
     truth = said if right else expit(z - LOG_ODDS_MARGIN + shift)
     return SiteSamples(
-        flight=np.full(n, flight), log_odds=z, observed_terrain_bound=np.ones(n), clear=np.ones(n),
+        flight=np.full(n, flight), log_odds=z, ceiling=np.ones(n), clear=np.ones(n),
         agreed=agreed,
         bound=np.full(n, 0.1), known=inside, hazards=np.where(inside, 0.01, 0.2),
         tilting=np.full(n, 0.1), noise=np.full(n, 0.05), spacing=np.full(n, 0.2),

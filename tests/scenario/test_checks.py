@@ -61,7 +61,7 @@ WRONG = {
     ),
     "camera mapped by LiDAR": (
         camera_lander(mappers={"dem": {"kind": "quadtree", "sensor": "eye"}}),
-        "mappers.dem.sensor", "eye", "a sensor of kind 'flash-lidar', but measures Picture",
+        "mappers.dem.sensor", "eye", "a sensor of kind 'flash-lidar', but measures CameraImage",
     ),
     "one of several cameras is missing": (
         camera_lander(

@@ -31,7 +31,7 @@ class Scan:
 
 @pytest.fixture
 def study(script):
-    return script(".", "all_eyes")
+    return script(".", "sensor_fusion")
 
 
 @pytest.fixture
@@ -228,7 +228,7 @@ def test_joint_site_counts_of_two_maps(flights):
 
 def test_calibration_stage_is_fitted_to_flights(study, script, flights, tmp_path):
     """If the quadtree has information that the fused map lacks, its weight is not zero."""
-    fit = script(".", "eyes_calibration")
+    fit = script(".", "sensor_fusion_calibration")
     p, q, seen = fit.probability_bins()
     x, y = np.log(p / (1 - p)), np.where(seen, np.log(q / (1 - q)), 0.0)
     chance = 1 / (1 + np.exp(-(0.9 * x + 0.4 * y)))
@@ -269,7 +269,7 @@ def test_flight_is_evaluated(study, tmp_path):
 
 def test_rock_position_errors_exclude_shared_errors(script):
     """All rocks have the same offset: error of the mean and the reported covariance."""
-    places = script(".", "eyes_places")
+    places = script(".", "rock_position_errors")
     rng = np.random.default_rng(0)
     level = np.array([0.0, 0.0, 0.0, 1.0])
     lander = StrapdownState(np.array([-30.0, 10.0, 40.0]), np.zeros(3), level, 1.62)

@@ -94,7 +94,7 @@ def test_study_resumes_from_its_file_and_rejects_another(study, tmp_path, monkey
         return made(study, 0.5)
 
     monkeypatch.setattr(study, "fly", fly)
-    monkeypatch.setattr(study, "outcomes", pool.iterate_results)
+    monkeypatch.setattr(study, "iterate_results", pool.iterate_results)
     file = tmp_path / "study.json"
     words = ["--fields", "2", "--sensors", "camera", "--json", str(file)]
     assert CliRunner().invoke(study.main, words).exit_code == 0

@@ -93,7 +93,9 @@ def test_maps_with_thrusters_and_ideal_attitude_are_compared(script, monkeypatch
         assert 0.0 < one.figures["attitude_mrad"] < 5.0
     monkeypatch.setattr(study, "fly", lambda task: {"ideal": ideal, "phase-plane": jets}[task.way])
     monkeypatch.setattr(study, "WAYS", dict.fromkeys(("ideal", "phase-plane")))
-    monkeypatch.setattr(study, "gathered", lambda fly, tasks, *_: [study.fly(t) for t in tasks])
+    monkeypatch.setattr(
+        study, "collect_results", lambda fly, tasks, *_: [study.fly(t) for t in tasks]
+    )
     done = CliRunner().invoke(study.main, ["--flights", "2"])
     assert done.exit_code == 0, done.output
     gained = jets.figures["thruster_kg"]

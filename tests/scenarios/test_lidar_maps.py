@@ -168,7 +168,7 @@ def small_world(script, monkeypatch, tmp_path):
     for module in (flown, compare):
         monkeypatch.setattr(module, "WORLDS", worlds)
     kept = script("lidar_maps", "flight_cache")
-    monkeypatch.setattr(kept, "flown", flown)
+    monkeypatch.setattr(kept, "mapper_flights", flown)
     monkeypatch.setattr(compare, "load_or_fly", kept.load_or_fly)
     monkeypatch.setattr(compare, "fly", flown.fly)
     monkeypatch.setattr(compare, "MapperFlightTask", flown.MapperFlightTask)

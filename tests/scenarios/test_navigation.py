@@ -101,7 +101,7 @@ def test_check_exits_with_1_if_errors_are_inconsistent(script, monkeypatch):
     study, rng = script("navigation", "consistency"), np.random.default_rng(5)
     for scale, code in ((1.0, 0), (2.0, 1)):
         flown = [drawn(study, rng, scale=scale) for _ in range(20)]
-        monkeypatch.setattr(study, "gathered", lambda *_, flown=flown: flown)
+        monkeypatch.setattr(study, "collect_results", lambda *_, flown=flown: flown)
         done = CliRunner().invoke(study.main, ["--flights", "20", "--judge", "1"])
         assert done.exit_code == code, done.output
         assert ("NEES of all nine at 0.15: " in done.output) is bool(code)
@@ -139,7 +139,7 @@ def test_fits_with_the_assumed_error_are_correct_and_errors_are_detected(script,
     study = script("navigation", "scan_fits")
     tasks = [study.FitTask(*row, 0, 11) for row in (("objects", 0.5, 0.0), ("craters", 1.0, 0.2))]
     tried = [f for task in tasks for f in study.fits(task)]
-    assert sum(f.believed for f in tried) > 10
+    assert sum(f.accepted for f in tried) > 10
     assert not any(f.wrong for f in tried)
 
     def blind(seen, features, covariance):

@@ -20,7 +20,7 @@ def test_camera_and_lidar_scenario_is_valid(monkeypatch):
 @pytest.mark.parametrize("both", [False, True])
 def test_all_sensor_scenario_has_the_stated_rates(monkeypatch, both):
     monkeypatch.syspath_prepend(SCRIPTS)
-    scenario = importlib.import_module("bench_parts.eyes").all_sensors(both)
+    scenario = importlib.import_module("bench_parts.all_sensors").all_sensors(both)
     looks = {name: part.make() for name, part in scenario.tasking.items()}
     assert {name: part.rate for name, part in looks.items()} == {
         "narrow": 10.0, "wide": 10.0, "flash": 2.0

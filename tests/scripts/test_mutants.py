@@ -143,7 +143,7 @@ def test_fault_is_tried_in_a_copy_and_its_result_stored(tmp_path, faults, test, 
     tests = {path: ["tests/test_room.py"]}
     kept = tmp_path / "kept.jsonl"
     told = []
-    run.MutationRun(root, kept, tests).run([fault], jobs=1, limit=60.0, tell=told.append)
+    run.MutationRun(root, kept, tests).run([fault], jobs=1, limit=60.0, report=told.append)
     assert [r.verdict for r in told] == [verdict]
     assert (root / path).read_text() == text
     assert not list((root / "lunarsim").glob("__pycache__"))

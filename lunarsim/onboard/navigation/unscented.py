@@ -163,11 +163,8 @@ class UnscentedFilter(Navigation):
         self.settings = settings or UnscentedNavigation()
         self.events: list[NavigationEvent] = []
         self._monitors: dict[tuple[str, str], InnovationMonitor] = {}
-        self._ground, self._exhaust, self._lag = (
-            terrain_prior or TerrainPrior(),
-            exhaust_velocity,
-            lag,
-        )
+        self._ground = terrain_prior or TerrainPrior()
+        self._exhaust, self._lag = exhaust_velocity, lag
         calibrations = instruments or {}
         self._beams = {
             n: i.boresight for n, i in calibrations.items() if isinstance(i, AltimeterInstrument)

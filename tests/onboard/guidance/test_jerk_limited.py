@@ -88,12 +88,12 @@ def test_sites_cost_propellant_by_the_rocket_equation():
     cost = site_cost(
         estimate, [[0.0, 0.0, 0.0], [20.0, 5.0, 0.0]], 9.81, 2157.0, jerk=0.25, snap=0.05
     )
-    assert cost.propellant == pytest.approx(1800.0 * (1.0 - np.exp(-cost.increment / 2157.0)))
+    assert cost.propellant == pytest.approx(1800.0 * (1.0 - np.exp(-cost.delta_v / 2157.0)))
     assert (cost.time_to_go > 5.0).all()
     none = site_cost(estimate, np.zeros((0, 3)), 9.81, 2157.0, jerk=0.25, snap=0.05)
     assert len(none.propellant) == 0
     beyond = site_cost(estimate, [[1e7, 0.0, 0.0]], 9.81, 2157.0, jerk=1e-6, snap=1e-6)
-    assert np.isinf(beyond.increment[0])
+    assert np.isinf(beyond.delta_v[0])
     assert np.isnan(beyond.time_to_go[0])
 
 

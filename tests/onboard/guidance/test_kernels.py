@@ -52,7 +52,7 @@ def test_what_a_path_takes(powers, least, most, tan_tilt, glide):
         assert out == pytest.approx(wanted, rel=1e-9, nan_ok=True)
         # And the same where there is nothing to search.
         one = np.empty((count, 4))
-        held.measured(state, targets, asked, row, table, np.array(powers), given, one)
+        held.evaluate_given_times(state, targets, asked, row, table, np.array(powers), given, one)
         assert one == pytest.approx(wanted, rel=1e-9, nan_ok=True)
         reached += np.isfinite(wanted[:, 0]).sum()
     assert reached >= 1

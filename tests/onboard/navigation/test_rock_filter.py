@@ -333,7 +333,7 @@ def test_closed_forms_of_two_rows():
     rng = np.random.default_rng(4)
     root = rng.standard_normal((500, 2, 2))
     square, offset = root @ np.swapaxes(root, 1, 2) + 0.01 * np.eye(2), rng.normal(size=(500, 2))
-    assert matrix_2x2.inverse(root) == pytest.approx(np.linalg.inv(root), rel=1e-9, abs=1e-9)
+    assert matrix_2x2.invert_2x2(root) == pytest.approx(np.linalg.inv(root), rel=1e-9, abs=1e-9)
     assert matrix_2x2.largest_eigenvalue(square) == pytest.approx(np.linalg.eigvalsh(square)[:, 1])
     distance = [v @ np.linalg.solve(a, v) for v, a in zip(offset, square, strict=True)]
     assert matrix_2x2.squared_distance(offset, square) == pytest.approx(distance)
