@@ -117,7 +117,8 @@ def test_the_helper_is_ended_with_a_flight_that_fails(processes):
 def test_warming_compiles_what_maps_call(monkeypatch):
     called = []
     for module, name in (
-        (_kernels, "stochastic"), (_kernels, "footprint_extremes"), (_plane_kernels, "stochastic_planes"),
+        (_kernels, "stochastic"), (_kernels, "footprint_extremes"),
+        (_plane_kernels, "stochastic_planes"),
         (_plane_kernels, "bounded"), (_exact_kernels, "exact"),
     ):  # fmt: skip
         inner = getattr(module, name)
