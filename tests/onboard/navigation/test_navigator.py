@@ -125,6 +125,7 @@ def test_an_azimuth_that_is_corrected_turns_no_ground(world):
 @pytest.mark.statistical
 def test_odometry_slows_the_drift(world):
     grown = {}
+    inflated = 0
     nees = Consistency()
     for scans in (True, False):
         gaps = []
@@ -135,12 +136,16 @@ def test_odometry_slows_the_drift(world):
             first = descent.error()
             descent.fly(4.0, aim=np.zeros(3), scans=scans)
             gaps.append(np.linalg.norm((descent.error() - first)[:3]))
-            assert names(descent) == []
+            assert set(names(descent)) <= {"doubted"}
+            inflated += len(names(descent))
             if scans:
                 found = descent.estimate()
                 off, own = VELOCITY - found.velocity, found.covariance[3:6, 3:6]
                 nees = nees.plus(normalised_square(off, own), 3)
         grown[scans] = np.sqrt(np.mean(np.square(gaps)))
+    # Three of 12 other draws had one; at twice that rate (4 % of the flights with scans), more
+    # than four have a chance of 7e-5.
+    assert inflated <= 4
     assert grown[True] < 0.5 * grown[False]
     assert nees.ratio < ratio_bounds(nees.degrees)[1]
 
