@@ -47,8 +47,8 @@ class DaemonThreads:
         Raises
         ------
         NoThreadError
-            If this is the first call, and comes too late: from Python 3.12 on no thread starts once
-            the main thread has ended.
+            If no thread starts at the first call: from Python 3.12 on none does once the main
+            thread has ended, and a process may not have more than its limit.
         """
         with self._starting:
             calls = self._calls or self._started()
@@ -57,16 +57,18 @@ class DaemonThreads:
         return future
 
     def _started(self) -> SimpleQueue[Any]:
-        """Start the threads; return the queue of their calls."""
+        """Start the threads, or as many as start; return the queue of their calls."""
         calls: SimpleQueue[Any] = SimpleQueue()
-        try:
-            for _ in range(self._count):
+        for started in range(self._count):
+            try:
                 Thread(target=_serve, args=(calls,), name=self._name, daemon=True).start()
-        except RuntimeError:
-            raise NoThreadError(
-                "no thread can start after the main thread has ended. Let the main thread wait for "
-                "the others: thread.join()"
-            ) from None
+            except RuntimeError as error:
+                if started:
+                    break
+                raise NoThreadError(
+                    f"no thread starts ({error}). If the main thread has ended, let it wait for "
+                    "the others: thread.join()"
+                ) from None
         self._calls = calls
         return calls
 

@@ -32,7 +32,8 @@ _BYTES_PER_CELL, _BYTES_PER_PIXEL = 100.0, 60.0
 _REMEDIES = {
     "size_m": "Use a smaller value, or a larger posting_m or detail_m",
     "posting_m": "Use a larger value, or a part of the raster: terrain.dtm_window",
-    "path": "Use a part of the raster (terrain.dtm_window) or a smaller file",
+    "terrain.path": "Use a part of the raster: terrain.dtm_window",
+    "surroundings.path": "Use a smaller raster",
     "min_diameter_m": "Use a larger value, or a smaller cover",
     "sizes_m": "Use smaller values or fewer levels",
     "width": "Use a smaller value, or a smaller height",
@@ -117,10 +118,11 @@ def check_memory(scenario: Any) -> None:
         key = max(found.memory, key=lambda one: found.memory[one])
         table, _, last = key.rpartition(".")
         value = getattr(_table(scenario, table), last)
+        remedy = _REMEDIES.get(key) or _REMEDIES[last]
         raise InputError(
             key, value,
             f"too large: a flight takes {bytes_in_words(found.total)} of memory, and "
-            f"{bytes_in_words(MAX_MEMORY_BYTES)} is the limit. {_REMEDIES[last]}",
+            f"{bytes_in_words(MAX_MEMORY_BYTES)} is the limit. {remedy}",
         )  # fmt: skip
 
 

@@ -64,8 +64,8 @@ def gl_context() -> moderngl.Context:
     Raises
     ------
     RenderingError
-        Where EGL or OpenGL is missing, or llvmpipe renders with vectors of another width than 256
-        bits; it says what to install or to set.
+        Where EGL or OpenGL is missing, or llvmpipe renders with vectors of 128 or 512 bits; it says
+        what to install or to set.
     """
     if not getattr(_here, "is_render_thread", False):
         raise RuntimeError("OpenGL runs on one thread only: decorate its caller on_render_thread.")
@@ -74,7 +74,7 @@ def gl_context() -> moderngl.Context:
     except Exception as error:  # moderngl raises plain Exception subclasses of many kinds
         raise RenderingError(f"{_INSTALL} ({error})") from error
     renderer = context.info["GL_RENDERER"]
-    if renderer.startswith("llvmpipe") and "256 bits" not in renderer:
+    if renderer.startswith("llvmpipe") and any(f"{n} bits" in renderer for n in (128, 512)):
         raise RenderingError(_WRONG_WIDTH)
     context.gc_mode = "context_gc"
     os.register_at_fork(after_in_child=forks.mark_unsafe)
