@@ -47,8 +47,8 @@ class DaemonThreads:
         Raises
         ------
         NoThreadError
-            If this is the first call and the main thread has ended: since Python 3.12, no thread
-            can start after that.
+            If no thread starts at the first call. Since Python 3.12, no thread can start after the
+            main thread has ended, and the operating system limits the number of threads.
         """
         with self._starting:
             calls = self._calls or self._started()
@@ -57,16 +57,18 @@ class DaemonThreads:
         return future
 
     def _started(self) -> SimpleQueue[Any]:
-        """Start the threads and return their queue of calls."""
+        """Start the threads, or as many as can start, and return their queue of calls."""
         calls: SimpleQueue[Any] = SimpleQueue()
-        try:
-            for _ in range(self._count):
+        for started in range(self._count):
+            try:
                 Thread(target=_serve, args=(calls,), name=self._name, daemon=True).start()
-        except RuntimeError:
-            raise NoThreadError(
-                "no thread can start after the main thread has ended. Let the main thread wait for "
-                "the others: thread.join()"
-            ) from None
+            except RuntimeError as error:
+                if started:
+                    break
+                raise NoThreadError(
+                    f"no thread starts ({error}). If the main thread has ended, let it wait for "
+                    "the others: thread.join()"
+                ) from None
         self._calls = calls
         return calls
 

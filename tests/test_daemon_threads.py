@@ -50,6 +50,22 @@ def test_a_first_call_that_comes_too_late_says_so_and_a_later_one_may_succeed(mo
     assert threads.submit(divmod, 7, 2).result() == (3, 1)
 
 
+def test_fewer_threads_than_asked_for_serve_all_calls(monkeypatch):
+    """A process that has as many threads as it may have starts no other."""
+    start, started = Thread.start, []
+
+    def limited(thread):
+        if started:
+            raise RuntimeError("can't start new thread")
+        started.append(thread)
+        start(thread)
+
+    monkeypatch.setattr(Thread, "start", limited)
+    threads = DaemonThreads(4, "test")
+    assert [one.result() for one in [threads.submit(abs, -n) for n in range(8)]] == list(range(8))
+    assert len(started) == 1
+
+
 def test_first_calls_from_many_threads_start_the_threads_once():
     served = []
     threads = DaemonThreads(1, "test")

@@ -9,6 +9,7 @@ import numba
 import numpy as np
 import pytest
 
+from lunarsim import _daemon_threads
 from lunarsim._jit import kernel
 from lunarsim._work_partition import PartitionedKernel
 
@@ -50,6 +51,19 @@ def test_every_turn_is_done_once_with_any_number_of_threads(threads):
     for count in range(1, numba.config.NUMBA_NUM_THREADS + 1):
         threads(count)
         assert np.array_equal(_squared(values), values**2)
+
+
+def test_the_caller_does_all_turns_where_no_thread_starts(threads, monkeypatch):
+    def late(*_):
+        raise _daemon_threads.NoThreadError("no thread starts")
+
+    threads(min(2, numba.config.NUMBA_NUM_THREADS))
+    shares = []
+    spy = PartitionedKernel(shares.append)
+    spy()
+    monkeypatch.setattr(_daemon_threads.DaemonThreads, "submit", late)
+    spy()
+    assert shares == [(0, 1), (0, 1)]
 
 
 def test_shares_are_handed_out_as_many_as_there_are_threads(threads):

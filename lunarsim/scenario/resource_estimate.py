@@ -32,7 +32,8 @@ _BYTES_PER_CELL, _BYTES_PER_PIXEL = 100.0, 60.0
 _REMEDIES = {
     "size_m": "Use a smaller value, or a larger posting_m or detail_m.",
     "posting_m": "Use a larger value, or a part of the raster (terrain.dtm_window).",
-    "path": "Use a part of the raster (terrain.dtm_window).",
+    "terrain.path": "Use a part of the raster (terrain.dtm_window).",
+    "surroundings.path": "Use a smaller raster.",
     "min_diameter_m": "Use a larger value, or a smaller cover.",
     "sizes_m": "Use smaller values or fewer levels.",
     "width": "Use a smaller value, or a smaller height.",
@@ -117,11 +118,12 @@ def check_memory(scenario: Any) -> None:
         key = max(found.memory, key=lambda one: found.memory[one])
         table, _, last = key.rpartition(".")
         value = getattr(_table(scenario, table), last)
+        remedy = _REMEDIES.get(key) or _REMEDIES[last]
         raise InputError(
             key, value,
             f"is too large, a flight would use {format_bytes(found.total)} of memory "
             f"(limit {format_bytes(MAX_MEMORY_BYTES)})",
-            _REMEDIES[last],
+            remedy,
         )  # fmt: skip
 
 

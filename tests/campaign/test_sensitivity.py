@@ -76,7 +76,7 @@ def test_sobol_indices_of_ishigami_and_of_noise(tmp_path):
         assert np.all((low - 0.02 < truth) & (truth < high + 0.02))
         assert np.all(high - low > 0.01 * (truth > 0.0)) and np.all(high - low < 0.3)
     again = sensitivities(found, "y")[0]
-    # Field by field, because a NaN is not equal to itself.
+    # Compared as text, because a NaN is not equal to itself.
     assert repr(again) == repr(replace(made, chance=again.chance))
 
 

@@ -139,5 +139,7 @@ def test_the_estimate_counts_a_raster_around_the_terrain(rasters):
         tables = TINY_FLIGHT | {"moon": {}, "surroundings": around | extra}
         assert estimate(Scenario.from_dict(tables, rasters)).memory["surroundings.path"] == memory
     tables["surroundings"]["path"] = "large.tif"
-    with pytest.raises(InputError, match=r"surroundings\.path.*limit 16 GiB"):
+    with pytest.raises(
+        InputError, match=r"surroundings\.path.*limit 16 GiB.*\. Use a smaller raster"
+    ):
         Scenario.from_dict(tables, rasters)

@@ -64,8 +64,8 @@ def gl_context() -> moderngl.Context:
     Raises
     ------
     RenderingError
-        If EGL or OpenGL is missing, or llvmpipe does not use 256-bit vectors. The message contains
-        the remedy.
+        If EGL or OpenGL is missing, or llvmpipe uses vectors of 128 or 512 bits. The message
+        contains the remedy.
     """
     if not getattr(_here, "is_render_thread", False):
         raise RuntimeError("OpenGL runs on one thread only: decorate the caller on_render_thread.")
@@ -74,7 +74,7 @@ def gl_context() -> moderngl.Context:
     except Exception as error:  # moderngl raises plain Exception subclasses of many kinds
         raise RenderingError(f"{_MISSING_OPENGL} ({error})") from error
     renderer = context.info["GL_RENDERER"]
-    if renderer.startswith("llvmpipe") and "256 bits" not in renderer:
+    if renderer.startswith("llvmpipe") and any(f"{n} bits" in renderer for n in (128, 512)):
         raise RenderingError(_WRONG_VECTOR_WIDTH)
     context.gc_mode = "context_gc"
     os.register_at_fork(after_in_child=forks.mark_unsafe)

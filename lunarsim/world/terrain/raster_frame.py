@@ -267,7 +267,7 @@ def _spherical_mappings(
 ) -> tuple[Mapping, Mapping]:
     """Return the mappings to an azimuthal equidistant frame about a window."""
     body = _body(source.crs)
-    crs = _on_sphere(source.crs) if "R" in body else source.crs
+    crs = _on_sphere(source.crs, body)
     cx, cy = transform @ (0.5 * cols, 0.5 * rows)
     globe = CRS.from_dict({"proj": "longlat"} | body)
     (lon,), (lat,) = warp(crs, globe, [cx], [cy])
@@ -336,16 +336,16 @@ def _body(crs: CRS) -> dict[str, Any]:
     return {"a": radius, "rf": inverse_flattening}
 
 
-def _on_sphere(crs: CRS) -> CRS:
-    """Return a coordinate reference system on a sphere of the equatorial radius.
+def _on_sphere(crs: CRS, body: dict[str, Any]) -> CRS:
+    """Replace the ellipsoid of an equidistant cylindrical projection by the given body.
 
-    Only later releases of PROJ compute the equidistant cylindrical projection on the ellipsoid.
+    Only later releases of PROJ compute this projection on the ellipsoid.
     """
     terms = crs.to_dict()
     if terms.get("proj") != "eqc":
         return crs
     shape = {"ellps", "datum", "a", "b", "rf", "f", "R"}
-    return CRS.from_dict({k: v for k, v in terms.items() if k not in shape} | _body(crs))
+    return CRS.from_dict({k: v for k, v in terms.items() if k not in shape} | body)
 
 
 def _is_engineering(crs: CRS) -> bool:
