@@ -16,7 +16,7 @@ if (
 
 
 def main() -> None:
-    """Run the `lunarsim` command; handle interrupts during its import too."""
+    """Run the `lunarsim` command; handle Ctrl-C also while the command is imported."""
     from lunarsim.cli_start import run  # noqa: PLC0415  (after the search path is corrected)
 
     def command() -> None:

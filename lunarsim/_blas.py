@@ -32,10 +32,11 @@ def _libraries() -> ThreadpoolController:
 
 @contextmanager
 def one_blas_thread() -> Iterator[None]:
-    """Limit BLAS to one thread, in a `with` block or as a decorator.
+    """Limit the linear algebra library (BLAS) to one thread in a block.
 
-    The outermost block restores the setting. The setting belongs to the process: if several Python
-    threads enter blocks at the same time, the first one sets it (see `threadpoolctl`).
+    Use it in a `with` block or as a decorator. The outermost block restores the setting. The
+    setting belongs to the process: if several Python threads enter blocks at the same time, the
+    first one sets it (see `threadpoolctl`).
     """
     if _inside.now:
         yield

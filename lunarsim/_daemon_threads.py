@@ -14,16 +14,14 @@ from queue import SimpleQueue
 from threading import Lock, Thread
 from typing import Any, ParamSpec, TypeVar
 
+from lunarsim.errors import NoThreadError
+
 P = ParamSpec("P")
 R = TypeVar("R")
 
 
-class NoThreadError(RuntimeError):
-    """No thread can be started any more."""
-
-
 class DaemonThreads:
-    """Run calls on daemon threads, which start at the first call.
+    """Thread pool for function calls; its daemon threads start at the first call.
 
     Parameters
     ----------
@@ -42,7 +40,7 @@ class DaemonThreads:
         os.register_at_fork(after_in_child=self._forget_threads)
 
     def submit(self, function: Callable[P, R], *args: P.args, **kwargs: P.kwargs) -> Future[R]:
-        """Queue a call and return its future result.
+        """Queue a function call for a thread and return its future result.
 
         Raises
         ------
@@ -57,7 +55,7 @@ class DaemonThreads:
         return future
 
     def _started(self) -> SimpleQueue[Any]:
-        """Start the threads, or as many as can start, and return their queue of calls."""
+        """Start the threads, or as many as can start; return the queue of their calls."""
         calls: SimpleQueue[Any] = SimpleQueue()
         for started in range(self._count):
             try:

@@ -13,7 +13,11 @@ from lunarsim._jit import kernel
 
 @kernel()
 def rotation_vector_between(q, target, out):
-    """Write the rotation vector (body axes, rad) from q to `target`; return its angle."""
+    """Write the rotation vector from attitude `q` to attitude `target` into `out`.
+
+    The rotation vector (3,) is in body axes, rad; the function returns its angle. Both attitudes
+    are unit quaternions (4,).
+    """
     # conj(q) * target
     x = q[3] * target[0] - q[0] * target[3] - q[1] * target[2] + q[2] * target[1]
     y = q[3] * target[1] - q[1] * target[3] - q[2] * target[0] + q[0] * target[2]
@@ -32,7 +36,10 @@ def rotation_vector_between(q, target, out):
 
 @kernel()
 def rotate_quaternion(q, phi):
-    """Rotate the unit quaternion q in place by a rotation vector phi (body axes, rad)."""
+    """Rotate the unit quaternion `q` in place by a rotation vector.
+
+    `phi` (3,) is the rotation vector in body axes, rad.
+    """
     angle = np.sqrt(phi[0] * phi[0] + phi[1] * phi[1] + phi[2] * phi[2])
     s = 0.5 if angle < 1e-8 else np.sin(0.5 * angle) / angle
     x, y, z, w = phi[0] * s, phi[1] * s, phi[2] * s, np.cos(0.5 * angle)
@@ -61,7 +68,9 @@ def rotate_to_body(q, v, out):
 
 @kernel()
 def ray_points(position, rotation, direction, reach):
-    """Return the points (n, 3) at distances `reach` (n,) along rays from (3,).
+    """Return the points (n, 3) at distances `reach` (n,) along rays from a position.
+
+    `position` (3,) is the origin of the rays, m.
 
     `direction` (n, 3) has the rays in sensor axes; `rotation` (3, 3) rotates sensor axes into the
     axes of the position.
@@ -77,7 +86,10 @@ def ray_points(position, rotation, direction, reach):
 
 @kernel()
 def thrust_attitude(direction, heading):
-    """Return the quaternion with body z along `direction` and body x near `heading`."""
+    """Return the attitude quaternion (4,) with body z along a thrust direction.
+
+    `direction` (3,) is in ENU; body x is as near as possible to the azimuth `heading`, rad.
+    """
     q = np.empty(4)
     write_thrust_attitude(direction[0], direction[1], direction[2], heading, q)
     return q
@@ -85,7 +97,11 @@ def thrust_attitude(direction, heading):
 
 @kernel(allocates=False)
 def write_thrust_attitude(east, north, up, heading, q):
-    """Write the quaternion (4,) with body z along thrust and body x near `heading`."""
+    """Write the attitude quaternion `q` (4,) with body z along a thrust direction.
+
+    The thrust direction is (east, north, up), of any length; body x is as near as possible to the
+    azimuth `heading`, rad.
+    """
     size = np.sqrt(east * east + north * north + up * up)
     zx, zy, zz = east / size, north / size, up / size
     fx, fy = np.sin(heading), np.cos(heading)

@@ -32,10 +32,10 @@ _FINITE_FLAGS = _FAST_FLAGS | {"nnan", "ninf"}
 
 
 class _InternalKernel(CPUDispatcher):  # type: ignore[misc]
-    """A kernel without a Python wrapper: calling it from Python would end the process."""
+    """Compiled kernel without a Python wrapper, which only kernels can call."""
 
     def __call__(self, *args: Any) -> Any:
-        """Raise an error, because only kernels can call this function."""
+        """Raise an error: only compiled kernels can call this function."""
         raise TypeError(
             f"{self.py_func.__name__}: only kernels can call this. Use kernel(inner=False) to call "
             "it from Python."
@@ -47,7 +47,7 @@ _one_at_a_time = RLock()
 
 @lru_cache(maxsize=1)
 def _parallel_lock() -> AbstractContextManager[Any]:
-    """Return the lock for parallel kernels.
+    """Return the lock that a parallel kernel must hold while it runs.
 
     The threading layer "workqueue" aborts if two parallel kernels run at the same time.
     """
@@ -56,7 +56,7 @@ def _parallel_lock() -> AbstractContextManager[Any]:
 
 
 class _ParallelKernel(CPUDispatcher):  # type: ignore[misc]
-    """A parallel kernel that is safe in forked processes and with Python threads."""
+    """Parallel kernel that is safe in forked processes and with Python threads."""
 
     def __call__(self, *args: Any) -> Any:
         """Run the kernel, or raise an error if running it would end the process."""
@@ -66,7 +66,10 @@ class _ParallelKernel(CPUDispatcher):  # type: ignore[misc]
 
 
 def _without_warnings(function: F) -> F:
-    """Suppress NumPy warnings about overflow and NaN, as compiled kernels do."""
+    """Return a function that runs without NumPy warnings about overflow and NaN.
+
+    Compiled kernels do not warn either.
+    """
 
     @wraps(function)
     def call(*args: Any, **kwargs: Any) -> Any:
@@ -106,7 +109,7 @@ def kernel(
     inner: bool | None = None,
     allocates: bool = True,
 ) -> Callable[[Any], Any]:
-    """Return a decorator that compiles a function with Numba.
+    """Return a decorator that compiles a numerical function (kernel) with Numba.
 
     Parameters
     ----------
@@ -115,16 +118,17 @@ def kernel(
         element.
     shared
         Run a kernel with one parallel loop on Python threads. This compiles four times faster than
-        `parallel`. The first parameter of the kernel is its share of the loop (first index, step);
+        `parallel`. The first parameter of the kernel is its part of the loop (first index, step);
         callers from Python omit it. The kernel returns nothing.
     fast
         Let the compiler reassociate sums and fuse multiply-adds, which vectorisation needs.
     finite
-        As `fast`, and assume that no NaN or infinity occurs. This vectorises a running minimum.
+        Like `fast`, and also assume that no NaN or infinity occurs. This vectorises a running
+        minimum.
     inline
         For scalar helpers that allocate nothing: inline into callers and fuse multiply-adds.
     exact
-        As `inline`, but without fused multiply-adds, so that results are bitwise the same.
+        Like `inline`, but without fused multiply-adds, so that results are bitwise the same.
     inner
         For kernels that only kernels call; they compile faster without a Python wrapper. Default:
         true for names that begin with an underscore.
@@ -168,7 +172,7 @@ _MIN_THREADED_WORK_US = 256
 
 @contextmanager
 def threads_for(microseconds: float) -> Iterator[None]:
-    """Run parallel kernels in the block on one thread if they have little work.
+    """Run parallel kernels in a `with` block on one thread if they have little work.
 
     Waking threads for a few rays takes longer than computing them; on a busy machine it takes a
     thousand times longer.

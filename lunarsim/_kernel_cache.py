@@ -21,9 +21,10 @@ _DIGEST_BYTES = 16
 
 @lru_cache
 def _folder_of(modules: Path) -> Path | None:
-    """Return the kernel cache for a folder of modules; None if none is writable.
+    """Return the folder that caches compiled kernels of a folder of modules.
 
-    Candidates in order: NUMBA_CACHE_DIR, ``__pycache__`` beside the modules, the user's cache.
+    The first writable folder is used: NUMBA_CACHE_DIR, ``__pycache__`` beside the modules, the
+    user's cache; None if none is writable.
     """
     name = f"{modules.name}_{hashlib.blake2b(bytes(modules), digest_size=8).hexdigest()}"
     folders = [modules / "__pycache__", user_cache("kernels") / name]
@@ -41,7 +42,7 @@ def _folder_of(modules: Path) -> Path | None:
 
 
 def _can_create(folder: Path) -> bool:
-    """Create a folder and a file in it."""
+    """Create a folder and a temporary file in the folder; return whether this works."""
     if not is_writable(folder):
         return False
     try:
@@ -66,7 +67,10 @@ class _Locator(caching.InTreeCacheLocator):  # type: ignore[misc]
         self._cache_path = str(_folder_of(Path(file).resolve().parent))
 
     def get_source_stamp(self) -> tuple[Any, bytes, str]:
-        """Return a stamp of all linked sources; Numba's own covers the kernel's file only."""
+        """Return a stamp of all sources that are compiled into the kernel.
+
+        Numba's own stamp covers the kernel's file only.
+        """
         return super().get_source_stamp(), self._linked, "with checksum"
 
 
@@ -75,7 +79,7 @@ class _Impl(caching.CompileResultCacheImpl):  # type: ignore[misc]
 
 
 class _Files(caching.IndexDataCacheFile):  # type: ignore[misc]
-    """Cache files with checksums; damaged files are ignored and replaced."""
+    """Cache files of compiled kernels with checksums; damaged files are replaced."""
 
     def _load_index(self) -> dict[Any, str]:
         try:
@@ -117,7 +121,7 @@ class _KernelCache(caching.Cache):  # type: ignore[misc]
         )
 
     def save_overload(self, signature: Any, result: Any) -> None:
-        """Save a compiled kernel; a full disk must not end a flight."""
+        """Save a compiled kernel on disk; warn if this fails, for instance on a full disk."""
         try:
             super().save_overload(signature, result)
         except OSError as error:
@@ -125,6 +129,9 @@ class _KernelCache(caching.Cache):  # type: ignore[misc]
 
 
 def enable_cache(dispatcher: Any, function: FunctionType) -> None:
-    """Cache a kernel on disk, if there is a writable folder."""
+    """Cache the compiled code of a kernel on disk, if there is a writable folder.
+
+    `dispatcher` is Numba's object for the kernel, `function` its Python function.
+    """
     if _folder_of(Path(function.__code__.co_filename).resolve().parent) is not None:
         dispatcher._cache = _KernelCache(function)

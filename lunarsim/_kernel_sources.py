@@ -28,8 +28,8 @@ _FOREIGN = sys.stdlib_module_names | {"numba", "numpy", "scipy"}
 def sources_digest(module: str) -> bytes:
     """Return a digest of all sources and constants compiled into a module's kernels.
 
-    It covers the files of all kernels that the module's kernels can call, in any package, and the
-    values of the constants in these modules.
+    The digest covers the files of all kernels that the module's kernels can call, in any package,
+    and the values of the constants in these modules.
 
     Parameters
     ----------
@@ -43,7 +43,7 @@ def sources_digest(module: str) -> bytes:
 
 
 def linked_modules(module: str) -> frozenset[str]:
-    """Return a module and all kernel modules that its kernels can call, by name."""
+    """Return the names of a module and of all modules whose kernels it can call."""
     found = {module}
     pending = [module]
     while pending:
@@ -56,7 +56,7 @@ def linked_modules(module: str) -> frozenset[str]:
 
 
 def _module_of(value: Any) -> str:
-    """Return the name of the module that defines an object, or of a module itself."""
+    """Return the name of the module that defines an object, or a module's own name."""
     if isinstance(value, ModuleType):
         return value.__name__
     value = _function_of(value) or value
@@ -64,7 +64,7 @@ def _module_of(value: Any) -> str:
 
 
 def _function_of(value: Any) -> Any:
-    """Return the Python function of a kernel or an intrinsic, None for anything else."""
+    """Return the Python function of a compiled kernel; None for any other object."""
     # Attributes of other objects are not accessed: some import modules or raise errors.
     if isinstance(value, PartitionedKernel):
         value = value.compiled
@@ -83,14 +83,20 @@ def _has_kernels(name: str) -> bool:
 
 
 def _contents(name: str) -> bytes:
-    """Return name, source (empty if interactive) and constants of a module."""
+    """Return name, source and constants of a module as bytes.
+
+    The source is empty for an interactive module.
+    """
     file = Path(getattr(sys.modules[name], "__file__", None) or "")
     constants = _constants(vars(sys.modules[name]))
     return repr((name, file.read_bytes() if file.is_file() else b"", constants)).encode()
 
 
 def _constants(names: dict[str, Any]) -> dict[str, str]:
-    """Return the values that kernels can compile in, without names such as `__file__`."""
+    """Return the constants in a module's names that kernels can compile in, by name.
+
+    Names such as `__file__` are omitted.
+    """
     return {k: _constant(v) for k, v in sorted(names.items()) if not k.startswith("__")}
 
 
@@ -99,7 +105,10 @@ _contents_when_complete = cache(_contents)
 
 
 def _constant(value: Any) -> str:
-    """Return what kernels can use of a global: its value, or a tuple class's fields."""
+    """Return text of what kernels can compile in of a global variable.
+
+    This is its value, or the fields of a tuple class; empty for other objects.
+    """
     if isinstance(value, _PLAIN):
         return repr(value)
     if isinstance(value, tuple):

@@ -10,7 +10,7 @@ from typing import Any
 def lazy_names(
     package: str, modules: Mapping[str, str], namespace: dict[str, Any]
 ) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
-    """Return `__getattr__` and `__dir__` of a module whose names are in other modules.
+    """Return `__getattr__` and `__dir__` of a module that imports names at first use.
 
     Parameters
     ----------
@@ -19,7 +19,7 @@ def lazy_names(
     modules
         Module of each public name.
     namespace
-        ``globals()`` of the module, which keeps what has been imported.
+        ``globals()`` of the module, in which imported objects are stored.
     """
 
     def get(name: str) -> Any:

@@ -47,7 +47,7 @@ class _LanesModel(models.PrimitiveModel):  # type: ignore[misc]
 
 
 def _place(context: Any, builder: Any, kind: Any, array: Any, at: Any) -> Any:
-    """Return the address of sixteen consecutive elements of an array."""
+    """Return the address of sixteen consecutive elements of an array from index `at`."""
     data = cgutils.create_struct_proxy(kind)(context, builder, array).data
     return builder.bitcast(builder.gep(data, [at]), _VECTOR.as_pointer())
 
@@ -65,7 +65,10 @@ def _want_line(array: Any, dtype: Any = None) -> None:
 
 @intrinsic  # type: ignore[untyped-decorator]
 def load(typing: Any, array: Any, at: Any) -> Any:
-    """Return sixteen elements of a contiguous float32 array (n,) from index `at`."""
+    """Return sixteen elements of a contiguous float32 array (n,) as a SIMD vector.
+
+    `at` is the index of the first element.
+    """
     _want_line(array, types.float32)
     _want(at, types.Integer)
 
@@ -77,7 +80,7 @@ def load(typing: Any, array: Any, at: Any) -> Any:
 
 @intrinsic  # type: ignore[untyped-decorator]
 def item(typing: Any, array: Any, at: Any) -> Any:
-    """Return one element of a contiguous array (n,); `at` must not be negative."""
+    """Return the element of a contiguous array (n,) at a non-negative index `at`."""
     _want_line(array)
     _want(at, types.Integer)
 
@@ -91,7 +94,10 @@ def item(typing: Any, array: Any, at: Any) -> Any:
 
 @intrinsic  # type: ignore[untyped-decorator]
 def store(typing: Any, array: Any, at: Any, value: Any) -> Any:
-    """Write sixteen elements of a contiguous float32 array (n,) from index `at`."""
+    """Write a SIMD vector to sixteen elements of a contiguous float32 array (n,).
+
+    `at` is the index of the first element.
+    """
     _want_line(array, types.float32)
     _want(at, types.Integer)
     _want(value, _Lanes)
@@ -107,7 +113,7 @@ def store(typing: Any, array: Any, at: Any, value: Any) -> Any:
 
 @intrinsic  # type: ignore[untyped-decorator]
 def lane_fill(typing: Any, number: Any) -> Any:
-    """Return a vector with the same number in all lanes."""
+    """Return a SIMD vector with the same number in all sixteen lanes."""
     _want(number, types.Number)
 
     def code(context: Any, builder: Any, signature: Any, args: Any) -> Any:
@@ -120,7 +126,10 @@ def lane_fill(typing: Any, number: Any) -> Any:
 
 
 def _binary(make: Callable[[Any, Any, Any], Any]) -> Any:
-    """Return a function of two vectors that compiles to `make(builder, a, b)`."""
+    """Return a compiled function of two SIMD vectors.
+
+    ``make(builder, a, b)`` generates its LLVM code.
+    """
 
     def typed(typing: Any, a: Any, b: Any) -> Any:
         _want(a, _Lanes)
@@ -142,7 +151,7 @@ lane_max = _binary(lambda builder, a, b: builder.select(builder.fcmp_ordered(">"
 
 
 def _operator(symbol: Any, function: Any) -> None:
-    """Overload an operator for two vectors, or for a vector and a number."""
+    """Overload an arithmetic operator for two SIMD vectors, or a vector and a number."""
 
     # No annotations: Numba compares this signature with those below.
     @overload(symbol)
@@ -166,7 +175,7 @@ for _symbol, _function in (
 
 
 def _unary(name: str) -> Any:
-    """Return a function of one vector that calls an LLVM intrinsic."""
+    """Return a compiled function of one SIMD vector, given an LLVM intrinsic's name."""
 
     def typed(typing: Any, a: Any) -> Any:
         _want(a, _Lanes)
@@ -189,7 +198,7 @@ lane_abs = _unary("fabs")
 
 @intrinsic  # type: ignore[untyped-decorator]
 def select_ge(typing: Any, a: Any, b: Any, yes: Any, no: Any) -> Any:
-    """Return `yes` in lanes with a >= b, and `no` in the others."""
+    """Return the values of `yes` in lanes with a >= b, and of `no` in the other lanes."""
     for argument in (a, b, yes, no):
         _want(argument, _Lanes)
 
@@ -201,7 +210,7 @@ def select_ge(typing: Any, a: Any, b: Any, yes: Any, no: Any) -> Any:
 
 @intrinsic  # type: ignore[untyped-decorator]
 def any_greater(typing: Any, a: Any, b: Any) -> Any:
-    """Return whether a > b in any lane."""
+    """Return whether a > b in any lane of two SIMD vectors."""
     _want(a, _Lanes)
     _want(b, _Lanes)
 

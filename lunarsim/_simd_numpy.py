@@ -1,4 +1,4 @@
-"""NumPy versions of the functions of `_lanes`, for NUMBA_DISABLE_JIT.
+"""NumPy versions of the functions of `_simd`, used with NUMBA_DISABLE_JIT.
 
 Vectors are arrays (16,).
 """
@@ -24,7 +24,7 @@ def load(array: Vector, at: int) -> Vector:
 
 
 def item(array: NDArray[Any], at: int) -> Any:
-    """Return one element."""
+    """Return the element of an array at index `at`."""
     return array[at]
 
 
@@ -35,7 +35,7 @@ def store(array: Vector, at: int, value: Vector) -> None:
 
 
 def lane_fill(number: float) -> Vector:
-    """Return a vector with the same number in all lanes."""
+    """Return a vector (16,) with the same number in all lanes."""
     return np.full(LANES, number, np.float32)
 
 
@@ -45,7 +45,7 @@ def lane_max(a: Vector, b: Vector) -> Vector:
 
 
 def lane_sqrt(a: Vector) -> Vector:
-    """Return the square lane_sqrt in each lane."""
+    """Return the square root in each lane."""
     return np.sqrt(a)
 
 
@@ -55,10 +55,10 @@ def lane_abs(a: Vector) -> Vector:
 
 
 def select_ge(a: Vector, b: Vector, yes: Vector, no: Vector) -> Vector:
-    """Return `yes` in lanes with a >= b, and `no` in the others."""
+    """Return the values of `yes` in lanes with a >= b, and of `no` in the other lanes."""
     return np.where(a >= b, yes, no)
 
 
 def any_greater(a: Vector, b: Vector) -> bool:
-    """Return whether a > b in any lane."""
+    """Return whether a > b in any lane of two vectors."""
     return bool((a > b).any())

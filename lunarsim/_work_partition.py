@@ -13,21 +13,22 @@ from typing import Any
 
 import numba
 
-from lunarsim._daemon_threads import DaemonThreads, NoThreadError
+from lunarsim._daemon_threads import DaemonThreads
+from lunarsim.errors import NoThreadError
 
 # One thread less than Numba's limit, because the calling thread works too.
 _threads = DaemonThreads(max(int(numba.config.NUMBA_NUM_THREADS) - 1, 1), "lunarsim-share")
 
 
 class PartitionedKernel:
-    """Run a compiled kernel on as many threads as Numba may use.
+    """Compiled kernel whose outer loop is distributed over Python threads.
 
     Parameters
     ----------
     compiled
-        Kernel that takes a tuple (first index, step) and then the arguments of the call. It does
-        the iterations first, first + step, ... of its outer loop, writes into the arrays that it
-        is given, and returns nothing.
+        Kernel whose first argument is a tuple (first index, step), followed by the arguments of the
+        call. It runs the iterations first, first + step, ... of its outer loop, writes its results
+        into array arguments, and returns nothing.
     """
 
     def __init__(self, compiled: Callable[..., Any]) -> None:
@@ -37,7 +38,7 @@ class PartitionedKernel:
         self._called = False
 
     def __call__(self, *args: Any) -> None:
-        """Run all parts and return when the last one has finished."""
+        """Run the kernel on all threads; return when the last thread has finished."""
         # The first call compiles, so further threads would only wait for it.
         shares = numba.get_num_threads() if self._called else 1
         if shares == 1:

@@ -15,7 +15,7 @@ MAX_ARRAY_BYTES = 64_000_000
 
 
 def read_arrays(path: Path, most: int = MAX_ARRAY_BYTES) -> dict[str, NDArray[Any]]:
-    """Return the arrays of a NumPy archive.
+    """Return the arrays of an untrusted NumPy archive (.npz) by name.
 
     Parameters
     ----------
@@ -42,10 +42,10 @@ def read_arrays(path: Path, most: int = MAX_ARRAY_BYTES) -> dict[str, NDArray[An
 
 
 def _read(file: zipfile.ZipFile, member: zipfile.ZipInfo) -> bytes:
-    """Return the bytes of a member, at most as many as it declares.
+    """Return the uncompressed bytes of a member, at most as many as it declares.
 
-    `ZipFile.read` decompresses everything before it checks the declared size, and so does every
-    other method of compression.
+    `ZipFile.read` decompresses everything before it checks the declared size. Compression methods
+    that NumPy does not use raise an error, because they cannot be limited.
     """
     if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
         raise ValueError("the compression method is not one that NumPy uses")

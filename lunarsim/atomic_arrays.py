@@ -1,6 +1,7 @@
 """Write files of arrays atomically.
 
-This module is separate from `whole_files`, because `--help` imports that and must not load NumPy.
+This module is separate from `atomic_files`, because `--help` imports `atomic_files` and must not
+load NumPy.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from lunarsim.atomic_files import atomic_write
 
 
 def atomic_write_arrays(path: Path, arrays: Mapping[str, Any]) -> None:
-    """Write named arrays as a compressed ``.npz`` file, atomically."""
+    """Write named arrays as a compressed ``.npz`` file atomically: complete or absent."""
 
     def write(part: Path) -> None:
         with part.open("wb") as file:

@@ -21,7 +21,8 @@ def atomic_write(path: Path, write: Callable[[Path], object]) -> None:
     path
         File to write. Readers find the old or the new file, never an incomplete one.
     write
-        Function that writes to the path it receives. That path has another suffix than `path`.
+        Function that writes the contents to the path in its argument, whose suffix differs from
+        that of `path`.
 
     Raises
     ------
@@ -42,7 +43,7 @@ def atomic_write(path: Path, write: Callable[[Path], object]) -> None:
 
 
 def atomic_write_text(path: Path, text: str) -> None:
-    """Write a text file atomically, in UTF-8."""
+    """Write a text file in UTF-8 atomically: it is complete or absent."""
 
     def write(part: Path) -> None:
         part.write_text(text, encoding="utf-8")
@@ -51,7 +52,7 @@ def atomic_write_text(path: Path, text: str) -> None:
 
 
 def read_json_with_format(path: Path, field: str, tag: str, hint: str = "") -> dict[str, Any]:
-    """Read a JSON file and check its key `format`.
+    """Read a JSON file and check that its key `format` has the value `tag`.
 
     Parameters
     ----------
@@ -83,7 +84,7 @@ def read_json_with_format(path: Path, field: str, tag: str, hint: str = "") -> d
 def new_contents_remover(folder: Path) -> Callable[[], None]:
     """Return a function that removes all files created in a folder after this call.
 
-    It also removes parent folders that were created after this call and are empty.
+    The function also removes parent folders that were created after this call and are empty.
     """
     above = next(p for p in (folder, *folder.absolute().parents) if p.exists()).absolute()
     before = set(folder.iterdir()) if folder.is_dir() else set()
@@ -101,7 +102,7 @@ def new_contents_remover(folder: Path) -> Callable[[], None]:
 
 @contextmanager
 def remove_contents_on_error(folder: Path) -> Iterator[None]:
-    """Remove new contents of a folder if the block that fills it raises an exception."""
+    """Remove the new contents of a folder if a `with` block raises an exception."""
     remove = new_contents_remover(folder)
     try:
         yield

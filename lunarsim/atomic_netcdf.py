@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 def atomic_write_netcdf(
     path: Path, dataset: xr.Dataset, encoding: Mapping[Hashable, Mapping[str, Any]] | None = None
 ) -> None:
-    """Write a dataset as a NetCDF file, atomically.
+    """Write an xarray dataset as a NetCDF file atomically (complete or absent).
 
     Parameters
     ----------

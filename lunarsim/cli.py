@@ -1,4 +1,4 @@
-"""The `lunarsim` command."""
+"""The `lunarsim` command: fly, compare, calibrate and render scenarios."""
 
 from __future__ import annotations
 
@@ -242,17 +242,17 @@ def calibrate(
 ) -> None:  # fmt: skip
     """Calibrate the Gaussian DEM's p_safe to one scenario's terrain.
 
-    The command flies SCENARIO with its own policy and draws random sites from the maps that divert
-    decisions used. It then fits the last stage of the calibration to the observed fraction of
-    truly safe sites: once inside the domain of the packaged calibration, once outside. To use the
-    file:
+    The command flies SCENARIO with its own policy and samples random sites of the maps that divert
+    decisions used. It then fits the last stage of the calibration to the observed fraction of truly
+    safe sites: once inside the domain of the calibration supplied with lunarsim, once outside. To
+    use the file:
 
     \b
       [mappers.NAME]
       kind = "gaussian-dem"
       calibration_path = "FILE.json"    # relative to the scenario file
 
-    The table compares the packaged probability with the refit on the same sites. Each flight is
+    The table compares the supplied calibration with the refit on the same sites. Each flight is
     evaluated with a refit to all other flights (leave-one-out); the 95 % intervals are bootstrapped
     over flights. Over measured terrain, all flights share the same terrain: the table then
     describes other flights over it, not other terrain. Calibration flights use a separate random
@@ -291,11 +291,11 @@ def calibrate(
 )  # fmt: skip
 @click.option(
     "--sun-elevation", type=float, default=None,
-    help="Elevation of the Sun above the horizon (deg). Default: that of the scenario.",
+    help="Elevation of the Sun above the horizon (deg). Default: value of the scenario.",
 )  # fmt: skip
 @click.option(
     "--sun-azimuth", type=float, default=None,
-    help="Azimuth of the Sun, clockwise from north (deg). Default: that of the scenario.",
+    help="Azimuth of the Sun, clockwise from north (deg). Default: value of the scenario.",
 )  # fmt: skip
 @click.option(
     "--off-nadir", type=float, default=0.0, show_default=True,
@@ -356,6 +356,7 @@ def render(
 
 
 def _comparison_table(result: Any) -> Table:
+    """Return the table of results that the `compare` command prints."""
     from rich.table import Table
 
     from lunarsim.evaluation.statistics import summarise_policies
@@ -394,7 +395,10 @@ def _comparison_table(result: Any) -> Table:
 
 
 def _extra_propellant(rows: list[dict[str, Any]], first: str | None, other: str) -> str:
-    """Return the mean extra propellant over the first law with its 95 % interval, kg."""
+    """Return the mean extra propellant of a law over the first law as text, kg.
+
+    The text includes the 95 % interval; `rows` are the result rows of all flights.
+    """
     from lunarsim.evaluation.statistics import mean_interval
     from lunarsim.viz.comparison import paired_differences
 

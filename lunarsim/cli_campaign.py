@@ -50,7 +50,7 @@ _RETRY = click.option(
 
 @click.group()
 def campaign() -> None:
-    """Run and analyse many flights declared in one file.
+    """Run and analyse many flights that one file defines.
 
     \b
       lunarsim campaign plan SPEC             # list the inputs of every flight
@@ -70,7 +70,7 @@ def campaign() -> None:
 def plan(spec: Path, out: Path | None) -> None:
     """Write the inputs of every flight of SPEC without flying.
 
-    SPEC is a TOML file that declares the campaign.
+    SPEC is the TOML file of the campaign.
     """
     from lunarsim.campaign.flight_execution import build_plan, check_files
     from lunarsim.campaign.spec import CampaignSpec
@@ -122,13 +122,13 @@ def run_command(
 ) -> None:  # fmt: skip
     """Fly the campaign SPEC, or continue it.
 
-    SPEC is a TOML file that declares the campaign. If the folder has results of an unfinished run,
+    SPEC is the TOML file of the campaign. If the folder has results of an unfinished run,
     the same command continues it.
     """
     from lunarsim.campaign.spec import CampaignSpec
 
     if address is not None and engine != "ray":
-        raise InputError("--address", address, "applies only to --engine ray")
+        raise InputError("--address", address, "must be omitted unless --engine is ray")
     loaded = CampaignSpec.load(spec)
     _fly_campaign(loaded, out, engine, jobs, address, retry_failed, (cache, cache_size))
 
@@ -137,7 +137,8 @@ def run_command(
 @scenario_options
 @click.option(
     "--over", "over", multiple=True, required=True,
-    help="Values of a key: KEY=A,B,C or KEY=LOW:HIGH:COUNT. Repeat to fly all combinations.",
+    help="Scenario key with the values to fly: KEY=A,B,C or KEY=LOW:HIGH:COUNT. Repeat to fly all "
+    "combinations.",
 )  # fmt: skip
 @click.option(
     "--flights", type=IntRange(min=1), default=20, show_default=True,
@@ -156,7 +157,7 @@ def sweep(
 ) -> None:  # fmt: skip
     """Fly SCENARIO for all combinations of some key values.
 
-    All combinations use the same random draws. This is a short form of `lunarsim campaign run`.
+    All combinations use the same random numbers. This is a short form of `lunarsim campaign run`.
 
     \b
     Example:
@@ -180,12 +181,15 @@ def sweep(
     except InputError as error:
         is_set = error.field.removeprefix("factors.") in of_swept_parts
         field = error.field.replace("factors.", "--set " if is_set else "--over ", 1)
-        raise error.renamed(field) from None
+        raise error.with_field(field) from None
     _fly_campaign(spec, out, "local", jobs, None, retry_failed, (cache, cache_size))
 
 
 def _print_warnings(spec: CampaignSpec) -> None:
-    """Print warnings about the scenario of the first flight of each arm."""
+    """Print the warnings about the scenario of each arm (variant) of a campaign.
+
+    The scenario of the arm's first flight is checked.
+    """
     from lunarsim.scenario.scenario_warnings import warnings_for
 
     found: dict[str, list[str]] = {}
@@ -202,7 +206,10 @@ def _fly_campaign(
     spec: CampaignSpec, out: Path, engine: str, jobs: int, address: str | None, retry: bool,
     cache: tuple[Path | None, float],
 ) -> None:  # fmt: skip
-    """Fly a campaign with a progress bar and print its outcome."""
+    """Fly a campaign with a progress bar and print its outcome.
+
+    `retry` repeats failed flights; `cache` is the folder and the maximum size (GiB) of the cache.
+    """
     from lunarsim.campaign.engines import make_engine
     from lunarsim.campaign.engines.local import WorkerStartError
     from lunarsim.campaign.fly_spec import fly_spec
@@ -210,7 +217,7 @@ def _fly_campaign(
     _print_warnings(spec)
     flies = make_engine(engine, jobs, address, spec.head.time_limit)
     kept = open_cache(*cache)
-    total = spec.most_flights * len(spec.arms)
+    total = spec.max_flights * len(spec.arms)
     with progress_bar(spec.head.name, total) as advance:
         try:
             ran = fly_spec(
@@ -252,10 +259,12 @@ def status(folder: Path) -> None:
     from lunarsim.campaign.results import read_status
 
     found = read_status(folder)
-    click.echo(f"{found.name}: {found.state}, {found.done} of {found.wanted} flights")
+    click.echo(f"{found.name}: {found.state}, {found.done} of {found.expected_rows} flights")
     if found.rate == found.rate:
         left = (
-            "" if found.done >= found.wanted else f", {_format_duration(found.seconds_left)} left"
+            ""
+            if found.done >= found.expected_rows
+            else f", {_format_duration(found.seconds_left)} left"
         )
         click.echo(f"{60.0 * found.rate:.1f} flights per minute{left}")
     for outcome, count in sorted(found.outcomes.items()):
@@ -311,7 +320,7 @@ def report(folder: Path, out: Path | None) -> None:
     help="Number of bootstrap resamples for the intervals.",
 )  # fmt: skip
 def sensitivity(folder: Path, metric: str, resamples: int) -> None:
-    """Print sensitivity indices of a metric to the dispersions.
+    """Print sensitivity indices of a metric to dispersed keys.
 
     Campaigns with method = "saltelli" give Sobol indices. All others give PAWN indices: the
     distance by which the metric's distribution moves when one key is fixed to a tenth of its
@@ -345,16 +354,27 @@ def sensitivity(folder: Path, metric: str, resamples: int) -> None:
 @_FOLDER
 @click.option(
     "--metric", default="safe", show_default=True,
-    help="True/false column (false is a failure), or number column with --above or --below.",
+    help="Result column that defines failures: true/false (false is a failure), or numbers with "
+    "--above or --below.",
 )  # fmt: skip
-@click.option("--above", type=float, default=None, help="Values above this limit are failures.")
-@click.option("--below", type=float, default=None, help="Values below this limit are failures.")
+@click.option(
+    "--above",
+    type=float,
+    default=None,
+    help="Flights whose metric is above this limit are failures.",
+)
+@click.option(
+    "--below",
+    type=float,
+    default=None,
+    help="Flights whose metric is below this limit are failures.",
+)
 def rare(folder: Path, metric: str, above: float | None, below: float | None) -> None:
     """Estimate the failure probability from a rare-event campaign.
 
     The campaign in FOLDER must use method "importance" or "subset". The estimate holds for the
-    dispersions as declared and has a 95 % interval. "Equivalent flights" is the number of plain
-    Monte Carlo flights with the same precision. Method "subset" also prints its levels.
+    dispersions in the campaign file and has a 95 % interval. "Equivalent flights" is the number of
+    plain Monte Carlo flights with the same precision. Method "subset" also prints its levels.
     """
     from rich.table import Table
 
@@ -367,17 +387,23 @@ def rare(folder: Path, metric: str, above: float | None, below: float | None) ->
     )  # fmt: skip
     found = load_results(folder)
     for s in estimate_failure_shares(found, metric, above, below):
-        interval = f"{s.value:.3g} [{s.low:.3g}, {s.high:.3g}]" + (" (rough)" if s.few else "")
+        interval = f"{s.value:.3g} [{s.low:.3g}, {s.high:.3g}]" + (
+            " (rough)" if s.is_approximate else ""
+        )
         interval = interval if s.value == s.value else "-"
-        worth = f"{s.worth:.3g}" if s.worth == s.worth else "-"
-        table.add_row(s.arm, str(s.flights), str(s.failures), str(s.left_out), interval, worth)
+        worth = (
+            f"{s.equivalent_flights:.3g}" if s.equivalent_flights == s.equivalent_flights else "-"
+        )
+        table.add_row(
+            s.arm, str(s.flights), str(s.failures), str(s.without_outcome), interval, worth
+        )
     wide_console(140).print(table)
     if found.is_subset:
         _print_levels(found)
 
 
 def _print_levels(found: Results) -> None:
-    """Print the levels of a subset simulation."""
+    """Print the table of the failure levels of a subset simulation."""
     from rich.table import Table
 
     from lunarsim.campaign.subset_estimate import completion_remark, level_table_rows, load_chains
@@ -398,7 +424,7 @@ def _print_levels(found: Results) -> None:
 @click.argument("second", type=PATH, metavar="B")
 @click.option(
     "--margin", type=FloatRange(0.0, 1.0, min_open=True), default=0.05, show_default=True,
-    help="Largest difference of the fraction that counts as equivalent.",
+    help="Maximum difference of the success fraction that counts as equivalent.",
 )  # fmt: skip
 @click.option(
     "--metric", default="safe", show_default=True, help="Result column to compare (true/false)."
@@ -410,9 +436,10 @@ def _print_levels(found: Results) -> None:
 def diff(first: Path, second: Path, margin: float, metric: str, require_equivalent: bool) -> None:
     """Compare campaigns A and B, paired by flight.
 
-    The exit code is 1 if an arm of B is worse. "Worse" means that McNemar's exact test is
-    significant at 5 % after Holm's correction over all arms. "Equivalent" means that the 90 %
-    interval of the difference lies within the margin (two one-sided tests at 5 %).
+    An arm is one variant of a campaign. The exit code is 1 if an arm of B is worse. "Worse" means
+    that McNemar's exact test is significant at 5 % after Holm's correction over all arms.
+    "Equivalent" means that the 90 % interval of the difference lies within the margin (two
+    one-sided tests at 5 %).
     """
     from rich.table import Table
 

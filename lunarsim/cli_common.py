@@ -43,7 +43,7 @@ class FloatRange(click.FloatRange):
 
 
 class ErrorReportingGroup(click.Group):
-    """Report a user's mistake as one line with exit code 2."""
+    """Click command group that reports a user's mistake as one line with exit code 2."""
 
     def invoke(self, ctx: click.Context) -> Any:
         """Run a command and turn its known exceptions into messages and exit codes."""
@@ -77,7 +77,10 @@ class ErrorReportingGroup(click.Group):
 
 
 def _exit_with_message(ctx: click.Context, message: str, code: int, kind: str = "error: ") -> None:
-    """Print a message as one line on stderr and exit."""
+    """Print a message as one line on stderr and exit with a code.
+
+    `kind` is the prefix of the message.
+    """
     click.echo(kind + " ".join(message.split()), err=True)
     ctx.exit(code)
 
@@ -99,13 +102,13 @@ FLIGHT = click.option(
 
 
 def _allow(ctx: click.Context, _: click.Parameter, names: tuple[str, ...]) -> None:
-    """Allow modules while the command runs."""
+    """Allow files to run code of the named Python modules while the command runs."""
     from lunarsim.parts.module_permission import modules_allowed
 
     try:
         ctx.with_resource(modules_allowed(names))
     except InputError as error:
-        raise error.renamed("--allow-module") from None
+        raise error.with_field("--allow-module") from None
 
 
 ALLOW_MODULE = click.option(
@@ -115,14 +118,14 @@ ALLOW_MODULE = click.option(
 
 
 def allow_named_modules(*texts: str | None) -> None:
-    """Allow modules that the user names as "module:Class" on the command line."""
+    """Allow files to run the modules that the user names as "module:Class"."""
     from lunarsim.parts.module_permission import find_module_names, modules_allowed
 
     click.get_current_context().with_resource(modules_allowed(find_module_names(texts)))
 
 
 def scenario_options(command: F) -> F:
-    """Add the argument SCENARIO and the options ``--set`` and ``--allow-module``."""
+    """Add SCENARIO, ``--set`` and ``--allow-module`` to a click command; return it."""
     return _FILE(_SET(ALLOW_MODULE(command)))
 
 
@@ -137,12 +140,12 @@ _CACHE_SIZE = click.option(
 
 
 def cache_options(command: F) -> F:
-    """Add the options of the cache of true terrain maps."""
+    """Add the options of the cache of true terrain maps to a click command; return it."""
     return _CACHE(_CACHE_SIZE(command))
 
 
 def open_cache(folder: Path | None, gigabytes: float) -> DiskCache | None:
-    """Return the cache in a folder, or None if the cache is disabled (size 0)."""
+    """Return the cache of true terrain maps in a folder, or None if disabled (size 0)."""
     from lunarsim.campaign.cache import default_cache_folder, open_cache
 
     if not math.isfinite(gigabytes):
@@ -164,12 +167,13 @@ def load_scenario(
     Parameters
     ----------
     given
-        File, or name of a scenario that comes with the package.
+        TOML file, or name of a scenario supplied with lunarsim.
     changes
-        Texts ``KEY=VALUE``. They apply to the parts that `parts` names.
+        Texts ``KEY=VALUE``. They apply after the kinds in `parts` have been selected.
     parts
-        Kind of part by contract, as given by options such as ``--guidance``; None keeps the
-        scenario's part. Another kind than the scenario's starts from its defaults.
+        Selected kind by contract (such as "guidance" or "policy"), as given by options such as
+        ``--guidance``; None keeps the scenario's kind. A kind that differs from the scenario's has
+        its default settings.
     flown
         Whether a flight follows; only then are warnings printed.
 
@@ -194,7 +198,10 @@ def load_scenario(
 
 
 def _with_part(scenario: Scenario, contract: str, kind: str | None) -> Scenario:
-    """Return a scenario with a part of another kind, with that kind's defaults."""
+    """Return a scenario with a component of another kind, with that kind's defaults.
+
+    `contract` is the type of component, such as "guidance"; None as `kind` changes nothing.
+    """
     from lunarsim.parts import resolve
 
     if kind is None or kind == getattr(scenario, contract).kind:
@@ -208,7 +215,7 @@ def _with_part(scenario: Scenario, contract: str, kind: str | None) -> Scenario:
 
 
 def wide_console(width: int) -> Console:
-    """Return a console for tables, `width` columns wide if stdout is not a terminal."""
+    """Return a Rich console for tables, `width` columns wide if not on a terminal."""
     from lunarsim.console import plain_console
 
     return plain_console(None if sys.stdout.isatty() else width)
@@ -216,7 +223,10 @@ def wide_console(width: int) -> Console:
 
 @contextmanager
 def add_to_interrupt_message(what: str) -> Iterator[None]:
-    """Add a text to the message of an interrupt, such as what was written before it."""
+    """Add a text to the message of an interrupt that occurs in a `with` block.
+
+    The text `what` states, for instance, which files have been written.
+    """
     try:
         yield
     except KeyboardInterrupt:
@@ -225,7 +235,10 @@ def add_to_interrupt_message(what: str) -> Iterator[None]:
 
 @contextmanager
 def progress_bar(name: str, total: int) -> Iterator[Callable[[int], None]]:
-    """Show a progress bar on stderr; yield a function that advances it."""
+    """Show a progress bar on stderr in a `with` block; yield a function to advance it.
+
+    `name` is the text beside the bar, `total` the number of steps.
+    """
     from lunarsim.console import plain_console, plain_progress
 
     with plain_progress(plain_console(stderr=True)) as bar:

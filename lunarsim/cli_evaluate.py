@@ -55,7 +55,7 @@ from lunarsim.errors import InputError, check_folder
 )  # fmt: skip
 @click.option(
     "--action", "decided", multiple=True, metavar="PART", show_default="site",
-    help="Component of the action that the agents choose in Retarget-v0: site or stretch (time "
+    help="Component of the action that the agents choose in Retarget-v0: site or time_scale (time "
     "scale of the divert). Repeatable.",
 )  # fmt: skip
 @click.option(
@@ -70,7 +70,7 @@ from lunarsim.errors import InputError, check_folder
 )  # fmt: skip
 @click.option(
     "--within", type=FloatRange(min=0.0, min_open=True), default=10.0, show_default=True,
-    help="Maximum distance from the target for a landing on target (m).",
+    help="Maximum distance from the target at which a landing counts as on target (m).",
 )  # fmt: skip
 @click.option(
     "--out", type=PATH, default=None, help="New folder for results.parquet and summary.json."

@@ -15,7 +15,8 @@ from lunarsim.errors import check_output
 def parts(contract: str | None) -> None:
     """List the parts a scenario can use.
 
-    CONTRACT selects one group, for example guidance or policy.
+    A part is a component that a scenario selects by its `kind`, for example a guidance law.
+    CONTRACT selects one group of parts, for example guidance or policy.
     """
     from lunarsim.scenario.reference import parts_list
 
@@ -58,7 +59,7 @@ def check(scenario: Path, changes: tuple[str, ...]) -> None:
 
 @scenario.command("list")
 def list_command() -> None:
-    """List the scenarios that come with the package."""
+    """List the scenarios supplied with lunarsim."""
     from lunarsim.scenario import shipped
 
     for name, path in shipped.names().items():
@@ -68,10 +69,27 @@ def list_command() -> None:
 @scenario.command()
 @click.argument("name")
 def show(name: str) -> None:
-    """Print the file of the packaged scenario NAME."""
+    """Print the file of scenario NAME supplied with lunarsim."""
     from lunarsim.scenario import shipped
 
     click.echo(shipped.path_of(name).read_text(encoding="utf-8"), nl=False)
+
+
+@scenario.command()
+@click.argument("file", type=PATH)
+def upgrade(file: Path) -> None:
+    """Rename the keys in FILE that had other names earlier.
+
+    FILE is a scenario or a campaign file. Only names change; comments and layout stay. The command
+    prints each change.
+    """
+    from lunarsim.scenario.upgrade import upgrade_file
+
+    changes = upgrade_file(file)
+    for change in changes:
+        click.echo(change)
+    if not changes:
+        click.echo(f"{file}: no key to rename")
 
 
 @scenario.command()
@@ -81,7 +99,7 @@ def show(name: str) -> None:
     help="TOML file to write. Data files are copied to the same folder.",
 )  # fmt: skip
 def new(name: str, out: Path | None) -> None:
-    """Copy the packaged scenario NAME and its data files."""
+    """Copy scenario NAME of lunarsim and its data files."""
     from lunarsim.scenario import shipped
 
     source = shipped.path_of(name)

@@ -26,14 +26,14 @@ _exit_codes: list[int] = []
 
 
 def acknowledge_interrupt() -> None:
-    """Acknowledge the interrupt, so that it is not raised again."""
+    """Acknowledge the pending interrupt (Ctrl-C), so that it is not raised again."""
     if _pending_interrupts:
         signal.setitimer(signal.ITIMER_REAL, 0.0)
         _pending_interrupts.clear()
 
 
 def run(command: Callable[[], Any]) -> None:
-    """Run a command until it ends or is interrupted."""
+    """Run a command (a function); after an interrupt, exit with code 130 and one line."""
     _check_process()
     # Workers start as `python -c`, which would import modules from the working folder, for example
     # an unrelated multiprocessing.py. They use the search path of this process instead.
@@ -91,7 +91,10 @@ def _check_process() -> None:
 
 
 def interrupt_message(error: KeyboardInterrupt) -> str:
-    """Return the message of an interrupt, with the text that its raiser added."""
+    """Return the message that the user sees after an interrupt.
+
+    It contains the text of the exception, if there is any.
+    """
     return f"interrupted: {error}" if error.args else "interrupted"
 
 
@@ -109,7 +112,7 @@ def _exit_interrupted() -> None:
 
 
 def _raise_interrupt(number: int, frame: FrameType | None) -> None:
-    """Raise the interrupt now, and again until it is acknowledged."""
+    """Handle SIGINT or SIGTERM: raise KeyboardInterrupt until it is acknowledged."""
     _pending_interrupts.append(number)
     signal.signal(signal.SIGALRM, _raise_again)
     signal.setitimer(signal.ITIMER_REAL, _RERAISE_INTERVAL_S, _RERAISE_INTERVAL_S)
@@ -117,7 +120,7 @@ def _raise_interrupt(number: int, frame: FrameType | None) -> None:
 
 
 def _raise_again(number: int, frame: FrameType | None) -> None:
-    """Raise the interrupt again, unless it is still propagating."""
+    """Handle the timer: raise KeyboardInterrupt again, unless it still propagates."""
     error = sys.exception()
     while error is not None and not isinstance(error, KeyboardInterrupt):
         error = error.__context__
@@ -126,6 +129,9 @@ def _raise_again(number: int, frame: FrameType | None) -> None:
 
 
 def _ignore_lost_interrupt(unraisable: Any) -> None:
-    """Ignore lost interrupts, which are raised again; report other exceptions."""
+    """Ignore an interrupt that Python could not raise; report other exceptions.
+
+    A lost interrupt is raised again by the timer.
+    """
     if not isinstance(unraisable.exc_value, KeyboardInterrupt):
         sys.__unraisablehook__(unraisable)

@@ -35,7 +35,10 @@ def terrain() -> None:
 )  # fmt: skip
 @click.option("--unit", help="Unit of the heights: m, km, ft or us-ft.")
 @click.option(
-    "--nodata", type=float, multiple=True, help="Value that marks posts without data. Repeatable."
+    "--nodata",
+    type=float,
+    multiple=True,
+    help="Value that marks grid points without data. Repeatable.",
 )
 def info(
     file: Path, window: tuple[int, int, int, int] | None, unit: str | None,
@@ -55,7 +58,7 @@ def info(
 
 
 def _description(found: DtmInfo) -> Iterator[tuple[str, str]]:
-    """Yield name and value of the rows that `terrain info` prints."""
+    """Yield name and value of each row of the table that `terrain info` prints."""
     yield "file", str(found.path)
     yield "format", found.driver
     yield "posts", f"{found.rows} x {found.cols} (rows x columns)"

@@ -18,7 +18,7 @@ _REPORT_INTERVAL_S = 5.0
 
 
 class _Helper:
-    """A second process that compiles kernels which the flight needs later.
+    """Second process that compiles kernels which the flight needs later.
 
     Parameters
     ----------
@@ -32,7 +32,7 @@ class _Helper:
         self._process: subprocess.Popen[bytes] | None = None
 
     def start(self) -> None:
-        """Start the process without output, if there is a second processor."""
+        """Start the process, with its output discarded, if there is a second processor."""
         if self._command and len(os.sched_getaffinity(0)) > 1:
             self._process = subprocess.Popen(
                 [sys.executable, "-m", *self._command, "--parent", str(os.getpid())],
@@ -48,7 +48,9 @@ class _Helper:
 
 @contextmanager
 def report_compilation(beside: Sequence[str] = ()) -> Iterator[None]:
-    """Print the number of compiled kernels on stderr while a block compiles any.
+    """Print the progress of kernel compilation on stderr while a `with` block runs.
+
+    The text is the number of compiled kernels; nothing is printed if none is compiled.
 
     Parameters
     ----------
@@ -60,14 +62,14 @@ def report_compilation(beside: Sequence[str] = ()) -> Iterator[None]:
     helper = _Helper(beside)
 
     class CompileListener(event.Listener):  # type: ignore[misc]
-        """Count compilations; nested ones count as part of the outer one for the time."""
+        """Count compilations; a nested compilation's time is part of the outer one's."""
 
         def __init__(self) -> None:
             self.count = self.depth = 0
             self.seconds = self.begun = self.last = 0.0
 
         def on_start(self, event: Any) -> None:
-            """Announce the first compilation and start the helper."""
+            """Count a compilation; at the first one, print a message and start the helper."""
             self.depth += 1
             if self.depth > 1:
                 return
@@ -78,7 +80,7 @@ def report_compilation(beside: Sequence[str] = ()) -> Iterator[None]:
                 helper.start()
 
         def on_end(self, event: Any) -> None:
-            """Print the progress if enough time has passed."""
+            """Count the end of a compilation; print the progress if enough time has passed."""
             self.depth -= 1
             self.count += 1
             if self.depth:

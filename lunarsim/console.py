@@ -19,12 +19,12 @@ from rich.progress import (
 def plain_console(
     width: int | None = None, *, stderr: bool = False, soft_wrap: bool = False
 ) -> Console:
-    """Return a console without markup and emoji codes.
+    """Return a Rich console that prints text as it is, without markup and emoji codes.
 
     Parameters
     ----------
     width
-        Number of columns; omitted: that of the terminal.
+        Number of columns; omitted: the width of the terminal.
     stderr
         Print to standard error instead of standard output.
     soft_wrap
@@ -34,14 +34,14 @@ def plain_console(
 
 
 def plain_progress(console: Console, *, transient: bool = False) -> Progress:
-    """Return a progress display whose descriptions are printed without markup.
+    """Return a Rich progress display that prints descriptions as they are.
 
     Parameters
     ----------
     console
-        The console to draw on.
+        Console that shows the display.
     transient
-        Remove the display at its end.
+        Whether the display is removed when it ends.
     """
     columns = (
         TextColumn("{task.description}", markup=False),

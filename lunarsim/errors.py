@@ -12,18 +12,20 @@ from pathlib import Path
 
 
 class InputError(ValueError):
-    """Report an unusable value given by the user.
+    """Error that reports an unusable value given by the user.
 
     Parameters
     ----------
     field
-        Name of the field, option or argument, for instance ``lander.dry_mass_kg``.
+        Name of the field, option or argument, for instance ``vehicle.dry_mass_kg``.
     value
-        Value given.
+        Value that the user gave.
     problem
         Clause that follows the field: ``must be positive``.
     remedy
         Sentence with the remedy; it can be omitted if the problem implies it.
+    show_value
+        Whether the message contains the value. False suits an error about a key or a name.
 
     Examples
     --------
@@ -31,26 +33,32 @@ class InputError(ValueError):
     rocks.cover: must be at most 0.2, got 0.5.
     >>> print(InputError("jobs", 0, "must be 1 or more", "Omit it to use every processor."))
     jobs: must be 1 or more, got 0. Omit it to use every processor.
+    >>> print(InputError("sun.glow", 0.5, "is an unknown key", show_value=False))
+    sun.glow: is an unknown key.
     """
 
-    def __init__(self, field: str, value: object, problem: str, remedy: str = "") -> None:
+    def __init__(
+        self, field: str, value: object, problem: str, remedy: str = "", show_value: bool = True
+    ) -> None:
         self.field = field
         self.value = value
         self.problem = problem
         self.remedy = remedy
-        message = f"{field}: {problem}, got {_format_value(value)}."
+        self.show_value = show_value
+        got = f", got {_format_value(value)}" if show_value else ""
+        message = f"{field}: {problem}{got}."
         super().__init__(f"{message} {remedy}" if remedy else message)
 
-    def __reduce__(self) -> tuple[type[InputError], tuple[str, object, str, str]]:
-        return InputError, (self.field, self.value, self.problem, self.remedy)
+    def __reduce__(self) -> tuple[type[InputError], tuple[str, object, str, str, bool]]:
+        return InputError, (self.field, self.value, self.problem, self.remedy, self.show_value)
 
-    def renamed(self, field: str) -> InputError:
-        """Return the same error under another field name."""
-        return InputError(field, self.value, self.problem, self.remedy)
+    def with_field(self, field: str) -> InputError:
+        """Return the same error with another field name."""
+        return InputError(field, self.value, self.problem, self.remedy, self.show_value)
 
 
 def check_types(where: str, settings: object) -> None:
-    """Check that numeric and boolean fields of a dataclass have the declared type.
+    """Check that numeric and boolean fields of a dataclass have the annotated type.
 
     Parameters
     ----------
@@ -63,7 +71,7 @@ def check_types(where: str, settings: object) -> None:
     Raises
     ------
     InputError
-        Naming the first field with another type.
+        If a field has another type; the error names the first such field.
     """
     for one in fields(settings):  # type: ignore[arg-type]
         value, kind = getattr(settings, one.name), str(one.type)
@@ -100,7 +108,7 @@ _KINDS = (
 
 
 def _format_value(value: object) -> str:
-    """Return the repr of a value, shortened if nested too deep or too long."""
+    """Return the repr of a value for an error message, shortened if it is too long."""
     try:
         return repr(value)
     except RecursionError:
@@ -109,8 +117,12 @@ def _format_value(value: object) -> str:
         return f"a value of type {type(value).__name__} that is too long to show"
 
 
+class NoThreadError(RuntimeError):
+    """Error: no thread can be started any more in this process."""
+
+
 class RenderingError(RuntimeError):
-    """Report that the machine cannot render; the message names what to install."""
+    """Error: this machine cannot render images; the message names what to install."""
 
 
 def check_folder(out: Path, *, hidden: bool = True) -> None:
@@ -128,7 +140,7 @@ def check_folder(out: Path, *, hidden: bool = True) -> None:
     Raises
     ------
     InputError
-        Naming ``--out``.
+        If the folder is unsuitable; the error names the option ``--out``.
     """
     if out.exists() and not out.is_dir():
         raise InputError("--out", str(out), "must be a folder, not a file")
@@ -138,12 +150,12 @@ def check_folder(out: Path, *, hidden: bool = True) -> None:
 
 
 def check_writable(out: Path) -> None:
-    """Check that a folder is writable or can be created, without creating it.
+    """Check that the folder `out` is writable or can be created, without creating it.
 
     Raises
     ------
     InputError
-        Naming ``--out``.
+        If the folder is not writable; the error names the option ``--out``.
     """
     there = next(p for p in (out, *out.absolute().parents) if p.exists())
     try:
@@ -157,12 +169,21 @@ def check_writable(out: Path) -> None:
 
 
 def check_output(field: str, path: Path, suffix: str) -> None:
-    """Check the suffix of an output file, and that its folder exists and is writable.
+    """Check that an output file has the right suffix and can be written.
+
+    Parameters
+    ----------
+    field
+        Option that an error names, such as ``--out``.
+    path
+        File to write; its folder must exist and be writable.
+    suffix
+        Required suffix, such as ``.png``.
 
     Raises
     ------
     InputError
-        Naming `field`.
+        If a condition is not met; the error names `field`.
     """
     if path.suffix.lower() != suffix:
         raise InputError(field, str(path), f"must be a file name that ends in {suffix}")
@@ -179,7 +200,9 @@ def check_output(field: str, path: Path, suffix: str) -> None:
 
 
 def suggestion(name: str, known: Iterable[str]) -> str:
-    """Return a sentence with the known name closest to `name`, or with all names.
+    """Return a sentence with the known name closest to a mistyped name.
+
+    If no name is close, the sentence lists all known names.
 
     Examples
     --------

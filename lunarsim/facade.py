@@ -27,12 +27,14 @@ POLICIES = ("no-divert", "safest", "nearest-safe", "fuel-aware", "truth-oracle")
 
 
 def load_scenario(scenario: Scenario | str | Path) -> Scenario:
-    """Return a scenario given by name, by file or as it is.
+    """Return a scenario from a name, from a file, or unchanged if it is a `Scenario`.
 
     Parameters
     ----------
     scenario
-        Name of a scenario of the package (`scenario_names`), path of a TOML file, or a scenario.
+        Name of a scenario supplied with lunarsim (`lunarsim scenario list`), path of a TOML file,
+        or a
+        `Scenario`.
 
     Raises
     ------
@@ -57,7 +59,7 @@ def fly(
     flight: int = 0,
     **changes: Unpack[FlightChanges],
 ) -> Flight:
-    """Fly one descent and return its record.
+    """Simulate one descent of a scenario and return the flight record.
 
     ``fly(name, seed=1)`` is the flight of ``lunarsim fly name --seed 1``, bit by bit.
 
@@ -66,19 +68,20 @@ def fly(
     scenario
         Name of a scenario of the package, path of a TOML file, or a scenario.
     policy
-        Retargeting policy: a name of `part_names("policy")`, "module:Class" or an object; None:
-        the scenario's.
+        Retargeting policy: a name of `lunarsim parts policy`, "module:Class" or an object; None:
+        the policy of the scenario.
     guidance
-        Guidance law: a name of `part_names("guidance")` or "module:Class"; None: the scenario's.
+        Guidance law: a name of `lunarsim parts guidance` or "module:Class"; None: the law of the
+        scenario.
     seed, flight
         Root seed and index of the flight: terrain, start and noise derive from them.
     changes
-        Other values of the scenario's tables: ``rocks={"cover": 0.08}``.
+        Values that replace values in the scenario's tables: ``rocks={"cover": 0.08}``.
 
     Raises
     ------
     InputError
-        If the scenario, a change or a part cannot be used.
+        If the scenario, a change, the policy or the guidance law is invalid.
 
     Examples
     --------
@@ -113,25 +116,28 @@ def compare(
     guidance: Sequence[str] = (),
     out: str | Path | None = None,
 ) -> CompareResult:
-    """Fly several policies, or guidance laws, over the same worlds.
+    """Fly several policies or guidance laws on identical flights; return the results.
+
+    All policies and laws fly the same terrain, start states and noise.
 
     Parameters
     ----------
     scenario
         Name of a scenario of the package, path of a TOML file, or a scenario.
     policies
-        Names, "module:Class", or objects that can be pickled where `jobs` is more than 1.
+        Retargeting policies: names, "module:Class", or objects (picklable if `jobs` is above 1).
     flights, seed, jobs
-        Flights of each policy, root seed, and processes; results do not depend on `jobs`.
+        Number of flights of each policy, root seed, and number of processes; results do not depend
+        on `jobs`.
     guidance
-        Guidance laws, each flown under every policy; empty: the scenario's.
+        Guidance laws, each flown under every policy; empty: the law of the scenario.
     out
-        Folder for results, records and figures; None: only the returned result.
+        Folder for results, flight records and figures; None: no files are written.
 
     Raises
     ------
     InputError
-        If the request or the scenario cannot be used.
+        If an argument or the scenario is invalid.
 
     Examples
     --------
@@ -149,20 +155,24 @@ def compare(
 
 
 def render(scenario: Scenario | str | Path = "hirise", **options: Any) -> SceneImage:
-    """Render the target area of a scenario with its first camera.
+    """Render an image of a scenario's target area with its first camera.
 
     Parameters
     ----------
     scenario
         Name of a scenario of the package, path of a TOML file, or a scenario.
     options
-        Keywords of `lunarsim.simulation.image_rendering.render`: ``altitude=60.0`` (m),
-        ``sun_elevation_deg=5.0``, ``ideal=True``, ``seed=2`` and others.
+        ``altitude``: height of the camera above the terrain at the target, m, 100 by default;
+        ``sun_elevation_deg`` and ``sun_azimuth_deg``: direction of the Sun, by default the
+        scenario's; ``off_nadir_deg`` and ``heading_deg``: angle of the boresight from nadir, and
+        azimuth of the top of the image; ``exposure``: exposure time, s, by default automatic;
+        ``ideal=True``: no blur, noise and distortion; ``truth=True``: keep radiance, range, normal
+        and identity of every pixel; ``seed`` and ``flight``: flight whose world is rendered.
 
     Raises
     ------
     InputError
-        If a value cannot be used.
+        If the scenario or an option is invalid.
     RenderingError
         If OpenGL is missing; the message names the package to install.
 

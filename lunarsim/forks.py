@@ -13,22 +13,25 @@ _state = {"is_unsafe": False}
 
 
 def watch_forks() -> None:
-    """Check at every fork from now on whether the child inherits OpenMP threads."""
+    """Register a check at every process fork for inherited OpenMP threads.
+
+    `check` then raises an error in such a child process.
+    """
     os.register_at_fork(after_in_child=_mark_if_openmp_runs)
 
 
 def mark_unsafe() -> None:
-    """Note, in a forked child, that it inherits what does not survive a fork."""
+    """Note that this forked process inherits OpenMP or OpenGL state and cannot fly."""
     _state["is_unsafe"] = True
 
 
 def check() -> None:
-    """Raise an error in a process that was forked after a flight or an image.
+    """Raise an error in a process that was forked after a flight or a rendered image.
 
     Raises
     ------
     RuntimeError
-        With the line to type.
+        If the process is unsafe; the message states how to start processes instead.
     """
     if _state["is_unsafe"]:
         raise RuntimeError(

@@ -34,7 +34,9 @@ Array = NDArray[np.float64]
 
 
 def rotation_about_up(angle: float) -> Array:
-    """Return the rotation matrix (3, 3) for an angle about the up axis, rad.
+    """Return the matrix (3, 3) of a counterclockwise rotation about the up axis.
+
+    `angle` is in rad.
 
     Examples
     --------
@@ -54,8 +56,8 @@ class SiteToLocal:
     offset
         Origin of the site frame in local coordinates (3,), m.
     turn
-        Rotation of the site frame about up, rad. A positive angle turns the site's east axis
-        towards the local north axis.
+        Counterclockwise angle about up, rad, from the local axes to the site axes. A positive angle
+        turns the site's east axis towards the local north axis.
 
     Examples
     --------
@@ -83,7 +85,7 @@ class SiteToLocal:
 
 
 def normalised(v: ArrayLike) -> Array:
-    """Return `v` (..., n) scaled to unit length along the last axis.
+    """Return vectors `v` (..., n) scaled to unit length along the last axis.
 
     Raises
     ------
@@ -115,7 +117,7 @@ def is_rotation(q: ArrayLike) -> bool:
 
 
 def is_position(position: ArrayLike) -> bool:
-    """Return whether `position` is three finite numbers.
+    """Return whether a value consists of three finite numbers.
 
     Examples
     --------
@@ -126,7 +128,7 @@ def is_position(position: ArrayLike) -> bool:
 
 
 def _numbers(values: ArrayLike, count: int) -> NDArray[np.float64] | None:
-    """Return values as an array (count,) if they are finite numbers, otherwise None."""
+    """Return values as an array (count,) if all are finite numbers, otherwise None."""
     try:
         array = np.asarray(values, dtype=np.float64)
     except (TypeError, ValueError):
@@ -135,7 +137,7 @@ def _numbers(values: ArrayLike, count: int) -> NDArray[np.float64] | None:
 
 
 def quat_multiply(p: ArrayLike, q: ArrayLike) -> Array:
-    """Return the product ``p q`` (rotation by q, then by p) of quaternions (..., 4).
+    """Return the quaternion product ``p q`` (..., 4): rotation by q, then by p.
 
     Examples
     --------
@@ -164,7 +166,7 @@ def quat_conjugate(q: ArrayLike) -> Array:
 
 
 def quat_to_matrix(q: ArrayLike) -> Array:
-    """Return direction cosine matrices (..., 3, 3), body to ENU, of quaternions.
+    """Return rotation matrices (..., 3, 3), body to ENU, from quaternions (..., 4).
 
     The quaternions must have unit length.
 
@@ -200,7 +202,7 @@ def quat_rotate(q: ArrayLike, v: ArrayLike) -> Array:
 
 
 def quat_from_rotation_vector(phi: ArrayLike) -> Array:
-    """Return the unit quaternions (..., 4) of rotation vectors (..., 3), rad.
+    """Return unit quaternions (..., 4) from rotation vectors (..., 3), rad.
 
     Examples
     --------
@@ -215,7 +217,7 @@ def quat_from_rotation_vector(phi: ArrayLike) -> Array:
 
 
 def quat_to_rotation_vector(q: ArrayLike) -> Array:
-    """Return the shortest rotation vectors (..., 3), rad, of quaternions (..., 4).
+    """Return the shortest rotation vectors (..., 3), rad, from quaternions (..., 4).
 
     The quaternions must have unit length.
 
@@ -246,7 +248,9 @@ def quat_angle(p: ArrayLike, q: ArrayLike) -> Array:
 
 
 def attitude_from_thrust(direction: ArrayLike, heading: float) -> Array:
-    """Return the quaternion with body z along `direction`, body x near `heading`.
+    """Return the attitude quaternion (4,) with body z along a thrust direction.
+
+    Body x is as near as possible to the heading.
 
     Parameters
     ----------
@@ -291,7 +295,9 @@ def matrix_to_quat(m: ArrayLike) -> Array:
 
 
 def heading_of(q: ArrayLike) -> float:
-    """Return the azimuth (rad, clockwise from north) of the horizontal part of body x.
+    """Return the azimuth of body x in the horizontal plane, rad, from an attitude.
+
+    The azimuth is clockwise from north; `q` (4,) is the attitude, body to ENU.
 
     Examples
     --------
@@ -303,7 +309,7 @@ def heading_of(q: ArrayLike) -> float:
 
 
 def direction_from_angles(azimuth: float, elevation: float) -> Array:
-    """Return the ENU unit vector (3,) at an azimuth and an elevation (rad).
+    """Return the ENU unit vector (3,) at an azimuth and an elevation angle (rad).
 
     Examples
     --------
@@ -315,9 +321,10 @@ def direction_from_angles(azimuth: float, elevation: float) -> Array:
 
 
 def sensor_axes(boresight: ArrayLike) -> Array:
-    """Return the matrix (3, 3), sensor to ENU, for a boresight direction (3,).
+    """Return the matrix (3, 3), sensor to ENU, for a boresight direction in ENU (3,).
 
-    The image x axis is horizontal. For a boresight straight down, x points east and y south.
+    The sensor has no roll: its image x axis is horizontal. For a boresight straight down, x points
+    east and y south.
 
     Examples
     --------

@@ -45,20 +45,20 @@ def check_raster_size(
     Raises
     ------
     InputError
-        With the memory that the raster needs, at 4 bytes per cell.
+        If there are too many cells; the message states the memory they need, at 4 bytes per cell.
     """
     count = size / posting
     if not count <= most:
         raise InputError(
             field, size,
-            f"must be at most {most} {what} of {posting:g} m, but is {count:.4g} per side "
+            f"must be at most {most} {what} of {posting:g} m per side, but is {count:.4g} "
             f"({format_bytes(4.0 * count * count)})",
         )  # fmt: skip
 
 
 @dataclass(frozen=True)
 class Grid:
-    """A raster of square cells in ENU.
+    """Raster grid of square cells in the ENU frame.
 
     Values belong to cell centres. Row 0 is the southernmost row and column 0 the westernmost
     column, so plots of rasters need ``origin="lower"``.
@@ -89,7 +89,9 @@ class Grid:
     def centred(
         cls, centre: ArrayLike, width: float, posting: float, height: float | None = None
     ) -> Grid:
-        """Return a grid of `width` (east) by `height` (north) metres about a centre.
+        """Return a grid of `width` (east) by `height` (north) metres around a centre.
+
+        `centre` (2,) or (3,) is in ENU, m; `posting` is the side of a cell, m.
 
         Width and height are measured between outer edges; without `height` the grid is square.
 
@@ -113,18 +115,18 @@ class Grid:
         )
 
     def about(self, centre: ArrayLike) -> Grid:
-        """Return a grid of the same size about another centre (2,) or (3,), m."""
+        """Return a grid of the same size around another centre (2,) or (3,), ENU, m."""
         width, height = self.cols * self.posting, self.rows * self.posting
         return Grid.centred(centre, width, self.posting, height)
 
     def moved(self, by: ArrayLike) -> Grid:
-        """Return the grid translated by a vector (2,) or (3,), m."""
+        """Return the grid translated by a vector (2,) or (3,), ENU, m."""
         dx, dy = np.asarray(by, dtype=np.float64)[:2]
         return Grid(float(self.x0 + dx), float(self.y0 + dy), self.posting, self.rows, self.cols)
 
     @property
     def centre(self) -> tuple[float, float]:
-        """East and north coordinate of the centre, m."""
+        """East and north coordinate of the centre of the grid, ENU, m."""
         west, east, south, north = self.extent
         return 0.5 * (west + east), 0.5 * (south + north)
 
@@ -135,7 +137,7 @@ class Grid:
 
     @property
     def extent(self) -> tuple[float, float, float, float]:
-        """West, east, south and north outer edge, m (the order of `imshow`)."""
+        """West, east, south and north outer edge, ENU, m (the order of `imshow`)."""
         h = 0.5 * self.posting
         return (
             self.x0 - h,
@@ -155,11 +157,11 @@ class Grid:
         return np.asarray(self.y0 + self.posting * np.arange(self.rows, dtype=np.float64))
 
     def centres(self) -> NDArray[np.float64]:
-        """Cell centres (rows, cols, 2), m."""
+        """Return the centres of all cells (rows, cols, 2), ENU, m."""
         return np.stack(np.meshgrid(self.x, self.y), axis=-1)
 
     def cell(self, xy: ArrayLike) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Return row and column of the cells that contain points (..., 2).
+        """Return row and column (...) of the cells that contain points (..., 2), ENU, m.
 
         Indices of points outside the grid are out of range.
 
@@ -175,7 +177,7 @@ class Grid:
         return row, col
 
     def contains(self, xy: ArrayLike) -> NDArray[np.bool_]:
-        """Return a mask of the points (..., 2) that lie inside the grid.
+        """Return which points (..., 2), ENU, m, lie inside the grid (...).
 
         Examples
         --------
@@ -186,7 +188,7 @@ class Grid:
         return (row >= 0) & (row < self.rows) & (col >= 0) & (col < self.cols)
 
     def centre_of(self, row: ArrayLike, col: ArrayLike) -> NDArray[np.float64]:
-        """Return the centres (..., 2) of cells, m.
+        """Return the centres (..., 2), ENU, m, of the cells at rows and columns (...).
 
         Examples
         --------

@@ -11,7 +11,7 @@ MAX_JSON_BYTES = 2**23
 
 
 def read_json(path: Path) -> Any:
-    """Return the contents of a JSON file.
+    """Return the contents of an untrusted JSON file.
 
     Raises
     ------

@@ -1,7 +1,8 @@
 """Derive random seeds: a sequence per flight, and a named stream per component.
 
 The stream of a component depends only on the root seed, the flight index and the component's name.
-New components or another order of calls therefore do not change other streams.
+New components or another order of calls therefore do not change other streams. Names of components
+are part of the results: they stay as they are if a scenario key is renamed.
 """
 
 from __future__ import annotations
@@ -12,7 +13,9 @@ import numpy as np
 
 
 def flight_seed(root: int, flight: int) -> np.random.SeedSequence:
-    """Return the seed sequence of flight `flight` of a campaign with root seed `root`.
+    """Return the seed sequence of one flight of a campaign.
+
+    `root` is the root seed of the campaign, `flight` the index of the flight.
 
     Examples
     --------
@@ -23,7 +26,9 @@ def flight_seed(root: int, flight: int) -> np.random.SeedSequence:
 
 
 def calibration_seed(root: int, flight: int) -> np.random.SeedSequence:
-    """Return the seed sequence of a calibration flight; no campaign uses it.
+    """Return the seed sequence of a calibration flight, which no campaign uses.
+
+    `root` is the root seed, `flight` the index of the flight.
 
     Calibrations are therefore never evaluated on flights that they were fitted to, whatever the
     root seeds.
@@ -32,17 +37,26 @@ def calibration_seed(root: int, flight: int) -> np.random.SeedSequence:
 
 
 def design_seed(root: int) -> np.random.SeedSequence:
-    """Return the seed sequence of a design of experiments; no flight uses it."""
+    """Return the seed sequence of a design of experiments, which no flight uses.
+
+    `root` is the root seed of the campaign.
+    """
     return np.random.SeedSequence(root, spawn_key=(zlib.crc32(b"design"), 0))
 
 
 class RandomStreams:
-    """Independent random generators of one flight, one per component.
+    """Source of independent random generators of one flight, one per component.
 
     Parameters
     ----------
     seed
         Seed sequence of the flight, or an integer.
+
+    Examples
+    --------
+    >>> streams = RandomStreams(flight_seed(1, 0))
+    >>> streams.get("rocks").random() == streams.get("start").random()
+    False
     """
 
     def __init__(self, seed: np.random.SeedSequence | int) -> None:
@@ -51,7 +65,9 @@ class RandomStreams:
         )
 
     def get(self, component: str) -> np.random.Generator:
-        """Return a fresh generator for `component`; the same name gives the same stream.
+        """Return a new random generator for a component, seeded by the component's name.
+
+        The same name gives the same random numbers.
 
         Examples
         --------

@@ -13,14 +13,14 @@ MAX_FILE_BYTES = 2**28
 
 
 def check_no_links(folder: Path) -> None:
-    """Check that a folder contains no links, pipes or devices.
+    """Check that a folder from others contains no links, pipes or devices.
 
     A link redirects readers and writers to another folder, and a pipe blocks them for ever.
 
     Raises
     ------
     InputError
-        Naming the first link, pipe or device.
+        If there is a link, pipe or device; the message names the first one.
     """
     for root, folders, files in os.walk(folder):
         for path in (Path(root, name) for name in (*folders, *files)):
@@ -33,13 +33,13 @@ def check_no_links(folder: Path) -> None:
                 raise InputError(
                     "folder",
                     str(folder),
-                    f"contains a link, pipe or device ({name})",
-                    "Replace it by a regular file.",
+                    f"must not contain a link, pipe or device such as {str(name)!r}",
+                    "Replace the link, pipe or device by a regular file.",
                 )
 
 
 def read_bounded_bytes(path: Path) -> bytes:
-    """Return the bytes of a file, or refuse a file that is too large.
+    """Return the bytes of a file; raise an error if the file is too large.
 
     Raises
     ------

@@ -14,14 +14,18 @@ _NO_FOLDER = Path("/nonexistent")
 
 
 def user_cache(name: str) -> Path:
-    """Return a folder of this user's cache by the XDG rule; it need not exist."""
+    """Return the path of folder `name` in the user's cache, by the XDG rule.
+
+    The folder need not exist.
+    """
     return _cache_home() / "lunarsim" / name
 
 
 def ensure_caches() -> None:
-    """Set a temporary cache if the user's cache is not writable.
+    """Select a temporary cache folder if the user's cache folder is not writable.
 
-    Other libraries and processes started later use it too. Matplotlib needs a folder for its
+    The selection is stored in environment variables, so that other libraries and processes started
+    later use it too. Matplotlib needs a folder for its
     configuration as well. A ``~`` that no shell has expanded is expanded here.
     """
     for variable in ("XDG_CACHE_HOME", "XDG_CONFIG_HOME", "MPLCONFIGDIR"):
@@ -43,7 +47,10 @@ def ensure_caches() -> None:
 
 
 def expanded(folder: str) -> Path:
-    """Return a folder with ``~`` as home; an impossible folder without a home."""
+    """Return a path with ``~`` replaced by the home folder.
+
+    Without a home folder, a path that cannot exist is returned.
+    """
     if not folder.startswith("~"):
         return Path(folder)
     name, _, below = folder.partition("/")
@@ -55,7 +62,7 @@ def expanded(folder: str) -> Path:
 
 
 def is_writable(folder: Path) -> bool:
-    """Return whether a folder can be written to, or created."""
+    """Return whether a folder is writable, or can be created if it does not exist."""
     try:
         existing = next(p for p in (folder, *folder.parents) if p.exists())
     except OSError:
@@ -65,7 +72,7 @@ def is_writable(folder: Path) -> bool:
 
 
 def warn(text: str) -> None:
-    """Print a line on stderr, if there is one."""
+    """Print a warning as one line on stderr, if stderr is open."""
     try:
         if sys.stderr is not None:
             print(f"lunarsim: {text}", file=sys.stderr, flush=True)
@@ -78,7 +85,10 @@ def _cache_home() -> Path:
 
 
 def _xdg(variable: str, below_home: str) -> Path:
-    """Return an XDG base folder; an impossible one for a user without a home."""
+    """Return an XDG base folder from an environment variable, or its default.
+
+    `below_home` is the default folder relative to home; without a home, the path cannot exist.
+    """
     given = Path(os.environ.get(variable, ""))
     if given.is_absolute():
         return given
@@ -86,7 +96,10 @@ def _xdg(variable: str, below_home: str) -> Path:
 
 
 def _temporary_folder() -> Path:
-    """Create a folder for this user only, the same in each process if trusted."""
+    """Create a temporary cache folder for this user only and return its path.
+
+    All processes of the user share the folder, unless its owner or its permissions are not trusted.
+    """
     import stat  # noqa: PLC0415  (seldom needed)
     import tempfile  # noqa: PLC0415
 

@@ -25,23 +25,21 @@ from landers import apollo11
 from landers.apollo11_figure import draw_descent
 from rich.table import Table
 
+from lunarsim import Flight, Scenario, Simulation
 from lunarsim.console import plain_console
 from lunarsim.onboard.computer import APPROACH, BRAKING
-from lunarsim.scenario import Scenario
-from lunarsim.simulation import Simulation
-from lunarsim.simulation.flight import Flight
 
 LOW_GATE = 500.0 * apollo11.FEET
 # Low gate is 560 m short of the site. With a pitch limit of 15 deg (0.43 m/s^2), distance / 40 s is
 # the highest speed that can be removed on the way. Above 5 m/s the pilot holds the altitude.
-PILOT = {"speed_time_s": 40.0, "hold_speed_m_s": 5.0}
+PILOT = {"velocity_time_s": 40.0, "hold_height_speed_m_s": 5.0}
 # The mission report puts the landing point about 400 m west of the crater at which P64 aimed. The
 # crew called out descent rates up to 6 1/2 ft/s below 330 ft. The pilot stops from 100 ft: at the
 # default height of the pilot model, 10 m, the vehicle is still too fast.
 FLY_PAST_CRATER = {
     "beyond_m": 400.0,
     "fastest_m_s": 6.5 * apollo11.FEET,
-    "still_height_m": 100.0 * apollo11.FEET,
+    "zero_speed_height_m": 100.0 * apollo11.FEET,
 }
 HERE = Path(__file__).resolve().parent
 MEASURED: dict[str, Any] = {
@@ -49,7 +47,7 @@ MEASURED: dict[str, Any] = {
         "kind": "dtm", "path": str(HERE / "data/moon_apollo15_nac_dtm_2m.tif"),
         "dtm_posting_m": 2.0, "height_step_m": 0.192, "posting_m": 0.5, "detail": True,
     },
-    "surroundings": {
+    "far_terrain": {
         "path": str(HERE / "data/moon_shackleton_ridge_lola_40m.tif"), "dtm_posting_m": 40.0,
         "sizes_m": [10_240.0, 1_024_000.0],
     },
@@ -58,7 +56,11 @@ MEASURED: dict[str, Any] = {
 
 @dataclass
 class ApolloDescentRun:
-    """A flight and its results; `results` holds the values of the table and the file."""
+    """One simulated Apollo 11 descent with its name.
+
+    `sim` is the simulation, `flight` the recorded flight and `results` the values of the table and
+    the output file.
+    """
 
     name: str
     flight: Flight
@@ -67,7 +69,11 @@ class ApolloDescentRun:
 
 
 def scenario_of(isp: float, terrain: str, load: str = apollo11.FLOWN) -> Scenario:
-    """Return the descent with the targets of a load, from its own ignition point."""
+    """Return the descent with the guidance targets of a load, from its ignition point.
+
+    `isp` is the specific impulse (s), `terrain` "random" or "measured", and `load` the file
+    with the guidance targets in `scenarios/data`.
+    """
     base = Scenario.load(HERE / "landers/apollo11.toml")
     base = base.changed(vehicle={"specific_impulse_s": isp})
     if terrain == "measured":
@@ -76,20 +82,26 @@ def scenario_of(isp: float, terrain: str, load: str = apollo11.FLOWN) -> Scenari
 
 
 def with_pilot(scenario: Scenario, **pilot: float) -> Scenario:
-    """Return the descent with P66 and a pilot from low gate; `pilot`: parameters."""
+    """Return the descent with manual rate-of-descent control (P66) below 500 ft.
+
+    `pilot` holds changed parameters of the pilot model.
+    """
     taken = scenario.changed(approach={"takeover_altitude_m": LOW_GATE})
-    return taken.changed(descent={"kind": "rate-of-descent", **PILOT, **pilot})
+    return taken.changed(terminal_descent={"kind": "rate-of-descent", **PILOT, **pilot})
 
 
 def fly(name: str, scenario: Scenario, seed: int) -> ApolloDescentRun:
-    """Fly one descent and compare it with the record."""
+    """Simulate one descent and compare it with the flight record of Apollo 11.
+
+    `name` is the name of the run in the table.
+    """
     start_time = time.process_time()
     sim = Simulation(scenario, seed, "no-divert")
     flight = sim.run()
     seconds = time.process_time() - start_time
     moon, lander = sim.world.moon, sim.lander
     assert moon is not None
-    results = apollo11.flight_summary(flight, moon, lander.com_height, lander.engine.gap_to)
+    results = apollo11.flight_summary(flight, moon, lander.com_height, lander.engine.gap_upper)
     results |= {"run": name, "times_real_time": flight.duration / seconds}
     results |= _record_differences(
         apollo11.track_of(flight, moon, lander.com_height)
@@ -98,7 +110,7 @@ def fly(name: str, scenario: Scenario, seed: int) -> ApolloDescentRun:
 
 
 def _record_differences(track: apollo11.DescentTrack) -> dict[str, float]:
-    """Return the root-mean-square differences from the record for each phase."""
+    """Return RMS differences of altitude (m) and pitch (deg) from the record by phase."""
     recorded, out = apollo11.record(), {}
     ends = (apollo11.LOCK_ON, apollo11.P64, apollo11.P66, apollo11.LANDING)
     for name, since, until in zip(("p63", "p64", "p66"), ends, ends[1:], strict=False):
@@ -108,11 +120,14 @@ def _record_differences(track: apollo11.DescentTrack) -> dict[str, float]:
 
 
 def _terrain_and_visibility(sim: Simulation, flight: Flight) -> dict[str, float]:
-    """Return terrain heights under the altimeter while braking, and site visibility."""
-    phase, about = flight.trajectory["phase"], sim.world.surroundings
+    """Return terrain heights under the path while braking (m), and site visibility.
+
+    The visibility is the fraction of the approach phase with the site in the window.
+    """
+    phase, about = flight.trajectory["phase"], sim.world.far_terrain
     braking = flight.positions[phase == BRAKING][::10]
     assert about is not None
-    terrain_height = about.elevation(about.way(braking))
+    terrain_height = about.elevation(about.surface_arc(braking))
     out = {
         "ground_rms_m": float(np.sqrt(np.mean(terrain_height**2))),
         "ground_least_m": float(terrain_height.min()),
@@ -120,13 +135,14 @@ def _terrain_and_visibility(sim: Simulation, flight: Flight) -> dict[str, float]
     }
     look = look_angles(flight)[phase == APPROACH]
     window = Scenario.load(HERE / "landers/apollo11.toml").window.make()
-    inside = (look >= window.highest) & (look <= window.lowest)
+    inside = (look >= window.upper_edge) & (look <= window.lower_edge)
     return out | {"site_in_window": float(inside.mean()) if len(look) else float("nan")}
 
 
 def look_angles(flight: Flight) -> np.ndarray:
-    """Return the look angle of the site below the forward body axis (n,), rad."""
-    from lunarsim.frames import quat_conjugate, quat_rotate
+    """Return the angle of the landing site below the forward body axis (n,), rad."""
+    from lunarsim.api import quat_rotate
+    from lunarsim.frames import quat_conjugate
 
     q = np.column_stack([flight.trajectory[f"attitude_{a}"] for a in "xyzw"])
     body = quat_rotate(quat_conjugate(q), flight.target - flight.positions)
@@ -134,11 +150,12 @@ def look_angles(flight: Flight) -> np.ndarray:
 
 
 def _outcome_text(results: dict[str, Any]) -> str:
-    return "safe landing" if results["safe"] else ", ".join(results["failed"])
+    """Return "safe landing" or the failed criteria."""
+    return "safe landing" if results["safe"] else ", ".join(results["failure_causes"])
 
 
 def table_of(runs: list[ApolloDescentRun]) -> Table:
-    """Return the table of all runs, one column per run."""
+    """Return the table of all descents: quantities by row, descents by column."""
     table = Table(title="Simulated Apollo 11 descent")
     table.add_column("")
     for run in runs:
@@ -178,29 +195,40 @@ def table_of(runs: list[ApolloDescentRun]) -> Table:
 
 
 def _time_and_altitude(results: dict[str, Any], name: str) -> str:
+    """Format time (s) and altitude (m) of an event: "recovery", "approach" or "last".
+
+    These are throttle recovery, the start of the approach, and the start of the last phase.
+    """
     return f"{results[f'{name}_s']:.0f} / {results[f'{name}_altitude_m']:.0f}"
 
 
 def _rms_text(results: dict[str, Any], unit: str) -> str:
+    """Format the RMS differences from the record in P63 (braking) and P64 (approach).
+
+    `unit` is "altitude_m" or "pitch_deg".
+    """
     digits = 0 if unit.endswith("_m") else 1
     return " / ".join(f"{results[f'{name}_{unit}']:.{digits}f}" for name in ("p63", "p64"))
 
 
 def _relative_to_report(results: dict[str, Any], reported: float = apollo11.REPORTED) -> str:
+    """Format the total propellant (kg) and its difference from the reported value (%)."""
     total = results["propellant_kg"] + apollo11.INSERTION
     return f"{total:.0f}, {100.0 * (total / reported - 1.0):+.1f} %"
 
 
 def _relative_to_chart(results: dict[str, Any]) -> str:
+    """Format total propellant (kg) and its difference from the digitised chart (%)."""
     return _relative_to_report(results, apollo11.CHART)
 
 
 def _by_phase(results: dict[str, Any]) -> str:
+    """Format the propellant of braking, approach and last phase (kg)."""
     return " / ".join(f"{results[f'{name}_kg']:.0f}" for name in ("braking", "approach", "last"))
 
 
 def _hover(run: ApolloDescentRun) -> str:
-    """Return the propellant for hovering as long as the record exceeds the run."""
+    """Format the propellant for hovering until the landing time of the record."""
     results, mass = run.results, run.flight.trajectory["mass"]
     longer = apollo11.LANDING - results["duration_s"]
     flow = mass[-1] * run.sim.world.gravity / run.sim.lander.exhaust_velocity
@@ -224,17 +252,18 @@ def _hover(run: ApolloDescentRun) -> str:
     "--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Root random seed."
 )
 @click.option(
-    "--ground",
-    type=click.Choice(["drawn", "measured"]),
-    default="drawn",
+    "--terrain",
+    "ground",
+    type=click.Choice(["random", "measured"]),
+    default="random",
     show_default=True,
-    help="Terrain: random, or measured models of other places.",
+    help="Terrain: random, or measured at other places of the Moon.",
 )
 @click.option(
     "--sample/--no-sample",
     default=True,
     show_default=True,
-    help="Also fly the sample values listed for Apollo 10.",
+    help="Also fly with the sample guidance targets listed for Apollo 10.",
 )
 @click.option(
     "--out",
@@ -247,7 +276,7 @@ def _hover(run: ApolloDescentRun) -> str:
 def main(
     isp: float, seed: int, ground: str, sample: bool, out: Path | None, file: Path | None
 ) -> None:
-    """Fly the descent automatically and manually; compare it with the record."""
+    """Fly the descent automatically and manually; compare it with the flight record."""
     console = plain_console(130)
     base = scenario_of(isp, ground)
     console.print(f"Ignition {apollo11.uprange(base) / 1852.0:.1f} nautical miles uprange.")
@@ -261,7 +290,7 @@ def main(
     console.print(table_of(runs))
     for run in runs[:3]:
         console.print(_hover(run))
-    about = runs[0].sim.world.surroundings
+    about = runs[0].sim.world.far_terrain
     assert about is not None
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
     console.print(

@@ -23,10 +23,10 @@ from rich.table import Table
 from scipy.stats import binomtest, wilcoxon
 from seeking_flights import ALTITUDES, PATHS, SENSORS, SeekingFlightTask, fly, sobol
 
+from lunarsim import InputError
 from lunarsim.campaign.flight_store import Flight, FlightStore
 from lunarsim.campaign.pool import iterate_results
 from lunarsim.console import plain_console, plain_progress
-from lunarsim.errors import InputError
 from lunarsim.evaluation.statistics import mean_interval
 
 LAST = f"{ALTITUDES[-1]:g}"
@@ -48,19 +48,30 @@ FIGURES: dict[str, Callable[[Flight], float]] = {
 
 
 def _share(flight: Flight, level: str, name: str) -> float:
+    """Return an area of a flight's map divided by the safe area; NaN if this is zero.
+
+    `level` is the altitude of the map (text, m), `name` the key of the area (m^2).
+    """
     of = flight["levels"][level]
     return float(of[name] / of["safe_m2"]) if of["safe_m2"] > 0.0 else float("nan")
 
 
 def unfinished(tasks: Sequence[SeekingFlightTask], flights: dict[str, Flight]) -> list[str]:
-    """Return the keys of flights that ended before the last map (not compared)."""
+    """Return the keys of flights that ended before the last map (at 50 m).
+
+    These flights are not compared. `flights` holds the stored results by key.
+    """
     return [t.key for t in tasks if t.key in flights and LAST not in flights[t.key]["levels"]]
 
 
 def complete_fields(
     tasks: Sequence[SeekingFlightTask], flights: dict[str, Flight]
 ) -> list[dict[str, Flight]]:
-    """Return the fields in which all paths reached the last map: flights by path."""
+    """Group flights by field; keep fields in which all paths reached the last map.
+
+    The last map is that at 50 m. `flights` holds the stored results by key. Returns one dictionary
+    per field: flights by path.
+    """
     rows: dict[int, dict[str, Flight]] = {}
     for task in tasks:
         done = flights.get(task.key)
@@ -70,7 +81,10 @@ def complete_fields(
 
 
 def compare_paths(rows: list[dict[str, Flight]]) -> dict[str, dict[str, str]]:
-    """Return each metric of the paths and the paired differences, with 95 % intervals."""
+    """Format the mean of each metric for each path, and the paired differences.
+
+    `rows` holds the flights by path, one dictionary per field. Texts include 95 % intervals.
+    """
     out: dict[str, dict[str, str]] = {}
     for name, of in FIGURES.items():
         values = {path: np.array([of(row[path]) for row in rows]) for path in PATHS}
@@ -87,7 +101,10 @@ def compare_paths(rows: list[dict[str, Flight]]) -> dict[str, dict[str, str]]:
 
 
 def show(title: str, rows: list[dict[str, Flight]], console: Console) -> None:
-    """Print the table for one set of sensors."""
+    """Print the comparison of the three paths for one set of sensors.
+
+    `title` names the sensors; `rows` holds the flights by path, one dictionary per field.
+    """
     if not rows:
         return
     table = Table(title=f"{title}: {len(rows)} fields, maps at 50 m (mean, 95 % interval)")
@@ -109,7 +126,11 @@ def show(title: str, rows: list[dict[str, Flight]], console: Console) -> None:
 
 
 def odds(rows: list[dict[str, Flight]], other: str) -> str:
-    """Return the paired tests of the seeking path against another path as text."""
+    """Test whether the seeking path is better than path `other`; return text.
+
+    The guidance law `information-seeking` flies the seeking path. The tests are paired by field
+    (sign test and Wilcoxon test). `rows` holds the flights by path, one dictionary per field.
+    """
     of = FIGURES["clear cells classified as clear"]
     if "clear" not in rows[0]["seeking"]["levels"][LAST]:
         of = FIGURES["recall at precision 0.99"]
@@ -128,13 +149,18 @@ def odds(rows: list[dict[str, Flight]], other: str) -> str:
 
 
 def _hazards(flights: Any) -> str:
+    """Format the number of hazards classified completely as clear: "count of total"."""
     counts = [(f["levels"][LAST].get("hazards_clear", 0), f["levels"][LAST].get("hazards", 0))
               for f in flights]  # fmt: skip
     return f"{sum(c for c, _ in counts)} of {sum(n for _, n in counts)}"
 
 
 def show_losses(rows: list[dict[str, Flight]], console: Console) -> None:
-    """Print the fields in which the seeking path is worse than another path."""
+    """Print the fields in which the seeking path is worse than another path.
+
+    The guidance law `information-seeking` flies the seeking path; the metric is the fraction of
+    clear cells classified as clear. `rows` holds the flights by path, one dictionary per field.
+    """
     of = FIGURES["clear cells classified as clear"]
     for other in ("nominal", "modified"):
         worse = [row for row in rows if of(row["seeking"]) < of(row[other])]
@@ -150,9 +176,9 @@ def show_losses(rows: list[dict[str, Flight]], console: Console) -> None:
 
 @click.command()
 @click.option("--fields", type=click.IntRange(min=1), default=20, show_default=True,
-              help="Number of fields in the set-up of the paper.")  # fmt: skip
+              help="Number of rock fields in the set-up of the shadow EKF paper.")  # fmt: skip
 @click.option("--sobol", "points", type=click.IntRange(min=0, max=4096), default=0,
-              help="Number of Sobol points (Sun, slope, cover) to fly instead.")  # fmt: skip
+              help="Number of Sobol points (Sun, slope, cover) instead of fields.")  # fmt: skip
 @click.option("--sensors", type=click.Choice((*SENSORS, "all")), default="all", show_default=True,
               help="Sensors; Sobol points use the camera.")  # fmt: skip
 @click.option(
@@ -176,9 +202,9 @@ def main(
         results = FlightStore(json_file, {"seed": seed, "sobol": points > 0})
     except InputError as error:
         raise click.BadParameter(str(error), param_hint="--json") from None
-    if results.of_other_code:
+    if results.outdated_count:
         console.print(
-            f"{results.of_other_code} flights of {json_file} were computed with different code"
+            f"{results.outdated_count} flights of {json_file} were computed with different code"
         )
     if points:
         everything = [

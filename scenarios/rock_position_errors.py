@@ -19,10 +19,9 @@ from rich.table import Table
 from scipy.spatial import cKDTree
 from sensor_fusion_flights import WORLDS, scenario_of, world_of
 
+from lunarsim import Simulation, flight_seed
 from lunarsim.campaign.pool import iterate_results
 from lunarsim.console import plain_console, plain_progress
-from lunarsim.rng import flight_seed
-from lunarsim.simulation import Simulation
 
 Array = NDArray[np.float64]
 
@@ -32,7 +31,11 @@ _MIN_EXISTENCE, _MIN_ROCKS, _MIN_RADIUS_M, _PAIRING_DISTANCE_M = 0.9, 5, 0.15, 0
 
 
 class RockPositionTask(NamedTuple):
-    """One flight."""
+    """Settings of one simulated flight of the rock position study.
+
+    `world` is the name of the terrain, `field` its number, `seed` the root seed and `altitudes` the
+    altitudes of evaluation (m).
+    """
 
     world: str
     field: int
@@ -41,7 +44,7 @@ class RockPositionTask(NamedTuple):
 
 
 def fly(task: RockPositionTask) -> dict[float, Any]:
-    """Return the result of `position_errors` at each altitude."""
+    """Simulate one flight; return the rock position errors at each altitude (m)."""
     seed = flight_seed(task.seed, task.field)
     scenario = scenario_of(task.world, task.altitudes)
     simulation = Simulation(scenario, seed, "no-divert", world=world_of(task.world, seed))
@@ -54,9 +57,10 @@ def fly(task: RockPositionTask) -> dict[float, Any]:
 
 
 def position_errors(simulation: Simulation) -> tuple[float, float, float, int] | None:
-    """Return error and reported sigma of the mean rock position, NEES and rock count.
+    """Compare the mean position of tracked rocks with the nearest true rocks.
 
-    Error and sigma are per axis, m. None with fewer than five rocks.
+    Returns error and reported sigma of the mean position relative to the lander (per axis, m),
+    normalised squared error (NEES), and number of rocks. None with fewer than five rocks.
     """
     tracker = simulation.computer.mappers["rocks"].tracker  # type: ignore[attr-defined]
     confirmed = np.flatnonzero(tracker.existence > _MIN_EXISTENCE)
@@ -75,10 +79,13 @@ def position_errors(simulation: Simulation) -> tuple[float, float, float, int] |
 
 
 def _mean_covariance(rocks: Any, index: NDArray[np.int64]) -> Array:
-    """Return the covariance (2, 2) of the mean rock position minus the lander's, m^2."""
+    """Return the covariance (2, 2) of the mean rock position minus the lander's, m^2.
+
+    `rocks` is the filter of the rock tracker; `index` holds the numbers of the rocks.
+    """
     weights = np.zeros((2, rocks.state.size))
     for axis in range(2):
-        weights[axis, rocks.places(index)[:, axis]] = 1.0 / len(index)
+        weights[axis, rocks.state_indices(index)[:, axis]] = 1.0 / len(index)
         weights[axis, axis] = -1.0
     return np.asarray(weights @ rocks.covariance @ weights.T)
 
@@ -90,7 +97,7 @@ def _mean_covariance(rocks: Any, index: NDArray[np.int64]) -> Array:
 @click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True,
               help="Number of processes; does not change the results.")  # fmt: skip
 def main(fields: int, seed: int, jobs: int) -> None:
-    """Fly and print the position errors of tracked rocks."""
+    """Fly and print the position errors of tracked rocks by terrain and altitude."""
     altitudes = (1000.0, 700.0, 500.0, 200.0, 100.0)
     tasks = [RockPositionTask(world, n, seed, altitudes) for world in WORLDS for n in range(fields)]
     flights: list[Any] = [None] * len(tasks)

@@ -13,12 +13,12 @@ COLOURS = {"nominal": "tab:gray", "modified": "tab:orange", "seeking": "tab:blue
 
 
 def draw(rows: list[dict[str, Any]], path: Path) -> None:
-    """Plot the fraction of safe sites that is known, and known and reachable.
+    """Plot the known, and known and reachable, fraction of safe sites by altitude.
 
     Parameters
     ----------
     rows
-        One dict per field: flights by path.
+        One dictionary per field: flights by path.
     path
         Output file of the image.
     """
@@ -54,7 +54,10 @@ def draw(rows: list[dict[str, Any]], path: Path) -> None:
 
 
 def _mean(flights: list[dict[str, Any]], name: str) -> list[float]:
-    """Return the mean fraction of the safe area at each altitude."""
+    """Return the mean of an area over the safe area at each altitude (fraction).
+
+    `name` is the key of the area in the flight results.
+    """
     return [
         float(np.mean([f["levels"][f"{h:g}"][name] / max(f["levels"][f"{h:g}"]["safe_m2"], 1.0)
                        for f in flights]))

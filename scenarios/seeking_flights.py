@@ -16,12 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import qmc
 
+from lunarsim import Scenario, Simulation, flight_seed
 from lunarsim.evaluation.classification import classify
 from lunarsim.evaluation.precision_recall import PrecisionRecall
 from lunarsim.onboard.policies.reachability import ReachabilityMap
-from lunarsim.rng import flight_seed
-from lunarsim.scenario import Scenario
-from lunarsim.simulation import Simulation
 
 HERE = Path(__file__).parent
 PATHS = ("nominal", "modified", "seeking")
@@ -37,7 +35,11 @@ LOW, HIGH = (0.0, 5.0, 0.0, 0.02), (360.0, 40.0, 4.0, 0.15)
 
 @dataclass(frozen=True)
 class SunAndTerrain:
-    """Sun and terrain of a flight: angles and slope in deg, rock cover as a fraction."""
+    """Sun and terrain of one flight.
+
+    `azimuth` and `elevation` of the Sun and RMS `slope` at 1 m are in deg; `cover` is the rock
+    cover (fraction).
+    """
 
     azimuth: float = 225.0
     elevation: float = 20.0
@@ -47,7 +49,11 @@ class SunAndTerrain:
 
 @dataclass(frozen=True)
 class SeekingFlightTask:
-    """One flight."""
+    """Settings of one simulated flight of the information-seeking study.
+
+    `path` is a name in `PATHS`, `field` the number of the rock field, `seed` the root seed and
+    `sensors` "camera", "lidar" or "both".
+    """
 
     path: str
     field: int
@@ -62,16 +68,19 @@ class SeekingFlightTask:
 
 
 def sobol(count: int, seed: int) -> list[SunAndTerrain]:
-    """Return scrambled Sobol points over Sun azimuth and elevation, slope and cover."""
+    """Return scrambled Sobol points over Sun azimuth and elevation, slope and cover.
+
+    `count` is the number of points.
+    """
     drawn = qmc.Sobol(4, scramble=True, seed=seed).random_base2(int(np.ceil(np.log2(count))))
     points = qmc.scale(drawn[:count], LOW, HIGH)
     return [SunAndTerrain(*(round(float(v), 4) for v in row)) for row in points]
 
 
 def scenario_of(task: SeekingFlightTask) -> Scenario:
-    """Return the descent of a task with a map of 60 m and two images per second.
+    """Return the descent of a flight with a map of 60 m and two images per second.
 
-    Sites are chosen between altitudes of 75 m and 50 m.
+    Sites are selected between altitudes of 75 m and 50 m.
     """
     g = task.conditions
     start = "modified" if task.path == "modified" else "nominal"
@@ -90,7 +99,7 @@ def scenario_of(task: SeekingFlightTask) -> Scenario:
 
 
 def _sensor_tables(sensors: str) -> dict[str, Any]:
-    """Return the scenario tables of camera, LiDAR or both."""
+    """Return the scenario tables of sensors and mappers for camera, LiDAR or both."""
     map_of = {"size_m": SIZE, "posting_m": POSTING}
     camera = {"rate_hz": 2.0}
     flash = {
@@ -113,13 +122,14 @@ def _sensor_tables(sensors: str) -> dict[str, Any]:
         "sensors": flash["sensors"],
         "tasking": {**flash["tasking"], "camera": camera},
         "mappers": {
-            **flash["mappers"], "rocks": map_of, "fused": {"kind": "fused", "of": ["dem", "rocks"]},
+            **flash["mappers"], "rocks": map_of, "fused": {"kind": "fused", "inputs": ["dem",
+            "rocks"]},
         },
     }  # fmt: skip
 
 
 def fly(task: SeekingFlightTask) -> dict[str, Any]:
-    """Fly once; return map metrics and landing outcome for JSON."""
+    """Simulate one flight; return map metrics by altitude and the outcome for JSON."""
     scenario = scenario_of(task)
     simulation = Simulation(scenario, flight_seed(task.seed, task.field), policy="safest")
     pending, levels = list(ALTITUDES), {}
@@ -130,7 +140,7 @@ def fly(task: SeekingFlightTask) -> dict[str, Any]:
             levels[f"{pending.pop(0):g}"] = map_metrics(simulation, with_cells=last)
             if last:
                 simulation.computer.stop_sensors()
-    outcome = simulation.verdict
+    outcome = simulation.outcome
     touched = outcome is not None and outcome.touchdown is not None
     events = simulation.computer.telemetry
     return {
@@ -146,9 +156,10 @@ def fly(task: SeekingFlightTask) -> dict[str, Any]:
 
 
 def map_metrics(simulation: Simulation, *, with_cells: bool) -> dict[str, Any]:
-    """Compare the decision map with the truth in the onboard frame.
+    """Compare the hazard map used for decisions with the truth, in the onboard frame.
 
-    Sites are sampled at a spacing of 1 m. `whole` adds the classification of shadow map cells.
+    Sites are sampled at a spacing of 1 m. `with_cells` adds the classification of shadow map cells.
+    Returns areas of known, reachable and safe sites (m^2) and other metrics by name.
     """
     computer = simulation.computer
     hazard_map = computer.mapper.hazard_map()
@@ -158,7 +169,7 @@ def map_metrics(simulation: Simulation, *, with_cells: bool) -> dict[str, Any]:
     p = np.where(hazard_map.observed, hazard_map.p_safe, 0.0)[part].ravel()
     safe = free_of_hazards(simulation, site - simulation.navigation_error[:2])
     known = (p >= MIN_SAFE_PROBABILITY) & safe
-    reach = ReachabilityMap.under(hazard_map, computer.site, computer.cost_of)
+    reach = ReachabilityMap.over_map(hazard_map, computer.site, computer.cost_of)
     area = (every * hazard_map.grid.posting) ** 2
     out: dict[str, Any] = {
         "known_m2": float(known.sum() * area),
@@ -176,7 +187,7 @@ def map_metrics(simulation: Simulation, *, with_cells: bool) -> dict[str, Any]:
 
 
 def free_of_hazards(simulation: Simulation, xy: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Return whether no hazard reaches under the lander at true positions (n, 2)."""
+    """Return whether no hazard lies under the lander at true positions `xy` (n, 2), m."""
     rocks = simulation.world.terrain.rocks
     lander = simulation.lander
     large = 2.0 * rocks.a >= HAZARD
@@ -189,7 +200,7 @@ def free_of_hazards(simulation: Simulation, xy: NDArray[np.float64]) -> NDArray[
 
 
 def cells_of(simulation: Simulation) -> dict[str, Any]:
-    """Return the shadow map classification and the hazards classified fully as clear."""
+    """Return metrics of the shadow map cells, and completely missed hazards."""
     mapper = simulation.computer.mappers["rocks"]
     p = mapper.probability.probability(mapper.tracker)
     seen = mapper.probability.observed

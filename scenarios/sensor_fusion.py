@@ -4,7 +4,7 @@ Two cameras and a flash LiDAR observe the same terrain from an altitude of 1000 
 field has its own terrain, rocks and noise, and the maps are compared field by field. Every finished
 flight is saved in the JSON file, so an interrupted study resumes from it.
 
-python scenarios/sensor_fusion.py --fields 3 --jobs 1 --json out/all_eyes.json --out out
+python scenarios/sensor_fusion.py --fields 3 --jobs 1 --json out/all_sensors.json --out out
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ class FusionFlightStore:
         self.flights = flights
 
     def keep(self, task: FusionFlightTask, flight: dict[str, Any]) -> None:
-        """Add a flight and rewrite the file."""
+        """Add the results of one flight and rewrite the file."""
         self.flights[task.key] = flight
         if self._path is not None:
             self._path.parent.mkdir(parents=True, exist_ok=True)
@@ -72,7 +72,7 @@ class FusionFlightStore:
 
 
 def code() -> str:
-    """Return a digest of the package and of the flight code."""
+    """Return a digest of the source code of the package and of this study."""
     own = Path(sensor_fusion_flights.__file__).read_bytes()
     return hashlib.sha256(code_digest().encode() + own).hexdigest()[:16]
 
@@ -80,7 +80,10 @@ def code() -> str:
 def fly_missing(
     tasks: list[FusionFlightTask], jobs: int, kept: FusionFlightStore, console: Console
 ) -> list[dict[str, Any]]:
-    """Return the flights of all tasks; fly only those that are not stored."""
+    """Return the results of all flights; simulate only those that are not stored.
+
+    `jobs` is the number of processes; `kept` is the store, which receives the new flights.
+    """
     missing = [task for task in tasks if task.key not in kept.flights]
     with plain_progress(console) as progress:
         bar = progress.add_task("flights", total=len(tasks), completed=len(tasks) - len(missing))
@@ -92,9 +95,9 @@ def fly_missing(
 
 @click.command()
 @click.option("--fields", type=click.IntRange(min=1), default=10, show_default=True,
-              help="Number of fields per row.")  # fmt: skip
+              help="Number of simulated fields per study condition (row).")  # fmt: skip
 @click.option("--rows", default="all", show_default=True,
-              help="Row names, separated by semicolons.")  # fmt: skip
+              help="Names of study conditions (rows), separated by semicolons.")  # fmt: skip
 @click.option("--altitudes", default="1000,500,200,100", show_default=True,
               help="Altitudes of map evaluation (m).")  # fmt: skip
 @click.option("--seed", type=int, default=1, show_default=True, help="Root random seed.")
@@ -113,7 +116,7 @@ def main(
     json_file: Path | None,
     out: Path | None,
 ) -> None:
-    """Fly all rows and print the quality of each map."""
+    """Fly all study conditions (rows) and print the quality of each hazard map."""
     wanted = list(ROWS) if rows == "all" else [name.strip() for name in rows.split(";")]
     unknown = [name for name in wanted if name not in ROWS]
     if unknown:
@@ -140,7 +143,7 @@ def main(
     show(flights, DEAD_BELOW, console)
     if out is not None:
         out.mkdir(parents=True, exist_ok=True)
-        draw(flights, out / "all_eyes.png")
+        draw(flights, out / "all_sensors.png")
 
 
 if __name__ == "__main__":

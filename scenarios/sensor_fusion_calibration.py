@@ -1,8 +1,8 @@
 """Fit the calibration stage of the fused map to flights of the all-sensor study.
 
-The quadtree maps the same LiDAR returns as the Gaussian DEM. It is therefore a feature of the
-calibration stage and never an independent factor. The fit uses fields on which no map is
-evaluated; the fields of each row are evaluated with a fit to the other rows.
+The quadtree maps the same LiDAR returns as the Gaussian DEM. It is therefore a second input of the
+calibration stage and never an independent factor. The fit uses fields on which no map is evaluated;
+the fields of each study condition (row) are evaluated with a fit to the other conditions.
 
 python scenarios/sensor_fusion.py --fields 3 --seed 11 --json out/fit.json
 python scenarios/sensor_fusion_calibration.py out/fit.json --out out/fused.json
@@ -20,9 +20,9 @@ from rich.table import Table
 from scipy.special import expit
 from sensor_fusion_flights import ODDS, POSTING
 
+from lunarsim import InputError
+from lunarsim.api import Lander
 from lunarsim.console import plain_console
-from lunarsim.errors import InputError
-from lunarsim.models.lander import Lander
 from lunarsim.onboard.hazards.fusion.calibration import FusedCalibration
 
 Array = np.ndarray[Any, Any]
@@ -32,7 +32,11 @@ FITS = ("none", "without the quadtree", "with the quadtree")
 
 
 def counts_of(flights: list[dict[str, Any]]) -> Array:
-    """Return pooled site counts (safe, fused, quadtree), see `sensor_fusion_flights.joint`."""
+    """Sum the site counts of flights by true safety and probability of two maps.
+
+    The axes of the result are truth (unsafe, safe), bin of the fused probability, and bin of the
+    quadtree probability (last bin: not observed by the quadtree).
+    """
     shape = (2, len(ODDS) - 1, len(ODDS))
     pooled = np.zeros(shape)
     for flight in flights:
@@ -42,7 +46,11 @@ def counts_of(flights: list[dict[str, Any]]) -> Array:
 
 
 def probability_bins() -> tuple[Array, Array, Array]:
-    """Return fused probability, quadtree probability and observed flag per count."""
+    """Return fused and quadtree probabilities in each bin of the site counts.
+
+    Returns fused probability, quadtree probability, and whether the quadtree observed the sites
+    (n,).
+    """
     middle = expit(0.5 * (ODDS[1:] + ODDS[:-1]))
     p, q = np.meshgrid(middle, np.append(middle, 0.5), indexing="ij")
     seen = np.ones(p.shape, np.bool_)
@@ -51,7 +59,11 @@ def probability_bins() -> tuple[Array, Array, Array]:
 
 
 def fit_calibration(counts: Array, with_quadtree: bool, lander: Lander) -> FusedCalibration:
-    """Fit C to counts; sites whose footprints overlap count as one."""
+    """Fit the calibrated probability C to site counts of two maps.
+
+    `counts` of the fused map and the quadtree is the value of `counts_of`; `with_quadtree` uses the
+    quadtree as second input. Sites whose lander footprints overlap count as one.
+    """
     p, q, seen = probability_bins()
     unsafe, safe = counts.reshape(2, -1)
     footprint = np.pi * (lander.leg_radius + 0.5 * lander.pad_diameter) ** 2
@@ -61,7 +73,10 @@ def fit_calibration(counts: Array, with_quadtree: bool, lander: Lander) -> Fused
 
 
 def loss_of(calibration: FusedCalibration, counts: Array) -> tuple[float, float]:
-    """Return the Brier score of C and its bias (mean C minus safe fraction)."""
+    """Return Brier score and bias of a calibration on site counts.
+
+    The bias is the mean calibrated probability C minus the safe fraction.
+    """
     p, q, seen = probability_bins()
     unsafe, safe = counts.reshape(2, -1)
     c = calibration.probability(p.astype(np.float32), q, seen).astype(np.float64)
@@ -75,9 +90,9 @@ def loss_of(calibration: FusedCalibration, counts: Array) -> tuple[float, float]
 @click.command()
 @click.argument("file", type=click.Path(path_type=Path, exists=True, dir_okay=False))
 @click.option("--out", type=click.Path(path_type=Path, dir_okay=False), default=None,
-              help="Output file of the fit to all rows.")  # fmt: skip
+              help="Output file of the fit to all study conditions (rows).")  # fmt: skip
 def main(file: Path, out: Path | None) -> None:
-    """Fit C to the flights in FILE and evaluate it on held-out rows."""
+    """Fit C, the calibrated p_safe, to the flights in FILE; test on held-out rows."""
     try:
         flights = list(json.loads(file.read_text(encoding="utf-8"))["flights"].values())
         rows = {row: [f for f in flights if f["row"] == row] for row in (f["row"] for f in flights)}
@@ -88,8 +103,8 @@ def main(file: Path, out: Path | None) -> None:
         ) from None
     if len(all_counts) < 2:
         raise click.BadParameter(
-            f"{file} must hold flights of two rows or more: each is evaluated by a fit to the "
-            f"others",
+            f"{file} must hold flights of two study conditions (rows) or more: each row is "
+            f"evaluated by a fit to the other rows",
             param_hint="FILE",
         )
     console, lander = plain_console(140), Lander()

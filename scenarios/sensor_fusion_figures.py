@@ -30,21 +30,28 @@ COLOURS = {
 
 
 def recall_of(evaluated: list[Counts]) -> float:
-    """Return the recall of pooled maps at precision `PRECISION`."""
+    """Return the recall of pooled maps at precision `PRECISION` (0.99).
+
+    `evaluated` holds the site counts of each map.
+    """
     return curve_of(evaluated).recall_at(PRECISION)
 
 
 def curve_of(evaluated: list[Counts]) -> PrecisionRecall:
-    """Return the precision-recall curve of pooled maps."""
+    """Return the precision-recall curve of the summed site counts of several maps."""
     return PrecisionRecall(*(_pooled(evaluated, name) for name in ("unsafe", "safe")))
 
 
 def _pooled(evaluated: list[Counts], name: str) -> np.ndarray:
+    """Sum one kind of counts (key `name`) over several maps."""
     return np.asarray(np.sum([j[name] for j in evaluated], axis=0))
 
 
 def figures_of(evaluated: list[Counts]) -> dict[str, float]:
-    """Return the metrics of one map over the fields; a hazard is missed at p > 0.5."""
+    """Return the quality metrics of one kind of map, pooled over the fields.
+
+    `evaluated` holds the site counts of each field. A hazard counts as missed at p > 0.5.
+    """
     curve = curve_of(evaluated)
     quality: MapQuality = curve.at_half()
     unsafe = quality.false_safe + quality.rejected
@@ -68,8 +75,8 @@ def figures_of(evaluated: list[Counts]) -> dict[str, float]:
 def large_share(evaluated: list[Counts], recall: float) -> float:
     """Return the fraction of terrain called safe with a large rock underneath.
 
-    The threshold is the highest one with the given recall. NaN if no threshold reaches it or if the
-    recall is zero.
+    The threshold on p_safe is the highest one with the given recall. NaN if no threshold reaches
+    this recall or if it is zero. `evaluated` holds the site counts of each field.
     """
     curve, large = curve_of(evaluated), _pooled(evaluated, "large")
     found = np.cumsum(curve.safe[::-1])
@@ -82,34 +89,40 @@ def large_share(evaluated: list[Counts], recall: float) -> float:
 
 
 def best_single(flights: list[Flight], altitude: str) -> str:
-    """Return the single-mapper map with the highest pooled recall at `PRECISION`."""
+    """Return the single-mapper map with the highest recall at precision 0.99.
+
+    The flights are pooled; `altitude` is the text of the evaluation altitude (m).
+    """
     of = {n: recall_of([f["maps"][altitude][n] for f in flights]) for n in SINGLE}
     return max(of, key=lambda name: of[name])
 
 
 def recall_gains(flights: list[Flight], altitude: str, other: str) -> list[float]:
-    """Return the recall of the fused map minus that of another map, per field."""
+    """Return the recall of the fused map minus that of map `other`, per field.
+
+    Recall is at precision 0.99; `altitude` is the text of the evaluation altitude (m).
+    """
     pairs = ((f["maps"][altitude]["fused"], f["maps"][altitude][other]) for f in flights)
     return [recall_of([a]) - recall_of([b]) for a, b in pairs]
 
 
 @dataclass(frozen=True)
 class FusedMapComparison:
-    """The fused map compared with others at one altitude of a row.
+    """The fused map compared with others at one altitude of one study condition (row).
 
     Attributes
     ----------
     row, altitude
-        Row name and altitude (m).
+        Name of the study condition and altitude (m).
     best, gain
         Best single map; recall of the fused map minus that of the best one, per field.
     over_form
-        Recall gain over the fused form with the Gaussian DEM only, per field.
+        Recall gain over a fused map with the Gaussian DEM as only input, per field.
     left
         Recall gain over the map of the remaining sensor, per field; empty if none has failed.
     large_dem, large_fused
-        Fraction of terrain called safe with a large rock under the lander, at the recall of the
-        LiDAR map at p > 0.5.
+        Fraction of terrain called safe with a large rock under the lander, for the LiDAR map and
+        the fused map, at the recall of the LiDAR map at p > 0.5.
     """
 
     row: str
@@ -123,7 +136,7 @@ class FusedMapComparison:
 
     @property
     def missed(self) -> list[str]:
-        """Names of the study aims that are not met; empty if all are."""
+        """Names of the study requirements that are not met; empty if all are met."""
         out = []
         if np.mean(self.gain) < -LESS_THAN_BEST:
             out.append(f"worse than {MAPS[self.best]}")
@@ -135,7 +148,10 @@ class FusedMapComparison:
 
 
 def comparisons(flights: list[Flight], dead_below: float) -> list[FusedMapComparison]:
-    """Compare the fused map with the others for each row and altitude."""
+    """Compare the fused map with the others for each study condition and altitude.
+
+    `dead_below` is the altitude (m) below which failed sensors stop.
+    """
     out = []
     for row, mine in by_row(flights).items():
         left = ROWS[row].left if row in ROWS else ""
@@ -156,7 +172,7 @@ def comparisons(flights: list[Flight], dead_below: float) -> list[FusedMapCompar
 
 
 def by_row(flights: list[Flight]) -> dict[str, list[Flight]]:
-    """Group flights by row, in order."""
+    """Group flights by study condition (row), in their order."""
     rows = dict.fromkeys(f["row"] for f in flights)
     return {row: [f for f in flights if f["row"] == row] for row in rows}
 
@@ -177,7 +193,10 @@ _COLUMNS = {
 
 
 def show(flights: list[Flight], dead_below: float, console: Console) -> None:
-    """Print the map metrics of each row and altitude, and the fused map comparison."""
+    """Print the map metrics and the fused map comparison by condition and altitude.
+
+    `dead_below` is the altitude (m) below which failed sensors stop.
+    """
     for row, mine in by_row(flights).items():
         caption = f"All fields pooled; per field: mean recall at precision {PRECISION}"
         table = Table(title=f"{row}: {len(mine)} fields", caption=caption)
@@ -205,6 +224,7 @@ def show(flights: list[Flight], dead_below: float, console: Console) -> None:
 
 
 def _show_comparison(found: list[FusedMapComparison], console: Console) -> None:
+    """Print how much recall the fused map gains over the other maps."""
     table = Table(
         title=f"Recall of the fused map minus others, at precision {PRECISION}, per field"
     )
@@ -233,7 +253,7 @@ def _show_comparison(found: list[FusedMapComparison], console: Console) -> None:
 
 
 def draw(flights: list[Flight], path: Path) -> None:
-    """Plot the recall of each map against altitude, one panel per row."""
+    """Plot the recall of each map against altitude, one panel per study condition."""
     from matplotlib import pyplot as plt
 
     rows = by_row(flights)

@@ -1,4 +1,4 @@
-"""Fly the descents of the all-sensor study and evaluate the maps on the way.
+"""Fly the descents of the all-sensor study and evaluate their hazard maps.
 
 Every flight runs all mappers at once, so their maps use the same returns and images of the same
 terrain. All maps are evaluated on the same cells at the same times.
@@ -18,16 +18,20 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from scipy.special import logit
 
+from lunarsim import (
+    HazardMap,
+    RandomStreams,
+    Scenario,
+    Simulation,
+    build_world,
+    exact_safety,
+    flight_seed,
+)
+from lunarsim.api import HazardMapper, LidarScan
 from lunarsim.evaluation.map_quality import true_elevation_in_map_frame
 from lunarsim.evaluation.precision_recall import PrecisionRecall
 from lunarsim.evaluation.reliability import reliability
-from lunarsim.messages.measurements import LidarScan
-from lunarsim.onboard.hazards.hazard_map import HazardMap, TerrainSurface
-from lunarsim.onboard.hazards.mapper import HazardMapper
-from lunarsim.rng import RandomStreams, flight_seed
-from lunarsim.safety import exact_safety
-from lunarsim.scenario import Scenario
-from lunarsim.simulation import Simulation, build_world
+from lunarsim.onboard.hazards.hazard_map import TerrainSurface
 from lunarsim.world import World
 
 Array = NDArray[np.float64]
@@ -51,7 +55,7 @@ MAPS = {
 SINGLE = ("dem", "quadtree", "rocks")
 
 _TILTED = {
-    "kind": "dtm", "posting_m": 0.5, "detail": False, "mirrored_to_m": 500.0,
+    "kind": "dtm", "posting_m": 0.5, "detail": False, "mirrored_size_m": 500.0,
     "path": str(HERE / "data" / "hirise_dteec_010228_1490_crop.tif"),
 }  # fmt: skip
 _MIXED = {"shape": "mixed", "cover": 0.04, "burial": [0.0, 0.5]}
@@ -70,12 +74,12 @@ WORLDS: dict[str, dict[str, Any]] = {
 
 @dataclass(frozen=True)
 class FusionStudyRow:
-    """A row of the study.
+    """One condition (row) of the all-sensor study: terrain and sensor failures.
 
     Attributes
     ----------
     world
-        Name of the world; rows with the same world share it.
+        Name of the simulated terrain in `WORLDS`; rows with the same name share it.
     drops
         Whether half of the LiDAR returns are lost.
     dead
@@ -105,7 +109,11 @@ ROWS: dict[str, FusionStudyRow] = {
 
 @dataclass(frozen=True)
 class FusionFlightTask:
-    """One flight: row, field, root seed, and altitudes of map evaluation, m."""
+    """Settings of one simulated flight of the all-sensor study.
+
+    `row` is the study condition, `field` the number of the simulated terrain, `seed` the root seed
+    and `altitudes` the altitudes of map evaluation (m).
+    """
 
     row: str
     field: int
@@ -114,13 +122,16 @@ class FusionFlightTask:
 
     @property
     def key(self) -> str:
-        """Key of the row and field in the result file."""
+        """Key of the study condition and field in the result file."""
         return f"{self.row} | {self.field}"
 
 
 def scenario_of(world: str, altitudes: tuple[float, ...]) -> Scenario:
-    """Return the descent over a world with all mappers and a flash at every altitude."""
-    base = Scenario.load(HERE / "all_eyes.toml").changed(**WORLDS[world])
+    """Return the descent over a terrain of `WORLDS` with all mappers.
+
+    A LiDAR scan is taken above each of the `altitudes` of map evaluation (m).
+    """
+    base = Scenario.load(HERE / "all_sensors.toml").changed(**WORLDS[world])
     lander = base.vehicle.make()
     half = lander.leg_radius + 0.5 * lander.pad_diameter
     # On the trajectory of the scenario, with the speed scaled as in a fall from the start.
@@ -141,27 +152,31 @@ def scenario_of(world: str, altitudes: tuple[float, ...]) -> Scenario:
             "dem": {"size_m": SIZE, "posting_m": POSTING},
             "rocks": {
                 "size_m": SIZE, "posting_m": POSTING,
-                "hazard_diameter_m": lander.roughness_limit / ratio,
+                "min_hazard_diameter_m": lander.roughness_limit / ratio,
             },
             "quadtree": {
                 "kind": "quadtree", "sensor": "flash", "size_m": SIZE, "posting_m": POSTING,
-                "sites": {"zone_m": ZONE * half, "roughness_limit_m": lander.roughness_limit},
+                "sites": {"zone_half_side_m": ZONE * half,
+                "roughness_limit_m": lander.roughness_limit},
             },
             # Evaluated as it is at the altitude, not as it was for the last decision.
             "fused": {"interval_s": 0.0},
-            "alone": {"kind": "fused", "of": ["dem"], "interval_s": 0.0},
+            "alone": {"kind": "fused", "inputs": ["dem"], "interval_s": 0.0},
         },
     )  # fmt: skip
 
 
 @lru_cache(maxsize=1)
 def world_of(world: str, seed: int) -> World:
-    """Build the world of a seed; the last one is cached."""
+    """Build the simulated terrain and light for a seed; the last result is cached.
+
+    `world` is a name in `WORLDS`.
+    """
     return build_world(scenario_of(world, (100.0,)), RandomStreams(seed))
 
 
 def fly(task: FusionFlightTask) -> dict[str, Any]:
-    """Fly once; return the counts of each map at each altitude for JSON."""
+    """Simulate one flight; return the site counts by map and altitude for JSON."""
     row = ROWS[task.row]
     seed = flight_seed(task.seed, task.field)
     scenario = scenario_of(row.world, task.altitudes)
@@ -181,7 +196,7 @@ def fly(task: FusionFlightTask) -> dict[str, Any]:
                 part.stop()
         if simulation.altitude <= waiting[0]:
             evaluated[f"{waiting.pop(0):g}"] = judge(simulation)
-    refused = mappers["rocks"].refused  # type: ignore[attr-defined]
+    refused = mappers["rocks"].rejected_images  # type: ignore[attr-defined]
     return {"row": task.row, "field": task.field, "maps": evaluated, "ms": clock.mean_ms(),
             "refused": {fault.name: count for fault, count in refused.items()}}  # fmt: skip
 
@@ -192,7 +207,7 @@ class MapperTimer:
     Parameters
     ----------
     mappers
-        Mappers by name.
+        Mappers by name; their methods are replaced by timed ones.
     """
 
     def __init__(self, mappers: dict[str, HazardMapper]) -> None:
@@ -202,10 +217,12 @@ class MapperTimer:
         for name, mapper in mappers.items():
             for method in ("update", "refresh", "hazard_map", "evidence"):
                 setattr(mapper, method, self._timed(name, getattr(mapper, method)))
-            evaluated = partial(_evaluated_surface, mapper, mapper.surface)
-            setattr(mapper, "surface", self._timed(name, evaluated))  # noqa: B010
+            evaluated = partial(_evaluated_surface, mapper, mapper.terrain_surface)
+            setattr(mapper, "terrain_surface", self._timed(name, evaluated))  # noqa: B010
 
     def _timed(self, name: str, method: Callable[..., Any]) -> Callable[..., Any]:
+        """Return a method of mapper `name` that adds its run time to the mapper's account."""
+
         def call(*args: Any) -> Any:
             began, others, self._inside = time.perf_counter(), self._inside, 0.0
             try:
@@ -222,20 +239,23 @@ class MapperTimer:
         return call
 
     def mean_ms(self) -> dict[str, float]:
-        """Return the total time of each mapper divided by its number of maps, ms."""
+        """Return the computing time of each mapper per hazard map, ms."""
         return {n: 1e3 * s / max(len(self._drawn[n]), 1) for n, s in self._seconds.items()}
 
 
 def _evaluated_surface(
     mapper: HazardMapper, surface: Callable[[], TerrainSurface]
 ) -> TerrainSurface:
-    """Evaluate the map in the time account of its mapper, then return its surface."""
+    """Compute the hazard map of a mapper, then return its terrain surface.
+
+    The time of the map then counts for its own mapper. `surface` is the mapper's method.
+    """
     mapper.hazard_map()
     return surface()
 
 
 def with_dropouts(update: Callable[..., None]) -> Callable[..., None]:
-    """Return a mapper method that receives scans with half of the returns lost."""
+    """Wrap the `update` method of a LiDAR mapper so that half of the returns are lost."""
 
     def taken(scan: LidarScan, estimate: Any) -> None:
         # Seeded with the scan time: all mappers lose the same returns.
@@ -250,7 +270,7 @@ def with_dropouts(update: Callable[..., None]) -> Callable[..., None]:
 
 @dataclass(frozen=True)
 class MapTruth:
-    """True terrain safety under a map.
+    """True safety of the terrain under a hazard map.
 
     Attributes
     ----------
@@ -269,7 +289,7 @@ class MapTruth:
 
 
 def map_truth(simulation: Simulation) -> MapTruth:
-    """Return the true safety on the cells of the Gaussian DEM."""
+    """Return the true safety at the cell centers of the Gaussian DEM's current map."""
     lander, terrain = simulation.lander, simulation.world.terrain
     grid = simulation.computer.mappers["dem"].hazard_map().grid
     error = simulation.navigation_error
@@ -304,7 +324,11 @@ def rock_heights(terrain: Any) -> Array:
 def has_rock_in_footprint(
     xy: Array, middles: Array, radius: Array, footprint: float
 ) -> NDArray[np.bool_]:
-    """Return whether any rock (k, 2) reaches into the footprint at each position (n,)."""
+    """Return whether a rock reaches into the lander's footprint at positions (n,).
+
+    `xy` (n, 2) are the positions, `middles` (k, 2) and `radius` (k,) those of the rocks and
+    `footprint` the radius of the footprint, m.
+    """
     out = np.zeros(len(xy), np.bool_)
     if len(middles):
         found = cKDTree(xy).query_ball_point(middles, radius + footprint)
@@ -313,7 +337,7 @@ def has_rock_in_footprint(
 
 
 def judge(simulation: Simulation) -> dict[str, Any]:
-    """Compare all current maps with the truth."""
+    """Count sites of all current maps by predicted and true safety, for JSON."""
     truth = map_truth(simulation)
     drawn = {name: simulation.computer.mappers[name].hazard_map() for name in MAPS}
     found = {name: count_sites(one, truth) for name, one in drawn.items()}
@@ -322,9 +346,10 @@ def judge(simulation: Simulation) -> dict[str, Any]:
 
 
 def joint(fused: HazardMap, second: HazardMap, truth: MapTruth) -> list[Any]:
-    """Return joint site counts by the probabilities of two maps (safe, fused, second).
+    """Count sites by true safety and by the p_safe bins of two maps.
 
-    The bins are `ODDS`. The last column of the second map counts sites that it has not observed.
+    The result has the axes truth (unsafe, safe), bin of the fused map, bin of the second map; the
+    bins are `ODDS`. The last bin of the second map counts sites that this map has not observed.
     Sites that the fused map has not observed are omitted.
     """
     kept = _layer_at(fused, fused.observed, truth.xy)
@@ -338,12 +363,17 @@ def joint(fused: HazardMap, second: HazardMap, truth: MapTruth) -> list[Any]:
 
 
 def _log_odds(p: Array) -> Array:
+    """Return log(p / (1 - p)) of probabilities; infinite at 0 and 1."""
     with np.errstate(divide="ignore"):
         return np.asarray(logit(p.astype(np.float64)))
 
 
 def count_sites(drawn: HazardMap, truth: MapTruth) -> dict[str, Any]:
-    """Return the site counts of one map for JSON."""
+    """Count the sites of one hazard map by p_safe and true safety, for JSON.
+
+    The counts are those of precision-recall curves ("safe", "unsafe", "large" rocks underneath),
+    high rocks called safe ("objects"), calibration ("table") and Brier score ("squares").
+    """
     p = drawn.p_safe_at(truth.xy)
     layer = drawn.observed if drawn.in_domain is None else drawn.in_domain
     claimed = _layer_at(drawn, layer, truth.xy)
@@ -363,6 +393,7 @@ def count_sites(drawn: HazardMap, truth: MapTruth) -> dict[str, Any]:
 
 
 def _layer_at(drawn: HazardMap, layer: NDArray[np.bool_], xy: Array) -> NDArray[np.bool_]:
+    """Return a boolean map layer at positions (n, 2), m; False outside the map."""
     g = drawn.grid
     row, col = g.cell(xy)
     found = layer[np.clip(row, 0, g.rows - 1), np.clip(col, 0, g.cols - 1)]

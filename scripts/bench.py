@@ -1,10 +1,10 @@
-"""Measure the speed of the package as ratios to a reference in the same run.
+"""Measure the speed of lunarsim as ratios to a reference in the same run.
 
-    python scripts/bench.py              # all parts
-    python scripts/bench.py flight       # one part
+    python scripts/bench.py              # all benchmarks
+    python scripts/bench.py flight       # one benchmark
 
-Every part compiles its kernels first and prints medians. Only ratios within one run are comparable
-between machines.
+Every benchmark (part) compiles its kernels first and prints medians. Only ratios within one run
+are comparable between machines.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ PARTS: dict[str, Callable[[], None]] = {
 @click.command()
 @click.argument("parts", nargs=-1)
 def main(parts: tuple[str, ...]) -> None:
-    """Run the named PARTS (default: all)."""
+    """Run the benchmarks named by PARTS (default: all) and print times and ratios."""
     unknown = [name for name in parts if name not in PARTS]
     if unknown:
         raise click.UsageError(f"PARTS: must be among {', '.join(PARTS)}, got {unknown[0]}")

@@ -18,7 +18,10 @@ remedy. An interrupted command ends with exit code 130.
 
 
 def commands(group: click.Group, before: tuple[str, ...] = ()) -> Iterator[tuple[str, ...]]:
-    """Yield the words of every command, groups before their commands."""
+    """Yield the words of every command of a group, such as ("campaign", "run").
+
+    `before` are the words of the group; groups come before their commands.
+    """
     for name, command in sorted(group.commands.items()):
         yield *before, name
         if isinstance(command, click.Group):
@@ -26,7 +29,7 @@ def commands(group: click.Group, before: tuple[str, ...] = ()) -> Iterator[tuple
 
 
 def page() -> str:
-    """Return the page in Markdown."""
+    """Return the page docs/commands.md: the help of each command."""
     runner, out = CliRunner(), [HEAD]
     for words in commands(main):
         options = {"prog_name": "lunarsim", "terminal_width": 88}

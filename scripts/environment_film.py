@@ -18,7 +18,7 @@ _SIZE, _SEED, _HOLD = (400, 360), 3, 5
 
 
 def main() -> None:
-    """Fly one episode and write a frame for every other second."""
+    """Fly one episode of `Retarget-v0` and write a GIF with a frame every 2 s."""
     assert lunarsim_envs.__name__
     env = gymnasium.make(
         "lunarsim/Retarget-v0", scenario="golombek", render_mode="rgb_array_list", views=True

@@ -134,7 +134,7 @@ through `action_masks()`.
 
 
 def environments() -> Iterator[EnvSpec]:
-    """Yield the environments registered by the package, by name."""
+    """Yield the specifications of the environments of lunarsim_envs, sorted by name."""
     assert lunarsim_envs.__name__
     for name, spec in sorted(gymnasium.registry.items()):
         if name.startswith("lunarsim/"):
@@ -142,7 +142,10 @@ def environments() -> Iterator[EnvSpec]:
 
 
 def section(spec: EnvSpec) -> str:
-    """Return the docstring of an environment under its name, with lower headings."""
+    """Return the Markdown section of an environment: its name and its docstring.
+
+    The headings of the docstring become one level lower.
+    """
     assert spec.entry_point is not None
     maker = spec.entry_point
     docstring = inspect.getdoc(load_env_creator(maker) if isinstance(maker, str) else maker) or ""
@@ -150,7 +153,7 @@ def section(spec: EnvSpec) -> str:
 
 
 def page() -> str:
-    """Return the page in Markdown."""
+    """Return the page docs/environments.md in Markdown."""
     return "\n".join([HEAD, *map(section, environments())])
 
 

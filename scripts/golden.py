@@ -1,4 +1,7 @@
-"""Detect changed results by digests of golden cases.
+"""Detect changed results by digests (hashes) of golden cases.
+
+A golden case is a short run with a fixed seed. The script records a digest of every quantity that a
+case writes, and compares later digests with them.
 
     python scripts/golden.py record --at HEAD~3    # record that revision on this machine
     python scripts/golden.py check                 # compare the working tree with the record
@@ -77,7 +80,7 @@ def record(revision: str | None, complete: bool, jobs: int, threads: int) -> Non
 @_JOBS
 @_THREADS
 def check(complete: bool, jobs: int, threads: int) -> None:
-    """Compare the working tree with the record; status 1 if changed."""
+    """Compare results of the working tree with the record; status 1 if changed."""
     path = OUT / "recorded.json"
     if not path.is_file():
         raise click.UsageError("no record exists. Run `golden.py record --at REVISION` first.")
@@ -104,7 +107,10 @@ def check(complete: bool, jobs: int, threads: int) -> None:
 
 
 def changes(case: str, before: Digests, after: Digests) -> Iterator[str]:
-    """Yield a line for each changed, added, removed or renamed quantity."""
+    """Yield a line of text for each changed, added, removed or renamed quantity.
+
+    `before` and `after` are the digests of one golden case by quantity.
+    """
     for name in sorted(before.keys() & after.keys()):
         if before[name][0] != after[name][0]:
             yield f"changed: {case}: {name}: {before[name][1]} -> {after[name][1]}"
@@ -122,7 +128,7 @@ def changes(case: str, before: Digests, after: Digests) -> Iterator[str]:
 
 @contextmanager
 def _tree(revision: str | None) -> Iterator[Path]:
-    """Yield the source folder of a revision; None: of the working tree."""
+    """Yield a folder with the source of a Git revision; None is the working tree."""
     if revision is None:
         yield ROOT
         return
@@ -141,7 +147,10 @@ def _tree(revision: str | None) -> Iterator[Path]:
 
 
 def _run(tree: Path, cases: dict[str, Any], jobs: int, threads: int) -> dict[str, Digests]:
-    """Return the digests of each case, computed with the source in a folder."""
+    """Run cases with the source in the folder `tree`; return the digests of each.
+
+    `jobs` is the number of parallel cases and `threads` the number of threads of each case.
+    """
     begin = time.monotonic()
     found = {}
     with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(jobs) as pool:
@@ -156,7 +165,10 @@ def _run(tree: Path, cases: dict[str, Any], jobs: int, threads: int) -> dict[str
 
 
 def _case(tree: Path, name: str, folder: Path, threads: int) -> Digests:
-    """Run one case in its own process."""
+    """Run one golden case in a separate process and return its digests.
+
+    `tree` is the source folder and `folder` gets the results.
+    """
     out = folder / f"{name}.json"
     environment = os.environ | dict.fromkeys(_COUNTS, str(threads)) | {
         "PYTHONPATH": os.pathsep.join(map(str, (tree, tree / "envs", ROOT / "scripts"))),
@@ -174,7 +186,10 @@ def _case(tree: Path, name: str, folder: Path, threads: int) -> Digests:
 
 
 def _source_digest(tree: Path) -> str:
-    """Return a digest of all Python source, so that no stale kernel is used."""
+    """Return a digest of all Python source in `tree`, which names the kernel cache.
+
+    Compiled kernels of another source are therefore never used.
+    """
     found = hashlib.blake2b(digest_size=12)
     for folder in ("lunarsim", "envs"):
         for path in sorted((tree / folder).rglob("*.py")):

@@ -47,7 +47,7 @@ SPDX = {
 
 
 def licence(metadata: dict[str, Any]) -> str:
-    """Return the licence that a package states, "not stated" if there is none.
+    """Return the licence that a package states in its metadata, or "not stated".
 
     Examples
     --------
@@ -74,7 +74,7 @@ def licence(metadata: dict[str, Any]) -> str:
 
 
 def resolve_packages(extra: str) -> dict[str, dict[str, Any]]:
-    """Return the metadata of the packages that the project and an extra need, by name."""
+    """Return the metadata of all packages that lunarsim with an extra needs, by name."""
     wanted = f"{ROOT}[{extra}]" if extra else str(ROOT)
     with tempfile.TemporaryDirectory() as folder:
         report = Path(folder) / "report.json"
@@ -90,7 +90,7 @@ def resolve_packages(extra: str) -> dict[str, dict[str, Any]]:
 
 
 def table(packages: dict[str, dict[str, Any]]) -> str:
-    """Return a table of packages, versions and licences."""
+    """Return a Markdown table of packages, versions and licences."""
     rows = [
         f"| {data['name']} | {data['version']} | {licence(data)} |" for data in packages.values()
     ]
@@ -98,7 +98,7 @@ def table(packages: dict[str, dict[str, Any]]) -> str:
 
 
 def page() -> str:
-    """Return the page in Markdown."""
+    """Return the page docs/licences.md in Markdown."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     base = resolve_packages("")
     out = [HEAD.format(python=f"{sys.version_info.major}.{sys.version_info.minor}"), table(base)]

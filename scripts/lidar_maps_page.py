@@ -1,8 +1,8 @@
 """Update the tables of docs/lidar-maps.md: `python scripts/lidar_maps_page.py`.
 
-`scenarios/lidar_maps/compare_mappers.py --out DIR` writes DIR/figures.json. `--take FILE --command
+`scenarios/lidar_maps/compare_mappers.py --out DIR` writes DIR/figures.json. `--store FILE --command
 "..."` stores its results by world in `docs/results/lidar_maps` and updates the rows of these
-worlds. Rows of worlds without stored results stay unchanged.
+worlds. A world is one terrain of the study. Rows of worlds without stored results stay unchanged.
 """
 
 from __future__ import annotations
@@ -28,7 +28,11 @@ MAX_CALIBRATION_ERROR = 0.03
 
 
 def shortfalls(world: WorldResults) -> list[str]:
-    """Return the shortfalls of a world as text."""
+    """Return texts on the requirements that the results of one terrain do not meet.
+
+    They are flights without a safe landing, and maps whose claimed probabilities have a calibration
+    error above `MAX_CALIBRATION_ERROR` or a negative skill.
+    """
     out = []
     for way, f in world["landings"].items():
         if f["landed"] < f["flights"]:
@@ -45,12 +49,15 @@ def shortfalls(world: WorldResults) -> list[str]:
 
 
 def mark(name: str) -> str:
-    """Return the marker line before a generated table."""
+    """Return the comment line that marks the generated table `name` in the page."""
     return f"<!-- {name}: made by scripts/lidar_maps_page.py -->"
 
 
 def _table(text: str, name: str, kept: dict[str, WorldResults]) -> str:
-    """Return the page with updated rows of the stored worlds in one of its tables."""
+    """Return the page `text` with updated rows in the table `name`.
+
+    `kept` has the stored results by world.
+    """
     pattern = re.compile(re.escape(mark(name)) + r"\n\n((?:\|.*\n)+)")
     found = pattern.search(text)
     if found is None:
@@ -73,7 +80,10 @@ def _table(text: str, name: str, kept: dict[str, WorldResults]) -> str:
 
 
 def _commands(text: str, kept: dict[str, WorldResults]) -> str:
-    """Return the page with updated commands and shortfalls of the stored worlds."""
+    """Return the page `text` with an updated list of commands and unmet requirements.
+
+    `kept` has the stored results by world.
+    """
     pattern = re.compile(re.escape(mark("commands")) + r"\n\n((?:- .*\n)*)")
     found = pattern.search(text)
     if found is None:
@@ -86,20 +96,20 @@ def _commands(text: str, kept: dict[str, WorldResults]) -> str:
 
 
 def update_page(text: str, kept: dict[str, WorldResults]) -> str:
-    """Return the page with all generated parts updated."""
+    """Return the page `text` with all tables updated from the results `kept` by world."""
     for name in ROWS:
         text = _table(text, name, kept)
     return _commands(text, kept)
 
 
 def load() -> dict[str, WorldResults]:
-    """Return the stored results by world."""
+    """Read the stored results of the study, by world."""
     files = [json.loads(p.read_text(encoding="utf-8")) for p in sorted(STORED.glob("*.json"))]
     return {file["world"]: file for file in files}
 
 
 def finite(data: Any) -> Any:
-    """Replace non-finite numbers by None."""
+    """Replace non-finite numbers in nested data by None, for JSON."""
     if isinstance(data, dict):
         return {key: finite(value) for key, value in data.items()}
     if isinstance(data, list):
@@ -108,7 +118,7 @@ def finite(data: Any) -> Any:
 
 
 def take(found: dict[str, Any], command: str) -> None:
-    """Store the results of the study, one file per world."""
+    """Store the results of the study by world, with the command, one file per world."""
     STORED.mkdir(parents=True, exist_ok=True)
     for world, figures in found.items():
         name = re.sub(r"[^a-z0-9]+", "_", world.lower()).strip("_")
@@ -118,14 +128,14 @@ def take(found: dict[str, Any], command: str) -> None:
 
 
 @click.command()
-@click.option("--take", "taken", type=click.Path(path_type=Path, exists=True), default=None,
+@click.option("--store", "taken", type=click.Path(path_type=Path, exists=True), default=None,
               help="File figures.json of the study.")  # fmt: skip
 @click.option("--command", default="", help="Command that wrote the file.")
 def main(taken: Path | None, command: str) -> None:
-    """Update the tables of the page; optionally store new results."""
+    """Update the tables of docs/lidar-maps.md; optionally store new results."""
     if taken is not None:
         if not command:
-            raise click.UsageError("--command: must be given with --take")
+            raise click.UsageError("--command: must be given with --store")
         take(json.loads(taken.read_text(encoding="utf-8")), command)
     PAGE.write_text(update_page(PAGE.read_text(encoding="utf-8"), load()), encoding="utf-8")
 

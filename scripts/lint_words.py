@@ -62,7 +62,7 @@ _MAX_FIRST_LINE = 80
 
 
 class Finding(NamedTuple):
-    """One place that the check reports."""
+    """One violation of the style rules: file, line, word, and text of the report."""
 
     file: str
     line: int
@@ -74,7 +74,7 @@ class Finding(NamedTuple):
 
 
 def main() -> None:
-    """Print all findings without an exception; exit 1 if there are any."""
+    """Print all findings that have no permitted exception; exit 1 if there are any."""
     exceptions = tomllib.loads(EXCEPTIONS.read_text(encoding="utf-8"))["exception"]
     phrases = [re.compile(one["phrase"], re.I) for one in exceptions if "phrase" in one]
     places = {(one["file"], one["word"].lower()) for one in exceptions if "file" in one}
@@ -94,12 +94,14 @@ def main() -> None:
 
 
 def _files() -> list[str]:
+    """Return the paths of all files to check, relative to the repository."""
     found = [path for folder in CODE for path in sorted((ROOT / folder).rglob("*.py"))]
     found += [ROOT / page for page in PAGES if (ROOT / page).exists()]
     return [path.relative_to(ROOT).as_posix() for path in found if path.name != "lint_words.py"]
 
 
 def _in_file(file: str, phrases: list[re.Pattern[str]]) -> Iterator[Finding]:
+    """Yield the findings of one file; `phrases` are permitted."""
     text = (ROOT / file).read_text(encoding="utf-8")
     if not file.endswith(".py"):
         for line, prose in enumerate(text.splitlines(), 1):
@@ -118,7 +120,10 @@ def _in_file(file: str, phrases: list[re.Pattern[str]]) -> Iterator[Finding]:
 
 
 def _words(file: str, line: int, prose: str, phrases: list[re.Pattern[str]]) -> Iterator[Finding]:
-    """Yield banned words outside of code in backticks and of permitted phrases."""
+    """Yield the banned words in a line of prose.
+
+    Code in backticks and the permitted `phrases` are ignored.
+    """
     prose = re.sub(r"`[^`]*`", "", prose)
     for phrase in phrases:
         prose = phrase.sub("", prose)
@@ -128,6 +133,7 @@ def _words(file: str, line: int, prose: str, phrases: list[re.Pattern[str]]) -> 
 
 
 def _first_line(file: str, node: ast.AST) -> Iterator[Finding]:
+    """Yield a finding if the first line of a docstring is too long or incomplete."""
     if not isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef):
         return
     doc = ast.get_docstring(node)
@@ -144,6 +150,7 @@ def _first_line(file: str, node: ast.AST) -> Iterator[Finding]:
 
 
 def _identifiers(file: str, node: ast.AST) -> Iterator[Finding]:
+    """Yield a finding for each banned word in a name that a syntax node defines."""
     names: list[str] = []
     if isinstance(node, ast.ClassDef | ast.FunctionDef):
         names.append(node.name)
@@ -159,6 +166,7 @@ def _identifiers(file: str, node: ast.AST) -> Iterator[Finding]:
 
 
 def _repeated_classes(files: list[str]) -> Iterator[Finding]:
+    """Yield a finding for each class name that is defined more than once."""
     places: dict[str, list[tuple[str, int]]] = defaultdict(list)
     for file in files:
         if file.endswith(".py"):

@@ -1,4 +1,4 @@
-"""Run mutation tests: put faults into kernels and count those detected.
+"""Run mutation tests: put faults into kernels and count those that tests detect.
 
     python scripts/mutants.py                                   # a sample over all kernels
     python scripts/mutants.py --only triangulation --count 20
@@ -125,7 +125,7 @@ _TESTS: dict[str, tuple[str, ...]] = {
 
 
 def tests_of(path: str) -> list[str]:
-    """Return the tests of a kernel file: its table row, or the mirrored folder.
+    """Return the test files of a kernel file: listed in `_TESTS`, or the same folder.
 
     Raises
     ------
@@ -150,7 +150,10 @@ def kernel_files() -> dict[str, str]:
 
 
 def faults_per_file(lines: dict[str, int], count: int) -> dict[str, int]:
-    """Return the number of faults per file: proportional to its lines, at least two."""
+    """Distribute about `count` faults over files in proportion to their kernel lines.
+
+    `lines` and the result have a number for each file; every file gets two faults or more.
+    """
     total = sum(lines.values())
     return {path: max(MIN_FAULTS_PER_FILE, round(count * n / total)) for path, n in lines.items()}
 
@@ -158,9 +161,10 @@ def faults_per_file(lines: dict[str, int], count: int) -> dict[str, int]:
 def select_faults(
     texts: dict[str, str], only: str, count: int, seed: int, equivalents: list[EquivalentMutant]
 ) -> tuple[list[Mutant], list[tuple[Mutant, str]], list[EquivalentMutant]]:
-    """Return the faults to try, the listed equivalent ones, and stale list entries.
+    """Select the faults (mutants) to try, without those known to change no result.
 
-    Equivalent faults change no result and come with a reason. A stale entry matches no fault.
+    Returns the faults to try, the selected equivalent faults with the reason why they change no
+    result, and the entries of `equivalents` that match no fault.
 
     Parameters
     ----------
@@ -169,7 +173,7 @@ def select_faults(
     only
         Part of the fault names to select. With `file:line`, all faults of the line are selected.
     count, seed
-        Number of faults to draw over all files, and the random seed.
+        Number of faults to sample over all files, and the random seed.
     equivalents
         Known equivalent faults.
     """
@@ -197,7 +201,10 @@ def select_faults(
 
 
 def _summary(faults: list[Mutant], trials: MutationRun, listed: list[tuple[Mutant, str]]) -> Table:
-    """Return the table of results by file."""
+    """Return the table of results by file: numbers of faults by outcome, and time.
+
+    `faults` were to be tried, `trials` has their results, and `listed` are equivalent faults.
+    """
     columns = ("faults", "caught", "survived", "not compiled", "equivalent", "time (min)")
     table = Table("file", *columns, title="Mutation test results")
     rows: dict[str, list[float]] = {}
@@ -224,7 +231,10 @@ def _report(
     listed: list[tuple[Mutant, str]],
     texts: dict[str, str],
 ) -> bool:
-    """Print the table and the surviving faults; return whether enough are caught."""
+    """Print the table and the surviving faults; return whether enough are caught.
+
+    `texts` is the source by file; other arguments as in `_summary`. 95 % must be caught.
+    """
     console = plain_console(None if sys.stdout.isatty() else 120)
     console.print(_summary(faults, trials, listed))
     for title, outcome in (("survived", "survived"), ("not compiled", "refused")):
@@ -263,7 +273,7 @@ def _report(
     "--results", default=ROOT / "out" / "mutants.jsonl", help="File of the results.",
     type=click.Path(path_type=Path, dir_okay=False),
 )  # fmt: skip
-@click.option("--resume/--afresh", default=True, help="Reuse or delete the stored results.")
+@click.option("--resume/--restart", default=True, help="Reuse or delete the stored results.")
 @click.option(
     "--list", "show", is_flag=True, help="Print the selected faults without running them."
 )
@@ -311,7 +321,10 @@ def main(
 
 
 def _run_trials(faults: list[Mutant], trials: MutationRun, jobs: int, limit: float) -> None:
-    """Try the faults without a stored result, with a progress bar."""
+    """Try the faults that have no stored result, with a progress bar.
+
+    `jobs` is the number of parallel trials and `limit` the time limit of each, s.
+    """
     left = [fault for fault in faults if trials.known(fault) is None]
     with plain_progress(plain_console(stderr=True)) as bar:
         task = bar.add_task("faults", total=len(faults), completed=len(faults) - len(left))

@@ -1,6 +1,6 @@
 """Print the page docs/results-by-seed.md from the stored results.
 
-A study writes its results with `--json`. `python scripts/results_page.py --take NAME FILE` stores
+A study writes its results with `--json`. `python scripts/results_page.py --store NAME FILE` stores
 the part that the page shows in `docs/results/NAME.json`: every metric by seed, the value of the
 paper, and the command of the study (`--command`). The page is generated from these files only.
 """
@@ -31,7 +31,7 @@ to repeat; the pages of the components have larger ones. The results of the LiDA
 
 @dataclass(frozen=True)
 class SeedMetric:
-    """One metric of a report.
+    """One metric of a study: a value per seed and a reference value.
 
     Attributes
     ----------
@@ -40,7 +40,7 @@ class SeedMetric:
     values
         One value per seed (field, terrain or flight); missing values are omitted.
     paper
-        Value of the paper, if there is one.
+        Reference value of the paper, or the optimum; None without a reference.
     better
         ``"higher"``, ``"lower"``, or ``""`` if neither is better.
     """
@@ -53,12 +53,12 @@ class SeedMetric:
 
     @property
     def mean(self) -> float:
-        """Mean over seeds."""
+        """Mean of the metric over seeds."""
         return statistics.fmean(self.values)
 
     @property
     def falls_short(self) -> bool:
-        """Whether the mean is on the wrong side of the paper's value."""
+        """Whether the mean is worse than the reference value."""
         if self.paper is None or not self.better:
             return False
         return self.mean < self.paper if self.better == "higher" else self.mean > self.paper
@@ -71,11 +71,11 @@ class StudyReport:
     Attributes
     ----------
     title, command, page
-        Title, command that wrote it, and page with more results.
+        Title, command that wrote the results, and page with more results.
     figures
         Metrics by seed.
     beside
-        Header of the reference column.
+        Header of the column with reference values.
     """
 
     title: str
@@ -86,11 +86,16 @@ class StudyReport:
 
 
 def _finite(values: Sequence[float | None]) -> list[float]:
+    """Return the finite values as floats."""
     return [float(v) for v in values if v is not None and math.isfinite(v)]
 
 
 def gaussian_dem(found: dict[str, Any]) -> list[SeedMetric]:
-    """Return Table 3 by complexity, and the p > 0.5 results of Table 6."""
+    """Extract metrics by seed from the results of the Gaussian DEM study.
+
+    They are precision and recall by terrain complexity (Table 3 of the paper), and the minimum over
+    nine scans with the threshold p > 0.5 (Table 6).
+    """
     out = []
     for row in found["3"]["rows"]:
         at = f"Table 3, c = {row['c']:g}: "
@@ -109,7 +114,10 @@ def gaussian_dem(found: dict[str, Any]) -> list[SeedMetric]:
 
 
 def quadtree(found: dict[str, Any]) -> list[SeedMetric]:
-    """Return the sweep of the hazard field at its last evaluation."""
+    """Extract metrics by flight from the quadtree study at its last evaluation.
+
+    They are map errors, hazard areas and selected sites on the hazard field.
+    """
     flights = found["flights"]
     looks = [flight["looks"][-1] for flight in flights]
     share = [look["missed_m2"] / max(look["hazard_m2"], 1e-9) for look in looks]
@@ -144,7 +152,11 @@ _RATES = {
 
 
 def shadows(found: dict[str, Any]) -> list[SeedMetric]:
-    """Return the map rates at 50 m of both descents, and the cost of the modified one."""
+    """Extract metrics by flight from the study of the rock filter by shadows.
+
+    They are map rates at 50 m altitude on both descent paths, and propellant and duration of the
+    modified path relative to the nominal one.
+    """
     out = []
     flown: dict[str, list[dict[str, Any]]] = {"nominal": [], "modified": []}
     for flight in found["flights"]:
@@ -163,7 +175,10 @@ def shadows(found: dict[str, Any]) -> list[SeedMetric]:
 
 
 def real_returns(found: dict[str, Any]) -> list[SeedMetric]:
-    """Return the errors at the held-out returns of the flight map and the paper's map."""
+    """Extract height errors at held-out LiDAR returns from the study of real returns.
+
+    Each split of the returns gives a value, for the map as in flights and as in the paper.
+    """
     out = []
     for name in ("as flights do", "field of Table 6"):
         splits = found["ground"]["heights"][name]["by split"]
@@ -179,7 +194,7 @@ def real_returns(found: dict[str, Any]) -> list[SeedMetric]:
 
 
 def guidance(found: list[dict[str, Any]]) -> list[SeedMetric]:
-    """Return each law's propellant relative to the optimum, and terminal error."""
+    """Extract excess propellant, velocity error and safe landings by guidance law."""
     out = []
     for law in dict.fromkeys(row["law"] for row in found):
         mine = [row for row in found if row["law"] == law]
@@ -198,7 +213,7 @@ def guidance(found: list[dict[str, Any]]) -> list[SeedMetric]:
 
 
 def navigation(found: dict[str, list[dict[str, Any]]]) -> list[SeedMetric]:
-    """Return the filter consistency, and position errors and outcomes of the flights."""
+    """Extract filter consistency (NEES, NIS), position errors and landing outcomes."""
     (flights,) = found.values()
     out = [
         SeedMetric(f"NEES / degrees of freedom, {part} (ideal 1)", "",
@@ -231,19 +246,22 @@ _REFERENCE = {"guidance": "optimum"}
 
 
 def take(name: str, found: Any, command: str) -> StudyReport:
-    """Return the stored part of the results of a study."""
+    """Extract from a study's results `found` the report that is stored.
+
+    `name` is a key of `STUDIES`; `command` is the command that wrote the results.
+    """
     title, page, figures = STUDIES[name]
     return StudyReport(title, command, page, figures(found), _REFERENCE.get(name, "paper"))
 
 
 def load(path: Path) -> StudyReport:
-    """Return a stored report."""
+    """Read a stored report from a JSON file."""
     kept = json.loads(path.read_text(encoding="utf-8"))
     return StudyReport(**kept | {"figures": [SeedMetric(**f) for f in kept["figures"]]})
 
 
 def section(report: StudyReport) -> str:
-    """Return a report in Markdown."""
+    """Return the Markdown section of a report: its metrics and what falls short."""
     out = [f"## {report.title}\n", f"`{report.command}`; [more]({report.page}.md).\n"]
     out += [
         f"| metric | mean | range | seeds | {report.beside} |",
@@ -263,16 +281,16 @@ def section(report: StudyReport) -> str:
 
 
 def page() -> str:
-    """Return the page in Markdown."""
+    """Return the page docs/results-by-seed.md in Markdown."""
     return "\n".join([HEAD, *(section(load(path)) for path in sorted(STORED.glob("*.json")))])
 
 
 @click.command()
-@click.option("--take", "taken", type=(click.Choice(list(STUDIES)), click.Path(path_type=Path)),
+@click.option("--store", "taken", type=(click.Choice(list(STUDIES)), click.Path(path_type=Path)),
               help="Name of a study and the file that it wrote.")  # fmt: skip
 @click.option("--command", default="", help="Command that wrote the file.")
 def main(taken: tuple[str, Path] | None, command: str) -> None:
-    """Print the page, or store the results of a study."""
+    """Print docs/results-by-seed.md, or store the results of a study."""
     if taken is None:
         print(page(), end="")
         return

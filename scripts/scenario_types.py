@@ -2,8 +2,8 @@
 
 `python scripts/scenario_types.py > lunarsim/scenario/tables.pyi` writes the file.
 
-Keys and types come from the parts, so that editors complete the tables and mypy checks them. A
-table with a `kind` has the keys of all kinds that the package registers.
+Keys and types come from the settings classes of the scenario components, so that editors complete
+the tables and mypy checks them. A table with a `kind` has the keys of all registered kinds.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from lunarsim.scenario.scenario import SelectedPart
 
 
 def main() -> None:
-    """Print the stub file."""
+    """Print the stub file: a class for each scenario table and for its changes."""
     print(HEAD)
     tables: dict[str, str] = {}
     for table, cls in {**layout.FIXED, **layout.OPTIONAL}.items():
@@ -60,7 +60,11 @@ def main() -> None:
 
 
 def _print(table: str, keys: dict[str, set[str]], *, chosen: bool) -> str:
-    """Print the classes of one table; return the name of the class of changes to it."""
+    """Print the stub classes of one scenario table and of changes to the table.
+
+    `keys` are the types by key; `chosen`: whether the table has a `kind`. Returns the name of the
+    class of changes.
+    """
     name = _class_name(table)
     written = {
         key: " | ".join(sorted(found, key=lambda one: (one == "None", one)))
@@ -80,11 +84,12 @@ def _print(table: str, keys: dict[str, set[str]], *, chosen: bool) -> str:
 
 
 def _class_name(table: str) -> str:
+    """Return the class name of a scenario table: its words with capitals."""
     return "".join(word.capitalize() for word in table.split("_"))
 
 
 def _keys(models: list[type[PartSettings]]) -> dict[str, set[str]]:
-    """Return the types of every key of one or more tables."""
+    """Return the types of every key in one or more settings classes, as stub text."""
     keys: dict[str, set[str]] = {}
     for model in models:
         for key, field in model.model_fields.items():
@@ -93,7 +98,10 @@ def _keys(models: list[type[PartSettings]]) -> dict[str, set[str]]:
 
 
 def _types(annotation: Any) -> Iterator[str]:
-    """Yield an annotation's alternatives without the bounds that pydantic checks."""
+    """Yield the alternative types of an annotation as text for the stub.
+
+    Bounds that pydantic checks are omitted.
+    """
     origin, arguments = typing.get_origin(annotation), typing.get_args(annotation)
     if origin is Annotated:
         yield from _types(arguments[0])

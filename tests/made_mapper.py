@@ -37,7 +37,7 @@ class Made(HazardMapper):
         return TerrainEvidence(self.hazard_map()) if self.seen else None
 
     @property
-    def blank(self):
+    def is_empty(self):
         return not self.seen
 
 
@@ -48,7 +48,7 @@ class Slow(Made):
         super().__init__()
         self.clock = clock
 
-    def surface(self):
+    def terrain_surface(self):
         self.clock[0] += 3.0
         return super().hazard_map()
 

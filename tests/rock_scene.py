@@ -115,11 +115,11 @@ class Flight:
         if self.filter.count == 0:
             self.filter.add(camera, self.ground_of(pixel, camera), covariance, radius, variance)
             return None
-        sight = self.filter.sight(camera)
+        sight = self.filter.project_rocks(camera)
         index = np.arange(len(pixel))
         if self.resting is not None:
             rests = self.resting.random(len(pixel)) < 0.7
-            self.filter.rest(rests)
+            self.filter.freeze(rests)
             index = np.flatnonzero(~rests)
         self.seen = len(index)
         return self.filter.update_rocks(

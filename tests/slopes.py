@@ -32,6 +32,6 @@ class Slope:
     def unobserved(self):
         return HazardMap.unobserved(self.grid)
 
-    def surface(self):
+    def terrain_surface(self):
         self.asked += 1
         return self.drawn

@@ -53,7 +53,7 @@ def test_fly_prints_the_verdict_and_writes_the_record(small, tmp_path):
     told = dict(re.findall(r"^ +(\S.*?)  +(\S.*?) *$", result.stdout, re.MULTILINE))
     assert told.pop("map 'dem'") == "is outside its calibrated domain"
     flight = Flight.load(out)
-    touchdown, degrees = flight.verdict.touchdown, np.rad2deg
+    touchdown, degrees = flight.outcome.touchdown, np.rad2deg
     assert told == {
         "time of flight": f"{flight.trajectory['time'][-1]:.1f} s",
         "propellant": f"{flight.trajectory['mass'][0] - flight.trajectory['mass'][-1]:.1f} kg",
@@ -94,9 +94,12 @@ def test_compare_prints_a_row_a_policy(tmp_path):
         cells, row = [cell.strip() for cell in told.strip("│").split("│")], rows[policy]
         burnt = f"{row['propellant_kg']:.1f}"
         assert cells[4] == f"{burnt} / {burnt}"
-        named = row["map_hits"] + row["map_false_safe"]
-        true = row["map_hits"] + row["map_missed"]
-        assert cells[8:10] == [f"{row['map_hits'] / named:.4f}", f"{row['map_hits'] / true:.3f}"]
+        named = row["map_true_safe"] + row["map_false_safe"]
+        true = row["map_true_safe"] + row["map_false_unsafe"]
+        assert cells[8:10] == [
+            f"{row['map_true_safe'] / named:.4f}",
+            f"{row['map_true_safe'] / true:.3f}",
+        ]
 
 
 @pytest.mark.parametrize(
@@ -110,7 +113,7 @@ def test_compare_prints_a_row_a_policy(tmp_path):
         ('[terrain]\nkind = "dtm"\npath = "gone.tif"', ["terrain.path", "gone.tif", "existing"]),
         ('[terrain]\nkind = "dtm"\npath = "bad.toml"', ["terrain.path", "GTiff"]),
         ("[start]\nposition_m = [0, 0, -10]", ["start.position_m", "above the terrain"]),
-        ("[target]\nposition_m = [900, 0]", ["target.position_m", "within the map"]),
+        ("[target]\nposition_m = [900, 0]", ["target.position_m", "is on the terrain"]),
     ],
 )
 def test_mistakes_end_with_code_2_and_write_nothing(tmp_path, edit, words):
@@ -267,7 +270,7 @@ def test_set_applies_to_the_parts_that_options_name(command, tmp_path):
     """Keys of the named law and policy, which the scenario's own parts lack."""
     tiny = tmp_path / "tiny.toml"
     Scenario.from_dict(TINY_FLIGHT | {"policy": {"kind": "no-divert"}}).save(tiny)
-    changes = ["--set", "guidance.gamma=0.6", "--set", "policy.enough=0.9"]
+    changes = ["--set", "guidance.gamma=0.6", "--set", "policy.p_safe_min=0.9"]
     parts = {"fly": ["--policy", "nearest-safe"], "compare": ["--policies", "nearest-safe"]}
     more = {"fly": [], "compare": ["--flights", "1", "--jobs", "1", "--no-figures",
                                    "--cache-size", "0"]}  # fmt: skip
@@ -279,5 +282,5 @@ def test_set_applies_to_the_parts_that_options_name(command, tmp_path):
     assert done.exit_code == 0, done.output
     flown = Scenario.load(out / "scenario.toml")
     assert (flown.guidance.kind, flown.guidance.gamma) == ("fractional-polynomial", 0.6)
-    assert (flown.policy.kind, flown.policy.enough) == ("nearest-safe", 0.9)
+    assert (flown.policy.kind, flown.policy.p_safe_min) == ("nearest-safe", 0.9)
     assert run(command, str(tiny), *changes, "--out", str(tmp_path / "other")).exit_code == 2

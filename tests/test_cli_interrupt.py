@@ -256,7 +256,7 @@ def test_a_record_is_there_whole_or_not_at_all(small, monkeypatch):
     assert done.exit_code == 130
     told = "interrupted: above/out has the scenario and the record, but not all figures"
     assert done.stderr.splitlines()[-1] == told
-    assert Flight.load(small / "above" / "out").verdict is not None
+    assert Flight.load(small / "above" / "out").outcome is not None
     assert Scenario.load(small / "above" / "out" / "scenario.toml").name
 
 

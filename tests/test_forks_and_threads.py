@@ -34,7 +34,7 @@ SCENARIO = {
 
 def fly(index):
     flight = Simulation(Scenario.from_dict(SCENARIO), flight_seed(1, index), "safest").run()
-    return flight.verdict.safe, flight.propellant_used, flight.divert_distance
+    return flight.outcome.safe, flight.propellant_used, flight.divert_distance
 """
 
 _FORKS = (

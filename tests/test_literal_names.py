@@ -80,9 +80,10 @@ def test_figures_show_dollar_signs(name):
 
 
 def test_a_comparison_draws_any_names(tmp_path):
-    maps = {"map_hits": 30, "map_false_safe": 10, "map_missed": 20}
+    maps = {"map_true_safe": 30, "map_false_safe": 10, "map_false_unsafe": 20}
     row = {
-        "flight": 0, "safe": False, "failed": "slope", "aborted": False, "propellant_kg": 40.0,
+        "flight": 0, "safe": False, "failure_causes": "slope", "aborted": False,
+        "propellant_kg": 40.0,
         "divert_m": 1.0, "vertical_speed_m_s": 2.0, "horizontal_speed_m_s": 0.1, "tilt_deg": 1.0,
         "safe_site_in_reach": True, **maps,
     }  # fmt: skip

@@ -9,9 +9,9 @@ import numba
 import numpy as np
 import pytest
 
-from lunarsim import _daemon_threads
 from lunarsim._jit import kernel
 from lunarsim._work_partition import PartitionedKernel
+from lunarsim.errors import NoThreadError
 
 
 @kernel(shared=True)
@@ -55,13 +55,13 @@ def test_every_turn_is_done_once_with_any_number_of_threads(threads):
 
 def test_the_caller_does_all_turns_where_no_thread_starts(threads, monkeypatch):
     def late(*_):
-        raise _daemon_threads.NoThreadError("no thread starts")
+        raise NoThreadError("no thread starts")
 
     threads(min(2, numba.config.NUMBA_NUM_THREADS))
     shares = []
     spy = PartitionedKernel(shares.append)
     spy()
-    monkeypatch.setattr(_daemon_threads.DaemonThreads, "submit", late)
+    monkeypatch.setattr("lunarsim._daemon_threads.DaemonThreads.submit", late)
     spy()
     assert shares == [(0, 1), (0, 1)]
 

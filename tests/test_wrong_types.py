@@ -42,18 +42,18 @@ NAN = float("nan")
         (Camera, "shot_noise", ["no", 1]),
         (Camera, "bits", [True, "8", 8.5]),
         (Camera, "detector_seed", [-1, "s"]),
-        (ExposureControl, "most_change", ["a"]),
+        (ExposureControl, "max_change_factor", ["a"]),
         (Light, "azimuth", [None, "a"]),
         (Light, "elevation", [True]),
-        (Light, "scattered", ["no", None]),
+        (Light, "scattered_light", ["no", None]),
         (Light, "photometry", [["hapke"], 3]),
-        (ImageQualitySettings, "least_agreement", [5.0, "x"]),
-        (ImageQualitySettings, "most_turn", [20.0, None]),
-        (ImageQualitySettings, "least_turn", [0.01]),
-        (ImageQualitySettings, "least_shadows", [2.5]),
+        (ImageQualitySettings, "contradict_agreement", [5.0, "x"]),
+        (ImageQualitySettings, "confirm_angle", [20.0, None]),
+        (ImageQualitySettings, "contradict_angle", [0.01]),
+        (ImageQualitySettings, "min_shadows", [2.5]),
         (DetectorSettings, "gamma", ["a", None, -1.0]),
         (TrackerSettings, "few", ["a", 2.5, -1]),
-        (TrackerSettings, "landmark_radius", ["a", NAN]),
+        (TrackerSettings, "min_landmark_radius", ["a", NAN]),
         (DetectionRates, "missed", ["abc", (1.0, None, 0.1)]),
         (RockModel, "burial", ["ab", (0.1, "x")]),
         (HazardPrior, "cover", ["a", None]),
@@ -69,15 +69,15 @@ def test_settings_of_a_wrong_type_name_their_field(make, name, wrong):
 def test_what_has_no_end_is_refused():
     for factor in (np.inf, 1.0):
         with pytest.raises(InputError, match=r"camera\.exposure_change"):
-            ExposureControl(most_change=factor)
-    with pytest.raises(InputError, match=r"prior\.least_diameter"):
+            ExposureControl(max_change_factor=factor)
+    with pytest.raises(InputError, match=r"prior\.min_diameter"):
         HazardPrior(largest_diameter=np.inf)
 
 
 def test_numbers_of_numpy_are_numbers():
     assert Camera(width=np.int64(320), fx=np.float32(300.0)).width == 320
     check_types("x", Camera())
-    assert TrackerSettings(few=np.int32(3), birth_q=2).few == 3
+    assert TrackerSettings(few=np.int32(3), min_birth_q=2).few == 3
 
 
 def test_models_of_shadows_refuse_what_is_no_sun_and_no_shape():
@@ -109,7 +109,7 @@ def test_distortion_that_can_be_taken_out_is_taken():
     [
         ({"sun": {"elevation_deg": 1.9}}, "sun.elevation_deg"),
         ({"sun": {"elevation_deg": 80.5}}, "sun.elevation_deg"),
-        ({"sensors": {"camera": {"exposure_shortest_s": 1.0}}}, "exposure_shortest_s"),
+        ({"sensors": {"camera": {"exposure_min_s": 1.0}}}, "exposure_min_s"),
         ({"sensors": {"camera": {"distortion": [-2.0, 0, 0, 0, 0]}}}, "camera.distortion"),
         ({"sensors": {"camera": {"blur_sigma_px": 1e9}}}, "blur_sigma_px"),
         ({"sensors": {"camera": {"read_noise_electrons": 1e300}}}, "read_noise_electrons"),

@@ -17,14 +17,15 @@ Weights = TypeVar("Weights")
 
 
 def scenario_argument(given: Any, changes: Any, otherwise: Scenario) -> Scenario:
-    """Return a scenario from an object, path, name or None, with changed values.
+    """Load the scenario that an environment's arguments select, with changed values.
 
     Parameters
     ----------
     given
-        Scenario, path of a TOML file, or name of a packaged scenario; None is `otherwise`.
+        Scenario, path of a TOML file, or name of a scenario that is supplied with lunarsim; None
+        selects `otherwise`.
     changes
-        Values by key, or None.
+        New values by scenario key, such as ``{"rocks.cover": 0.1}``, or None.
     otherwise
         Default scenario.
 
@@ -43,16 +44,20 @@ def scenario_argument(given: Any, changes: Any, otherwise: Scenario) -> Scenario
         raise InputError(
             "scenario",
             given,
-            "must be a Scenario, the path of a TOML file or the name of a packaged scenario",
+            "must be a Scenario, the path of a TOML file or the name of a supplied scenario",
         )
     named = {} if changes is None else changes
     if not isinstance(named, Mapping) or not all(isinstance(key, str) for key in named):
-        raise InputError("changes", changes, "must be values by key, such as {'rocks.cover': 0.1}")
+        raise InputError(
+            "changes", changes, "must map keys to values, such as {'rocks.cover': 0.1}"
+        )
     return with_values(scenario, named, "changes")
 
 
 def checked_int(field: str, value: Any, least: int) -> int:
-    """Return an integer with a lower bound.
+    """Check that an argument is an integer of at least `least`, and return the value.
+
+    `field` is the name of the argument in the error.
 
     Raises
     ------
@@ -65,7 +70,9 @@ def checked_int(field: str, value: Any, least: int) -> int:
 
 
 def checked_covers(given: Any) -> tuple[float, ...]:
-    """Return rock covers as a tuple; the scenario checks their bounds.
+    """Check that rock covers (area fractions) are numbers, and return them as a tuple.
+
+    Their bounds are checked later, by the scenario.
 
     Raises
     ------
@@ -80,7 +87,7 @@ def checked_covers(given: Any) -> tuple[float, ...]:
 
 
 def checked_bool(field: str, value: Any) -> bool:
-    """Return a boolean.
+    """Check that the argument named `field` is a boolean, and return it as a bool.
 
     Raises
     ------
@@ -93,7 +100,7 @@ def checked_bool(field: str, value: Any) -> bool:
 
 
 def checked_weights(given: Any, kind: type[Weights]) -> Weights | None:
-    """Return reward weights of a class, or None.
+    """Check that reward weights are None or of the class `kind`, and return them.
 
     Raises
     ------
@@ -106,23 +113,23 @@ def checked_weights(given: Any, kind: type[Weights]) -> Weights | None:
 
 
 def checked_options(given: Any) -> dict[str, Any]:
-    """Return the options of a reset as a dictionary; None has no options.
+    """Return the options of `reset` as a dictionary, which is empty for None.
 
     Raises
     ------
     InputError
-        If the options are not values by name.
+        If the options are not a mapping from names to values.
     """
     named = {} if given is None else given
     if not isinstance(named, Mapping) or not all(isinstance(key, str) for key in named):
         raise InputError(
-            "options", given, "must be values by name, such as {'position_m': (0, 0, 500)}"
+            "options", given, "must map names to values, such as {'position_m': (0, 0, 500)}"
         )
     return dict(named)
 
 
 def check_no_render_mode(render_mode: Any) -> None:
-    """Check that a vector environment has no render mode.
+    """Check that no render mode is requested from a vector environment.
 
     Raises
     ------

@@ -37,12 +37,12 @@ _UNDER, _TOP, _HALF, _SIDES = 0.25, 1.1, 0.55, 8
 
 
 class ChaseViewRenderer:
-    """Draw the views of one flight.
+    """Draw a chase view, the onboard camera view and gauges of one simulated flight.
 
     Parameters
     ----------
     simulation
-        Simulation at the first decision.
+        Simulation of the flight, which has just reached its first site decision.
 
     Raises
     ------
@@ -66,7 +66,10 @@ class ChaseViewRenderer:
         self._bright = self._exposure()
 
     def chase(self) -> View:
-        """Return the view from behind the lander to the site, within angle limits."""
+        """Return the pose of the chase camera, behind the lander and aimed at it.
+
+        Its depression angle is that of the line from lander to site, within limits.
+        """
         s = self.simulation
         at = s.state.position
         away = at - s.true_to_local.to_site(s.site)
@@ -90,7 +93,7 @@ class ChaseViewRenderer:
         return _HEADROOM * float(np.percentile(lit, 90.0)) if lit.size else 1.0
 
     def _onboard(self) -> View:
-        """Return the view of the onboard camera with reduced resolution."""
+        """Return pose and intrinsics of the onboard camera at reduced resolution."""
         view, share = self._camera.view(self.simulation.state), self._shrunk
         width, height = round(share * view.width), round(share * view.height)
         return View(
@@ -99,14 +102,14 @@ class ChaseViewRenderer:
         )  # fmt: skip
 
     def seen_by(self, view: View) -> Image:
-        """Render the terrain in a view (height, width, 3)."""
+        """Render the terrain as seen from a camera pose; RGB image (height, width, 3)."""
         radiance = self._renderer.render(view, self.simulation.world.light).radiance
         tone = 235.0 * np.clip(radiance / self._bright, 0.0, 1.0) ** (1.0 / 2.2)
         image = np.repeat(tone[..., None], 3, axis=2).astype(np.uint8)
         return np.maximum(image, np.array(_SKY, np.uint8))
 
     def draw(self) -> Image:
-        """Return an image of the current state (360, 800, 3)."""
+        """Return an RGB image of all views and gauges at the current time (360, 800, 3)."""
         view = self.chase()
         chase = self.seen_by(view)
         self._mark(chase, view)
@@ -125,7 +128,7 @@ class ChaseViewRenderer:
         return np.hstack((chase, side_panel))
 
     def _mark(self, image: Image, view: View) -> None:
-        """Draw the footprint circle around the current site, if it is in view."""
+        """Draw a circle of the leg radius around the current site, if it is in view."""
         s = self.simulation
         site = s.true_to_local.to_site(s.site)
         turn = np.linspace(0.0, 2.0 * np.pi, 37)
@@ -135,7 +138,10 @@ class ChaseViewRenderer:
             cv2.polylines(image, [points], True, _AIM, 1, cv2.LINE_AA)
 
     def _lander(self, image: Image, view: View) -> None:
-        """Draw flame, legs and body; body faces from far to near."""
+        """Draw the lander over a rendered image: flame, legs and body.
+
+        The faces of the body are drawn from far to near, so that near ones cover far ones.
+        """
         s = self.simulation
         size, foot = s.lander.leg_radius, -s.lander.com_height
         low, high = foot + _UNDER * size, foot + _TOP * size
@@ -144,7 +150,7 @@ class ChaseViewRenderer:
             turned = [quat_rotate(s.state.attitude, p) for p in points]
             return np.asarray(s.state.position + np.array(turned))
 
-        if s.verdict is None:
+        if s.outcome is None:
             length = 2.2 * size * float(s.state.thrust) / s.lander.thrust_max
             flame = [(-0.18 * size, 0, low), (0.18 * size, 0, low), (0, 0, low - length)]
             crossed = [(0, -0.18 * size, low), (0, 0.18 * size, low), (0, 0, low - length)]
@@ -170,7 +176,7 @@ class ChaseViewRenderer:
             _fill(image, view, face, tuple(round(light * c) for c in _BODY))
 
     def gauges(self) -> Image:
-        """Return an image of the gauges with the true state (120, 240, 3)."""
+        """Return an RGB image of gauges that show the true state (120, 240, 3)."""
         s = self.simulation
         y, vehicle = s.state, s.lander
         tilt = np.degrees(np.arccos(np.clip(quat_rotate(y.attitude, [0.0, 0.0, 1.0])[2], -1, 1)))
@@ -202,7 +208,7 @@ def _say(image: Image, words: str, at: tuple[int, int]) -> None:
 
 
 def project(view: View, points: Array) -> NDArray[np.int32] | None:
-    """Project points to pixels (n, 2); None if a point is behind the camera."""
+    """Project points (n, 3) to pixels (n, 2); None if a point is behind the camera."""
     seen = (np.asarray(points) - view.position) @ view.axes
     if (seen[:, 2] < 0.1).any():
         return None

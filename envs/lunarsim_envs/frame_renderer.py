@@ -20,12 +20,14 @@ _PATH, _HERE = "#0072B2", "#D55E00"
 
 
 class FrameRenderer:
-    """Draw frames of one flight; the first frame fixes the axes.
+    """Plot descent path and hazard map of one flight, one image (frame) per call.
+
+    The axis limits are those of the first decision.
 
     Parameters
     ----------
     simulation, observation
-        Simulation and observation at the first decision.
+        Simulation of the flight, and observation of the policy, at the first site decision.
     """
 
     def __init__(self, simulation: Simulation, observation: Observation) -> None:
@@ -69,7 +71,7 @@ class FrameRenderer:
         self._figure = figure
 
     def _profile(self, observation: Observation) -> tuple[NDArray[Any], NDArray[Any]]:
-        """Return horizontal distance and height of the path relative to the site, m."""
+        """Return the flown path as distance and height relative to the site (n,), m."""
         rows = self.simulation.recorder.trajectory()
         site = observation.site
         away = np.hypot(rows["estimated_x"] - site[0], rows["estimated_y"] - site[1])
@@ -99,16 +101,18 @@ class FrameRenderer:
 
     def draw(
         self, observation: Observation, action: int | None, reward: float | None,
-        stretch: float | None = None,
+        time_scale: float | None = None,
     ) -> NDArray[np.uint8]:  # fmt: skip
-        """Return an image (360, 800, 3) in the local frame.
+        """Return an RGB image of the current state (360, 800, 3) in the local frame.
 
         Parameters
         ----------
         observation
             Current observation of the policy.
-        action, reward, stretch
-            Values of the last decision; None before the first one, and for an unchanged time-to-go.
+        action, reward
+            Number of the last action and its reward; None before the first decision.
+        time_scale
+            Factor on the time-to-go that the last action set; None if it did not change.
         """
         away, up = self._profile(observation)
         for path, here in zip(self._paths, self._heres, strict=True):
@@ -122,30 +126,30 @@ class FrameRenderer:
         words = map_remark(m)
         title = "Hazard map" if words is None else f"Map {words.partition(':')[0]}"
         self._map_title.set_text(title)
-        self._title.set_text(self._words(action, reward, stretch))
+        self._title.set_text(self._words(action, reward, time_scale))
         self._canvas.restore_region(self._still)
         for artist in self._moving:
             self._figure.draw_artist(artist)
         return np.asarray(self._canvas.buffer_rgba())[..., :3].copy()
 
-    def _words(self, action: int | None, reward: float | None, stretch: float | None) -> str:
-        """Format time, last action, its reward and the outcome of the flight."""
+    def _words(self, action: int | None, reward: float | None, time_scale: float | None) -> str:
+        """Return the frame title: time, last action, its reward and the flight's outcome."""
         words = [f"t = {self.simulation.time:.1f} s"]
         if action is not None:
             words.append("keep the site" if action == 0 else f"divert to candidate {action}")
-        if stretch is not None:
-            words.append(f"time scale {stretch:g}")
+        if time_scale is not None:
+            words.append(f"time scale {time_scale:g}")
         if reward is not None:
             words.append(f"reward {reward:+.3f}")
-        outcome = self.simulation.verdict
+        outcome = self.simulation.outcome
         if outcome is not None:
             words.append(
-                "landed safely" if outcome.safe else "failed: " + ", ".join(outcome.failed)
+                "landed safely" if outcome.safe else "failed: " + ", ".join(outcome.failure_causes)
             )
         return ",  ".join(words)
 
 
 def _frame(axes: Any, x: tuple[float, float], y: tuple[float, float], title: str) -> None:
-    """Set limits, labels and grid of an axis."""
+    """Set limits `x` and `y`, labels, title and grid lines of a path plot."""
     axes.set(xlim=x, ylim=y, xlabel="Distance from site (m)", title=title)
     axes.grid(alpha=0.3)

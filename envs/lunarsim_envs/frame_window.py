@@ -29,13 +29,15 @@ def _windows() -> bool:
 
 
 def available_render_modes(modes: Sequence[str]) -> list[str]:
-    """Return the render modes, without "human" if no window can be opened."""
+    """Return `modes` without "human" if this machine cannot open a window."""
     screen = sys.platform in ("win32", "darwin") or any(map(os.environ.get, _SCREENS))
     return [mode for mode in modes if mode != "human" or (screen and _windows())]
 
 
 class FrameWindow:
-    """Show frames (rows, cols, 3) of one size; the first frame opens the window.
+    """Window that shows images of an environment at a fixed rate.
+
+    All images (rows, cols, 3) have the same size; the first one opens the window.
 
     Parameters
     ----------
@@ -62,7 +64,7 @@ class FrameWindow:
         self._due = 0.0
 
     def show(self, frame: NDArray[np.uint8]) -> None:
-        """Show a frame after the previous one has been visible for its time."""
+        """Show a frame (rows, cols, 3) when the previous one has been shown for 1 / fps."""
         import matplotlib.pyplot as plt  # noqa: PLC0415
 
         if self._figure is None:

@@ -13,12 +13,14 @@ Part = TypeVar("Part")
 
 
 def named_parts(field: str, names: Sequence[str], known: Mapping[str, Part]) -> list[Part]:
-    """Return the components with the given names, in order.
+    """Look up components of an observation or an action by their names, in order.
+
+    `field` is the name of the argument in errors; `known` has all components by name.
 
     Raises
     ------
     InputError
-        If a name is unknown or occurs twice, or there are no names. The error names `field`.
+        If a name is unknown or occurs twice, or there are no names.
     """
     listed = isinstance(names, Sequence) and not isinstance(names, (str, bytes))
     if not listed or not len(names) or not all(isinstance(name, str) for name in names):
@@ -32,7 +34,7 @@ def named_parts(field: str, names: Sequence[str], known: Mapping[str, Part]) -> 
 
 
 def check_new(name: str, known: Mapping[str, Any]) -> None:
-    """Check that a name is not registered yet.
+    """Check that the name of a new component is not used by the components `known`.
 
     Raises
     ------
@@ -44,12 +46,14 @@ def check_new(name: str, known: Mapping[str, Any]) -> None:
 
 
 def check_shape(field: str, value: Any, shape: tuple[int, ...]) -> None:
-    """Check the shape of a component's values; the first axis is the lander.
+    """Check that the values of a component have the expected shape.
+
+    The first axis counts landers; `field` is the name of the component in the error.
 
     Raises
     ------
     InputError
-        Naming `field`.
+        If the shape differs.
     """
     if np.shape(value) != shape:
         raise InputError(field, np.shape(value), f"must be an array of shape {shape}")

@@ -11,12 +11,15 @@ from numpy.typing import NDArray
 
 
 def reset_mask(given: Any, lanes: int) -> NDArray[np.bool_]:
-    """Return ``options["reset_mask"]`` (lanes,); None selects all lanes.
+    """Check ``options["reset_mask"]``, which selects the environments to reset.
+
+    `given` is the option, and `lanes` the number n of parallel environments. Returns the mask (n,);
+    None selects all environments.
 
     Raises
     ------
     ValueError
-        If it is not a boolean array with at least one true value.
+        If the option is not an array of n booleans with at least one true value.
     """
     if given is None:
         return np.ones(lanes, np.bool_)
@@ -30,29 +33,31 @@ def reset_mask(given: Any, lanes: int) -> NDArray[np.bool_]:
 
 
 def check_all_reset(was_reset: NDArray[np.bool_], mask: NDArray[np.bool_]) -> None:
-    """Check that all lanes outside the mask (n,) have been reset before.
+    """Check that all environments outside a reset mask (n,) have been reset before.
 
     Raises
     ------
     gymnasium.error.ResetNeeded
-        If a lane outside the mask has never been reset.
+        If `was_reset` (n,) is false for an environment outside the mask.
     """
     if not (was_reset | mask).all():
         lanes = np.flatnonzero(~(was_reset | mask)).tolist()
         raise gymnasium.error.ResetNeeded(
-            f"options['reset_mask']: omits lanes that were never reset, {lanes}. Reset all first."
+            f"options['reset_mask']: must include never reset environments, {lanes}. Reset all."
         )
 
 
 def lane_seeds(
     seed: int | Sequence[int | None] | None, mask: NDArray[np.bool_]
 ) -> list[int | None]:
-    """Return the seed of each lane of a mask: ``seed + i`` or ``seed[i]`` for lane i.
+    """Return the seeds of the environments that a mask (n,) selects.
+
+    Environment i gets ``seed + i``, or ``seed[i]`` if `seed` is a sequence; None is no seed.
 
     Raises
     ------
     ValueError
-        If a sequence has not one seed per lane, or a seed is negative or not an integer.
+        If a sequence does not have length n, or a seed is negative or not an integer.
     """
     lanes = np.flatnonzero(mask)
     if seed is None:
@@ -62,7 +67,7 @@ def lane_seeds(
             raise ValueError(f"seed: must be 0 or more, got {seed!r}.")
         return [int(seed) + int(lane) for lane in lanes]
     if not isinstance(seed, (Sequence, np.ndarray)) or isinstance(seed, (str, bytes)):
-        raise ValueError(f"seed: must be an integer, one integer per lane or None, got {seed!r}.")
+        raise ValueError(f"seed: must be an integer, one per environment or None, got {seed!r}.")
     if len(seed) != len(mask):
         raise ValueError(f"seed: must have length {len(mask)}, got length {len(seed)}.")
     each = [seed[int(lane)] for lane in lanes]

@@ -34,7 +34,7 @@ from lunarsim_envs.sites.perception import FULL_SIMULATION, PERCEPTIONS, create_
 from lunarsim_envs.sites.perception_scenarios import with_perception
 
 FloatArray = NDArray[np.float32]
-# Failed limits of a flight that reached the time limit.
+# Failure causes of a flight that reached the time limit.
 LATE = ("time-limit",)
 
 
@@ -52,7 +52,10 @@ def default_scenario() -> Scenario:
 def retarget_scenario(
     given: Scenario | str | Path | None, changes: Mapping[str, Any] | None
 ) -> Scenario:
-    """Return a scenario from an object, path, name or None, with changed values.
+    """Load the scenario of a ``Retarget-v0`` environment and apply changed values.
+
+    `given` is a scenario, a path or a name; None selects `default_scenario`. `changes` has new
+    values by scenario key.
 
     Raises
     ------
@@ -72,24 +75,26 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], Any]):
     perceptions ``"onboard"``, ``"shadows"``, ``"quadtree"`` and ``"fused"``, the environment runs
     the same `lunarsim.simulation.Simulation` as the command line. With ``"truth"``, ``"surrogate"``
     and ``"gaussian-dem"``, compiled kernels run the same guidance laws, attitude loop, vehicle and
-    touchdown evaluation over a pool of worlds, a hundred times faster. Navigation is then the
-    true state plus a drift (no drift with ``"truth"``).
+    touchdown evaluation over a pool of worlds (simulated terrains with rocks), a hundred times
+    faster. Navigation is then the true state plus a drift (no drift with ``"truth"``).
 
     ## Action Space
 
-    ``Discrete(21)``: 0 keeps the current site, i diverts to row i - 1 of ``sites``. If the row is
-    not available, the lander keeps its site and the reward gets the ``invalid`` term.
+    ``Discrete(21)``: 0 keeps the current site; i diverts to the candidate site in row i - 1 of the
+    observation ``sites``. If that site is not available, the lander keeps its site and the reward
+    gets the ``invalid`` term.
     ``info["action_mask"]`` (21,) marks the available actions.
 
-    With ``action=("site", "stretch")`` the space is ``MultiDiscrete([21, 5])``. The second value
+    With ``action=("site", "time_scale")`` the space is ``MultiDiscrete([21, 5])``. The second value
     sets the time-to-go: 0 keeps it (a new site gets the minimum-propellant path); 1 to 4 multiply
-    that of the minimum-propellant path to the site by 1, 1.07, 1.15 or 1.3
-    (`lunarsim_envs.sites.actions.STRETCHES`). Factors below 1 are not offered, because the
+    the time-to-go of the minimum-propellant path to the site by 1, 1.07, 1.15 or 1.3
+    (`lunarsim_envs.sites.actions.TIME_SCALES`). Factors below 1 are not offered, because the
     minimum-propellant path is usually the fastest one within the limits. If a factor would violate
     a limit of the approach, the lander flies the minimum-propellant path, and
-    ``info["stretch_refused"]`` is true. A factor is also refused if the row is not available (then
-    nothing changes), if the site is refused, and if the time-to-go is set by the mission
-    (``approach.time_to_go_s``, ``jerk_m_s3``) or by the law (``optimal``, ``neural-optimal``,
+    ``info["time_scale_refused"]`` is true. A factor is also refused if the site is not available
+    (then nothing changes), if the divert is refused, and if the time-to-go is set by the mission
+    (``approach.time_to_go_s``, ``jerk_m_s3``) or by the guidance law (``optimal``,
+    ``neural-optimal``,
     ``information-seeking``).
 
     ``info["action_mask"]`` and `action_masks` then have shape (26,): the masks of both components
@@ -103,8 +108,8 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], Any]):
 
     - ``estimate`` (10,): estimated position relative to the current site (m), velocity (m/s) and
       attitude quaternion (scalar last), ENU.
-    - ``hazard_map`` (2, 48, 48): mean p_safe and observed fraction in equal blocks of the hazard
-      map; row 0 is south, column 0 is west.
+    - ``hazard_map`` (2, 48, 48): mean p_safe (probability of a safe landing) and observed fraction
+      in equal blocks of the hazard map; row 0 is south, column 0 is west.
     - ``sites`` (20, 6): offset from the current site east, north, up (m), p_safe, propellant to
       reach it (kg), 1 if available. Rows without a site are zero.
     - ``to_go`` (3,): time-to-go (s), remaining propellant (kg), altitude above the site (m).
@@ -159,13 +164,13 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], Any]):
     ## Arguments
 
     - ``scenario``: a `lunarsim.scenario.Scenario`, the path of a TOML file or the name of a
-      packaged scenario.
+      scenario that is supplied with lunarsim.
     - ``changes``: changed values by key, for example ``{"rocks.cover": 0.1}``.
     - ``perception``: source of the hazard map. ``"onboard"``: mapper and navigation of the
       scenario. ``"truth"``: true safety within the LiDAR's field of view. ``"surrogate"``:
-      statistical model of the mapper's spatial errors. ``"gaussian-dem"``: that mapper with
-      simulated scans. ``"shadows"``, ``"quadtree"``, ``"fused"``: an onboard mapper of that kind,
-      which is added to the scenario if needed
+      statistical model of the spatial errors of the mapper ``gaussian-dem``. ``"gaussian-dem"``:
+      this mapper with simulated scans. ``"shadows"``, ``"quadtree"``, ``"fused"``: an onboard
+      mapper of this kind, which is added to the scenario if needed
       (`lunarsim_envs.sites.perception_scenarios.with_perception`).
     - ``surrogate``: file of a custom surrogate from ``scenarios/learning/fit_surrogate.py``.
     - ``observation``, ``action``: names of the components.
@@ -260,18 +265,18 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], Any]):
 
     @property
     def simulation(self) -> Simulation | None:
-        """Full simulation; None with kernels and before the first reset."""
+        """Full simulation of the flight; None with kernels and before the first reset."""
         return self.flight.simulation
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, Any], dict[str, Any]]:
-        """Start a new flight and run it to the first decision."""
+        """Start a flight and run it to the first decision; return observation and info."""
         self.flight.apply_options(checked_options(options))
         self._begin(seed)
         self.frames, self._last, self._film = None, (None, None, None), []
         self._has_started, self._over = True, False
-        self.rewards.begin(np.ones(1, np.bool_), *self.standing())
+        self.rewards.begin(np.ones(1, np.bool_), *self.reward_inputs())
         if self._picture is not None:
             self._picture.begin()
         elif self.render_mode is not None and self.simulation is not None:
@@ -282,7 +287,7 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], Any]):
         return self._encode(), self._info()
 
     def _begin(self, seed: int | None) -> None:
-        """Seed and start a flight; restore the generator if the start is refused."""
+        """Seed and start a flight; restore the random generator if the start is refused."""
         before = self._np_random, self._np_random_seed
         super().reset(seed=seed)
         state = self.np_random.bit_generator.state
@@ -295,7 +300,7 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], Any]):
             raise
 
     def step(self, action: Any) -> tuple[dict[str, Any], float, bool, bool, dict[str, Any]]:
-        """Apply a decision and fly to the next one."""
+        """Apply a site decision and fly to the next decision or to the end of the flight."""
         flight = self.flight
         if not self._has_started:
             raise gymnasium.error.ResetNeeded("Call reset() before step().")
@@ -306,12 +311,12 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], Any]):
         invalid = bool(orders.invalid[0])
         row = 0 if invalid else int(self.actions.choice("site", chosen)[0])
         site = None if np.isnan(orders.site[0, 0]) else orders.site[0]
-        stretch = None if np.isnan(orders.stretch[0]) else float(orders.stretch[0])
-        self._last = (row, None, stretch)
+        time_scale = None if np.isnan(orders.time_scale[0]) else float(orders.time_scale[0])
+        self._last = (row, None, time_scale)
         self._due = flight.time + 1.0 / self.metadata["render_fps"]
         # A flight may end before its first decision; the first step then reports the end.
         if flight.outcome is None:
-            flight.decide(site, self._each, stretch)
+            flight.decide(site, self._each, time_scale)
         outcome = flight.outcome
         self._over = outcome is not None
         # At the time limit, the outcome of the flight is unknown.
@@ -320,34 +325,43 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], Any]):
         terms = self._terms(invalid, None if late else outcome)
         info = self._info() | {"reward_terms": terms}
         info["cost"] = float(outcome is not None and ended and not outcome[0])
-        if self.actions.stretches:
-            info["stretch_refused"] = bool(orders.lost[0]) or flight.unstretched
+        if self.actions.has_time_scale:
+            info["time_scale_refused"] = bool(orders.lost[0]) or flight.time_scale_refused
         reward = float(sum_terms(terms))
-        self._last = (row, reward, stretch)
+        self._last = (row, reward, time_scale)
         self._take_frame()
         return self._encode(), reward, ended, late, info
 
-    def standing(self) -> tuple[Any, ...]:
-        """Return mass (1,), p_safe of the current site (1,), and p_safe and observed map."""
+    def reward_inputs(self) -> tuple[Any, ...]:
+        """Return the values from which rewards are computed, as for `SiteRewards.begin`.
+
+        They are the mass (1,), kg, p_safe of the current site (1,), and the maps of p_safe and of
+        observed cells (1, rows, cols).
+        """
         sights = self.flight.sights
         return np.array([self.flight.mass]), sights.here[:, 0], sights.p, sights.seen
 
     def _terms(
         self, invalid: bool, outcome: tuple[bool, tuple[str, ...]] | None
     ) -> dict[str, float]:
-        """Return the reward terms of the last decision by name."""
+        """Return the reward terms of the last decision by name.
+
+        `invalid`: the chosen site was not available. `outcome`: whether the landing was safe, and
+        the failure causes; None while flying and at the time limit.
+        """
         over, safe = outcome is not None, outcome is not None and outcome[0]
         touch = self.flight.touch if over else np.full((1, 3), np.nan)
         one, wrong, ended, well = np.array([[True], [invalid], [over], [safe]])
-        terms = self.rewards.terms(one, wrong, ended, well, touch, one, *self.standing())
+        terms = self.rewards.terms(one, wrong, ended, well, touch, one, *self.reward_inputs())
         return {name: float(term[0]) for name, term in terms.items()}
 
     def render(self) -> NDArray[np.uint8] | list[NDArray[np.uint8]] | None:  # type: ignore[override]
-        """Return an image of the descent, its last 60 m and the map (360, 800, 3).
+        """Return an RGB image of the descent, its last 60 m and the map (360, 800, 3).
 
-        With `views`, a chase view, the onboard camera view and gauges are above it (720, 800, 3).
-        The mode ``"rgb_array_list"`` returns the images since the last call. The mode ``"human"``
-        returns None, because a window shows every frame during the flight.
+        With `views`, the image also shows a chase view, the onboard camera view and gauges above
+        the plots (720, 800, 3). With kernels, the image shows the descent in a vertical plane and
+        gauges (440, 640, 3). The mode ``"rgb_array_list"`` returns the images since the last call.
+        The mode ``"human"`` returns None, because a window shows every frame during the flight.
         """
         if self.render_mode is None:
             return None
@@ -360,20 +374,20 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], Any]):
 
     @property
     def seen(self) -> Observation | None:
-        """Current observation of onboard policies; None before the first reset."""
+        """Observation as onboard policies get it; None before the first reset."""
         return self.flight.seen if self._has_started else None
 
     def action_masks(self) -> NDArray[np.bool_]:
-        """Return the available options (21,), as sb3-contrib's MaskablePPO needs them.
+        """Return the mask of available actions (21,), as MaskablePPO needs it.
 
-        The masks of several components are concatenated.
+        With several action components, their masks are concatenated.
         """
         if not self._has_started:
             raise gymnasium.error.ResetNeeded("Call reset() before action_masks().")
         return np.asarray(self.actions.masks(self.flight.sights)[0])
 
     def _frame(self) -> NDArray[np.uint8]:
-        """Return an image of the current state."""
+        """Draw an RGB image of the current state, as `render` returns it."""
         if self._picture is not None:
             return self._picture.draw()
         assert self.frames is not None
@@ -396,7 +410,10 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], Any]):
             self._screen.show(self._frame())
 
     def _each(self) -> None:
-        """Extend the path, and take a frame if one is due."""
+        """Add the current state to the drawn path; store or show a frame if one is due.
+
+        The flight calls this function after each control cycle.
+        """
         if self._picture is not None:
             self._picture.note()
         elif self.frames is not None and self.flight.time > self._due - 1e-6:
@@ -412,7 +429,7 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], Any]):
         info: dict[str, Any] = {"time": flight.time, "action_mask": mask}
         outcome = flight.outcome
         if outcome is not None:
-            info["safe"], info["failed"] = outcome
+            info["safe"], info["failure_causes"] = outcome
             info["propellant_kg"] = self._wet_mass - flight.mass
         return info
 

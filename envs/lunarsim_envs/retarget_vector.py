@@ -35,10 +35,12 @@ _MODE = gymnasium.vector.AutoresetMode
 
 
 class RetargetVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
-    """Vector environment of `RetargetEnv`; the default perception is the surrogate.
+    """Choose the landing sites of many landers at once, flown by compiled kernels.
 
-    Environment i with seed s gives bitwise the same episodes as a single environment with seed
-    s + i, for any number of environments and threads.
+    It is the vector version of `RetargetEnv`, with the same arguments. The default perception is
+    ``"surrogate"``, a statistical model of the map errors. Environment i with seed s gives bitwise
+    the same episodes as a single environment with seed s + i, for any number of environments and
+    threads.
     """
 
     def __init__(
@@ -93,7 +95,7 @@ class RetargetVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         seed: int | Sequence[int | None] | None = None,
         options: dict[str, Any] | None = None,
     ) -> tuple[Shown, dict[str, Any]]:
-        """Start new episodes in all lanes or in those of ``options["reset_mask"]`` (n,)."""
+        """Start episodes in all environments, or those of ``options["reset_mask"]`` (n,)."""
         left = checked_options(options)
         mask = reset_mask(left.pop("reset_mask", None), self.num_envs)
         check_all_reset(np.array([rng is not None for rng in self._rngs]), mask)
@@ -117,29 +119,36 @@ class RetargetVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         self._open |= mask
         self._limit.begin(mask)
         self._shrink(mask)
-        self.rewards.begin(mask, *self.standing())
+        self.rewards.begin(mask, *self.reward_inputs())
 
-    def standing(self) -> tuple[Any, ...]:
-        """Return mass (n,), p_safe of the current site (n,), and p_safe and observed maps."""
+    def reward_inputs(self) -> tuple[Any, ...]:
+        """Return the values from which rewards are computed, as for `SiteRewards.begin`.
+
+        They are the masses (n,), kg, p_safe of the current sites (n,), and the maps of p_safe and
+        of observed cells (n, rows, cols).
+        """
         lanes = self.lanes
         return lanes.y[:, 13], lanes.found.here[:, 0], lanes.maps.p, lanes.maps.seen
 
     def _shrink(self, mask: Mask) -> None:
-        """Downsample the maps of the lanes of `mask`, if the observation contains them."""
+        """Downsample the hazard maps of environments `mask` (n,), if they are observed."""
         if mask.any() and any(part.name == "hazard_map" for part in self.shown.parts):
             maps = self.lanes.maps
             self._small[mask] = downsample_maps(maps.p[mask], maps.seen[mask])
 
     @property
     def sights(self) -> SiteInputs:
-        """Inputs of observations and actions for all landers."""
+        """Values of all landers from which observations and action masks are computed."""
         return site_inputs(self.lanes, self._small)
 
     def _observe(self) -> Shown:
         return self.shown.of(self.sights)
 
     def action_masks(self) -> NDArray[np.bool_]:
-        """Return the available options (n, 21); masks of components are concatenated."""
+        """Return the mask of available actions of each environment (n, 21).
+
+        With several action components, their masks are concatenated.
+        """
         if any(rng is None for rng in self._rngs):
             raise gymnasium.error.ResetNeeded("Call reset() before action_masks().")
         return self.actions.masks(self.sights)
@@ -155,7 +164,7 @@ class RetargetVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
     def step(
         self, actions: ArrayLike
     ) -> tuple[Shown, NDArray[np.float64], Mask, Mask, dict[str, Any]]:
-        """Apply decisions in all environments and fly to the next decisions."""
+        """Apply site decisions in all environments and fly to their next decisions."""
         lanes = self.lanes
         chosen = self.actions.all_chosen(actions, self.num_envs)
         moved = self._open.copy()
@@ -164,7 +173,7 @@ class RetargetVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
                 "An episode has ended. Call reset() with options['reset_mask']."
             )
         orders = self.actions.orders(chosen, self.sights)
-        lanes.decide(orders.site, moved, orders.stretch)
+        lanes.decide(orders.site, moved, orders.time_scale)
         self._shrink(lanes.mapped)
         over = moved & (lanes.ended != FLYING)
         late = over & (lanes.ended == LATE)
@@ -175,16 +184,16 @@ class RetargetVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         truncated = late | self._limit.reached(moved)
         over = terminated | truncated
         self._open &= ~over
-        if self.actions.stretches:
-            info["stretch_refused"] = moved & (orders.lost | lanes.unstretched)
-            info["_stretch_refused"] = moved
+        if self.actions.has_time_scale:
+            info["time_scale_refused"] = moved & (orders.lost | lanes.time_scale_refused)
+            info["_time_scale_refused"] = moved
         if self.autoreset_mode is _MODE.NEXT_STEP:
             if self._due.any():
                 self._begin(self._due)
             self._due = over
         elif self.autoreset_mode is _MODE.SAME_STEP and over.any():
             info |= {"final_obs": self._observe(), "_final_obs": over} | self._info()
-            left = ("_reward_terms", "_cost", "_stretch_refused", "final_obs", "_final_obs")
+            left = ("_reward_terms", "_cost", "_time_scale_refused", "final_obs", "_final_obs")
             info["final_info"] = {name: info[name] for name in info if name not in left}
             info["_final_info"] = over
             self._begin(over)
@@ -194,7 +203,7 @@ class RetargetVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         lanes = self.lanes
         touch = touchdown_limit_ratios(self._lander, lanes.touchdown_values)
         return self.rewards.terms(
-            moved, invalid, over, lanes.safe, touch, lanes.mapped, *self.standing()
+            moved, invalid, over, lanes.safe, touch, lanes.mapped, *self.reward_inputs()
         )
 
     def _step_info(
@@ -204,6 +213,9 @@ class RetargetVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         info |= {"cost": np.where(over & ~late & ~self.lanes.safe, 1.0, 0.0), "_cost": moved}
         if over.any():
             info |= {"safe": self.lanes.safe & over, "_safe": over}
-            info |= {"failed": np.where(over, self.lanes.failed, 0), "_failed": over}
+            info |= {
+                "failure_causes": np.where(over, self.lanes.failed, 0),
+                "_failure_causes": over,
+            }
             info |= {"propellant_kg": np.where(over, self.lanes.burnt, 0.0), "_propellant_kg": over}
         return info

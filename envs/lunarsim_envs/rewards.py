@@ -23,11 +23,11 @@ MAX_PENALISED_CHOICES = 10
 
 @dataclass(frozen=True)
 class RewardWeights(SiteReward):
-    """Weights of the reward terms, with the keys of the table [site_reward]."""
+    """Weights of the reward terms of ``Retarget-v0``, as in the table [site_reward]."""
 
     @classmethod
     def of(cls, scenario: Scenario) -> RewardWeights:
-        """Return the weights of a scenario, or the defaults."""
+        """Return the weights in the table [site_reward] of a scenario, or the defaults."""
         given = scenario.site_reward
         return cls() if given is None else cls(**vars(given.make()))
 
@@ -41,7 +41,7 @@ class RewardWeights(SiteReward):
         Raises
         ------
         InputError
-            Naming the weight ``safe``.
+            If the weight ``safe`` is too small for that.
         """
         costs = (
             self.propellant
@@ -60,7 +60,10 @@ class RewardWeights(SiteReward):
 
 
 def touchdown_limit_ratios(lander: Lander, touchdown: ArrayLike) -> Array:
-    """Return touchdown values over their limits (n, 3): speed, tilt and terrain.
+    """Return touchdown speed, tilt and terrain relative to their limits (n, 3).
+
+    The speed ratio is the larger of vertical and horizontal speed over its limit; the terrain ratio
+    is the larger of slope and roughness over its limit.
 
     Parameters
     ----------
@@ -80,15 +83,16 @@ def touchdown_limit_ratios(lander: Lander, touchdown: ArrayLike) -> Array:
 
 
 def map_information(p: NDArray[np.float32], seen: Mask) -> float:
-    """Return the information in a map (rows, cols), 0 (none) to 1 (all cells certain).
+    """Return how certain a hazard map is, from 0 (unknown) to 1 (all cells certain).
 
-    It is the mean over all cells of 1 - 4 p (1 - p), with 0 for unobserved cells.
+    `p` (rows, cols) is the probability of a safe landing and `seen` (rows, cols) marks observed
+    cells. The result is the mean over all cells of 1 - 4 p (1 - p), with 0 for unobserved cells.
     """
     return float(np.where(seen, (2.0 * p.astype(np.float64) - 1.0) ** 2, 0.0).mean())
 
 
 def sum_terms(terms: Mapping[str, Any]) -> Any:
-    """Return the sum of terms, each a number or an array (n,).
+    """Return the sum of the reward terms in a mapping, each a number or an array (n,).
 
     Terms are added in a fixed order. The order of NumPy's sum depends on the number of flights, and
     Python's `sum` compensates rounding since version 3.12.
@@ -100,7 +104,7 @@ def sum_terms(terms: Mapping[str, Any]) -> Any:
 
 
 class SiteRewards:
-    """Compute the reward terms of every decision for n flights.
+    """Compute the reward terms of every site decision of n flights.
 
     All terms except ``shaping`` are the objective. ``shaping`` is the discount factor times the
     potential after the decision minus the potential before it. The potential is 0 after a flight
@@ -129,7 +133,7 @@ class SiteRewards:
         self._known, self._invalid = np.zeros(count), np.zeros(count, np.int64)
 
     def _map_information(self, p: NDArray[np.float32], seen: Mask, of: Mask) -> Array:
-        """Return the map information (n,), updated for the lanes of `of` (n,)."""
+        """Return `map_information` of all flights (n,), updated where `of` (n,) is true."""
         known = self._known.copy()
         if self.weights.information > 0.0:
             # Computed per lane, so that results do not depend on the batch.
@@ -138,13 +142,16 @@ class SiteRewards:
         return known
 
     def _hope(self, p_here: Array) -> Array:
-        """Return the shaping potential (n,) of p_safe (n,); NaN (unobserved) counts as 0."""
+        """Return the shaping potential (n,) for p_safe of the current site (n,).
+
+        An unobserved site (NaN) counts as 0.
+        """
         return np.asarray(self.weights.shaping * np.nan_to_num(p_here, nan=0.0))
 
     def begin(
         self, mask: Mask, mass: Array, p_here: Array, p: NDArray[np.float32], seen: Mask
     ) -> None:
-        """Store the values at the first decision of the flights of `mask` (n,).
+        """Store the values at the first decision, from which later rewards are computed.
 
         Parameters
         ----------
@@ -153,7 +160,7 @@ class SiteRewards:
         mass
             True mass (n,), kg.
         p_here
-            p_safe of the current site (n,).
+            p_safe (probability of a safe landing) of the current site (n,).
         p, seen
             Maps of p_safe and of observed cells (n, rows, cols).
         """
@@ -166,16 +173,18 @@ class SiteRewards:
         self, moved: Mask, invalid: Mask, over: Mask, safe: Mask, touch: Array, drawn: Mask,
         mass: Array, p_here: Array, p: NDArray[np.float32], seen: Mask,
     ) -> dict[str, Array]:  # fmt: skip
-        """Return the terms of the last decision (n,); 0 in flights that did not move.
+        """Return the reward terms (n,) of the last decision by name.
 
         Parameters
         ----------
         moved, invalid
-            Flights that moved, and flights with an unavailable choice (n,).
+            Flights that moved since the last decision (others get 0), and flights whose chosen site
+            was not available (n,).
         over, safe
-            Flights that have ended, and safe ones (n,).
+            Flights that have ended, and flights that landed safely (n,).
         touch
-            Touchdown values over their limits (n, 3), from `touchdown_limit_ratios`.
+            Touchdown speed, tilt and terrain over their limits (n, 3), from
+            `touchdown_limit_ratios`.
         drawn
             Flights whose maps may have changed (n,).
         mass, p_here, p, seen

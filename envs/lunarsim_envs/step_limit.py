@@ -13,14 +13,14 @@ Mask = NDArray[np.bool_]
 
 
 class StepLimit:
-    """Count the steps of each lane's episode.
+    """Count the steps of the episodes of n parallel environments up to a limit.
 
     Parameters
     ----------
     max_episode_steps
         Number of steps after which an episode is truncated; None or -1 is no limit.
     count
-        Number of lanes n.
+        Number of environments n.
     """
 
     def __init__(self, max_episode_steps: Any, count: int) -> None:
@@ -29,11 +29,11 @@ class StepLimit:
         self._steps = np.zeros(count, np.int64)
 
     def begin(self, mask: Mask) -> None:
-        """Restart the count in the lanes of `mask` (n,)."""
+        """Restart the count in the environments of `mask` (n,)."""
         self._steps[mask] = 0
 
     def reached(self, moved: Mask) -> Mask:
-        """Count a step of the moved lanes (n,) and return the lanes at the limit (n,)."""
+        """Count a step where `moved` (n,) is true; return which are at the limit (n,)."""
         self._steps[moved] += 1
         if self.most is None:
             return np.zeros_like(moved)

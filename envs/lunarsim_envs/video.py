@@ -38,7 +38,8 @@ class RecordVideos(gymnasium.Wrapper[Any, Any, Any, Any]):
     prefix
         Prefix of the file names.
     fps
-        Frame rate, frames per second. Default: that of the environment, which is real time.
+        Frame rate, frames per second. Default: ``metadata["render_fps"]`` of the environment, which
+        is real time.
 
     Raises
     ------
@@ -68,7 +69,7 @@ class RecordVideos(gymnasium.Wrapper[Any, Any, Any, Any]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
-        """Write the last video and start a new episode."""
+        """Write the video of the last episode and start a new episode."""
         self._write()
         shown = super().reset(seed=seed, options=options)
         self._flight += 1
@@ -77,7 +78,7 @@ class RecordVideos(gymnasium.Wrapper[Any, Any, Any, Any]):
         return shown
 
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
-        """Step, and write the video if the episode has ended."""
+        """Step the environment, and write the video if the episode has ended."""
         result = super().step(action)
         self._take()
         if result[2] or result[3]:
@@ -97,13 +98,13 @@ class RecordVideos(gymnasium.Wrapper[Any, Any, Any, Any]):
             save_video(frames, path, self._fps)
 
     def close(self) -> None:
-        """Write the last video and close the environment."""
+        """Write the video of the last episode and close the environment."""
         self._write()
         super().close()
 
 
 def save_video(frames: Sequence[NDArray[np.uint8]], path: str | Path, fps: float = 2.0) -> None:
-    """Write frames as a video file, atomically.
+    """Write images as a GIF or MP4 video; an error leaves no partial file.
 
     Parameters
     ----------

@@ -1,4 +1,8 @@
-"""Statistics of a campaign: per arm, between arms, and between two campaigns."""
+"""Statistics of a campaign: per arm, between arms, and between two campaigns.
+
+An arm is a variant of the scenario, for instance another policy. All arms fly the same flight
+indices, which have the same random numbers; a row of the results is one flight under one arm.
+"""
 
 from __future__ import annotations
 
@@ -36,7 +40,7 @@ _SUMMARY_METRICS = ("propellant_kg", "divert_m", "duration_s")
 
 @dataclass(frozen=True)
 class ArmStatistics:
-    """Statistics of one arm.
+    """Statistics of the flights of one arm, a variant of the scenario.
 
     Attributes
     ----------
@@ -45,7 +49,7 @@ class ArmStatistics:
     rows, flown
         Number of flights, and number of flights that have a landing outcome.
     shares
-        Share of flown flights for which a metric is true, by metric.
+        Fraction of flown flights for which a boolean metric is true, by metric.
     means
         Mean and its bootstrap interval (value, low, high), by metric.
     quantiles
@@ -66,24 +70,29 @@ class ArmStatistics:
 def column(
     results: Results, name: str, rows: NDArray[np.bool_] | None = None
 ) -> NDArray[np.float64]:
-    """Return a column as floats (true and false as 1 and 0, missing values as NaN)."""
+    """Return a column of campaign results as floats.
+
+    True and false become 1 and 0, missing values NaN. `rows` is a mask of rows; None: all rows.
+    """
     values = pc.cast(results.table[name], "float64").to_numpy(zero_copy_only=False)
     return np.asarray(values if rows is None else values[rows], dtype=np.float64)
 
 
 def metrics(results: Results, kind: str) -> list[str]:
-    """Return the names of the metrics of a kind."""
+    """Return the names of the metrics whose values have a kind, for instance "bool"."""
     return [name for name, k in results.manifest["columns"].items() if k == kind]
 
 
 def arm_rows(results: Results) -> dict[str, NDArray[np.bool_]]:
-    """Return a mask of the rows of each arm."""
+    """Return a boolean mask of the result rows that belong to each arm, by arm name."""
     names = results.table["arm"]
     return {arm: pc.equal(names, arm).to_numpy(zero_copy_only=False) for arm in results.arms}
 
 
 def compute_arm_statistics(results: Results) -> list[ArmStatistics]:
-    """Compute the statistics of every arm; only count flights without an outcome.
+    """Compute fractions, means, quantiles and landing ellipse of every arm.
+
+    Flights without a landing outcome enter only the count `rows`.
 
     Raises
     ------
@@ -118,11 +127,16 @@ def compute_arm_statistics(results: Results) -> list[ArmStatistics]:
 
 
 def _mean(values: NDArray[np.float64]) -> float:
+    """Return the mean of the finite values; NaN if there are none."""
     finite = values[np.isfinite(values)]
     return float(finite.mean()) if len(finite) else float("nan")
 
 
 def _ellipse(results: Results, rows: NDArray[np.bool_]) -> Ellipse | None:
+    """Return the landing ellipse of the touchdown points in some rows, or None.
+
+    `rows` is a mask of result rows.
+    """
     names = ("touchdown_x_m", "touchdown_y_m")
     if not all(name in results.manifest["columns"] for name in names):
         return None
@@ -130,14 +144,19 @@ def _ellipse(results: Results, rows: NDArray[np.bool_]) -> Ellipse | None:
 
 
 def arm_pairs(arms: Sequence[str]) -> list[tuple[str, str]]:
-    """Return the pairs of arms to compare: all of few arms, else each with the first."""
+    """Return the pairs of arm names to compare.
+
+    These are all pairs of up to 8 arms; of more arms, each arm is paired with the first.
+    """
     if len(arms) <= _MAX_ALL_PAIRS:
         return list(combinations(arms, 2))
     return [(arms[0], other) for other in arms[1:]]
 
 
 def differences(results: Results, metric: str = "safe") -> list[Difference]:
-    """Compute differences of a metric between arms, paired by flight.
+    """Compute the difference of a metric between each pair of arms, paired by flight.
+
+    The p-values have Holm's correction for the number of pairs.
 
     Raises
     ------
@@ -176,8 +195,8 @@ class ArmComparison:
     Attributes
     ----------
     difference
-        Share of the second minus share of the first, with a 90 % interval (two one-sided tests at
-        5 %).
+        Fraction of flights with a true metric in the second campaign minus that fraction in the
+        first, with a 90 % interval (two one-sided tests at 5 %).
     equivalent
         Whether the interval lies within the margin.
     worse
@@ -199,9 +218,14 @@ def compare_campaigns(
     first, second
         Campaigns with the same arms and the same root seed.
     margin
-        Differences of a share within this margin count as equivalent.
+        Campaigns whose fractions differ by less than this margin count as equivalent.
     metric
-        Boolean column.
+        Boolean column of the results.
+
+    Returns
+    -------
+    list of ArmComparison
+        One comparison per arm, in the order of the arms.
 
     Raises
     ------
@@ -243,6 +267,7 @@ def compare_campaigns(
 
 
 def _key(results: Results, name: str) -> object:
+    """Return a value that two compared campaigns must share, such as the root seed."""
     if name == "arms":
         return results.arms
     return (
@@ -251,7 +276,10 @@ def _key(results: Results, name: str) -> object:
 
 
 def _by_flight(results: Results, arm: str, metric: str) -> dict[int, bool]:
-    """Return the metric by flight; a flight without an outcome counts as a failure."""
+    """Return a boolean metric of one arm by flight index.
+
+    The metric of a flight without a landing outcome is False.
+    """
     mine = pc.equal(results.table["arm"], arm).to_numpy(zero_copy_only=False)
     rows = results.table.filter(pa.array(mine & results.independent))
     values = zip(rows["flight"].to_pylist(), rows[metric].to_pylist(), strict=True)

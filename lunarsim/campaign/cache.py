@@ -1,4 +1,4 @@
-"""Disk cache of data that many campaigns need: the exact truth of worlds.
+"""Disk cache of data for many campaigns: the true landing safety of terrains.
 
 An entry is a file of plain arrays. Its name is a digest of everything that it depends on: tables
 of the scenario, contents of the files they name, seed, code, packages, and the processor that
@@ -47,7 +47,7 @@ class CacheWarning(UserWarning):
 
 @dataclass(frozen=True)
 class DiskCache:
-    """Folder of cache entries; it is sent to worker processes.
+    """Disk cache of computed arrays, in a folder that worker processes share.
 
     Attributes
     ----------
@@ -56,8 +56,8 @@ class DiskCache:
     limit
         Maximum total size of all entries, bytes.
     since
-        Time, seconds since 1970. Entries used later are never evicted: a campaign over more worlds
-        than fit would otherwise evict each entry before its next use.
+        Start of the campaign, seconds since 1970. Entries used later are never evicted: a campaign
+        with more data than fit would otherwise evict each entry before its next use.
     """
 
     folder: Path
@@ -70,11 +70,16 @@ class DiskCache:
         Parameters
         ----------
         kind
-            Short name of the kind of data.
+            Short name of the type of data.
         key
             Everything that the data depend on, except code and machine.
         make
-            Function that computes the arrays.
+            Function that computes the arrays, called without arguments.
+
+        Returns
+        -------
+        dict of ndarray
+            Arrays by name, as `make` returns them.
         """
         path = self._path(kind, key)
         found = _read(path)
@@ -84,19 +89,20 @@ class DiskCache:
         return found
 
     def has_mark(self, key: str) -> bool:
-        """Return whether `mark` was called with this key."""
+        """Return whether `mark` has recorded the task `key` as done on this machine."""
         return self._path("mark", key).is_file()
 
     def mark(self, key: str) -> None:
-        """Record that a task was done on this machine with this code."""
+        """Record that the task `key` was done on this machine with this code."""
         self._keep(self._path("mark", key), {"done": np.array(True)})
 
     def _path(self, kind: str, key: str) -> Path:
+        """Return the file of an entry; its name is a digest of type, key and environment."""
         digest = hashlib.sha256(f"{_environment_key()}\0{kind}\0{key}".encode()).hexdigest()[:40]
         return self.folder / digest[:2] / f"{digest}.npz"
 
     def _keep(self, path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
-        """Write an entry if there is space; warn once if writing fails."""
+        """Write the arrays of an entry to `path` if there is space; warn once on failure."""
         size = sum(a.nbytes for a in arrays.values())
         if self.folder in _given_up or not _has_room(self, size):
             return
@@ -115,14 +121,15 @@ class DiskCache:
 
 
 def default_cache_folder() -> Path:
-    """Return the default cache folder of this user."""
+    """Return the default folder of cached terrain safety for this user."""
     return user_cache("worlds")
 
 
 def open_cache(folder: Path, limit: int = DEFAULT_CACHE_BYTES) -> DiskCache | None:
     """Open the cache in a folder for a campaign that starts now.
 
-    Return None, with a warning, if the folder is not writable.
+    `limit` is the maximum size of the cache, bytes. Return None, with a warning, if the folder is
+    not writable.
 
     Raises
     ------
@@ -156,7 +163,7 @@ def _give_up(folder: Path, error: OSError) -> None:
 
 
 def _read(path: Path) -> Arrays | None:
-    """Return the arrays of an entry; None if it is missing or damaged."""
+    """Return the arrays in the file of a cache entry; None if missing or damaged."""
     try:
         # Check sums first: a damaged header with a smaller array shape reads without an error.
         with zipfile.ZipFile(path) as file:
@@ -173,7 +180,10 @@ def _read(path: Path) -> Arrays | None:
 
 
 def _has_room(store: DiskCache, size: int) -> bool:
-    """Return whether an entry fits; evict entries that were not used recently."""
+    """Return whether an entry of `size` bytes fits into the cache.
+
+    Entries that were not used recently are deleted to make space.
+    """
     left = _until_check.get(store.folder, 0.0) - max(size, _DISK_BLOCK_BYTES)
     if left < 0.0:
         free = store.limit - _evict_entries(store.folder, store.limit - size, store.since)
@@ -185,7 +195,10 @@ def _has_room(store: DiskCache, size: int) -> bool:
 
 
 def _evict_entries(folder: Path, max_bytes: float, since: float) -> float:
-    """Delete the oldest entries by last use, down to a size; return the size."""
+    """Delete the entries unused for longest until the cache has at most `max_bytes`.
+
+    Entries used after `since` (seconds since 1970) are kept. Return the remaining size in bytes.
+    """
     entries = []
     for path in folder.glob("??/*"):
         with contextlib.suppress(OSError):  # another process may have deleted it

@@ -1,4 +1,7 @@
-"""Refit the last calibration stage of a Gaussian DEM to flights of a scenario.
+"""Refit the safe-landing probability of a Gaussian DEM to flights of a scenario.
+
+The last calibration stage maps the probability of the calibration supplied with lunarsim to one
+for the scenario.
 
 The flights use seeds that no campaign uses, whatever its root seed.
 """
@@ -37,7 +40,7 @@ _BOOTSTRAP_SEED_INDEX = 2**32 - 1
 
 @dataclass(frozen=True)
 class CalibrationResult:
-    """Result of a calibration.
+    """Calibration of the safe-landing probability for a scenario, and its quality.
 
     Attributes
     ----------
@@ -56,6 +59,12 @@ class CalibrationResult:
 
 @dataclass(frozen=True)
 class _Task:
+    """Settings of one flight whose sites are sampled for the calibration.
+
+    `root` is the root seed, `flight` the index of the flight, and `sites` the number of sites that
+    are sampled from each map.
+    """
+
     scenario: Scenario
     mapper: str
     root: int
@@ -73,7 +82,7 @@ def calibrate(
     mapper: str | None = None,
     progress: Callable[[int], None] | None = None,
 ) -> CalibrationResult:
-    """Fit the last calibration stage to flights of a scenario.
+    """Refit the safe-landing probability of a mapper to flights of a scenario.
 
     Sites are sampled from each map that the scenario's policy uses for a decision. Only cells that
     the map has observed and that have a true classification are used.
@@ -89,6 +98,11 @@ def calibrate(
         Name of the mapper; omitted: `gaussian_mapper` chooses.
     progress
         Called with 1 after each flight.
+
+    Returns
+    -------
+    CalibrationResult
+        Fit to all flights, its cross-validated quality, and the number of maps.
 
     Raises
     ------
@@ -126,10 +140,10 @@ def calibrate(
 
 
 def gaussian_mapper(scenario: Scenario, name: str | None = None) -> str:
-    """Return the name of the mapper to calibrate.
+    """Return the name of the Gaussian DEM mapper to calibrate.
 
-    Without a name, take the mapper that decisions use if it is a Gaussian DEM, else the only
-    Gaussian DEM.
+    If `name` is None, this is the mapper that decisions use if it is a Gaussian DEM, else the only
+    Gaussian DEM of the scenario.
 
     Raises
     ------
@@ -162,7 +176,10 @@ def gaussian_mapper(scenario: Scenario, name: str | None = None) -> str:
 
 
 def _fly_and_sample(task: _Task) -> list[SiteSamples]:
-    """Fly one descent under the scenario's policy; return sites of each decision map."""
+    """Fly one descent under the scenario's policy; return sites sampled from its maps.
+
+    The maps are those that the policy used for a decision.
+    """
     scenario = task.scenario
     seed = calibration_seed(task.root, task.flight)
     simulation = Simulation(scenario, seed, scenario.policy.kind)
@@ -172,9 +189,9 @@ def _fly_and_sample(task: _Task) -> list[SiteSamples]:
     rng = RandomStreams(seed).get("calibration.sites")
     found, last, error = [], None, simulation.navigation_error
     while not simulation.done and computer.altitude >= computer.decisions.last_altitude:
-        if task.mapper in computer.mapped:
+        if task.mapper in computer.updated_mappers:
             error = simulation.navigation_error
-        if simulation.decision_due and not mapper.blank:
+        if simulation.decision_due and not mapper.is_empty:
             drawn = mapper.hazard_map()
             if drawn is not last:
                 last = drawn

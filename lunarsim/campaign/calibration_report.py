@@ -1,4 +1,4 @@
-"""Print the result of a calibration as a table and in words."""
+"""Report the quality of a refitted calibration as a table and in sentences."""
 
 from __future__ import annotations
 
@@ -18,6 +18,10 @@ _HEADINGS = (
 
 
 def _groups(result: CalibrationResult) -> tuple[tuple[str, CalibrationComparison], ...]:
+    """Return the comparison of both calibrations on the sites of each one's domain.
+
+    The calibrations are the one supplied with lunarsim ("packaged") and the refit.
+    """
     return (
         ("packaged", result.left_out.packaged_domain),
         ("refit", result.left_out.refit_domain),
@@ -25,7 +29,10 @@ def _groups(result: CalibrationResult) -> tuple[tuple[str, CalibrationComparison
 
 
 def calibration_table(result: CalibrationResult) -> Table:
-    """Build the table of packaged and refitted calibration, with 95 % intervals."""
+    """Build a table of the quality of the supplied and the refitted calibration.
+
+    The supplied ("packaged") calibration comes with lunarsim. Values have 95 % intervals.
+    """
     c = result.calibration
     table = Table(
         title=f"{c.scenario}: {c.sites} sites on {result.maps} maps of {c.flights} flights, "
@@ -43,19 +50,23 @@ def calibration_table(result: CalibrationResult) -> Table:
 
 
 def _cells(f: ProbabilityQuality) -> tuple[str, ...]:
+    """Return the formatted table cells of one calibration's quality, `f`."""
     return (
         str(f.sites),
         _with_interval(f.share, "{:.2f}"),
         _with_interval(f.safe, "{:.3f}"),
         _with_interval(f.ece),
         _with_interval(f.skill, "{:+.3f}"),
-        str(f.sure),
-        _with_interval(f.gap, "{:+.4f}"),
+        str(f.confident_sites),
+        _with_interval(f.bias, "{:+.4f}"),
     )
 
 
 def _with_interval(values: NDArray[np.float64], form: str = "{:.4f}") -> str:
-    """Format a value and its interval; "-" if the value is not finite."""
+    """Format value, lower and upper limit (3,) as text; "-" for a value that is NaN.
+
+    `form` is the format string of one number.
+    """
     if not np.isfinite(values[0]):
         return "-"
     value, low, high = (form.format(v) for v in values)

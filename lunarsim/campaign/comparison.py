@@ -45,7 +45,7 @@ Progress = Callable[[int], None]
 
 @dataclass(frozen=True)
 class CompareResult:
-    """Result of a comparison.
+    """Result of a comparison of policies or guidance laws over the same flights.
 
     Attributes
     ----------
@@ -55,14 +55,14 @@ class CompareResult:
     seconds
         Wall-clock time of each flight, by policy, s.
     safe_share, safe_share_at_heading
-        Mean share of exactly safe terrain in the target area: over every heading, and at the
-        heading that is flown.
+        Mean fraction of the target area that is truly safe to land on: at every heading of the
+        lander, and at the heading that is flown.
     complete
         False if the run was interrupted.
     failed
         Rows without an outcome: the code raised an error, or the process died.
     unrecorded
-        Reason why flights have no record or figures, for instance a full disk; empty if all have.
+        Reason why flights have no record or plots, for instance a full disk; empty if all have.
     by_law
         Whether guidance laws are compared; rows are then identified by arm, not by policy.
     """
@@ -78,18 +78,21 @@ class CompareResult:
 
     @property
     def shown(self) -> list[dict[str, Any]]:
-        """Rows whose `policy` is the name used in tables and figures."""
+        """Result rows with the name that tables and plots use in the column `policy`.
+
+        If guidance laws are compared, this is the name of the arm, a pair of policy and law.
+        """
         return [row | {"policy": row["arm"]} for row in self.rows] if self.by_law else self.rows
 
 
 def policy_name(policy: str | RetargetingPolicy) -> str:
-    """Return the name of a policy for tables and folders."""
+    """Return the name of a policy for tables and folders, without its module."""
     name = policy if isinstance(policy, str) else policy.name
     return name.rpartition(":")[2] if ":" in name else name
 
 
 def guidance_name(law: str) -> str:
-    """Return the name of a guidance law for tables and folders."""
+    """Return the name of a guidance law for tables and folders, without its module."""
     return law.rpartition(":")[2]
 
 
@@ -99,7 +102,10 @@ def check_request(
     jobs: int,
     guidance: Sequence[str] = (),
 ) -> None:
-    """Raise `InputError` if the arguments of a comparison are not usable."""
+    """Raise `InputError` if the arguments of `compare` are not usable.
+
+    `guidance` are names of guidance laws; empty: the scenario's law.
+    """
     for law in guidance:
         resolve("guidance", law, "--guidance")
     laws = [guidance_name(law) for law in guidance]
@@ -142,7 +148,7 @@ def compare(
     apart: bool = False,
     guidance: Sequence[str] = (),
 ) -> CompareResult:
-    """Fly `flights` flights under each policy, and with each guidance law if given.
+    """Fly the same flights under each policy, and with each guidance law if given.
 
     Parameters
     ----------
@@ -194,7 +200,11 @@ def compare(
 def _compare(
     spec: CampaignSpec, fly: Callable[..., RunResult], folder: Path, out: Path | None, by_law: bool
 ) -> CompareResult:
-    """Fly into `folder`; write the summary and figures into `out`."""
+    """Fly a campaign into `folder`; write the summary and plots into `out`.
+
+    `fly` is `fly_spec` with its other arguments set; `by_law` states whether guidance laws are
+    compared.
+    """
     ran = fly(spec, out=folder)
     result = _result(folder, ran, by_law)
     if out is not None and result.rows:
@@ -214,6 +224,7 @@ def _spec(
     figures: bool,
     guidance: Sequence[str] = (),
 ) -> CampaignSpec:
+    """Return a campaign with one arm for each combination of policy and guidance law."""
     arms = []
     for policy, law in itertools.product(policies, guidance or (None,)):
         name = policy_name(policy)
@@ -228,6 +239,10 @@ def _spec(
 
 
 def _result(folder: Path, ran: RunResult, by_law: bool) -> CompareResult:
+    """Read the results of a comparison from the folder of its campaign.
+
+    `ran` summarises the run; `by_law` states whether guidance laws are compared.
+    """
     found = load_results(folder)  # works without any flight, after an early interrupt
     rows = found.table.to_pylist()
     seconds = {time["id"]: time["seconds"] for time in found.timing.to_pylist()}
@@ -248,11 +263,12 @@ def _result(folder: Path, ran: RunResult, by_law: bool) -> CompareResult:
 
 
 def _mean(values: list[float]) -> float:
+    """Return the mean; NaN for an empty list."""
     return float(np.mean(values)) if values else float("nan")
 
 
 def _write(result: CompareResult, out: Path, spec: CampaignSpec) -> None:
-    """Write the results in one file, and their summary; both atomically."""
+    """Write all results to one Parquet file and a summary to JSON, atomically."""
     table = pa.Table.from_pylist(result.rows, pq.read_schema(next((out / "results").iterdir())))
     atomic_write(out / "results.parquet", lambda p: pq.write_table(table, p))
     summary = {
@@ -260,7 +276,7 @@ def _write(result: CompareResult, out: Path, spec: CampaignSpec) -> None:
         "seed": spec.head.seed,
         "version": lunarsim.__version__,
         "complete": result.complete,
-        "without_verdict": len(result.failed),
+        "without_outcome": len(result.failed),
         "exactly_safe_share": result.safe_share,
         "exactly_safe_share_at_heading": result.safe_share_at_heading,
         "seconds_per_flight": {p: _mean(s) for p, s in result.seconds.items()},

@@ -1,4 +1,4 @@
-"""Dispersions of a campaign: distributions of scenario keys, and sampling designs.
+"""Dispersions of a campaign: distributions of scenario values, sampling designs.
 
 Every draw starts from one number in (0, 1) per key. Plain Monte Carlo takes it from a stream of
 the flight's own seed, so flight i draws the same values in every campaign. Latin hypercube and
@@ -29,6 +29,7 @@ from lunarsim.errors import InputError, suggestion
 from lunarsim.parts import quantity, settings_of
 from lunarsim.rng import RandomStreams, design_seed, flight_seed
 from lunarsim.scenario.errors import input_error
+from lunarsim.scenario.renamed_keys import first_path
 
 Array = NDArray[np.float64]
 
@@ -49,7 +50,7 @@ _MIN_BOUNDED_MASS = 1e-12
 
 @dataclass(frozen=True)
 class Normal:
-    """A normal distribution.
+    """Normal distribution of a scenario value.
 
     Attributes
     ----------
@@ -61,13 +62,13 @@ class Normal:
     sigma: float = quantity(1.0, gt=0)
 
     def at(self, u: float) -> float:
-        """Return the quantile at `u`."""
+        """Return the quantile of the distribution at the probability `u`, in (0, 1)."""
         return float(self.mean + self.sigma * ndtri(u))
 
 
 @dataclass(frozen=True)
 class TruncatedNormal:
-    """A normal distribution truncated at bounds.
+    """Normal distribution of a scenario value, truncated at one or two bounds.
 
     Attributes
     ----------
@@ -84,14 +85,20 @@ class TruncatedNormal:
     def __post_init__(self) -> None:
         if self.low is None and self.high is None:
             raise InputError(
-                "low", None, "must have a bound: low, high or both", "Else use kind = normal."
+                "low",
+                None,
+                "needs a bound: low, high or both",
+                "Without bounds, use kind = normal.",
             )
         low, high = self._scores()
         if not low < high:
             raise InputError("low", self.low, f"must be below high ({self.high})")
         mass = ndtr(-low) - ndtr(-high) if low > 0.0 else ndtr(high) - ndtr(low)
         if mass < _MIN_BOUNDED_MASS:
-            raise InputError("low", self.low, "the bounds must enclose some of the distribution")
+            raise InputError(
+                "low", self.low, "must leave values of the distribution between low and high",
+                "Decrease low or increase high.",
+            )  # fmt: skip
 
     def _scores(self) -> tuple[float, float]:
         low = -np.inf if self.low is None else (self.low - self.mean) / self.sigma
@@ -99,14 +106,14 @@ class TruncatedNormal:
         return low, high
 
     def at(self, u: float) -> float:
-        """Return the quantile at `u`."""
+        """Return the quantile of the distribution at the probability `u`, in (0, 1)."""
         low, high = self._scores()
         return float(self.mean + self.sigma * truncnorm.ppf(u, low, high))
 
 
 @dataclass(frozen=True)
 class Uniform:
-    """A uniform distribution.
+    """Uniform distribution of a scenario value.
 
     Attributes
     ----------
@@ -122,13 +129,13 @@ class Uniform:
             raise InputError("low", self.low, f"must be below high ({self.high})")
 
     def at(self, u: float) -> float:
-        """Return the quantile at `u`."""
+        """Return the quantile of the distribution at the probability `u`, in (0, 1)."""
         return float(self.low + (self.high - self.low) * u)
 
 
 @dataclass(frozen=True)
 class Choice:
-    """A random choice from a list of values.
+    """Random choice of a scenario value from a list.
 
     Attributes
     ----------
@@ -154,7 +161,7 @@ class Choice:
                 raise InputError("weights", self.weights, expected)
 
     def at(self, u: float) -> Any:
-        """Return the value at `u` of the cumulative weights."""
+        """Return the value whose range of cumulative, normalised weights contains `u`."""
         weights = np.ones(len(self.values)) if self.weights is None else np.array(self.weights)
         index = int(np.searchsorted(np.cumsum(weights) / weights.sum(), u, side="right"))
         return self.values[min(index, len(self.values) - 1)]
@@ -176,7 +183,7 @@ _REQUIRED_FIELDS = {
 
 
 def distribution(key: str, table: Any) -> Distribution:
-    """Build the distribution that a table of a spec describes.
+    """Build the distribution of a scenario key from its table in the campaign file.
 
     Raises
     ------
@@ -200,13 +207,13 @@ def distribution(key: str, table: Any) -> Distribution:
     except ValidationError as error:
         raise input_error(path, model, error, None, kind) from None
     except InputError as error:
-        raise error.renamed(f"{path}.{error.field}") from None
+        raise error.with_field(f"{path}.{error.field}") from None
     return made
 
 
 @dataclass(frozen=True)
 class Correlation:
-    """Group of keys whose normal scores are correlated.
+    """Group of scenario keys whose normal scores are correlated (Gaussian copula).
 
     Attributes
     ----------
@@ -240,7 +247,7 @@ class Correlation:
 
     @cached_property
     def root(self) -> Array:
-        """Lower Cholesky factor of the matrix."""
+        """Lower Cholesky factor of the correlation matrix."""
         return np.asarray(np.linalg.cholesky(np.array(self.matrix)))
 
 
@@ -259,13 +266,13 @@ class Importance:
         Shift (sigmas) and scale by key; omitted: 0 and 1. Scales below 1 are refused: only the
         mixture would bound the ratio of the densities.
     nominal_share
-        Share of flights drawn from the nominal distribution.
+        Fraction of flights drawn from the nominal distribution.
     """
 
     shifts: Mapping[str, float] | None = quantity(None)
     scales: Mapping[str, float] | None = quantity(None)
     nominal_share: float = quantity(
-        0.1, ge=0.01, lt=1, help="share of flights drawn from the nominal distribution"
+        0.1, ge=0.01, lt=1, help="fraction of flights that are drawn from the nominal distribution"
     )
 
     def __post_init__(self) -> None:
@@ -282,7 +289,7 @@ class Importance:
             )
 
     def drawn(self, keys: Sequence[str], u: Array, nominal: bool) -> tuple[Array, float]:
-        """Return numbers in (0, 1) for the keys (d,), and the weight of the flight.
+        """Return the sampled probabilities of the keys (d,), and the weight of the flight.
 
         Parameters
         ----------
@@ -305,7 +312,7 @@ class Importance:
 
 @dataclass(frozen=True)
 class Dispersions:
-    """Everything that is drawn for a flight.
+    """Random scenario values of each flight of a campaign, and how they are sampled.
 
     Attributes
     ----------
@@ -403,11 +410,14 @@ class Dispersions:
         return len(self.distributions) + 3 if self.method == "saltelli" else 0
 
     def draws(self, flight: int) -> dict[str, Any]:
-        """Return the values of a flight by key (method subset: the nominal draws)."""
+        """Return the random scenario values of a flight by key.
+
+        With method subset these are the values of the nominal distribution.
+        """
         return self.at(self._weighted_uniforms(flight)[0])
 
     def at(self, numbers: Array) -> dict[str, Any]:
-        """Return the values by key at independent numbers in (0, 1) (d,)."""
+        """Return the scenario values by key at independent probabilities `numbers` (d,)."""
         u = dict(zip(self.distributions, _clip_to_open_interval(numbers), strict=True))
         for group in self.correlations:
             scores = group.root @ ndtri([u[key] for key in group.keys])
@@ -419,7 +429,7 @@ class Dispersions:
         return self._weighted_uniforms(flight)[1]
 
     def _weighted_uniforms(self, flight: int) -> tuple[Array, float]:
-        """Return a number in (0, 1) for each key (d,), and the flight's weight."""
+        """Return the probability of each key's value (d,), and the weight of the flight."""
         u = self.uniforms(flight)
         if self.importance is None:
             return u, 1.0
@@ -432,13 +442,15 @@ class Dispersions:
         """Return a uniform number in (0, 1) for each key (d,), before importance sampling."""
         if self.method in _STREAM_METHODS:
             streams = RandomStreams(flight_seed(self.seed, flight))
-            drawn = [streams.get(f"dispersions.{key}").random() for key in self.distributions]
+            drawn = [
+                streams.get(f"dispersions.{first_path(key)}").random() for key in self.distributions
+            ]
             return _clip_to_open_interval(np.array(drawn))
         return _clip_to_open_interval(self._design[flight])
 
     @cached_property
     def _design(self) -> Array:
-        """Points of the sampling design (flights, d)."""
+        """Probabilities of all flights in a sampling design (flights, d), d keys."""
         rng = np.random.default_rng(design_seed(self.seed))
         count = len(self.distributions)
         if self.method == "saltelli":
@@ -449,9 +461,9 @@ class Dispersions:
 
 
 def world_index(flight: int, block: int) -> int:
-    """Return the index of the flight whose seed a flight uses.
+    """Return the index of the flight whose seed, and therefore world, a flight uses.
 
-    Outside Saltelli blocks, this is the flight itself.
+    Without a Saltelli design, this is the flight itself.
 
     Parameters
     ----------
@@ -467,7 +479,11 @@ def world_index(flight: int, block: int) -> int:
 
 
 def _saltelli_rows(points: Array) -> Array:
-    """Return the rows of all blocks (n (d + 3), d) from points A and B (n, 2 d)."""
+    """Return the points of a Saltelli design from Sobol points A and B (n, 2 d).
+
+    The result is (n (d + 3), d): `d` is the number of keys, and each of the n blocks has d + 3
+    flights.
+    """
     a, b = np.hsplit(points, 2)
     keys = a.shape[1]
     rows = np.repeat(a[:, None, :], keys + 3, axis=1)

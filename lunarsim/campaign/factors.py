@@ -26,7 +26,7 @@ _MAX_FOLDER_NAME_BYTES = 240
 
 @dataclass(frozen=True)
 class Arm:
-    """Variant of the scenario with certain values.
+    """Variant of a campaign's scenario, in which some values are set.
 
     Attributes
     ----------
@@ -86,7 +86,9 @@ def _as_tuple(leaf: type | tuple[type, ...]) -> tuple[type, ...]:
 
 
 def product(factors: Mapping[str, Sequence[Any]]) -> list[tuple[str, dict[str, Any]]]:
-    """Return name and values of every combination; the last factor varies fastest.
+    """Return name and values of every combination of factor levels.
+
+    `factors` lists the values of each scenario key; the last key varies fastest.
 
     Raises
     ------
@@ -127,7 +129,10 @@ def check_plain(field: str, value: Any) -> None:
 
 
 def _arm_name(values: Mapping[str, Any]) -> str:
-    """Return a name: the value of a single factor, else key=value of each."""
+    """Return the name of a variant: its only value, or key=value of each factor.
+
+    `values` are the scenario values that the variant sets, by key.
+    """
     if not values:
         return "all"
     if len(values) == 1:
@@ -136,7 +141,7 @@ def _arm_name(values: Mapping[str, Any]) -> str:
 
 
 def word(value: Any) -> str:
-    """Return a short text for a value."""
+    """Format a scenario value as a short text for names of variants."""
     if isinstance(value, str):
         if Path(value).is_absolute():
             return Path(value).name
@@ -149,7 +154,7 @@ def word(value: Any) -> str:
 
 
 def parse_arms(tables: Any) -> list[tuple[str, dict[str, Any]]]:
-    """Return name and values of the arms that a spec lists as ``[[arms]]``.
+    """Return name and scenario values of the variants listed as ``[[arms]]``.
 
     Raises
     ------
@@ -178,7 +183,9 @@ def parse_arms(tables: Any) -> list[tuple[str, dict[str, Any]]]:
 def build_arms(
     scenario: Scenario, combinations: Sequence[tuple[str, dict[str, Any]]], where: str
 ) -> tuple[Arm, ...]:
-    """Build the arms and check their scenarios.
+    """Build the arms (variants of a scenario) of a campaign and check their scenarios.
+
+    `combinations` has name and values of each arm; `where` is the field name for errors.
 
     Raises
     ------
@@ -201,7 +208,7 @@ def build_arms(
 
 
 def group_arms_by_terrain(arms: Sequence[Arm]) -> tuple[tuple[int, ...], ...]:
-    """Return groups of indices of arms that share the same terrain."""
+    """Group the indices of arms (variants of a scenario) by their terrain and rocks."""
     found: dict[str, list[int]] = {}
     for i, arm in enumerate(arms):
         found.setdefault(tables_as_text(arm.scenario, GROUND_TABLES), []).append(i)
@@ -215,7 +222,7 @@ def folder_name(arm: str) -> str:
 
 
 def parse_factors(texts: Sequence[str]) -> dict[str, list[Any]]:
-    """Parse factors from the command line: ``key=a,b,c`` or ``key=low:high:count``.
+    """Parse lists of values from texts ``key=a,b,c`` or ``key=low:high:count``.
 
     Raises
     ------
@@ -229,7 +236,9 @@ def parse_factors(texts: Sequence[str]) -> dict[str, list[Any]]:
         if not sign or not key or not values.strip():
             raise InputError("--over", text, "must be KEY=A,B,C or KEY=LOW:HIGH:COUNT")
         if key in factors:
-            raise InputError("--over", text, "must give each key once")
+            raise InputError(
+                "--over", text, "must give each key once", "Give all its values in one --over."
+            )
         factors[key] = (
             _parse_range(text, values) if values.count(":") == 2 else _parse_list(text, values)
         )
@@ -239,9 +248,10 @@ def parse_factors(texts: Sequence[str]) -> dict[str, list[Any]]:
 def split_changes(
     texts: Sequence[str], factors: Mapping[str, Sequence[Any]]
 ) -> tuple[tuple[str, ...], dict[str, Any]]:
-    """Separate changes of the scenario from keys of parts whose kinds are factors.
+    """Separate changes of the scenario from keys of components whose kind is a factor.
 
-    A key of such a part applies to the kinds that the factor chooses, not to the scenario's kind.
+    A key of such a component, for instance ``policy.hysteresis``, applies to the kinds that the
+    factor sets, not to the kind in the scenario.
 
     Parameters
     ----------
@@ -253,7 +263,7 @@ def split_changes(
     Returns
     -------
     tuple
-        Texts that apply to the scenario; values of the other keys, by key.
+        Texts ``KEY=VALUE`` that apply to the scenario; values of the other keys, by key.
 
     Raises
     ------

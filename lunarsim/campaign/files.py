@@ -28,18 +28,18 @@ _IGNORED_DIFFERENCES = ("python", "cores", "processor")
 
 
 def write_json(path: Path, data: Mapping[str, Any]) -> None:
-    """Write a JSON file atomically."""
+    """Write nested data to a JSON file atomically."""
     atomic_write_text(path, json.dumps(data, indent=1) + "\n")
 
 
 def bytes_digest(data: bytes) -> str:
-    """Return the digest that identifies the bytes of a results part."""
+    """Return the SHA-256 digest of bytes, which detects damaged result files."""
     return hashlib.sha256(data).hexdigest()
 
 
 @cache
 def code_digest() -> str:
-    """Return a digest of the package's sources; other code may give other results."""
+    """Return a digest of lunarsim's source files, which identifies the code."""
     root = Path(lunarsim.__file__).parent
     digest = hashlib.sha256()
     for path in sorted(root.rglob("*")):
@@ -49,13 +49,19 @@ def code_digest() -> str:
 
 
 def file_digests(data: Any) -> dict[str, str]:
-    """Return digests of the existing files that keys ending in ``path`` name."""
+    """Return digests of the existing files that keys ending in ``path`` name, by file.
+
+    `data` are nested tables, for instance of a scenario.
+    """
     named = [text for key, text in _texts(data) if key.endswith("path") and Path(text).is_file()]
     return {text: _file_digest(Path(text)) for text in named}
 
 
 def part_digests(data: Any) -> dict[str, str]:
-    """Return digests of the source files that a ``kind`` names as "module:Class"."""
+    """Return digests of the source files of external components, by module.
+
+    An external component has a ``kind`` of the form "module:Class" in the nested tables `data`.
+    """
     found: dict[str, str] = {}
     for key, text in _texts(data):
         if key == "kind" and ":" in text:
@@ -64,7 +70,7 @@ def part_digests(data: Any) -> dict[str, str]:
 
 
 def _texts(data: Any) -> Iterator[tuple[str, str]]:
-    """Yield the texts of nested tables and lists, each with its own key."""
+    """Yield key and value of every string in nested tables and lists."""
     items = data.items() if isinstance(data, Mapping) else enumerate(data)
     for key, value in items:
         if isinstance(value, Mapping | list | tuple):
@@ -79,7 +85,10 @@ def _file_digest(path: Path) -> str:
 
 
 def module_digest(name: str) -> dict[str, str]:
-    """Return the digest of an external module's source file; {} for other modules."""
+    """Return the digest of the source file of an external module, by module name.
+
+    The result is empty for a module of lunarsim or one without a source file.
+    """
     source = getattr(sys.modules.get(name), "__file__", None)
     if name.partition(".")[0] == "lunarsim" or source is None or not Path(source).is_file():
         return {}
@@ -87,13 +96,17 @@ def module_digest(name: str) -> dict[str, str]:
 
 
 def environment_differences(there: Mapping[str, str], here: Mapping[str, str]) -> list[str]:
-    """Name the differences between two environments that may change results."""
+    """Return the names of packages and settings that differ between two environments.
+
+    Only differences that may change results are listed. `there` and `here` are results of
+    `environment` on two machines.
+    """
     names = dict.fromkeys([*there, *here])
     return [n for n in names if n not in _IGNORED_DIFFERENCES and there.get(n) != here.get(n)]
 
 
 def environment() -> dict[str, str]:
-    """Return interpreter, platform, processor and versions that affect results."""
+    """Return interpreter, platform, processor and package versions, by name."""
     packages = {}
     for name in _PACKAGES:
         try:

@@ -1,6 +1,7 @@
 """Fly one flight of a campaign in a worker.
 
-Worlds and truth are computed once per group.
+An arm is a variant of the scenario. A group is one flight index under several arms with the same
+terrain; the terrain and its true landing safety are computed once per group.
 
 Campaigns name `fly` in their `Work`; other functions serve tests of the engines.
 """
@@ -39,7 +40,7 @@ _SUBSET_COLUMNS = (LEVEL, CHAIN, WORLD)
 
 @dataclass(frozen=True)
 class Study:
-    """Settings of a campaign that workers need.
+    """Settings of a campaign that worker processes need to fly its flights.
 
     Attributes
     ----------
@@ -52,9 +53,9 @@ class Study:
     records
         Flights whose complete records are kept: none, failures or all.
     figures
-        Whether to draw the first flight of each arm and every flight that was not safe.
+        Whether to plot the first flight of each arm and every flight that was not safe.
     cache
-        Cache of the truth about worlds, or None.
+        Disk cache of the true landing safety of terrains, or None.
     block
         Flights in a block of a Saltelli design, which share two worlds; 0: one world per flight.
     paths
@@ -72,7 +73,10 @@ class Study:
 
 
 def build_plan(spec: CampaignSpec, out: Path | None = None, cache: DiskCache | None = None) -> Plan:
-    """Build the plan of a spec; records and figures go to `out`, truth to `cache`."""
+    """Build the plan of all flights of a campaign from its specification.
+
+    Records and plots go to the folder `out`, the true landing safety of terrains to `cache`.
+    """
     arms = [(arm.name, _by_full_key(arm.values)) for arm in spec.arms]
     laws = spec.dispersions.distributions
     chains = None if spec.dispersions.subset is None else SubsetChains(spec.dispersions)
@@ -110,9 +114,10 @@ def build_plan(spec: CampaignSpec, out: Path | None = None, cache: DiskCache | N
 
 
 def _draw_kinds(laws: Mapping[str, Any]) -> dict[str, str]:
-    """Return the kind of each column of draws.
+    """Return the kind of each result column of random values, by column name.
 
-    A choice of tables gives a column for each key.
+    Kinds are "bool", "int", "float" and "text". `laws` are the distributions by scenario key. A
+    choice of tables gives a column for each key.
     """
     found: dict[str, list[Any]] = {}
     for key, law in laws.items():
@@ -123,7 +128,9 @@ def _draw_kinds(laws: Mapping[str, Any]) -> dict[str, str]:
 
 
 def check_first_flights(spec: CampaignSpec) -> None:
-    """Set up the first flight of every arm without flying it.
+    """Check that the first flight of every arm of a campaign can be set up.
+
+    The flights are not flown.
 
     Raises
     ------
@@ -142,12 +149,14 @@ def check_first_flights(spec: CampaignSpec) -> None:
 
 
 def check_files(spec: CampaignSpec) -> None:
-    """Read the terrain files of all arms, including all choices that may be drawn.
+    """Check the terrain files of all arms of a campaign by reading them.
+
+    This includes files that a random choice of a terrain value may select.
 
     Raises
     ------
     InputError
-        If a file cannot be read, or does not fit its use.
+        If a file cannot be read, or is not usable as the scenario uses it.
     """
     choices = {
         key: law.values
@@ -166,7 +175,10 @@ def check_files(spec: CampaignSpec) -> None:
 
 
 def _by_full_key(values: Any, before: str = "") -> dict[str, Any]:
-    """Return values by complete key, as in the columns: ``policy`` as ``policy.kind``."""
+    """Return scenario values by complete key, as in the columns of the results.
+
+    For instance, ``policy`` becomes ``policy.kind``. `before` is the prefix of the keys.
+    """
     found: dict[str, Any] = {}
     for key, value in values.items():
         name = before + ".".join(path_of(key, value))
@@ -175,7 +187,7 @@ def _by_full_key(values: Any, before: str = "") -> dict[str, Any]:
 
 
 def fly(study: Study, group: Group, arm: int, memory: dict[Any, Any]) -> dict[str, Any]:
-    """Fly one flight index under one arm; return its metrics.
+    """Fly one flight of a campaign under one arm; return its metrics by name.
 
     Parameters
     ----------
@@ -184,12 +196,12 @@ def fly(study: Study, group: Group, arm: int, memory: dict[Any, Any]) -> dict[st
     group, arm
         Group of the flight; index of the arm.
     memory
-        Worlds and truth that the group has computed so far; extended here.
+        Worlds and their true landing safety that the group has computed so far; extended here.
 
     Raises
     ------
     RecordNotWrittenError
-        With the metrics, if the record or the figures cannot be written.
+        With the metrics, if the record or the plots cannot be written.
     """
     flight, simulation, row = fly_with_simulation(study, group, arm, memory)
     name = study.arms[arm].name
@@ -210,7 +222,10 @@ def fly(study: Study, group: Group, arm: int, memory: dict[Any, Any]) -> dict[st
 def fly_with_simulation(
     study: Study, group: Group, arm: int, memory: dict[Any, Any]
 ) -> tuple[Flight, Simulation, dict[str, Any]]:
-    """Fly like `fly`, without writing; return record, simulation and metrics."""
+    """Fly one flight under one arm; return record, simulation and metrics.
+
+    No file is written. The parameters are those of `fly`.
+    """
     draws = {k: value for k, value in group.draws.items() if k not in (WEIGHT, *_SUBSET_COLUMNS)}
     scenario = with_values(study.arms[arm].scenario, draws, "dispersions")
     seed = flight_seed(study.seed, group.draws.get(WORLD, world_index(group.flight, study.block)))
@@ -237,7 +252,10 @@ def fly_with_simulation(
 def _same_path_scenarios(
     study: Study, group: Group, arm: int, draws: Mapping[str, Any]
 ) -> dict[int, Scenario]:
-    """Return the scenarios of other arms of the group that differ only in policy."""
+    """Return the scenarios of other arms of a group that differ only in policy.
+
+    `draws` are the random values of the flight by key.
+    """
     found = {}
     for i in group.arms if study.paths else ():
         if i != arm and study.paths[i] == study.paths[arm]:
@@ -247,7 +265,10 @@ def _same_path_scenarios(
 
 
 def _save_record(study: Study, index: int, arm: str, flight: Flight, safe: bool) -> None:
-    """Write the complete record of a flight atomically, if it is to be kept."""
+    """Write the complete record of a flight atomically, if the campaign keeps it.
+
+    `index` is the index of the flight, `arm` the name of its arm, and `safe` its outcome.
+    """
     if study.out is None or study.records == "none" or (study.records == "failures" and safe):
         return
     folder = study.out / "flights" / folder_name(arm)

@@ -14,7 +14,9 @@ Flight = dict[str, Any]
 
 
 class FlightStore:
-    """Flights by name, in a file that is rewritten atomically after each flight.
+    """Results of flights by name, in a file that is rewritten after each flight.
+
+    Each rewrite is atomic.
 
     Parameters
     ----------
@@ -26,7 +28,7 @@ class FlightStore:
     Attributes
     ----------
     flights
-        Finished flights by name.
+        Results of the finished flights by name, as JSON values.
 
     Raises
     ------
@@ -42,7 +44,7 @@ class FlightStore:
             self._load(path)
 
     def _load(self, path: Path) -> None:
-        """Load the flights of a file."""
+        """Load the flights stored in a file into the attribute `flights`."""
         try:
             data = json.loads(path.read_text(encoding="utf-8"))
         except (OSError, ValueError) as error:
@@ -62,12 +64,12 @@ class FlightStore:
         self._code = code if isinstance(code, dict) else {}
 
     @property
-    def of_other_code(self) -> int:
-        """Number of flights that were flown with other or unknown source code."""
+    def outdated_count(self) -> int:
+        """Number of stored flights that were flown with other or unknown source code."""
         return sum(self._code.get(name) != code_digest() for name in self.flights)
 
     def keep(self, name: str, flight: Flight) -> None:
-        """Add a flight and rewrite the file."""
+        """Add the result of a flight under its name and rewrite the file."""
         self.flights[name], self._code[name] = flight, code_digest()
         if self._path is not None:
             self._path.parent.mkdir(parents=True, exist_ok=True)

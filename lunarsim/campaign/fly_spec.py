@@ -1,4 +1,4 @@
-"""Fly a campaign spec into a folder."""
+"""Fly the flights that a campaign specification defines into a folder."""
 
 from __future__ import annotations
 
@@ -27,16 +27,16 @@ def fly_spec(
     cache: DiskCache | None = None,
     notify: Callable[[str], None] | None = None,
 ) -> RunResult:
-    """Fly the missing flights of a spec.
+    """Fly the flights of a campaign that a folder does not contain yet.
 
     Parameters
     ----------
     spec, engine, out
-        Campaign spec, engine, and folder of results.
+        Specification of the campaign, engine that runs the flights, and folder of results.
     retry, progress
         Whether to repeat flights without an outcome; function called with the number of new rows.
     cache
-        Cache of the truth about worlds; results do not depend on it.
+        Cache of the true landing safety of terrains; results do not depend on it.
     notify
         Function that receives messages while kernels are compiled first, by one process. Without
         it, without a cache, or with another engine than local, each worker compiles its kernels.
@@ -65,7 +65,7 @@ def fly_spec(
 
 
 def write_files(spec: CampaignSpec, folder: Path) -> None:
-    """Write the spec and its base scenario, atomically."""
+    """Write a campaign specification and its base scenario as TOML files."""
     texts = {"scenario.toml": spec.scenario.to_toml()}
     if all(arm.policy is None for arm in spec.arms):
         texts["spec.toml"] = spec.to_toml()

@@ -20,7 +20,9 @@ _COMPILATION_TIME_S = 900.0
 def compile_kernels(
     spec: CampaignSpec, plan: Plan, cache: DiskCache, notify: Callable[[str], None]
 ) -> None:
-    """Fly flight 0 of arms whose parts no campaign on this machine has flown yet.
+    """Compile the numerical kernels of a campaign by flying flight 0 of some arms.
+
+    These are the arms whose components no campaign on this machine has flown yet.
 
     The results are discarded; the compiled kernels stay in Numba's cache beside the package. A
     mark in the cache makes later calls return immediately.
@@ -59,7 +61,10 @@ def compile_kernels(
 
 
 def _texts_and_flags(table: Any) -> Any:
-    """Return tables with texts and flags only: numbers do not select kernels."""
+    """Return nested tables with their strings and booleans only.
+
+    Numbers are dropped, because they do not select kernels.
+    """
     if isinstance(table, Mapping):
         return {k: _texts_and_flags(v) for k, v in sorted(table.items())}
     if isinstance(table, list | tuple):

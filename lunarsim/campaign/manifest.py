@@ -21,7 +21,7 @@ from lunarsim.errors import InputError, check_folder
 from lunarsim.json_files import read_json
 from lunarsim.untrusted_folders import check_no_links, read_bounded_bytes
 
-FORMAT = 1
+FORMAT = 2
 _Kind = Literal[*KINDS]  # type: ignore[valid-type]
 
 
@@ -66,7 +66,7 @@ class _Identity(_Strict):
 
 
 class _Manifest(_Strict):
-    """Fields of a manifest that readers need, with strict types."""
+    """Fields of ``manifest.json`` that readers need, with strict types."""
 
     format: int
     name: _Name
@@ -103,12 +103,14 @@ _FIXED_FIELDS = ("name", "seed", "arms", "columns", "inputs")
 
 
 def matching_manifest(folder: Path, plan: Plan) -> dict[str, Any] | None:
-    """Return a folder's manifest of the same campaign; None if new or empty.
+    """Return the manifest in a folder if it belongs to the planned campaign.
+
+    Return None if the folder is new or empty.
 
     Raises
     ------
     InputError
-        If the folder holds anything else.
+        If the folder holds another campaign or other files.
     """
     if not (folder / "manifest.json").exists():
         # A writer killed before its manifest leaves a lock and a temporary file.
@@ -149,7 +151,7 @@ def matching_manifest(folder: Path, plan: Plan) -> dict[str, Any] | None:
 
 
 def _check_packages(folder: Path, manifest: Mapping[str, Any]) -> None:
-    """Refuse other packages or another platform, which may give other results."""
+    """Raise `InputError` if a campaign was flown with other packages or platform."""
     before, now = manifest.get("environment", {}), environment()
     other = environment_differences(before, now)
     if not other:
@@ -164,7 +166,7 @@ def _check_packages(folder: Path, manifest: Mapping[str, Any]) -> None:
 
 
 def _last_flight(folder: Path) -> int:
-    """Return the maximum flight index that has a row in a folder; -1 for none."""
+    """Return the maximum flight index with a result in a folder; -1 if there is none."""
     last = -1
     for path in (folder / "results").glob("part-*.parquet"):
         with contextlib.suppress(pa.ArrowException, OSError):
@@ -193,7 +195,7 @@ def read_manifest(folder: Path) -> dict[str, Any]:
     Raises
     ------
     InputError
-        If it is missing or cannot be read, or its values do not match its digest.
+        If the manifest is missing or unreadable, or its values do not match its digest.
     """
     path = folder / "manifest.json"
     if not path.is_file():
@@ -215,7 +217,7 @@ def read_manifest(folder: Path) -> dict[str, Any]:
 
 
 def _reason(error: ValidationError) -> str:
-    """Describe the first error of a manifest."""
+    """Describe the first validation error of a manifest as text."""
     first = error.errors()[0]
     field = ".".join(map(str, first["loc"])) or "manifest"
     if first["type"] == "literal_error":
@@ -231,7 +233,10 @@ def _damaged(folder: Path, reason: str) -> InputError:
 
 
 def first_difference(a: Any, b: Any, path: str = "") -> tuple[str, Any, Any] | None:
-    """Return key and both values of the first difference of two tables, or None."""
+    """Return key and both values of the first difference between two nested tables.
+
+    Return None if they are equal. `path` is the prefix of the key.
+    """
     if isinstance(a, Mapping) and isinstance(b, Mapping):
         for key in dict.fromkeys([*a, *b]):
             found = first_difference(a.get(key), b.get(key), f"{path}.{key}" if path else str(key))
@@ -242,7 +247,7 @@ def first_difference(a: Any, b: Any, path: str = "") -> tuple[str, Any, Any] | N
 
 
 def new_manifest(plan: Plan) -> dict[str, Any]:
-    """Create the manifest of a campaign without flights."""
+    """Create the manifest of a new campaign, before its first flight."""
     return {
         "format": FORMAT,
         "version": lunarsim.__version__,

@@ -16,7 +16,7 @@ FLOWN, ERROR, TIMEOUT, KILLED = "flown", "error", "timeout", "killed"
 
 
 class RecordNotWrittenError(Exception):
-    """A flight has metrics, but its record or figures could not be written.
+    """A flight has metrics, but its record or plots could not be written.
 
     Parameters
     ----------
@@ -33,15 +33,15 @@ class RecordNotWrittenError(Exception):
 
 @dataclass(frozen=True)
 class Finished:
-    """Flight that has ended, with or without metrics.
+    """Result of a flight of a campaign that has ended, with or without metrics.
 
     Attributes
     ----------
     flight, arm
         Indices of the flight and of the arm.
     outcome
-        flown: it has metrics; error: its code raised an error; timeout: it exceeded the time
-        limit; killed: its process died at every attempt.
+        flown: the flight has metrics; error: its code raised an error; timeout: it exceeded the
+        time limit; killed: its process died at every attempt.
     metrics
         Metrics by name, or None.
     error, traceback
@@ -53,7 +53,7 @@ class Finished:
         Time of its end, seconds since 1970.
     worker
         Process that flew it.
-    tries
+    attempts
         Number of times that it was started.
     """
 
@@ -66,27 +66,30 @@ class Finished:
     seconds: float = float("nan")
     finished: float = 0.0
     worker: str = ""
-    tries: int = 1
+    attempts: int = 1
 
     def timing(self) -> dict[str, Any]:
-        """Return the values that differ between runs."""
+        """Return the wall-clock times, process and number of attempts, by column name."""
         return {
             "id": row_id(self.flight, self.arm),
             "seconds": self.seconds,
             "finished_unix_s": self.finished,
             "worker": self.worker,
-            "tries": self.tries,
+            "attempts": self.attempts,
         }
 
 
 def import_function(work: Work) -> Any:
-    """Import the function that a `Work` names."""
+    """Import the function that flies the flights of a campaign, named in its `Work`."""
     module, _, name = work.function.partition(":")
     return getattr(importlib.import_module(module), name)
 
 
 def attempt(function: Any, work: Work, group: Group, arm: int, memory: dict[Any, Any]) -> Finished:
-    """Fly one flight; an exception becomes its outcome.
+    """Fly one flight and return its result; an exception becomes the outcome "error".
+
+    `function` is the function of `work`, `arm` the index of an arm in `group`, and `memory` a
+    dictionary that persists within the group.
 
     A `KeyboardInterrupt` is raised again.
     """

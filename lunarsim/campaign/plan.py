@@ -15,13 +15,13 @@ KINDS = ("bool", "int", "float", "text")
 
 
 def row_id(flight: int, arm: int) -> str:
-    """Return the id of a flight under an arm, for instance ``12-0``."""
+    """Return the id of a result row: indices of flight and arm, for instance ``12-0``."""
     return f"{flight}-{arm}"
 
 
 @dataclass(frozen=True)
 class Group:
-    """Flights of one index under several arms over the same terrain, in one worker.
+    """One flight index under several arms over the same terrain, flown by one worker.
 
     Attributes
     ----------
@@ -30,7 +30,7 @@ class Group:
     arms
         Indices of arms.
     draws
-        Dispersed values by key.
+        Random scenario values of the flight by key.
     """
 
     flight: int
@@ -40,7 +40,7 @@ class Group:
 
 @dataclass(frozen=True)
 class Work:
-    """Function and settings that workers fly with.
+    """Function and settings with which worker processes fly flights.
 
     Attributes
     ----------
@@ -56,7 +56,9 @@ class Work:
 
 
 class DependentFlights(Protocol):
-    """Flights that depend on earlier results, e.g. `subset.SubsetChains`.
+    """Interface to flights whose inputs depend on the results of earlier flights.
+
+    Subset simulation implements it: its Markov chains continue from flights near failure.
 
     Attributes
     ----------
@@ -70,32 +72,35 @@ class DependentFlights(Protocol):
     stop: int | None
 
     def resume(self, rows: Iterable[Mapping[str, Any]]) -> list[int]:
-        """Add existing rows; return flights whose predecessors are missing."""
+        """Add the existing result rows; return the flights whose predecessors are missing."""
         ...
 
     def add(self, flight: int, row: Mapping[str, Any]) -> None:
-        """Add the row of a flight."""
+        """Add the result row of a flight."""
         ...
 
     def groups(self, has: Callable[[int, int], bool]) -> Iterator[Group | None]:
-        """Yield groups that can start; None while all wait for running flights."""
+        """Yield groups that can start; None while all others wait for running flights.
+
+        `has` returns whether the result of a flight under an arm, given by indices, exists.
+        """
         ...
 
 
 @dataclass(frozen=True)
 class Plan:
-    """All flights of a campaign.
+    """All flights of a campaign, with the inputs of each.
 
     Attributes
     ----------
     name, seed, flights
         Name of the campaign; root seed; number of flight indices.
     arms
-        Name of each arm, and its values by key.
+        Name of each arm (variant of the scenario), and its values by scenario key.
     groups
         Indices of arms that are flown together.
     draws
-        Function that returns the dispersed values of a flight index.
+        Function that returns the random scenario values of a flight index.
     columns
         Kind of every metric: bool, int, float or text.
     inputs
@@ -122,13 +127,13 @@ class Plan:
     chains: DependentFlights | None = None
 
     def inputs_of(self, flight: int, arm: int) -> dict[str, Any]:
-        """Return the inputs of one flight by key."""
+        """Return the scenario values that an arm sets and a flight draws, by key."""
         return {**self.arms[arm][1], **self.draws(flight)}
 
     def rows(self) -> Iterator[dict[str, Any]]:
         """Yield the inputs of every flight: id, flight, arm, seed and values.
 
-        With method subset only the first level, because later levels depend on results.
+        With method subset, only flights of the first level are known in advance.
         """
         for flight in range(self.flights if self.chains is None else self.chains.flights):
             drawn = self.draws(flight)
@@ -140,7 +145,10 @@ class Plan:
 
 
 def kind_of(values: Sequence[Any]) -> str:
-    """Return the kind of a column that holds the values; lists and mixtures are text."""
+    """Return the kind of a result column with the given values.
+
+    Kinds are "bool", "int", "float" and "text", which includes lists and mixed types.
+    """
     if all(isinstance(v, bool) for v in values):
         return "bool"
     if all(isinstance(v, int) and not isinstance(v, bool) for v in values):

@@ -1,4 +1,4 @@
-"""Write a plan to a file."""
+"""Write the inputs of all flights of a campaign to a file."""
 
 from __future__ import annotations
 
@@ -13,7 +13,9 @@ from lunarsim.campaign.rows import schema_of, to_cell
 
 
 def write_plan(plan: Plan, path: Path, suffix: str) -> None:
-    """Write one row per flight and arm: id, flight, arm, seed and inputs.
+    """Write the inputs of every flight of a campaign to a CSV or Parquet file.
+
+    The file has one row per flight and arm: id, flight, arm, seed and inputs.
 
     Parameters
     ----------

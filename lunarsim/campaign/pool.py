@@ -23,7 +23,7 @@ R = TypeVar("R")
 def iterate_results(
     function: Callable[[T], R], tasks: Sequence[T], jobs: int
 ) -> Iterator[tuple[int, R]]:
-    """Yield the index and result of each task, in order of completion.
+    """Call a function on each task in processes; yield index and result as they end.
 
     Few tasks are queued at a time, so an interrupt takes effect soon.
 
@@ -70,7 +70,7 @@ def iterate_results(
 
 
 def _run_task(function: Callable[[T], R], task: T) -> R:
-    """Run a task and free the reference cycles that it leaves; flights leave 0.4 GB."""
+    """Call a function on a task, then free unreachable memory; a flight leaves 0.4 GB."""
     try:
         return function(task)
     finally:
@@ -80,7 +80,9 @@ def _run_task(function: Callable[[T], R], task: T) -> R:
 def collect_results(
     function: Callable[[T], R], tasks: Sequence[T], jobs: int, console: Console, what: str
 ) -> list[R]:
-    """Return the results of the tasks in order, and show a progress bar.
+    """Call a function on each task in processes with a progress bar; return results.
+
+    The results are in the order of the tasks.
 
     After an interrupt, return the results from the first task up to the first gap. If there are
     none, raise the interrupt again.

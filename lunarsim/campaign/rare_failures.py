@@ -32,35 +32,35 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class RareFailureEstimate:
-    """Failure share of one arm.
+    """Estimated probability of failure of one arm (variant of the scenario).
 
     Attributes
     ----------
     arm
         Name of the arm.
-    flights, failures, left_out
+    flights, failures, without_outcome
         Number of flights with an outcome; failures among them; flights without an outcome.
     value, low, high
-        Failure share under the nominal dispersions, and its 95 % interval.
-    worth
+        Probability of failure under the nominal dispersions, and its 95 % interval.
+    equivalent_flights
         Number of plain Monte Carlo flights with the same standard error; NaN without failures.
     effective_failures
-        Effective number of failures (Kish): 1 if a single one outweighs all others. With method
-        subset the number of worlds in the last level.
+        Effective number of failures (Kish 1965): 1 if the weight of one failure exceeds all others.
+        With method subset, the number of different worlds in the last level.
     """
 
     arm: str
     flights: int
     failures: int
-    left_out: int
+    without_outcome: int
     value: float
     low: float
     high: float
-    worth: float
+    equivalent_flights: float
     effective_failures: float
 
     @property
-    def few(self) -> bool:
+    def is_approximate(self) -> bool:
         """Whether too few flights failed for an accurate interval."""
         return not self.effective_failures >= MIN_EFFECTIVE_FAILURES
 
@@ -68,7 +68,7 @@ class RareFailureEstimate:
 def estimate_failure_shares(
     results: Results, metric: str = "safe", above: float | None = None, below: float | None = None
 ) -> list[RareFailureEstimate]:
-    """Estimate the failure share of every arm.
+    """Estimate the probability of failure of every arm from weighted flights.
 
     Parameters
     ----------
@@ -127,7 +127,7 @@ def estimate_failure_shares(
 
 
 def _subset_failure_share(results: Results) -> RareFailureEstimate:
-    """Return the failure share of a subset simulation; NaN while it is not complete."""
+    """Return the probability of failure of a subset simulation; NaN until complete."""
     chains = load_chains(results)
     missing_count = sum(level.missing_count for level in chains.levels)
     failures = sum(int((level.margins <= 0.0).sum()) for level in chains.levels[-1:])
@@ -142,18 +142,18 @@ def _subset_failure_share(results: Results) -> RareFailureEstimate:
 
 
 def _effective_sample_size(weights: Array) -> float:
-    """Return the effective sample size of weights (Kish 1965); 0 for none."""
+    """Return the effective sample size of weights (Kish 1965); 0 for an empty array."""
     return float(weights.sum() ** 2 / (weights**2).sum()) if len(weights) else 0.0
 
 
 def estimate_weighted_share(
     hits: NDArray[np.bool_], weights: Array, max_weight: float
 ) -> tuple[float, float, float, float]:
-    """Return the weighted share of hits, its 95 % interval and effective sample size.
+    """Estimate a probability by importance sampling, with interval and sample size.
 
-    The interval is symmetric in the logarithm, since the share is positive. If the effective number
-    of hits is small, the upper end is at least that of the worst case: the hits of maximum weight,
-    which are nominal draws, reach their upper bound.
+    The interval is symmetric in the logarithm of the probability. If the effective number of hits
+    is small, the upper limit is at least `max_weight` times the binomial upper bound for the hits
+    with at least half the maximum weight. Without hits, the lower limit is 0.
 
     Parameters
     ----------
@@ -161,6 +161,12 @@ def estimate_weighted_share(
         Hit (boolean) and weight of each draw (n,).
     max_weight
         Maximum weight that a draw can have.
+
+    Returns
+    -------
+    tuple of float
+        Weighted fraction of hits; lower and upper limit at 95 %; number of draws with weight 1 that
+        would give the same standard error.
     """
     count = len(hits)
     nan = float("nan")

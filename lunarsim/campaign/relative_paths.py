@@ -1,4 +1,4 @@
-"""Resolve the relative paths in a spec from the folder of the spec."""
+"""Resolve the relative paths in a campaign file from the folder of the file."""
 
 from __future__ import annotations
 
@@ -8,16 +8,16 @@ from typing import Any
 
 
 def resolve_paths(given: Any, folder: Path, *, named: bool = False) -> Any:
-    """Return tables whose relative paths start from a folder.
+    """Return nested tables in which relative paths are replaced by absolute ones.
 
     Parameters
     ----------
     given
         Table, list or value.
     folder
-        Folder of the spec.
+        Folder of the campaign file, from which relative paths start.
     named
-        Whether `given` is under a key that names a file.
+        Whether `given` is the value of a key that names a file.
     """
     if isinstance(given, Mapping):
         return {

@@ -19,16 +19,16 @@ from lunarsim.simulation import Flight, Simulation
 
 @dataclass(frozen=True)
 class ReplayResult:
-    """A flight flown again.
+    """Result of flying one flight of a campaign again.
 
     Attributes
     ----------
     flight, simulation
         Record of the flight, and its simulation.
     row
-        Metrics.
+        Metrics of the new flight by name.
     recorded
-        Row in the campaign, or None.
+        Row of the flight in the results of the campaign, or None.
     differences
         Name, recorded and new value of metrics that differ; None if the row has no outcome.
     """
@@ -81,7 +81,10 @@ def replay(folder: str | Path, flight: str) -> ReplayResult:
 
 
 def _draws(plan: Plan, found: Results, index: int) -> dict[str, Any]:
-    """Return the draws of a flight; with method subset they depend on earlier flights."""
+    """Return the random scenario values of the flight with an index, by key.
+
+    With method subset, they depend on the results of earlier flights, `found`.
+    """
     if plan.chains is not None:
         plan.chains.resume(found.table.to_pylist())
     try:

@@ -37,16 +37,16 @@ _RATE_ROWS = 200
 
 @dataclass(frozen=True)
 class Results:
-    """All rows of a campaign's folder.
+    """Results of the flights in the folder of a campaign.
 
     Attributes
     ----------
     folder, manifest
         Folder and manifest of the campaign.
     table
-        Results, sorted by flight, then arm.
+        One row per flight and arm (variant of the scenario), sorted by flight, then arm.
     timing
-        Wall-clock times, in the same order.
+        Wall-clock times of the flights, in the same order.
     """
 
     folder: Path
@@ -60,8 +60,8 @@ class Results:
         return [arm["name"] for arm in self.manifest["arms"]]
 
     @property
-    def wanted(self) -> int:
-        """Number of rows of the complete campaign."""
+    def expected_rows(self) -> int:
+        """Number of result rows of the complete campaign: flights times arms."""
         return int(self.manifest["flights"]) * len(self.arms)
 
     @property
@@ -71,15 +71,15 @@ class Results:
 
     @property
     def is_subset(self) -> bool:
-        """Whether the campaign is a subset simulation."""
+        """Whether the campaign is a subset simulation (for rare failures)."""
         return bool(self.manifest["identity"].get("method") == "subset")
 
     @property
     def independent(self) -> NDArray[np.bool_]:
-        """Mask of the rows of independent flights (n,).
+        """Mask of the rows of statistically independent flights (n,).
 
-        All rows, except in a Saltelli design, whose blocks fly two worlds repeatedly: there the
-        first and last flight of each block (points A and B).
+        In a Saltelli design, whose blocks fly two worlds repeatedly, these are the first and last
+        flight of each block (points A and B). With any other method, they are all flights.
         """
         identity = self.manifest["identity"]
         if identity.get("method") != "saltelli":
@@ -110,7 +110,7 @@ def load_results(folder: str | Path, columns: Sequence[str] | None = None) -> Re
     Raises
     ------
     InputError
-        If the folder holds no campaign, or a part cannot be read.
+        If the folder holds no campaign, or a file of results cannot be read.
     """
     folder = Path(folder)
     manifest = read_manifest(folder)
@@ -152,12 +152,15 @@ def load_results(folder: str | Path, columns: Sequence[str] | None = None) -> Re
 
 
 def _without(table: pa.Table, names: list[str]) -> pa.Table:
-    """Return the rows with other ids."""
+    """Return the rows of a table whose ids are not in `names`."""
     return table.filter(pc.invert(pc.is_in(table["id"], pa.array(names))))
 
 
 def _ordered(timing: pa.Table, table: pa.Table) -> pa.Table:
-    """Return times in the order of results, with empty values where times are missing."""
+    """Return the rows of `timing` in the order of the results `table`.
+
+    A result without a time has empty values.
+    """
     if timing["id"].equals(table["id"]):
         return timing
     places = pc.index_in(table["id"], value_set=timing["id"].combine_chunks())
@@ -167,7 +170,10 @@ def _ordered(timing: pa.Table, table: pa.Table) -> pa.Table:
 def _parts(
     folder: Path, kind: str, schema: pa.Schema, columns: list[str] | None, manifest: dict[str, Any]
 ) -> pa.Table:
-    """Read all parts of a dataset."""
+    """Read all Parquet files of a campaign's results or times into one table.
+
+    `kind` is the subfolder, "results" or "timing"; `columns` are the columns to read, or None.
+    """
     tables = []
     for path in sorted((folder / kind).glob("part-*.parquet")):
         try:
@@ -190,9 +196,9 @@ def _parts(
 
 
 def _verified_bytes(folder: Path, path: Path, manifest: dict[str, Any]) -> bytes:
-    """Return the bytes of a part, whose digest must match the manifest.
+    """Return the bytes of a result file, whose digest must match the manifest.
 
-    A mismatch is read again, because a running campaign may be changing both files.
+    After a mismatch both files are read again, because a running campaign may be changing them.
     """
     name = str(path.relative_to(folder))
     for _ in range(_READ_ATTEMPTS):
@@ -213,7 +219,10 @@ def _damaged(path: Path, error: Exception) -> InputError:
 
 
 def _journal(folder: Path) -> dict[str, tuple[dict[str, Any], dict[str, Any]]]:
-    """Return rows and times of the journal by id; ignore incomplete lines."""
+    """Return result rows and times in the journal of recent flights, by row id.
+
+    Incomplete lines are ignored.
+    """
     found = {}
     path = folder / "journal.jsonl"
     lines = read_bounded_bytes(path).split(b"\n") if path.exists() else []
@@ -228,16 +237,16 @@ def _journal(folder: Path) -> dict[str, tuple[dict[str, Any], dict[str, Any]]]:
 
 @dataclass(frozen=True)
 class CampaignStatus:
-    """Progress of a campaign.
+    """State of a campaign, and how many of its flights are done.
 
     Attributes
     ----------
     name
         Name of the campaign.
     state
-        complete, stopped, interrupted, out of time or flying; killed: no process is writing to the
-        folder, and the last one did not close it.
-    done, wanted
+        complete, stopped (by the early-stopping rule), interrupted, out of time, flying, or killed
+        (no process is writing to the folder, and the last one did not close it).
+    done, expected_rows
         Number of rows so far, and of the complete campaign.
     outcomes
         Number of rows by outcome.
@@ -248,18 +257,18 @@ class CampaignStatus:
     name: str
     state: str
     done: int
-    wanted: int
+    expected_rows: int
     outcomes: dict[str, int]
     rate: float
 
     @property
     def seconds_left(self) -> float:
         """Remaining wall-clock time at the recent rate, s."""
-        return (self.wanted - self.done) / self.rate if self.rate > 0.0 else float("nan")
+        return (self.expected_rows - self.done) / self.rate if self.rate > 0.0 else float("nan")
 
 
 def read_status(folder: str | Path) -> CampaignStatus:
-    """Return the progress of a campaign; it may be running.
+    """Read the progress of a finished or running campaign from its folder.
 
     Raises
     ------
@@ -277,13 +286,13 @@ def read_status(folder: str | Path) -> CampaignStatus:
         span = (time.time() if state == "flying" else recent[-1]) - recent[0]
         rate = float((len(recent) - 1) / span) if span > 0.0 else rate
     return CampaignStatus(
-        str(found.manifest["name"]), state, len(found.table), found.wanted,
+        str(found.manifest["name"]), state, len(found.table), found.expected_rows,
         dict(Counter(found.table["outcome"].to_pylist())), rate,
     )  # fmt: skip
 
 
 def _is_locked(folder: Path) -> bool:
-    """Return whether a process is writing to a folder."""
+    """Return whether a process is writing to the folder of a campaign."""
     try:
         with (folder / ".lock").open("r", encoding="utf-8") as lock:
             fcntl.flock(lock, fcntl.LOCK_SH | fcntl.LOCK_NB)
@@ -295,7 +304,7 @@ def _is_locked(folder: Path) -> bool:
 
 
 def export(folder: str | Path, out: Path, *, timing: bool = False) -> int:
-    """Write all rows into one CSV or Parquet file (by suffix); return their number.
+    """Write all results of a campaign to a CSV or Parquet file; return the row count.
 
     Parameters
     ----------
@@ -324,10 +333,10 @@ def export(folder: str | Path, out: Path, *, timing: bool = False) -> int:
 
 
 def failures(found: Results) -> list[tuple[str, str, int]]:
-    """Return arm, cause and count of unsafe landings and of errors."""
+    """Count the causes of unsafe landings and errors: arm, cause, number of flights."""
     counts: Counter[tuple[str, str]] = Counter()
     table = found.table
-    whys = table["failed"] if "failed" in table.column_names else table["error"]
+    whys = table["failure_causes"] if "failure_causes" in table.column_names else table["error"]
     columns = (table["arm"], table["outcome"], whys, table["error"])
     for arm, outcome, causes, error in zip(*(c.to_pylist() for c in columns), strict=True):
         if outcome != FLOWN:

@@ -23,12 +23,16 @@ KINDS = {"bool": pa.bool_(), "int": pa.int64(), "float": pa.float64(), "text": p
 _PYTHON_TYPES = {"bool": bool, "int": int, "float": float, "text": str}
 TIMING = pa.schema(
     [("id", pa.string()), ("seconds", pa.float64()), ("finished_unix_s", pa.float64()),
-     ("worker", pa.string()), ("tries", pa.int64())]
+     ("worker", pa.string()), ("attempts", pa.int64())]
 )  # fmt: skip
 
 
 def schema_of(inputs: Mapping[str, str], columns: Mapping[str, str]) -> pa.Schema:
-    """Return the Arrow schema of results for inputs and metrics, by name and kind."""
+    """Return the Arrow schema of a campaign's results.
+
+    `inputs` and `columns` are the kinds ("bool", "int", "float", "text") of the scenario values and
+    of the metrics, by column name.
+    """
     return pa.schema(
         [
             ("id", pa.string()),
@@ -48,14 +52,14 @@ def schema_of(inputs: Mapping[str, str], columns: Mapping[str, str]) -> pa.Schem
 
 
 def check_expanded(data: bytes) -> None:
-    """Refuse a part that takes more than `MAX_FILE_BYTES` in memory.
+    """Refuse a Parquet file that takes more than `MAX_FILE_BYTES` in memory.
 
     Texts are measured through dictionaries, because a column may repeat a long text many times.
 
     Raises
     ------
     ValueError
-        If the part is too large.
+        If the file is too large.
     """
     file = pq.ParquetFile(pa.BufferReader(data))
     leaves = [file.schema.column(i) for i in range(len(file.schema))]
@@ -71,7 +75,10 @@ def check_expanded(data: bytes) -> None:
 
 
 def row_of(plan: Plan, done: Finished) -> dict[str, Any]:
-    """Return the results row of a finished flight; missing values are None."""
+    """Return the result row of a finished flight, with None for missing values.
+
+    `plan` has the inputs of the flight, and `done` its outcome and metrics.
+    """
     metrics = done.metrics or {}
     inputs = plan.inputs_of(done.flight, done.arm)
     return {
@@ -91,7 +98,7 @@ def row_of(plan: Plan, done: Finished) -> dict[str, Any]:
 
 
 def _convert_metric(value: Any, kind: str) -> Any:
-    """Convert a metric to the Python type of its column."""
+    """Convert a metric to the Python type of its column's kind; None stays None."""
     return None if value is None else _PYTHON_TYPES[kind](value)
 
 
@@ -101,5 +108,8 @@ def _escape_non_utf8(text: str) -> str:
 
 
 def to_cell(value: Any, kind: str) -> Any:
-    """Convert an input to a cell of its column; lists and mixtures become JSON texts."""
+    """Convert a scenario value for a result column of the given kind.
+
+    In a text column, a value that is not a string becomes JSON text.
+    """
     return json.dumps(value) if kind == "text" and not isinstance(value, str | None) else value

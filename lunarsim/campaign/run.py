@@ -1,4 +1,4 @@
-"""Run a plan: fly the missing flights with an engine and store their rows."""
+"""Run a campaign: fly the missing flights with an engine and store their results."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ COMPLETE, STOPPED, INTERRUPTED, OUT_OF_TIME = "complete", "stopped", "interrupte
 
 @dataclass(frozen=True)
 class RunResult:
-    """Result of a run of a campaign.
+    """Summary of one run of a campaign: state and numbers of flights.
 
     Attributes
     ----------
@@ -39,7 +39,7 @@ class RunResult:
     notes
         Messages about damage found in the folder.
     unrecorded
-        Reason why flights of this run lack records or figures; empty if none does.
+        Reason why flights of this run lack records or plots; empty if none does.
     """
 
     state: str
@@ -52,7 +52,7 @@ class RunResult:
 
     @property
     def complete(self) -> bool:
-        """Whether nothing is left to fly."""
+        """Whether the campaign is finished, so that no flight is left."""
         return self.state in (COMPLETE, STOPPED)
 
 
@@ -63,12 +63,15 @@ class StopRequest:
         self.is_requested = False
 
     def __call__(self) -> bool:
-        """Return whether to stop at once."""
+        """Return whether a signal has requested to stop."""
         return self.is_requested
 
     @contextlib.contextmanager
     def on_signals(self, engine: Engine) -> Iterator[None]:
-        """Set the flag on SIGINT and SIGTERM; a second signal raises `KeyboardInterrupt`."""
+        """Set the flag on SIGINT and SIGTERM; a second signal raises `KeyboardInterrupt`.
+
+        Nothing is set up for an engine that does not poll the flag.
+        """
         if threading.current_thread() is not threading.main_thread() or not engine.polls_halt:
             yield
             return
@@ -97,12 +100,12 @@ def run(
     progress: Callable[[int], None] | None = None,
     files: Callable[[Path], None] | None = None,
 ) -> RunResult:
-    """Fly the missing flights of a plan.
+    """Fly the flights of a campaign that its folder does not contain yet.
 
     Parameters
     ----------
     plan, engine, out
-        Plan, engine, and folder: new, or of the same campaign.
+        Planned flights, engine that runs them, and folder: new, or of the same campaign.
     rule, time_budget
         Early-stopping rule; wall-clock time after which no flight starts, s.
     retry
@@ -151,7 +154,11 @@ def run(
 
 
 def _open_store(out: Path, plan: Plan, retry: bool) -> tuple[Store, Callable[[], None]]:
-    """Open the store of a folder; return it with a function that removes a new folder."""
+    """Open the folder of a campaign; return its store and a function to remove it.
+
+    The function removes the contents of a new folder after an error, and otherwise does nothing.
+    `retry` states whether flights without an outcome are flown again.
+    """
     is_new = not out.is_dir() or not any(out.iterdir())
     remove = new_contents_remover(out) if is_new else lambda: None
     try:
@@ -170,7 +177,11 @@ def _fly_groups(
     time_budget: float | None,
     progress: Callable[[int], None] | None,
 ) -> tuple[int, int, bool, str]:
-    """Fly; return rows, failed rows, whether time sufficed, and why records are lost."""
+    """Fly the missing flights of a campaign and store their results.
+
+    Return the number of flights, the number of failed flights, whether the time budget (s) was
+    sufficient, and the reason why records are missing ("" if none is).
+    """
     flown = failed = 0
     not_kept: list[str] = []
     began = time.monotonic()
@@ -207,7 +218,10 @@ def _fly_groups(
 
 
 def _missing_groups(plan: Plan, store: Store) -> Iterator[Group | None]:
-    """Yield flights without a row, in order; None while all wait for running flights."""
+    """Yield the groups of flights without a stored result, in order.
+
+    None means that all others wait for running flights.
+    """
     if plan.chains is not None:
         yield from plan.chains.groups(store.has)
         return
@@ -227,7 +241,10 @@ def _replay_rows(rule: IntervalWidthRule, store: Store, plan: Plan) -> None:
 
 
 def _resume_chains(plan: Plan, store: Store) -> None:
-    """Add existing rows to the chains; delete rows whose predecessors are missing."""
+    """Add stored results to the Markov chains of a subset simulation.
+
+    Results of flights whose predecessors are missing are deleted.
+    """
     assert plan.chains is not None
     orphans = plan.chains.resume(store.rows())
     if orphans:
@@ -238,7 +255,10 @@ def _resume_chains(plan: Plan, store: Store) -> None:
 
 
 def _close_store(store: Store, plan: Plan, rule: IntervalWidthRule | None, in_time: bool) -> str:
-    """Close the folder, truncated where the campaign stopped; return the state."""
+    """Close the folder of a campaign and return the campaign's state.
+
+    Flights after an early stop are deleted. `in_time` states whether the time budget sufficed.
+    """
     state = _final_state(store, plan, rule, in_time)
     by = plan.chains if plan.chains is not None else rule
     if state in (STOPPED, COMPLETE) and by is not None and by.stop is not None:

@@ -13,11 +13,14 @@ TRUTH_TABLES = (*GROUND_TABLES, "vehicle")
 
 
 def value_at(scenario: Scenario, key: str) -> Any:
-    """Return the scenario's value at a key, or None."""
+    """Return the value of a scenario at a dotted key; None if the key does not exist."""
     return at(scenario.to_dict(), path_of(key))
 
 
 def tables_as_text(scenario: Scenario, tables: tuple[str, ...]) -> str:
-    """Return tables as text: two texts are equal exactly if the tables are."""
+    """Return the named tables of a scenario as text, for use as a dictionary key.
+
+    Two texts are equal if and only if the tables are equal.
+    """
     data = scenario.to_dict()
     return repr({name: data.get(name) for name in tables})

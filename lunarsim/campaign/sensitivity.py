@@ -36,7 +36,7 @@ _PAWN_BINS = 10
 
 @dataclass(frozen=True)
 class Sensitivity:
-    """Sensitivity of a metric in one arm.
+    """Sensitivity of a metric to the random scenario values, in one arm.
 
     Attributes
     ----------
@@ -67,7 +67,7 @@ class Sensitivity:
 
 
 def check_installed() -> None:
-    """Raise `InputError` that names the extra if SALib is not installed."""
+    """Raise `InputError` with the command to install SALib if it is not installed."""
     try:
         import SALib  # noqa: F401, PLC0415  (an extra)
     except ImportError:
@@ -82,7 +82,7 @@ def check_installed() -> None:
 def sensitivities(
     results: Results, metric: str = "safe", resamples: int = 100
 ) -> list[Sensitivity]:
-    """Compute the sensitivity of a metric in every arm.
+    """Compute the sensitivity of a metric to the dispersed values, in every arm.
 
     Parameters
     ----------
@@ -127,7 +127,10 @@ def _sobol(
     arm: str, metric: str, keys: Sequence[str], flights: NDArray[np.int64], values: Array,
     resamples: int, rng: np.random.Generator,
 ) -> Sensitivity:  # fmt: skip
-    """Compute Sobol indices from complete blocks; omit blocks with a missing value."""
+    """Compute Sobol indices of one arm from the complete blocks of a Saltelli design.
+
+    `flights` and `values` (n,) are flight indices and metric; `keys` are the dispersed keys.
+    """
     from SALib.analyze import sobol  # noqa: PLC0415
 
     names = (*keys, WORLD_FACTOR)
@@ -159,7 +162,10 @@ def _pawn(
     arm: str, metric: str, keys: Sequence[str], inputs: Array, values: Array, resamples: int,
     rng: np.random.Generator,
 ) -> Sensitivity:  # fmt: skip
-    """Compute PAWN medians with bootstrap intervals, and their value by chance."""
+    """Compute PAWN indices of one arm, bootstrap intervals, and the value by chance.
+
+    `inputs` (n, keys) are the dispersed values, and `values` (n,) the metric of each flight.
+    """
     good = np.isfinite(values) & np.isfinite(inputs).all(axis=1)
     inputs, y = inputs[good], values[good]
     result = Sensitivity(
@@ -195,7 +201,9 @@ def _pawn(
 
 
 def _ranks(inputs: Array, rng: np.random.Generator) -> Array:
-    """Return the ranks of each column (n, keys), with ties in random order.
+    """Return the ranks of the values in each column of `inputs` (n, keys).
+
+    Ties have random order.
 
     Tenths then contain equal numbers of flights, also for keys with few values.
     """
@@ -220,7 +228,10 @@ def _reason_without_indices(values: Array) -> str:
 
 
 def _input(results: Results, key: str) -> Array:
-    """Return the draws of a key as numbers; texts as their alphabetical rank."""
+    """Return the random values of a scenario key as numbers (n,).
+
+    Strings become their alphabetical rank.
+    """
     name = ".".join(path_of(key))
     if results.manifest["inputs"].get(name) != "text":
         return column(results, name)

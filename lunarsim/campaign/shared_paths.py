@@ -1,6 +1,6 @@
-"""Share the flight path of arms that differ only in policy.
+"""Simulate arms that differ only in policy together until their decisions differ.
 
-The arms share it until their decisions differ.
+An arm is a variant of the scenario in a campaign.
 
 Up to that point worlds, scans, navigation and maps are the same; they are most of the cost of a
 flight. At each decision the flown arm also queries the other policies. While their decisions agree,
@@ -25,14 +25,15 @@ from lunarsim.simulation.loop import make_policy
 
 @dataclass(frozen=True)
 class Branch:
-    """Point up to which arms share a path.
+    """Moment of a flight up to which several arms share the flight path.
 
     Attributes
     ----------
     at
         Checkpoint where the arms diverged from the flown arm, or the finished simulation.
     decisions
-        Decision of each arm at the checkpoint, by arm; empty for a finished simulation.
+        Decision of each arm at the checkpoint, by index of the arm; empty for a finished
+        simulation.
     """
 
     at: Checkpoint | Simulation
@@ -40,9 +41,9 @@ class Branch:
 
 
 def shared_path_classes(arms: Sequence[Arm]) -> tuple[int, ...]:
-    """Return a class number per arm; arms that differ only in policy share one.
+    """Return a class number for each arm, equal for arms that can share a path.
 
-    An arm that cannot share its path has a separate class.
+    These arms differ only in policy. Each other arm has a separate class.
     """
     seen: dict[str, int] = {}
     found = []
@@ -53,9 +54,10 @@ def shared_path_classes(arms: Sequence[Arm]) -> tuple[int, ...]:
 
 
 def _scenario_without_policy(arm: Arm) -> str | None:
-    """Return an arm's scenario without policy as text; None for an external policy.
+    """Return an arm's scenario without its policy as text, to compare arms.
 
-    Draws need no comparison: they are the same for all arms of a group.
+    Return None if the policy is not one of lunarsim. Random values need no comparison, because they
+    are the same for all arms of a flight.
     """
     if arm.policy is not None or not _has_packaged_policy(arm.scenario):
         return None
@@ -74,7 +76,9 @@ def fly_on_shared_path(
     begin: Callable[[], Simulation],
     branches: dict[int, Branch],
 ) -> Simulation:
-    """Return the finished simulation of an arm.
+    """Fly one arm to the end, from where its path leaves that of earlier arms.
+
+    Return the finished simulation.
 
     Parameters
     ----------
@@ -85,7 +89,7 @@ def fly_on_shared_path(
     begin
         Function that creates a simulation at its start.
     branches
-        Branches of arms from earlier flights; new branches are added.
+        Branch of each arm, by index, found while other arms were flown; new ones are added.
     """
     policies = {i: make_policy(s, s.policy.kind) for i, s in scenarios.items()}
     branch = branches.get(arm)
@@ -112,7 +116,10 @@ def _fly(
     policies: Mapping[int, Any],
     branches: dict[int, Branch],
 ) -> None:
-    """Fly an arm to its end; remove arms that diverge from `others`."""
+    """Fly an arm to its end; store a branch for each arm whose decision differs.
+
+    These arms are removed from `others`. `policies` has the policy of each arm, by index.
+    """
     while not simulation.done:
         if simulation.decision_due:
             observation = simulation.observe()
@@ -128,7 +135,11 @@ def _fly(
 def _store_branches(
     simulation: Simulation, decisions: dict[int, Decision], branches: dict[int, Branch]
 ) -> None:
-    """Store the branches where arms diverge; arms with the same decision share one."""
+    """Store a branch for arms whose decision differs from that of the flown arm.
+
+    Arms with equal decisions share a branch. `decisions` has the decisions by index of the
+    arm, and is emptied; `branches` receives the branch of each arm.
+    """
     if not decisions:
         return
     try:
@@ -150,7 +161,7 @@ def _store_branches(
 
 
 def _differ(one: Decision, other: Decision) -> bool:
-    """Return whether two decisions differ in what is done or recorded."""
+    """Return whether two policy decisions differ in what is flown or recorded."""
     if one.site is None and other.site is None and not (one.abort or other.abort):
         return False  # reasons to keep a site are not recorded
     if one.site is None or other.site is None or one.abort or other.abort:
@@ -160,6 +171,6 @@ def _differ(one: Decision, other: Decision) -> bool:
 
 
 def _relabelled(simulation: Simulation, scenario: Scenario, policy: Any) -> Simulation:
-    """Set the scenario and policy that the record of a simulation names."""
+    """Set the scenario and policy that a simulation records; return the simulation."""
     simulation.scenario, simulation.policy = scenario, policy
     return simulation

@@ -1,4 +1,4 @@
-"""The specification of a campaign: one TOML file that defines all flights.
+"""Specification of a campaign: one TOML file that defines all flights.
 
 name = "rocks-and-policies"
 scenario = "golombek.toml"          # relative to this file; or a name, or a table
@@ -70,14 +70,14 @@ RECORDS = ("none", "failures", "all")
 
 @dataclass(frozen=True)
 class CampaignSettings:
-    """Top-level keys of a campaign spec.
+    """Top-level keys of a campaign file: name, number of flights, seed and method.
 
     Attributes
     ----------
     name
         Name of the campaign.
     flights
-        Number of flights of each arm; with method subset, of each level.
+        Number of flights of each arm (variant of the scenario); with method subset, of each level.
     seed
         Root seed.
     method
@@ -90,20 +90,22 @@ class CampaignSettings:
     records
         Flights whose complete records are kept: none, failures or all.
     figures
-        Whether to draw the first flight of each arm and every flight that was not safe.
+        Whether to plot the first flight of each arm and every flight that was not safe.
     """
 
     name: str = quantity("campaign", help="name of the campaign")
-    flights: int = quantity(20, ge=1, le=MAX_FLIGHTS, help="number of flights of each arm")
-    seed: int = quantity(1, ge=0, lt=2**63, help="root seed")
-    method: str = quantity("monte-carlo", help="sampling method of the dispersions")
+    flights: int = quantity(
+        20, ge=1, le=MAX_FLIGHTS, help="number of flights of each variant of the scenario"
+    )
+    seed: int = quantity(1, ge=0, lt=2**63, help="seed from which all random numbers derive")
+    method: str = quantity("monte-carlo", help="method that samples the random scenario values")
     time_limit: float | None = quantity(None, "s", gt=0, help="wall-clock limit of a flight")
     time_budget: float | None = quantity(
         None, "s", gt=0, help="wall-clock time after which no flight starts"
     )
     records: str = quantity("none", help="flights with complete records: none, failures or all")
     figures: bool = quantity(
-        False, help="whether to draw the first flight of each arm and every failed flight"
+        False, help="whether to plot the first flight of each variant and every failed flight"
     )
 
     def __post_init__(self) -> None:
@@ -123,19 +125,20 @@ class CampaignSettings:
 
 @dataclass(frozen=True)
 class StopSettings:
-    """Rule that stops a campaign once an interval is narrow enough.
+    """Rule that stops a campaign once a confidence interval is narrow enough.
 
     Attributes
     ----------
     metric
-        Boolean column.
+        Boolean column of the results.
     width
-        Width of the 95 % confidence sequence of the metric's share, to be reached in every arm.
+        Width of the 95 % confidence sequence of the fraction of flights for which the metric is
+        true. The campaign stops once it is reached in every arm.
     """
 
-    metric: str = quantity("safe", help="a boolean column")
+    metric: str = quantity("safe", help="boolean column of the results whose fraction is estimated")
     width: float = quantity(
-        0.1, gt=0, lt=1, help="width of the 95 % confidence sequence in every arm"
+        0.1, gt=0, lt=1, help="width of the 95 % confidence sequence at which the campaign stops"
     )
 
     def __post_init__(self) -> None:
@@ -155,13 +158,14 @@ class CampaignSpec:
     scenario
         Scenario that all arms modify.
     arms
-        Variants that are compared.
+        Variants of the scenario that are compared.
     dispersions
-        Values drawn for each flight.
+        Random scenario values of each flight.
     stop
         Early-stopping rule, or None.
     factors
-        Lists of values by key whose combinations are the arms; empty if the arms are listed.
+        Lists of values by scenario key, whose combinations are the arms; empty if the campaign file
+        lists the arms.
     """
 
     head: CampaignSettings
@@ -173,14 +177,14 @@ class CampaignSpec:
 
     @classmethod
     def load(cls, path: str | Path, *, allow_modules: Collection[str] = ()) -> CampaignSpec:
-        """Read a TOML file; relative paths in it start from its folder.
+        """Read a campaign from a TOML file; relative paths in it start from its folder.
 
         `allow_modules` lists the modules that a `kind` in the file may name as "module:Class".
 
         Raises
         ------
         InputError
-            If the file is missing, is not TOML, or has a wrong field.
+            If the file is missing, is not TOML, or has an invalid value.
         """
         module_permission.allow_modules(*allow_modules)
         path = Path(path)
@@ -189,12 +193,14 @@ class CampaignSpec:
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any], folder: Path | None = None) -> CampaignSpec:
-        """Build a spec from plain tables.
+        """Build a campaign specification from nested dictionaries, as in the TOML file.
+
+        `folder` is the folder of relative paths; None is the working directory.
 
         Raises
         ------
         InputError
-            For the first wrong field.
+            Naming the first invalid field.
         """
         rest = dict(data)
         tables = {name: rest.pop(name, None) for name in _TABLES}
@@ -217,7 +223,7 @@ class CampaignSpec:
                 "must be a single arm with method subset", "Write a spec for each arm.",
             )  # fmt: skip
         spec = cls(head, scenario, arms, dispersions, stop, factors)
-        if spec.most_flights * len(arms) > MAX_FLIGHTS:
+        if spec.max_flights * len(arms) > MAX_FLIGHTS:
             most = (
                 f"must be at most {MAX_FLIGHTS // len(arms)} flights for each of {len(arms)} arms, "
                 "all levels included"
@@ -227,7 +233,7 @@ class CampaignSpec:
         return spec
 
     @property
-    def most_flights(self) -> int:
+    def max_flights(self) -> int:
         """Maximum number of flights of each arm; with method subset, of all levels."""
         subset, count = self.dispersions.subset, self.head.flights
         if subset is None:
@@ -235,16 +241,21 @@ class CampaignSpec:
         return count + (subset.levels - 1) * (count - count // subset.steps)
 
     def scenario_of(self, flight: int, arm: int) -> Scenario:
-        """Return the scenario of a flight: that of its arm with the values drawn."""
+        """Return the scenario of a flight: the arm's scenario with its random values.
+
+        `flight` and `arm` are indices.
+        """
         return with_values(self.arms[arm].scenario, self.dispersions.draws(flight), "dispersions")
 
     def check_draws(self) -> None:
-        """Check the extremes of the first thousand draws of each key on every arm.
+        """Check that every arm accepts the extreme random values of each scenario key.
+
+        The extremes of the first thousand flights are checked.
 
         Raises
         ------
         InputError
-            If an arm sets a key that is also drawn, or the scenario refuses a draw.
+            If an arm sets a key that is also random, or the scenario refuses a random value.
         """
         laws = self.dispersions.distributions
         for key, law in laws.items():
@@ -274,7 +285,10 @@ class CampaignSpec:
 
     @cached_property
     def identity(self) -> dict[str, Any]:
-        """Fields that determine the results: no limits of time, and no choice of outputs."""
+        """Values of the specification that determine the results, as nested dictionaries.
+
+        Time limits and the choice of outputs are excluded.
+        """
         data = self.to_dict()
         for key in ("time_limit_s", "time_budget_s", "figures", "records"):
             data.pop(key, None)
@@ -283,7 +297,7 @@ class CampaignSpec:
         return data | self._dependencies()
 
     def _dependencies(self) -> dict[str, Any]:
-        """Return digests of the files and external code that the flights depend on."""
+        """Return digests of data files and external code that the flights depend on."""
         found: dict[str, str] = {}
         for arm in self.arms:
             tables = arm.scenario.to_dict()
@@ -297,7 +311,7 @@ class CampaignSpec:
         return {"made from": dict(sorted(found.items()))} if found else {}
 
     def to_dict(self) -> dict[str, Any]:
-        """Return plain tables that contain the complete scenario."""
+        """Return the campaign as nested dictionaries that contain the complete scenario."""
         head = {k: v for k, v in _keys(self.head).items() if v is not None}
         out: dict[str, Any] = {**head, "scenario": self.scenario.to_dict()}
         if self.factors:
@@ -325,11 +339,15 @@ class CampaignSpec:
         return out
 
     def to_toml(self) -> str:
-        """Return the spec as TOML."""
+        """Return the campaign specification as TOML text."""
         return tomli_w.dumps(self.to_dict())
 
     def with_settings(self, **values: Any) -> CampaignSpec:
-        """Return the spec with other top-level keys; do not change flights or seed."""
+        """Return the campaign with some top-level keys changed.
+
+        `values` must not change the number of flights or the seed, because the random values depend
+        on them.
+        """
         return replace(self, head=replace(self.head, **values))
 
 
@@ -343,12 +361,14 @@ _WITH_PATHS = ("factors", "arms", "dispersions")
 def build_dispersions(
     tables: Mapping[str, Any], method: str, seed: int, flights: int
 ) -> Dispersions:
-    """Build the dispersions from the tables of a spec or of a manifest's identity.
+    """Build the random distributions of a campaign from the tables of its file.
+
+    The tables may also come from the identity in a campaign folder's manifest.
 
     Raises
     ------
     InputError
-        For the first wrong field.
+        Naming the first invalid field.
     """
     laws = parse_distributions(tables.get("dispersions") or {})
     correlations = tuple(
@@ -361,7 +381,9 @@ def build_dispersions(
 
 
 def parse_distributions(table: Any) -> dict[str, Any]:
-    """Return distributions by key from a table whose keys may be dotted or nested.
+    """Build the distributions in the table ``[dispersions]``, by scenario key.
+
+    Keys of the table may be dotted or nested.
 
     Raises
     ------
@@ -379,7 +401,7 @@ def parse_distributions(table: Any) -> dict[str, Any]:
 
 
 def _importance(table: Any) -> Importance | None:
-    """Build the importance settings; keys in their tables may be dotted or nested."""
+    """Build the settings of importance sampling from ``[importance]``, if given."""
     if table is None:
         return None
     if not isinstance(table, Mapping):
@@ -398,7 +420,11 @@ _IMPORTANCE_TABLES = ("shifts", "scales")
 
 
 def _distribution_tables(table: Mapping[str, Any], before: str = "") -> list[tuple[str, Any]]:
-    """Return key and table of each distribution: a non-table, or one with text `kind`."""
+    """Return scenario key and table of each distribution in nested tables.
+
+    A distribution is a table with a string `kind`; a value that is not a table is returned too, and
+    refused later. `before` is the prefix of the keys.
+    """
     found = []
     for key, value in table.items():
         name = f"{before}{key}"
@@ -413,7 +439,10 @@ def _arms(
 ) -> tuple[dict[str, list[Any]], tuple[Arm, ...]]:
     if factors is not None and arms is not None:
         given = len(arms) if isinstance(arms, list) else arms
-        raise InputError("arms", given, "must not be combined with [factors]")
+        raise InputError(
+            "arms", given, "must not be combined with [factors]",
+            "Delete one of the two.", show_value=False,
+        )  # fmt: skip
     if arms is not None:
         return {}, build_arms(scenario, parse_arms(arms), "arms")
     levels = flatten_keys(factors or {}, "factors", list)
@@ -439,7 +468,10 @@ def _list(given: Any) -> list[Any]:
 
 
 def _build(path: str, of: type, table: Any) -> Any:
-    """Build and check a part of the spec from its table."""
+    """Build and check an object of class `of` from its table in the campaign file.
+
+    `path` is the name of the table, "" for the top level.
+    """
     if not isinstance(table, Mapping):
         raise InputError(path, table, "must be a table")
     model = settings_of(of)
@@ -451,10 +483,10 @@ def _build(path: str, of: type, table: Any) -> Any:
         if found.field.startswith(".") and "unknown key" in found.problem:
             key = found.field.removeprefix(".")
             hint = suggestion(key, [*model.model_fields, *_TABLES])
-            raise InputError(key, found.value, "is an unknown key", hint) from None
-        raise found.renamed(found.field.removeprefix(".")) from None
+            raise InputError(key, found.value, "is an unknown key", hint, False) from None
+        raise found.with_field(found.field.removeprefix(".")) from None
     except InputError as error:
-        raise error.renamed(before + error.field) from None
+        raise error.with_field(before + error.field) from None
 
 
 def _keys(head: CampaignSettings) -> dict[str, Any]:
@@ -463,7 +495,7 @@ def _keys(head: CampaignSettings) -> dict[str, Any]:
 
 
 def _arm_values(arm: Arm) -> dict[str, Any]:
-    """Return an arm's values; a policy object is represented by its `repr`."""
+    """Return the scenario values that an arm sets, with the `repr` of a policy object."""
     values: dict[str, Any] = _plain(arm.values)
     return values if arm.policy is None else values | {"policy object": repr(arm.policy)}
 
@@ -481,7 +513,10 @@ def _plain(value: Any) -> Any:
 
 
 def _key_path(key: str, values: Sequence[Any]) -> tuple[str, ...]:
-    """Split a key into steps; a part's table alone, with text values, means its kind."""
+    """Split a dotted scenario key into the names of its tables and of the value.
+
+    A component's table, for instance ``policy``, with string values means its `kind`.
+    """
     texts = all(isinstance(value, str) for value in values)
     return path_of(key, "" if texts else values)
 
@@ -492,14 +527,21 @@ def _overlap(a: tuple[str, ...], b: tuple[str, ...]) -> bool:
 
 
 def _check_no_overlap(keys: Iterable[str], values: Mapping[str, Sequence[Any]], where: str) -> None:
-    """Refuse a key that contains another: the result would depend on their order."""
+    """Raise `InputError` if one scenario key contains another, for instance its table.
+
+    The result would depend on the order in which both are set. `values` has the values of the keys,
+    and `where` is the field name for errors.
+    """
     for a, b in itertools.combinations(keys, 2):
         if _overlap(_key_path(a, values.get(a, [0.0])), _key_path(b, values.get(b, [0.0]))):
             raise InputError(f"{where}.{b}", b, f"must not be set together with {a}")
 
 
 def _extremes(values: list[Any]) -> list[Any]:
-    """Return the minimum and maximum of numbers; all distinct values of other types."""
+    """Return minimum and maximum of a list of numbers.
+
+    If some values are not numbers, return all distinct values.
+    """
     if all(isinstance(v, int | float) and not isinstance(v, bool) for v in values):
         return [min(values), max(values)]
     return [v for i, v in enumerate(values) if v not in values[:i]]

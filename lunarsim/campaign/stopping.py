@@ -9,7 +9,7 @@ from lunarsim.evaluation.sequences import share_confidence_sequence
 
 
 class IntervalWidthRule:
-    """Stops when the confidence sequences of all arms are narrow enough.
+    """Rule that stops a campaign when the confidence sequences of all arms are narrow.
 
     The rule evaluates consecutive flights from 0, so the stopping index does not depend on the
     order in which flights finish. A flight without an outcome counts as a failure.
@@ -17,11 +17,12 @@ class IntervalWidthRule:
     Parameters
     ----------
     metric
-        Boolean column.
+        Boolean column of the results.
     width
-        Required width of the 95 % confidence sequence of the metric's share.
+        Required width of the 95 % confidence sequence of the fraction of flights for which the
+        metric is true.
     arms
-        Number of arms.
+        Number of arms (variants of the scenario).
 
     Attributes
     ----------
@@ -37,7 +38,10 @@ class IntervalWidthRule:
         self._next = 0
 
     def add(self, flight: int, arm: int, row: Mapping[str, Any]) -> None:
-        """Add the row of a flight, in any order."""
+        """Add the result row of a flight, given by the indices of flight and arm.
+
+        Flights may be added in any order. `stop` is set once the rule is satisfied.
+        """
         if self.stop is not None:
             return
         self._waiting.setdefault(flight, {})[arm] = bool(row[self.metric])

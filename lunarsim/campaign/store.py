@@ -47,7 +47,7 @@ _FSYNC_INTERVAL_S = 1.0
 
 
 class Store:
-    """Open folder of a campaign, a context manager; create it with `open`.
+    """Folder of a campaign, open for writing; create it with `open`.
 
     Attributes
     ----------
@@ -110,7 +110,10 @@ class Store:
         return store
 
     def _load(self, retry: bool) -> None:
-        """Load the stored rows: parts first, then the journal, whose rows are never older."""
+        """Load the stored results: Parquet parts first, then the journal's newer rows.
+
+        `retry` drops flights without an outcome, so that they are flown again.
+        """
         for old in self.folder.rglob(".*.part"):
             old.unlink()
         for path in sorted((self.folder / "results").glob("part-*.parquet")):
@@ -146,7 +149,7 @@ class Store:
             self._full.add(number)
 
     def _read_part(self, path: Path) -> dict[tuple[int, int], Row]:
-        """Return a part's rows of results and of times by flight and arm."""
+        """Return results and times in a Parquet part, by indices of flight and arm."""
         table = pq.read_table(self._read("results", path.name), page_checksum_verification=True)
         if table.schema != self._schema:
             raise pa.ArrowInvalid("unexpected columns")
@@ -171,12 +174,15 @@ class Store:
         return part
 
     def _parts(self) -> dict[str, str]:
-        """Return the digest of every complete part, by its path in the folder."""
+        """Return the digest of every complete Parquet part, by its path in the folder."""
         found: dict[str, str] = self.manifest.setdefault("parts", {})
         return found
 
     def _read(self, kind: str, name: str) -> pa.BufferReader:
-        """Return the bytes of a part; refuse them if the digest differs."""
+        """Return the bytes of a Parquet part; raise ValueError if its digest differs.
+
+        `kind` is the subfolder, "results" or "timing", and `name` the file name.
+        """
         data = read_bounded_bytes(self.folder / kind / name)
         if self._parts().get(f"{kind}/{name}", bytes_digest(data)) != bytes_digest(data):
             raise ValueError("its digest differs from the one in manifest.json")
@@ -184,7 +190,7 @@ class Store:
         return pa.BufferReader(data)
 
     def _drop_digests(self, part: int) -> None:
-        """Remove the digests of a part that is about to change."""
+        """Remove the digests of a Parquet part, given by number, that is about to change."""
         known = [self._parts().pop(self._name(kind, part), None) for kind in ("results", "timing")]
         if any(known):
             self.save_manifest()
@@ -193,7 +199,7 @@ class Store:
         return str(self._path(kind, part).relative_to(self.folder))
 
     def _reopen(self, part: int) -> None:
-        """Load the rows of a full part into memory again."""
+        """Load the rows of a complete Parquet part, given by number, into memory again."""
         self._full.remove(part)
         rows = self._read_part(self._path("results", part))
         self._open[part] = {key: _journal_line(row) for key, row in rows.items()}
@@ -227,18 +233,18 @@ class Store:
     # --- what is there --------------------------------------------------------------------
 
     def has(self, flight: int, arm: int) -> bool:
-        """Return whether the row of a flight is stored."""
+        """Return whether the result of a flight under an arm, given by indices, is stored."""
         part = self._part(flight)
         return part in self._full or (flight, arm) in self._open.get(part, {})
 
     @property
     def count(self) -> int:
-        """Number of rows."""
+        """Number of stored result rows."""
         full = sum(len(self._flights(part)) for part in self._full) * len(self.plan.arms)
         return full + sum(map(len, self._open.values()))
 
     def rows(self) -> Iterator[dict[str, Any]]:
-        """Yield all rows by flight, then arm."""
+        """Yield all result rows as dictionaries, sorted by flight, then arm."""
         for part in sorted(self._full | set(self._open)):
             if part in self._full:
                 yield from pq.read_table(self._path("results", part)).to_pylist()
@@ -263,7 +269,7 @@ class Store:
     # --- writing --------------------------------------------------------------------------
 
     def add(self, done: Finished) -> dict[str, Any]:
-        """Store a finished flight durably; return its row."""
+        """Append a finished flight to the journal, and return its result row."""
         row = row_of(self.plan, done)
         line = _journal_line((row, done.timing()))
         self._append(line + "\n")
@@ -285,7 +291,10 @@ class Store:
             raise OSError(error.errno, error.strerror, self._journal.name) from error
 
     def _write_part(self, part: int) -> None:
-        """Write a part; if it is full, remove its rows from the journal."""
+        """Write the Parquet part with a number from its rows in memory.
+
+        If the part is complete, its rows are removed from the journal.
+        """
         lines = [self._open[part][key] for key in sorted(self._open[part])]
         self._drop_digests(part)
         if not lines:
@@ -304,7 +313,7 @@ class Store:
             self._write_journal()
 
     def _write_journal(self) -> None:
-        """Rewrite the journal with the rows of incomplete parts."""
+        """Rewrite the journal with only the rows of incomplete Parquet parts."""
         path = self.folder / "journal.jsonl"
         lines = [line for part in sorted(self._open) for line in self._open[part].values()]
         text = "".join(f"{line}\n" for line in lines)
@@ -314,7 +323,7 @@ class Store:
             self._journal = path.open("a", encoding="utf-8")
 
     def truncate(self, flights: int) -> None:
-        """Delete the rows from flight number `flights` on, where the campaign stopped."""
+        """Delete the results of flights with index `flights` or more, after an early stop."""
         self.manifest["flights"] = flights
         for part in sorted(self._full | set(self._open)):
             if self._flights(part).stop <= flights:
@@ -324,7 +333,7 @@ class Store:
             self._open[part] = {k: row for k, row in self._open[part].items() if k[0] < flights}
 
     def delete_rows(self, rows: Set[tuple[int, int]]) -> None:
-        """Delete rows (by flight and arm) from disk too, before new ones replace them."""
+        """Delete results, given by pairs of flight and arm index, from memory and disk."""
         for part in sorted(self._full | set(self._open)):
             first, last = self._flights(part).start, self._flights(part).stop
             gone = {(flight, arm) for flight, arm in rows if first <= flight < last}
@@ -337,12 +346,12 @@ class Store:
         self._write_journal()
 
     def save_manifest(self, **values: Any) -> None:
-        """Update values of the manifest and write it."""
+        """Set values of the manifest by key, and write the manifest to the folder."""
         self.manifest |= values
         write_json(self.folder / "manifest.json", with_digest(self.manifest))
 
     def close(self, state: str) -> None:
-        """Write all rows into parts, empty the journal, record the state, unlock."""
+        """Write all results to Parquet parts, record the campaign's state, and unlock."""
         try:
             for part in sorted(self._open):
                 self._write_part(part)
@@ -354,7 +363,10 @@ class Store:
             self._release()
 
     def release(self) -> None:
-        """Release the folder as it is; finished flights are in the journal or in parts."""
+        """Unlock the folder without further writing, for instance after an error.
+
+        Finished flights are already in the journal or in Parquet parts.
+        """
         self._release()
 
     def _rows_written(self) -> int:
@@ -371,20 +383,20 @@ class Store:
 
 
 def _check_types(row: Any, timing: Any, schema: pa.Schema) -> None:
-    """Raise `ValueError` for values that do not fit their columns, as Arrow does."""
+    """Raise `ValueError` or an Arrow error if values do not fit their columns."""
     pa.Table.from_pylist([row], schema)
     pa.Table.from_pylist([timing], TIMING)
 
 
 def _journal_line(row: Row) -> str:
-    """Return a row and its times as a line of the journal, without the newline."""
+    """Return a result row and its times as a JSON line of the journal."""
     return json.dumps(list(row))
 
 
 def _column_table(lines: list[str], column: int, schema: pa.Schema) -> pa.Table:
-    """Return the rows (column 0) or times (column 1) of lines, in batches.
+    """Return the results (column 0) or times (column 1) in journal lines as a table.
 
-    Batches limit memory.
+    The lines are converted in batches, which limits memory.
     """
     tables = [
         pa.Table.from_pylist(
@@ -400,7 +412,9 @@ def _write_table(table: pa.Table, path: Path) -> None:
 
 
 def _lock_folder(folder: Path) -> IO[str]:
-    """Lock a folder until the process ends or the returned file is closed.
+    """Lock a campaign folder for writing; return the open lock file.
+
+    The lock ends when the file is closed or the process ends.
 
     Raises
     ------

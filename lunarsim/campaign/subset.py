@@ -43,7 +43,7 @@ _MARGIN_AT_LIMIT = float(np.nextafter(0.0, 1.0))
 
 @dataclass(frozen=True)
 class SubsetLevel:
-    """Result of one level.
+    """Result of one level of a subset simulation.
 
     Attributes
     ----------
@@ -56,7 +56,7 @@ class SubsetLevel:
     threshold
         Maximum margin in the chains of the next level; 0 for the last level.
     share
-        Share of the states at or below the threshold.
+        Fraction of the states with a margin at or below the threshold.
     acceptance_rate
         Acceptance rate of the steps; NaN for the first level.
     missing_count
@@ -104,16 +104,16 @@ class SubsetChains:
 
     @property
     def max_flights(self) -> int:
-        """Number of flights if all levels are flown."""
+        """Number of flights of the campaign if all levels are flown."""
         return self._first_flight(self._settings.levels)
 
     @property
     def states(self) -> list[list[int]]:
-        """Flights that are the states so far of each chain of the current level."""
+        """Flight indices of the states of each Markov chain of the current level."""
         return [list(states) for states in self._states]
 
     def reset(self) -> None:
-        """Delete all rows."""
+        """Forget all flights, and start with the first level."""
         self.levels: list[SubsetLevel] = []
         self.stop: int | None = None
         self.is_stalled = False
@@ -130,11 +130,14 @@ class SubsetChains:
     # --- which flight is which ------------------------------------------------------------
 
     def _first_flight(self, level: int) -> int:
-        """Return the first flight of a level."""
+        """Return the index of the first flight of a level."""
         return 0 if level == 0 else self.flights + (level - 1) * (self.flights - self.chains)
 
     def _locate(self, flight: int) -> tuple[int, int, int]:
-        """Return level, step and chain of a flight; the first level has step 0."""
+        """Return level, step in the Markov chain, and chain of a flight, given by index.
+
+        In the first level the step is 0.
+        """
         if flight < self.flights:
             return 0, 0, flight
         level, rest = divmod(flight - self.flights, self.flights - self.chains)
@@ -142,7 +145,9 @@ class SubsetChains:
         return level + 1, step + 1, chain
 
     def draws(self, flight: int) -> dict[str, Any]:
-        """Return the values of a flight by key, and its level, chain and world.
+        """Return the random scenario values of a flight, and its level, chain and world.
+
+        The result has one entry per scenario key, and "level", "chain" and "world".
 
         Raises
         ------
@@ -171,7 +176,7 @@ class SubsetChains:
     # --- what has been flown --------------------------------------------------------------
 
     def add(self, flight: int, row: Row) -> None:
-        """Add the row of a flight whose draws were requested."""
+        """Add the result row of a flight whose values `draws` has returned."""
         level, _, chain = self._locate(flight)
         if flight in self._margins or level != len(self.levels):
             return
@@ -186,7 +191,10 @@ class SubsetChains:
             self._close_level()
 
     def _margin(self, row: Row) -> float:
-        """Return the distance of a flight from failure; infinity if it has no metric."""
+        """Return the distance of a flight from failure, in units of the metric.
+
+        It is infinite if the result row has no finite value of the metric.
+        """
         value = row.get(self._settings.metric)
         if value is None or not np.isfinite(value):
             return np.inf
@@ -195,7 +203,7 @@ class SubsetChains:
         return margin or _MARGIN_AT_LIMIT  # a flight at the limit is not a failure
 
     def _close_level(self) -> None:
-        """Record a complete level and start the next."""
+        """Store the result of the complete level, and select the seeds of the next."""
         number = len(self.levels)
         states = np.array(self._states)
         margins = np.vectorize(self._margins.__getitem__, otypes=[float])(states)
@@ -232,12 +240,12 @@ class SubsetChains:
         self._waiting = deque(range(end, end + self.chains))
 
     def resume(self, rows: Iterable[Row]) -> list[int]:
-        """Add a folder's rows, by flight; return flights that lack their predecessor.
+        """Start again from stored results; return flights whose predecessor is missing.
 
         Parameters
         ----------
         rows
-            Rows of the only arm.
+            Result rows of the campaign's only arm, sorted by flight.
         """
         self.reset()
         orphans: list[int] = []
@@ -255,17 +263,21 @@ class SubsetChains:
         return orphans
 
     def value_of(self, margin: float) -> float:
-        """Return the value of the metric that corresponds to a margin."""
+        """Return the value of the metric at a distance `margin` from failure."""
         above, below = self._settings.above, self._settings.below
         return margin + below if above is None else above - margin  # type: ignore[operator]
 
     @property
     def metric(self) -> str:
-        """Column that measures the distance from failure."""
+        """Result column that measures the distance of a flight from failure."""
         return self._settings.metric
 
     def groups(self, has: Callable[[int, int], bool]) -> Iterator[Group | None]:
-        """Yield flights that can start and have no row; None while all wait for others."""
+        """Yield flights that can start and have no result yet.
+
+        Yield None while all wait for running flights. `has` returns whether the result of a flight
+        under an arm, given by indices, is stored.
+        """
         while self.stop is None:
             if not self._waiting:
                 yield None

@@ -31,7 +31,7 @@ MIN_EFFECTIVE_FAILURES = 20
 
 @dataclass(frozen=True)
 class SubsetEstimate:
-    """Failure probability of a subset simulation.
+    """Failure probability estimated by a subset simulation, with its interval.
 
     Attributes
     ----------
@@ -51,12 +51,12 @@ class SubsetEstimate:
 
 
 def load_chains(results: Results) -> SubsetChains:
-    """Rebuild the chains of a campaign of method subset from its rows.
+    """Rebuild the Markov chains of a subset simulation from the campaign's results.
 
     Raises
     ------
     InputError
-        If the campaign has another method, or its rows are inconsistent.
+        If the campaign has another method than subset, or its results are inconsistent.
     """
     identity = results.manifest["identity"]
     if identity.get("method") != "subset":
@@ -73,7 +73,10 @@ def load_chains(results: Results) -> SubsetChains:
 
 
 def level_table_rows(chains: SubsetChains) -> list[dict[str, str]]:
-    """Return a row of table cells, by heading, for each complete level."""
+    """Return the table of the complete levels of a subset simulation.
+
+    Each row is a dictionary of texts by column heading.
+    """
     rows = []
     for number, level in enumerate(chains.levels):
         rows.append({
@@ -92,7 +95,10 @@ def level_table_rows(chains: SubsetChains) -> list[dict[str, str]]:
 
 
 def completion_remark(chains: SubsetChains) -> str:
-    """Return a remark on how the campaign ended, or ""."""
+    """Return a sentence on why a subset simulation has no estimate or ended early.
+
+    Return "" if there is nothing to report.
+    """
     if chains.stop is None:
         return f"Not complete: level {len(chains.levels)} is running."
     if chains.is_stalled:
@@ -106,7 +112,7 @@ def completion_remark(chains: SubsetChains) -> str:
 
 
 def estimate_failure_probability(levels: Sequence[SubsetLevel]) -> SubsetEstimate:
-    """Estimate the failure probability from complete levels, including the last."""
+    """Estimate the failure probability from all levels of a subset simulation."""
     *before, last = levels
     reached = float(np.prod([level.share for level in before]))
     spread = sum(np.sqrt(level_variance(level)) for level in before)
@@ -130,9 +136,10 @@ def estimate_failure_probability(levels: Sequence[SubsetLevel]) -> SubsetEstimat
 
 
 def _reached_share_bound(levels: Sequence[SubsetLevel]) -> float:
-    """Bound the probability to reach the last level with many worlds, from above.
+    """Return an upper limit of the failure probability if few worlds remain.
 
-    0 if the last level itself has many: its own variation is then sufficient.
+    It is the upper limit of the probability to reach the last level with at least
+    `MIN_EFFECTIVE_FAILURES` different worlds. Return 0 if the final level has as many.
     """
     reached, spread, bound = 1.0, 0.0, 1.0
     for level in levels[:-1]:
@@ -144,7 +151,10 @@ def _reached_share_bound(levels: Sequence[SubsetLevel]) -> float:
 
 
 def _interval_factor(variation: float) -> float:
-    """Return the factor of a 95 % interval of a log-normal estimate."""
+    """Return the factor between a log-normal estimate and its 95 % limits.
+
+    `variation` is the coefficient of variation of the estimate.
+    """
     return float(np.exp(ndtri(0.975) * np.sqrt(np.log1p(variation**2))))
 
 
@@ -161,7 +171,11 @@ def level_variance(level: SubsetLevel) -> float:
 
 
 def _chain_correlation(near: np.ndarray, share: float) -> float:
-    """Return the correlation factor gamma of a chain's states (eq. 29), at least 0."""
+    """Return the correlation factor gamma of Markov chains (Au and Beck 2001, eq. 29).
+
+    `near` (chains, steps) states whether each state is below the threshold, and `share` is the
+    fraction of such states. The result is at least 0.
+    """
     steps = near.shape[1]
     variance = share * (1.0 - share)
     if variance == 0.0:

@@ -14,33 +14,41 @@ _MIN_CHAINS = 10
 
 @dataclass(frozen=True)
 class SubsetSettings:
-    """Settings of subset simulation.
+    """Settings of subset simulation: failure metric, limit, and levels.
 
     Attributes
     ----------
     metric
         Numeric column that measures the distance from failure.
     above, below
-        Failure limit of the metric: one of the two.
+        Limit of the metric above or below which a flight counts as a failure; one of the two.
     keep
-        Share of a level's flights that are the seeds of the chains of the next level.
+        Fraction of a level's flights that are the seeds of the Markov chains of the next level.
     levels
         Maximum number of levels; keep ** levels is about the smallest resolvable probability.
     same_world
-        Share of the steps of a chain that keep its world.
+        Fraction of the steps of a Markov chain that keep its world (terrain and noise).
     """
 
     metric: str = quantity(
-        "touchdown_margin", help="numeric column that measures the distance from failure"
+        "touchdown_margin",
+        help="numeric result column that measures the distance of a flight from failure",
     )
-    above: float | None = quantity(None, help="a metric above this is a failure")
-    below: float | None = quantity(None, help="a metric below this is a failure")
+    above: float | None = quantity(
+        None, help="limit of the metric above which a flight counts as a failure"
+    )
+    below: float | None = quantity(
+        None, help="limit of the metric below which a flight counts as a failure"
+    )
     keep: float = quantity(
-        0.1, ge=0.05, le=0.5, help="share of a level's flights that are the seeds of the next level"
+        0.1,
+        ge=0.05,
+        le=0.5,
+        help="fraction of a level's flights, closest to failure, that start the next level",
     )
-    levels: int = quantity(6, ge=1, le=20, help="maximum number of levels")
+    levels: int = quantity(6, ge=1, le=20, help="maximum number of levels of the subset simulation")
     same_world: float = quantity(
-        0.5, ge=0, le=1, help="share of the steps of a chain that keep its world"
+        0.5, ge=0, le=1, help="fraction of the steps of a Markov chain that keep terrain and noise"
     )
 
     def __post_init__(self) -> None:
@@ -48,7 +56,11 @@ class SubsetSettings:
         if self.metric not in known:
             raise InputError("metric", self.metric, "is unknown", suggestion(self.metric, known))
         if (self.above is None) == (self.below is None):
-            raise InputError("below", self.below, "give either above or below")
+            raise InputError(
+                "below",
+                self.below,
+                "is required if above is omitted, and must be omitted otherwise",
+            )
         if abs(self.steps * self.keep - 1.0) > 1e-9:
             raise InputError(
                 "keep", self.keep, "must be one over an integer, for instance 0.1, 0.2 or 0.25"
@@ -60,7 +72,7 @@ class SubsetSettings:
         return round(1.0 / self.keep)
 
     def check_flights(self, flights: int) -> None:
-        """Raise `InputError` if a level has incomplete chains, or too few."""
+        """Raise `InputError` if `flights` per level give incomplete or too few chains."""
         least = _MIN_CHAINS * self.steps
         if flights % self.steps or flights < least:
             up = max(least, -(-flights // self.steps) * self.steps)

@@ -1,4 +1,4 @@
-"""Terrain of a flight and its truth, shared by all arms and cached on disk.
+"""Terrain of a flight and its true landing safety, shared by all arms and cached.
 
 Terrain and rocks are generated again for each flight index, which takes hundredths of a second.
 The exact safety map takes half a second and more; it is what the cache stores.
@@ -28,14 +28,14 @@ SAFE_SHARE_COLUMNS = ("safe_share", "safe_share_at_heading")
 
 @dataclass(frozen=True)
 class WorldTruthProvider:
-    """Worlds and truths of one flight index.
+    """Provider of the true terrain and its landing safety for one flight index.
 
     Attributes
     ----------
     seed
         Seed of the flight.
     memory
-        Results for this index in this process so far; extended here.
+        Worlds and safety maps of this index computed in this process so far; extended here.
     cache
         Disk cache, or None.
     """
@@ -45,7 +45,7 @@ class WorldTruthProvider:
     cache: DiskCache | None = None
 
     def world_and_truth(self, scenario: Scenario) -> tuple[World, TerrainTruth]:
-        """Return world and truth of a scenario; the truth depends on the lander's limits."""
+        """Return the true world of a scenario and its landing safety for the lander."""
         terrain_key = ("ground", tables_as_text(scenario, GROUND_TABLES))
         world = build_world(scenario, RandomStreams(self.seed), self.memory.get(terrain_key))
         self.memory.setdefault(terrain_key, world.terrain)
@@ -55,7 +55,10 @@ class WorldTruthProvider:
         return world, self.memory[known]
 
     def shares(self, scenario: Scenario, truth: TerrainTruth) -> dict[str, float]:
-        """Return the share of safe terrain in the target area, at any heading and at one."""
+        """Return the fractions of the target area that are truly safe to land on.
+
+        They are for all headings of the lander and for the heading of the start, by column name.
+        """
         tables = tables_as_text(scenario, (*TRUTH_TABLES, "target"))
         key = ("shares", tables, scenario.start.heading_deg)
         if key not in self.memory:
@@ -73,7 +76,10 @@ class WorldTruthProvider:
         return TerrainTruth(SafetyMap(grid, *maps), found["elevation"], lander)
 
     def _cached(self, key: tuple[Any, ...], scenario: Scenario, make: Any) -> Arrays:
-        """Return arrays from the cache; compute them if they are missing."""
+        """Return arrays from the disk cache; compute them with `make` if they are missing.
+
+        `key` identifies the arrays, together with the scenario's files and the seed.
+        """
         tables = {name: scenario.to_dict().get(name) for name in TRUTH_TABLES}
         # Changes in the code of external parts are not detected, so they are not cached.
         if self.cache is None or any(":" in str((t or {}).get("kind")) for t in tables.values()):
@@ -100,5 +106,5 @@ def _compute_shares(scenario: Scenario, truth: TerrainTruth) -> Arrays:
     half = np.maximum(scenario.target.scatter_m, 2.0)
     centre = scenario.target.position_m
     heading = float(np.deg2rad(scenario.start.heading_deg))
-    values = truth.safe_share(centre, half), truth.safe_share(centre, half, heading)
+    values = truth.safe_fraction(centre, half), truth.safe_fraction(centre, half, heading)
     return {name: np.array(value) for name, value in zip(SAFE_SHARE_COLUMNS, values, strict=True)}

@@ -1,4 +1,4 @@
-"""Evaluate a probability map: classes, confusion, reliability (V.B and V.C)."""
+"""Evaluate a hazard probability map by classes (shadow EKF paper, V.B and V.C)."""
 
 from __future__ import annotations
 
@@ -17,18 +17,20 @@ RELIABILITY_EDGES = np.array(
 
 @dataclass(frozen=True)
 class Classification:
-    """Counts of cells; rates are NaN where the denominator is 0.
+    """Confusion counts of a hazard map whose cells are clear, occupied or unknown.
+
+    Rates are NaN where the denominator is 0.
 
     Attributes
     ----------
     cells, clear, occupied
         Number of cells of the map; truly clear; truly occupied by a hazard.
     called_clear, called_occupied
-        Classified by the thresholds; the rest is unknown.
+        Number of cells classified clear, and classified occupied; the other cells are unknown.
     clear_right, clear_wrong
-        Classified clear and truly clear, or truly occupied.
+        Number of cells classified clear that are truly clear, and that are truly occupied.
     occupied_right
-        Classified occupied and truly occupied.
+        Number of cells classified occupied that are truly occupied.
     """
 
     cells: int
@@ -41,13 +43,13 @@ class Classification:
     occupied_right: int
 
     def __add__(self, other: Classification) -> Classification:
-        """Add the counts of two maps."""
+        """Add the counts of this map and another map."""
         mine, more = self.counts(), other.counts()
         return Classification(**{name: mine[name] + more[name] for name in mine})
 
     @property
     def rates(self) -> dict[str, float]:
-        """The paper's rates: recall of clear terrain and others, each a share."""
+        """Rates of the shadow EKF paper as fractions, such as the recall of clear terrain."""
         return {
             "clear_recall": _share(self.clear_right, self.clear),
             "occupied_called_clear": _share(self.clear_wrong, self.occupied),
@@ -58,7 +60,7 @@ class Classification:
         }
 
     def counts(self) -> dict[str, int]:
-        """Return the attributes as a dictionary."""
+        """Return the counts by name."""
         return asdict(self)
 
 
@@ -74,10 +76,13 @@ def classify(
     *,
     observed: NDArray[np.bool_],
 ) -> Classification:
-    """Compare a map of the hazard probability (rows, cols) with the truth.
+    """Classify cells by their hazard probability, and count agreement with the truth.
 
-    A cell is classified clear if it was `observed` (rows, cols) and has a small probability.
-    Where few rocks are expected, the probability is small before any image.
+    `probability`, `occupied` (the truth) and `observed` are (rows, cols).
+
+    A cell is classified clear if it was observed and its probability is below `clear_below`: where
+    few rocks are expected, the probability is small before any image. A cell is classified occupied
+    if its probability is above `occupied_above`.
     """
     called_clear = observed & (probability < clear_below)
     called_occupied = probability > occupied_above

@@ -24,20 +24,22 @@ _MAX_BOOTSTRAP_VALUES = 20_000
 
 @dataclass(frozen=True)
 class Difference:
-    """Difference, second minus first, on the flights that both arms have.
+    """Difference of a metric between two variants that flew the same flights.
+
+    The difference is the second variant minus the first.
 
     Attributes
     ----------
     first, second
-        Names of the arms.
+        Names of the variants (arms) of the campaign.
     pairs
-        Number of flights.
+        Number of flights that both variants have.
     value, low, high
         Mean difference and its 95 % interval.
     p
         Two-sided p-value of no difference.
     corrected
-        p-value after Holm's correction for all differences tested together.
+        p-value after Holm's correction for all differences that are tested together.
     """
 
     first: str
@@ -53,17 +55,17 @@ class Difference:
 def share_difference(
     first: ArrayLike, second: ArrayLike, names: tuple[str, str], level: float = 0.95
 ) -> Difference:
-    """Compute the difference of two shares of the same flights.
+    """Compare the success rates of two variants on the same flights.
 
-    The interval is Newcombe's for paired shares (Newcombe 1998, Statist. Med. 17, 2635, method
-    10); the test is McNemar's exact test.
+    The interval is Newcombe's interval for paired proportions (Newcombe 1998, Statist. Med. 17,
+    2635, method 10); the test is McNemar's exact test.
 
     Parameters
     ----------
     first, second
-        Success of each flight (n,), boolean.
+        Success of each flight under the first and the second variant (n,), boolean.
     names
-        Names of the arms.
+        Names of the variants.
     level
         Confidence level of the interval.
     """
@@ -78,7 +80,11 @@ def share_difference(
 
 
 def _newcombe(both: int, gained: int, lost: int, neither: int, level: float) -> tuple[float, float]:
-    """Return Newcombe's interval of the second share minus the first."""
+    """Return Newcombe's interval of the second success rate minus the first.
+
+    Arguments are the numbers of flights that succeed under both variants, under the second only,
+    under the first only, and under neither; `level` is the confidence level.
+    """
     n = both + gained + lost + neither
     p1, p2 = (both + lost) / n, (both + gained) / n
     l1, u1 = (float(v) for v in binomtest(both + lost, n).proportion_ci(level, "wilson"))
@@ -97,7 +103,9 @@ def _newcombe(both: int, gained: int, lost: int, neither: int, level: float) -> 
 def mean_difference(
     first: ArrayLike, second: ArrayLike, names: tuple[str, str], rng: np.random.Generator
 ) -> Difference:
-    """Compute the mean difference of a metric over the same flights, ignoring NaN.
+    """Compare the mean of a metric of two variants on the same flights, ignoring NaN.
+
+    `first` and `second` (n,) are its values by flight, `names` the variants.
 
     The interval is a bias-corrected bootstrap over flights; the test is Student's paired t-test.
     """
@@ -114,11 +122,10 @@ def mean_difference(
 def bootstrap_interval(
     values: ArrayLike, rng: np.random.Generator, level: float = 0.95
 ) -> tuple[float, float]:
-    """Return the BCa bootstrap interval of a mean; NaN for fewer than 2 values.
+    """Return the BCa bootstrap confidence interval of a mean.
 
-    NaN values are ignored.
-
-    Above 20,000 values the normal interval is used, which is then practically equal.
+    NaN values are ignored; the result is NaN for fewer than 2 values. Above 20,000 values the
+    normal interval is used, which is then practically equal.
     """
     x = np.asarray(values, dtype=np.float64)
     x = x[np.isfinite(x)]
@@ -136,7 +143,10 @@ def bootstrap_interval(
 
 
 def holm_correction(p: Sequence[float]) -> Array:
-    """Correct p-values for multiple tests (Holm); NaN stays NaN and is not counted."""
+    """Correct p-values for multiple tests by Holm's method.
+
+    NaN stays NaN and does not count as a test.
+    """
     values = np.asarray(p, dtype=np.float64)
     out = np.full(len(values), np.nan)
     known = np.flatnonzero(np.isfinite(values))
@@ -151,9 +161,10 @@ def holm_correction(p: Sequence[float]) -> Array:
 def quantile_interval(
     values: ArrayLike, q: float, level: float = 0.95
 ) -> tuple[float, float, float]:
-    """Return a quantile and its distribution-free interval from order statistics.
+    """Return a quantile of values and the ends of its distribution-free interval.
 
-    The bounds are NaN if there are too few values.
+    The interval, at the confidence `level`, is between order statistics; its ends are NaN if there
+    are too few values.
     """
     x = np.sort(np.asarray(values, dtype=np.float64))
     x = x[np.isfinite(x)]
@@ -180,9 +191,10 @@ class Ellipse:
     azimuth
         Azimuth of the major axis, from north towards east, rad.
     level
-        Share of landings that the ellipse should contain.
+        Fraction of landings that the ellipse should contain.
     inside
-        Share of landings inside; a large difference from `level` shows a non-normal distribution.
+        Fraction of landings inside; a large difference from `level` shows a non-normal
+        distribution.
     """
 
     centre: Array
@@ -193,7 +205,7 @@ class Ellipse:
 
 
 def landing_ellipse(xy: ArrayLike, level: float = 0.95) -> Ellipse | None:
-    """Return the ellipse of landing points (n, 2), m; None for fewer than 3.
+    """Return the confidence ellipse of landing points (n, 2), m; None if fewer than 3.
 
     NaN values are ignored.
     """
@@ -216,5 +228,8 @@ def landing_ellipse(xy: ArrayLike, level: float = 0.95) -> Ellipse | None:
 
 
 def share_upper_bound(count: int, total: int, level: float = 0.95) -> float:
-    """Return the Clopper-Pearson upper bound of a share: about 3 / n for 0 of n."""
+    """Return the Clopper-Pearson upper bound of a proportion: about 3 / n for 0 of n.
+
+    `count` of `total` trials succeed; `level` is the one-sided confidence level.
+    """
     return 1.0 if count >= total else float(beta.ppf(level, count + 1, total - count))

@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 COLUMNS: dict[str, str] = {
     "policy": "text",
     "safe": "bool",
-    "failed": "text",
+    "failure_causes": "text",
     "aborted": "bool",
     "navigation_lost": "bool",
     "propellant_kg": "float",
@@ -38,9 +38,9 @@ COLUMNS: dict[str, str] = {
     "tip_margin": "float",
     "touchdown_margin": "float",
     "p_safe": "float",
-    "map_hits": "int",
+    "map_true_safe": "int",
     "map_false_safe": "int",
-    "map_missed": "int",
+    "map_false_unsafe": "int",
     "safe_site_in_reach": "bool",
 }
 # Maximum number of safe cells tested for reachability; they are spread over the mapped terrain.
@@ -48,7 +48,9 @@ _MAX_TESTED_SITES = 400
 
 
 def evaluate(flight: Flight, truth: TerrainTruth) -> dict[str, Any]:
-    """Return one row of results: plain numbers, without wall-clock times.
+    """Return the result row of one flight: values by column, no wall-clock times.
+
+    The columns and their types are in `COLUMNS`.
 
     Map counts include observed cells only; a cell is classified safe if p_safe > 0.5.
 
@@ -57,25 +59,25 @@ def evaluate(flight: Flight, truth: TerrainTruth) -> dict[str, Any]:
     flight
         Record of the flight.
     truth
-        Exact safety of its world.
+        Exact landing safety of the flight's terrain.
     """
-    touchdown = flight.verdict.touchdown
+    touchdown = flight.outcome.touchdown
     nan = float("nan")
     row: dict[str, Any] = {
         "policy": flight.policy,
-        "safe": flight.verdict.safe,
-        "failed": ",".join(flight.verdict.failed),
-        "aborted": flight.verdict.failed == (ABORTED,),
+        "safe": flight.outcome.safe,
+        "failure_causes": ",".join(flight.outcome.failure_causes),
+        "aborted": flight.outcome.failure_causes == (ABORTED,),
         "navigation_lost": flight.lost,
         "propellant_kg": flight.propellant_used,
         "duration_s": flight.duration,
         "divert_m": flight.divert_distance,
         "decisions": len(flight.decisions),
-        "target_exactly_safe": bool(truth.safe_at(initial_aim_point(flight))),
+        "target_exactly_safe": bool(truth.is_safe_at(initial_aim_point(flight))),
         "touchdown_x_m": float(touchdown.position[0]) if touchdown else nan,
         "touchdown_y_m": float(touchdown.position[1]) if touchdown else nan,
         "touchdown_exactly_safe": bool(
-            touchdown is not None and truth.safe_at(touchdown.position[:2])
+            touchdown is not None and truth.is_safe_at(touchdown.position[:2])
         ),
         "vertical_speed_m_s": touchdown.vertical_speed if touchdown else nan,
         "horizontal_speed_m_s": touchdown.horizontal_speed if touchdown else nan,
@@ -90,15 +92,18 @@ def evaluate(flight: Flight, truth: TerrainTruth) -> dict[str, Any]:
     if flight.hazard_map is not None:
         quality = map_quality(flight.hazard_map, truth, flight.map_error)
     return row | {
-        "map_hits": quality.hits,
+        "map_true_safe": quality.true_safe,
         "map_false_safe": quality.false_safe,
-        "map_missed": quality.missed,
+        "map_false_unsafe": quality.false_unsafe,
         "safe_site_in_reach": safe_site_in_reach(flight, truth),
     }
 
 
 def predicted_p_safe(flight: Flight) -> float:
-    """Return p_safe of the decision map at the last site; NaN if unobserved."""
+    """Return p_safe of the last chosen site in the decision map; NaN if unobserved.
+
+    The decision map is the hazard map from which the policy chose the site.
+    """
     m = flight.hazard_map
     if m is None or not m.grid.contains(flight.sites[-1, :2]):
         return float("nan")
@@ -107,7 +112,10 @@ def predicted_p_safe(flight: Flight) -> float:
 
 
 def initial_aim_point(flight: Flight) -> Array:
-    """Return the true point (2,), m, that the lander aimed at before any divert."""
+    """Return the true position that the lander aimed at before any divert (2,), m.
+
+    The position is east and north.
+    """
     t = flight.trajectory
     row = -1
     if flight.decisions:
@@ -119,13 +127,13 @@ def initial_aim_point(flight: Flight) -> Array:
 def safe_site_in_reach(flight: Flight, truth: TerrainTruth) -> bool:
     """Return whether a safe site was in reach when terrain was first mapped.
 
-    Exact safety (the truth) counts.
+    Safe means truly safe by `truth`; sites are cells that the hazard map observed.
     """
     m, first = flight.hazard_map, flight.first_map
     if m is None or first is None:
         return False
     xy = m.grid.centres()[m.observed]
-    spots = xy[truth.safe_at(xy - flight.map_error[:2])]
+    spots = xy[truth.is_safe_at(xy - flight.map_error[:2])]
     spots = spots[:: max(1, len(spots) // _MAX_TESTED_SITES)]
     if len(spots) == 0:
         return False

@@ -15,33 +15,33 @@ from lunarsim.world.truth import TerrainTruth
 
 @dataclass(frozen=True)
 class MapQuality:
-    """Counts of evaluated cells.
+    """Confusion counts of a hazard map's cells against the true safety.
 
     Attributes
     ----------
-    hits
-        Classified safe, and truly safe.
+    true_safe
+        Cells classified safe that are truly safe.
     false_safe
-        Classified safe, but truly unsafe.
-    missed
-        Truly safe, but classified unsafe.
+        Cells classified safe that are truly unsafe.
+    false_unsafe
+        Cells classified unsafe that are truly safe.
     rejected
-        Classified unsafe, and truly unsafe.
+        Cells classified unsafe that are truly unsafe.
     """
 
-    hits: int
+    true_safe: int
     false_safe: int
-    missed: int
+    false_unsafe: int
     rejected: int
 
     @classmethod
     def none(cls) -> MapQuality:
-        """Return zero counts."""
+        """Return counts of zero, for a flight without a map."""
         return cls(0, 0, 0, 0)
 
     @classmethod
     def of(cls, called: ArrayLike, safe: ArrayLike) -> MapQuality:
-        """Compare cells classified safe (n,) with cells that are safe (n,).
+        """Count cells by whether they are classified safe (n,) and truly safe (n,).
 
         Examples
         --------
@@ -54,41 +54,45 @@ class MapQuality:
                    int((~c & ~s).sum()))  # fmt: skip
 
     def __add__(self, other: MapQuality) -> MapQuality:
-        """Add the counts of two maps."""
+        """Add the counts of this map and another map."""
         return MapQuality(
-            self.hits + other.hits,
+            self.true_safe + other.true_safe,
             self.false_safe + other.false_safe,
-            self.missed + other.missed,
+            self.false_unsafe + other.false_unsafe,
             self.rejected + other.rejected,
         )
 
     @property
     def precision(self) -> float:
-        """Share of the cells classified safe that are safe; NaN without any."""
-        called = self.hits + self.false_safe
-        return self.hits / called if called else float("nan")
+        """Fraction of the cells classified safe that are truly safe; NaN without any."""
+        called = self.true_safe + self.false_safe
+        return self.true_safe / called if called else float("nan")
 
     @property
     def recall(self) -> float:
-        """Share of the safe cells that are classified safe; NaN without any."""
-        safe = self.hits + self.missed
-        return self.hits / safe if safe else float("nan")
+        """Fraction of the truly safe cells that are classified safe; NaN without any."""
+        safe = self.true_safe + self.false_unsafe
+        return self.true_safe / safe if safe else float("nan")
 
     @property
     def evaluated(self) -> int:
         """Number of evaluated cells."""
-        return self.hits + self.false_safe + self.missed + self.rejected
+        return self.true_safe + self.false_safe + self.false_unsafe + self.rejected
 
     @property
     def safe_share(self) -> float:
-        """Share of all cells that are safe; NaN without any."""
-        return (self.hits + self.missed) / self.evaluated if self.evaluated else float("nan")
+        """Fraction of all evaluated cells that are truly safe; NaN without any."""
+        return (
+            (self.true_safe + self.false_unsafe) / self.evaluated
+            if self.evaluated
+            else float("nan")
+        )
 
 
 def map_quality(
     hazard_map: HazardMap, truth: TerrainTruth, error: ArrayLike, level: float = 0.5
 ) -> MapQuality:
-    """Compare the observed cells of a map with the truth.
+    """Compare the observed cells of a hazard map with the true safety.
 
     Parameters
     ----------
@@ -98,16 +102,29 @@ def map_quality(
         Map coordinates minus true coordinates (3,), m.
     level
         Threshold of p_safe above which a cell is classified safe.
+
+    Examples
+    --------
+    >>> from lunarsim import exact_safety
+    >>> from lunarsim.api import Lander
+    >>> grid = Grid.centred((0.0, 0.0), 20.0, 0.5)
+    >>> z = np.where(grid.x < 0.0, 0.0, 0.5 * grid.x) * np.ones((grid.rows, 1))  # steep in the east
+    >>> truth = TerrainTruth(exact_safety(z, grid, Lander()), z, Lander())
+    >>> p_safe = truth.safety.safe.astype(np.float32)
+    >>> optimistic = HazardMap(grid, np.full_like(p_safe, 0.9), truth.safety.observed)
+    >>> quality = map_quality(optimistic, truth, error=np.zeros(3))
+    >>> quality.recall, quality.precision == quality.safe_share
+    (1.0, True)
     """
     seen = hazard_map.observed
     xy = hazard_map.grid.centres()[seen] - np.asarray(error)[:2]
-    return MapQuality.of(hazard_map.p_safe[seen] > level, truth.safe_at(xy))
+    return MapQuality.of(hazard_map.p_safe[seen] > level, truth.is_safe_at(xy))
 
 
 def true_elevation_in_map_frame(
     terrain: Terrain, grid: Grid, error: ArrayLike
 ) -> NDArray[np.float32]:
-    """Return the true elevation at a map's cells (rows, cols), m, in its frame.
+    """Return the true elevation at a map's cells (rows, cols), m, in the map's frame.
 
     Parameters
     ----------
@@ -123,9 +140,10 @@ def true_elevation_in_map_frame(
 
 
 def precision_at_recall(p: NDArray[np.float32], safe: NDArray[np.bool_], recall: float) -> float:
-    """Return the precision at the threshold of p (n,) that gives this recall.
+    """Return the precision of a classifier at the threshold with a given recall.
 
-    NaN if no threshold above 0 reaches it.
+    `p` (n,) are predicted safety probabilities, `safe` (n,) the truth. The result is NaN if no
+    threshold above 0 reaches the recall.
     """
     level = float(np.quantile(p[safe], 1.0 - recall))
     called = (p >= level) & (p > 0.0)

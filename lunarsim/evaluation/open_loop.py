@@ -13,7 +13,7 @@ Array = NDArray[np.float64]
 
 
 def flown(path: RigidPath, step: float = 0.01) -> tuple[Array, Array]:
-    """Simulate the commands of a rigid-body path open loop.
+    """Simulate the planned commands of a rigid-body path open loop, without feedback.
 
     Parameters
     ----------

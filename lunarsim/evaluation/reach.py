@@ -18,7 +18,10 @@ _APPROACH_PHASE = 0.0
 
 
 def divert_cost_from(flight: Flight, here: Estimate, sites: Array) -> DivertCost:
-    """Return the guidance law's divert cost to sites (n, 3) in the local frame."""
+    """Return the guidance law's divert cost from a state of a flight to sites (n, 3).
+
+    `here` is the navigation estimate of the state; sites are in the local frame, m.
+    """
     scenario = Scenario.from_toml(flight.scenario)
     approach, lander = scenario.approach.make(), scenario.vehicle.make()
     cost: DivertCost = scenario.guidance.make().cost(
@@ -28,9 +31,10 @@ def divert_cost_from(flight: Flight, here: Estimate, sites: Array) -> DivertCost
 
 
 def estimate_at_row(flight: Flight, row: int) -> Estimate:
-    """Return the navigation estimate in a row of the trajectory.
+    """Return the navigation estimate in a row of a flight's trajectory table.
 
-    The attitude and rate are the true ones, and the covariance is NaN: they are not recorded.
+    Estimates of attitude, angular rate and covariance are not recorded: the true attitude and rate
+    are used, and the covariance is NaN.
     """
     t = flight.trajectory
     position, velocity = (
@@ -45,9 +49,10 @@ def estimate_at_row(flight: Flight, row: int) -> Estimate:
 
 
 def decision_rows(flight: Flight) -> tuple[int, int] | None:
-    """Return the first and last row in which a policy could decide; None without any.
+    """Return the first and last trajectory row in which a policy could decide.
 
-    Decisions need a map, the approach phase, and a height within the scenario's limits.
+    The result is None if there is no such row. Decisions need a map, the approach phase, and a
+    height within the scenario's limits.
     """
     if flight.first_map is None:
         return None
@@ -62,10 +67,12 @@ def decision_rows(flight: Flight) -> tuple[int, int] | None:
 
 
 def reach_at_row(flight: Flight, row: int, grid: Grid) -> ReachabilityMap:
-    """Return, on a local grid, where the lander could land from a trajectory row.
+    """Return where the lander could land from a trajectory row, on a grid.
 
-    Heights are those of the last map, and the height of the site elsewhere. Sites that are not
-    visible through the lander's window count as within reach.
+    `grid` is in the local frame.
+
+    Terrain heights are from the last hazard map; elsewhere, the height of the landing site is used.
+    Sites that are not visible through the lander's window count as within reach.
     """
     here, site = estimate_at_row(flight, row), flight.sites[row]
     height = elevation_on_grid(grid, flight.hazard_map, float(site[2]))

@@ -12,7 +12,9 @@ EDGES = np.array([0.0, 0.02, 0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 
 
 
 def reliability(probability: ArrayLike, happened: ArrayLike, edges: ArrayLike = EDGES) -> Array:
-    """Return count, sum of probabilities and number of events per bin (bins, 3).
+    """Return the reliability table of predicted probabilities by bin (bins, 3).
+
+    The columns are count, sum of probabilities and number of events.
 
     Tables with the same edges can be added.
 
@@ -35,21 +37,29 @@ def reliability(probability: ArrayLike, happened: ArrayLike, edges: ArrayLike = 
 
 
 def bin_frequencies(table: Array) -> tuple[Array, Array]:
-    """Return mean probability and observed share per bin (bins,); NaN for empty bins."""
+    """Return mean probability and observed frequency per bin (bins,); NaN if empty.
+
+    `table` (bins, 3) is from `reliability`.
+    """
     with np.errstate(invalid="ignore", divide="ignore"):
         return table[:, 1] / table[:, 0], table[:, 2] / table[:, 0]
 
 
 def brier_score(probability: ArrayLike, happened: ArrayLike) -> float:
-    """Return the Brier score: mean squared difference from the outcome (0 or 1)."""
+    """Return the Brier score: mean squared difference of probability and outcome.
+
+    The outcome is 0 or 1.
+    """
     p = np.asarray(probability, dtype=np.float64)
     return float(np.mean((p - np.asarray(happened, dtype=np.float64)) ** 2))
 
 
 def brier_skill(probability: ArrayLike, happened: ArrayLike) -> float:
-    """Return the Brier skill score relative to the base rate.
+    """Return the Brier skill score of probabilities relative to the base rate.
 
-    It is NaN if all outcomes are equal.
+    The base rate is the mean outcome; 1 is perfect, 0 is no better than the base rate.
+
+    The result is NaN if all outcomes are equal.
     """
     base = float(np.mean(np.asarray(happened, dtype=np.float64)))
     if base in (0.0, 1.0):
@@ -58,7 +68,10 @@ def brier_skill(probability: ArrayLike, happened: ArrayLike) -> float:
 
 
 def calibration_error(table: Array) -> float:
-    """Return the expected calibration error (ECE) of a table; NaN for an empty table."""
+    """Return the expected calibration error (ECE) of a reliability table (bins, 3).
+
+    It is NaN for an empty table.
+    """
     count = table[:, 0].sum()
     return float(np.abs(table[:, 1] - table[:, 2]).sum() / count) if count else float("nan")
 
@@ -71,10 +84,10 @@ def chance_calibration_error(
     draws: int = 400,
     edges: ArrayLike = EDGES,
 ) -> float:
-    """Return a quantile of the error that calibrated probabilities have by chance.
+    """Return a quantile of the ECE that calibrated probabilities have by chance.
 
-    The outcomes are drawn independently with the probabilities (n,), `draws` times. NaN without
-    probabilities.
+    ECE is the expected calibration error. Outcomes are sampled independently with the probabilities
+    (n,), `draws` times. The result is NaN without probabilities.
     """
     p = np.asarray(probability, dtype=np.float64).ravel()
     if not len(p):

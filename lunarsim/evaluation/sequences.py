@@ -15,11 +15,13 @@ _HALVINGS = 60
 
 
 def share_confidence_sequence(count: int, total: int, level: float = 0.95) -> tuple[float, float]:
-    """Return the confidence sequence after `total` trials with `count` successes.
+    """Return an interval of a proportion that is valid at every number of trials.
 
-    It contains the shares p that a test by betting with a Beta(1/2, 1/2) mixture (Jeffreys) does
-    not reject: the mixture likelihood is less than 1 / (1 - level) times the likelihood at p
-    (Ville's inequality; Robbins 1970, Ann. Math. Statist. 41, 1397).
+    It is the confidence sequence after `total` trials with `count` successes.
+
+    The interval contains the proportions p that a test by betting with a Beta(1/2, 1/2) mixture
+    (Jeffreys) does not reject: the mixture likelihood is less than 1 / (1 - level) times the
+    likelihood at p (Ville's inequality; Robbins 1970, Ann. Math. Statist. 41, 1397).
 
     Raises
     ------
@@ -51,7 +53,10 @@ def share_confidence_sequence(count: int, total: int, level: float = 0.95) -> tu
 
 
 def _find_boundary(is_kept: Callable[[float], bool], inside: float, outside: float) -> float:
-    """Return the boundary between kept and rejected shares by bisection."""
+    """Return the boundary between kept and rejected proportions by bisection.
+
+    `is_kept` tests a proportion; `inside` is kept and `outside` is not.
+    """
     for _ in range(_HALVINGS):
         middle = 0.5 * (inside + outside)
         if middle in (inside, outside):

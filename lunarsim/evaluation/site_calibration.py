@@ -40,20 +40,22 @@ _RESAMPLES = 2000
 
 @dataclass(frozen=True)
 class SiteSamples:
-    """Sites of maps (n,), by column.
+    """Random sites of hazard maps with features and true safety (n,), for calibration.
 
     Attributes
     ----------
     flight
-        Index of the flight.
+        Index of the flight of each site.
     log_odds, agreed
-        Minimum log odds of the ensemble of packaged regressions, and whether they agree.
+        Minimum log odds of safety over the ensemble of regressions supplied with lunarsim, and
+        whether these agree that the site is almost certainly safe or unsafe.
     ceiling, clear, bound, known
-        Upper limit of p from the observations; probability that no undetected rock lies under the
-        pads; bound outside the domain; whether few enough rocks can be undetected for the packaged
-        regressions.
+        Upper bound of p from observed slope and roughness; probability that no undetected rock lies
+        under the pads; upper bound outside the domain of the regressions; whether the site is
+        inside that domain.
     hazards, tilting, noise, spacing
-        Expected counts of hazards, and ratios of noise and spacing, as in `Domain`.
+        Expected numbers of undetected rocks above the roughness limit and of rocks that tilt the
+        lander; noise over roughness limit; sample spacing over leg radius; as in `Domain`.
     safe
         Whether the site is exactly safe.
     """
@@ -79,12 +81,12 @@ class SiteSamples:
     def of(
         cls, evidence: MapEvidence, where: BoolArray, safe: BoolArray, flight: int
     ) -> SiteSamples:
-        """Collect the sites of a map.
+        """Collect the calibration data of selected sites of one hazard map.
 
         Parameters
         ----------
         evidence
-            Evidence of the map.
+            Data of the hazard map.
         where, safe
             Mask of the observed sites to take, and whether they are safe (rows, cols).
         flight
@@ -102,8 +104,8 @@ class SiteSamples:
             clear,
             outside_domain_bound(e)[where],
             in_domain(e)[where],
-            e.hazards()[where],
-            e.tilting()[where],
+            e.expected_hazards()[where],
+            e.expected_tilt_violations()[where],
             np.full(n, e.noise_ratio),
             np.full(n, e.spacing_ratio),
             safe[where],
@@ -111,35 +113,41 @@ class SiteSamples:
 
     @classmethod
     def joined(cls, parts: list[SiteSamples]) -> SiteSamples:
-        """Concatenate sites of at least one part."""
+        """Concatenate the sites of several samples (at least one)."""
         return cls(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(cls)))
 
     def at(self, where: BoolArray) -> SiteSamples:
-        """Return the sites of a mask (n,)."""
+        """Return the sites that a mask (n,) selects."""
         return SiteSamples(*(getattr(self, f.name)[where] for f in fields(self)))
 
     def domain(self) -> Domain:
-        """Return the domain that the sites cover.
+        """Return the range of site features that these sites cover.
 
-        Sites outside the packaged domain are included if there are enough of them for a fit.
+        Sites outside the domain of the regressions supplied with lunarsim are included if there are
+        enough of them for a fit.
         """
         s = self if has_enough_sites(self.safe[~self.known]) else self.at(self.known)
         return Domain.of(s.hazards, s.tilting, s.noise, s.spacing)
 
     def inside(self, domain: Domain) -> BoolArray:
-        """Return which sites lie in a domain (n,)."""
-        few = domain.few(self.hazards, self.tilting)
-        return np.asarray(few & domain.measured(self.noise, self.spacing))
+        """Return which sites lie in a domain of a calibration (n,)."""
+        few = domain.is_within_counts(self.hazards, self.tilting)
+        return np.asarray(few & domain.is_within_measurements(self.noise, self.spacing))
 
     def probability(self, refit: ScenarioCalibration | None = None) -> Array:
-        """Return p_safe of the sites (n,), with the packaged calibration or a refit."""
+        """Return p_safe of the sites (n,) by the calibration supplied with lunarsim.
+
+        With `refit`, a calibration fitted to a scenario, this calibration is used.
+        """
         covered = self.known if refit is None else self.inside(refit.domain)
         return site_probability(
             self.log_odds, self.ceiling, self.clear, self.bound, self.known, covered, refit
         )
 
     def fitted(self, lander: Lander) -> ScenarioCalibration:
-        """Fit the last calibration stage to the sites in their domain.
+        """Return a calibration whose last stage is fitted to these sites.
+
+        Only sites in the domain that `domain` returns are used.
 
         Raises
         ------
@@ -162,12 +170,12 @@ def sample_sites(
     flight: int,
     rng: np.random.Generator,
 ) -> SiteSamples:
-    """Sample sites of a map at random, where observed and with known truth.
+    """Sample sites of a hazard map at random, where observed and with known truth.
 
     Parameters
     ----------
     evidence, truth
-        Evidence of the map, and exact safety of the world.
+        Data of the hazard map, and exact landing safety of the terrain.
     error
         Map coordinates minus true coordinates (3,), m.
     count
@@ -177,30 +185,32 @@ def sample_sites(
     """
     grid = evidence.level.grid
     xy = grid.centres() - np.asarray(error)[:2]
-    sites = np.flatnonzero(evidence.observed & truth.known_at(xy))
+    sites = np.flatnonzero(evidence.observed & truth.is_known_at(xy))
     where = np.zeros(grid.shape, np.bool_)
     where.ravel()[rng.choice(sites, min(count, len(sites)), replace=False)] = True
-    return SiteSamples.of(evidence, where, truth.safe_at(xy), flight)
+    return SiteSamples.of(evidence, where, truth.is_safe_at(xy), flight)
 
 
 @dataclass(frozen=True)
 class ProbabilityQuality:
-    """Quality of probabilities; arrays hold value and 95 % interval ends (3,).
+    """Accuracy of predicted safety probabilities on sites of maps.
+
+    Arrays hold a value and the ends of its 95 % interval (3,).
 
     Attributes
     ----------
     sites
         Number of sites in the domain.
     share
-        Share of all sites that lie in the domain.
+        Fraction of all sites that lie in the domain.
     safe
-        Observed share of safe sites.
+        Observed fraction of safe sites.
     ece, skill
         Expected calibration error, and Brier skill score relative to the base rate.
-    sure
+    confident_sites
         Number of sites with p > 0.95.
-    gap
-        Bias of the sites with p > 0.95: mean p minus observed share of safe sites.
+    bias
+        Bias of the sites with p > 0.95: mean p minus observed fraction of safe sites.
     """
 
     sites: int
@@ -208,27 +218,27 @@ class ProbabilityQuality:
     safe: Array
     ece: Array
     skill: Array
-    sure: int
-    gap: Array
+    confident_sites: int
+    bias: Array
 
     def plain(self) -> dict[str, float | None]:
-        """Return the values without intervals; None for values that are not finite."""
-        found = {"sites": float(self.sites), "sure": float(self.sure)}
-        found |= {n: float(getattr(self, n)[0]) for n in ("share", "safe", "ece", "skill", "gap")}
+        """Return the metrics by name without intervals; None for values not finite."""
+        found = {"sites": float(self.sites), "confident_sites": float(self.confident_sites)}
+        found |= {n: float(getattr(self, n)[0]) for n in ("share", "safe", "ece", "skill", "bias")}
         return {name: value if np.isfinite(value) else None for name, value in found.items()}
 
 
 @dataclass(frozen=True)
 class CalibrationComparison:
-    """Comparison of the packaged and refitted probability on the same sites.
+    """Accuracy of p_safe before and after a refit, on the same sites.
 
     Attributes
     ----------
     packaged, refit
-        Quality of each.
+        Accuracy of the calibration supplied with lunarsim, and of the refitted calibration.
     gain
-        Brier score of the packaged probability minus that of the refit, and the ends of its 95 %
-        interval (3,).
+        Brier score of the supplied calibration minus the Brier score of the refit, and the ends of
+        its 95 % interval (3,).
     """
 
     packaged: ProbabilityQuality
@@ -237,18 +247,19 @@ class CalibrationComparison:
 
     @property
     def better(self) -> bool:
-        """Whether the refit is significantly better."""
+        """Whether the Brier score of the refit is better, significant at 95 %."""
         return bool(self.gain[1] > 0.0)
 
 
 @dataclass(frozen=True)
 class CrossValidation:
-    """Cross-validated quality of a refit: fits exclude the flight under test.
+    """Cross-validated accuracy of a refit: fits exclude the flight under test.
 
     Attributes
     ----------
     packaged_domain, refit_domain
-        Comparison on the sites where the packaged regressions apply, and in the refit's domain.
+        Comparison on the sites where the regressions supplied with lunarsim apply, and on the sites
+        in the domain of the refit.
     """
 
     packaged_domain: CalibrationComparison
@@ -258,7 +269,7 @@ class CrossValidation:
 def cross_validate(
     sites: SiteSamples, flights: int, lander: Lander, rng: np.random.Generator
 ) -> CrossValidation:
-    """Cross-validate a refit: evaluate each flight by a fit to all others.
+    """Cross-validate a refitted calibration: test each flight by a fit to all others.
 
     Parameters
     ----------
@@ -267,7 +278,7 @@ def cross_validate(
     flights
         Number of flights, including those without a site.
     lander
-        Lander that the safety refers to.
+        Lander for which the sites were classified as safe or unsafe.
     rng
         Random generator that resamples flights for the intervals.
 
@@ -293,7 +304,10 @@ def cross_validate(
 
 
 def check_site_counts(sites: SiteSamples) -> None:
-    """Raise `InputError` if too few sites are inside or outside the domain."""
+    """Raise `InputError` if too few safe or unsafe sites are available for a fit.
+
+    There must be enough of both either inside or outside the domain of the regressions.
+    """
     safe, known = sites.safe, sites.known
     if not (has_enough_sites(safe[known]) or has_enough_sites(safe[~known])):
         raise InputError(
@@ -308,7 +322,10 @@ def check_site_counts(sites: SiteSamples) -> None:
 def _compare_probabilities(
     sites: SiteSamples, before: Array, after: Array, where: BoolArray, weights: Array
 ) -> CalibrationComparison:
-    """Compare two probabilities (n,) on the sites of a mask (n,)."""
+    """Compare the accuracy of two probabilities (n,) on the sites of a mask (n,).
+
+    `weights` (samples, flights) counts resampled flights; its first row is ones.
+    """
     flights = weights.shape[1]
     score = [(p - sites.safe) ** 2 for p in (before, after)]
     gain = _per_flight(sites.flight[where], (score[0] - score[1])[where], flights)
@@ -324,7 +341,7 @@ def _compare_probabilities(
 def _compute_quality(
     sites: SiteSamples, p: Array, where: BoolArray, weights: Array
 ) -> ProbabilityQuality:
-    """Compute the quality of probabilities (n,) on the sites of a mask (n,).
+    """Compute the accuracy of probabilities `p` (n,) on the sites of a mask (n,).
 
     The first row of `weights` (samples, flights) is ones; the others count resampled flights.
     """
@@ -357,19 +374,21 @@ def _compute_quality(
 
 
 def _per_flight(flight: NDArray[np.int64], values: Array | BoolArray | None, flights: int) -> Array:
-    """Return the sums of values (n,), or the counts, of each flight (flights,)."""
+    """Return the sum of values (n,), or their count, of each flight (flights,)."""
     return np.bincount(flight, weights=values, minlength=flights).astype(np.float64)
 
 
 def _interval(samples: Array) -> Array:
-    """Return the first sample, and the ends of the 95 % interval of the others (3,)."""
+    """Return the first sample and the 95 % interval of the other samples (3,)."""
     rest = samples[1:][np.isfinite(samples[1:])]
     ends = np.quantile(rest, [0.025, 0.975]) if rest.size else np.full(2, np.nan)
     return np.array([samples[0], *ends])
 
 
 def _unbiased(samples: Array) -> Array:
-    """Return the interval of a non-negative statistic that noise increases.
+    """Return value and interval of a statistic, corrected for the bias of resampling.
+
+    The statistic is non-negative and increases with noise.
 
     Resampling adds noise; the interval is shifted back by the mean increase.
     """
@@ -380,7 +399,10 @@ def _unbiased(samples: Array) -> Array:
 
 
 def with_quality(refit: ScenarioCalibration, left_out: CrossValidation) -> ScenarioCalibration:
-    """Return a calibration that contains its cross-validated quality."""
+    """Return a calibration that also stores its cross-validated accuracy.
+
+    `left_out` is the result of `cross_validate`.
+    """
     groups = {
         "packaged_domain": left_out.packaged_domain,
         "refit_domain": left_out.refit_domain,

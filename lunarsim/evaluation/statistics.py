@@ -15,7 +15,7 @@ from lunarsim.evaluation.map_quality import MapQuality
 
 @dataclass(frozen=True)
 class Proportion:
-    """A share with its 95 % Wilson interval.
+    """A proportion of successes with its 95 % Wilson interval.
 
     Attributes
     ----------
@@ -33,26 +33,26 @@ class Proportion:
 
     @property
     def value(self) -> float:
-        """Share of successes; NaN without trials."""
+        """Fraction of successes; NaN without trials."""
         return self.count / self.total if self.total else float("nan")
 
     @property
     def interval(self) -> tuple[float, float]:
-        """Wilson score interval at 95 %."""
+        """Ends of the 95 % Wilson score interval of the proportion."""
         if self.total == 0:
             return (0.0, 1.0)
         ci = binomtest(self.count, self.total).proportion_ci(0.95, method="wilson")
         return float(ci.low), float(ci.high)
 
     def __str__(self) -> str:
-        """Return ``value [low, high]``."""
+        """Return the proportion and its interval as text: ``value [low, high]``."""
         low, high = self.interval
         return f"{self.value:.3f} [{low:.3f}, {high:.3f}]"
 
 
 @dataclass(frozen=True)
 class MeanInterval:
-    """A mean with its 95 % interval.
+    """A mean with its 95 % confidence interval.
 
     Attributes
     ----------
@@ -66,12 +66,12 @@ class MeanInterval:
     half: float
 
     def text(self, digits: int = 4) -> str:
-        """Return ``mean ± half``."""
+        """Return ``mean ± half`` as text with a number of decimal digits."""
         return f"{self.mean:.{digits}f} ± {self.half:.{digits}f}"
 
 
 def mean_interval(values: ArrayLike) -> MeanInterval:
-    """Return the mean of values (n,) with its 95 % interval (Student's t).
+    """Return the mean of values (n,) with its 95 % confidence interval (Student's t).
 
     NaN values are ignored.
 
@@ -90,7 +90,9 @@ def mean_interval(values: ArrayLike) -> MeanInterval:
 
 
 def summarise_policies(rows: list[dict[str, Any]]) -> dict[str, dict[str, Any]]:
-    """Summarise each policy, in the order in which the policies appear.
+    """Return summary statistics of each policy's flights, by policy and statistic.
+
+    `rows` are result rows of flights, as from `flight_metrics.evaluate`; policies keep their order.
 
     Precision and recall pool the cells of all flights. ``safe_in_reach`` counts only flights in
     which an exactly safe site of the mapped terrain was within reach.
@@ -100,7 +102,8 @@ def summarise_policies(rows: list[dict[str, Any]]) -> dict[str, dict[str, Any]]:
         own = [row for row in rows if row["policy"] == policy]
         reach = [row for row in own if row["safe_site_in_reach"]]
         hits, false_safe, missed = (
-            sum(row[name] for row in own) for name in ("map_hits", "map_false_safe", "map_missed")
+            sum(row[name] for row in own)
+            for name in ("map_true_safe", "map_false_safe", "map_false_unsafe")
         )
         quality = MapQuality(hits, false_safe, missed, rejected=0)
 
@@ -125,6 +128,6 @@ def summarise_policies(rows: list[dict[str, Any]]) -> dict[str, dict[str, Any]]:
 
 
 def _finite_max(values: np.ndarray) -> float:
-    """Return the maximum finite value, or NaN."""
+    """Return the maximum of the finite values, or NaN if there are none."""
     finite = values[np.isfinite(values)]
     return float(finite.max()) if finite.size else float("nan")

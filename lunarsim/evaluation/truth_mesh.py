@@ -12,7 +12,7 @@ Array = NDArray[np.float64]
 
 
 class TruthMesh:
-    """Triangular mesh between the means of squares of the true elevation (section 5).
+    """Coarse triangular mesh of the true terrain, to which hazards are deviations.
 
     Parameters
     ----------
@@ -21,7 +21,8 @@ class TruthMesh:
     grid
         Grid of the elevation.
     spacing
-        Side of the squares, m: 2 lambda_z in the paper. It is rounded to a multiple of the posting.
+        Side of the squares, m: 2 lambda_z in the paper. It is rounded to a multiple of the grid
+        spacing.
     """
 
     def __init__(self, elevation: ArrayLike, grid: Grid, spacing: float) -> None:
@@ -40,7 +41,9 @@ class TruthMesh:
         self.y0 = grid.y0 + 0.5 * (n - 1) * grid.posting
 
     def plane(self, xy: ArrayLike) -> tuple[Array, Array]:
-        """Return unit normals (..., 3) and heights (...,) of the mesh at (..., 2).
+        """Return unit normals (..., 3) and heights (...), m, of the mesh at points.
+
+        `xy` (..., 2) are the points, east and north, m.
 
         Points outside the outermost nodes give NaN. The diagonal between four nodes runs from
         south-west to north-east.
@@ -64,7 +67,10 @@ class TruthMesh:
         return np.where(inside[..., None], normal, np.nan), height
 
     def distance(self, elevation: ArrayLike, grid: Grid) -> Array:
-        """Return the signed orthogonal distance of each cell to the mesh (rows, cols), m."""
+        """Return the signed orthogonal distance of terrain to the mesh (rows, cols), m.
+
+        `elevation` (rows, cols) is the terrain on `grid`.
+        """
         normal, height = self.plane(grid.centres())
         return np.asarray((np.asarray(elevation, dtype=np.float64) - height) * normal[..., 2])
 

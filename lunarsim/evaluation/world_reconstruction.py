@@ -12,6 +12,6 @@ from lunarsim.world import World
 
 
 def rebuild_world(flight: Flight) -> World:
-    """Rebuild the true world of a flight."""
+    """Generate the true world of a recorded flight again, from scenario and seed."""
     seed = np.random.SeedSequence(flight.seed["entropy"], spawn_key=tuple(flight.seed["spawn_key"]))
-    return build_world(Scenario.world_of(flight.scenario), RandomStreams(seed))
+    return build_world(Scenario.world_from_toml(flight.scenario), RandomStreams(seed))

@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class InitialStateEstimate:
-    """Estimate of the state at the start of the descent, with its uncertainty.
+    """Initial estimate of the lander's state, with its uncertainty.
 
     Attributes
     ----------
@@ -44,26 +44,26 @@ class InitialStateEstimate:
 
 @dataclass(frozen=True)
 class FlightSoftware:
-    """Parts of the onboard software that the scenario selects and configures.
+    """Onboard software of a flight: its selected and configured components.
 
     Attributes
     ----------
     navigation, guidance, control
-            One part each.
-        tasking
-            Tasking parts by the name of the sensor that they point.
-        mappers
-            Mapping parts by name.
-        approach
-            Ends of the approach phases and constraints on its paths.
-        decisions
-            Decision times, the mapper whose map the policy uses, and its candidate sites.
-        descent
-            Terminal descent law; None: vertical descent at constant speed.
-        braking
-            Braking phase before the approach; None: no such phase.
-        window
-            Look angles within which a site can be designated; None: no limit.
+        Settings of state estimation, of the approach guidance law and of attitude control.
+    tasking
+        Settings of the pointing and timing of each sensor, by the name of the sensor.
+    mappers
+        Settings of the hazard mappers, by name.
+    approach
+        Ends of the approach phases and constraints on the paths of the approach.
+    decisions
+        Decision times, the mapper whose map the site selection uses, and the candidate sites.
+    terminal_descent
+        Guidance law of the terminal descent; None: vertical descent at constant speed.
+    braking
+        Settings of the braking phase before the approach; None: no such phase.
+    designation_window
+        Look angles within which a site can be designated; None: no limit.
     """
 
     navigation: Any
@@ -73,19 +73,19 @@ class FlightSoftware:
     mappers: Mapping[str, Any]
     approach: Any
     decisions: Any
-    descent: Any = None
+    terminal_descent: Any = None
     braking: Any = None
-    window: Any = None
+    designation_window: Any = None
 
 
 @dataclass(frozen=True)
 class Briefing:
-    """Configuration of an onboard computer.
+    """Data that the onboard computer knows before the descent.
 
     Attributes
     ----------
     software
-        Parts of the onboard software.
+        Selected components of the onboard software, with their settings.
     lander
         Parameters of the vehicle.
     instruments
@@ -95,7 +95,7 @@ class Briefing:
     target
         Landing target, site frame (3,), m.
     heading
-        Azimuth of body x to be held, rad.
+        Azimuth at which the lander holds its body x axis, rad, clockwise from north.
     start
         Estimate of the initial state.
     time_to_go
@@ -125,11 +125,11 @@ class Briefing:
     cycle: float
 
     @property
-    def field(self) -> GravityModel | None:
-        """Gravity model if gravity varies with position; else None."""
+    def nonuniform_gravity(self) -> GravityModel | None:
+        """Gravity model if gravity varies with position; None for uniform gravity."""
         return None if isinstance(self.gravity, UniformGravity) else self.gravity
 
     @property
-    def weight(self) -> float:
+    def surface_gravity(self) -> float:
         """Gravitational acceleration at the target, downward, m/s^2."""
         return float(-self.gravity.at(self.target)[2])

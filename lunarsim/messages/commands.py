@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True)
 class SensorTask:
-    """Request for one measurement by a pointed sensor.
+    """Request for one measurement by a sensor on a gimbal.
 
     Attributes
     ----------
@@ -26,12 +26,12 @@ class SensorTask:
 
 @dataclass(frozen=True)
 class Command:
-    """Command for one control cycle.
+    """Commands of the onboard computer for one control cycle.
 
     Attributes
     ----------
     thrust
-        N; 0 shuts the engine down, other values are clipped to the throttle range.
+        Thrust, N; 0 shuts the engine down, other values are clipped to the throttle range.
     attitude
         Commanded attitude, quaternion, body to ENU (4,).
     tasks

@@ -21,7 +21,7 @@ _ASSUMED_SLOPE = 0.1
 
 @dataclass(frozen=True)
 class AltimeterReading:
-    """Range measured by an altimeter.
+    """Slant range measured by an altimeter, with its standard deviation.
 
     Attributes
     ----------
@@ -82,7 +82,7 @@ class AttitudeReading:
 
 @dataclass(frozen=True)
 class LidarScan:
-    """One flash of a LiDAR.
+    """Ranges of all pixels measured in one flash of a LiDAR.
 
     Attributes
     ----------
@@ -108,7 +108,7 @@ class LidarScan:
     shape: tuple[int, int]
 
     def check_arrays(self) -> None:
-        """Reject arrays with inconsistent shapes or with values that are not real.
+        """Raise InputError unless all arrays have consistent shapes and real numbers.
 
         Raises
         ------
@@ -136,7 +136,7 @@ class LidarScan:
             )
 
     def check(self, position: Array, attitude: Array) -> None:
-        """Reject an invalid scan or an invalid pose.
+        """Raise InputError if the scan or the lander's pose at the flash is invalid.
 
         Parameters
         ----------
@@ -191,10 +191,10 @@ class LidarScan:
         return np.asarray(ray_points(*(np.ascontiguousarray(of, np.float64) for of in parts)))
 
     def height_sigma(self, attitude: Array) -> Array:
-        """Return the standard deviation of the points' heights (rows * cols,), m.
+        """Return the standard deviation (rows * cols,), m, of the measured heights.
 
         A range error shifts a point along its ray; on sloping terrain, a horizontal shift also
-        causes a height error. A moderate slope is assumed.
+        causes a height error. A slope of 0.1 is assumed.
 
         Parameters
         ----------
@@ -207,9 +207,9 @@ class LidarScan:
         return np.asarray(self.sigma * np.hypot(down, _ASSUMED_SLOPE * across))
 
     def spacing(self, attitude: Array) -> Array:
-        """Return the spacing of neighbouring points on flat terrain (rows * cols,), m.
+        """Return the spacing (rows * cols,), m, of adjacent points on flat terrain.
 
-        It is the spacing along the line of sight, which is the largest; NaN without a return.
+        The spacing along the line of sight is returned, which is the largest; NaN without a return.
 
         Parameters
         ----------
@@ -251,7 +251,7 @@ class CameraImage:
 
 @dataclass(frozen=True)
 class InertialSamples:
-    """Consecutive increments of an inertial unit over one control cycle.
+    """Angle and velocity increments of an inertial unit over one control cycle.
 
     Attributes
     ----------
@@ -268,7 +268,7 @@ class InertialSamples:
 
 @dataclass(frozen=True)
 class NavigationFix:
-    """State measured by a navigation system that is modelled by its error budget.
+    """Position, velocity and attitude measured by an external navigation system.
 
     Attributes
     ----------
@@ -279,7 +279,8 @@ class NavigationFix:
     attitude
         Quaternion, body to ENU (4,).
     covariance
-        Covariance of position, velocity and small rotation in ENU (9, 9), m, m/s, rad.
+        Covariance of the errors of position, velocity and small rotation in ENU (9, 9), m, m/s,
+        rad.
     """
 
     time: float

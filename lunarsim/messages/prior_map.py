@@ -15,16 +15,18 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class PriorMap:
-    """Elevations of posts; each is the mean over the square of its post.
+    """Elevation map known before the flight, with the statistics of its errors.
+
+    The elevation at a grid point is the mean over the square cell around the point.
 
     Attributes
     ----------
     grid
-        Positions of the posts in the planet's frame.
+        Grid of the map in the site frame.
     elevation
-        m (rows, cols); NaN where the map has no data.
+        Elevations (rows, cols), m; NaN where the map has no data.
     sigma
-        Standard deviation of a post's error, m.
+        Standard deviation of the elevation error at a grid point, m.
     correlation
         Correlation length of the errors, m: at this distance their correlation is exp(-1/2);
         0: independent errors.
@@ -53,11 +55,11 @@ class PriorMap:
             )
 
     @property
-    def together(self) -> float:
-        """Equivalent number of posts that share one error.
+    def equivalent_correlated_posts(self) -> float:
+        """Equivalent number of grid points that share one error.
 
-        It is the sum of the correlations of one post with all others; the correlation is a Gaussian
-        of distance over `correlation`.
+        This number is the sum of the error correlations of one grid point with all grid points;
+        the correlation is a Gaussian of distance over `correlation`.
         """
         reach = self.correlation / self.grid.posting
         if reach == 0.0:

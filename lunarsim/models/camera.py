@@ -29,17 +29,17 @@ class CameraModel:
     Attributes
     ----------
     width, height
-        Pixels.
+        Size of the image, pixels.
     fx, fy
         Focal lengths, pixels.
     cx, cy
-            Principal point, pixels, from the centre of the first pixel; None: centre of the image.
+        Principal point, pixels, from the centre of the first pixel; None: centre of the image.
     distortion
-            Brown-Conrady coefficients k1, k2, p1, p2, k3 in the order of OpenCV.
+        Brown-Conrady coefficients k1, k2, p1, p2, k3 in the order of OpenCV.
     offset
-            Position in the body frame (3,), m.
+        Position in the body frame (3,), m.
     mount
-            Rotation (3, 3), sensor to body; omitted: straight down, image up along body x.
+        Rotation (3, 3), sensor to body; omitted: straight down, image up along body x.
     """
 
     width: int = 640
@@ -79,7 +79,7 @@ class CameraModel:
         self._check_distortion()
 
     def _check_distortion(self) -> None:
-        """Reject distortion that folds the image or cannot be inverted."""
+        """Raise InputError if the lens distortion cannot be inverted over the image."""
         if not any(self.distortion):
             return
         u, v = np.meshgrid(
@@ -108,19 +108,25 @@ class CameraModel:
         return Pinhole(self.fx, self.fy, self.cx, self.cy)
 
     def view(self, pose: Pose) -> View:
-        """Return the undistorted pinhole view from a true or estimated pose."""
+        """Return the undistorted pinhole view of the camera at a lander pose."""
         rotation = quat_to_matrix(pose.attitude)
         position = pose.position + rotation @ np.asarray(self.offset)
         return View(position, rotation @ self.mount, *self.pinhole, self.width, self.height)
 
     @property
     def tangents(self) -> tuple[Array, Array]:
-        """Undistorted line-of-sight tangents, right and down (height, width)."""
+        """Tangents of each pixel's line of sight, right and down, (height, width) each.
+
+        Lens distortion is removed.
+        """
         return _tangents(self.width, self.height, self.pinhole, tuple(self.distortion))
 
 
 def _undistort(pixels: Array, pinhole: Pinhole, distortion: tuple[float, ...]) -> Array:
-    """Return the undistorted line-of-sight tangents of pixels (n, 2)."""
+    """Return the line-of-sight tangents (n, 2) of distorted pixels (n, 2).
+
+    `distortion` are the Brown-Conrady coefficients k1, k2, p1, p2, k3.
+    """
     criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-9)
     ideal = cv2.undistortPoints(
         pixels[:, None], pinhole.matrix, np.array(distortion), criteria=criteria

@@ -18,7 +18,7 @@ _REST_BORESIGHT = np.array([0.0, 0.0, -1.0])
 
 
 def gimbal_mount(attitude: ArrayLike, boresight: ArrayLike, limit: float = np.pi) -> Array:
-    """Return the mount (3, 3), sensor to body, that points a sensor within its limit.
+    """Return the gimbal rotation that points a sensor in a direction.
 
     Parameters
     ----------
@@ -29,6 +29,11 @@ def gimbal_mount(attitude: ArrayLike, boresight: ArrayLike, limit: float = np.pi
     limit
         Maximum angle of the boresight from body -z, rad. Beyond it the sensor stops at the limit,
         on the side of the desired direction.
+
+    Returns
+    -------
+    Array
+        Rotation (3, 3), sensor to body.
     """
     rotation = quat_to_matrix(attitude)
     desired = rotation.T @ normalised(boresight)
@@ -42,7 +47,11 @@ def gimbal_mount(attitude: ArrayLike, boresight: ArrayLike, limit: float = np.pi
 
 
 def limit_mount(mount: Array, limit: float) -> Array:
-    """Rotate a mount (3, 3) back to the gimbal limit (rad) if it exceeds it."""
+    """Limit the boresight angle of a gimbal rotation; return the limited rotation.
+
+    `mount` (3, 3) is the rotation, sensor to body; `limit` is the maximum angle of the boresight
+    from body -z, rad.
+    """
     boresight = mount[:, 2]
     if boresight @ _REST_BORESIGHT >= np.cos(limit) - 1e-9:
         return mount

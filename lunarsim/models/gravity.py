@@ -15,26 +15,29 @@ Array = NDArray[np.float64]
 
 
 class GravityModel(Protocol):
-    """Acceleration as a function of position."""
+    """Interface of gravity models: acceleration as a function of position."""
 
     def at(self, position: ArrayLike) -> Array:
         """Return the acceleration (3,), ENU, m/s^2, at a position (3,), m."""
         ...
 
-    def felt(self, position: ArrayLike, velocity: ArrayLike) -> Array:
-        """Return the acceleration of a body without thrust (..., 3), ENU, m/s^2.
+    def free_fall_acceleration(self, position: ArrayLike, velocity: ArrayLike) -> Array:
+        """Return the acceleration (..., 3), ENU, m/s^2, of a body without thrust.
 
-        It includes gravity and the inertial accelerations of a rotating frame.
+        The acceleration includes gravity and the inertial accelerations of a rotating frame.
 
         Parameters
         ----------
         position, velocity
-            In the frame of the site (..., 3), m and m/s.
+            Position and velocity (..., 3), ENU, m and m/s.
         """
         ...
 
     def height(self, position: ArrayLike) -> Array:
-        """Return heights (...,), m, of positions (..., 3) above the datum of the origin."""
+        """Return heights (...,), m, of positions (..., 3), ENU, above the datum.
+
+        The datum is the sphere through the origin, or the plane z = 0 for uniform gravity.
+        """
         ...
 
 
@@ -60,21 +63,23 @@ class UniformGravity:
             raise InputError("gravity_m_s2", self.magnitude, "must be positive and finite")
 
     def at(self, position: ArrayLike) -> Array:
-        """Return the acceleration (3,), ENU, m/s^2."""
+        """Return the constant acceleration (3,), ENU, m/s^2; `position` has no effect."""
         return np.array([0.0, 0.0, -self.magnitude])
 
-    def felt(self, position: ArrayLike, velocity: ArrayLike) -> Array:
-        """Return the gravitational acceleration (..., 3), ENU, m/s^2."""
+    def free_fall_acceleration(self, position: ArrayLike, velocity: ArrayLike) -> Array:
+        """Return the constant acceleration (..., 3), ENU, m/s^2, for each position."""
         return np.zeros(np.shape(position)) + self.at(position)
 
     def height(self, position: ArrayLike) -> Array:
-        """Return the third coordinate (...,), m."""
+        """Return the third coordinate (...,), m, of positions (..., 3)."""
         return np.asarray(np.asarray(position, dtype=np.float64)[..., 2])
 
 
 @dataclass(frozen=True)
 class RoundMoon:
-    """Rotating sphere with central gravity, tangent to the site's horizontal plane.
+    """Settings of a spherical, rotating Moon with central gravity.
+
+    The sphere touches the horizontal plane of the site at the origin of the frame.
 
     Attributes
     ----------
@@ -131,34 +136,42 @@ class CentralGravity:
     radius: float
     spin: Array
 
-    def from_centre(self, position: ArrayLike) -> Array:
-        """Return positions relative to the Moon's centre (..., 3), m."""
+    def position_from_centre(self, position: ArrayLike) -> Array:
+        """Return positions (..., 3), ENU, m, relative to the Moon's centre."""
         centre = np.array([0.0, 0.0, -self.radius])
         return np.asarray(np.asarray(position, dtype=np.float64) - centre)
 
     def at(self, position: ArrayLike) -> Array:
-        """Return the gravitational acceleration (..., 3), ENU, m/s^2."""
-        r = self.from_centre(position)
+        """Return the gravitational acceleration (..., 3), ENU, m/s^2, at positions."""
+        r = self.position_from_centre(position)
         distance = np.linalg.norm(r, axis=-1, keepdims=True)
         return np.asarray(-self.magnitude * self.radius**2 * r / distance**3)
 
-    def felt(self, position: ArrayLike, velocity: ArrayLike) -> Array:
-        """Return gravity plus Coriolis and centrifugal acceleration (..., 3), m/s^2."""
-        about = np.cross(self.spin, self.from_centre(position))
+    def free_fall_acceleration(self, position: ArrayLike, velocity: ArrayLike) -> Array:
+        """Return gravity plus Coriolis and centrifugal acceleration (..., 3), ENU, m/s^2.
+
+        `position` and `velocity` (..., 3) are in the rotating frame, m and m/s.
+        """
+        about = np.cross(self.spin, self.position_from_centre(position))
         v = np.asarray(velocity, dtype=np.float64)
         turning = 2.0 * np.cross(self.spin, v) + np.cross(self.spin, about)
         return np.asarray(self.at(position) - turning)
 
     def height(self, position: ArrayLike) -> Array:
-        """Return the height above the sphere (...,), m."""
-        return np.asarray(np.linalg.norm(self.from_centre(position), axis=-1) - self.radius)
+        """Return heights (...,), m, of positions (..., 3) above the sphere."""
+        return np.asarray(
+            np.linalg.norm(self.position_from_centre(position), axis=-1) - self.radius
+        )
 
     def up(self, position: ArrayLike) -> Array:
-        """Return the local vertical as unit vectors (..., 3)."""
-        r = self.from_centre(position)
+        """Return the local vertical at positions (..., 3) as unit vectors (..., 3), ENU."""
+        r = self.position_from_centre(position)
         return np.asarray(r / np.linalg.norm(r, axis=-1, keepdims=True))
 
     def inertial_velocity(self, position: ArrayLike, velocity: ArrayLike) -> Array:
-        """Return velocities in a non-rotating frame with the same axes (..., 3), m/s."""
-        about = np.cross(self.spin, self.from_centre(position))
+        """Convert velocities (..., 3), m/s, of the rotating frame to inertial velocities.
+
+        The result is in a non-rotating frame with the same axes.
+        """
+        about = np.cross(self.spin, self.position_from_centre(position))
         return np.asarray(np.asarray(velocity, dtype=np.float64) + about)

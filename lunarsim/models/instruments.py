@@ -10,7 +10,7 @@ from lunarsim.models.inertial_unit import TriadErrors
 
 @dataclass(frozen=True)
 class PointedInstrument:
-    """Sensor on a gimbal.
+    """Calibration of a sensor on a gimbal.
 
     Attributes
     ----------
@@ -23,38 +23,38 @@ class PointedInstrument:
 
 @dataclass(frozen=True)
 class CameraInstrument(PointedInstrument):
-    """Camera on a gimbal; each image carries its complete geometry.
+    """Calibration of a camera on a gimbal; each image carries its complete geometry.
 
     Attributes
     ----------
     blur_sigma
-        Point spread function, 1 sigma, pixels.
+        Standard deviation of the point spread function, pixels.
     pixel
         Angle of a pixel at the image centre, rad.
-    half_field
+    tan_half_fov
         Tangent of half the field of view along the narrower side.
     """
 
     blur_sigma: float = 0.6
     pixel: float = 1.0 / 554.3
-    half_field: float = 0.433
+    tan_half_fov: float = 0.433
 
 
 @dataclass(frozen=True)
 class LidarInstrument(PointedInstrument):
-    """LiDAR on a gimbal, with its constant errors over a flight, 1 sigma each.
+    """Calibration of a LiDAR on a gimbal: sizes of constant errors, geometry.
 
     Attributes
     ----------
     range_bias
-        Bias of all ranges, m.
+        Standard deviation of the bias of all ranges, m.
     boresight
-        Misalignment between sensor and gimbal encoders, per axis, rad.
+        Standard deviation of the misalignment between sensor and gimbal encoders, per axis, rad.
     latency
-        Error of the time stamp of a flash, s.
+        Standard deviation of the error of a flash's time stamp, s.
     pixel
         Angle of a pixel at the image centre, rad.
-    half_field
+    tan_half_fov
         Tangent of half the field of view along the narrower side.
     max_range
         Maximum range with a return, m.
@@ -66,14 +66,14 @@ class LidarInstrument(PointedInstrument):
     boresight: float = 0.0
     latency: float = 0.0
     pixel: float = 0.1 / 128.0
-    half_field: float = 0.1
+    tan_half_fov: float = 0.1
     max_range: float = 2000.0
     max_incidence: float = 0.5 * math.pi
 
 
 @dataclass(frozen=True)
 class InertialInstrument:
-    """Inertial measurement unit.
+    """Calibration of an inertial measurement unit: statistics of its errors.
 
     Attributes
     ----------
@@ -87,7 +87,7 @@ class InertialInstrument:
 
 @dataclass(frozen=True)
 class AltimeterInstrument:
-    """Ranging beam fixed to the body.
+    """Calibration of an altimeter: direction of its beam.
 
     Attributes
     ----------
@@ -100,7 +100,7 @@ class AltimeterInstrument:
 
 @dataclass(frozen=True)
 class VelocimeterInstrument:
-    """Doppler beams fixed to the body.
+    """Calibration of a Doppler velocimeter: directions and biases of its beams.
 
     Attributes
     ----------
@@ -108,23 +108,23 @@ class VelocimeterInstrument:
         Unit vectors (n, 3), body axes.
     speed_bias
         Standard deviation of each beam's speed bias at the start, m/s.
-    speed_wander
-        Standard deviation of the change of that bias after one second, m/s.
+    speed_bias_walk
+        Standard deviation of the change of the speed bias in one second, m/s.
     """
 
     directions: tuple[tuple[float, float, float], ...]
     speed_bias: float = 0.0
-    speed_wander: float = 0.0
+    speed_bias_walk: float = 0.0
 
 
 @dataclass(frozen=True)
 class StarTrackerInstrument:
-    """Star tracker.
+    """Calibration of a star tracker: statistics of its misalignment.
 
     Attributes
     ----------
     misalignment
-        Standard deviation of its constant misalignment, per axis, rad.
+        Standard deviation of the constant misalignment, per axis, rad.
     """
 
     misalignment: float

@@ -18,7 +18,9 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class DescentEngine:
-    """Geometry, gimbal and throttle of the engine; `Lander` has its range and lag.
+    """Geometry, gimbal and throttle of the descent engine.
+
+    The thrust range and the lag of the engine are fields of `Lander`.
 
     Attributes
     ----------
@@ -30,9 +32,9 @@ class DescentEngine:
         Quantization step of thrust, N; 0: continuous.
     dead_band
         Minimum change of the command that moves the throttle, N.
-    gap_from, gap_to
-        Forbidden throttle interval, N: the engine runs below `gap_from` or exactly at `gap_to`;
-        0 and 0: no gap.
+    gap_lower, gap_upper
+        Forbidden throttle interval, N: the engine runs at up to `gap_lower` or exactly at
+        `gap_upper`; 0 and 0: no gap.
     """
 
     pivot_depth: float = quantity(
@@ -40,24 +42,34 @@ class DescentEngine:
     )
     gimbal_limit: float = quantity(6.0, "deg", ge=0, lt=45, help="maximum gimbal angle per axis")
     gimbal_rate: float = quantity(2.0, "deg/s", ge=0, help="maximum gimbal rate")
-    throttle_step: float = quantity(0.0, "N", ge=0, help="quantization of thrust; 0: continuous")
-    dead_band: float = quantity(0.0, "N", ge=0, help="minimum thrust change that is executed")
-    gap_from: float = quantity(
-        0.0, "N", ge=0, help="start of the forbidden throttle gap; 0: no gap"
+    throttle_step: float = quantity(
+        0.0, "N", ge=0, help="quantization step of the thrust; 0: continuous"
     )
-    gap_to: float = quantity(0.0, "N", ge=0, help="fixed throttle point above the gap; 0: no gap")
+    dead_band: float = quantity(
+        0.0, "N", ge=0, help="minimum change of commanded thrust that moves the throttle"
+    )
+    gap_lower: float = quantity(
+        0.0, "N", ge=0, help="lower end of the forbidden thrust interval; 0: no such interval"
+    )
+    gap_upper: float = quantity(
+        0.0, "N", ge=0, help="only thrust above the forbidden interval; 0: no such interval"
+    )
 
     def __post_init__(self) -> None:
         check_bounds(self, "engine")
-        if (self.gap_from > 0.0 or self.gap_to > 0.0) and not 0.0 < self.gap_from < self.gap_to:
+        if (
+            self.gap_lower > 0.0 or self.gap_upper > 0.0
+        ) and not 0.0 < self.gap_lower < self.gap_upper:
             raise InputError(
-                "engine.gap_to", self.gap_to, f"must exceed gap_from, which is {self.gap_from} N"
+                "engine.gap_upper",
+                self.gap_upper,
+                f"must exceed gap_lower, which is {self.gap_lower} N",
             )
 
     @property
     def has_gap(self) -> bool:
         """Whether part of the throttle range is forbidden."""
-        return self.gap_to > 0.0
+        return self.gap_upper > 0.0
 
 
 @dataclass(frozen=True)
@@ -103,12 +115,12 @@ class JetLander(Lander):
         if self.thrusters.propellant >= self.dry_mass:
             raise InputError(
                 "vehicle.thrusters.propellant_kg", self.thrusters.propellant,
-                f"must be less than the dry mass of {self.dry_mass} kg, which includes it",
+                f"must be less than the dry mass of {self.dry_mass} kg, which includes this mass",
             )  # fmt: skip
         gap = self.engine
-        if gap.has_gap and not self.thrust_min < gap.gap_from < gap.gap_to <= self.thrust_max:
+        if gap.has_gap and not self.thrust_min < gap.gap_lower < gap.gap_upper <= self.thrust_max:
             raise InputError(
-                "vehicle.engine.gap_to_n", gap.gap_to,
+                "vehicle.engine.gap_upper_n", gap.gap_upper,
                 "must leave a gap within the throttle range of "
                 f"{self.thrust_min} to {self.thrust_max} N",
             )  # fmt: skip
@@ -118,7 +130,10 @@ class JetLander(Lander):
             self._check_slosh(float(fill))
 
     def _check_com(self, field: str, com: tuple[float, float, float]) -> None:
-        """Reject a centre of mass whose engine torque exceeds the control authority."""
+        """Raise InputError if gimbal and thrusters cannot balance a centre of mass.
+
+        `com` is the centre of mass, body axes, m; `field` is the name in the error message.
+        """
         engine = self.engine
         arm = engine.pivot_depth + com[2]
         if engine.gimbal_limit > 0.0 and arm < 0.0:
@@ -133,11 +148,14 @@ class JetLander(Lander):
                 raise InputError(
                     field, com,
                     f"must be within {limit:.3g} m of the engine's axis on that side",
-                    "Beyond it gimbal and thrusters cannot balance the engine at minimum thrust.",
+                    "Farther away, gimbal and thrusters cannot balance the minimum thrust.",
                 )  # fmt: skip
 
     def _check_slosh(self, fill: float) -> None:
-        """Reject tanks whose sloshing liquid has more inertia than the lander."""
+        """Raise InputError if the sloshing liquid has more inertia than the lander.
+
+        `fill` is the remaining fraction of the propellant.
+        """
         mass = self.dry_mass + fill * self.propellant_mass
         swinging, _, bobs = self.slosh.pendulums(fill, self.propellant_mass)
         com = self.com(mass)
@@ -162,12 +180,18 @@ class JetLander(Lander):
             )  # fmt: skip
 
     def com(self, mass: float) -> Array:
-        """Return the centre of mass (3,), body axes, m, for a total mass (kg)."""
+        """Return the centre of mass (3,), body axes, m, for a total mass (kg).
+
+        The centre moves linearly with the remaining propellant.
+        """
         full = (mass - self.dry_mass) / self.propellant_mass
         dry, wet = np.asarray(self.com_dry), np.asarray(self.com_full)
         return np.asarray(dry + full * (wet - dry))
 
 
 def centre_of_mass(lander: Lander, mass: float) -> Array:
-    """Return the centre of mass of any lander, from the body's origin (3,), m."""
+    """Return the centre of mass (3,), body axes, m, of a lander with a mass (kg).
+
+    The centre of mass of a lander without thrusters is the origin of the body axes.
+    """
     return lander.com(mass) if isinstance(lander, JetLander) else np.zeros(3)

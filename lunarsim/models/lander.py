@@ -29,14 +29,14 @@ class Lander:
     Attributes
     ----------
     dry_mass, propellant_mass
-        kg.
+        Mass without propellant, and propellant in full tanks, kg.
     inertia_dry, inertia_full
         Principal moments about the centre of mass (3,), kg m^2, with tanks empty and full; if
         omitted, they are computed from the masses.
     thrust_min, thrust_max
         Throttle range of the running engine, N.
     specific_impulse
-        s.
+        Specific impulse of the engine, s.
     thrust_lag
         Time constant of the engine's first-order response, s.
     torque_max
@@ -76,9 +76,11 @@ class Lander:
     thrust_min: float = quantity(600.0, "N", ge=0, help="minimum thrust of the running engine")
     thrust_max: float = quantity(6000.0, "N", gt=0, help="maximum thrust of the engine")
     specific_impulse: float = quantity(311.0, "s", gt=0, help="specific impulse of the engine")
-    thrust_lag: float = quantity(0.1, "s", ge=0, help="time constant of the engine")
+    thrust_lag: float = quantity(
+        0.1, "s", ge=0, help="time constant of the engine's first-order lag"
+    )
     torque_max: tuple[float, float, float] = quantity(
-        (600.0, 600.0, 300.0), "N m", gt=0, help="maximum torque about each body axis"
+        (600.0, 600.0, 300.0), "N m", gt=0, help="maximum control torque about each body axis"
     )
     legs: Literal[3, 4] = quantity(4, help="number of legs")
     leg_radius: float = quantity(2.35, "m", gt=0, help="radius of the circle of pad centres")
@@ -90,13 +92,15 @@ class Lander:
     slope_limit: float = quantity(10.0, "deg", gt=0, lt=45, help="maximum safe terrain slope")
     roughness_limit: float = quantity(0.25, "m", gt=0, help="maximum safe terrain roughness")
     vertical_speed_limit: float = quantity(
-        3.0, "m/s", gt=0, help="maximum vertical speed at touchdown"
+        3.0, "m/s", gt=0, help="maximum vertical speed at a safe touchdown"
     )
     horizontal_speed_limit: float = quantity(
-        1.0, "m/s", gt=0, help="maximum horizontal speed at touchdown"
+        1.0, "m/s", gt=0, help="maximum horizontal speed at a safe touchdown"
     )
-    tilt_limit: float = quantity(6.0, "deg", gt=0, lt=90, help="maximum tilt at touchdown")
-    rate_limit: float = quantity(6.0, "deg/s", gt=0, help="maximum angular rate at touchdown")
+    tilt_limit: float = quantity(6.0, "deg", gt=0, lt=90, help="maximum tilt at a safe touchdown")
+    rate_limit: float = quantity(
+        6.0, "deg/s", gt=0, help="maximum angular rate at a safe touchdown"
+    )
 
     def __post_init__(self) -> None:
         check_bounds(self, "vehicle")
@@ -114,7 +118,7 @@ class Lander:
                 raise InputError(
                     f"vehicle.{name}",
                     getattr(self, name),
-                    "must be positive, and none may exceed the sum of the other two",
+                    "must be positive, and no moment may exceed the sum of the other two",
                 )
         if self.pad_diameter >= self.leg_radius:
             raise InputError(
@@ -123,7 +127,7 @@ class Lander:
             )  # fmt: skip
 
     def _set_default_inertia(self) -> None:
-        """Compute omitted moments of inertia from the masses."""
+        """Set omitted moments of inertia to values computed from the masses."""
         if self.inertia_dry is None:
             dry = tuple(round(self.dry_mass * k, 9) for k in _DRY_GYRATION)
             object.__setattr__(self, "inertia_dry", dry)
@@ -144,7 +148,10 @@ class Lander:
 
     @property
     def pads(self) -> NDArray[np.float64]:
-        """Pad centres, body axes (legs, 3), m; first 45 deg (3 legs: 0) from body x."""
+        """Centres of the landing pads (legs, 3), body axes, m.
+
+        The first pad is 45 deg from body x, or on body x if there are three legs.
+        """
         first = np.pi / 4 if self.legs == 4 else 0.0
         angle = first + 2.0 * np.pi * np.arange(self.legs) / self.legs
         return np.column_stack(
@@ -156,18 +163,18 @@ class Lander:
         )
 
     def inertia(self, mass: float) -> NDArray[np.float64]:
-        """Return the principal moments (3,), kg m^2, for a total mass (kg)."""
+        """Return the principal moments of inertia (3,), kg m^2, for a total mass (kg)."""
         full = (mass - self.dry_mass) / self.propellant_mass
         dry, wet = np.asarray(self.inertia_dry), np.asarray(self.inertia_full)
         return np.asarray(dry + full * (wet - dry))
 
     def check_hover(self, gravity: float) -> None:
-        """Check that the engine can hover and descend in `gravity` (m/s^2).
+        """Raise InputError unless the engine can hover and descend in `gravity` (m/s^2).
 
         Raises
         ------
         InputError
-            If the thrust range does not allow it.
+            If the maximum thrust is below the full weight, or the minimum above the dry weight.
         """
         weight = self.wet_mass * gravity
         if self.thrust_max <= weight:

@@ -31,7 +31,7 @@ class Pinhole(NamedTuple):
         return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
 
     def project(self, points: Array) -> Array:
-        """Return the pixels (n, 2) of points (n, 3) in sensor coordinates.
+        """Project points (n, 3) in sensor coordinates, m, to pixels (n, 2).
 
         The result is meaningless for z < 0 and not finite for z = 0.
 
@@ -46,10 +46,10 @@ class Pinhole(NamedTuple):
         return np.column_stack((x / z * self.fx + self.cx, y / z * self.fy + self.cy))
 
     def jacobian(self, points: Array, axes: Array = _IDENTITY) -> Array:
-        """Return the derivatives (n, 2, k) of the pixels of points (n, 3).
+        """Differentiate the pixels of points (n, 3) with respect to k variables.
 
         `axes` (3, k) holds the derivatives of a point's sensor coordinates with respect to k
-        variables; if omitted, the variables are the sensor coordinates.
+        variables; if omitted, the variables are the sensor coordinates. Returns (n, 2, k).
         """
         x, y, z = points.T
         a, b, c = axes[:, :, None]
@@ -59,7 +59,10 @@ class Pinhole(NamedTuple):
         return out
 
     def tangents(self, width: int, height: int) -> tuple[Array, Array]:
-        """Return the line-of-sight tangents of pixels, right and down (height, width)."""
+        """Return the tangents of each pixel's line of sight, right and down.
+
+        `width` and `height` are the size of the image; both results are (height, width).
+        """
         u = (np.arange(width) - self.cx) / self.fx
         v = (np.arange(height) - self.cy) / self.fy
         right, down = np.meshgrid(u, v)
@@ -73,13 +76,13 @@ class View:
     Attributes
     ----------
     position
-        ENU (3,), m.
+        Position of the camera, ENU (3,), m.
     axes
-            Rotation (3, 3), sensor to ENU.
+        Rotation (3, 3), sensor to ENU.
     fx, fy, cx, cy
         Focal lengths and principal point, pixels; the centre of the first pixel is (0, 0).
     width, height
-        Pixels.
+        Size of the image, pixels.
     """
 
     position: Array
@@ -92,7 +95,7 @@ class View:
     height: int
 
     @property
-    def into(self) -> Array:
+    def enu_to_sensor(self) -> Array:
         """Rotation (3, 3) from ENU to the sensor frame."""
         return self.axes.T
 
@@ -102,7 +105,7 @@ class View:
         return Pinhole(self.fx, self.fy, self.cx, self.cy)
 
     @property
-    def border(self) -> tuple[float, float, float, float]:
+    def border_tangents(self) -> tuple[float, float, float, float]:
         """Line-of-sight tangents at the left, right, upper and lower image border."""
         return (
             (-0.5 - self.cx) / self.fx,
@@ -112,7 +115,7 @@ class View:
         )
 
     def rays(self) -> Array:
-        """Return the unit vectors of all pixels (height, width, 3), ENU."""
+        """Return the line of sight of every pixel as unit vectors (height, width, 3), ENU."""
         uu, vv = self.pinhole.tangents(self.width, self.height)
         rays = np.stack((uu, vv, np.ones_like(uu)), axis=-1) @ self.axes.T
         return np.asarray(rays / np.linalg.norm(rays, axis=-1, keepdims=True))

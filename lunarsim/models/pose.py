@@ -1,4 +1,4 @@
-"""Pose of a lander, as sensor models need it."""
+"""Interface of poses (position and attitude of a lander) for sensor models."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ Array = NDArray[np.float64]
 
 
 class Pose(Protocol):
-    """Position and attitude, of the true state or of an estimate."""
+    """Interface of objects with a position and an attitude, true or estimated."""
 
     @property
     def position(self) -> Array:
-        """ENU (3,), m."""
+        """Position, ENU (3,), m."""
         ...
 
     @property
     def attitude(self) -> Array:
-        """Quaternion, body to ENU (4,)."""
+        """Attitude as a unit quaternion, scalar last, body to ENU (4,)."""
         ...

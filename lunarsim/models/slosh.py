@@ -4,7 +4,7 @@ Small waves of the first lateral mode in an upright cylinder with a flat floor a
 plus a mass at rest (Abramson, NASA SP-106, 1966, chapter 6; Dodge, The New Dynamic Behavior of
 Liquids in Moving Containers, 2000, chapter 3). With e = 1.8412, the first zero of J1', a tank of
 radius R filled to height h has a pendulum with
-        fraction of liquid    2 R tanh(e h / R) / (e (e^2 - 1) h)
+    fraction of liquid    2 R tanh(e h / R) / (e (e^2 - 1) h)
     length                R / (e tanh(e h / R))
     bob above the floor   h - 2 R tanh(e h / 2 R) / e
 """
@@ -29,13 +29,13 @@ MIN_FILL = 1e-3
 
 @dataclass(frozen=True)
 class Slosh:
-    """Upright cylindrical tanks with sloshing propellant.
+    """Settings of upright cylindrical tanks with sloshing propellant.
 
     Attributes
     ----------
     tanks
         Centre of each tank's floor (n, 3), body axes, m; empty: no slosh.
-    shares
+    propellant_fractions
         Fraction of the propellant in each tank (n,); omitted: equal fractions.
     radius
         Radius of each tank, m.
@@ -48,12 +48,12 @@ class Slosh:
     Raises
     ------
     InputError
-        If shares and tanks differ in number, or the shares do not add up to 1.
+        If fractions and tanks differ in number, or the fractions do not add up to 1.
     """
 
     tanks: Points = quantity((), "m", help="centre of each tank's floor; omitted: no slosh")
-    shares: tuple[float, ...] = quantity(
-        (), ge=0, le=1, help="fraction of the propellant in each tank; omitted: equal"
+    propellant_fractions: tuple[float, ...] = quantity(
+        (), ge=0, le=1, help="fraction of the propellant in each tank; omitted: equal fractions"
     )
     radius: float = quantity(0.3, "m", gt=0, help="radius of each tank")
     height: float = quantity(0.3, "m", gt=0, help="height of the liquid in full tanks")
@@ -64,29 +64,33 @@ class Slosh:
         for place in self.tanks:
             if np.shape(place) != (3,) or not np.all(np.isfinite(place)):
                 raise InputError("slosh.tanks", place, "must be three finite numbers per tank")
-        if self.shares and len(self.shares) != len(self.tanks):
+        if self.propellant_fractions and len(self.propellant_fractions) != len(self.tanks):
             raise InputError(
                 "slosh.shares",
-                len(self.shares),
+                len(self.propellant_fractions),
                 f"must have {len(self.tanks)} values, one per tank",
             )
-        if self.shares and abs(sum(self.shares) - 1.0) > 1e-6:
-            raise InputError("slosh.shares", self.shares, "must add up to 1")
+        if self.propellant_fractions and abs(sum(self.propellant_fractions) - 1.0) > 1e-6:
+            raise InputError("slosh.shares", self.propellant_fractions, "must add up to 1")
 
     def table(self, propellant: float) -> Array:
-        """Return the tanks as an array for kernels (n, 7).
+        """Return the tanks as an array (n, 7) for the compiled equations of motion.
 
         The columns are floor centre (3), m; radius, m; full liquid mass, kg; full liquid height, m;
-        damping ratio.
+        damping ratio. `propellant` is the propellant mass in full tanks, kg.
         """
         n = len(self.tanks)
-        shares = np.array(self.shares) if self.shares else np.full(n, 1.0 / max(n, 1))
+        shares = (
+            np.array(self.propellant_fractions)
+            if self.propellant_fractions
+            else np.full(n, 1.0 / max(n, 1))
+        )
         rest = np.tile([self.radius, 0.0, self.height, self.damping], (n, 1))
         rest[:, 1] = shares * propellant
         return np.ascontiguousarray(np.hstack((np.reshape(self.tanks, (n, 3)), rest)))
 
     def pendulums(self, fill: float, propellant: float) -> tuple[Array, Array, Array]:
-        """Return masses (n,), kg, lengths (n,), m, and bobs at rest (n, 3), body axes, m.
+        """Return the equivalent pendulum of each tank: mass, length, bob at rest.
 
         Parameters
         ----------
@@ -94,6 +98,12 @@ class Slosh:
             Remaining fraction of the propellant, positive.
         propellant
             Propellant mass in full tanks, kg.
+
+        Returns
+        -------
+        masses, lengths, bobs
+            Masses (n,), kg, lengths (n,), m, and positions of the bobs at rest (n, 3), body axes,
+            m.
         """
         rows = self.table(propellant)
         depth = fill * self.height / self.radius

@@ -17,7 +17,9 @@ Points = tuple[tuple[float, float, float], ...]
 
 @dataclass(frozen=True)
 class Thrusters:
-    """Identical on-off thrusters: four clusters of four, or a custom layout.
+    """Settings of identical on-off thrusters.
+
+    The layout is four clusters of four thrusters, or custom.
 
     The default has the thrust-to-mass ratio of the lunar module (16 x 445 N on 7 to 15 t), scaled
     to a lander of 1.5 t. As on that module, the clusters lie 45 deg off the body axes. In each, one
@@ -28,10 +30,10 @@ class Thrusters:
     force
         Force of each thruster, N.
     specific_impulse
-        s.
+        Specific impulse of the thrusters, s.
     propellant
         Propellant in separate tanks, kg; included in the vehicle's dry mass.
-    minimum_on
+    min_on_time
         Minimum on-time of a valve, s.
     cluster_radius, cluster_height
         Distance of the clusters from body z, and height above the body's origin, m.
@@ -42,7 +44,7 @@ class Thrusters:
     ------
     InputError
         If positions and directions differ in number, a direction is zero, or the layout cannot
-        turn the lander in both senses about every axis.
+        turn the lander in both directions about every axis.
     """
 
     force: float = quantity(60.0, "N", gt=0, help="force of each thruster")
@@ -50,7 +52,7 @@ class Thrusters:
     propellant: float = quantity(
         20.0, "kg", ge=0, help="thruster propellant, included in the dry mass"
     )
-    minimum_on: float = quantity(0.02, "s", gt=0, le=1, help="minimum on-time of a valve")
+    min_on_time: float = quantity(0.02, "s", gt=0, le=1, help="minimum on-time of a valve")
     cluster_radius: float = quantity(1.6, "m", gt=0, help="distance of the clusters from body z")
     cluster_height: float = quantity(
         0.0, "m", help="height of the clusters above the body's origin"
@@ -72,12 +74,12 @@ class Thrusters:
             raise InputError(
                 "thrusters.positions",
                 self.positions,
-                "must allow torques in both senses about every axis",
+                "must be thruster positions that allow torques in both directions about every axis",
             )
 
     @property
     def layout(self) -> tuple[Array, Array]:
-        """Positions (n, 3), m, and unit force vectors (n, 3), body axes."""
+        """Positions (n, 3), m, and unit force vectors (n, 3), of all thrusters, body axes."""
         if self.positions:
             d = np.asarray(self.directions, dtype=np.float64)
             unit = d / np.linalg.norm(d, axis=1, keepdims=True)
@@ -101,11 +103,11 @@ class Thrusters:
 
     @property
     def torques(self) -> Array:
-        """Torque of each open thruster about the body's origin (n, 3), N m."""
+        """Torque (n, 3), N m, of each open thruster about the body's origin."""
         return np.asarray(np.cross(self.layout[0], self.forces))
 
     @property
-    def flow(self) -> float:
+    def propellant_flow(self) -> float:
         """Propellant flow of one open thruster, kg/s."""
         return self.force / (self.specific_impulse * STANDARD_GRAVITY)
 
@@ -113,7 +115,7 @@ class Thrusters:
 def _spans_all_torques(torques: Array) -> bool:
     """Return whether non-negative combinations of torques (n, 3) give every torque.
 
-    They do if they span space and a strictly positive combination of them is zero.
+    This holds if the torques span space and a strictly positive combination of them is zero.
     """
     from scipy.optimize import linprog  # noqa: PLC0415  (loads slowly)
 

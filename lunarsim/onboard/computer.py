@@ -55,7 +55,7 @@ APPROACH, VERTICAL, ABORT, BRAKING = 0, 1, 2, 3
 
 
 class OnboardComputer:
-    """Run navigation, mapping, tasking, policy, guidance and control of one lander.
+    """Runs navigation, mapping, tasking, policy, guidance and control of one lander.
 
     Parameters
     ----------
@@ -72,15 +72,15 @@ class OnboardComputer:
         Events: time (s), name, details.
     site_evaluator
         Evaluates sites and prepares the observation of the policy.
-    tanks
+    mass_estimator
         Estimates the mass from the commanded thrust.
     diverts
         Decisions that changed the site: time (s), old site (3,) in m, decision.
-    mapped
+    updated_mappers
         Names of the mappers that received a measurement in this cycle.
     expected_miss
-        Miss distance at the site in the last observation, 1 sigma per axis, m; NaN before the
-        first.
+        Miss distance at the site in the last observation, 1 sigma per axis, m; NaN before the first
+        observation.
     """
 
     def __init__(self, briefing: Briefing, policy: RetargetingPolicy | None = None) -> None:
@@ -100,8 +100,8 @@ class OnboardComputer:
         with prefix_input_errors("guidance"):
             self.guidance = software.guidance.build(briefing, lag)
         if isinstance(self.guidance, UsesHazardMap):
-            self.guidance.belief = self._current_map
-        self.vertical = descent_law(software.descent, briefing, lag)
+            self.guidance.hazard_map_source = self._current_map
+        self.vertical = descent_law(software.terminal_descent, briefing, lag)
         self.braking = software.braking
         self._braking_law: Any = None
         if self.braking is not None:
@@ -113,14 +113,14 @@ class OnboardComputer:
         self.site: Array = briefing.target.copy()
         self.phase = APPROACH if software.braking is None else BRAKING
         self.time = 0.0
-        self.tanks = MassEstimator(self.lander, self.attitude_loop)
+        self.mass_estimator = MassEstimator(self.lander, self.attitude_loop)
         self.estimate: Estimate = self.navigation.estimate(0.0, self.mass)
         self._position_limiter = PositionCorrectionLimiter()
         self._limit_monitor = LimitViolationMonitor()
         self.telemetry: list[tuple[float, str, dict[str, Any]]] = []
         self.diverts: list[tuple[float, Array, Decision]] = []
         self.candidates: Candidates | None = None
-        self.mapped: set[str] = set()
+        self.updated_mappers: set[str] = set()
         self.expected_miss = float("nan")
         self._arrival = briefing.time_to_go
         self._thrust = 0.0
@@ -138,7 +138,7 @@ class OnboardComputer:
     @property
     def mass(self) -> float:
         """Estimated mass of the lander from the commanded thrust, kg."""
-        return self.tanks.mass
+        return self.mass_estimator.mass
 
     @property
     def altitude(self) -> float:
@@ -158,7 +158,7 @@ class OnboardComputer:
         return self._arrival - self.time
 
     @property
-    def decisions_map(self) -> str:
+    def decision_map_name(self) -> str:
         """Name of the mapper whose map is used for decisions; empty without a mapper."""
         return self.site_evaluator.decisions_map
 
@@ -172,31 +172,36 @@ class OnboardComputer:
         return None if self.mapper is None else self.mapper.hazard_map()
 
     @property
-    def diverts_barred(self) -> bool:
-        """Whether diverts are inhibited whatever the policy decides; see `DivertInhibit`."""
+    def diverts_inhibited(self) -> bool:
+        """Whether diverts are inhibited, whatever the policy decides.
+
+        Diverts are inhibited while navigation is lost, and permanently after a scan was mapped with
+        lost navigation.
+        """
         return self._divert_inhibit.inhibited
 
     @property
     def decision_due(self) -> bool:
-        """Whether the policy must be asked in this cycle."""
+        """Whether the policy must be asked for a decision in this cycle."""
         window = self.decisions
         return (
             self.phase == APPROACH
-            and not self.diverts_barred
+            and not self.diverts_inhibited
             and self.mapper is not None
             and window.last_altitude <= self.altitude <= window.first_altitude
             and self.time >= self._next_decision - 1e-9
         )
 
     def cost_of(self, sites: Array, estimate: Estimate | None = None) -> DivertCost:
-        """Return the cost of flying from an estimate to each site (n, 3), local frame, m.
+        """Return the propellant and time-to-go of flying from an estimate to each site.
 
+        Sites are (n, 3), local frame, m. The result also states which sites are within the limits.
         If no estimate is given, the current one is used.
         """
         return self.site_evaluator.cost_of(sites, estimate or self.estimate)
 
     def observe(self) -> Observation:
-        """Return the current observation of the policy."""
+        """Return the current observation of the policy, and store its candidate sites."""
         course = DescentStatus(self.time, self.mass, self.estimate, self.site, self.time_to_go)
         observation = self.site_evaluator.observe(course)
         self.candidates, self.expected_miss = observation.candidates, observation.expected_miss
@@ -206,21 +211,24 @@ class OnboardComputer:
 
     @one_blas_thread()
     def step(self, measurements: Measurements) -> Command:
-        """Run a complete control cycle."""
+        """Run a complete control cycle; return the command for the next cycle.
+
+        `measurements` are all measurements since the last cycle.
+        """
         self.update(measurements)
         self.decide()
         return self.command()
 
     def decide(self) -> None:
-        """Ask the policy, if there is one and a decision is due."""
+        """Apply the decision of the policy, if there is a policy and a decision is due."""
         if self.policy is not None and self.decision_due:
             self.apply(self.policy.decide(self.observe()))
 
     def update(self, measurements: Measurements) -> None:
         """Update navigation and the maps with the measurements since the last cycle.
 
-        A measurement that is older than the last one of its sensor, or that lies in the future, is
-        dropped and reported as the event "out-of-order".
+        A measurement that is older than the previous one of its sensor, or that lies in the future,
+        is dropped and reported as the event "out-of-order".
 
         Raises
         ------
@@ -231,45 +239,48 @@ class OnboardComputer:
         elapsed = measurements.time - self.time
         # The tanks have no gauges: the commanded thrust is taken as burnt.
         if isinstance(self.navigation, ThrustAware):
-            self.navigation.commanded(self._thrust, elapsed)
-        for name in self.tanks.update(self._thrust, elapsed):
+            self.navigation.record_thrust(self._thrust, elapsed)
+        for name in self.mass_estimator.update(self._thrust, elapsed):
             self._record(measurements.time, name, {"altitude": self.altitude})
         if isinstance(self.attitude_loop, JetLoop):
-            failed = self.attitude_loop.watch.failed
+            failed = self.attitude_loop.failure_detector.failed
             for number in failed[self._failed_thrusters :]:
                 self._record(measurements.time, "thruster-failed", {"thruster": number})
             self._failed_thrusters = len(failed)
         self.time = measurements.time
-        self.mapped = set()
+        self.updated_mappers = set()
         # Inertial samples come first: they propagate the state before other measurements correct
         # it.
         for sensor, measurement in sorted(
             measurements.items, key=lambda item: not isinstance(item[1], InertialSamples)
         ):
             self._process(sensor, measurement)
-        self.site_evaluator.record_update(self.mapped, self.time)
+        self.site_evaluator.record_update(self.updated_mappers, self.time)
         self._report_overdue_samples()
         self.estimate = self.navigation.estimate(self.time, self.mass)
         for mapper in self.mappers.values():
             mapper.refresh(self.time)
-        if self._divert_inhibit.update(self.estimate.lost, bool(self.mapped)):
-            name = "diverts-barred" if self.diverts_barred else "diverts-allowed"
+        if self._divert_inhibit.update(self.estimate.lost, bool(self.updated_mappers)):
+            name = "diverts-inhibited" if self.diverts_inhibited else "diverts-enabled"
             self._record(self.time, name, {"site": self.site.copy()})
         self._update_site_height()
         is_start = not self._has_decided and elapsed == 0.0 and self.phase == APPROACH
-        if is_start and self.approach.free:
+        if is_start and self.approach.has_free_time_to_go:
             # The plan was made for the planned start; replan from the actual position.
             self._replan_time_to_go()
 
     def _report_overdue_samples(self) -> None:
-        """Report inertial samples that are missing in this cycle to navigation."""
-        overdue = self._arrivals.overdue(self.time)
+        """Pass inertial samples missing in this cycle to navigation, marked by NaN."""
+        overdue = self._arrivals.overdue_samples(self.time)
         if overdue is not None:
             self.navigation.take(*overdue, self.time)
             self._follow_navigation()
 
     def _process(self, sensor: str, given: Any) -> None:
-        """Process one measurement: update navigation, then the mappers of its sensor."""
+        """Update navigation, then the mappers that use `sensor`, with one measurement.
+
+        `given` is the measurement as received; it may be dropped if it is out of order.
+        """
         measurement = self._arrivals.admit(sensor, given, self.time)
         if measurement is None:
             return
@@ -286,12 +297,16 @@ class OnboardComputer:
             return
         after = self.navigation.estimate(self.time, self.mass)
         for name in taking:
-            self.mappers[name].take(sensor, *self.navigation.corrected(sensor, measurement, after))
-            self.mapped.add(name)
-        self.mapped |= {n for n, m in self.mappers.items() if m.sources & self.mapped}
+            self.mappers[name].update_from_sensor(
+                sensor, *self.navigation.correct_measurement(sensor, measurement, after)
+            )
+            self.updated_mappers.add(name)
+        self.updated_mappers |= {
+            n for n, m in self.mappers.items() if m.source_mappers & self.updated_mappers
+        }
 
     def _follow_navigation(self) -> None:
-        """Record navigation events and move the target to its corrected position."""
+        """Record new navigation events and move the site to its corrected position."""
         shift = self.navigation.site_to_local
         target = shift.to_local(self.briefing.target)
         if not np.array_equal(target, self._corrected_target):
@@ -301,10 +316,10 @@ class OnboardComputer:
                 self.site = target
                 for mapper in self.mappers.values():
                     mapper.recentre(target)
-        self._tilt_correction.follow(self.time, self.mass)
+        self._tilt_correction.apply(self.time, self.mass)
         for event in self.navigation.events[self._recorded_navigation_events :]:
             self._record(event.time, event.name, dict(event.details))
-            free = self.phase == APPROACH and self.approach.free
+            free = self.phase == APPROACH and self.approach.has_free_time_to_go
             if event.name in {"lock", "relock"} and free:
                 # A position error of tens of metres invalidates the planned path.
                 self.estimate = self.navigation.estimate(self.time, self.mass)
@@ -314,19 +329,19 @@ class OnboardComputer:
     def _update_site_height(self) -> None:
         """Set the height of the site to the mapped terrain height there, once it is known."""
         mapper = self.mapper
-        if mapper is None or mapper.blank:
+        if mapper is None or mapper.is_empty:
             return
         height = mapper.terrain_height(self.site[:2])
         if height is None:
-            height = lookup_elevation(mapper.surface(), self.site[:2])
+            height = lookup_elevation(mapper.terrain_surface(), self.site[:2])
         if np.isfinite(height):
             self.site = np.array([self.site[0], self.site[1], height])
 
     def apply(self, decision: Decision) -> bool:
-        """Carry out a decision; return False if it asks for a new site and is refused.
+        """Carry out a decision; return False if its new site is refused.
 
         A new site is refused if it is out of reach or out of sight, or while diverts are inhibited.
-        `Decision.stretch` describes what happens with a time scale that cannot be flown.
+        `Decision.time_scale` describes what happens with a time scale that cannot be flown.
 
         Raises
         ------
@@ -341,16 +356,16 @@ class OnboardComputer:
             self._record(self.time, "abort", details)
             return True
         first, self._has_decided = not self._has_decided, True
-        stretch = self._requested_time_scale(decision)
+        time_scale = self._requested_time_scale(decision)
         if decision.site is None:
-            if stretch is not None or (first and self.approach.free):
-                self._replan_time_to_go(stretch)
+            if time_scale is not None or (first and self.approach.has_free_time_to_go):
+                self._replan_time_to_go(time_scale)
             return True
         site = np.asarray(decision.site, dtype=np.float64)
-        if self.diverts_barred:
+        if self.diverts_inhibited:
             self._record_refusal(site, "navigation is lost")
             return False
-        time_to_go, why = self.site_evaluator.time_to(site, self.estimate, stretch)
+        time_to_go, why = self.site_evaluator.time_to(site, self.estimate, time_scale)
         if not np.isfinite(time_to_go):
             self._record_refusal(site, "out of reach")
             return False
@@ -361,43 +376,52 @@ class OnboardComputer:
         self.site = site
         self._arrival = self.time + time_to_go
         if why:
-            self._record_refusal(site, why, stretch)
+            self._record_refusal(site, why, time_scale)
         return True
 
-    def _record_refusal(self, site: Array, reason: str, stretch: float | None = None) -> None:
-        """Record that a divert, or with `stretch` only its time scale, is refused."""
+    def _record_refusal(self, site: Array, reason: str, time_scale: float | None = None) -> None:
+        """Record the event that a divert to a site (3,) is refused, and the reason.
+
+        With `time_scale`, only the time scale is refused and the event is "time-scale-refused".
+        """
         details = {"site": site.copy(), "reason": reason}
-        if stretch is None:
+        if time_scale is None:
             self._record(self.time, "divert-refused", details)
         else:
-            self._record(self.time, "stretch-refused", details | {"stretch": float(stretch)})
+            self._record(
+                self.time, "time-scale-refused", details | {"time_scale": float(time_scale)}
+            )
 
     def _requested_time_scale(self, decision: Decision) -> float | None:
-        """Return the time scale that a decision asks for; None if it may not set one."""
-        if decision.stretch is None:
+        """Return the time scale that a decision asks for; None if it may not set one.
+
+        A time scale that is not allowed now is recorded as refused.
+        """
+        if decision.time_scale is None:
             return None
         why = reason_time_is_fixed(self.approach, self.guidance)
-        if self.diverts_barred:
+        if self.diverts_inhibited:
             why = "navigation is lost"
         elif self.phase != APPROACH:
             why = "not on the approach"
         if not why:
-            return decision.stretch
+            return decision.time_scale
         site = self.site if decision.site is None else np.asarray(decision.site, dtype=np.float64)
-        self._record_refusal(site, why, decision.stretch)
+        self._record_refusal(site, why, decision.time_scale)
         return None
 
-    def _replan_time_to_go(self, stretch: float | None = None) -> None:
-        """Choose the time-to-go to the present site again.
+    def _replan_time_to_go(self, time_scale: float | None = None) -> None:
+        """Choose the time-to-go to the current landing site again.
 
-        Diverts always do so. Without this, a lander that keeps its site would fly on the time-to-go
+        Without `time_scale`, this is the minimum-propellant time-to-go. Diverts always choose their
+        time-to-go. Without this method, a lander that keeps its site would fly on the time-to-go
         planned for the start, and diverts would appear to save propellant.
         """
-        time_to_go, why = self.site_evaluator.time_to(self.site, self.estimate, stretch)
+        time_to_go, why = self.site_evaluator.time_to(self.site, self.estimate, time_scale)
         if np.isfinite(time_to_go):
             self._arrival = self.time + time_to_go
         if why:
-            self._record_refusal(self.site, why, stretch)
+            self._record_refusal(self.site, why, time_scale)
 
     def _extend_time_to_go(self) -> None:
         """Extend the time-to-go if the path violates limits and a longer one does not.
@@ -410,13 +434,13 @@ class OnboardComputer:
         if self.time_to_go < time_to_go < np.inf:
             later = time_to_go - self.time_to_go
             self._arrival = self.time + time_to_go
-            self._record(self.time, "arrives-later", {"seconds": later})
+            self._record(self.time, "time-to-go-extended", {"seconds": later})
 
     def _end_braking(self) -> None:
-        """Update the time-to-go of braking; begin the approach when braking ends."""
+        """Update the time-to-go of braking; start the approach when braking ends."""
         left = self.braking.time_left(self.estimate, self.braking.end(self.site), self.time_to_go)
         self._arrival = self.time + left
-        if left > self.braking.ends_at:
+        if left > self.braking.end_time_to_go:
             return
         self.phase = APPROACH
         details = {"altitude": self.altitude}
@@ -429,29 +453,29 @@ class OnboardComputer:
         self._arrival = self.time + left
 
     def command(self) -> Command:
-        """Return the command to vehicle and sensors for the next cycle."""
+        """Return the command to vehicle and sensors for the next control cycle."""
         if self.phase == BRAKING:
             self._end_braking()
         if self.phase == APPROACH and self.approach.jerk is not None:
             gate = self.approach.end(self.site, self.lander)
             left = time_to_go_for_jerk(self.estimate, gate, self.approach.jerk, self.time_to_go)
             self._arrival = self.time + left
-        if self.phase == APPROACH and self.approach.over(self.altitude, self.time_to_go):
+        if self.phase == APPROACH and self.approach.is_finished(self.altitude, self.time_to_go):
             self.phase = VERTICAL
             self._record(self.time, "vertical-descent", {"altitude": self.altitude})
         request = self._braking_command() if self.phase == BRAKING else self._guidance_command()
         if self.throttle is not None:
-            request = replace(request, thrust=self.throttle.allowed(request.thrust))
+            request = replace(request, thrust=self.throttle.select_thrust(request.thrust))
         command = replace(request, tasks=self._tasks(), abort=self.phase == ABORT)
         self._thrust = command.thrust
-        self.attitude_loop.begin(command, self.estimate.attitude, self.mass)
+        self.attitude_loop.start_cycle(command, self.estimate.attitude, self.mass)
         return command
 
     def _braking_command(self) -> Command:
         """Return the vehicle command during braking."""
         end = self.braking.end(self.site)
         wanted = self._braking_law.command(self.estimate, end, self.time, self.time_to_go)
-        request: Command = self.braking.ask(
+        request: Command = self.braking.build_command(
             wanted, self.mass, self.lander, self.briefing.heading, self.time
         )
         return request
@@ -466,30 +490,35 @@ class OnboardComputer:
             wanted = checked_command("guidance", self.briefing.software.guidance, given, self.time)
             tilt = self.approach.max_tilt
             self._follow_guidance()
-            if self._limit_monitor.lasts(
+            if self._limit_monitor.exceeds_duration(
                 wanted, self.mass, (tilt, self.lander.thrust_max), self.time
             ):
                 self._extend_time_to_go()
         elif self.phase == VERTICAL:
             end = self.approach.touchdown_end(self.site, self.lander)
             given = self.vertical.command(here, end, self.time)
-            wanted = checked_command("descent", self.briefing.software.descent, given, self.time)
-            tilt = self.vertical.lean
+            wanted = checked_command(
+                "terminal_descent", self.briefing.software.terminal_descent, given, self.time
+            )
+            tilt = self.vertical.max_tilt
         else:
             wanted = climb(self.estimate, self.lander.thrust_max / self.mass)
             tilt = self.approach.max_tilt
         return thrust_to_command(wanted, self.mass, self.lander, self.briefing.heading, tilt)
 
     def _position_limited_estimate(self) -> Estimate:
-        """Return the estimate for guidance, with limited position steps near the end."""
-        if not self.navigation.steps or self.phase not in {APPROACH, VERTICAL}:
+        """Return the estimate for guidance, with limited position jumps before touchdown.
+
+        Jumps occur when a navigation update corrects the position.
+        """
+        if not self.navigation.has_position_steps or self.phase not in {APPROACH, VERTICAL}:
             return self.estimate
-        return self._position_limiter.of(
+        return self._position_limiter.limit(
             self.estimate, self.time_to_go if self.phase == APPROACH else 0.0
         )
 
     def _follow_guidance(self) -> None:
-        """Take over the planned arrival time and the events of the guidance law."""
+        """Adopt the arrival time planned by the guidance law and record its events."""
         if not isinstance(self.guidance, PlansArrival):
             return
         if self.guidance.arrival is not None:
@@ -498,13 +527,13 @@ class OnboardComputer:
         self._recorded_guidance_events = len(self.guidance.events)
 
     def _tasks(self) -> tuple[SensorTask, ...]:
-        """Return the tasks of the pointed sensors for the end of the cycle."""
-        soon = self.estimate.ahead(self.briefing.cycle)
+        """Return the measurement tasks of the steerable sensors for the end of the cycle."""
+        soon = self.estimate.extrapolate(self.briefing.cycle)
         situation = Situation(soon.time, self._height(soon), self.site, soon)
         tasks = (part.task(situation) for part in self.tasking)
         return tuple(task for task in tasks if task is not None)
 
     def stop_sensors(self) -> None:
-        """Stop the measurements of all pointed sensors."""
+        """Stop the measurements of all steerable sensors."""
         for part in self.tasking:
             part.stop()

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 
 class DivertInhibit:
-    """Inhibits diverts while navigation is lost, and for good if it mapped meanwhile.
+    """Inhibits diverts while navigation is lost or the map is corrupted.
 
-    With lost navigation a new site is no more certain than the last one, but the divert costs
-    propellant and time. A scan that was mapped while navigation was lost is placed wrongly in the
-    map, so the map stays unreliable.
+    With lost navigation, a new site is no more certain than the last one, but the divert costs
+    propellant and time. A scan that is mapped while navigation is lost is placed wrongly in the
+    map. Diverts are then inhibited until touchdown.
 
     Attributes
     ----------
@@ -21,7 +21,7 @@ class DivertInhibit:
         self._mapped_lost = False
 
     def update(self, lost: bool, mapped: bool) -> bool:
-        """Update the state for one cycle; return whether the inhibit changed.
+        """Update the inhibit for one control cycle; return whether it changed.
 
         Parameters
         ----------

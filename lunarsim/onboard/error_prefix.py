@@ -1,4 +1,4 @@
-"""Add the scenario table to errors of parts, which know only their own keys."""
+"""Add the scenario table to errors of components, which know only their own keys."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ _OTHER_TABLES = {"sun", "navigation", "vehicle", "sensors", "prior_map", "expect
 
 @contextmanager
 def prefix_input_errors(table: str) -> Iterator[None]:
-    """Prefix the field of an `InputError` raised inside with a scenario table.
+    """Prefix fields of `InputError`s raised in a `with` block by a scenario table.
 
-    Fields that name a key of another table (a sensor, the mission) are left unchanged.
+    Fields that name a key of another table (for example a sensor) are left unchanged.
     """
     try:
         yield
@@ -22,4 +22,4 @@ def prefix_input_errors(table: str) -> Iterator[None]:
         if error.field.partition(".")[0] in _OTHER_TABLES:
             raise
         key = error.field.rpartition(".")[2]
-        raise error.renamed(f"{table}.{key}") from None
+        raise error.with_field(f"{table}.{key}") from None

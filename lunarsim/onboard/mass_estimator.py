@@ -8,16 +8,17 @@ from lunarsim.onboard.control.loop import AttitudeLoop
 
 
 class MassEstimator:
-    """Estimates the mass from commands, because the tanks have no gauges.
+    """Estimates the lander's mass by integrating commanded propellant flow.
 
-    Thrusters burn propellant from their own tanks, which the dry mass includes as full.
+    The tanks have no gauges, so the mass is derived from the commands. Thrusters burn propellant
+    from their own tanks. The dry mass includes full thruster tanks.
 
     Parameters
     ----------
     lander
-        Lander of the briefing, with full tanks.
+        Lander known before the flight, with full tanks.
     loop
-        Attitude loop; with thrusters, it reports the propellant of the commanded pulses.
+        Attitude loop. With thrusters, it provides the propellant of the commanded pulses.
 
     Attributes
     ----------
@@ -33,23 +34,23 @@ class MassEstimator:
         self._is_empty = self._thrusters_empty = False
 
     def update(self, thrust: float, seconds: float) -> list[str]:
-        """Subtract the propellant of main engine and thrusters; return new events.
+        """Subtract the propellant burnt in an interval; return the names of new events.
 
-        The events are "thruster-tanks-empty" and "tanks-empty", each returned once. From then on,
-        commanded thrust is not available.
+        The events are "thruster-tanks-empty" and "tanks-empty", each returned once, when the tanks
+        run empty. From then on, commanded thrust is not available.
 
         Parameters
         ----------
         thrust
             Commanded thrust of the main engine, N.
         seconds
-            Duration, s.
+            Duration of the interval, s.
         """
         events = []
         propellant, min_mass = thrust * seconds / self.lander.exhaust_velocity, self.lander.dry_mass
         if self.loop is not None:
             thruster_propellant = self.loop.vehicle.thrusters.propellant
-            thruster_used = min(self.loop.spent, thruster_propellant)
+            thruster_used = min(self.loop.propellant_used, thruster_propellant)
             if thruster_used == thruster_propellant and not self._thrusters_empty:
                 self._thrusters_empty = True  # immediately for thrusters without propellant
                 events.append("thruster-tanks-empty")

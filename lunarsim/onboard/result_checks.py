@@ -1,4 +1,4 @@
-"""Check the return values of custom parts; errors name the part and its method."""
+"""Check return values of scenario components; errors name component and method."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ Array = NDArray[np.float64]
 def wrong_result_error(
     table: str, part: object, method: str, value: Any, wanted: str, time: float | None = None
 ) -> InputError:
-    """Return the error for a part whose method returned an invalid value.
+    """Return the error for a component whose method returned an invalid value.
 
     Parameters
     ----------
     table
-        Scenario table of the part.
+        Scenario table of the component, for example "guidance".
     part
-        Part that returned the value; None for an external caller.
+        Object whose method returned the value; None for an external caller.
     method
-        Method that returned the value.
+        Name of the method that returned the value.
     value
         Value returned.
     wanted
@@ -46,7 +46,17 @@ def wrong_result_error(
 def checked_vector(
     table: str, part: object, method: str, value: Any, unit: str, time: float | None = None
 ) -> Array:
-    """Return a vector (3,) computed by a part as an array, in `unit`; refuse others.
+    """Return the result of a component's method as an array (3,) after checking it.
+
+    Parameters
+    ----------
+    table, part, method, time
+        Scenario table, object and method that returned `value`, and time of the call (s), all for
+        the error message.
+    value
+        Value to check.
+    unit
+        Unit of the vector, for the error message.
 
     Raises
     ------
@@ -63,7 +73,10 @@ def checked_vector(
 
 
 def checked_command(table: str, part: object, value: Any, time: float) -> Array:
-    """Return the commanded thrust acceleration (3,) of a guidance law, m/s^2.
+    """Return a guidance law's thrust acceleration command (3,), m/s^2, after checking.
+
+    `table` and `part` are the scenario table and the guidance law, and `time` (s) is the time of
+    the call; the error message contains them.
 
     Raises
     ------

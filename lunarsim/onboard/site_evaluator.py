@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class DescentStatus:
-    """Current state of the descent.
+    """State of the descent at one time, from which landing sites are evaluated.
 
     Attributes
     ----------
@@ -34,7 +34,7 @@ class DescentStatus:
     estimate
         Current navigation estimate.
     site
-        Site that the lander flies to, local frame (3,), m.
+        Landing site that the lander flies to, local frame (3,), m.
     time_to_go
         Time until the planned end of the approach, s.
     """
@@ -47,16 +47,19 @@ class DescentStatus:
 
 
 class SiteEvaluator:
-    """Evaluates landing sites by the decision map and the paths of the guidance law.
+    """Evaluates the safety and the divert cost of landing sites.
+
+    Safety comes from the hazard map selected for decisions. The cost comes from the paths of the
+    guidance law.
 
     Parameters
     ----------
     briefing
-        Briefing of the flight.
+        Data known before the flight, including the software configuration.
     navigation
-        Reports whether the lander drifts relative to its map.
+        Navigation filter; it reports whether the lander drifts relative to its map.
     mappers
-        Mappers by name.
+        Hazard mappers by name.
     """
 
     def __init__(
@@ -66,16 +69,17 @@ class SiteEvaluator:
         self.briefing, self.lander = briefing, briefing.lander
         self.approach, self.decisions = software.approach, software.decisions
         self._navigation, self._mappers = navigation, mappers
-        descent = self.approach.vertical_altitude / self.approach.rate
+        descent = self.approach.vertical_altitude / self.approach.vertical_descent_speed
         self._dispersion = LandingDispersion(self.decisions.touchdown_sigma, descent)
 
     @property
     def decisions_map(self) -> str:
         """Name of the mapper whose map is used for decisions; empty without a mapper.
 
-        If the scenario names none, it is the first mapper that combines other maps, else the first.
+        If the scenario does not name a mapper, this is the first mapper that combines other maps.
+        If no mapper combines maps, it is the first mapper.
         """
-        combining = (name for name, mapper in self._mappers.items() if mapper.sources)
+        combining = (name for name, mapper in self._mappers.items() if mapper.source_mappers)
         return str(self.decisions.map or next(combining, next(iter(self._mappers), "")))
 
     @property
@@ -84,23 +88,24 @@ class SiteEvaluator:
         return self._mappers.get(self.decisions_map)
 
     def record_update(self, names: set[str], time: float) -> None:
-        """Record the mappers that received a measurement, and the time (s)."""
+        """Record which mappers (`names`) received a measurement at `time`, s."""
         if self.decisions_map in names:
             self._dispersion.mapped_at = time
 
     def cost_of(
         self, sites: Array, estimate: Estimate, times: Array | None = None
     ) -> DivertCost:  # fmt: skip
-        """Return the cost of flying from an estimate to each site (n, 3), local frame, m.
+        """Return the propellant and time-to-go of flying from an estimate to each site.
 
-        With `times` (n,), s, it is the cost of the path of that duration, otherwise of the
-        minimum-propellant path.
+        Sites are (n, 3), local frame, m. The result also states which sites are within the limits.
+        With `times` (n,), s, the cost is that of the path with this time-to-go, otherwise that of
+        the minimum-propellant path.
         """
         cost: DivertCost = self.briefing.software.guidance.cost(
             estimate,
             self.approach.end(sites, self.lander),
             self.lander,
-            self.briefing.weight,
+            self.briefing.surface_gravity,
             self.approach.limits,
             # Guidance laws need not accept times.
             *(() if times is None else (times,)),
@@ -108,32 +113,40 @@ class SiteEvaluator:
         return cost
 
     def time_to(
-        self, site: Array, estimate: Estimate, stretch: float | None = None
+        self, site: Array, estimate: Estimate, time_scale: float | None = None
     ) -> tuple[float, str]:
         """Return the time-to-go to a site (3,), s, and why a time scale was refused.
 
-        Without `stretch` it is the time-to-go of the minimum-propellant path within all limits, NaN
-        if there is none. With `stretch` it is that time multiplied by `stretch`, if this path also
-        keeps the limits. The reason is empty if nothing was refused.
+        Without `time_scale`, this is the time-to-go of the minimum-propellant path within all
+        limits, or NaN if no such path exists. With `time_scale`, that time is multiplied by
+        `time_scale` if the resulting path also keeps the limits; otherwise the time scale is
+        refused. The reason is an empty text if nothing was refused. The site is in the local frame,
+        m.
         """
         one = np.asarray(site, dtype=np.float64)[None]
         cheapest = self.cost_of(one, estimate).time_to_go
-        if stretch is None:
+        if time_scale is None:
             return float(cheapest[0]), ""
         if not np.isfinite(cheapest[0]):
             return float("nan"), "out of reach"
-        if not self.cost_of(one, estimate, stretch * cheapest).feasible[0]:
+        if not self.cost_of(one, estimate, time_scale * cheapest).feasible[0]:
             return float(cheapest[0]), "beyond the limits"
-        return stretch * float(cheapest[0]), ""
+        return time_scale * float(cheapest[0]), ""
 
     def is_visible(self, site: Array, estimate: Estimate) -> bool:
-        """Return whether a site (3,) is visible; always True without a window."""
-        window = self.briefing.software.window
+        """Return whether a site (3,), m, is visible through the crew window.
+
+        The site is in the local frame. Without a window, the result is always True.
+        """
+        window = self.briefing.software.designation_window
         return window is None or bool(window.sees(estimate, site))
 
     def _cost_of_visible(self, sites: Array, estimate: Estimate) -> DivertCost:
-        """Return the cost of sites (n, 3), infinite for those that are not visible."""
-        cost, window = self.cost_of(sites, estimate), self.briefing.software.window
+        """Return the divert cost of sites (n, 3), m; infinite for sites not visible.
+
+        Sites outside the crew window are not visible.
+        """
+        cost, window = self.cost_of(sites, estimate), self.briefing.software.designation_window
         if window is None:
             return cost
         seen = window.sees(estimate, sites)
@@ -144,7 +157,7 @@ class SiteEvaluator:
         )
 
     def observe(self, course: DescentStatus) -> Observation:
-        """Return the observation of a policy at a given state of the descent.
+        """Return the policy's observation for a state of the descent (`course`).
 
         Raises
         ------
@@ -161,7 +174,7 @@ class SiteEvaluator:
         aim = self._dispersion.spread(hazard_map, miss)
         scoreboard = mapper.scoreboard(site)
         cost_of_visible = partial(self._cost_of_visible, estimate=estimate)
-        reach = ReachabilityMap.under(hazard_map, site, cost_of_visible)
+        reach = ReachabilityMap.over_map(hazard_map, site, cost_of_visible)
         candidates = candidate_sites(
             hazard_map,
             aim,
@@ -169,7 +182,7 @@ class SiteEvaluator:
             cost_of_visible,
             count=self.decisions.candidates,
             separation=self.decisions.separation,
-            miss_of=partial(self._miss_of, course=course) if self._navigation.adrift else None,
+            miss_of=partial(self._miss_of, course=course) if self._navigation.is_drifting else None,
             mapper=self.decisions_map,
             scoreboard=scoreboard,
             reach=reach,
@@ -191,10 +204,10 @@ class SiteEvaluator:
             site_value=float(hazard_map.value_at(site[:2])),
             scoreboard=scoreboard,
             expected_miss=miss,
-            reach=reach,
+            reachability=reach,
         )
 
     def _miss_of(self, time_to_go: Array, course: DescentStatus) -> Array:
-        """Return the expected miss for times-to-go (n,), s: 1 sigma per axis (n,), m."""
+        """Return the expected landing miss for times-to-go (n,), s: 1 sigma per axis, m."""
         until = np.where(np.isfinite(time_to_go), time_to_go, course.time_to_go)
-        return self._dispersion.misses(course.estimate, self._navigation.adrift, until)
+        return self._dispersion.misses(course.estimate, self._navigation.is_drifting, until)

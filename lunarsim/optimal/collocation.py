@@ -32,20 +32,20 @@ _STATES = 7
 
 @dataclass(frozen=True)
 class Collocated:
-    """Path computed by collocation.
+    """Path of minimum propellant computed by direct collocation.
 
     Attributes
     ----------
     duration
         Final time, s.
     propellant
-        kg.
+        Propellant used, kg.
     position, velocity
-        At the nodes (N + 1, 3), m and m/s.
+        Position and velocity at the nodes (N + 1, 3), ENU, m and m/s.
     mass
-        At the nodes (N + 1,), kg.
+        Mass at the nodes (N + 1,), kg.
     thrust
-        In the intervals (N, 3), N.
+        Thrust in the intervals (N, 3), newtons.
     iterations
         Number of iterations of IPOPT.
     """
@@ -60,7 +60,7 @@ class Collocated:
 
 
 def _state(units: Units) -> Array:
-    """Return the scales of a state (7,)."""
+    """Return the scales of the seven state variables (position, velocity, mass)."""
     return np.array([units.length] * 3 + [units.speed] * 3 + [units.mass])
 
 
@@ -71,16 +71,16 @@ def collocate(
     duration: float | None = None,
     max_iterations: int = 400,
 ) -> Collocated:
-    """Compute the minimum-propellant path by direct collocation.
+    """Compute the minimum-propellant path of a descent by direct collocation.
 
     Parameters
     ----------
     descent
-        Problem without region, cone, end tilt and thrust slack.
+        Landing problem without region, cone, end tilt and thrust slack.
     intervals
-        N.
+        Number of intervals of constant thrust, N.
     duration
-        Final time, s; None: free.
+        Final time, s; None: optimised too.
     max_iterations
         Maximum number of iterations of IPOPT.
 
@@ -95,7 +95,12 @@ def collocate(
         count("intervals", intervals, 2),
         count("max_iterations", max_iterations, 0),
     )
-    for name, other in (("region", 0.0), ("thrust_slack", 0.0), ("cone", None), ("end_tilt", None)):
+    for name, other in (
+        ("region", 0.0),
+        ("thrust_slack", 0.0),
+        ("cone", None),
+        ("max_final_tilt", None),
+    ):
         if getattr(descent, name) != other:
             raise InputError(
                 f"optimal.{name}", getattr(descent, name), f"must be {other} for collocation"
@@ -103,7 +108,7 @@ def collocate(
     if duration is not None and not (is_number(duration) and duration > 0.0):
         raise InputError("optimal.duration", duration, "must be positive and finite")
     guess = duration or 0.9 * minimum_effort_time(descent)
-    units = Units(float(np.linalg.norm(descent.gap)) + 1.0, guess, descent.mass)
+    units = Units(float(np.linalg.norm(descent.displacement)) + 1.0, guess, descent.mass)
     variables, constraints, low, high = _program(descent, units, intervals, duration)
     problem: dict[str, Any] = {
         "x": variables,
@@ -127,9 +132,12 @@ def collocate(
 
 
 def _start(descent: Descent, units: Units, n: int) -> Array:
-    """Return an initial guess: straight from start to end with hover thrust."""
+    """Return an initial guess of the solver's variables, scaled.
+
+    The guess is straight from start to end with hover thrust; `n` is the number of intervals.
+    """
     share = np.linspace(0.0, 1.0, n + 1)[:, None]
-    position = (1.0 - share) * descent.gap
+    position = (1.0 - share) * descent.displacement
     velocity = (1.0 - share) * descent.velocity + share * descent.end_velocity
     mass = descent.mass - 0.5 * share * (descent.mass - descent.dry_mass)
     nodes = np.column_stack((position, velocity, mass)) / _state(units)
@@ -140,7 +148,7 @@ def _start(descent: Descent, units: Units, n: int) -> Array:
 
 
 def _rates(descent: Descent, units: Units, x: Any, thrust: Any) -> Any:
-    """Return the derivative of a scaled state."""
+    """Return the time derivative of a scaled state `x` under a scaled thrust."""
     weight = descent.gravity * units.time**2 / units.length
     burn = casadi.norm_2(thrust) * units.speed / descent.exhaust_velocity
     down = casadi.vertcat(0.0, 0.0, -weight)
@@ -150,7 +158,10 @@ def _rates(descent: Descent, units: Units, x: Any, thrust: Any) -> Any:
 def _program(
     descent: Descent, units: Units, n: int, duration: float | None
 ) -> tuple[Any, Any, Array, Array]:
-    """Return variables, constraints and their bounds."""
+    """Return variables, constraints and lower and upper bounds of the constraints.
+
+    `n` is the number of intervals, `duration` the final time, s; None: a variable.
+    """
     tau = np.concatenate(([0.0], casadi.collocation_points(_DEGREE, "radau")))
     slopes = _derivatives(tau)
     nodes = [casadi.SX.sym(f"x{k}", _STATES) for k in range(n + 1)]
@@ -158,7 +169,7 @@ def _program(
     thrust = [casadi.SX.sym(f"u{k}", 3) for k in range(n)]
     total = casadi.SX.sym("T")
     rows: list[_Row] = []
-    first = np.concatenate((descent.gap, descent.velocity, [descent.mass])) / _state(units)
+    first = np.concatenate((descent.displacement, descent.velocity, [descent.mass])) / _state(units)
     last = np.concatenate((np.zeros(3), descent.end_velocity)) / _state(units)[:6]
     rows += [(nodes[0] - first, 0.0, 0.0), (nodes[n][:6] - last, 0.0, 0.0)]
     rows += [(nodes[n][6], descent.dry_mass / units.mass, np.inf), (total, 0.05, 20.0)]
@@ -183,7 +194,10 @@ def _program(
 
 
 def _derivatives(tau: Array) -> Array:
-    """Return the derivative of each Lagrange polynomial (first index) at each point."""
+    """Return the derivative of each Lagrange polynomial (first index) at each point.
+
+    `tau` are the interpolation points of one interval.
+    """
     count = len(tau)
     out = np.empty((count, count))
     for i in range(count):
@@ -194,7 +208,10 @@ def _derivatives(tau: Array) -> Array:
 
 
 def _limits(descent: Descent, units: Units, thrust: Any) -> list[tuple[Any, Any, Any]]:
-    """Return the limits of thrust and tilt."""
+    """Return the constraints of thrust magnitude and tilt in one interval.
+
+    Each constraint is (expression, lower bound, upper bound).
+    """
     lower, upper = (f / units.force for f in (descent.thrust_min, descent.thrust_max))
     rows = [(casadi.sumsqr(thrust), lower**2, upper**2)]
     if descent.max_tilt is not None:
@@ -204,14 +221,17 @@ def _limits(descent: Descent, units: Units, thrust: Any) -> list[tuple[Any, Any,
 
 
 def _above(descent: Descent, units: Units, x: Any) -> _Row:
-    """Return the glideslope constraint at one point."""
+    """Return the glideslope constraint at one point with the scaled state `x`.
+
+    The constraint is (expression, lower bound, upper bound).
+    """
     horizontal = casadi.sqrt(x[0] ** 2 + x[1] ** 2 + 1e-10)
     up = x[2] + descent.drop / units.length
     return up - np.tan(descent.glideslope or 0.0) * horizontal, 0.0, np.inf
 
 
 def _read(x: Array, descent: Descent, units: Units, n: int, iterations: int) -> Collocated:
-    """Convert the solver's variables to a path."""
+    """Convert the solver's scaled variables `x` to a path of `n` intervals."""
     nodes = x[: _STATES * (n + 1)].reshape(n + 1, _STATES) * _state(units)
     begin = _STATES * (n + 1) + _STATES * _DEGREE * n
     return Collocated(

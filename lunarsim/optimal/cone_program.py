@@ -28,16 +28,18 @@ _INFEASIBLE_WIDENING = (
 
 @dataclass(frozen=True)
 class Program:
-    """Second-order cone program.
+    """Data of a second-order cone program: minimise ``c x`` under linear constraints.
+
+    The constraints are ``a x = b`` and ``g x + s = h``, with s in the cones.
 
     Attributes
     ----------
     c, b, h
-        Vectors.
+        Cost vector, and right-hand sides of equalities and of cone constraints.
     a, g
-        Sparse matrices, CSC.
+        Sparse matrices (CSC) of equalities and of cone constraints.
     orthant
-        Number of leading rows of G with s >= 0.
+        Number of leading rows of `g` with s >= 0.
     cones
         Dimensions of the second-order cones of the other rows; the first row of a cone is its
         bound.
@@ -54,14 +56,15 @@ class Program:
 
 @dataclass(frozen=True)
 class SolverResult:
-    """Result of a solver.
+    """Solution and status of a second-order cone program.
 
     Attributes
     ----------
     status
-        "infeasible" is proven; "unsolved" is either infeasible or failed.
+        "solved"; "infeasible": proven to have no solution; "unsolved": either infeasible or failed;
+        "failed": the solver ended without a result.
     x, y, z
-        Variables, multipliers of the equalities and of the cones.
+        Variables, multipliers of the equalities, and multipliers of the cone constraints.
     iterations
         Number of iterations of the solver.
     solver
@@ -77,7 +80,7 @@ class SolverResult:
 
 
 class QocoSolver:
-    """Solve programs of one structure with QOCO, updating its data.
+    """Solver QOCO for cone programs of one structure; only its data are updated.
 
     Parameters
     ----------
@@ -90,7 +93,7 @@ class QocoSolver:
         self._solver: Any = None
 
     def solve(self, program: Program) -> SolverResult:
-        """Solve a program with the same structure as the first one."""
+        """Solve a cone program with the same sparsity pattern and cones as the first one."""
         p = program
         if self._solver is None:
             self._solver = qoco.QOCO()
@@ -113,7 +116,7 @@ class QocoSolver:
 
 
 class ClarabelSolver:
-    """Solve programs with Clarabel, without a warm start.
+    """Solver Clarabel for cone programs, without a warm start.
 
     Parameters
     ----------
@@ -125,7 +128,7 @@ class ClarabelSolver:
         self.max_iterations = max_iterations
 
     def solve(self, program: Program) -> SolverResult:
-        """Solve a program."""
+        """Solve a cone program and return its solution, or a proof of infeasibility."""
         p = program
         settings = clarabel.DefaultSettings()
         settings.verbose, settings.max_threads, settings.max_iter = False, 1, self.max_iterations
@@ -150,9 +153,11 @@ class ClarabelSolver:
 
 
 def widened(program: Program) -> Program:
-    """Return the program of the minimum widening t of cones; t > 0: infeasible.
+    """Return the program that finds the minimum widening of the cones of a program.
 
-    It has a solution if the equalities have one.
+    The last variable t >= -1 widens all cones: ``s + t`` replaces s in their bounds. If its minimum
+    is positive, the given program is infeasible. The new program has a solution if the equalities
+    of the given program have one.
     """
     p = program
     first = p.orthant + np.concatenate(([0], np.cumsum(p.cones)[:-1])).astype(np.int64)
@@ -168,9 +173,10 @@ def widened(program: Program) -> Program:
 
 
 class FallbackSolver:
-    """Solve with QOCO, and with Clarabel what QOCO does not solve.
+    """Solver for cone programs: QOCO, then Clarabel if QOCO does not find a solution.
 
-    If Clarabel gives no certificate either, the minimum t of `widened` decides.
+    If Clarabel neither solves a program nor proves it infeasible, the minimum widening of the cones
+    (`widened`) decides whether the program is infeasible.
 
     Parameters
     ----------
@@ -188,7 +194,7 @@ class FallbackSolver:
         self.fallback_count = 0
 
     def solve(self, program: Program) -> SolverResult:
-        """Solve a program with the same structure as the first one."""
+        """Solve a cone program with the same sparsity pattern and cones as the first one."""
         answer = self.fast.solve(program)
         if answer.status == "solved":
             return answer
@@ -202,18 +208,18 @@ class FallbackSolver:
 
 
 class QocoOnlySolver:
-    """Solve with QOCO only; a program not solved within the iterations is "unsolved".
+    """Solver QOCO for cone programs, without a proof of infeasibility.
 
     Parameters
     ----------
     max_iterations
-        Maximum number of iterations.
+        Maximum number of iterations; then the status is "unsolved".
     """
 
     def __init__(self, max_iterations: int = 30) -> None:
         self.fast = QocoSolver(max_iterations)
 
     def solve(self, program: Program) -> SolverResult:
-        """Solve a program with the same structure as the first one."""
+        """Solve a cone program with the same sparsity pattern and cones as the first one."""
         answer = self.fast.solve(program)
         return answer if answer.status == "solved" else replace(answer, status="unsolved")

@@ -11,7 +11,7 @@ from lunarsim.errors import InputError
 
 
 class InfeasibleError(InputError):
-    """Report that no feasible path exists, proven for every tried final time.
+    """Error: no feasible path exists, which is proven for every tried final time.
 
     Other final times are not examined.
 
@@ -56,7 +56,7 @@ class InfeasibleError(InputError):
 def _restore(
     field: str, value: object, problem: str, remedy: str, nearest: object, miss: float
 ) -> InfeasibleError:
-    """Restore an error after unpickling."""
+    """Restore an `InfeasibleError` after unpickling."""
     error = InfeasibleError.__new__(InfeasibleError)
     InputError.__init__(error, field, value, problem, remedy)
     error.nearest, error.miss = nearest, miss  # type: ignore[assignment]
@@ -64,11 +64,11 @@ def _restore(
 
 
 class SolverError(RuntimeError):
-    """Report that the solver ended without a solution; feasibility is unknown."""
+    """Error: the solver ended without a solution, so that feasibility is unknown."""
 
 
 class RelaxationError(SolverError):
-    """Report that the solution of the relaxed problem violates the thrust limits.
+    """Error: the solution of the relaxed problem violates the thrust limits.
 
-    The relaxation is not lossless in this case; feasibility is unknown.
+    The convex relaxation of the thrust limits is not lossless in this case; feasibility is unknown.
     """

@@ -37,13 +37,15 @@ _FIRST_STEP = 0.04  # relative first step of the final time if the curvature is 
 
 
 def minimum_effort_time(descent: Descent) -> float:
-    """Return the final time of the minimum-effort path, s, as an initial guess.
+    """Return the final time of the minimum-effort path of a descent, s.
+
+    It is an initial guess of the optimal final time.
 
     The minimum of ``int |a_T|^2 dt`` over paths and final times is at the smallest positive root of
     ``g^2/2 T^4 - 2 (v v + v v_f + v_f v_f) T^2 - 12 (v + v_f) d T - 18 d d``, with d from end to
-    start (D'Souza 1997).
+    start, v and v_f the initial and final velocity, g the gravity (D'Souza 1997).
     """
-    d, v, w = descent.gap, descent.velocity, descent.end_velocity
+    d, v, w = descent.displacement, descent.velocity, descent.end_velocity
     squares = float(v @ v + v @ w + w @ w)
     roots = np.roots(
         [
@@ -60,22 +62,24 @@ def minimum_effort_time(descent: Descent) -> float:
 
 @dataclass
 class _Search:
-    """Search for the final time at which the slope of the cost is zero.
+    """Search for the final time at which the cost's time derivative is zero.
+
+    The slope is the derivative of the minimum cost with respect to the final time T.
 
     Attributes
     ----------
     limit
-        Slope at which the lander only hovers longer, m/s^2. The slope is about
+        Slope of a lander that only hovers longer, m/s^2. The slope is about
         ``limit (1 - A / (T - T_0)^2)``, so that ``(limit - slope)^(-1/2)`` is about linear in T.
-        inf: the slope itself is assumed linear.
+        Infinite: the slope itself is assumed linear.
     step
-        Maximum relative step from the first final time.
+        Maximum first step of the final time, relative to the first final time.
     curvature_guess
-        Derivative of the slope in a similar problem; 0: unknown.
+        Second derivative of the cost with respect to T in a similar problem; 0: unknown.
     low, high
-        Bracket of the optimal final time.
+        Bracket of the optimal final time, s.
     known
-        Final times and slopes so far.
+        Final times (s) and slopes evaluated so far.
     """
 
     limit: float = np.inf
@@ -86,7 +90,7 @@ class _Search:
     known: list[tuple[float, float]] = field(default_factory=list)
 
     def add(self, time: float, slope: float) -> None:
-        """Add a slope and update the bracket."""
+        """Add a final time (s) with its cost derivative, and update the bracket."""
         self.known.append((time, slope))
         if slope < 0.0:
             self.low = max(self.low, time)
@@ -94,33 +98,46 @@ class _Search:
             self.high = min(self.high, time)
 
     def exclude(self, time: float, flown: float) -> None:
-        """Exclude an infeasible final time, on one side of a feasible one."""
+        """Exclude an infeasible final time from the bracket, s.
+
+        `flown` is a feasible final time, s: the optimum lies on its side.
+        """
         if time < flown:
             self.low = max(self.low, time)
         else:
             self.high = min(self.high, time)
 
     def max_saving(self, best: OptimalPath) -> float:
-        """Return the maximum saving within the bracket, for a convex cost."""
+        """Return the maximum cost saving within the bracket, for a convex cost.
+
+        `best` is the best path so far; the result is in the unit of its cost.
+        """
         to = self.low if best.slope > 0.0 else self.high
         return abs(best.slope) * abs(best.duration - to)
 
     @property
     def curvature(self) -> float:
-        """Derivative of the slope from the last two values, or a guess."""
+        """Second derivative of the cost by the final time, from the last two slopes.
+
+        If there are not two different final times, or the value is not positive, it is
+        `curvature_guess`, or else 2 over the last final time.
+        """
         (t1, s1) = self.known[-1]
         (t0, s0) = self.known[-2] if len(self.known) > 1 else (t1, s1)
         found = (s1 - s0) / (t1 - t0) if t1 != t0 else 0.0
         return found if found > 0.0 else self.curvature_guess or 2.0 / t1
 
     def _linearise_slope(self, slope: float) -> float:
-        """Transform a slope to a value that is about linear in time and keeps its zero."""
+        """Transform a cost derivative to a value about linear in the final time.
+
+        The transformation keeps the zero.
+        """
         if not np.isfinite(self.limit):
             return slope
         return float((1.05 - min(slope / self.limit, 1.0)) ** -0.5 - 1.05**-0.5)
 
     def next(self) -> float:
-        """Return the next final time to try."""
+        """Return the next final time to try, s, by a secant step within the bracket."""
         time, slope = self.known[-1]
         step = min(
             self.step * time, abs(slope) / self.curvature_guess if self.curvature_guess else np.inf
@@ -149,7 +166,7 @@ def minimize_propellant(
     half_spaces: HalfSpaces | None = None,
     allow_lossy: bool = False,
 ) -> OptimalPath:
-    """Find the minimum-propellant path over all final times.
+    """Find the minimum-propellant path of a descent over all final times.
 
     `OptimalPath.converged` states whether the search converged.
 
@@ -158,14 +175,15 @@ def minimize_propellant(
     planner
         Planner that solves for one final time.
     descent
-        Problem.
+        Landing problem.
     last
-        Solution of a similar problem, `elapsed` s ago: the search starts there with four solves,
-        and one more if its masses deviate. If its final time is infeasible, it is not used.
+        Solution of a similar problem, `elapsed` s ago. The search starts at its final time with
+        four solves, and one more if its masses deviate; if that time is infeasible, `last` is
+        ignored.
     elapsed
-        s.
+        Time since the start of `last`, s.
     half_spaces
-        Half-spaces that replace the descent's cone.
+        Half-spaces in which the path must lie; they replace the cone of `descent`.
     allow_lossy
         Whether to accept a path that violates the thrust limits by more than 5 % of the maximum,
         as a bound or as an initial guess.
@@ -196,10 +214,10 @@ def minimize_propellant(
 
 
 def is_flyable(path: OptimalPath) -> bool:
-    """Return whether the thrust limits are violated by at most 5 % of the maximum.
+    """Return whether a path violates the thrust limits by at most 5 % of the maximum.
 
-    A larger violation means that the relaxation is not lossless: too few intervals around a switch,
-    or a state constraint that is active for long.
+    A larger violation means that the convex relaxation of the thrust limits is not lossless: too
+    few intervals around a switch, or a state constraint that is active for long.
     """
     return path.excess <= _MAX_THRUST_VIOLATION
 
@@ -207,7 +225,7 @@ def is_flyable(path: OptimalPath) -> bool:
 def _search_from_landing_error(
     planner: Planner, descent: Descent, half_spaces: HalfSpaces | None
 ) -> OptimalPath:
-    """Search around the final time of the minimum landing error.
+    """Search the minimum-propellant path near the time of minimum landing error.
 
     If propellant is scarce, few final times are feasible; the landing error leads to them.
     """
@@ -230,7 +248,10 @@ def _search_warm(
     elapsed: float,
     half_spaces: HalfSpaces | None,
 ) -> OptimalPath | None:
-    """Search from the last solution; return None if its final time is infeasible."""
+    """Search the minimum-propellant path from the last solution, `elapsed` s ago.
+
+    Return None if the remaining time of the last solution is infeasible.
+    """
     first = last.duration - elapsed
     if not first > 0.0:
         return None
@@ -242,7 +263,10 @@ def _search_warm(
 
 
 def remaining_log_mass(last: OptimalPath, elapsed: float, intervals: int) -> Array:
-    """Return ln(mass / current mass) at interval centres (N,) of the rest of a path."""
+    """Return ln(mass / current mass) at the interval centres (N,) of a path's rest.
+
+    The rest of the path `last` begins `elapsed` s after its start; it is divided into `intervals`.
+    """
     share = (np.arange(intervals) + 0.5) / intervals
     now = min(max(elapsed, 0.0), last.duration)
     at = now + share * (last.duration - now)
@@ -269,12 +293,13 @@ def search_near(
     step: float = _FIRST_STEP,
     curvature_guess: float = 0.0,
 ) -> OptimalPath | None:
-    """Find the best path from given final times; None if none is feasible.
+    """Find the minimum-propellant path near given final times; None if infeasible.
 
     Parameters
     ----------
     planner, descent, half_spaces
-        Those of `minimize_propellant`.
+        Planner for one final time; landing problem; half-spaces in which the path must lie, None:
+        the cone of the descent.
     first
         Final times, s, tried in order until one is feasible.
     max_solves
@@ -284,7 +309,7 @@ def search_near(
     step
         Maximum relative first step from the first feasible final time.
     curvature_guess
-        `curvature` of the path of a similar problem; 0: unknown.
+        Second derivative of the cost by the final time for a similar problem; 0: unknown.
     """
     search, best, failure = _Search(descent.gravity, step, curvature_guess), None, None
     converged, budget = False, np.inf
@@ -321,9 +346,10 @@ def search_near(
 def nearest(
     planner: Planner, descent: Descent, half_spaces: HalfSpaces | None = None
 ) -> OptimalPath | None:
-    """Return the path whose end is nearest to the target, or None if it cannot land.
+    """Return the path that ends nearest to the target; None if none can land.
 
-    Only the height of the end is fixed. Thrust slack has no penalty here.
+    Only the height of the end is fixed. Thrust slack (thrust above the maximum) has no penalty
+    here. `half_spaces` replace the cone of the descent.
     """
     if descent.thrust_slack > 0.0:
         descent = replace(
@@ -365,11 +391,12 @@ def nearest(
 
 
 def minimize_landing_error(planner: Planner, descent: Descent) -> OptimalPath | None:
-    """Return a path of minimum landing error, with minimum propellant among those.
+    """Return the path of minimum landing error; of these, the minimum propellant.
 
     Blackmore, Acikmese and Scharf, "Minimum-landing-error powered-descent guidance for Mars landing
     using convex optimization", Journal of Guidance, Control, and Dynamics 33(4), 2010. The cone
-    constraint moves with the end. None: no landing is possible at that height.
+    constraint moves with the end of the path. The result is None if no landing is possible at the
+    height of the target.
     """
     near = nearest(planner, descent)
     if near is None:

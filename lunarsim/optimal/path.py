@@ -14,36 +14,41 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class OptimalPath:
-    """Descent in N intervals of constant thrust over mass.
+    """Descent path of N intervals, in each of which thrust over mass is constant.
 
     Attributes
     ----------
     descent
-        Problem.
+        Landing problem that the path solves.
     duration
         Final time, s.
     position, velocity
-        At the nodes (N + 1, 3), m and m/s.
+        Position and velocity at the nodes (N + 1, 3), ENU, m and m/s.
     mass
-        At the nodes (N + 1,), kg.
+        Mass at the nodes (N + 1,), kg.
     thrust
-        Thrust over mass (N, 3), m/s^2.
+        Thrust over mass in each interval (N, 3), m/s^2.
     bound
-        Relaxed magnitude of the thrust over mass (N,); equal to it if the relaxation is lossless.
+        Relaxed magnitude of the thrust over mass (N,), m/s^2; equal to the magnitude of `thrust` if
+        the relaxation is lossless.
     increment
         Delta-v: integral of `bound`, m/s.
     cost
         Minimised quantity: delta-v plus penalty on thrust slack, m/s, or the landing error, m.
     slope
-        Derivative of the minimum cost by the final time, m/s^2 or m/s; zero at the optimum.
+        Derivative of the minimum cost with respect to the final time, m/s^2 or m/s; zero at the
+        optimum.
     hamiltonian
-        Minus the derivative by the length of each interval (N,), as `slope`.
-    primer
-        Multipliers of the thrust in each interval (N, 3), parallel to it if tilt is not active.
+        Minus the derivative of the cost with respect to the length of each interval (N,), in the
+        unit of `slope`.
+    primer_vector
+        Multipliers of the thrust in each interval (N, 3); parallel to the thrust if the tilt limit
+        is not active.
     half_space_multipliers
         Multipliers of the half-spaces (N - 2, planes), in any unit; positive if active.
     curvature
-        Second derivative of the minimum cost by the final time, from a search; 0: unknown.
+        Second derivative of the minimum cost with respect to the final time, from a search; 0:
+        unknown.
     converged
         Whether the search for the final time converged; False if its solves ran out, so that
         another final time may cost less. True without a search.
@@ -62,7 +67,7 @@ class OptimalPath:
     cost: float
     slope: float
     hamiltonian: Array
-    primer: Array
+    primer_vector: Array
     half_space_multipliers: Array
     curvature: float = 0.0
     converged: bool = True
@@ -72,12 +77,12 @@ class OptimalPath:
 
     @property
     def intervals(self) -> int:
-        """N."""
+        """Number of intervals, N."""
         return len(self.bound)
 
     @property
     def step(self) -> float:
-        """Length of an interval, s."""
+        """Length of one interval, s."""
         return self.duration / self.intervals
 
     @property
@@ -92,30 +97,33 @@ class OptimalPath:
 
     @property
     def miss(self) -> float:
-        """Distance of the end from the target, m."""
+        """Landing error: distance of the path's end from the target, m."""
         return float(np.linalg.norm(self.position[-1] - self.descent.end_position))
 
     @property
     def log_mass(self) -> Array:
-        """ln(mass / initial mass) at the interval centres (N,)."""
+        """ln(mass / initial mass) at the interval centres (N,), dimensionless."""
         z = np.log(self.mass / self.mass[0])
         return np.asarray(0.5 * (z[1:] + z[:-1]))
 
     @property
     def forces(self) -> Array:
-        """Thrust at the interval centres (N,), N."""
+        """Thrust magnitude at the interval centres (N,), newtons."""
         size = np.linalg.norm(self.thrust, axis=1)
         return np.asarray(self.descent.mass * np.exp(self.log_mass) * size)
 
     @property
     def loss(self) -> float:
-        """Maximum relative excess of the bound over the thrust; 0 for lossless relaxation."""
+        """Maximum relative excess of the relaxed over the true thrust magnitude.
+
+        The excess is 0 if the convex relaxation is lossless.
+        """
         size = np.linalg.norm(self.thrust, axis=1)
         return float((self.bound / np.maximum(size, 1e-12)).max() - 1.0)
 
     @property
     def excess(self) -> float:
-        """Maximum violation of the thrust limits, over the maximum thrust."""
+        """Maximum violation of the thrust limits, as a fraction of the maximum thrust."""
         d, f = self.descent, self.forces
         return float(
             max((f - d.thrust_max - d.thrust_slack).max(), (d.thrust_min - f).max()) / d.thrust_max
@@ -123,6 +131,8 @@ class OptimalPath:
 
     def at(self, t: ArrayLike) -> tuple[Array, Array, Array]:
         """Return position, velocity and thrust over mass (..., 3) at times `t` (...), s.
+
+        Units are m, m/s and m/s^2; the frame is ENU.
 
         Times outside the path extrapolate the first or the last interval.
         """

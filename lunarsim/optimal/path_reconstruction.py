@@ -26,9 +26,20 @@ def build_path(
     descent: Descent,
     duration: float,
 ) -> OptimalPath:
-    """Convert a solver's result to a path.
+    """Convert the solution of a cone program to a descent path in physical units.
 
-    `slope` and `hamiltonian` refer to the minimised quantity: delta-v or landing error.
+    `slope` and `hamiltonian` of the path refer to the minimised quantity: delta-v or landing error.
+
+    Parameters
+    ----------
+    transcription, program
+        Structure of the cone program, and its data.
+    answer
+        Solution by the solver, scaled.
+    descent
+        Landing problem.
+    duration
+        Final time, s.
     """
     units = ProgramScales.of(descent, duration)
     n = transcription.structure.intervals
@@ -55,7 +66,7 @@ def build_path(
         cost=float(program.c @ answer.x) * unit,
         slope=float(lengths.mean()),
         hamiltonian=-lengths,
-        primer=-z[s].reshape(n, 4)[:, 1:],
+        primer_vector=-z[s].reshape(n, 4)[:, 1:],
         half_space_multipliers=z[transcription.rows["planes"]].reshape(-1, planes)
         if planes
         else np.zeros((0, 0)),
@@ -67,7 +78,10 @@ def build_path(
 def _length_derivatives(
     transcription: Transcription, program: Program, answer: SolverResult
 ) -> Array:
-    """Return the derivative of the cost by the length of each interval (N,), scaled."""
+    """Return the derivative of the cost by the length of each interval (N,), scaled.
+
+    The derivative follows from the Lagrangian of `program` at the solution `answer`.
+    """
     n, x, z = transcription.structure.intervals, answer.x, answer.z
     nodes = x[: 7 * (n + 1)].reshape(n + 1, 7)
     speeds = nodes[:, 3:6]
@@ -93,7 +107,11 @@ def _length_derivatives(
 def _control_point_terms(
     transcription: Transcription, program: Program, answer: SolverResult, name: str, axes: int
 ) -> Array:
-    """Return the part of rows on control points, which move by half the velocity."""
+    """Return the part of `_length_derivatives` from constraints on control points.
+
+    Control points move by half the velocity over an interval. `name` is the group of constraints,
+    `axes` their number per control point.
+    """
     n = transcription.structure.intervals
     rows = program.g[transcription.rows[name]]
     moving = answer.x.copy()

@@ -24,15 +24,17 @@ _MAX_LOG_MASS_ERROR = 0.02
 
 
 class ConeSolver(Protocol):
-    """Interface of solvers for programs of one structure."""
+    """Interface of solvers for second-order cone programs of one structure."""
 
     def solve(self, program: Program) -> SolverResult:
-        """Solve a program."""
+        """Solve a second-order cone program."""
         ...
 
 
 class Planner:
-    """Plan descents; programs with a known structure are updated instead of built.
+    """Compute optimal descent paths of a given final time by cone programs.
+
+    Programs with a known structure are updated instead of built.
 
     Parameters
     ----------
@@ -49,7 +51,7 @@ class Planner:
     Attributes
     ----------
     solves, iterations
-        Total numbers so far.
+        Total numbers of solved programs and of solver iterations so far.
     """
 
     def __init__(self, intervals: int = 40, solver: type[ConeSolver] = FallbackSolver) -> None:
@@ -67,21 +69,21 @@ class Planner:
         half_spaces: HalfSpaces | None = None,
         nearest: bool = False,
     ) -> OptimalPath | None:
-        """Return the best path of a final time, or None if no path exists.
+        """Return the optimal path of a given final time, or None if no path exists.
 
-        None is a proof of infeasibility, unless the solver does not give proofs. The path's `loss`
+        None proves that no path exists, unless the solver does not give proofs. The path's `loss`
         and `excess` state whether the engine can fly it.
 
         Parameters
         ----------
         descent
-            Problem.
+            Landing problem.
         duration
             Final time, s.
         log_mass
             Guess of ln(mass / initial mass) at the interval centres (N,).
         half_spaces
-            Half-spaces that replace the descent's cone.
+            Half-spaces in which the path must lie; they replace the cone of `descent`.
         nearest
             Whether to minimise the landing error instead of propellant.
 
@@ -103,7 +105,7 @@ class Planner:
             raise InputError(
                 "optimal.half_spaces",
                 half_spaces.normals.shape,
-                f"must have planes of {self.intervals} intervals",
+                f"must have half-spaces for {self.intervals} intervals",
             )
         if log_mass is None:
             log_mass = self._guess_log_mass(descent, duration)
@@ -117,7 +119,11 @@ class Planner:
         return path
 
     def _guess_log_mass(self, descent: Descent, duration: float) -> Array:
-        """Guess ln(mass) from constant consumption by gravity and the velocity change."""
+        """Guess ln(mass / initial mass) at the interval centres (N,).
+
+        The guess assumes constant consumption for gravity and the velocity change over `duration`
+        s.
+        """
         change = descent.end_velocity - descent.velocity
         change = change + np.array([0.0, 0.0, descent.gravity * duration])
         rates = np.array([descent.thrust_min, descent.thrust_max]) / descent.mass
@@ -135,7 +141,7 @@ class Planner:
     ) -> OptimalPath | None:
         structure = ProgramStructure(
             self.intervals,
-            descent.max_tilt is not None or descent.end_tilt is not None,
+            descent.max_tilt is not None or descent.max_final_tilt is not None,
             descent.glideslope is not None,
             0 if half_spaces is None else half_spaces.normals.shape[1],
             nearest or descent.region > 0.0,

@@ -15,14 +15,14 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Cone:
-    """Cone of half-spaces over a path's end: ``normals @ (r - end) >= -drop``.
+    """Cone of half-spaces above a path's end: ``normals @ (r - end) >= -drop``.
 
     The first and the last interval are exempt: the start may be below a majorant of terrain.
 
     Attributes
     ----------
     normals
-        (n, 3), dimensionless.
+        Upward normals of the half-spaces (n, 3), dimensionless.
     drop
         Depth of the apex below the end, m; 0 or more.
 
@@ -47,7 +47,7 @@ class Cone:
 
 @dataclass(frozen=True)
 class Descent:
-    """Powered descent of a point mass under uniform gravity.
+    """Landing problem: minimum-propellant descent of a point mass in uniform gravity.
 
     Attributes
     ----------
@@ -56,7 +56,7 @@ class Descent:
     mass
         Initial mass, kg.
     end_position, end_velocity
-        Final state (3,), m and m/s.
+        Final state (3,), ENU, m and m/s.
     gravity
         Downward acceleration, m/s^2.
     thrust_min, thrust_max
@@ -67,19 +67,19 @@ class Descent:
         Minimum final mass, reserve included, kg.
     max_tilt
         Maximum tilt of the thrust from the vertical, rad; None: no limit.
-    end_tilt, tilt_rate
+    max_final_tilt, tilt_rate
         Maximum tilt at the end, rad, and its growth backward in time, rad/s, because a lander
         needs time to turn upright. None: `max_tilt` to the end.
     glideslope
-        Minimum elevation of the path, seen from its end, rad; None: no limit.
+        Minimum angle of the path above the horizontal, seen from its end, rad; None: no limit.
     drop
-        Depth of the glideslope's apex below the end, m.
+        Depth of the apex of the glideslope cone below the end, m.
     cone
         Additional half-spaces over the end (a majorant of the terrain); None: none.
     region
         Radius of the horizontal disc around `end_position` in which the path may end, m; 0: point.
     thrust_slack
-        Thrust above `thrust_max` that is available at a penalty, N.
+        Thrust above `thrust_max` that is available at a penalty, newtons.
     thrust_slack_penalty
         Penalty for using all of `thrust_slack`, expressed as delta-v (m/s); it applies to the peak
         excess, independent of its duration.
@@ -105,7 +105,7 @@ class Descent:
     drop: float = 0.0
     cone: Cone | None = None
     region: float = 0.0
-    end_tilt: float | None = None
+    max_final_tilt: float | None = None
     tilt_rate: float = np.deg2rad(10.0)
     thrust_slack: float = 0.0
     thrust_slack_penalty: float = 5.0
@@ -141,44 +141,47 @@ class Descent:
             )
         if self.region > 0.0 and self.thrust_slack > 0.0:
             raise InputError(
-                "optimal.thrust_slack", self.thrust_slack, "must be 0 if the end is a region"
+                "optimal.thrust_slack", self.thrust_slack, "must be 0 N if `region` is above 0 m"
             )
         if not (self.cone is None or isinstance(self.cone, Cone)):
             raise InputError("optimal.cone", type(self.cone).__name__, "must be a Cone or None")
-        for name in ("max_tilt", "glideslope", "end_tilt"):
+        for name in ("max_tilt", "glideslope", "max_final_tilt"):
             angle = getattr(self, name)
             if angle is not None and not (is_number(angle) and 0.0 <= angle < 0.5 * np.pi):
                 raise InputError(f"optimal.{name}", angle, "must be from 0 to 90 deg, in rad")
 
     @property
-    def gap(self) -> Array:
+    def displacement(self) -> Array:
         """Displacement from the end to the start (3,), m."""
         return np.asarray(self.position - self.end_position)
 
     @property
     def violates_glideslope(self) -> bool:
-        """Whether the start violates the glideslope of every admissible end."""
+        """Whether the start lies below the glideslope cone of every admissible end."""
         if self.glideslope is None:
             return False
-        gap, slack = self.gap, 1e-9 * (1.0 + float(np.linalg.norm(self.gap)))
+        gap, slack = self.displacement, 1e-9 * (1.0 + float(np.linalg.norm(self.displacement)))
         horizontal = max(float(np.hypot(gap[0], gap[1])) - self.region, 0.0)
         return bool(gap[2] + self.drop < np.tan(self.glideslope) * horizontal - slack)
 
     def tilts(self, left: Array) -> Array | None:
-        """Return the maximum tilts (n,), rad, for times-to-go (n,), s; None: no limit."""
-        if self.max_tilt is None and self.end_tilt is None:
+        """Return the maximum tilts of the thrust (n,), rad, for times-to-go.
+
+        `left` (n,) are the times-to-go, s. None: no limit.
+        """
+        if self.max_tilt is None and self.max_final_tilt is None:
             return None
         # Tilts above 90 deg are not convex and not needed for a landing.
         most = np.full(len(left), 0.5 * np.pi if self.max_tilt is None else self.max_tilt)
-        if self.end_tilt is None:
+        if self.max_final_tilt is None:
             return most
-        return np.asarray(np.minimum(most, self.end_tilt + self.tilt_rate * left))
+        return np.asarray(np.minimum(most, self.max_final_tilt + self.tilt_rate * left))
 
     @property
     def delta_v_available(self) -> float:
-        """Available delta-v, m/s."""
+        """Delta-v until the mass reaches `dry_mass`, m/s."""
         return float(self.exhaust_velocity * np.log(self.mass / self.dry_mass))
 
     def propellant_used(self, increment: float) -> float:
-        """Return the propellant (kg) for a delta-v (m/s)."""
+        """Return the propellant (kg) consumed by a delta-v `increment` (m/s)."""
         return float(self.mass * -np.expm1(-increment / self.exhaust_velocity))

@@ -33,14 +33,14 @@ _SAMPLES_PER_INTERVAL = 16  # terrain samples per interval
 
 @dataclass(frozen=True)
 class TerrainRaster:
-    """Terrain raster: elevations of posts, bilinear between them.
+    """Terrain as elevations of grid points, interpolated bilinearly.
 
     Attributes
     ----------
     grid
-        Grid of the posts.
+        Grid of the elevations.
     elevation
-        m (rows, cols).
+        Elevation of each grid point (rows, cols), m.
 
     Raises
     ------
@@ -64,17 +64,22 @@ class TerrainRaster:
             )
         missing = int((~np.isfinite(self.elevation)).sum())
         if missing:
-            raise InputError("optimal.elevation", f"{missing} posts without data", "must be finite")
+            raise InputError(
+                "optimal.elevation", f"{missing} grid points without data", "must be finite"
+            )
 
     @property
     def posts(self) -> Array:
-        """Positions of all posts (n, 3), m."""
+        """Positions of all grid points with their elevations (n, 3), ENU, m."""
         east = np.tile(self.grid.x, self.grid.rows)
         north = np.repeat(self.grid.y, self.grid.cols)
         return np.column_stack((east, north, np.asarray(self.elevation, dtype=np.float64).ravel()))
 
     def height(self, points: ArrayLike) -> Array:
-        """Return the elevation (n,) at points (n, 2) or (n, 3); NaN outside the posts."""
+        """Return the terrain elevation (n,), m, at points (n, 2) or (n, 3), ENU, m.
+
+        It is NaN outside the grid.
+        """
         xy = np.asarray(points, dtype=np.float64)[:, :2]
         g = self.grid
         u, v = (xy[:, 0] - g.x0) / g.posting, (xy[:, 1] - g.y0) / g.posting
@@ -89,9 +94,12 @@ class TerrainRaster:
         return np.where(inside, (1.0 - t) * low + t * high, np.nan)
 
     def majorant(self, end: ArrayLike, sectors: int = 12, clearance: float = 0.0) -> Cone:
-        """Return half-spaces over an end (3,) above all terrain plus clearance.
+        """Return a convex cone above all terrain plus a clearance, from an end point.
 
-        Terrain below the end is not constrained: no slope is negative.
+        `end` (3,) is the end of the path, ENU, m; the cone has one half-space per azimuth sector.
+        `clearance` is in m.
+
+        No half-space slopes downward: terrain below the end is not followed.
 
         Raises
         ------
@@ -123,7 +131,7 @@ class TerrainRaster:
         Raises
         ------
         InputError
-            If the path leaves the posts.
+            If the path leaves the grid.
         """
         times = np.linspace(0.0, path.duration, _SAMPLES_PER_INTERVAL * path.intervals + 1)
         points = path.at(times)[0]
@@ -136,10 +144,13 @@ class TerrainRaster:
         return float((points[:, 2] - height).min())
 
     def half_spaces(self, path: OptimalPath, clearance: float) -> HalfSpaces:
-        """Return three planes per control point: its own and its neighbours'.
+        """Return half-spaces above the terrain near each interval of a path.
 
-        The path over an interval lies in the hull of its control point and its neighbours';
-        all three are therefore above the plane of that interval.
+        There are three per interval: the planes of the interval and of its two neighbours,
+        `clearance` (m) above the terrain.
+
+        The path over an interval lies in the convex hull of three control points: the interval's
+        own and those of its neighbours. All three must be above the plane of the interval.
         """
         control = path.position[:-1] + 0.5 * path.step * path.velocity[:-1]
         spans = np.linalg.norm(np.diff(path.position[:, :2], axis=0), axis=1)
@@ -158,7 +169,11 @@ class TerrainRaster:
 
     @staticmethod
     def _plane(posts: Array, about: Array, reach: float) -> Array:
-        """Return slopes and height at the origin (3,) of a plane above nearby posts."""
+        """Return slopes and height at the origin (3,) of a plane above nearby terrain.
+
+        `posts` (n, 3) are terrain points; those within `reach` (m, horizontal) of the point `about`
+        are used.
+        """
         near = posts[np.hypot(*(posts[:, :2] - about[:2]).T) <= reach]
         if len(near) < 3:
             raise InputError(
@@ -178,14 +193,14 @@ def minimize_propellant_over_terrain(
     sectors: int = 12,
     rounds: int = 10,
 ) -> OptimalPath:
-    """Find the minimum-propellant path above the terrain.
+    """Find the minimum-propellant path of a descent above the terrain.
 
     Parameters
     ----------
     planner, descent
-        Planner, and problem without a cone.
+        Planner for one final time, and landing problem without a cone.
     terrain
-        Terrain; the end is at least `clearance` above it.
+        Terrain; the end of the descent must be at least `clearance` above the terrain.
     clearance
         Minimum height of the path above the terrain, m.
     sectors, rounds
@@ -194,7 +209,7 @@ def minimize_propellant_over_terrain(
     Raises
     ------
     InputError
-        If start or end is too low, the path leaves the posts, or an argument is invalid.
+        If start or end is too low, the path leaves the grid, or an argument is invalid.
     InfeasibleError
         If no path exists even over flat terrain.
     SolverError
@@ -215,7 +230,7 @@ def minimize_propellant_over_terrain(
     if majorant_path is not None and terrain.above(majorant_path) > clearance - 1e-3:
         if (
             majorant_path.half_space_multipliers.max(initial=0.0)
-            < _ACTIVE_MULTIPLIER * np.linalg.norm(majorant_path.primer, axis=1).max()
+            < _ACTIVE_MULTIPLIER * np.linalg.norm(majorant_path.primer_vector, axis=1).max()
         ):
             return majorant_path
         best = majorant_path
@@ -233,7 +248,7 @@ def minimize_propellant_over_terrain(
 def _initial_paths(
     planner: Planner, descent: Descent, majorant_path: OptimalPath | None
 ) -> list[OptimalPath]:
-    """Return initial paths for linearisation: over flat terrain and majorant.
+    """Return initial paths for linearisation: over flat terrain and over the majorant.
 
     A majorant that is steep at a near rim leads to a vertical path. Linearisation about that path
     never finds the short path, but linearisation about the path over flat terrain does.
@@ -253,14 +268,19 @@ def _check_clearance(clearance: float) -> None:
 
 
 def _check_ends(descent: Descent, terrain: TerrainRaster, clearance: float) -> None:
-    """Reject a start or an end outside the posts or too near the terrain."""
+    """Raise an error if a descent's start or end is off the grid or too low.
+
+    Too low means less than `clearance` (m) above the terrain.
+    """
     for name, what in (("end_position", "the end"), ("position", "the start")):
         at = getattr(descent, name)
         height = float(terrain.height(at[None])[0])
+        if np.isnan(height):
+            raise InputError(f"optimal.{name}", at.tolist(), f"{what} must be on the terrain grid")
         if not at[2] >= height + clearance - 1e-9:
             raise InputError(
                 f"optimal.{name}", at.tolist(),
-                f"{what} must be on the posts, {clearance} m above the terrain at {height:.2f} m",
+                f"{what} must be at least {clearance} m above the terrain at {height:.2f} m",
             )  # fmt: skip
 
 
@@ -273,9 +293,11 @@ def _linearise_terrain(
     rounds: int,
     is_last: bool,
 ) -> OptimalPath | None:
-    """Linearise the terrain until it agrees with the path; None if no path is found.
+    """Linearise the terrain about a path until both agree; None if no path is found.
 
-    A path outside the posts raises an error if `is_last`: no other path or start is left.
+    `path` is the first path, `rounds` the maximum number of linearisations, `clearance` the minimum
+    height above the terrain, m. A path outside the grid raises an error if `is_last`: no other path
+    or start is left.
     """
     best: OptimalPath | None = None
     for _ in range(rounds):

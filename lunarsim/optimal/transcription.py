@@ -37,14 +37,14 @@ _NODE = 7  # variables per node: position, velocity, logarithm of mass, all scal
 
 @dataclass(frozen=True)
 class ProgramStructure:
-    """Types of constraints in a program.
+    """Types and numbers of constraints, which determine a cone program's sparsity.
 
     Attributes
     ----------
     intervals
-        N.
+        Number of intervals of the path, N.
     tilt, glideslope
-        Whether there are such constraints.
+        Whether the tilt of the thrust is limited, and whether there is a glideslope.
     planes
         Number of half-spaces for each control point.
     free
@@ -74,16 +74,19 @@ class ProgramStructure:
 
 @dataclass(frozen=True)
 class HalfSpaces:
-    """Half-spaces ``normals @ r >= offsets`` for the control points of each interval.
+    """Half-spaces ``normals @ r >= offsets`` in which each interval's path must lie.
+
+    They constrain the control point of each interval.
 
     Attributes
     ----------
     normals
-        (N, planes, 3).
+        Normals of the half-spaces of each interval (N, planes, 3), ENU.
     offsets
-        Relative to the end of the descent (N, planes), m.
+        Offsets relative to the end of the descent (N, planes), m.
     moves
-        Whether they move with the end if that lies in a disc; terrain does not.
+        Whether the half-spaces move with the end of the path if the end lies in a disc; False for
+        terrain.
 
     Raises
     ------
@@ -104,7 +107,7 @@ class HalfSpaces:
 
     @classmethod
     def over(cls, descent: Descent, intervals: int) -> HalfSpaces | None:
-        """Return the descent's cone for every interval; None without a cone."""
+        """Return a descent's cone as half-spaces of every interval; None without a cone."""
         if descent.cone is None:
             return None
         normals = np.broadcast_to(descent.cone.normals, (intervals, *descent.cone.normals.shape))
@@ -113,7 +116,7 @@ class HalfSpaces:
 
 @dataclass(frozen=True)
 class ProgramScales:
-    """Units of a program: length, time, and ln(mass) per scaled mass variable."""
+    """Scales of a cone program: length (m), time (s), ln(mass) per mass variable."""
 
     length: float
     time: float
@@ -121,14 +124,17 @@ class ProgramScales:
 
     @classmethod
     def of(cls, descent: Descent, duration: float) -> ProgramScales:
-        """Return units in which the descent is of order 1; length does not depend on time."""
+        """Return scales in which a descent of a given duration (s) is of order 1.
+
+        The length scale does not depend on the duration.
+        """
         fall = float(descent.velocity @ descent.velocity) / (2.0 * descent.gravity)
-        length = float(np.linalg.norm(descent.gap)) + fall + 1.0
+        length = float(np.linalg.norm(descent.displacement)) + fall + 1.0
         return cls(length, duration, length / (duration * descent.exhaust_velocity))
 
 
 class Transcription:
-    """Programs of one structure.
+    """Builder of the cone programs of descents with one structure of constraints.
 
     Parameters
     ----------
@@ -160,7 +166,7 @@ class Transcription:
     # --- structure ------------------------------------------------------------------------
 
     def _set_columns(self) -> None:
-        """Set the columns of each group of rows, first those of the orthant."""
+        """Set the matrix columns of each group of constraints, first linear inequalities."""
         s, node = self.structure, self._node
         z0, z1 = node[:-1] + 6, node[1:] + 6
         last = np.full(s.intervals, self.variables - 1)
@@ -201,7 +207,11 @@ class Transcription:
         self._columns[name] = columns
 
     def _control_point_columns(self, axes: Indices) -> Indices:
-        """Return the columns of coordinates of inner control points, relative to the end."""
+        """Return the matrix columns of the coordinates `axes` of inner control points.
+
+        The coordinates are relative to the end of the path; control points bound the path of an
+        interval.
+        """
         node = self._node[self.inner][:, None]
         parts = [node + axes, node + axes + 3]
         if self.structure.free:
@@ -209,7 +219,10 @@ class Transcription:
         return np.concatenate(parts, axis=1)
 
     def _dynamics(self) -> sparse.csc_matrix:
-        """Return the matrix of the equalities: positions from velocities, then both ends."""
+        """Return the matrix of the equality constraints: dynamics, then both ends.
+
+        The dynamics are positions as integrals of velocities.
+        """
         n, node, s = self.structure.intervals, self._node, self.structure
         half = 0.5 / n
         row, col, value = [], [], []
@@ -239,19 +252,19 @@ class Transcription:
         *,
         nearest: bool = False,
     ) -> Program:
-        """Return the program of a descent.
+        """Return the cone program of a landing problem with a given final time.
 
         Parameters
         ----------
         descent
-            Problem.
+            Landing problem.
         duration
             Final time, s.
         log_mass
             z = ln(mass / initial mass) at the interval centres (N,), about which exp(-z) is
             linearised.
         half_spaces
-            Half-spaces; as many as the structure has.
+            Half-spaces in which the path must lie; their number is that of the structure.
         nearest
             Whether to minimise the landing error instead of propellant.
         """
@@ -276,10 +289,10 @@ class Transcription:
         return Program(c, self._equalities, b, g, h, self.orthant, self.cones)
 
     def _end_values(self, descent: Descent, units: ProgramScales) -> Array:
-        """Return initial and final state, scaled."""
+        """Return the scaled initial and final state, as the right-hand side of equalities."""
         speed = units.time / units.length
         end = np.concatenate((np.zeros(3), descent.end_velocity * speed))
-        start = (descent.gap / units.length, descent.velocity * speed, [0.0])
+        start = (descent.displacement / units.length, descent.velocity * speed, [0.0])
         return np.concatenate((*start, end[2 if self.structure.free else 0 :]))
 
     def _constraint_values(
@@ -290,7 +303,11 @@ class Transcription:
         half_spaces: HalfSpaces | None,
         nearest: bool,
     ) -> dict[str, tuple[Array, Array]]:
-        """Return entries and right-hand side of each group of rows."""
+        """Return matrix entries and right-hand side of each group of constraints.
+
+        `d` is the landing problem, `log_mass` (N,) the guess of ln(mass / initial mass); with
+        `nearest`, the landing error is minimised.
+        """
         s, n = self.structure, self.structure.intervals
         out = self._thrust_bounds(d, units, log_mass)
         weight = d.gravity * units.time**2 / units.length / n
@@ -328,7 +345,10 @@ class Transcription:
         return out
 
     def _control_point_entries(self, a: Array) -> Array:
-        """Return entries (n, 2 m or 3 m) for coefficients (n, m) of control points."""
+        """Return matrix entries (n, 2 k or 3 k) for constraints on control points.
+
+        `a` (n, k) are the coefficients of the coordinates of the control points.
+        """
         half = 0.5 / self.structure.intervals
         parts = [a, half * a] + ([-a] if self.structure.free else [])
         return np.concatenate(parts, axis=1)
@@ -336,7 +356,10 @@ class Transcription:
     def _thrust_bounds(
         self, d: Descent, units: ProgramScales, log_mass: Array
     ) -> dict[str, tuple[Array, Array]]:
-        """Return the rows of maximum and minimum thrust, at the interval centres."""
+        """Return entries and right-hand sides of maximum and minimum thrust constraints.
+
+        They hold at the interval centres; `d` is the landing problem.
+        """
         k = units.kappa
         unit_acceleration = self._unit_force(d, units) * np.exp(-log_mass)
         out = {}
@@ -348,5 +371,8 @@ class Transcription:
         return out
 
     def _unit_force(self, d: Descent, units: ProgramScales) -> float:
-        """Return the scaled velocity change per newton in an interval at the initial mass."""
+        """Return the scaled velocity change that 1 newton causes in one interval.
+
+        The mass is the initial mass.
+        """
         return units.time**2 / (units.length * self.structure.intervals * d.mass)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Units:
-    """Scales of length, time and mass: m, s, kg."""
+    """Scales of length (m), time (s) and mass (kg) for a descent's variables."""
 
     length: float
     time: float

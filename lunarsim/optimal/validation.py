@@ -16,13 +16,15 @@ LARGEST = 1e12  # maximum of any value of a descent, in its unit, so that square
 
 
 def is_number(value: Any) -> bool:
-    """Return whether a value is one finite real number, not a boolean."""
+    """Return whether a value is a single finite real number, not a boolean."""
     real = isinstance(value, Real) and not isinstance(value, bool | np.bool_)
     return real and bool(np.isfinite(float(value)))
 
 
 def count(name: str, value: Any, least: int) -> int:
-    """Return an integer.
+    """Return a value as an integer of at least `least`.
+
+    `name` is the parameter of `lunarsim.optimal` that an error names.
 
     Raises
     ------
@@ -36,6 +38,8 @@ def count(name: str, value: Any, least: int) -> int:
 
 def numbers(name: str, value: Any, shape: tuple[int, ...], expected: str) -> Array:
     """Return an array of finite real numbers of a given shape.
+
+    `name` is the parameter of `lunarsim.optimal` that an error names.
 
     Raises
     ------

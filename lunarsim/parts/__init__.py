@@ -1,4 +1,4 @@
-"""Parts: dataclasses with declared settings, and the registry of their names.
+"""Parts: scenario components selected by name, and the registry of these names.
 
 A part is a frozen dataclass in SI units and radians. Its fields (name, default, unit, bounds,
 meaning) define its table in a scenario file: the keys, the checks and the reference are generated

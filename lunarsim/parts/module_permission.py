@@ -19,41 +19,43 @@ _PART_PATTERN = re.compile(r"([^\W\d][\w.]*):[^\W\d]")
 
 
 def allowed_modules() -> tuple[str, ...]:
-    """Return the modules and packages whose classes files may name in this process."""
+    """Return the modules and packages whose code scenario and agent files may run."""
     names = (name.strip() for name in os.environ.get(ALLOW_MODULES_VARIABLE, "").split(","))
     return tuple(dict.fromkeys(name for name in names if name))
 
 
 def check_allowed(field: str, kind: str, module: str) -> None:
-    """Reject a part if neither its module nor a package that contains it is allowed.
+    """Raise InputError unless a module, or a package that contains it, is allowed.
 
     Raises
     ------
     InputError
-            Error for `field` with `kind` as its value.
+        If the module is not allowed; `field` is the setting that names it, `kind` its value.
     """
     if not _MODULE_PATTERN.fullmatch(module):
-        raise InputError(field, kind, 'must be a registered part or "module:Class"')
+        raise InputError(field, kind, 'must be a registered name or "module:Class"')
     if not any(module == name or module.startswith(f"{name}.") for name in allowed_modules()):
         raise InputError(
             field, kind,
-            "must name an allowed module, because importing it runs its code",
-            f"If you trust it, add --allow-module {module} (in Python: allow_modules).",
+            "must name an allowed module, because importing a module runs its code",
+            f"If you trust {module}, add --allow-module {module} (in Python: allow_modules).",
         )  # fmt: skip
 
 
 def allow_modules(*names: str) -> None:
-    """Allow files to name classes of these modules, also in child processes.
+    """Permit scenario and agent files to load classes of modules.
+
+    Loading a module runs its code. The permission also holds in child processes.
 
     Parameters
     ----------
     names
-            Modules or packages, such as ``my_package``; a package includes its modules.
+        Modules or packages, such as ``my_package``; a package includes its modules.
 
     Raises
     ------
     InputError
-            If a name is not a valid module name.
+        If a name is not a valid module name.
     """
     for name in names:
         if not (isinstance(name, str) and _MODULE_PATTERN.fullmatch(name)):
@@ -64,7 +66,7 @@ def allow_modules(*names: str) -> None:
 
 @contextmanager
 def modules_allowed(names: Iterable[str]) -> Iterator[None]:
-    """Allow modules within a `with` statement."""
+    """Permit files to load classes of modules within a `with` statement."""
     before = os.environ.get(ALLOW_MODULES_VARIABLE)
     try:
         allow_modules(*names)
@@ -77,7 +79,7 @@ def modules_allowed(names: Iterable[str]) -> Iterator[None]:
 
 
 def find_module_names(texts: Iterable[str | None]) -> list[str]:
-    """Return the module of every "module:Class" in texts that the user typed.
+    """Return the module of every "module:Class" in texts, such as typed options.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""Fields of parts: default, unit, bounds and meaning in one declaration."""
+"""Settings of scenario components: default, unit, bounds and meaning in one place."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ _METADATA_KEY = "lunarsim"
 
 @dataclass(frozen=True)
 class Quantity:
-    """Declaration of a setting: default, unit, bounds and meaning.
+    """Description of a scenario setting: default, unit, bounds and meaning.
 
     Attributes
     ----------
@@ -76,7 +76,7 @@ class Quantity:
 
     @property
     def expected(self) -> str:
-        """Bounds and unit in words."""
+        """Bounds and unit in words, for error messages: "more than 0 and at most 1 m"."""
         words = [
             f"{word} {bound:g}"
             for word, bound in (
@@ -99,7 +99,7 @@ class Quantity:
         )
 
     def to_si(self, value: Any) -> Any:
-        """Convert a scenario value to the unit of the part: angles to radians."""
+        """Convert a scenario value, or a tuple of values, to SI units and radians."""
         if self.unit in ("deg", "deg/s"):
             return _map_nested(lambda v: float(np.deg2rad(v)), value)
         if self.unit == "mrad":
@@ -107,7 +107,10 @@ class Quantity:
         return value
 
     def from_si(self, value: Any) -> Any:
-        """Convert a part's value to the scenario's unit, and keep the default exact."""
+        """Convert a value in SI units and radians to the unit of the scenario file.
+
+        The default is returned exactly, without rounding errors.
+        """
         if value == self.to_si(self.default):
             return self.default
         if self.unit in ("deg", "deg/s"):
@@ -133,19 +136,29 @@ def quantity(
     le: float | None = None,
     help: str = "",
 ) -> Any:
-    """Declare a dataclass field with default, unit, bounds and meaning.
+    """Define a dataclass field that scenarios can set: default, unit, bounds, meaning.
 
     Parameters
     ----------
     default
-        In the unit of the scenario file: ``quantity(10.0, "deg")`` is 0.1745 rad in the object.
+        Default in the unit of the scenario file: ``quantity(10.0, "deg")`` is 0.1745 rad in the
+        object.
     unit
-        Unit of the default. It also sets the suffix of the scenario key: ``quantity(0.2, "m")`` for
+        Unit of the default, which sets the suffix of the scenario key: ``quantity(0.2, "m")`` for
         a field ``posting`` gives the key ``posting_m``.
     gt, ge, lt, le
         Bounds of the value, or of each element of a sequence.
     help
         Meaning in a few words.
+
+    Examples
+    --------
+    >>> @dataclass(frozen=True)
+    ... class Limits:
+    ...     altitude: float = quantity(50.0, "m", gt=0, help="minimum altitude of a divert")
+    ...     tilt: float = quantity(10.0, "deg", ge=0, lt=90, help="maximum tilt")
+    >>> Limits().altitude, round(Limits().tilt, 4)
+    (50.0, 0.1745)
     """
     if unit not in _SUFFIXES:
         raise ValueError(f"unit {unit!r} must be one of {', '.join(map(repr, _SUFFIXES))}")
@@ -154,37 +167,50 @@ def quantity(
 
 
 def hidden(default: Any) -> Any:
-    """Declare a dataclass field that scenarios cannot set."""
+    """Define a dataclass field with a default that scenarios cannot set.
+
+    Examples
+    --------
+    >>> @dataclass(frozen=True)
+    ... class FirstCome:
+    ...     name: str = hidden("first-come")
+    >>> FirstCome().name
+    'first-come'
+    """
     return field(default=default, metadata={_METADATA_KEY: Quantity(default, hidden=True)})
 
 
 def quantity_of(metadata: Any) -> Quantity | None:
-    """Return the declaration of a field, or None if it has none."""
+    """Return the description of a setting from the metadata of its dataclass field.
+
+    None if the field was not defined by `quantity` or `hidden`.
+    """
     found = metadata.get(_METADATA_KEY)
     return found if isinstance(found, Quantity) else None
 
 
 def check_direction(field: str, vector: Any) -> None:
-    """Reject a value that is not a unit vector (3,).
+    """Raise InputError unless a value is a unit vector (3,).
 
     Raises
     ------
     InputError
-            Error for the given field.
+        If `vector` is not a unit vector; the error names `field`.
     """
     if np.shape(vector) != (3,) or not np.isclose(np.linalg.norm(vector), 1.0, atol=1e-6):
         raise InputError(field, vector, "must be a unit vector")
 
 
 def check_bounds(part: Any, table: str) -> None:
-    """Check the numbers of a dataclass against the bounds that its fields declare.
+    """Raise InputError if a number of a dataclass violates the bounds of its field.
 
-    Scenario files are checked before the part exists; this function checks parts made in Python.
+    Values of scenario files are checked earlier; this function also checks objects created in
+    Python.
 
     Parameters
     ----------
     part
-        Dataclass with angles in radians.
+        Object of a dataclass whose fields are defined by `quantity`; angles in radians.
     table
         Prefix of the field name in the message.
 

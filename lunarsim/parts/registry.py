@@ -1,4 +1,4 @@
-"""Registry of the parts of every contract.
+"""Registry of the scenario components ("parts") of every category ("contract").
 
 A new part takes one file and one line here. Another package can add a name by an entry point of the
 group ``lunarsim.CONTRACT``, or a scenario can give ``kind = "module:Class"`` if the user allows the
@@ -25,21 +25,21 @@ from lunarsim.parts.module_permission import check_allowed
 
 @dataclass(frozen=True)
 class Contract:
-    """Category of parts that share an interface.
+    """Category of exchangeable components ("parts") that share an interface.
 
     Attributes
     ----------
     summary
-        What the part is, in a few words.
+        Purpose of the components, in a few words.
     kinds
-        Registered name to "module:Class", for the parts of this package.
-    needs
-        Names of the members that every part must have.
+        Mapping from registered name to "module:Class", for the components in lunarsim.
+    required_members
+        Names of the attributes and methods that every component must have.
     """
 
     summary: str
     kinds: dict[str, str]
-    needs: tuple[str, ...]
+    required_members: tuple[str, ...]
 
 
 # Field names that the settings tables use themselves.
@@ -74,7 +74,7 @@ CONTRACTS: dict[str, Contract] = {
             "flash-lidar": "lunarsim.sensors.lidar:FlashLidar",
             "camera": "lunarsim.sensors.framing_camera:FramingCamera",
         },
-        ("gives", "tasked", "calibration"),
+        ("measurement_type", "is_tasked", "calibration"),
     ),
     "tasking": Contract(
         "pointing and timing of a sensor's measurements",
@@ -94,7 +94,7 @@ CONTRACTS: dict[str, Contract] = {
             "prior-map": "lunarsim.onboard.navigation.navigation_kinds:PriorMapNavigation",
             "ukf": "lunarsim.onboard.navigation.unscented:UnscentedNavigation",
         },
-        ("build", "needs", "takes", "needs_prior_map", "uses_prior_map"),
+        ("build", "needs", "accepts", "needs_prior_map", "uses_prior_map"),
     ),
     "mapper": Contract(
         "hazard map of the landing area",
@@ -106,7 +106,7 @@ CONTRACTS: dict[str, Contract] = {
             "quadtree": "lunarsim.onboard.hazards.quadtree.mapper:QuadtreeMapperSettings",
             "fused": "lunarsim.onboard.hazards.fusion.mapper:FusedMapperSettings",
         },
-        ("build", "takes", "sensor"),
+        ("build", "accepts", "sensor"),
     ),
     "policy": Contract(
         "selection of the landing site",
@@ -140,7 +140,7 @@ CONTRACTS: dict[str, Contract] = {
         },
         ("build", "cost"),
     ),
-    "descent": Contract(
+    "terminal-descent": Contract(
         "guidance law of the terminal descent",
         {
             "rate-of-descent": "lunarsim.onboard.guidance.rate_of_descent:RateOfDescent",
@@ -165,7 +165,10 @@ CONTRACTS: dict[str, Contract] = {
 
 
 def kinds(contract: str) -> dict[str, str]:
-    """Return name and "module:Class" of all parts, including entry points.
+    """Return the registered components of a category: name to "module:Class".
+
+    `contract` is a key of `CONTRACTS`, such as "policy". Components of other installed packages
+    are included.
 
     Raises
     ------
@@ -183,7 +186,7 @@ def kinds(contract: str) -> dict[str, str]:
             raise InputError(
                 f"entry point lunarsim.{contract}",
                 point.name,
-                f"must be a unique name; {found[point.name]} already has it",
+                f"must be a unique name, but {found[point.name]} has the same name",
             )
         found[point.name] = point.value
     return found
@@ -191,10 +194,11 @@ def kinds(contract: str) -> dict[str, str]:
 
 @cache
 def installed_parts(group: str, search_path: tuple[str, ...]) -> tuple[EntryPoint, ...]:
-    """Return the entry points of a group that installed packages declare.
+    """Return the entry points of a group in all installed packages.
 
-    The result is cached per search path and process, because a scan of all installed packages
-    takes 10 ms and each part of a scenario needs it.
+    `group` is a name such as "lunarsim.policy"; `search_path` is Python's module path. The result
+    is cached, because a scan of all installed packages takes 10 ms and each component of a scenario
+    needs the entry points.
     """
     return tuple(_entry_points(search_path).select(group=group))
 
@@ -205,7 +209,10 @@ def _entry_points(search_path: tuple[str, ...]) -> Any:
 
 
 def loadable_parts(contract: str) -> Iterator[tuple[str, Any]]:
-    """Yield kind and class of those parts of a contract that can be loaded."""
+    """Yield registered name and class of each component of a category.
+
+    Components that cannot be loaded are omitted. `contract` is a key of `CONTRACTS`.
+    """
     for kind in kinds(contract):
         try:
             yield kind, resolve(contract, kind)
@@ -214,7 +221,7 @@ def loadable_parts(contract: str) -> Iterator[tuple[str, Any]]:
 
 
 def resolve(contract: str, kind: str, field: str | None = None) -> type:
-    """Return the class of a part.
+    """Load the class of a component from its registered name or "module:Class".
 
     Parameters
     ----------
@@ -223,12 +230,12 @@ def resolve(contract: str, kind: str, field: str | None = None) -> type:
     kind
         Registered name, or "module:Class".
     field
-        Field that gave the kind, for the message.
+        Scenario key that contains `kind`, for error messages.
 
     Raises
     ------
     InputError
-        If the part does not exist, its module is not allowed, or it cannot be imported.
+        If the component does not exist, cannot be imported, or its module is not allowed.
 
     Examples
     --------
@@ -240,11 +247,13 @@ def resolve(contract: str, kind: str, field: str | None = None) -> type:
     # Finding entry points scans all installed packages (10 ms): only if needed.
     if colon and kind not in kinds(contract).values():
         check_allowed(field, kind, module)
-    return _resolve(contract, kind, field)
+    # A session may define a class of __main__ again, under the same name.
+    found = _resolve.__wrapped__ if module == "__main__" else _resolve
+    return found(contract, kind, field)
 
 
 def import_part_module(module: str) -> ModuleType:
-    """Import a module, also from the working directory if it is not found elsewhere.
+    """Import a module by name; the working directory is searched last.
 
     An installed command, unlike ``python -m``, does not search the working directory.
     """
@@ -280,7 +289,9 @@ def _resolve(contract: str, kind: str, field: str) -> type:
     if not found.__dataclass_params__.frozen:  # type: ignore[attr-defined]
         raise InputError(field, kind, f"must be a frozen dataclass, but {where} is not frozen")
     names = {f.name for f in dataclasses.fields(found)}
-    missing = [n for n in CONTRACTS[contract].needs if n not in names and not hasattr(found, n)]
+    missing = [
+        n for n in CONTRACTS[contract].required_members if n not in names and not hasattr(found, n)
+    ]
     if missing:
         raise InputError(field, kind, f"must be a {contract}, but {where} has no {missing[0]!r}")
     reserved = names & RESERVED

@@ -16,17 +16,17 @@ from lunarsim.parts.quantity import Quantity, quantity_of
 
 
 class PartSettings(BaseModel):
-    """Table of a scenario with its values checked; `make` builds the part."""
+    """Checked values of one scenario table; `make` builds the configured object."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=False)
 
     def make(self) -> Any:
-        """Build the part, in SI units and radians.
+        """Build the object that the table configures, in SI units and radians.
 
         Raises
         ------
         InputError
-            If its values contradict each other; the field is the scenario key.
+            If values contradict each other; the error names the scenario key.
         """
         cls, keys = _source_of(type(self))
         values = {}
@@ -46,21 +46,27 @@ class PartSettings(BaseModel):
     def _with_scenario_key(
         self, error: InputError, keys: dict[str, tuple[str, Quantity | None]]
     ) -> InputError:
-        """Return a part's error with the scenario key and value."""
+        """Return a copy of an error that names the scenario key and its value.
+
+        `keys` maps scenario keys to field names and their descriptions.
+        """
         wrong = error.field.rpartition(".")[2]
         for key, (name, _) in keys.items():
             if wrong in (name, key):
                 return InputError(key, getattr(self, key), error.problem, error.remedy)
-        return error.renamed(wrong)
+        return error.with_field(wrong)
 
 
 def _build_value(key: str, value: Any) -> Any:
-    """Build parts from nested tables and tuples from lists."""
+    """Convert a table's value: nested tables to objects, lists to tuples.
+
+    `key` is the scenario key, for error messages.
+    """
     if isinstance(value, PartSettings):
         try:
             return value.make()
         except InputError as error:
-            raise error.renamed(f"{key}.{error.field}") from None
+            raise error.with_field(f"{key}.{error.field}") from None
     return tuple(_build_value(key, v) for v in value) if isinstance(value, list | tuple) else value
 
 
@@ -76,7 +82,7 @@ def _source_of(model: type[BaseModel]) -> tuple[type, dict[str, tuple[str, Quant
 
 @cache
 def settings_of(cls: type) -> type[PartSettings]:
-    """Generate the table that configures a dataclass.
+    """Generate the pydantic model of the scenario table that configures a dataclass.
 
     Raises
     ------
@@ -117,7 +123,7 @@ def settings_of(cls: type) -> type[PartSettings]:
 
 
 def table_of(part: Any) -> PartSettings:
-    """Return the table of a part, with values in the units of a scenario file."""
+    """Return an object's settings as a table, in the units of a scenario file."""
     of: type = type(part)
     model = settings_of(of)
     _, keys = _source_of(model)
@@ -132,12 +138,15 @@ def table_of(part: Any) -> PartSettings:
 
 
 def _fill_omitted_keys(default: PartSettings, given: Any) -> Any:
-    """Add the default's values for the keys that a nested table omits."""
+    """Complete a nested table by the values of `default` for omitted keys."""
     return dict(default) | dict(given) if isinstance(given, Mapping) else given
 
 
 def _add_bounds(annotation: Any, q: Quantity | None) -> Any:
-    """Add bounds to the numbers of an annotation; reject infinity and NaN."""
+    """Return a type annotation whose numbers have the bounds of a setting.
+
+    `q` is the description of the setting. Infinity and NaN are not accepted.
+    """
     origin, arguments = typing.get_origin(annotation), typing.get_args(annotation)
     if origin in (Union, types.UnionType):
         return Union[tuple(_add_bounds(a, q) for a in arguments)]  # noqa: UP007
@@ -158,14 +167,14 @@ def _add_bounds(annotation: Any, q: Quantity | None) -> Any:
 
 
 def unit_of(model: type[PartSettings], key: str) -> str:
-    """Return the unit of a key of a table; "" if it is dimensionless."""
+    """Return the unit of a key of a scenario table; "" if dimensionless."""
     _, keys = _source_of(model)
     q = keys[key][1] if key in keys else None
     return q.unit if q and q.unit != "1" else ""
 
 
 def bounds_of(model: type[PartSettings], key: str) -> str:
-    """Return the bounds of a key as text; "" if there are none."""
+    """Return the bounds of a key of a scenario table, such as "> 0, <= 1"; "" if none."""
     _, keys = _source_of(model)
     q = keys[key][1] if key in keys else None
     if q is None:

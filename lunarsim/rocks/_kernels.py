@@ -15,7 +15,11 @@ from lunarsim._jit import kernel
 
 @kernel()
 def rock_height(x, y, rocks, n, planes, count):
-    """Return the elevation of the top of rock n above (x, y); -inf outside it."""
+    """Return the elevation, m, of the top of rock n at (x, y).
+
+    The result is -inf outside the outline of the rock. `rocks`, `planes` and `count` are the arrays
+    described in the module.
+    """
     dx = x - rocks[n, 0]
     dy = y - rocks[n, 1]
     c = rocks[n, 6]
@@ -44,7 +48,7 @@ def rock_height(x, y, rocks, n, planes, count):
 
 @kernel(inner=True)
 def rock_normal(x, y, z, rocks, n, planes, count, out):
-    """Write the unit outward normal of rock n at the surface point (x, y, z)."""
+    """Write the unit outward normal of rock n at (x, y, z) on its surface into `out`."""
     c = rocks[n, 6]
     s = rocks[n, 7]
     dx = x - rocks[n, 0]
@@ -77,7 +81,11 @@ def rock_normal(x, y, z, rocks, n, planes, count, out):
 
 @kernel(inline=True)
 def _ellipsoid_hit(ex, ey, ez, fx, fy, fz):
-    """Return where a ray enters the unit hemisphere or its extension, or inf."""
+    """Return the distance at which a ray enters the unit hemisphere; inf if it misses.
+
+    The ray starts at (ex, ey, ez) in the direction (fx, fy, fz), in unit axes. Below its base the
+    hemisphere continues as a vertical cylinder.
+    """
     qa = fx * fx + fy * fy + fz * fz
     # Start from the point of closest approach, for precision at long range.
     tc = -(ex * fx + ey * fy + ez * fz) / qa
@@ -107,7 +115,11 @@ def _ellipsoid_hit(ex, ey, ez, fx, fy, fz):
 
 @kernel(inline=True)
 def _polyhedron_hit(ex, ey, ez, fx, fy, fz, planes, faces):
-    """Return the distance at which a ray enters the half spaces, or inf."""
+    """Return the distance at which a ray enters a convex polyhedron; inf if it misses.
+
+    The ray starts at (ex, ey, ez) in the direction (fx, fy, fz), in unit axes; the polyhedron is
+    the intersection of the first `faces` half spaces of `planes` (n, 4).
+    """
     enter = -np.inf
     leave = np.inf
     for k in range(faces):
@@ -126,7 +138,11 @@ def _polyhedron_hit(ex, ey, ez, fx, fy, fz, planes, faces):
 
 @kernel(inline=True, inner=True)
 def rock_hit(ox, oy, oz, dx, dy, dz, rocks, n, planes, count):
-    """Return the distance at which a ray enters rock n from outside, else inf."""
+    """Return the distance, m, at which a ray enters rock n; inf if it misses.
+
+    The ray starts at (ox, oy, oz) in the direction (dx, dy, dz), ENU; `rocks`, `planes` and `count`
+    are the arrays described in the module.
+    """
     c = rocks[n, 6]
     s = rocks[n, 7]
     rx = ox - rocks[n, 0]
@@ -145,9 +161,10 @@ def rock_hit(ox, oy, oz, dx, dy, dz, rocks, n, planes, count):
 
 @kernel()
 def cast_on_plane(origin, direction, rocks, planes, count, distance, normal):
-    """Cast rays (n, 3) onto rock 0 on the plane z = 0; inf where both are missed.
+    """Intersect rays with rock 0 and the plane z = 0; write distances and normals.
 
-    Writes the distance (n,) and the unit normal there (n, 3).
+    `origin` and `direction` (n, 3) are the rays. `distance` (n,), m, is inf where rock and plane
+    are missed; `normal` (n, 3) is the unit normal at the hit.
     """
     for i in range(origin.shape[0]):
         ox, oy, oz = origin[i, 0], origin[i, 1], origin[i, 2]

@@ -17,11 +17,11 @@ Shape = Literal["hemisphere", "ellipsoid", "cube", "irregular", "mixed"]
 
 @dataclass(frozen=True)
 class RockField:
-    """Rocks as arrays: scaled and rotated unit shapes on or partly in the relief.
+    """Set of rocks, stored as arrays: scaled and rotated unit shapes on the relief.
 
-    The base plane is horizontal; it passes through the relief under the rock's centre, or below it
-    for a buried rock. Where the relief is below the base, the outline is extruded downwards, so
-    that the surface is a function of (x, y) without cavities.
+    The base plane of a rock is horizontal; it passes through the relief under the rock's centre, or
+    below the relief for a buried rock. Where the relief is below the base, the rock continues
+    vertically down, so that the surface is a function of (x, y) without cavities.
 
     Attributes
     ----------
@@ -55,7 +55,7 @@ class RockField:
 
     @classmethod
     def empty(cls) -> RockField:
-        """Return a field without rocks."""
+        """Return an empty set of rocks."""
         x, y, base, a, b, height, yaw = np.zeros((7, 0))
         return cls(x, y, base, a, b, height, yaw)
 
@@ -63,7 +63,7 @@ class RockField:
     def hemispheres(
         cls, x: ArrayLike, y: ArrayLike, base: ArrayLike, radius: ArrayLike
     ) -> RockField:
-        """Return half-buried spheres."""
+        """Return hemispherical rocks with given centres, base elevations and radii, m."""
         arrays = [np.array(v, dtype=np.float64, ndmin=1) for v in (x, y, base, radius)]
         cx, cy, cz, r = (np.ascontiguousarray(v) for v in np.broadcast_arrays(*arrays))
         return cls(cx, cy, cz, r, r.copy(), r.copy(), np.zeros_like(r))
@@ -72,20 +72,23 @@ class RockField:
         return int(self.x.size)
 
     def rows(self) -> NDArray[np.float64]:
-        """Return the array of rocks for the kernels (n, 9)."""
+        """Return the rocks as one array (n, 9) for compiled functions.
+
+        The columns are x, y, base, a, b, height, cosine and sine of the yaw, and shape.
+        """
         turn = (np.cos(self.yaw), np.sin(self.yaw))
         return np.column_stack(
             (self.x, self.y, self.base, self.a, self.b, self.height, *turn, self.shape)
         )
 
     def reach(self) -> NDArray[np.float64]:
-        """Return the radius of a disc around each centre that holds the outline (n,), m."""
+        """Return the radius (n,), m, of a disc around each centre that holds the outline."""
         return np.asarray(np.maximum(self.a, self.b) * shape_table().reach[self.shape])
 
 
 @dataclass(frozen=True)
 class RockModel:
-    """Shapes and burial of rocks of a given diameter.
+    """Statistics of the shapes and burial of rocks.
 
     Attributes
     ----------
@@ -106,7 +109,9 @@ class RockModel:
         boulders on Eros is 0.7 (Michikami et al. 2010, 2016), as with limits of 0.5 and 0.9.
     """
 
-    shape: Shape = quantity("hemisphere", help="shape of the rocks")
+    shape: Shape = quantity(
+        "hemisphere", help="shape of the rocks; mixed: ellipsoids and irregular boulders"
+    )
     height_ratio: tuple[float, float] = quantity(
         (0.5, 0.1), help="height over diameter of rocks, mean and standard deviation"
     )
@@ -114,7 +119,7 @@ class RockModel:
         (0.0, 0.5), help="buried fraction of the height, minimum and maximum; not for hemispheres"
     )
     axis_ratio: tuple[float, float] = quantity(
-        (0.6, 1.0), help="ratio of the horizontal axes, minimum and maximum"
+        (0.6, 1.0), help="shorter over longer horizontal axis of a rock, minimum and maximum"
     )
 
     def __post_init__(self) -> None:
@@ -143,7 +148,9 @@ class RockModel:
             )
 
     def draw(self, diameter: NDArray[np.float64], rng: np.random.Generator) -> RockField:
-        """Return rocks (n) of the given diameters at the origin, with the terrain at 0.
+        """Sample shapes and burial of rocks with the given diameters (n,), m.
+
+        The rocks are at the origin, with the terrain at elevation 0; they are placed later.
 
         The diameter is that of a disc with the area that the rock covers at terrain level (for a
         cube: its side).

@@ -14,41 +14,43 @@ from lunarsim.rocks.field import RockModel
 
 @dataclass(frozen=True)
 class RockPopulation(RockModel):
-    """Rocks of the Golombek distribution, drawn for every flight.
+    """Settings of the true rocks: Golombek size distribution, shapes and placement.
+
+    The rocks are sampled at random for every flight.
 
     Attributes
     ----------
-    clustered, block_crater
+    cluster_fraction, min_block_crater_diameter
         Fraction of the rocks that lie as blocks around craters, and the minimum diameter of craters
         with blocks, m. Blocks come from below the regolith, 4 to 5 m thick on maria (Lunar
-        Sourcebook 1991, ch. 7), which craters reach from a diameter of about 25 m. Metre-sized
+        Sourcebook 1991, ch. 7); craters wider than about 25 m excavate from this depth. Metre-sized
         blocks outlast such craters (median 40 to 80 Myr: Basilevsky et al. 2013), so that craters
         of all ages have them.
-    fillet
+    fillet_height_ratio
         Height of the soil banked against rocks over their exposed height. Fillets are part of the
-        relief and need a posting that is a fraction of a rock's size.
+        relief and need a grid spacing that is a fraction of a rock's size.
     cube_area
-        Area of a cube of side D in the distribution's cover. "square": D^2, as Golombek counts the
-        covered area; "disc": the disc of diameter D, so that cubes cover 4 / pi times the nominal
-        cover, as in the reproduced experiment of the shadow EKF paper.
+        Area that a cube of side D contributes to the cover. "square": D^2, as Golombek counts the
+        covered area; "disc": pi D^2 / 4, so that cubes cover 4 / pi times the nominal cover, as in
+        the experiment of the shadow EKF paper.
     """
 
     cover: float = quantity(
-        0.05, ge=0, le=0.2, help="fraction k of the terrain covered by rocks of all sizes"
+        0.05, ge=0, le=0.2, help="fraction k of the terrain covered by true rocks of all sizes"
     )
     min_diameter: float = quantity(0.15, "m", ge=0.01, help="minimum diameter of generated rocks")
     max_diameter: float = quantity(3.0, "m", gt=0, help="maximum diameter of generated rocks")
-    clustered: float = quantity(
-        0.0, ge=0, le=1, help="fraction of the rocks that lies around craters"
+    cluster_fraction: float = quantity(
+        0.0, ge=0, le=1, help="fraction of the rocks that lie around craters"
     )
-    block_crater: float = quantity(
+    min_block_crater_diameter: float = quantity(
         25.0, "m", gt=0, help="minimum diameter of craters with rocks around them"
     )
-    fillet: float = quantity(
+    fillet_height_ratio: float = quantity(
         0.0, ge=0, le=0.5, help="height of soil banked against rocks over their exposed height"
     )
     cube_area: Literal["square", "disc"] = quantity(
-        "square", help="area of a cube in the cover: its own, or the disc of its side as diameter"
+        "square", help="area of a cube of side D in the cover; square: D^2; disc: pi D^2 / 4"
     )
 
     def __post_init__(self) -> None:
@@ -61,22 +63,22 @@ class RockPopulation(RockModel):
             )
 
     @property
-    def share(self) -> float:
-        """Area of a disc over the area that a rock of its diameter has in the cover."""
+    def disc_area_ratio(self) -> float:
+        """Area of a disc of diameter D over the area that a rock of size D covers."""
         squares = self.shape == "cube" and self.cube_area == "square"
         return 0.25 * np.pi if squares else 1.0
 
     def model(self) -> RockModel:
-        """Return the shapes and burial of the rocks."""
+        """Return the statistics of the rocks' shapes and burial."""
         return RockModel(self.shape, self.height_ratio, self.burial, self.axis_ratio)
 
 
 @dataclass(frozen=True)
 class RockExpectation(RockModel):
-    """Rocks of the Golombek distribution that the mission expects."""
+    """Settings of the rocks that the mission expects: Golombek distribution, shapes."""
 
     cover: float = quantity(
-        0.05, gt=0, le=0.2, help="fraction k of the terrain covered by rocks of all sizes"
+        0.05, gt=0, le=0.2, help="expected fraction k of the terrain covered by rocks"
     )
 
     def __post_init__(self) -> None:
@@ -85,13 +87,13 @@ class RockExpectation(RockModel):
             raise InputError("rocks.cover", self.cover, "must be more than 0 and at most 0.2")
 
     @classmethod
-    def given(cls, rocks: RockExpectation | None) -> RockExpectation:
-        """Return the given expectation, or the default for None.
+    def or_default(cls, rocks: RockExpectation | None) -> RockExpectation:
+        """Return the expected rocks `rocks`, or the default expectation for None.
 
         Raises
         ------
         InputError
-            If it has another type.
+            If `rocks` has another type.
         """
         if rocks is None:
             return cls()
@@ -100,6 +102,6 @@ class RockExpectation(RockModel):
         return rocks
 
     def model(self) -> RockModel:
-        """Return the expected shapes and burial of the rocks."""
+        """Return the expected statistics of the rocks' shapes and burial."""
         burial = (0.0, 0.0) if self.shape == "hemisphere" else self.burial
         return RockModel(self.shape, self.height_ratio, burial, self.axis_ratio)

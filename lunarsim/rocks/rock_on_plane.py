@@ -16,12 +16,13 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class RockOnPlane:
-    """A rock of a field, placed at the origin of the plane z = 0.
+    """One rock of a set, placed at the origin of the plane z = 0.
 
     Attributes
     ----------
     field, index
-        Field and index of the rock; its base is kept, its position is not.
+        Set of rocks, and index of the rock in the set. The base elevation of the rock is kept, but
+        its position becomes the origin.
     """
 
     field: RockField
@@ -33,7 +34,11 @@ class RockOnPlane:
         return row
 
     def cast(self, origin: Array, direction: Array) -> tuple[Array, Array]:
-        """Return distances (n,), inf for the sky, and unit normals (n, 3) of rays (n, 3)."""
+        """Intersect rays with the rock and the plane.
+
+        `origin` and `direction` (n, 3) are the rays. Returns distances (n,), m, inf for the sky,
+        and unit normals at the hits (n, 3).
+        """
         distance = np.empty(len(origin))
         normal = np.empty((len(origin), 3))
         table = shape_table()
@@ -44,7 +49,7 @@ class RockOnPlane:
         return distance, normal
 
     def covers(self, xy: Array) -> NDArray[np.bool_]:
-        """Return which points (..., 2) of the plane the rock covers."""
+        """Return which points `xy` (..., 2), m, of the plane the rock covers from above."""
         start = np.column_stack((xy.reshape(-1, 2), np.full(xy.size // 2, 60.0)))
         down = np.broadcast_to([0.0, 0.0, -1.0], start.shape)
         distance, _ = self.cast(start, np.ascontiguousarray(down))

@@ -29,12 +29,12 @@ _DOME = 4
 
 @dataclass(frozen=True)
 class ShapeTable:
-    """All unit shapes as arrays.
+    """Unit shapes of rocks as arrays, one row per shape.
 
     Attributes
     ----------
     planes
-        Half spaces of each shape (shapes, most, 4): unit normal and offset d.
+        Half spaces n . q <= d of each shape (shapes, most, 4): unit normal n and offset d.
     count
         Number of half spaces of each shape (shapes,); 0 for the hemisphere.
     reach
@@ -56,7 +56,10 @@ def _cube() -> NDArray[np.float64]:
 
 
 def _irregular(rng: np.random.Generator) -> NDArray[np.float64]:
-    """Return the vertices of a boulder whose outline has the unit disc's area."""
+    """Return the vertices (n, 3) of a random boulder in unit axes.
+
+    Its outline has the area of the unit disc.
+    """
     angle = 2.0 * np.pi * (np.arange(_RING) + rng.uniform(-0.3, 0.3, _RING)) / _RING
     radius = rng.uniform(0.85, 1.15, _RING)
     ring = np.column_stack((radius * np.cos(angle), radius * np.sin(angle), np.zeros(_RING)))
@@ -72,7 +75,10 @@ def _irregular(rng: np.random.Generator) -> NDArray[np.float64]:
 
 
 def _half_spaces(points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the half spaces (n, 4) of the hull of `points`, extruded downwards."""
+    """Return the half spaces (n, 4), normal and offset, of a convex body.
+
+    The body is the convex hull of `points` (k, 3), continued vertically downwards.
+    """
     faces = np.unique(ConvexHull(points).equations.round(12), axis=0)
     upward = faces[faces[:, 2] > 1e-9]
     walls = np.unique(ConvexHull(points[:, :2]).equations.round(12), axis=0)
@@ -84,7 +90,7 @@ def _half_spaces(points: NDArray[np.float64]) -> NDArray[np.float64]:
 
 @lru_cache(maxsize=1)
 def shape_table() -> ShapeTable:
-    """Return the fixed table of shapes: hemisphere, cube, then the irregular ones."""
+    """Return the table of unit shapes: hemisphere, cube, then 16 irregular boulders."""
     rng = np.random.default_rng(_SEED)
     bodies = [_cube(), *(_irregular(rng) for _ in range(IRREGULAR_COUNT))]
     spaces = [_half_spaces(body) for body in bodies]

@@ -15,7 +15,9 @@ from lunarsim.errors import InputError
 
 
 def golombek_exponent(k: float) -> float:
-    """Return the exponent q of F(D) = k exp(-q D), 1/m.
+    """Return the exponent q, 1/m, of the rock cover F(D) = k exp(-q D).
+
+    `k` is the fraction of terrain covered by rocks of all sizes.
 
     Examples
     --------
@@ -30,6 +32,8 @@ def golombek_exponent(k: float) -> float:
 def golombek_cover(diameter: ArrayLike, k: float) -> NDArray[np.float64]:
     """Return F(D), the fraction of terrain covered by rocks of `diameter` (m) or more.
 
+    `k` is the fraction covered by rocks of all sizes.
+
     Examples
     --------
     >>> np.round(golombek_cover([0.0, 0.5, 1.0], 0.05), 4)
@@ -41,6 +45,7 @@ def golombek_cover(diameter: ArrayLike, k: float) -> NDArray[np.float64]:
 def golombek_number(diameter: ArrayLike, k: float) -> NDArray[np.float64]:
     """Return N(D), the number of rocks of `diameter` (m) or more per square metre.
 
+    `k` is the fraction of terrain covered by rocks of all sizes.
     From dN = -dF / (pi D^2 / 4): ``N = 4 k q^2 / pi * (exp(-x) / x - E1(x))`` with x = q D.
 
     Examples
@@ -60,10 +65,11 @@ def sample_diameters(
     maximum: float,
     rng: np.random.Generator,
 ) -> NDArray[np.float64]:
-    """Draw the diameters (m) of the rocks on `area` (m^2), largest first.
+    """Sample the diameters (m) of the rocks on `area` (m^2), largest first.
 
-    Their number is Poisson distributed with the mean number between `minimum` and `maximum`;
-    diameters are drawn by inverting N(D).
+    `k` is the fraction of terrain covered by rocks of all sizes. The number of rocks is Poisson
+    distributed with the mean number of diameters from `minimum` to `maximum` (m); diameters are
+    sampled by inverting N(D).
 
     Examples
     --------

@@ -58,7 +58,10 @@ HALF = np.float32(0.5 * (BLOCK - 1))
 
 @kernel()
 def _median(values, ascending):
-    """Return the median of a few values, the mean of the middle two if even."""
+    """Return the median of a small array; the mean of the middle two if even.
+
+    `ascending` is a buffer for the sorted values.
+    """
     count = 0
     for i in range(values.shape[0]):
         for j in range(values.shape[1]):
@@ -70,7 +73,10 @@ def _median(values, ascending):
 
 @kernel()
 def slopes_at_large(z, inside, arm, out):
-    """Write the gradients (2, n, m) of squares of SQUARE x SQUARE cells, m per cell.
+    """Write large-scale terrain gradients of 8 x 8 cell squares, m per cell.
+
+    `z` (rows, cols) is the elevation, `out` (2, n, k) the gradient of each square to the east and
+    north.
 
     The gradient is the median over a square of height differences over an `arm` to either side,
     then the median over the neighbouring squares. It follows domes and ridges and ignores rocks and
@@ -102,7 +108,11 @@ def slopes_at_large(z, inside, arm, out):
 
 @kernel(fast=True)
 def between(slopes, out):
-    """Interpolate to the centre of the block to the north-east of each cell."""
+    """Interpolate gradients of squares to the block to the north-east of each cell.
+
+    `slopes` (n, k) is one component of the gradient at the centres of squares of SQUARE x SQUARE
+    cells; `out` (rows, cols) is its value at the centre of the block of BLOCK x BLOCK cells.
+    """
     rows, cols = slopes.shape
     tall, wide = out.shape
     shift = np.float32(0.5 * BLOCK / SQUARE - 0.5)
@@ -125,7 +135,12 @@ def between(slopes, out):
 
 @kernel()
 def _lids(z, slopes, height, east, north):
-    """Write height and gradient of the lid of the block north-east of each cell."""
+    """Write height and gradient of the lid of the block north-east of each cell.
+
+    A lid is the lowest plane of the gradient from `slopes` above all cells of the block. `height`,
+    `east` and `north` (rows cols,) are the lid's height at the block's centre, m, and its gradient
+    per cell.
+    """
     tall, wide = z.shape
     flat = z.reshape(z.size)
     between(slopes[0], east.reshape(tall, wide))
@@ -145,9 +160,12 @@ def _lids(z, slopes, height, east, north):
 
 @kernel()
 def _lift_lids(window, here, corners, lids):
-    """Write the lids' heights of all blocks of sixteen sites, raised for gradients.
+    """Write the lids of all blocks around sixteen sites, raised for gradients.
 
-    Returns nothing; block n of site k is lids[LANES n + k].
+    The lid of a block is its bounding plane; its height is raised for the difference between its
+    gradient and the gradient at the site. `window` is from `_prepare`, `here` the index of the
+    first site, `corners` (n,) the blocks' offsets from it; block n of site k is lids[SIMD_WIDTH n +
+    k].
     """
     height, east, north = window[2], window[3], window[4]
     gx, gy = load(east, here), load(north, here)
@@ -159,7 +177,11 @@ def _lift_lids(window, here, corners, lids):
 
 @kernel(inline=True)
 def _lid_above_plane(lids, blocks, centres, n, gx, gy):
-    """Return the height of the lid of block `n` above a plane through the site."""
+    """Return the height of the lid of block `n` above a plane of gradient (gx, gy).
+
+    The plane goes through the site at height 0; heights are for sixteen neighbouring sites.
+    `blocks` and `centres` are `which` and `centres` of `PolygonBlocks`.
+    """
     lid = load(lids, item(blocks, n) * SIMD_WIDTH)
     return lid - item(centres, 2 * n) * gx - item(centres, 2 * n + 1) * gy
 
@@ -168,7 +190,11 @@ def _lid_above_plane(lids, blocks, centres, n, gx, gy):
 def _max_in_block(z, here, wide, covers, n, gx, gy):
     """Return the maximum height of the polygon's cells in block `n` above a plane.
 
-    `allowed` is 0 for these cells and -FAR for the others, which is faster than a test.
+    The plane has the gradient (gx, gy) per cell and goes through the site at height 0. `here` is
+    the index of the first of sixteen sites, `wide` the number of columns of `z`; `covers` are the
+    blocks' corners and `allowed`.
+
+    `allowed` is 0 for cells of the polygon and -FAR for the others, which is faster than a test.
     """
     corners, allowed = covers
     south, west = item(corners, 2 * n), item(corners, 2 * n + 1)
@@ -185,7 +211,11 @@ def _max_in_block(z, here, wide, covers, n, gx, gy):
 
 @kernel(inline=True)
 def _max_in_four_blocks(z, here, wide, covers, n, gx, gy, risen, need):
-    """Compute `_max_in_block` for those of four blocks whose lids exceed `need`."""
+    """Compute `_max_in_block` for those of four blocks whose lids exceed `need`.
+
+    `risen` are the heights of the lids (upper bounds) of blocks n to n + 3 above the plane; a block
+    whose lid is below `need` at all sixteen sites is skipped.
+    """
     a, b, c, d = risen
     top = lane_fill(-FAR)
     if any_greater(a, need):
@@ -201,7 +231,7 @@ def _max_in_four_blocks(z, here, wide, covers, n, gx, gy, risen, need):
 
 @kernel(inline=True)
 def _stride(headings):
-    """Return a step that visits all headings, distant ones first.
+    """Return an index step that visits all headings, distant headings first.
 
     A few distant headings approximate the roughness of a site, so that others can be skipped.
     """
@@ -213,7 +243,11 @@ def _stride(headings):
 
 @kernel()
 def _steepest(feet, here, legs, cells, posting, out):
-    """Write the maximum tan(slope) over headings and planes."""
+    """Write the maximum tan(slope) over headings and support planes of sixteen sites.
+
+    `feet` holds the terrain height under a pad, `here` is the index of the first site, `legs` are
+    the index offsets of the legs for each heading, `cells` the `FootprintArrays`.
+    """
     inverse, place = cells.inverse, cells.place
     steepest = lane_fill(0.0)
     for h in range(legs.shape[0]):
@@ -225,7 +259,10 @@ def _steepest(feet, here, legs, cells, posting, out):
 
 @kernel()
 def _drop_steep(tangent, limit, lanes):
-    """Set `lanes` to FAR where the slope is at its limit; return if any is left."""
+    """Set `lanes` to FAR for sites whose slope reaches `limit`; return if any is left.
+
+    `tangent` and `lanes` (16,) hold tan(slope) and the skip mark of sixteen sites.
+    """
     left = False
     for k in range(SIMD_WIDTH):
         if tangent[k] >= limit:
@@ -238,7 +275,7 @@ def _drop_steep(tangent, limit, lanes):
 def _write_roughness(
     window, here, wide, legs, cells, covers, posting, limit_rough, decide, start, lanes, lids,
 ):  # fmt: skip
-    """Raise lanes[1] to tan(slope), write the roughness of sixteen sites to lanes[2].
+    """Write the maximum roughness of sixteen sites over headings and support planes.
 
     lanes[0] is FAR for sites to skip, lanes[3] the margin for rounding; `lids` is from
     `_lift_lids`. Returns the heading that raised the roughness last; `start` is the first heading.
@@ -290,7 +327,9 @@ _ROUNDING = np.float32(2e-6)
 
 @kernel()
 def _mark(todo, size, i, first, lanes):
-    """Mark the sites to evaluate and write their margins; return if there are any.
+    """Mark which of sixteen sites to evaluate, write rounding margins; return if any.
+
+    The sites are those of row `i` from column `first` on; `lanes` is as in `_write_roughness`.
 
     A site's margin depends on the heights of its footprint, which are FAR where unknown.
     """
@@ -306,10 +345,13 @@ def _mark(todo, size, i, first, lanes):
 
 @kernel()
 def _prepare(z, middle, cells, r0, c0, window, size):
-    """Fill the windows of a tile and the maximum height of each footprint.
+    """Fill a tile's elevation windows and the maximum height of each footprint.
 
-    `window` (5, rows, cols) becomes elevation, terrain under pads, heights and gradients of lids;
-    `size` is FAR where a footprint contains unknown terrain or leaves the raster.
+    The tile begins at row `r0`, column `c0` of the raster `z`; `cells` are the `FootprintArrays`.
+
+    `window` (5, rows, cols) becomes elevation, terrain under pads, heights and gradients of lids
+    (bounding planes of blocks); `size` is FAR where a footprint contains unknown terrain or leaves
+    the raster.
     """
     reach = cells.reach
     _, tall, wide = window.shape
@@ -348,7 +390,10 @@ def _exact_tile(
     window, size, todo, cells, covers, posting, limit_slope, limit_rough, decide, slope_out,
     rough_out,
 ):  # fmt: skip
-    """Write tan(slope) and roughness of the sites `todo` of a tile."""
+    """Write tan(slope) and roughness of the sites `todo` of a tile.
+
+    `window` and `size` are from `_prepare`; the other arguments are as in `exact`.
+    """
     wide = window.shape[2]
     flat = window.reshape(5, window.shape[1] * wide)
     legs = flat_offsets(cells.legs, wide)
@@ -395,7 +440,11 @@ def exact(
     slope_out,
     rough_out,
 ):
-    """Write tan(slope) and roughness, the worst over headings and admissible planes.
+    """Write the maximum tan(slope) and roughness over headings and support planes.
+
+    `share` is (first tile, step between tiles) of one thread; `z` (rows, cols) is the elevation,
+    `middle` the middle of its heights; `cells` and `covers` are arrays of the lander's footprint
+    (`FootprintArrays` and `PolygonBlocks`).
 
     Only sites `todo` with known footprints are written. A block is examined only if its lid rises
     above the plane of some site by more than that site's worst roughness so far, minus a margin for

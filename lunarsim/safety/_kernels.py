@@ -22,15 +22,16 @@ TILE_COLS = 128
 
 @kernel(inner=True)
 def known(z, middle):
-    """Return whether a height is valid: not NaN, infinite or implausible."""
+    """Return whether a height is finite and plausible, near the map's middle height."""
     return abs(np.float64(z) - middle) <= MAX_RELIEF_M
 
 
 @kernel(inner=True)
 def insert(ascending, count, value):
-    """Insert a value into the first `count` values, in ascending order.
+    """Insert a value into the first `count` sorted values of a buffer.
 
-    For few values it is as fast as a library's sort, which takes a second to compile.
+    The order is ascending. For few values this is as fast as a library's sort, which takes a second
+    to compile.
     """
     n = count
     while n > 0 and ascending[n - 1] > value:
@@ -41,7 +42,10 @@ def insert(ascending, count, value):
 
 @kernel(inner=True)
 def copy(source, out):
-    """Copy a window; an assignment to a slice takes seconds to compile."""
+    """Copy a window (rows, cols) into `out`.
+
+    An assignment to a slice would take seconds to compile.
+    """
     for i in range(out.shape[0]):
         for j in range(out.shape[1]):
             out[i, j] = source[i, j]
@@ -49,9 +53,11 @@ def copy(source, out):
 
 @kernel(inner=True)
 def datum_of(z, middle, r0, c0, rows, cols):
-    """Return the lower median of nine heights of a tile, ignoring unknown ones.
+    """Return the reference height of a tile: the lower median of nine of its heights.
 
-    If all nine are unknown, it is the first known height, or `middle` if there is none.
+    The tile has `rows` x `cols` cells from (r0, c0); unknown heights are ignored.
+
+    If all nine are unknown, the result is the first known height, or `middle` if there is none.
     """
     found = np.empty(9)
     count = 0
@@ -72,7 +78,9 @@ def datum_of(z, middle, r0, c0, rows, cols):
 
 @kernel(fast=True)
 def load_window(z, middle, datum, r0, c0, out):
-    """Copy a window from (r0, c0) into `out`, relative to `datum`, as float32.
+    """Copy a window of the elevation raster `z`, relative to `datum`, as float32.
+
+    The window starts at (r0, c0) of the raster; `middle` is the middle of the map's heights.
 
     Values are FAR off the raster and where unknown. The subtraction precedes the rounding.
     """
@@ -97,7 +105,10 @@ def load_window(z, middle, datum, r0, c0, out):
 
 @kernel(fast=True)
 def load_variance(variance, r0, c0, out):
-    """Copy a window of variances like `load_window`; NaN and infinity are unknown."""
+    """Copy a window of the variance raster from (r0, c0) into `out`.
+
+    Values are FAR off the raster and where the variance is NaN or infinite.
+    """
     rows, cols = variance.shape
     tall, wide = out.shape
     first = min(max(-c0, 0), wide)
@@ -115,7 +126,10 @@ def load_variance(variance, r0, c0, out):
 
 @kernel(finite=True, inner=True)
 def spread_bounds(middle, wide, high, low):
-    """Write middle +- 3 sigma where known, from the variance in `wide`; FAR elsewhere."""
+    """Write the bounds mean +- 3 sigma of elevations, where known; FAR elsewhere.
+
+    `middle` is the mean, m, and `wide` the variance, m^2; `high` and `low` are the bounds.
+    """
     for i in range(middle.shape[0]):
         for j in range(middle.shape[1]):
             z = middle[i, j]
@@ -127,7 +141,7 @@ def spread_bounds(middle, wide, high, low):
 
 @kernel(finite=True)
 def _turn(source, out):
-    """Write -source, or FAR where it is FAR."""
+    """Write the negative of a raster, or FAR where it is FAR (unknown)."""
     for i in range(source.shape[0]):
         for j in range(source.shape[1]):
             z = source[i, j]
@@ -136,13 +150,20 @@ def _turn(source, out):
 
 @kernel(inner=True)
 def levels_of(cells, tall, wide):
-    """Allocate window levels: `depth` along rows, `height` - 1 along columns."""
+    """Allocate the buffers of maxima over windows of 1, 2, 4, ... cells of a tile.
+
+    `cells` are the `FootprintArrays`: there are `depth` levels along rows, and `height` - 1 along
+    columns, each of `tall` x `wide` cells.
+    """
     return np.empty((cells.depth + cells.height - 1, tall, wide), np.float32)
 
 
 @kernel(finite=True, inner=True)
 def double(levels, depth):
-    """Fill levels[k], k < depth, with maxima over windows of 2**k columns."""
+    """Fill the buffers of running maxima along rows, from levels[0].
+
+    levels[k], k < depth, gets the maxima over windows of 2**k columns.
+    """
     _, rows, cols = levels.shape
     for k in range(1, depth):
         width = 1 << (k - 1)
@@ -158,7 +179,10 @@ def double(levels, depth):
 
 @kernel(finite=True, inner=True)
 def double_up(levels, depth):
-    """Fill levels[depth - 1 + k] with maxima over windows of 2**k rows."""
+    """Fill the buffers of running maxima along columns, from levels[0].
+
+    levels[depth - 1 + k] gets the maxima over windows of 2**k rows.
+    """
     deep, rows, cols = levels.shape
     for k in range(1, deep - depth + 1):
         before = levels[depth - 2 + k] if k > 1 else levels[0]
@@ -173,17 +197,19 @@ def double_up(levels, depth):
 
 @kernel(inner=True)
 def fill(levels, cells):
-    """Fill all window levels from levels[0]."""
+    """Fill all buffers of running maxima along rows and columns from levels[0]."""
     double(levels, cells.depth)
     double_up(levels, cells.depth)
 
 
 @kernel(inner=True)
 def over_runs(levels, depth, runs, reach, out):
-    """Write the maximum over a set of windows around each cell of the tile.
+    """Write the maximum over a footprint (a union of windows) around cells of a tile.
 
-    A row of `runs` is as in `footprint.Footprint`; their number is a multiple of four. A row of the
-    tile has LANES spare columns after its surroundings.
+    `levels` are maxima over windows of 1, 2, 4, ... cells (`fill`).
+
+    A row of `runs` is a pair of windows as in `footprint.Footprint`; the number of rows is a
+    multiple of four. A row of the tile has SIMD_WIDTH spare columns after its surroundings.
     """
     _, tall, wide = levels.shape
     rows, cols = out.shape
@@ -218,7 +244,11 @@ def over_runs(levels, depth, runs, reach, out):
 
 @kernel(inline=True)
 def _best(flat, first, second, at, best):
-    """Write the maximum over the windows of all runs around sixteen sites."""
+    """Write the maximum over a footprint around sixteen neighbouring sites.
+
+    `flat` are the flattened window maxima; `first` and `second` are the index offsets of the two
+    windows of each run; `at` is the index of the first site.
+    """
     a = lane_fill(-FAR)
     b = a
     for n in range(len(first)):
@@ -229,7 +259,7 @@ def _best(flat, first, second, at, best):
 
 @kernel(inline=True)
 def _best_of(flat, first, second, at, best, place):
-    """Compute `_best` for four times sixteen adjacent sites, written from `place` on."""
+    """Compute `_best` for four times sixteen adjacent sites; write from `place` on."""
     a = lane_fill(-FAR)
     b = a
     c = a
@@ -253,21 +283,31 @@ def _best_of(flat, first, second, at, best, place):
 
 @kernel(inner=True)
 def tiles_of(rows, cols, tall):
-    """Return the number of tiles side by side, and the total number of tiles."""
+    """Return the number of tiles in a row of tiles, and the total number of tiles.
+
+    The raster has `rows` x `cols` cells; a tile has `tall` rows and TILE_COLS columns.
+    """
     across = (cols + TILE_COLS - 1) // TILE_COLS
     return across, across * ((rows + tall - 1) // tall)
 
 
 @kernel(inline=True, inner=True)
 def tile_at(tile, across, tall, rows, cols):
-    """Return first and end row, first and end column of a tile of `tall` rows."""
+    """Return first and end row, first and end column of a tile of a raster.
+
+    `tile` is its index, `across` the number of tiles side by side, `tall` its number of rows.
+    """
     r0, c0 = (tile // across) * tall, (tile % across) * TILE_COLS
     return r0, min(r0 + tall, rows), c0, min(c0 + TILE_COLS, cols)
 
 
 @kernel(shared=True)
 def footprint_extremes(share, z, middle, cells, span, rise):
-    """Write max over L minus min over L, and max over U minus min over L (Eq. 10).
+    """Write the height differences over each cell's footprint of Eq. 10, m.
+
+    They are ``span`` = max over L minus min over L, and ``rise`` = max over U minus min over L. L
+    are the cells that any pad may touch, U the cells under the lander; Eq. 10 is of the Gaussian
+    DEM paper. `share` is (first tile, step between tiles) of one thread.
 
     The result is FAR where L or U contains unknown terrain or leaves the raster.
     """
@@ -295,7 +335,11 @@ def footprint_extremes(share, z, middle, cells, span, rise):
 
 @kernel(finite=True)
 def _differ(leg, body, span, rise):
-    """Write span and rise from maxima of z and of -z over legs and body."""
+    """Write span and rise (Eq. 10 of the Gaussian DEM paper) of a tile.
+
+    `leg` (2, rows, cols) holds the maxima of z and of -z over the cells of the legs, `body` the
+    maximum of z over the cells under the lander.
+    """
     for i in range(span.shape[0]):
         for j in range(span.shape[1]):
             known = (leg[0, i, j] < FAR) & (body[i, j] < FAR)
@@ -311,7 +355,7 @@ _NORMAL[0] = 0.0
 
 @kernel(inline=True)
 def _normal_cdf(d, s):
-    """Return P(x < d) for x ~ N(0, s^2); a step function where s is 0."""
+    """Return P(x < d) for x ~ N(0, s^2), from a table; a step function where s is 0."""
     far = np.float32(7.0) if d > np.float32(0.0) else np.float32(-7.0)
     ratio = d / s if s > np.float32(0.0) else far
     x = (ratio + np.float32(6.5)) * np.float32(_STEPS / 13.0)
@@ -323,7 +367,11 @@ def _normal_cdf(d, s):
 
 @kernel(finite=True)
 def _judge(leg, foot, body, slope_margin, roughness_limit, p_slope, p_rough, p_safe, observed):
-    """Write Eq. 17 from maxima of the bounds: of z, of -z, of z over U."""
+    """Write the safety probabilities of Eq. 17 (Gaussian DEM paper) for a tile.
+
+    `leg`, `foot` and `body` (2, rows, cols) are maxima over the upper and the lower 3-sigma bound:
+    of z and of -z over the cells of the legs, and of z over the cells under the lander.
+    """
     sixth, half = np.float32(1.0 / 6.0), np.float32(0.5)
     for i in range(p_slope.shape[0]):
         for j in range(p_slope.shape[1]):
@@ -349,7 +397,13 @@ def stochastic(
     share, mean, middle, variance, cells, slope_margin, roughness_limit, p_slope, p_rough, p_safe,
     observed,
 ):  # fmt: skip
-    """Write Eqs. 15 to 17 around each cell, and where terrain is known."""
+    """Write the safety probabilities of a lander at each cell, by a horizontal plane.
+
+    These are Eqs. 15 to 17 of the Gaussian DEM paper; `observed` is True where the footprint is
+    known terrain. `share` is (first tile, step between tiles) of one thread; `mean` and `variance`
+    are the elevation, `middle` is the middle of the map's heights, m; `slope_margin` and
+    `roughness_limit` are limits of height differences, m.
+    """
     rows, cols = mean.shape
     reach = cells.reach
     across, tiles = tiles_of(rows, cols, TILE_ROWS)

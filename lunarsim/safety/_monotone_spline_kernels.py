@@ -10,10 +10,12 @@ from lunarsim._jit import kernel
 
 @kernel(shared=True)
 def extremes(share, base, values, knots, first, heights, low, high):
-    """Write the minimum and maximum over the fits of the sum at each site (n,).
+    """Write minimum and maximum over the fits of a sum of piecewise linear terms (n,).
+
+    `share` is (first site, step between sites) of one thread.
 
     `base` (1 or n, fits) is the sum of each fit without the terms. Term t of `values` (terms, n)
-    has the knots ``knots[first[t]:first[t + 1]]``, and its value at these is that of the same rows
+    has the knots ``knots[first[t]:first[t + 1]]``, and its values at these knots are the same rows
     of `heights` (knots, fits); beyond them it is constant.
     """
     terms, n = values.shape

@@ -39,7 +39,10 @@ from lunarsim.safety._kernels import (
 
 @kernel(inline=True)
 def plane(feet, here, legs, inverse, place, h, s):
-    """Return gradient (per cell) and height at the centre of plane `s` of heading `h`.
+    """Return gradient (per cell) and centre height of a support plane of the legs.
+
+    It is plane `s` of heading `h`, for sixteen sites; `legs` are index offsets of the legs,
+    `inverse` and `place` as in `FootprintArrays`.
 
     `feet` holds the terrain height under a pad; `here` is the index of the first site.
     """
@@ -78,6 +81,7 @@ def plane(feet, here, legs, inverse, place, h, s):
 
 @kernel(inline=True)
 def squared_tangent(gx, gy, posting):
+    """Return tan(slope)^2 from a gradient in metres per cell and the grid spacing, m."""
     tx = gx / posting
     ty = gy / posting
     return tx * tx + ty * ty
@@ -85,14 +89,22 @@ def squared_tangent(gx, gy, posting):
 
 @kernel(inline=True)
 def _block_above_plane(tops, here, blocks, centres, n, gx, gy):
-    """Return the maximum of block `n` above a plane through the site."""
+    """Return the maximum height of block `n` above a plane through the site.
+
+    `tops` are the maximum heights of blocks, `here` is the index of the first of sixteen sites,
+    `blocks` and `centres` are the blocks' offsets from the site; (gx, gy) is the plane's gradient
+    per cell.
+    """
     top = load(tops, here + item(blocks, n))
     return top - item(centres, 2 * n) * gx - item(centres, 2 * n + 1) * gy
 
 
 @kernel(inline=True)
 def _four_blocks_above_plane(tops, here, blocks, centres, n, gx, gy):
-    """Return the maxima of blocks `n` to n + 3 above a plane through the site."""
+    """Return the maximum heights of blocks `n` to n + 3 above a plane.
+
+    Arguments are as in `_block_above_plane`.
+    """
     a = _block_above_plane(tops, here, blocks, centres, n, gx, gy)
     b = _block_above_plane(tops, here, blocks, centres, n + 1, gx, gy)
     c = _block_above_plane(tops, here, blocks, centres, n + 2, gx, gy)
@@ -108,7 +120,10 @@ def _highest(four):
 
 @kernel(inline=True)
 def _max_block_above_plane(tops, here, blocks, centres, start, stop, gx, gy):
-    """Return the largest maximum of blocks (a multiple of four) above a plane."""
+    """Return the maximum height of blocks `start` to `stop` - 1 above a plane.
+
+    The number of blocks is a multiple of four; the other arguments are as in `_block_above_plane`.
+    """
     top = lane_fill(-FAR)
     for n in range(start, stop, 4):
         a = _block_above_plane(tops, here, blocks, centres, n, gx, gy)
@@ -125,13 +140,20 @@ PLANE_ROWS = 32  # rows of a tile in the kernels that evaluate planes
 
 @kernel(inner=True)
 def window_shape(cells, h, w):
-    """Return rows and columns of the window of a tile of h x w sites."""
+    """Return rows and columns of the elevation window of a tile of h x w sites.
+
+    The window includes the surroundings of `cells` (`FootprintArrays`) and spare cells that may be
+    read.
+    """
     return h + 2 * cells.reach + AHEAD, w + 2 * cells.reach + SIMD_WIDTH
 
 
 @kernel(inner=True)
 def clear(window):
-    """Set unknown terrain to the datum: footprints that contain it are unobserved."""
+    """Set unknown terrain to height 0, the reference height of the tile.
+
+    Footprints that contain unknown terrain are marked as unobserved elsewhere.
+    """
     for i in range(window.shape[0]):
         for j in range(window.shape[1]):
             if window[i, j] >= FAR:
@@ -140,7 +162,11 @@ def clear(window):
 
 @kernel(inner=True)
 def terrain_under_pads(levels, window, cells, feet):
-    """Write the highest terrain under a pad centred on each cell, 0 near the edge."""
+    """Write the highest terrain under a pad centred on each cell, 0 near the edge.
+
+    `window` is the elevation, `levels` a buffer (`levels_of`), `cells` the `FootprintArrays`,
+    `feet` the result.
+    """
     n = cells.pad_reach
     tall, wide = window.shape
     feet[:] = np.float32(0.0)
@@ -153,7 +179,7 @@ def terrain_under_pads(levels, window, cells, feet):
 
 @kernel(inner=True)
 def block_tops(window, block, out):
-    """Write the highest terrain in block x block cells to the north-east of each cell."""
+    """Write the maximum height of the `block` x `block` cells north-east of each cell."""
     rows, cols = window.shape
     line = np.empty(cols, np.float32)
     for i in range(rows):
@@ -171,14 +197,18 @@ def block_tops(window, block, out):
 
 @kernel()
 def flat_offsets(cells, wide):
-    """Return row times `wide` plus column of cells (..., 2)."""
+    """Return flat index offsets of cells (row, column) in a raster of `wide` columns."""
     return cells[..., 0] * wide + cells[..., 1]
 
 
 @kernel(inline=True)
 def _bound_sites(tops, feet, here, legs, inverse, place, blocks, centres, first, span, posting,
                  upright):  # fmt: skip
-    """Return the maximum tan(slope)^2 of sixteen sites and a bound of their roughness."""
+    """Return the maximum tan(slope)^2 and a roughness bound of sixteen sites.
+
+    `span` is half the distance between the outermost cells of a block; the other arguments are as
+    in `_bound_tile` and `_block_above_plane`.
+    """
     steepest = lane_fill(0.0)
     worst = lane_fill(0.0)
     for h in range(legs.shape[0]):
@@ -199,7 +229,10 @@ def _bound_sites(tops, feet, here, legs, inverse, place, blocks, centres, first,
 
 @kernel()
 def _bound_tile(tops, feet, cells, covers, block, posting, upright, slope_out, rough_out):
-    """Write the exact tan(slope) and a bound of the roughness of the sites of a tile.
+    """Write the exact tan(slope) and a roughness bound of the sites of a tile.
+
+    `tops` are the maximum heights of blocks of `block` cells, `feet` the terrain heights under a
+    pad; `cells` and `covers` are the `FootprintArrays` and `PolygonBlocks` of the lander.
 
     With `upright`, heights are measured vertically, not along the plane's normal.
     """
@@ -227,9 +260,12 @@ def _bound_tile(tops, feet, cells, covers, block, posting, upright, slope_out, r
 
 @kernel(shared=True)
 def bounded(share, z, middle, cells, covers, block, posting, slope_out, rough_out):
-    """Write the exact tan(slope), and a roughness bound from maxima of blocks.
+    """Write exact tan(slope) and an upper bound of roughness around each cell.
 
-    Both are invalid where a footprint contains unknown terrain or leaves the raster.
+    The bound uses the maxima of blocks of `block` cells. `share` is (first tile, step between
+    tiles) of one thread; `z` (rows, cols) is the elevation, `middle` the middle of its heights, m.
+
+    Both results are invalid where a footprint contains unknown terrain or leaves the raster.
     """
     rows, cols = z.shape
     reach = cells.reach
@@ -252,7 +288,10 @@ def bounded(share, z, middle, cells, covers, block, posting, slope_out, rough_ou
 
 @kernel()
 def _average(high, low, middle, sigma):
-    """Write mean and sigma of Gaussians with these 3-sigma bounds (Eqs. 15, 16)."""
+    """Write mean and standard deviation of Gaussians from their 3-sigma bounds.
+
+    `high` and `low` are the bounds (Eqs. 15 and 16 of the Gaussian DEM paper).
+    """
     for i in range(high.shape[0]):
         for j in range(high.shape[1]):
             middle[i, j] = np.float32(0.5) * (high[i, j] + low[i, j])
@@ -274,7 +313,10 @@ def stochastic_planes(
     raised,
     leg_sigma,
 ):
-    """Write the inputs of `plane_stochastic_safety`; heights are vertical.
+    """Write slope, roughness bounds and leg uncertainty for cells of a Gaussian DEM.
+
+    They are the inputs of `plane_stochastic_safety`; heights are vertical. `share` is (first tile,
+    step between tiles) of one thread; `middle` is the middle of the map's heights, m.
 
     These are tan(slope) and a roughness bound for the means of legs and obstacles, the bound with
     all obstacles raised by 3 sigma, and the maximum standard deviation of a leg.

@@ -12,16 +12,19 @@ from lunarsim._jit import kernel
 def mean_ratios(
     share, height, falling, min_diameter, numbers, shortest, ratio, first, step, law, out
 ):
-    """Write the mean of ratios over the rocks above a height at each site.
+    """Write the mean fraction of undetected rocks above a height at each site.
+
+    The mean is over the rocks of the size distribution.
 
     Parameters
     ----------
     share
-        First site and step.
+        First site and step between sites of one thread.
     height
-        Height for all sites (1,) or for each (sites,), m; at least `shortest`; NaN gives NaN.
+        Height for all sites (1,) or for each site (sites,), m; at least `shortest`; NaN gives NaN.
     falling
-        Ratios (classes + 1, sites), starting with those of rocks smaller than all classes.
+        Remaining over previous rocks of each size class (classes + 1, sites), starting with those
+        of rocks smaller than all classes.
     min_diameter, numbers
         Minimum diameter of each class (classes,), m, and the number of rocks above it.
     shortest, ratio

@@ -16,7 +16,9 @@ from lunarsim.safety.exact import exact_safety
 def alhat_safety(
     elevation: ArrayLike, grid: Grid, lander: Lander, *, sigma: float
 ) -> StochasticSafety:
-    """Evaluate the baseline of section III.B of the Gaussian DEM paper.
+    """Evaluate landing safety by the ALHAT baseline of the Gaussian DEM paper.
+
+    This is section III.B of the paper.
 
     Slope safety is deterministic. Roughness safety is evaluated at every cell of the footprint at
     every heading, for elevation noise of standard deviation `sigma` that is independent between
@@ -27,14 +29,16 @@ def alhat_safety(
     Parameters
     ----------
     elevation, grid, lander
-        As in `exact_safety`.
+        Elevation (rows, cols), m, with NaN where unknown; grid of the elevation; lander with its
+        limits.
     sigma
         Standard deviation of the elevations, m.
 
     Raises
     ------
     InputError
-        As `exact_safety`, and if `sigma` is not positive.
+        If the elevation is invalid for the grid, the grid is smaller than the footprint, or `sigma`
+        is not positive.
     """
     if not (np.isfinite(sigma) and sigma > 0.0):
         raise InputError("sigma", sigma, "must be a positive length in metres")

@@ -41,23 +41,25 @@ BLOCK_SIDE = 0.5  # m
 def bounded_safety(
     elevation: ArrayLike, grid: Grid, lander: Lander, *, block_side: float = BLOCK_SIDE
 ) -> SafetyMap:
-    """Evaluate slope exactly and an upper bound of roughness.
+    """Evaluate the exact slope and an upper bound of roughness around each cell.
 
-    The roughness bound is the lower of those by real support planes and by the horizontal plane. A
-    cell classified as safe is safe by `exact_safety`, and every cell that `conservative_safety`
-    classifies as safe is included; the module docstring has the proof.
+    The roughness bound is the lower of two bounds: by the real support planes and by a horizontal
+    plane. A cell classified as safe is safe by `exact_safety`, and every cell that
+    `conservative_safety` classifies as safe is included; the module docstring has the proof.
 
     Parameters
     ----------
     elevation, grid, lander
-        As in `exact_safety`.
+        Elevation (rows, cols), m, with NaN where unknown; grid of the elevation; lander with its
+        limits.
     block_side
         Side of the blocks, m, rounded to complete cells. One cell makes the bound exact.
 
     Raises
     ------
     InputError
-        As `exact_safety`, and if `block_side` is not positive.
+        If the elevation is invalid for the grid, the grid is smaller than the footprint, or
+        `block_side` is not positive.
     """
     footprint = footprint_of(lander, grid.posting)
     height = prepare_elevation("elevation", elevation, grid, footprint)

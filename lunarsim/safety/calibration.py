@@ -94,25 +94,26 @@ _NEAR_DOMAIN_SINKING = 0.1
 
 @dataclass(frozen=True)
 class MapEvidence:
-    """Inputs of `calibrated_safety` from a map; rasters are (rows, cols).
+    """Hazard map data from which `calibrated_safety` estimates site safety.
 
     Attributes
     ----------
     level, planes
-        Results of `stochastic_safety` and `plane_stochastic_safety`.
+        Safety probabilities by a horizontal plane (`stochastic_safety`), and by the support planes
+        of the legs (`plane_stochastic_safety`).
     nominal
         Result of `bounded_safety` for the mean elevations.
     lander
-        Lander of all three.
+        Lander for which `level`, `planes` and `nominal` were computed.
     curve
         Fraction of terrain above each height, from the samples and the mission's rock distribution.
     holes
         Fraction of terrain below each depth.
     density
-        Samples per square metre.
+        Elevation samples per square metre at each cell.
     noise, spacing
-        Standard deviation of a sample, and distance between neighbouring samples, m.
-    thinning
+        Standard deviation of an elevation sample, and distance between neighbouring samples, m.
+    undetected_rock_ratio
         Ratio of unobserved rocks that remain after observation by another sensor, averaged over
         the terrain around each site. None: all of them.
     """
@@ -126,13 +127,18 @@ class MapEvidence:
     density: Array
     noise: float
     spacing: float
-    thinning: UndetectedRockRatio | None = None
+    undetected_rock_ratio: UndetectedRockRatio | None = None
 
     def __post_init__(self) -> None:
-        if self.thinning is not None and self.thinning.shape != self.level.grid.shape:
-            shape = self.thinning.shape
+        if (
+            self.undetected_rock_ratio is not None
+            and self.undetected_rock_ratio.shape != self.level.grid.shape
+        ):
+            shape = self.undetected_rock_ratio.shape
             raise InputError(
-                "calibration.thinning", shape, f"must have the shape {self.level.grid.shape}"
+                "calibration.undetected_rock_ratio",
+                shape,
+                f"must have the shape {self.level.grid.shape}",
             )
         for name in ("planes", "nominal"):
             grid = getattr(self, name).grid
@@ -154,32 +160,39 @@ class MapEvidence:
 
     @property
     def observed(self) -> BoolMap:
-        """Whether the complete footprint of each cell was observed."""
+        """Mask of the cells whose complete footprint was observed (rows, cols)."""
         return self.level.observed & self.planes.observed & self.nominal.observed
 
     @cached_property
     def slope(self) -> Array:
-        """Tangent of the nominal slope over that of the limit; NaN if not observed."""
+        """Tangent of the nominal slope over the tangent of the slope limit (rows, cols).
+
+        NaN where the terrain is not observed.
+        """
         slope = np.tan(self.nominal.slope.astype(np.float64))
         return np.asarray(slope / np.tan(self.lander.slope_limit))
 
     @cached_property
     def roughness(self) -> Array:
-        """Nominal roughness over the limit; NaN if not observed."""
+        """Nominal roughness over the roughness limit (rows, cols); NaN if not observed."""
         return np.asarray(self.nominal.roughness / np.float64(self.lander.roughness_limit))
 
     @property
     def noise_ratio(self) -> float:
-        """Noise of a sample over the roughness limit."""
+        """Standard deviation of an elevation sample over the lander's roughness limit."""
         return self.noise / self.lander.roughness_limit
 
     @property
     def spacing_ratio(self) -> float:
-        """Distance between neighbouring samples over the radius of the legs."""
+        """Distance between neighbouring elevation samples over the radius of the legs."""
         return self.spacing / self.lander.leg_radius
 
-    def tilting(self) -> Array:
-        """Return the expected unobserved rocks that violate the slope limit."""
+    def expected_tilt_violations(self) -> Array:
+        """Return the expected number of unseen rocks that tilt a lander beyond its limit.
+
+        These rocks lie under the pads and raise the slope above its limit. The result is (rows,
+        cols).
+        """
         return self._tilting
 
     @cached_property
@@ -190,23 +203,36 @@ class MapEvidence:
     def _tilting(self) -> Array:
         return self._expected(self.curve, self._tilting_height, pad_ring_area(self.lander))
 
-    def expected_under_pads(self) -> Array:
-        """Return the same from the curve that includes gravel, `ExceedanceCurve.careful`."""
-        area = pad_ring_area(self.lander)
-        return self._expected(self.curve.careful, self._tilting_height, area)
+    def expected_tilt_violations_with_gravel(self) -> Array:
+        """Return the expected number of unseen rocks and gravel that tilt the lander.
 
-    def sinking(self) -> Array:
-        """Return the expected unobserved holes that violate the slope limit."""
+        Like `expected_tilt_violations`, but the numbers of rocks are from
+        `ExceedanceCurve.with_gravel`, which also uses counts at low heights. The result is (rows,
+        cols).
+        """
+        area = pad_ring_area(self.lander)
+        return self._expected(self.curve.with_gravel, self._tilting_height, area)
+
+    def expected_hole_violations(self) -> Array:
+        """Return the expected number of unseen holes that tilt a lander beyond its limit.
+
+        These holes lie under the pads and raise the slope above its limit. The result is (rows,
+        cols).
+        """
         return self._sinking
 
     @cached_property
     def _sinking(self) -> Array:
         width = self.lander.pad_diameter
-        found = self.holes.sunk(self._tilting_height, self.density, width)
+        found = self.holes.missed_holes(self._tilting_height, self.density, width)
         return np.asarray(pad_ring_area(self.lander) * found)
 
-    def piercing(self) -> Array:
-        """Return the expected unobserved rocks above the roughness margin."""
+    def expected_roughness_violations(self) -> Array:
+        """Return the expected number of unseen rocks that violate the roughness limit.
+
+        These rocks lie in the footprint and are higher than the roughness limit minus the nominal
+        roughness. The result is (rows, cols).
+        """
         return self._piercing
 
     @cached_property
@@ -214,8 +240,12 @@ class MapEvidence:
         height = (1.0 - self.roughness) * self.lander.roughness_limit
         return self._expected(self.curve, height, footprint_area(self.lander))
 
-    def hazards(self) -> Array:
-        """Return the expected unobserved rocks in the footprint above the roughness limit."""
+    def expected_hazards(self) -> Array:
+        """Return the expected number of unseen rocks higher than the roughness limit.
+
+        The rocks are counted in the footprint of each cell; the nominal roughness is ignored. The
+        result is (rows, cols).
+        """
         return self._hazards
 
     @cached_property
@@ -224,24 +254,30 @@ class MapEvidence:
         return self._expected(self.curve, height, footprint_area(self.lander))
 
     def _expected(self, curve: ExceedanceCurve, height: Array, area: float) -> Array:
-        """Return expected rocks above a height in an area around each site."""
+        """Return the expected number of unseen rocks above a height around each site.
+
+        `curve` is the fraction of terrain above each height; `height` (m) is () or one value per
+        site (rows, cols); `area` (m^2) is where the rocks are counted. The result is (rows, cols).
+        """
 
         def unseen(above: Array, where: BoolMap | None = None) -> Array:
             if height.ndim:
                 at = slice(None) if where is None else where
-                return curve.unseen(above, self.density[at])
+                return curve.unseen_rocks(above, self.density[at])
             # Average the density-dependent number over the footprint.
             width = max(1, round(np.sqrt(footprint_area(self.lander)) / self.level.grid.posting))
-            each = ndimage.uniform_filter(curve.unseen(above, self.density), width, mode="nearest")
+            each = ndimage.uniform_filter(
+                curve.unseen_rocks(above, self.density), width, mode="nearest"
+            )
             return np.asarray(each if where is None else each[where])
 
-        if self.thinning is None:
+        if self.undetected_rock_ratio is None:
             return np.asarray(area * unseen(height))
-        return np.asarray(area * self.thinning.left(unseen, height))
+        return np.asarray(area * self.undetected_rock_ratio.remaining_rocks(unseen, height))
 
 
 def features(evidence: MapEvidence, where: NDArray[np.bool_]) -> Array:
-    """Return the features of sites for the probability (n, `COUNT`).
+    """Return the regression's input features of sites of a hazard map (n, `COUNT`).
 
     The first `UNCONSTRAINED_FEATURES` features describe the quality of the measurement. Each of the
     others only increases when slope, roughness, the probability or size of a rock, or the expected
@@ -250,7 +286,7 @@ def features(evidence: MapEvidence, where: NDArray[np.bool_]) -> Array:
     Parameters
     ----------
     evidence
-        Evidence of the map.
+        Data of the hazard map.
     where
         Mask of the sites (rows, cols).
     """
@@ -262,18 +298,29 @@ def features(evidence: MapEvidence, where: NDArray[np.bool_]) -> Array:
 def log_odds_bounds(
     evidence: MapEvidence, where: NDArray[np.bool_], model: Ensemble
 ) -> LogOddsBounds:
-    """Return the bounds of the log odds of masked sites (n,)."""
-    return model.judge(_free_features(evidence), _terms(evidence, where))
+    """Return minimum and maximum log odds of site safety over an ensemble (n,).
+
+    `evidence` is the data of the hazard map, `where` the mask of the sites (rows, cols), `model`
+    the ensemble of logistic regressions.
+    """
+    return model.evaluate_log_odds(_free_features(evidence), _terms(evidence, where))
 
 
 def _terms(e: MapEvidence, where: NDArray[np.bool_]) -> list[MonotoneSplineTerm]:
-    """Return the monotone terms of sites, selected by a mask (rows, cols)."""
+    """Return the monotone terms of the regression for sites of a map `e`.
+
+    `where` is the mask of the sites (rows, cols).
+    """
     terms = []
     for p in (e.level.p_slope, e.level.p_roughness, e.planes.p_slope, e.planes.p_roughness):
         probit = ndtri(np.clip(p[where].astype(np.float64), 1e-12, 1.0 - 1e-9))
-        terms.append(MonotoneSplineTerm(probit, _PROBITS, falls=False))
+        terms.append(MonotoneSplineTerm(probit, _PROBITS, is_decreasing=False))
     terms += [MonotoneSplineTerm(share[where], _RATIOS) for share in (e.slope, e.roughness)]
-    for rocks in (e.tilting(), e.piercing(), e.sinking()):
+    for rocks in (
+        e.expected_tilt_violations(),
+        e.expected_roughness_violations(),
+        e.expected_hole_violations(),
+    ):
         terms.append(MonotoneSplineTerm(np.log10(rocks[where] + 1e-6), _ROCKS))
     shares = np.log10(e.curve.at(_HEIGHTS * e.lander.roughness_limit))
     depths = np.log10(e.holes.at(_DEPTHS * e.lander.roughness_limit))
@@ -281,47 +328,65 @@ def _terms(e: MapEvidence, where: NDArray[np.bool_]) -> list[MonotoneSplineTerm]
 
 
 def _free_features(e: MapEvidence) -> Array:
-    """Return the features of the measurement quality (`UNCONSTRAINED_FEATURES`,)."""
+    """Return the regression's input features for the measurement quality of a map `e`.
+
+    They are 1, the logarithms of relative noise and spacing, and the square of the latter logarithm
+    (`UNCONSTRAINED_FEATURES`,).
+    """
     noise = np.log(e.noise / e.lander.roughness_limit + 1e-3)
     spacing = np.log(e.spacing / e.lander.leg_radius)
     return np.array([1.0, noise, spacing, spacing**2])
 
 
 def in_domain(evidence: MapEvidence, domain: Domain = PACKAGED_DOMAIN) -> BoolMap:
-    """Return where unobserved rocks are few enough for the regression (rows, cols).
+    """Return where few enough unobserved rocks are expected for a calibration.
+
+    The result (rows, cols) is the domain in which the fitted regression is valid.
 
     The expectation uses the map's own samples; noise and spacing must be in the range of the fit.
-    The packaged regression also requires few holes and a slope limit in the range of its landers;
-    a scenario's own calibration was fitted to its own.
+    The regression supplied with lunarsim also requires few holes and a slope limit in the range of
+    its landers; the domain of a scenario's own calibration has no such conditions.
 
     Parameters
     ----------
     evidence
-        Evidence of the map.
+        Data of the hazard map.
     domain
-        Domain to test; omitted: that of the packaged regression.
+        Domain to test; omitted: the domain of the regression supplied with lunarsim.
     """
     e = evidence
-    if not domain.measured(e.noise_ratio, e.spacing_ratio):
+    if not domain.is_within_measurements(e.noise_ratio, e.spacing_ratio):
         return np.zeros(e.level.grid.shape, np.bool_)
     if domain is PACKAGED_DOMAIN:
         return _within(e, PACKAGED_DOMAIN, MOST_SINKING)
-    return np.asarray(e.observed & domain.few(e.hazards(), e.tilting()))
+    return np.asarray(
+        e.observed & domain.is_within_counts(e.expected_hazards(), e.expected_tilt_violations())
+    )
 
 
 def _within(e: MapEvidence, domain: Domain, sinking: float) -> BoolMap:
-    """Return where rocks and holes are few enough, for landers in the fit's range."""
-    known = domain.measured(e.noise_ratio, e.spacing_ratio)
+    """Return where expected rocks and holes are few enough for a domain (rows, cols).
+
+    `e` is the data of the map; `sinking` is the maximum expected number of holes under the pads
+    that tilt the lander too far. The result is False if noise, spacing or slope limit is outside
+    the range of the fit.
+    """
+    known = domain.is_within_measurements(e.noise_ratio, e.spacing_ratio)
     if not (known and SLOPE_LIMIT_RANGE_RAD[0] <= e.lander.slope_limit <= SLOPE_LIMIT_RANGE_RAD[1]):
         return np.zeros(e.level.grid.shape, np.bool_)
     with np.errstate(invalid="ignore"):
-        few = domain.few(e.hazards(), e.tilting()) & (e.sinking() <= sinking)
+        few = domain.is_within_counts(e.expected_hazards(), e.expected_tilt_violations()) & (
+            e.expected_hole_violations() <= sinking
+        )
     return np.asarray(e.observed & few)
 
 
 @lru_cache(maxsize=1)
 def packaged_ensemble() -> Ensemble:
-    """Return the packaged ensemble, fitted by `scenarios/lidar_maps/calibration.py`."""
+    """Return the ensemble of regressions supplied with lunarsim.
+
+    The ensemble was fitted by `scenarios/lidar_maps/calibration.py`.
+    """
     return Ensemble.packaged("lunarsim.safety", "calibration.json", COUNT, MONOTONE_FEATURES)
 
 
@@ -330,24 +395,27 @@ def calibrated_safety(
     model: Ensemble | None = None,
     refit: ScenarioCalibration | None = None,
 ) -> tuple[FloatMap, BoolMap]:
-    """Return the probability of safety (rows, cols), and where it is a frequency.
+    """Return the calibrated probability of safety, and where it is a frequency.
 
-    It does not increase with slope, roughness, or observed or expected rocks. Where it is not a
-    frequency it is conservative, as the module docstring explains; where not observed it is 0.
+    Both results are (rows, cols).
+
+    A frequency means that the fraction of safe sites equals the probability. Elsewhere the
+    probability is conservative, and 0 where the terrain is not observed. The probability does not
+    increase with slope, roughness, or observed or expected rocks.
 
     Parameters
     ----------
     evidence
-        Evidence of the map.
+        Data of the hazard map.
     model
-        Ensemble of regressions; omitted: the packaged one.
+        Ensemble of regressions; omitted: the ensemble supplied with lunarsim.
     refit
-        Calibration of a scenario, with its own last stage and domain; omitted: none.
+        Calibration fitted to a scenario, with its own last stage and domain; omitted: none.
 
     Raises
     ------
     InputError
-        If `refit` was fitted for another lander or to another regression.
+        If `refit` was fitted for another lander or to other regressions than `model`.
     """
     model = model or packaged_ensemble()
     if refit is not None:
@@ -381,25 +449,26 @@ def site_probability(
     covered: BoolMap,
     refit: ScenarioCalibration | None = None,
 ) -> Array:
-    """Return the probability of sites (n,).
+    """Return the safety probability of sites from log odds and upper bounds (n,).
 
-    Outside the domain of the fits, or below the threshold of claimed safety, it is that of the fits
-    with a wider margin, and at most the bound. In its domain a refit accounts for rocks under the
-    pads through its scenario's own sites; elsewhere the probability that there is none is used.
-    With the weight `UNKNOWN_MODEL_WEIGHT`, neither that probability nor the bound applies.
+    Outside the domain of the fits, or below the threshold of claimed safety, the log odds are
+    reduced by a wider margin, and the probability is at most `outside_bound`. In the domain of a
+    refit, its scenario's own sites account for rocks under the pads; elsewhere `p_clear` limits the
+    probability. A mixture with the weight `UNKNOWN_MODEL_WEIGHT` ignores `p_clear` and
+    `outside_bound`, so that sites of very low probability can still be ranked.
 
     Parameters
     ----------
     odds
-        Minimum log odds of the sites (n,).
+        Minimum log odds of the sites over the ensemble (n,).
     upper_bound, p_clear, outside_bound
-        `observed_terrain_bound`, `p_no_rock_under_pads` and `outside_domain_bound` of the sites
-        (n,).
+        Results of `observed_terrain_bound`, `p_no_rock_under_pads` and `outside_domain_bound` for
+        the sites (n,).
     known, covered
-        Whether each is in the domain of the regression, and in that of the refit (n,); equal
-        without a refit.
+        Whether each site is in the domain of the ensemble, and whether in the domain of the refit
+        (n,); equal without a refit.
     refit
-        As for `calibrated_safety`.
+        Calibration fitted to a scenario; None: none.
     """
     both = np.minimum(upper_bound, p_clear)
     unbound = SURE * np.minimum(expit(odds), upper_bound)
@@ -420,7 +489,7 @@ def site_probability(
 
 
 def observed_terrain_bound(evidence: MapEvidence) -> Array:
-    """Return the upper bound of the probability from observed terrain (rows, cols).
+    """Return the upper bound of safety that slope and roughness set (rows, cols).
 
     In a sum of evidence, much good evidence can outweigh one fatal defect. The probability is
     therefore at most `_MAX_P_FACTOR` times the lower of slope and roughness safety by support
@@ -432,24 +501,28 @@ def observed_terrain_bound(evidence: MapEvidence) -> Array:
 
 
 def p_no_rock_under_pads(evidence: MapEvidence) -> Array:
-    """Return the probability that no unseen rock under a pad tilts it too far.
+    """Return the probability that no unseen rock tilts the lander beyond its limit.
 
-    On a slope even a low rock under a pad violates it: twice the expected number is used. Where a
-    rock below the minimum counted height would violate it, its number comes only from the mission's
-    distribution, and the probability stays below the threshold of claimed safety (rows, cols).
+    The result is (rows, cols).
+
+    Such a rock lies under a pad and raises the slope above its limit. On a slope even a low rock
+    violates the slope limit: twice the expected number is used. Where a rock below the minimum
+    counted height would violate the limit, the number of such rocks comes only from the mission's
+    distribution, and the probability stays below the threshold of claimed safety.
     """
     e = evidence
-    rocks = e.expected_under_pads()
-    low = e._tilting_height < e.curve.gravel_counted
+    rocks = e.expected_tilt_violations_with_gravel()
+    low = e._tilting_height < e.curve.min_counted_gravel_height
     return np.asarray(np.exp(-_PAD_ROCK_FACTOR * rocks) * np.where(low, MAX_P_UNCOUNTED_ROCKS, 1.0))
 
 
 def outside_domain_bound(evidence: MapEvidence) -> Array:
-    """Return the upper bound of the probability outside the domain (rows, cols).
+    """Return the upper bound of safety outside the domain of the fits (rows, cols).
 
-    It is the lower of Eqs. 15 to 17 and the probability that no unobserved rock exceeds the
-    roughness margin; near the domain, where the fits are still accurate enough, it is 1.
+    The bound is the lower of Eqs. 15 to 17 of the Gaussian DEM paper and the probability that no
+    unobserved rock exceeds the roughness margin; near the domain, where the fits are still accurate
+    enough, it is 1.
     """
-    none = np.exp(-np.nan_to_num(evidence.piercing(), nan=np.inf))
+    none = np.exp(-np.nan_to_num(evidence.expected_roughness_violations(), nan=np.inf))
     far = np.minimum(evidence.level.p_safe.astype(np.float64), none)
     return np.asarray(np.where(_within(evidence, _NEAR_DOMAIN, _NEAR_DOMAIN_SINKING), 1.0, far))

@@ -20,7 +20,10 @@ from lunarsim.safety.planes import plane_stochastic_safety
 
 
 def compile_safety_kernels(exact: bool) -> None:
-    """Run the safety tests of a LiDAR map on flat terrain, optionally the exact one."""
+    """Compile the safety kernels by running the tests of a LiDAR map on flat terrain.
+
+    With `exact`, the exact safety test is also compiled.
+    """
     lander = Lander()
     grid = Grid.centred((0.0, 0.0), 10.0, 0.5)
     level = np.zeros(grid.shape, np.float32)
@@ -31,7 +34,7 @@ def compile_safety_kernels(exact: bool) -> None:
 
 
 def exit_with_parent(parent: int) -> None:
-    """Exit when the parent process is no longer `parent`."""
+    """Exit this process when its parent process ends; `parent` is the parent's id."""
     while os.getppid() == parent:
         time.sleep(0.2)
     os._exit(1)
@@ -39,7 +42,12 @@ def exit_with_parent(parent: int) -> None:
 
 @click.command()
 @click.option("--exact", is_flag=True, help="Also compile the exact test.")
-@click.option("--parent", type=int, default=None, help="Process to end with; omitted: none.")
+@click.option(
+    "--parent",
+    type=int,
+    default=None,
+    help="Process id; stop when this process ends. Default: never.",
+)
 def main(exact: bool, parent: int | None) -> None:
     """Compile the kernels of the safety tests for all processes."""
     if parent is not None:

@@ -31,7 +31,7 @@ class StochasticSafety:
     p_slope, p_roughness
         Probabilities that slope and roughness are below their limits (rows, cols).
     p_safe
-        Their product (rows, cols); 0 where not observed.
+        Product of both (rows, cols), the probability of a safe landing; 0 where not observed.
     observed
         False where the footprint leaves the map or covers unknown terrain (rows, cols).
     """
@@ -44,12 +44,12 @@ class StochasticSafety:
 
 
 def conservative_safety(elevation: ArrayLike, grid: Grid, lander: Lander) -> SafetyMap:
-    """Bound slope and roughness from above by height differences (Eqs. 10 and 11).
+    """Evaluate upper bounds of slope and roughness by height differences.
 
-    ``sin(slope) = (max_L z - min_L z) / h0`` and ``roughness = max_U z - min_L z``. A cell
-    classified as safe is safe by `exact_safety` (Proposition III.1).
-
-    Parameters and errors are those of `exact_safety`.
+    These are Eqs. 10 and 11 of the Gaussian DEM paper: ``sin(slope) = (max_L z - min_L z) / h0``
+    and ``roughness = max_U z - min_L z``. L is the set of cells that any pad may touch, U the set
+    of cells under the lander, h0 the minimum height of a triangle of legs. A cell classified as
+    safe is safe by `exact_safety` (Proposition III.1), which has the same parameters and errors.
 
     Examples
     --------
@@ -71,7 +71,11 @@ def conservative_safety(elevation: ArrayLike, grid: Grid, lander: Lander) -> Saf
 
 
 def level_slope(span: FloatMap, footprint: Footprint) -> FloatMap:
-    """Return the upper bound of the slope (rad) by Eq. 11 from the span over L (m)."""
+    """Return the upper bound of slope from height differences under the pads, rad.
+
+    `span` (rows, cols) is the maximum minus the minimum height over all cells that a pad may touch,
+    m. The bound is Eq. 11 of the Gaussian DEM paper.
+    """
     sine = span / np.float32(footprint.least_height)
     # The theorem requires a height difference below h0; steeper terrain is unsafe.
     slope = np.where(sine < 1.0, np.arcsin(np.clip(sine, 0.0, 1.0)), np.float32(np.pi / 2))
@@ -86,7 +90,9 @@ def stochastic_safety(
     *,
     slope_bound: Literal["sin", "tan"] = "sin",
 ) -> StochasticSafety:
-    """Evaluate the conservative test on a Gaussian DEM (Eqs. 15 to 17).
+    """Evaluate the probability of safety on a Gaussian DEM by a horizontal plane.
+
+    This is the stochastic form of the conservative test (Eqs. 15 to 17 of the Gaussian DEM paper).
 
     Maxima and minima of the heights are approximated by Gaussians fitted to the extremes of the
     3-sigma bounds; slope and roughness follow from differences of two such Gaussians.
@@ -94,17 +100,19 @@ def stochastic_safety(
     Parameters
     ----------
     mean, variance
-        Elevation (rows, cols), m and m^2. Terrain is unknown as in `exact_safety`, and where the
+        Mean (m) and variance (m^2) of the elevation (rows, cols). Terrain is unknown where the mean
+        is NaN, infinite, masked or implausible (`lunarsim.safety.raster`), and where the
         variance is NaN, infinite or masked.
     grid, lander
-        As in `exact_safety`.
+        Grid of the elevation, and lander with its limits.
     slope_bound
         ``"sin"``: Eq. 11, which has the guarantee; ``"tan"``: Eq. 17 as printed.
 
     Raises
     ------
     InputError
-        As `exact_safety`, and if a variance is negative or `slope_bound` is invalid.
+        If a raster is invalid for the grid, the grid is smaller than the footprint, a variance is
+        negative, or `slope_bound` is invalid.
     """
     if slope_bound not in ("sin", "tan"):
         raise InputError("slope_bound", slope_bound, "must be 'sin' or 'tan'")

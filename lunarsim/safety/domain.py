@@ -26,7 +26,8 @@ class Domain:
     Attributes
     ----------
     hazards, tilting
-        Maximum expected unobserved rocks in a footprint and under the pads, as in `Evidence`.
+        Maximum expected number of unobserved rocks in a footprint above the roughness limit, and of
+        rocks under the pads that tilt the lander too far.
     noise
         Minimum and maximum standard deviation of a sample over the lander's roughness limit.
     spacing
@@ -49,7 +50,9 @@ class Domain:
             if not (np.isfinite(value).all() and np.min(value) >= 0.0):
                 raise InputError(f"domain.{f.name}", value, "must be finite and 0 or more")
             if np.ndim(value) and value[0] > value[1]:
-                raise InputError(f"domain.{f.name}", value, "must be a minimum and a maximum")
+                raise InputError(
+                    f"domain.{f.name}", value, "must be a minimum and a maximum that is not smaller"
+                )
 
     @classmethod
     def of(
@@ -60,7 +63,7 @@ class Domain:
         Parameters
         ----------
         hazards, tilting, noise, spacing
-            Values of the attributes for each site (n,); at least one site.
+            Values for each site (n,), defined as the attributes are; at least one site.
         """
         h, t = (float(np.quantile(np.asarray(v), _COVERED_QUANTILE)) for v in (hazards, tilting))
         ranges = [
@@ -69,14 +72,20 @@ class Domain:
         ]
         return cls(max(h, _MIN_HAZARDS_LIMIT), max(t, _MIN_TILTING_LIMIT), *ranges)
 
-    def measured(self, noise: ArrayLike, spacing: ArrayLike) -> NDArray[np.bool_]:
-        """Return whether noise and spacing (...) are in the range of the fit."""
+    def is_within_measurements(self, noise: ArrayLike, spacing: ArrayLike) -> NDArray[np.bool_]:
+        """Return whether relative noise and spacing (...) are in the range of the fit.
+
+        `noise` is over the roughness limit, `spacing` over the radius of the legs.
+        """
         n, s = np.asarray(noise), np.asarray(spacing)
         inside = (self.noise[0] <= n) & (n <= self.noise[1])
         return np.asarray(inside & (self.spacing[0] <= s) & (s <= self.spacing[1]))
 
-    def few(self, hazards: ArrayLike, tilting: ArrayLike) -> NDArray[np.bool_]:
-        """Return whether few enough unobserved rocks are expected (...); False for NaN."""
+    def is_within_counts(self, hazards: ArrayLike, tilting: ArrayLike) -> NDArray[np.bool_]:
+        """Return whether few enough unobserved rocks are expected (...); False for NaN.
+
+        `hazards` and `tilting` are expected numbers, compared with the limits of the domain.
+        """
         with np.errstate(invalid="ignore"):
             return np.asarray(
                 (np.asarray(hazards) <= self.hazards) & (np.asarray(tilting) <= self.tilting)

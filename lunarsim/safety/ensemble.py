@@ -49,12 +49,12 @@ _MAX_WEIGHT = 1e6
 
 @dataclass(frozen=True)
 class LogOddsBounds:
-    """Bounds of the log odds of sites (n,) over the fits.
+    """Minimum and maximum log odds of site safety over the fits of an ensemble.
 
     Attributes
     ----------
     low, high
-        Minimum and maximum log odds.
+        Minimum and maximum log odds of each site (n,).
     """
 
     low: Array
@@ -63,7 +63,7 @@ class LogOddsBounds:
     def estimate(
         self, upper_bound: Array, max_unsafe_p: float = HOPELESS, doomed: BoolArray | None = None
     ) -> SafetyEstimate:
-        """Return the reported probability of the sites (n,).
+        """Return the safety probability of the sites, and whether the fits agree.
 
         Parameters
         ----------
@@ -72,7 +72,7 @@ class LogOddsBounds:
         max_unsafe_p
             Probability up to which sites are almost certainly unsafe.
         doomed
-            Where sites may be classified as such (n,); omitted: anywhere.
+            Where sites may be classified as almost certainly unsafe (n,); omitted: anywhere.
         """
         p = lower_bound_probability(self.low, upper_bound)
         never = expit(self.high) <= max_unsafe_p
@@ -81,14 +81,15 @@ class LogOddsBounds:
 
 @dataclass(frozen=True)
 class SafetyEstimate:
-    """Reported probability of sites (n,).
+    """Safety probability of sites (n,), and whether the fits of the ensemble agree.
 
     Attributes
     ----------
     p
-        Probability that they are safe: the lower bound.
+        Probability that each site is safe (n,): the minimum over the fits, reduced by margins.
     agreed
-        Whether all fits agree that the site is almost certainly safe, or almost certainly unsafe.
+        Whether all fits agree that the site is almost certainly safe, or almost certainly unsafe
+        (n,).
     """
 
     p: Array
@@ -98,9 +99,10 @@ class SafetyEstimate:
 def lower_bound_probability(
     low: Array, upper_bound: Array, margin: float = LOG_ODDS_MARGIN
 ) -> Array:
-    """Return the probability (n,) from the minimum log odds (n,), reduced by a margin.
+    """Return the safety probability (n,) from minimum log odds over the fits (n,).
 
-    It is also reduced by the factor 1 - `MAX_CLAIM_DEFICIT`, and is at most `upper_bound`.
+    The log odds are reduced by `margin`, the probability by the factor 1 - `MAX_CLAIM_DEFICIT`. The
+    result is at most `upper_bound` (n,).
     """
     return np.asarray(np.minimum((1.0 - MAX_CLAIM_DEFICIT) * expit(low - margin), upper_bound))
 
@@ -108,9 +110,11 @@ def lower_bound_probability(
 def out_of_domain_bound(
     low: Array, upper_bound: Array, outside_bound: Array, margin: float
 ) -> Array:
-    """Return the probability (n,) where it is not a frequency: at most `SURE`.
+    """Return the safety probability (n,) of sites outside the calibrated domain.
 
-    Parameters are those of `conservative_probability`.
+    The probability is at most `SURE` times the minimum of both bounds. `low` is the minimum log
+    odds over the fits (n,), reduced by `margin`; `upper_bound` and `outside_bound` limit the
+    probability (n,).
     """
     return np.asarray(
         SURE * np.minimum(lower_bound_probability(low, upper_bound, margin), outside_bound)
@@ -124,14 +128,15 @@ def conservative_probability(
     known: BoolArray,
     margin: float = LOG_ODDS_MARGIN,
 ) -> Array:
-    """Return the probability (n,), limited by a bound below the claimed range.
+    """Return the safety probability (n,), limited outside the calibrated domain.
 
     Parameters
     ----------
     low
         Minimum log odds (n,).
     upper_bound, outside_bound
-        Upper bounds everywhere, and where the probability is not a frequency (n,).
+        Upper bounds of the probability everywhere, and where the probability is not an observed
+        frequency of safe sites (n,).
     known
         Whether the sites are in the domain of the fits (n,).
     margin
@@ -145,7 +150,9 @@ def conservative_probability(
 
 @dataclass(frozen=True)
 class Ensemble:
-    """Weights of several regressions on the same features.
+    """Weights of logistic regressions fitted to all worlds and without each world.
+
+    A world is a set of simulated sites with one relief, rock distribution, lander or range.
 
     Attributes
     ----------
@@ -166,13 +173,15 @@ class Ensemble:
         """Identifier of the weights: 16 hexadecimal digits of their SHA-256."""
         return hashlib.sha256(np.array(self.weights, "<f8").tobytes()).hexdigest()[:16]
 
-    def judge(self, free: ArrayLike, terms: Sequence[MonotoneSplineTerm]) -> LogOddsBounds:
-        """Return the bounds of the log odds of sites.
+    def evaluate_log_odds(
+        self, free: ArrayLike, terms: Sequence[MonotoneSplineTerm]
+    ) -> LogOddsBounds:
+        """Return minimum and maximum log odds of sites (n,) over the fits.
 
         Parameters
         ----------
         free
-            Features with weights of any sign, of all sites (f,) or each (n, f).
+            Features with weights of any sign, equal for all sites (f,) or for each site (n, f).
         terms
             Monotone terms of the sites; their features follow the free ones.
         """
@@ -180,8 +189,8 @@ class Ensemble:
         count = f.shape[-1]
         return LogOddsBounds(*ensemble_bounds(terms, f @ w[:, :count].T, w[:, count:]))
 
-    def of_features(self, features: ArrayLike) -> LogOddsBounds:
-        """Return the bounds of the log odds of sites with features (n, k)."""
+    def evaluate_features(self, features: ArrayLike) -> LogOddsBounds:
+        """Return minimum and maximum log odds (n,) over the fits, from features (n, k)."""
         odds = np.asarray(features, dtype=np.float64) @ np.array(self.weights).T
         return LogOddsBounds(odds.min(axis=1), odds.max(axis=1))
 
@@ -196,16 +205,17 @@ class Ensemble:
         rising: int = 0,
         start: Ensemble | None = None,
     ) -> Ensemble:
-        """Fit features (n, k) to outcomes (n,), for all worlds and without each world.
+        """Fit logistic regressions to all sites, and to all sites except each world's.
 
         Parameters
         ----------
         features, outcome, note, rising
-            As for `Logistic.fit`.
+            Features (n, k); whether each site was safe (n,); command that produces the fit; number
+            of last features whose weights are non-negative.
         worlds
             Mask of the sites of each world (n,), by its name. Worlds without sites are ignored.
         start
-            Ensemble whose weights start the iteration; omitted: zero weights.
+            Ensemble whose weights are the initial values of the iteration; omitted: zero weights.
         """
         x, y = np.asarray(features, dtype=np.float64), np.asarray(outcome)
         named = {name: inside for name, inside in worlds.items() if inside.any()}
@@ -221,14 +231,14 @@ class Ensemble:
     # --- files ----------------------------------------------------------------------------
 
     def save(self, path: Path) -> None:
-        """Write the weights as JSON, one fit per line."""
+        """Write the weights of all fits to a JSON file."""
         rows = ",\n".join(f"  {json.dumps(row)}" for row in self.weights)
         head = f'"note": {json.dumps(self.note)},\n "without": {json.dumps(self.without)}'
         path.write_text(f'{{\n {head},\n "weights": [\n{rows}\n ]\n}}\n', encoding="utf-8")
 
     @classmethod
     def load(cls, path: Path, features: int, rising: int = 0) -> Ensemble:
-        """Read a file written by `save`.
+        """Read an ensemble of regressions from a JSON file written by `save`.
 
         Parameters
         ----------
@@ -252,7 +262,11 @@ class Ensemble:
 
     @classmethod
     def packaged(cls, package: str, name: str, features: int, rising: int = 0) -> Ensemble:
-        """Read a calibration file of a package, as `load`."""
+        """Read the ensemble from the JSON file `name` inside the Python package `package`.
+
+        `features` is the number of weights per fit, `rising` the number of last weights that are
+        non-negative.
+        """
         text = (resources.files(package) / name).read_text(encoding="utf-8")
         return cls._parsed(text, name, features, rising)
 
@@ -271,7 +285,7 @@ class Ensemble:
             raise InputError(
                 "calibration",
                 name,
-                "must have a fit to all worlds and one without each named world",
+                "must have one list of weights for all worlds, and one for each world in `without`",
             )
         if any(len(row) != features for row in weights):
             raise InputError("calibration", name, f"must have {features} weights per fit")
@@ -285,7 +299,7 @@ class Ensemble:
 
 
 def _weight(value: object) -> float:
-    """Return a weight of a file, limited so that sums of features do not overflow."""
+    """Return a weight read from a file; reject magnitudes that could overflow sums."""
     if (
         isinstance(value, bool)
         or not isinstance(value, float | int)

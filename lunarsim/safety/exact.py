@@ -21,18 +21,18 @@ BoolMap = NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class SafetyMap:
-    """Slope, roughness and safety of a lander centred on each cell.
+    """Slope, roughness and landing safety of a lander centred on each cell.
 
     Attributes
     ----------
     grid
         Grid of the cells.
     slope
-        Worst slope (rows, cols), rad; NaN where not observed.
+        Maximum slope over headings and support planes (rows, cols), rad; NaN where not observed.
     roughness
-        Worst roughness (rows, cols), m; NaN where not observed.
+        Maximum roughness over headings and support planes (rows, cols), m; NaN where not observed.
     safe
-        Whether both are below the lander's limits (rows, cols).
+        Whether slope and roughness are below the lander's limits (rows, cols).
     observed
         False where the footprint leaves the map or covers unknown terrain (rows, cols).
     """
@@ -47,11 +47,14 @@ class SafetyMap:
 def exact_safety(
     elevation: ArrayLike, grid: Grid, lander: Lander, *, heading: float | None = None
 ) -> SafetyMap:
-    """Evaluate Definition III.1 of the Gaussian DEM paper on a grid.
+    """Evaluate the exact slope, roughness and safety of landing on each cell.
 
-    At each heading the pads rest on the highest terrain under them; slope (Eq. 8) and roughness
-    (Eq. 9, over the polygon of the legs) are the worst over the admissible support planes
-    (`lunarsim.vehicle.touchdown.support_planes`). Legs keep their horizontal position (Eq. 19).
+    This is Definition III.1 of the Gaussian DEM paper on a grid.
+
+    At each heading (azimuth of the body x axis) the pads rest on the highest terrain under them;
+    slope (Eq. 8) and roughness (Eq. 9, over the polygon of the legs) are the worst over the
+    admissible support planes (`lunarsim.vehicle.touchdown.support_planes`). Legs keep their
+    horizontal position (Eq. 19).
 
     Parameters
     ----------
@@ -61,7 +64,7 @@ def exact_safety(
     grid
         Grid of the elevation.
     lander
-        Geometry and limits.
+        Geometry and limits of the lander.
     heading
         Azimuth of body x (rad) to evaluate one heading only; omitted: all headings.
 
@@ -100,15 +103,17 @@ def exact_safety(
 
 
 def safe_sites(elevation: ArrayLike, grid: Grid, lander: Lander) -> tuple[BoolMap, BoolMap]:
-    """Return where `exact_safety` is safe, with less work.
+    """Return which cells are safe landing sites by the exact test, without slopes.
 
-    Sites that pass the conservative test need no more work; the evaluation of the others stops as
-    soon as a limit is exceeded. Parameters and errors are those of `exact_safety`.
+    This is faster than `exact_safety`, which has the same parameters and errors. Sites that pass
+    the conservative test need no more work; the evaluation of the others stops as soon as a limit
+    is exceeded.
 
     Returns
     -------
     safe, observed
-        As in `SafetyMap` (rows, cols).
+        Whether the lander is safe, and whether its complete footprint is known terrain (rows,
+        cols).
     """
     footprint = footprint_of(lander, grid.posting)
     height = prepare_elevation("elevation", elevation, grid, footprint)
@@ -124,7 +129,12 @@ def safe_sites(elevation: ArrayLike, grid: Grid, lander: Lander) -> tuple[BoolMa
 
 
 def height_differences(height: ElevationRaster, footprint: Footprint) -> tuple[FloatMap, FloatMap]:
-    """Return max over L and max over U, minus min over L (Eq. 10), m; or FAR."""
+    """Return height differences over the footprint of each cell (Eq. 10), m.
+
+    Both results are (rows, cols). The first is the maximum minus the minimum over L, the cells that
+    any pad may touch; the second is the maximum over U, the cells under the lander, minus the
+    minimum over L. Both are `FAR` where the footprint contains unknown terrain.
+    """
     span, rise = np.empty(height.z.shape, np.float32), np.empty(height.z.shape, np.float32)
     k.footprint_extremes(height.double, height.middle, footprint.cells, span, rise)
     return span, rise
@@ -138,7 +148,11 @@ def _evaluate(
     posting: float,
     decide: bool,
 ) -> tuple[FloatMap, FloatMap]:
-    """Return tan(slope) and roughness of the sites `todo`; NaN elsewhere."""
+    """Return tan(slope) and roughness (m) of the sites `todo`; NaN elsewhere.
+
+    With `decide`, values are only valid for comparison with the limits. `todo` and both results are
+    (rows, cols).
+    """
     limit = np.float32(lander.roughness_limit)
     tangent, roughness = (np.full(todo.shape, np.nan, np.float32) for _ in range(2))
     ek.exact(

@@ -27,12 +27,13 @@ BLOCK = 4  # side of the blocks that the exact test skips or examines, cells
 
 
 class FootprintArrays(NamedTuple):
-    """Arrays of a footprint for the kernels; names as in `Footprint`.
+    """Arrays of a lander's footprint for the compiled kernels.
 
     Attributes
     ----------
     legs, pad_windows, stand_windows, leg_windows, body_windows, depth, height, reach
-        As in `Footprint`.
+        Attributes of `Footprint` with the same names: cells of the legs, sets of cells as windows,
+        numbers of window levels, and maximum offset, in cells.
     pad_reach
         Maximum offset of a cell under a pad, cells.
     inverse
@@ -56,21 +57,21 @@ class FootprintArrays(NamedTuple):
 
 
 class PolygonBlocks(NamedTuple):
-    """Square blocks of cells that cover the polygon of every heading.
+    """Square blocks of cells that cover the polygon of the legs at every heading.
 
     Attributes
     ----------
     corners
         South-west cells (row, column) of the blocks (n, 2), heading by heading.
     centres
-        Columns and rows of their centres, alternating (2 n,).
+        Columns and rows of the blocks' centres, alternating (2 n,).
     first
         Index of the first block of each heading (headings + 1,); multiples of four.
     allowed
         0 for each cell of a block that is in the polygon, else far below any terrain
         (n block block,).
     distinct
-        Distinct corners (m, 2): headings share many blocks.
+        Distinct corners (k, 2): headings share many blocks.
     which
         Index of each block's corner in `distinct` (n,).
     """
@@ -96,10 +97,10 @@ class Footprint:
     pad
         Cells under one pad (n, 2).
     pad_windows, stand_windows, leg_windows, body_windows
-        One pad, the cells of all legs, the set L (all cells that any pad touches) and the set U
-        (all cells that any polygon covers) as unions of windows ``(level, row, column, row,
-        column)`` (n, 5): two windows that start there, of 2**level columns, or of 2**-level rows
-        for a negative level; n is a multiple of four.
+        Sets of cells: one pad; the cells of all legs; L, all cells that any pad touches; U, all
+        cells that the polygon of the legs covers at any heading. Each set is a union of windows
+        ``(level, row, column, row, column)`` (n, 5): two windows that start there, of 2**level
+        columns, or of 2**-level rows for a negative level; n is a multiple of four.
     depth, height
         Number of window levels along rows, and along columns.
     least_height
@@ -120,7 +121,10 @@ class Footprint:
     reach: int
 
     def nearest_heading(self, lander: Lander, posting: float, heading: float) -> int:
-        """Return the index of the distinct heading nearest to an azimuth of body x (rad)."""
+        """Return the index of the distinct heading nearest to an azimuth of body x (rad).
+
+        `posting` is the grid spacing, m.
+        """
         pads = lander.pads[:, :2]
         turn = np.pi / 2 - heading  # azimuth to angle from east
         c, s = np.cos(turn), np.sin(turn)
@@ -134,7 +138,9 @@ class Footprint:
         return int(np.argmin(misfit))
 
     def block_cells(self, side: float, posting: float) -> int:
-        """Return the side of blocks of about `side` metres in cells.
+        """Return the side in cells of square blocks of about `side` metres.
+
+        `posting` is the grid spacing, m.
 
         Raises
         ------
@@ -146,12 +152,15 @@ class Footprint:
         return max(1, min(round(side / posting), self.reach))
 
     def one_heading(self, index: int) -> Footprint:
-        """Return the footprint with a single heading and unchanged sets L and U."""
+        """Return this footprint with only the heading of a given index.
+
+        The sets L and U of all headings do not change.
+        """
         return replace(self, legs=self.legs[index : index + 1])
 
     @cached_property
     def cells(self) -> FootprintArrays:
-        """Arrays for the kernels."""
+        """Arrays of this footprint for the compiled kernels."""
         inverse, place = _support_geometry(self.legs)
         return FootprintArrays(
             self.legs,
@@ -168,7 +177,10 @@ class Footprint:
         )
 
     def covers(self, block: int) -> PolygonBlocks:
-        """Return blocks that cover the polygons; `block` is their side in cells."""
+        """Return square blocks of cells that cover the polygon of the legs per heading.
+
+        `block` is the side of a block in cells.
+        """
         return _covers(self, block)
 
 
@@ -180,7 +192,11 @@ def _leg_cells(legs: int, radius: float, heading: float) -> IntArray:
 
 
 def _distinct_headings(legs: int, radius: float) -> IntArray:
-    """Return the leg cells of every distinct heading (headings, legs, 2)."""
+    """Return the leg cells of every heading that differs on the grid.
+
+    The result is (headings, legs, 2); `legs` is the number of legs, `radius` their distance from
+    the centre, cells.
+    """
     turn = 2.0 * np.pi / legs
     halves = np.arange(int(np.ceil(radius)) + 1) + 0.5
     halves = halves[halves <= radius] / radius
@@ -194,7 +210,10 @@ def _distinct_headings(legs: int, radius: float) -> IntArray:
 
 
 def polygon_runs(polygon: IntArray) -> list[tuple[int, int, int]]:
-    """Return the runs (row, first column, length) of cells in a convex polygon."""
+    """Return the row segments (row, first column, length) of cells in a polygon.
+
+    `polygon` (n, 2) are the (row, column) corners of a convex polygon, counter-clockwise.
+    """
     low, high = polygon.min(axis=0), polygon.max(axis=0)
     rows, cols = np.meshgrid(
         np.arange(low[0], high[0] + 1), np.arange(low[1], high[1] + 1), indexing="ij"
@@ -215,7 +234,11 @@ def _runs_of(mask: NDArray[np.bool_], row0: int, col0: int) -> list[tuple[int, i
 
 
 def _row_windows(mask: NDArray[np.bool_], row0: int, col0: int) -> list[tuple[int, ...]]:
-    """Return a set of cells as pairs of windows (level, row, col, row, col)."""
+    """Return a set of cells as pairs of windows (level, row, column, row, column).
+
+    Both windows have 2**level columns; together they cover one row segment of `mask`, whose first
+    cell is at (row0, col0).
+    """
     windows: list[tuple[int, ...]] = []
     for row, col, length in _runs_of(mask, row0, col0):
         level = int(length).bit_length() - 1
@@ -224,7 +247,10 @@ def _row_windows(mask: NDArray[np.bool_], row0: int, col0: int) -> list[tuple[in
 
 
 def _windows(mask: NDArray[np.bool_], row0: int, col0: int, *, columns: bool = False) -> IntArray:
-    """Return a set of cells as windows whose lengths are powers of two.
+    """Return a set of cells as windows whose lengths are powers of two (n, 5).
+
+    `mask` is the set, `row0` and `col0` are the offset of its first cell; rows of the result are as
+    in `Footprint`.
 
     With `columns`, the rows near the middle are covered by windows along columns, for the number of
     rows that gives the fewest windows: the sides of a ring are a few long columns.
@@ -246,7 +272,10 @@ _TRIANGLES = {3: (((0, 1, 2),),), 4: (((0, 1, 2), (0, 1, 3)), ((0, 2, 3), (1, 2,
 
 
 def _support_geometry(legs: IntArray) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Return `inverse` and `place` of `FootprintArrays`."""
+    """Return `inverse` and `place` of `FootprintArrays` from the cells of the legs.
+
+    Both describe the triangles of legs on which the lander can stand.
+    """
     triangles = _TRIANGLES[legs.shape[1]]
     shape = (len(legs), len(triangles), len(triangles[0]))
     inverse, place = np.zeros((*shape, 4)), np.zeros((*shape, 2))
@@ -311,14 +340,14 @@ def _footprint(legs: int, leg_radius: float, pad_radius: float, posting: float) 
     radius = leg_radius / posting
     if radius < 1.0:
         raise InputError(
-            "grid.posting", posting, f"must be finer than the leg radius of {leg_radius} m"
+            "grid.posting", posting, f"must be less than the leg radius of {leg_radius} m"
         )
     if radius > MAX_LEG_DISTANCE_CELLS:
         raise InputError(
             "vehicle.leg_radius",
             leg_radius,
             f"must be at most {MAX_LEG_DISTANCE_CELLS} cells of {posting} m",
-            "Use a coarser posting or a smaller lander.",
+            "Use a larger grid spacing or a smaller lander.",
         )
     cells = _distinct_headings(legs, radius)
     n = int(np.floor(pad_radius / posting + 1e-9))
@@ -363,15 +392,19 @@ def _footprint(legs: int, leg_radius: float, pad_radius: float, posting: float) 
 
 
 def footprint_of(lander: Lander, posting: float) -> Footprint:
-    """Return the footprint of `lander` on a grid of the given posting (m).
+    """Return the cells that a lander touches or covers, on a grid of given spacing.
+
+    `posting` is the grid spacing, m.
 
     Raises
     ------
     InputError
         If the posting is too coarse for legs in different cells, or so fine that a leg is more than
-        256 cells from the centre: computing time and memory grow with the cube.
+        256 cells from the centre: computing time and memory grow with the cube of that number.
     """
     footprint = _footprint(lander.legs, lander.leg_radius, 0.5 * lander.pad_diameter, posting)
     if footprint.least_height <= 0.0:
-        raise InputError("grid.posting", posting, "must be finer: three legs are collinear")
+        raise InputError(
+            "grid.posting", posting, "must be smaller: three legs are in one line of cells"
+        )
     return footprint

@@ -22,18 +22,18 @@ _RIDGE = 1e-5
 
 @dataclass(frozen=True)
 class Logistic:
-    """Weights of the log odds.
+    """Logistic regression: weights of features in the log odds of a safe site.
 
     Attributes
     ----------
     weights
-        One weight per feature.
+        One weight per feature (k,).
     """
 
     weights: tuple[float, ...]
 
     def probability(self, features: ArrayLike) -> Array:
-        """Return the probability (n,) for features (n, k)."""
+        """Return the probability of safety (n,) from the features of sites (n, k)."""
         return np.asarray(expit(np.asarray(features) @ np.array(self.weights)))
 
     @classmethod
@@ -45,10 +45,12 @@ class Logistic:
         rising: int = 0,
         start: ArrayLike | None = None,
     ) -> Logistic:
-        """Fit features (n, k) to outcomes (n,) by maximum likelihood.
+        """Fit a logistic regression of outcomes (n,) on features (n, k).
+
+        The fit is by maximum likelihood; `outcome` is whether each site was safe.
 
         The weights of the last `rising` features are non-negative. The iteration starts at the
-        weights `start` (k,), which must satisfy these bounds; omitted: at 0.
+        weights `start` (k,), which must satisfy these bounds; without `start`, it starts at 0.
 
         Raises
         ------
@@ -74,7 +76,10 @@ class Logistic:
 
 
 def _likelihood(x: Array, y: Array, w: Array) -> tuple[float, Array, Array]:
-    """Return the mean loss with the ridge penalty, its gradient and its Hessian."""
+    """Return the mean loss with a ridge penalty, its gradient and its Hessian.
+
+    `x` (n, k) are the features, `y` (n,) the outcomes, `w` (k,) the weights.
+    """
     p = expit(x @ w)
     gradient = x.T @ (p - y) / len(y) + _RIDGE * w
     curvature = (x.T * (p * (1.0 - p) / len(y))) @ x
@@ -96,7 +101,10 @@ def _newton_step(
     gradient: Array,
     curvature: Array,
 ) -> Array:
-    """Return the weights (k,) after a bounded Newton step with backtracking."""
+    """Return the weights (k,) after a bounded Newton step with backtracking.
+
+    `x` (n, k) are the features, `y` (n,) the outcomes, `w` (k,) the current weights.
+    """
     root = cholesky(curvature)
     aim = root @ w - solve_triangular(root, gradient, trans="T")
     step = lsq_linear(root, aim, (lower_bounds, np.inf), method="bvls").x - w

@@ -19,38 +19,42 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class MonotoneSplineTerm:
-    """One explanatory variable of the sites, with its knots.
+    """One explanatory variable of the regression, with the knots of its spline.
 
     Attributes
     ----------
     values
-        Values (n,), or () if equal for all sites; not NaN.
+        Value of the variable for each site (n,), or () if equal for all sites; not NaN.
     knots
         Increasing knots (k,).
-    falls
+    is_decreasing
         Whether the probability of safety decreases with the value.
     """
 
     values: Array
     knots: Array
-    falls: bool = True
+    is_decreasing: bool = True
 
 
 def spline_features(terms: Sequence[MonotoneSplineTerm], n: int) -> Array:
-    """Return the features of n sites (n, sum of the terms' k - 1), each in [0, 1]."""
+    """Return the features of n sites from piecewise linear spline terms.
+
+    The result is (n, sum of the terms' k - 1): for each interval between two of a term's k knots,
+    the fraction of the interval below the value (above, if decreasing), in [0, 1].
+    """
     out = []
     for term in terms:
         low, high = term.knots[:-1], term.knots[1:]
         values = np.broadcast_to(term.values, n)[:, None]
         passed = np.clip((values - low) / (high - low), 0.0, 1.0)
-        out.append(1.0 - passed if term.falls else passed)
+        out.append(1.0 - passed if term.is_decreasing else passed)
     return np.column_stack(out)
 
 
 def ensemble_bounds(
     terms: Sequence[MonotoneSplineTerm], base: Array, weights: Array
 ) -> tuple[Array, Array]:
-    """Return minimum and maximum over the fits of the log odds of sites (n,).
+    """Return minimum and maximum over several fits of the log odds of n sites (n,).
 
     Parameters
     ----------
@@ -68,7 +72,7 @@ def ensemble_bounds(
         own = weights[:, at : at + len(term.knots) - 1]
         at += own.shape[1]
         risen = np.concatenate((np.zeros((len(own), 1)), np.cumsum(own, axis=1)), axis=1)
-        height = (risen[:, -1:] - risen if term.falls else risen).T
+        height = (risen[:, -1:] - risen if term.is_decreasing else risen).T
         if np.ndim(term.values) == 0:
             base = base + [np.interp(term.values, term.knots, h) for h in height.T]
             continue

@@ -25,15 +25,18 @@ def plane_stochastic_safety(
     *,
     block_side: float = BLOCK_SIDE,
 ) -> StochasticSafety:
-    """Evaluate the safety of a Gaussian DEM with Gaussian legs and obstacles.
+    """Evaluate the probability of safety on a Gaussian DEM by the legs' planes.
+
+    Heights of legs and obstacles are Gaussian.
 
     Legs stand on the highest terrain under their pads, and obstacles are the highest terrain in
-    blocks of cells; both are Gaussians by the 3-sigma rule of Eqs. 15 and 16. The nominal slope and
-    roughness are those of `bounded_safety` for the means, by the real planes only. The standard
-    deviation of the slope's tangent is that of the worst leg, ``sqrt(2) sigma_leg / h0``. For the
-    roughness it combines leg and obstacle; the obstacle's is found by raising all obstacles by
-    3 sigma. Obstacle heights are vertical, not along the plane's normal: they are at least as
-    large, and neither they nor their standard deviation shrink with the slope of the terrain.
+    blocks of cells; both are Gaussians by the 3-sigma rule of Eqs. 15 and 16 of the Gaussian DEM
+    paper. The nominal slope and roughness are those of `bounded_safety` for the means, by the real
+    planes only. The standard deviation of the slope's tangent is for the worst leg, ``sqrt(2)
+    sigma_leg / h0``. The standard deviation of the roughness combines leg and obstacle; the
+    obstacle's standard deviation is found by raising all obstacles by 3 sigma. Obstacle heights are
+    vertical, not along the plane's normal: they are at least as large, and neither they nor their
+    standard deviation shrink with the slope of the terrain.
 
     The horizontal plane of Eqs. 15 to 17 also bounds both events. The higher probability of each
     is used; both decrease with slope and roughness, hence so does the maximum.
@@ -41,14 +44,16 @@ def plane_stochastic_safety(
     Parameters
     ----------
     mean, variance, grid, lander
-        As in `stochastic_safety`.
+        Mean (m) and variance (m^2) of the elevation (rows, cols), NaN where unknown; grid of both;
+        lander with its limits.
     block_side
-        As in `bounded_safety`.
+        Side of the blocks, m, rounded to complete cells.
 
     Raises
     ------
     InputError
-        As `stochastic_safety`, and if `block_side` is not positive.
+        If a raster is invalid for the grid, the grid is smaller than the footprint, a variance is
+        negative, or `block_side` is not positive.
     """
     footprint = footprint_of(lander, grid.posting)
     block = footprint.block_cells(block_side, grid.posting)

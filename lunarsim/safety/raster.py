@@ -29,7 +29,7 @@ _MAX_SAMPLES = 64  # maximum rows and columns used for the middle of a map
 
 @dataclass(frozen=True)
 class ElevationRaster:
-    """Elevation raster prepared for the kernels.
+    """Elevation raster in the form that the compiled kernels require.
 
     Attributes
     ----------
@@ -44,19 +44,21 @@ class ElevationRaster:
 
     @property
     def double(self) -> NDArray[np.float64]:
-        """Elevation as float64, for kernels compiled only for this type."""
+        """Elevation as float64 (rows, cols), m, for kernels compiled only for this type."""
         return self.z.astype(np.float64, copy=False)
 
 
 def prepare_elevation(
     name: str, values: ArrayLike, grid: Grid, footprint: Footprint
 ) -> ElevationRaster:
-    """Return an elevation raster prepared for the kernels.
+    """Return an elevation raster in the form that the compiled kernels require.
+
+    `name` is the argument that an error names, `values` are elevations, m.
 
     Raises
     ------
     InputError
-        If it does not contain real numbers, does not fit the grid, or the grid is smaller than the
+        If `values` are not real numbers, do not fit the grid, or the grid is smaller than the
         footprint.
     """
     raster = _real_numbers(name, values)
@@ -67,12 +69,13 @@ def prepare_elevation(
 
 
 def prepare_variance(values: ArrayLike, grid: Grid, footprint: Footprint) -> NDArray[np.float32]:
-    """Return a variance raster as float32; NaN and infinity mark unknown terrain.
+    """Return a variance raster (m^2) as float32; NaN and infinity mean unknown.
 
     Raises
     ------
     InputError
-        As `prepare_elevation`, and if a variance is negative.
+        If `values` are not real numbers or do not fit the grid, the grid is smaller than the
+        footprint, or a variance is negative.
     """
     raster = _real_numbers("variance", values)
     _check_shape("variance", raster, grid, footprint)
@@ -84,7 +87,10 @@ def prepare_variance(values: ArrayLike, grid: Grid, footprint: Footprint) -> NDA
 
 
 def _real_numbers(name: str, values: ArrayLike) -> NDArray[Any]:
-    """Return real numbers, with NaN where masked."""
+    """Return an array of real numbers, with NaN where masked; reject other types.
+
+    `name` is the argument that the error names.
+    """
     raster: NDArray[Any] = np.ma.getdata(values)
     if raster.dtype.kind not in "iuf":
         raise InputError(name, raster.dtype.name, "must be an array of real numbers")
@@ -101,14 +107,16 @@ def _cast(kind: Any, raster: NDArray[Any]) -> NDArray[Any]:
 
 
 def _contiguous(raster: NDArray[Any]) -> NDArray[Any]:
-    """Return a contiguous writable raster, as the kernels require."""
+    """Return a raster as a contiguous writable array, as the kernels require."""
     raster = np.ascontiguousarray(raster)
     return raster if raster.flags.writeable else raster.copy()
 
 
 def _check_shape(name: str, raster: NDArray[Any], grid: Grid, footprint: Footprint) -> None:
     if raster.shape != grid.shape:
-        raise InputError(f"{name}.shape", raster.shape, f"must be that of the grid, {grid.shape}")
+        raise InputError(
+            f"{name}.shape", raster.shape, f"must be the shape of the grid, {grid.shape}"
+        )
     if min(grid.shape) <= 2 * footprint.reach:
         side = (2 * footprint.reach + 1) * grid.posting
         raise InputError(
@@ -117,7 +125,7 @@ def _check_shape(name: str, raster: NDArray[Any], grid: Grid, footprint: Footpri
 
 
 def _middle(raster: NDArray[Any]) -> float:
-    """Return the lower median of a sample of the heights; 0 if there are none."""
+    """Return the lower median of a sample of a raster's heights; 0 if there are none."""
     rows, cols = raster.shape
     some = raster[:: -(-rows // _MAX_SAMPLES), :: -(-cols // _MAX_SAMPLES)].ravel()
     some = some[np.abs(some) < _MAX_HEIGHT_M]

@@ -16,22 +16,22 @@ _ROCK_MARGIN_M = 0.2
 
 
 def footprint_area(lander: Lander) -> float:
-    """Return the area inside the circle of the pads, m^2."""
+    """Return the area inside the circle through the pads of a lander, m^2."""
     return float(np.pi * lander.leg_radius**2)
 
 
 def pad_ring_area(lander: Lander) -> float:
-    """Return the area that the pads may touch at any heading, m^2."""
+    """Return the area of the ring that the pads may touch at any heading, m^2."""
     return float(2.0 * np.pi * lander.leg_radius * (lander.pad_diameter + _ROCK_MARGIN_M))
 
 
 def tilt_limit_rock_height(slope: Array, lander: Lander) -> Array:
-    """Return the height of a rock under a pad that uses up the slope margin (...), m.
+    """Return the rock height under a pad that tilts a lander to its limit (...), m.
 
     Parameters
     ----------
     slope
-        Tangent of the slope over that of the limit (...).
+        Tangent of the terrain slope over the tangent of the slope limit (...).
     lander
         Geometry and limits.
     """
@@ -41,7 +41,9 @@ def tilt_limit_rock_height(slope: Array, lander: Lander) -> Array:
 
 
 def min_tilt_limit_rock_height(slope: Array, lander: Lander) -> Array:
-    """Minimize `tilt_limit_rock_height` over headings: heights (...), m.
+    """Return the minimum rock height over headings that tilts to the limit (...), m.
+
+    `slope` is the tangent of the terrain slope over the tangent of the slope limit (...).
 
     One pad of four tilts the lander about the line through its neighbours and the centre; one pad
     of three tilts it about the line through the other two.
@@ -51,5 +53,8 @@ def min_tilt_limit_rock_height(slope: Array, lander: Lander) -> Array:
 
 
 def tilt_of(height: Array, lander: Lander) -> Array:
-    """Return the tangent of the tilt (...) on flat terrain with a raised pad (m)."""
+    """Return the tangent of a lander's tilt on flat terrain with one pad raised (...).
+
+    `height` (...) is how far the pad is raised, m.
+    """
     return np.asarray(height / (_TRIANGLE_HEIGHT_RATIO * lander.leg_radius))

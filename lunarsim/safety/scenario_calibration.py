@@ -45,12 +45,15 @@ MIN_SITES_PER_CLASS = 20
 
 @dataclass(frozen=True)
 class CalibrationStage:
-    """Last stage of the calibration: ``p = expit(intercept + slope * log_odds)``.
+    """Last stage of the safety calibration: scales and shifts log odds of safety.
+
+    The probability is ``expit(intercept + slope * log_odds)``.
 
     Attributes
     ----------
     intercept, slope
-        Coefficients for the log odds of the packaged regression; the defaults do not change them.
+        Coefficients for the log odds of the regression supplied with lunarsim; the defaults do not
+        change these log odds.
 
     Raises
     ------
@@ -67,42 +70,46 @@ class CalibrationStage:
         if not (np.isfinite(self.slope) and self.slope >= 0.0):
             raise InputError(
                 "calibration.slope", self.slope,
-                "must be finite and 0 or more: better evidence must not make a site less safe",
+                "must be finite and 0 or more: higher log odds must not make a site less safe",
             )  # fmt: skip
 
     @classmethod
     def fit(cls, log_odds: Array, safe: BoolArray) -> CalibrationStage:
-        """Fit to safe and unsafe sites (n,) by maximum likelihood."""
+        """Fit the last stage of the calibration to safe and unsafe sites (n,).
+
+        `log_odds` are from the regression; the fit is by maximum likelihood.
+        """
         x = np.column_stack((np.ones_like(log_odds), log_odds))
         return cls(*Logistic.fit(x, safe, rising=1).weights)
 
     def probability(self, log_odds: Array) -> Array:
-        """Return the probability of sites (n,)."""
+        """Return the probability of safety (n,) from the log odds of the regression (n,)."""
         return np.asarray(expit(self.intercept + self.slope * log_odds))
 
 
 @dataclass(frozen=True)
 class ScenarioCalibration:
-    """Last stage of the calibration, and the data it was fitted to.
+    """Last stage of the safety calibration fitted to one scenario, and its data.
 
     Attributes
     ----------
     inside, outside
-        Stage for sites in the domain of the packaged regression, and for others; for these the
-        lower of both results is used.
+        Stage for sites in the domain of the regression supplied with lunarsim, and for sites
+        outside this domain, where the lower result of both stages is used.
     domain
-        Domain of the sites of the fit.
+        Range of the sites to which the stages were fitted.
     lander
         Parameters of the lander that affect safety, by key and in the unit of `[vehicle]`.
     regression
-        `Ensemble.digest` of the packaged regressions.
+        `Ensemble.digest` of the regressions supplied with lunarsim.
     scenario, mapper
         Names of the scenario and the mapper.
     flights, sites, seed
         Numbers of flights and sites of the fit, and root seed.
     before, after
-        Accuracy metrics of the packaged probability and of this one on the scenario's sites in
-        either domain; each flight is evaluated with a fit to the others. None: not available.
+        Accuracy metrics of the calibration supplied with lunarsim, and of this calibration, for the
+        scenario's sites in the domain of each of the two. Each flight is evaluated with a fit to
+        the other flights. None: not available.
     """
 
     inside: CalibrationStage
@@ -128,7 +135,9 @@ class ScenarioCalibration:
         lander: Lander,
         model: Ensemble,
     ) -> ScenarioCalibration:
-        """Fit the last stage by maximum likelihood.
+        """Fit the last stage of the calibration to sites of one scenario.
+
+        The fit is by maximum likelihood.
 
         If too few safe or unsafe sites lie in the regression's domain, its probabilities there do
         not change; if too few lie outside, the same stage is used for both.
@@ -136,8 +145,8 @@ class ScenarioCalibration:
         Parameters
         ----------
         log_odds, safe, known
-            Log odds by the regression, exact safety, and whether in the regression's domain, of
-            sites in `domain` (n,).
+            For each site in `domain` (n,): log odds by the regression, whether it is safe by the
+            exact test, and whether it is in the regression's domain.
         domain
             Domain of the sites.
         lander, model
@@ -163,7 +172,7 @@ class ScenarioCalibration:
         return cls(inside, fits[1] or inside, domain, lander_safety_params(lander), model.digest)
 
     def probability(self, log_odds: Array, known: BoolArray) -> Array:
-        """Return the probability of sites (n,).
+        """Return the probability of safety of sites (n,) by the last stage.
 
         Parameters
         ----------
@@ -176,7 +185,7 @@ class ScenarioCalibration:
         return np.where(known, p, np.minimum(p, self.outside.probability(log_odds)))
 
     def check(self, lander: Lander, model: Ensemble) -> None:
-        """Refuse another lander or another regression.
+        """Raise an error if the lander or the regression differs from those of the fit.
 
         Raises
         ------
@@ -193,7 +202,7 @@ class ScenarioCalibration:
                 )  # fmt: skip
 
     def check_regression(self, model: Ensemble) -> None:
-        """Refuse another regression than that of the fit."""
+        """Raise an error if the regression differs from the regression of the fit."""
         if model.digest != self.regression:
             raise InputError(
                 "calibration.regression", self.regression,
@@ -203,7 +212,7 @@ class ScenarioCalibration:
     # --- files ----------------------------------------------------------------------------
 
     def save(self, path: Path) -> None:
-        """Write the calibration as JSON, atomically.
+        """Write the calibration to a JSON file, atomically (complete or absent).
 
         Raises
         ------
@@ -216,7 +225,7 @@ class ScenarioCalibration:
 
     @classmethod
     def load(cls, path: Path) -> ScenarioCalibration:
-        """Read a file written by `save`.
+        """Read a scenario's calibration from a JSON file written by `save`.
 
         Raises
         ------
@@ -250,12 +259,15 @@ class ScenarioCalibration:
 
 
 def has_enough_sites(safe: BoolArray) -> bool:
-    """Return whether there are enough safe and unsafe sites (n,) to fit a stage."""
+    """Return whether `safe` (n,) has enough safe and unsafe sites to fit a stage."""
     return bool(min(safe.sum(), (~safe).sum()) >= MIN_SITES_PER_CLASS)
 
 
 def lander_safety_params(lander: Lander) -> dict[str, float]:
-    """Return the parameters that affect safety, by key and in the unit of `[vehicle]`."""
+    """Return the lander's parameters that affect safety, by key of `[vehicle]`.
+
+    Each value is in the unit of its key.
+    """
     found = {}
     for f in fields(lander):
         if f.name in _LANDER:
@@ -266,8 +278,11 @@ def lander_safety_params(lander: Lander) -> dict[str, float]:
 
 
 def _entry(data: dict[str, Any], key: str, kind: type) -> Any:
+    """Return the value under a key of a calibration file, of the type `kind`."""
     if key not in data:
-        raise InputError("calibration", key, "must have an entry of that name", _WRITE_REMEDY)
+        raise InputError(
+            f"calibration.{key}", None, "must be in the calibration file", _WRITE_REMEDY
+        )
     value = data[key]
     if not isinstance(value, kind) or isinstance(value, bool):
         words = {str: "must be a text", int: "must be an integer", dict: "must be a table"}
@@ -276,15 +291,21 @@ def _entry(data: dict[str, Any], key: str, kind: type) -> Any:
 
 
 def _table(data: dict[str, Any], key: str) -> dict[str, Any]:
+    """Return the table under a key of a calibration file; reject other types."""
     found: dict[str, Any] = _entry(data, key, dict)
     return found
 
 
 def _number(data: dict[str, Any], key: str, value: Any = None) -> float:
-    """Return the finite number of a key, or `value` if given."""
+    """Return the finite number under a key of a calibration file.
+
+    If `value` is given, it is checked instead.
+    """
     if value is None:
         if key not in data:
-            raise InputError("calibration", key, "must have an entry of that name", _WRITE_REMEDY)
+            raise InputError(
+                f"calibration.{key}", None, "must be in the calibration file", _WRITE_REMEDY
+            )
         value = data[key]
     number = isinstance(value, int | float) and not isinstance(value, bool)
     if not (number and abs(value) <= sys.float_info.max):  # also refuses NaN
@@ -293,11 +314,13 @@ def _number(data: dict[str, Any], key: str, value: Any = None) -> float:
 
 
 def _stage(data: dict[str, Any], key: str) -> CalibrationStage:
+    """Return the calibration stage stored under a key of a calibration file."""
     table = _table(data, key)
     return CalibrationStage(_number(table, "intercept"), _number(table, "slope"))
 
 
 def _range(data: dict[str, Any], key: str) -> tuple[float, float]:
+    """Return minimum and maximum stored under a key of a calibration file."""
     value = data.get(key)
     if not isinstance(value, list) or len(value) != 2:
         raise InputError(f"calibration.{key}", value, "must be a list of minimum and maximum")
@@ -305,6 +328,7 @@ def _range(data: dict[str, Any], key: str) -> tuple[float, float]:
 
 
 def _figures(data: dict[str, Any], key: str) -> MetricTable:
+    """Return the accuracy metrics stored under a key of a calibration file."""
     groups = _table(data, key)
     return {
         name: {k: None if v is None else _number(table, k) for k, v in table.items()}

@@ -37,10 +37,16 @@ Array = NDArray[np.float64]
 
 
 class UnseenRockCount(Protocol):
-    """Unseen rocks above heights per unit of area, for `UndetectedRockRatio.left`."""
+    """Function that counts unseen rocks above heights, per unit of area.
+
+    `UndetectedRockRatio.remaining_rocks` calls it.
+    """
 
     def __call__(self, above: Array, where: NDArray[np.bool_] | None = None, /) -> Array:
-        """Return their number at all sites (rows, cols), or at those of a mask (n,)."""
+        """Return the number of unseen rocks above the heights `above`, m.
+
+        The result is for all sites (rows, cols), or for the sites of the mask `where` (n,).
+        """
 
 
 # Below all requested heights, m.
@@ -52,18 +58,20 @@ _LOG_TABLE = np.log(_TABLE)
 
 @dataclass(frozen=True)
 class UndetectedRockRatio:
-    """Ratio of undetected rocks that remain after observation by another sensor.
+    """Fraction of unseen rocks that remain after observation by another sensor.
+
+    The fraction is given per size class and cell; it can exceed 1 in unexplained shadow.
 
     Attributes
     ----------
     diameter
         Minimum diameter of each size class (n,), increasing, m; smaller rocks are not observed.
     ratio
-        Remaining rocks of each class over those before, mean over the terrain relevant for a site
-        (n, rows, cols).
+        Number of remaining rocks over the number before the observation, per class, averaged over
+        the terrain relevant for each site (n, rows, cols).
     cover, height_ratio
-        Cover of the Golombek distribution that the mission expects, and height over diameter of its
-        rocks.
+        Fraction of the terrain covered by rocks in the Golombek distribution that the mission
+        expects, and height over diameter of its rocks.
 
     Raises
     ------
@@ -80,32 +88,40 @@ class UndetectedRockRatio:
         d = np.asarray(self.diameter)
         if not (d.ndim == 1 and d.size and d[0] > 0.0 and (np.diff(d) > 0.0).all()):
             raise InputError(
-                "thinning.diameter", self.diameter, "must be positive, increasing lengths"
+                "undetected_rock_ratio.diameter",
+                self.diameter,
+                "must be positive, increasing lengths",
             )
         if self.ratio.ndim != 3 or len(self.ratio) != d.size:
             raise InputError(
-                "thinning.ratio", self.ratio.shape, f"must have the shape ({d.size}, rows, cols)"
+                "undetected_rock_ratio.ratio",
+                self.ratio.shape,
+                f"must have the shape ({d.size}, rows, cols)",
             )
         if not (np.isfinite(self.ratio).all() and self.ratio.min(initial=0.0) >= 0.0):
             raise InputError(
-                "thinning.ratio", float(self.ratio.min()), "must be finite and 0 or more"
+                "undetected_rock_ratio.ratio",
+                float(self.ratio.min()),
+                "must be finite and 0 or more",
             )
         if not (np.isfinite(self.height_ratio) and self.height_ratio > 0.0):
-            raise InputError("thinning.height_ratio", self.height_ratio, "must be positive")
+            raise InputError(
+                "undetected_rock_ratio.height_ratio", self.height_ratio, "must be positive"
+            )
 
     @property
     def shape(self) -> tuple[int, int]:
-        """Rows and columns."""
+        """Number of rows and columns of the map."""
         return self.ratio.shape[1], self.ratio.shape[2]
 
     @property
-    def touched(self) -> NDArray[np.bool_]:
-        """Where any ratio differs from 1 (rows, cols)."""
+    def is_changed(self) -> NDArray[np.bool_]:
+        """Mask of the cells where the ratio of any size class differs from 1 (rows, cols)."""
         return np.asarray((self.ratio != 1.0).any(axis=0))
 
     @cached_property
     def _falling(self) -> Array:
-        """Ratios that do not increase with size, unobserved sizes first (n + 1, ...)."""
+        """Ratios made non-increasing with rock size, unobserved sizes first (n + 1, ...)."""
         return self._falling_of(self.ratio)
 
     @staticmethod
@@ -119,9 +135,9 @@ class UndetectedRockRatio:
         return out
 
     def at(self, height: ArrayLike) -> Array:
-        """Return the remaining fraction of unseen rocks above heights (rows, cols).
+        """Return the fraction of unseen rocks above heights that remains (rows, cols).
 
-        It is the mean over the sizes of the distribution only.
+        The fraction is the mean ratio over the rock sizes of the distribution.
 
         Parameters
         ----------
@@ -130,10 +146,12 @@ class UndetectedRockRatio:
         """
         return self._mean(height, self._falling)
 
-    def left(self, unseen: UnseenRockCount, height: ArrayLike) -> Array:
-        """Return the remaining unseen rocks above heights (rows, cols).
+    def remaining_rocks(self, unseen: UnseenRockCount, height: ArrayLike) -> Array:
+        """Return the number of unseen rocks above heights that remains (rows, cols).
 
-        Where there may be more than before, the excess is added class by class.
+        This is after the observation by the other sensor.
+
+        Where the ratio exceeds 1, the excess is added class by class.
 
         Parameters
         ----------
@@ -152,7 +170,11 @@ class UndetectedRockRatio:
         return out
 
     def _mean(self, height: ArrayLike, falling: Array) -> Array:
-        """Return the mean of non-increasing ratios over the rocks above heights."""
+        """Return the mean of ratios over the rocks above heights (rows, cols).
+
+        `height` is () or (rows, cols), m; `falling` (n + 1, rows, cols) are ratios that do not
+        increase with rock size.
+        """
         flat = falling.reshape(len(falling), -1)
         out = np.empty(flat.shape[1])
         with threads_for(0.05 * out.size):
@@ -165,12 +187,12 @@ class UndetectedRockRatio:
 
     @cached_property
     def _falling_reduction(self) -> Array:
-        """Like `_falling`, with ratios limited to 1."""
+        """Ratios limited to 1 and made non-increasing with rock size (n + 1, ...)."""
         return self._falling_of(np.minimum(self.ratio, np.float32(1.0)))
 
     @cached_property
     def _excess(self) -> list[tuple[NDArray[np.bool_], Array]]:
-        """Mask and value of each class's excess over that of the next smaller class."""
+        """Mask and value, per size class, of its excess over the next smaller class."""
         out, before = [], np.zeros(self.shape, np.float32)
         for ratio in self.ratio:
             more = np.maximum(ratio - np.float32(1.0), before)
@@ -181,18 +203,22 @@ class UndetectedRockRatio:
 
 
 def _of_sites(height: ArrayLike, shape: tuple[int, int]) -> Array:
-    """Return scalar heights as (1,), and others flattened over all sites."""
+    """Return a scalar height as (1,), and other heights flattened over all sites."""
     h = np.asarray(height, dtype=np.float64)
     return h.reshape(1) if h.size == 1 else np.ravel(np.broadcast_to(h, shape))
 
 
 def _rock_number(diameter: ArrayLike, cover: float) -> Array:
-    """Return `golombek_number`, interpolated with a relative error of 1e-6."""
+    """Return the number of rocks above diameters (m) by the Golombek distribution.
+
+    The number is interpolated in a table, with a relative error of 1e-6; `cover` is the fraction of
+    terrain covered by rocks.
+    """
     d = np.log(np.asarray(diameter, dtype=np.float64))
     return np.asarray(np.exp(np.interp(d, _LOG_TABLE, _log_rock_number(cover))))
 
 
 @lru_cache(maxsize=8)
 def _log_rock_number(cover: float) -> Array:
-    """Return the logarithm of the number of rocks at the diameters `_TABLE` (n,)."""
+    """Return the log of the number of rocks above each diameter of `_TABLE` (n,)."""
     return np.asarray(np.log(np.maximum(golombek_number(_TABLE, cover), 1e-300)))

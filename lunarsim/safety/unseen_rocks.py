@@ -45,7 +45,7 @@ _TOP = 1.5 * np.pi
 
 @dataclass(frozen=True)
 class ExceedanceCurve:
-    """Fraction of the terrain above each height over its surroundings.
+    """Fraction of the terrain that rises above its surroundings by more than a height.
 
     Attributes
     ----------
@@ -53,37 +53,41 @@ class ExceedanceCurve:
         Increasing heights (n,), m.
     share
         Fraction of the terrain above each height (n,), decreasing.
-    counted
+    min_counted_height
         Minimum height at which samples were counted, m; 0: all heights.
-    gravel, gravel_counted
+    gravel, min_counted_gravel_height
         Fraction (n,) that also uses counts at low heights, and the minimum height of these, m;
         None: `share` applies to all heights.
     """
 
     height: Array
     share: Array
-    counted: float = 0.0
+    min_counted_height: float = 0.0
     gravel: Array | None = None
-    gravel_counted: float = 0.0
+    min_counted_gravel_height: float = 0.0
 
     @cached_property
-    def careful(self) -> ExceedanceCurve:
-        """Curve with counted gravel, at least the distribution's below the counts.
+    def with_gravel(self) -> ExceedanceCurve:
+        """Curve that includes counted gravel, as low rocks tilt a lander on a slope.
 
-        Few high rocks do not imply few low ones.
+        Below the counted heights, the curve is at least the mission's rock distribution: few high
+        rocks do not imply few low rocks.
         """
         return self if self.gravel is None else ExceedanceCurve(self.height, self.gravel)
 
     def at(self, height: ArrayLike) -> Array:
-        """Return the fraction above heights (...), m; heights are clipped to the curve."""
+        """Return the fraction of terrain above heights (...), m.
+
+        Heights are clipped to the range of the curve.
+        """
         h = np.log(np.clip(np.asarray(height, dtype=np.float64), self.height[0], self.height[-1]))
         return np.asarray(np.exp(np.interp(h, np.log(self.height), np.log(self.share))))
 
-    def unseen(self, height: ArrayLike, density: ArrayLike) -> Array:
-        """Return the number of unseen rocks above a height per square metre (...).
+    def unseen_rocks(self, height: ArrayLike, density: ArrayLike) -> Array:
+        """Return the number of unseen rocks above a height, per square metre (...).
 
-        The number is the fraction over the area of a rock's top; random samples miss a rock with
-        probability ``exp(-density * top)``.
+        The number is the fraction of terrain divided by the area of a rock's top; random samples
+        miss a rock with probability ``exp(-density * top)``.
 
         Parameters
         ----------
@@ -96,13 +100,15 @@ class ExceedanceCurve:
         top = _TOP * h * h
         return self.at(h) / top * np.exp(-np.asarray(density, dtype=np.float64) * top)
 
-    def missed(self, height: ArrayLike, density: ArrayLike) -> Array:
-        """Return the number of rocks above a height that no sample has met, per m^2 (...).
+    def missed_rocks(self, height: ArrayLike, density: ArrayLike) -> Array:
+        """Return an upper estimate of rocks above a height that samples miss, per m^2.
+
+        The result has the shape (...) of both arguments broadcast; no sample has met these rocks.
 
         A rock that is half an ellipsoid of height H raises ``a (H^2 - x^2)`` of terrain above a
         height x, a = pi / (4 ratio^2). Hence at most ``S(x) / (a (h^2 - x^2))`` rocks are higher
-        than h, for every x below h; the minimum over x is used, times the ratio to it of a fraction
-        that is a power of x. A sample misses the part of a rock above h with probability
+        than h, for every x below h; the minimum over x is used, multiplied by a constant for a
+        fraction that is a power of x. A sample misses the part of a rock above h with probability
         ``exp(-density a (H^2 - h^2))``: rocks slightly higher than h are nearly always missed. With
         an exponential distribution of H^2 - h^2, this gives ``1 / (1 + density a mean)``. The
         result never increases with `height` or `density`, and never decreases where the fraction
@@ -122,11 +128,11 @@ class ExceedanceCurve:
         seen = np.asarray(density, dtype=np.float64) * area * _SPREAD * h * h
         return np.asarray(max_number / (1.0 + seen))
 
-    def sunk(self, depth: ArrayLike, density: ArrayLike, width: float) -> Array:
-        """Return the number of holes of a depth that no sample has met, per m^2 (...).
+    def missed_holes(self, depth: ArrayLike, density: ArrayLike, width: float) -> Array:
+        """Return the number of holes of a depth that all samples miss, per m^2 (...).
 
-        The curve must be the fraction of terrain below each depth. Holes are counted as squares of
-        the minimum relevant width: a pad does not sink into narrower ones.
+        The curve must be the fraction of terrain deeper than each depth. Holes are counted as
+        squares of the minimum relevant width: a pad does not sink into narrower holes.
 
         Parameters
         ----------
@@ -135,7 +141,7 @@ class ExceedanceCurve:
         density
             Samples per square metre, broadcast against `depth`.
         width
-            Width of a hole, m.
+            Minimum relevant width of a hole, m.
         """
         area = width * width
         missed = np.exp(-np.asarray(density, dtype=np.float64) * area)
@@ -143,7 +149,7 @@ class ExceedanceCurve:
 
     @cached_property
     def _max_numbers(self) -> tuple[Array, Array]:
-        """Heights (n,), m, and logarithm of the number of higher rocks per square metre."""
+        """Heights (n,), m, and the log of the maximum number of higher rocks per m^2 (n,)."""
         area = 0.25 * np.pi / _ROCK_HEIGHT_RATIO**2
         h = np.geomspace(2.0 * self.height[0], self.height[-1], 2 * len(self.height))
         below = np.minimum(self.height, 0.95 * h[:, None])
@@ -154,7 +160,9 @@ class ExceedanceCurve:
 def height_curve(
     rises: ArrayLike, noise: float, limit: float, cover: float, height_ratio: float = 0.5
 ) -> ExceedanceCurve:
-    """Return the fraction of terrain above each height.
+    """Return the fraction of terrain above each height, from samples and a prior.
+
+    The prior is the rock distribution that the mission expects.
 
     Parameters
     ----------
@@ -165,8 +173,8 @@ def height_curve(
     limit
         The lander's roughness limit, m.
     cover, height_ratio
-        Cover of the Golombek distribution that the mission expects, and height over diameter of its
-        rocks.
+        Fraction of the terrain covered by rocks in the Golombek distribution that the mission
+        expects, and height over diameter of its rocks.
     """
     height = limit * _HEIGHTS
     law = distribution_fraction(height, cover, height_ratio)
@@ -183,17 +191,20 @@ def height_curve(
 
 
 def _falling(share: Array) -> Array:
-    """Return fractions (n,), limited and made non-increasing with height."""
+    """Return fractions (n,), at most `_MAX_FRACTION` and non-increasing with height."""
     return np.asarray(np.minimum.accumulate(np.minimum(share, _MAX_FRACTION)))
 
 
 def _ratio_to_distribution(
     z: Array, noise: float, counted: Array, height: Array, law: Array
 ) -> tuple[Array, float]:
-    """Return the ratio of counts to the distribution, and the lowest count height.
+    """Return the ratio of counted samples to the rock distribution, by height (n,).
 
-    Samples are counted above some heights, without those within the noise; outside these the ratio
-    is constant.
+    The second result is the minimum height at which samples were counted, m. `z` are heights of
+    samples, `counted` the heights at which samples are counted; `law` (n,) is the distribution's
+    fraction of terrain above `height` (n,).
+
+    Heights within the noise are omitted; outside the counted heights the ratio is constant.
     """
     above_noise = counted[counted >= _MIN_HEIGHT_SIGMAS * noise]
     counted = above_noise if above_noise.size else counted[-1:]
@@ -207,19 +218,32 @@ def _ratio_to_distribution(
 def depth_curve(
     rises: ArrayLike, noise: float, limit: float, cover: float, height_ratio: float = 0.5
 ) -> ExceedanceCurve:
-    """Return the fraction of terrain below each depth under its surroundings.
+    """Return the fraction of terrain deeper than each depth below its surroundings.
 
-    Parameters are those of `height_curve`. The mission does not specify holes; a tenth of the cover
-    of rocks is assumed.
+    The mission does not specify holes; it is assumed that holes cover a tenth of the area that
+    rocks cover.
+
+    Parameters
+    ----------
+    rises
+        Heights of samples above the surrounding terrain (n,), m; negative in holes.
+    noise
+        Standard deviation of a sample, m.
+    limit
+        The lander's roughness limit, m.
+    cover, height_ratio
+        Fraction of the terrain covered by rocks in the Golombek distribution that the mission
+        expects, and height over diameter of its rocks.
     """
     return height_curve(-np.asarray(rises), noise, limit, _HOLE_COVER_RATIO * cover, height_ratio)
 
 
 def distribution_fraction(height: ArrayLike, cover: float, height_ratio: float) -> Array:
-    """Return the fraction of terrain that rocks raise above heights (n,), m.
+    """Return the fraction of terrain higher than each height because of rocks (n,).
 
-    Heights are (n,), m. Rocks are half ellipsoids with circular outlines, `height_ratio` times as
-    high as wide.
+    `height` (n,) is in m; `cover` is the fraction of terrain covered by rocks of the Golombek
+    distribution. Rocks are half ellipsoids with circular outlines, `height_ratio` times as high as
+    wide.
     """
     h = np.asarray(height, dtype=np.float64)[:, None]
     number = golombek_number(_DIAMETERS, cover)

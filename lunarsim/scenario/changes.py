@@ -1,4 +1,4 @@
-"""Change values of a scenario by dotted keys, as `--set` does.
+"""Change values of a scenario by dotted keys, as the option `--set` does.
 
 A key is the path of tables to a value, separated by dots: ``rocks.cover``, ``start.position_m.0``,
 ``policy``. A number at the end selects an element of a list. The name of a table with a `kind`
@@ -19,14 +19,18 @@ _OPTION = "--set"
 
 
 def path_of(key: str, value: Any = "") -> tuple[str, ...]:
-    """Split a key into its steps; a part's name with a string value means its kind."""
+    """Split a dotted scenario key into the names of its tables and of the value.
+
+    A table with a `kind`, for instance ``policy``, with a string as `value` means the key of its
+    kind: ("policy", "kind").
+    """
     if key in layout.SELECTED and isinstance(value, str):
         return key, "kind"
     return tuple(key.split("."))
 
 
 def with_values(scenario: Scenario, values: Mapping[str, Any], where: str) -> Scenario:
-    """Return a scenario with some values changed.
+    """Return a copy of a scenario with the values of some dotted keys changed.
 
     Parameters
     ----------
@@ -36,7 +40,7 @@ def with_values(scenario: Scenario, values: Mapping[str, Any], where: str) -> Sc
         Values by key. If a value changes the `kind` of a table, that table starts from the
         defaults of the new kind.
     where
-        Prefix of the field names in errors.
+        Prefix of the field names in errors, for instance ``--set``.
 
     Raises
     ------
@@ -59,11 +63,11 @@ def with_values(scenario: Scenario, values: Mapping[str, Any], where: str) -> Sc
     try:
         return scenario.changed(**change)
     except InputError as error:
-        raise error.renamed(f"{where}.{error.field}") from None
+        raise error.with_field(f"{where}.{error.field}") from None
 
 
 def with_changes(scenario: Scenario, texts: Sequence[str]) -> Scenario:
-    """Return a scenario with changes given as ``KEY=VALUE``.
+    """Return a copy of a scenario with changes given as texts ``KEY=VALUE``.
 
     Parameters
     ----------
@@ -90,7 +94,7 @@ def with_changes(scenario: Scenario, texts: Sequence[str]) -> Scenario:
         return with_values(scenario, values, _OPTION)
     except InputError as error:
         field = error.field.replace(f"{_OPTION}.", f"{_OPTION} ", 1)
-        raise error.renamed(field) from None
+        raise error.with_field(field) from None
 
 
 def parse_changes(texts: Sequence[str]) -> dict[str, Any]:
@@ -113,12 +117,18 @@ def parse_changes(texts: Sequence[str]) -> dict[str, Any]:
 
 
 def _parsed(text: str, value: str) -> Any:
-    """Parse a TOML value; text that is not TOML becomes a string."""
+    """Parse a value in TOML; a value that is not TOML is returned as a string.
+
+    `text` is the complete ``KEY=VALUE`` for errors.
+    """
     try:
         found = tomllib.loads(f"value = {value}")
     except (ValueError, RecursionError):
         if value[0] in "[{\"'":
-            raise InputError(_OPTION, text, "must have a TOML value or a word") from None
+            raise InputError(
+                _OPTION, text, "must have a valid TOML value",
+                "Check brackets and quotes.",
+            ) from None  # fmt: skip
         return value
     if list(found) != ["value"]:
         raise InputError(_OPTION, text, "must be one key and one value")
@@ -126,7 +136,10 @@ def _parsed(text: str, value: str) -> Any:
 
 
 def at(data: Any, steps: tuple[str, ...]) -> Any:
-    """Return the value of nested tables at a key's steps, or None if missing."""
+    """Return the value in nested tables and lists that the names in `steps` lead to.
+
+    Return None if there is no such value.
+    """
     for step in steps:
         if isinstance(data, Mapping):
             data = data.get(step)
@@ -138,9 +151,15 @@ def at(data: Any, steps: tuple[str, ...]) -> Any:
 
 
 def _replaced(current: Any, index: int, value: Any, field: str) -> list[Any]:
-    """Return a list with one element replaced."""
+    """Return the list `current` with the element `index` replaced by `value`.
+
+    `field` is the field name for errors.
+    """
     if not isinstance(current, list | tuple):
-        raise InputError(field, value, "must be an element of a list in the scenario")
+        raise InputError(
+            field, value, f"ends in the list index {index}, but the scenario has no list there",
+            "Omit the index.", show_value=False,
+        )  # fmt: skip
     if index >= len(current):
         raise InputError(field, value, f"must have an index from 0 to {len(current) - 1}")
     new = list(current)
@@ -149,7 +168,10 @@ def _replaced(current: Any, index: int, value: Any, field: str) -> list[Any]:
 
 
 def _set_nested(change: dict[str, Any], steps: tuple[str, ...], value: Any, field: str) -> None:
-    """Set one value in a nested change."""
+    """Set the value at the path `steps` in the nested dictionary `change`.
+
+    `field` is the field name for errors.
+    """
     for step in steps[:-1]:
         inner = change.setdefault(step, {})
         if not isinstance(inner, dict):

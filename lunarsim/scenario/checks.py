@@ -1,4 +1,4 @@
-"""Check that the parts of a scenario fit together and that none is without effect."""
+"""Check that the components of a scenario fit together and have an effect."""
 
 from __future__ import annotations
 
@@ -19,99 +19,99 @@ from lunarsim.parts import loadable_parts
 
 
 class PartTable(Protocol):
-    """A table with a `kind`."""
+    """Scenario table whose key `kind` selects a component, such as a sensor."""
 
     @property
     def kind(self) -> str:
-        """Registered name or "module:Class"."""
+        """Kind of the component: a registered name or "module:Class"."""
         ...
 
     @property
     def table(self) -> Any:
-        """The other keys of the table."""
+        """Values of the keys other than `kind`."""
         ...
 
     def make(self) -> Any:
-        """Create the part."""
+        """Create the component that the table describes, in SI units and radians."""
         ...
 
 
 class CheckedTables(Protocol):
-    """The tables of a scenario that the checks read."""
+    """Tables of a scenario that the consistency checks read."""
 
     @property
     def sensors(self) -> Mapping[str, PartTable]:
-        """Sensors by name."""
+        """Tables of the sensors, by sensor name."""
         ...
 
     @property
     def tasking(self) -> Mapping[str, PartTable]:
-        """Tasking schedules by sensor name."""
+        """Tables of the measurement schedules, by name of the sensor that they command."""
         ...
 
     @property
     def mappers(self) -> Mapping[str, PartTable]:
-        """Mappers by name."""
+        """Tables of the hazard mappers, by mapper name."""
         ...
 
     @property
     def navigation(self) -> PartTable:
-        """Navigation filter."""
+        """Table of the navigation filter."""
         ...
 
     @property
     def control(self) -> PartTable:
-        """Attitude control."""
+        """Table of the attitude control."""
         ...
 
     @property
     def decisions(self) -> Any:
-        """Divert decisions."""
+        """Table of the divert decisions."""
         ...
 
     @property
     def simulation(self) -> Any:
-        """Clock of the simulation."""
+        """Table of the simulation's time step and control cycle."""
         ...
 
     @property
-    def surroundings(self) -> Any:
-        """Far terrain, or None."""
+    def far_terrain(self) -> Any:
+        """Table of the terrain around the landing area, or None."""
         ...
 
     @property
     def moon(self) -> Any:
-        """Rotating sphere with central gravity, or None."""
+        """Table of the Moon as a rotating sphere with central gravity, or None."""
         ...
 
     @property
     def prior_map(self) -> Any:
-        """Prior map, or None."""
+        """Table of the terrain map that navigation has before the flight, or None."""
         ...
 
     @property
-    def start_knowledge(self) -> Any:
-        """Initial uncertainty of the estimate, or None."""
+    def initial_uncertainty(self) -> Any:
+        """Table of the initial uncertainty of the state estimate, or None."""
         ...
 
     @property
     def vehicle(self) -> PartTable:
-        """Lander."""
+        """Table of the lander."""
         ...
 
     @property
     def sun(self) -> Any:
-        """Illumination."""
+        """Table of the illumination by the Sun."""
         ...
 
     @property
     def faults(self) -> Any:
-        """Actuator faults, or None."""
+        """Table of the actuator faults, or None."""
         ...
 
 
 def check(scenario: CheckedTables) -> None:
-    """Check that parts have what they need, are consistent, and have an effect.
+    """Check that components have what they need, are consistent, and have an effect.
 
     Raises
     ------
@@ -138,7 +138,10 @@ def check(scenario: CheckedTables) -> None:
 
 
 def _check_names(table: str, parts: Mapping[str, PartTable]) -> None:
-    """Check that names are valid as names of files, random streams and columns."""
+    """Check that the names of tables are valid names of files and columns.
+
+    `table` is the group of the named tables: sensors, tasking or mappers.
+    """
     for name in parts:
         if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_-]*", name):
             raise InputError(
@@ -149,12 +152,15 @@ def _check_names(table: str, parts: Mapping[str, PartTable]) -> None:
 def _check_single(sensors: dict[str, Any]) -> None:
     """Check that there is at most one sensor of each type that navigation uses once."""
     for only in (InertialSamples, NavigationFix):
-        names = [name for name, sensor in sensors.items() if issubclass(sensor.gives, only)]
+        names = [
+            name for name, sensor in sensors.items() if issubclass(sensor.measurement_type, only)
+        ]
         if len(names) > 1:
             raise InputError(
                 f"sensors.{names[1]}",
                 names,
-                f"must be the only sensor that measures {only.__name__}",
+                f"must not be a second sensor that measures {only.__name__}",
+                "Delete one of these sensors.",
             )
 
 
@@ -169,53 +175,63 @@ def _check_filters(scenario: CheckedTables) -> None:
         raise InputError(
             f"mappers.{names[1]}",
             names,
-            "must be the only mapper that uses the navigation filter",
+            "must be the only mapper that adds states to the navigation filter",
+            "Delete the other mapper.",
         )
 
 
 def _has_sensor_for(sensors: dict[str, Any], wanted: type) -> bool:
-    return any(issubclass(sensor.gives, wanted) for sensor in sensors.values())
+    """Return whether any sensor outputs measurements of a type."""
+    return any(issubclass(sensor.measurement_type, wanted) for sensor in sensors.values())
 
 
 def _sensor_kinds_for(wanted: type) -> str:
-    """Return the kinds of sensors that output a type of measurement, joined by "or"."""
+    """Return a phrase with the kinds of sensors that output a type of measurement."""
     found = [
         repr(kind)
         for kind, sensor in loadable_parts("sensor")
-        if isinstance(sensor.gives, type) and issubclass(sensor.gives, wanted)
+        if isinstance(sensor.measurement_type, type) and issubclass(sensor.measurement_type, wanted)
     ]
-    return " or ".join(found) or f"with measurement type {wanted.__name__}"
+    names = " or ".join(found)
+    return f"of kind {names}" if names else f"with measurement type {wanted.__name__}"
 
 
 def _kinds_of(contract: str, wanted: type) -> str:
-    """Return the kinds of a contract with a class or its subclasses, joined by "or"."""
+    """Return the kinds of a contract that are a class or its subclass, joined by "or".
+
+    If no kind is, return "module:Class" of the class `wanted`.
+    """
     found = [repr(kind) for kind, part in loadable_parts(contract) if issubclass(part, wanted)]
     return " or ".join(found) or f'"{wanted.__module__}:{wanted.__qualname__}"'
 
 
 def _check_mappers(scenario: CheckedTables, sensors: dict[str, Any]) -> None:
+    """Check that each hazard mapper has its sensors, its other mappers and its filter."""
     for name, part in scenario.mappers.items():
         mapper = part.make()
         field = f"mappers.{name}"
         if isinstance(mapper, FusedMapperSettings):
-            _check_other_mappers(field, mapper.chosen, scenario)
+            _check_other_mappers(field, mapper.fused_mappers, scenario)
             continue
         if isinstance(mapper, ShadowMapping):
             _check_other_mappers(field, mapper.check_terrain_mapper, scenario)
             _check_sun_elevation(field, scenario.sun.elevation_deg)
         _check_map(field, mapper, scenario)
-        _check_sensors(field, mapper, sensors)
+        _check_sensors(field, mapper, scenario.sensors, sensors)
         wanted = getattr(mapper, "navigation", None)
         if wanted is not None and not isinstance(scenario.navigation.make(), wanted):
             raise InputError(
                 "navigation.kind", scenario.navigation.kind,
                 f"must be {_kinds_of('navigation', wanted)}, because {field} (kind {part.kind!r}) "
-                "uses that filter",
+                "adds states to this navigation filter",
             )  # fmt: skip
 
 
 def _check_sun_elevation(field: str, elevation: float) -> None:
-    """Check that the Sun's elevation is within the range of a shadow mapper."""
+    """Check that the Sun's elevation (deg) is within the range of a shadow mapper.
+
+    `field` is the mapper's table.
+    """
     least, most = np.rad2deg([MIN_SUN_ELEVATION, MAX_SUN_ELEVATION])
     if not least - 1e-9 <= elevation <= most + 1e-9:
         raise InputError(
@@ -224,79 +240,95 @@ def _check_sun_elevation(field: str, elevation: float) -> None:
         )  # fmt: skip
 
 
-def _check_sensors(field: str, mapper: Any, sensors: dict[str, Any]) -> None:
-    """Check that the sensors of a mapper exist and output what it accepts."""
+def _check_sensors(
+    field: str, mapper: Any, tables: Mapping[str, PartTable], sensors: dict[str, Any]
+) -> None:
+    """Check that the sensors of a mapper exist and output what the mapper accepts.
+
+    `field` is the mapper's table. `tables` and `sensors` are the tables and the settings of all
+    sensors, by sensor name.
+    """
     key = f"{field}.sensors" if getattr(mapper, "sensors", ()) else f"{field}.sensor"
     for name in sensor_names(mapper) or (mapper.sensor,):
+        wanted = f"must name a sensor {_sensor_kinds_for(mapper.accepts)}"
+        known = ", ".join(f"{one} ({table.kind})" for one, table in tables.items()) or "none"
         if name not in sensors:
             raise InputError(
-                key, name,
-                f"must be the name of a sensor of kind {_sensor_kinds_for(mapper.takes)}",
-                f"Sensors: {', '.join(sensors) or 'none'}.",
+                key, name, f"{wanted}, but no sensor is named {name!r}",
+                f"Sensors: {known}.", show_value=False,
             )  # fmt: skip
-        given = sensors[name].gives
-        if not issubclass(given, mapper.takes):
+        if not issubclass(sensors[name].measurement_type, mapper.accepts):
             raise InputError(
-                key, name,
-                f"must be a sensor of kind {_sensor_kinds_for(mapper.takes)}, but measures "
-                f"{given.__name__}",
+                key, name, f"{wanted}, but the sensor {name!r} is of kind {tables[name].kind!r}",
+                f"Sensors: {known}.", show_value=False,
             )  # fmt: skip
 
 
 def _check_other_mappers(
     field: str, check: Callable[[dict[str, Any]], Any], scenario: CheckedTables
 ) -> None:
-    """Check that the other mappers that a mapper needs exist and provide its input."""
+    """Check that the other mappers that a mapper needs exist and provide its input.
+
+    `field` is the mapper's table. `check` takes the settings of all mappers by name, and raises an
+    InputError if one is missing or unsuitable.
+    """
     try:
         check({name: part.make() for name, part in scenario.mappers.items()})
     except InputError as error:
-        raise error.renamed(f"{field}.{error.field}") from None
+        raise error.with_field(f"{field}.{error.field}") from None
 
 
 def _check_map(field: str, mapper: Any, scenario: CheckedTables) -> None:
-    """Check size and posting of a map, if the mapper has them."""
+    """Check the map size and the grid spacing of a mapper that has both.
+
+    `field` is the mapper's table.
+    """
     size, posting = getattr(mapper, "size", None), getattr(mapper, "posting", None)
     if isinstance(size, float | int) and isinstance(posting, float | int):
         try:
             check_map_size(size, posting, scenario.vehicle.make())
         except InputError as error:
-            raise error.renamed(f"{field}.{error.field}") from None
+            raise error.with_field(f"{field}.{error.field}") from None
 
 
 def _check_navigation(scenario: CheckedTables, sensors: dict[str, Any]) -> None:
+    """Check that navigation has the sensors, prior map and gravity that it needs."""
     navigation = scenario.navigation.make()
     for wanted in navigation.needs:
         if not _has_sensor_for(sensors, wanted):
             raise InputError(
                 "navigation.kind", scenario.navigation.kind,
-                f"needs a sensor of kind {_sensor_kinds_for(wanted)}",
-                "Add it as [sensors.NAME].",
+                f"needs a sensor {_sensor_kinds_for(wanted)}",
+                "Add the sensor as [sensors.NAME].",
             )  # fmt: skip
-    if scenario.surroundings is not None and scenario.moon is None:
+    if scenario.far_terrain is not None and scenario.moon is None:
         raise InputError(
-            "surroundings", "given", "needs a table [moon]", "Add [moon] or omit [surroundings]."
-        )
+            "far_terrain", "given", "needs a table [moon]",
+            "Add [moon] or delete [far_terrain].", show_value=False,
+        )  # fmt: skip
     if scenario.moon is not None and InertialSamples in navigation.needs:
         raise InputError(
             "moon", "given",
             f"is not supported by navigation of kind {scenario.navigation.kind!r}, which assumes "
             "uniform gravity",
-            "Omit it, or use navigation of kind 'fixes'.",
+            "Delete [moon], or use navigation of kind 'fixes'.", show_value=False,
         )  # fmt: skip
     if navigation.needs_prior_map and scenario.prior_map is None:
         raise InputError(
             "prior_map", None,
-            f"is required, because navigation of kind {scenario.navigation.kind!r} uses it to "
-            "find its position",
+            f"is required, because navigation of kind {scenario.navigation.kind!r} matches scans "
+            "to the prior map",
+            "Add a table [prior_map].", show_value=False,
         )  # fmt: skip
 
 
 def _check_control(scenario: CheckedTables, sensors: dict[str, Any]) -> None:
+    """Check that attitude control has an IMU and is stable at the simulation step."""
     if scenario.control.make().torques and not _has_sensor_for(sensors, InertialSamples):
         raise InputError(
             "control.kind", scenario.control.kind,
             "needs a sensor of kind 'imu'",
-            "Add it as [sensors.NAME], or use control of kind 'ideal'.",
+            "Add the sensor as [sensors.NAME], or use control of kind 'ideal'.",
         )  # fmt: skip
     step = scenario.simulation.make().step
     frequency = getattr(scenario.control.make(), "frequency", 0.0)
@@ -313,7 +345,7 @@ def _check_control(scenario: CheckedTables, sensors: dict[str, Any]) -> None:
 
 
 def _check_actuators(scenario: CheckedTables) -> None:
-    """Check that vehicle, control and faults fit together."""
+    """Check that lander, attitude control and actuator faults fit together."""
     lander, control = scenario.vehicle.make(), scenario.control.make()
     jets = isinstance(lander, JetLander)
     field, kind = "control.kind", scenario.control.kind
@@ -340,10 +372,12 @@ def _check_actuators(scenario: CheckedTables) -> None:
         return
     period, step = getattr(control, "period", 0.1), scenario.simulation.make().step
     if abs(period / step - round(period / step)) > 1e-6 or period < step:
-        raise InputError("control.period_s", period, f"must be a multiple of the step of {step} s")
-    if lander.thrusters.minimum_on > period:
         raise InputError(
-            "vehicle.thrusters.minimum_on_s", lander.thrusters.minimum_on,
+            "control.period_s", period, f"must be a multiple of the simulation step, {step} s"
+        )
+    if lander.thrusters.min_on_time > period:
+        raise InputError(
+            "vehicle.thrusters.min_on_time_s", lander.thrusters.min_on_time,
             f"must be at most the control period of {period} s",
         )  # fmt: skip
     gain = 2.0 * getattr(control, "damping", 0.0) * getattr(control, "frequency", 0.0)
@@ -356,26 +390,30 @@ def _check_actuators(scenario: CheckedTables) -> None:
 
 
 def _check_tasking(scenario: CheckedTables, sensors: dict[str, Any]) -> None:
+    """Check that exactly the sensors that measure on command have a schedule."""
     for name in scenario.tasking:
         if name not in sensors:
             raise InputError(
                 f"tasking.{name}",
                 name,
-                "must be the name of a sensor",
+                f"must have the name of a sensor, but no sensor is named {name!r}",
                 suggestion(name, sensors),
+                show_value=False,
             )
-        if not sensors[name].tasked:
+        if not sensors[name].is_tasked:
             raise InputError(
                 f"tasking.{name}", scenario.tasking[name].kind,
                 f"has no effect, because a sensor of kind {scenario.sensors[name].kind!r} measures "
                 "in every cycle",
-                "Omit it.",
+                "Delete the table.", show_value=False,
             )  # fmt: skip
     for name, sensor in sensors.items():
-        if sensor.tasked and name not in scenario.tasking:
+        if sensor.is_tasked and name not in scenario.tasking:
             raise InputError(
                 f"sensors.{name}", scenario.sensors[name].kind,
-                f"needs a table [tasking.{name}], because it measures only on command",
+                f"needs a table [tasking.{name}], because a sensor of kind "
+                f"{scenario.sensors[name].kind!r} measures only on command",
+                show_value=False,
             )  # fmt: skip
     cycle = scenario.simulation.make().cycle
     for name, part in scenario.tasking.items():
@@ -383,42 +421,42 @@ def _check_tasking(scenario: CheckedTables, sensors: dict[str, Any]) -> None:
             if key.endswith("_hz") and rate * cycle > 1.0 + 1e-9:
                 raise InputError(
                     f"tasking.{name}.{key}", rate,
-                    f"must be at most {1.0 / cycle:g}, one measurement per control cycle",
+                    f"must be at most {1.0 / cycle:g} Hz, one measurement per control cycle",
                 )  # fmt: skip
 
 
 def _check_effect(scenario: CheckedTables, sensors: dict[str, Any]) -> None:
-    """Check that every part is used."""
+    """Check that every sensor, prior map and initial uncertainty is used."""
     navigation = scenario.navigation.make()
     used = {name for part in scenario.mappers.values() for name in sensor_names(part.make())}
-    wanted = (*navigation.needs, *navigation.takes)
+    wanted = (*navigation.needs, *navigation.accepts)
     if scenario.control.make().torques:
         wanted = (*wanted, InertialSamples)
     for name, sensor in sensors.items():
-        if issubclass(sensor.gives, CameraImage):
+        if issubclass(sensor.measurement_type, CameraImage):
             continue  # a camera may record
-        if name not in used and not (wanted and issubclass(sensor.gives, wanted)):
+        if name not in used and not (wanted and issubclass(sensor.measurement_type, wanted)):
             raise InputError(
                 f"sensors.{name}", scenario.sensors[name].kind,
-                "is not used by any mapper, nor by navigation of kind "
-                f"{scenario.navigation.kind!r}, which does not accept {sensor.gives.__name__}",
+                "is not used by any mapper, and navigation of kind "
+                f"{scenario.navigation.kind!r} does not accept {sensor.measurement_type.__name__}",
+                "Delete the sensor, or name it in a mapper.", show_value=False,
             )  # fmt: skip
     if scenario.prior_map is not None and not _has_sensor_for(sensors, LidarScan):
         raise InputError(
             "prior_map", "given",
-            f"needs a sensor of kind {_sensor_kinds_for(LidarScan)}, whose scans are matched to "
-            "the map",
-            "Add the sensor, or omit [prior_map].",
+            f"needs a sensor {_sensor_kinds_for(LidarScan)}, whose scans are matched to the map",
+            "Add the sensor, or delete [prior_map].", show_value=False,
         )  # fmt: skip
     if scenario.prior_map is not None and not navigation.uses_prior_map:
         raise InputError(
             "prior_map", "given",
             f"is not used by navigation of kind {scenario.navigation.kind!r}",
-            "Omit it.",
+            "Delete [prior_map].", show_value=False,
         )  # fmt: skip
-    if scenario.start_knowledge is not None and InertialSamples not in navigation.needs:
+    if scenario.initial_uncertainty is not None and InertialSamples not in navigation.needs:
         raise InputError(
-            "start_knowledge", "given",
+            "initial_uncertainty", "given",
             f"is not used by navigation of kind {scenario.navigation.kind!r}",
-            "Omit it.",
+            "Delete [initial_uncertainty].", show_value=False,
         )  # fmt: skip

@@ -21,14 +21,14 @@ _DEEP_KEY = re.compile(
 
 
 def read_toml(path: Path, name: str) -> dict[str, Any]:
-    """Return the tables of a TOML file.
+    """Read a TOML file given by a user; return its tables as nested dictionaries.
 
     Parameters
     ----------
     path
         File to read. A byte order mark at its start is ignored.
     name
-        Field name for errors.
+        Field name for errors, for instance "scenario".
 
     Raises
     ------
@@ -50,7 +50,7 @@ def read_toml(path: Path, name: str) -> dict[str, Any]:
 
 
 def parsed_toml(text: str, name: str = "scenario", shown: str = "text") -> dict[str, Any]:
-    """Parse the tables of a TOML text.
+    """Parse TOML text from a user into nested dictionaries.
 
     Parameters
     ----------
@@ -75,7 +75,10 @@ def parsed_toml(text: str, name: str = "scenario", shown: str = "text") -> dict[
 
 
 def _check_values(value: Any, depth: int = 0) -> None:
-    """Refuse deeply nested tables and integers above 64 bits, which TOML excludes."""
+    """Raise `ValueError` for deeply nested tables and for integers above 64 bits.
+
+    `depth` is the depth of `value` in the file. TOML excludes integers above 64 bits.
+    """
     if depth > _MAX_DEPTH:
         raise ValueError("nested too deep")
     if isinstance(value, int) and not -(2**63) <= value < 2**63:

@@ -1,6 +1,7 @@
 """Define the tables of a scenario file: names, classes or contracts, and defaults.
 
-The parts themselves define keys, bounds and default values.
+The classes of the components define keys, bounds and default values. A contract is the interface of
+all components of one type, for instance "sensor"; `kind` selects one of them.
 """
 
 from __future__ import annotations
@@ -37,19 +38,19 @@ FIXED: dict[str, type] = {
 # Optional tables, each with one class.
 OPTIONAL: dict[str, type] = {
     "moon": RoundMoon,
-    "surroundings": FarTerrainSettings,
-    "start_knowledge": InitialUncertainty,
+    "far_terrain": FarTerrainSettings,
+    "initial_uncertainty": InitialUncertainty,
     "prior_map": PriorMapSurvey,
     "faults": Faults,
     "legs": Legs,
-    "variation": DomainRandomization,
+    "domain_randomization": DomainRandomization,
     "braking": Braking,
     "window": CrewWindow,
     "site_reward": SiteReward,
     "descent_reward": DescentReward,
 }
 # Optional tables of a part selected by `kind`: contract.
-OPTIONAL_SELECTED: dict[str, str] = {"descent": "descent"}
+OPTIONAL_SELECTED: dict[str, str] = {"terminal_descent": "terminal-descent"}
 # Tables of a part selected by `kind`: contract and default kind.
 SELECTED: dict[str, tuple[str, str]] = {
     "terrain": ("terrain", "fractal"),
@@ -76,7 +77,7 @@ NAMED: dict[str, tuple[str, dict[str, dict[str, Any]]]] = {
 }
 # Keys that define the world and the vehicle.
 WORLD_KEYS = (
-    "name", "description", "gravity_m_s2", "moon", "surroundings", "terrain", "rocks", "sun",
+    "name", "description", "gravity_m_s2", "moon", "far_terrain", "terrain", "rocks", "sun",
     "vehicle", "legs", "target",
 )  # fmt: skip
 # Tables of earlier versions, and the tables that replace them.
@@ -91,17 +92,19 @@ MOVED_TABLES: dict[str, str] = {
 }
 # Tables whose keys have moved since earlier versions: hint for unknown keys.
 MOVED_KEYS: dict[str, str] = {
-    "guidance": "Paths and their end states are in [approach], the attitude is in [control].",
-    "navigation": "Error budgets are in [sensors.NAME] with kind = 'navigation-fix', and in "
-    "[start_knowledge].",
+    "guidance": "Keys of paths and end states are now in [approach], those of the attitude in "
+    "[control].",
+    "navigation": "Keys of position and velocity errors are now in [sensors.NAME] with "
+    "kind = 'navigation-fix', and in [initial_uncertainty].",
 }
 
 
 def default_kind(table: str, data: Mapping[str, Any]) -> str:
-    """Return the default kind of a part in `SELECTED`.
+    """Return the `kind` of a scenario table that does not state one.
 
-    The default of navigation depends on other tables: "rocks" with a shadow mapper, which uses the
-    filter that tracks rocks; "fixes" with a navigation-fix sensor; otherwise "inertial".
+    `table` is a name in `SELECTED`, and `data` are all tables of the scenario. The default kind of
+    navigation depends on the other tables: "rocks" with a shadow mapper, which uses the filter that
+    tracks rocks; "fixes" with a navigation-fix sensor; otherwise "inertial".
     """
     if table == "navigation":
         if "shadow" in _kinds(data, "mappers"):
@@ -112,9 +115,10 @@ def default_kind(table: str, data: Mapping[str, Any]) -> str:
 
 
 def _kinds(data: Mapping[str, Any], table: str) -> set[Any]:
-    """Return the kinds of named parts, without values that are not tables.
+    """Return the kinds in a group of named tables, for instance of all sensors.
 
-    Other checks report those.
+    `table` is the name of the group in the scenario `data`. Values of a wrong type are ignored
+    here, because other checks report them.
     """
     parts = data.get(table, {})
     named = parts.values() if isinstance(parts, Mapping) else ()

@@ -15,14 +15,14 @@ _MAX_DISTANCE_M, _MAX_SPEED_M_S = 1e6, 1e4
 
 @dataclass(frozen=True)
 class Start:
-    """Start state of a flight, relative to the terrain at the target.
+    """Planned start of a flight relative to the target, and its dispersion.
 
     Attributes
     ----------
     position, velocity
-        Planned position and velocity (3,), ENU, m and m/s.
+        Planned position relative to the terrain at the target, and velocity (3,), ENU, m and m/s.
     heading
-        Azimuth of body x, constant during the flight, rad.
+        Azimuth of body x, clockwise from north, constant during the flight, rad.
     position_sigma, velocity_sigma
         Dispersion of the true start about the plan, 1 sigma per axis, m and m/s.
     """
@@ -32,14 +32,14 @@ class Start:
         "m",
         ge=-_MAX_DISTANCE_M,
         le=_MAX_DISTANCE_M,
-        help="Planned position (ENU)",
+        help="Planned start position relative to the target (ENU)",
     )
     velocity: tuple[float, float, float] = quantity(
         (28.0, 0.0, -18.0),
         "m/s",
         ge=-_MAX_SPEED_M_S,
         le=_MAX_SPEED_M_S,
-        help="Planned velocity (ENU)",
+        help="Planned start velocity (ENU)",
     )
     heading: float = quantity(
         90.0, "deg", help="Azimuth of body x, clockwise from north, constant during the flight"
@@ -60,7 +60,7 @@ class InitialUncertainty:
     ----------
     position, velocity, attitude
         Standard deviations of the initial estimate per axis, m, m/s, rad.
-    ground
+    target_elevation
         Standard deviation of the target elevation known to the mission, m.
     """
 
@@ -73,28 +73,31 @@ class InitialUncertainty:
     attitude: float = quantity(
         0.03, "deg", ge=0, le=30, help="Initial attitude uncertainty, 1 sigma per axis"
     )
-    ground: float = quantity(
+    target_elevation: float = quantity(
         0.0, "m", ge=0, le=1e4, help="Uncertainty of the target elevation, 1 sigma"
     )
 
 
 @dataclass(frozen=True)
 class PlannedSite:
-    """Planned landing site, before any divert.
+    """Planned landing site of a flight, before any divert, and its random scatter.
 
     Attributes
     ----------
     position
         East and north coordinate (2,), m.
     scatter
-        Half widths of a uniform random offset, east and north (2,), m.
+        Half widths of the target's uniform random offset, east and north (2,), m.
     """
 
     position: tuple[float, float] = quantity(
-        (0.0, 0.0), "m", help="East and north coordinate of the target"
+        (0.0, 0.0), "m", help="East and north coordinate of the planned landing site"
     )
     scatter: tuple[float, float] = quantity(
-        (0.0, 0.0), "m", ge=0, help="Half widths of a uniform random offset, east and north"
+        (0.0, 0.0),
+        "m",
+        ge=0,
+        help="Half widths of the target's uniform random offset, east and north",
     )
 
 
@@ -107,7 +110,7 @@ class SimulationClock:
     step
         Time step of integration, IMU and attitude loop, s.
     cycle
-        Period of the onboard computer, s.
+        Control cycle, which is the period of the onboard computer, s.
     max_time
         Time limit of a flight, s.
     """
@@ -115,19 +118,21 @@ class SimulationClock:
     step: float = quantity(
         0.01, "s", ge=1e-4, le=1, help="Time step of integration, IMU and attitude loop"
     )
-    cycle: float = quantity(0.1, "s", gt=0, le=1, help="Period of the onboard computer")
+    cycle: float = quantity(
+        0.1, "s", gt=0, le=1, help="Control cycle: period of the onboard computer"
+    )
     max_time: float = quantity(300.0, "s", gt=0, le=1e5, help="Time limit of a flight")
 
     def __post_init__(self) -> None:
         steps = self.cycle / self.step
         if steps < 1.0 or abs(steps - round(steps)) > 1e-6:
             raise InputError(
-                "cycle", self.cycle, f"must be a multiple of the step of {self.step} s"
+                "cycle", self.cycle, f"must be a multiple of the simulation step of {self.step} s"
             )
         if self.max_time / self.cycle > _MAX_CYCLES:
             raise InputError(
                 "max_time", self.max_time,
-                f"must be at most {_MAX_CYCLES} cycles of {self.cycle} s",
+                f"must be at most {_MAX_CYCLES} control cycles of {self.cycle} s",
             )  # fmt: skip
 
     @property

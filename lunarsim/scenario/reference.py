@@ -19,7 +19,9 @@ def _first_line(cls: type) -> str:
 
 
 def parts_list(contract: str | None = None) -> list[str]:
-    """Return a line for each part: contract, kind and description.
+    """List the components that scenarios can select: contract, kind and description.
+
+    A contract is a type of component, for instance "sensor"; None lists all. One line each.
 
     Raises
     ------
@@ -42,9 +44,10 @@ def parts_list(contract: str | None = None) -> list[str]:
 def _rows(
     model: type[PartSettings], prefix: str = "", defaults: PartSettings | None = None
 ) -> Iterator[tuple[str, ...]]:
-    """Yield key, default, unit, bounds and meaning of each key, also in nested tables.
+    """Yield key, default, unit, bounds and meaning of each key of a scenario table.
 
-    Keys of a nested table have their defaults in `defaults`, if the parent table sets them.
+    Keys of nested tables are included. `prefix` precedes each key, and `defaults` has the default
+    values if a parent table sets them.
     """
     for key, field in model.model_fields.items():
         nested = field.annotation
@@ -84,7 +87,10 @@ def _word(value: Any) -> str:
 
 
 def _tables() -> Iterator[tuple[str, str, type[PartSettings] | None]]:
-    """Yield heading, description and settings class of each table of a scenario."""
+    """Yield heading, description and settings class of each possible scenario table.
+
+    The class is None if a component cannot be loaded.
+    """
     for name, of in layout.FIXED.items():
         yield f"[{name}]", _first_line(of), settings_of(of)
     for name, of in layout.OPTIONAL.items():
@@ -116,7 +122,10 @@ _TOP = (
 
 
 def reference_text(*, markdown: bool = False) -> str:
-    """Return the scenario reference: all keys with default, unit, bounds and meaning."""
+    """Return the reference of all scenario keys: default, unit, bounds and meaning.
+
+    The text is formatted as Markdown tables or as plain text.
+    """
     out = _table("Top level", "Keys before the first table.", list(_TOP), markdown)
     for heading, what, model in _tables():
         rows = list(_rows(model)) if model is not None else []

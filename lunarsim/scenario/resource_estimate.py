@@ -33,7 +33,7 @@ _REMEDIES = {
     "size_m": "Use a smaller value, or a larger posting_m or detail_m.",
     "posting_m": "Use a larger value, or a part of the raster (terrain.dtm_window).",
     "terrain.path": "Use a part of the raster (terrain.dtm_window).",
-    "surroundings.path": "Use a smaller raster.",
+    "far_terrain.path": "Use a smaller raster.",
     "min_diameter_m": "Use a larger value, or a smaller cover.",
     "sizes_m": "Use smaller values or fewer levels.",
     "width": "Use a smaller value, or a smaller height.",
@@ -41,14 +41,17 @@ _REMEDIES = {
 
 
 class ResourceEstimate(NamedTuple):
-    """Peak memory by scenario key (bytes), and time to generate the terrain (s)."""
+    """Estimated peak memory (bytes) by the scenario key that determines it.
+
+    `terrain_time` is the estimated time to generate the terrain, s.
+    """
 
     memory: dict[str, float]
     terrain_time: float
 
     @property
     def total(self) -> float:
-        """Peak memory of one process, bytes."""
+        """Estimated peak memory of one process, bytes."""
         return _PROCESS_BYTES + sum(self.memory.values())
 
     def __str__(self) -> str:
@@ -59,9 +62,10 @@ class ResourceEstimate(NamedTuple):
 
 
 def estimate(scenario: Any) -> ResourceEstimate:
-    """Estimate memory and time of a flight; only headers of rasters are read.
+    """Estimate peak memory of a flight of a scenario and the time to generate terrain.
 
-    Rasters that cannot be opened are not counted. Loading the terrain reports them.
+    Only the headers of raster files are read. A raster that cannot be opened is not counted;
+    loading the terrain reports it.
     """
     terrain = scenario.terrain.make()
     posts, read, area = 0.0, 0.0, 0.0
@@ -81,16 +85,16 @@ def estimate(scenario: Any) -> ResourceEstimate:
     drawn_rocks = scenario.rocks.make()
     ends = np.array([drawn_rocks.min_diameter, drawn_rocks.max_diameter])
     density = -np.diff(golombek_number(ends, drawn_rocks.cover))[0] if drawn_rocks.cover else 0.0
-    rocks = float(area * drawn_rocks.share * density)
+    rocks = float(area * drawn_rocks.disc_area_ratio * density)
     memory["rocks.min_diameter_m"] = _BYTES_PER_ROCK * rocks
-    if scenario.surroundings is not None:
-        around = scenario.surroundings.make()
+    if scenario.far_terrain is not None:
+        around = scenario.far_terrain.make()
         levels = [(s / p) ** 2 for s, p in zip(around.sizes, around.postings, strict=True)]
         # Levels are generated one at a time; all are kept.
         drawn = _BYTES_PER_POST * max(levels, default=0.0)
-        memory["surroundings.sizes_m"] = drawn + _BYTES_PER_POST_KEPT * sum(levels)
+        memory["far_terrain.sizes_m"] = drawn + _BYTES_PER_POST_KEPT * sum(levels)
         with contextlib.suppress(InputError):
-            memory["surroundings.path"] = _BYTES_PER_POST_READ * around.posts_read()
+            memory["far_terrain.path"] = _BYTES_PER_POST_READ * around.posts_read()
     for name, part in scenario.mappers.items():
         table = part.table.model_dump()
         if table.get("size_m") and table.get("posting_m"):
@@ -111,7 +115,7 @@ def check_memory(scenario: Any) -> None:
     Raises
     ------
     InputError
-        If it needs more; the error names the key with the maximum memory.
+        If the scenario needs more; the error names the key with the maximum memory.
     """
     found = estimate(scenario)
     if found.total > MAX_MEMORY_BYTES:
@@ -128,7 +132,7 @@ def check_memory(scenario: Any) -> None:
 
 
 def _table(scenario: Any, name: str) -> Any:
-    """Return a table such as ``terrain`` or ``mappers.dem``."""
+    """Return the scenario table with a name such as ``terrain`` or ``mappers.dem``."""
     of, _, part = name.partition(".")
     found = getattr(scenario, of)
     return found[part] if part else found

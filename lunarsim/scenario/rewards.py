@@ -9,7 +9,7 @@ from lunarsim.parts.quantity import check_bounds, quantity
 
 @dataclass(frozen=True)
 class SiteReward:
-    """Weights of the reward of ``Retarget-v0``.
+    """Weights of the reward in the environment ``Retarget-v0`` (site selection).
 
     Attributes
     ----------
@@ -32,11 +32,11 @@ class SiteReward:
     """
 
     safe: float = quantity(1.0, help="Reward for a safe landing")
-    unsafe: float = quantity(-1.0, help="Reward for any other outcome")
+    unsafe: float = quantity(-1.0, help="Reward for any outcome other than a safe landing")
     propellant: float = quantity(
-        1.0, ge=0, help="Penalty for using all propellant, in proportion to use"
+        1.0, ge=0, help="Penalty for using all propellant; less use costs proportionally less"
     )
-    invalid: float = quantity(0.05, ge=0, help="Penalty for selecting an unavailable site")
+    invalid: float = quantity(0.05, ge=0, help="Penalty for selecting a site that is not available")
     speed: float = quantity(0.0, ge=0, help="Penalty for a safe touchdown at a speed limit")
     tilt: float = quantity(0.0, ge=0, help="Penalty for a safe touchdown at the tilt limit")
     hazard: float = quantity(
@@ -44,7 +44,7 @@ class SiteReward:
     )
     information: float = quantity(0.0, ge=0, help="Reward for reducing all uncertainty of the map")
     shaping: float = quantity(
-        0.0, ge=0, help="Weight of the shaping potential, p_safe of the current site"
+        0.0, ge=0, help="Weight of reward shaping by p_safe of the current site; 0 disables it"
     )
     discount: float = quantity(
         0.99, gt=0, le=1, help="Discount factor of the learner, used for shaping"
@@ -56,7 +56,7 @@ class SiteReward:
 
 @dataclass(frozen=True)
 class DescentReward:
-    """Weights of the reward of ``Guidance-v0`` and ``Control-v0``.
+    """Weights of the reward in the environments ``Guidance-v0`` and ``Control-v0``.
 
     Attributes
     ----------
@@ -91,7 +91,9 @@ class DescentReward:
     excess: float = quantity(
         0.0, ge=0, help="Penalty for exceeding a touchdown limit by a factor of e"
     )
-    shaping: float = quantity(1.0, ge=0, help="Weight of the shaping potential")
+    shaping: float = quantity(
+        1.0, ge=0, help="Weight of reward shaping by a potential; 0 disables it"
+    )
     discount: float = quantity(
         0.99, gt=0, le=1, help="Discount factor of the learner, used for shaping"
     )

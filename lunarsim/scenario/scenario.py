@@ -18,10 +18,10 @@ from pydantic import ValidationError
 from lunarsim.atomic_files import atomic_write_text
 from lunarsim.errors import InputError, suggestion
 from lunarsim.messages.briefing import FlightSoftware
-from lunarsim.parts import PartSettings, module_permission, resolve, settings_of
+from lunarsim.parts import PartSettings, kinds, module_permission, resolve, settings_of
 from lunarsim.scenario import layout
 from lunarsim.scenario.checks import check
-from lunarsim.scenario.errors import input_error
+from lunarsim.scenario.errors import input_error, unknown_key_error
 from lunarsim.scenario.files import parsed_toml, read_toml
 from lunarsim.scenario.resource_estimate import check_memory
 
@@ -31,14 +31,16 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class SelectedPart:
-    """A table with a `kind`; its attributes are the keys, and `make` creates the part.
+    """Scenario table whose `kind` selects a component, for instance a sensor.
+
+    The keys of the table are attributes, and `make` creates the component.
 
     Attributes
     ----------
     kind
-        Registered name or "module:Class".
+        Kind of the component: a registered name or "module:Class".
     table
-        The other keys of the table.
+        Values of the keys other than `kind`.
     """
 
     kind: str
@@ -50,7 +52,7 @@ class SelectedPart:
         return getattr(self.table, name)
 
     def make(self) -> Any:
-        """Create the part, in SI units and radians."""
+        """Create the component that the table describes, in SI units and radians."""
         return self.table.make()
 
 
@@ -66,16 +68,16 @@ class Scenario:
     description: str
     gravity_m_s2: float
     moon: tables.MoonTable | None
-    surroundings: tables.SurroundingsTable | None
+    far_terrain: tables.FarTerrainTable | None
     terrain: tables.TerrainTable
     rocks: tables.RocksTable
     sun: tables.SunTable
     vehicle: tables.VehicleTable
     faults: tables.FaultsTable | None
     legs: tables.LegsTable | None
-    variation: tables.VariationTable | None
+    domain_randomization: tables.DomainRandomizationTable | None
     start: tables.StartTable
-    start_knowledge: tables.StartKnowledgeTable | None
+    initial_uncertainty: tables.InitialUncertaintyTable | None
     target: tables.TargetTable
     prior_map: tables.PriorMapTable | None
     expected_rocks: tables.ExpectedRocksTable
@@ -89,7 +91,7 @@ class Scenario:
     guidance: tables.GuidanceTable
     braking: tables.BrakingTable | None
     window: tables.WindowTable | None
-    descent: tables.DescentTable | None
+    terminal_descent: tables.TerminalDescentTable | None
     control: tables.ControlTable
     simulation: tables.SimulationTable
     site_reward: tables.SiteRewardTable | None
@@ -100,7 +102,7 @@ class Scenario:
         cls, data: Mapping[str, Any], folder: Path | None = None, *,
         allow_modules: Collection[str] = (),
     ) -> Scenario:  # fmt: skip
-        """Create a scenario from nested dictionaries.
+        """Create and check a scenario from nested dictionaries.
 
         Parameters
         ----------
@@ -129,13 +131,16 @@ class Scenario:
 
     @classmethod
     def _unchecked(cls, data: Mapping[str, Any], folder: Path | None) -> Scenario:
-        """Create a scenario and check each table, but not whether tables fit together."""
+        """Create a scenario from nested dictionaries, and check each table separately.
+
+        `folder` is the folder of relative paths; None is the working directory.
+        """
         known = [f.name for f in fields(cls)]
         for key, value in data.items():
             if key not in known:
                 moved = layout.MOVED_TABLES.get(key)
-                hint = f"It is now {moved}." if moved else suggestion(key, known)
-                raise InputError(key, value, "is an unknown key", hint)
+                hint = f"Use {moved} instead." if moved else suggestion(key, known)
+                raise unknown_key_error(key, value, hint)
         values: dict[str, Any] = {
             "name": _text(data, "name", "unnamed"),
             "description": _text(data, "description", ""),
@@ -200,11 +205,11 @@ class Scenario:
         return cls.from_dict(parsed_toml(text), allow_modules=allow_modules)
 
     @classmethod
-    def world_of(cls, text: str, folder: Path | None = None) -> Scenario:
+    def world_from_toml(cls, text: str, folder: Path | None = None) -> Scenario:
         """Create a scenario with world and vehicle of a TOML text, and defaults otherwise.
 
-        Readers of records and reports use it, because other parts may come from modules that are
-        not allowed in this process.
+        Readers of flight records and reports use this method, because other components may come
+        from modules that this process does not allow.
 
         Raises
         ------
@@ -248,7 +253,7 @@ class Scenario:
             del data["navigation"]
         for key, change in changes.items():
             data[key] = _merged(data.get(key), change)
-            if data[key] is None:
+            if data[key] is None and hasattr(self, key):
                 del data[key]
         return self.from_dict(data)
 
@@ -257,7 +262,7 @@ class Scenario:
         return _from_process, (self.to_dict(), module_permission.allowed_modules())
 
     def software(self) -> FlightSoftware:
-        """Create the parts that run on the onboard computer."""
+        """Create the settings of all software that runs on the onboard computer."""
         return FlightSoftware(
             navigation=self.navigation.make(),
             guidance=self.guidance.make(),
@@ -266,13 +271,15 @@ class Scenario:
             mappers={name: part.make() for name, part in self.mappers.items()},
             approach=self.approach.make(),
             decisions=self.decisions.make(),
-            descent=None if self.descent is None else self.descent.make(),
+            terminal_descent=None
+            if self.terminal_descent is None
+            else self.terminal_descent.make(),
             braking=None if self.braking is None else self.braking.make(),
-            window=None if self.window is None else self.window.make(),
+            designation_window=None if self.window is None else self.window.make(),
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the scenario as nested dictionaries, including defaults."""
+        """Return all values of the scenario as nested dictionaries, including defaults."""
         out: dict[str, Any] = {}
         for f in fields(self):
             value = getattr(self, f.name)
@@ -294,7 +301,7 @@ class Scenario:
         Raises
         ------
         InputError
-            If a file cannot be read or does not fit its use.
+            If a file cannot be read, or is not usable as terrain.
         """
         check = getattr(self.terrain.make(), "check_files", None)
         if check is not None:
@@ -319,7 +326,10 @@ def _dump(value: Any) -> Any:
 
 
 def _merged(old: Any, change: Any) -> Any:
-    """Return a table with a change merged into it."""
+    """Return a scenario value `old` with `change` merged into it.
+
+    Tables are merged key by key; None removes a key; another `kind` replaces the table.
+    """
     if not (isinstance(old, dict) and isinstance(change, Mapping)):
         return change
     if "kind" in change and change["kind"] != old.get("kind", change["kind"]):
@@ -363,14 +373,19 @@ def _selected_part(
     kind = data.pop("kind", default)
     if not isinstance(kind, str):
         raise InputError(
-            f"{path}.kind", kind, f"must be a kind of {contract}", "See `lunarsim parts`."
-        )
+            f"{path}.kind", kind, f"must be the name of a kind of {contract}",
+            f"Known names: {', '.join(kinds(contract))}.",
+        )  # fmt: skip
     of = resolve(contract, kind, f"{path}.kind")
     return SelectedPart(kind, _table(path, of, data, folder, contract, kind))
 
 
 def _absolute_path(field: str, path: Path, folder: Path | None) -> Path:
-    """Return an absolute path."""
+    """Return an absolute path; a relative path starts from `folder`.
+
+    If `folder` is None, it starts from the working directory. `field` is the scenario key for
+    errors.
+    """
     try:
         return ((Path.cwd() if folder is None else folder) / path).resolve()
     except (ValueError, OSError) as error:
@@ -385,7 +400,12 @@ def _table(
     contract: str | None = None,
     kind: str = "",
 ) -> PartSettings:
-    """Return a checked table; the part is created once to check its values."""
+    """Check a scenario table and return it as settings.
+
+    The component is created once to check the values. `path` is the name of the table, `of` the
+    class that it configures, and `folder` the folder of relative paths. `contract` and `kind` are
+    given for a table with a `kind`.
+    """
     try:
         model = settings_of(of)
     except Exception as error:  # pydantic raises many types for custom annotations
@@ -409,5 +429,5 @@ def _table(
     try:
         table.make()
     except InputError as error:
-        raise error.renamed(f"{path}.{error.field}") from None
+        raise error.with_field(f"{path}.{error.field}") from None
     return table

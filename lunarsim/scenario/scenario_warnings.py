@@ -23,19 +23,24 @@ _MIN_GYRATION_RATIO, _MAX_GYRATION_RATIO = 0.1, 0.75
 _SLOW, _FAST = 0.01, 20.0
 # Keys of the terrain detail that is added between the posts of a raster.
 _ROUGHNESS = (
-    "preset", "hurst", "rms_slope_deg", "crater_density", "crater_saturation_m",
-    "crater_min_diameter_m", "crater_ageing",
+    "preset", "hurst", "rms_slope_deg", "crater_density", "crater_equilibrium_diameter_m",
+    "crater_min_diameter_m", "crater_degradation",
 )  # fmt: skip
-_CRATERS = ("crater_saturation_m", "crater_min_diameter_m", "crater_ageing")
+_CRATERS = ("crater_equilibrium_diameter_m", "crater_min_diameter_m", "crater_degradation")
 
 
 def warnings_for(scenario: Scenario) -> list[str]:
-    """Return warnings about a scenario, each with field and value.
+    """Return warnings about inconsistent or unused values of a scenario.
 
     Parameters
     ----------
     scenario
         A valid scenario. Warnings do not prevent a flight.
+
+    Returns
+    -------
+    list of str
+        Sentences that name scenario key and value.
     """
     lander = scenario.vehicle.make()
     figures = list(_lander_warnings(lander)) if isinstance(lander, Lander) else []
@@ -69,7 +74,7 @@ def _lander_warnings(lander: Lander) -> Iterator[str]:
 
 
 def _gyration_warnings(lander: Lander) -> Iterator[str]:
-    """Yield a warning if the radii of gyration do not fit the size of the lander."""
+    """Yield a warning if the moments of inertia are implausible for the lander's size."""
     for name, mass in (("dry", lander.dry_mass), ("full", lander.wet_mass)):
         moments = np.asarray(getattr(lander, f"inertia_{name}"))
         radius = np.sqrt(moments / mass)
@@ -86,7 +91,7 @@ def _gyration_warnings(lander: Lander) -> Iterator[str]:
 
 
 def _geometry_warnings(lander: Lander) -> Iterator[str]:
-    """Yield warnings about landing limits that the geometry does not allow."""
+    """Yield warnings about landing limits that exceed what the legs allow."""
     stands = math.degrees(
         math.atan(lander.leg_radius * math.cos(math.pi / lander.legs) / lander.com_height)
     )
@@ -112,21 +117,25 @@ def _listed(values: Any) -> str:
 
 
 def _sensor_warnings(scenario: Scenario) -> Iterator[str]:
-    """Yield warnings about sensors without returns or without a user."""
+    """Yield warnings about sensors out of range and cameras that no mapper uses."""
     mapped = {name for part in scenario.mappers.values() for name in sensor_names(part.make())}
     for name, settings in scenario.sensors.items():
         sensor = settings.make()
-        looks = getattr(scenario.tasking[name].make(), "looks", None) if sensor.tasked else None
+        looks = (
+            getattr(scenario.tasking[name].make(), "measurement_altitudes", None)
+            if sensor.is_tasked
+            else None
+        )
         reach = getattr(sensor, "max_range", None)
         if looks is not None and reach is not None:
             lowest = min(looks.at) if looks.at else looks.lowest
             if lowest >= reach:
                 yield (
-                    f"sensors.{name}.max_range_m: too short for any return, because "
+                    f"sensors.{name}.max_range_m: too short for any LiDAR return, because "
                     f"[tasking.{name}] measures above {lowest:g} m only, got {reach:g}. Raise "
                     "max_range_m or lower the altitudes."
                 )
-        if issubclass(sensor.gives, CameraImage) and name not in mapped:
+        if issubclass(sensor.measurement_type, CameraImage) and name not in mapped:
             yield (
                 f"sensors.{name}: no mapper uses its images, got {settings.kind!r}. The flight "
                 "record contains their times only."
@@ -134,10 +143,11 @@ def _sensor_warnings(scenario: Scenario) -> Iterator[str]:
 
 
 def _variation(scenario: Scenario) -> Iterator[str]:
-    """Yield a warning about a table that only environments use."""
-    if scenario.variation is not None:
+    """Yield a warning if the scenario randomises the lander, as only environments do."""
+    if scenario.domain_randomization is not None:
         yield (
-            "variation: only environments accept this table; `fly`, `compare` and campaigns refuse "
+            "domain_randomization: only environments accept this table; `fly`, `compare` and "
+            "campaigns refuse "
             "it. Use `lunarsim evaluate Guidance-v0 --scenario FILE --agent apollo`."
         )
 
@@ -155,10 +165,10 @@ def _unused_key_warnings(scenario: Scenario) -> Iterator[str]:
         )
     elif scenario.rocks.cover == 0.0:
         yield from _unused_keys("rocks", scenario.rocks, "cover = 0 means no rocks", but=("cover",))
-    elif scenario.rocks.clustered == 0.0:
+    elif scenario.rocks.cluster_fraction == 0.0:
         yield from _unused_keys(
-            "rocks", scenario.rocks, "clustered = 0 means no rocks around craters",
-            only=("block_crater_m",),
+            "rocks", scenario.rocks, "cluster_fraction = 0 means no rocks around craters",
+            only=("min_block_crater_diameter_m",),
         )  # fmt: skip
     yield from _unused_terrain_keys(scenario)
     if scenario.policy.kind == "no-divert":
@@ -185,7 +195,7 @@ def _unused_terrain_keys(scenario: Scenario) -> Iterator[str]:
 
 
 def _sees_light(kind: str) -> bool:
-    """Return whether a sensor may depend on sunlight; true for all custom kinds."""
+    """Return whether a kind of sensor may depend on sunlight; true for custom kinds."""
     return kind in _SEE_LIGHT or kind not in kinds("sensor")
 
 
@@ -197,7 +207,10 @@ def _unused_keys(
     only: tuple[str, ...] | None = None,
     but: tuple[str, ...] = (),
 ) -> Iterator[str]:
-    """Yield one warning that names the keys that are set but have no effect."""
+    """Yield a warning that names the keys of a table that are set but have no effect.
+
+    `why` is the reason; only keys in `only`, if given, and not in `but` are checked.
+    """
     fields = type(settings).model_fields
     values: Mapping[str, Any] = {key: getattr(settings, key) for key in fields}
     found = [

@@ -1,10 +1,10 @@
-"""Find, list and copy the scenarios that come with the package."""
+"""Find, list and copy the scenarios that are supplied with lunarsim."""
 
 from __future__ import annotations
 
 import shutil
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
@@ -14,40 +14,48 @@ from lunarsim.atomic_files import atomic_write
 from lunarsim.errors import InputError, suggestion
 
 _PACKAGE = Path(__file__).parent.parent
+# Names of packaged scenarios in earlier versions, and the names that replace them.
+RENAMED_SCENARIOS: dict[str, str] = {
+    "all_eyes": "all_sensors",
+    "all_eyes_hard": "all_sensors_hard",
+    "two_eyes": "camera_and_lidar",
+}
 
 
 def folder() -> Path:
-    """Return the folder of packaged scenarios: installed, or in the repository."""
+    """Return the folder of the scenarios that are supplied with lunarsim."""
     installed = _PACKAGE / "shipped"
     return installed if installed.is_dir() else _PACKAGE.parent / "scenarios"
 
 
 def names() -> dict[str, Path]:
-    """Return the files of all packaged scenarios by name."""
+    """Return the TOML files of all scenarios supplied with lunarsim, by name."""
     return {path.stem: path for path in sorted(folder().glob("*.toml"))}
 
 
 def path_of(name: str) -> Path:
-    """Return the file of a packaged scenario.
+    """Return the TOML file of a scenario supplied with lunarsim.
 
     Raises
     ------
     InputError
-        If no packaged scenario has that name.
+        If no supplied scenario has that name.
     """
     known = names()
     if name not in known:
-        raise InputError("NAME", name, "is not a packaged scenario", suggestion(name, known))
+        raise InputError("NAME", name, "is not a packaged scenario", _hint(name, known))
     return known[name]
 
 
 def found(given: Path, beside: Path | None = None) -> Path:
-    """Return the path of a scenario by path (first) or by packaged name.
+    """Find the file of a scenario given by path or by name of a supplied scenario.
+
+    An existing path has priority.
 
     Parameters
     ----------
     given
-        Path of a file, or name of a packaged scenario.
+        Path of a file, or name of a scenario supplied with lunarsim.
     beside
         Folder of a relative path; None is the working folder.
 
@@ -63,10 +71,16 @@ def found(given: Path, beside: Path | None = None) -> Path:
     if str(given) in known:
         return known[str(given)]
     others = [str(given.parent / p.name) for p in path.parent.glob("*.toml") if p.is_file()]
-    near = suggestion(str(given), [*known, *others])
-    if not near.startswith("Did you mean"):
+    near = _hint(str(given), [*known, *others])
+    if not near.startswith(("Did you mean", "It is now")):
         near = "Names of packaged scenarios: `lunarsim scenario list`."
     raise InputError("scenario", str(path), "must be an existing TOML file", near)
+
+
+def _hint(name: str, known: Iterable[str]) -> str:
+    """Return a sentence with the new name of a renamed scenario or the closest name."""
+    new = RENAMED_SCENARIOS.get(name)
+    return f"It is now {new}." if new else suggestion(name, list(known))
 
 
 def description_of(path: Path) -> str:
@@ -75,14 +89,14 @@ def description_of(path: Path) -> str:
 
 
 def copy_to(name: str, target: Path) -> list[Path]:
-    """Copy a packaged scenario and its data files; return the written files.
+    """Copy a supplied scenario and its data files; return the written files.
 
     Parameters
     ----------
     name
         Name of the scenario.
     target
-        TOML file to write. Data files keep their paths relative to it.
+        TOML file to write. Data files keep their paths relative to this file.
 
     Raises
     ------
@@ -113,7 +127,7 @@ def copy_to(name: str, target: Path) -> list[Path]:
 
 
 def _named(table: Mapping[str, Any]) -> Iterator[str]:
-    """Yield the relative paths in the tables of a scenario."""
+    """Yield the relative paths of data files in the tables of a scenario."""
     for key, value in table.items():
         if isinstance(value, Mapping):
             yield from _named(value)

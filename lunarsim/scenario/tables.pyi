@@ -9,36 +9,38 @@ from lunarsim.scenario.scenario import SelectedPart
 
 class RocksTable(PartSettings):
     axis_ratio: tuple[float, float]
-    block_crater_m: float
     burial: tuple[float, float]
-    clustered: float
+    cluster_fraction: float
     cover: float
     cube_area: Literal["square", "disc"]
-    fillet: float
+    fillet_height_ratio: float
     height_ratio: tuple[float, float]
     max_diameter_m: float
+    min_block_crater_diameter_m: float
     min_diameter_m: float
     shape: Literal["hemisphere", "ellipsoid", "cube", "irregular", "mixed"]
 
 class RocksChanges(TypedDict, total=False):
     axis_ratio: tuple[float, float]
-    block_crater_m: float
     burial: tuple[float, float]
-    clustered: float
+    cluster_fraction: float
     cover: float
     cube_area: Literal["square", "disc"]
-    fillet: float
+    fillet_height_ratio: float
     height_ratio: tuple[float, float]
     max_diameter_m: float
+    min_block_crater_diameter_m: float
     min_diameter_m: float
     shape: Literal["hemisphere", "ellipsoid", "cube", "irregular", "mixed"]
 
 class SunTable(PartSettings):
     albedo: float
+    albedo_correlation_length_m: float
+    albedo_variation: float
     ambient: float
     azimuth_deg: float
     boulder_albedo: float
-    boulder_mottle: float
+    boulder_albedo_variation: float
     diameter_deg: float
     earth_azimuth_deg: float
     earth_elevation_deg: float
@@ -49,17 +51,17 @@ class SunTable(PartSettings):
     hapke_roughness_deg: float
     hapke_surge: float
     hapke_surge_width: float
-    mottle: float
-    mottle_length_m: float
     photometry: Literal["lambert", "lunar-lambert", "hapke"]
-    scattered: bool
+    scattered_light: bool
 
 class SunChanges(TypedDict, total=False):
     albedo: float
+    albedo_correlation_length_m: float
+    albedo_variation: float
     ambient: float
     azimuth_deg: float
     boulder_albedo: float
-    boulder_mottle: float
+    boulder_albedo_variation: float
     diameter_deg: float
     earth_azimuth_deg: float
     earth_elevation_deg: float
@@ -70,10 +72,8 @@ class SunChanges(TypedDict, total=False):
     hapke_roughness_deg: float
     hapke_surge: float
     hapke_surge_width: float
-    mottle: float
-    mottle_length_m: float
     photometry: Literal["lambert", "lunar-lambert", "hapke"]
-    scattered: bool
+    scattered_light: bool
 
 class StartTable(PartSettings):
     heading_deg: float
@@ -116,7 +116,7 @@ class ApproachTable(PartSettings):
     arrival_offset_m: tuple[float, float]
     arrival_velocity_m_s: tuple[float, float]
     descent_speed_m_s: float | None
-    ends_at_s: float
+    end_time_to_go_s: float
     glideslope_deg: float
     jerk_m_s3: float | None
     max_tilt_deg: float
@@ -132,7 +132,7 @@ class ApproachChanges(TypedDict, total=False):
     arrival_offset_m: tuple[float, float]
     arrival_velocity_m_s: tuple[float, float]
     descent_speed_m_s: float | None
-    ends_at_s: float
+    end_time_to_go_s: float
     glideslope_deg: float
     jerk_m_s3: float | None
     max_tilt_deg: float
@@ -181,7 +181,7 @@ class MoonChanges(TypedDict, total=False):
     radius_m: float
     spin_deg_s: float
 
-class SurroundingsTable(PartSettings):
+class FarTerrainTable(PartSettings):
     dtm_nodata: float | tuple[float, ...] | None
     dtm_posting_m: float | None
     dtm_unit: str | None
@@ -192,7 +192,7 @@ class SurroundingsTable(PartSettings):
     rms_slopes_deg: tuple[float, ...]
     sizes_m: tuple[float, ...]
 
-class SurroundingsChanges(TypedDict, total=False):
+class FarTerrainChanges(TypedDict, total=False):
     dtm_nodata: float | tuple[float, ...] | None
     dtm_posting_m: float | None
     dtm_unit: str | None
@@ -203,53 +203,53 @@ class SurroundingsChanges(TypedDict, total=False):
     rms_slopes_deg: tuple[float, ...]
     sizes_m: tuple[float, ...]
 
-class StartKnowledgeTable(PartSettings):
+class InitialUncertaintyTable(PartSettings):
     attitude_deg: float
-    ground_m: float
     position_m: float
+    target_elevation_m: float
     velocity_m_s: float
 
-class StartKnowledgeChanges(TypedDict, total=False):
+class InitialUncertaintyChanges(TypedDict, total=False):
     attitude_deg: float
-    ground_m: float
     position_m: float
+    target_elevation_m: float
     velocity_m_s: float
 
 class PriorMapTable(PartSettings):
     correlation_m: float
     offset_m: tuple[float, float, float]
+    outdated_fraction: float
+    outdated_height_sigma_m: float
+    outdated_patch_side_m: float
     posting_m: float
     sigma_m: float
     size_m: float
-    stale_share: float
-    stale_side_m: float
-    stale_sigma_m: float
-    void_share: float
+    void_fraction: float
 
 class PriorMapChanges(TypedDict, total=False):
     correlation_m: float
     offset_m: tuple[float, float, float]
+    outdated_fraction: float
+    outdated_height_sigma_m: float
+    outdated_patch_side_m: float
     posting_m: float
     sigma_m: float
     size_m: float
-    stale_share: float
-    stale_side_m: float
-    stale_sigma_m: float
-    void_share: float
+    void_fraction: float
 
 class FaultsTable(PartSettings):
     engine_stuck_at_n: float | None
     engine_stuck_from_s: float | None
-    jets_from_s: float
-    jets_open: tuple[int, ...]
-    jets_shut: tuple[int, ...]
+    jets_stuck_from_s: float
+    jets_stuck_open: tuple[int, ...]
+    jets_stuck_shut: tuple[int, ...]
 
 class FaultsChanges(TypedDict, total=False):
     engine_stuck_at_n: float | None
     engine_stuck_from_s: float | None
-    jets_from_s: float
-    jets_open: tuple[int, ...]
-    jets_shut: tuple[int, ...]
+    jets_stuck_from_s: float
+    jets_stuck_open: tuple[int, ...]
+    jets_stuck_shut: tuple[int, ...]
 
 class LegsTable(PartSettings):
     crush_force_n: float
@@ -267,75 +267,75 @@ class LegsChanges(TypedDict, total=False):
     stiffness_n_m1: float
     stroke_m: float
 
-class VariationTable(PartSettings):
+class DomainRandomizationTable(PartSettings):
     actuation_delay_s: float
     attitude_noise_deg: float
     engine_failure: float
-    failure_by_s: float
-    load_kg: float
+    latest_failure_s: float
+    min_remaining_fraction: float
+    payload_kg: float
     position_noise_m: float
     rate_noise_deg_s: float
     sensing_delay_s: float
     specific_impulse_s: float
-    thrust: float
     thrust_lag_s: float
     thrust_offset_m: float
+    thrust_scale: float
     torque_failure: float
     velocity_noise_m_s: float
-    weakest: float
 
-class VariationChanges(TypedDict, total=False):
+class DomainRandomizationChanges(TypedDict, total=False):
     actuation_delay_s: float
     attitude_noise_deg: float
     engine_failure: float
-    failure_by_s: float
-    load_kg: float
+    latest_failure_s: float
+    min_remaining_fraction: float
+    payload_kg: float
     position_noise_m: float
     rate_noise_deg_s: float
     sensing_delay_s: float
     specific_impulse_s: float
-    thrust: float
     thrust_lag_s: float
     thrust_offset_m: float
+    thrust_scale: float
     torque_failure: float
     velocity_noise_m_s: float
-    weakest: float
 
 class BrakingTable(PartSettings):
-    direction_first: bool
     end_acceleration_m_s2: tuple[float, float, float]
     end_position_m: tuple[float, float, float]
+    end_time_to_go_s: float
     end_velocity_m_s: tuple[float, float, float]
-    ends_at_s: float
     jerk_m_s3: float | None
+    keeps_thrust_direction: bool
     law: str
     max_tilt_deg: float
+    min_thrust_time_s: float
     time_to_go_s: float
-    trim_s: float
 
 class BrakingChanges(TypedDict, total=False):
-    direction_first: bool
     end_acceleration_m_s2: tuple[float, float, float]
     end_position_m: tuple[float, float, float]
+    end_time_to_go_s: float
     end_velocity_m_s: tuple[float, float, float]
-    ends_at_s: float
     jerk_m_s3: float | None
+    keeps_thrust_direction: bool
     law: str
     max_tilt_deg: float
+    min_thrust_time_s: float
     time_to_go_s: float
-    trim_s: float
 
 class WindowTable(PartSettings):
-    forward_deg: float
+    azimuth_deg: float
     half_width_deg: float
-    highest_deg: float
-    lowest_deg: float
+    lower_edge_deg: float
+    upper_edge_deg: float
 
 class WindowChanges(TypedDict, total=False):
-    forward_deg: float
+    azimuth_deg: float
     half_width_deg: float
-    highest_deg: float
-    lowest_deg: float
+    lower_edge_deg: float
+    upper_edge_deg: float
 
 class SiteRewardTable(PartSettings):
     discount: float
@@ -384,10 +384,10 @@ class DescentRewardChanges(TypedDict, total=False):
 class TerrainTable(SelectedPart):
     kind: str
     boulders: int
-    crater_ageing: Literal["even", "diffusion"]
+    crater_degradation: Literal["uniform", "diffusion"]
     crater_density: float | None
+    crater_equilibrium_diameter_m: float
     crater_min_diameter_m: float
-    crater_saturation_m: float
     craters: int
     detail: bool
     detail_m: float | None
@@ -396,10 +396,10 @@ class TerrainTable(SelectedPart):
     dtm_unit: str | None
     dtm_window: tuple[int, int, int, int] | None
     field_m: float
-    field_turn_deg: float
+    field_rotation_deg: float
     height_step_m: float | None
     hurst: float | None
-    mirrored_to_m: float | None
+    mirrored_size_m: float | None
     path: Path | str | None
     posting_m: float
     preset: Literal["none", "mare", "highland", "polar"]
@@ -410,10 +410,10 @@ class TerrainTable(SelectedPart):
 class TerrainChanges(TypedDict, total=False):
     kind: str
     boulders: int
-    crater_ageing: Literal["even", "diffusion"]
+    crater_degradation: Literal["uniform", "diffusion"]
     crater_density: float | None
+    crater_equilibrium_diameter_m: float
     crater_min_diameter_m: float
-    crater_saturation_m: float
     craters: int
     detail: bool
     detail_m: float | None
@@ -422,10 +422,10 @@ class TerrainChanges(TypedDict, total=False):
     dtm_unit: str | None
     dtm_window: tuple[int, int, int, int] | None
     field_m: float
-    field_turn_deg: float
+    field_rotation_deg: float
     height_step_m: float | None
     hurst: float | None
-    mirrored_to_m: float | None
+    mirrored_size_m: float | None
     path: Path | str | None
     posting_m: float
     preset: Literal["none", "mare", "highland", "polar"]
@@ -492,42 +492,36 @@ class VehicleChanges(TypedDict, total=False):
 class NavigationTable(SelectedPart):
     kind: str
     mass_sigma_kg: float
-    relief_deg: float
-    thrust_error: float
+    terrain_slope_deg: float
+    thrust_sigma: float
 
 class NavigationChanges(TypedDict, total=False):
     kind: str
     mass_sigma_kg: float
-    relief_deg: float
-    thrust_error: float
+    terrain_slope_deg: float
+    thrust_sigma: float
 
 class PolicyTable(SelectedPart):
     kind: str
-    altitude_m: float
-    enough: float
-    gain: float
-    least: float
-    price: float
-    room_m: float
-    weight_fuel: float
-    worth: float
+    abort_altitude_m: float
+    hysteresis: float
+    min_clearance_m: float
+    p_safe_min: float
+    propellant_weight: float
+    value_weight: float
 
 class PolicyChanges(TypedDict, total=False):
     kind: str
-    altitude_m: float
-    enough: float
-    gain: float
-    least: float
-    price: float
-    room_m: float
-    weight_fuel: float
-    worth: float
+    abort_altitude_m: float
+    hysteresis: float
+    min_clearance_m: float
+    p_safe_min: float
+    propellant_weight: float
+    value_weight: float
 
 class GuidanceTable(SelectedPart):
     kind: str
-    allowance_kg: float
     candidates: int
-    end_tilt_deg: float
     frequency_rad_s: float
     gain: float
     gamma: float
@@ -536,20 +530,20 @@ class GuidanceTable(SelectedPart):
     intervals: int
     iterations: int
     jerk_m_s3: float
-    least_diameter_m: float
-    least_time_to_go_s: float
-    price: float
+    max_final_tilt_deg: float
+    min_rock_diameter_m: float
+    min_time_to_go_s: float
+    nodes_per_side: int
+    propellant_allowance_kg: float
+    propellant_weight: float
     snap_m_s4: float
-    squares: int
-    thrust_slack: float
+    thrust_tolerance: float
     tilt_rate_deg_s: float
-    tilt_slack_deg: float
+    tilt_tolerance_deg: float
 
 class GuidanceChanges(TypedDict, total=False):
     kind: str
-    allowance_kg: float
     candidates: int
-    end_tilt_deg: float
     frequency_rad_s: float
     gain: float
     gamma: float
@@ -558,14 +552,16 @@ class GuidanceChanges(TypedDict, total=False):
     intervals: int
     iterations: int
     jerk_m_s3: float
-    least_diameter_m: float
-    least_time_to_go_s: float
-    price: float
+    max_final_tilt_deg: float
+    min_rock_diameter_m: float
+    min_time_to_go_s: float
+    nodes_per_side: int
+    propellant_allowance_kg: float
+    propellant_weight: float
     snap_m_s4: float
-    squares: int
-    thrust_slack: float
+    thrust_tolerance: float
     tilt_rate_deg_s: float
-    tilt_slack_deg: float
+    tilt_tolerance_deg: float
 
 class ControlTable(SelectedPart):
     kind: str
@@ -587,164 +583,164 @@ class ControlChanges(TypedDict, total=False):
     rate_band_deg_s: float
     slew_limit_deg_s: float
 
-class DescentTable(SelectedPart):
+class TerminalDescentTable(SelectedPart):
     kind: str
-    beyond_m: float
+    check_interval_s: float
     click_interval_s: float
     click_m_s: float
+    correction_time_s: float
     descent_time_s: float
-    fastest_m_s: float
-    hold_speed_m_s: float | None
-    last_speed_m_s: float
-    lean_time_s: float
-    look_interval_s: float
-    max_lean_deg: float
-    speed_time_s: float
-    still_height_m: float
+    final_speed_m_s: float
+    hold_height_speed_m_s: float | None
+    max_rate_m_s: float
+    max_tilt_deg: float
+    overshoot_m: float
     stop_height_m: float
     time_constant_s: float
+    velocity_time_s: float
+    zero_speed_height_m: float
 
-class DescentChanges(TypedDict, total=False):
+class TerminalDescentChanges(TypedDict, total=False):
     kind: str
-    beyond_m: float
+    check_interval_s: float
     click_interval_s: float
     click_m_s: float
+    correction_time_s: float
     descent_time_s: float
-    fastest_m_s: float
-    hold_speed_m_s: float | None
-    last_speed_m_s: float
-    lean_time_s: float
-    look_interval_s: float
-    max_lean_deg: float
-    speed_time_s: float
-    still_height_m: float
+    final_speed_m_s: float
+    hold_height_speed_m_s: float | None
+    max_rate_m_s: float
+    max_tilt_deg: float
+    overshoot_m: float
     stop_height_m: float
     time_constant_s: float
+    velocity_time_s: float
+    zero_speed_height_m: float
 
 class SensorsTable(SelectedPart):
     kind: str
-    about_deg: float
     accelerometers: Any
-    across_deg: float
     antialias: int
     attitude_deg: float
     beams: int
     bits: int
     blur_sigma_px: float
     boresight: tuple[float, float, float]
-    boresight_off_deg: float
+    boresight_bias_deg: float
     boresight_sigma_deg: float
     cols: int
     cone_deg: float
+    cross_boresight_noise_deg: float
     distortion: tuple[float, float, float, float, float]
     divergence_mrad: float
     drift_time_s: float
     exposure_control: Literal["fixed", "auto"]
     exposure_level: float
-    exposure_longest_s: float
+    exposure_max_s: float
+    exposure_min_s: float
     exposure_s: float
-    exposure_shortest_s: float
     field_of_view_deg: float
     full_well_electrons: float
     gain: float
     gimbal_limit_deg: float
-    ground_angle_deg: float
     gyroscopes: Any
-    half_width: float
+    half_fov_tangent: float
     height: int
     hot_current_electrons_s: float
     hot_pixels: float
-    late_s: float
+    latency_bias_s: float
     latency_sigma_s: float
     line_time_s: float
+    max_angular_rate_deg_s: float
     max_incidence_deg: float
     max_range_m: float
-    max_rate_deg_s: float
+    min_elevation_deg: float
     misalignment_deg: float
     motion_blur: bool
     noise_floor_m: float
     noise_ratio: float
     photons: float | None
+    pixel_spacing: Literal["tangent", "angle"]
     position_bias_m: float
     position_drift_m: float
     range_bias_m: float
     range_noise_m: float
     range_sigma_m: float
     read_noise_electrons: float
+    roll_noise_deg: float
     rows: int
     sensitivity_electrons_s: float
     shot_noise: bool
     shutter: Literal["global", "rolling"]
-    spacing: Literal["tangent", "angle"]
     speed_bias_m_s: float
     speed_noise_m_s: float
-    speed_wander_m_s: float
+    speed_random_walk_m_s: float
     stray_light: float
-    sun_angle_deg: float
+    sun_exclusion_angle_deg: float
     velocity_m_s: float
     vignetting: float
     width: int
 
 class SensorsChanges(TypedDict, total=False):
     kind: str
-    about_deg: float
     accelerometers: Any
-    across_deg: float
     antialias: int
     attitude_deg: float
     beams: int
     bits: int
     blur_sigma_px: float
     boresight: tuple[float, float, float]
-    boresight_off_deg: float
+    boresight_bias_deg: float
     boresight_sigma_deg: float
     cols: int
     cone_deg: float
+    cross_boresight_noise_deg: float
     distortion: tuple[float, float, float, float, float]
     divergence_mrad: float
     drift_time_s: float
     exposure_control: Literal["fixed", "auto"]
     exposure_level: float
-    exposure_longest_s: float
+    exposure_max_s: float
+    exposure_min_s: float
     exposure_s: float
-    exposure_shortest_s: float
     field_of_view_deg: float
     full_well_electrons: float
     gain: float
     gimbal_limit_deg: float
-    ground_angle_deg: float
     gyroscopes: Any
-    half_width: float
+    half_fov_tangent: float
     height: int
     hot_current_electrons_s: float
     hot_pixels: float
-    late_s: float
+    latency_bias_s: float
     latency_sigma_s: float
     line_time_s: float
+    max_angular_rate_deg_s: float
     max_incidence_deg: float
     max_range_m: float
-    max_rate_deg_s: float
+    min_elevation_deg: float
     misalignment_deg: float
     motion_blur: bool
     noise_floor_m: float
     noise_ratio: float
     photons: float | None
+    pixel_spacing: Literal["tangent", "angle"]
     position_bias_m: float
     position_drift_m: float
     range_bias_m: float
     range_noise_m: float
     range_sigma_m: float
     read_noise_electrons: float
+    roll_noise_deg: float
     rows: int
     sensitivity_electrons_s: float
     shot_noise: bool
     shutter: Literal["global", "rolling"]
-    spacing: Literal["tangent", "angle"]
     speed_bias_m_s: float
     speed_noise_m_s: float
-    speed_wander_m_s: float
+    speed_random_walk_m_s: float
     stray_light: float
-    sun_angle_deg: float
+    sun_exclusion_angle_deg: float
     velocity_m_s: float
     vignetting: float
     width: int
@@ -773,47 +769,47 @@ class TaskingChanges(TypedDict, total=False):
 
 class MappersTable(SelectedPart):
     kind: str
+    calibration_mapper: str
     calibration_path: Path | str | None
-    feature: str
-    form: Literal["rice", "gaussian"]
-    ground: str
-    hazard_diameter_m: float
+    clear_terrain_interval_s: float
+    cover_model: Literal["rice", "gaussian"]
+    inputs: tuple[str, ...]
     interest_path: Path | str | None
     interval_s: float
-    least_m: float
-    look_interval_s: float
-    of: tuple[str, ...]
+    min_cell_size_m: float
+    min_hazard_diameter_m: float
     posting_m: float
-    relief_prior: float
     safety: Literal["calibrated", "level", "planes"]
     sensor: str
     sensors: tuple[str, ...]
-    shapes: Literal["inferred", "told", "hemisphere"]
+    shapes: Literal["inferred", "expected", "hemisphere"]
     sites: Any
     size_m: float
     split_count: int
+    terrain_mapper: str
+    terrain_prior: float
 
 class MappersChanges(TypedDict, total=False):
     kind: str
+    calibration_mapper: str
     calibration_path: Path | str | None
-    feature: str
-    form: Literal["rice", "gaussian"]
-    ground: str
-    hazard_diameter_m: float
+    clear_terrain_interval_s: float
+    cover_model: Literal["rice", "gaussian"]
+    inputs: tuple[str, ...]
     interest_path: Path | str | None
     interval_s: float
-    least_m: float
-    look_interval_s: float
-    of: tuple[str, ...]
+    min_cell_size_m: float
+    min_hazard_diameter_m: float
     posting_m: float
-    relief_prior: float
     safety: Literal["calibrated", "level", "planes"]
     sensor: str
     sensors: tuple[str, ...]
-    shapes: Literal["inferred", "told", "hemisphere"]
+    shapes: Literal["inferred", "expected", "hemisphere"]
     sites: Any
     size_m: float
     split_count: int
+    terrain_mapper: str
+    terrain_prior: float
 
 class FlightChanges(TypedDict, total=False):
     name: str
@@ -828,12 +824,12 @@ class FlightChanges(TypedDict, total=False):
     decisions: DecisionsChanges
     simulation: SimulationChanges
     moon: MoonChanges | None
-    surroundings: SurroundingsChanges | None
-    start_knowledge: StartKnowledgeChanges | None
+    far_terrain: FarTerrainChanges | None
+    initial_uncertainty: InitialUncertaintyChanges | None
     prior_map: PriorMapChanges | None
     faults: FaultsChanges | None
     legs: LegsChanges | None
-    variation: VariationChanges | None
+    domain_randomization: DomainRandomizationChanges | None
     braking: BrakingChanges | None
     window: WindowChanges | None
     site_reward: SiteRewardChanges | None
@@ -842,7 +838,7 @@ class FlightChanges(TypedDict, total=False):
     vehicle: VehicleChanges
     navigation: NavigationChanges
     control: ControlChanges
-    descent: DescentChanges | None
+    terminal_descent: TerminalDescentChanges | None
     sensors: Mapping[str, SensorsChanges | None]
     tasking: Mapping[str, TaskingChanges | None]
     mappers: Mapping[str, MappersChanges | None]

@@ -10,7 +10,7 @@ from lunarsim._jit import kernel, prange
 
 @kernel(parallel=True)
 def read_out(counts, electrons, normal, few, noise, well, factor, top):
-    """Write the counts (rows, cols) for given electrons (rows, cols).
+    """Convert electrons (rows, cols) to `counts` (rows, cols), with noise.
 
     Where `few` is set, `electrons` already contains the shot noise; elsewhere its variance is the
     number of electrons. `normal` holds standard normal numbers, `noise` the variance of the read

@@ -11,8 +11,11 @@ from lunarsim._jit import kernel
 
 @kernel()
 def quantize_increment(truth, matrix, offset, quantum, remainder, out):
-    """Write the measured increment (3,), and keep the quantization remainder.
+    """Write one measured increment (3,) = matrix @ truth + offset, quantized.
 
+    `truth` is the true increment (3,), `matrix` (3, 3) holds scale factors and misalignments,
+    `offset` (3,) is the additive error, and `quantum` the quantization step (0: none). The
+    quantization `remainder` (3,) is updated for the next call; `out` (3,) is the result.
     The running sum is rounded, not each increment, so that no angle or velocity is lost.
     """
     for i in range(3):
@@ -28,7 +31,7 @@ def quantize_increment(truth, matrix, offset, quantum, remainder, out):
 
 @kernel()
 def ideal_increments(rows, lift, angle, gained):
-    """Write the increments that an ideal IMU measures along a trajectory.
+    """Compute the increments that an error-free IMU measures along a trajectory.
 
     Parameters
     ----------
@@ -37,7 +40,7 @@ def ideal_increments(rows, lift, angle, gained):
     lift
         Gravity times the time step, m/s.
     angle, gained
-        Angle (rad) and velocity (m/s) increments (n, 3), body axes.
+        Output: angle (rad) and velocity (m/s) increments (n, 3), body axes.
     """
     middle = np.empty(4)
     change = np.empty(3)
@@ -60,7 +63,11 @@ def ideal_increments(rows, lift, angle, gained):
 
 @kernel()
 def sample_increments(truth, matrix, offsets, quantum, remainder):
-    """Return the measured increments (n, 3) for true ones (n, 3)."""
+    """Return the measured increments (n, 3) for true increments `truth` (n, 3).
+
+    `matrix` (3, 3) holds scale factors and misalignments, `offsets` (n, 3) are additive errors,
+    `quantum` is the quantization step, and `remainder` (3,) is updated.
+    """
     out = np.empty_like(truth)
     for n in range(truth.shape[0]):
         quantize_increment(truth[n], matrix, offsets[n], quantum, remainder, out[n])

@@ -20,12 +20,14 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class RadarAltimeter:
-    """A radar altimeter fixed to the body."""
+    """Settings and simulation of a radar altimeter fixed to the body."""
 
     boresight: tuple[float, float, float] = quantity(
         (0.0, 0.0, -1.0), help="direction of the beam, unit vector in body axes"
     )
-    noise_ratio: float = quantity(0.01, ge=0, help="range noise over range, 1 sigma")
+    noise_ratio: float = quantity(
+        0.01, ge=0, help="standard deviation of the range noise over range"
+    )
     noise_floor: float = quantity(
         0.1, "m", ge=0, help="constant range noise, 1 sigma, added in quadrature"
     )
@@ -34,15 +36,15 @@ class RadarAltimeter:
         60.0, "deg", gt=0, le=90, help="maximum angle of beam and surface normal with a return"
     )
 
-    gives: ClassVar[type] = AltimeterReading
-    tasked: ClassVar[bool] = False
+    measurement_type: ClassVar[type] = AltimeterReading
+    is_tasked: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
         check_direction("altimeter.boresight", self.boresight)
         check_bounds(self, "altimeter")
 
     def calibration(self) -> AltimeterInstrument:
-        """Return what the onboard computer knows of the altimeter."""
+        """Return the calibration: what the onboard computer knows of the altimeter."""
         return AltimeterInstrument(self.boresight)
 
     def measure(
@@ -53,7 +55,11 @@ class RadarAltimeter:
         rng: np.random.Generator,
         mount: Array | None = None,
     ) -> AltimeterReading:
-        """Return one reading; random numbers are drawn even without a return."""
+        """Measure the slant range along the beam, with noise; NaN without a return.
+
+        `state` is the true state at `time`, s. Random numbers are drawn from `rng` even without a
+        return. `mount` is not used.
+        """
         noise = float(rng.standard_normal())
         beam = quat_rotate(state.attitude, self.boresight)
         hit = world.cast(state.position, beam[None, :], self.max_range)

@@ -32,12 +32,12 @@ class AutoExposureCamera:
         self.control = control
 
     def command(self, exposure: float, gain: float | None = None) -> None:
-        """Fix exposure time (s) and gain, and end automatic exposure.
+        """Set exposure time (s) and gain to fixed values, and end automatic exposure.
 
         Raises
         ------
         InputError
-            If they are not positive; nothing changes.
+            If a value is not positive; the camera remains unchanged.
         """
         gain = self.camera.gain if gain is None else gain
         self.camera = replace(self.camera, exposure=exposure, gain=gain)
@@ -51,9 +51,15 @@ class AutoExposureCamera:
         rng: np.random.Generator,
         mount: Array | None = None,
     ) -> CameraImage:
-        """Take an image with the gimbal at `mount` (3, 3), and set the next exposure time."""
+        """Take an image, and set the exposure time of the next image.
+
+        `state` is the true state at `time`, the middle of the exposure, s; `mount` (3, 3) is the
+        rotation, sensor to body.
+        """
         image = self.camera.measure(world, state, time, rng, mount)
         if self.control is not None:
-            exposure = self.control.after(image.counts, self.camera.bits, self.camera.exposure)
+            exposure = self.control.next_exposure(
+                image.counts, self.camera.bits, self.camera.exposure
+            )
             self.camera = replace(self.camera, exposure=exposure)
         return image

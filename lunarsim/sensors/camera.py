@@ -33,7 +33,7 @@ _MAX_BLUR_STEPS = 48
 
 @dataclass(frozen=True)
 class ExposedImage:
-    """One exposed image.
+    """Counts of one exposed image and, if requested, its geometric ground truth.
 
     Attributes
     ----------
@@ -59,7 +59,8 @@ class Camera(CameraModel):
     exposure
         Exposure time, s.
     sensitivity
-        Electrons per second for a radiance factor of 1. With the defaults, 0.2 fills the well.
+        Electrons per second in a pixel at a radiance factor of 1. With the defaults, a radiance
+        factor of 0.2 saturates the pixel.
     blur_sigma
         Standard deviation of the point spread, pixels; 0: none.
     motion_blur
@@ -131,7 +132,10 @@ class Camera(CameraModel):
 
     @classmethod
     def with_field_of_view(cls, width: int, height: int, degrees: float, **more: object) -> Camera:
-        """Return a camera with square pixels and a horizontal field of view of `degrees`."""
+        """Return a camera with square pixels and a horizontal field of view of `degrees`.
+
+        `width` and `height` are the size of the image, pixels; `more` are other fields.
+        """
         if not (isinstance(degrees, float | int | np.floating) and 0.0 < degrees < 170.0):
             raise InputError("camera.field_of_view_deg", degrees, "must be between 0 and 170")
         focal = 0.5 * width / np.tan(0.5 * np.deg2rad(degrees))
@@ -139,7 +143,7 @@ class Camera(CameraModel):
 
     @property
     def model(self) -> CameraModel:
-        """Geometry of the camera, delivered with every image."""
+        """Geometry of the camera, which is sent with every image."""
         return CameraModel(**{f.name: getattr(self, f.name) for f in fields(CameraModel)})
 
     def measure(
@@ -150,7 +154,11 @@ class Camera(CameraModel):
         rng: np.random.Generator,
         mount: Array | None = None,
     ) -> CameraImage:
-        """Take an image; `mount` (3, 3) replaces the camera's own mounting."""
+        """Take an image of the true world.
+
+        `state` is the true state at `time`, the middle of the exposure, s; `rng` is the source of
+        the noise. `mount` (3, 3), sensor to body, replaces the mounting of the camera.
+        """
         camera = self if mount is None else replace(self, mount=mount)
         exposure = camera.expose(world, state, time, rng)
         return CameraImage(exposure.time, exposure.counts, camera.model)
@@ -164,7 +172,7 @@ class Camera(CameraModel):
         *,
         truth: bool = False,
     ) -> ExposedImage:
-        """Expose one image.
+        """Render and expose one image of the true world.
 
         Parameters
         ----------
@@ -173,8 +181,8 @@ class Camera(CameraModel):
         rng
             Source of shot and read noise.
         truth
-            Whether to return range, normal and identity. They are distorted like the image, but
-            have neither blur nor noise.
+            Whether to return range, normal and identity of every pixel. They are distorted like
+            the image, but have neither blur nor noise.
 
         Raises
         ------
@@ -212,7 +220,11 @@ class Camera(CameraModel):
         return ExposedImage(time, self._detect(radiance, rng), kept)
 
     def _render(self, world: World, state: State, view: View) -> NDArray[np.float32]:
-        """Return the radiance at the lens, line by line for a rolling shutter."""
+        """Render the radiance factor of a view; a rolling shutter exposes band after band.
+
+        `state` is the true state in the middle of the exposure; `view` includes the border that
+        distortion requires.
+        """
         bands = [(0, view.height, state)]
         if self.shutter == "rolling":
             bands = self._bands(world, state, view)
@@ -227,7 +239,10 @@ class Camera(CameraModel):
         return images[0] if len(images) == 1 else np.concatenate(images)
 
     def _bands(self, world: World, state: State, view: View) -> list[tuple[int, int, State]]:
-        """Return first line, end line and state for each band rendered at once."""
+        """Divide a rolling-shutter image into bands of lines that are rendered together.
+
+        Returns first line, line after the last, and lander state of each band.
+        """
         max_elevation = world.terrain.relief.z_range[1]
         near = max(float(view.position[2]) - max_elevation, 1.0)
         focal = max(view.fx, view.fy)
@@ -253,7 +268,7 @@ class Camera(CameraModel):
 
     @cached_property
     def _border(self) -> int:
-        """Pixels to render beyond each edge so that distortion finds its sources."""
+        """Width, pixels, of the extra border to render before applying distortion."""
         if not any(self.distortion):
             return 0
         x, y = self._source_pixels
@@ -270,7 +285,7 @@ class Camera(CameraModel):
 
     @cached_property
     def _source_pixels(self) -> tuple[Array, Array]:
-        """Undistorted pixel coordinates x, y (height, width) of each pixel of the image."""
+        """Pixel coordinates x, y (height, width) of each pixel before lens distortion."""
         x, y = self.tangents
         assert self.cx is not None
         assert self.cy is not None
@@ -293,8 +308,9 @@ class Camera(CameraModel):
     def _blur_motion(
         self, image: NDArray[np.float32], view: View, rate: Array
     ) -> NDArray[np.float32]:
-        """Return the mean image during the exposure of a rotating camera.
+        """Average an image over the rotation of the camera during the exposure.
 
+        `rate` is the angular velocity (3,), sensor axes, rad/s.
         A rotation moves pixels by the homography K R K^-1, independent of range. The translation
         of the lander during an exposure is far below a pixel and is neglected.
         """
@@ -335,7 +351,7 @@ class Camera(CameraModel):
 
 
 def _check_pose(state: State) -> None:
-    """Refuse a state whose position or attitude is not valid."""
+    """Raise InputError unless position and attitude of a state are valid."""
     if not np.isfinite(state.position).all():
         raise InputError("camera.position", list(state.position), "must be finite (metres)")
     if not is_rotation(state.attitude):
@@ -343,7 +359,7 @@ def _check_pose(state: State) -> None:
 
 
 def _propagate(state: State, time: float) -> State:
-    """Return the state a short time (s) later, at constant velocity and rate."""
+    """Extrapolate a state by a short `time` (s) at constant velocity and angular rate."""
     turn = quat_from_rotation_vector(time * np.asarray(state.rate))
     return replace(
         state, position=state.position + time * np.asarray(state.velocity),
@@ -352,7 +368,7 @@ def _propagate(state: State, time: float) -> State:
 
 
 def _supersample(world: World, view: View, side: int) -> NDArray[np.float32]:
-    """Return the mean radiance over `side` x `side` rays per pixel of a view."""
+    """Render a view; average the radiance factor over `side` x `side` rays per pixel."""
     from lunarsim.sensors.rendering import renderer_of  # noqa: PLC0415  (loads OpenGL)
 
     renderer = renderer_of(world.terrain)

@@ -19,9 +19,9 @@ _MIN_NORMAL_ELECTRONS = 300.0
 
 
 def illumination_falloff(camera: CameraModel, power: float) -> NDArray[np.float32]:
-    """Return the relative illumination of each pixel (height, width).
+    """Return the relative illumination (height, width) of an image with vignetting.
 
-    It is a power of the cosine of the angle to the boresight.
+    The illumination is the cosine of the angle to the boresight to the power `power`.
     """
     x, y = camera.tangents
     return np.asarray((1.0 + x * x + y * y) ** (-0.5 * power), np.float32)
@@ -29,7 +29,7 @@ def illumination_falloff(camera: CameraModel, power: float) -> NDArray[np.float3
 
 @lru_cache(maxsize=4)
 def dark_current(shape: tuple[int, int], share: float, mean: float, seed: int) -> Array:
-    """Return the dark current of each pixel (height, width), electrons per second.
+    """Sample the dark current (height, width), electrons/s, of a detector's pixels.
 
     Parameters
     ----------
@@ -57,7 +57,12 @@ def counts_from_electrons(
     gain: float,
     bits: int,
 ) -> NDArray[np.unsignedinteger[Any]]:
-    """Return counts (height, width) for electrons, which are overwritten."""
+    """Convert electrons (height, width) to counts: noise, saturation, quantization.
+
+    `electrons` is overwritten. `shot_noise` is whether photon noise is added, `read_noise` the
+    standard deviation of the read noise, electrons, and `full_well` the saturation, electrons. Full
+    scale of the converter, which has `bits` bits, is `full_well` over `gain`.
+    """
     few = np.ones(electrons.shape, np.bool_)
     normal = np.zeros(electrons.shape, np.float32)
     if shot_noise or read_noise > 0.0:

@@ -13,17 +13,19 @@ from lunarsim.errors import InputError, check_types
 
 @dataclass(frozen=True)
 class ExposureControl:
-    """Settings of automatic exposure.
+    """Automatic exposure control from the histogram of the last image.
+
+    The "bright end" of the histogram is the count below which a fraction `share` of pixels lies.
 
     Attributes
     ----------
     level
-        Target of the bright end of the histogram, over full scale.
+        Target for the bright end of the histogram, as a fraction of full scale.
     share
         Fraction of the pixels that are darker than the bright end.
     shortest, longest
         Limits of the exposure time, s.
-    most_change
+    max_change_factor
         Maximum factor between consecutive exposure times.
     """
 
@@ -31,7 +33,7 @@ class ExposureControl:
     share: float = 0.995
     shortest: float = 1e-5
     longest: float = 0.05
-    most_change: float = 8.0
+    max_change_factor: float = 8.0
 
     def __post_init__(self) -> None:
         check_types("camera.exposure_control", self)
@@ -44,11 +46,13 @@ class ExposureControl:
             raise InputError(
                 "camera.exposure_bounds", bounds, "must be two positive times, shortest first"
             )
-        if not 1.0 < self.most_change < np.inf:
-            raise InputError("camera.exposure_change", self.most_change, "must be above 1")
+        if not 1.0 < self.max_change_factor < np.inf:
+            raise InputError("camera.exposure_change", self.max_change_factor, "must be above 1")
 
-    def after(self, counts: NDArray[np.unsignedinteger[Any]], bits: int, exposure: float) -> float:
-        """Return the exposure time (s) of the next image.
+    def next_exposure(
+        self, counts: NDArray[np.unsignedinteger[Any]], bits: int, exposure: float
+    ) -> float:
+        """Return the exposure time (s) of the next image from the histogram of the last.
 
         If the bright end is saturated, the time is reduced by the maximum factor. A black image is
         followed by the maximum increase.
@@ -66,5 +70,5 @@ class ExposureControl:
         histogram = np.bincount(counts.ravel(), minlength=top + 1)
         bright = int(np.searchsorted(np.cumsum(histogram), self.share * counts.size))
         factor = self.level * top / max(bright, 0.5) if bright < top else 0.0
-        factor = float(np.clip(factor, 1.0 / self.most_change, self.most_change))
+        factor = float(np.clip(factor, 1.0 / self.max_change_factor, self.max_change_factor))
         return float(np.clip(factor * exposure, self.shortest, self.longest))

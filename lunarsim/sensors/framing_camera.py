@@ -18,7 +18,7 @@ from lunarsim.sensors.exposure_control import ExposureControl
 
 @dataclass(frozen=True)
 class FramingCamera:
-    """A framing camera on a gimbal, with optional automatic exposure."""
+    """Settings of a framing camera on a gimbal, with optional automatic exposure."""
 
     width: int = quantity(640, ge=1, le=8192, help="width of the image in pixels")
     height: int = quantity(480, ge=1, le=8192, help="height of the image in pixels")
@@ -30,68 +30,86 @@ class FramingCamera:
         2e-3, "s", gt=0, le=100, help="exposure time (of the first image with auto exposure)"
     )
     sensitivity: float = quantity(
-        5e7, "e-/s", gt=0, le=1e15, help="electrons per second in a pixel at I/F = 1"
+        5e7,
+        "e-/s",
+        gt=0,
+        le=1e15,
+        help="electrons per second in a pixel at radiance factor I/F = 1",
     )
-    blur_sigma: float = quantity(0.6, "px", ge=0, le=20, help="point spread, 1 sigma")
-    motion_blur: bool = quantity(True, help="whether rotation blurs the image")
+    blur_sigma: float = quantity(
+        0.6, "px", ge=0, le=20, help="standard deviation of the point spread function"
+    )
+    motion_blur: bool = quantity(True, help="whether rotation of the lander blurs the image")
     shot_noise: bool = quantity(True, help="whether photon shot noise is simulated")
-    read_noise: float = quantity(12.0, "e-", ge=0, le=1e6, help="read noise, 1 sigma")
+    read_noise: float = quantity(
+        12.0, "e-", ge=0, le=1e6, help="read noise of the detector, 1 sigma"
+    )
     full_well: float = quantity(
         20_000.0, "e-", ge=1, le=1e9, help="electrons that saturate a pixel"
     )
     bits: int = quantity(8, ge=1, le=16, help="bits of the analog-to-digital converter")
     gain: float = quantity(
-        1.0, gt=0, le=100, help="amplifier gain; at 1 the full well is full scale"
+        1.0, gt=0, le=100, help="amplifier gain; at 1, a pixel at full well gives the maximum count"
     )
     vignetting: float = quantity(
-        0.0, ge=0, le=10, help="exponent of the cosine falloff; 0: none, 4: natural"
+        0.0,
+        ge=0,
+        le=10,
+        help="exponent of the cosine law of light falloff; 0: no falloff, 4: natural law",
     )
     stray_light: float = quantity(
         0.0, ge=0, le=0.5, help="fraction of the light spread uniformly over the image"
     )
-    hot_pixels: float = quantity(0.0, ge=0, le=0.1, help="fraction of hot pixels")
+    hot_pixels: float = quantity(
+        0.0, ge=0, le=0.1, help="fraction of pixels with high dark current"
+    )
     hot_current: float = quantity(
         2e5, "e-/s", ge=0, le=1e12, help="mean dark current of hot pixels"
     )
     shutter: Literal["global", "rolling"] = quantity(
-        "global", help="shutter: all lines at once, or one after another"
+        "global", help="shutter type; global: all lines at once; rolling: one after another"
     )
     line_time: float = quantity(
         2e-5, "s", ge=0, le=1e-2, help="time between lines of a rolling shutter"
     )
-    antialias: int = quantity(1, ge=1, le=4, help="rays along each side of a pixel")
+    antialias: int = quantity(
+        1, ge=1, le=4, help="antialiasing: rays along each side of a pixel, which are averaged"
+    )
     exposure_control: Literal["fixed", "auto"] = quantity(
         "fixed", help="exposure mode; auto: from the histogram of the last image"
     )
     exposure_level: float = quantity(
-        0.8, gt=0, lt=1, help="auto exposure: bright end of the histogram over full scale"
+        0.8,
+        gt=0,
+        lt=1,
+        help="auto exposure: fraction of full scale for the bright end of the histogram",
     )
-    exposure_shortest: float = quantity(
+    exposure_min: float = quantity(
         1e-5, "s", gt=0, le=10, help="auto exposure: minimum exposure time"
     )
-    exposure_longest: float = quantity(
+    exposure_max: float = quantity(
         0.05, "s", gt=0, le=10, help="auto exposure: maximum exposure time"
     )
     gimbal_limit: float = quantity(
         180.0, "deg", gt=0, le=180, help="maximum angle of the boresight from body -z"
     )
 
-    gives: ClassVar[type] = CameraImage
-    tasked: ClassVar[bool] = True
+    measurement_type: ClassVar[type] = CameraImage
+    is_tasked: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
-        if self.exposure_shortest > self.exposure_longest:
+        if self.exposure_min > self.exposure_max:
             raise InputError(
-                "exposure_shortest", self.exposure_shortest,
-                f"must be at most exposure_longest_s, {self.exposure_longest:g} s",
+                "exposure_min", self.exposure_min,
+                f"must be at most exposure_max_s, {self.exposure_max:g} s",
             )  # fmt: skip
         try:
             self.camera()
         except InputError as error:
-            raise error.renamed(error.field.removeprefix("camera.")) from None
+            raise error.with_field(error.field.removeprefix("camera.")) from None
 
     def camera(self) -> Camera:
-        """Return the camera without automatic exposure."""
+        """Return the camera with these settings, without automatic exposure."""
         return Camera.with_field_of_view(
             self.width, self.height, float(np.rad2deg(self.field_of_view)),
             distortion=self.distortion, exposure=self.exposure, sensitivity=self.sensitivity,
@@ -103,20 +121,23 @@ class FramingCamera:
         )  # fmt: skip
 
     def build(self, rng: np.random.Generator, step: float) -> Camera | AutoExposureCamera:
-        """Return the camera of one flight, with hot pixels drawn for it."""
+        """Return the camera of one flight; its hot pixels come from `rng`.
+
+        `step`, the integration step, is not used.
+        """
         camera = self.camera()
         if self.hot_pixels > 0.0:
             camera = replace(camera, detector_seed=int(rng.integers(2**31)))
         if self.exposure_control == "fixed":
             return camera
         control = ExposureControl(
-            level=self.exposure_level, shortest=self.exposure_shortest,
-            longest=self.exposure_longest,
+            level=self.exposure_level, shortest=self.exposure_min,
+            longest=self.exposure_max,
         )  # fmt: skip
         return AutoExposureCamera(camera, control)
 
     def calibration(self) -> CameraInstrument:
-        """Return what the onboard computer knows of the camera."""
+        """Return the calibration: what the onboard computer knows of the camera."""
         camera = self.camera()
         half = 0.5 * min(self.width / camera.fx, self.height / camera.fy)
         return CameraInstrument(self.gimbal_limit, self.blur_sigma, 1.0 / camera.fx, half)

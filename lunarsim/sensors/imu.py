@@ -20,30 +20,32 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class ImuSettings:
-    """Gyroscopes and accelerometers, sampled at every step of the simulation.
+    """Settings of an inertial measurement unit, sampled at every simulation step.
 
     The default errors are those of a tactical-grade unit.
     """
 
-    gyroscopes: TriadErrors = quantity(TACTICAL_GYROSCOPES, help="errors of the gyroscopes, in rad")
+    gyroscopes: TriadErrors = quantity(
+        TACTICAL_GYROSCOPES, help="errors of the gyroscopes; unit u of the errors is rad"
+    )
     accelerometers: TriadErrors = quantity(
-        TACTICAL_ACCELEROMETERS, help="errors of the accelerometers, in m/s"
+        TACTICAL_ACCELEROMETERS, help="errors of the accelerometers; unit u of the errors is m/s"
     )
 
-    gives: ClassVar[type] = InertialSamples
-    tasked: ClassVar[bool] = False
+    measurement_type: ClassVar[type] = InertialSamples
+    is_tasked: ClassVar[bool] = False
 
     def build(self, rng: np.random.Generator, step: float) -> Imu:
-        """Return the unit of one flight, with constant errors drawn for it."""
+        """Return the unit of one flight; errors come from `rng`."""
         return Imu(rng, 1.0 / step, self.gyroscopes, self.accelerometers)
 
     def calibration(self) -> InertialInstrument:
-        """Return what the onboard computer knows of the unit."""
+        """Return the calibration: what the onboard computer knows of the unit."""
         return InertialInstrument(self.gyroscopes, self.accelerometers)
 
 
 class _Triad:
-    """Three axes with constant errors drawn once, and a bias with a random walk."""
+    """Three orthogonal gyroscopes or accelerometers with their simulated errors."""
 
     def __init__(self, errors: TriadErrors, step: float, rng: np.random.Generator) -> None:
         self.errors = errors
@@ -56,7 +58,7 @@ class _Triad:
         self.remainder = np.zeros(3)
 
     def offsets(self, n: int) -> Array:
-        """Return the additive errors of the next n increments (n, 3)."""
+        """Sample the additive errors (n, 3), bias and noise, of the next n increments."""
         e, dt = self.errors, self.step
         walk = e.bias_walk * np.sqrt(dt) * self.rng.standard_normal((n, 3))
         noise = e.random_walk * np.sqrt(dt) * self.rng.standard_normal((n, 3))
@@ -65,7 +67,7 @@ class _Triad:
         return np.asarray(bias * dt + noise)
 
     def increments(self, truth: Array) -> Array:
-        """Return measured increments (n, 3) for true increments (n, 3)."""
+        """Return measured increments (n, 3) for true increments (n, 3), rad or m/s."""
         return np.asarray(
             kernels.sample_increments(
                 np.ascontiguousarray(truth), self.matrix, self.offsets(len(truth)),
@@ -75,7 +77,7 @@ class _Triad:
 
 
 class Imu:
-    """Gyroscopes and accelerometers of one flight.
+    """Simulated inertial measurement unit of one flight.
 
     Parameters
     ----------
@@ -84,7 +86,7 @@ class Imu:
     rate
         Sampling rate, Hz.
     gyroscopes, accelerometers
-        Their errors; omitted: a tactical-grade unit.
+        Error parameters; omitted: a tactical-grade unit.
     """
 
     def __init__(
@@ -102,7 +104,7 @@ class Imu:
         self.accelerometers = _Triad(accelerometers, self.step, second)
 
     def measure(self, rate: ArrayLike, specific_force: ArrayLike) -> tuple[Array, Array]:
-        """Return the measured increments of consecutive samples.
+        """Measure angle and velocity increments of consecutive samples.
 
         Parameters
         ----------
@@ -128,17 +130,17 @@ class Imu:
         velocity = self.accelerometers.increments(force * self.step)
         return angle.reshape(shape), velocity.reshape(shape)
 
-    def sense(
+    def sample_trajectory(
         self, rows: Array, step: float, gravity: float, time: float, angle: Array | None = None
     ) -> InertialSamples:
-        """Return the samples along a true trajectory.
+        """Measure angle and velocity increments along a true trajectory.
 
         Parameters
         ----------
         rows
             State vectors (n + 1, 15); the first is the state before the first sample.
         step
-            Time between states, s; that of the unit.
+            Time between states, s, which must be the sampling time of the unit.
         gravity
             Downward acceleration, m/s^2.
         time

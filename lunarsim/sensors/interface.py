@@ -12,7 +12,7 @@ from lunarsim.world import World
 
 
 class Sensor(Protocol):
-    """Interface of sensors, which convert the truth to a measurement with noise."""
+    """Interface of simulated sensors, which measure the true world with errors."""
 
     def measure(
         self,
@@ -22,7 +22,7 @@ class Sensor(Protocol):
         rng: np.random.Generator,
         mount: NDArray[np.float64] | None = None,
     ) -> Any:
-        """Return one measurement.
+        """Return one measurement of the true world.
 
         Parameters
         ----------
@@ -37,22 +37,22 @@ class Sensor(Protocol):
 
 
 class SensorPart(Protocol):
-    """Interface of sensor parts: frozen dataclasses of sensor parameters.
+    """Interface of sensor settings: frozen dataclasses that a scenario selects.
 
-    A part with state between measurements also has a method ``build(rng, step) -> Sensor``; a part
-    without it is itself the sensor.
+    Settings of a sensor with state between measurements also have a method
+    ``build(rng, step) -> Sensor``; settings without `build` are themselves the sensor.
 
     Attributes
     ----------
-    gives
-        Type of its measurements.
-    tasked
-        Whether it measures only when tasked; otherwise it measures once per control cycle.
+    measurement_type
+        Type of the measurements.
+    is_tasked
+        Whether the sensor measures only on request; otherwise it measures every control cycle.
     """
 
-    gives: ClassVar[type]
-    tasked: ClassVar[bool]
+    measurement_type: ClassVar[type]
+    is_tasked: ClassVar[bool]
 
     def calibration(self) -> Any:
-        """Return what the onboard computer knows of the sensor and its gimbal."""
+        """Return the calibration: what the onboard computer knows of sensor and gimbal."""
         ...

@@ -26,7 +26,7 @@ _MAX_PIXELS = 2**22
 
 @dataclass(frozen=True)
 class FlashLidar:
-    """A flash LiDAR with pixels uniform in the angle or in its tangent.
+    """Settings of a flash LiDAR, which measures all pixels' ranges at one instant.
 
     Defaults are those of section IV.B of the Gaussian DEM paper: 256 x 256 pixels that cover
     100 x 100 m from 500 m vertically above, noise along each ray with 3 sigma = 5 cm at 500 m,
@@ -42,20 +42,22 @@ class FlashLidar:
         Half angle of the beam at 1/e^2 of its peak, rad; 0: a line. The range is the mean over the
         footprint.
     range_sigma, boresight_sigma, latency_sigma
-        Standard deviations of errors that are constant over a flight, m, rad (per axis), s: drawn
-        for every flight, and stated in the calibration.
-    range_bias, boresight_off, late
-        Additional constant errors that the calibration does not state, m, rad, s.
+        Standard deviations of errors that are constant over a flight, m, rad (per axis), s. The
+        errors are sampled for every flight; the onboard computer knows the standard deviations.
+    range_bias, boresight_bias, latency_bias
+        Additional constant errors that are unknown to the onboard computer, m, rad, s.
     """
 
     rows: int = quantity(256, ge=2, le=4096, help="rows of the detector")
     cols: int = quantity(256, ge=2, le=4096, help="columns of the detector")
-    half_width: float = quantity(0.1, gt=0, lt=2, help="tangent of half the field of view")
+    half_fov_tangent: float = quantity(
+        0.1, gt=0, lt=2, help="tangent of half the field-of-view angle"
+    )
     noise_ratio: float = quantity(
-        0.05 / 3.0 / 500.0, ge=0, lt=0.1, help="range noise over range, 1 sigma"
+        0.05 / 3.0 / 500.0, ge=0, lt=0.1, help="standard deviation of the range noise over range"
     )
     max_range: float = quantity(2000.0, "m", gt=0, help="maximum range with a return")
-    spacing: Literal["tangent", "angle"] = quantity(
+    pixel_spacing: Literal["tangent", "angle"] = quantity(
         "tangent", help="quantity in which pixels are uniformly spaced (tangent: pinhole)"
     )
     max_incidence: float = quantity(
@@ -64,49 +66,57 @@ class FlashLidar:
     photons: float | None = quantity(
         None,
         gt=0,
-        help="mean photons of a return from 500 m at normal incidence; omitted: none is lost",
+        help="mean photons of a return from 500 m at normal incidence; omitted: no return is lost",
     )
     divergence: float = quantity(
-        0.0, "mrad", ge=0, lt=100, help="half angle of the beam at 1/e^2 of its peak"
+        0.0,
+        "mrad",
+        ge=0,
+        lt=100,
+        help="half angle of the laser beam at 1/e^2 of its peak intensity",
     )
     gimbal_limit: float = quantity(
         180.0, "deg", gt=0, le=180, help="maximum angle of the boresight from body -z"
     )
 
     range_sigma: float = quantity(
-        0.0, "m", ge=0, lt=10, help="constant range error, 1 sigma, stated in the calibration"
+        0.0, "m", ge=0, lt=10, help="constant range error, 1 sigma, known to the onboard computer"
     )
     boresight_sigma: float = quantity(
         0.0,
         "deg",
         ge=0,
         lt=5,
-        help="boresight misalignment, 1 sigma per axis, stated in the calibration",
+        help="constant boresight misalignment, 1 sigma per axis, known to the onboard computer",
     )
     latency_sigma: float = quantity(
-        0.0, "s", ge=0, lt=1, help="latency error, 1 sigma, stated in the calibration"
+        0.0,
+        "s",
+        ge=0,
+        lt=1,
+        help="constant error of the time stamp, 1 sigma, known to the onboard computer",
     )
     range_bias: float = quantity(
-        0.0, "m", ge=-10, le=10, help="additional range bias, not stated in the calibration"
+        0.0, "m", ge=-10, le=10, help="additional range bias, unknown to the onboard computer"
     )
-    boresight_off: float = quantity(
+    boresight_bias: float = quantity(
         0.0,
         "deg",
         ge=-5,
         le=5,
-        help="additional boresight bias about sensor x, not stated in the calibration",
+        help="additional boresight bias about sensor x, unknown to the onboard computer",
     )
-    late: float = quantity(
-        0.0, "s", ge=0, lt=1, help="additional latency bias, not stated in the calibration"
+    latency_bias: float = quantity(
+        0.0, "s", ge=0, lt=1, help="additional time stamp bias, unknown to the onboard computer"
     )
 
-    gives: ClassVar[type] = LidarScan
-    tasked: ClassVar[bool] = True
+    measurement_type: ClassVar[type] = LidarScan
+    is_tasked: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         check_bounds(self, "lidar")
-        if self.spacing not in {"tangent", "angle"}:
-            raise InputError("lidar.spacing", self.spacing, "must be tangent or angle")
+        if self.pixel_spacing not in {"tangent", "angle"}:
+            raise InputError("lidar.spacing", self.pixel_spacing, "must be tangent or angle")
         if self.rows * self.cols > _MAX_PIXELS:
             raise InputError(
                 "lidar.rows", self.rows,
@@ -115,29 +125,36 @@ class FlashLidar:
             )  # fmt: skip
 
     def build(self, rng: np.random.Generator, step: float) -> FlashLidar | BiasedLidar:
-        """Return the LiDAR of one flight."""
-        constant = (self.range_bias, self.boresight_off, self.late)
+        """Return the LiDAR of one flight; constant errors come from `rng`."""
+        constant = (self.range_bias, self.boresight_bias, self.latency_bias)
         stated = (self.range_sigma, self.boresight_sigma, self.latency_sigma)
         return BiasedLidar(self, rng) if any(np.ravel((*constant, *stated))) else self
 
     def calibration(self) -> LidarInstrument:
-        """Return what the onboard computer knows of the LiDAR."""
-        spread = self.half_width if self.spacing == "tangent" else np.arctan(self.half_width)
+        """Return the calibration: what the onboard computer knows of the LiDAR."""
+        spread = (
+            self.half_fov_tangent
+            if self.pixel_spacing == "tangent"
+            else np.arctan(self.half_fov_tangent)
+        )
         return LidarInstrument(
             self.gimbal_limit, self.range_sigma, self.boresight_sigma, self.latency_sigma,
-            2.0 * float(spread) / min(self.rows, self.cols), self.half_width, self.max_range,
+            2.0 * float(spread) / min(self.rows, self.cols), self.half_fov_tangent, self.max_range,
             self.max_incidence,
         )  # fmt: skip
 
     def directions(self) -> Array:
-        """Return the unit vectors of the pixels (rows * cols, 3), sensor frame."""
+        """Return the viewing directions (rows * cols, 3) of the pixels, sensor frame.
+
+        They are unit vectors, row by row.
+        """
         u = (np.arange(self.cols) + 0.5) / self.cols * 2.0 - 1.0
         v = (np.arange(self.rows) + 0.5) / self.rows * 2.0 - 1.0
-        if self.spacing == "angle":
-            half = np.arctan(self.half_width)
+        if self.pixel_spacing == "angle":
+            half = np.arctan(self.half_fov_tangent)
             u, v = np.tan(u * half), np.tan(v * half)
         else:
-            u, v = u * self.half_width, v * self.half_width
+            u, v = u * self.half_fov_tangent, v * self.half_fov_tangent
         uu, vv = np.meshgrid(u, v)
         rays = np.stack((uu, vv, np.ones_like(uu)), axis=-1).reshape(-1, 3)
         return np.asarray(rays / np.linalg.norm(rays, axis=1, keepdims=True))
@@ -150,7 +167,7 @@ class FlashLidar:
         rng: np.random.Generator,
         mount: Array | None = None,
     ) -> LidarScan:
-        """Return one scan.
+        """Measure the ranges of all pixels in one flash, without constant errors.
 
         Parameters
         ----------
@@ -172,9 +189,10 @@ class FlashLidar:
     def _sense(
         self, world: World, origin: Array, rays: Array, rng: np.random.Generator
     ) -> tuple[Array, Array]:
-        """Return the measured ranges of rays (n, 3), ENU, and their stated sigmas.
+        """Return the measured ranges (n,) of rays and their standard deviations (n,), m.
 
-        `origin` is (3,) for all rays or (n, 3).
+        `rays` (n, 3) are unit vectors, ENU, and `origin` is their start, (3,) or (n, 3), m. Both
+        results are NaN without a return.
         """
         hits = world.terrain.cast(origin, rays, self.max_range)
         true = (
@@ -196,8 +214,10 @@ class FlashLidar:
         return measured, sigma
 
     def _average_over_beam(self, world: World, origin: Array, rays: Array, centre: Array) -> Array:
-        """Return the mean range over the beam's footprint; NaN if its centre misses.
+        """Return the mean range (n,), m, over the footprint of each beam; NaN: miss.
 
+        `origin` and `rays` are the start and the unit vectors (n, 3) of the beams, ENU; `centre`
+        (n,) are the ranges of the beam centres, m.
         Seven rays, the centre and a hexagon, have the second moments of a Gaussian beam.
         """
         across = np.cross(
@@ -219,14 +239,14 @@ class FlashLidar:
 
 
 class BiasedLidar:
-    """A LiDAR with errors that are constant over a flight.
+    """Simulated LiDAR of one flight, with constant errors.
 
     Parameters
     ----------
     params
         Parameters of the LiDAR.
     rng
-        Source of its errors.
+        Source of the constant errors.
 
     Attributes
     ----------
@@ -235,15 +255,15 @@ class BiasedLidar:
     boresight
         Small rotation between the sensor and the reported mounting (3,), sensor axes, rad.
     latency
-        Time of the true flash before the reported time, s.
+        Reported time minus true time of a flash, s.
     """
 
     def __init__(self, params: FlashLidar, rng: np.random.Generator) -> None:
         f, drawn = params, rng.standard_normal(5)
         self.params = params
         self.range_bias = f.range_bias + f.range_sigma * float(drawn[0])
-        self.boresight = f.boresight_sigma * drawn[1:4] + [f.boresight_off, 0.0, 0.0]
-        self.latency = f.late + f.latency_sigma * float(drawn[4])
+        self.boresight = f.boresight_sigma * drawn[1:4] + [f.boresight_bias, 0.0, 0.0]
+        self.latency = f.latency_bias + f.latency_sigma * float(drawn[4])
 
     def measure(
         self,
@@ -253,7 +273,11 @@ class BiasedLidar:
         rng: np.random.Generator,
         mount: Array | None = None,
     ) -> LidarScan:
-        """Return one scan; the lander's motion is assumed constant over the latency."""
+        """Measure the ranges of all pixels in one flash, with noise and constant errors.
+
+        `state` is the true state at the reported `time`, s, and `mount` (3, 3) the reported
+        rotation, sensor to body. The lander's motion is assumed constant over the latency.
+        """
         used_mount = DOWNWARD_MOUNT if mount is None else mount
         aim = quat_to_matrix(quat_from_rotation_vector(self.boresight))
         turn = quat_from_rotation_vector(-self.latency * np.asarray(state.rate))

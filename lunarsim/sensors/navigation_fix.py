@@ -19,19 +19,21 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class NavigationFixErrors:
-    """Fixes of position, velocity and attitude with errors of a given budget.
+    """Settings of an external navigation system, described by its error budget.
+
+    The system measures ("fixes") position, velocity and attitude.
 
     Attributes
     ----------
     position_bias
-        Offset of the position from the map, constant over a flight, m.
+        Standard deviation of the position error that is constant over a flight, m.
     position_drift, drift_time
-        Gauss-Markov drift, m, and its time constant, s: zero at the first fix, it grows to the
-        stated standard deviation.
+        Standard deviation of the Gauss-Markov position drift, m, and its time constant, s. The
+        drift is zero at the first fix and grows to this standard deviation.
     velocity
-        Gauss-Markov velocity error with the same time constant, m/s.
+        Standard deviation of the Gauss-Markov velocity error with the same time constant, m/s.
     attitude
-        Misalignment, constant over a flight, rad.
+        Standard deviation of the misalignment that is constant over a flight, rad.
     """
 
     position_bias: float = quantity(
@@ -46,25 +48,25 @@ class NavigationFixErrors:
     )
     attitude: float = quantity(0.03, "deg", ge=0, help="constant attitude error, 1 sigma per axis")
 
-    gives: ClassVar[type] = NavigationFix
-    tasked: ClassVar[bool] = False
+    measurement_type: ClassVar[type] = NavigationFix
+    is_tasked: ClassVar[bool] = False
 
     def build(self, rng: np.random.Generator, step: float) -> NavigationFixSource:
-        """Return the instrument of one flight."""
+        """Return the simulated system of one flight; constant errors come from `rng`."""
         return NavigationFixSource(self, rng)
 
     def calibration(self) -> None:
-        """Return None: every fix includes its covariance."""
+        """Return None: there is no calibration, because every fix includes its covariance."""
 
     def __post_init__(self) -> None:
         check_bounds(self, "navigation")
 
 
 class NavigationFixSource:
-    """Source of the true state with errors of a given budget.
+    """Simulated external navigation system of one flight: true state plus errors.
 
-    Hazard maps use the estimated frame, so that the constant bias displaces map and lander
-    together. Only the drift since a scan displaces the touchdown on the map.
+    Hazard maps use the estimated frame, so that the constant position error displaces map and
+    lander together. Only the drift since a scan displaces the touchdown on the map.
 
     Parameters
     ----------
@@ -92,7 +94,11 @@ class NavigationFixSource:
         rng: np.random.Generator,
         mount: Array | None = None,
     ) -> NavigationFix:
-        """Return truth plus errors at `time`, which must not decrease between calls."""
+        """Return the true position, velocity and attitude plus errors.
+
+        `state` is the true state at `time`, s, which must not decrease between calls; `rng` is the
+        source of the drift. `world` and `mount` are not used.
+        """
         b = self.budget
         if self._time is not None and time > self._time:
             keep = np.exp(-(time - self._time) / b.drift_time)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True)
 class RenderedImage:
-    """A rendered view.
+    """Rendered image: radiance factor and, if requested, geometry of every pixel.
 
     Attributes
     ----------
@@ -21,7 +21,8 @@ class RenderedImage:
     normal
         Unit surface normal (height, width, 3), ENU; NaN for the sky; None unless requested.
     identity
-        Index of the rock (height, width); -1 for relief, -2 for the sky; None unless requested.
+        Index of the visible rock (height, width); -1 for relief, -2 for the sky; None unless
+        requested.
     """
 
     radiance: NDArray[np.float32]

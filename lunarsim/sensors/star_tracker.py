@@ -20,54 +20,63 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class StarTracker:
-    """A star tracker fixed to the body.
+    """Settings of a star tracker fixed to the body.
 
     The defaults are typical of small flight-proven trackers: 5 arc seconds across the boresight
     and 55 about it, at up to 3 deg/s.
     """
 
     boresight: tuple[float, float, float] = quantity(
-        (0.0, 0.6, 0.8), help="boresight, unit vector in body axes"
+        (0.0, 0.6, 0.8), help="direction in which the star tracker points, body axes"
     )
-    across: float = quantity(0.0014, "deg", gt=0, help="noise across the boresight, 1 sigma")
-    about: float = quantity(0.0153, "deg", gt=0, help="noise about the boresight, 1 sigma")
+    cross_boresight_noise: float = quantity(
+        0.0014, "deg", gt=0, help="attitude noise about axes across the boresight, 1 sigma"
+    )
+    roll_noise: float = quantity(
+        0.0153, "deg", gt=0, help="attitude noise about the boresight, 1 sigma"
+    )
     misalignment: float = quantity(
-        0.005, "deg", ge=0, help="constant misalignment, 1 sigma per axis"
+        0.005, "deg", ge=0, help="constant misalignment of the star tracker, 1 sigma per axis"
     )
-    max_rate: float = quantity(
+    max_angular_rate: float = quantity(
         3.0, "deg/s", gt=0, help="maximum angular rate at which stars are tracked"
     )
-    ground_angle: float = quantity(
+    min_elevation: float = quantity(
         20.0, "deg", ge=0, le=90, help="minimum elevation of the boresight above the horizon"
     )
-    sun_angle: float = quantity(
+    sun_exclusion_angle: float = quantity(
         30.0, "deg", ge=0, le=90, help="minimum angle between boresight and Sun"
     )
 
-    gives: ClassVar[type] = AttitudeReading
-    tasked: ClassVar[bool] = False
+    measurement_type: ClassVar[type] = AttitudeReading
+    is_tasked: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
         check_direction("star_tracker.boresight", self.boresight)
         check_bounds(self, "star_tracker")
 
     def build(self, rng: np.random.Generator, step: float) -> MisalignedStarTracker:
-        """Return the tracker of one flight."""
+        """Return the tracker of one flight; its misalignment comes from `rng`."""
         return MisalignedStarTracker(self, rng)
 
     def calibration(self) -> StarTrackerInstrument:
-        """Return what the onboard computer knows of the tracker."""
+        """Return the calibration: what the onboard computer knows of the tracker."""
         return StarTrackerInstrument(self.misalignment)
 
     def covariance(self) -> Array:
-        """Return the noise covariance (3, 3) of the small rotation in body axes, rad^2."""
+        """Return the covariance (3, 3), rad^2, of the attitude noise.
+
+        The noise is a small rotation in body axes.
+        """
         b = np.asarray(self.boresight)
         along = np.outer(b, b)
-        return np.asarray(self.across**2 * (np.eye(3) - along) + self.about**2 * along)
+        return np.asarray(
+            self.cross_boresight_noise**2 * (np.eye(3) - along) + self.roll_noise**2 * along
+        )
 
 
 class MisalignedStarTracker:
-    """A star tracker with the misalignment of one flight.
+    """Simulated star tracker of one flight, with a constant misalignment.
 
     Parameters
     ----------
@@ -91,7 +100,11 @@ class MisalignedStarTracker:
         rng: np.random.Generator,
         mount: Array | None = None,
     ) -> AttitudeReading:
-        """Return one reading; random numbers are drawn even if no stars are visible."""
+        """Measure the attitude with misalignment and noise; NaN if no stars are visible.
+
+        `state` is the true state at `time`, s. Random numbers are drawn from `rng` even if no stars
+        are visible. `mount` is not used.
+        """
         turn = self._misalignment + self._spread @ rng.standard_normal(3)
         if not self._has_stars(world, state):
             return AttitudeReading(time, np.full(4, np.nan), np.full((3, 3), np.nan))
@@ -103,7 +116,7 @@ class MisalignedStarTracker:
         axis = quat_rotate(state.attitude, f.boresight)
         away = np.arccos(np.clip(axis @ world.light.direction, -1.0, 1.0))
         return bool(
-            np.linalg.norm(state.rate) <= f.max_rate
-            and axis[2] >= np.sin(f.ground_angle)
-            and away >= f.sun_angle
+            np.linalg.norm(state.rate) <= f.max_angular_rate
+            and axis[2] >= np.sin(f.min_elevation)
+            and away >= f.sun_exclusion_angle
         )

@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class DopplerVelocimeter:
-    """Beams on a cone around body -z, uniform in azimuth.
+    """Settings of a Doppler velocimeter with beams on a cone around body -z.
 
     The defaults are typical of a coherent Doppler lidar such as NASA's Navigation Doppler Lidar: a
     few centimetres per second and a few metres from more than 5 km (Amzajerdian et al.,
@@ -28,9 +28,10 @@ class DopplerVelocimeter:
 
     Attributes
     ----------
-    speed_bias, speed_wander
-        Standard deviation of each beam's initial speed bias, m/s, and of its random walk after one
-        second, m/s: drawn for every flight, and stated in the calibration.
+    speed_bias, speed_random_walk
+        Standard deviation of each beam's initial speed bias, m/s, and of the bias's random walk
+        in one second, m/s. The true bias is sampled for every flight; the navigation filter knows
+        the standard deviations from the calibration.
     """
 
     beams: int = quantity(
@@ -43,14 +44,14 @@ class DopplerVelocimeter:
         "m/s",
         ge=0,
         lt=10,
-        help="initial speed bias per beam, 1 sigma, stated in the calibration",
+        help="initial speed bias per beam, 1 sigma, known to the navigation filter",
     )
-    speed_wander: float = quantity(
+    speed_random_walk: float = quantity(
         0.005,
         "m/s",
         ge=0,
         lt=10,
-        help="random walk of the speed bias in 1 s, 1 sigma, stated in the calibration",
+        help="random walk of the speed bias in 1 s, 1 sigma, known to the navigation filter",
     )
     range_noise: float = quantity(2.0, "m", gt=0, help="range noise per beam, 1 sigma")
     max_range: float = quantity(5000.0, "m", gt=0, help="maximum range with a return")
@@ -58,14 +59,14 @@ class DopplerVelocimeter:
         75.0, "deg", gt=0, le=90, help="maximum angle of beam and surface normal with a return"
     )
 
-    gives: ClassVar[type] = DopplerReading
-    tasked: ClassVar[bool] = False
+    measurement_type: ClassVar[type] = DopplerReading
+    is_tasked: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
         check_bounds(self, "velocimeter")
 
     def build(self, rng: np.random.Generator, step: float) -> BiasedVelocimeter:
-        """Return the velocimeter of one flight."""
+        """Return the velocimeter of one flight; speed biases come from `rng`."""
         return BiasedVelocimeter(self, rng)
 
     def directions(self) -> Array:
@@ -77,9 +78,9 @@ class DopplerVelocimeter:
         )
 
     def calibration(self) -> VelocimeterInstrument:
-        """Return what the onboard computer knows of the velocimeter."""
+        """Return the calibration: what the onboard computer knows of the velocimeter."""
         beams = tuple((float(x), float(y), float(z)) for x, y, z in self.directions())
-        return VelocimeterInstrument(beams, self.speed_bias, self.speed_wander)
+        return VelocimeterInstrument(beams, self.speed_bias, self.speed_random_walk)
 
     def measure(
         self,
@@ -89,7 +90,10 @@ class DopplerVelocimeter:
         rng: np.random.Generator,
         mount: Array | None = None,
     ) -> DopplerReading:
-        """Return one reading; random numbers are drawn even without a return."""
+        """Measure radial speed and slant range along each beam, with noise but no bias.
+
+        Random numbers are drawn from `rng` even without a return. `mount` is not used.
+        """
         noise = rng.standard_normal((2, self.beams))
         beams = quat_rotate(state.attitude, self.directions())
         hit = world.cast(state.position, beams, self.max_range)
@@ -107,7 +111,7 @@ class DopplerVelocimeter:
 
 
 class BiasedVelocimeter:
-    """A velocimeter with the speed biases of one flight.
+    """Simulated velocimeter of one flight, with a speed bias in each beam.
 
     Parameters
     ----------
@@ -135,10 +139,13 @@ class BiasedVelocimeter:
         rng: np.random.Generator,
         mount: Array | None = None,
     ) -> DopplerReading:
-        """Return one reading."""
+        """Measure radial speed and slant range along each beam, with noise and bias.
+
+        `state` is the true state at `time`, s; `mount` is not used.
+        """
         reading = self.params.measure(world, state, time, rng, mount)
         past = 0.0 if self._time is None else time - self._time
         self._time = time
-        step = self.params.speed_wander * np.sqrt(past)
+        step = self.params.speed_random_walk * np.sqrt(past)
         self.bias = self.bias + step * rng.standard_normal(self.params.beams)
         return replace(reading, speed=reading.speed + self.bias)

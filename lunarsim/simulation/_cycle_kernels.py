@@ -18,20 +18,24 @@ def fly_cycle_steps(
     loop, target, gains, known_inertia, torque_max,
     matrix, offsets, quantum, remainder,
 ):  # fmt: skip
-    """Advance y by `steps` steps with the attitude loop closed on gyroscopes.
+    """Advance the lander by one control cycle with the attitude loop on gyroscopes.
 
     Parameters
     ----------
     y
-        True state (15,).
+        True state (15,), changed in place: position, velocity, attitude, rate, mass, thrust.
     steps, dt
         Number of steps; length of a step, s.
     thrust, figures, inertia, rig
-        Thrust and parameters of the vehicle, as in `advance_body`.
+        Thrust, N; gravity, exhaust velocity, thrust lag, dry and wet mass (5,); principal moments
+        of inertia with empty and full tanks (2, 3), kg m^2; other vehicle parameters (21,).
     loop, target, gains, known_inertia, torque_max
-        State and parameters of the onboard attitude loop, as in `compute_torque`.
+        Onboard attitude loop: its state (10,) of estimated attitude, rate and torque; commanded
+        attitude (4,); natural frequency (rad/s), damping ratio and slew limit (rad/s); moments of
+        inertia (3,), kg m^2; maximum torques (3,), N m.
     matrix, offsets, quantum, remainder
-        Parameters of the gyroscopes, as in `quantize_increment`.
+        Gyroscopes: scale and misalignment (3, 3), error of each step's increment (steps, 3), rad;
+        resolution, rad; rounding remainder (3,), rad, changed in place.
 
     Returns
     -------

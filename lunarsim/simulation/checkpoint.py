@@ -34,11 +34,11 @@ _EXTERNAL_MODULES = {
 
 
 class CheckpointError(Exception):
-    """The simulation contains an object that cannot be copied reliably."""
+    """Error: a simulation contains an object that cannot be copied reliably."""
 
 
 class Checkpoint:
-    """Copy of a simulation at one moment.
+    """Copy of a running simulation at one moment, which can be resumed repeatedly.
 
     Parameters
     ----------
@@ -63,7 +63,7 @@ class Checkpoint:
         self._data = file.getbuffer()
 
     def resumed(self) -> Simulation:
-        """Return a new simulation in the state of the checkpoint."""
+        """Return a new simulation that continues from the checkpoint."""
         found = _Reader(io.BytesIO(self._data), self._shared).load()
         assert isinstance(found, Simulation)
         return found
@@ -77,7 +77,10 @@ class _Writer(pickle.Pickler):
         self._owners: dict[int, NDArray[Any]] = {}
 
     def persistent_id(self, one: Any) -> int | None:
-        """Return the index of a shared object; refuse objects of unknown packages."""
+        """Return the index of an object shared by all copies, or None for other objects.
+
+        Raise `PicklingError` for a class of an unknown package.
+        """
         if isinstance(one, type):
             package = one.__module__.partition(".")[0]
             if package not in _TRUSTED_PACKAGES and (
@@ -111,7 +114,10 @@ def _rebuild_view(
     root: NDArray[Any], shape: tuple[int, ...], dtype: Any, offset: int, strides: tuple[int, ...],
     writeable: bool,
 ) -> NDArray[Any]:  # fmt: skip
-    """Return an array view of the memory of another."""
+    """Return an array that is a view of the memory of the array `root`.
+
+    `shape` and `dtype` are those of the view; `offset` and `strides` are in bytes.
+    """
     flat = root if root.flags.c_contiguous else root.T
     made: NDArray[Any] = np.ndarray(shape, dtype, flat, offset, strides)
     if made.flags.writeable and not writeable:
@@ -125,5 +131,5 @@ class _Reader(pickle.Unpickler):
         self._shared = shared
 
     def persistent_load(self, place: int) -> Any:
-        """Return a shared object."""
+        """Return the object shared by all copies that has an index."""
         return self._shared[place]

@@ -28,15 +28,15 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class ControlCycleResult:
-    """Result of a control cycle.
+    """Measurements and commanded torques of one simulated control cycle.
 
     Attributes
     ----------
     measurements
         Measurements of the plant at the end of the cycle.
     torques
-        Commanded torque of the attitude loop at each step (n, 3), N m; empty with an ideal
-        actuator.
+        Commanded torque of the attitude loop at each integration step (n, 3), N m; empty with
+        ideal attitude control.
     """
 
     measurements: Measurements
@@ -44,8 +44,8 @@ class ControlCycleResult:
 
 
 def fly_cycle(plant: Plant, loop: AttitudeLoop, command: Command) -> ControlCycleResult:
-    """Advance the plant by one control cycle under a command."""
-    command = plant.throttled(command)
+    """Simulate one control cycle of vehicle and attitude loop under a command."""
+    command = plant.apply_throttle_faults(command)
     if not loop.law.torques:
         slew = loop.law.slew_limit  # type: ignore[attr-defined]
         history = plant.dynamics.advance_ideal(plant.state, command, slew, plant.steps)
@@ -72,7 +72,7 @@ def _fly_compiled(
 ) -> tuple[Array, Array, Array]:
     d, gyros = plant.dynamics, imu.gyroscopes
     history, increments, torques = k.fly_cycle_steps(
-        plant.state.as_vector(), plant.steps, d.step, d.thrust(thrust), d.figures, d.inertia,
+        plant.state.as_vector(), plant.steps, d.step, d.thrust(thrust), d.params, d.inertia,
         d.plain_rig, loop.state, loop.target, loop.gains, loop.inertia, loop.torque_max,
         gyros.matrix, gyros.offsets(plant.steps), gyros.errors.quantum, gyros.remainder,
     )  # fmt: skip
@@ -82,17 +82,21 @@ def _fly_compiled(
 def _fly_with_actuators(
     plant: Plant, loop: AttitudeLoop, imu: Imu, thrust: float
 ) -> tuple[Array, Array, Array]:
-    """Fly a vehicle with actuators: thrusters, gimbal and throttle."""
+    """Simulate one control cycle of a lander with thrusters, gimbal and throttle.
+
+    Return states (n, 15), gyroscope increments (n, 3), rad, and commanded torques (n, 3), N m,
+    after each integration step.
+    """
     actuators = plant.actuators
     if actuators is None or not isinstance(loop, JetLoop):
         raise TypeError("a lander with thrusters requires an attitude loop that commands firings")
-    throttle = actuators.throttled(thrust)
+    throttle = actuators.set_throttle(thrust)
 
     def advance(state: State) -> tuple[State, Array]:
-        due = loop.due
+        due = loop.is_due
         torque = loop.torque()
         if due:
-            actuators.order(loop.on_times, loop.gimbal)
+            actuators.command(loop.on_times, loop.gimbal)
         return actuators.advance(plant.dynamics, state, throttle), torque
 
     return _fly_stepwise(plant, loop, imu, advance)
@@ -114,9 +118,10 @@ def _fly_stepwise(
     imu: Imu,
     advance: Callable[[State], tuple[State, Array]],
 ) -> tuple[Array, Array, Array]:
-    """Return states, gyroscope increments and commanded torques, step by step.
+    """Simulate one control cycle in Python, one integration step at a time.
 
-    `advance` gets a torque from the loop, and returns the next state and the torque.
+    `advance` returns the state after a step and the torque that the attitude loop commands. Return
+    states (n, 15), gyroscope increments (n, 3), rad, and torques (n, 3), N m.
     """
     gyros = imu.gyroscopes
     offsets = gyros.offsets(plant.steps)
@@ -132,6 +137,6 @@ def _fly_stepwise(
         quantize_increment(
             turn, gyros.matrix, offsets[n], gyros.errors.quantum, gyros.remainder, increments[n]
         )
-        loop.take(increments[n])
+        loop.propagate(increments[n])
         history[n] = state.as_vector()
     return history, increments, torques

@@ -77,7 +77,7 @@ _TRUE_FRAME, _LOCAL_FRAME = (
     "local ENU, the frame of the onboard maps; subtract a map's navigation_error_m for true ENU",
 )
 FRAMES: dict[str, str] = {
-    "position, velocity, target, verdict": _TRUE_FRAME,
+    "position, velocity, target, outcome": _TRUE_FRAME,
     "estimated, site, decisions, scans, candidates, maps": _LOCAL_FRAME,
 }
 _SCAN_COLUMNS = ("x", "y", "z", "time")
@@ -91,7 +91,7 @@ _BOOLEAN_LAYERS = ("observed", "eligible", "in_domain")
 
 @dataclass
 class Flight:
-    """Record of one descent.
+    """Record of one simulated descent: trajectory, events, maps and outcome.
 
     Attributes
     ----------
@@ -101,39 +101,40 @@ class Flight:
         Root entropy and spawn key of the flight's seed sequence.
     policy
         Name of the policy.
-    verdict
+    outcome
         Landing outcome.
     target
         Target of the mission (3,), true frame, m.
     trajectory
-        Columns (n,) by name from cycle 0 on, as listed in `COLUMNS`; the site is that before the
-        decision of the cycle.
+        One value per control cycle (n,) of each column in `COLUMNS`, by name. The site is the one
+        before the decision of the cycle.
     decisions
         One dictionary per decision that changed the site.
     events
         One dictionary per event: time, name, details.
     maps
         Last map of each mapper that mapped anything, by name.
-    decided_on
+    decision_mapper
         Name of the mapper whose map the decisions used.
     first_map
         Navigation estimate when a map was first updated, or None; its covariance is not saved.
     scans
         LiDAR returns, local frame, and scan time (n, 4), thinned, float32.
     candidates
-        Sites at the last decision: local frame, p_safe, propellant (n, 5), float32.
+        Candidate sites of the last decision (n, 5), float32: position in the local frame, m,
+        probability of a safe landing, and propellant, kg.
     """
 
     scenario: str
     seed: dict[str, Any]
     policy: str
-    verdict: LandingOutcome
+    outcome: LandingOutcome
     target: Array
     trajectory: dict[str, Array]
     decisions: list[dict[str, Any]] = field(default_factory=list)
     events: list[dict[str, Any]] = field(default_factory=list)
     maps: dict[str, MapRecord] = field(default_factory=dict)
-    decided_on: str = ""
+    decision_mapper: str = ""
     first_map: Estimate | None = None
     scans: NDArray[np.float32] = field(default_factory=lambda: np.zeros((0, 4), np.float32))
     candidates: NDArray[np.float32] = field(default_factory=lambda: np.zeros((0, 5), np.float32))
@@ -146,45 +147,45 @@ class Flight:
 
     @property
     def hazard_map(self) -> HazardMap | None:
-        """The decision map, or None if it was never updated."""
-        record = self.maps.get(self.decided_on)
+        """Last hazard map of the mapper that decisions used; None if it has none."""
+        record = self.maps.get(self.decision_mapper)
         return None if record is None else record.hazard_map
 
     @property
     def map_error(self) -> Array:
-        """Local minus true coordinates of the decision map (3,), m."""
-        record = self.maps.get(self.decided_on)
+        """Local minus true coordinates (3,), m, of the map that decisions used."""
+        record = self.maps.get(self.decision_mapper)
         return np.zeros(3) if record is None else record.error
 
     @property
     def positions(self) -> Array:
-        """True positions (n, 3), m."""
+        """True position of the lander at each control cycle (n, 3), m."""
         return np.column_stack([self.trajectory[f"position_{a}"] for a in "xyz"])
 
     @property
     def sites(self) -> Array:
-        """Site before each cycle's decision (n, 3), local frame, m."""
+        """Landing site before the decision of each control cycle (n, 3), local frame, m."""
         return np.column_stack([self.trajectory[f"site_{a}"] for a in "xyz"])
 
     @property
     def propellant_used(self) -> float:
-        """Propellant used, kg."""
+        """Propellant used during the flight, kg."""
         mass = self.trajectory["mass"]
         return float(mass[0] - mass[-1])
 
     @property
     def duration(self) -> float:
-        """Flight time, s."""
+        """Duration of the flight, s."""
         return float(self.trajectory["time"][-1])
 
     @property
     def lost(self) -> bool:
-        """Whether navigation was lost at the end."""
+        """Whether navigation reported at the end of the flight that it was lost."""
         return bool(self.trajectory["lost"][-1])
 
     @property
-    def first_lost(self) -> float | None:
-        """Time at which navigation was first lost, s; None if never."""
+    def first_lost_time(self) -> float | None:
+        """Time at which navigation first reported that it was lost, s; None if never."""
         rows = np.flatnonzero(self.trajectory["lost"])
         return float(self.trajectory["time"][rows[0]]) if len(rows) else None
 
@@ -197,10 +198,12 @@ class Flight:
         return float(np.hypot(last[0] - first[0], last[1] - first[1]))
 
     def __str__(self) -> str:
-        outcome = self.verdict
+        outcome = self.outcome
         facts = self._facts()
         width = max(len(name) for name, _ in facts)
-        lines = ["landed safely" if outcome.safe else "not safe: " + ", ".join(outcome.failed)]
+        lines = [
+            "landed safely" if outcome.safe else "not safe: " + ", ".join(outcome.failure_causes)
+        ]
         lines += [f"  {name:{width}}  {value}" for name, value in facts]
         if self.decisions:
             lines.append("diverts (east, north in m; local frame):")
@@ -217,14 +220,14 @@ class Flight:
             ("propellant", f"{self.propellant_used:.1f} kg"),
             ("divert", f"{self.divert_distance:.1f} m"),
         ]
-        if self.first_lost is not None:
+        if self.first_lost_time is not None:
             end = "not recovered" if self.lost else "recovered later"
-            facts.append(("navigation", f"lost at {self.first_lost:.1f} s, {end}"))
+            facts.append(("navigation", f"lost at {self.first_lost_time:.1f} s, {end}"))
         facts += [
             (f"map {name!r}", words)
-            for name, words in map_remarks_by_mapper(self.maps, self.decided_on).items()
+            for name, words in map_remarks_by_mapper(self.maps, self.decision_mapper).items()
         ]
-        touchdown = self.verdict.touchdown
+        touchdown = self.outcome.touchdown
         if touchdown is not None:
             x, y = touchdown.position[:2]
             facts += [
@@ -241,19 +244,22 @@ class Flight:
     def plot(self) -> FlightFigures:
         """Plot descent, maps and touchdown; a notebook shows the three figures.
 
-        The world is drawn again from the scenario and the seed of the record.
+        The terrain is generated again from the scenario and the seed of the record.
 
         Raises
         ------
         InputError
-            If that is not possible, for instance because a raster file is missing.
+            If the terrain cannot be generated, for instance because a raster file is missing.
         """
         return lunarsim.plot_flight(self)
 
     # --- files ----------------------------------------------------------------------------
 
     def save(self, folder: str | Path) -> Path:
-        """Write the flight into `folder`, creating it; return the folder."""
+        """Write the record of the flight into `folder`; return the folder.
+
+        The folder is created if it does not exist.
+        """
         folder = Path(folder)
         folder.mkdir(parents=True, exist_ok=True)
         table = pa.table({name: self.trajectory[name] for name in COLUMNS})
@@ -283,14 +289,14 @@ class Flight:
             "seed": self.seed,
             "policy": self.policy,
             "target": _plain(self.target),
-            "verdict": _plain(asdict(self.verdict)),
+            "outcome": _plain(asdict(self.outcome)),
             "decisions": self.decisions,
             "events": self.events,
-            "decided_on": self.decided_on,
+            "decision_mapper": self.decision_mapper,
             "maps": list(self.maps),
             "first_map": None if first is None else _plain(asdict(first) | {"covariance": None}),
             "lost": self.lost,
-            "first_lost_s": self.first_lost,
+            "first_lost_s": self.first_lost_time,
             "propellant_used_kg": self.propellant_used,
             "divert_distance_m": self.divert_distance,
             "duration_s": self.duration,
@@ -298,7 +304,7 @@ class Flight:
 
     @classmethod
     def load(cls, folder: str | Path) -> Flight:
-        """Read a saved flight.
+        """Read the record of a flight from a folder that `save` has written.
 
         Raises
         ------
@@ -313,13 +319,13 @@ class Flight:
                 scenario=record["scenario"],
                 seed=record["seed"],
                 policy=record["policy"],
-                verdict=_landing_outcome(record["verdict"]),
+                outcome=_landing_outcome(record["outcome"]),
                 target=np.array(record["target"]),
                 trajectory=read_trajectory(folder, list(COLUMNS)),
                 decisions=record["decisions"],
                 events=record["events"],
                 maps={name: _load_map(name, folder) for name in record["maps"]},
-                decided_on=record["decided_on"],
+                decision_mapper=record["decision_mapper"],
                 first_map=None if first is None else _estimate(first),
                 scans=read_rows(folder, "scans", _SCAN_COLUMNS),
                 candidates=read_rows(folder, "candidates", _CANDIDATE_COLUMNS),
@@ -327,7 +333,7 @@ class Flight:
 
 
 def _plain(value: Any) -> Any:
-    """Return `value` with arrays as lists, for JSON."""
+    """Return nested data with NumPy arrays and numbers as lists and Python numbers."""
     if isinstance(value, dict):
         return {k: _plain(v) for k, v in value.items()}
     if isinstance(value, list | tuple):
@@ -343,7 +349,7 @@ def _landing_outcome(record: dict[str, Any]) -> LandingOutcome:
     touchdown = record["touchdown"]
     if touchdown is not None:
         touchdown = Touchdown(**touchdown | {"position": np.array(touchdown["position"])})
-    return LandingOutcome(record["safe"], tuple(record["failed"]), touchdown)
+    return LandingOutcome(record["safe"], tuple(record["failure_causes"]), touchdown)
 
 
 def _estimate(record: dict[str, Any]) -> Estimate:

@@ -56,7 +56,7 @@ class _Touchdown(BaseModel):
 
 class _OutcomeRecord(_StrictRecord):
     safe: bool
-    failed: list[str]
+    failure_causes: list[str]
     touchdown: _Touchdown | None
 
 
@@ -88,16 +88,16 @@ class _Estimate(_StrictRecord):
 
 
 class FlightRecord(_StrictRecord):
-    """Required content of ``flight.json``, with the keys of `flight.Flight`."""
+    """Required content of ``flight.json``, the main file of a recorded flight."""
 
     scenario: str
     seed: _Seed
     policy: str
     target: _Vector
-    verdict: _OutcomeRecord
+    outcome: _OutcomeRecord
     decisions: list[_Decision]
     events: list[_Event]
-    decided_on: str
+    decision_mapper: str
     maps: list[_Name]
     first_map: _Estimate | None
     digests: dict[str, str] = {}
@@ -105,7 +105,7 @@ class FlightRecord(_StrictRecord):
 
 @contextmanager
 def reading(path: Path) -> Iterator[None]:
-    """Turn any error while a file is read into one `InputError` that names the file."""
+    """Convert any error while a file is read into an `InputError` that names the file."""
     try:
         yield
     except Exception as error:  # the libraries raise many types on damaged files
@@ -115,7 +115,7 @@ def reading(path: Path) -> Iterator[None]:
 
 
 def _reason(error: Exception) -> str:
-    """Return the first line of an error, with the field it refers to."""
+    """Return the first line of an error's message, with the invalid field if known."""
     if isinstance(error, ValidationError):
         first = error.errors()[0]
         return f"{'.'.join(map(str, first['loc']))}: {first['msg']}"
@@ -134,7 +134,9 @@ def _damaged(path: Path, reason: str) -> InputError:
 
 
 def read_record(folder: Path) -> dict[str, Any]:
-    """Return the tables of ``flight.json``; the digests of all files must match.
+    """Read ``flight.json`` in a flight's folder, and check the digests of all files.
+
+    Return its content as nested dictionaries.
 
     Raises
     ------
@@ -157,13 +159,13 @@ def read_record(folder: Path) -> dict[str, Any]:
 
 
 def digest_of(path: Path) -> str:
-    """Return the digest of a file."""
+    """Return the SHA-256 digest of a file as hexadecimal text."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def _inside(folder: Path, path: Path) -> Path:
-    """Return a path; refuse one outside the folder."""
+    """Return a path if it is inside a folder; otherwise raise `ValueError`."""
     if not path.resolve().is_relative_to(folder.resolve()):
         raise ValueError("the path is outside the folder")
     return path
@@ -172,7 +174,7 @@ def _inside(folder: Path, path: Path) -> Path:
 def read_columns(
     folder: Path, path: Path, required: Sequence[str] | None = None, min_rows: int = 0
 ) -> dict[str, Array]:
-    """Read numeric columns of a Parquet file, each (n,).
+    """Read numeric columns (n,) of a Parquet file of a recorded flight, by name.
 
     Parameters
     ----------
@@ -207,7 +209,10 @@ def read_columns(
 
 
 def read_trajectory(folder: Path, names: Sequence[str]) -> dict[str, Array]:
-    """Read the columns of the trajectory (n,), which needs a row and finite times."""
+    """Read named columns (n,) of the trajectory in the folder of a recorded flight.
+
+    The trajectory must have at least one row and finite times.
+    """
     path = folder / "trajectory.parquet"
     found = read_columns(folder, path, names, min_rows=1)
     with reading(path):
@@ -217,7 +222,7 @@ def read_trajectory(folder: Path, names: Sequence[str]) -> dict[str, Array]:
 
 
 def read_rows(folder: Path, name: str, columns: Sequence[str]) -> NDArray[np.float32]:
-    """Read columns of a Parquet file as an array (n, columns)."""
+    """Read columns of the file ``NAME.parquet`` of a flight as an array (n, columns)."""
     found = read_columns(folder, folder / f"{name}.parquet", columns)
     return np.column_stack([found[c] for c in columns]).astype(np.float32)
 
@@ -225,7 +230,7 @@ def read_rows(folder: Path, name: str, columns: Sequence[str]) -> NDArray[np.flo
 def read_layers(
     folder: Path, path: Path, names: Sequence[str], flags: Sequence[str]
 ) -> tuple[Grid, dict[str, NDArray[Any]], Array]:
-    """Read grid, layers (rows, cols) and navigation error (3,) of a map.
+    """Read grid, layers (rows, cols) and navigation error (3,), m, of a hazard map.
 
     Parameters
     ----------
@@ -265,7 +270,10 @@ def read_layers(
 
 
 def _local_dataset(file: Any, name: str) -> Any:
-    """Return a dataset of an HDF5 file; refuse links and data in other files."""
+    """Return a dataset of an open HDF5 file.
+
+    Raise `ValueError` if the dataset links to another place or file.
+    """
     import h5py  # noqa: PLC0415  (loads slowly)
 
     link, dataset = file.get(name, getlink=True), file[name]

@@ -31,16 +31,16 @@ def camera_pointing_state(
     camera: Camera, world: World, target: tuple[float, float], altitude: float,
     off_nadir: float, heading: float,
 ) -> State:  # fmt: skip
-    """Return a state in which the camera points at the terrain at `target` (E, N; m).
+    """Return the state of a lander whose camera points at the terrain at `target`.
 
     Parameters
     ----------
     camera, world
-        Camera, and world that it sees.
+        Camera on the lander, and world that the camera sees.
     target
-        Centre of the image.
+        East and north coordinate of the image centre, m.
     altitude
-        Height of the camera above the terrain there, m.
+        Height of the camera above the terrain at the target, m.
     off_nadir
         Angle of the boresight from nadir, rad.
     heading
@@ -70,7 +70,10 @@ def camera_pointing_state(
 
 
 def auto_exposure(camera: Camera, world: World, state: State) -> float:
-    """Return the exposure (s) that keeps 99.5 % of pixels below 0.9 full well."""
+    """Return the exposure time (s) at which 99.5 % of pixels stay below 0.9 full well.
+
+    `state` is the state of the lander that carries the camera.
+    """
     radiance = renderer_of(world.terrain).render(camera.view(state), world.light).radiance
     bright = float(np.percentile(radiance, 99.5))
     if bright <= 0.0:
@@ -79,7 +82,7 @@ def auto_exposure(camera: Camera, world: World, state: State) -> float:
 
 
 def first_camera(scenario: Scenario) -> Camera:
-    """Return the scenario's first camera, or a standard camera if it has none."""
+    """Return the first camera of a scenario, or a default camera if it has none."""
     parts = [part.make() for part in scenario.sensors.values()]
     found = next((part for part in parts if isinstance(part, FramingCamera)), FramingCamera())
     return found.camera()
@@ -87,7 +90,7 @@ def first_camera(scenario: Scenario) -> Camera:
 
 @dataclass(frozen=True)
 class SceneImage:
-    """Image of a scenario's target area.
+    """Rendered camera image of a scenario's target area.
 
     Attributes
     ----------
@@ -116,7 +119,7 @@ class SceneImage:
         return Path(path)
 
     def save_truth(self, path: Path) -> None:
-        """Write ``radiance``, ``range``, ``normal`` and ``identity`` as an NPZ file."""
+        """Write radiance, range, normal and identity of every pixel to an NPZ file."""
         atomic_write(path, self._write_truth)
 
     def _repr_png_(self) -> bytes:

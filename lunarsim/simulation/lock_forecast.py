@@ -10,7 +10,10 @@ _DEFAULT_SWEEP_M = 40.0
 
 
 def lock_forecast(briefing: Briefing) -> LockForecast | None:
-    """Forecast map locking for the sweep of a flight; None if no prior map is used."""
+    """Forecast whether LiDAR scans of a flight will match the prior map uniquely.
+
+    `briefing` has the data known before flight. Return None if navigation uses no prior map.
+    """
     software = briefing.software
     if briefing.prior_map is None or not software.navigation.uses_prior_map:
         return None

@@ -36,7 +36,7 @@ Array = NDArray[np.float64]
 
 
 def make_policy(scenario: Scenario, policy: RetargetingPolicy | str | None) -> Any:
-    """Return a policy object unchanged, or create the policy of a name.
+    """Create the policy with a name; return a policy object or None unchanged.
 
     A named policy has the scenario's settings if the scenario uses it, else the default settings.
 
@@ -58,14 +58,17 @@ def make_policy(scenario: Scenario, policy: RetargetingPolicy | str | None) -> A
 
 
 def _actuators(scenario: Scenario, lander: Lander, step: float) -> Actuators | None:
-    """Create the actuators of a lander that has them, with their faults."""
+    """Create thrusters, gimbal and throttle of a lander, with the scenario's faults.
+
+    `step` is the integration step, s. Return None for a lander without such actuators.
+    """
     if not isinstance(lander, JetLander):
         return None
     return Actuators(lander, step, None if scenario.faults is None else scenario.faults.make())
 
 
 def _faults(scenario: Scenario, lander: Lander) -> Faults | None:
-    """Create the faults of a lander without actuators."""
+    """Create the throttle faults of a lander without simulated thrusters, or None."""
     if scenario.faults is None or isinstance(lander, JetLander):
         return None
     made: Faults = scenario.faults.make()
@@ -73,9 +76,9 @@ def _faults(scenario: Scenario, lander: Lander) -> Faults | None:
 
 
 class Simulation:
-    """One descent, advanced one control cycle at a time.
+    """Simulation of one descent in closed loop, advanced one control cycle at a time.
 
-    `step` is the only clock: the command line, the environments and campaigns all call it.
+    The command line, the environments and campaigns all advance a flight by the method `step`.
 
     Parameters
     ----------
@@ -84,11 +87,11 @@ class Simulation:
     seed
         Seed sequence of the flight, or an integer; every random draw derives from it.
     policy
-        A policy, its name, or None if a caller applies decisions with `apply`.
+        Divert policy, its name, or None if a caller applies decisions with `apply`.
     world
         True world; omitted: generated from the seed.
     truth
-        Exact safety of that world, if already computed.
+        True landing safety of `world`, if already computed.
     tap
         Recorder of all messages between plant and computer, or None.
 
@@ -97,7 +100,7 @@ class Simulation:
     plant, computer
         True world and vehicle; onboard computer.
     briefing
-        Data that the computer was given before the start.
+        Data that the onboard computer knows before the flight.
 
     Raises
     ------
@@ -116,12 +119,13 @@ class Simulation:
         tap: MessageRecorder | None = None,
     ) -> None:
         forks.check()  # parallel kernels check too, but some flights reach them late
-        if scenario.variation is not None:
+        if scenario.domain_randomization is not None:
             raise InputError(
-                "variation",
+                "domain_randomization",
                 "given",
                 "must be omitted: only Guidance-v0 and Control-v0 randomise the lander",
                 "Use: lunarsim evaluate Guidance-v0 --scenario FILE --agent apollo.",
+                show_value=False,
             )
         self.scenario = scenario
         self.streams = RandomStreams(seed)
@@ -158,33 +162,33 @@ class Simulation:
 
     @property
     def world(self) -> World:
-        """The true world."""
+        """True world: terrain, rocks, gravity and illumination."""
         return self.plant.world
 
     @property
     def lander(self) -> Lander:
-        """Parameters of the vehicle."""
+        """Parameters of the lander."""
         return self.plant.lander
 
     @property
     def state(self) -> State:
-        """The true state."""
+        """True state of the lander."""
         return self.plant.state
 
     @property
     def time(self) -> float:
-        """Time since the start, s."""
+        """Time since the start of the flight, s."""
         return self.plant.time
 
     @property
-    def verdict(self) -> LandingOutcome | None:
-        """Landing outcome, or None during the flight."""
-        return self.plant.verdict
+    def outcome(self) -> LandingOutcome | None:
+        """Landing outcome of the flight; None while it is in progress."""
+        return self.plant.outcome
 
     @property
     def done(self) -> bool:
         """Whether the flight has ended."""
-        return self.plant.verdict is not None
+        return self.plant.outcome is not None
 
     @property
     def estimate(self) -> Estimate:
@@ -203,19 +207,20 @@ class Simulation:
 
     @property
     def truth(self) -> TerrainTruth:
-        """Exact safety of the world, computed on first use."""
+        """True landing safety of the terrain, computed at the first access."""
         if self._truth is None:
             self._truth = TerrainTruth.of(self.world, self.lander)
         return self._truth
 
     @property
     def true_to_local(self) -> SiteToLocal:
-        """Shift from true to local frame, from the error of the estimated position.
+        """Transformation from the true to the local frame of navigation and maps.
 
-        If the local frame has its own azimuth, the shift includes the lander's azimuth error.
+        It follows from the error of the estimated position and, if the local frame has its own
+        azimuth, from the error of the estimated azimuth.
         """
         e, turn = self.estimate, 0.0
-        if self.computer.navigation.own_azimuth:
+        if self.computer.navigation.has_local_azimuth:
             off = quat_multiply(e.attitude, quat_conjugate(self.state.attitude))
             turn = float(quat_to_rotation_vector(off)[2])
         return SiteToLocal(e.position - SiteToLocal(turn=turn).to_local(self.state.position), turn)
@@ -224,36 +229,36 @@ class Simulation:
     def navigation_error(self) -> Array:
         """Local minus true coordinates of the terrain at the site (3,), m.
 
-        Subtract it from a point of a map to get the true point. If the local frame is rotated, this
-        is valid only near the site; elsewhere use the error of the lander's position.
+        Subtract this error from a point of a map to get the true point. If the local frame is
+        rotated, this is valid only near the site.
         """
         return np.asarray(self.site - self.true_to_local.to_site(self.site))
 
     @property
     def site_error(self) -> Array:
-        """Estimated minus true position in the site frame (3,), m."""
+        """Estimated minus true position of the lander in the site frame (3,), m."""
         shift = self.computer.navigation.site_to_local
         return np.asarray(shift.to_site(self.estimate.position) - self.state.position)
 
     @property
     def decision_due(self) -> bool:
-        """Whether the policy must decide in this cycle."""
+        """Whether the policy must decide on the landing site in this control cycle."""
         return self.computer.decision_due
 
     @one_blas_thread()
     def observe(self) -> Observation:
-        """Return the observation that a policy receives now."""
+        """Return the observation that a divert policy receives in this control cycle."""
         return self.computer.observe()
 
     # --- the loop -------------------------------------------------------------------------
 
     def apply(self, decision: Decision) -> bool:
-        """Give a decision to the computer; return False if its site is not reachable."""
+        """Apply a divert decision; return False if its site is not reachable."""
         return self.computer.apply(decision)
 
     @one_blas_thread()
     def _take(self, measurements: Measurements) -> None:
-        """Pass measurements to the computer, and record both sides."""
+        """Pass measurements to the onboard computer, and record truth and estimate."""
         self._measurements = measurements
         c = self.computer
         c.update(measurements)
@@ -263,14 +268,14 @@ class Simulation:
 
     @one_blas_thread()
     def decide(self) -> None:
-        """Query the policy, if there is one and a decision is due."""
+        """Query the policy and apply its decision, if a decision is due."""
         if self._oracle is None:
             self.computer.decide()
         elif self.decision_due:
             self.apply(self.ask(self._oracle, self.observe()))
 
     def ask(self, policy: Any, observation: Observation) -> Decision:
-        """Return the decision of a policy, this flight's or another, without applying it."""
+        """Return the decision of any policy on an observation, without applying it."""
         if getattr(policy, "knows_truth", False):
             truth_inputs = self.truth, self.navigation_error, self.computer.cost_of
             return policy.decide_by_truth(observation, *truth_inputs)  # type: ignore[no-any-return]
@@ -278,7 +283,10 @@ class Simulation:
 
     @one_blas_thread()
     def move(self) -> None:
-        """Advance by one cycle: command, plant motion, measurements, computer update."""
+        """Advance the simulation by one control cycle without a new divert decision.
+
+        The cycle consists of command, motion, measurements, and update of the onboard computer.
+        """
         if self.done:
             raise RuntimeError("the flight has ended")
         command = self.computer.command()
@@ -288,38 +296,41 @@ class Simulation:
         self._take(cycle.measurements)
 
     def step(self) -> None:
-        """Decide if due, and advance by one control cycle."""
+        """Let the policy decide if a decision is due, and advance by one control cycle."""
         if self.done:
             raise RuntimeError("the flight has ended")
         self.decide()
         self.move()
 
     def run(self) -> Flight:
-        """Fly to the end and return the record."""
+        """Simulate the flight to its end and return its record."""
         while not self.done:
             self.step()
         return self.flight()
 
     def flight(self) -> Flight:
-        """Return the record of the flight so far."""
+        """Return the record of the flight up to now."""
         seed = self.streams.seed
         return self.recorder.flight(
             self.computer,
             scenario=self.scenario.to_toml(),
             seed={"entropy": seed.entropy, "spawn_key": list(seed.spawn_key)},
             policy=self.policy.name if self.policy is not None else "external",
-            outcome=self.verdict or LandingOutcome(False, ("unfinished",), None),
+            outcome=self.outcome or LandingOutcome(False, ("unfinished",), None),
             ending=self._ending_details(),
         )
 
     def _ending_details(self) -> dict[str, Any]:
-        """Return thruster, slosh and leg values for the last event; empty without."""
+        """Return values of thrusters, slosh and legs at the end of the flight, by name.
+
+        They are recorded with the last event; empty if none of these is simulated.
+        """
         actuators, rest = self.plant.actuators, self.plant.rest
         details: dict[str, Any] = {} if rest is None else rest.record_values()
         if actuators is None:
             return details
-        if actuators.liquid is not None:
-            details["slosh_most_deg"] = np.rad2deg(actuators.liquid.most)
+        if actuators.slosh_pendulums is not None:
+            details["slosh_most_deg"] = np.rad2deg(actuators.slosh_pendulums.max_angles)
         return details | {
             "thruster_propellant_kg": actuators.spent,
             "thruster_on_time_s": actuators.on_time,

@@ -14,7 +14,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class MapRecord:
-    """The last map of one mapper.
+    """Record of the last hazard map of one mapper in a flight.
 
     Attributes
     ----------
@@ -24,7 +24,8 @@ class MapRecord:
         Local minus true coordinates when the map was last updated (3,), m. Subtract it to get the
         true frame.
     tables
-        Other data of the mapper: name to columns (n,), local frame.
+        Other data of the mapper in the local frame, for instance tracked rocks: columns (n,) by
+        name, for each table name.
     """
 
     hazard_map: HazardMap
@@ -44,7 +45,7 @@ class MapRecord:
 
 
 def _round_layer(layer: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Round a layer to 16 significant bits, which compress much better.
+    """Round a map layer to 16 significant bits, which compress much better.
 
     The error is up to 2 mm within 256 m of the frame's origin, and up to 8 mm within 1 km.
     """

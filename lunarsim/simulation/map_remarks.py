@@ -1,4 +1,4 @@
-"""Describe hazard maps that contain no useful information."""
+"""Describe recorded hazard maps that do not help to select a site."""
 
 from __future__ import annotations
 
@@ -14,12 +14,14 @@ _SAFE_THRESHOLD = 0.5
 
 
 def map_remark(hazard_map: HazardMap | None) -> str | None:
-    """Return a remark if a map does not distinguish safe from unsafe terrain.
+    """Return a remark if a hazard map does not separate safe from unsafe terrain.
+
+    Return None if it does.
 
     Parameters
     ----------
     hazard_map
-        Recorded map; None if no map was generated.
+        Hazard map from the record of a flight; None if no map was generated.
     """
     if hazard_map is None or not hazard_map.observed.any():
         return "observed nothing: it has no observed cell"
@@ -39,17 +41,17 @@ def map_remark(hazard_map: HazardMap | None) -> str | None:
     return words
 
 
-def map_remarks_by_mapper(maps: Mapping[str, MapRecord], decided_on: str) -> dict[str, str]:
-    """Return remarks on the maps of a flight by mapper.
+def map_remarks_by_mapper(maps: Mapping[str, MapRecord], decision_mapper: str) -> dict[str, str]:
+    """Return remarks on uninformative hazard maps of a flight, by mapper name.
 
     Parameters
     ----------
     maps
-        Last map of each mapper.
-    decided_on
-        Mapper whose map the policy used; it is reported even without a map. Empty: none.
+        Record of the last map of each mapper, by name.
+    decision_mapper
+        Name of the mapper whose map the policy used, or "". A remark states if it has no map.
     """
-    names = dict.fromkeys([*maps, *([decided_on] if decided_on else [])])
+    names = dict.fromkeys([*maps, *([decision_mapper] if decision_mapper else [])])
     found: dict[str, str] = {}
     for name in names:
         record = maps.get(name)

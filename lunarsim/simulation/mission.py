@@ -33,12 +33,12 @@ Array = NDArray[np.float64]
 def draw_target(
     target: PlannedSite, terrain: Terrain, lander: Lander, streams: RandomStreams
 ) -> Array:
-    """Draw the target on the true terrain (3,), m.
+    """Sample the target of a flight within its scatter on the true terrain (3,), m.
 
     Raises
     ------
     InputError
-        If the target may lie outside the map.
+        If the target may lie outside the terrain.
     """
     offset = streams.get("target").uniform(-1.0, 1.0, 2) * np.asarray(target.scatter)
     xy = np.asarray(target.position) + offset
@@ -55,9 +55,9 @@ def draw_target(
         raise InputError(
             "target.position_m",
             target.position,
-            f"must be within the map with its scatter of {target.scatter} m: "
-            f"east {west + margin:.0f} to {east - margin:.0f}, "
-            f"north {south + margin:.0f} to {north - margin:.0f} m",
+            f"must be {west + margin + reach[0]:.0f} to {east - margin - reach[0]:.0f} m east and "
+            f"{south + margin + reach[1]:.0f} to {north - margin - reach[1]:.0f} m north, so that "
+            "the target with its scatter is on the terrain",
         )
     # The mission knows the terrain elevation at its site, but not the rocks.
     elevation = float(Terrain(terrain.relief).elevation(xy))
@@ -69,7 +69,9 @@ def draw_target(
 def draw_start(
     start: Start, world: World, lander: Lander, streams: RandomStreams, site: Array
 ) -> State:
-    """Draw the true state at the start, upright.
+    """Sample the true, upright state of the lander at the start of a flight.
+
+    `site` is the target (3,), m, from which the start position is measured.
 
     Raises
     ------
@@ -96,7 +98,10 @@ def draw_start(
 def plan_time_to_go(
     state: State, target: Array, software: FlightSoftware, lander: Lander, gravity: float
 ) -> float:
-    """Return the duration of the approach from the planned start, s.
+    """Compute the time-to-go of guidance at the planned start of a flight, s.
+
+    `state` is the planned start, `target` is (3,), m, and `gravity` is in m/s^2. `software` has the
+    settings of guidance and approach.
 
     Raises
     ------
@@ -129,7 +134,10 @@ def _as_estimate(state: State) -> Estimate:
 
 
 def trimmed_start_state(state: State, briefing: Briefing) -> State:
-    """Return a start with the attitude and thrust that guidance commands there."""
+    """Return the start state with the attitude and thrust that guidance commands.
+
+    `briefing` has the data that the onboard computer knows before the flight.
+    """
     software, lander = briefing.software, briefing.lander
     braking = software.braking
     part = software.guidance if braking is None else braking.part()
@@ -141,7 +149,7 @@ def trimmed_start_state(state: State, briefing: Briefing) -> State:
     )
     wanted = law.command(_as_estimate(state), end, 0.0, briefing.time_to_go)
     if braking is not None:
-        command = braking.ask(wanted, state.mass, lander, briefing.heading, 0.0)
+        command = braking.build_command(wanted, state.mass, lander, briefing.heading, 0.0)
     else:
         wanted = checked_command("guidance", part, wanted, 0.0)
         tilt = software.approach.max_tilt
@@ -152,7 +160,10 @@ def trimmed_start_state(state: State, briefing: Briefing) -> State:
 def perturbed_start_estimate(
     state: State, knowledge: InitialUncertainty, rng: np.random.Generator
 ) -> InitialStateEstimate:
-    """Return the computer's estimate of the start: the truth with random errors."""
+    """Return the initial navigation estimate: the true start with random errors.
+
+    `knowledge` has the standard deviations of the errors.
+    """
     drawn = rng.standard_normal((3, 3))
     turn = quat_from_rotation_vector(knowledge.attitude * drawn[2])
     return InitialStateEstimate(
@@ -162,12 +173,12 @@ def perturbed_start_estimate(
         knowledge.position,
         knowledge.velocity,
         knowledge.attitude,
-        knowledge.ground,
+        knowledge.target_elevation,
     )
 
 
 def plan(scenario: Scenario, world: World, streams: RandomStreams) -> tuple[State, Briefing]:
-    """Return the true start of a flight, and the briefing of its computer.
+    """Compute the true start of a flight and the data that its computer knows before.
 
     Raises
     ------
@@ -216,11 +227,11 @@ def plan(scenario: Scenario, world: World, streams: RandomStreams) -> tuple[Stat
     state = trimmed_start_state(state, upright)
     knowledge = (
         InitialUncertainty()
-        if scenario.start_knowledge is None
-        else scenario.start_knowledge.make()
+        if scenario.initial_uncertainty is None
+        else scenario.initial_uncertainty.make()
     )
     rng = streams.get("navigation")
     start_estimate = perturbed_start_estimate(state, knowledge, rng)
     # The elevation of the terrain at the target is known only with an error.
-    known_target = target + np.array([0.0, 0.0, knowledge.ground * rng.standard_normal()])
+    known_target = target + np.array([0.0, 0.0, knowledge.target_elevation * rng.standard_normal()])
     return state, replace(upright, start=start_estimate, target=known_target)

@@ -1,4 +1,4 @@
-"""Policy that uses the truth, as an upper bound.
+"""Divert policy that uses the true landing safety, as an upper bound for others.
 
 It belongs to the simulation because no onboard part may use the truth.
 """
@@ -27,21 +27,24 @@ _CLEARANCE_SIGMAS = 2.5
 
 @dataclass(frozen=True)
 class TruthOracle:
-    """Flies to the nearest exactly safe site with enough clearance; it uses the truth.
+    """Divert policy that uses the truth: the nearest truly safe site with clearance.
 
     Attributes
     ----------
-    room
-        Required distance to the nearest unsafe cell, m; increased by the expected miss.
+    min_clearance
+        Required distance to the nearest unsafe cell, m. The policy uses a larger distance if the
+        expected landing error requires it.
     """
 
-    room: float = quantity(1.0, "m", ge=0, help="required distance to the nearest unsafe cell")
+    min_clearance: float = quantity(
+        1.0, "m", ge=0, help="required distance from the site to the nearest unsafe cell"
+    )
     name: str = hidden("truth-oracle")
 
     knows_truth: ClassVar[bool] = True
 
     def decide(self, observation: Observation) -> Decision:
-        """Raise an error, because this policy needs the truth."""
+        """Raise `RuntimeError`, because this policy needs the true landing safety."""
         raise RuntimeError("the truth oracle decides by decide_by_truth, which the loop calls")
 
     def decide_by_truth(
@@ -51,14 +54,14 @@ class TruthOracle:
         error: Array,
         cost_of: Callable[[Array], DivertCost],
     ) -> Decision:
-        """Keep a site with enough clearance, else choose the nearest one in reach.
+        """Keep a site with enough clearance; else choose the nearest reachable one.
 
         Parameters
         ----------
         observation
             Observation that other policies receive.
         truth
-            Exact safety of the true terrain.
+            True landing safety of the terrain.
         error
             Estimated minus true position (3,), m.
         cost_of
@@ -67,7 +70,7 @@ class TruthOracle:
         grid = truth.safety.grid
         clearance = truth.clearance
         here = observation.site - error
-        required = max(self.room, _CLEARANCE_SIGMAS * observation.expected_miss)
+        required = max(self.min_clearance, _CLEARANCE_SIGMAS * observation.expected_miss)
         row, col = (int(v) for v in grid.cell(here[:2]))
         if 0 <= row < grid.rows and 0 <= col < grid.cols and clearance[row, col] >= required:
             return Decision.keep("truly safe")

@@ -1,4 +1,4 @@
-"""Plant: the true world, the vehicle in it, and its sensors.
+"""Plant of the closed loop: true world, vehicle and sensors.
 
 The plant receives commands and returns measurements. It never sees the onboard computer's data.
 """
@@ -38,60 +38,64 @@ _ABORT_CLEAR_HEIGHT_M, _ABORT_CLIMB_SPEED_M_S = 50.0, 5.0
 
 @dataclass(frozen=True)
 class Instrument:
-    """Sensor on the lander.
+    """Sensor on the lander during one flight, with the generator of its noise.
 
     Attributes
     ----------
     sensor, rng
         Sensor, and random generator of its noise.
-    tasked
-        Whether it measures only on command; else once per cycle.
+    is_tasked
+        Whether the sensor measures only on command; else once per control cycle.
     gimbal_limit
-        Maximum angle of its boresight from body -z, rad.
+        Maximum angle of the sensor's boresight from body -z, rad.
     part
-        Part of the scenario that it was built from.
+        Settings in the scenario that the sensor was built from.
     """
 
     sensor: Sensor
     rng: np.random.Generator
-    tasked: bool
+    is_tasked: bool
     gimbal_limit: float
     part: SensorPart
 
     @classmethod
     def of(cls, part: SensorPart, rng: np.random.Generator, step: float) -> Instrument:
-        """Build the sensor for one flight; `step` is the integration step, s."""
+        """Build a sensor for one flight from its settings in the scenario.
+
+        `rng` generates its noise; `step` is the integration step, s.
+        """
         build = getattr(part, "build", None)
         sensor: Any = part if build is None else build(rng, step)
         limit = getattr(part.calibration(), "gimbal_limit", np.pi)
-        return cls(sensor, rng, part.tasked, limit, part)
+        return cls(sensor, rng, part.is_tasked, limit, part)
 
 
 class Plant:
-    """True vehicle and world in motion.
+    """True motion of the lander in the world, with its sensors, during one flight.
 
     Parameters
     ----------
     world, dynamics, state
         True world, dynamics of the vehicle, and initial state.
     sensors
-        Sensor parts by name, each with its random generator.
+        Settings of the sensors by name, each with the random generator of its noise.
     steps
         Integration steps per control cycle.
     max_time
         Time limit of a flight, s.
     actuators
-        Valves, gimbal and throttle of a lander that has them; None: torques act as commanded.
+        Thrusters, gimbal and throttle of the lander; None: torques act as commanded.
     faults
         Faults of a lander without actuators: an engine throttle that sticks.
     legs
-        Legs whose motion after touchdown gives the outcome; None: the state at touchdown does.
+        Legs, whose simulated motion after touchdown decides the outcome; None: the state at
+        touchdown decides it.
 
     Attributes
     ----------
     rest
         Result of the motion on the legs; None without a touchdown on legs.
-    state, time, verdict
+    state, time, outcome
         Current state; time, s; landing outcome, None during the flight.
     """
 
@@ -118,14 +122,14 @@ class Plant:
         self.lander = dynamics.lander
         self.state = state
         self.time = 0.0
-        self.verdict: LandingOutcome | None = None
+        self.outcome: LandingOutcome | None = None
         self.steps = steps
         made = {
             name: Instrument.of(part, rng, dynamics.step) for name, (part, rng) in sensors.items()
         }
         units: list[tuple[str, Any]] = [(name, one.sensor) for name, one in made.items()]
         for name, unit in units:
-            if sensors[name][0].gives is InertialSamples and not isinstance(unit, Imu):
+            if sensors[name][0].measurement_type is InertialSamples and not isinstance(unit, Imu):
                 raise InputError(
                     f"sensors.{name}",
                     type(unit).__name__,
@@ -136,8 +140,8 @@ class Plant:
         self._max_time = max_time
         self._low, self._high = world.terrain.z_range
 
-    def throttled(self, command: Command) -> Command:
-        """Return a command with the actual thrust: the throttle may stick."""
+    def apply_throttle_faults(self, command: Command) -> Command:
+        """Return a command with the thrust that a possibly stuck throttle delivers."""
         if self._faults is None:
             return command
         thrust = self._faults.throttle(self.time, self._throttle, command.thrust)
@@ -145,11 +149,14 @@ class Plant:
         return replace(command, thrust=thrust)
 
     def measure(self, tasks: Sequence[SensorTask] = ()) -> Measurements:
-        """Return the measurements of all untasked sensors, and of the tasks."""
+        """Measure with all sensors that measure every cycle, and with commanded sensors.
+
+        `tasks` are the commanded measurements.
+        """
         items: list[tuple[str, object]] = [
             (name, self._measure(name, None))
             for name, instrument in self._instruments.items()
-            if not instrument.tasked
+            if not instrument.is_tasked
         ]
         items += [(task.sensor, self._measure(task.sensor, task.mount)) for task in tasks]
         return Measurements(self.time, tuple(items))
@@ -158,8 +165,8 @@ class Plant:
         i = self._instruments[name]
         held = None if mount is None else limit_mount(mount.copy(), i.gimbal_limit)
         found = i.sensor.measure(self.world, self.state, self.time, i.rng, held)
-        if not isinstance(found, i.part.gives):
-            wanted = f"a measurement of type {i.part.gives.__name__}"
+        if not isinstance(found, i.part.measurement_type):
+            wanted = f"a measurement of type {i.part.measurement_type.__name__}"
             raise wrong_result_error(f"sensors.{name}", i.part, "measure", found, wanted, self.time)
         return found
 
@@ -171,7 +178,9 @@ class Plant:
         *,
         abort: bool = False,
     ) -> Measurements:
-        """Adopt the motion of a control cycle; return the measurements at its end.
+        """Take over the integrated motion of a control cycle; return the measurements.
+
+        The motion is integrated outside the plant, because it is coupled with the attitude loop.
 
         Parameters
         ----------
@@ -180,9 +189,10 @@ class Plant:
         gyroscopes
             Gyroscope increments already sampled during the cycle, by name (n, 3), rad.
         tasks
-            Measurements to make at the end.
+            Commanded measurements at the end of the cycle.
         abort
-            Whether the lander is aborting: the flight ends once it is clear of the terrain.
+            Whether the lander is aborting. The flight then ends once the lander climbs well above
+            the terrain.
         """
         touched = self._first_contact(history)
         steps = len(history) if touched is None else touched + 1
@@ -192,50 +202,60 @@ class Plant:
         samples: list[tuple[str, object]] = []
         for name, imu in self.imus.items():
             angle = gyroscopes[name][:steps] if name in gyroscopes else None
-            sensed = imu.sense(*self.gravity_free_states(rows), self.time, angle)
+            sensed = imu.sample_trajectory(*self.gravity_free_states(rows), self.time, angle)
             samples.append((name, sensed))
         self._evaluate_outcome(touched is not None, abort)
-        measured = self.measure(tasks if self.verdict is None else ())
+        measured = self.measure(tasks if self.outcome is None else ())
         return Measurements(self.time, (*samples, *measured.items))
 
     def gravity_free_states(self, rows: Array) -> tuple[Array, float, float]:
-        """Return states, step and downward gravity from which an inertial unit senses.
+        """Return states (n, 15), step (s) and gravity (m/s^2) for an inertial unit.
 
-        In a gravity field that varies, the velocity gained from gravity is removed from the states,
-        and the returned gravity is 0.
+        `rows` (n, 15) are the states before and after each integration step. In a gravity field
+        that varies, the velocity gained from gravity is removed from the states, and the returned
+        gravity is 0.
         """
         step, moon = self.dynamics.step, self.world.moon
         if moon is None:
             return rows, step, self.world.gravity
         middle = 0.5 * (rows[1:, :6] + rows[:-1, :6])
         out = rows.copy()
-        out[1:, 3:6] -= np.cumsum(step * moon.felt(middle[:, :3], middle[:, 3:]), axis=0)
+        out[1:, 3:6] -= np.cumsum(
+            step * moon.free_fall_acceleration(middle[:, :3], middle[:, 3:]), axis=0
+        )
         return out, step, 0.0
 
     def _evaluate_outcome(self, touched: bool, abort: bool) -> None:
-        """Set the landing outcome if the flight is over."""
+        """Set the landing outcome if the flight has ended.
+
+        `touched` states whether a pad is in contact, and `abort` whether the lander is aborting.
+        """
         terrain = self.world.terrain
         if touched and self.legs is not None:
-            self.verdict, self.rest = evaluate_motion(self.legs, self.dynamics, self.state, terrain)
+            self.outcome, self.rest = evaluate_motion(self.legs, self.dynamics, self.state, terrain)
         elif touched:
-            self.verdict = evaluate_touchdown(self.lander, self.state, terrain, self.world.gravity)
-        elif self.world.under(self.state.position, self._low):
-            self.verdict = LandingOutcome(False, ("off-map",), None)
+            self.outcome = evaluate_touchdown(self.lander, self.state, terrain, self.world.gravity)
+        elif self.world.is_below_terrain(self.state.position, self._low):
+            self.outcome = LandingOutcome(False, ("off-map",), None)
         elif abort and self._clear:
-            self.verdict = LandingOutcome(False, (ABORTED,), None)
+            self.outcome = LandingOutcome(False, (ABORTED,), None)
         elif self.time >= self._max_time:
-            self.verdict = LandingOutcome(False, ("time-limit",), None)
+            self.outcome = LandingOutcome(False, ("time-limit",), None)
 
     @property
     def _clear(self) -> bool:
-        """Whether the lander climbs, well above all terrain."""
+        """Whether the lander climbs well above all terrain, which completes an abort."""
         height = self.world.height(self.state.position) - self._high
         return bool(
             height > _ABORT_CLEAR_HEIGHT_M and self.state.velocity[2] > _ABORT_CLIMB_SPEED_M_S
         )
 
     def _first_contact(self, history: Array) -> int | None:
-        """Return the first step at which a pad touches the terrain, or None."""
+        """Return the index of the first state at which a pad touches the terrain.
+
+        `history` (n, 15) has the state after each integration step. Return None if there is no
+        contact.
+        """
         if self.world.height(history[-1, :3]) - self._high > _MAX_CONTACT_HEIGHT_M:
             return None
         mounted = self.lander.pads - centre_of_mass(self.lander, float(history[0, 13]))

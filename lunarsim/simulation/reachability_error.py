@@ -1,4 +1,4 @@
-"""Find the limit that leaves no path from the start to the target."""
+"""Find the limit because of which no path leads from the start to the target."""
 
 from __future__ import annotations
 
@@ -41,7 +41,10 @@ _DRY_SHARE = 0.5
 
 @dataclass(frozen=True)
 class _Case:
-    """Inputs that determine whether there is a path."""
+    """Inputs that determine whether a path leads from the start to the target.
+
+    `here` is the estimated start state, `target` (3,) is in m, and `gravity` in m/s^2.
+    """
 
     here: Estimate
     target: Array
@@ -52,7 +55,7 @@ class _Case:
 
     @property
     def feasible(self) -> bool:
-        """Whether a path satisfies all limits."""
+        """Whether a path from the start to the target satisfies all limits."""
         end = self.approach.end(self.target[None, :], self.lander)
         cost = self.software.guidance.cost(
             self.here, end, self.lander, self.gravity, self.approach.limits
@@ -63,7 +66,7 @@ class _Case:
 def unreachable(
     here: Estimate, target: Array, software: FlightSoftware, lander: Lander, gravity: float
 ) -> InputError:
-    """Return the error for a start from which the target (3,) is not reachable.
+    """Return the error for a start `here` from which a target (3,) is not reachable.
 
     Each limit is relaxed separately. The error names the limits without which there is a path:
     first the fields of `[approach]` that differ from their defaults, then its other fields, the
@@ -89,12 +92,12 @@ def unreachable(
     (field, value), *others = causes
     also = "".join(f", or {other} = {v}" for other, v in others)
     return InputError(
-        field, value, "leaves no path from the start to the target", f"Relax it{also}."
+        field, value, "leaves no path from the start to the target", f"Relax this value{also}."
     )
 
 
 def _relaxed(case: _Case) -> Iterator[tuple[str, Any, _Case]]:
-    """Yield field and value of each limit, and the case without that limit."""
+    """Yield scenario key and value of each limit, and the case without that limit."""
     approach, plain, lander = case.approach, Approach(), case.lander
     fields = [n for n in _WITHOUT_LIMIT if getattr(approach, n) != _WITHOUT_LIMIT[n]]
     for name in sorted(fields, key=lambda n: getattr(approach, n) == getattr(plain, n)):

@@ -31,12 +31,12 @@ _SEQUENCE_GAP_S = 1.0
 
 @dataclass
 class MessageRecorder:
-    """All messages between plant and onboard computer in a flight.
+    """Recorder of all messages between plant and onboard computer in a flight.
 
     Attributes
     ----------
     briefing
-        Briefing that the computer was built from.
+        Data that the onboard computer knew before the flight.
     exchanges
         For each cycle: measurements, command, torques of the attitude loop (n, 3), N m.
     """
@@ -45,12 +45,12 @@ class MessageRecorder:
     exchanges: list[tuple[Measurements, Command, Array]] = field(default_factory=list)
 
     def exchange(self, measurements: Measurements, command: Command, torques: Array) -> None:
-        """Record the messages of one cycle."""
+        """Record measurements, command and attitude torques of one control cycle."""
         self.exchanges.append((measurements, command, torques))
 
 
 class Recorder:
-    """Rows, events, decisions, scans and maps of one flight.
+    """Recorder of trajectory, events, decisions, scans and maps of one flight.
 
     Parameters
     ----------
@@ -76,7 +76,11 @@ class Recorder:
         time_to_go: float,
         phase: int,
     ) -> None:
-        """Add a row of the trajectory."""
+        """Add true state, estimate and landing site of one control cycle.
+
+        `site` is (3,) in the local frame, m; `time` and `time_to_go` are in s; `phase` is a number
+        as in `flight.COLUMNS`.
+        """
         self._rows.append(
             np.concatenate(
                 (
@@ -92,18 +96,21 @@ class Recorder:
         )
 
     def trajectory(self) -> dict[str, Array]:
-        """Return the rows so far as columns."""
+        """Return the recorded trajectory as columns (n,) by name."""
         table = np.array(self._rows).reshape(-1, len(COLUMNS))
         return {name: table[:, i].copy() for i, name in enumerate(COLUMNS)}
 
     def record_measurements(
         self, measurements: Measurements, computer: OnboardComputer, error: Array
     ) -> None:
-        """Record processed measurements; `error` is the error of their position, m."""
+        """Record scans, images and map updates of one control cycle.
+
+        `error` (3,) is local minus true coordinates of updated maps, m.
+        """
         for sensor, measurement in measurements.items:
             if isinstance(measurement, LidarScan | CameraImage):
                 self._record_sensor(sensor, measurement, computer)
-        for name in computer.mapped:
+        for name in computer.updated_mappers:
             self._errors[name] = error
             if self._first_map is None:
                 self._first_map = computer.estimate
@@ -111,9 +118,12 @@ class Recorder:
     def _record_sensor(
         self, sensor: str, measurement: LidarScan | CameraImage, computer: OnboardComputer
     ) -> None:
-        """Record the first of a sequence of scans or images, and returns of scans."""
+        """Record an event for the first scan or image of a sequence, and LiDAR returns.
+
+        `sensor` is the name of the sensor.
+        """
         time = measurement.time
-        seen = {"time": time, "name": "picture", "sensor": sensor, "altitude": computer.altitude}
+        seen = {"time": time, "name": "image", "sensor": sensor, "altitude": computer.altitude}
         if isinstance(measurement, LidarScan):
             self._keep_scan(measurement, computer.estimate)
             seen |= {"name": "scan", "returns": int(np.isfinite(measurement.range).sum())}
@@ -122,7 +132,7 @@ class Recorder:
         self._last[sensor] = time
 
     def _keep_scan(self, scan: LidarScan, estimate: Estimate) -> None:
-        """Keep a thinned copy of a scan in the estimated frame, at most two per second."""
+        """Record a thinned scan in the estimated local frame, at most two per second."""
         if self._scans and scan.time < self._scans[-1][0, 3] + _MIN_SCAN_INTERVAL_S - 1e-9:
             return
         points = scan.points(estimate.position, estimate.attitude)
@@ -143,20 +153,24 @@ class Recorder:
         outcome: LandingOutcome,
         ending: dict[str, Any] | None = None,
     ) -> Flight:
-        """Return the record so far; `ending` is added to its last event."""
+        """Build the record of the flight up to now.
+
+        `scenario` is TOML text, `policy` a name, and `ending` has values for the last event.
+        """
         maps = {
             name: MapRecord(
-                mapper.hazard_map(), self._errors.get(name, np.zeros(3)), mapper.tables()
+                mapper.hazard_map(), self._errors.get(name, np.zeros(3)), mapper.record_tables()
             )
             for name, mapper in computer.mappers.items()
-            if name in self._errors and not mapper.blank
+            if name in self._errors and not mapper.is_empty
         }
-        decided = computer.decisions_map
+        decided = computer.decision_map_name
         name = "touchdown" if outcome.touchdown else "end"
         last: list[dict[str, Any]] = [
-            {"time": computer.time, "name": name, "failed": list(outcome.failed)} | (ending or {})
+            {"time": computer.time, "name": name, "failure_causes": list(outcome.failure_causes)}
+            | (ending or {})
         ]
-        if outcome.failed == ("unfinished",):
+        if outcome.failure_causes == ("unfinished",):
             last = []
         telemetry = [
             {"time": time, "name": name, **more} for time, name, more in computer.telemetry
@@ -165,7 +179,7 @@ class Recorder:
             scenario=scenario,
             seed=seed,
             policy=policy,
-            verdict=outcome,
+            outcome=outcome,
             target=self._target,
             trajectory=self.trajectory(),
             decisions=[_as_dict(*divert) for divert in computer.diverts],
@@ -173,7 +187,7 @@ class Recorder:
                 self._sensor_events + telemetry + last, key=lambda event: float(event["time"])
             ),
             maps=maps,
-            decided_on=decided,
+            decision_mapper=decided,
             first_map=self._first_map,
             scans=np.vstack([np.zeros((0, 4)), *self._scans]).astype(np.float32),
             candidates=_table(computer.candidates).astype(np.float32),
@@ -185,7 +199,7 @@ def _as_dict(time: float, old: Array, new: Decision) -> dict[str, Any]:
 
 
 def _table(candidates: Candidates | None) -> Array:
-    """Return the candidate sites of the last decision (n, 5)."""
+    """Return candidate sites as an array (n, 5): position, p_safe, propellant."""
     if candidates is None:
         return np.zeros((0, 5))
     return np.column_stack((candidates.position, candidates.p_safe, candidates.propellant))

@@ -14,14 +14,15 @@ from lunarsim.world.terrain_models.interface import check_terrain_size
 def build_world(
     scenario: Scenario, streams: RandomStreams, terrain: Terrain | None = None
 ) -> World:
-    """Build the true world of one flight: the scenario's terrain and its random draws.
+    """Build the true world of one flight: terrain, rocks, gravity and sunlight.
 
     Parameters
     ----------
     scenario, streams
         Scenario, and random streams of the flight.
     terrain
-        Terrain with rocks, if a world with the same tables and seed already has it.
+        Terrain with rocks, if it was already generated from the same tables and seed; None:
+        generate it.
 
     Raises
     ------
@@ -33,10 +34,10 @@ def build_world(
     lander = scenario.vehicle.make()
     check_terrain_size(terrain, 2.0 * lander.leg_radius + lander.pad_diameter)
     light = scenario.sun.make()
-    if light.mottle > 0.0 or light.boulder_mottle > 0.0:
-        light = replace(light, mottle_seed=int(streams.get("albedo").integers(2**31)))
+    if light.albedo_variation > 0.0 or light.boulder_albedo_variation > 0.0:
+        light = replace(light, albedo_seed=int(streams.get("albedo").integers(2**31)))
     moon = None if scenario.moon is None else scenario.moon.make().gravity(scenario.gravity_m_s2)
     about = None
-    if moon is not None and scenario.surroundings is not None:
-        about = scenario.surroundings.make().build(terrain, moon, streams)
+    if moon is not None and scenario.far_terrain is not None:
+        about = scenario.far_terrain.make().build(terrain, moon, streams)
     return World(terrain, scenario.gravity_m_s2, light, moon, about)

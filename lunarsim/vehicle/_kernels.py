@@ -20,11 +20,16 @@ def rates(
     y, at, out, into, n, width, thrust_command, tx, ty, tz, gravity, exhaust, lag, dry, wet,
     i_dry, i_wet, rig,
 ):  # fmt: skip
-    """Write dy/dt of body n of `width`, by the equations of `Dynamics`.
+    """Write the state derivative of body n, on a flat Moon with uniform gravity.
 
-    States lie flat in y from `at` on, row by row with bodies side by side, and so does the result
-    in `out` from `into` on. If `width` is a constant, the compiler sees that rows do not overlap
-    and vectorises over bodies. Torques are about the origin of the body axes.
+    `y` holds the states of `width` bodies in one flat array from index `at` on, row by row with
+    bodies side by side; `out` receives the derivatives from index `into` on. `thrust_command` is
+    the input of the engine's lag, N, with the time constant `lag`, s; `exhaust` is the exhaust
+    velocity, m/s. `tx`, `ty`, `tz` are torques about the origin of the body axes, N m; `dry`,
+    `wet`, `i_dry` and `i_wet` are masses and moments with tanks empty and full; `rig` is from
+    `build_rig`. The equations are those of
+    `Dynamics`. If `width` is a constant, the compiler sees that rows do not overlap and vectorises
+    over bodies.
     """
     qx = y[at + 6 * width + n]
     qy = y[at + 7 * width + n]
@@ -77,10 +82,11 @@ def rates(
 
 @kernel(exact=True)
 def curve(y, at, out, into, n, width, gravity, rig):
-    """Add the terms of a round, rotating Moon to dy/dt of body n, as in `Dynamics`.
+    """Add the terms of a spherical, rotating Moon to the derivative from `rates`.
 
     Gravity varies with position, and the rotation adds Coriolis and centrifugal accelerations.
-    `rig[17]` is the radius, m, and `rig[18:21]` the spin, ENU, rad/s.
+    `rig[17]` is the radius, m, and `rig[18:21]` the angular velocity, ENU, rad/s. The other
+    arguments are those of `rates`.
     """
     radius = rig[17]
     wx = rig[18]
@@ -107,7 +113,13 @@ def curve(y, at, out, into, n, width, gravity, rig):
 
 @kernel()
 def derivative(y, out, thrust_command, torque, gravity, exhaust, lag, dry, wet, i_dry, i_wet, rig):
-    """Write dy/dt (15,) of one body, as `rates`."""
+    """Write the derivative (15,) of the state `y` (15,) of one body into `out`.
+
+    `thrust_command` is the input of the engine's lag, N, with the time constant `lag`, s; `exhaust`
+    is the exhaust velocity, m/s. `torque` (3,) is about the origin of the body axes, N m; `dry`,
+    `wet`, `i_dry` and `i_wet` are masses and moments with tanks empty and full; `rig` (21,) is from
+    `build_rig`.
+    """
     rates(
         y, 0, out, 0, 0, 1, thrust_command, torque[0], torque[1], torque[2], gravity, exhaust, lag,
         dry, wet, i_dry, i_wet, rig,
@@ -118,7 +130,11 @@ def derivative(y, out, thrust_command, torque, gravity, exhaust, lag, dry, wet, 
 
 @kernel(exact=True)
 def _flat_step(y, dt, thrust_command, torque, params, inertia, rig, work, width):
-    """Advance bodies by one step in place; arrays of bodies are flat."""
+    """Advance `width` bodies by one Runge-Kutta step of `dt` seconds in place.
+
+    The arrays of the bodies are flat: row by row with bodies side by side. The arguments are
+    otherwise those of `rk4_step`.
+    """
     size = 15 * width
     i_dry = (inertia[0, 0], inertia[0, 1], inertia[0, 2])
     i_wet = (inertia[1, 0], inertia[1, 1], inertia[1, 2])
@@ -168,8 +184,9 @@ def rk4_step(y, dt, thrust_command, torque, params, inertia, rig, work):
     """Advance bodies (15, N) by one classical Runge-Kutta step in place.
 
     `thrust_command` (N,) and `torque` (3, N) are the commands of each body, `params` (5, N) its
-    parameters; `work` is scratch (5, 15, N); the others are those of `advance_body`. A batch of
-    `SIMD_BATCH` bodies is vectorised.
+    parameters (gravity, exhaust velocity, thrust lag, dry and wet mass); `inertia` (2, 3) are the
+    principal moments with tanks empty and full; `rig` (21,) is from `build_rig`; `work` is scratch
+    (5, 15, N). A batch of `SIMD_BATCH` bodies is vectorised.
     """
     n = y.shape[1]
     flat, turn = y.reshape(15 * n), torque.reshape(3 * n)
@@ -182,10 +199,11 @@ def rk4_step(y, dt, thrust_command, torque, params, inertia, rig, work):
 
 @kernel()
 def advance_bodies(y, dt, thrust_command, torque, params, inertia, rig, work):
-    """Advance bodies (15, N) by one step under thrusts (N,) and torques (3, N).
+    """Advance bodies (15, N) by one step, and limit their propellant, in place.
 
-    The commanded thrust of an engine without propellant becomes 0. `params` (5, N) are the
-    parameters of each body; the others are those of `advance_body`; `work` is scratch (5, 15, N).
+    The commanded thrust of an engine without propellant becomes 0. The arguments are those of
+    `rk4_step`: thrusts (N,), torques (3, N), parameters (5, N), moments (2, 3), `rig` (21,) and
+    scratch (5, 15, N).
     """
     # Thruster propellant is summed elsewhere: allow for rounding.
     thruster_propellant = (1.0 - 1e-6) * rig[16]
@@ -200,8 +218,9 @@ def advance_bodies(y, dt, thrust_command, torque, params, inertia, rig, work):
 
 @kernel()
 def advance_body(y, dt, thrust, torque, params, inertia, rig, work):
-    """Advance y (15,) by one step under a thrust and torques (3,) in place.
+    """Advance the state y (15,) of one body by one step in place.
 
+    `thrust` is the input of the engine's lag, N, and `torque` (3,) about the body's origin, N m.
     `params`: gravity, exhaust velocity, thrust lag, dry and wet mass; `inertia` (2, 3): principal
     moments with tanks empty and full; `rig` (21,): from `build_rig`; `work`: scratch (5, 15).
     """
@@ -218,9 +237,10 @@ def advance_body(y, dt, thrust, torque, params, inertia, rig, work):
 
 @kernel()
 def advance_ideal(y, steps, dt, thrust, target, slew, params, inertia, rig):
-    """Advance y with an ideal attitude actuator; return every state (steps, 15).
+    """Advance a state with an ideal attitude actuator; return all states (steps, 15).
 
-    The attitude follows the great circle to `target` at `slew` (rad/s) or less.
+    The attitude follows the great circle to the quaternion `target` (4,) at `slew` (rad/s) or less.
+    `y` (15,) is advanced in place; the other arguments are those of `advance_body`.
     """
     history = np.empty((steps, 15))
     work = np.empty((5, 15))

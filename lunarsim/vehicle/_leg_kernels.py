@@ -16,17 +16,22 @@ from lunarsim.vehicle._touchdown_kernels import height_at
 
 @kernel(inner=True)
 def crush_limit(leg, leg_params):
-    """Return the crush force of a leg (N); infinite once its stroke is used up."""
+    """Return the crush force of a leg, N; infinite once its stroke is used up.
+
+    `leg` (5,) is the state of the leg; `leg_params` (6,) are those of `compute_contact`.
+    """
     return leg_params[2] if leg[0] < leg_params[5] else np.inf
 
 
 @kernel()
 def compute_contact(y, pad, leg, leg_params, heights, frame, out):
-    """Write the contact of a pad with the terrain; return whether it is in contact.
+    """Compute the contact force of a pad; return whether it is in contact.
 
-    `leg_params` is stiffness, damping, crush force, friction, radius of the pad, stroke. `out`
-    (12,): force (3), position (3), velocity (3) of the pad, ENU; compression of spring and damper,
-    its rate, and the normal force before the crush limit.
+    `y` (15,) is the lander's state, `pad` (3,) the pad in body axes, m, and `leg` (5,) the state of
+    the leg. `leg_params` is stiffness, damping, crush force, friction, radius of the pad, stroke.
+    `heights` and `frame` are the terrain raster. `out` (12,): force (3), position (3), velocity (3)
+    of the pad, ENU; compression of spring and damper, its rate, and the normal force before the
+    crush limit.
     """
     qx, qy, qz, qw = y[6], y[7], y[8], y[9]
     wx, wy, wz = y[10], y[11], y[12]
@@ -69,7 +74,12 @@ def compute_contact(y, pad, leg, leg_params, heights, frame, out):
 
 @kernel(inner=True)
 def add_friction(out, leg, leg_params, n, normal):
-    """Add normal force and friction from a spring and damper at the contact point."""
+    """Write the force of the terrain on a pad (normal and friction) into `out[:3]`.
+
+    Friction acts as a spring and damper at the contact point, up to the friction limit. `n` is the
+    terrain normal (3,) and `normal` the normal force, N; `leg`, `leg_params` and `out` are those of
+    `compute_contact`.
+    """
     hold = np.zeros(3)
     if np.isfinite(leg[2]):
         off = np.empty(3)
@@ -90,7 +100,12 @@ def add_friction(out, leg, leg_params, n, normal):
 
 @kernel(inner=True)
 def compute_loads(y, pads, legs, leg_params, heights, frame, rig, torque, out):
-    """Write the legs' force into `rig`, and their torque; return absorbed power."""
+    """Compute force and torque of all legs on the body; return the absorbed power, W.
+
+    The total force is written into `rig[:3]` and the torque into `torque`, body axes. `pads`
+    (n, 3) are in body axes, m, `legs` (n, 5) the states of the legs; the other arguments are those
+    of `compute_contact`.
+    """
     power = 0.0
     total = np.zeros(3)
     turn = np.zeros(3)
@@ -119,7 +134,11 @@ def compute_loads(y, pads, legs, leg_params, heights, frame, rig, torque, out):
 
 @kernel(inner=True)
 def update_yield(y, dt, pads, legs, leg_params, heights, frame, out):
-    """Update crushed lengths and slipping contact points after a step."""
+    """Update crushed lengths and slipping contact points of the legs after a step.
+
+    `legs` (n, 5) are the states of the legs, in place, and `dt` is the step, s; the other
+    arguments are those of `compute_contact`.
+    """
     for n in range(pads.shape[0]):
         leg = legs[n]
         if not compute_contact(y, pads[n], leg, leg_params, heights, frame, out):
@@ -153,7 +172,12 @@ def update_yield(y, dt, pads, legs, leg_params, heights, frame, out):
 
 @kernel()
 def settle(y, steps, dt, pads, legs, leg_params, heights, frame, figures, inertia, rig):
-    """Advance a lander with its engine off on its legs, in place.
+    """Simulate the motion of a lander on its legs, engine off, by Runge-Kutta steps.
+
+    `y` (15,) and the leg states `legs` (n, 5) advance in place by `steps` steps of `dt` seconds.
+    `pads` (n, 3) are in body axes, m; `leg_params`, `heights` and `frame` are those of
+    `compute_contact`. `figures` (5,) are gravity, exhaust velocity, thrust lag, dry and wet mass;
+    `inertia` (2, 3) are the moments with tanks empty and full; `rig` (21,) is from `build_rig`.
 
     Returns
     -------

@@ -22,7 +22,7 @@ _MODE = FIRST_MODE
 
 @kernel(exact=True)
 def _cross(a, b, out):
-    """Write a x b."""
+    """Write the cross product a x b of vectors (3,) into `out`."""
     out[0] = a[1] * b[2] - a[2] * b[1]
     out[1] = a[2] * b[0] - a[0] * b[2]
     out[2] = a[0] * b[1] - a[1] * b[0]
@@ -30,7 +30,11 @@ def _cross(a, b, out):
 
 @kernel(exact=True)
 def pendulum(tank, fill, bob):
-    """Return mass, kg, and length, m, and write the bob's rest position (3,)."""
+    """Return mass, kg, and length, m, of the pendulum equivalent to a sloshing tank.
+
+    `tank` (7,) is a row of `Slosh.table` and `fill` the remaining fraction of its liquid. The rest
+    position of the bob, body axes, m, is written into `bob` (3,).
+    """
     radius, depth = tank[3], fill * tank[5] / tank[3]
     steep = np.tanh(_MODE * depth)
     bob[0] = tank[0]
@@ -42,7 +46,11 @@ def pendulum(tank, fill, bob):
 
 @kernel()
 def _subtract_bob(mass, bob, rate, matrix, right):
-    """Subtract a bob at rest from the body's matrix (6, 6) and right-hand side (6,)."""
+    """Subtract a bob at rest from the body's matrix (6, 6) and right-hand side (6,).
+
+    `mass` and `bob` (3,) are mass, kg, and position from the centre of mass, m; `rate` (3,) is the
+    angular velocity, rad/s.
+    """
     square = bob[0] * bob[0] + bob[1] * bob[1] + bob[2] * bob[2]
     for k in range(3):
         matrix[k, k] -= mass
@@ -68,7 +76,11 @@ def _subtract_bob(mass, bob, rate, matrix, right):
 
 @kernel()
 def _inertial_acceleration(rate, arm, swing, out):
-    """Write the centripetal and Coriolis acceleration of a bob at `arm` (3,)."""
+    """Write the centripetal and Coriolis acceleration (3,) of a bob into `out`.
+
+    `rate` (3,) is the angular velocity of the body, rad/s, `arm` (3,) the position of the bob, m,
+    and `swing` (3,) its velocity relative to the body, m/s.
+    """
     turn = np.empty(3)
     _cross(rate, arm, turn)
     for k in range(3):
@@ -78,7 +90,10 @@ def _inertial_acceleration(rate, arm, swing, out):
 
 @kernel(exact=True)
 def _solve(matrix, right):
-    """Solve a symmetric positive definite system in place, by its Cholesky factor."""
+    """Solve matrix @ x = right by Cholesky factorization; `right` becomes x.
+
+    The symmetric positive definite matrix is overwritten.
+    """
     n = right.shape[0]
     for j in range(n):
         for k in range(j):
@@ -100,7 +115,13 @@ def _solve(matrix, right):
 
 @kernel()
 def _add_pendulum(t, s, rate, com, fill, thrust_acceleration, tanks, matrix, right):
-    """Add the pendulum of tank t to the equations, in place of its bob at rest."""
+    """Replace the bob at rest of tank t by its pendulum in the equations of motion.
+
+    `s` (n, 6) are rod directions and their rates, `rate` (3,) is the angular velocity, `com` (3,)
+    the centre of mass, `fill` the remaining fraction of the liquid, `thrust_acceleration` that of
+    the body without gravity, m/s^2, and `tanks` (n, 7) is from `Slosh.table`; `matrix` (6, 6) and
+    `right` (6,) are changed in place.
+    """
     bob, own, swing, drag, turn = (
         np.empty(3),
         np.empty(3),
@@ -136,7 +157,11 @@ def _add_pendulum(t, s, rate, com, fill, thrust_acceleration, tanks, matrix, rig
 
 @kernel()
 def _rod_motion(t, s, rate, moved, com, fill, thrust_acceleration, tanks, sout):
-    """Write the rod motion of tank t for the body's acceleration (6,)."""
+    """Write the rates of change of the rod of tank t into `sout[t]` (6,).
+
+    `moved` (6,) are acceleration and angular acceleration of the body; the other arguments are
+    those of `_add_pendulum`.
+    """
     bob, own, swing, turn = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     _, length = pendulum(tanks[t], fill, bob)
     slow = 2.0 * tanks[t, 6] * np.sqrt(thrust_acceleration / length)
@@ -159,11 +184,13 @@ def _rod_motion(t, s, rate, moved, com, fill, thrust_acceleration, tanks, sout):
 
 @kernel()
 def _correct_accelerations(s, out, specific_force, rate, mass, moments, com, fill, tanks, sout):
-    """Correct accelerations of a body with liquid at rest; write swing rates.
+    """Correct the accelerations of a body for the motion of its sloshing liquid.
 
     `specific_force` is the acceleration (3,), body axes, without gravity; `out` is dy/dt (15,).
-    Both are given for liquid at rest and are corrected in place. `s` and `sout` (n, 6): direction u
-    of each rod and its rate, body axes.
+    Both are given for liquid at rest and are corrected in place. `s` (n, 6) are the direction u of
+    each pendulum's rod and its rate, body axes; `sout` (n, 6) receives their derivatives. `mass`,
+    `moments` (3,), `com` (3,) and `fill` are mass, principal moments, centre of mass and remaining
+    fraction of the liquid; `tanks` (n, 7) is from `Slosh.table`.
     """
     matrix = np.zeros((6, 6))
     right = np.empty(6)
@@ -189,7 +216,12 @@ def _correct_accelerations(s, out, specific_force, rate, mass, moments, com, fil
 
 @kernel()
 def rates(y, s, out, sout, thrust_command, torque, params, inertia, rig, tanks):
-    """Write the rates of change of the state (15,) and of the swings (n, 6)."""
+    """Write the derivatives of the state (15,) and of the slosh pendulums (n, 6).
+
+    `y` and `s` are the state and the rods (direction and rate of each), `out` and `sout` their
+    derivatives; `tanks` (n, 7) is from `Slosh.table`; the other arguments are those of
+    `advance_body`.
+    """
     dry, wet = params[3], params[4]
     derivative(
         y, out, thrust_command, torque, params[0], params[1], params[2], dry, wet, inertia[0],
@@ -220,9 +252,10 @@ def rates(y, s, out, sout, thrust_command, torque, params, inertia, rig, tanks):
 
 @kernel()
 def advance(y, s, dt, thrust_command, torque, params, inertia, rig, tanks):
-    """Advance the state (15,) and the swings (n, 6) by one Runge-Kutta step in place.
+    """Advance a state and its slosh pendulums by one Runge-Kutta step in place.
 
-    The arguments are those of `advance_body`; `tanks` is from `Slosh.table`.
+    `y` (15,) is the state and `s` (n, 6) the direction and rate of each rod; `tanks` (n, 7) is from
+    `Slosh.table`; the other arguments are those of `advance_body`.
     """
     dry = params[3]
     if y[13] <= dry - (1.0 - 1e-6) * rig[16]:

@@ -1,7 +1,7 @@
 # mypy: allow-untyped-defs, no-check-untyped-defs
 """Compiled touchdown on raster terrain: first contact and landing outcome.
 
-Terrain is a raster of heights (rows, cols), bilinear between posts; `frame` (3,) holds the
+Terrain is a raster of heights (rows, cols), bilinear between points; `frame` (3,) holds the
 coordinates of post (0, 0) and the posting, m. Terrain outside the posts is unknown.
 """
 
@@ -11,14 +11,17 @@ import numpy as np
 
 from lunarsim._jit import kernel
 
-# Bits of the violated limits, in the order of `judge_touchdown`.
+# Bits of the violated limits, in the order of `evaluate_touchdown`.
 OFF_MAP, VERTICAL_SPEED, HORIZONTAL_SPEED, TILT, RATE = 1, 2, 4, 8, 16
 SLOPE, ROUGHNESS, BELLY, TIP_OVER = 32, 64, 128, 256
 
 
 @kernel()
 def height_at(z, frame, x, y):
-    """Return the height of a raster at a point, m; NaN outside its posts."""
+    """Interpolate the height, m, of a terrain raster at (x, y); NaN outside its grid.
+
+    `z` (rows, cols) are heights; `frame` (3,) is east and north of point (0, 0) and the spacing, m.
+    """
     rows, cols = z.shape
     u = (x - frame[0]) / frame[2]
     v = (y - frame[1]) / frame[2]
@@ -34,7 +37,10 @@ def height_at(z, frame, x, y):
 
 @kernel()
 def body_point(y, pad, out):
-    """Write the position of a body point (3,), ENU."""
+    """Write the ENU position of a point fixed to the body into `out` (3,), m.
+
+    `y` (15,) is the lander's state and `pad` (3,) the point in body axes, m.
+    """
     qx, qy, qz, qw = y[6], y[7], y[8], y[9]
     cx = qy * pad[2] - qz * pad[1] + qw * pad[0]
     cy = qz * pad[0] - qx * pad[2] + qw * pad[1]
@@ -46,7 +52,10 @@ def body_point(y, pad, out):
 
 @kernel()
 def max_pad_height(z, frame, x, y, disc):
-    """Return the highest terrain under a pad at a point, m; NaN where unknown."""
+    """Return the maximum terrain height, m, under a pad at (x, y); NaN where unknown.
+
+    `z` and `frame` are the terrain raster; `disc` (n, 2) are sample points of the pad, m.
+    """
     best = -np.inf
     for k in range(len(disc)):
         here = height_at(z, frame, x + disc[k, 0], y + disc[k, 1])
@@ -58,7 +67,11 @@ def max_pad_height(z, frame, x, y, disc):
 
 @kernel()
 def has_contact(y, pads, disc, z, frame):
-    """Return whether a pad is at or below the terrain under it."""
+    """Return whether any pad touches the terrain.
+
+    `y` (15,) is the lander's state, `pads` (n, 3) are pad centres in body axes and `disc` (k, 2)
+    sample points of a pad, m; `z` and `frame` are the terrain raster.
+    """
     at = np.empty(3)
     for k in range(len(pads)):
         body_point(y, pads[k], at)
@@ -72,7 +85,7 @@ def has_contact(y, pads, disc, z, frame):
 
 @kernel()
 def _fit_plane(a, b, c, out):
-    """Write z0 and the slopes east and north of the plane through three points."""
+    """Write the plane through three points into `out`: z0, slope east, slope north."""
     ux, uy, uz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
     vx, vy, vz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
     det = ux * vy - uy * vx
@@ -83,9 +96,10 @@ def _fit_plane(a, b, c, out):
 
 @kernel()
 def write_support_planes(legs, planes):
-    """Write the planes that a lander can stand on (2, 3); equal for three legs.
+    """Compute the two planes on which a lander can stand; equal for three legs.
 
-    They are those of `touchdown.support_planes`.
+    `legs` (3 or 4, 3) are contact points of the pads, m. Each row of `planes` (2, 3) is z0, slope
+    east, slope north. The rule is that of `touchdown.support_planes`.
     """
     if len(legs) == 3:
         _fit_plane(legs[0], legs[1], legs[2], planes[0])
@@ -100,7 +114,7 @@ def write_support_planes(legs, planes):
 
 @kernel()
 def _inside(x, y, legs):
-    """Return whether a point lies in the counter-clockwise polygon of the legs."""
+    """Return whether (x, y) lies in the counter-clockwise polygon `legs` (n, 3)."""
     n = len(legs)
     for k in range(n):
         a, b = legs[k], legs[(k + 1) % n]
@@ -111,7 +125,12 @@ def _inside(x, y, legs):
 
 @kernel()
 def fit_terrain(legs, spacing, z, frame, out):
-    """Write slope (rad) and roughness (m) under the legs, as `touchdown.fit_terrain`."""
+    """Compute slope (rad) and roughness (m) of the terrain under a standing lander.
+
+    `legs` (n, 3) are contact points of the pads, m, and `spacing` is the distance of terrain
+    samples, m; `z` and `frame` are the terrain raster. The results, written into `out` (2,), are
+    those of `touchdown.fit_terrain_plane`.
+    """
     planes = np.empty((2, 3))
     write_support_planes(legs, planes)
     n = len(legs)
@@ -144,7 +163,12 @@ def fit_terrain(legs, spacing, z, frame, out):
 
 @kernel()
 def tip_margin(y, legs, slope, com_height, gravity, dry, wet, inertia):
-    """Return the minimum margin over the edges of the legs, as `touchdown.tip_margin`."""
+    """Return the minimum tip-over margin over the edges between adjacent legs.
+
+    The margin is 1 - E / E_tip of `touchdown.tip_margin`; negative: the lander tips over. `y` (15,)
+    is the state, `legs` (n, 3) are contact points, m, `slope` is in rad; `dry`, `wet` and `inertia`
+    (2, 3) are masses and moments with tanks empty and full.
+    """
     full = (y[13] - dry) / (wet - dry)
     least = min(
         inertia[0, 0] + full * (inertia[1, 0] - inertia[0, 0]),
@@ -175,7 +199,7 @@ def tip_margin(y, legs, slope, com_height, gravity, dry, wet, inertia):
 def violated_limits(
     y, pads, disc, spacing, z, frame, limits, com_height, gravity, dry, wet, inertia, out
 ):
-    """Return the limits that a touchdown violates, one bit each; 0 is a safe landing.
+    """Evaluate a touchdown; return its violated limits, one bit each (0: safe).
 
     Parameters
     ----------

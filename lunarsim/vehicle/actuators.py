@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 
 
 class Actuators:
-    """Thrusters and engine of one flight.
+    """True thrusters, gimbal and throttle of one flight, with faults.
 
     A valve opens instantly with full force; a fraction of a step counts as that fraction of the
     force. A command replaces the rest of the previous one, but an open valve stays open for its
@@ -38,7 +38,7 @@ class Actuators:
         Thruster propellant used, kg.
     on_time, firings
         On-time (s) and number of valve openings of each thruster (n,).
-    liquid
+    slosh_pendulums
         Sloshing propellant; None: no slosh.
     """
 
@@ -58,11 +58,11 @@ class Actuators:
         self.spent = 0.0
         self.on_time = np.zeros(n)
         self.firings = np.zeros(n, dtype=np.int64)
-        self.liquid = SloshPendulums(lander) if lander.slosh.tanks else None
+        self.slosh_pendulums = SloshPendulums(lander) if lander.slosh.tanks else None
 
-    def order(self, on_times: Array, gimbal: Array) -> None:
-        """Set on-times of the thrusters (n,), s, and gimbal commands (2,), rad."""
-        least = self.lander.thrusters.minimum_on
+    def command(self, on_times: Array, gimbal: Array) -> None:
+        """Command on-times (n,), s, of the thrusters and gimbal angles (2,), rad."""
+        least = self.lander.thrusters.min_on_time
         wanted = np.where(on_times > 0.0, np.maximum(on_times, least), 0.0)
         # A valve that has just opened cannot close before its minimum on-time.
         held = np.where(self._remaining_on_time > 0.0, np.maximum(least - self._open_for, 0.0), 0.0)
@@ -73,8 +73,11 @@ class Actuators:
         limit = self.lander.engine.gimbal_limit
         self._gimbal_command = np.clip(gimbal, -limit, limit)
 
-    def throttled(self, wanted: float) -> float:
-        """Return the throttle setting for a commanded thrust, N; 0 shuts the engine down."""
+    def set_throttle(self, wanted: float) -> float:
+        """Apply throttle limits and faults to a commanded thrust `wanted`, N.
+
+        Returns the resulting throttle setting, N; 0 shuts the engine down.
+        """
         engine, stuck = self.lander.engine, self.faults.engine_stuck_from
         if stuck is not None and self._time >= stuck:
             self._throttle = self.faults.throttle(self._time, self._throttle, wanted)
@@ -85,29 +88,29 @@ class Actuators:
         if self._throttle and abs(wanted - self._throttle) < engine.dead_band:
             return self._throttle
         thrust = min(max(wanted, self.lander.thrust_min), self.lander.thrust_max)
-        if engine.has_gap and thrust > engine.gap_from:
-            middle = 0.5 * (engine.gap_from + engine.gap_to)
-            thrust = engine.gap_to if thrust > middle else engine.gap_from
+        if engine.has_gap and thrust > engine.gap_lower:
+            middle = 0.5 * (engine.gap_lower + engine.gap_upper)
+            thrust = engine.gap_upper if thrust > middle else engine.gap_lower
         elif engine.throttle_step > 0.0:
             thrust = engine.throttle_step * round(thrust / engine.throttle_step)
             # Quantization must not lead into the gap.
-            most = engine.gap_from if engine.has_gap else self.lander.thrust_max
+            most = engine.gap_lower if engine.has_gap else self.lander.thrust_max
             thrust = min(max(thrust, self.lander.thrust_min), most)
         self._throttle = thrust
         return thrust
 
     def advance(self, dynamics: Dynamics, state: State, throttle: float) -> State:
-        """Return the state one step later for a throttle setting, N."""
+        """Return the lander's state one step later for a throttle setting, N."""
         share = self._on_fractions()
         limit = self.step * self.lander.engine.gimbal_rate
         self.gimbal = self.gimbal + np.clip(self._gimbal_command - self.gimbal, -limit, limit)
-        flow = self.lander.thrusters.flow * float(share.sum())
+        flow = self.lander.thrusters.propellant_flow * float(share.sum())
         rig = dynamics.on_moon(self.rig(share @ self._forces, flow))
         torque = share @ self._torques
-        if self.liquid is None:
+        if self.slosh_pendulums is None:
             moved = dynamics.advance_with_rig(state, throttle, torque, rig)
         else:
-            moved = self.liquid.advance(dynamics, state, throttle, torque, rig)
+            moved = self.slosh_pendulums.advance(dynamics, state, throttle, torque, rig)
         self.spent += flow * self.step
         self.on_time += share * self.step
         self._open_for += np.minimum(self._remaining_on_time, self.step)
@@ -117,7 +120,11 @@ class Actuators:
         return moved
 
     def rig(self, force: Array, flow: float) -> Array:
-        """Return the kernel's forces and geometry except torques, like `build_rig`."""
+        """Return forces and geometry of the lander as the array (21,) of `build_rig`.
+
+        `force` (3,) is the total force of the thrusters, body axes, N, and `flow` their propellant
+        flow, kg/s.
+        """
         v, (x, y) = self.lander, self.gimbal
         engine = (np.sin(y) * np.cos(x), -np.sin(x), np.cos(y) * np.cos(x))
         pivot = (0.0, 0.0, -v.engine.pivot_depth)
@@ -127,11 +134,11 @@ class Actuators:
         )  # fmt: skip
 
     def _on_fractions(self) -> Array:
-        """Return the fraction of the next step in which each thruster pushes (n,)."""
+        """Return the fraction (n,) of the next step during which each thruster fires."""
         share = np.minimum(self._remaining_on_time, self.step) / self.step
-        if self._time >= self.faults.jets_from:
-            share[list(self.faults.jets_shut)] = 0.0
-            share[list(self.faults.jets_open)] = 1.0
-        wanted = self.lander.thrusters.flow * self.step * float(share.sum())
+        if self._time >= self.faults.jets_stuck_from:
+            share[list(self.faults.jets_stuck_shut)] = 0.0
+            share[list(self.faults.jets_stuck_open)] = 1.0
+        wanted = self.lander.thrusters.propellant_flow * self.step * float(share.sum())
         left = self.lander.thrusters.propellant - self.spent
         return share * (left / wanted) if wanted > left else share

@@ -13,23 +13,25 @@ Array = NDArray[np.float64]
 
 # Random quantities of a flight, in the order of their draws.
 RANDOM_QUANTITIES = (
-    "load_kg", "specific_impulse_s", "thrust_share", "thrust_lag_s", "offset_x_m", "offset_y_m",
-    "fails_at_s", "engine_left", "torque_left_x", "torque_left_y", "torque_left_z",
+    "payload_kg", "specific_impulse_s", "thrust_scale", "thrust_lag_s", "offset_x_m", "offset_y_m",
+    "failure_time_s", "engine_effectiveness", "torque_effectiveness_x", "torque_effectiveness_y",
+    "torque_effectiveness_z",
     "sensing_delay_s", "actuation_delay_s",
 )  # fmt: skip
 
 
 @dataclass(frozen=True)
 class DomainRandomization:
-    """Domain randomization of ``Guidance-v0`` and ``Control-v0``, per flight.
+    """Settings of the domain randomization of ``Guidance-v0`` and ``Control-v0``.
 
+    Every flight has new random parameters.
     Vehicle parameters are uniform within plus or minus the half range; noise is normal.
 
     Attributes
     ----------
-    load
+    payload
         Half range of the payload at the centre of mass, relative to the dry mass, kg.
-    specific_impulse, thrust, thrust_lag
+    specific_impulse, thrust_scale, thrust_lag
         Half ranges of the engine parameters: s, fraction, s.
     thrust_offset
         Half range of the distance of the engine's axis from the centre of mass, along body x and y,
@@ -39,31 +41,34 @@ class DomainRandomization:
     sensing_delay, actuation_delay
         Maximum delay of observations and of commands, s.
     engine_failure, torque_failure
-        Probability per flight of weak thrust, or of a weak torque axis, from some time on.
-    weakest, failure_by
-        Minimum remaining fraction; latest time of a failure, s.
+        Probability per flight of weak thrust, or of weak torque about one axis, from a random time
+        on.
+    min_remaining_fraction, latest_failure
+        Minimum remaining fraction of thrust or torque; latest time of a failure, s.
     """
 
-    load: float = quantity(0.0, "kg", ge=0, le=1e4, help="half range of the payload mass")
+    payload: float = quantity(0.0, "kg", ge=0, le=1e4, help="half range of the payload mass")
     specific_impulse: float = quantity(
         0.0, "s", ge=0, le=100, help="half range of the specific impulse"
     )
-    thrust: float = quantity(0.0, ge=0, le=0.5, help="relative half range of the thrust")
+    thrust_scale: float = quantity(
+        0.0, ge=0, le=0.5, help="half range of the thrust, relative to its nominal value"
+    )
     thrust_lag: float = quantity(0.0, "s", ge=0, le=2, help="half range of the engine's lag")
     thrust_offset: float = quantity(
         0.0, "m", ge=0, le=0.5, help="half range of the engine axis offset from the centre of mass"
     )
     position_noise: float = quantity(
-        0.0, "m", ge=0, le=1e3, help="position noise, 1 sigma per axis"
+        0.0, "m", ge=0, le=1e3, help="noise of the observed position, 1 sigma per axis"
     )
     velocity_noise: float = quantity(
-        0.0, "m/s", ge=0, le=100, help="velocity noise, 1 sigma per axis"
+        0.0, "m/s", ge=0, le=100, help="noise of the observed velocity, 1 sigma per axis"
     )
     attitude_noise: float = quantity(
-        0.0, "deg", ge=0, le=30, help="attitude noise, 1 sigma per axis"
+        0.0, "deg", ge=0, le=30, help="noise of the observed attitude, 1 sigma per axis"
     )
     rate_noise: float = quantity(
-        0.0, "deg/s", ge=0, le=30, help="angular rate noise, 1 sigma per axis"
+        0.0, "deg/s", ge=0, le=30, help="noise of the observed angular rate, 1 sigma per axis"
     )
     sensing_delay: float = quantity(0.0, "s", ge=0, le=5, help="maximum delay of observations")
     actuation_delay: float = quantity(0.0, "s", ge=0, le=5, help="maximum delay of commands")
@@ -73,19 +78,22 @@ class DomainRandomization:
     torque_failure: float = quantity(
         0.0, ge=0, le=1, help="probability of a torque failure per flight"
     )
-    weakest: float = quantity(0.5, ge=0, le=1, help="minimum remaining fraction after a failure")
-    failure_by: float = quantity(30.0, "s", gt=0, le=1e4, help="latest time of a failure")
+    min_remaining_fraction: float = quantity(
+        0.5, ge=0, le=1, help="minimum remaining fraction of thrust or torque after a failure"
+    )
+    latest_failure: float = quantity(30.0, "s", gt=0, le=1e4, help="latest time of a failure")
 
     def __post_init__(self) -> None:
-        check_bounds(self, "variation")
+        check_bounds(self, "domain_randomization")
 
     @property
     def ranges(self) -> Array:
-        """Ranges for the kernels' random draws (12,), SI units."""
+        """Ranges (12,), SI units, from which compiled functions sample the parameters."""
         return np.array([
-            self.load, self.specific_impulse, self.thrust, self.thrust_lag, self.thrust_offset,
-            self.thrust_offset, self.failure_by, self.engine_failure, self.torque_failure,
-            self.weakest, self.sensing_delay, self.actuation_delay,
+            self.payload, self.specific_impulse, self.thrust_scale, self.thrust_lag,
+            self.thrust_offset,
+            self.thrust_offset, self.latest_failure, self.engine_failure, self.torque_failure,
+            self.min_remaining_fraction, self.sensing_delay, self.actuation_delay,
         ])  # fmt: skip
 
     @property

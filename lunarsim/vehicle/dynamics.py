@@ -29,7 +29,10 @@ def build_rig(
     radius: float = 0.0,
     spin: ArrayLike = (0.0, 0.0, 0.0),
 ) -> Array:
-    """Return forces and geometry for kernels (21,), other than torques.
+    """Pack forces and geometry of a vehicle into an array for compiled functions.
+
+    The array has shape (21,). The defaults are an engine through a fixed centre of mass, without
+    thrusters, on a flat Moon.
 
     Parameters
     ----------
@@ -55,7 +58,7 @@ PLAIN_RIG = build_rig()
 
 @dataclass(frozen=True)
 class Dynamics:
-    """Rigid body with variable mass, integrated by the classical Runge-Kutta method.
+    """Motion of a rigid body with variable mass, integrated by the Runge-Kutta method.
 
     ``r' = v``, ``v' = R(q) (0, 0, T) / m - (0, 0, g)``, ``q' = q (w, 0) / 2``,
     ``I(m) w' = tau - w x I(m) w``, ``m' = -T / (Isp g0)``, ``T' = (T_c - T) / lag``. Inertia is
@@ -96,41 +99,50 @@ class Dynamics:
 
     @property
     def plain_rig(self) -> Array:
-        """Forces and geometry of a body without thrusters and gimbal, for kernels (21,)."""
+        """Array (21,) of `build_rig` for a body without thrusters and gimbal."""
         return PLAIN_RIG if self.moon is None else self.on_moon(PLAIN_RIG.copy())
 
     def on_moon(self, rig: Array) -> Array:
-        """Write the Moon's radius and spin into a rig for kernels, and return it (21,)."""
+        """Write the Moon's radius and spin into an array of `build_rig`; return the array.
+
+        On a flat Moon, `rig` (21,) remains unchanged.
+        """
         if self.moon is not None:
             rig[17], rig[18:] = self.moon.radius, self.moon.spin
         return rig
 
     @property
-    def figures(self) -> Array:
-        """Gravity, exhaust velocity, thrust lag, dry and wet mass, for kernels (5,)."""
+    def params(self) -> Array:
+        """Gravity, exhaust velocity, thrust lag, dry and wet mass as an array (5,), SI."""
         v = self.lander
         return np.array([self.gravity, v.exhaust_velocity, v.thrust_lag, v.dry_mass, v.wet_mass])
 
     @property
     def inertia(self) -> Array:
-        """Principal moments with tanks empty and full, for kernels (2, 3), kg m^2."""
+        """Principal moments of inertia (2, 3), kg m^2, with tanks empty and full."""
         return np.array([self.lander.inertia_dry, self.lander.inertia_full], dtype=np.float64)
 
     def thrust(self, wanted: float) -> float:
-        """Return the thrust (N) for a command: 0, or clipped to the throttle range."""
+        """Return the thrust, N, for a command `wanted`, N.
+
+        A positive command is clipped to the throttle range; otherwise the thrust is 0.
+        """
         return (
             min(max(wanted, self.lander.thrust_min), self.lander.thrust_max) if wanted > 0 else 0.0
         )
 
     def advance(self, state: State, thrust: float, torque: Array) -> State:
-        """Return the state one step later for a thrust (N) and torques (3,), N m."""
+        """Return the state one step later for commanded thrust (N) and torques (3,), N m.
+
+        Thrust and torques are clipped to the limits of the lander.
+        """
         limit = np.asarray(self.lander.torque_max)
         return self.advance_with_rig(
             state, self.thrust(thrust), np.clip(torque, -limit, limit), self.plain_rig
         )
 
     def advance_with_rig(self, state: State, thrust: float, torque: Array, rig: Array) -> State:
-        """Return the state one step later for a thrust without clipping.
+        """Return the state one step later for given forces, without limits.
 
         Parameters
         ----------
@@ -145,13 +157,15 @@ class Dynamics:
         """
         y = state.as_vector()
         k.advance_body(
-            y, self.step, thrust, np.asarray(torque, dtype=np.float64), self.figures, self.inertia,
+            y, self.step, thrust, np.asarray(torque, dtype=np.float64), self.params, self.inertia,
             rig, np.empty((5, 15)),
         )  # fmt: skip
         return State.from_vector(y)
 
     def advance_ideal(self, state: State, command: Command, slew_limit: float, steps: int) -> Array:
-        """Return the state vectors (steps, 15) with an ideal attitude actuator.
+        """Simulate several steps with an ideal attitude actuator.
+
+        Returns the state vector after each step (steps, 15).
 
         The attitude follows the command along the shortest arc at `slew_limit` or less (rad/s;
         shadow EKF paper, section IV.A.3).
@@ -159,7 +173,7 @@ class Dynamics:
         return np.asarray(
             k.advance_ideal(
                 state.as_vector(), steps, self.step, self.thrust(command.thrust),
-                np.ascontiguousarray(command.attitude, dtype=np.float64), slew_limit, self.figures,
+                np.ascontiguousarray(command.attitude, dtype=np.float64), slew_limit, self.params,
                 self.inertia, self.plain_rig,
             )
         )  # fmt: skip

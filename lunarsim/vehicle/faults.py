@@ -13,13 +13,15 @@ from lunarsim.parts.quantity import check_bounds, quantity
 
 @dataclass(frozen=True)
 class Faults:
-    """Stuck thrusters and a stuck throttle, unknown to the onboard computer.
+    """Settings of stuck thrusters and a stuck throttle.
+
+    The faults are unknown to the onboard computer.
 
     Attributes
     ----------
-    jets_shut, jets_open
+    jets_stuck_shut, jets_stuck_open
         Indices of the thrusters, from 0 in the order of their layout.
-    jets_from
+    jets_stuck_from
         Start of the thruster faults, s.
     engine_stuck_from
         Time from which the throttle is stuck, s; None: never.
@@ -28,9 +30,9 @@ class Faults:
         the start.
     """
 
-    jets_shut: tuple[int, ...] = quantity((), ge=0, help="indices of thrusters stuck shut")
-    jets_open: tuple[int, ...] = quantity((), ge=0, help="indices of thrusters stuck open")
-    jets_from: float = quantity(0.0, "s", ge=0, help="start of the thruster faults")
+    jets_stuck_shut: tuple[int, ...] = quantity((), ge=0, help="indices of thrusters stuck shut")
+    jets_stuck_open: tuple[int, ...] = quantity((), ge=0, help="indices of thrusters stuck open")
+    jets_stuck_from: float = quantity(0.0, "s", ge=0, help="start of the thruster faults")
     engine_stuck_from: float | None = quantity(
         None, "s", ge=0, help="time from which the throttle is stuck; omitted: never"
     )
@@ -40,19 +42,23 @@ class Faults:
 
     def __post_init__(self) -> None:
         check_bounds(self, "faults")
-        both = set(self.jets_shut) & set(self.jets_open)
+        both = set(self.jets_stuck_shut) & set(self.jets_stuck_open)
         if both:
             raise InputError(
-                "faults.jets_open", self.jets_open,
-                f"must not list thruster {min(both)}, which jets_shut lists",
+                "faults.jets_stuck_open", self.jets_stuck_open,
+                f"must not contain thruster {min(both)}, which is also in jets_stuck_shut",
             )  # fmt: skip
         if self.engine_stuck_at is not None and self.engine_stuck_from is None:
             raise InputError(
-                "faults.engine_stuck_at", self.engine_stuck_at, "needs engine_stuck_from"
+                "faults.engine_stuck_at",
+                self.engine_stuck_at,
+                "must be omitted unless engine_stuck_from is set",
             )
 
     def throttle(self, time: float, last: float | None, wanted: float) -> float:
-        """Return the throttle setting for a commanded thrust (N) at a time (s), N.
+        """Apply the throttle fault to a commanded thrust `wanted`, N, at a time, s.
+
+        Returns the throttle setting, N.
 
         `last` is the previous setting, N; None: no command yet.
         """
@@ -64,7 +70,7 @@ class Faults:
 
     def check_plain(self) -> None:
         """Raise `InputError` if thruster faults are set for a lander without thrusters."""
-        for name in ("jets_shut", "jets_open"):
+        for name in ("jets_stuck_shut", "jets_stuck_open"):
             if getattr(self, name):
                 raise InputError(
                     f"faults.{name}", getattr(self, name),
@@ -82,8 +88,10 @@ class Faults:
             )  # fmt: skip
 
     def check_count(self, count: int) -> None:
-        """Raise `InputError` if a thruster index is not in a layout of `count`."""
-        for name in ("jets_shut", "jets_open"):
+        """Raise `InputError` if a thruster index is not below the number of thrusters."""
+        for name in ("jets_stuck_shut", "jets_stuck_open"):
             for number in getattr(self, name):
                 if number >= count:
-                    raise InputError(f"faults.{name}", number, f"must be less than {count}")
+                    raise InputError(
+                        f"faults.{name}", number, f"must be less than {count}, the thruster count"
+                    )

@@ -35,7 +35,7 @@ _TIP_OVER_MARGIN_RAD = np.deg2rad(20.0)
 
 @dataclass(frozen=True)
 class Legs:
-    """Legs of spring, damper and crushable honeycomb, for a dynamic landing outcome.
+    """Settings of landing legs: spring, damper and crushable honeycomb.
 
     Attributes
     ----------
@@ -46,9 +46,9 @@ class Legs:
     stroke
         Maximum crush length of the honeycomb, m.
     friction
-        Coefficient between pad and terrain.
+        Friction coefficient of pad and terrain.
     max_time
-        Time limit for coming to rest or tipping over; after it the lander is unsettled, s.
+        Time limit, s, for coming to rest or tipping over; later the lander counts as unsettled.
     """
 
     stiffness: float = quantity(2e5, "N/m", gt=0, help="stiffness of a leg and of pad contact")
@@ -75,7 +75,7 @@ class RestState:
     time
         Time since touchdown, s.
     tipped, settled
-        Whether it tipped over; whether it came to rest.
+        Whether the lander tipped over; whether the lander came to rest.
     tilt
         Final tilt of the body, rad.
     strokes
@@ -99,7 +99,7 @@ class RestState:
     clearance: float
 
     def record_values(self) -> dict[str, object]:
-        """Return the values for a record."""
+        """Return the values to store in the record of a flight, by column name."""
         return {
             "rest_time_s": self.time, "rest_tilt_deg": float(np.rad2deg(self.tilt)),
             "leg_strokes_m": self.strokes, "leg_crushed_m": self.crushed,
@@ -109,14 +109,14 @@ class RestState:
 
 @dataclass
 class TerrainPatch:
-    """Terrain around a touchdown, with its maximum under a pad.
+    """Terrain raster around a touchdown, with the maximum height under a pad.
 
     Attributes
     ----------
     heights, pad_heights
         Terrain heights, and their maximum over the disc of a pad (rows, cols), m; NaN if unknown.
     frame
-        East and north of post (0, 0), and the posting (3,), m.
+        East and north of grid point (0, 0), and the grid spacing (3,), m.
     """
 
     heights: Array
@@ -144,7 +144,11 @@ class TerrainPatch:
 
 
 def _belly_clearance(lander: Lander, state: State, patch: TerrainPatch, shift: Array) -> float:
-    """Return the minimum height of the belly above the terrain, m."""
+    """Return the minimum height, m, of the lander's underside above the terrain.
+
+    `patch` is the terrain, and `shift` (3,) the centre of mass from the body's origin, m. NaN for a
+    strongly tilted lander or unknown terrain.
+    """
     pads = state.position + quat_rotate(state.attitude, lander.pads - shift)
     lift = quat_to_matrix(state.attitude)[:, 2]
     if lift[2] < 0.3:
@@ -164,7 +168,10 @@ def _belly_clearance(lander: Lander, state: State, patch: TerrainPatch, shift: A
 
 
 def settle(legs: Legs, dynamics: Dynamics, state: State, terrain: ElevationModel) -> RestState:
-    """Simulate a lander from touchdown to rest or tip-over, with the engine off."""
+    """Simulate a lander on its legs from touchdown to rest or tip-over, engine off.
+
+    `state` is the state at touchdown. Returns the final state and the loads of the legs.
+    """
     lander = dynamics.lander
     patch = TerrainPatch.of(lander, state, terrain)
     shift = centre_of_mass(lander, state.mass)
@@ -182,7 +189,7 @@ def settle(legs: Legs, dynamics: Dynamics, state: State, terrain: ElevationModel
     edge = np.arctan2(lander.leg_radius * np.cos(np.pi / lander.legs), lander.com_height)
     time = energy = slow = 0.0
     strokes, clearance, tipped = np.zeros(lander.legs), np.inf, False
-    rig, figures, inertia = PLAIN_RIG.copy(), dynamics.figures, dynamics.inertia
+    rig, figures, inertia = PLAIN_RIG.copy(), dynamics.params, dynamics.inertia
     while time < legs.max_time and slow < _REST_TIME_S and not tipped:
         energy += k.settle(
             y,
@@ -231,15 +238,16 @@ def _tilt(state: State) -> float:
 def evaluate_motion(
     legs: Legs, dynamics: Dynamics, state: State, terrain: ElevationModel
 ) -> tuple[LandingOutcome, RestState | None]:
-    """Determine the landing outcome from the motion after touchdown.
+    """Determine the landing outcome by simulating the motion after touchdown.
 
     Limits are checked in this order: ``off-map``, ``tip-over``, ``unsettled``, ``legs`` (a leg's
-    stroke is used up), ``belly`` (terrain touched it), ``slope`` (the final tilt exceeds the
-    lander's slope limit). The values at touchdown are those of the static evaluation.
+    stroke is used up), ``belly`` (the underside touched the terrain), ``slope`` (the final tilt
+    exceeds the lander's slope limit). The values at touchdown are those of `evaluate_touchdown`.
+    Returns the outcome and the state at rest; None if the terrain at touchdown is unknown.
     """
     lander = dynamics.lander
     static = evaluate_touchdown(lander, state, terrain, dynamics.gravity)
-    if "off-map" in static.failed:
+    if "off-map" in static.failure_causes:
         return static, None
     rest = settle(legs, dynamics, state, terrain)
     checks = {

@@ -14,11 +14,12 @@ Array = NDArray[np.float64]
 
 
 class SloshPendulums:
-    """Pendulums in the tanks, coupled to the body (`lunarsim.models.slosh`).
+    """Pendulums that model the sloshing propellant of one flight.
 
-    Position and velocity of a state are those of the point that is the centre of mass while the
-    liquid rests. Mass and pivot of a pendulum follow the remaining propellant and are constant
-    within a step.
+    The model is described in `lunarsim.models.slosh`.
+    The position of a state is the point that is the centre of mass while the liquid rests, and the
+    velocity is that of this point. Mass and pivot of a pendulum follow the remaining propellant and
+    are constant within a step.
 
     Parameters
     ----------
@@ -29,7 +30,7 @@ class SloshPendulums:
     ----------
     rod_states
         Direction of each rod and its rate of change (n, 6), body axes; at rest along -z.
-    most
+    max_angles
         Maximum angle of each rod from body -z so far (n,), rad.
     """
 
@@ -37,7 +38,7 @@ class SloshPendulums:
         self._tanks = lander.slosh.table(lander.propellant_mass)
         self.rod_states = np.zeros((len(self._tanks), 6))
         self.rod_states[:, 2] = -1.0
-        self.most = np.zeros(len(self._tanks))
+        self.max_angles = np.zeros(len(self._tanks))
 
     @property
     def angles(self) -> Array:
@@ -48,11 +49,15 @@ class SloshPendulums:
     def advance(
         self, dynamics: Dynamics, state: State, thrust: float, torque: Array, rig: Array
     ) -> State:
-        """Return the state one step later, like `Dynamics.advance_with_rig`."""
+        """Advance lander and pendulums by one step; return the lander's new state.
+
+        `thrust` is the input of the engine's lag, N, `torque` (3,) is about the body's origin, N m,
+        and `rig` (21,) is from `build_rig`.
+        """
         y = state.as_vector()
         k.advance(
             y, self.rod_states, dynamics.step, float(thrust), np.asarray(torque, dtype=np.float64),
-            dynamics.figures, dynamics.inertia, rig, self._tanks,
+            dynamics.params, dynamics.inertia, rig, self._tanks,
         )  # fmt: skip
-        self.most = np.maximum(self.most, self.angles)
+        self.max_angles = np.maximum(self.max_angles, self.angles)
         return State.from_vector(y)

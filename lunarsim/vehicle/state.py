@@ -12,14 +12,14 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class State:
-    """Rigid-body state, in the conventions of `lunarsim.frames`.
+    """True rigid-body state of the lander, with mass and thrust.
 
     Attributes
     ----------
     position
         Centre of mass, ENU (3,), m.
     velocity
-        ENU (3,), m/s.
+        Velocity of the centre of mass, ENU (3,), m/s.
     attitude
         Unit quaternion, scalar last, body to ENU (4,).
     rate
@@ -27,7 +27,7 @@ class State:
     mass
         Total mass, kg.
     thrust
-            Current thrust of the engine, N.
+        Current thrust of the engine, N.
     """
 
     position: Array
@@ -45,7 +45,7 @@ class State:
 
     @classmethod
     def from_vector(cls, y: Array) -> State:
-        """Build a state from `as_vector`'s array."""
+        """Build a state from an array (15,) in the order of the attributes."""
         return cls(
             y[0:3].copy(),
             y[3:6].copy(),

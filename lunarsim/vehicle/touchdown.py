@@ -24,13 +24,13 @@ class ElevationModel(Protocol):
     """Interface of a terrain that returns elevations."""
 
     def elevation(self, xy: ArrayLike) -> Array:
-        """Return the elevation (...,) at points (..., 2), m; NaN where unknown."""
+        """Return the elevation (...,), m, at points (..., 2), m; NaN where unknown."""
         ...
 
 
 @dataclass(frozen=True)
 class Touchdown:
-    """State and terrain at the first pad contact.
+    """Motion of the lander and terrain under its legs at the first pad contact.
 
     Attributes
     ----------
@@ -43,10 +43,9 @@ class Touchdown:
     tilt, rate
         Tilt (rad) and angular rate (rad/s) of the body.
     slope
-        Slope of the steepest admissible support plane, rad.
+        Slope of the steepest plane on which the lander can stand, rad.
     roughness
-        Maximum height of the terrain above an admissible support plane, inside the polygon of the
-        legs, m.
+        Maximum height of the terrain above such a plane, inside the polygon of the legs, m.
     tip_margin
         1 - (energy of rotation over the downhill legs) / (energy needed to tip over); negative if
         the lander tips over.
@@ -75,22 +74,23 @@ class LandingOutcome:
     ----------
     safe
         Whether no limit is violated.
-    failed
+    failure_causes
         Names of the violated limits, in the order of the checks.
     touchdown
         Touchdown, or None if there was none (time or propellant ran out).
     """
 
     safe: bool
-    failed: tuple[str, ...]
+    failure_causes: tuple[str, ...]
     touchdown: Touchdown | None
 
 
 def support_planes(legs: Array) -> list[Array]:
     """Return the planes on which a lander can stand, each ``(z0, dz/dx, dz/dy)``.
 
+    There is one plane for three legs, and two planes for four legs.
     A three-legged lander stands on its three pads. A rigid four-legged lander stands on the higher
-    of its two diagonals and one of the other legs: two planes are admissible.
+    of its two diagonals and one of the other legs, which gives two planes.
 
     Parameters
     ----------
@@ -118,7 +118,10 @@ def support_planes(legs: Array) -> list[Array]:
 
 
 def pad_disc(radius: float) -> Array:
-    """Return points (n, 2), m, that fill a disc, including centre and rim."""
+    """Return sample points (n, 2), m, of a landing pad, including centre and rim.
+
+    `radius` is the radius of the pad, m.
+    """
     n = int(np.ceil(radius / TERRAIN_SAMPLE_SPACING_M))
     axis = np.linspace(-radius, radius, 2 * n + 1)
     xy = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
@@ -128,7 +131,11 @@ def pad_disc(radius: float) -> Array:
 
 
 def pad_contacts(lander: Lander, state: State, terrain: ElevationModel) -> Array:
-    """Return the contact points (legs, 3), m, on the highest terrain under each pad."""
+    """Return the contact points of the pads (legs, 3), ENU, m.
+
+    Each contact point has the position of the pad's centre and the height of the highest terrain
+    under the pad.
+    """
     pads = lander.pads - centre_of_mass(lander, state.mass)
     centres = state.position + quat_rotate(state.attitude, pads)
     spots = centres[:, None, :2] + pad_disc(0.5 * lander.pad_diameter)
@@ -136,7 +143,7 @@ def pad_contacts(lander: Lander, state: State, terrain: ElevationModel) -> Array
 
 
 def _inside_polygon(points: Array, polygon: Array) -> NDArray[np.bool_]:
-    """Return whether points (n, 2) lie in a convex counter-clockwise polygon (m, 2)."""
+    """Return which points (n, 2) lie in a convex counter-clockwise polygon (k, 2)."""
     inside = np.ones(len(points), dtype=np.bool_)
     for a, b in zip(polygon, np.roll(polygon, -1, axis=0), strict=True):
         cross = (b[0] - a[0]) * (points[:, 1] - a[1]) - (b[1] - a[1]) * (points[:, 0] - a[0])
@@ -147,7 +154,8 @@ def _inside_polygon(points: Array, polygon: Array) -> NDArray[np.bool_]:
 def fit_terrain_plane(lander: Lander, legs: Array, terrain: ElevationModel) -> tuple[float, float]:
     """Return slope (rad) and roughness (m) of the terrain under a standing lander.
 
-    They follow Eqs. 8 and 9 of the Gaussian DEM paper, as maxima over the admissible planes.
+    `legs` (n, 3) are contact points of the pads, m. The values follow Eqs. 8 and 9 of the Gaussian
+    DEM paper, as maxima over the planes on which the lander can stand.
     """
     low, high = legs[:, :2].min(axis=0), legs[:, :2].max(axis=0)
     axes = [
@@ -167,10 +175,12 @@ def fit_terrain_plane(lander: Lander, legs: Array, terrain: ElevationModel) -> t
 
 
 def tip_margin(lander: Lander, state: State, legs: Array, slope: float, gravity: float) -> float:
-    """Return the minimum of 1 - E / E_tip over the edges between adjacent legs.
+    """Return the tip-over margin of a touchdown; negative: the lander tips over.
 
-    The lander hits the edge and rotates about it with its angular momentum about the edge. It tips
-    over if its kinetic energy lifts the centre of mass over the edge. As a worst case, the terrain
+    The margin is the minimum of 1 - E / E_tip over the edges between adjacent legs: the lander
+    hits the edge and rotates about the edge with its angular momentum. The lander tips over if its
+    kinetic energy E exceeds E_tip, which lifts the centre of mass over the edge. `legs` (n, 3) are
+    contact points, m, and `slope` is that of the terrain, rad. As a worst case, the terrain
     slopes towards every edge, and the smaller lateral moment of inertia applies to every edge.
     """
     polygon = legs[:, :2] - state.position[:2]
@@ -199,7 +209,7 @@ def tip_margin(lander: Lander, state: State, legs: Array, slope: float, gravity:
 
 
 def min_touchdown_margin(lander: Lander, touchdown: Touchdown) -> float:
-    """Return the minimum margin of a touchdown to its limits, relative to the limit.
+    """Return the minimum of 1 - value / limit over all limits of a touchdown.
 
     1: at rest on flat terrain; 0: at a limit; negative: `evaluate_touchdown` reports a violation;
     NaN: unknown terrain.
@@ -220,7 +230,7 @@ def min_touchdown_margin(lander: Lander, touchdown: Touchdown) -> float:
 def evaluate_touchdown(
     lander: Lander, state: State, terrain: ElevationModel, gravity: float
 ) -> LandingOutcome:
-    """Determine the landing outcome of `state` on the true terrain.
+    """Determine the landing outcome from the state at touchdown and the true terrain.
 
     Limits are checked in this order: ``off-map`` (unknown terrain), ``vertical-speed``,
     ``horizontal-speed``, ``tilt``, ``rate``, ``slope``, ``roughness``, ``belly`` (terrain above the

@@ -21,14 +21,14 @@ _HATCHES = ("", "///", "...", "xxx", "\\\\\\", "ooo", "+++", "---")
 
 
 def draw_comparison(rows: Rows, scenario: Scenario, path: Path) -> None:
-    """Draw safety, failure causes, metrics, paired differences and map quality.
+    """Draw a comparison of policies: safety, failures, metrics and map quality.
 
     Parameters
     ----------
     rows
         One row per flight and policy, with the columns of `lunarsim.evaluation.flight_metrics`.
     scenario
-        Scenario that was flown; it gives the limits of the lander.
+        Scenario of the flights, with the limits of the lander.
     path
         PNG file to write.
     """
@@ -80,8 +80,10 @@ def _draw_safety(ax: Any, rows: Rows, names: list[str]) -> None:
 
 
 def _draw_causes(ax: Any, rows: Rows, names: list[str]) -> None:
-    """Draw the number of failed flights by their first cause."""
-    first = [(row["policy"], row["failed"].split(",")[0]) for row in rows if not row["safe"]]
+    """Draw the number of failed flights of each policy by their first failure cause."""
+    first = [
+        (row["policy"], row["failure_causes"].split(",")[0]) for row in rows if not row["safe"]
+    ]
     causes = [cause for cause, _ in Counter(cause for _, cause in first).most_common()]
     left = np.zeros(len(names))
     for i, cause in enumerate(causes):
@@ -117,7 +119,10 @@ def _draw_boxes(ax: Any, rows: Rows, names: list[str], column: str, label: str) 
 
 
 def _draw_differences(ax: Any, rows: Rows, names: list[str]) -> None:
-    """Draw the number of flights that are safe under one of two policies only."""
+    """Draw how many flights are safe under one policy but not under the first policy.
+
+    Flights that are safe only under the first policy are drawn to the left.
+    """
     safe = {(row["policy"], row["flight"]): row["safe"] for row in rows}
     flights = sorted({row["flight"] for row in rows})
     for place, name in enumerate(names):
@@ -146,7 +151,11 @@ def _draw_differences(ax: Any, rows: Rows, names: list[str]) -> None:
 
 
 def paired_differences(rows: Rows, first: str, other: str, column: str) -> NDArray[np.float64]:
-    """Return the paired difference of a column from the first policy, by flight (n,)."""
+    """Return the difference of a column between two policies, for each flight (n,).
+
+    It is the value under policy `other` minus the value under policy `first`; flights without both
+    values are omitted.
+    """
     values = {(row["policy"], row["flight"]): row[column] for row in rows}
     flights = sorted({flight for policy, flight in values if policy == other})
     pairs = [(values.get((first, f), np.nan), values[other, f]) for f in flights]
@@ -157,7 +166,9 @@ def paired_differences(rows: Rows, first: str, other: str, column: str) -> NDArr
 def _draw_limit_differences(
     ax: Any, rows: Rows, names: list[str], limits: dict[str, tuple[str, float]]
 ) -> None:
-    """Draw paired differences from the first policy, relative to their limits.
+    """Draw differences from the first policy by flight, relative to lander limits.
+
+    `limits` has the label and the limit of each column.
 
     Marker: mean; thick bar: its 95 % interval (Student's t); thin bar: range of all flights.
     """

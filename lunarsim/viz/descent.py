@@ -20,7 +20,7 @@ _MAX_MARKS = 8
 # Events that are marked: label, marker and colour.
 _EVENT_STYLES = {
     "scan": ("LiDAR scan", "s", COLOURS[2]),
-    "picture": ("first camera image", "o", COLOURS[3]),
+    "image": ("first camera image", "o", COLOURS[3]),
     "lock": ("lock onto the map", "^", COLOURS[4]),
 }
 _LOST_STYLE = ("navigation lost", "X", "black")
@@ -30,7 +30,10 @@ _PHASES = {1: "vertical descent", 2: "abort", 3: "braking"}
 
 
 def draw_descent(flight: Flight, path: Path | None = None) -> Figure:
-    """Draw the profile, and speeds, tilt, thrust, propellant and events over time."""
+    """Draw a flight's altitude profile, and speeds, tilt, thrust and events over time.
+
+    The figure is also written to the PNG file `path` if it is given.
+    """
     figure = new_figure(12, 8.2)
     names = ("events", "speed", "tilt", "thrust", "propellant")
     axes: dict[str, Any] = figure.subplot_mosaic(
@@ -38,7 +41,7 @@ def draw_descent(flight: Flight, path: Path | None = None) -> Figure:
         height_ratios=[0.45, 1.0, 1.0, 1.0, 1.0],
         width_ratios=[1.0, 1.15],
     )
-    lander = Scenario.world_of(flight.scenario).vehicle.make()
+    lander = Scenario.world_from_toml(flight.scenario).vehicle.make()
     marks = _event_marks(flight)
     _draw_profile(axes["profile"], flight, marks)
     _draw_events(axes["events"], marks)
@@ -55,7 +58,7 @@ def draw_descent(flight: Flight, path: Path | None = None) -> Figure:
 
 
 def _event_marks(flight: Flight) -> list[tuple[str, str, str, list[float]]]:
-    """Return label, marker, colour and times of each kind of event."""
+    """Return label, marker, colour and times (s) of each kind of event in a flight."""
     found = []
     for name, (label, marker, colour) in _EVENT_STYLES.items():
         times = [float(e["time"]) for e in flight.events if e["name"] == name]
@@ -76,14 +79,17 @@ def _event_marks(flight: Flight) -> list[tuple[str, str, str, list[float]]]:
 def _draw_profile(
     profile: Any, flight: Flight, marks: list[tuple[str, str, str, list[float]]]
 ) -> None:
-    """Draw altitude over distance, with the events."""
+    """Draw altitude over horizontal distance, with marks of the events.
+
+    `marks` has label, marker, colour and times of each kind of event.
+    """
     t = flight.trajectory
     end = flight.positions[-1]
     altitude = t["position_z"] - end[2]
     away = np.hypot(t["position_x"] - end[0], t["position_y"] - end[1])
     profile.plot(away, altitude, color=COLOURS[0], lw=1.8)
     handles = [Line2D([], [], color=COLOURS[0], label="path")]
-    last = "touchdown" if flight.verdict.touchdown is not None else "end"
+    last = "touchdown" if flight.outcome.touchdown is not None else "end"
     for label, marker, colour, times in [*marks, (last, "v", "black", [float(t["time"][-1])])]:
         rows = [int(np.argmin(np.abs(t["time"] - time))) for time in times]
         profile.plot(away[rows], altitude[rows], marker, color=colour, ms=7, mec="black", mew=0.6)
@@ -97,7 +103,7 @@ def _draw_profile(
 
 
 def _draw_events(events: Any, marks: list[tuple[str, str, str, list[float]]]) -> None:
-    """Draw one row of marks per kind of event."""
+    """Draw the times of events, one row of marks per kind of event."""
     for row, (_, marker, colour, times) in enumerate(marks):
         events.plot(times, [row] * len(times), marker, color=colour, ms=7, mec="black", mew=0.6)
     events.set_yticks(range(len(marks)), [label for label, *_ in marks])
@@ -131,7 +137,10 @@ def _draw_engine(thrust: Any, propellant: Any, flight: Flight, lander: Lander) -
 def _share_time(
     axes: Any, flight: Flight, marks: list[tuple[str, str, str, list[float]]], *, named: bool
 ) -> None:
-    """Draw diverts and phase changes as vertical lines, with one legend."""
+    """Draw diverts and phase changes as vertical lines over the flight time.
+
+    With `named`, the axes also get the legend.
+    """
     t = flight.trajectory
     axes.set_xlim(0.0, t["time"][-1])
     axes.grid(alpha=0.3)

@@ -23,13 +23,13 @@ from lunarsim.world.truth import TerrainTruth
 
 
 def truth_in_map_figure(flight: Flight, world: World, lander: Lander) -> TerrainTruth:
-    """Return the exact safety of the part of the world that ``maps.png`` shows."""
+    """Return the exact safety of the terrain that a flight's ``maps.png`` shows."""
     return TerrainTruth.of(world, lander, bounds=map_figure_bounds(flight, world))
 
 
 @dataclass(frozen=True)
 class FlightFigures:
-    """Three figures of one flight; a notebook shows them.
+    """Three figures of one flight: descent, maps and touchdown; notebooks show them.
 
     Attributes
     ----------
@@ -75,22 +75,22 @@ def plot_flight(
     flight
         Record of the flight.
     world
-        World of the flight; omitted: drawn again from its scenario and seed.
+        World of the flight; omitted: generated again from the flight's scenario and seed.
     truth
-        Exact safety of the world, or of the part in the figure; omitted: evaluated.
+        Exact safety of the world, or of the part in the figure; omitted: computed.
 
     Raises
     ------
     InputError
-        If the world cannot be drawn again, for instance because its raster file is missing.
+        If the world cannot be generated again, for instance because its raster file is missing.
     """
     if world is None:
         world = rebuild_world(flight)
     if truth is None:
         truth = truth_in_map_figure(
-            flight, world, Scenario.world_of(flight.scenario).vehicle.make()
+            flight, world, Scenario.world_from_toml(flight.scenario).vehicle.make()
         )
-    landed = flight.verdict.touchdown is not None
+    landed = flight.outcome.touchdown is not None
     return FlightFigures(
         draw_descent(flight),
         draw_maps(flight, world, truth),
@@ -99,5 +99,8 @@ def plot_flight(
 
 
 def draw_flight(flight: Flight, world: World, truth: TerrainTruth, folder: str | Path) -> None:
-    """Write the figures of `plot_flight` into `folder` as PNG files."""
+    """Write the figures of a flight as PNG files to a folder.
+
+    The figures show descent, maps and touchdown, as from `plot_flight`.
+    """
     plot_flight(flight, world, truth).save(folder)

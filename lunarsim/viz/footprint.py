@@ -28,7 +28,7 @@ _VIOLATION_COLOUR = COLOURS[1]
 
 
 def draw_footprint(flight: Flight, world: World, path: Path | None = None) -> Figure:
-    """Draw terrain at touchdown relative to the pads, and metrics over limits.
+    """Draw terrain at touchdown relative to the pads, and metrics over their limits.
 
     Heights refer to a plane through three pads that the lander can stand on. Of the two candidate
     planes, the one with the highest terrain above it is used, as for the touchdown roughness.
@@ -40,9 +40,9 @@ def draw_footprint(flight: Flight, world: World, path: Path | None = None) -> Fi
     path
         PNG file to write.
     """
-    touchdown = flight.verdict.touchdown
+    touchdown = flight.outcome.touchdown
     assert touchdown is not None
-    lander = Scenario.world_of(flight.scenario).vehicle.make()
+    lander = Scenario.world_from_toml(flight.scenario).vehicle.make()
     middle = touchdown.position[:2]
     grid = Grid.centred(middle, 2.0 * _HALF_SIDE_IN_LEG_RADII * lander.leg_radius, _POSTING)
     elevation = world.terrain.raster(grid).astype(np.float64)
@@ -72,7 +72,7 @@ def draw_footprint(flight: Flight, world: World, path: Path | None = None) -> Fi
 
 
 def _pads(lander: Lander, touchdown: Touchdown) -> Array:
-    """Return the centres of the pads (legs, 2), east and north, m."""
+    """Return the pad centres of a lander at touchdown (legs, 2), east and north, m."""
     ahead, left = lander.pads[:, 0], lander.pads[:, 1]
     c, s = np.cos(touchdown.heading), np.sin(touchdown.heading)
     return np.asarray(
@@ -81,7 +81,10 @@ def _pads(lander: Lander, touchdown: Touchdown) -> Array:
 
 
 def _pad_elevations(grid: Grid, elevation: Array, pads: Array, radius: float) -> Array:
-    """Return the maximum terrain elevation under each pad (legs,), m."""
+    """Return the maximum terrain elevation under each pad (legs,), m.
+
+    `pads` (legs, 2) are the centres of the pads, `radius` is their radius, m.
+    """
     x, y = np.meshgrid(grid.x, grid.y)
     found = [elevation[np.hypot(x - px, y - py) <= radius + 0.5 * _POSTING] for px, py in pads]
     return np.array([np.nanmax(heights, initial=np.nanmin(elevation)) for heights in found])
@@ -90,8 +93,9 @@ def _pad_elevations(grid: Grid, elevation: Array, pads: Array, radius: float) ->
 def _height_above_pads(grid: Grid, elevation: Array, heights: Array, pads: Array) -> Array:
     """Return terrain above the worst plane through three pads (rows, cols), m.
 
-    With four legs, both candidate planes contain the diagonal with the higher pads. The worst plane
-    is the one with the highest terrain above it within the polygon of the legs.
+    `heights` (legs,) are the terrain heights under the pads, `pads` (legs, 2) their centres. With
+    four legs, both candidate planes contain the diagonal with the higher pads. The worst plane is
+    the one with the highest terrain above it within the polygon of the legs.
     """
     x, y = np.meshgrid(grid.x, grid.y)
     inside = _inside(grid, pads)
@@ -105,7 +109,10 @@ def _height_above_pads(grid: Grid, elevation: Array, heights: Array, pads: Array
 
 
 def _stances(heights: Array) -> list[list[int]]:
-    """Return the pads of each plane that the lander can stand on."""
+    """Return the indices of three pads for each plane that the lander can stand on.
+
+    `heights` (legs,) are the terrain heights under the pads, m.
+    """
     if len(heights) == 3:
         return [[0, 1, 2]]
     first = heights[0] + heights[2] >= heights[1] + heights[3]
@@ -114,14 +121,18 @@ def _stances(heights: Array) -> list[list[int]]:
 
 
 def _inside(grid: Grid, pads: Array) -> Any:
-    """Return which cells (rows, cols) lie in the polygon of the legs."""
+    """Return which cells (rows, cols) lie in the polygon of the pads (legs, 2)."""
     x, y = np.meshgrid(grid.x, grid.y)
     cells = np.column_stack((x.ravel(), y.ravel()))
     return Outline(pads).contains_points(cells).reshape(grid.shape)
 
 
 def _mark_belly_contact(axes: Any, grid: Grid, above: Array, pads: Array, clearance: float) -> bool:
-    """Mark terrain above the belly between the legs; return whether there is any."""
+    """Mark terrain between the legs that touches the belly; return if there is any.
+
+    `above` (rows, cols) is the terrain above the plane of the pads, `clearance` the belly's height,
+    m.
+    """
     high = _inside(grid, pads) & (above > clearance)
     if high.any():
         axes.contourf(grid.x, grid.y, high.astype(float), levels=[0.5, 1.5], colors="#C00000")
@@ -129,7 +140,7 @@ def _mark_belly_contact(axes: Any, grid: Grid, above: Array, pads: Array, cleara
 
 
 def _draw_limits(axes: Any, touchdown: Touchdown, lander: Lander) -> None:
-    """Draw each metric as a share of its limit, with both values as text."""
+    """Draw each touchdown metric as a fraction of its limit, with both values as text."""
     rows = [
         ("Slope", np.rad2deg(touchdown.slope), np.rad2deg(lander.slope_limit), "deg"),
         ("Roughness", touchdown.roughness, lander.roughness_limit, "m"),

@@ -23,7 +23,7 @@ _HALF_SIDE_M = 50.0
 
 
 def divert_segments(flight: Flight) -> list[tuple[NDArray[Any], NDArray[Any]]]:
-    """Return start and end (2,) of each divert in the true frame, m.
+    """Return start and end points (2,) of each divert of a flight, true frame, m.
 
     Decisions are recorded in the onboard frame; the navigation error at their time is subtracted.
     """
@@ -38,7 +38,9 @@ def divert_segments(flight: Flight) -> list[tuple[NDArray[Any], NDArray[Any]]]:
 
 
 def map_figure_bounds(flight: Flight, world: World) -> Bounds:
-    """Return the bounds of a flight's figure: map, sites, diverts, touchdown.
+    """Return the map figure's bounds: west, east, south, north, m, true frame.
+
+    They contain the hazard map, the sites, the diverts and the touchdown.
 
     A world that is not much larger than the map is shown completely. In a larger world only the end
     of the path lies within the bounds.

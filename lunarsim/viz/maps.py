@@ -41,7 +41,10 @@ _MAX_CELLS = 1500
 
 
 def _path_and_sites(axes: Any, flight: Flight, radius: float) -> None:
-    """Draw path, sites and touchdown in the true frame."""
+    """Draw ground track, landing sites and touchdown in the true frame.
+
+    `radius` is the radius of the circle at the touchdown, m.
+    """
     t = flight.trajectory
     axes.plot(t["position_x"], t["position_y"], color=COLOURS[1], lw=1.5)
     # Two colours, visible on dark and bright terrain.
@@ -61,17 +64,17 @@ def _path_and_sites(axes: Any, flight: Flight, radius: float) -> None:
 def draw_maps(
     flight: Flight, world: World, truth: TerrainTruth, path: Path | None = None
 ) -> Figure:
-    """Draw true terrain, exact safety, the map, and LiDAR returns or rocks.
+    """Draw true terrain, exact safety, hazard map, and LiDAR returns or tracked rocks.
 
-    All panels are in the true frame: the map is shifted by the navigation error when it was drawn.
-    They show the part of the world that `lunarsim.viz.map_bounds.map_figure_bounds` returns.
+    All panels are in the true frame: the map is shifted by the navigation error at the time of the
+    map. They show the part of the world that `lunarsim.viz.map_bounds.map_figure_bounds` returns.
 
     Parameters
     ----------
     flight, world
         Record and world of the flight.
     truth
-        Exact safety, at least within these bounds.
+        Exact landing safety, at least within these bounds.
     path
         PNG file to write.
     """
@@ -119,7 +122,10 @@ def _draw_truth(figure: Any, left: Any, right: Any, truth: TerrainTruth) -> None
 
 
 def _draw_map(figure: Any, panel: Any, flight: Flight, line_length: int) -> None:
-    """Draw the decision map and the candidate sites."""
+    """Draw the hazard map used for the decision, and the candidate sites.
+
+    `line_length` is the maximum number of characters per line of a remark.
+    """
     if flight.hazard_map is not None:
         shown = np.where(flight.hazard_map.observed, flight.hazard_map.p_safe, np.nan)
         grid = flight.hazard_map.grid.moved(-flight.map_error)
@@ -129,7 +135,7 @@ def _draw_map(figure: Any, panel: Any, flight: Flight, line_length: int) -> None
         sites = flight.candidates[:, :2] - flight.map_error[:2]
         panel.plot(*sites.T, **_CANDIDATE)
     map_axes(panel, "Hazard map and candidate sites")
-    words = map_remarks_by_mapper(flight.maps, flight.decided_on).get(flight.decided_on)
+    words = map_remarks_by_mapper(flight.maps, flight.decision_mapper).get(flight.decision_mapper)
     if words is not None:
         text = panel.text(
             0.5, 0.97, fill(f"this map {words}", line_length), transform=panel.transAxes,
@@ -145,7 +151,10 @@ def _add_colour_bar(figure: Any, drawn: Any, panel: Any, label: str) -> Any:
 
 
 def _hatch_bounds(panel: Any, hazard_map: HazardMap, grid: Grid) -> None:
-    """Hatch the cells outside the calibrated domain, where p_safe is a bound."""
+    """Hatch the cells outside the calibrated domain, where p_safe is only a bound.
+
+    `grid` is the grid of the map in the true frame.
+    """
     if hazard_map.in_domain is None:
         return
     bound = hazard_map.observed & ~hazard_map.in_domain
@@ -157,7 +166,7 @@ def _hatch_bounds(panel: Any, hazard_map: HazardMap, grid: Grid) -> None:
 
 
 def _draw_measurements(figure: Any, panel: Any, flight: Flight) -> None:
-    """Draw LiDAR returns, or the rocks that a mapper tracks."""
+    """Draw LiDAR returns, and the rocks that the mappers track, in the true frame."""
     titles = []
     dx, dy, dz = flight.map_error
     points = flight.scans
@@ -185,7 +194,7 @@ def _draw_measurements(figure: Any, panel: Any, flight: Flight) -> None:
 
 
 def _legend() -> list[Any]:
-    """Return legend entries in the style of the drawing."""
+    """Return the legend entries of the map figure."""
     return [
         Line2D([], [], color=COLOURS[1], label="ground track"),
         Line2D([], [], ls="", marker="x", color="black", mew=2, label="initial aim point"),

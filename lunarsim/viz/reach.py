@@ -17,7 +17,9 @@ _LINES = (("first", "-"), ("last", ":"))
 
 
 def draw_reach(panel: Any, flight: Flight, extent: tuple[float, float, float, float]) -> list[Any]:
-    """Draw the reachable area at the first and last decision; return legend entries.
+    """Draw the area that the lander can reach at the first and the last decision.
+
+    The function returns the legend entries.
 
     Parameters
     ----------

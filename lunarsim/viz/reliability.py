@@ -13,7 +13,9 @@ from lunarsim.evaluation.reliability import bin_frequencies
 def plot_reliability(
     axes: Any, table: NDArray[np.float64], min_count: int = 50, **style: Any
 ) -> None:
-    """Draw the bins of a reliability table that hold at least `min_count` cells.
+    """Plot observed frequency over predicted probability from a reliability table.
+
+    Only bins with at least `min_count` samples are drawn.
 
     Parameters
     ----------
@@ -30,5 +32,5 @@ def plot_reliability(
 
 
 def plot_ideal(axes: Any, **style: Any) -> None:
-    """Draw the diagonal of perfect reliability."""
+    """Plot the diagonal of a reliability diagram, which is perfect reliability."""
     axes.plot([0, 1], [0, 1], **{"color": "#999999", "lw": 1, **style})

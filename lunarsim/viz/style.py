@@ -42,7 +42,7 @@ def new_figure(width: float, height: float) -> Figure:
 
 
 def save(figure: Figure, path: Path) -> None:
-    """Write a figure as PNG, atomically."""
+    """Write a figure to a PNG file atomically; create its folder if it is missing."""
     path.parent.mkdir(parents=True, exist_ok=True)
     atomic_write(path, lambda part: figure.savefig(part, dpi=130, format="png"))
 
@@ -55,17 +55,24 @@ def escape_dollars(text: str) -> str:
 def flight_title(flight: Flight) -> str:
     """Return scenario, policy and outcome of a flight as a title."""
     name = parsed_toml(flight.scenario).get("name", "unnamed")
-    end = "safe landing" if flight.verdict.safe else "failed: " + ", ".join(flight.verdict.failed)
+    end = (
+        "safe landing"
+        if flight.outcome.safe
+        else "failed: " + ", ".join(flight.outcome.failure_causes)
+    )
     return escape_dollars(f"{name}, {flight.policy}: {end}")
 
 
 def policy_colour(name: str) -> str:
-    """Return the colour of a policy, the same in every figure."""
+    """Return the colour of a policy by its name, the same in every figure."""
     return POLICY_COLOURS.get(name, "#56B4E9")
 
 
 def hillshade(z: NDArray[Any], posting: float) -> NDArray[np.float64]:
-    """Return a hillshade in [0, 1], lit from the north-west at 40 deg; NaN stays NaN.
+    """Return a hillshade (rows, cols) in [0, 1] of an elevation raster.
+
+    The light is from the north-west at 40 deg; `z` is the elevation, `posting` the grid spacing, m;
+    NaN stays NaN.
 
     Without NaN, the shades are stretched over the full range.
     """
@@ -75,7 +82,7 @@ def hillshade(z: NDArray[Any], posting: float) -> NDArray[np.float64]:
 
 
 def map_axes(axes: Any, title: str) -> None:
-    """Label the axes of a map."""
+    """Set title, labels and equal scales of the axes of a map."""
     axes.set_title(title)
     axes.set_xlabel("East (m)")
     axes.set_ylabel("North (m)")
@@ -83,7 +90,10 @@ def map_axes(axes: Any, title: str) -> None:
 
 
 def show(axes: Any, raster: NDArray[Any], grid: Grid, **options: Any) -> Any:
-    """Draw a raster at its coordinates, north up."""
+    """Draw a raster at the coordinates of its grid, north up; return the image.
+
+    `options` are passed to `imshow` of Matplotlib.
+    """
     return axes.imshow(
         raster, origin="lower", extent=grid.extent, interpolation="nearest", **options
     )

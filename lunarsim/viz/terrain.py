@@ -17,8 +17,8 @@ _MAX_POSTS = 1200
 def draw_terrain(terrain: Terrain, title: str, path: Path) -> None:
     """Write hillshade, slope map and rocks of a terrain to a PNG file.
 
-    Slopes exclude rocks. They are computed at the posting of the figure, which is coarser than that
-    of a terrain with more than 1200 posts per side.
+    Slopes exclude rocks. They are computed at the grid spacing of the figure, which is coarser than
+    the terrain's if the terrain has more than 1200 grid points per side.
     """
     g = terrain.relief.grid
     step = -(-max(g.rows, g.cols) // _MAX_POSTS)

@@ -33,49 +33,54 @@ _SAMPLES, _BISECTIONS = 400, 40
 
 @dataclass(frozen=True)
 class FarTerrainSettings:
-    """Settings of the terrain beyond the map; heights of levels add up.
+    """Settings of the terrain beyond the map: nested square grids ("levels").
 
-    The raster at `path`, if given, is the first level, with its middle at the map's origin.
+    The height beyond the map is the sum of all levels. Each level is a fractal heightfield; the
+    raster at `path`, if given, is the first level, with its middle at the map's origin.
     """
 
     sizes: tuple[float, ...] = quantity(
-        (40_960.0, 1_024_000.0), "m", gt=0, help="side of each level's square, finest level first"
+        (40_960.0, 1_024_000.0), "m", gt=0, help="sides of the nested terrain squares, finest first"
     )
     postings: tuple[float, ...] = quantity(
-        (40.0, 1_000.0), "m", gt=0, help="distance between posts of each level"
+        (40.0, 1_000.0), "m", gt=0, help="grid spacing of each nested terrain square"
     )
     rms_slopes: tuple[float, ...] = quantity(
-        (3.0, 1.0), "deg", ge=0, lt=45, help="RMS slope of each level over its posting"
+        (3.0, 1.0), "deg", ge=0, lt=45, help="RMS slope of each nested square over its grid spacing"
     )
-    hurst: float = quantity(0.8, gt=0, lt=1, help="Hurst exponent of all levels")
+    hurst: float = quantity(0.8, gt=0, lt=1, help="Hurst exponent of all nested terrain squares")
     margin: float = quantity(
-        0.3, gt=0, le=1, help="width of the blend into the next level over half a side"
+        0.3, gt=0, le=1, help="width of the blend between nested squares over half a side"
     )
-    path: Path | None = quantity(None, help="raster used as the first level; omitted: fractal")
+    path: Path | None = quantity(
+        None, help="elevation raster of the finest square; omitted: fractal terrain"
+    )
     dtm_posting: float | None = quantity(
-        None, "m", gt=0, help="distance between posts, for a raster without georeferencing"
+        None, "m", gt=0, help="grid spacing of a raster without georeferencing"
     )
     dtm_unit: str | None = quantity(
         None, help="unit of the heights, overrides the file's: m, km, ft, us-ft"
     )
     dtm_nodata: Numbers | None = quantity(
-        None, help="values that mark posts without a height; [] for none"
+        None, help="raster values that mean 'no height'; [] if all values are heights"
     )
 
     def __post_init__(self) -> None:
-        check_bounds(self, "surroundings")
+        check_bounds(self, "far_terrain")
         for name in ("postings", "rms_slopes"):
             if len(getattr(self, name)) != len(self.sizes):
                 raise InputError(
-                    f"surroundings.{name}",
+                    f"far_terrain.{name}",
                     getattr(self, name),
-                    f"must have one value per level ({len(self.sizes)}, as sizes)",
+                    f"must have one value per element of sizes ({len(self.sizes)})",
                 )
         for size, posting in zip(self.sizes, self.postings, strict=True):
-            check_raster_size("surroundings.sizes", size, posting, _MAX_POSTS_PER_SIDE, "posts")
+            check_raster_size("far_terrain.sizes", size, posting, _MAX_POSTS_PER_SIDE, "points")
 
     def posts_read(self) -> int:
-        """Return the number of posts in the raster's header; 0 without a raster.
+        """Return the number of raster points stated in the file's header.
+
+        Without a raster the number is 0.
 
         Raises
         ------
@@ -87,7 +92,11 @@ class FarTerrainSettings:
         return read_size(self.path, posting=self.dtm_posting).posts if self.path else 0
 
     def build(self, terrain: Terrain, moon: CentralGravity, streams: RandomStreams) -> FarTerrain:
-        """Return the far terrain of one flight; random levels use its streams."""
+        """Return the terrain around the map of one flight.
+
+        `terrain` is the map, `moon` the sphere; `streams` are the flight's random streams, from
+        which the fractal levels are sampled.
+        """
 
         @cache
         def level(n: int) -> Heightfield:
@@ -104,7 +113,10 @@ class FarTerrainSettings:
 
 
 def _load_measured(settings: FarTerrainSettings) -> Heightfield:
-    """Return the raster as first level, with height 0 at its centre, the origin."""
+    """Load the raster of the first level, shifted to height 0 at its centre.
+
+    The centre of the raster is placed at the origin of the map.
+    """
     from lunarsim.world.terrain.dtm import load_terrain  # noqa: PLC0415  (rasterio loads slowly)
 
     assert settings.path is not None
@@ -115,13 +127,13 @@ def _load_measured(settings: FarTerrainSettings) -> Heightfield:
         )  # fmt: skip
     except InputError as error:  # the keys have the same names in [terrain]
         field, problem, remedy = (
-            text.replace("terrain.", "surroundings.")
+            text.replace("terrain.", "far_terrain.")
             for text in (error.field, error.problem, error.remedy)
         )
         raise InputError(field, error.value, problem, remedy) from None
     if not np.isfinite(z.z).all():
         raise InputError(
-            "surroundings.path",
+            "far_terrain.path",
             str(settings.path),
             "must be a raster without gaps",
             "Fill its gaps or choose another raster.",
@@ -133,14 +145,19 @@ def _load_measured(settings: FarTerrainSettings) -> Heightfield:
 
 
 def _smoothstep(share: Array) -> Array:
-    """Return a smooth step from 1 (values up to 0) to 0 (values from 1)."""
+    """Return the cubic smoothstep 1 - 3 s^2 + 2 s^3 of s = `share`, clipped to 0..1.
+
+    The result falls from 1 at s = 0 to 0 at s = 1.
+    """
     s = np.clip(share, 0.0, 1.0)
     return np.asarray(1.0 - s * s * (3.0 - 2.0 * s))
 
 
 @dataclass(frozen=True)
 class FarTerrain:
-    """A map, the levels around it, and the sphere; built by `FarTerrainSettings`.
+    """Terrain of a map and of its surroundings on a spherical Moon.
+
+    The surroundings are nested square heightfields ("levels"), built by `FarTerrainSettings`.
 
     Attributes
     ----------
@@ -159,16 +176,23 @@ class FarTerrain:
     settings: FarTerrainSettings
     level: Callable[[int], Heightfield] = field(repr=False, compare=False)
 
-    def way(self, position: ArrayLike) -> Array:
-        """Return the arcs (..., 2) east and north below positions (..., 3), m."""
-        r = self.moon.from_centre(position)
+    def surface_arc(self, position: ArrayLike) -> Array:
+        """Return surface coordinates (..., 2) of the points below positions (..., 3).
+
+        Positions are ENU, m. The coordinates are the arc lengths east and north from the map's
+        origin along the sphere, m.
+        """
+        r = self.moon.position_from_centre(position)
         lateral = np.hypot(r[..., 0], r[..., 1])
         arc = self.moon.radius * np.arctan2(lateral, r[..., 2])
         unit = r[..., :2] / np.maximum(lateral, 1e-12)[..., None]
         return np.asarray(unit * arc[..., None])
 
     def elevation(self, way: ArrayLike) -> Array:
-        """Return the terrain height above the sphere (...,), m, at arcs (..., 2)."""
+        """Return the terrain height above the sphere (...,), m, at surface points.
+
+        `way` (..., 2) are arc lengths east and north, as returned by `surface_arc`, m.
+        """
         xy = np.asarray(way, dtype=np.float64)
         flat = xy.reshape(-1, 2)
         west, east, south, north = self.terrain.bounds
@@ -188,7 +212,7 @@ class FarTerrain:
         return z.reshape(xy.shape[:-1])
 
     def _levels(self, flat: Array) -> Array:
-        """Return the sum of the levels at arcs (n, 2), m."""
+        """Return the summed heights (n,), m, of all levels at arc lengths `flat` (n, 2)."""
         z = np.zeros(len(flat))
         for n, size in enumerate(self.settings.sizes):
             max_offset = np.abs(flat).max(axis=1)
@@ -205,11 +229,26 @@ class FarTerrain:
         return z
 
     def clearance(self, position: ArrayLike) -> Array:
-        """Return heights above the terrain (...,), m, of positions (..., 3)."""
-        return np.asarray(self.moon.height(position) - self.elevation(self.way(position)))
+        """Return the heights (...,), m, of positions (..., 3), ENU, above the terrain."""
+        return np.asarray(self.moon.height(position) - self.elevation(self.surface_arc(position)))
 
     def cast(self, origin: ArrayLike, direction: ArrayLike, max_range: float = np.inf) -> RayHits:
-        """Cast rays (n, 3) from a point (3,) onto the terrain, as `Terrain.cast`."""
+        """Intersect rays from one point with the terrain on the spherical Moon.
+
+        Parameters
+        ----------
+        origin
+            Start of all rays (3,), ENU, m.
+        direction
+            Unit vectors (n, 3), ENU.
+        max_range
+            Maximum range, m; more distant hits are misses.
+
+        Returns
+        -------
+        RayHits
+            Range, surface normal and rock index (-1 terrain, -2 miss) of each ray.
+        """
         origin = np.asarray(origin, dtype=np.float64)
         rays = np.atleast_2d(np.asarray(direction, dtype=np.float64))
         found = np.array([self._first(origin, ray, max_range) for ray in rays])
@@ -219,8 +258,11 @@ class FarTerrain:
         return RayHits(found, normal, rock)
 
     def _first(self, origin: Array, ray: Array, max_range: float) -> float:
-        """Return the range at which a ray first hits the terrain, m; NaN if it misses."""
-        r = self.moon.from_centre(origin)
+        """Return the range, m, at which one ray first hits the terrain; NaN if it misses.
+
+        The clearance is sampled along the ray, and the first crossing is bisected.
+        """
+        r = self.moon.position_from_centre(origin)
         along, height = float(r @ ray), float(self.moon.height(origin))
         # Terrain lies above a sphere 20 km below the datum: no hit lies beyond that sphere.
         low = self.moon.radius - 20_000.0
@@ -244,7 +286,7 @@ class FarTerrain:
         """Return terrain normals below points (n, 3), ENU, from differences over 1 m."""
 
         def rise(step: Array) -> Array:
-            ahead, behind = self.way(points + step), self.way(points - step)
+            ahead, behind = self.surface_arc(points + step), self.surface_arc(points - step)
             return self.elevation(ahead) - self.elevation(behind)
 
         slope = np.stack([rise(0.5 * e) for e in np.eye(3)], axis=-1)

@@ -34,32 +34,33 @@ class Light:
     azimuth, elevation
         Direction of the Sun, rad; below the horizon only `ambient` and earthshine remain.
     albedo
-        Normal albedo: I/F when lit and viewed from above. 0.12 is a bright mare.
+        Normal albedo: radiance factor I/F when lit and viewed from above. 0.12 is a bright mare.
     ambient
         I/F of a shadowed surface over its albedo, uniform.
     photometry
         "lambert", "lunar-lambert" (McEwen 1991) or "hapke" (`lunarsim.world.photometry.Hapke`).
     hapke_b, hapke_c, hapke_surge, hapke_surge_width, hapke_roughness
-        Parameters of Hapke's model except the albedo. b and c of the maria and the roughness are
+        Parameters of Hapke's model except the albedo, explained in
+        `lunarsim.world.photometry.Hapke`. b and c of the maria and the roughness are
         from Sato et al. (2014); the surge is the mean of the Moon, from Helfenstein and Veverka
         (1987), Icarus 72, 342-357.
     diameter
         Apparent diameter of the Sun, rad; 0: a point. From the Moon: `SUN_DIAMETER_RAD`, 0.533 deg.
-    scattered
+    scattered_light
         Whether lit terrain illuminates other terrain (one reflection).
     earthshine
         Irradiance from the Earth over that from the Sun; `FULL_EARTH_IRRADIANCE_RATIO`, 1.2e-4, for
         a full Earth.
     earth_azimuth, earth_elevation
         Direction of the Earth, rad.
-    mottle
+    albedo_variation
         Standard deviation of the terrain's albedo over its mean.
-    mottle_length
+    albedo_correlation_length
         Distance at which the correlation of the albedo is exp(-1), m.
-    boulder_albedo, boulder_mottle
+    boulder_albedo, boulder_albedo_variation
         Mean albedo of rocks over that of the terrain, and its standard deviation over that mean.
-    mottle_seed
-        Seed of the albedo variation; drawn for every flight.
+    albedo_seed
+        Seed of the albedo variation; sampled at random for every flight.
     """
 
     azimuth: float = quantity(270.0, "deg", help="azimuth of the Sun, clockwise from north")
@@ -67,25 +68,32 @@ class Light:
         20.0, "deg", ge=-90, le=90, help="elevation of the Sun above the horizon"
     )
     albedo: float = quantity(0.12, gt=0, le=1, help="normal albedo of the terrain")
-    ambient: float = quantity(0.0, ge=0, le=1, help="I/F of shadows divided by the albedo")
+    ambient: float = quantity(
+        0.0, ge=0, le=1, help="radiance factor I/F of shadows divided by the albedo"
+    )
     photometry: Literal["lambert", "lunar-lambert", "hapke"] = quantity(
         "lunar-lambert", help="reflection model of the terrain"
     )
-    hapke_b: float = quantity(0.26, ge=0, le=0.9, help="width of the phase function's lobes")
+    hapke_b: float = quantity(
+        0.26, ge=0, le=0.9, help="Hapke's b: width of the phase function's lobes"
+    )
     hapke_c: float = quantity(
-        0.08, ge=-1, le=1, help="excess of the phase function's backward lobe over the forward one"
+        0.08,
+        ge=-1,
+        le=1,
+        help="Hapke's c: weight of the backward minus that of the forward lobe (phase function)",
     )
     hapke_surge: float = quantity(2.01, ge=0, le=5, help="amplitude B0 of the opposition surge")
     hapke_surge_width: float = quantity(
         0.07, gt=0, le=1, help="angular width h of the opposition surge"
     )
     hapke_roughness: float = quantity(
-        23.4, "deg", ge=1, le=45, help="mean slope below the image resolution"
+        23.4, "deg", ge=1, le=45, help="Hapke's roughness: mean slope of unresolved relief"
     )
     diameter: float = quantity(
         0.0, "deg", ge=0, le=2, help="apparent diameter of the Sun; 0: a point source"
     )
-    scattered: bool = quantity(False, help="whether lit terrain illuminates other terrain")
+    scattered_light: bool = quantity(False, help="whether lit terrain illuminates other terrain")
     earthshine: float = quantity(
         0.0, ge=0, le=1e-3, help="irradiance from the Earth over that from the Sun"
     )
@@ -93,19 +101,19 @@ class Light:
     earth_elevation: float = quantity(
         60.0, "deg", ge=-90, le=90, help="elevation of the Earth above the horizon"
     )
-    mottle: float = quantity(
+    albedo_variation: float = quantity(
         0.0, ge=0, le=0.3, help="relative variation of the terrain's albedo, 1 sigma"
     )
-    mottle_length: float = quantity(
+    albedo_correlation_length: float = quantity(
         5.0, "m", ge=0.1, le=100, help="correlation length of the albedo variation"
     )
     boulder_albedo: float = quantity(
         1.0, ge=0.2, le=4, help="mean albedo of rocks over that of the terrain"
     )
-    boulder_mottle: float = quantity(
+    boulder_albedo_variation: float = quantity(
         0.0, ge=0, le=0.5, help="relative variation of albedo among rocks, 1 sigma"
     )
-    mottle_seed: int = hidden(0)
+    albedo_seed: int = hidden(0)
 
     def __post_init__(self) -> None:
         check_bounds(self, "sun")
@@ -127,7 +135,7 @@ class Light:
         return direction_from_angles(self.earth_azimuth, self.earth_elevation)
 
     def hapke(self) -> Hapke:
-        """Return Hapke's model with the normal albedo of this terrain.
+        """Return Hapke's reflection model, scaled to the normal albedo of this terrain.
 
         Raises
         ------
@@ -141,25 +149,31 @@ class Light:
 
     @property
     def diffuse_albedo(self) -> float:
-        """I/F under uniform diffuse illumination, over its irradiance."""
+        """Albedo under uniform diffuse light: reflected over incident irradiance."""
         return float(_hemispheric(self._photometry_key)[1])
 
     def hemispheric_albedo(self, mu0: ArrayLike) -> Array:
-        """Return the hemispherical albedo at cosines of incidence `mu0`."""
+        """Return the hemispherical albedo (reflected over incident irradiance).
+
+        `mu0` are the cosines of the incidence angle; the result has the same shape.
+        """
         return np.asarray(
             np.interp(np.asarray(mu0, float), _COSINES, _hemispheric(self._photometry_key)[0])
         )
 
     @property
     def _photometry_key(self) -> Light:
-        """Same photometry with a fixed Sun, as cache key."""
+        """Copy of the settings with a fixed Sun direction, used as a cache key."""
         return Light(
             0.0, 0.5, self.albedo, 0.0, self.photometry, self.hapke_b, self.hapke_c,
             self.hapke_surge, self.hapke_surge_width, self.hapke_roughness,
         )  # fmt: skip
 
     def radiance_factor(self, mu0: ArrayLike, mu: ArrayLike, cos_phase: ArrayLike) -> Array:
-        """Return I/F of sunlit terrain of mean albedo from cosines of the angles."""
+        """Return the radiance factor I/F of sunlit terrain of mean albedo.
+
+        `mu0`, `mu` and `cos_phase` are the cosines of the incidence, emission and phase angles.
+        """
         if self.photometry == "lambert":
             return lambert(self.albedo, mu0) + 0.0 * np.asarray(mu)
         if self.photometry == "lunar-lambert":
@@ -173,7 +187,11 @@ _COSINES = np.linspace(0.01, 1.0, 34)
 
 @lru_cache(maxsize=16)
 def _hemispheric(law: Light) -> tuple[Array, float]:
-    """Return the hemispherical albedo at `_COSINES` and its mean under diffuse light."""
+    """Integrate the reflection model `law` over all emission directions.
+
+    Returns the hemispherical albedo at the cosines of incidence `_COSINES`, and the albedo under
+    uniform diffuse light.
+    """
     mu, weight = np.polynomial.legendre.leggauss(24)
     mu, weight = 0.5 * (mu + 1.0), 0.5 * weight
     psi = np.pi * (np.arange(24) + 0.5) / 24

@@ -21,7 +21,9 @@ _MIN_COSINE = 1e-6
 
 
 def lambert(albedo: float, mu0: ArrayLike) -> Array:
-    """Return I/F of a Lambert surface.
+    """Return the radiance factor I/F = albedo * mu0 of a Lambert surface.
+
+    `mu0` is the cosine of the incidence angle; a negative cosine gives 0.
 
     Examples
     --------
@@ -32,7 +34,11 @@ def lambert(albedo: float, mu0: ArrayLike) -> Array:
 
 
 def lunar_lambert(albedo: float, mu0: ArrayLike, mu: ArrayLike, cos_phase: ArrayLike) -> Array:
-    """Return I/F of the lunar-Lambert model with McEwen's phase polynomial.
+    """Return the radiance factor I/F of the lunar-Lambert model.
+
+    `albedo` is the normal albedo; `mu0`, `mu` and `cos_phase` are the cosines of the incidence,
+    emission and phase angles. The weight of the lunar term is McEwen's polynomial of the phase
+    angle.
 
     Source: McEwen (1991), Icarus 92, 298-311.
 
@@ -62,7 +68,7 @@ class Hapke:
         Single-scattering albedo.
     b, c
         Width of the lobes of the double Henyey-Greenstein phase function, and excess of the
-        backward lobe over the forward one.
+        backward lobe over the forward lobe: their weights are (1 + c) / 2 and (1 - c) / 2.
     surge, surge_width
         Amplitude B0 and width h of the surge; h is the tangent of half the phase angle at which
         the surge is B0 / 2.
@@ -78,7 +84,10 @@ class Hapke:
     roughness: float
 
     def radiance_factor(self, mu0: ArrayLike, mu: ArrayLike, cos_phase: ArrayLike) -> Array:
-        """Return I/F; 0 where the surface faces away from the Sun."""
+        """Return the radiance factor I/F; 0 where the surface faces away from the Sun.
+
+        `mu0`, `mu` and `cos_phase` are the cosines of the incidence, emission and phase angles.
+        """
         mu0, mu, cos_g = np.broadcast_arrays(
             np.asarray(mu0, float), np.asarray(mu, float), np.asarray(cos_phase, float)
         )
@@ -110,7 +119,10 @@ class Hapke:
     def _roughness_correction(
         self, mu0: Array, mu: Array, cos_g: Array
     ) -> tuple[Array, Array, Array]:
-        """Return effective cosines of incidence and emission, and the function S."""
+        """Return effective cosines of incidence and emission, and the shadowing factor S.
+
+        The arguments are the cosines of the incidence, emission and phase angles (Hapke 1984).
+        """
         tangent = np.tan(self.roughness)
         chi = 1.0 / np.sqrt(1.0 + np.pi * tangent**2)
         sin0, sin = (np.sqrt(np.maximum(1.0 - m * m, 1e-9)) for m in (mu0, mu))
@@ -144,12 +156,14 @@ class Hapke:
 def hapke_of_albedo(
     albedo: float, b: float, c: float, surge: float, surge_width: float, roughness: float
 ) -> Hapke:
-    """Return Hapke's model whose normal albedo is `albedo`, by solving for w.
+    """Return Hapke's model with a given normal albedo.
+
+    The single-scattering albedo w is solved for; the other arguments are the fields of `Hapke`.
 
     Raises
     ------
     InputError
-        If no single-scattering albedo w gives it.
+        If no single-scattering albedo w gives the normal albedo.
     """
     if not 0.0 <= albedo <= 1.0:
         raise InputError("sun.albedo", albedo, "must be from 0 to 1")

@@ -16,7 +16,7 @@ from lunarsim.world.terrain import Terrain
 
 Array = NDArray[np.float64]
 
-# Terrain samples along each side of the square that a post averages.
+# Terrain samples along each side of the square cell over which a grid point is averaged.
 _SAMPLES = 4
 _MAX_POSTS_PER_SIDE = 4000
 # Correlation length of the height differences in an outdated patch, m.
@@ -25,40 +25,52 @@ _BUMP_WIDTH_M = 2.0
 
 @dataclass(frozen=True)
 class PriorMapSurvey:
-    """Survey of the terrain around the target, carried on board as a prior map."""
+    """Settings of the survey that provides the prior elevation map carried on board."""
 
     size: float = quantity(300.0, "m", gt=0, help="side of the square map around the target")
-    posting: float = quantity(0.5, "m", gt=0, help="distance between posts of the map")
-    sigma: float = quantity(0.1, "m", gt=0, help="height noise of each post, 1 sigma")
+    posting: float = quantity(0.5, "m", gt=0, help="grid spacing of the prior map")
+    sigma: float = quantity(0.1, "m", gt=0, help="height noise at each grid point, 1 sigma")
     offset: tuple[float, float, float] = quantity(
-        (0.0, 0.0, 0.0), "m", help="constant error of the complete map (ENU)"
+        (0.0, 0.0, 0.0), "m", help="constant position error of the prior map (ENU)"
     )
-    stale_share: float = quantity(0.0, ge=0, lt=1, help="fraction of the map that is out of date")
-    stale_side: float = quantity(12.0, "m", gt=0, help="side of each out-of-date patch")
-    stale_sigma: float = quantity(
+    outdated_fraction: float = quantity(
+        0.0, ge=0, lt=1, help="fraction of the prior map that is out of date"
+    )
+    outdated_patch_side: float = quantity(
+        12.0, "m", gt=0, help="side of each square out-of-date patch"
+    )
+    outdated_height_sigma: float = quantity(
         0.4, "m", ge=0, help="height error inside out-of-date patches, 1 sigma"
     )
-    correlation: float = quantity(0.0, "m", ge=0, le=50, help="correlation length of the noise")
-    void_share: float = quantity(0.0, ge=0, lt=1, help="fraction of posts without an elevation")
+    correlation: float = quantity(
+        0.0, "m", ge=0, le=50, help="correlation length of the height noise"
+    )
+    void_fraction: float = quantity(
+        0.0, ge=0, lt=1, help="fraction of grid points without an elevation"
+    )
 
     def __post_init__(self) -> None:
-        check_raster_size("size", self.size, self.posting, _MAX_POSTS_PER_SIDE, "posts")
+        check_raster_size("size", self.size, self.posting, _MAX_POSTS_PER_SIDE, "points")
 
     def build(
         self, terrain: Terrain, centre: tuple[float, float], rng: np.random.Generator
     ) -> PriorMap:
-        """Return the map around a point (east, north; m)."""
+        """Simulate the survey and return the prior map around a point.
+
+        `terrain` is the true terrain, `centre` the middle of the map (east, north; m), and `rng`
+        the source of the errors.
+        """
         grid = Grid.centred(centre, self.size, self.posting)
         made = simulate_survey(
             terrain,
             grid,
             rng,
             sigma=self.sigma,
-            stale_share=self.stale_share,
-            stale_side=self.stale_side,
-            stale_sigma=self.stale_sigma,
+            outdated_fraction=self.outdated_fraction,
+            outdated_patch_side=self.outdated_patch_side,
+            outdated_height_sigma=self.outdated_height_sigma,
             correlation=self.correlation,
-            void_share=self.void_share,
+            void_fraction=self.void_fraction,
         )
         return replace(
             made, grid=grid.moved(self.offset), elevation=made.elevation + self.offset[2]
@@ -71,36 +83,43 @@ def simulate_survey(
     rng: np.random.Generator,
     *,
     sigma: float = 0.15,
-    stale_share: float = 0.0,
-    stale_side: float = 12.0,
-    stale_sigma: float = 0.4,
+    outdated_fraction: float = 0.0,
+    outdated_patch_side: float = 12.0,
+    outdated_height_sigma: float = 0.4,
     correlation: float = 0.0,
-    void_share: float = 0.0,
+    void_fraction: float = 0.0,
 ) -> PriorMap:
-    """Return a map of the terrain as an earlier survey could have measured it.
+    """Simulate an earlier survey: add its errors to averaged true elevations.
 
     Parameters
     ----------
     terrain
         True terrain.
     grid
-        Posts of the map.
+        Grid of the map.
     rng
         Source of the noise, the out-of-date patches and the voids.
     sigma
-        Height noise of each post, 1 sigma, m.
-    stale_share, stale_side, stale_sigma
+        Height noise at each grid point, 1 sigma, m.
+    outdated_fraction, outdated_patch_side, outdated_height_sigma
         Fraction of the map that is out of date, side of its square patches (m) and standard
         deviation of the height error in them (m). The map does not mark these patches.
     correlation
-        Correlation length of the noise, as in `PriorMap`, m.
-    void_share
-        Fraction of posts without an elevation, drawn independently.
+        Correlation length of the noise, m; 0: independent noise.
+    void_fraction
+        Fraction of grid points without an elevation, chosen independently at random.
+
+    Returns
+    -------
+    PriorMap
+        Elevations with errors, the noise level and its correlation length.
     """
-    if not 0.0 <= stale_share < 1.0:
-        raise InputError("prior.stale_share", stale_share, "must be from 0 to below 1")
-    if not 0.0 <= void_share < 1.0:
-        raise InputError("prior.void_share", void_share, "must be from 0 to below 1")
+    if not 0.0 <= outdated_fraction < 1.0:
+        raise InputError(
+            "prior_map.outdated_fraction", outdated_fraction, "must be from 0 to below 1"
+        )
+    if not 0.0 <= void_fraction < 1.0:
+        raise InputError("prior_map.void_fraction", void_fraction, "must be from 0 to below 1")
     fine = Grid(
         grid.x0 - grid.posting * (0.5 - 0.5 / _SAMPLES),
         grid.y0 - grid.posting * (0.5 - 0.5 / _SAMPLES),
@@ -111,17 +130,20 @@ def simulate_survey(
     true_elevation = terrain.raster(fine).astype(np.float64)
     mean = true_elevation.reshape(grid.rows, _SAMPLES, grid.cols, _SAMPLES).mean(axis=(1, 3))
     area = grid.rows * grid.cols * grid.posting**2
-    patches = round(stale_share * area / stale_side**2)
+    patches = round(outdated_fraction * area / outdated_patch_side**2)
     if patches:
-        mean = mean + _stale_patches(grid, patches, stale_side, stale_sigma, rng)
+        mean = mean + _stale_patches(grid, patches, outdated_patch_side, outdated_height_sigma, rng)
     elevation = mean + sigma * _noise(grid, correlation, rng)
-    if void_share > 0.0:
-        elevation[rng.random(grid.shape) < void_share] = np.nan
+    if void_fraction > 0.0:
+        elevation[rng.random(grid.shape) < void_fraction] = np.nan
     return PriorMap(grid, elevation, sigma, correlation)
 
 
 def _noise(grid: Grid, correlation: float, rng: np.random.Generator) -> Array:
-    """Return errors of unit variance with a Gaussian correlation (rows, cols)."""
+    """Return random errors (rows, cols) of unit variance and Gaussian correlation.
+
+    `correlation` is their correlation length, m; 0: white noise.
+    """
     if correlation == 0.0:
         return rng.standard_normal(grid.shape)
     # White noise filtered by a Gaussian has a correlation length of root two times its width.
@@ -139,7 +161,11 @@ def _noise(grid: Grid, correlation: float, rng: np.random.Generator) -> Array:
 def _stale_patches(
     grid: Grid, patches: int, side: float, sigma: float, rng: np.random.Generator
 ) -> Array:
-    """Return the height errors of the out-of-date patches of the map (rows, cols), m."""
+    """Return height errors (rows, cols), m, that are non-zero in out-of-date patches.
+
+    `patches` is their number, `side` their side, m, and `sigma` the standard deviation of the
+    errors inside them, m.
+    """
     bumps = ndimage.gaussian_filter(rng.standard_normal(grid.shape), _BUMP_WIDTH_M / grid.posting)
     bumps *= sigma / bumps.std()
     stale = np.zeros(grid.shape, np.bool_)

@@ -47,7 +47,7 @@ class TerrainTruth:
         posting: float = TRUTH_POSTING_M,
         bounds: Bounds | None = None,
     ) -> TerrainTruth:
-        """Evaluate the exact safety of a world for a lander.
+        """Compute true elevations and exact landing safety of a world for a lander.
 
         Parameters
         ----------
@@ -70,7 +70,11 @@ class TerrainTruth:
         return cls(exact_safety(elevation, grid, lander), elevation, lander)
 
     def within(self, bounds: Bounds, most_cells: int) -> TerrainTruth:
-        """Return the truth within bounds, decimated to `most_cells` per side."""
+        """Return the part within `bounds`, with at most `most_cells` cells per side.
+
+        `bounds` are the west, east, south and north edges, m. A larger part keeps only every k-th
+        row and column.
+        """
         rows, cols = _cells_within(self.safety.grid, bounds, 0)
         step = -(-max(rows.stop - rows.start, cols.stop - cols.start) // most_cells)
         rows, cols = slice(rows.start, rows.stop, step), slice(cols.start, cols.stop, step)
@@ -83,34 +87,43 @@ class TerrainTruth:
 
     @cached_property
     def clearance(self) -> NDArray[np.float64]:
-        """Distance from each safe cell's centre to the nearest unsafe one's, m."""
+        """Distance (rows, cols), m, from each safe cell to the nearest unsafe cell.
+
+        Distances are between cell centres; unsafe cells have 0.
+        """
         cells = ndimage.distance_transform_edt(self.safety.safe)
         return np.asarray(cells * self.safety.grid.posting)
 
-    def safe_at(self, xy: ArrayLike) -> NDArray[np.bool_]:
-        """Return whether points (..., 2) are exactly safe; False off the map."""
+    def is_safe_at(self, xy: ArrayLike) -> NDArray[np.bool_]:
+        """Return whether true points (..., 2), ENU, m, are safe to land on.
+
+        The safety is that of the nearest cell; points outside the map count as unsafe.
+        """
         grid = self.safety.grid
         row, col = grid.cell(xy)
         inside = grid.contains(xy)
         safe = self.safety.safe[np.clip(row, 0, grid.rows - 1), np.clip(col, 0, grid.cols - 1)]
         return np.asarray(inside & safe)
 
-    def known_at(self, xy: ArrayLike) -> NDArray[np.bool_]:
-        """Return whether exact safety is known at true points (..., 2) (nearest cell)."""
+    def is_known_at(self, xy: ArrayLike) -> NDArray[np.bool_]:
+        """Return whether the exact safety is known at true points (..., 2), ENU, m.
+
+        The value is that of the nearest cell; False outside the map.
+        """
         grid = self.safety.grid
         row, col = grid.cell(xy)
         known = self.safety.observed[np.clip(row, 0, grid.rows - 1), np.clip(col, 0, grid.cols - 1)]
         return np.asarray(grid.contains(xy) & known)
 
-    def safe_share(
+    def safe_fraction(
         self, centre: ArrayLike, half_sides: ArrayLike, heading: float | None = None
     ) -> float:
-        """Return the fraction of exactly safe cells in a rectangle.
+        """Return the fraction of exactly safe cells in a rectangle; NaN without cells.
 
         Parameters
         ----------
         centre, half_sides
-            East and north (2,), m.
+            Centre of the rectangle and half of its sides, each east and north (2,), m.
         heading
             Azimuth of the body x axis, rad; omitted: cells must be safe at every heading.
         """
@@ -126,7 +139,10 @@ class TerrainTruth:
 
 
 def _cells_within(grid: Grid, bounds: Bounds, margin: int) -> tuple[slice, slice]:
-    """Return the rows and columns of the cells in bounds, extended by `margin` cells."""
+    """Return slices of the rows and columns of `grid` within bounds.
+
+    `bounds` are west, east, south and north, m; the slices are extended by `margin` cells.
+    """
     west, east, south, north = bounds
     (south_row, north_row), (west_col, east_col) = grid.cell([[west, south], [east, north]])
     return (

@@ -52,7 +52,7 @@ class TruthProducts:
 
     @classmethod
     def of(cls, world: World, lander: Lander, grid: Grid) -> TruthProducts:
-        """Compute all maps of a world on a grid."""
+        """Compute the true maps of a world on a grid, with safety for a lander."""
         terrain = world.terrain
         elevation = terrain.raster(grid)
         centres = grid.centres()
@@ -89,7 +89,9 @@ class TruthProducts:
 
 
 def truth_grid(world: World, centre: tuple[float, float], size: float, posting: float) -> Grid:
-    """Return a square grid, checked to lie on the terrain.
+    """Return the grid of a square map, checked to lie on the terrain.
+
+    `centre` is its middle (east, north; m), `size` its side and `posting` the grid spacing, m.
 
     Raises
     ------
@@ -99,7 +101,7 @@ def truth_grid(world: World, centre: tuple[float, float], size: float, posting: 
     if not (np.isfinite(posting) and posting > 0.0):
         raise InputError("--posting", posting, "must be more than 0 (metres)")
     if not (np.isfinite(size) and size >= 10.0 * posting):
-        raise InputError("--size", size, f"must be at least ten postings, {10.0 * posting:g} m")
+        raise InputError("--size", size, f"must be at least ten cells, {10.0 * posting:g} m")
     check_raster_size("--size", size, posting, _MAX_CELLS_PER_SIDE)
     west, east, south, north = world.terrain.bounds
     half = 0.5 * size

@@ -15,7 +15,7 @@ from lunarsim.world.terrain import RayHits, Terrain
 
 @dataclass(frozen=True)
 class World:
-    """Collect the true environment of a flight.
+    """True environment of a flight: terrain, gravity and illumination.
 
     Attributes
     ----------
@@ -26,7 +26,7 @@ class World:
     moon
         Spherical Moon with central gravity, for descents from orbit; None: flat terrain and uniform
         gravity.
-    surroundings
+    far_terrain
         Terrain beyond the map on the spherical Moon; None: rays that leave the map hit nothing.
     light
         Sun, Earth and photometry of the terrain; only cameras use it.
@@ -36,17 +36,18 @@ class World:
     gravity: float
     light: Light = field(default_factory=Light)
     moon: CentralGravity | None = None
-    surroundings: FarTerrain | None = None
+    far_terrain: FarTerrain | None = None
 
     def cast(self, origin: ArrayLike, direction: ArrayLike, max_range: float = np.inf) -> RayHits:
-        """Cast rays onto the map, then those that miss onto the far terrain.
+        """Intersect rays with the map; if they miss the map, with the far terrain.
 
-        Parameters and results are those of `Terrain.cast`.
+        `origin` (3,), ENU, m, is the start of the rays, `direction` (n, 3) their unit vectors and
+        `max_range` the maximum range, m. Returns range, normal and rock of each hit.
         """
         hits = self.terrain.cast(origin, direction, max_range)
-        if self.surroundings is None or np.isfinite(hits.range).all():
+        if self.far_terrain is None or np.isfinite(hits.range).all():
             return hits
-        beyond = self.surroundings.cast(origin, direction, max_range)
+        beyond = self.far_terrain.cast(origin, direction, max_range)
         missed = ~np.isfinite(hits.range)
         return RayHits(
             np.where(missed, beyond.range, hits.range),
@@ -54,12 +55,18 @@ class World:
             np.where(missed, beyond.rock, hits.rock),
         )
 
-    def under(self, position: NDArray[np.float64], low: float) -> bool:
-        """Return whether a position (3,) is over 1 m below the terrain."""
-        if self.surroundings is not None:
-            return bool(self.surroundings.clearance(position) < -1.0)
+    def is_below_terrain(self, position: NDArray[np.float64], low: float) -> bool:
+        """Return whether a position (3,), ENU, m, is more than 1 m below the terrain.
+
+        Without far terrain, `low` is the elevation that the position is compared with, m.
+        """
+        if self.far_terrain is not None:
+            return bool(self.far_terrain.clearance(position) < -1.0)
         return bool(self.height(position) < low - 1.0)
 
     def height(self, position: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return heights (...,) of positions (..., 3) above the datum of the origin, m."""
+        """Return heights (...,), m, of positions (..., 3), ENU, above the datum.
+
+        The datum is the sphere through the origin, or the plane z = 0 for flat terrain.
+        """
         return position[..., 2] if self.moon is None else self.moon.height(position)

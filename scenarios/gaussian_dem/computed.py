@@ -27,22 +27,27 @@ from testbed import (
     testbed,
 )
 
+from lunarsim import (
+    Grid,
+    Heightfield,
+    Terrain,
+    conservative_safety,
+    exact_safety,
+    gaussian_dem,
+    load_terrain,
+)
 from lunarsim.evaluation.map_quality import MapQuality
 from lunarsim.evaluation.precision_recall import PrecisionRecall
 from lunarsim.evaluation.reliability import reliability
-from lunarsim.grid import Grid
-from lunarsim.onboard.hazards.gaussian_dem import conventional_dem, gaussian_dem
+from lunarsim.onboard.hazards.gaussian_dem import conventional_dem
 from lunarsim.rocks.field import RockField
 from lunarsim.safety import (
     alhat_safety,
     bounded_safety,
-    conservative_safety,
-    exact_safety,
     plane_stochastic_safety,
     stochastic_safety,
 )
-from lunarsim.world.terrain import Heightfield, Terrain, place_rocks
-from lunarsim.world.terrain.dtm import load_terrain
+from lunarsim.world.terrain import place_rocks
 
 DATA = Path(__file__).parents[1] / "data"
 METHODS = ("baseline", "proposed", "planes")  # "planes" is `plane_stochastic_safety`
@@ -54,15 +59,21 @@ HALF_PHASES = [(east / 2, north / 2) for east in range(2) for north in range(2)]
 
 
 def sample_distance(distance: float, angle_deg: float) -> float:
-    """Return the mean ground sample distance (baseline posting) of a scan, m."""
+    """Return the mean ground sample distance of a LiDAR scan, m.
+
+    The scan is taken at a range `distance` (m) and an angle `angle_deg` off nadir (deg). The grid
+    of the baseline DEM has this spacing.
+    """
     x, y = table_4_row(distance, angle_deg)[2:4]
     return float(np.sqrt(x * y))
 
 
 def baseline(points, grid: Grid, posting: float, phase: tuple[float, float] = (0.0, 0.0)):
-    """Return the conventional DEM at the scan posting and its cells on `grid`.
+    """Return the conventional DEM of a scan, and its cell at each cell of `grid`.
 
-    `phase` moves its grid east and north by fractions of a cell.
+    `points` (n, 3) are the LiDAR returns, m. The DEM has the grid spacing `posting` (m); `phase`
+    shifts its grid east and north by fractions of a cell. The second value holds the row and column
+    indices of the DEM cell at each cell of `grid`.
     """
     width, height = grid.cols * grid.posting, grid.rows * grid.posting
     coarse = Grid.centred(grid.centre, width, posting, height).moved(np.multiply(phase, posting))
@@ -72,9 +83,10 @@ def baseline(points, grid: Grid, posting: float, phase: tuple[float, float] = (0
 
 
 def complexity_terrain(c: float, seed: int) -> tuple[np.ndarray, Grid]:
-    """Return terrain by Eq. 20: plane, rocks (0.2 to 1 m), c times measured relief.
+    """Generate terrain by Eq. 20 of the DEM paper; return elevations (m) and grid.
 
-    The posting is 0.1 m.
+    The terrain is a plane with rocks of 0.2 to 1 m plus `c` times a measured HiRISE relief. The
+    grid spacing is 0.1 m.
     """
     relief = load_terrain(DATA / "hirise_dteec_010228_1490_crop.tif").refined(0.25)
     west, east, south, north = relief.bounds
@@ -88,7 +100,12 @@ def complexity_terrain(c: float, seed: int) -> tuple[np.ndarray, Grid]:
 
 
 def table_3(seeds: int) -> dict[str, Any]:
-    """Evaluate the conservative test on perfect maps against terrain complexity."""
+    """Evaluate the conservative safety test on error-free terrain by complexity.
+
+    The complexity `c` is a factor on the measured relief (Table 3 of the Gaussian DEM paper).
+    `seeds` is the number of terrains per complexity. The result holds precision, recall and
+    false-safe cells under `rows`, and the maps of the first terrain for the figures.
+    """
     rows, shown = [], []
     for c, paper in PAPER_3.items():
         ours, through = [], []
@@ -115,7 +132,12 @@ def table_3(seeds: int) -> dict[str, Any]:
 
 
 def table_4_row(distance: float, angle_deg: float) -> tuple[float, float, float, float, float]:
-    """Return coverage, sample distance and noise of a scan of a plane in closed form."""
+    """Return coverage, ground sample distance and noise of a LiDAR scan of a plane.
+
+    `distance` is the range (m), `angle_deg` the angle off nadir (deg). Returns one row of Table 4
+    of the Gaussian DEM paper in closed form: coverage x, y (m), ground sample distance x, y (m) and
+    3 sigma of the range noise (cm).
+    """
     angle, half = np.deg2rad(angle_deg), np.arctan(0.1)
     height = distance * np.cos(angle)
     x = height * (np.tan(angle + half) - np.tan(angle - half))
@@ -123,22 +145,31 @@ def table_4_row(distance: float, angle_deg: float) -> tuple[float, float, float,
 
 
 def table_4(seeds: int) -> dict[str, Any]:
-    """Return coverage, ground sample distance and noise of the nine configurations."""
+    """Compute coverage, sample distance and noise of nine LiDAR scans (Table 4).
+
+    `seeds` has no effect; the values are closed-form results of `table_4_row`.
+    """
     return {"rows": [table_4_row(r, a) for r, a in CONFIGURATIONS]}
 
 
 def density(error: np.ndarray, variance: np.ndarray | float) -> float:
-    """Return the negative log predictive density (Eq. 24)."""
+    """Return the mean negative log predictive density of DEM errors.
+
+    `error` is the elevation error (m) of each cell and `variance` its predicted variance (m^2). Eq.
+    24 of the Gaussian DEM paper.
+    """
     return float(np.mean(error**2 / (2 * variance) + 0.5 * np.log(2 * np.pi * variance)))
 
 
 def table_5(seeds: int) -> dict[str, Any]:
-    """Return RMSE and predictive density of the baseline and the proposed method.
+    """Compute elevation errors of the baseline and proposed DEMs (Table 5).
 
-    ``rows`` holds six lists per configuration,
-    with one value per seed: RMSE of the baseline (mean of
-    its grid phases), RMSE of the proposed method, density of the baseline, density of the proposed
-    method, and the baseline RMSE at its best and worst phase.
+    The baseline of the Gaussian DEM paper is a conventional DEM; the proposed one is the Gaussian
+    DEM. `seeds` is the number of simulated terrains. In the result, ``rows`` holds six lists per
+    scan configuration, with one value per terrain: RMSE of the baseline (mean over the shifts of
+    its grid), RMSE of the proposed DEM, negative log predictive density of the baseline and of the
+    proposed DEM, and the baseline RMSE at its best and worst grid shift. The maps of the first
+    terrain are for the figures.
     """
     rows: list[list[list[float]]] = [[[] for _ in range(6)] for _ in CONFIGURATIONS]
     shown: dict[str, list[Any]] = {"baseline": [], "mean": [], "sigma": []}
@@ -174,27 +205,27 @@ def table_5(seeds: int) -> dict[str, Any]:
 
 
 def rms(error: np.ndarray) -> float:
-    """Return the root mean square."""
+    """Return the root mean square of the errors."""
     return float(np.sqrt(np.mean(error**2)))
 
 
 @dataclass(frozen=True)
 class ScanEvaluation:
-    """One scan of a testbed: the probabilities of all methods, and the truth.
+    """Safety probabilities by all methods for one scan of a testbed, and the truth.
 
     Attributes
     ----------
     p
-        Probability of safety by method and kind, on the grid: a list, for the baseline with one
-        entry per phase of its grid.
+        Probability of safety on the grid, by method and kind of hazard ("slope", "roughness"): a
+        list of maps, for the baseline one per shift of its grid, else one.
     truth
-        True safety by kind, on the grid.
+        True safety on the grid, by kind of hazard.
     evaluated
         Cells for which the truth and all methods have a value.
     p_safe
-        Probability of safety of the proposed method, both kinds together.
+        Probability that slope and roughness are both safe, by the proposed method.
     scan
-        The scan.
+        The LiDAR scan and its Gaussian DEM.
     """
 
     p: dict[tuple[str, str], list[np.ndarray]]
@@ -205,7 +236,11 @@ class ScanEvaluation:
 
 
 def truth_of(field: TestbedField, one: ScannedDem) -> dict[str, np.ndarray]:
-    """Return true slope and roughness safety on the evaluated grid."""
+    """Return whether true slope and roughness are safe, on the grid of a scan.
+
+    `field` is the simulated testbed and `one` a scan of it. Returns a boolean map by kind of
+    hazard.
+    """
     return {
         "slope": field.safety.slope[one.window] < LANDER.slope_limit,
         "roughness": field.safety.roughness[one.window] < LANDER.roughness_limit,
@@ -213,7 +248,11 @@ def truth_of(field: TestbedField, one: ScannedDem) -> dict[str, np.ndarray]:
 
 
 def judge(field: TestbedField, seed: int, n: int) -> ScanEvaluation:
-    """Scan a testbed in its n-th configuration and evaluate all methods."""
+    """Scan a testbed in configuration `n` and compute its safety by all methods.
+
+    The methods are the conventional DEM, the Gaussian DEM, and support planes on the Gaussian DEM.
+    `n` is an index of `CONFIGURATIONS`; `seed` and `n` seed the scan noise.
+    """
     distance, angle = CONFIGURATIONS[n]
     one = map_testbed(field, distance, angle, np.random.default_rng([seed, n]), **MARGIN)
     # Occluded cells have the prior variance and therefore count as unsafe.
@@ -239,11 +278,14 @@ def judge(field: TestbedField, seed: int, n: int) -> ScanEvaluation:
 
 
 def table_6(seeds: int) -> dict[str, Any]:
-    """Return precision and recall of slope and roughness safety, and reliability.
+    """Compute precision, recall and calibration of the safety tests (Table 6).
 
-    ``curves`` holds the counts by kind, configuration and method,
-    one per seed; all printed values are
-    computed from them. The baseline pools the phases of its grid.
+    The methods are the baseline of the Gaussian DEM paper (conventional DEM), the proposed one
+    (Gaussian DEM) and support planes. `seeds` is the number of simulated terrains. In the result,
+    ``curves`` holds the precision-recall counts by kind of hazard, configuration and method, one
+    per terrain; ``at_half`` and ``precision_recall`` are computed from them. The counts of the
+    baseline are summed over the shifts of its grid. ``reliability`` holds the calibration counts of
+    p_safe.
     """
     numbers = range(len(CONFIGURATIONS))
     shown: dict[str, list[Any]] = {f"{m} {k}": [] for m in METHODS[:2] for k in KINDS}
@@ -291,12 +333,12 @@ def table_6(seeds: int) -> dict[str, Any]:
 
 
 def pool_counts(counts: list[PrecisionRecall]) -> PrecisionRecall:
-    """Add counts."""
+    """Add up precision-recall counts of several maps."""
     return reduce(operator.add, counts)
 
 
 def median_time(call: Callable[[], Any], repeats: int) -> float:
-    """Return the median time of a call (s) after one warm-up call."""
+    """Return the median run time of `repeats` calls after one warm-up call, s."""
     call()
     times = []
     for _ in range(repeats):
@@ -307,7 +349,12 @@ def median_time(call: Callable[[], Any], repeats: int) -> float:
 
 
 def table_7(seeds: int) -> dict[str, Any]:
-    """Return run times at four postings: 65,536 points, 100 x 100 m, from 500 m."""
+    """Measure run times of DEMs and safety tests at four grid spacings (Table 7).
+
+    The input is a scan of 65,536 points from 500 m over 100 x 100 m. `seeds` has no effect. Each
+    row of the result holds the grid spacing (m) and the times (s) of the baseline safety test, the
+    Gaussian DEM and the stochastic safety test.
+    """
     field = testbed(0, side=20.0)
     points, sigma, shape = scan(field, 500.0, 0.0, np.random.default_rng(0))
     rows = []

@@ -1,10 +1,11 @@
-"""Check the variance of the Gaussian DEM on descents over several worlds (NEES).
+"""Check the variance of the Gaussian DEM on descents over several terrains (NEES).
 
 Four scans from decreasing altitudes observe fractal terrain with ellipsoid boulders. After each
-scan, the ratio of the squared error of the mean to the variance is averaged over all observed
-cells of a stratum: cells that contain samples, cells between samples, and cells that the map
-shows as rocks. A rock stands 0.12 m, or four times the noise of the first scan, above the terrain
-without rocks. A NEES of 1 is consistent; more is overconfident, less is conservative.
+scan, the ratio of the squared elevation error to the predicted variance (normalised estimation
+error squared, NEES) is averaged over the observed cells of three groups: cells that contain
+LiDAR samples, cells between samples, and cells that the map shows as rocks. A rock stands 0.12 m,
+or four times the noise of the first scan, above the terrain without rocks. A NEES of 1 is
+consistent; a larger value is overconfident, a smaller value is conservative.
 
 python scenarios/gaussian_dem/consistency.py --seeds 4 --jobs 2
 """
@@ -17,13 +18,13 @@ import click
 import numpy as np
 from rich.table import Table
 
+from lunarsim import Grid, Terrain
 from lunarsim.campaign.pool import collect_results
 from lunarsim.console import plain_console
-from lunarsim.grid import Grid
 from lunarsim.onboard.hazards.gaussian_dem import SamplePool, pooled_dem
 from lunarsim.onboard.hazards.gaussian_dem.gaussian import MIN_MEASURED_WEIGHT
 from lunarsim.rocks.field import RockField, RockModel
-from lunarsim.world.terrain import Terrain, fractal_relief, place_rocks
+from lunarsim.world.terrain import fractal_relief, place_rocks
 
 STRATA = ("measured", "interpolated", "on rocks")
 # Sample spacing and standard deviation of each scan, m.
@@ -35,7 +36,11 @@ GRID = Grid.centred((0.0, 0.0), 24.0, 0.2)
 
 @dataclass(frozen=True)
 class DemTerrainParams:
-    """RMS slope (deg), Hurst exponent, boulder diameters (m) and boulder count."""
+    """Parameters of one kind of fractal test terrain with boulders.
+
+    `slope` is the RMS slope (deg), `hurst` the Hurst exponent, `diameters` the range of boulder
+    diameters (m) and `rocks` the number of boulders.
+    """
 
     slope: float = 5.0
     hurst: float = 0.85
@@ -56,7 +61,7 @@ WORLDS = {
 
 
 def make_terrain(params: DemTerrainParams, rng: np.random.Generator) -> Terrain:
-    """Return a terrain of 60 x 60 m."""
+    """Generate fractal terrain of 60 x 60 m with ellipsoid boulders."""
     grid = Grid.centred((0.0, 0.0), 60.0, 0.25)
     relief = fractal_relief(grid, rng, hurst=params.hurst, rms_slope=np.deg2rad(params.slope))
     diameters = rng.uniform(*params.diameters, params.rocks)
@@ -64,7 +69,10 @@ def make_terrain(params: DemTerrainParams, rng: np.random.Generator) -> Terrain:
 
 
 def scan(terrain: Terrain, spacing: float, sigma: float, rng: np.random.Generator) -> np.ndarray:
-    """Return samples (n, 3) from nadir at a spacing (m)."""
+    """Return noisy elevation samples (n, 3) of a terrain from nadir, m.
+
+    `spacing` is the sample spacing and `sigma` the standard deviation of the noise, m.
+    """
     line = np.arange(-15.9, 16.0, spacing)
     x, y = np.meshgrid(line, line)
     xy = np.column_stack((x.ravel(), y.ravel())) + 0.5 * spacing * rng.uniform(-0.5, 0.5, 2)
@@ -72,10 +80,11 @@ def scan(terrain: Terrain, spacing: float, sigma: float, rng: np.random.Generato
 
 
 def descend(task: tuple[str, int, int, float]) -> np.ndarray:
-    """Return sum and count of normalised squared errors (strata, 2) over one descent.
+    """Return sums and counts of the NEES of the Gaussian DEM over one descent (3, 2).
 
-    The task is a world name, the root seed, the descent index,
-    and a factor on the noise of `DESCENT`.
+    NEES is the squared elevation error over the predicted variance. `task` holds terrain name, root
+    seed, index of the descent, and a factor on the scan noise of `DESCENT`. The rows of the result
+    are the groups of cells in `STRATA`: measured, interpolated, on rocks.
     """
     name, seed, index, times = task
     rng = np.random.default_rng([seed, index, list(WORLDS).index(name)])
@@ -103,17 +112,17 @@ def descend(task: tuple[str, int, int, float]) -> np.ndarray:
     type=click.IntRange(min=1),
     default=4,
     show_default=True,
-    help="Number of descents over each world.",
+    help="Number of descents over each kind of terrain.",
 )
 @click.option(
     "--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Root random seed."
 )
 @click.option("--noise", type=click.FloatRange(min=0.0, min_open=True), default=1.0,
-              show_default=True, help="Factor on the sample noise.")  # fmt: skip
+              show_default=True, help="Factor on the noise of the LiDAR samples.")  # fmt: skip
 @click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True,
               help="Number of processes; does not change the results.")  # fmt: skip
 def main(seeds: int, seed: int, noise: float, jobs: int) -> None:
-    """Print the NEES of measured, interpolated and rock cells for each world."""
+    """Print the NEES of measured, interpolated and rock cells for each terrain."""
     console = plain_console(120)
     tasks = [(name, seed, index, noise) for name in WORLDS for index in range(seeds)]
     found = collect_results(descend, tasks, jobs, console, "descents")

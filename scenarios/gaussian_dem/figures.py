@@ -1,4 +1,4 @@
-"""Plot the figures of `tables.py`."""
+"""Plot the figures of the reproduction of the Gaussian DEM paper (`tables.py`)."""
 
 from __future__ import annotations
 
@@ -17,7 +17,12 @@ _VIEW = 10.0  # side of the map segment in the paper, m
 
 
 def draw_conservativeness(maps: list[Any], path: Path) -> None:
-    """Plot terrain and three safety tests against complexity: Figure 12 plus one row."""
+    """Plot terrain and the safe cells by three safety tests against complexity.
+
+    The figure extends Figure 12 of the Gaussian DEM paper by one row. Each entry of `maps` holds
+    the complexity c (factor on the measured relief), elevations, the safe cells by the exact,
+    conservative and support-plane tests, and the grid. `path` is the output file.
+    """
     figure = new_figure(2.4 * len(maps), 12.5)
     axes = figure.subplots(4, len(maps), sharex=True, sharey=True)
     palette = ListedColormap(["#303030", "#ffffff"])
@@ -47,7 +52,12 @@ def draw_panels(
     *,
     diverging: bool = False,
 ) -> None:
-    """Plot nine configurations over the same segment: range by row, angle by column."""
+    """Plot a map layer for the nine scans: range by row, off-nadir angle by column.
+
+    Each entry of `maps` holds the layer, its grid and the LiDAR returns (n, 3). `configurations`
+    are range (m) and angle (deg) of each scan; `label` is the text of the color bar; `diverging`
+    selects a color scale from -1 to 1. `path` is the output file.
+    """
     figure = new_figure(9.0, 8.6)
     axes = figure.subplots(3, 3, sharex=True, sharey=True)
     half = 0.5 * _VIEW
@@ -81,7 +91,11 @@ def draw_panels(
 def draw_reliability(
     bins: np.ndarray, configurations: list[tuple[float, float]], path: Path
 ) -> None:
-    """Plot the fraction of truly safe cells against p_safe, with its histogram."""
+    """Plot the fraction of truly safe cells against p_safe for the nine scans.
+
+    `bins` holds one calibration table per configuration (range in m, angle in deg); bars show the
+    fraction of cells in each bin. `path` is the output file.
+    """
     figure = new_figure(9.0, 8.6)
     axes = figure.subplots(3, 3, sharex=True, sharey=True)
     for ax, counts, (distance, angle) in zip(axes.ravel(), bins, configurations, strict=True):
@@ -103,13 +117,16 @@ def draw_reliability(
 
 
 def central_rocks(rocks: Any) -> list[tuple[str, float, float]]:
-    """Return name, x and y of the two rocks nearest to the center of the segment."""
+    """Return label (A, B), x and y (m) of the two rocks nearest to the center."""
     nearest = np.argsort(np.hypot(rocks.x, rocks.y))[:2]
     return [(name, rocks.x[n], rocks.y[n]) for name, n in zip("AB", nearest, strict=True)]
 
 
 def draw_testbed(field: Any, configurations: list[tuple[float, float]], path: Path) -> None:
-    """Plot the testbed segment and the geometry of the nine scans: Figure 13."""
+    """Plot the testbed terrain and the geometry of the nine scans (Figure 13).
+
+    `field` is the simulated testbed; `configurations` are range (m) and angle off nadir (deg).
+    """
     figure = new_figure(10.0, 4.8)
     left, right = figure.subplots(1, 2)
     half = 0.5 * _VIEW
@@ -148,7 +165,11 @@ def draw_testbed(field: Any, configurations: list[tuple[float, float]], path: Pa
 
 def draw_profiles(maps: dict[str, list[Any]], field: Any,
                   configurations: list[tuple[float, float]], path: Path) -> None:  # fmt: skip
-    """Plot east-west profiles of truth and DEMs through two rocks: Figure 17."""
+    """Plot east-west profiles of truth and DEMs through two rocks (Figure 17).
+
+    `maps` holds the maps "baseline", "mean" and "sigma" of each scan; `field` is the simulated
+    testbed; `configurations` are range (m) and angle off nadir (deg).
+    """
     figure = new_figure(9.0, 16.0)
     axes = figure.subplots(len(configurations), 2, sharey=True, sharex="col")
     rocks = central_rocks(field.terrain.rocks)
@@ -178,7 +199,11 @@ def draw_profiles(maps: dict[str, list[Any]], field: Any,
 
 
 def draw_truth(field: Any, layer: np.ndarray, limit: float, label: str, path: Path) -> None:
-    """Plot a true quantity and where it is below its limit: Figures 18 and 21."""
+    """Plot a true terrain quantity and the cells below its limit: Figures 18 and 21.
+
+    `layer` holds slope or roughness on the grid of the testbed `field`, `limit` its safety limit in
+    the same unit, and `label` its name with unit. `path` is the output file.
+    """
     figure = new_figure(9.0, 4.2)
     left, right = figure.subplots(1, 2, sharey=True)
     half = 0.5 * _VIEW

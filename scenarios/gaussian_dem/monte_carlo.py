@@ -1,10 +1,9 @@
 """Compare two stochastic safety tests on a Gaussian DEM with sampled terrain.
 
 Elevation errors are sampled from the model with their correlation (Matheron's rule): a field from
-the prior is scanned and interpolated like the scan itself,
-and the interpolation error is added to
-the mean. The exact test on many such terrains gives the probability of safety under the model.
-Eqs. 15 to 17 and `plane_stochastic_safety` are compared with it.
+the prior is scanned and interpolated like the scan itself, and the interpolation error is added
+to the mean. The exact test on many such terrains gives the probability of safety under the model.
+Eqs. 15 to 17 of the Gaussian DEM paper and `plane_stochastic_safety` are compared with it.
 
 python scenarios/gaussian_dem/monte_carlo.py --samples 200 --jobs 2 --out out/gaussian_dem
 """
@@ -22,17 +21,11 @@ from rich.table import Table
 from scipy import fft, ndimage
 from testbed import LANDER, MARGIN, ScannedDem, TestbedField, map_testbed, testbed
 
+from lunarsim import Grid, exact_safety, gaussian_dem
 from lunarsim.campaign.pool import collect_results
 from lunarsim.console import plain_console
 from lunarsim.evaluation.reliability import calibration_error, reliability
-from lunarsim.grid import Grid
-from lunarsim.onboard.hazards.gaussian_dem import gaussian_dem
-from lunarsim.safety import (
-    exact_safety,
-    plane_stochastic_safety,
-    safe_sites,
-    stochastic_safety,
-)
+from lunarsim.safety import plane_stochastic_safety, safe_sites, stochastic_safety
 from lunarsim.viz.reliability import plot_ideal, plot_reliability
 from lunarsim.viz.style import COLOURS, new_figure, save
 
@@ -44,7 +37,11 @@ METHODS = ("Eqs. 15-17", "support planes")
 
 @dataclass(frozen=True)
 class TerrainSampleTask:
-    """A range of samples of one configuration."""
+    """Work of one process: a range of terrain samples for one scan configuration.
+
+    `configuration` is an index of `CONFIGURATIONS`, `seed` the seed of the testbed; the samples
+    have the numbers `first` to `first + count - 1`.
+    """
 
     configuration: int
     seed: int
@@ -54,7 +51,10 @@ class TerrainSampleTask:
 
 @lru_cache(maxsize=4)
 def scan_testbed(configuration: int, seed: int) -> tuple[TestbedField, ScannedDem]:
-    """Return the testbed and its scan in one configuration."""
+    """Return the testbed of a seed and its LiDAR scan in one configuration.
+
+    `configuration` is an index of `CONFIGURATIONS`. The last four results are cached.
+    """
     field = testbed(seed, SIDE + 10.0)
     rng = np.random.default_rng([seed, configuration])
     return field, map_testbed(field, *CONFIGURATIONS[configuration], rng, grid=MAP, **MARGIN)
@@ -62,7 +62,11 @@ def scan_testbed(configuration: int, seed: int) -> tuple[TestbedField, ScannedDe
 
 @lru_cache(maxsize=1)
 def spectrum(cells: int) -> np.ndarray:
-    """Return the square root of the spectrum of Eq. 4 on a periodic square grid."""
+    """Return the square root of the power spectrum of the random field prior, m.
+
+    The prior is Eq. 4 of the Gaussian DEM paper (exponential covariance) on a periodic square grid
+    of `cells` x `cells`.
+    """
     lag = MAP.posting * np.minimum(np.arange(cells), cells - np.arange(cells))
     distance = np.hypot(lag[:, None], lag[None, :])
     covariance = MARGIN["sigma_f"] ** 2 * np.exp(-distance / MARGIN["length_scale"])
@@ -70,7 +74,10 @@ def spectrum(cells: int) -> np.ndarray:
 
 
 def error_field(task: TerrainSampleTask, rng: np.random.Generator) -> np.ndarray:
-    """Return one sample of the DEM error over the map (rows, cols), m."""
+    """Sample one correlated elevation error of the Gaussian DEM (rows, cols), m.
+
+    `task` selects the scan.
+    """
     _, own = scan_testbed(task.configuration, task.seed)
     # Four times as wide as the map, so that the periodicity of the sample has no effect on it.
     cells = fft.next_fast_len(4 * MAP.rows)
@@ -86,7 +93,11 @@ def error_field(task: TerrainSampleTask, rng: np.random.Generator) -> np.ndarray
 
 
 def sample(task: TerrainSampleTask) -> np.ndarray:
-    """Return the number of samples in which each cell is exactly safe (rows, cols)."""
+    """Count the sampled terrains in which each map cell is safe (rows, cols).
+
+    The terrains are the DEM plus sampled elevation errors; their safety is computed without
+    uncertainty. `task` gives the scan and the numbers of the samples.
+    """
     dem = scan_testbed(task.configuration, task.seed)[1].dem
     total = np.zeros(MAP.shape, np.int64)
     for n in range(task.first, task.first + task.count):
@@ -97,7 +108,13 @@ def sample(task: TerrainSampleTask) -> np.ndarray:
 
 
 def judge(configuration: int, seed: int, share: np.ndarray) -> dict[str, Any]:
-    """Compare both tests with the fraction of samples in which each cell is safe."""
+    """Compare two safety tests with the safe fraction of sampled terrains per cell.
+
+    `configuration` and `seed` select the scan; `share` (rows, cols) is the sampled safe fraction.
+    The result holds, by method, bias (mean p minus fraction), RMS difference, fraction of cells
+    with p more than 0.1 too high ("over") and calibration counts ("table"); also the mean sampled
+    and true safe fractions and the number of cells.
+    """
     field, scan = scan_testbed(configuration, seed)
     dem = scan.dem
     own = stochastic_safety(dem.mean, dem.variance, MAP, LANDER)
@@ -118,7 +135,10 @@ def judge(configuration: int, seed: int, share: np.ndarray) -> dict[str, Any]:
 
 
 def draw(results: list[dict[str, Any]], path: Path) -> None:
-    """Plot the sampled probability against the predicted one."""
+    """Plot sampled against predicted probability of safety, one panel per scan.
+
+    `results` are the dictionaries of `judge`; `path` is the output file.
+    """
     figure = new_figure(3.0 * len(results), 3.6)
     panels = figure.subplots(1, len(results), sharey=True)
     for panel, result, (distance, angle) in zip(panels, results, CONFIGURATIONS, strict=True):

@@ -1,4 +1,4 @@
-"""Values of the tables in the Gaussian DEM paper."""
+"""Published values of the tables in the Gaussian DEM paper (Tomita and Ho)."""
 
 from __future__ import annotations
 

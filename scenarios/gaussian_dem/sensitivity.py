@@ -1,10 +1,11 @@
-"""Study the random field prior in Tables 5 and 6, and missed hazards at 1000 m.
+"""Study the prior of the Gaussian DEM, and hazards missed from 1000 m.
 
     python scenarios/gaussian_dem/sensitivity.py --study field --seeds 4 --out out/gaussian_dem
     python scenarios/gaussian_dem/sensitivity.py --study misses --seeds 8
 
-`field` sweeps sigma_f^2 / length_scale, the only hyper-parameter combination that scans can
-identify, for both tables. `misses` changes one property of the scans from 1000 m at a time.
+The tables are those of the Gaussian DEM paper. `field` sweeps sigma_f^2 / length_scale, the only
+hyper-parameter combination that scans can identify, for both tables. `misses` changes one
+property of the scans from 1000 m at a time.
 """
 
 from __future__ import annotations
@@ -48,7 +49,10 @@ METRICS = ("rmse", "nlpd", "beyond", "precision slope", "precision roughness", "
 
 
 def growth(setting: dict[str, float]) -> float:
-    """Return sigma_f^2 / length_scale, m."""
+    """Return the growth rate sigma_f^2 / length_scale of a random field prior, m.
+
+    `setting` holds `sigma_f` and `length_scale` (m).
+    """
     return setting["sigma_f"] ** 2 / setting["length_scale"]
 
 
@@ -56,7 +60,12 @@ def growth(setting: dict[str, float]) -> float:
 
 
 def map_metrics(own: TestbedField, one: ScannedDem) -> dict[str, float]:
-    """Return all metrics of one map, computed as in both tables."""
+    """Return errors, precision and recall of one Gaussian DEM (keys: `METRICS`).
+
+    `own` is the simulated testbed and `one` a scan of it. The metrics are those of Tables 5 and 6
+    of the Gaussian DEM paper; "nlpd" is the negative log predictive density and "beyond" the
+    fraction of errors above 3 sigma.
+    """
     inside = np.isfinite(one.dem.mean)
     error = (one.dem.mean - own.elevation[one.window])[inside].astype(float)
     variance = one.dem.variance[inside].astype(float)
@@ -72,7 +81,10 @@ def map_metrics(own: TestbedField, one: ScannedDem) -> dict[str, float]:
 
 
 def sweep_testbed(seed: int) -> list[list[list[float]]]:
-    """Return the metrics of one testbed by growth and configuration."""
+    """Return the map metrics of one testbed by prior, scan configuration and metric.
+
+    The result has the order of `GROWTHS`, `CONFIGURATIONS` and `METRICS`.
+    """
     own = testbed(seed)
     out = []
     for g in GROWTHS:
@@ -88,7 +100,10 @@ def sweep_testbed(seed: int) -> list[list[list[float]]]:
 
 
 def count_rows_reached(values: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Return in how many of the nine rows each growth reaches the values of the paper."""
+    """Count the scans (0 to 9) with metrics as good as in the paper, by prior.
+
+    `values` holds each metric (priors of `GROWTHS`, 9 scan configurations) by name.
+    """
     five, six = np.array(PAPER_5), np.array(PAPER_6)
     rounded = {name: np.round(v, 4) for name, v in values.items()}
     return {
@@ -102,7 +117,11 @@ def count_rows_reached(values: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
 
 
 def show_field(results: list[Any], console: Console) -> dict[str, Any]:
-    """Print the sweep; return the means (growth, configuration) by metric."""
+    """Print the metrics for each random field prior; return their means.
+
+    `results` are the values of `sweep_testbed`, one per testbed. Returns the means (prior, scan
+    configuration) by name of the metric.
+    """
     mean = np.mean(np.array(results, dtype=float), axis=0)
     values = {name: mean[:, :, i] for i, name in enumerate(METRICS)}
     rows = count_rows_reached(values)
@@ -134,7 +153,12 @@ def show_field(results: list[Any], console: Console) -> dict[str, Any]:
 def show_best_field(
     values: dict[str, np.ndarray], rows: dict[str, np.ndarray], console: Console
 ) -> None:
-    """Print both tables at the largest growth with most rows at the paper's NLPD."""
+    """Compare the priors of Tables 5 and 6 with the one that serves both tables best.
+
+    This is the largest sigma_f^2 / length_scale with the maximum number of scans at the negative
+    log predictive density (NLPD) of the paper. `values` are metrics (prior, configuration) by name;
+    `rows` the result of `count_rows_reached`.
+    """
     most = np.flatnonzero(rows["NLPD"] == rows["NLPD"].max())
     own = {"Table 5": growth(DENSITY), "both": GROWTHS[most[-1]], "Table 6": growth(MARGIN)}
     table = Table(
@@ -160,7 +184,10 @@ def show_best_field(
 
 
 def draw_field(values: dict[str, Any], path: Path) -> None:
-    """Plot error, density, precision and recall against the random-field growth."""
+    """Plot error, density, precision and recall against sigma_f^2 / length_scale.
+
+    `values` are metrics (prior, configuration) by name; `path` is the output file.
+    """
     figure = new_figure(9.6, 7.2)
     panels = figure.subplots(2, 2, sharex=True)
     names = ("rmse", "nlpd", "precision roughness", "recall roughness")
@@ -193,7 +220,12 @@ def draw_field(values: dict[str, Any], path: Path) -> None:
 
 @dataclass(frozen=True)
 class ScanVariant:
-    """One change of the scans from 1000 m."""
+    """One changed property of the testbed scans from 1000 m.
+
+    `bed` and `lidar` are changed arguments of `testbed` and `FlashLidar`; `growth` is sigma_f^2 /
+    length_scale of the prior, m; `stated` is the standard deviation of a return that the DEM
+    assumes, m (None: the true one).
+    """
 
     name: str
     bed: dict[str, Any] = field(default_factory=dict)
@@ -218,14 +250,14 @@ VARIANTS = (
 
 @dataclass(frozen=True)
 class MissedSites:
-    """Unsafe sites of one map, with or without a return above the limit near the site.
+    """Unsafe sites of one map, with or without a high LiDAR return nearby.
 
     Attributes
     ----------
     quality
-        Quality of all sites.
+        Precision and recall of the map over all sites.
     seen, unseen
-        Unsafe sites with and without such a return: number called safe, and total number.
+        Unsafe sites with and without a return above the roughness limit: number called safe, total.
     """
 
     quality: MapQuality
@@ -234,7 +266,10 @@ class MissedSites:
 
 
 def count_missed_sites(task: tuple[int, int]) -> list[MissedSites]:
-    """Evaluate one testbed under one variant at the three angles."""
+    """Count unsafe sites called safe in one testbed, for each of three scan angles.
+
+    `task` is the index of the scan variant in `VARIANTS` and the seed of the testbed.
+    """
     index, seed = task
     variant = VARIANTS[index]
     own = testbed(seed, **variant.bed)
@@ -264,12 +299,16 @@ def count_missed_sites(task: tuple[int, int]) -> list[MissedSites]:
 
 
 def share(part: int, total: int) -> float:
-    """Return `part / total`; NaN if `total` is zero."""
+    """Return the fraction `part / total`; NaN if `total` is zero."""
     return float(part / total) if total else float("nan")
 
 
 def show_misses(results: list[list[MissedSites]], seeds: int, console: Console) -> list[Any]:
-    """Print the variants with the testbeds pooled; return the rows."""
+    """Print the missed hazards of each scan variant and angle over all testbeds.
+
+    `results` are the values of `count_missed_sites` for all variants and `seeds` testbeds each.
+    Returns the printed table as a list of dictionaries.
+    """
     table = Table(
         title=f"Roughness safety from 1000 m at p > 0.5, {seeds} testbeds, 95 % intervals"
     )
@@ -307,7 +346,8 @@ def show_misses(results: list[list[MissedSites]], seeds: int, console: Console) 
 
 @click.command()
 @click.option("--study", type=click.Choice(["field", "misses", "all"]), default="all",
-              show_default=True, help="Study to run.")  # fmt: skip
+              show_default=True,
+              help="Study: prior (field), missed hazards (misses), or both.")  # fmt: skip
 @click.option("--seeds", type=click.IntRange(min=1), default=4, show_default=True,
               help="Number of testbeds.")  # fmt: skip
 @click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True,
@@ -317,7 +357,7 @@ def show_misses(results: list[list[MissedSites]], seeds: int, console: Console) 
 @click.option("--out", type=click.Path(path_type=Path, file_okay=False), default=None,
               help="Output folder of the figure.")  # fmt: skip
 def main(study: str, seeds: int, jobs: int, json_file: Path | None, out: Path | None) -> None:
-    """Sweep the random field over both tables, and vary the scans from 1000 m."""
+    """Study the prior (`field`) and hazards missed from 1000 m (`misses`)."""
     console = plain_console(190)
     kept: dict[str, Any] = {}
     if study in {"field", "all"}:

@@ -53,6 +53,10 @@ from lunarsim.evaluation.statistics import mean_interval
 
 
 def print_3(result: dict[str, Any], console: Console) -> None:
+    """Print computed and published recall of the conservative safety test (Table 3).
+
+    `result` is the value of `computed.table_3`.
+    """
     table = Table(title="Table 3: conservative test on Eq. 20 terrain (HiRISE crop)")
     headings = ("c", "precision", "paper", "false-safe cells, both tests", "recall", "paper",
                 "difference", "recall of bounded_safety")  # fmt: skip
@@ -69,13 +73,17 @@ def print_3(result: dict[str, Any], console: Console) -> None:
 
 
 def spread(values: list[float]) -> str:
-    """Return the mean and, for several seeds, half its 95 % interval."""
+    """Format the mean and, for several values, half of its 95 % interval."""
     if len(values) < 2:
         return f"{values[0]:.4f}"
     return mean_interval(values).text()
 
 
 def print_4(result: dict[str, Any], console: Console) -> None:
+    """Print computed and published coverage and resolution of the scans (Table 4).
+
+    `result` is the value of `computed.table_4`.
+    """
     table = Table(title="Table 4: scan configurations (ours / paper)")
     headings = (
         "range (m)",
@@ -95,6 +103,10 @@ def print_4(result: dict[str, Any], console: Console) -> None:
 
 
 def print_5(result: dict[str, Any], console: Console) -> None:
+    """Print computed and published elevation errors of both DEMs (Table 5).
+
+    `result` is the value of `computed.table_5`.
+    """
     seeds = len(result["rows"][0][0])
     table = Table(
         title=f"Table 5: DEM quality, ours / paper, {seeds} fields, 95 % intervals "
@@ -122,10 +134,15 @@ def print_5(result: dict[str, Any], console: Console) -> None:
 
 
 def yes(value: bool) -> str:
+    """Return "yes" if `value` is true, else "no"."""
     return "yes" if value else "no"
 
 
 def print_6(result: dict[str, Any], console: Console) -> None:
+    """Print computed and published precision and recall of the safety tests (Table 6).
+
+    `result` is the value of `computed.table_6`.
+    """
     seeds = len(result["curves"]["slope", 0, "proposed"])
     for which, name in enumerate(("precision", "recall")):
         table = Table(
@@ -151,7 +168,10 @@ def print_6(result: dict[str, Any], console: Console) -> None:
 
 
 def print_at_recall(result: dict[str, Any], console: Console) -> None:
-    """Print precision at the recall of the paper, and the calibration error of p_safe."""
+    """Print precision at the recall of the paper, and the calibration error of p_safe.
+
+    `result` is the value of `computed.table_6`.
+    """
     table = Table(title="Precision at the recall of the paper's proposed method")
     headings = ("range (m)", "angle (deg)", "slope: paper", "baseline", "proposed", "planes",
                 "roughness: paper", "baseline", "proposed", "planes",
@@ -172,6 +192,10 @@ def print_at_recall(result: dict[str, Any], console: Console) -> None:
 
 
 def print_7(result: dict[str, Any], console: Console) -> None:
+    """Print computed and published run times of DEMs and safety tests (Table 7).
+
+    `result` is the value of `computed.table_7`.
+    """
     table = Table(title="Table 7: run time (s), ours / paper; ratios of our times")
     headings = ("posting (m)", "baseline safety", "proposed DEM", "proposed safety",
                 "baseline / proposed safety", "baseline / (DEM + safety)")  # fmt: skip
@@ -209,7 +233,11 @@ TABLES = {
 
 
 def draw(name: str, result: dict[str, Any], out: Path) -> None:
-    """Plot the counterparts of the figures of the paper that belong to a table."""
+    """Plot the figures of the Gaussian DEM paper that belong to a table.
+
+    `name` is the number of the table ("3" to "7"), `result` its computed content and `out` the
+    output folder.
+    """
     if name == "3":
         draw_conservativeness(result["pictures"], out / "figure_12_conservativeness.png")
     elif name == "5":
@@ -250,15 +278,15 @@ def draw(name: str, result: dict[str, Any], out: Path) -> None:
 
 @click.command()
 @click.option("--table", "which", type=click.Choice([*TABLES, "all"]), default="all",
-              show_default=True, help="Table to compute.")  # fmt: skip
+              show_default=True, help="Number of the table to compute.")  # fmt: skip
 @click.option("--seeds", type=click.IntRange(min=1), default=1, show_default=True,
-              help="Number of fields or terrains per table.")  # fmt: skip
+              help="Number of simulated terrains per table.")  # fmt: skip
 @click.option("--json", "json_file", type=click.Path(path_type=Path, dir_okay=False), default=None,
               help="Output file of all values.")  # fmt: skip
 @click.option("--out", type=click.Path(path_type=Path, file_okay=False), default=None,
               help="Output folder of the figures (default: no figures).")  # fmt: skip
 def main(which: str, seeds: int, json_file: Path | None, out: Path | None) -> None:
-    """Compute the tables of the paper and print them with the published values."""
+    """Print computed and published values of the tables of the Gaussian DEM paper."""
     console = plain_console(190)
     gathered = {}
     for name in TABLES if which == "all" else (which,):

@@ -7,15 +7,13 @@ from typing import Any
 
 import numpy as np
 
+from lunarsim import Grid, Heightfield, Terrain, exact_safety, gaussian_dem
+from lunarsim.api import Lander, State
 from lunarsim.frames import sensor_axes
-from lunarsim.grid import Grid
-from lunarsim.models.lander import Lander
-from lunarsim.onboard.hazards.gaussian_dem import GaussianDem, gaussian_dem
-from lunarsim.safety import exact_safety
+from lunarsim.onboard.hazards.gaussian_dem import GaussianDem
 from lunarsim.sensors.lidar import FlashLidar
-from lunarsim.vehicle import State
 from lunarsim.world import World
-from lunarsim.world.terrain import Heightfield, Terrain, place_rocks
+from lunarsim.world.terrain import place_rocks
 
 LANDER = Lander()
 RANGES, ANGLES = (200.0, 500.0, 1000.0), (0.0, 30.0, 60.0)
@@ -29,7 +27,11 @@ MARGIN = {"sigma_f": 0.5, "length_scale": 30.0}  # Tables 6 and 7
 
 @dataclass(frozen=True)
 class TestbedField:
-    """One testbed: hemispheres on a plane of 200 x 200 m (section IV.B.1)."""
+    """One simulated testbed: hemispheric rocks on a plane of 200 x 200 m.
+
+    `elevation` (m) and `safety` (true slope, roughness and safety) are given on the cells of
+    `grid`.
+    """
 
     terrain: Terrain
     grid: Grid
@@ -39,7 +41,7 @@ class TestbedField:
 
 @dataclass(frozen=True)
 class ScannedDem:
-    """A scan of a testbed and its Gaussian DEM.
+    """A LiDAR scan of a testbed and its Gaussian DEM.
 
     Attributes
     ----------
@@ -48,7 +50,7 @@ class ScannedDem:
     dem
         Gaussian DEM on the evaluated grid.
     window
-        Cells of the testbed grid that coincide with the DEM cells.
+        Slices of rows and columns of the testbed grid that coincide with the DEM cells.
     """
 
     points: np.ndarray
@@ -59,16 +61,17 @@ class ScannedDem:
 
     @property
     def grid(self) -> Grid:
-        """The evaluated grid."""
+        """Grid of the Gaussian DEM."""
         return self.dem.grid
 
 
 def testbed(
     seed: int, side: float = 100.0, *, rocks: int = 500, diameter: float = 1.0
 ) -> TestbedField:
-    """Generate a testbed and its exact safety over a central square of `side`, m.
+    """Generate a testbed with rocks and compute its true safety over a central square.
 
-    The testbed of the paper has 500 rocks of 1 m.
+    `side` is the side of the square and `diameter` that of the `rocks` hemispheres, m. The testbed
+    of the Gaussian DEM paper has 500 rocks of 1 m.
     """
     plane = Heightfield(Grid.centred((0.0, 0.0), 202.0, 2.0), np.zeros((101, 101), np.float32))
     rng = np.random.default_rng(seed)
@@ -85,7 +88,10 @@ def scan(
     rng: np.random.Generator,
     lidar: FlashLidar | None = None,
 ) -> tuple[np.ndarray, float, tuple[int, int]]:
-    """Scan the map center from a distance (m) and an angle off nadir (deg) towards +x.
+    """Scan the center of a testbed with a flash LiDAR at a given range and angle.
+
+    `distance` is the range (m), `angle_deg` the angle off nadir (deg); the sensor points towards
+    +x.
 
     Returns
     -------
@@ -103,12 +109,15 @@ def scan(
 
 
 def view_grid(distance: float) -> Grid:
-    """Return the evaluated square of a configuration: the scanned area, at most 100 m."""
+    """Return the square grid on which scans at a range are evaluated.
+
+    Its side is the width of the scanned area at the range `distance` (m), at most 100 m.
+    """
     return Grid.centred((0.0, 0.0), min(100.0, 0.2 * distance), POSTING)
 
 
 def crop(field: TestbedField, grid: Grid) -> tuple[slice, slice]:
-    """Return the cells of the field grid that coincide with `grid`."""
+    """Return the row and column slices of the testbed grid that coincide with `grid`."""
     row, col = (int(v) for v in field.grid.cell((grid.x0, grid.y0)))
     return slice(row, row + grid.rows), slice(col, col + grid.cols)
 
@@ -125,9 +134,11 @@ def map_testbed(
     lidar: FlashLidar | None = None,
     stated: float | None = None,
 ) -> ScannedDem:
-    """Scan a testbed and build its Gaussian DEM over the evaluated area or `grid`.
+    """Scan a testbed and compute its Gaussian DEM.
 
-    `stated` replaces the true standard deviation of a return (m) in the DEM.
+    `distance` is the range (m), `angle_deg` the angle off nadir (deg). `sigma_f` and `length_scale`
+    (m) are the random field prior. The DEM covers `grid`; by default this is the scanned area, at
+    most 100 m wide. `stated` replaces the true standard deviation of a return (m) in the DEM.
     """
     points, sigma, shape = scan(field, distance, angle_deg, rng, lidar)
     sigma = sigma if stated is None else stated

@@ -23,9 +23,10 @@ import click
 import numpy as np
 from rich.table import Table
 
+from lunarsim import InputError, RandomStreams, Scenario, Simulation, build_world, flight_seed
 from lunarsim.campaign.pool import collect_results
 from lunarsim.console import plain_console
-from lunarsim.errors import InputError, check_output
+from lunarsim.errors import check_output
 from lunarsim.evaluation.statistics import Proportion
 from lunarsim.messages.briefing import Briefing
 from lunarsim.onboard.computer import APPROACH
@@ -34,9 +35,6 @@ from lunarsim.optimal.final_time import minimize_propellant
 from lunarsim.optimal.planner import Planner
 from lunarsim.optimal.problem import Descent
 from lunarsim.parts.registry import kinds
-from lunarsim.rng import RandomStreams, flight_seed
-from lunarsim.scenario import Scenario
-from lunarsim.simulation import Simulation, build_world
 from lunarsim.world import World
 
 # A vehicle without maps over a small terrain. The position fixes have a small bias because no map
@@ -65,7 +63,11 @@ _APEX_DEPTH_M = 0.5  # glideslope apex below the end point, m; the same for all 
 
 @dataclass(frozen=True)
 class PropellantTask:
-    """One start, flown with every law."""
+    """Settings of the flights from one start, one with each guidance law.
+
+    `flight` and `seed` (root seed) determine the start; `position_sigma` (m) and `velocity_sigma`
+    (m/s) are its scatter, 1 sigma per axis.
+    """
 
     laws: tuple[str, ...]
     flight: int
@@ -76,7 +78,7 @@ class PropellantTask:
 
 @dataclass(frozen=True)
 class LawFlight:
-    """Results of one flight with one law.
+    """Results of one flight with one guidance law.
 
     Attributes
     ----------
@@ -93,7 +95,7 @@ class LawFlight:
     safe, failed
         Whether the landing was safe, and the failed criteria.
     fallbacks, plans
-        Number of fallbacks and of plans of the optimal law.
+        Number of fallbacks to a simpler law and of trajectories planned by the optimal law.
     asked, infeasible
         Number of evaluations of a network, and of outputs that violate the limits of the law.
     """
@@ -119,13 +121,16 @@ class LawFlight:
         return self.approach / self.optimum - 1.0
 
     @property
-    def all_over(self) -> float:
+    def excess_to_touchdown(self) -> float:
         """Propellant to touchdown relative to optimum plus vertical descent, minus 1."""
         return self.whole / (self.optimum + self.descent) - 1.0
 
 
 def scenario_of(law: str, position_sigma: float, velocity_sigma: float) -> Scenario:
-    """Return the scenario of a law."""
+    """Return the scenario for a guidance law.
+
+    `position_sigma` (m) and `velocity_sigma` (m/s) are the scatter of the start, 1 sigma per axis.
+    """
     start = {"position_sigma_m": position_sigma, "velocity_sigma_m_s": velocity_sigma}
     sensors = SEEKING_SENSORS if law == SEEKING else {}
     return Scenario.from_dict(
@@ -135,26 +140,27 @@ def scenario_of(law: str, position_sigma: float, velocity_sigma: float) -> Scena
 
 @cache
 def shared_world() -> World:
-    """Build the world of all flights."""
+    """Build the terrain of all flights; the result is cached."""
     return build_world(scenario_of("apollo", 0.0, 0.0), RandomStreams(1))
 
 
 def problem(flight: Simulation) -> Descent:
-    """Return the descent problem from a flight's true start to its approach end."""
+    """Return the minimum-propellant problem from the true start to approach end."""
     briefing = flight.briefing
     lander, approach = briefing.lander, briefing.software.approach
     limits, end = approach.limits, approach.end(briefing.target, lander)
     margin = limits.throttle_margin * (lander.thrust_max - lander.thrust_min)
     return Descent(
         flight.state.position, flight.state.velocity, flight.state.mass, end.position,
-        end.velocity, briefing.weight, lander.thrust_min + margin, lander.thrust_max - margin,
+        end.velocity, briefing.surface_gravity, lander.thrust_min + margin,
+        lander.thrust_max - margin,
         lander.exhaust_velocity, lander.dry_mass + limits.reserve, limits.max_tilt,
         limits.glideslope, _APEX_DEPTH_M,
     )  # fmt: skip
 
 
 def fly(task: PropellantTask) -> list[LawFlight]:
-    """Fly one start with every law."""
+    """Simulate the flights from one start, one with each guidance law."""
     rows, optimum = [], float("nan")
     for law in task.laws:
         scenario = scenario_of(law, task.position_sigma, task.velocity_sigma)
@@ -177,13 +183,20 @@ def _optimum(task: PropellantTask, flight: Simulation) -> float:
 
 
 def _steady(briefing: Briefing, mass: float) -> float:
-    """Return the propellant of the vertical descent after the approach, kg."""
+    """Return the propellant of the steady vertical descent after the approach, kg.
+
+    `mass` is the mass at its start, kg.
+    """
     approach = briefing.software.approach
-    increment = briefing.weight * approach.vertical_altitude / approach.vertical_speed
+    increment = briefing.surface_gravity * approach.vertical_altitude / approach.vertical_speed
     return float(mass * -np.expm1(-increment / briefing.lander.exhaust_velocity))
 
 
 def _fly_law(law: str, number: int, flight: Simulation, optimum: float) -> LawFlight:
+    """Simulate one flight with one guidance law; compare it with the optimum.
+
+    `number` is the number of the flight, `optimum` the minimum propellant, kg.
+    """
     computer = flight.computer
     wet, end = flight.state.mass, computer.approach.end(computer.site, computer.lander)
     while not flight.done and computer.phase == APPROACH:
@@ -191,20 +204,21 @@ def _fly_law(law: str, number: int, flight: Simulation, optimum: float) -> LawFl
     at_end, believed = flight.state, flight.estimate
     while not flight.done:
         flight.step()
-    outcome = flight.verdict
+    outcome = flight.outcome
     fell = sum(name == "guidance-fallback" for _, name, _ in computer.telemetry)
     return LawFlight(
         law, number, optimum, _steady(computer.briefing, wet - optimum),
         wet - at_end.mass, wet - flight.state.mass,
         float(np.linalg.norm(believed.position - end.position)),
         float(np.linalg.norm(at_end.velocity - end.velocity)),
-        bool(outcome.safe), " ".join(outcome.failed), fell,
-        *(int(getattr(computer.guidance, name, 0)) for name in ("plans", "asked", "infeasible")),
+        bool(outcome.safe), " ".join(outcome.failure_causes), fell,
+        *(int(getattr(computer.guidance, name, 0)) for name in ("plans", "evaluation_count",
+        "violation_count")),
     )  # fmt: skip
 
 
 def table_of(rows: list[LawFlight]) -> Table:
-    """Return a table with one row per law."""
+    """Return the table of propellant and terminal errors, one row per guidance law."""
     table = Table(title="Propellant of guidance laws relative to the optimum")
     for heading in (
         "law", "flights", "safe landings\n[95 % interval]",
@@ -224,7 +238,8 @@ def table_of(rows: list[LawFlight]) -> Table:
             return float(np.median(values)), float(np.percentile(values, 95)), float(values.max())
 
         over, down = (
-            " / ".join(f"{100.0 * v:.2f}" for v in spread(name)) for name in ("over", "all_over")
+            " / ".join(f"{100.0 * v:.2f}" for v in spread(name))
+            for name in ("over", "excess_to_touchdown")
         )
         low, high = safe.interval
         table.add_row(
@@ -238,14 +253,14 @@ def table_of(rows: list[LawFlight]) -> Table:
 
 
 def _answers(rows: list[LawFlight]) -> str:
-    """Return the count of infeasible network outputs; empty for other laws."""
+    """Format the number of infeasible network outputs; empty without a network."""
     asked = sum(r.asked for r in rows)
     return f"{sum(r.infeasible for r in rows)} of {asked:,}" if asked else ""
 
 
 @click.command()
 @click.option("--flights", type=click.IntRange(min=1), default=20, show_default=True,
-              help="Number of starts.")  # fmt: skip
+              help="Number of starts; each is flown with every law.")  # fmt: skip
 @click.option(
     "--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Root random seed."
 )
@@ -254,9 +269,9 @@ def _answers(rows: list[LawFlight]) -> str:
 @click.option("--laws", multiple=True, type=click.Choice(sorted(kinds("guidance"))),
               help="Guidance law; repeatable (default: all).")  # fmt: skip
 @click.option("--position-sigma", type=click.FloatRange(min=0.0), default=20.0, show_default=True,
-              help="Start position, 1 sigma per axis (m).")  # fmt: skip
+              help="Scatter of the start position, 1 sigma per axis (m).")  # fmt: skip
 @click.option("--velocity-sigma", type=click.FloatRange(min=0.0), default=1.5, show_default=True,
-              help="Start velocity, 1 sigma per axis (m/s).")  # fmt: skip
+              help="Scatter of the start velocity, 1 sigma per axis (m/s).")  # fmt: skip
 @click.option("--json", "out", type=click.Path(path_type=Path), help="Output file of all flights.")
 def main(
     flights: int,
@@ -267,7 +282,7 @@ def main(
     velocity_sigma: float,
     out: Path | None,
 ) -> None:
-    """Fly every law from the same starts; compare with the optimum."""
+    """Fly every guidance law from the same starts; compare with the optimum."""
     console = plain_console(178)
     chosen = laws or tuple(kinds("guidance"))
     tasks = [

@@ -14,11 +14,9 @@ from typing import Any
 import click
 import numpy as np
 
-from lunarsim.grid import Grid
+from lunarsim import Grid, Scenario, Simulation
 from lunarsim.onboard.policies.reachability import ReachabilityMap
 from lunarsim.parts.registry import kinds
-from lunarsim.scenario import Scenario
-from lunarsim.simulation import Simulation
 from lunarsim.viz.style import map_axes, new_figure, save, show
 
 BASE_SCENARIO: dict[str, Any] = {
@@ -34,7 +32,7 @@ _SIDE, _CELLS = 6.5, 260  # side of the grid divided by the height; cells per si
 
 
 def survey(simulation: Simulation) -> ReachabilityMap:
-    """Return the current reachable area around the site."""
+    """Compute the currently reachable landing area around the site and its propellant."""
     computer = simulation.computer
     side = _SIDE * max(computer.altitude, 40.0)
     grid = Grid.centred(computer.site, side, side / _CELLS)
@@ -45,14 +43,14 @@ def survey(simulation: Simulation) -> ReachabilityMap:
 
 @click.command()
 @click.option("--law", type=click.Choice(list(kinds("guidance"))), default="apollo",
-              show_default=True)  # fmt: skip
+              show_default=True, help="Guidance law.")  # fmt: skip
 @click.option("--height", "heights", type=click.FloatRange(20.0, 1000.0), multiple=True,
               default=(400.0, 200.0, 100.0, 50.0), show_default=True,
               help="Height above the site (m).")  # fmt: skip
 @click.option("--out", type=click.Path(dir_okay=False, path_type=Path), default="reach.png",
-              show_default=True)  # fmt: skip
+              show_default=True, help="Output file of the figure.")  # fmt: skip
 def main(law: str, heights: tuple[float, ...], out: Path) -> None:
-    """Plot the reachable area of one law at several heights."""
+    """Plot the reachable landing area of one guidance law at several heights."""
     simulation = Simulation(
         Scenario.from_dict({**BASE_SCENARIO, "guidance": {"kind": law}}), 1, "no-divert"
     )

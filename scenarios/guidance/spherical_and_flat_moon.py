@@ -16,12 +16,11 @@ import click
 import numpy as np
 from rich.table import Table
 
+from lunarsim import Scenario, Simulation
+from lunarsim.api import Lander, State
 from lunarsim.console import plain_console
 from lunarsim.models.gravity import RoundMoon
-from lunarsim.models.lander import Lander
-from lunarsim.scenario import Scenario
-from lunarsim.simulation import Simulation
-from lunarsim.vehicle import Dynamics, State
+from lunarsim.vehicle import Dynamics
 
 # distance from the site, height, km
 DISTANCE_AND_HEIGHT_KM = (
@@ -44,7 +43,10 @@ BASE_SCENARIO: dict[str, Any] = {
 
 
 def fall(moon: Any, position: np.ndarray, velocity: np.ndarray) -> np.ndarray:
-    """Return the position (3,), m, after a fall of 30 s; `moon` None: flat terrain."""
+    """Return the position (3,), m, after a free fall of 30 s.
+
+    `moon` is the gravity model of the spherical Moon; None: flat terrain and uniform gravity.
+    """
     dynamics = Dynamics(Lander(), GRAVITY, 0.1, moon)
     upright = np.array([0.0, 0.0, 0.0, 1.0])
     state = State(position, velocity, upright, np.zeros(3), 1500.0)
@@ -54,7 +56,7 @@ def fall(moon: Any, position: np.ndarray, velocity: np.ndarray) -> np.ndarray:
 
 
 def model_differences() -> Table:
-    """Return the table of differences at several distances from the site."""
+    """Return the table of differences between spherical and flat Moon by distance."""
     moon = RoundMoon().gravity(GRAVITY)
     table = Table(title="Rotating spherical Moon compared with flat terrain")
     for heading in ("distance (km)", "height (km)", "sphere below plane (m)",
@@ -66,7 +68,7 @@ def model_differences() -> Table:
         angle, r = 1e3 * way / moon.radius, moon.radius + 1e3 * height
         place = np.array([-r * np.sin(angle), 0.0, r * np.cos(angle) - moon.radius])
         velocity = np.array([40.0 * way, 0.0, -20.0]) if way < 40.0 else np.array([1e3, 0.0, -20.0])
-        pull = moon.felt(place, np.zeros(3)) + np.array([0.0, 0.0, GRAVITY])
+        pull = moon.free_fall_acceleration(place, np.zeros(3)) + np.array([0.0, 0.0, GRAVITY])
         apart = np.linalg.norm(fall(moon, place, velocity) - fall(None, place, velocity))
         below = moon.radius * (1.0 - np.cos(angle))
         table.add_row(
@@ -87,7 +89,7 @@ def model_differences() -> Table:
     help="Seed of the first flight.",
 )
 def main(flights: int, seed: int) -> None:
-    """Print the model differences, and compare flights on both models."""
+    """Print the differences of both Moon models, and compare flights on them."""
     console = plain_console(120)
     console.print(model_differences())
     flat = Scenario.from_dict(BASE_SCENARIO)

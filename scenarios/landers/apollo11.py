@@ -1,7 +1,7 @@
-"""Read Apollo 11 target loads and the descent record; compare flights.
+"""Read Apollo 11 target loads and the descent record; compare both with flights.
 
-The guidance frame of a load is x up, y cross, z downrange. Downrange is west here, so a value along
-z is a value along -x of ENU.
+A load is the set of guidance targets in the computer. The guidance frame of a load is x up, y
+cross, z downrange. Downrange is west here, so a value along z is a value along -x of ENU.
 """
 
 from __future__ import annotations
@@ -15,11 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
-from lunarsim.frames import quat_rotate
+from lunarsim import Flight, Scenario
+from lunarsim.api import quat_rotate
 from lunarsim.models.gravity import CentralGravity
 from lunarsim.onboard.guidance.apollo import jerk_time_to_go
-from lunarsim.scenario import Scenario
-from lunarsim.simulation.flight import Flight
 
 Array = NDArray[np.float64]
 
@@ -48,7 +47,10 @@ TRIM_ACCELERATION = 0.350132708
 
 
 def targets(load: str = FLOWN) -> Targets:
-    """Return a load by name in ENU; NaN where the load has no value."""
+    """Read the guidance targets of a load by name, in ENU; NaN without a value.
+
+    `load` is the file name in `scenarios/data`.
+    """
     out = {}
     with (DATA / load).open() as file:
         for row in csv.DictReader(file):
@@ -60,22 +62,25 @@ def targets(load: str = FLOWN) -> Targets:
 
 
 def scalar(t: Targets, name: str) -> float:
-    """Return the absolute value of a scalar entry, whichever column holds it."""
+    """Return the absolute value of a scalar target, whichever column holds it.
+
+    `t` are the targets of a load.
+    """
     return next(abs(v) for v in t[name] if np.isfinite(v))
 
 
 def _jerk(t: Targets, of: str) -> float:
-    """Return the jerk along the velocity at the end of a phase, m/s^3.
+    """Return the target jerk along the velocity at the end of a phase, m/s^3.
 
-    A load gives eight times the jerk. The law counts along the final velocity,
-    which points backwards
-    at the end of Apollo 11's braking.
+    `t` are the targets of a load and `of` the phase ("BRFG": braking, "APFG": approach). A load
+    gives eight times the jerk. The guidance law counts along the final velocity, which points
+    backwards at the end of Apollo 11's braking.
     """
     return t[f"J{of}*"][0] / 8.0 * float(np.sign(t[f"V{of}"][0]))
 
 
 def with_load(scenario: Scenario, load: str = FLOWN) -> Scenario:
-    """Return a scenario with the targets of a load in all descent phases."""
+    """Return a scenario with the guidance targets of a load in all descent phases."""
     t = targets(load)
     high = scenario.vehicle.com_height_m
     braking = {
@@ -83,8 +88,8 @@ def with_load(scenario: Scenario, load: str = FLOWN) -> Scenario:
         "end_velocity_m_s": t["VBRFG"],
         "end_acceleration_m_s2": t["ABRFG"],
         "jerk_m_s3": _jerk(t, "BRFG"),
-        "ends_at_s": scalar(t, "TENDBRAK"),
-        "trim_s": scalar(t, "ZOOMTIME"),
+        "end_time_to_go_s": scalar(t, "TENDBRAK"),
+        "min_thrust_time_s": scalar(t, "ZOOMTIME"),
     }
     approach: dict[str, Any] = {
         "vertical_altitude_m": t["RAPFG"][2] - high,
@@ -93,7 +98,7 @@ def with_load(scenario: Scenario, load: str = FLOWN) -> Scenario:
         "arrival_velocity_m_s": t["VAPFG"][:2],
         "arrival_acceleration_m_s2": t["AAPFG"],
         "jerk_m_s3": _jerk(t, "APFG"),
-        "ends_at_s": scalar(t, "TENDAPPR"),
+        "end_time_to_go_s": scalar(t, "TENDAPPR"),
         "time_to_go_s": None,
         "descent_speed_m_s": None,
     }
@@ -102,11 +107,11 @@ def with_load(scenario: Scenario, load: str = FLOWN) -> Scenario:
     approach["time_to_go_s"] = scalar(t, "TENDBRAK") + scalar(t, "DELTTFAP")
     approach["descent_speed_m_s"] = -t["V2FG"][2]
     descent = {"kind": "velocity-null", "time_constant_s": scalar(t, "TAUVERT")}
-    return scenario.changed(braking=braking, approach=approach, descent=descent)
+    return scenario.changed(braking=braking, approach=approach, terminal_descent=descent)
 
 
 def with_ignition_start(scenario: Scenario, load: str = FLOWN) -> Scenario:
-    """Return a scenario that starts at the ignition point of a load.
+    """Return a scenario that starts at the ignition point of a target load.
 
     RIGN and VIGN are the position and horizontal speed at throttle-up, compensated for the trim at
     minimum thrust (IGNALG and DDUMCALC of Luminary 099; the other terms of the algorithm are zero
@@ -133,10 +138,13 @@ def with_ignition_start(scenario: Scenario, load: str = FLOWN) -> Scenario:
 def coast(
     moon: CentralGravity, position: Array, velocity: Array, time: float
 ) -> tuple[Array, Array]:
-    """Return position and velocity (3,) after a coast; the time (s) may be negative."""
+    """Return position and velocity (3,) after an unpowered coast, m and m/s.
+
+    `time` (s) is the duration of the coast and may be negative.
+    """
 
     def rate(_: float, state: Array) -> Array:
-        return np.concatenate((state[3:], moon.felt(state[:3], state[3:])))
+        return np.concatenate((state[3:], moon.free_fall_acceleration(state[:3], state[3:])))
 
     start = np.concatenate((position, velocity))
     state = solve_ivp(rate, (0.0, time), start, rtol=1e-11, atol=1e-9).y[:, -1]
@@ -144,7 +152,7 @@ def coast(
 
 
 def uprange(scenario: Scenario) -> float:
-    """Return the great-circle distance from the start to the site, m."""
+    """Return the great-circle distance from the start to the landing site, m."""
     radius, (x, y, z) = scenario.moon.radius_m, scenario.start.position_m
     return float(radius * np.arctan2(np.hypot(x, y), z + radius))
 
@@ -169,13 +177,12 @@ class DescentTrack:
 
 
 def record() -> DescentTrack:
-    """Return the record of Apollo 11.
+    """Return altitude and pitch of the Apollo 11 flight record.
 
     The platform was aligned with the vertical of the site at landing. The inner gimbal angle is
-    therefore the pitch from that vertical,
-    without a term for the arc to the site. The Moon rotates by
-    0.07 deg during the descent. Roll and the yaw to the face-up attitude (middle and outer gimbal
-    angles) are not used: the simulation does not include them.
+    therefore the pitch from that vertical, without a term for the arc to the site. The Moon rotates
+    by 0.07 deg during the descent. Roll and the yaw to the face-up attitude (middle and outer
+    gimbal angles) are not used: the simulation does not include them.
     """
     with (DATA / "apollo11_descent.csv").open() as file:
         rows = list(csv.DictReader(file))
@@ -186,7 +193,11 @@ def record() -> DescentTrack:
 
 
 def track_of(flight: Flight, moon: CentralGravity, com_height: float) -> DescentTrack:
-    """Return the track of a flight with the altitude of the pads above the site."""
+    """Return altitude and pitch of a simulated flight over time.
+
+    The altitude is that of the landing pads above the site; `com_height` is the height of the
+    center of mass above the pads, m.
+    """
     t = flight.trajectory
     axis = quat_rotate(
         np.column_stack([t[f"attitude_{a}"] for a in "xyzw"]), np.array([0.0, 0.0, 1.0])
@@ -197,14 +208,14 @@ def track_of(flight: Flight, moon: CentralGravity, com_height: float) -> Descent
 
 @dataclass(frozen=True)
 class RecordDifference:
-    """Differences of a flight from the record over a time interval.
+    """RMS differences of a simulated flight from the record over a time interval.
 
     Attributes
     ----------
     altitude, pitch
         Root-mean-square difference, m and rad; NaN without data.
     rows
-        Number of rows of the record with an altitude.
+        Number of samples of the record with an altitude.
     """
 
     altitude: float
@@ -215,7 +226,10 @@ class RecordDifference:
 def record_difference(
     flight: DescentTrack, recorded: DescentTrack, since: float, until: float
 ) -> RecordDifference:
-    """Compare a flight with the record in an interval of time since ignition, s."""
+    """Return RMS differences of altitude and pitch between a flight and the record.
+
+    `since` and `until` bound the time since ignition, s.
+    """
     part = (recorded.time >= since) & (recorded.time < min(until, float(flight.time[-1])))
     off = {
         name: np.interp(recorded.time, flight.time, getattr(flight, name)) - getattr(recorded, name)
@@ -231,12 +245,12 @@ def record_difference(
 
 
 def event(flight: Flight, name: str) -> float:
-    """Return the time of the first event of a name, s; NaN if there is none."""
+    """Return the time of the first event with a name, s; NaN if there is none."""
     return next((float(e["time"]) for e in flight.events if e["name"] == name), float("nan"))
 
 
 def value_at(flight: Flight, values: Array, time: float) -> float:
-    """Interpolate values (n,) of a flight at a time, s; NaN at NaN."""
+    """Interpolate values (n,) along a flight at a time, s; NaN at time NaN."""
     inside = np.isfinite(time)
     return float(np.interp(time, flight.trajectory["time"], values)) if inside else float("nan")
 
@@ -244,7 +258,11 @@ def value_at(flight: Flight, values: Array, time: float) -> float:
 def flight_summary(
     flight: Flight, moon: CentralGravity, com_height: float, full: float
 ) -> dict[str, Any]:
-    """Return times, altitudes and masses of a flight; `full` is the fixed throttle, N."""
+    """Return times, altitudes and propellant of the phases of an Apollo descent.
+
+    `com_height` is the height of the center of mass above the pads, m. `full` is the thrust of the
+    fixed maximum throttle setting, N.
+    """
     track, t = track_of(flight, moon, com_height), flight.trajectory
     after = (t["time"] > 60.0) & (t["thrust"] < 0.99 * full)
     recovery = float(t["time"][np.argmax(after)]) if after.any() else float("nan")
@@ -252,8 +270,8 @@ def flight_summary(
     jets = float(flight.events[-1].get("thruster_propellant_kg", 0.0))
     approach, last = event(flight, "approach"), event(flight, "vertical-descent")
     out: dict[str, Any] = {
-        "safe": flight.verdict.safe,
-        "failed": list(flight.verdict.failed),
+        "safe": flight.outcome.safe,
+        "failure_causes": list(flight.outcome.failure_causes),
         "duration_s": flight.duration,
         "propellant_kg": flight.propellant_used - jets,
         "thruster_propellant_kg": jets,

@@ -1,4 +1,4 @@
-"""Plot flights of the Apollo 11 descent together with the record."""
+"""Plot simulated Apollo 11 descents together with the flight record."""
 
 from __future__ import annotations
 
@@ -15,7 +15,10 @@ _FULL_THRUST_N = 46_706.0  # 100 % throttle, N
 
 
 def draw_descent(runs: Sequence[Any], look_angles: Callable[[Any], np.ndarray], path: Path) -> Path:
-    """Plot altitude, pitch, throttle, look angle and terrain; return the path."""
+    """Plot altitude, pitch, throttle, look angle to the site and terrain of descents.
+
+    `look_angles` returns the look angle (n,), rad, of a flight. Returns `path`, the output file.
+    """
     figure = new_figure(11.0, 8.0)
     axes = figure.subplots(2, 2)
     recorded = apollo11.record()
@@ -48,6 +51,7 @@ def draw_descent(runs: Sequence[Any], look_angles: Callable[[Any], np.ndarray], 
 
 
 def _plot_run(axes: Any, run: Any, colour: str, look: np.ndarray) -> None:
+    """Plot altitude, pitch, throttle and look angle of one simulated descent."""
     flight, lander = run.flight, run.sim.lander
     track = apollo11.track_of(flight, run.sim.world.moon, lander.com_height)
     line = {"color": colour, "linewidth": 1.2, "label": run.name}
@@ -59,8 +63,8 @@ def _plot_run(axes: Any, run: Any, colour: str, look: np.ndarray) -> None:
 
 
 def _plot_terrain(panel: Any, run: Any) -> None:
-    """Plot the terrain height under the vehicle, scaled by 10."""
-    about, positions = run.sim.world.surroundings, run.flight.positions[::20]
+    """Plot the terrain height under the vehicle, multiplied by 10."""
+    about, positions = run.sim.world.far_terrain, run.flight.positions[::20]
     height = about.elevation(about.way(positions))
     panel.plot(
         run.flight.trajectory["time"][::20], 10.0 * height / 1e3, color="0.55", linewidth=1.0,

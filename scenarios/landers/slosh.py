@@ -16,11 +16,10 @@ import click
 import numpy as np
 from rich.console import Console
 
+from lunarsim import Scenario, Simulation
 from lunarsim.campaign.pool import collect_results
 from lunarsim.console import plain_console
 from lunarsim.frames import quat_angle
-from lunarsim.scenario import Scenario
-from lunarsim.simulation import Simulation
 from lunarsim.simulation.recorder import MessageRecorder
 
 BASE_SCENARIO = {
@@ -48,7 +47,10 @@ CASES: dict[str, dict[str, object]] = {
 
 @dataclass(frozen=True)
 class SloshTask:
-    """One flight."""
+    """Settings of one simulated flight of the propellant slosh study.
+
+    `control` is the kind of attitude control, `case` the name of the tanks in `CASES`.
+    """
 
     control: str
     case: str
@@ -57,7 +59,12 @@ class SloshTask:
 
 @dataclass(frozen=True)
 class SloshFlight:
-    """Results of a flight; attitude errors and rates are RMS (flight, and its end)."""
+    """Results of one simulated flight of the propellant slosh study.
+
+    `error_deg` and `rate_deg_s` are RMS attitude error and body rate after the initial turn;
+    `end_error_deg` and `end_rate_deg_s` are those of the last 4 s. `thruster_kg` is the thruster
+    propellant, `slosh_deg` the maximum slosh angle and `side_m_s` the lateral speed at touchdown.
+    """
 
     control: str
     case: str
@@ -74,7 +81,7 @@ class SloshFlight:
 
 
 def fly(task: SloshTask) -> SloshFlight:
-    """Return the results of a flight from 5 s, after the initial turn."""
+    """Simulate one flight; evaluate attitude and thrusters after the first 5 s."""
     vehicle = {"kind": "jet-lander", "slosh": CASES[task.case]}
     scenario = Scenario.from_dict(
         {**BASE_SCENARIO, "vehicle": vehicle, "control": {"kind": task.control}}
@@ -93,9 +100,9 @@ def fly(task: SloshTask) -> SloshFlight:
     (all_error, all_rate), (end_error, end_rate) = (
         [float(np.sqrt(np.mean(x[span] ** 2))) for x in (error, speed)] for span in spans
     )
-    last, touchdown = flight.events[-1], flight.verdict.touchdown
+    last, touchdown = flight.events[-1], flight.outcome.touchdown
     return SloshFlight(
-        task.control, task.case, task.seed, flight.verdict.safe, all_error, all_rate, end_error,
+        task.control, task.case, task.seed, flight.outcome.safe, all_error, all_rate, end_error,
         end_rate, float(last["thruster_propellant_kg"]), int(np.sum(last["thruster_firings"])),
         float(np.max(last.get("slosh_most_deg", 0.0))),
         np.nan if touchdown is None else float(touchdown.horizontal_speed),
@@ -103,7 +110,7 @@ def fly(task: SloshTask) -> SloshFlight:
 
 
 def report(console: Console, flown: list[SloshFlight]) -> None:
-    """Print a line for each control and tank, with medians over the flights."""
+    """Print medians over the flights for each kind of control and each set of tanks."""
     console.print(
         "| control | tanks | safe landings | attitude error, RMS (deg) | body rate, RMS (deg/s) | "
         "both, last 4 s | "
@@ -135,7 +142,7 @@ def report(console: Console, flown: list[SloshFlight]) -> None:
     type=click.IntRange(min=1),
     default=10,
     show_default=True,
-    help="Number of flights per case.",
+    help="Number of flights per set of tanks and kind of control.",
 )
 @click.option(
     "--seed",
@@ -144,7 +151,8 @@ def report(console: Console, flown: list[SloshFlight]) -> None:
     show_default=True,
     help="Seed of the first flight.",
 )
-@click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True)
+@click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True,
+              help="Number of processes; does not change the results.")  # fmt: skip
 @click.option(
     "--json",
     "out",

@@ -13,11 +13,10 @@ import click
 import numpy as np
 from rich.console import Console
 
+from lunarsim import Scenario, Simulation
 from lunarsim.console import plain_console
 from lunarsim.evaluation.statistics import Proportion
 from lunarsim.onboard.control.jets import JetLoop
-from lunarsim.scenario import Scenario
-from lunarsim.simulation import Simulation
 
 BASE_SCENARIO = {
     "terrain": {"kind": "fractal", "size_m": 120.0, "posting_m": 1.0, "rms_slope_deg": 3.0},
@@ -32,29 +31,38 @@ TUNED_ON = (0, 1, 4, 5)
 
 
 def fly(control: str, shut: int | None, seed: int, watch: bool) -> tuple[bool, float, float, int]:
-    """Fly with one thruster shut, or none, and return the outcome.
+    """Simulate one flight with one thruster stuck shut from 5 s, or none.
 
-    Returns whether the landing was safe, the tilt at touchdown (deg), the time of detection (s),
-    and the number of working thrusters that were isolated.
+    `control` is the kind of attitude control, `shut` the number of the failed thruster (None: no
+    failure), and `watch` enables fault detection. Returns whether the landing was safe, the tilt at
+    touchdown (deg), the time of detection (s), and the number of working thrusters that were
+    isolated.
     """
-    faults = {"jets_shut": [] if shut is None else [shut], "jets_from_s": FAILURE_TIME_S}
+    faults = {
+        "jets_stuck_shut": [] if shut is None else [shut],
+        "jets_stuck_from_s": FAILURE_TIME_S,
+    }
     scenario = Scenario.from_dict({**BASE_SCENARIO, "control": {"kind": control}, "faults": faults})
     sim = Simulation(scenario, seed, "no-divert")
     loop = sim.computer.attitude_loop
     assert isinstance(loop, JetLoop)
     if not watch:
-        loop.watch.update = lambda *_: []  # type: ignore[method-assign]
+        loop.failure_detector.update = lambda *_: []  # type: ignore[method-assign]
     flight = sim.run()
     detections = [e for e in flight.events if e["name"] == "thruster-failed"]
     noticed = next((e["time"] for e in detections if e["thruster"] == shut), np.nan)
-    touchdown = flight.verdict.touchdown
+    touchdown = flight.outcome.touchdown
     tilt = np.nan if touchdown is None else float(np.rad2deg(touchdown.tilt))
     wrong = sum(e["thruster"] != shut for e in detections)
-    return flight.verdict.safe, tilt, noticed, wrong
+    return flight.outcome.safe, tilt, noticed, wrong
 
 
 def nominal(console: Console, control: str, flights: int, first: int) -> None:
-    """Fly without failure and print the rate of false alarms."""
+    """Fly without thruster failure and print the rate of false alarms.
+
+    `control` is the kind of attitude control, `flights` the number of flights and `first` their
+    first seed.
+    """
     rows = [fly(control, None, first + n, watch=True) for n in range(flights)]
     alarms = Proportion(sum(row[3] > 0 for row in rows), flights)
     safe = sum(row[0] for row in rows)
@@ -69,14 +77,15 @@ def nominal(console: Console, control: str, flights: int, first: int) -> None:
     type=click.IntRange(min=1),
     default=3,
     show_default=True,
-    help="Number of seeds per case.",
+    help="Number of seeds per failed thruster.",
 )
-@click.option("--first-seed", type=click.IntRange(min=0), default=1, show_default=True)
+@click.option("--first-seed", type=click.IntRange(min=0), default=1, show_default=True,
+              help="Seed of the first flight.")  # fmt: skip
 @click.option("--held-out", is_flag=True, help="Fail thrusters that the tuning did not use.")
 @click.option("--nominal", "flights", type=click.IntRange(min=0), default=0, show_default=True,
-              help="Number of extra flights per control without failure.")  # fmt: skip
+              help="Number of extra flights without failure per kind of control.")  # fmt: skip
 def main(seeds: int, first_seed: int, held_out: bool, flights: int) -> None:
-    """Fly with a failed thruster, with and without detection."""
+    """Fly with a failed thruster, with and without fault detection."""
     console = plain_console(160)
     shut_ones = [n for n in range(16) if (n in TUNED_ON) != held_out]
     for control in ("phase-plane", "quaternion-feedback"):

@@ -18,20 +18,15 @@ import click
 import numpy as np
 from rich.console import Console
 
+from lunarsim import Flight, Scenario, Simulation, flight_seed, map_quality
+from lunarsim.api import Estimate, LidarScan, State
 from lunarsim.campaign.pool import collect_results
 from lunarsim.console import plain_console
 from lunarsim.evaluation.comparisons import mean_difference
-from lunarsim.evaluation.map_quality import map_quality, true_elevation_in_map_frame
+from lunarsim.evaluation.map_quality import true_elevation_in_map_frame
 from lunarsim.evaluation.statistics import Proportion
 from lunarsim.frames import quat_angle
-from lunarsim.messages.measurements import LidarScan
-from lunarsim.onboard.navigation.estimate import Estimate
-from lunarsim.rng import flight_seed
-from lunarsim.scenario import Scenario
-from lunarsim.simulation import Simulation
-from lunarsim.simulation.flight import Flight
 from lunarsim.simulation.recorder import MessageRecorder
-from lunarsim.vehicle import State
 
 WORLD = {
     "terrain": {"kind": "fractal", "size_m": 300.0, "posting_m": 1.0, "rms_slope_deg": 4.0},
@@ -71,7 +66,11 @@ METRICS = {
 
 @dataclass(frozen=True)
 class ThrusterMapTask:
-    """One flight."""
+    """Settings of one simulated flight of the thruster and map study.
+
+    `way` is the kind of attitude control in `WAYS`; `flight` and `seed` (root seed) determine the
+    random numbers.
+    """
 
     way: str
     flight: int
@@ -80,7 +79,11 @@ class ThrusterMapTask:
 
 @dataclass(frozen=True)
 class ThrusterMapFlight:
-    """Results of a flight; NaN where there is no data."""
+    """Results of one simulated flight of the thruster and map study.
+
+    `way` is the kind of attitude control, `failed` the failed landing criteria and `figures` the
+    values of `METRICS` by name, NaN where there is no data.
+    """
 
     way: str
     flight: int
@@ -90,7 +93,7 @@ class ThrusterMapFlight:
 
 
 def fly(task: ThrusterMapTask) -> ThrusterMapFlight:
-    """Fly once and compute the metrics."""
+    """Simulate one flight; compute errors at the LiDAR scans, map quality and landing."""
     scenario = Scenario.from_dict({**WORLD, **WAYS[task.way]})
     tap = MessageRecorder()
     simulation = Simulation(scenario, flight_seed(task.seed, task.flight), "safest", tap=tap)
@@ -108,7 +111,7 @@ def fly(task: ThrusterMapTask) -> ThrusterMapFlight:
         * _rms(np.array([quat_angle(e.attitude, s.attitude) for s, e in seen])),
         "rate_deg_s": float(np.rad2deg(_rms(np.array([np.linalg.norm(s.rate) for s, _ in seen])))),
     } | _map_metrics(simulation, flight)
-    touchdown, last = flight.verdict.touchdown, flight.events[-1]
+    touchdown, last = flight.outcome.touchdown, flight.events[-1]
     if touchdown is not None:
         site = flight.sites[-1] - flight.map_error
         figures["miss_m"] = float(np.linalg.norm((touchdown.position - site)[:2]))
@@ -116,18 +119,22 @@ def fly(task: ThrusterMapTask) -> ThrusterMapFlight:
     figures["thruster_kg"] = float(last.get("thruster_propellant_kg", 0.0))
     figures["engine_kg"] = flight.propellant_used
     metrics = {name: figures.get(name, float("nan")) for name in METRICS}
-    outcome = flight.verdict
+    outcome = flight.outcome
     return ThrusterMapFlight(
-        task.way, task.flight, outcome.safe, ", ".join(outcome.failed), metrics
+        task.way, task.flight, outcome.safe, ", ".join(outcome.failure_causes), metrics
     )
 
 
 def _rms(values: np.ndarray) -> float:
+    """Return the root mean square of the values."""
     return float(np.sqrt(np.mean(values**2)))
 
 
 def _map_metrics(simulation: Simulation, flight: Flight) -> dict[str, float]:
-    """Return height errors, precision and recall of the last map."""
+    """Return height errors (m), precision and recall of the last hazard map.
+
+    The result is empty without a map of elevations.
+    """
     found, error = flight.hazard_map, flight.map_error
     if found is None or found.elevation is None:
         return {}
@@ -142,7 +149,11 @@ def _map_metrics(simulation: Simulation, flight: Flight) -> dict[str, float]:
 
 
 def report(console: Console, flown: list[ThrusterMapFlight], seed: int) -> None:
-    """Print means, and paired mean differences from the first variant with intervals."""
+    """Print mean metrics by kind of attitude control, and paired differences.
+
+    The differences are relative to the first kind and have 95 % intervals; `seed` is that of the
+    bootstrap.
+    """
     ways = list(dict.fromkeys(one.way for one in flown))
     of = {way: [one for one in flown if one.way == way] for way in ways}
     console.print("| | " + " | ".join(ways) + " | " + " | ".join(
@@ -170,8 +181,11 @@ def report(console: Console, flown: list[ThrusterMapFlight], seed: int) -> None:
     show_default=True,
     help="Number of flights per variant.",
 )
-@click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True)
-@click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True)
+@click.option(
+    "--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Root random seed."
+)
+@click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True,
+              help="Number of processes; does not change the results.")  # fmt: skip
 @click.option(
     "--json",
     "out",

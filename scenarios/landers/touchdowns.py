@@ -6,7 +6,8 @@ legs with spring, damping and crush. The table counts both outcomes; the fractio
 touchdowns that tip over is given with its 95 % interval.
 
 python scenarios/landers/touchdowns.py --touchdowns 500 --jobs 2
-python scenarios/landers/touchdowns.py --touchdowns 100 --relief 8 --aside 0.5 --com-height 3.2
+python scenarios/landers/touchdowns.py --touchdowns 100 --relief 8 --lateral-speed-sigma 0.5
+--com-height 3.2
 """
 
 from __future__ import annotations
@@ -22,21 +23,15 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
+from lunarsim import RandomStreams, Terrain, flight_seed
+from lunarsim.api import Lander, State, quat_rotate
 from lunarsim.campaign.pool import collect_results
 from lunarsim.console import plain_console
 from lunarsim.evaluation.statistics import Proportion
-from lunarsim.frames import (
-    attitude_from_thrust,
-    quat_from_rotation_vector,
-    quat_multiply,
-    quat_rotate,
-)
-from lunarsim.models.lander import Lander
-from lunarsim.rng import RandomStreams, flight_seed
+from lunarsim.frames import attitude_from_thrust, quat_from_rotation_vector, quat_multiply
 from lunarsim.rocks.population import RockPopulation
-from lunarsim.vehicle import Dynamics, State, evaluate_touchdown, pad_contacts
+from lunarsim.vehicle import Dynamics, evaluate_touchdown, pad_contacts
 from lunarsim.vehicle.legs import Legs, evaluate_motion
-from lunarsim.world.terrain import Terrain
 from lunarsim.world.terrain_models.fractal import FractalTerrain
 
 RELIEFS = (0.0, 3.0, 6.0)  # RMS slope, deg
@@ -48,7 +43,13 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class TouchdownTask:
-    """Touchdowns on one terrain."""
+    """Settings of several simulated touchdowns on one terrain.
+
+    `number` is the number of the terrain and `count` that of the touchdowns. `relief` is the RMS
+    slope (deg), `cover` the rock cover (fraction), `aside` the lateral speed (1 sigma per axis,
+    m/s), `com_height` the height of the center of mass above the pads (m) and `friction` the
+    coefficient between pads and terrain.
+    """
 
     number: int
     count: int
@@ -62,7 +63,11 @@ class TouchdownTask:
 
 @dataclass(frozen=True)
 class TouchdownOutcome:
-    """Both outcomes of one touchdown."""
+    """Outcome of one touchdown by the static criteria and by the simulated motion.
+
+    `static` and `motion` list the failed criteria (empty: safe). `tilt_deg` and `stroke_m` are tilt
+    and maximum leg stroke at rest; NaN if the vehicle does not come to rest.
+    """
 
     relief: float
     cover: float
@@ -75,9 +80,10 @@ class TouchdownOutcome:
 def first_contact_state(
     lander: Lander, terrain: Terrain, rng: np.random.Generator, aside: float = 0.25
 ) -> State | None:
-    """Return a state in which the first pad touches; None over unknown terrain.
+    """Sample a random state in which the first pad touches the terrain.
 
-    `aside` is the standard deviation of the lateral speed per axis, m/s.
+    `aside` is the standard deviation of the lateral speed per axis, m/s. Returns None over unknown
+    terrain.
     """
     west, east, south, north = terrain.bounds
     room = 12.0
@@ -96,7 +102,7 @@ def first_contact_state(
 
 
 def land(task: TouchdownTask) -> list[TouchdownOutcome]:
-    """Evaluate the touchdowns on one terrain both ways."""
+    """Evaluate touchdowns on one terrain by static criteria and simulated motion."""
     seed = flight_seed(task.seed, task.number)
     rocks = RockPopulation(cover=task.cover, min_diameter=0.2)
     terrain = FractalTerrain(size=80.0, rms_slope=np.deg2rad(task.relief)).build(
@@ -115,13 +121,15 @@ def land(task: TouchdownTask) -> list[TouchdownOutcome]:
         tilt = float("nan") if rest is None else float(np.rad2deg(rest.tilt))
         stroke = float("nan") if rest is None else float(rest.strokes.max())
         found.append(
-            TouchdownOutcome(task.relief, task.cover, static.failed, motion.failed, tilt, stroke)
+            TouchdownOutcome(
+                task.relief, task.cover, static.failure_causes, motion.failure_causes, tilt, stroke
+            )
         )
     return found
 
 
 def confusion(landed: list[TouchdownOutcome]) -> dict[str, int]:
-    """Return the count of each pair of outcomes."""
+    """Count the touchdowns for each pair of outcomes by static criteria and by motion."""
     counts = Counter(
         f"static {'safe' if not one.static else 'unsafe'}, "
         f"motion {'safe' if not one.motion else 'unsafe'}"
@@ -131,19 +139,24 @@ def confusion(landed: list[TouchdownOutcome]) -> dict[str, int]:
 
 
 @click.command()
-@click.option("--touchdowns", type=click.IntRange(min=1), default=500, show_default=True)
+@click.option("--touchdowns", type=click.IntRange(min=1), default=500, show_default=True,
+              help="Number of simulated touchdowns.")  # fmt: skip
 @click.option("--friction", type=click.FloatRange(0.0, 3.0, min_open=True), default=0.7,
               show_default=True, help="Friction coefficient between pads and terrain.")  # fmt: skip
 @click.option("--relief", "reliefs", type=click.FloatRange(0.0, 25.0), multiple=True,
               default=RELIEFS, show_default=True,
               help="RMS slope of the terrain (deg); repeatable.")  # fmt: skip
-@click.option("--aside", type=click.FloatRange(0.0, 5.0), default=0.25, show_default=True,
+@click.option("--lateral-speed-sigma", "aside", type=click.FloatRange(0.0, 5.0), default=0.25,
+show_default=True,
               help="Lateral speed, 1 sigma per axis (m/s).")  # fmt: skip
 @click.option("--com-height", type=click.FloatRange(0.5, 6.0), default=Lander().com_height,
               show_default=True, help="Height of the center of mass above the pads "
               "(m).")  # fmt: skip
-@click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True)
-@click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True)
+@click.option(
+    "--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Root random seed."
+)
+@click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True,
+              help="Number of processes; does not change the results.")  # fmt: skip
 @click.option(
     "--json",
     "out",
@@ -154,7 +167,7 @@ def main(
     touchdowns: int, friction: float, reliefs: tuple[float, ...], aside: float, com_height: float,
     seed: int, jobs: int, out: Path | None,
 ) -> None:  # fmt: skip
-    """Compare the static touchdown criteria with the motion on legs."""
+    """Compare the static touchdown criteria with simulated motion on the legs."""
     console = plain_console(120)
     cases = [(relief, cover) for relief in reliefs for cover in COVERS]
     tasks, left = [], touchdowns
@@ -176,7 +189,7 @@ def main(
 
 
 def report(console: Console, landed: list[TouchdownOutcome]) -> None:
-    """Print the confusion matrix by terrain, and why static-safe touchdowns fail."""
+    """Print both outcomes by terrain, and why touchdowns safe by static criteria fail."""
     table = Table(title="Touchdown outcomes by static criteria and by motion")
     for name in (
         "RMS slope (deg)",

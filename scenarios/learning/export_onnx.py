@@ -31,7 +31,7 @@ def main(agent: Path, out: Path) -> None:
     parts = dict(space.spaces) if isinstance(space, Dict) else {"observation": space}
 
     class DeterministicPolicy(torch.nn.Module):
-        """The deterministic action; for discrete actions, the scores of all options."""
+        """Network that returns the deterministic action, or scores of discrete actions."""
 
         def __init__(self) -> None:
             super().__init__()

@@ -1,12 +1,14 @@
-"""Fit the surrogate of a mapper and compare both on held-out flights.
+"""Fit the surrogate of a hazard mapper and compare both on held-out flights.
 
     python scenarios/learning/fit_surrogate.py --out out/surrogate.npz
     python scenarios/learning/fit_surrogate.py --check
 
-The first command flies the scenario with several rock covers and writes the file. `--check` without
-`--out` uses the file shipped with the package. Both then fly held-out covers and seeds, and print
-calibration, false-negative and false-positive rates, and correlation length of the mapper and the
-surrogate, with the interval from resampling the flights of the mapper.
+A surrogate is a fast statistical substitute: it samples hazard maps at random with the error
+statistics of the mapper. The first command flies the scenario with several rock covers and writes
+the file. `--check` without `--out` uses the file supplied with lunarsim. Both commands then fly
+held-out covers and seeds, and print calibration, false-negative and false-positive rates, and
+correlation length of the mapper and the surrogate, with the interval from resampling the flights of
+the mapper.
 """
 
 from __future__ import annotations
@@ -18,8 +20,7 @@ from pathlib import Path
 
 import numpy as np
 
-from lunarsim.errors import InputError
-from lunarsim.scenario import Scenario
+from lunarsim import InputError, Scenario
 from lunarsim.scenario.shipped import found
 from lunarsim_envs.retarget import default_scenario
 from lunarsim_envs.sites.map_samples import SampledFlight, sample_flights
@@ -36,7 +37,10 @@ SEED, HELD_OUT_SEED = 501, 901
 def fly_covers(
     scenario: Scenario, covers: Iterable[float], seed: int, flights: int
 ) -> list[list[SampledFlight]]:
-    """Return flights over each rock cover; print the progress."""
+    """Simulate flights over each rock cover and return their maps; print the progress.
+
+    `seed` is the root seed of the first cover, `flights` the number of flights per cover.
+    """
     out = []
     for number, cover in enumerate(covers):
         here = scenario.changed(rocks={"cover": cover})
@@ -47,7 +51,10 @@ def fly_covers(
 
 
 def check(surrogate: Surrogate, scenario: Scenario, flights: int) -> None:
-    """Print metrics of the surrogate and the mapper on held-out terrain."""
+    """Print error statistics of the surrogate and the mapper on held-out terrain.
+
+    `flights` is the number of flights per rock cover.
+    """
     rng = np.random.default_rng(1)
     inside = total = 0
     flown = fly_covers(scenario, HELD_OUT, HELD_OUT_SEED, flights)
@@ -66,7 +73,7 @@ def check(surrogate: Surrogate, scenario: Scenario, flights: int) -> None:
 
 
 def main() -> int:
-    """Fit a surrogate, or check one."""
+    """Fit the surrogate of a mapper, or check one against the mapper."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--scenario", help="scenario file or name (default: that of Retarget-v0)")
     parser.add_argument("--flights", type=int, default=10, help="number of flights per rock cover")

@@ -7,12 +7,12 @@ from typing import NamedTuple
 import gymnasium
 import numpy as np
 
-from lunarsim.scenario import Scenario
+from lunarsim import Scenario
 from lunarsim_envs.agents.registry import agent_of
 
 
 class AgentFlights(NamedTuple):
-    """Results of each flight (n,): safe landing, and propellant used, kg."""
+    """Results of one agent's flights (n,): safe landing, and propellant used (kg)."""
 
     safe: np.ndarray
     burnt: np.ndarray
@@ -21,7 +21,11 @@ class AgentFlights(NamedTuple):
 def fly_agent(
     agent: str, scenario: Scenario, perception: str, flights: int, worlds: int, seed: int
 ) -> AgentFlights:
-    """Fly an agent; flight i has the same start for all agents and all perceptions."""
+    """Fly an agent in Retarget-v0; return safe landings and propellant of each flight.
+
+    `perception` is the source of the hazard maps, `worlds` the number of terrains and `seed` their
+    root seed. Flight i has the same start for all agents and all perceptions.
+    """
     env = gymnasium.make(
         "lunarsim/Retarget-v0", scenario=scenario, perception=perception, worlds=worlds,
         world_seed=seed, observation=["to_go"],

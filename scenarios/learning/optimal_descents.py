@@ -1,10 +1,10 @@
 """Generate a Minari data set of minimum-propellant descents: states and thrusts.
 
 Starts are random within the range of an approach of the default lander (`StartDistribution`). Each
-descent is solved by `lunarsim.optimal` under the limits of the law `optimal`. Shards of `SHARD`
-descents are saved when they are done, so an interrupted run resumes; the data set is written from
-all shards. The same seed gives identical results for any number of processes. Infeasible starts are
-counted and omitted.
+descent is solved by `lunarsim.optimal` under the limits of the guidance law `optimal`. Shards
+(files) of `SHARD` descents are saved when they are done, so an interrupted run resumes; the data
+set is written from all shards. The same seed gives identical results for any number of processes.
+Infeasible starts are counted and omitted.
 
 An episode holds the nodes of one descent: position of the lander relative to the end of the
 approach (3,), m, velocity (3,), m/s, both ENU, and mass, kg. The action is the thrust over mass
@@ -36,7 +36,7 @@ from gymnasium.spaces import Box
 from numpy.typing import NDArray
 from rich.console import Console
 
-from lunarsim import __version__
+from lunarsim import Scenario, __version__
 from lunarsim.atomic_files import atomic_write, atomic_write_text, remove_contents_on_error
 from lunarsim.campaign.pool import iterate_results
 from lunarsim.console import plain_console, plain_progress
@@ -46,7 +46,6 @@ from lunarsim.optimal.errors import InfeasibleError, SolverError
 from lunarsim.optimal.final_time import minimize_propellant
 from lunarsim.optimal.planner import Planner
 from lunarsim.optimal.problem import Descent
-from lunarsim.scenario import Scenario
 
 Array = NDArray[np.float64]
 
@@ -61,7 +60,11 @@ KEPT = ("observations", "actions", "duration", "propellant", "out_of_reach", "fa
 
 @dataclass(frozen=True)
 class DescentShardTask:
-    """One shard."""
+    """Settings of one shard (file) of solved descents.
+
+    `number` is the number of the shard, `count` that of its descents, `seed` the root seed and
+    `intervals` the number of constant-thrust intervals per descent.
+    """
 
     number: int
     count: int
@@ -71,14 +74,14 @@ class DescentShardTask:
 
 @dataclass(frozen=True)
 class StartDistribution:
-    """Uniform distribution of the start states.
+    """Uniform distribution of the start states of an approach.
 
     Attributes
     ----------
     height, aside
         Height above and horizontal distance from the end point, m.
     elevation
-        Minimum elevation as seen from the end point, deg.
+        Minimum elevation angle as seen from the end point, deg.
     closing
         Horizontal distance divided by the closing speed, s.
     across, sink
@@ -97,12 +100,19 @@ class StartDistribution:
 
     @classmethod
     def key(cls, task: DescentShardTask) -> str:
-        """Return a digest of the settings and the release, part of a shard's file name."""
+        """Return a digest of start distribution, shard settings and release.
+
+        The digest is part of the file name of the shard.
+        """
         identity = {"starts": asdict(cls()), "task": asdict(task), "release": __version__}
         return hashlib.sha256(json.dumps(identity, sort_keys=True).encode()).hexdigest()[:16]
 
     def draw(self, rng: np.random.Generator) -> tuple[Array, Array, float]:
-        """Return displacement from the end (3,), m, velocity (3,), m/s, and load."""
+        """Sample a start: displacement (3,), m, velocity (3,), m/s, propellant load.
+
+        The displacement is from the end of the approach. The load is the propellant above the
+        reserve, as a fraction of full tanks.
+        """
         while True:
             height, aside = rng.uniform(*self.height), rng.uniform(*self.aside)
             if height >= aside * np.tan(np.deg2rad(self.elevation)):
@@ -123,7 +133,11 @@ def _default() -> Scenario:
 
 
 def problem_of(gap: Array, velocity: Array, load: float) -> Descent:
-    """Return the descent of the default lander from a start, with the law's limits."""
+    """Return the minimum-propellant problem of the default lander from a start.
+
+    `gap` (3,) is the displacement from the end of the approach, m, `velocity` (3,) in m/s and
+    `load` the propellant fraction. The limits are those of the guidance law `optimal`.
+    """
     scenario = _default()
     lander, approach, law = scenario.vehicle.make(), Approach(), OptimalLaw()
     margin = approach.throttle_margin * (lander.thrust_max - lander.thrust_min)
@@ -133,20 +147,19 @@ def problem_of(gap: Array, velocity: Array, load: float) -> Descent:
         np.array([0.0, 0.0, -approach.vertical_speed]), scenario.gravity_m_s2,
         lander.thrust_min + margin, lander.thrust_max - margin, lander.exhaust_velocity, dry,
         approach.max_tilt, approach.glideslope, _APEX_DEPTH_M,
-        end_tilt=law.end_tilt, tilt_rate=law.tilt_rate,
+        max_final_tilt=law.max_final_tilt, tilt_rate=law.tilt_rate,
     )  # fmt: skip
 
 
 def solve(task: DescentShardTask) -> dict[str, Array]:
-    """Solve one shard.
+    """Solve random minimum-propellant descents for one shard (file).
 
     Returns
     -------
     shard
-        "observations" (k, N + 1, 7), "actions" (k, N, 3), "duration" (k,), s,
-        and "propellant" (k,),
-        kg, of the k feasible descents; "out_of_reach" and "failed": the number of infeasible starts
-        and of starts that the solver failed on.
+        "observations" (k, N + 1, 7), "actions" (k, N, 3), "duration" (k,), s, and "propellant"
+        (k,), kg, of the k feasible descents; "out_of_reach" and "failed": the number of infeasible
+        starts and of starts that the solver failed on.
     """
     rng = np.random.default_rng(np.random.SeedSequence(task.seed, spawn_key=(task.number,)))
     planner, starts = Planner(task.intervals), StartDistribution()
@@ -175,7 +188,7 @@ def solve(task: DescentShardTask) -> dict[str, Array]:
 def solve_all(
     tasks: list[DescentShardTask], folder: Path, jobs: int, console: Console
 ) -> list[Path]:
-    """Return the files of all shards; solve only those that do not exist."""
+    """Solve the shards (files) that a folder lacks; return the files of all shards."""
     folder.mkdir(parents=True, exist_ok=True)
     files = [folder / f"{task.number:05d}-{StartDistribution.key(task)}.npz" for task in tasks]
     todo = [k for k, file in enumerate(files) if not file.exists()]
@@ -188,7 +201,7 @@ def solve_all(
 
 
 def read_shard(file: Path) -> dict[str, Array]:
-    """Read a shard.
+    """Read a shard (file) of solved descents.
 
     Raises
     ------
@@ -206,7 +219,7 @@ def read_shard(file: Path) -> dict[str, Array]:
 
 
 def check_problem(folder: Path, hint: str = "Use another folder for --out.") -> None:
-    """Reject a folder whose shards were solved under other limits.
+    """Reject a folder whose shards (files of descents) were solved under other limits.
 
     Raises
     ------
@@ -226,14 +239,14 @@ def check_problem(folder: Path, hint: str = "Use another folder for --out.") -> 
 
 
 def _limits() -> dict[str, Any]:
-    """Return the parameters that all descents share, in the form of their JSON file."""
+    """Return the common parameters of all descent problems, as in their JSON file."""
     asked = asdict(problem_of(np.array([100.0, 0.0, 100.0]), np.array([0.0, 0.0, -5.0]), 1.0))
     asked = {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in asked.items()}
     return json.loads(json.dumps(asked))  # type: ignore[no-any-return]
 
 
 def _write_limits(folder: Path) -> None:
-    """Write the limits into a new folder; reject a folder with other limits."""
+    """Write the problem limits into a new folder; reject one with other limits."""
     if (folder / PROBLEM).exists():
         check_problem(folder)
         return
@@ -242,6 +255,7 @@ def _write_limits(folder: Path) -> None:
 
 
 def _save(path: Path, shard: dict[str, Array]) -> None:
+    """Write a shard to a compressed NumPy file."""
     with path.open("wb") as file:
         np.savez_compressed(file, **shard)
 
@@ -249,7 +263,10 @@ def _save(path: Path, shard: dict[str, Array]) -> None:
 def write_dataset(
     files: list[Path], folder: Path, task: DescentShardTask, console: Console
 ) -> dict[str, Any]:
-    """Write all shards as one data set; return its summary."""
+    """Write all shards as one Minari data set; return the metrics of its summary.
+
+    `task` gives the settings that all shards have in common.
+    """
     import minari
     from minari.data_collector import EpisodeBuffer
     from minari.dataset.minari_storage import MinariStorage
@@ -292,7 +309,7 @@ def write_dataset(
 def _write_dataset_atomically(
     files: list[Path], data: Path, task: DescentShardTask, console: Console
 ) -> dict[str, Any]:
-    """Write the data set to a temporary folder and move it when it is complete."""
+    """Write the data set to a temporary folder; move it to `data` when complete."""
     part = data.with_name(f".{data.name}.part")
     if part.exists():
         shutil.rmtree(part)
@@ -306,7 +323,10 @@ def _write_dataset_atomically(
 
 
 def _episodes(shard: Any, first: int, buffer: Any) -> list[Any]:
-    """Return the episodes of a shard; `first` is the number of the first one."""
+    """Return the Minari episodes of a shard.
+
+    `first` is the number of the first episode, `buffer` the class of Minari's episode buffers.
+    """
     out = []
     for k, (seen, done) in enumerate(zip(shard["observations"], shard["actions"], strict=True)):
         ends = np.arange(len(done)) == len(done) - 1
@@ -334,7 +354,7 @@ def _episodes(shard: Any, first: int, buffer: Any) -> list[Any]:
 @click.option("--out", type=click.Path(path_type=Path, file_okay=False), required=True,
               help="Output folder of the shards and the data set (`data`).")  # fmt: skip
 def main(descents: int, intervals: int, seed: int, jobs: int, out: Path) -> None:
-    """Solve minimum-propellant descents and write a data set."""
+    """Solve minimum-propellant descents and write them as a Minari data set."""
     console = plain_console(110, soft_wrap=True)
     if importlib.util.find_spec("minari") is None or importlib.util.find_spec("h5py") is None:
         raise click.UsageError("minari or h5py is missing. Install the extra `data`.")

@@ -1,11 +1,12 @@
-"""Compare agent rankings on the surrogate and the real mapper (held-out worlds).
+"""Compare agent rankings on the surrogate and the real mapper (held-out terrains).
 
     python scenarios/learning/ranking.py --flights 300
 
-All site-choosing policies and the shipped agent fly the same episodes twice, on maps of the
-surrogate and of the Gaussian DEM. The report gives safe-landing rates and propellant on both, the
-paired difference of mapper and surrogate, and which agent of each pair is better on either. The two
-rankings contradict each other if both intervals exclude zero on opposite sides.
+All site-selecting policies and the agent supplied with lunarsim fly the same episodes twice, on
+maps of the surrogate (the fast statistical substitute of the mapper) and of the Gaussian DEM. The
+report gives safe-landing rates and propellant on both, the paired difference of mapper and
+surrogate, and which agent of each pair is better on either. The two rankings contradict each other
+if both intervals exclude zero on opposite sides.
 """
 
 from __future__ import annotations
@@ -20,10 +21,9 @@ import numpy as np
 from flights import AgentFlights, fly_agent
 
 import lunarsim_envs
-from lunarsim.errors import InputError
+from lunarsim import InputError, Scenario
 from lunarsim.evaluation.comparisons import Difference, mean_difference, share_difference
 from lunarsim.evaluation.statistics import Proportion
-from lunarsim.scenario import Scenario
 from lunarsim.scenario.shipped import found
 from lunarsim_envs.agents.registry import check, label
 
@@ -33,17 +33,23 @@ PERCEPTIONS = ("surrogate", "gaussian-dem")
 
 
 def side(d: Difference) -> int:
-    """Return the sign of a difference: 1 or -1, or 0 if the interval contains zero."""
+    """Return the sign of a difference: 1 or -1, or 0 if its interval contains zero."""
     return int(d.low > 0.0) - int(d.high < 0.0)
 
 
 def is_contradiction(ours: Difference, theirs: Difference) -> bool:
-    """Return whether two intervals of a difference exclude zero on opposite sides."""
+    """Return whether the intervals of two differences exclude zero on opposite sides.
+
+    The differences are those of a pair of agents on the surrogate and on the mapper.
+    """
     return side(ours) * side(theirs) < 0
 
 
 def shares(results: dict[tuple[str, str], AgentFlights], agents: tuple[str, ...]) -> None:
-    """Print each agent on both perceptions, and the paired difference."""
+    """Print safe fraction and propellant of each agent on surrogate and mapper.
+
+    `results` holds the flights by agent and perception. The paired difference is also printed.
+    """
     print("| agent | safe, surrogate [95 % interval] | safe, mapper | mapper minus surrogate | "
     "propellant, mean (kg), both |\n"
           "| --- | --- | --- | --- | --- |")  # fmt: skip
@@ -58,7 +64,11 @@ def shares(results: dict[tuple[str, str], AgentFlights], agents: tuple[str, ...]
 def pairs(
     results: dict[tuple[str, str], AgentFlights], agents: tuple[str, ...]
 ) -> dict[str, list[int]]:
-    """Return pair counts per metric: contradicting, same order, all."""
+    """Count the pairs of agents that surrogate and mapper rank in opposite order.
+
+    `results` holds the flights by agent and perception. Returns, by metric, the number of
+    contradicting pairs, of pairs with the same order, and of all pairs.
+    """
     counts = {"safe": [0, 0, 0], "propellant": [0, 0, 0]}
     for pair in combinations(agents, 2):
         both: dict[str, list[Difference]] = {"safe": [], "propellant": []}
@@ -75,16 +85,16 @@ def pairs(
 
 
 def main() -> int:
-    """Fly the agents and print the rankings."""
+    """Fly the agents on surrogate and mapper and print both rankings."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--scenario", default="few_sites", help="scenario file or name")
-    parser.add_argument("--flights", type=int, default=300)
-    parser.add_argument("--worlds", type=int, default=24, help="number of worlds in the pool")
-    parser.add_argument("--seed", type=int, default=7001, help="root seed of worlds and flights")
+    parser.add_argument("--flights", type=int, default=300, help="number of flights")
+    parser.add_argument("--worlds", type=int, default=24, help="number of different terrains")
+    parser.add_argument("--seed", type=int, default=7001, help="root seed of terrains and flights")
     parser.add_argument(
         "--agent",
         action="append",
-        help="agent to compare; repeatable (default: all shipped agents)",
+        help="agent to compare; repeatable (default: all agents supplied with lunarsim)",
     )
     args = parser.parse_args()
     assert lunarsim_envs.__name__

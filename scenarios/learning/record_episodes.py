@@ -22,10 +22,8 @@ import click
 import gymnasium
 import numpy as np
 
-from lunarsim import __version__
+from lunarsim import InputError, RandomStreams, __version__, flight_seed
 from lunarsim.atomic_files import remove_contents_on_error
-from lunarsim.errors import InputError
-from lunarsim.rng import RandomStreams, flight_seed
 from lunarsim_envs.agents.agent_interface import Agent
 from lunarsim_envs.agents.registry import agent_of, check
 from lunarsim_envs.evaluation.episodes import EvaluationStudy
@@ -35,7 +33,10 @@ ENVS = ("Guidance-v0", "Control-v0", "Retarget-v0")
 
 
 def stack(shown: list[Any]) -> Any:
-    """Stack a list of observations or actions into arrays with time as the first axis."""
+    """Stack a list of observations or actions into arrays with time as the first axis.
+
+    Dictionaries are stacked by key.
+    """
     if isinstance(shown[0], dict):
         return {name: stack([one[name] for one in shown]) for name in shown[0]}
     return np.stack([np.asarray(one) for one in shown])
@@ -44,12 +45,14 @@ def stack(shown: list[Any]) -> Any:
 def episode(
     env: gymnasium.Env[Any, Any], flies: Agent, name: str, streams: RandomStreams
 ) -> dict[str, Any]:
-    """Fly an episode; return Minari buffer arguments and metadata.
+    """Fly one episode; return the arguments of a Minari buffer and the metadata.
+
+    `flies` is the agent and `name` its name in error messages; `streams` gives the random numbers.
 
     Raises
     ------
     InputError
-        If the agent of that name gives an action that the environment does not accept.
+        If the agent gives an action that the environment does not accept.
     """
     flies.begin(streams.get("agent"))
     seed = int(streams.get("environment").integers(2**62))
@@ -87,7 +90,10 @@ def episode(
 
 
 def record(flown: EvaluationStudy, agent: str, episodes: int, folder: Path) -> int:
-    """Fly episodes and write them; return the number of safe landings."""
+    """Fly episodes and write a Minari data set; return the number of safe landings.
+
+    `flown` gives the environment and the root seed.
+    """
     from minari.data_collector import EpisodeBuffer
     from minari.dataset.minari_storage import MinariStorage
 
@@ -123,14 +129,15 @@ def record(flown: EvaluationStudy, agent: str, episodes: int, folder: Path) -> i
 @click.option(
     "--agent", default="random", show_default=True, help="Agent: name, file or module:Name."
 )
-@click.option("--episodes", type=click.IntRange(min=1), default=100, show_default=True)
+@click.option("--episodes", type=click.IntRange(min=1), default=100, show_default=True,
+              help="Number of recorded episodes.")  # fmt: skip
 @click.option(
     "--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Root random seed."
 )
 @click.option(
     "--scenario",
     type=click.Path(path_type=Path),
-    help="Scenario file or name (default: of the environment).",
+    help="Scenario file or name (default: that of the environment).",
 )
 @click.option(
     "--set",
@@ -139,18 +146,18 @@ def record(flown: EvaluationStudy, agent: str, episodes: int, folder: Path) -> i
     multiple=True,
     help="Set a scenario key (rocks.cover=0.1); repeatable.",
 )
-@click.option("--perception", help="Perception of Retarget-v0.")
+@click.option("--perception", help="Source of the hazard maps of Retarget-v0.")
 @click.option(
     "--observation",
     metavar="PART",
     multiple=True,
-    help="Observation part; repeatable (default: of the environment).",
+    help="Component of the observation; repeatable (default: as in the environment).",
 )
 @click.option(
     "--action",
     metavar="PART",
     multiple=True,
-    help="Action part of Retarget-v0; repeatable (default: the site).",
+    help="Component of the action of Retarget-v0; repeatable (default: the site).",
 )
 @click.option("--trust-pickle", is_flag=True, help="Load .zip agents, which can execute code.")
 @click.option(

@@ -1,4 +1,4 @@
-"""Compute reference scores of the shipped agents in every environment.
+"""Compute reference scores of lunarsim's agents in every environment.
 
     python scenarios/learning/reference_scores.py
     python scenarios/learning/reference_scores.py --episodes 20 --only Guidance-v0
@@ -16,8 +16,8 @@ import sys
 from pathlib import Path
 
 import lunarsim_envs
-from lunarsim.errors import InputError, suggestion
-from lunarsim.scenario import Scenario
+from lunarsim import InputError, Scenario
+from lunarsim.errors import suggestion
 from lunarsim.scenario.shipped import found
 from lunarsim_envs.descent.core import flat_scenario
 from lunarsim_envs.evaluation.episodes import EvaluationStudy
@@ -36,7 +36,7 @@ AGENTS = {
 
 
 def study_of(name: str, seed: int) -> EvaluationStudy:
-    """Return the study of a name in `AGENTS`."""
+    """Return the evaluation study of an environment name in `AGENTS`."""
     env, _, perception = name.partition(", ")
     if not perception:
         return EvaluationStudy(f"lunarsim/{env}", flat_scenario(), {}, seed)
@@ -45,7 +45,10 @@ def study_of(name: str, seed: int) -> EvaluationStudy:
 
 
 def row(name: str, agent: AgentMetrics) -> str:
-    """Return a row of the table."""
+    """Format the scores of one agent as a row of the Markdown table.
+
+    `name` is the environment.
+    """
     return (
         f"| {name} | `{agent.name}` | {agent.score.text(3)} | {agent.safe} | "
         f"{agent.propellant.text(1)} | {agent.steps.value:.0f} |"
@@ -53,10 +56,10 @@ def row(name: str, agent: AgentMetrics) -> str:
 
 
 def main() -> int:
-    """Fly the agents and print a table."""
+    """Fly the agents in each environment and print a table of their scores."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--episodes", type=int, default=100, help="number of episodes per agent")
-    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--seed", type=int, default=1, help="root random seed")
     parser.add_argument("--jobs", type=int, default=1, help="number of processes")
     parser.add_argument(
         "--only", action="append", help="environment to run; repeatable (default: all)"

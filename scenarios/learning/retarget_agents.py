@@ -13,17 +13,21 @@ import gymnasium
 import numpy as np
 from rich.progress import track
 
-from lunarsim.errors import InputError, check_output
+from lunarsim import InputError
+from lunarsim.errors import check_output
 from lunarsim_envs.video import save_video
 
 
 def random_agent(observation: dict, info: dict, rng: np.random.Generator) -> int:
-    """Choose a random available action."""
+    """Select a random available action of Retarget-v0."""
     return int(rng.choice(np.flatnonzero(info["action_mask"])))
 
 
 def rule_agent(observation: dict, info: dict, rng: np.random.Generator) -> int:
-    """Choose the nearest site with nearly maximum p_safe; keep it once there."""
+    """Select the nearest site with nearly maximum p_safe, or keep the current one.
+
+    Returns the action of Retarget-v0: 0 keeps the site, 1 + k selects candidate k.
+    """
     sites = observation["sites"]
     good = (sites[:, 5] > 0) & (sites[:, 3] >= min(0.95, sites[:, 3].max()))
     distance = np.hypot(sites[:, 0], sites[:, 1])
@@ -51,7 +55,7 @@ def rule_agent(observation: dict, info: dict, rng: np.random.Generator) -> int:
 @click.option("--video", type=click.Path(path_type=Path), default=None,
               help="MP4 or GIF of the last flight of the rule-based agent.")  # fmt: skip
 def main(episodes: int, seed: int, scenario: str | None, video: Path | None) -> None:
-    """Fly both agents over the same worlds and print their results."""
+    """Fly both agents over the same terrains and print their results."""
     mode = None if video is None else "rgb_array_list"
     try:
         if video is not None:

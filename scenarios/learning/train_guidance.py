@@ -27,7 +27,10 @@ REFERENCE_AGENTS = ("zero", "hover", "random", "apollo")
 
 
 def compare(out: Path, settings: PpoSettings, episodes: int, console: Console) -> None:
-    """Print results of the agent and the reference agents on held-out flights."""
+    """Print results of the trained agent and the reference agents on held-out flights.
+
+    `out` is the folder of the agent, `settings` are those of its training.
+    """
     from lunarsim_envs.descent.core import flat_scenario
     from lunarsim_envs.evaluation.episodes import EvaluationStudy
     from lunarsim_envs.evaluation.parallel import fly
@@ -53,17 +56,19 @@ def compare(out: Path, settings: PpoSettings, episodes: int, console: Console) -
     "--out",
     type=click.Path(path_type=Path),
     required=True,
-    help="Output folder; resumes a run in it.",
+    help="Output folder; a run saved in this folder is resumed.",
 )
 @click.option("--steps", type=click.IntRange(min=1), default=PpoSettings.steps, show_default=True,
-              help="Environment steps, over all parallel episodes.")  # fmt: skip
-@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
-@click.option("--looks", type=click.IntRange(min=1), default=20, show_default=True,
-              help="Updates between evaluations (with checkpoint).")  # fmt: skip
+              help="Number of environment steps over all parallel episodes.")  # fmt: skip
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True,
+              help="Random seed of the training.")  # fmt: skip
+@click.option("--evaluation-interval", "looks", type=click.IntRange(min=1), default=20,
+show_default=True,
+              help="Number of updates between evaluations with checkpoint.")  # fmt: skip
 @click.option("--episodes", type=click.IntRange(min=1), default=200, show_default=True,
-              help="Flights of the final comparison.")  # fmt: skip
+              help="Number of flights of the final comparison.")  # fmt: skip
 def main(out: Path, steps: int, seed: int, looks: int, episodes: int) -> None:
-    """Train an agent of Guidance-v0 and compare it with references."""
+    """Train an agent of Guidance-v0 and compare it with reference agents."""
     console = plain_console(150, soft_wrap=True)
     try:
         from lunarsim_envs.training.curve import draw_curve

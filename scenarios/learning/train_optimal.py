@@ -1,8 +1,8 @@
-"""Train the network of the law `neural-optimal` on minimum-propellant descents.
+"""Train the guidance law `neural-optimal` on minimum-propellant descents.
 
-The input is the shards of `optimal_descents.py`. Within each constant-thrust interval the state is
-known exactly, so every epoch uses new states at a random time within each interval. Complete
-shards are held out for validation.
+The input is the files (shards) of solved descents of `optimal_descents.py`. Within each
+constant-thrust interval the state is known exactly, so every epoch uses new states at a random time
+within each interval. Complete shards are held out for validation.
 
     python scenarios/learning/train_optimal.py build/descents --out optimal.npz
 """
@@ -23,9 +23,10 @@ from numpy.typing import NDArray
 from optimal_descents import PROBLEM, check_problem, problem_of, read_shard
 from rich.console import Console
 
+from lunarsim import InputError, Scenario
 from lunarsim.atomic_files import atomic_write_text
 from lunarsim.console import plain_console
-from lunarsim.errors import InputError, check_output
+from lunarsim.errors import check_output
 from lunarsim.onboard.guidance.neural_law import NeuralOptimalLaw
 from lunarsim.onboard.guidance.optimal_network import (
     DEFAULT_NETWORK_PATH,
@@ -34,7 +35,6 @@ from lunarsim.onboard.guidance.optimal_network import (
     OptimalNetwork,
     reduce_state,
 )
-from lunarsim.scenario import Scenario
 
 Array = NDArray[np.float64]
 
@@ -48,7 +48,11 @@ _MIN_TIME_TO_GO_S = 1.0  # minimum time to go of training states, s: below it an
 
 @dataclass(frozen=True)
 class DescentNodes:
-    """Nodes of k descents in N intervals; see `optimal_descents.solve`."""
+    """States and thrusts of k minimum-propellant descents with N intervals each.
+
+    `seen` (k, N + 1, 7) are position (m), velocity (m/s) and mass (kg) at the nodes, `done` (k, N,
+    3) thrust over mass (m/s^2) and `duration` (k,) the durations (s).
+    """
 
     seen: Array
     done: Array
@@ -56,7 +60,7 @@ class DescentNodes:
 
     @classmethod
     def load(cls, files: list[Path]) -> DescentNodes:
-        """Read shards."""
+        """Read the files (shards) of `optimal_descents.py` and concatenate their descents."""
         held = [read_shard(file) for file in files]
         counts = sorted({h["actions"].shape[1] for h in held})
         if len(counts) > 1:
@@ -69,7 +73,11 @@ class DescentNodes:
         )
 
     def within(self, share: Array, gravity: float) -> tuple[Array, Array]:
-        """Return inputs (n, 6) and targets (n, 4) at a fraction (k, N) of each interval."""
+        """Return network inputs (n, 6) and targets (n, 4) at one time in each interval.
+
+        `share` (k, N) is the elapsed fraction of each interval; `gravity` is in m/s^2. States near
+        the end of the descent are omitted.
+        """
         step = (self.duration / self.done.shape[1])[:, None]
         t = (share * step)[..., None]
         state, push = self.seen[:, :-1], self.done
@@ -90,7 +98,12 @@ def train_network(
     learnt: DescentNodes, gravity: float, minutes: float, epochs: int, width: int, seed: int,
     console: Console,
 ) -> tuple[list[tuple[Array, Array]], int]:  # fmt: skip
-    """Return weights and biases of the layers, and the number of epochs."""
+    """Train the network on descents; return its layers and the number of epochs.
+
+    `learnt` are the descents, `gravity` is in m/s^2, `minutes` the time limit (0: none), `epochs`
+    the maximum number of epochs and `width` the width of the hidden layers. The layers are pairs of
+    weights and biases.
+    """
     import torch
 
     torch.manual_seed(seed)
@@ -128,7 +141,11 @@ def train_network(
 
 
 def evaluate_network(network: OptimalNetwork, kept: DescentNodes, gravity: float) -> dict[str, Any]:
-    """Return errors on held-out descents and the fraction beyond the limits."""
+    """Return the network's errors on held-out descents and its infeasible fraction.
+
+    `kept` are the descents, `gravity` is in m/s^2. Errors are the median and 95th percentile of
+    thrust over mass (m/s^2) and time to go (s).
+    """
     shown, wanted = kept.within(np.full(kept.done.shape[:2], 0.5), gravity)
     outputs = network(shown)
     off = outputs - wanted * OUTPUT_SCALE
@@ -136,8 +153,8 @@ def evaluate_network(network: OptimalNetwork, kept: DescentNodes, gravity: float
     force = np.linalg.norm(outputs[:, :3], axis=1) * shown[:, 5]
     tilt = np.arctan2(np.hypot(outputs[:, 0], outputs[:, 1]), outputs[:, 2])
     beyond = np.maximum(force - lander.thrust_max, lander.thrust_min - force)
-    broken = (beyond > law.thrust_slack * lander.thrust_max) | (
-        tilt > network.problem[5] + law.tilt_slack
+    broken = (beyond > law.thrust_tolerance * lander.thrust_max) | (
+        tilt > network.problem[5] + law.tilt_tolerance
     )
     push = np.linalg.norm(off[:, :3], axis=1)
     return {
@@ -149,7 +166,11 @@ def evaluate_network(network: OptimalNetwork, kept: DescentNodes, gravity: float
 
 
 def problem_parameters() -> Array:
-    """Return the parameters of the descent problem; see `OptimalNetwork.problem`."""
+    """Return the parameters of the descent problem that the network is valid for (7,).
+
+    They are gravity (m/s^2), minimum and maximum thrust (N), exhaust velocity and final descent
+    rate (m/s), maximum tilt and glideslope (rad).
+    """
     gap, velocity = np.array([100.0, 0.0, 100.0]), np.array([0.0, 0.0, -5.0])
     d = problem_of(gap, velocity, 1.0)
     return np.array(
@@ -172,13 +193,13 @@ def problem_parameters() -> Array:
 @click.option("--minutes", type=click.FloatRange(min=0.0), default=0.0, show_default=True,
               help="Time limit (min); 0: none (reproducible weights).")  # fmt: skip
 @click.option("--width", type=click.IntRange(8, 256), default=96, show_default=True,
-              help="Width of the three layers.")  # fmt: skip
+              help="Width of the three hidden layers.")  # fmt: skip
 @click.option(
     "--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Root random seed."
 )
 @click.option("--out", type=click.Path(path_type=Path, dir_okay=False),
 default=DEFAULT_NETWORK_PATH,
-              show_default="the shipped file",
+              show_default="the file supplied with lunarsim",
               help="Output file of the weights (.npz).")  # fmt: skip
 @click.option(
     "--json",

@@ -1,11 +1,12 @@
-"""Train a site-choosing agent on the surrogate and test it on the real mapper.
+"""Train a site-selecting agent on the surrogate and test it on the real mapper.
 
     python scenarios/learning/train_retarget.py --out out/retarget.npz
     python scenarios/learning/train_retarget.py --compare few-sites --flights 300
 
-The first command trains by the cross-entropy method on `scenarios/few_sites.toml` and compares the
-agent; the second compares a shipped agent or a file. The flights use held-out worlds and are the
-same for all agents. The agent is compared in pairs with the best shipped policy.
+The surrogate is a fast statistical substitute of the mapper. The first command trains by the
+cross-entropy method on `scenarios/few_sites.toml` and compares the agent; the second compares an
+agent supplied with lunarsim or a file. The flights use held-out terrains and are the same for all
+agents. The agent is compared in pairs with the best policy of lunarsim.
 """
 
 from __future__ import annotations
@@ -19,10 +20,9 @@ import numpy as np
 from flights import fly_agent
 
 import lunarsim_envs
-from lunarsim.errors import InputError
+from lunarsim import InputError, Scenario
 from lunarsim.evaluation.comparisons import mean_difference, share_difference
 from lunarsim.evaluation.statistics import Proportion
-from lunarsim.scenario import Scenario
 from lunarsim.scenario.shipped import found
 from lunarsim_envs.agents.registry import label
 from lunarsim_envs.sites.perception import PERCEPTIONS, create_batch
@@ -34,7 +34,10 @@ TRAINED_ON, FLOWN_ON = 0, 7001
 
 
 def train_agent(scenario: Scenario, settings: CemSettings, worlds: int, out: Path) -> None:
-    """Train, print each generation, and write the network."""
+    """Train a site-selecting agent, print each generation, and write its network.
+
+    `worlds` is the number of terrains and `out` the output file.
+    """
     start_s = time.perf_counter()
     count = settings.population * settings.flights
     lanes = create_batch(count, "surrogate", scenario, worlds, TRAINED_ON, None)
@@ -55,7 +58,11 @@ def compare(
     agent: str, policies: tuple[str, ...], scenario: Scenario, perception: str, flights: int,
     worlds: int,
 ) -> None:  # fmt: skip
-    """Print the agent and the policies on the same flights, and the paired comparison."""
+    """Print results of an agent and of policies on the same flights.
+
+    `perception` is the kind of hazard map, `worlds` the number of terrains. Paired differences are
+    relative to the best policy.
+    """
     print(f"\nperception {perception}, {flights} flights over {worlds} worlds")
     print(f"{'':<14} {'safe':>6}  95 % interval      propellant (kg)")
     results = {}
@@ -79,19 +86,19 @@ def compare(
 
 
 def main() -> int:
-    """Train an agent, or compare one."""
+    """Train a site-selecting agent, or compare one with policies."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--scenario", default="few_sites", help="scenario file or name")
     parser.add_argument("--out", type=Path, help="output file of the network (.npz)")
     parser.add_argument(
         "--compare", metavar="AGENT", help="skip the training and compare this agent"
     )
-    parser.add_argument("--generations", type=int, default=25)
+    parser.add_argument("--generations", type=int, default=25, help="generations of training")
     parser.add_argument(
-        "--price", type=float, default=CemSettings.price,
+        "--propellant-weight", dest="price", type=float, default=CemSettings.propellant_weight,
         help="propellant weight per kg; a safe landing has weight 1 (%(default)s)",
     )  # fmt: skip
-    parser.add_argument("--worlds", type=int, default=24, help="number of worlds in the pool")
+    parser.add_argument("--worlds", type=int, default=24, help="number of different terrains")
     parser.add_argument("--flights", type=int, default=300, help="number of compared flights")
     parser.add_argument(
         "--policy",
@@ -103,7 +110,7 @@ def main() -> int:
         "--perception",
         action="append",
         choices=PERCEPTIONS,
-        help="perception of the comparison; repeatable",
+        help="source of the hazard maps in the comparison; repeatable",
     )
     args = parser.parse_args()
     assert lunarsim_envs.__name__
@@ -114,10 +121,12 @@ def main() -> int:
             if getattr(args, name) < 1:
                 raise InputError(f"--{name}", getattr(args, name), "must be 1 or more")
         if not 0.0 <= args.price < 1.0:
-            raise InputError("--price", args.price, "must be at least 0 and less than 1")
+            raise InputError(
+                "--propellant-weight", args.price, "must be at least 0 and less than 1"
+            )
         scenario = Scenario.load(found(Path(args.scenario)))
         if args.compare is None:
-            settings = CemSettings(generations=args.generations, price=args.price)
+            settings = CemSettings(generations=args.generations, propellant_weight=args.price)
             train_agent(scenario, settings, args.worlds, args.out)
         agent = args.compare or str(args.out)
         for perception in args.perception or ("surrogate", "gaussian-dem"):

@@ -1,15 +1,17 @@
-"""Fit the safety probability of the Gaussian DEM and test it on held-out worlds.
+"""Fit the safety probability of the Gaussian DEM and test it on held-out terrains.
 
-The script scans a matrix of worlds (relief, rocks, lander, range, angle, noise; `worlds.py`) and
-fits the calibrated probability of `lunarsim.safety.calibration` to all of them. It then repeats the
-fit without each relief, rock law, lander and range, and evaluates each fit on the held-out part. A
-fit is an ensemble: one model for all its worlds, and one without each of them.
+The script scans a matrix of terrains (relief, rocks, lander, range, angle, noise; `worlds.py`) and
+fits the calibrated probability of `lunarsim.safety.calibration` to all of them. The script then
+repeats the fit without each relief, rock law, lander and range (a row of the matrix), and evaluates
+each fit on the held-out row. A fit is an ensemble: one model for all its terrains, and one without
+each of them.
 
 python scenarios/lidar_maps/calibration.py --scenes 480 --jobs 2 --out out/lidar_maps
 
-With --row, only one row is evaluated, on more scenes of it than the matrix contains:
+With --held-out-row, only one row is evaluated, on more scenes of it than the matrix contains:
 
-python scenarios/lidar_maps/calibration.py --scenes 480 --row "rocks posts" --fresh 200
+python scenarios/lidar_maps/calibration.py --scenes 480 --held-out-row "rocks posts" --new-scenes
+200
 """
 
 from __future__ import annotations
@@ -27,6 +29,7 @@ from rich.table import Table
 from scene_cache import SceneSites, evaluated_scenes
 from worlds import LANDERS, RANGES, RELIEFS, ROCKS, UPRIGHT, LidarScene, scenes
 
+from lunarsim import exact_safety
 from lunarsim.campaign.pool import collect_results
 from lunarsim.console import plain_console
 from lunarsim.evaluation.reliability import (
@@ -38,7 +41,6 @@ from lunarsim.evaluation.reliability import (
 from lunarsim.onboard.hazards.gaussian_dem import SamplePool, pooled_dem
 from lunarsim.onboard.hazards.gaussian_dem.dem_snapshot import dem_site_evidence
 from lunarsim.rocks.population import RockExpectation
-from lunarsim.safety import exact_safety
 from lunarsim.safety.calibration import (
     MONOTONE_FEATURES,
     NEAR_DOMAIN_LOG_ODDS_MARGIN,
@@ -61,7 +63,7 @@ COVERS = (0.0, 0.002, 0.01, np.inf)
 
 
 def judge(scene: LidarScene) -> SceneSites:
-    """Scan one scene and evaluate some of its sites."""
+    """Simulate a LiDAR scan of a scene; return calibration inputs and truth of sites."""
     terrain, grid, lander = scene.terrain(), scene.grid(), LANDERS[scene.lander]
     pool = SamplePool(grid)
     scan, position = scene.flash(terrain)
@@ -87,7 +89,7 @@ def judge(scene: LidarScene) -> SceneSites:
 
 @dataclass(frozen=True)
 class PooledSites:
-    """Sites of many scenes, concatenated (n, ...)."""
+    """Landing sites of many scenes, concatenated; fields (n, ...) of `SceneSites`."""
 
     features: np.ndarray
     known: np.ndarray
@@ -100,10 +102,17 @@ class PooledSites:
 
     @classmethod
     def of(cls, evaluated: list[SceneSites]) -> PooledSites:
-        """Concatenate scenes."""
+        """Concatenate the sites of several scenes."""
         columns = [
             np.concatenate([getattr(j, name) for j in evaluated])
-            for name in ("features", "known", "ceiling", "bound", "slope", "doomed")
+            for name in (
+                "features",
+                "known",
+                "observed_terrain_bound",
+                "outside_domain_bound",
+                "slope",
+                "doomed",
+            )
         ]
         cover = np.concatenate([np.full(len(j.safe), j.cover) for j in evaluated])
         return cls(*columns, cover, np.concatenate([j.safe for j in evaluated]))
@@ -115,7 +124,12 @@ def fit_model(
     note: str = "",
     start: Ensemble | None = None,
 ) -> Ensemble:
-    """Fit to the sites in the domain, and without each world; see `Ensemble.fit`."""
+    """Fit the calibrated safety probability to the sites in its domain.
+
+    The result is an ensemble: one model for all sites, and one without each kind of relief, rocks,
+    lander and range. The weights of the last `rising` inputs are non-negative; `note` is stored in
+    the model; `start` is an ensemble whose weights start the iteration.
+    """
     s = PooledSites.of(evaluated)
     number = np.repeat(np.arange(len(evaluated)), [len(j.safe) for j in evaluated])[s.known]
     worlds = {
@@ -133,18 +147,22 @@ def probability(
     farther: float = NEAR_DOMAIN_LOG_ODDS_MARGIN,
     unsafe_limit: float = HOPELESS,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the probability of all sites in a map, and whether it is calibrated (n,).
+    """Return p_safe of sites by a model, and whether the value is calibrated (n,).
 
     `farther` is the log-odds margin outside the calibrated domain. Sites with a probability up to
     `unsafe_limit` are classified as certainly unsafe.
     """
-    odds = model.of_features(sites.features)
-    p = conservative_probability(odds.low, sites.ceiling, sites.bound, sites.known, farther)
-    return p, sites.known & odds.estimate(sites.ceiling, unsafe_limit, sites.doomed).agreed
+    odds = model.evaluate_features(sites.features)
+    p = conservative_probability(
+        odds.low, sites.observed_terrain_bound, sites.outside_domain_bound, sites.known, farther
+    )
+    return p, sites.known & odds.estimate(
+        sites.observed_terrain_bound, unsafe_limit, sites.doomed
+    ).agreed
 
 
 def nearest_range(scene: LidarScene) -> str:
-    """Return the range of the matrix to which a scene belongs."""
+    """Return the range of the matrix ("120 m", ...) nearest to that of a scene."""
     return f"{RANGES[int(np.argmin(np.abs(np.log(np.divide(RANGES, scene.distance)))))]:.0f} m"
 
 
@@ -159,7 +177,10 @@ AXES: tuple[tuple[str, tuple[str, ...], Callable[[LidarScene], str]], ...] = (
 def held_out_rows(
     evaluated: list[SceneSites],
 ) -> Iterator[tuple[str, list[SceneSites], list[SceneSites]]]:
-    """Yield each row of the matrix: name, scenes outside it, scenes in it."""
+    """Yield each row of the matrix: name, scenes outside the row, scenes in it.
+
+    A row is one relief, rock law, lander or range.
+    """
     for axis, names, of in AXES:
         for name in names:
             inside = [of(j.scene) == name for j in evaluated]
@@ -173,7 +194,10 @@ FIGURES = ("base", "ece", "chance", "skill", "share", "gap", "surer", "right")
 
 
 def figures(p: np.ndarray, safe: np.ndarray) -> dict[str, float]:
-    """Return calibration metrics `FIGURES` of probabilities (n,); NaN without sites."""
+    """Return calibration metrics (`FIGURES`) of probabilities against truth (n,).
+
+    The values are NaN without sites.
+    """
     if not p.size:
         return dict.fromkeys(FIGURES, np.nan)
     base = safe.mean()
@@ -193,9 +217,10 @@ def figures(p: np.ndarray, safe: np.ndarray) -> dict[str, float]:
 def worst_stratum(
     p: np.ndarray, claimed: np.ndarray, sites: PooledSites, least: int = 20
 ) -> tuple[float, str]:
-    """Return the minimum Brier skill over strata of slope and cover, and its stratum.
+    """Return the minimum Brier skill over classes of slope and cover, and its class.
 
-    Strata with fewer than `least` safe or unsafe sites are ignored: their skill is undefined.
+    `claimed` (n,) selects the sites with a calibrated p. Classes with fewer than `least` safe or
+    unsafe sites are ignored: their skill is undefined.
     """
     worst = (np.inf, "")
     k = claimed
@@ -215,7 +240,11 @@ def worst_stratum(
 
 @dataclass(frozen=True)
 class HeldOutRow:
-    """Probabilities and claims for a held-out row by the fit without it."""
+    """Predictions for a held-out row of the matrix by the fit without it.
+
+    `p` (n,) is p_safe and `claimed` (n,) whether the value is calibrated; `name` is the relief,
+    rock law, lander or range of the row.
+    """
 
     name: str
     p: np.ndarray
@@ -224,7 +253,7 @@ class HeldOutRow:
 
 
 def table_of(rows: list[HeldOutRow]) -> Table:
-    """Return the metrics of rows of the matrix."""
+    """Return the table of calibration metrics of held-out rows of the matrix."""
     table = Table(
         title="Calibration on sites in the domain; each row evaluated with the fit without it"
     )
@@ -255,7 +284,7 @@ def table_of(rows: list[HeldOutRow]) -> Table:
 
 
 def draw(rows: list[HeldOutRow], path: Path) -> None:
-    """Plot the reliability on held-out scenes for each axis of the matrix."""
+    """Plot predicted against observed safety on held-out scenes by matrix axis."""
     figure = new_figure(9.6, 9.6)
     for panel, axis in zip(
         figure.subplots(2, 2, sharex=True, sharey=True).ravel(),
@@ -277,7 +306,10 @@ def draw(rows: list[HeldOutRow], path: Path) -> None:
 
 
 def options(count: int, own: str) -> Callable[[F], F]:
-    """Return the options of a calibration: default scene count and model file."""
+    """Return a decorator that adds the command-line options of a calibration study.
+
+    `count` is the default number of scenes; `own` is the path of the model supplied with lunarsim.
+    """
     first = click.IntRange(min=8)
     wanted = (
         click.option("--scenes", "count", type=first, default=count, show_default=True,
@@ -291,14 +323,16 @@ def options(count: int, own: str) -> Callable[[F], F]:
                      help="Scene cache (.npz): read if it exists, else written."),
         click.option("--save", "target", type=click.Path(path_type=Path, dir_okay=False),
                      default=None,
-                     help=f"Output file of the model (shipped: {own})."),
+                     help=f"Output file of the model (supplied with lunarsim: {own})."),
         click.option("--out", "folder", type=click.Path(path_type=Path, file_okay=False),
                      default=None, help="Output folder of the reliability diagram."),
-        click.option("--row", type=click.Choice(tuple(_REPLACED)), default=None, metavar="ROW",
+        click.option("--held-out-row", "row", type=click.Choice(tuple(_REPLACED)), default=None,
+        metavar="ROW",
                      help="Evaluate one row ('rocks posts') on new scenes "
-                     "with the fit without it."),
-        click.option("--fresh", type=click.IntRange(min=1), default=120, show_default=True,
-                     help="Number of new scenes for --row."),
+                     "with the fit without this row."),
+        click.option("--new-scenes", "fresh", type=click.IntRange(min=1), default=120,
+        show_default=True,
+                     help="Number of new scenes for --held-out-row."),
     )  # fmt: skip
 
     def decorate(function: F) -> F:
@@ -309,7 +343,7 @@ def options(count: int, own: str) -> Callable[[F], F]:
     return decorate
 
 
-# Rows that can be generated from other scenes by replacement of one part.
+# Rows whose scenes are generated from other scenes by replacement of relief, rocks or lander.
 _REPLACED = {
     f"{axis} {name}": {axis: name}
     for axis, names in (("relief", RELIEFS), ("rocks", ROCKS), ("lander", tuple(LANDERS)))
@@ -319,16 +353,19 @@ _REPLACED = {
 
 @dataclass(frozen=True)
 class CalibrationMethod:
-    """A mapper and the settings of its calibration.
+    """A mapper and the settings of its calibration study.
 
     Attributes
     ----------
     command
-        Script that fits and evaluates it.
+        Script that runs the study.
     evaluate, draw
-        Functions that map and evaluate a scene, and that generate scenes (count, seed).
-    rising, farther, unsafe_limit
-        See `fit_model` and `probability`.
+        Functions that map and evaluate a scene, and that sample scenes (count, seed).
+    rising
+        Number of inputs, the last ones, with non-negative weights.
+    farther, unsafe_limit
+        Log-odds margin outside the calibrated domain; maximum probability of sites classified as
+        certainly unsafe.
     """
 
     command: str
@@ -339,7 +376,10 @@ class CalibrationMethod:
     unsafe_limit: float = HOPELESS
 
     def row(self, name: str, model: Ensemble, inside: list[SceneSites]) -> HeldOutRow:
-        """Return the probabilities of a model for scenes."""
+        """Evaluate a model on the scenes of one scene type that its fit excluded.
+
+        `name` is the scene type, for example "rocks posts"; `inside` are its evaluated scenes.
+        """
         sites = PooledSites.of(inside)
         return HeldOutRow(name, *probability(model, sites, self.farther, self.unsafe_limit), sites)
 
@@ -353,7 +393,11 @@ def report(
     jobs: int,
     console: Console,
 ) -> None:
-    """Fit to all scenes and save the model; evaluate each row with the fit without it."""
+    """Fit to all scenes and save the model; evaluate each row with the fit without it.
+
+    `note` is stored in the model, `target` its file (None: not saved) and `folder` the file of the
+    figure (None: no figure).
+    """
     model = fit_model(evaluated, method.rising, note)
     if target is not None:
         model.save(target)
@@ -377,13 +421,16 @@ def report(
 def evaluate_row(
     method: CalibrationMethod, evaluated: list[SceneSites], name: str, fresh: list[SceneSites]
 ) -> HeldOutRow:
-    """Evaluate new scenes of a row with the fit to all scenes outside this row."""
+    """Evaluate new scenes of a row with the fit to all scenes outside this row.
+
+    `fresh` are the new scenes.
+    """
     others = next((others for row, others, _ in held_out_rows(evaluated) if row == name), evaluated)
     return method.row(name, fit_model(others, method.rising), fresh)
 
 
 def fresh_scenes(method: CalibrationMethod, name: str, count: int, seed: int) -> list[LidarScene]:
-    """Generate scenes of a row; none of them is in the matrix of the same seed."""
+    """Sample new scenes of one row; none of them is in the matrix of the same seed."""
     changes: dict[str, Any] = _REPLACED[name]
     return [replace(scene, **changes) for scene in method.draw(count, seed + 1)]
 
@@ -393,9 +440,13 @@ def study(
     target: Path | None,
     folder: Path | None, row: str | None, fresh: int,
 ) -> None:  # fmt: skip
-    """Run a calibration study with the options of the command."""
+    """Run a calibration study with the options of its command.
+
+    `count` is the number of scenes, `file` their cache, `target` the output file of the model and
+    `folder` that of the figure; `row` evaluates one row on `fresh` new scenes.
+    """
     if row is not None and (target is not None or folder is not None):
-        raise click.UsageError("--row: cannot be combined with --save or --out")
+        raise click.UsageError("--held-out-row: cannot be combined with --save or --out")
     console = plain_console(205)
     evaluated = evaluated_scenes(method.evaluate, method.draw(count, seed), file, jobs, console)
     evaluated = [j for j in evaluated if len(j.safe)]
@@ -414,14 +465,14 @@ def study(
 
 
 def draw_scenes(count: int, seed: int) -> list[LidarScene]:
-    """Return scenes of all ranges."""
+    """Return scenes of all ranges; `count` is their number."""
     return list(scenes(count, seed))
 
 
 @click.command()
 @options(480, "lunarsim/safety/calibration.json")
 def main(**wanted: Any) -> None:
-    """Fit the calibrated probability; test it on held-out worlds."""
+    """Fit the safety probability of the Gaussian DEM; test it on held-out terrains."""
     study(
         CalibrationMethod(
             "scenarios/lidar_maps/calibration.py", judge, draw_scenes, MONOTONE_FEATURES

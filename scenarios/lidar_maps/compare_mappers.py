@@ -1,8 +1,8 @@
-"""Compare both LiDAR maps on flights to touchdown over five worlds.
+"""Compare both LiDAR maps on flights to touchdown over five terrains.
 
-The comparison is between maps, not navigation. In all worlds except the hazard field (where the
+The comparison is between maps, not navigation. Over all terrains except the hazard field (where the
 vehicle finds its position on a map), navigation uses the truth plus an error budget
-(`navigation-fix`). Flight i of a world has the same terrain, start and noise with every map.
+(`navigation-fix`). Flight i over a terrain has the same start and noise with every map.
 `safest` lands at the highest map probability, `scoreboard` at the top of the quadtree ranking. One
 flight of each index runs all mappers: their maps are compared with exact safety at the first and
 the last decision, by stratum of the true terrain, over all terrain that any of them has observed.
@@ -51,14 +51,21 @@ Figures = dict[str, dict[str, Any]]
 
 
 def counts_of(evaluated: list[MapEvaluation]) -> np.ndarray:
-    """Return true safe, false safe, missed and rejected cells of maps (n, strata, 4)."""
+    """Return the cell counts of maps by true and predicted safety (n, strata, 4).
+
+    The counts are true safe, false safe, missed (safe, called unsafe) and rejected cells.
+    """
     return np.array([j.counts for j in evaluated], dtype=np.float64)
 
 
 def ratio_interval(
     counts: np.ndarray, of: Callable[[np.ndarray], np.ndarray]
 ) -> tuple[float, float, float]:
-    """Return a metric of pooled counts (n, ...) with its bootstrap interval."""
+    """Return a metric of summed counts and its bootstrap interval: value, low, high.
+
+    `counts` (n, ...) holds one entry per flight; `of` computes the metric from counts with a
+    leading axis of samples.
+    """
     rng = np.random.default_rng(0)
     drawn = rng.integers(0, len(counts), (RESAMPLES, len(counts)))
     weights = np.stack([np.bincount(d, minlength=len(counts)) for d in drawn]).astype(np.float64)
@@ -73,19 +80,26 @@ def ratio_interval(
 
 
 def precision(c: np.ndarray) -> np.ndarray:
-    """Return the fraction of cells called safe that are safe, from counts (..., 4)."""
+    """Return the fraction of cells called safe that are safe, from counts (..., 4).
+
+    The counts are true safe, false safe, missed and rejected cells.
+    """
     return c[..., 0] / (c[..., 0] + c[..., 1])
 
 
 def recall(c: np.ndarray) -> np.ndarray:
-    """Return the fraction of safe cells that are called safe, from counts (..., 4)."""
+    """Return the fraction of safe cells that are called safe, from counts (..., 4).
+
+    The counts are true safe, false safe, missed and rejected cells.
+    """
     return c[..., 0] / (c[..., 0] + c[..., 2])
 
 
 def skill_of(claim: np.ndarray) -> float:
-    """Return the Brier skill of claimed cells (3,) relative to their safe fraction.
+    """Return the Brier skill of calibrated cells relative to their safe fraction.
 
-    NaN if all cells are safe or all are unsafe.
+    `claim` holds number, safe cells and sum of squared errors. NaN if all cells are safe or all are
+    unsafe.
     """
     n, safe, squares = claim
     base = safe / max(n, 1.0)
@@ -93,7 +107,7 @@ def skill_of(claim: np.ndarray) -> float:
 
 
 def landings(flights: Flights) -> Figures:
-    """Return landing metrics by map and policy."""
+    """Return landing metrics by map and policy, compared in pairs with the first."""
     first = [f.rows[next(iter(WAYS))]["safe"] for f in flights]
     out = {}
     for way in WAYS:
@@ -117,7 +131,10 @@ def landings(flights: Flights) -> Figures:
 
 
 def quality(evaluated: list[MapEvaluation]) -> dict[str, Any]:
-    """Return the metrics of the maps of a mapper at one decision; empty without maps."""
+    """Return quality metrics of a mapper's maps at one decision; empty without maps.
+
+    `evaluated` holds one evaluation per flight.
+    """
     if not evaluated:
         return {}
     counts = counts_of(evaluated)
@@ -142,7 +159,7 @@ def quality(evaluated: list[MapEvaluation]) -> dict[str, Any]:
 
 
 def maps(flights: Flights) -> Figures:
-    """Return the map metrics by mapper."""
+    """Return map quality, computing time and memory by mapper."""
     out = {}
     for mapper in MAPPERS:
         mine = [f.maps[mapper] for f in flights]
@@ -173,7 +190,10 @@ TITLES = {
 
 
 def table_of(name: str, worlds: dict[str, Figures]) -> Table:
-    """Return one of the tables; its first columns are text."""
+    """Return a table of the comparison: "landings", "maps" or "strata".
+
+    `worlds` holds the results by name of the terrain.
+    """
     table = Table(title=TITLES[name])
     left, headings = HEADINGS[name]
     for n, heading in enumerate(headings):
@@ -186,7 +206,10 @@ def table_of(name: str, worlds: dict[str, Figures]) -> Table:
 
 
 def draw(worlds: dict[str, Figures], path: Path) -> None:
-    """Plot landings by map and policy, and precision and recall of the last maps."""
+    """Plot landings by map and policy, and precision and recall of the last maps.
+
+    `worlds` holds the results by name of the terrain; `path` is the output file.
+    """
     figure = new_figure(12.0, 5.0)
     panels = figure.subplots(1, 3, sharey=True)
     colours = dict(zip(WAYS, COLOURS, strict=False))
@@ -213,6 +236,7 @@ def draw(worlds: dict[str, Figures], path: Path) -> None:
 
 
 def _plot_intervals(panel: Any, values: Any, n: int, of: int, colour: str, label: str) -> None:
+    """Plot values with intervals (k, 3) of series `n` of `of`, shifted vertically."""
     v = np.array(values, dtype=np.float64)
     y = np.arange(len(v)) + 0.18 * (n - 0.5 * (of - 1))
     spread = np.maximum(np.stack((v[:, 0] - v[:, 1], v[:, 2] - v[:, 0])), 0.0)
@@ -223,9 +247,9 @@ def _plot_intervals(panel: Any, values: Any, n: int, of: int, colour: str, label
 
 @click.command()
 @click.option("--flights", type=click.IntRange(min=2), default=10, show_default=True,
-              help="Number of flights per world.")  # fmt: skip
+              help="Number of flights per terrain.")  # fmt: skip
 @click.option("--worlds", default="; ".join(WORLDS), show_default=True,
-              help="World names, separated by semicolons.")  # fmt: skip
+              help="Names of terrains, separated by semicolons.")  # fmt: skip
 @click.option(
     "--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Root random seed."
 )
@@ -234,7 +258,7 @@ def _plot_intervals(panel: Any, values: Any, n: int, of: int, colour: str, label
 @click.option("--out", type=click.Path(path_type=Path, file_okay=False), default=None,
               help="Output folder of figures.json, figure and flights.")  # fmt: skip
 def main(flights: int, worlds: str, seed: int, jobs: int, out: Path | None) -> None:
-    """Fly every map over every world and compare the maps."""
+    """Fly with each LiDAR map over each terrain; compare maps and landings."""
     console = plain_console(200)
     names = [w.strip() for w in worlds.split(";")]
     for name in names:

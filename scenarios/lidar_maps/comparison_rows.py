@@ -1,4 +1,4 @@
-"""Format the rows of the mapper comparison for tables and the results page."""
+"""Format the results of the mapper comparison as table rows."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ TableRow = list[str]
 
 
 def number(value: float | None, form: str) -> str:
-    """Format a number; a dash for None or NaN."""
+    """Format a number by a format specification; a dash for None or NaN."""
     return "-" if value is None or not math.isfinite(value) else format(value, form)
 
 
 def interval(figure: Sequence[float | None]) -> str:
-    """Format a metric with its 95 % interval."""
+    """Format a metric with its 95 % interval, given as value, lower and upper limit."""
     value, low, high = (number(v, ".3f") for v in figure)
     return value if value == "-" else f"{value} [{low}, {high}]"
 
 
 def landing_rows(world: WorldResults) -> list[TableRow]:
-    """Return the rows of landing results, without the world name."""
+    """Return the table rows of landing results by map and policy for one terrain."""
     out = []
     for n, (way, f) in enumerate(world["landings"].items()):
         low, high = f["interval"]
@@ -40,7 +40,10 @@ def landing_rows(world: WorldResults) -> list[TableRow]:
 
 
 def map_rows(world: WorldResults) -> list[TableRow]:
-    """Return the rows of map metrics at both decisions, with time and memory."""
+    """Return the table rows of map quality at the first and last decision, by mapper.
+
+    The rows also contain computing time and memory.
+    """
     out = []
     for mapper, f in world["maps"].items():
         entries = [(moment, q) for moment in ("first", "last") if (q := f[moment])]
@@ -56,7 +59,7 @@ def map_rows(world: WorldResults) -> list[TableRow]:
 
 
 def stratum_rows(world: WorldResults) -> list[TableRow]:
-    """Return the rows of map metrics at the last decision by terrain stratum."""
+    """Return the table rows of map quality at the last decision, by terrain class."""
     last = {MAPPERS[mapper]: f["last"] for mapper, f in world["maps"].items() if f["last"]}
     strata = dict.fromkeys(name for q in last.values() for name in q["strata"])
     out = []

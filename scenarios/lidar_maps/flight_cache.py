@@ -21,7 +21,7 @@ from lunarsim.campaign.files import code_digest, write_json
 
 
 def load_or_fly(folder: Path, task: MapperFlightTask) -> MapperFlight:
-    """Return a flight from the folder; if it is not there, fly and save it.
+    """Return a stored flight; if it is not in the folder, simulate and save it.
 
     Raises
     ------
@@ -38,22 +38,27 @@ def load_or_fly(folder: Path, task: MapperFlightTask) -> MapperFlight:
 
 
 def code_of(world: str) -> str:
-    """Return a digest of the package, the study and the scenario of a world."""
+    """Return a digest of the source code and the scenario of a simulated terrain.
+
+    `world` is a name in `mapper_flights.WORLDS`.
+    """
     scenario = json.dumps(mapper_flights.scenario_of(world).to_dict(), default=str)
     study = Path(mapper_flights.__file__).read_bytes()
     return hashlib.sha256(code_digest().encode() + study + scenario.encode()).hexdigest()[:16]
 
 
 def _file_name(world: str) -> str:
+    """Replace all characters of a terrain name that are not letters or digits."""
     return "".join(c if c.isalnum() else "_" for c in world)
 
 
 def _tables(made: MapperFlight) -> dict[str, Any]:
-    """Return a flight as nested tables for exact storage in JSON."""
+    """Return a flight as nested dictionaries and lists for exact storage in JSON."""
     return json.loads(json.dumps(asdict(made), default=np.ndarray.tolist))  # type: ignore[no-any-return]
 
 
 def _load(file: Path, task: MapperFlightTask) -> MapperFlight:
+    """Read a stored flight and check that its code and settings are current."""
     try:
         kept = json.loads(file.read_text(encoding="utf-8"))
         if (kept["code"], kept["task"]) != (code_of(task.world), asdict(task)):
@@ -68,9 +73,11 @@ def _load(file: Path, task: MapperFlightTask) -> MapperFlight:
 
 
 def _mapped(kept: dict[str, Any]) -> MapperRecord:
+    """Return the results of one mapper from their JSON form."""
     ends = [_map_evaluation(kept[moment]) for moment in ("first", "last")]
     return MapperRecord(*ends, seconds=kept["seconds"], megabytes=kept["megabytes"])
 
 
 def _map_evaluation(kept: dict[str, Any] | None) -> MapEvaluation | None:
+    """Return a map evaluation from its JSON form; None without one."""
     return MapEvaluation(**{name: np.array(v) for name, v in kept.items()}) if kept else None

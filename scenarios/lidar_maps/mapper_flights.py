@@ -1,7 +1,7 @@
-"""Fly one world with the map of each mapper and evaluate all maps on the way.
+"""Fly over one simulated terrain with each mapper and evaluate all maps.
 
-Flights with the same index have the same world, start and noise. The first one runs all mappers at
-once and decides with one of them: their maps use the same returns and are directly comparable.
+Flights with the same index have the same terrain, start and noise. The first one runs all mappers
+at once and decides with one of them: their maps use the same returns and are directly comparable.
 """
 
 from __future__ import annotations
@@ -15,19 +15,23 @@ import numpy as np
 from comparison_rows import MAPPERS
 from scipy import ndimage
 
+from lunarsim import (
+    Grid,
+    HazardMap,
+    RandomStreams,
+    Scenario,
+    Simulation,
+    Terrain,
+    build_world,
+    flight_seed,
+)
+from lunarsim.api import HazardMapper
 from lunarsim.evaluation.flight_metrics import evaluate
 from lunarsim.evaluation.reliability import EDGES, reliability
-from lunarsim.grid import Grid
 from lunarsim.onboard.hazards.gaussian_dem.mapper import GaussianDemMapper
-from lunarsim.onboard.hazards.hazard_map import HazardMap
-from lunarsim.onboard.hazards.mapper import HazardMapper
 from lunarsim.onboard.hazards.quadtree import QuadtreeMapper
-from lunarsim.rng import RandomStreams, flight_seed
 from lunarsim.rocks.field import RockField
-from lunarsim.scenario import Scenario
-from lunarsim.simulation import Simulation, build_world
 from lunarsim.world import World
-from lunarsim.world.terrain import Terrain
 from lunarsim.world.truth import TerrainTruth
 
 SCENARIOS = Path(__file__).resolve().parents[1]
@@ -44,7 +48,7 @@ WITH_FIXES: dict[str, Any] = {
 WORLDS: dict[str, tuple[str, dict[str, Any]]] = {
     "HiRISE, c = 0.2": ("hirise.toml", WITH_FIXES),
     "HiRISE, c = 0.5": ("hirise.toml", {**WITH_FIXES, "terrain": {"relief_scale": 0.5}}),
-    # The published results are for terrain without detail below its posting.
+    # The published results are for terrain without detail below its grid spacing.
     "cratered highland": ("highland.toml", {**WITH_FIXES, "terrain": {"detail_m": 0.0}}),
     "Apollo 15": ("apollo15.toml", WITH_FIXES),
     "hazard field": ("morpheus.toml", {}),
@@ -68,7 +72,11 @@ STRATA = (
 
 @dataclass(frozen=True)
 class MapperFlightTask:
-    """One flight index of one world."""
+    """Settings of the flights with all maps over one terrain.
+
+    `world` is a name in `WORLDS`; `flight` (index) and `seed` (root seed) determine the random
+    numbers.
+    """
 
     world: str
     flight: int
@@ -77,7 +85,7 @@ class MapperFlightTask:
 
 @dataclass(frozen=True)
 class MapEvaluation:
-    """Evaluation of a map against the truth, by stratum.
+    """Evaluation of a hazard map against the truth, by terrain class (stratum).
 
     Attributes
     ----------
@@ -86,7 +94,7 @@ class MapEvaluation:
     claimed
         Cells with a calibrated probability: number, safe cells, sum of squared errors (strata, 3).
     table
-        Result of `reliability` over these cells, all strata together (bins, 3).
+        Calibration counts over these cells, all strata together (bins, 3).
     """
 
     counts: np.ndarray
@@ -101,7 +109,7 @@ class MapperRecord:
     Attributes
     ----------
     first, last
-        Its map at the first and the last decision that had one; None without.
+        Evaluation of its map at the first and the last decision that had one; None without.
     seconds
         Computing time, s.
     megabytes
@@ -116,14 +124,14 @@ class MapperRecord:
 
 @dataclass(frozen=True)
 class MapperFlight:
-    """Results of one flight index.
+    """Results of the flights with all maps over one terrain.
 
     Attributes
     ----------
     rows
-        By map and policy: result of `lunarsim.evaluation.flight_metrics.evaluate`.
+        Flight metrics by map and policy (a name in `WAYS`).
     maps
-        By mapper.
+        Map evaluations by mapper.
     """
 
     rows: dict[str, dict[str, Any]]
@@ -131,13 +139,17 @@ class MapperFlight:
 
 
 def scenario_of(world: str) -> Scenario:
-    """Return the scenario of a world."""
+    """Return the scenario of a simulated terrain in `WORLDS`."""
     file, changes = WORLDS[world]
     return Scenario.load(SCENARIOS / file).changed(**changes)
 
 
 def with_mappers(scenario: Scenario, mappers: tuple[str, ...]) -> Scenario:
-    """Return a scenario with other mappers; decisions use the first of them."""
+    """Return a scenario with other mappers; decisions use the first of them.
+
+    `mappers` are "calibrated" or "level" (Gaussian DEM with calibrated safety, or with Eqs. 15 to
+    17 of its paper) or "quadtree".
+    """
     name = next(iter(scenario.mappers))
     tables: dict[str, Any] = {m: _table(scenario, m) for m in mappers}
     if name not in tables:
@@ -146,6 +158,7 @@ def with_mappers(scenario: Scenario, mappers: tuple[str, ...]) -> Scenario:
 
 
 def _table(scenario: Scenario, mapper: str) -> dict[str, Any]:
+    """Return the table of a mapper with the grid of the scenario's first mapper."""
     own = next(iter(scenario.mappers.values()))
     table = {"sensor": own.sensor, "size_m": own.size_m, "posting_m": own.posting_m}
     # As often as decisions are made.
@@ -156,21 +169,23 @@ def _table(scenario: Scenario, mapper: str) -> dict[str, Any]:
         return table | {"kind": "quadtree"}
     lander = scenario.vehicle.make()
     sites = {
-        "zone_m": ZONE * (lander.leg_radius + 0.5 * lander.pad_diameter),
+        "zone_half_side_m": ZONE * (lander.leg_radius + 0.5 * lander.pad_diameter),
         "roughness_limit_m": lander.roughness_limit,
     }
     return table | {"kind": "quadtree", "sites": sites}
 
 
 class SingleMapperTimer:
-    """Measure the computing time of a mapper."""
+    """Measure the computing time of a mapper; `seconds` is the total, s."""
 
     def __init__(self, mapper: HazardMapper) -> None:
         self.seconds = 0.0
-        for name in ("update", "refresh", "surface", "hazard_map", "scoreboard"):
+        for name in ("update", "refresh", "terrain_surface", "hazard_map", "scoreboard"):
             setattr(mapper, name, self._timed(getattr(mapper, name)))
 
     def _timed(self, method: Any) -> Any:
+        """Return a method that adds its run time to `seconds`."""
+
         def call(*args: Any, **options: Any) -> Any:
             began = time.perf_counter()
             try:
@@ -182,7 +197,7 @@ class SingleMapperTimer:
 
 
 def megabytes(mapper: HazardMapper) -> float:
-    """Return the memory that a mapper keeps between scans, MB."""
+    """Return the memory that a mapper keeps between LiDAR scans, MB."""
     if isinstance(mapper, GaussianDemMapper):
         return mapper.pool.nbytes / 1e6
     assert isinstance(mapper, QuadtreeMapper)
@@ -190,9 +205,10 @@ def megabytes(mapper: HazardMapper) -> float:
 
 
 def strata_of(world: World, truth: TerrainTruth) -> np.ndarray:
-    """Return the stratum of each truth cell (rows, cols), from the true terrain.
+    """Return the terrain class (index into `STRATA`) of each truth cell (rows, cols).
 
-    The slope is that of the relief without rocks over the width of the lander.
+    The classes depend on true slope and rocks. The slope is that of the relief without rocks over
+    the width of the lander.
     """
     grid, lander = truth.safety.grid, truth.lander
     bare = Terrain(world.terrain.relief, RockField.empty()).raster(grid).astype(np.float64)
@@ -208,7 +224,11 @@ def strata_of(world: World, truth: TerrainTruth) -> np.ndarray:
 def judge(
     hazard_map: HazardMap, where: np.ndarray, safe: np.ndarray, strata: np.ndarray
 ) -> MapEvaluation:
-    """Evaluate cells (rows, cols) of a map by their true safety and stratum."""
+    """Evaluate selected cells of a hazard map by their true safety and terrain class.
+
+    `where`, `safe` and `strata` (rows, cols) are the selection, the truth and the class of the
+    cells.
+    """
     p = np.where(hazard_map.observed, hazard_map.p_safe, 0.0)[where].astype(np.float64)
     s, k = safe[where], strata[where]
     called = p > 0.5
@@ -228,7 +248,10 @@ def judge(
 def raster_under(
     grid: Grid, error: np.ndarray, truth: TerrainTruth, raster: np.ndarray
 ) -> np.ndarray:
-    """Return the values of a truth raster at the cells of a map; clipped at its edge."""
+    """Return the values of a truth raster at the cells of a map; clipped at its edge.
+
+    `error` is the navigation error (map minus true position), m.
+    """
     own = truth.safety.grid
     xy = grid.centres() - error[:2]
     row, col = own.cell(xy)
@@ -240,7 +263,7 @@ Maps = dict[str, HazardMap]
 
 
 def fly(task: MapperFlightTask) -> MapperFlight:
-    """Fly one index of one world with each map."""
+    """Simulate the flights with all maps over one terrain; return their results."""
     plain = scenario_of(task.world)
     world = build_world(plain, RandomStreams(flight_seed(task.seed, task.flight)))
     truth = TerrainTruth.of(world, plain.vehicle.make())
@@ -261,7 +284,10 @@ def fly(task: MapperFlightTask) -> MapperFlight:
 
 
 def _with_all(simulation: Simulation, strata: np.ndarray) -> dict[str, MapperRecord]:
-    """Fly to the end and evaluate all maps at the first and the last decision."""
+    """Fly with all mappers and evaluate all maps at the first and the last decision.
+
+    `strata` (rows, cols) is the terrain class of the truth cells.
+    """
     mappers = simulation.computer.mappers
     clocks = {name: SingleMapperTimer(mapper) for name, mapper in mappers.items()}
     seen: list[tuple[Maps, np.ndarray]] = []
@@ -284,11 +310,11 @@ def _with_all(simulation: Simulation, strata: np.ndarray) -> dict[str, MapperRec
 def judge_all(
     maps: Maps, error: np.ndarray, truth: TerrainTruth, strata: np.ndarray
 ) -> dict[str, MapEvaluation]:
-    """Evaluate maps over all terrain that any of them has observed.
+    """Evaluate several maps over all terrain that any of them has observed.
 
-    Unobserved cells count as not called safe. Each map is evaluated on its own grid,
-    because mappers
-    can center their grids on different points.
+    `error` is the navigation error (m), `strata` the terrain class of the truth cells. Unobserved
+    cells count as not called safe. Each map is evaluated on its own grid, because mappers can
+    center their grids on different points.
     """
     out = {}
     for name, drawn in maps.items():
@@ -301,7 +327,7 @@ def judge_all(
 
 
 def seen_under(grid: Grid, hazard_map: HazardMap) -> np.ndarray:
-    """Return whether a map has observed each cell of a grid (rows, cols)."""
+    """Return whether a hazard map has observed each cell of a grid (rows, cols)."""
     own, xy = hazard_map.grid, grid.centres()
     row, col = own.cell(xy)
     at = np.clip(row, 0, own.rows - 1), np.clip(col, 0, own.cols - 1)

@@ -1,6 +1,6 @@
-"""Fit the safety probability of the quadtree and test it on held-out worlds.
+"""Fit the safety probability of the quadtree and test it on held-out terrains.
 
-The method is that of `calibration.py`: four flashes of each scene of the same matrix build a
+The method is that of `calibration.py`: four LiDAR scans of each scene of the same matrix build a
 quadtree, and its sites are compared with exact safety.
 
 python scenarios/lidar_maps/quadtree_calibration.py --scenes 240 --jobs 2 --out out/lidar_maps
@@ -17,6 +17,7 @@ from calibration import SITES, CalibrationMethod, options, study
 from scene_cache import SceneSites
 from worlds import LANDERS, UPRIGHT, LidarScene, scenes
 
+from lunarsim import exact_safety
 from lunarsim.onboard.hazards.quadtree import QuadtreeMap, SiteSelector, SiteSettings
 from lunarsim.onboard.hazards.quadtree.site_probability import (
     MAX_CLAIMED_UNSAFE,
@@ -27,7 +28,6 @@ from lunarsim.onboard.hazards.quadtree.site_probability import (
     quadtree_site_evidence,
 )
 from lunarsim.rocks.population import RockExpectation
-from lunarsim.safety import exact_safety
 from lunarsim.safety.ensemble import LOG_ODDS_MARGIN
 
 FLASHES = 4
@@ -39,7 +39,7 @@ MIN_RANGE, MAX_RANGE = 80.0, 420.0
 
 
 def judge(scene: LidarScene) -> SceneSites:
-    """Map one scene with a few flashes and evaluate some of its sites."""
+    """Build a quadtree from LiDAR scans of a scene; evaluate some of its sites."""
     terrain, grid, lander = scene.terrain(), scene.grid(), LANDERS[scene.lander]
     west, east, _, _ = grid.extent
     level = float(terrain.elevation(np.zeros(2)))
@@ -51,11 +51,11 @@ def judge(scene: LidarScene) -> SceneSites:
         noise = float(np.nanmedian(scan.height_sigma(UPRIGHT)))
     footprint = lander.leg_radius + 0.5 * lander.pad_diameter
     settings = replace(
-        SiteSettings(), zone=ZONE * footprint, roughness_limit=lander.roughness_limit
+        SiteSettings(), zone_half_side=ZONE * footprint, roughness_limit=lander.roughness_limit
     )
     selection = SiteSelector(quadtree, settings, thorough=True, footprint=footprint).update()
     evidence = quadtree_site_evidence(
-        quadtree, selection, settings.zone, noise, lander, RockExpectation()
+        quadtree, selection, settings.zone_half_side, noise, lander, RockExpectation()
     )
     truth = exact_safety(terrain.raster(grid), grid, lander)
     row, col = grid.cell(selection.position[:, :2])
@@ -72,14 +72,14 @@ def judge(scene: LidarScene) -> SceneSites:
         ceiling(evidence)[where],
         bound(evidence)[where],
         evidence.slope[where],
-        evidence.doomed[where],
+        evidence.may_be_unsafe[where],
         float(evidence.curve.at(lander.roughness_limit)),
         truth.safe[row, col][where],
     )
 
 
 def draw_scenes(count: int, seed: int) -> list[LidarScene]:
-    """Return scenes within the range that gives the point density of the paper."""
+    """Sample scenes at ranges that give the point density of the quadtree paper."""
     rng = np.random.default_rng([seed, 98])
     reach = np.exp(rng.uniform(np.log(MIN_RANGE), np.log(MAX_RANGE), count))
     deck = scenes(count, seed)
@@ -89,7 +89,7 @@ def draw_scenes(count: int, seed: int) -> list[LidarScene]:
 @click.command()
 @options(240, "lunarsim/onboard/hazards/quadtree/calibration.json")
 def main(**wanted: Any) -> None:
-    """Fit the probability of the quadtree; test it on held-out worlds."""
+    """Fit the safety probability of the quadtree; test it on held-out terrains."""
     command = "scenarios/lidar_maps/quadtree_calibration.py"
     study(
         CalibrationMethod(

@@ -1,4 +1,4 @@
-"""Cache evaluated scenes in a file for repeated fits.
+"""Store the evaluated sites of simulated scenes in a file for repeated fits.
 
 The file is valid for one matrix of scenes. To detect changed code, the first scene is generated
 again and compared.
@@ -23,25 +23,35 @@ from lunarsim.campaign.pool import collect_results
 
 @dataclass(frozen=True)
 class SceneSites:
-    """Evaluated sites of one scene (n, ...); `features` is float32.
+    """Evaluated landing sites of one scene: inputs of the calibration and true safety.
 
-    `ceiling` is an upper bound everywhere,
-    `bound` only outside the domain. Sites with `doomed` may be
-    classified as certainly unsafe. `cover` and `slope` select the stratum.
+    `features` (n, features) are the inputs of the calibrated probability, `known` (n,) whether a
+    site is in its domain. `observed_terrain_bound` is an upper bound of p_safe everywhere,
+    `outside_domain_bound` only outside the domain. Sites with `doomed` may be classified as
+    certainly unsafe. `cover` (rock cover of the scene) and `slope` (n,) select the stratum; `safe`
+    (n,) is the truth.
     """
 
     scene: LidarScene
     features: np.ndarray
     known: np.ndarray
-    ceiling: np.ndarray
-    bound: np.ndarray
+    observed_terrain_bound: np.ndarray
+    outside_domain_bound: np.ndarray
     slope: np.ndarray
     doomed: np.ndarray
     cover: float
     safe: np.ndarray
 
 
-ARRAYS = ("features", "known", "ceiling", "bound", "slope", "doomed", "safe")
+ARRAYS = (
+    "features",
+    "known",
+    "observed_terrain_bound",
+    "outside_domain_bound",
+    "slope",
+    "doomed",
+    "safe",
+)
 
 
 def evaluated_scenes(
@@ -51,7 +61,9 @@ def evaluated_scenes(
     jobs: int,
     console: Console,
 ) -> list[SceneSites]:
-    """Return evaluated scenes from the file; compute and write it if missing.
+    """Read evaluated scenes from a file; if it is missing, compute and write them.
+
+    `judge` evaluates one scene; `deck` are the scenes.
 
     Raises
     ------
@@ -80,6 +92,7 @@ def evaluated_scenes(
 
 
 def _save(evaluated: list[SceneSites], file: Path) -> None:
+    """Write evaluated scenes to a compressed NumPy file."""
     columns = {name: np.concatenate([getattr(j, name) for j in evaluated]) for name in ARRAYS}
     count = np.array([len(j.safe) for j in evaluated])
     scenes = json.dumps([asdict(j.scene) for j in evaluated])
@@ -95,6 +108,7 @@ def _save(evaluated: list[SceneSites], file: Path) -> None:
 
 
 def _load(file: Path) -> list[SceneSites]:
+    """Read evaluated scenes from a compressed NumPy file."""
     try:
         with np.load(file) as data:
             scenes = [LidarScene(**scene) for scene in json.loads(str(data["scenes"]))]

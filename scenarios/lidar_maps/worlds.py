@@ -1,7 +1,7 @@
-"""Generate the matrix of worlds for the evaluation of LiDAR maps.
+"""Generate the matrix of simulated terrains for the evaluation of LiDAR maps.
 
-The axes are relief, rocks, lander and scan. A world is identified by the names of its parts, so
-that complete rows of the matrix can be held out of a fit.
+The axes are relief, rocks, lander and scan. A terrain is identified by the names of its components,
+so that complete rows of the matrix can be held out of a fit.
 """
 
 from __future__ import annotations
@@ -13,22 +13,14 @@ from pathlib import Path
 
 import numpy as np
 
+from lunarsim import Grid, Heightfield, Terrain
+from lunarsim.api import Lander, LidarScan, State
 from lunarsim.frames import sensor_axes
-from lunarsim.grid import Grid
-from lunarsim.messages.measurements import LidarScan
-from lunarsim.models.lander import Lander
 from lunarsim.rocks.field import RockField, RockModel
 from lunarsim.rocks.size_distribution import sample_diameters
 from lunarsim.sensors.lidar import FlashLidar
-from lunarsim.vehicle import State
 from lunarsim.world import World
-from lunarsim.world.terrain import (
-    Heightfield,
-    Terrain,
-    add_craters,
-    fractal_relief,
-    place_rocks,
-)
+from lunarsim.world.terrain import add_craters, fractal_relief, place_rocks
 from lunarsim.world.terrain_models.measured import RasterTerrain
 
 DATA = Path(__file__).resolve().parents[1] / "data"
@@ -61,14 +53,14 @@ ANGLES = (0.0, 30.0, 60.0)
 
 @dataclass(frozen=True)
 class LidarScene:
-    """One cell of the matrix.
+    """One cell of the matrix: terrain, lander and LiDAR scan.
 
     Attributes
     ----------
     relief, rocks, lander
         Names from `RELIEFS`, `ROCKS`, `LANDERS`.
     distance, angle_deg
-        Distance of the flash from the map center, m, and angle off nadir, deg.
+        Distance of the LiDAR from the map center, m, and angle off nadir, deg.
     noise
         Factor on the default noise of the sensor.
     seed
@@ -84,20 +76,23 @@ class LidarScene:
     seed: int
 
     def rng(self, stream: int) -> np.random.Generator:
-        """Return a random generator of this scene."""
+        """Return the random generator number `stream` of this scene."""
         return np.random.default_rng([self.seed, stream])
 
     def terrain(self) -> Terrain:
-        """Return relief and rocks."""
+        """Generate the relief and its rocks."""
         heightfield = relief(self.relief, self.seed)
         return Terrain(heightfield, rocks(self.rocks, heightfield, self.rng(1)))
 
     def grid(self) -> Grid:
-        """Return the map grid: the area covered by the flash, at most `MAX_MAP_SIDE` wide."""
+        """Return the map grid: the area covered by the scan, at most `MAX_MAP_SIDE` wide."""
         return Grid.centred((0.0, 0.0), min(MAX_MAP_SIDE, 0.2 * self.distance), POSTING)
 
     def flash(self, terrain: Terrain) -> tuple[LidarScan, np.ndarray]:
-        """Flash once at the center; return the scan and the sensor position (3,), m."""
+        """Simulate a LiDAR scan of the map center; return scan and position (3,), m.
+
+        The position is that of the sensor.
+        """
         angle, azimuth = np.deg2rad(self.angle_deg), self.rng(2).uniform(0.0, 2.0 * np.pi)
         away = np.array([np.cos(azimuth), np.sin(azimuth)])
         level = float(terrain.elevation(np.zeros(2)))
@@ -112,7 +107,10 @@ class LidarScene:
 
 
 def relief(name: str, seed: int) -> Heightfield:
-    """Return terrain without rocks, `SIDE` wide (measured terrain: its own size)."""
+    """Generate the relief of a name in `RELIEFS`, without rocks.
+
+    The relief is `SIDE` wide; measured terrain has its own size.
+    """
     kind, _, figure = name.partition("-")
     grid = Grid.centred((0.0, 0.0), SIDE, RELIEF_POSTING)
     rng = np.random.default_rng([seed, 0])
@@ -134,7 +132,10 @@ def relief(name: str, seed: int) -> Heightfield:
 
 
 def _cut(kind: str, rng: np.random.Generator) -> Heightfield:
-    """Return smooth terrain with parallel trenches or with pits of one size."""
+    """Generate smooth terrain with parallel trenches or with pits of one size.
+
+    `kind` is "trenches" or "pits".
+    """
     grid = Grid.centred((0.0, 0.0), SIDE, SHARP_POSTING)
     z = fractal_relief(grid, rng, hurst=0.85, rms_slope=np.deg2rad(1.5)).z.astype(np.float64)
     x, y = np.moveaxis(grid.centres(), -1, 0)
@@ -157,6 +158,7 @@ def _cut(kind: str, rng: np.random.Generator) -> Heightfield:
 
 @lru_cache(maxsize=4)
 def _measured(kind: str, scale: float) -> Heightfield:
+    """Load the relief "hirise" or "apollo15"; `scale` multiplies HiRISE heights."""
     part = {
         "hirise": RasterTerrain(
             path=DATA / "hirise_dteec_010228_1490_crop.tif", relief_scale=scale, detail=True,
@@ -171,7 +173,7 @@ def _measured(kind: str, scale: float) -> Heightfield:
 
 
 def rocks(name: str, heightfield: Heightfield, rng: np.random.Generator) -> RockField:
-    """Return the rocks of a rock law, placed on a relief."""
+    """Sample rocks of a name in `ROCKS` and place them on a relief."""
     kind, _, figure = name.partition("-")
     west, east, south, north = heightfield.bounds
     area = (east - west) * (north - south)
@@ -195,7 +197,7 @@ def rocks(name: str, heightfield: Heightfield, rng: np.random.Generator) -> Rock
 
 
 def scenes(count: int, seed: int) -> Iterator[LidarScene]:
-    """Yield scenes that use every part of the matrix equally often."""
+    """Yield scenes that use every relief, rock law and lander equally often."""
     rng = np.random.default_rng([seed, 99])
     decks: dict[str, list[str]] = {}
     for n in range(count):

@@ -5,18 +5,19 @@ planned descent time it compares the errors of position, velocity and attitude w
 (NEES), and the innovations of each kind of measurement with theirs (NIS): those of the last
 measurement before each epoch, and those of all measurements since the previous epoch. The second
 set is larger and therefore more sensitive, but not independent; the bounds assume independence.
-With `--start` given twice or more, each flight is repeated with each initial position error over
-the same terrain.
+With `--position-sigma` given twice or more, each flight is repeated with each initial position
+error over the same terrain.
 
 python scenarios/navigation/consistency.py --flights 50 --jobs 2
-python scenarios/navigation/consistency.py --flights 50 --jobs 2 --start 0.01 --start 100
-python scenarios/navigation/consistency.py --flights 50 --kind inertial --kind ukf
-python scenarios/navigation/consistency.py --flights 50 --scenario scenarios/shadow_nominal.toml
-python scenarios/navigation/consistency.py --flights 20 --without stars --speed 1 --speed 10
-python scenarios/navigation/consistency.py --scenario scenarios/morpheus.toml \
+python scenarios/navigation/consistency.py --flights 50 --jobs 2 --position-sigma 0.01
+--position-sigma 100 python scenarios/navigation/consistency.py --flights 50 --kind inertial --kind
+ukf python scenarios/navigation/consistency.py --flights 50 --scenario scenarios/shadow_nominal.toml
+python scenarios/navigation/consistency.py --flights 20 --without stars --velocity-sigma 1
+--velocity-sigma 10 python scenarios/navigation/consistency.py --scenario scenarios/morpheus.toml \
     --set sensors.flash.range_sigma_m=0.1
-python scenarios/navigation/consistency.py --scenario scenarios/two_eyes.toml --flights 50 \
-    --set navigation.relief_deg=0.5 --set start_knowledge.ground_m=5 --judge 1 --seed 1201
+python scenarios/navigation/consistency.py --scenario scenarios/camera_and_lidar.toml --flights 50 \
+    --set navigation.terrain_slope_deg=0.5 --set initial_uncertainty.target_elevation_m=5 --check 1
+    --seed 1201
 """
 
 from __future__ import annotations
@@ -33,6 +34,7 @@ from rich.table import Table
 from scipy.stats import binomtest
 from shared_options import seed_and_jobs
 
+from lunarsim import Scenario, Simulation, flight_seed
 from lunarsim.campaign.pool import collect_results
 from lunarsim.console import plain_console
 from lunarsim.evaluation.consistency import Consistency, normalised_squared_error
@@ -40,10 +42,7 @@ from lunarsim.evaluation.statistics import Proportion
 from lunarsim.frames import quat_conjugate, quat_multiply, quat_to_rotation_vector
 from lunarsim.onboard.navigation.navigator import Navigator
 from lunarsim.onboard.navigation.unscented import UnscentedFilter
-from lunarsim.rng import flight_seed
-from lunarsim.scenario import Scenario
 from lunarsim.scenario.changes import with_changes
-from lunarsim.simulation import Simulation
 
 SCENARIOS = Path(__file__).resolve().parents[1]
 EPOCHS = (0.15, 0.35, 0.55, 0.75, 0.95)
@@ -54,10 +53,13 @@ LEVEL = 0.999
 # morpheus NEES is lower, because a map post that is used again counts less and scans are assumed to
 # differ by more than they do on horizontal grass. The keys give the terrain knowledge of the
 # mission, so that a horizontal plane is not modelled as relief.
-HORIZONTAL_TERRAIN = ("navigation.relief_deg=0.5", "start_knowledge.ground_m=5")
+HORIZONTAL_TERRAIN = (
+    "navigation.terrain_slope_deg=0.5",
+    "initial_uncertainty.target_elevation_m=5",
+)
 SETS = {
     "instruments": (1.0, ()),
-    "two_eyes": (1.0, HORIZONTAL_TERRAIN),
+    "camera_and_lidar": (1.0, HORIZONTAL_TERRAIN),
     "shadow_nominal": (1.0, HORIZONTAL_TERRAIN),
     "morpheus": (0.5, ()),
 }
@@ -78,7 +80,14 @@ CHECKS = ("expected", "shadows", "fits")
 
 @dataclass(frozen=True)
 class ConsistencyTask:
-    """One flight."""
+    """Settings of one simulated flight of the navigation consistency study.
+
+    `scenario` is the path of the file. `start` (m) and `speed` (m/s) replace the initial position
+    and velocity uncertainty, 1 sigma per axis, and `kind` the kind of navigation; None: that of the
+    scenario. `without` lists removed sensors, `changes` the texts "KEY=VALUE" of changed keys.
+    `flight` and `seed` (root seed) determine the random numbers; `policy` selects the landing
+    sites.
+    """
 
     scenario: str
     start: float | None
@@ -93,19 +102,21 @@ class ConsistencyTask:
 
 @dataclass(frozen=True)
 class ConsistencyFlight:
-    """Results of a flight.
+    """Results of one simulated flight of the navigation consistency study.
 
     Attributes
     ----------
     error, covariance
-        Error and covariance at the epochs (e, 9), (e, 9, 9).
+        Errors of position (m), velocity (m/s) and attitude (rad), ENU, at the e epochs (e, 9), and
+        their covariance (e, 9, 9).
     latest, innovations
-        Sums of normalised squares before each epoch, by kind of measurement: of the last cycle
-        with a measurement, and of all cycles since the previous epoch.
+        Sums of normalised squared innovations (NIS) before each epoch, by kind of measurement: of
+        the last cycle with a measurement, and of all cycles since the previous epoch.
     totals
-        The same for the complete flight.
-    refused, doubted
-        Number of rejected measurements by kind; number of `doubted` events.
+        The same sums for the complete flight.
+    refused, inflated
+        Number of rejected measurements by kind; number of `covariance-inflated` events (suspect
+        measurements).
     lost
         Whether navigation declared itself lost at the end, and whether it ever did.
     start_error, map_error
@@ -120,7 +131,7 @@ class ConsistencyFlight:
     innovations: list[dict[str, Consistency]]
     totals: dict[str, Consistency]
     refused: dict[str, int]
-    doubted: int
+    inflated: int
     lost: tuple[bool, bool]
     start_error: float
     map_error: float
@@ -128,12 +139,12 @@ class ConsistencyFlight:
 
 
 def fly(task: ConsistencyTask) -> ConsistencyFlight:
-    """Fly once and compare the reported covariance with the true errors."""
+    """Simulate one flight and record navigation errors, covariances and innovations."""
     scenario = with_changes(Scenario.load(Path(task.scenario)), task.changes)
     if task.start is not None:
-        scenario = scenario.changed(start_knowledge={"position_m": task.start})
+        scenario = scenario.changed(initial_uncertainty={"position_m": task.start})
     if task.speed is not None:
-        scenario = scenario.changed(start_knowledge={"velocity_m_s": task.speed})
+        scenario = scenario.changed(initial_uncertainty={"velocity_m_s": task.speed})
     if task.without:
         scenario = scenario.changed(sensors=dict.fromkeys(task.without))
     if task.kind is not None:
@@ -168,32 +179,35 @@ def fly(task: ConsistencyTask) -> ConsistencyFlight:
         latest,
         [difference(a, b) for a, b in pairwise(({}, *before))],
         totals(navigation),
-        {k: w.refused for k, w in navigation.watches.items() if corrects(k)},
-        names.count("doubted"),
+        {k: w.rejected_count for k, w in navigation.monitors.items() if corrects(k)},
+        names.count("covariance-inflated"),
         (simulation.computer.estimate.lost, "lost" in names),
         start,
         float(np.linalg.norm(simulation.navigation_error)),
-        simulation.verdict.safe,
+        simulation.outcome.safe,
     )
 
 
 def corrects(kind: str) -> bool:
-    """Return whether a monitored quantity corrects the state."""
+    """Return whether a monitored quantity corrects the navigation state.
+
+    `kind` is its name; some monitored quantities are only checked.
+    """
     return kind.rsplit(maxsplit=1)[-1] not in CHECKS
 
 
 def totals(navigation: Navigator | UnscentedFilter) -> dict[str, Consistency]:
-    """Return the normalised squares of all innovations so far, by kind of measurement."""
+    """Return the sums of normalised squared innovations by kind of measurement."""
     return {
-        kind: Consistency(w.total, w.degrees)
-        for kind, w in navigation.watches.items() if corrects(kind)
+        kind: Consistency(w.nis_sum, w.dof)
+        for kind, w in navigation.monitors.items() if corrects(kind)
     }  # fmt: skip
 
 
 def difference(
     before: dict[str, Consistency], now: dict[str, Consistency]
 ) -> dict[str, Consistency]:
-    """Return the difference of two totals."""
+    """Subtract two sets of innovation sums: those at time `now` minus those `before`."""
     none = Consistency()
     return {
         kind: Consistency(
@@ -204,7 +218,10 @@ def difference(
 
 
 def error_of(simulation: Simulation) -> np.ndarray:
-    """Return position, velocity and attitude errors (ENU) in the site frame (9,)."""
+    """Return the navigation error: position (m), velocity (m/s), attitude (rad).
+
+    The error (9,) is truth minus estimate in the site frame (ENU).
+    """
     state = simulation.state
     found = simulation.computer.navigation.estimate_in_site(simulation.time, state.mass)
     turn = quat_multiply(state.attitude, quat_conjugate(found.attitude))
@@ -218,7 +235,12 @@ def error_of(simulation: Simulation) -> np.ndarray:
 
 
 def nees_of(flights: list[ConsistencyFlight], epoch: int, keep: np.ndarray) -> Consistency:
-    """Return the NEES of selected errors at an epoch, over flights that reached it."""
+    """Return the NEES of selected state errors at an epoch, summed over the flights.
+
+    NEES is the normalised estimation error squared. `epoch` is an index of `EPOCHS`; `keep` holds
+    the indices of the selected errors among the nine. Flights that ended before the epoch are
+    omitted.
+    """
     found = Consistency()
     for f in flights:
         if len(f.error) > epoch:
@@ -228,7 +250,10 @@ def nees_of(flights: list[ConsistencyFlight], epoch: int, keep: np.ndarray) -> C
 
 
 def nees_table(flights: list[ConsistencyFlight]) -> Table:
-    """Return the table of NEES / degrees of freedom by epoch and state part."""
+    """Return the table of NEES per degree of freedom by epoch and part of the state.
+
+    NEES is the normalised estimation error squared.
+    """
     table = Table(title=f"NEES / degrees of freedom [{100 * LEVEL:g} % bounds]; !: outside")
     table.add_column("fraction of the descent", justify="right")
     for part in PARTS:
@@ -245,12 +270,16 @@ def nees_table(flights: list[ConsistencyFlight]) -> Table:
 
 
 def nis_table(flights: list[ConsistencyFlight], which: str, title: str) -> Table:
-    """Return the table of NIS / degrees of freedom by kind of measurement and epoch.
+    """Return the table of NIS per degree of freedom by kind of measurement and epoch.
+
+    NIS is the normalised innovation squared.
 
     Parameters
     ----------
     which
-        Attribute of `ConsistencyFlight`: "latest" or "innovations".
+        Attribute of `ConsistencyFlight` that holds the innovation sums: "latest" or "innovations".
+    title
+        Description of these innovations for the title of the table.
     """
     table = Table(title=f"NIS / degrees of freedom, {title}; !: outside {100 * LEVEL:g} % bounds")
     for heading in ("measurement", *(f"{share:.2f}" for share in EPOCHS), "bounds at last epoch",
@@ -275,12 +304,15 @@ def nis_table(flights: list[ConsistencyFlight], which: str, title: str) -> Table
 
 
 def inconsistencies(flights: list[ConsistencyFlight], modest: float) -> list[str]:
-    """Return a line for each inconsistency between errors and covariance.
+    """Return a text for each inconsistency between navigation errors and covariance.
 
     Parameters
     ----------
+    flights
+        Flights of one variant.
     modest
-        Factor on the lower bound of NEES.
+        Factor on the lower bound of NEES (normalised estimation error squared); below 1, larger
+        covariances are permitted.
     """
     out = []
     lost = sum(f.lost[0] for f in flights)
@@ -307,6 +339,11 @@ def inconsistencies(flights: list[ConsistencyFlight], modest: float) -> list[str
 
 
 def _outside(name: str, found: Consistency, modest: float, bold: float) -> list[str]:
+    """Return a text if a normalised error is outside its bounds, else an empty list.
+
+    `name` describes the quantity and `found` is its sum. `modest` and `bold` are factors on the
+    lower and the upper bound.
+    """
     low, high = found.bounds(LEVEL)
     if modest * low <= found.ratio <= bold * high:
         return []
@@ -314,7 +351,11 @@ def _outside(name: str, found: Consistency, modest: float, bold: float) -> list[
 
 
 def safe_table(by_start: dict[str, list[ConsistencyFlight]]) -> Table:
-    """Return the table of landing results by initial error."""
+    """Return the table of landing results by initial navigation error.
+
+    `by_start` holds the flights of each variant (initial error and kind of navigation) by its name;
+    the first variant is the reference of the others.
+    """
     table = Table(title="Landings")
     for heading in ("initial error\n(1 sigma per axis, m), kind", "initial error,\nmedian (m)",
                     "touchdown error,\nmedian (m)", "safe landings",
@@ -334,14 +375,17 @@ def safe_table(by_start: dict[str, list[ConsistencyFlight]]) -> Table:
             f"{np.median([f.map_error for f in flights]):.1f}",
             f"{sum(mine)} of {len(mine)} [{low:.2f}, {high:.2f}]",
             "" if n == 0 else f"{won}, {lost} ({p:.2f})",
-            f"{sum(f.doubted for f in flights)}",
+            f"{sum(f.inflated for f in flights)}",
             f"{sum(f.lost[0] for f in flights)}, {sum(f.lost[1] for f in flights)}",
         )  # fmt: skip
     return table
 
 
 def flight_to_json(flight: ConsistencyFlight) -> dict[str, Any]:
-    """Return a flight for JSON, with NEES and NIS per degree of freedom."""
+    """Return a flight's results for JSON, with NEES and NIS per degree of freedom.
+
+    NEES and NIS are the normalised squares of estimation errors and of innovations.
+    """
     nees = {}
     for part, keep in PARTS.items():
         squares = [
@@ -375,24 +419,24 @@ def flight_to_json(flight: ConsistencyFlight) -> dict[str, Any]:
     type=click.IntRange(min=2),
     default=10,
     show_default=True,
-    help="Number of flights per initial error.",
+    help="Number of flights per variant (initial error and kind of navigation).",
 )
 @click.option(
-    "--start",
+    "--position-sigma",
     "starts",
     type=click.FloatRange(min=1e-3),
     multiple=True,
-    help="Initial position error, 1 sigma per axis (m); repeatable (default: of the scenario).",
+    help="Initial position error, 1 sigma per axis (m); repeatable (default: as in the scenario).",
 )
 @click.option(
     "--kind",
     "kinds",
     type=click.Choice(("inertial", "ukf")),
     multiple=True,
-    help="Navigation kind; repeatable, over the same terrain (default: of the scenario).",
+    help="Kind of navigation; repeatable, over the same terrain (default: that of the scenario).",
 )
 @click.option(
-    "--speed",
+    "--velocity-sigma",
     "speeds",
     type=click.FloatRange(min=1e-3),
     multiple=True,
@@ -406,7 +450,7 @@ def flight_to_json(flight: ConsistencyFlight) -> dict[str, Any]:
     metavar="KEY=VALUE",
     help="Set a scenario key; repeatable.",
 )
-@click.option("--judge", type=click.FloatRange(min=0, max=1, min_open=True),
+@click.option("--check", "judge", type=click.FloatRange(min=0, max=1, min_open=True),
 metavar="MODEST",
               help="Exit with status 1 if inconsistent; MODEST is a factor on "
                    "the lower NEES bound.")  # fmt: skip
@@ -423,7 +467,7 @@ def main(
     speeds: tuple[float, ...], without: tuple[str, ...], changes: tuple[str, ...], policy: str,
     judge: float | None, out: Path | None, seed: int, jobs: int,
 ) -> None:  # fmt: skip
-    """Fly, and compare the reported navigation errors with the true ones."""
+    """Fly a scenario and compare the reported navigation errors with the true ones."""
     console = plain_console(120)
     by_start: dict[str, list[ConsistencyFlight]] = {}
     for kind, start, speed in product(kinds or (None,), starts or (None,), speeds or (None,)):

@@ -20,21 +20,15 @@ import numpy as np
 from consistency import SCENARIOS, error_of
 from shared_options import declared_table, json_option, seed_and_jobs, write_flights
 
+from lunarsim import Scenario, Simulation, flight_seed
+from lunarsim.api import AltimeterReading, InertialSamples
 from lunarsim.campaign.pool import collect_results
 from lunarsim.console import plain_console
 from lunarsim.frames import quat_from_rotation_vector, quat_multiply
 from lunarsim.messages.briefing import Briefing
-from lunarsim.messages.measurements import (
-    AltimeterReading,
-    AttitudeReading,
-    DopplerReading,
-    InertialSamples,
-)
+from lunarsim.messages.measurements import AttitudeReading, DopplerReading
 from lunarsim.models.instruments import InertialInstrument
 from lunarsim.onboard.navigation.imu_outlier_rejection import ImuSampleLimits
-from lunarsim.rng import flight_seed
-from lunarsim.scenario import Scenario
-from lunarsim.simulation import Simulation
 
 RELIEFS = (0.1, 4.0, 8.0)  # RMS slope, deg
 FAULT_START_S = 10.0  # start of the fault, s
@@ -44,7 +38,7 @@ STEP = 0.01  # interval of inertial samples, s
 
 @dataclass(frozen=True)
 class FaultState:
-    """Inputs of a fault.
+    """Inputs of a function that applies an instrument fault to a measurement.
 
     Attributes
     ----------
@@ -65,12 +59,15 @@ Tamper = Callable[[Any, FaultState], Any]
 
 
 def fault_of_kind(kind: type, change: Tamper) -> Tamper:
-    """Return a fault that changes the measurements of one kind."""
+    """Return a fault that changes the measurements of one class and no others.
+
+    `kind` is the class and `change` the function of measurement and fault state.
+    """
     return lambda m, now: change(m, now) if isinstance(m, kind) else m
 
 
 def lost_samples(m: InertialSamples, now: FaultState) -> InertialSamples:
-    """Drop a fifth of the samples."""
+    """Replace a random fifth of the inertial samples of a cycle with NaN."""
     gone = now.rng.random(len(m.angle)) < 0.2
     angle, velocity = m.angle.copy(), m.velocity.copy()
     angle[gone], velocity[gone] = np.nan, np.nan
@@ -78,26 +75,37 @@ def lost_samples(m: InertialSamples, now: FaultState) -> InertialSamples:
 
 
 def gyroscope_spike(m: InertialSamples, now: FaultState) -> InertialSamples:
-    """Rotate one sample per cycle by slightly less than the rejection limit."""
+    """Rotate one inertial sample per cycle by slightly less than the rejection limit."""
     angle = m.angle.copy()
-    angle[len(angle) // 2, 0] += 0.95 * STEP * (now.limits.step[0] + 0.8 * now.limits.noise[0])
+    angle[len(angle) // 2, 0] += (
+        0.95 * STEP * (now.limits.max_change[0] + 0.8 * now.limits.max_noise[0])
+    )
     return replace(m, angle=angle)
 
 
 def beam_biases(*off: float) -> Tamper:
-    """Return a fault of constant beam biases, m/s."""
+    """Return a fault that adds a constant bias to each Doppler beam.
+
+    `off` holds the bias of each beam, m/s.
+    """
     return fault_of_kind(DopplerReading, lambda m, now: replace(m, speed=m.speed + np.array(off)))
 
 
 def beam_drifts(*rate: float) -> Tamper:
-    """Return a fault of beam drifts, m/s^2."""
+    """Return a fault that adds a linear drift to each Doppler beam.
+
+    `rate` holds the drift of each beam, m/s^2.
+    """
     return fault_of_kind(
         DopplerReading, lambda m, now: replace(m, speed=m.speed + now.since * np.array(rate))
     )
 
 
 def star_tracker_rotation(angle: float, rate: float = 0.0) -> Tamper:
-    """Return a fault of the star tracker: rotation, deg, and its rate, deg/s."""
+    """Return a fault that rotates the attitude of the star tracker about its x axis.
+
+    `angle` is the rotation at the start of the fault (deg), `rate` its rate (deg/s).
+    """
 
     def change(m: AttitudeReading, now: FaultState) -> AttitudeReading:
         off = quat_from_rotation_vector(np.deg2rad([angle + rate * now.since, 0.0, 0.0]))
@@ -107,7 +115,10 @@ def star_tracker_rotation(angle: float, rate: float = 0.0) -> Tamper:
 
 
 def accelerometer_bias(bias: float, rate: float = 0.0) -> Tamper:
-    """Return a fault of the accelerometer: bias, m/s^2, and drift, m/s^3."""
+    """Return a fault that adds a bias and a drift to the accelerometer x axis.
+
+    `bias` is in m/s^2, `rate` in m/s^3.
+    """
     return fault_of_kind(
         InertialSamples,
         lambda m, now: replace(
@@ -156,7 +167,11 @@ FAULTS: dict[str, Tamper] = {
 
 @dataclass(frozen=True)
 class InstrumentFaultTask:
-    """One flight with one fault."""
+    """Settings of one simulated flight with an instrument fault.
+
+    `fault` is a name in `FAULTS`, `relief` the RMS slope of the terrain (deg). `flight` and `seed`
+    (root seed) determine the random numbers.
+    """
 
     fault: str
     relief: float
@@ -166,14 +181,14 @@ class InstrumentFaultTask:
 
 @dataclass(frozen=True)
 class InstrumentFaultFlight:
-    """Results of a flight.
+    """Results of one simulated flight with an instrument fault.
 
     Attributes
     ----------
     far
-        Whether the velocity or attitude error was too large at the end.
-    lost, doubted
-        Whether navigation declared itself lost at the end; number of `doubted` events.
+        Whether the velocity or attitude error exceeded five standard deviations at the end.
+    lost, inflated
+        Whether navigation declared itself lost at the end; number of `covariance-inflated` events.
     safe
         Whether the landing was safe.
     """
@@ -181,12 +196,15 @@ class InstrumentFaultFlight:
     fault: str
     far: bool
     lost: bool
-    doubted: int
+    inflated: int
     safe: bool
 
 
 def limits_of(briefing: Briefing) -> ImuSampleLimits:
-    """Return the outlier limits of a vehicle's inertial samples."""
+    """Return the limits beyond which inertial samples of a vehicle are rejected.
+
+    `briefing` holds the data about the vehicle that are known before flight.
+    """
     control = briefing.software.control
     unit = next(i for i in briefing.instruments.values() if isinstance(i, InertialInstrument))
     return ImuSampleLimits.of(
@@ -196,7 +214,7 @@ def limits_of(briefing: Briefing) -> ImuSampleLimits:
 
 
 def fly(task: InstrumentFaultTask) -> InstrumentFaultFlight:
-    """Fly once with a fault."""
+    """Simulate one flight in which an instrument fails."""
     scenario = Scenario.load(SCENARIOS / "instruments.toml").changed(
         terrain={"rms_slope_deg": task.relief}
     )
@@ -223,7 +241,7 @@ def fly(task: InstrumentFaultTask) -> InstrumentFaultFlight:
         simulation.step()
     names = [name for _, name, _ in simulation.computer.telemetry]
     return InstrumentFaultFlight(
-        task.fault, far, lost, names.count("doubted"), simulation.verdict.safe
+        task.fault, far, lost, names.count("covariance-inflated"), simulation.outcome.safe
     )
 
 
@@ -233,18 +251,18 @@ def fly(task: InstrumentFaultTask) -> InstrumentFaultFlight:
     type=click.IntRange(min=1),
     default=4,
     show_default=True,
-    help="Number of flights per relief and fault.",
+    help="Number of flights per terrain slope and fault.",
 )
 @click.option(
     "--only",
     type=click.Choice(list(FAULTS)),
     multiple=True,
-    help="Fault; repeatable (default: all).",
+    help="Name of a fault to fly; repeatable (default: all).",
 )
 @json_option
 @seed_and_jobs
 def main(flights: int, only: tuple[str, ...], out: Path | None, seed: int, jobs: int) -> None:
-    """Let instruments fail; count undeclared navigation failures."""
+    """Fly with instrument faults; count undeclared navigation failures."""
     console = plain_console(120)
     faults = list(only or FAULTS)
     tasks = [

@@ -1,13 +1,14 @@
 """Compare landings with onboard instruments and with position fixes.
 
 Each scenario is flown twice over the same terrain from the same starts: as it is, with a radar
-altimeter, a Doppler velocimeter and a star tracker in one filter; and with position fixes (truth
-plus an error budget equal to the initial errors of the first).
+altimeter, a Doppler velocimeter and a star tracker in one filter; and with position fixes (true
+position and velocity plus errors as large as the initial errors of the first).
 
 The miss is the distance from the touchdown to the true position of the selected site, according to
-the decision map. The table also gives the miss expected at the last decision (`expected_miss`) and
-the root mean square of the ratio per axis, which is 1 if the expectation is correct. An error that
-map and vehicle share has no effect on the miss; it appears only in the last column.
+the hazard map used for the decision. The table also gives the miss expected at the last decision
+(`expected_miss`) and the root mean square of the ratio per axis, which is 1 if the expectation is
+correct. An error that map and vehicle have in common has no effect on the miss; it appears only in
+the last column.
 
 python scenarios/navigation/instruments_or_fixes.py --flights 10
 python scenarios/navigation/instruments_or_fixes.py --flights 10 --only golombek
@@ -24,12 +25,10 @@ from consistency import SCENARIOS
 from rich.table import Table
 from scipy.stats import binomtest
 
+from lunarsim import Scenario, Simulation, flight_seed
 from lunarsim.campaign.pool import collect_results
 from lunarsim.console import plain_console
 from lunarsim.evaluation.statistics import Proportion
-from lunarsim.rng import flight_seed
-from lunarsim.scenario import Scenario
-from lunarsim.simulation import Simulation
 
 SCENARIO_NAMES = ("apollo15", "golombek", "highland", "hirise", "mare")
 WAYS = ("fixes", "inertial")
@@ -43,7 +42,11 @@ FIXES = {
 
 @dataclass(frozen=True)
 class FixesComparisonTask:
-    """One flight."""
+    """Settings of one simulated flight with onboard instruments or position fixes.
+
+    `scenario` is a scenario name, `way` the navigation in `WAYS` ("fixes" or "inertial"). `flight`
+    and `seed` (root seed) determine the random numbers; `policy` selects the landing sites.
+    """
 
     scenario: str
     way: str
@@ -54,22 +57,22 @@ class FixesComparisonTask:
 
 @dataclass(frozen=True)
 class FixesComparisonFlight:
-    """Results of a flight.
+    """Results of one simulated flight with onboard instruments or position fixes.
 
     Attributes
     ----------
     safe, failed
         Whether the landing was safe, and the failed criteria.
     miss
-        Horizontal distance from the site on the decision map, m; NaN without a touchdown.
+        Horizontal distance of the touchdown from the selected site, m; NaN without a touchdown.
     expected
         Expected miss at the last decision, 1 sigma per axis, m.
     error
         Position error at the end, m.
-    lost, doubted
-        Whether navigation ended lost, and the number of `doubted` events.
+    lost, inflated
+        Whether navigation ended lost, and the number of `covariance-inflated` events.
     seconds
-        Wall time of the flight without world generation, s.
+        Wall time of the flight without terrain generation, s.
     """
 
     safe: bool
@@ -78,43 +81,50 @@ class FixesComparisonFlight:
     expected: float
     error: float
     lost: bool
-    doubted: int
+    inflated: int
     seconds: float
 
 
 def scenario_of(name: str, way: str) -> Scenario:
-    """Return a scenario as it is, or with fixes."""
+    """Load a scenario; replace instruments with position fixes if `way` is "fixes".
+
+    `name` is the file name without extension.
+    """
     scenario = Scenario.load(SCENARIOS / f"{name}.toml")
     if scenario.terrain.kind == "fractal":
-        # The published results are for terrain without detail below its posting.
+        # The published results are for terrain without detail below its grid spacing.
         scenario = scenario.changed(terrain={"detail_m": 0.0})
     return scenario.changed(sensors=FIXES) if way == "fixes" else scenario
 
 
 def fly(task: FixesComparisonTask) -> FixesComparisonFlight:
-    """Fly once."""
+    """Simulate one flight; measure the distance of touchdown from the selected site."""
     simulation = Simulation(
         scenario_of(task.scenario, task.way), flight_seed(task.seed, task.flight), task.policy
     )
     start_s = time.perf_counter()
     flight = simulation.run()
     seconds = time.perf_counter() - start_s
-    touchdown = flight.verdict.touchdown
+    touchdown = flight.outcome.touchdown
     miss = np.nan
     if touchdown is not None:
         there = flight.sites[-1] - flight.map_error
         miss = float(np.linalg.norm((touchdown.position - there)[:2]))
     names = [event["name"] for event in flight.events]
     return FixesComparisonFlight(
-        flight.verdict.safe, ", ".join(flight.verdict.failed), miss,
+        flight.outcome.safe, ", ".join(flight.outcome.failure_causes), miss,
         simulation.computer.expected_miss,
         float(np.linalg.norm(simulation.navigation_error)), simulation.computer.estimate.lost,
-        names.count("doubted"), seconds,
+        names.count("covariance-inflated"), seconds,
     )  # fmt: skip
 
 
 def misses(mine: list[FixesComparisonFlight]) -> tuple[str, str]:
-    """Return the miss distances, and their ratio to the expected ones."""
+    """Format the miss distances of flights, and their ratio to the expected ones.
+
+    Returns two texts: median, 95th percentile and maximum miss (m); median expected miss (m) and
+    RMS of the ratio of miss to expectation.
+    """
     miss, expected = np.array([(f.miss, f.expected) for f in mine]).T
     down = miss[np.isfinite(miss)]
     if len(down) == 0:
@@ -128,14 +138,17 @@ def misses(mine: list[FixesComparisonFlight]) -> tuple[str, str]:
 
 
 def table_of(flown: dict[tuple[str, str], list[FixesComparisonFlight]]) -> Table:
-    """Return a table with one row per scenario and navigation."""
+    """Return the table of landing results by scenario and kind of navigation.
+
+    `flown` holds the flights by scenario name and navigation ("fixes" or "inertial").
+    """
     table = Table(title="Onboard instruments compared with fixes over the same terrain")
     for left in ("scenario", "navigation"):
         table.add_column(left)
     for heading in ("safe landings", "only inertial safe,\nonly fixes safe (p)",
                     "miss of the site (m)\nmedian, 95th pct., max",
                     "expected miss (m),\nRMS of miss / expected",
-                    "doubted,\nlost", "time per flight,\nmedian (s)",
+                    "inflated,\nlost", "time per flight,\nmedian (s)",
                     "final position error,\nmedian (m)"):  # fmt: skip
         table.add_column(heading, justify="right")
     for (name, way), mine in flown.items():
@@ -151,7 +164,7 @@ def table_of(flown: dict[tuple[str, str], list[FixesComparisonFlight]]) -> Table
         table.add_row(
             name, way, f"{landed.count} of {landed.total} [{low:.2f}, {high:.2f}]", pairs,
             *misses(mine),
-            f"{sum(f.doubted for f in mine)}, {sum(f.lost for f in mine)}",
+            f"{sum(f.inflated for f in mine)}, {sum(f.lost for f in mine)}",
             f"{np.median([f.seconds for f in mine]):.2f}",
             f"{np.median([f.error for f in mine]):.2f}",
         )  # fmt: skip
@@ -161,11 +174,11 @@ def table_of(flown: dict[tuple[str, str], list[FixesComparisonFlight]]) -> Table
 @click.command()
 @click.option(
     "--flights", type=click.IntRange(min=1), default=10, show_default=True,
-    help="Number of flights per scenario and navigation.",
+    help="Number of flights per scenario and kind of navigation.",
 )  # fmt: skip
 @click.option(
     "--only", type=click.Choice(SCENARIO_NAMES), multiple=True,
-    help="Scenario; repeatable (default: all).",
+    help="Name of a scenario to fly; repeatable (default: all).",
 )  # fmt: skip
 @click.option("--policy", default="safest", show_default=True, help="Retargeting policy.")
 @click.option(
@@ -176,7 +189,7 @@ def table_of(flown: dict[tuple[str, str], list[FixesComparisonFlight]]) -> Table
     help="Number of processes; changes only the run times.",
 )  # fmt: skip
 def main(flights: int, only: tuple[str, ...], policy: str, seed: int, jobs: int) -> None:
-    """Fly with fixes and with onboard instruments; compare."""
+    """Compare landings with onboard instruments and with position fixes, by scenario."""
     console = plain_console(160)
     flown: dict[tuple[str, str], list[FixesComparisonFlight]] = {}
     for name in only or SCENARIO_NAMES:

@@ -1,12 +1,14 @@
 """Compare landings with an early, a late and no lock on the prior map.
 
-The script flies `morpheus.toml` over the same fields, with the map available to navigation from the
-start, later, or never, and with the initial error of the scenario or a larger one. Terrain is
-mapped in the local frame from the first scan, and the policy decides on that map with or without a
-lock. Paired flights differ only in the lock.
+A lock is the first accepted position of the lander on the map. The script flies `morpheus.toml`
+over the same fields, with the map available to navigation from the start, later, or never, and with
+the initial error of the scenario or a larger one. Terrain is mapped in the local frame from the
+first scan, and the policy decides on that map with or without a lock. Paired flights differ only in
+the lock.
 
-python scenarios/navigation/late_lock.py --flights 10 --late 0 --late 12 --late 24 --late inf
-python scenarios/navigation/late_lock.py --flights 10 --start 0.01 --start 100 --late inf
+python scenarios/navigation/late_lock.py --flights 10 --map-time 0 --map-time 12 --map-time 24
+--map-time inf python scenarios/navigation/late_lock.py --flights 10 --position-sigma 0.01
+--position-sigma 100 --map-time inf
 """
 
 from __future__ import annotations
@@ -20,27 +22,31 @@ from rich.table import Table
 from scipy.stats import binomtest
 from shared_options import seed_and_jobs
 
+from lunarsim import Scenario, Simulation, flight_seed
 from lunarsim.campaign.pool import collect_results
 from lunarsim.console import plain_console
 from lunarsim.evaluation.statistics import Proportion
 from lunarsim.onboard.navigation.navigator import Navigator
-from lunarsim.rng import flight_seed
-from lunarsim.scenario import Scenario
-from lunarsim.simulation import Simulation
 
 SCENARIOS = Path(__file__).resolve().parents[1]
 
 
 @dataclass(frozen=True)
 class LateLockTask:
-    """One flight.
+    """Settings of one simulated flight with a prior map that becomes available late.
 
     Attributes
     ----------
     late
-        Time at which navigation receives the map, s.
+        Time at which navigation receives the map, s; infinite: never.
     start
         Initial position error, 1 sigma per axis, m; None: that of the scenario.
+    scenario
+        Path of the scenario file.
+    flight, seed
+        Number of the flight and root seed.
+    policy
+        Name of the retargeting policy.
     """
 
     late: float
@@ -53,19 +59,19 @@ class LateLockTask:
 
 @dataclass(frozen=True)
 class LateLockFlight:
-    """Results of a flight.
+    """Results of one simulated flight with a prior map that becomes available late.
 
     Attributes
     ----------
     lock
-        Time of the lock, s; NaN: never.
+        Time at which navigation found its position on the map, s; NaN: never.
     moved
-        Displacement of the site in the local frame at the lock, m.
+        Displacement of the landing site in the local frame at the lock, m.
     jumped
         Maximum jump of the position estimate in the local frame in one cycle, beyond the flown
         distance, m.
     decisions
-        Number of decisions with a map.
+        Number of retargeting decisions with a map.
     missed
         Distance between touchdown and the selected site, m.
     sigmas
@@ -87,10 +93,10 @@ class LateLockFlight:
 
 
 def fly(task: LateLockTask) -> LateLockFlight:
-    """Fly once."""
+    """Simulate one flight in which navigation receives the prior map at a given time."""
     scenario = Scenario.load(Path(task.scenario))
     if task.start is not None:
-        scenario = scenario.changed(start_knowledge={"position_m": task.start})
+        scenario = scenario.changed(initial_uncertainty={"position_m": task.start})
     simulation = Simulation(scenario, flight_seed(task.seed, task.flight), task.policy)
     computer = simulation.computer
     navigation = computer.navigation
@@ -103,7 +109,7 @@ def fly(task: LateLockTask) -> LateLockFlight:
             navigation.parts.insert(0, matcher)
         before = simulation.estimate
         if simulation.decision_due and computer.mapper is not None:
-            decisions += not computer.mapper.blank
+            decisions += not computer.mapper.is_empty
         simulation.step()
         after = simulation.estimate
         if not simulation.done:
@@ -111,7 +117,7 @@ def fly(task: LateLockTask) -> LateLockFlight:
             jumped = max(jumped, float(np.linalg.norm(after.position - before.position - way)))
             sigmas = max_error_sigma(simulation)
     locks = [e for e in navigation.events if e.name == "lock"]
-    touchdown = simulation.verdict.touchdown
+    touchdown = simulation.outcome.touchdown
     aimed = simulation.site - simulation.navigation_error
     return LateLockFlight(
         locks[0].time if locks else np.nan,
@@ -121,18 +127,21 @@ def fly(task: LateLockTask) -> LateLockFlight:
         np.nan if touchdown is None else float(np.hypot(*(touchdown.position - aimed)[:2])),
         sigmas,
         simulation.estimate.lost,
-        simulation.verdict.safe,
+        simulation.outcome.safe,
     )
 
 
 def max_error_sigma(simulation: Simulation) -> float:
-    """Return the maximum position error on an axis in standard deviations."""
+    """Return the maximum position error over the axes, in standard deviations."""
     error = np.abs(simulation.site_error)
     return float((error / np.sqrt(np.diag(simulation.estimate.covariance)[:3])).max())
 
 
 def summary(flown: dict[str, list[LateLockFlight]]) -> Table:
-    """Return a table with one line per variant."""
+    """Return the table of landing results by time of map availability.
+
+    `flown` holds the flights by time and initial error; the first entry is the reference.
+    """
     table = Table(title="Landings by the time at which the map becomes available")
     for heading in ("map available from, initial error", "flights with\na lock",
     "lock time,\nmedian (s)",
@@ -170,10 +179,10 @@ def summary(flown: dict[str, list[LateLockFlight]]) -> Table:
               help="Scenario with a prior map.")  # fmt: skip
 @click.option("--flights", type=click.IntRange(min=1), default=5, show_default=True,
               help="Number of flights per variant, over the same terrain.")  # fmt: skip
-@click.option("--late", "lates", type=click.FloatRange(min=0.0), multiple=True,
+@click.option("--map-time", "lates", type=click.FloatRange(min=0.0), multiple=True,
               default=(0.0, 12.0, float("inf")), show_default=True,
               help="Time of map availability (s); inf: never. Repeatable.")  # fmt: skip
-@click.option("--start", "starts", type=click.FloatRange(min=1e-3), multiple=True,
+@click.option("--position-sigma", "starts", type=click.FloatRange(min=1e-3), multiple=True,
               help="Initial position error, 1 sigma per axis (m); repeatable "
               "(default: of the scenario).")  # fmt: skip
 @click.option("--policy", default="safest", show_default=True, help="Retargeting policy.")
@@ -182,7 +191,7 @@ def main(
     scenario: str, flights: int, lates: tuple[float, ...], starts: tuple[float, ...], policy: str,
     seed: int, jobs: int,
 ) -> None:  # fmt: skip
-    """Provide the map early, late or never; compare the landings."""
+    """Compare landings for which the prior map is available early, late or never."""
     console = plain_console(150)
     flown: dict[str, list[LateLockFlight]] = {}
     for start in starts or (None,):

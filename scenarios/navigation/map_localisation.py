@@ -22,22 +22,18 @@ import numpy as np
 from rich.table import Table
 from shared_options import seed_and_jobs
 
+from lunarsim import Grid, RandomStreams, Scenario, Terrain, build_world, flight_seed
+from lunarsim.api import State, gimbal_mount
 from lunarsim.campaign.pool import collect_results
 from lunarsim.console import plain_console
 from lunarsim.frames import attitude_from_thrust, quat_from_rotation_vector, quat_multiply
-from lunarsim.grid import Grid
-from lunarsim.models.gimbal import gimbal_mount
 from lunarsim.onboard.navigation.map_features import MapFeatures
 from lunarsim.onboard.navigation.map_lock_forecast import forecast_lock
 from lunarsim.onboard.navigation.place_search import MapMatch, PlaceSearch
-from lunarsim.rng import RandomStreams, flight_seed
-from lunarsim.scenario import Scenario
 from lunarsim.sensors.lidar import FlashLidar
-from lunarsim.simulation.worlds import build_world
-from lunarsim.vehicle import State
 from lunarsim.world import World
 from lunarsim.world.survey import simulate_survey
-from lunarsim.world.terrain import Terrain, add_craters, fractal_relief, hazard_field
+from lunarsim.world.terrain import add_craters, fractal_relief, hazard_field
 
 SCENARIOS = Path(__file__).resolve().parents[1]
 UPRIGHT = attitude_from_thrust([0.0, 0.0, 1.0], np.pi / 2)
@@ -49,12 +45,12 @@ SIZE = 300.0
 
 
 def objects(rng: np.random.Generator) -> World:
-    """Return a hazard field: boulders and craters on horizontal grass."""
+    """Generate a hazard field: boulders and craters on horizontal terrain."""
     return World(hazard_field(rng), 9.81)
 
 
 def craters(rng: np.random.Generator) -> World:
-    """Return procedural relief of 2 deg with craters from 1 m."""
+    """Generate fractal relief (RMS slope 2 deg) with craters wider than 1 m."""
     grid = Grid.centred((0.0, 0.0), 400.0, 0.5)
     relief = fractal_relief(grid, rng, hurst=0.9, rms_slope=np.deg2rad(2.0))
     return World(Terrain(add_craters(relief, rng, minimum=1.0)), 1.62)
@@ -62,19 +58,23 @@ def craters(rng: np.random.Generator) -> World:
 
 @cache
 def apollo15() -> World:
-    """Return the measured relief of the Apollo 15 region with its detail."""
+    """Return the measured relief of the Apollo 15 region with simulated detail."""
     scenario = Scenario.load(SCENARIOS / "apollo15.toml")
     return build_world(scenario, RandomStreams(flight_seed(1, 0)))
 
 
 def measured(rng: np.random.Generator) -> World:
-    """Return measured relief."""
+    """Return the measured relief of the Apollo 15 region; `rng` is not used."""
     return apollo15()
 
 
 @dataclass(frozen=True)
 class MapCase:
-    """A row of the table: terrain, posting and map noise (m), and map defects."""
+    """Terrain and prior map of one case of the localisation study.
+
+    `make_world` generates the terrain; `posting` is the grid spacing of the map and `sigma` its
+    noise (m); `wrong` holds further map defects as arguments of `simulate_survey`.
+    """
 
     make_world: Callable[[np.random.Generator], World]
     posting: float
@@ -89,28 +89,32 @@ class MapCase:
 
 CASES = (
     MapCase(objects, 0.5, 0.1),
-    MapCase(objects, 0.5, 0.1, {"stale_share": 0.2}),
-    MapCase(objects, 0.5, 0.1, {"stale_share": 0.3}),
-    MapCase(objects, 0.5, 0.1, {"void_share": 0.05}),
+    MapCase(objects, 0.5, 0.1, {"outdated_fraction": 0.2}),
+    MapCase(objects, 0.5, 0.1, {"outdated_fraction": 0.3}),
+    MapCase(objects, 0.5, 0.1, {"void_fraction": 0.05}),
     MapCase(objects, 0.5, 0.1, {"correlation": 2.0}),
     MapCase(objects, 0.5, 0.3),
     MapCase(objects, 1.0, 0.3),
     MapCase(objects, 3.0, 0.1),
     MapCase(craters, 0.5, 0.3),
     MapCase(craters, 1.0, 0.3),
-    MapCase(craters, 1.0, 0.3, {"stale_share": 0.2}),
-    MapCase(craters, 1.0, 0.3, {"void_share": 0.05}),
+    MapCase(craters, 1.0, 0.3, {"outdated_fraction": 0.2}),
+    MapCase(craters, 1.0, 0.3, {"void_fraction": 0.05}),
     MapCase(craters, 1.0, 0.3, {"correlation": 3.0}),
     MapCase(craters, 3.0, 0.3),
     MapCase(measured, 1.0, 0.3),
     MapCase(measured, 5.0, 0.3),
-    MapCase(measured, 5.0, 0.3, {"stale_share": 0.2}),
+    MapCase(measured, 5.0, 0.3, {"outdated_fraction": 0.2}),
 )
 
 
 @dataclass(frozen=True)
 class PlaceSearchTask:
-    """One search."""
+    """Settings of one search for the lander's position on a prior map.
+
+    `case` is an index of `CASES`; `number` and `seed` determine the random numbers; `seconds` is
+    the time limit (s).
+    """
 
     case: int
     number: int
@@ -120,16 +124,17 @@ class PlaceSearchTask:
 
 @dataclass(frozen=True)
 class PlaceSearchResult:
-    """Results of a search.
+    """Result of one search for the lander's position on a prior map.
 
     Attributes
     ----------
     time, scans
-        Time (s) and number of scans until the lock; time None without one.
+        Time (s) and number of scans until the lock (first accepted position); without one, time is
+        None.
     error, sigma
         Position error at the lock and its standard deviation, east, north and up (3,), m.
     forecast
-        Whether a lock was predicted from the map.
+        Whether a lock was predicted from the map before flight.
     off
         Horizontal position error at the start, m.
     """
@@ -144,7 +149,11 @@ class PlaceSearchResult:
 
 @dataclass
 class SweepingLander:
-    """A vehicle on a straight path with errors in its estimated state."""
+    """Vehicle that scans terrain on a straight path, with state estimation errors.
+
+    `target` (3,) is the center of the scanned square, m; the path leads to a point above the
+    target.
+    """
 
     world: World
     target: np.ndarray
@@ -159,7 +168,10 @@ class SweepingLander:
         self.up = 0.0
 
     def scan(self, count: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return the points of a scan with estimated and with true state (n, 3), m."""
+        """Return the points of scan number `count` (n, 3) twice, m.
+
+        The first points are computed with the estimated state, the second with the true state.
+        """
         time = count / RATE
         true = self.target + START + VELOCITY * time
         believed = true - self.shift + self.drift * time
@@ -171,7 +183,7 @@ class SweepingLander:
 
 
 def sweep_aim_point(count: int) -> np.ndarray:
-    """Return the aim point of a scan of the sweep relative to its center (3,), m."""
+    """Return the aim point of scan `count` relative to the sweep center (3,), m."""
     rows = 20
     row, col = divmod(count, rows)
     row %= rows
@@ -180,7 +192,7 @@ def sweep_aim_point(count: int) -> np.ndarray:
 
 
 def search(task: PlaceSearchTask) -> PlaceSearchResult:
-    """Search once."""
+    """Simulate a LiDAR sweep and search for its position on the prior map."""
     case = CASES[task.case]
     rng = np.random.default_rng([task.seed, task.case, task.number])
     world = case.make_world(rng)
@@ -200,8 +212,8 @@ def search(task: PlaceSearchTask) -> PlaceSearchResult:
         match = places.search(count / RATE, np.zeros(2), np.eye(2) * (SIGMA**2 + 16.0), DRIFT)
         if match is None:
             continue
-        if match.up_variance < 4.0:
-            lander.up = match.up
+        if match.vertical_shift_variance < 4.0:
+            lander.up = match.vertical_shift
         if is_lock(match):
             error = match.shift - np.nanmean(true - believed, axis=0)
             sigma = np.sqrt(np.diag(match.covariance))
@@ -210,12 +222,12 @@ def search(task: PlaceSearchTask) -> PlaceSearchResult:
 
 
 def is_lock(match: MapMatch) -> bool:
-    """Return whether navigation would accept a match as a lock."""
+    """Return whether navigation would accept a match of scan and map as its position."""
     return match.certainty >= 0.99999 and match.share >= 0.6
 
 
 def row_of(case: MapCase, found: list[PlaceSearchResult]) -> list[str]:
-    """Return the cells of a table row."""
+    """Format the search results of one case as a row of the table."""
     locked = [f for f in found if f.time is not None]
     away = [f.off for f in found if f.time is None]
     missed = f"{min(away):.0f} to {max(away):.0f}" if away else ""
@@ -234,19 +246,19 @@ def row_of(case: MapCase, found: list[PlaceSearchResult]) -> list[str]:
 
 
 def forecasts(found: list[PlaceSearchResult]) -> str:
-    """Return the number of searches for which a lock was predicted."""
+    """Format the number of searches for which a lock was predicted: "count of total"."""
     return f"{sum(f.forecast for f in found)} of {len(found)}"
 
 
 @click.command()
 @click.option("--searches", type=click.IntRange(min=1), default=10, show_default=True,
-              help="Number of searches per row.")  # fmt: skip
-@click.option("--only", default="", help="Select rows whose name contains this text.")
+              help="Number of searches per map.")  # fmt: skip
+@click.option("--only", default="", help="Select maps whose name contains this text.")
 @click.option("--seconds", type=click.FloatRange(min=1.0), default=15.0, show_default=True,
               help="Time limit of a search (s).")  # fmt: skip
 @seed_and_jobs
 def main(searches: int, only: str, seconds: float, seed: int, jobs: int) -> None:
-    """Locate sweeps on maps and print time, error and success."""
+    """Search for the lander's position on prior maps; print time, error and success."""
     console = plain_console(180)
     rows = [n for n, case in enumerate(CASES) if only in str(case)]
     if not rows:

@@ -2,8 +2,8 @@
 
 The script flies `morpheus.toml`, a LiDAR sweep on a prior map, over its hazard field and over
 cratered relief. The faults are: a map of which up to 0.3 is outdated, voids or correlated errors in
-the map, unmodelled scanner errors, and flashes that fail after 6 s. An error is too large if
-position, velocity or attitude exceeds five standard deviations on an axis. A flight fails
+the map, unmodelled scanner errors, and flashes (LiDAR scans) that fail after 6 s. An error is too
+large if position, velocity or attitude exceeds five standard deviations on an axis. A flight fails
 undeclared if it ends with such an error and navigation does not declare itself lost. The policy is
 not informed: landing results show the effect of a fault.
 
@@ -22,12 +22,10 @@ import numpy as np
 from consistency import SCENARIOS, error_of
 from shared_options import declared_table, json_option, seed_and_jobs, write_flights
 
+from lunarsim import Scenario, Simulation, flight_seed
+from lunarsim.api import LidarScan
 from lunarsim.campaign.pool import collect_results
 from lunarsim.console import plain_console
-from lunarsim.messages.measurements import LidarScan
-from lunarsim.rng import flight_seed
-from lunarsim.scenario import Scenario
-from lunarsim.simulation import Simulation
 
 FAULT_START_S, FAULT_END_S = 6.0, 10.0  # s
 MAX_ERROR_SIGMA = 5.0  # standard deviations
@@ -42,14 +40,15 @@ GROUNDS: dict[str, dict[str, Any]] = {
 
 @dataclass(frozen=True)
 class PriorMapFault:
-    """A fault.
+    """A fault of the prior map or of the LiDAR scanner.
 
     Attributes
     ----------
     prior, scanner
         Changed keys of `[prior_map]` and of `[sensors.flash]`.
     kept
-        Function of flash time (s) and random generator: whether the flash is delivered.
+        Function of scan time (s) and random generator that returns whether the scan is delivered;
+        None: all scans are.
     """
 
     prior: dict[str, Any]
@@ -60,13 +59,13 @@ class PriorMapFault:
 ROWS: dict[str, PriorMapFault] = {
     "none": PriorMapFault({}, {}),
     "none, map of 1 m posts, 0.3 m": PriorMapFault({"posting_m": 1.0, "sigma_m": 0.3}, {}),
-    "0.1 of the map out of date": PriorMapFault({"stale_share": 0.1}, {}),
-    "0.2 of the map out of date": PriorMapFault({"stale_share": 0.2}, {}),
-    "0.3 of the map out of date": PriorMapFault({"stale_share": 0.3}, {}),
-    "0.05 of the map void": PriorMapFault({"void_share": 0.05}, {}),
+    "0.1 of the map out of date": PriorMapFault({"outdated_fraction": 0.1}, {}),
+    "0.2 of the map out of date": PriorMapFault({"outdated_fraction": 0.2}, {}),
+    "0.3 of the map out of date": PriorMapFault({"outdated_fraction": 0.3}, {}),
+    "0.05 of the map void": PriorMapFault({"void_fraction": 0.05}, {}),
     "the map's errors alike over 5 m": PriorMapFault({"correlation_m": 5.0}, {}),
     "ranges 0.3 m long": PriorMapFault({}, {"range_bias_m": 0.3}),
-    "boresight 0.5 deg off": PriorMapFault({}, {"boresight_off_deg": 0.5}),
+    "boresight 0.5 deg off": PriorMapFault({}, {"boresight_bias_deg": 0.5}),
     "flashes 20 ms late": PriorMapFault({}, {"late_s": 0.02}),
     "half of the flashes lost": PriorMapFault({}, {}, lambda time, rng: rng.random() < 0.5),
     "no flashes for 4 s": PriorMapFault(
@@ -78,7 +77,11 @@ ROWS: dict[str, PriorMapFault] = {
 
 @dataclass(frozen=True)
 class PriorMapTask:
-    """One flight with one fault."""
+    """Settings of one simulated flight with a fault of the prior map or the scanner.
+
+    `row` is the name of the fault in `ROWS`, `terrain` that of the terrain in `GROUNDS`; `flight`
+    and `seed` (root seed) determine the terrain and the noise.
+    """
 
     row: str
     terrain: str
@@ -88,7 +91,7 @@ class PriorMapTask:
 
 @dataclass(frozen=True)
 class PriorMapFlight:
-    """Results of a flight.
+    """Results of one simulated flight with a fault of the prior map or the scanner.
 
     Attributes
     ----------
@@ -97,11 +100,11 @@ class PriorMapFlight:
     worst
         Maximum errors at the end in standard deviations: position, velocity, attitude.
     lock
-        Time of the lock, s; NaN: never.
+        Time at which navigation found its position on the map, s; NaN: never.
     lost, ever
         Whether navigation declared itself lost at the end, and whether it ever did.
-    doubted
-        Number of `doubted` events.
+    inflated
+        Number of `covariance-inflated` events (suspect measurements).
     safe
         Whether the landing was safe.
     """
@@ -112,17 +115,17 @@ class PriorMapFlight:
     lock: float
     lost: bool
     ever: bool
-    doubted: int
+    inflated: int
     safe: bool
 
     @property
     def far(self) -> bool:
-        """Whether an error was too large at the end."""
+        """Whether an error exceeded five standard deviations at the end."""
         return max(self.worst) > MAX_ERROR_SIGMA
 
 
 def fly(task: PriorMapTask) -> PriorMapFlight:
-    """Fly once."""
+    """Simulate one flight with a fault of the prior map or the scanner."""
     row = ROWS[task.row]
     scenario = Scenario.load(SCENARIOS / "morpheus.toml")
     if GROUNDS[task.terrain]:
@@ -147,10 +150,10 @@ def fly(task: PriorMapTask) -> PriorMapFlight:
     names = [name for _, name, _ in simulation.computer.telemetry]
     locks = [time for time, name, _ in simulation.computer.telemetry if name == "lock"]
     worst = (float(off[:3].max()), float(off[3:6].max()), float(off[6:].max()))
-    outcome = simulation.verdict
+    outcome = simulation.outcome
     return PriorMapFlight(
         task.row, task.terrain, worst, locks[0] if locks else np.nan, lost, "lost" in names,
-        names.count("doubted"), outcome is not None and outcome.safe,
+        names.count("covariance-inflated"), outcome is not None and outcome.safe,
     )  # fmt: skip
 
 
@@ -161,7 +164,7 @@ def fly(task: PriorMapTask) -> PriorMapFlight:
 )  # fmt: skip
 @click.option(
     "--only", type=click.Choice(list(ROWS)), multiple=True,
-    help="Fault; repeatable (default: all).",
+    help="Name of a fault to fly; repeatable (default: all).",
 )  # fmt: skip
 @json_option
 @click.option("--cells", is_flag=True, help="Also print every flight.")
@@ -169,10 +172,10 @@ def fly(task: PriorMapTask) -> PriorMapFlight:
 def main(
     flights: int, only: tuple[str, ...], out: Path | None, cells: bool, seed: int, jobs: int
 ) -> None:
-    """Fly with map and scanner faults; count undeclared failures."""
+    """Fly with faults of the prior map and the scanner; count undeclared failures."""
     console = plain_console(120)
     rows = list(only or ROWS)
-    # Every row has its own terrain.
+    # Every fault has its own terrain.
     tasks = [
         PriorMapTask(row, terrain, n * len(ROWS) + list(ROWS).index(row), seed)
         for row in rows for terrain in GROUNDS for n in range(flights)
@@ -182,7 +185,7 @@ def main(
         off = ", ".join(f"{w:.1f}" for w in f.worst)
         console.print(
             f"{f.row}, {f.terrain}: {off} sigma, lock {f.lock:.1f} s, lost {f.lost} (ever "
-            f"{f.ever}), suspect {f.doubted}, safe {f.safe}"
+            f"{f.ever}), suspect {f.inflated}, safe {f.safe}"
         )
     table = [(row, [f for f in flown if f.row == row]) for row in rows]
     title = "Flights on a prior map; hazard field and craters pooled"

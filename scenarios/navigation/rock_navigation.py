@@ -23,6 +23,7 @@ from consistency import SCENARIOS, error_of
 from scipy.spatial import cKDTree
 from shared_options import declared_table, json_option, seed_and_jobs, write_flights
 
+from lunarsim import Scenario, Simulation, Terrain, flight_seed
 from lunarsim.campaign.pool import collect_results
 from lunarsim.console import plain_console
 from lunarsim.frames import rotation_about_up
@@ -30,10 +31,6 @@ from lunarsim.messages.measurements import CameraImage
 from lunarsim.onboard.hazards.shadows import ShadowMapper
 from lunarsim.onboard.navigation.error_state import MAP
 from lunarsim.onboard.navigation.terrain_prior import TERRAIN
-from lunarsim.rng import flight_seed
-from lunarsim.scenario import Scenario
-from lunarsim.simulation import Simulation
-from lunarsim.world.terrain import Terrain
 
 RELIEFS = (0.0, 2.0, 4.0, 8.0)  # RMS slope, deg
 COVERS = (0.02, 0.08, 0.15)
@@ -45,7 +42,7 @@ Tamper = Callable[[CameraImage, np.random.Generator], CameraImage | None]
 
 
 def black(image: CameraImage, rng: np.random.Generator) -> CameraImage:
-    """Return a black image."""
+    """Return a black image with the time and camera of the given one."""
     return CameraImage(image.time, np.zeros_like(image.counts), image.camera)
 
 
@@ -59,7 +56,12 @@ FAULTS: dict[str, tuple[float, Tamper]] = {
 
 @dataclass(frozen=True)
 class RockNavigationTask:
-    """One flight."""
+    """Settings of one simulated flight with navigation on tracked rocks.
+
+    `relief` is the RMS slope (deg), `cover` the rock cover (fraction), `sun` the error of the
+    assumed Sun azimuth (deg) and `fault` the name of the image fault in `FAULTS` ("": none).
+    `flight` and `seed` (root seed) determine the random numbers.
+    """
 
     relief: float
     cover: float
@@ -71,7 +73,7 @@ class RockNavigationTask:
 
 @dataclass(frozen=True)
 class RockNavigationFlight:
-    """Results of a flight.
+    """Results of one simulated flight with navigation on tracked rocks.
 
     Attributes
     ----------
@@ -80,8 +82,9 @@ class RockNavigationFlight:
         terrain, position relative to the rocks.
     lost, ever
         Whether navigation declared itself lost at the end, and whether it ever did.
-    doubted
-        Number of events `doubted` and `renewed` (tracks restarted) of the rocks.
+    inflated
+        Number of `covariance-inflated` and `rocks-reset` events (restarted tracks) that concern
+        rocks.
     safe
         Whether the landing was safe.
     """
@@ -90,17 +93,17 @@ class RockNavigationFlight:
     worst: tuple[float, float, float, float]
     lost: bool
     ever: bool
-    doubted: int
+    inflated: int
     safe: bool
 
     @property
     def far(self) -> bool:
-        """Whether an error was too large at the end."""
+        """Whether an error exceeded five standard deviations at the end."""
         return max(self.worst) > MAX_ERROR_SIGMA
 
 
 def fly(task: RockNavigationTask) -> RockNavigationFlight:
-    """Fly once."""
+    """Simulate one flight with navigation on tracked rocks and the given fault."""
     scenario = Scenario.load(SCENARIOS / "shadow_nominal.toml").changed(
         terrain={"rms_slope_deg": task.relief},
         rocks={"cover": task.cover},
@@ -118,13 +121,15 @@ def fly(task: RockNavigationTask) -> RockNavigationFlight:
         worst, lost = errors.now(), simulation.computer.estimate.lost
         simulation.step()
     events = [(name, d.get("measurement", "")) for _, name, d in simulation.computer.telemetry]
-    doubted = sum(name in {"doubted", "renewed"} and "rocks" in what for name, what in events)
+    inflated = sum(
+        name in {"covariance-inflated", "rocks-reset"} and "rocks" in what for name, what in events
+    )
     ever = any(name == "lost" for name, _ in events)
-    return RockNavigationFlight(task, worst, lost, ever, doubted, simulation.verdict.safe)
+    return RockNavigationFlight(task, worst, lost, ever, inflated, simulation.outcome.safe)
 
 
 def mislead(mapper: ShadowMapper, task: RockNavigationTask) -> None:
-    """Rotate the Sun direction assumed by the mapper, and apply the image fault."""
+    """Rotate the Sun direction assumed by a shadow mapper, and apply the image fault."""
     mapper.sun = rotation_about_up(np.deg2rad(task.sun)) @ mapper.sun
     if not task.fault:
         return
@@ -140,7 +145,11 @@ def mislead(mapper: ShadowMapper, task: RockNavigationTask) -> None:
 
 
 class RockNavigationErrors:
-    """Errors of a flight in standard deviations, see `RockNavigationFlight.worst`."""
+    """Compute navigation errors of a flight in standard deviations.
+
+    The errors are those of `RockNavigationFlight.worst`: velocity, attitude, height above the
+    terrain, and position relative to the rocks.
+    """
 
     def __init__(self, simulation: Simulation, mapper: ShadowMapper) -> None:
         self.simulation, self.mapper = simulation, mapper
@@ -149,7 +158,11 @@ class RockNavigationErrors:
         self.rocks = cKDTree(np.column_stack((terrain.rocks.x, terrain.rocks.y)))
 
     def now(self) -> tuple[float, float, float, float]:
-        """Return the current errors."""
+        """Return the current errors in standard deviations.
+
+        They are the maxima over the axes of velocity and attitude, the height above the terrain,
+        and the position relative to the rocks.
+        """
         state, rocks = self.simulation.state, self.mapper.tracker.filter
         off = np.abs(error_of(self.simulation))[3:]
         off = off / np.sqrt(np.diag(self.simulation.estimate.covariance)[3:])
@@ -182,10 +195,14 @@ class RockNavigationErrors:
 def tasks_of(
     flights: int, seed: int, reliefs: tuple[float, ...], covers: tuple[float, ...]
 ) -> list[RockNavigationTask]:
-    """Return all flights of the study."""
+    """Return the settings of all flights of the study.
+
+    `flights` is the number of flights per combination of conditions, `reliefs` are RMS slopes (deg)
+    and `covers` rock covers (fractions).
+    """
     matrix = [(r, c, s, "") for s in SUNS for r in reliefs for c in covers]
     failing = [(r, 0.08, 0.0, fault) for fault in FAULTS for r in reliefs]
-    # Every cell has its own terrain.
+    # Every combination of conditions has its own terrain.
     return [
         RockNavigationTask(*cell, flight=n * len(matrix + failing) + k, seed=seed)
         for n in range(flights) for k, cell in enumerate(matrix + failing)
@@ -193,7 +210,7 @@ def tasks_of(
 
 
 def rows_of(flown: list[RockNavigationFlight]) -> list[tuple[str, list[RockNavigationFlight]]]:
-    """Return the rows of the table: their names and flights."""
+    """Group the flights by condition: return names and flights of table rows."""
     right = [f for f in flown if f.task.sun == 0.0 and not f.task.fault]
     reliefs, covers = ({getattr(f.task, k) for f in right} for k in ("relief", "cover"))
     rows = [
@@ -206,7 +223,7 @@ def rows_of(flown: list[RockNavigationFlight]) -> list[tuple[str, list[RockNavig
 
 
 def name_of(task: RockNavigationTask) -> str:
-    """Return the row of a flight: its fault."""
+    """Return the name of a flight's fault, "none" without one."""
     return task.fault or (f"Sun {task.sun:g} deg off" if task.sun else "none")
 
 
@@ -216,7 +233,7 @@ def name_of(task: RockNavigationTask) -> str:
     type=click.IntRange(min=1),
     default=1,
     show_default=True,
-    help="Number of flights per cell (64 cells).",
+    help="Number of flights per combination of conditions (64 combinations).",
 )
 @click.option(
     "--relief",
@@ -225,7 +242,7 @@ def name_of(task: RockNavigationTask) -> str:
     multiple=True,
     default=RELIEFS,
     show_default=True,
-    help="RMS slope (deg); repeatable.",
+    help="RMS slope of the terrain (deg); repeatable.",
 )
 @click.option(
     "--cover",
@@ -243,7 +260,7 @@ def main(
     flights: int, seed: int, reliefs: tuple[float, ...], covers: tuple[float, ...], jobs: int,
     out: Path | None, cells: bool,
 ) -> None:  # fmt: skip
-    """Fly in difficult conditions; count undeclared failures."""
+    """Fly with rock navigation in difficult conditions; count undeclared failures."""
     console = plain_console(120)
     tasks = tasks_of(flights, seed, reliefs, covers)
     flown = collect_results(fly, tasks, jobs, console, "flights")
@@ -252,7 +269,7 @@ def main(
             t, off = f.task, ", ".join(f"{w:.1f}" for w in f.worst)
             console.print(
                 f"relief {t.relief:g} cover {t.cover:g} Sun {t.sun:g} {t.fault or 'no fault'}: "
-                f"{off} sigma, lost {f.lost} (ever {f.ever}), suspect {f.doubted}, safe {f.safe}"
+                f"{off} sigma, lost {f.lost} (ever {f.ever}), suspect {f.inflated}, safe {f.safe}"
             )
     title = "Flights with rock navigation; rows of relief and cover: correct Sun, no fault"
     console.print(declared_table(title, "flights with", rows_of(flown)))

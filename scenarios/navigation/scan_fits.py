@@ -1,12 +1,12 @@
-"""Measure how often a wrong scan-to-map fit is accepted (local minima).
+"""Measure how often a wrong fit of a LiDAR scan to a prior map is accepted.
 
-No flight is simulated: single flashes, wide and narrow, from heights of 100 to 400 m at slants of
-30 to 80 deg, over the terrains of `places.py`. The fits start from random errors of position,
-attitude and scanner with the assumed covariance. A fit is wrong if, after the update, the center of
-the scan has an error of more than half a posting and of more than five of its standard deviations,
-east or north. `RegistrationSettings.believes` decides which fits are accepted. The filter gate,
-with
-which `MapMatcher` rejects more fits, is not applied.
+Wrong fits are local minima. No flight is simulated: single flashes (LiDAR scans), wide and narrow,
+from heights of 100 to 400 m at slants of 30 to 80 deg, over the terrains of `map_localisation.py`.
+The fits start from random errors of position, attitude and scanner with the assumed covariance. A
+fit is wrong if, after the update, the center of the scan has an error of more than half a grid
+spacing and of more than five of its standard deviations, east or north.
+`RegistrationSettings.accepts_fit` decides which fits are accepted. The filter gate, with which
+`MapMatcher` rejects more fits, is not applied.
 
 python scenarios/navigation/scan_fits.py --fits 1000 --jobs 2
 """
@@ -22,18 +22,17 @@ from map_localisation import UPRIGHT, craters, objects
 from rich.table import Table
 from shared_options import seed_and_jobs
 
+from lunarsim import Grid
+from lunarsim.api import State, gimbal_mount
 from lunarsim.campaign.pool import collect_results
 from lunarsim.console import plain_console
 from lunarsim.evaluation.statistics import Proportion
 from lunarsim.frames import quat_from_rotation_vector, quat_multiply
-from lunarsim.grid import Grid
-from lunarsim.models.gimbal import gimbal_mount
 from lunarsim.onboard.navigation.corrected_scan import MIN_SCANNER_SIGMAS, CorrectedScan
 from lunarsim.onboard.navigation.map_features import MapFeatures
 from lunarsim.onboard.navigation.registration import register_scan
 from lunarsim.onboard.navigation.registration_settings import RegistrationSettings
 from lunarsim.sensors.lidar import FlashLidar
-from lunarsim.vehicle import State
 from lunarsim.world.survey import simulate_survey
 
 GROUNDS = {"objects": objects, "craters": craters}
@@ -48,7 +47,11 @@ MAX_ERROR_SIGMA = 5.0  # standard deviations
 
 @dataclass(frozen=True)
 class FitTask:
-    """Fits over one world."""
+    """Settings of `PER_WORLD` scan-to-map fits over one simulated terrain.
+
+    `terrain` is a name in `GROUNDS`, `posting` the grid spacing of the map (m), `stale` its
+    outdated fraction; `world` (number) and `seed` determine terrain and noise.
+    """
 
     terrain: str
     posting: float
@@ -59,16 +62,16 @@ class FitTask:
 
 @dataclass(frozen=True)
 class FitTrial:
-    """Results of a fit.
+    """Result of one fit of a LiDAR scan to a prior map.
 
     Attributes
     ----------
     sigma
         Initial position error, 1 sigma per axis, m.
     accepted, wrong
-        Whether it was accepted, and whether it is wrong.
+        Whether the fit was accepted, and whether an accepted fit is wrong.
     informative
-        Whether it reduces the position uncertainty by a fifth or more.
+        Whether an accepted fit reduces the position uncertainty by a fifth or more.
     """
 
     sigma: float
@@ -78,7 +81,7 @@ class FitTrial:
 
 
 def fits(task: FitTask) -> list[FitTrial]:
-    """Fit flashes to the map of one world."""
+    """Fit simulated LiDAR scans to the map of one terrain, and evaluate each fit."""
     index = list(GROUNDS).index(task.terrain)
     rng = np.random.default_rng(
         [task.seed, index, round(10 * task.posting), round(10 * task.stale), task.world]
@@ -86,7 +89,7 @@ def fits(task: FitTask) -> list[FitTrial]:
     world = GROUNDS[task.terrain](rng)
     grid = Grid.centred((0.0, 0.0), 300.0, task.posting)
     sigma = 0.1 if task.posting < 1.0 else 0.3
-    prior = simulate_survey(world.terrain, grid, rng, sigma=sigma, stale_share=task.stale)
+    prior = simulate_survey(world.terrain, grid, rng, sigma=sigma, outdated_fraction=task.stale)
     features = MapFeatures(prior)
     settings = RegistrationSettings()
     variance = np.full(grid.shape, 2.0 * prior.sigma**2 + settings.model_sigma**2)
@@ -98,13 +101,16 @@ def fits(task: FitTask) -> list[FitTrial]:
         seen = flash(world, rng, error)
         result, _ = register_scan(seen, features, np.diag(sigmas**2), variance)
         out.append(
-            evaluate_fit(seen, error, sigmas, result, settings.believes(result), task.posting)
+            evaluate_fit(seen, error, sigmas, result, settings.accepts_fit(result), task.posting)
         )
     return [FitTrial(SIGMAS[n % len(SIGMAS)], *f) for n, f in enumerate(out)]
 
 
 def flash(world, rng: np.random.Generator, error: np.ndarray) -> CorrectedScan:  # type: ignore[no-untyped-def]
-    """Return a flash with erroneous state; adding `error` (11,) makes it correct."""
+    """Simulate a LiDAR scan of a random place with an erroneous state estimate.
+
+    Adding `error` (11,) to the state corrects it: position (3, m), attitude (3, rad), scanner (5).
+    """
     aim = np.append(rng.uniform(-50.0, 50.0, 2), 0.0)
     height, slant = rng.uniform(100.0, 400.0), np.deg2rad(rng.uniform(30.0, 80.0))
     heading = rng.uniform(-np.pi, np.pi)
@@ -120,7 +126,12 @@ def flash(world, rng: np.random.Generator, error: np.ndarray) -> CorrectedScan: 
 
 
 def evaluate_fit(seen, error, sigmas, result, accepted, posting):  # type: ignore[no-untyped-def]
-    """Return whether a fit is accepted, wrong and informative."""
+    """Return whether a scan-to-map fit is accepted, wrong, and informative.
+
+    `seen` is the scan, `error` (11,) its true state error and `sigmas` (11,) the assumed standard
+    deviations. `result` is the fit, `accepted` the decision on it and `posting` the grid spacing of
+    the map (m). Only accepted fits count as wrong or informative.
+    """
     before = np.diag(sigmas**2)
     both = np.eye(11) + result.information @ before
     found = before @ np.linalg.solve(both, result.vector)
@@ -137,10 +148,10 @@ def evaluate_fit(seen, error, sigmas, result, accepted, posting):  # type: ignor
 
 @click.command()
 @click.option("--fits", "count", type=click.IntRange(min=1), default=200, show_default=True,
-              help="Minimum number of fits per row.")  # fmt: skip
+              help="Minimum number of fits per kind of terrain and map.")  # fmt: skip
 @seed_and_jobs
 def main(count: int, seed: int, jobs: int) -> None:
-    """Fit flashes to maps and count the accepted wrong fits."""
+    """Fit LiDAR scans to maps and count the wrong fits that are accepted."""
     console = plain_console(120)
     worlds = -(-count // PER_WORLD)
     rows = list(product(GROUNDS, POSTINGS, STALE))

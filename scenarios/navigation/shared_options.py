@@ -14,11 +14,11 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 
 class DeclaredFlight(Protocol):
-    """A flight with a fault."""
+    """Interface of a flight result in the studies of undeclared navigation failures."""
 
     @property
     def far(self) -> bool:
-        """Whether an error was too large at the end."""
+        """Whether a navigation error exceeded five standard deviations at the end."""
         ...
 
     @property
@@ -27,8 +27,8 @@ class DeclaredFlight(Protocol):
         ...
 
     @property
-    def doubted(self) -> int:
-        """Number of `doubted` events."""
+    def inflated(self) -> int:
+        """Number of `covariance-inflated` events (suspect measurements)."""
         ...
 
     @property
@@ -38,7 +38,7 @@ class DeclaredFlight(Protocol):
 
 
 def seed_and_jobs(function: F) -> F:
-    """Add the options `--seed` and `--jobs`."""
+    """Decorate a command with the options `--seed` and `--jobs`."""
     jobs = click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True,
                         help="Number of processes; does not change the results.")  # fmt: skip
     seed = click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True,
@@ -47,16 +47,19 @@ def seed_and_jobs(function: F) -> F:
 
 
 def json_option(function: F) -> F:
-    """Add the option `--json`."""
+    """Decorate a command with the option `--json`, the output file of all flights."""
     return click.option("--json", "out", type=click.Path(path_type=Path, dir_okay=False),
                         help="Output file of all flights.")(function)  # fmt: skip
 
 
 def write_flights(out: Path | None, rows: Iterable[tuple[str, Sequence[DeclaredFlight]]]) -> None:
-    """Write the flights of a study, each with its row, for `undeclared.py`."""
+    """Write the flight results of a study as JSON for `undeclared_failures.py`.
+
+    `rows` holds the flights of each fault with its name. Nothing is written if `out` is None.
+    """
     if out is None:
         return
-    keys = ("far", "lost", "doubted", "safe")
+    keys = ("far", "lost", "inflated", "safe")
     flights = [
         {"row": name, **{key: int(getattr(f, key)) for key in keys}}
         for name, mine in rows for f in mine
@@ -67,14 +70,14 @@ def write_flights(out: Path | None, rows: Iterable[tuple[str, Sequence[DeclaredF
 def declared_table(
     title: str, first: str, rows: Iterable[tuple[str, Sequence[DeclaredFlight]]]
 ) -> Table:
-    """Return a table of flights with large errors and of undeclared ones among them.
+    """Return a table that counts, by fault, large errors and those not declared.
 
     Parameters
     ----------
     title, first
         Title of the table and header of its first column.
     rows
-        Name and flights of each row.
+        Name and flights of each fault or condition.
     """
     table = Table(title=title)
     for heading in (first, "flights", "over 5 sigma\nat the end", "of these, not\ndeclared lost",
@@ -85,6 +88,6 @@ def declared_table(
         table.add_row(
             name, str(len(mine)), str(sum(f.far for f in mine)),
             str(sum(f.far and not f.lost for f in mine)), str(sum(f.lost for f in mine)),
-            str(sum(f.doubted > 0 for f in mine)), str(sum(f.safe for f in mine)),
+            str(sum(f.inflated > 0 for f in mine)), str(sum(f.safe for f in mine)),
         )  # fmt: skip
     return table

@@ -1,7 +1,7 @@
 """Sum the undeclared failures and false declarations of the navigation studies.
 
-The input files are those that `faults.py`, `rocks.py` and `prior_map.py` write with `--json`. Rows
-whose names begin with "none" have no fault.
+The input files are those that `faults.py`, `rock_navigation.py` and `prior_map.py` write with
+`--json`. Flights whose fault name (`row`) begins with "none" have no fault.
 
 python scenarios/navigation/undeclared_failures.py faults.json rocks.json prior_map.json
 """
@@ -20,7 +20,10 @@ from lunarsim.evaluation.statistics import Proportion
 
 
 def count_text(count: int, of: int) -> str:
-    """Format a count with the 95 % interval of its fraction."""
+    """Format "count of total" with the 95 % interval of the fraction.
+
+    `of` is the total; the result is "-" if it is zero.
+    """
     if of == 0:
         return "-"
     low, high = Proportion(count, of).interval
@@ -32,7 +35,7 @@ def count_text(count: int, of: int) -> str:
     "files", type=click.Path(exists=True, dir_okay=False, path_type=Path), nargs=-1, required=True
 )
 def main(files: tuple[Path, ...]) -> None:
-    """Sum the results of flights with and without faults."""
+    """Count undeclared failures and false declarations in result FILES of the studies."""
     flights: dict[str, list[dict[str, Any]]] = {
         file.stem: json.loads(file.read_text()) for file in files
     }

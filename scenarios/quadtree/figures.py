@@ -1,4 +1,4 @@
-"""Plot the figures of the hazard field experiment (Figures 10 to 23 of the paper)."""
+"""Plot the figures of the hazard field experiment (Figures 10 to 23)."""
 
 from __future__ import annotations
 
@@ -16,7 +16,10 @@ GREY = "#bdbdbd"
 
 
 def draw_all(result: dict[str, Any], out: Path) -> None:
-    """Plot all figures of the experiment into a folder."""
+    """Plot all figures of the quadtree experiment for one field into a folder.
+
+    `result` is the result of one sweep by `hazard_field.fly` with its maps.
+    """
     last = result["looks"][-1]
     draw_mapping(last, out / "mapping.png")
     draw_slopes(last, out / "slopes.png")
@@ -28,7 +31,10 @@ def draw_all(result: dict[str, Any], out: Path) -> None:
 
 
 def _cells(axes: Any, xy: Any, size: Any, value: Any, **options: Any) -> Any:
-    """Plot square cells (n,) colored by a value; cells without a value stay grey."""
+    """Plot square cells (n,) colored by a value; cells without a value stay grey.
+
+    `xy` (n, 2) are centers and `size` (n,) sides, m; `options` go to the matplotlib collection.
+    """
     known = np.isfinite(value)
     boxes = [
         Rectangle((x - 0.5 * s, y - 0.5 * s), s, s)
@@ -45,6 +51,7 @@ def _cells(axes: Any, xy: Any, size: Any, value: Any, **options: Any) -> Any:
 
 
 def _frame(axes: Any, maps: dict[str, Any], title: str) -> None:
+    """Set the title and the limits of a map panel."""
     map_axes(axes, title)
     west, east, south, north = maps["fine"].extent
     axes.set_xlim(west, east)
@@ -52,12 +59,17 @@ def _frame(axes: Any, maps: dict[str, Any], title: str) -> None:
 
 
 def _terrain(axes: Any, maps: dict[str, Any]) -> Any:
+    """Plot the true elevation on a map panel; return the image."""
     low, high = np.nanpercentile(maps["elevation"], [0.2, 99.9])
     return show(axes, maps["elevation"], maps["fine"], cmap="cividis", vmin=low, vmax=high)
 
 
 def draw_mapping(look: dict[str, Any], path: Path) -> None:
-    """Plot true and mapped elevation and the error (Figures 10 to 12 of the paper)."""
+    """Plot true and mapped elevation and the error (Figures 10 to 12).
+
+    `look` holds metrics and maps at one evaluation time; `path` is the output file.
+    Figure numbers are those of the quadtree paper.
+    """
     maps = look["maps"]
     xy, size, error, true = maps["height"]
     figure = new_figure(13.0, 4.4)
@@ -76,7 +88,11 @@ def draw_mapping(look: dict[str, Any], path: Path) -> None:
 
 
 def draw_slopes(look: dict[str, Any], path: Path) -> None:
-    """Plot slope estimates and errors at the sites (Figures 13, 14 of the paper)."""
+    """Plot slope estimates and errors at the sites (Figures 13, 14).
+
+    `look` holds metrics and maps at one evaluation time; `path` is the output file.
+    Figure numbers are those of the quadtree paper.
+    """
     maps = look["maps"]
     selection, size = maps["selection"], maps["sizes"]
     figure = new_figure(9.4, 4.4)
@@ -94,7 +110,12 @@ def draw_slopes(look: dict[str, Any], path: Path) -> None:
 
 
 def draw_hazards(look: dict[str, Any], path: Path) -> None:
-    """Plot exception ratio, hazards and classes (Figures 15 to 17 of the paper)."""
+    """Plot the outlier ratio, hazards and their correctness (Figures 15 to 17).
+
+    The outlier ratio is the fraction of points too far from the fitted surface. `look` holds
+    metrics and maps at one evaluation time; `path` is the output file.
+    Figure numbers are those of the quadtree paper.
+    """
     maps = look["maps"]
     figure = new_figure(13.0, 4.9)
     ratio, over, right = figure.subplots(1, 3, sharex=True, sharey=True)
@@ -139,7 +160,10 @@ def draw_hazards(look: dict[str, Any], path: Path) -> None:
 
 
 def _outline(axes: Any, hazard: Any, extent: Any, colour: str = "black") -> None:
-    """Plot the edges of hazardous squares."""
+    """Plot the edges of hazardous squares, given as a boolean map (rows, cols).
+
+    `extent` is its west, east, south and north limit, m.
+    """
     west, east, south, north = extent
     rows, cols = hazard.shape
     dx, dy = (east - west) / cols, (north - south) / rows
@@ -155,7 +179,11 @@ def _outline(axes: Any, hazard: Any, extent: Any, colour: str = "black") -> None
 
 
 def draw_quadtrees(looks: list[dict[str, Any]], path: Path) -> None:
-    """Plot the divisions of the quadtree (Figures 19 and 20 of the paper)."""
+    """Plot the cells of the quadtree at each time (Figures 19 and 20).
+
+    `looks` hold metrics and maps at the evaluation times; `path` is the output file.
+    Figure numbers are those of the quadtree paper.
+    """
     figure = new_figure(9.6, 5.0)
     for axes, look in zip(figure.subplots(1, 2, sharex=True, sharey=True), looks, strict=True):
         xy, size = look["maps"]["cells"]
@@ -169,6 +197,7 @@ def draw_quadtrees(looks: list[dict[str, Any]], path: Path) -> None:
 
 
 def _sites(axes: Any, look: dict[str, Any], *, legend: bool) -> None:
+    """Plot the ranked landing sites and their landing zones on a map panel."""
     zone = look["maps"]["zone"]
     for rank, site in enumerate(look["sites"]):
         x, y = site["position"][:2]
@@ -186,7 +215,11 @@ def _sites(axes: Any, look: dict[str, Any], *, legend: bool) -> None:
 
 
 def draw_sites(looks: list[dict[str, Any]], path: Path) -> None:
-    """Plot the ranked sites during and after the sweep (Figures 21, 22)."""
+    """Plot the ranked sites during and after the sweep (Figures 21, 22).
+
+    `looks` hold metrics and maps at the evaluation times; `path` is the output file.
+    Figure numbers are those of the quadtree paper.
+    """
     figure = new_figure(10.4, 5.8)
     for axes, look in zip(figure.subplots(1, 2, sharex=True, sharey=True), looks, strict=True):
         maps = look["maps"]
@@ -204,7 +237,12 @@ def draw_sites(looks: list[dict[str, Any]], path: Path) -> None:
 
 
 def draw_choice(look: dict[str, Any], path: Path) -> None:
-    """Plot the sites on true hazards and on interest (Figures 18, 23 of the paper)."""
+    """Plot the sites on true hazards and on the interest map (Figures 18, 23).
+
+    The interest map holds the mission's interest in each place. `look` holds metrics and maps at
+    one evaluation time; `path` is the output file.
+    Figure numbers are those of the quadtree paper.
+    """
     maps = look["maps"]
     figure = new_figure(10.0, 4.9)
     left, right = figure.subplots(1, 2, sharex=True, sharey=True)
@@ -229,7 +267,7 @@ def draw_choice(look: dict[str, Any], path: Path) -> None:
 
 
 def draw_navigation(result: dict[str, Any], path: Path) -> None:
-    """Plot the navigation errors and the standard deviations of the filter."""
+    """Plot the navigation errors of a sweep and the standard deviations of the filter."""
     track = result["track"]
     figure = new_figure(9.6, 5.4)
     panels = figure.subplots(2, 1, sharex=True)

@@ -28,10 +28,10 @@ from truth_comparison import (
     terrain_truth_of,
 )
 
+from lunarsim import Grid, Scenario, Simulation, flight_seed
 from lunarsim.campaign.pool import collect_results
 from lunarsim.console import plain_console
 from lunarsim.frames import quat_conjugate, quat_multiply, quat_to_rotation_vector
-from lunarsim.grid import Grid
 from lunarsim.onboard.hazards.quadtree import (
     SITE_STATUS,
     InterestMap,
@@ -40,9 +40,6 @@ from lunarsim.onboard.hazards.quadtree import (
     SiteSelection,
 )
 from lunarsim.onboard.navigation.navigator import Navigator
-from lunarsim.rng import flight_seed
-from lunarsim.scenario import Scenario
-from lunarsim.simulation import Simulation
 
 SCENARIOS = Path(__file__).parents[1]
 TIMES = (13.0, 20.0)
@@ -58,7 +55,11 @@ PAPER = {
 
 @dataclass(frozen=True)
 class HazardFieldTask:
-    """One field."""
+    """Settings of one simulated LiDAR sweep over a hazard field.
+
+    `field` is the number of the field, `seed` the root seed; `keep_maps` keeps the maps for
+    figures.
+    """
 
     field: int
     seed: int
@@ -66,7 +67,10 @@ class HazardFieldTask:
 
 
 def interest_map(scenario: Scenario) -> InterestMap:
-    """Return an interest map with its maximum in the north-east and a zero corner."""
+    """Return a map of the mission's interest in each place (0 to 1) for a scenario.
+
+    The interest has its maximum in the north-east; it is zero in the south-west corner.
+    """
     side = scenario.mappers["sites"].size_m
     grid = Grid.centred(scenario.target.position_m, side, 5.0)
     east, north = np.moveaxis(grid.centres() - scenario.target.position_m, -1, 0)
@@ -77,7 +81,7 @@ def interest_map(scenario: Scenario) -> InterestMap:
 
 
 def make_simulation(task: HazardFieldTask, folder: Path) -> Simulation:
-    """Return the flight over one field; its interest map is a file in `folder`."""
+    """Create the flight over one field; its interest map is a file in `folder`."""
     scenario = Scenario.load(SCENARIOS / "morpheus.toml")
     interest = interest_map(scenario)
     g, path = interest.grid, folder / "interest.npz"
@@ -88,7 +92,7 @@ def make_simulation(task: HazardFieldTask, folder: Path) -> Simulation:
 
 
 def fly(task: HazardFieldTask) -> dict[str, Any]:
-    """Fly the sweep over one field; return metrics, and maps for the figures."""
+    """Simulate the LiDAR sweep over one field; return metrics, and maps for figures."""
     with TemporaryDirectory() as folder:
         simulation = make_simulation(task, Path(folder))
     found: Navigator = simulation.computer.navigation
@@ -116,7 +120,7 @@ def fly(task: HazardFieldTask) -> dict[str, Any]:
 
 
 def navigation_error(simulation: Simulation) -> np.ndarray:
-    """Return true minus estimated position (m), and the rotation between (ENU, rad)."""
+    """Return true minus estimated position (m) and attitude (rad), ENU (6,)."""
     found = simulation.computer.navigation.estimate_in_site(simulation.time, 1.0)
     turn = quat_multiply(simulation.state.attitude, quat_conjugate(found.attitude))
     return np.concatenate(
@@ -125,12 +129,18 @@ def navigation_error(simulation: Simulation) -> np.ndarray:
 
 
 def deviations(simulation: Simulation) -> np.ndarray:
-    """Return the standard deviations of `navigation_error` (6,)."""
+    """Return the standard deviations of position (m) and attitude (rad) (6,).
+
+    The values belong to the errors of `navigation_error`.
+    """
     return np.sqrt(np.diag(simulation.estimate.covariance)[np.r_[0:3, 6:9]])
 
 
 def evaluate_map(simulation: Simulation, time: float, keep_maps: bool) -> dict[str, Any]:
-    """Compare the current map and sites with the truth."""
+    """Compare the current quadtree map and its landing sites with the true terrain.
+
+    `time` (s) is stored with the metrics; `keep_maps` adds map arrays for the figures.
+    """
     mapper = simulation.computer.mappers["sites"]
     selection = mapper.select()
     actual = terrain_truth_of(mapper, simulation)
@@ -161,7 +171,10 @@ def evaluate_map(simulation: Simulation, time: float, keep_maps: bool) -> dict[s
 def figure_data(
     mapper: QuadtreeMapper, selection: SiteSelection, actual: QuadtreeTruth
 ) -> dict[str, Any]:
-    """Return additional data for the figures."""
+    """Return the map arrays and settings that the figures need.
+
+    `selection` is the site selection on the map of `mapper`; `actual` is the true terrain.
+    """
     tree, selector = mapper.map, mapper.selector
     return {
         "elevation": actual.elevation,
@@ -171,7 +184,7 @@ def figure_data(
         "sizes": tree.sizes(selection.nodes),
         "cells": cells_of(tree),
         "interest": selector.interest,
-        "zone": selector.settings.zone,
+        "zone": selector.settings.zone_half_side,
         "limit": selector.settings.exception_limit,
         "ratios": selector.ratios.copy(),
         "side": tree.side,
@@ -180,13 +193,16 @@ def figure_data(
 
 
 def cells_of(quadtree: QuadtreeMap) -> tuple[np.ndarray, np.ndarray]:
-    """Return centers (n, 2) and sides (n,) of cells down to the 8th division."""
+    """Return centers (n, 2) and sides (n,) of cells down to the 8th division, m."""
     nodes = quadtree.band(quadtree.side / 2**8, quadtree.side)
     return quadtree.centres(nodes), quadtree.sizes(nodes)
 
 
 def summarise(results: list[dict[str, Any]]) -> dict[str, Any]:
-    """Return the metrics over all fields."""
+    """Combine the metrics of all fields into means, totals and maxima.
+
+    `results` are the values of `fly`.
+    """
     locked = [r for r in results if r["lock"] is not None]
     position = np.array([r["position_error"] for r in locked]).reshape(-1, 3)
     attitude = np.array([r["attitude_error"] for r in locked]).reshape(-1, 3)
@@ -222,7 +238,10 @@ def summarise(results: list[dict[str, Any]]) -> dict[str, Any]:
 
 
 def show(summary: dict[str, Any], first: dict[str, Any], console: Console) -> None:
-    """Print the tables."""
+    """Print the metrics of all fields, and the ranked sites of the first field.
+
+    `summary` is the value of `summarise` and `first` the result of the first field.
+    """
     n, lock = summary["fields"], summary["lock_time_median_s"]
     console.print(
         f"{summary['locked']} of {n} flights were located on the map"
@@ -290,7 +309,7 @@ def show(summary: dict[str, Any], first: dict[str, Any], console: Console) -> No
 @click.option("--out", type=click.Path(path_type=Path, file_okay=False), default=None,
               help="Output folder of figures of the first field.")  # fmt: skip
 def main(fields: int, seed: int, jobs: int, json_file: Path | None, out: Path | None) -> None:
-    """Sweep hazard fields; compare maps and sites with the truth."""
+    """Sweep hazard fields by LiDAR; compare maps and sites with the truth."""
     console = plain_console(140)
     tasks = [HazardFieldTask(i, seed, out is not None and i == 0) for i in range(fields)]
     results = collect_results(fly, tasks, jobs, console, "sweeps")

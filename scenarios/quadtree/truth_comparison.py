@@ -8,15 +8,14 @@ from typing import Any
 import numpy as np
 from scipy import ndimage
 
+from lunarsim import Grid, Simulation
+from lunarsim.api import SiteToLocal
 from lunarsim.evaluation.map_quality import MapQuality
 from lunarsim.evaluation.truth_mesh import TruthMesh
-from lunarsim.frames import SiteToLocal
-from lunarsim.grid import Grid
 from lunarsim.onboard.guidance.jerk_limited import site_cost
 from lunarsim.onboard.hazards.quadtree import QuadtreeMapper, SiteSelection, SiteSettings
-from lunarsim.simulation import Simulation
 
-# Posting of the truth DEM, m.
+# Grid spacing of the true DEM, m.
 TRUTH = 0.1
 # Limits that set the time-to-go in the propellant cost of a site, m/s^3 and m/s^4.
 JERK, SNAP = 0.25, 0.05
@@ -29,13 +28,14 @@ class QuadtreeTruth:
     Attributes
     ----------
     grid
-        Fine cells over the map.
+        Cells of 0.1 m over the map.
     elevation
         Elevation (rows, cols), m.
     hazard
-        1 where the terrain deviates from the mesh, else 0; NaN without a mesh (rows, cols).
+        1 where the terrain deviates from the mesh by more than the roughness limit, else 0; NaN
+        without a mesh (rows, cols).
     mesh
-        True surface mesh.
+        True surface mesh: triangles between the means of squares of the true elevation.
     frame
         Transformation from the true frame to the local one.
     """
@@ -48,14 +48,14 @@ class QuadtreeTruth:
 
 
 def terrain_truth_of(mapper: QuadtreeMapper, simulation: Simulation) -> QuadtreeTruth:
-    """Return the true terrain at the current cells of the map."""
+    """Return the true terrain in the area of a quadtree map, with its hazards."""
     s, frame = mapper.selector.settings, simulation.true_to_local
     west, east, _, _ = mapper.grid.extent
     grid = Grid.centred(mapper.grid.centre, east - west, TRUTH)
     centres = grid.centres()
     there = frame.to_site(np.dstack((centres, np.zeros(centres.shape[:2]))))
     elevation = simulation.world.terrain.elevation(there[..., :2]) + frame.offset[2]
-    mesh = TruthMesh(elevation, grid, 2.0 * s.zone)
+    mesh = TruthMesh(elevation, grid, 2.0 * s.zone_half_side)
     hazard = mesh.hazards(elevation, grid, s.roughness_limit)
     return QuadtreeTruth(grid, elevation, hazard, mesh, frame)
 
@@ -66,7 +66,10 @@ def evaluated_sites(
     settings: SiteSettings,
     actual: QuadtreeTruth,
 ) -> list[dict[str, Any]]:
-    """Return the ranked sites with their flight cost and their true safety."""
+    """Return the ranked landing sites with their flight cost and their true safety.
+
+    `settings` are those of the site selection; `actual` is the true terrain.
+    """
     com = np.array([0.0, 0.0, simulation.lander.com_height])
     cost = site_cost(
         simulation.estimate,
@@ -83,8 +86,10 @@ def evaluated_sites(
             "propellant": float(cost.propellant[i]),
             "increment": float(cost.delta_v[i]),
             "time_to_go": float(cost.time_to_go[i]),
-            "hazard_m2": zone_hazard(site.position, actual, settings.zone),
-            "exactly_safe": bool(simulation.truth.safe_at(actual.frame.to_site(site.position)[:2])),
+            "hazard_m2": zone_hazard(site.position, actual, settings.zone_half_side),
+            "exactly_safe": bool(
+                simulation.truth.is_safe_at(actual.frame.to_site(site.position)[:2])
+            ),
         }
         for i, site in enumerate(selection.ranked)
     ]
@@ -93,7 +98,10 @@ def evaluated_sites(
 def map_errors(
     mapper: QuadtreeMapper, actual: QuadtreeTruth
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Return centers, sides, elevation errors and truth (n,) of cells of 0.4 m."""
+    """Return center, side, elevation error and true elevation of quadtree cells, m.
+
+    The cells (n,) are the smallest ones with sides of 0.4 to 0.8 m; errors are map minus truth.
+    """
     tree, fine = mapper.map, actual.grid
     nodes = tree.band(4.0 * tree.least, 8.0 * tree.least)
     xy, side = tree.centres(nodes), tree.sizes(nodes)
@@ -110,7 +118,10 @@ def map_errors(
 
 
 def slope_errors(mapper: QuadtreeMapper, selection: SiteSelection, mesh: TruthMesh) -> np.ndarray:
-    """Return the angle between estimated and true normals at the sites (n,), deg."""
+    """Return the angle between estimated and true normals at the sites (n,), deg.
+
+    `mesh` is the true surface mesh.
+    """
     estimated = mapper.selector.mesh.normals_of(selection.nodes)
     true, _ = mesh.plane(selection.position[:, :2])
     cosine = np.einsum("ij,ij->i", estimated, true)
@@ -120,9 +131,10 @@ def slope_errors(mapper: QuadtreeMapper, selection: SiteSelection, mesh: TruthMe
 def hazard_confusion(
     mapper: QuadtreeMapper, actual: QuadtreeTruth
 ) -> tuple[dict[str, float], np.ndarray]:
-    """Compare hazard cells with the truth; return areas (m^2) and the estimate.
+    """Compare the mapped hazard cells with the true ones.
 
-    The estimate is NaN where cells have too few points (grey in the paper).
+    Returns areas and counts by name (evaluated, hazardous, missed, false; m^2), and the mapped
+    hazard (rows, cols): 1, 0, or NaN where cells have too few points (grey in the paper).
     """
     fine, hazard = actual.grid, actual.hazard
     hazards, tree = mapper.selector.hazards, mapper.map
@@ -141,12 +153,15 @@ def hazard_confusion(
         "judged_m2": quality.evaluated * area,
         "hazard_m2": (quality.false_safe + quality.rejected) * area,
         "missed_m2": quality.false_safe * area,
-        "false_m2": quality.missed * area,
+        "false_m2": quality.false_unsafe * area,
     }, estimated
 
 
 def missed_objects(hazard: np.ndarray, estimated: np.ndarray) -> tuple[int, int]:
-    """Return the number of evaluated connected hazards, and of completely missed ones."""
+    """Count evaluated connected hazards, and those that the map misses completely.
+
+    `hazard` is the true hazard map; `estimated` is 1, 0, or NaN where the map has no value.
+    """
     label, count = ndimage.label(hazard, structure=np.ones((3, 3)))
     evaluated, called = (
         np.bincount(label[where], minlength=count + 1)[1:] > 0
@@ -156,7 +171,10 @@ def missed_objects(hazard: np.ndarray, estimated: np.ndarray) -> tuple[int, int]
 
 
 def zone_hazard(position: np.ndarray, actual: QuadtreeTruth, zone: float) -> float:
-    """Return the area of true hazards in a landing zone, m^2."""
+    """Return the area of true hazards in the square landing zone at a site, m^2.
+
+    `zone` is half the side of the landing zone, m.
+    """
     g = actual.grid
     near = np.ix_(np.abs(g.y - position[1]) <= zone, np.abs(g.x - position[0]) <= zone)
     return float((actual.hazard[near] == 1.0).sum() * g.posting**2)

@@ -1,8 +1,8 @@
-"""Test both LiDAR maps on an airborne cloud: map a part, test on the rest.
+"""Test both LiDAR maps on an airborne point cloud: map a part, test on the rest.
 
     python scenarios/real_returns/airborne.py --splits 4 --out out/real_returns
 
-Heights: a random half of the ground returns is mapped at 0.25 m; the other half gives the error.
+Heights: a random half of the terrain returns is mapped at 0.25 m; the other half gives the error.
 Safety: a lander is scaled so that its footprint contains as many mapped returns as in one scan from
 1000 m. The exact test on the surface through the held-out returns is the reference for p_safe.
 """
@@ -36,13 +36,16 @@ SHARES = (0.5, 0.1)  # fractions of the returns that are mapped in the safety te
 
 
 def pool_heights(maps: list[HeightErrors]) -> HeightErrors:
-    """Return the errors of all splits together."""
+    """Concatenate the height errors of several random splits of the returns."""
     names = ("error", "sigma", "stratum", "xy")
     return HeightErrors(*(np.concatenate([getattr(m, name) for m in maps]) for name in names))
 
 
 def pool_safety(verdicts: list[SafetyComparison]) -> SafetyComparison:
-    """Return the sites of all splits together, with the mean fractions."""
+    """Concatenate the sites of several random splits; average their safe fractions.
+
+    `verdicts` are the safety comparisons of the splits.
+    """
     first = verdicts[0]
     means = (
         float(np.mean([getattr(v, name) for v in verdicts]))
@@ -61,7 +64,10 @@ def pool_safety(verdicts: list[SafetyComparison]) -> SafetyComparison:
 def show_heights(
     results: list[dict[str, HeightErrors]], title: str, console: Console
 ) -> dict[str, Any]:
-    """Print errors by map and stratum; return them."""
+    """Print the height errors of each map by slope class; return the printed values.
+
+    `results` holds the errors by map name, one dictionary per random split.
+    """
     table = Table(title=f"Height error at the held-out returns, {len(results)} splits, {title}")
     for heading in ("map", "slope", "returns", "bias (m)", "RMSE (m)", "NEES (ideal 1)",
                     "beyond 2 sigma (ideal 0.046)", "beyond 3 sigma (ideal 0.003)"):  # fmt: skip
@@ -86,7 +92,10 @@ def show_heights(
 
 
 def show_safety(verdicts: SafetyComparison, share: float, console: Console) -> dict[str, Any]:
-    """Print the quality of p_safe; return it."""
+    """Print the quality of p_safe by map and slope class; return the values.
+
+    `verdicts` holds the sites of all splits; `share` is the mapped fraction of the returns.
+    """
     console.print(
         f"Fraction {share:.2f} of the returns mapped; lander scale {verdicts.scale:.2f}, slope "
         f"limit "
@@ -118,7 +127,11 @@ def show_safety(verdicts: SafetyComparison, share: float, console: Console) -> d
 def study(
     cloud: AirborneCloud, splits: int, title: str, console: Console
 ) -> tuple[dict[str, Any], Any]:
-    """Evaluate heights and safety on random splits; return metrics and plot data."""
+    """Evaluate heights and safety of the maps on random splits of an airborne cloud.
+
+    Returns the metrics for JSON and the data for the figure. `title` names the returns in the
+    tables.
+    """
     heights = [
         judge_heights(cloud, seed) for seed in track(range(splits), description=f"heights, {title}")
     ]
@@ -144,7 +157,7 @@ def study(
 @click.option("--out", type=click.Path(path_type=Path, file_okay=False), default=None,
               help="Output folder of the figure.")  # fmt: skip
 def main(splits: int, quick: bool, json_file: Path | None, out: Path | None) -> None:
-    """Map real returns with both mappers; test on held-out returns."""
+    """Map measured LiDAR returns with both mappers; test on held-out returns."""
     console = plain_console(170)
     limit = 24.0 if quick else None
     kept, drawn = study(load(limit=limit), splits, "ground returns", console)

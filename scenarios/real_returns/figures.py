@@ -1,4 +1,4 @@
-"""Plot the figure of `airborne.py`."""
+"""Plot the figure of the airborne LiDAR study (`airborne.py`)."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def draw(
 
 
 def _errors(ax, heights: dict[str, HeightErrors]) -> None:
-    """Plot the fraction of errors beyond a multiple of the predicted sigma."""
+    """Plot the fraction of height errors beyond a multiple of the predicted sigma."""
     level = np.linspace(0.0, 6.0, 121)
     ax.plot(level, 2.0 * norm.sf(level), "k--", lw=1, label="normal")
     for (name, own), colour in zip(heights.items(), COLOURS, strict=False):
@@ -91,7 +91,7 @@ def _errors(ax, heights: dict[str, HeightErrors]) -> None:
 
 
 def _squares(ax, heights: dict[str, HeightErrors]) -> None:
-    """Plot the mean normalised squared error by stratum."""
+    """Plot the mean squared ratio of height error to predicted sigma by slope class."""
     place = np.arange(len(STRATA))
     for n, ((name, own), colour) in enumerate(zip(heights.items(), COLOURS, strict=False)):
         values = [own.figures(k)["nees"] for k in place]

@@ -1,4 +1,4 @@
-"""Compare heights and safety of the maps with the held-out returns."""
+"""Compare heights and safety of the LiDAR maps with the held-out returns."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ from returns import (
 )
 from scipy import ndimage
 
+from lunarsim import Grid, exact_safety
+from lunarsim.api import Lander
 from lunarsim.evaluation.map_quality import MapQuality
 from lunarsim.evaluation.reliability import brier_score, calibration_error, reliability
-from lunarsim.grid import Grid
-from lunarsim.models.lander import Lander
 from lunarsim.onboard.hazards.gaussian_dem import GaussianDem
 from lunarsim.onboard.hazards.quadtree import SITE_STATUS, QuadtreeMapper
 from lunarsim.onboard.hazards.quadtree.mapper import rasterize_cells
-from lunarsim.safety import exact_safety, plane_stochastic_safety, stochastic_safety
+from lunarsim.safety import plane_stochastic_safety, stochastic_safety
 
 POSTING = 0.25  # posting of the maps in the height test, m
 STRIDE = 5  # spacing of the safety test sites in cells: neighbours are correlated
@@ -40,7 +40,7 @@ MIN_RETURNS = 4  # minimum number of mapped and of held-out returns in an evalua
 
 @dataclass(frozen=True)
 class HeightErrors:
-    """Errors of a map at the held-out returns.
+    """Height errors of a map at the held-out LiDAR returns.
 
     Attributes
     ----------
@@ -49,7 +49,7 @@ class HeightErrors:
     sigma
         Predicted standard deviation of the error, including return noise (n,), m.
     stratum
-        Index into `STRATA` (n,).
+        Slope class of the terrain: index into `STRATA` (n,).
     xy
         Position (n, 2), m.
     """
@@ -60,7 +60,11 @@ class HeightErrors:
     xy: np.ndarray
 
     def figures(self, which: int | None = None) -> dict[str, float]:
-        """Return count, bias, RMSE, NEES and fractions beyond 2 and 3 sigma."""
+        """Return statistics of the errors: count, bias, RMSE, NEES, and outlier fractions.
+
+        NEES is the mean squared ratio of error to sigma; the fractions are those beyond 2 and 3
+        sigma. `which` selects a slope class (index into `STRATA`); None: all.
+        """
         use = slice(None) if which is None else self.stratum == which
         error, ratio = self.error[use], self.error[use] / self.sigma[use]
         if not error.size:
@@ -76,7 +80,10 @@ class HeightErrors:
 
 
 def bilinear(raster: np.ndarray, grid: Grid, xy: np.ndarray) -> np.ndarray:
-    """Interpolate a raster between its cell centers (n,); NaN next to unknown cells."""
+    """Interpolate a raster at positions (n, 2) between cell centers (n,).
+
+    The result is NaN next to unknown cells.
+    """
     place = ((xy[:, 1] - grid.y0) / grid.posting, (xy[:, 0] - grid.x0) / grid.posting)
     return np.asarray(
         ndimage.map_coordinates(raster.astype(np.float64), place, order=1, cval=np.nan)
@@ -84,7 +91,11 @@ def bilinear(raster: np.ndarray, grid: Grid, xy: np.ndarray) -> np.ndarray:
 
 
 def heights_of(dem: GaussianDem, held: np.ndarray, slope: np.ndarray) -> HeightErrors:
-    """Compare a Gaussian DEM with held-out returns (n, 3); `slope`: on its grid, deg."""
+    """Return the errors of a Gaussian DEM at held-out returns.
+
+    `held` (n, 3) are the returns, m; `slope` is the terrain slope on the DEM grid (rows, cols),
+    deg.
+    """
     seen = np.where(dem.observed, dem.mean, np.nan)
     mean = bilinear(seen, dem.grid, held[:, :2])
     variance = bilinear(np.where(dem.observed, dem.variance, np.nan), dem.grid, held[:, :2])
@@ -100,9 +111,10 @@ def heights_of(dem: GaussianDem, held: np.ndarray, slope: np.ndarray) -> HeightE
 def heights_of_cells(
     mapper: QuadtreeMapper, held: np.ndarray, slope: np.ndarray, grid: Grid
 ) -> HeightErrors:
-    """Compare quadtree site cells with the held-out returns in the same cells.
+    """Return the errors of quadtree cells against held-out returns in the same cells.
 
-    The predicted sigma is that of the difference of two means, from the variance in the cell.
+    `held` (n, 3) are the returns, m; `slope` is the terrain slope on `grid` (rows, cols), deg. The
+    predicted sigma is that of the difference of two means, from the variance in the cell.
     """
     tree = mapper.map
     nodes = tree.band(*mapper.selector.settings.site_band)
@@ -133,12 +145,18 @@ def heights_of_cells(
 
 
 def cells(xy: np.ndarray, corner: np.ndarray, size: float) -> np.ndarray:
-    """Return column and row (n, 2) of points in a raster of squares."""
+    """Return column and row (n, 2) of points in a raster of squares.
+
+    `corner` is the south-west corner of the raster and `size` the side of a square, m.
+    """
     return np.floor((xy[:, :2] - corner) / size).astype(np.int64)
 
 
 def judge_heights(cloud: AirborneCloud, seed: int) -> dict[str, HeightErrors]:
-    """Map a random half of the returns in several ways; compare with the other half."""
+    """Map a random half of the returns by each method; test on the other half.
+
+    Returns the height errors by name of the method.
+    """
     rng = np.random.default_rng([seed, 0])
     mapped, held = cloud.split(0.5, rng)
     grid = cloud.grid(POSTING)
@@ -160,20 +178,20 @@ def judge_heights(cloud: AirborneCloud, seed: int) -> dict[str, HeightErrors]:
 
 @dataclass(frozen=True)
 class SafetyComparison:
-    """Safety of sites according to the maps and to the held-out returns.
+    """Safety of sites according to the maps and to the held-out LiDAR returns.
 
     Attributes
     ----------
     p
         p_safe (n,) by method; NaN where a method has too few data.
     safe, stratum
-        Exact safety on the held-out returns (n,); index into `STRATA` (n,).
+        Exact safety on the held-out returns (n,); slope class as index into `STRATA` (n,).
     agreement
         Fraction of sites for which the exact safety on the mapped returns is the same.
     dense_share, held_share
         Fraction of sites exactly safe on all returns, and on the held-out returns.
     scale
-        Scale of the lander.
+        Scale of the lander relative to the default one.
     maps
         Truth and probabilities by method as rasters, evaluated cells, and their grid.
     """
@@ -189,7 +207,10 @@ class SafetyComparison:
 
 
 def judge_safety(cloud: AirborneCloud, share: float, seed: int) -> SafetyComparison:
-    """Map a fraction of the returns with a scaled lander; test on the others."""
+    """Map a fraction of the returns and test p_safe for a scaled lander on the others.
+
+    `share` is the mapped fraction.
+    """
     rng = np.random.default_rng([seed, 1])
     mapped, held = cloud.split(share, rng)
     factor = cloud.spacing(share) / SCAN_SPACING
@@ -235,13 +256,20 @@ def judge_safety(cloud: AirborneCloud, share: float, seed: int) -> SafetyCompari
 
 
 def exact_on(points: np.ndarray, grid: Grid, lander: Lander, setting: dict[str, float]) -> Any:
-    """Return the exact safety of the surface through returns."""
+    """Return the exact safety of the surface interpolated through LiDAR returns.
+
+    `points` (n, 3) are the returns, m; `setting` are the parameters of the Gaussian DEM.
+    """
     dem = one_map(points, grid, setting)
     return exact_safety(np.where(dem.observed, dem.mean, np.nan), grid, lander)
 
 
 def scores(p: np.ndarray, safe: np.ndarray) -> dict[str, float]:
-    """Return calibration error, Brier skill, and precision and recall at p > 0.5."""
+    """Return quality metrics of p_safe against the true safety of sites (n,).
+
+    They are count, safe fraction, mean p, calibration error (ECE), Brier skill, precision and
+    recall at p > 0.5, and safe fraction at p > 0.95.
+    """
     known = np.isfinite(p)
     p, safe = p[known], safe[known]
     names = ("n", "share", "mean_p", "ece", "skill", "precision", "recall", "above")
@@ -260,7 +288,7 @@ def scores(p: np.ndarray, safe: np.ndarray) -> dict[str, float]:
 
 
 def strata_of(verdicts: SafetyComparison, method: str) -> list[dict[str, float]]:
-    """Return the scores of one method by stratum."""
+    """Return the quality metrics of p_safe of one method for each slope class."""
     return [
         scores(verdicts.p[method][verdicts.stratum == k], verdicts.safe[verdicts.stratum == k])
         for k in range(len(STRATA))

@@ -1,4 +1,4 @@
-"""Load the airborne cloud, split it, and build both LiDAR maps of a part."""
+"""Load the airborne LiDAR cloud, split it, and build both LiDAR maps of a part."""
 
 from __future__ import annotations
 
@@ -9,14 +9,9 @@ import numpy as np
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
-from lunarsim.grid import Grid
-from lunarsim.models.lander import Lander
-from lunarsim.onboard.hazards.gaussian_dem import (
-    GaussianDem,
-    SamplePool,
-    gaussian_dem,
-    pooled_dem,
-)
+from lunarsim import Grid, gaussian_dem
+from lunarsim.api import Lander
+from lunarsim.onboard.hazards.gaussian_dem import GaussianDem, SamplePool, pooled_dem
 from lunarsim.onboard.hazards.gaussian_dem.variogram_fit import fit_hyperparameters
 from lunarsim.onboard.hazards.quadtree import QuadtreeMapper, SiteSettings
 
@@ -37,7 +32,7 @@ STRATA = ("under 20 deg", "20 to 25", "25 to 30", "30 to 40", "over 40")
 
 @dataclass(frozen=True)
 class AirborneCloud:
-    """Returns of one flight over a mountain.
+    """LiDAR returns of one flight over a mountain.
 
     Attributes
     ----------
@@ -51,24 +46,28 @@ class AirborneCloud:
     area: float
 
     def spacing(self, share: float) -> float:
-        """Return the mean spacing of a fraction of the returns, m."""
+        """Return the mean horizontal spacing of a fraction `share` of the returns, m."""
         return float(np.sqrt(self.area / (share * len(self.points))))
 
     def grid(self, posting: float) -> Grid:
-        """Return a grid over all returns."""
+        """Return a grid over all returns with cells of side `posting`, m."""
         low, high = self.points[:, :2].min(axis=0), self.points[:, :2].max(axis=0)
         width, height = high - low
         return Grid.centred(0.5 * (low + high), width, posting, height)
 
     def split(self, share: float, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-        """Return a random fraction of the returns, and the others."""
+        """Return a random fraction `share` of the returns, and the others (n, 3), m."""
         chosen = np.zeros(len(self.points), np.bool_)
         chosen[rng.permutation(len(chosen))[: round(share * len(chosen))]] = True
         return self.points[chosen], self.points[~chosen]
 
 
 def load(ground_only: bool = True, limit: float | None = None) -> AirborneCloud:
-    """Return the cloud, or its part within `limit` (m) of the center, east and north."""
+    """Load the airborne cloud, or its part near the center.
+
+    `ground_only` keeps only terrain returns, without those from objects. `limit` is the maximum
+    distance from the center (m), east and north; None: all.
+    """
     with np.load(CLOUD) as file:
         points = file["xyz"].astype(np.float64)
         if ground_only:
@@ -94,19 +93,25 @@ def slope_of(cloud: AirborneCloud, grid: Grid) -> np.ndarray:
 
 
 def stratum(slope: np.ndarray) -> np.ndarray:
-    """Return the stratum of slopes (deg) as an index into `STRATA`; -1 where unknown."""
+    """Return the class of slopes (deg) as an index into `STRATA`; -1 where unknown."""
     index = np.digitize(slope, EDGES_DEG) - 1
     return np.where(np.isfinite(slope), index, -1)
 
 
 def fit_prior(points: np.ndarray, rng: np.random.Generator) -> dict[str, float]:
-    """Return hyper-parameters fitted to the returns."""
+    """Fit the random field prior of the Gaussian DEM to LiDAR returns (n, 3).
+
+    Returns `sigma_f` and `length_scale`, m.
+    """
     fit = fit_hyperparameters(points, SIGMA, rng)
     return {"sigma_f": fit.sigma_f, "length_scale": fit.length_scale}
 
 
 def without_trend(points: np.ndarray, neighbours: int = 25) -> np.ndarray:
-    """Return points (n, 3) with heights above the planes of their nearest neighbours."""
+    """Replace heights of points by heights above the plane of their neighbours.
+
+    `points` and the result are (n, 3), m; `neighbours` is the number of points per plane.
+    """
     _, near = cKDTree(points[:, :2]).query(points[:, :2], k=neighbours)
     around = points[near] - points[:, None]
     rows = np.concatenate((around[..., :2], np.ones_like(around[..., :1])), axis=-1)
@@ -117,14 +122,18 @@ def without_trend(points: np.ndarray, neighbours: int = 25) -> np.ndarray:
 
 
 def one_map(points: np.ndarray, grid: Grid, setting: dict[str, float]) -> GaussianDem:
-    """Return the Gaussian DEM of all returns at once."""
+    """Compute the Gaussian DEM of all returns in one step.
+
+    `points` (n, 3), m; `setting` holds `sigma_f` and `length_scale`.
+    """
     return gaussian_dem(points, grid, sigma_eps=SIGMA, **setting)
 
 
 def pooled_map(points: np.ndarray, grid: Grid, spacing: float, parts: int) -> GaussianDem:
-    """Return the map of the returns, inserted in several parts.
+    """Compute the Gaussian DEM of returns that are inserted in several steps.
 
     This is the method used in flight, with the scatter of the terrain around each triangle.
+    `spacing` is the mean spacing of all returns, m; `parts` is the number of steps.
     """
     pool = SamplePool(grid)
     for n in range(parts):
@@ -133,7 +142,7 @@ def pooled_map(points: np.ndarray, grid: Grid, spacing: float, parts: int) -> Ga
 
 
 def scaled_lander(lander: Lander, factor: float) -> Lander:
-    """Return a scaled lander with the slope limit for this mountain."""
+    """Return a lander scaled by `factor`, with the slope limit of this mountain."""
     return replace(
         lander,
         leg_radius=factor * lander.leg_radius,
@@ -144,17 +153,18 @@ def scaled_lander(lander: Lander, factor: float) -> Lander:
 
 
 def quadtree_map(points: np.ndarray, grid: Grid, factor: float, density: float) -> QuadtreeMapper:
-    """Return the quadtree of the returns with sizes scaled by powers of two.
+    """Return a quadtree mapper that contains the returns, with scaled cell sizes.
 
-    The required density is half the given one (1/m^2).
+    `factor` scales the lander; the cell sizes are scaled by the nearest power of two. `density` is
+    the density of the returns (1/m^2); cells need half of it.
     """
     times = 2.0 ** round(np.log2(factor))
     paper = SiteSettings()
     settings = SiteSettings(
         slope_limit=np.deg2rad(SLOPE_LIMIT_DEG),
         roughness_limit=factor * paper.roughness_limit,
-        density=0.5 * density,
-        zone=factor * paper.zone,
+        min_density=0.5 * density,
+        zone_half_side=factor * paper.zone_half_side,
         mesh_band=tuple(times * size for size in paper.mesh_band),
         hazard_band=tuple(times * size for size in paper.hazard_band),
         site_band=tuple(times * size for size in paper.site_band),

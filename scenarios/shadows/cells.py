@@ -1,12 +1,11 @@
-"""Define the cells of the shadow map matrix.
+"""Define the cells (test cases) of the shadow map matrix.
 
 One line of cells varies each factor from the home cell (5 % cubes with correct prior, Sun at 20 deg
 behind the camera, horizontal terrain). Further cells have rocks outside these factor levels (low,
 tall, long or small, seen along the Sun and from the side, also with a blurred camera), or cratered
-terrain with half the posting. In addition there is an orthogonal array of 25 runs with six factors
-of five levels: for every two factors, each pair of levels occurs once, so that a cell can differ
-from home in all factors. Its columns are a, b, a + b, a + 2 b, a + 3 b, a + 4 b modulo 5
-(Bose 1938).
+terrain with half the grid spacing. In addition there is an orthogonal array of 25 runs with six
+factors of five levels: for every two factors, each pair of levels occurs once, so that a cell can
+differ (Bose 1938).
 """
 
 from __future__ import annotations
@@ -16,7 +15,7 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
-from lunarsim.scenario import Scenario
+from lunarsim import Scenario
 
 SCENARIOS = Path(__file__).parents[1]
 SHAPES = ("hemisphere", "ellipsoid", "cube", "irregular", "mixed")
@@ -33,15 +32,15 @@ _SHIFTS = (0, 1, 2, 3, 4)
 
 @dataclass(frozen=True)
 class ShadowCell:
-    """One setting of the experiment.
+    """One test case of the shadow map study: rocks, Sun, terrain and camera.
 
     Attributes
     ----------
     name
         Name of the cell.
-    cover, told_cover
+    cover, expected_cover
         True and expected rock cover k (fraction).
-    shape, told_shape
+    shape, expected_shape
         True and expected rock shape.
     elevation, turn
         Sun elevation, and azimuth from behind the camera (0) to in front of it (180), deg.
@@ -50,37 +49,36 @@ class ShadowCell:
     height, slenderness
         True mean height / width of the rocks (before the cut-off at 1), and mean ratio of their
         shorter to their longer axis; None: default of the rocks. Unknown to the mission.
-    least_diameter
+    min_diameter
         Minimum rock diameter, m.
     craters
         Equilibrium density of craters of 1 m and more, 1/m^2; 0: none.
     blur
         Point spread of the camera, 1 sigma, pixels; known to the mission.
     pixels
-        Factor on the camera pixels per side relative to the experiment of the paper.
+        Factor on the camera pixels per side relative to the experiment of the shadow EKF paper.
     """
 
     name: str
     cover: float = 0.05
-    told_cover: float = 0.05
+    expected_cover: float = 0.05
     shape: str = "cube"
-    told_shape: str = "cube"
+    expected_shape: str = "cube"
     elevation: float = 20.0
     turn: float = 0.0
     relief: float | str = 0.0
     height: float | None = None
     slenderness: float | None = None
-    least_diameter: float = 0.3
+    min_diameter: float = 0.3
     craters: float = 0.0
     blur: float = 0.6
     pixels: int = 1
 
     def within_goal(self) -> bool:
-        """Return whether the recall goal applies to the cell.
+        """Return whether the recall requirement applies to this test case.
 
-        It applies to a cover up to 8 %, Sun elevations of 10 to 45 deg and relief up to 4 deg,
-        for all
-        rocks.
+        It applies to a cover up to 8 %, Sun elevations of 10 to 45 deg and relief up to 4 deg, for
+        all rocks.
         """
         return (
             self.cover <= 0.08
@@ -90,11 +88,10 @@ class ShadowCell:
         )
 
     def scenario(self, path: str = "modified") -> Scenario:
-        """Return a reduced descent of the paper over the terrain of this cell.
+        """Return a reduced descent of the shadow EKF paper over the terrain of this cell.
 
-        The map is 80 m wide and the camera takes two images per second,
-        which needs a fifteenth of the
-        time of the complete experiment.
+        `path` is the descent, "nominal" or "modified". The map is 80 m wide and the camera takes
+        two images per second, which needs a fifteenth of the time of the complete experiment.
         """
         base = Scenario.load(SCENARIOS / f"shadow_{path}.toml")
         terrain: dict[str, Any] = {"posting_m": 1.0, "rms_slope_deg": self.relief}
@@ -106,7 +103,7 @@ class ShadowCell:
                 "path": str(SCENARIOS / "data" / "hirise_dteec_010228_1490_crop.tif"),
             }  # fmt: skip
         level = {"burial": [0.0, 0.0]}
-        body: dict[str, Any] = {"min_diameter_m": self.least_diameter}
+        body: dict[str, Any] = {"min_diameter_m": self.min_diameter}
         if self.height is not None:
             body["height_ratio"] = [self.height, 0.1]
         if self.slenderness is not None:
@@ -114,7 +111,7 @@ class ShadowCell:
         return base.changed(
             terrain=terrain,
             rocks={"cover": self.cover, "shape": self.shape, **level, **body},
-            expected_rocks={"cover": self.told_cover, "shape": self.told_shape, **level},
+            expected_rocks={"cover": self.expected_cover, "shape": self.expected_shape, **level},
             sun={"elevation_deg": self.elevation, "azimuth_deg": 225.0 + self.turn},
             mappers={"rocks": {"size_m": 80.0}},
             tasking={"camera": {"rate_hz": 2.0}},
@@ -135,16 +132,16 @@ ASIDE = ShadowCell("aside", shape="mixed", elevation=30.0, turn=120.0)
 
 
 def _lines() -> list[ShadowCell]:
-    """Return the cells that differ from home in one factor."""
+    """Return the test cases that differ from the home cell in one factor."""
     cells = [
-        replace(HOME, name=f"cover {c:g}", cover=c, told_cover=c)
+        replace(HOME, name=f"cover {c:g}", cover=c, expected_cover=c)
         for c in (0.02, 0.03, 0.08, 0.10, 0.15)
     ]
     cells += [replace(HOME, name=f"cover {c:g} told 0.05", cover=c) for c in (0.02, 0.08, 0.15)]
     others = [s for s in SHAPES if s != "cube"]
-    cells += [replace(HOME, name=s, shape=s, told_shape=s) for s in others]
+    cells += [replace(HOME, name=s, shape=s, expected_shape=s) for s in others]
     cells += [replace(HOME, name=f"{s} told cube", shape=s) for s in others]
-    cells += [replace(HOME, name=f"cube told {s}", told_shape=s) for s in others]
+    cells += [replace(HOME, name=f"cube told {s}", expected_shape=s) for s in others]
     cells += [
         replace(HOME, name=f"sun {e:g}", elevation=e) for e in (5.0, 10.0, 15.0, 30.0, 45.0, 60.0)
     ]
@@ -161,7 +158,7 @@ def _lines() -> list[ShadowCell]:
         # As measured, see `lunarsim.rocks.field.RockModel`.
         replace(HOME, name="fragments told cube", shape="irregular", height=0.54, slenderness=0.7),
         replace(HOME, name="long told cube", shape="ellipsoid", slenderness=0.5),
-        replace(HOME, name="rocks from 0.15 m", least_diameter=0.15),
+        replace(HOME, name="rocks from 0.15 m", min_diameter=0.15),
         replace(HOME, name="craters", relief=1.0, craters=0.02),
         replace(ASIDE, name="aside"),
         replace(ASIDE, name="aside, low", height=0.35),
@@ -171,7 +168,7 @@ def _lines() -> list[ShadowCell]:
 
 
 def _array() -> list[ShadowCell]:
-    """Return the 25 runs of the orthogonal array."""
+    """Return the 25 test cases of the orthogonal array."""
     cells = []
     for a, b in product(range(5), repeat=2):
         cover, shape, shift, sun, turn, relief = (
@@ -181,9 +178,9 @@ def _array() -> list[ShadowCell]:
             ShadowCell(
                 f"array {a}{b}",
                 cover=_COVERS[cover],
-                told_cover=_COVERS[cover],
+                expected_cover=_COVERS[cover],
                 shape=SHAPES[shape],
-                told_shape=SHAPES[(shape + _SHIFTS[shift]) % 5],
+                expected_shape=SHAPES[(shape + _SHIFTS[shift]) % 5],
                 elevation=_ELEVATIONS[sun],
                 turn=_TURNS[turn],
                 relief=_RELIEFS[relief],
@@ -197,7 +194,7 @@ UNRESOLVED = ("rocks from 0.15 m", "array 03", "array 04", "array 11", "array 30
 
 
 def _sharper(cells: list[ShadowCell]) -> list[ShadowCell]:
-    """Return the insufficiently resolved cells with half the pixel size."""
+    """Return the insufficiently resolved test cases with half the pixel size."""
     return [replace(c, name=f"{c.name}, sharp", pixels=2) for c in cells if c.name in UNRESOLVED]
 
 

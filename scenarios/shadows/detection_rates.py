@@ -4,8 +4,8 @@ Rendered fields of rocks of all shapes, or of one, are seen from random position
 shadow patch should have q^2 pixels counts as found if a detection lies on it with a radius within a
 factor of two; as merged if its patch runs into another one; and as missed otherwise. A detection
 without a rock is false. The position of a hazard is cleared if the rock is not found and the image
-gives evidence that no such rock is there (`ClearEvidence`). Lines are fitted to the rates (shadow
-EKF paper, III.C).
+gives evidence that no such rock is there (`ClearEvidence`). Lines are fitted to the rates against q
+(shadow EKF paper, III.C).
 
 The defaults of `DetectionRates` are the lines printed by
 
@@ -29,10 +29,10 @@ from rich.table import Table
 from scipy.optimize import least_squares, minimize
 from scipy.spatial import cKDTree
 
+from lunarsim import Grid, Heightfield, Terrain
+from lunarsim.api import State, gimbal_mount
 from lunarsim.console import plain_console
 from lunarsim.frames import direction_from_angles
-from lunarsim.grid import Grid
-from lunarsim.models.gimbal import gimbal_mount
 from lunarsim.models.pinhole import View
 from lunarsim.onboard.hazards.shadows.clear_evidence import ClearEvidence
 from lunarsim.onboard.perception.detection_rates import DetectionRates
@@ -41,10 +41,9 @@ from lunarsim.onboard.perception.shape_mixture import ShapeMixture
 from lunarsim.rocks.field import RockModel
 from lunarsim.rocks.size_distribution import sample_diameters
 from lunarsim.sensors.camera import Camera
-from lunarsim.vehicle import State
 from lunarsim.world import World
 from lunarsim.world.light import FULL_EARTH_IRRADIANCE_RATIO, SUN_DIAMETER_RAD, Light
-from lunarsim.world.terrain import Heightfield, Terrain, place_rocks
+from lunarsim.world.terrain import place_rocks
 
 EDGES = np.array([0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0, 5.0, 6.0, 8.0, 10.0, 14.0, 20.0])
 FIELD = 160.0
@@ -58,9 +57,9 @@ IMAGES_PER_FIELD = 8
 LIGHTS: dict[str, dict[str, Any]] = {
     "plain": {},
     "full": {
-        "photometry": "hapke", "diameter": SUN_DIAMETER_RAD, "scattered": True,
-        "earthshine": FULL_EARTH_IRRADIANCE_RATIO, "mottle": 0.05, "boulder_albedo": 1.3,
-        "boulder_mottle": 0.15,
+        "photometry": "hapke", "diameter": SUN_DIAMETER_RAD, "scattered_light": True,
+        "earthshine": FULL_EARTH_IRRADIANCE_RATIO, "albedo_variation": 0.05, "boulder_albedo": 1.3,
+        "boulder_albedo_variation": 0.15,
     },
 }  # fmt: skip
 
@@ -68,7 +67,10 @@ LIGHTS: dict[str, dict[str, Any]] = {
 def make_world(
     shape: str, elevation: float, rng: np.random.Generator, light: str = "plain"
 ) -> World:
-    """Return a horizontal field of rocks by Golombek's law with 5 % cover."""
+    """Generate a horizontal field of rocks by Golombek's law with 5 % cover.
+
+    `elevation` is that of the Sun (rad); `light` is a name in `LIGHTS`.
+    """
     grid = Grid.centred((0.0, 0.0), FIELD, 2.0)
     relief = Heightfield(grid, np.zeros(grid.shape, np.float32))
     diameters = sample_diameters(FIELD**2, 0.05, 0.3, 3.0, rng)
@@ -77,12 +79,17 @@ def make_world(
 
 
 def model_of(shape: str) -> RockModel:
-    """Return the rock population of a shape."""
+    """Return the population of rocks of one shape without burial."""
     return RockModel(shape, burial=(0.0, 0.0))  # type: ignore[arg-type]
 
 
 def take_image(world: World, model: ShapeMixture, rng: np.random.Generator) -> dict[str, Any]:
-    """Take one image; return q and outcome of rocks and detections."""
+    """Simulate one image; return shadow size and detection result of each rock.
+
+    `q` is the square root of the expected number of shadow pixels. The result holds, by name, q and
+    the flags missed and merged of the rocks in view, q and flag false of the detections, and q and
+    flag cleared of the hazards.
+    """
     altitude = np.exp(rng.uniform(np.log(25.0), np.log(250.0)))
     depression = rng.uniform(np.radians(22.0), np.pi / 2)
     back = direction_from_angles(rng.uniform(0.0, 2.0 * np.pi), depression)
@@ -141,9 +148,10 @@ def take_image(world: World, model: ShapeMixture, rng: np.random.Generator) -> d
 def cleared_rocks(
     world: World, view: View, seen: Detections, model: ShapeMixture
 ) -> NDArray[np.bool_]:
-    """Return which rock positions (n,) one image classifies as free of such a rock.
+    """Return at which rock positions (n,) one image gives evidence against a rock.
 
-    The position of a rock is the area within half its radius of the center.
+    `seen` are the detections in the image. The position of a rock is the area within half its
+    radius of the center.
     """
     rocks = world.terrain.rocks
     grid = Grid.centred((0.0, 0.0), FIELD, 0.25)
@@ -162,14 +170,21 @@ def cleared_rocks(
 
 
 def rate(q: NDArray[Any], hit: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Return the rate and the number in each bin of q."""
+    """Return the fraction of hits and the number of samples in each bin of `EDGES`.
+
+    `q` (n,) is the square root of the number of shadow pixels, `hit` (n,) the flag that is counted.
+    """
     number, _ = np.histogram(q, EDGES)
     hits, _ = np.histogram(q[hit], EDGES)
     return hits / np.maximum(number, 1), number
 
 
 def fit(middle: NDArray[Any], values: NDArray[Any], number: NDArray[Any]) -> list[float]:
-    """Return start, slope and floor of the least-squares clipped line."""
+    """Fit a clipped line to rates by least squares; return its start, slope and floor.
+
+    `middle` are bin centers of q, `values` the rates and `number` the numbers of samples. The line
+    is clip(start + slope q, floor, 1).
+    """
     weight = np.sqrt(np.minimum(number, 500.0))
 
     def off(x: NDArray[Any]) -> NDArray[Any]:
@@ -187,10 +202,10 @@ def fit(middle: NDArray[Any], values: NDArray[Any], number: NDArray[Any]) -> lis
 
 
 def fit_likelihood(middle: NDArray[Any], values: NDArray[Any], number: NDArray[Any]) -> list[float]:
-    """Return start, slope and floor of the maximum-likelihood clipped line.
+    """Fit a clipped line by maximum likelihood; return its start, slope and floor.
 
-    A map must not clear a hazard,
-    so the difference between rates of 1 % and 3 % matters; least squares
+    `middle` are bin centers of q, `values` the rates and `number` the numbers of samples. A map
+    must not clear a hazard, so the difference between rates of 1 % and 3 % matters; least squares
     would be dominated by the large rates. A rock that covers no pixel is always cleared: the line
     starts at 1 or more.
     """
@@ -212,7 +227,11 @@ def fit_likelihood(middle: NDArray[Any], values: NDArray[Any], number: NDArray[A
 
 
 def show(data: dict[str, Any], title: str, console: Console) -> None:
-    """Print rates and lines."""
+    """Print false-negative, false-detection and clearing rates against shadow size.
+
+    `data` holds the measured rates by bin of q (square root of the number of shadow pixels) and the
+    fitted lines.
+    """
     table = Table(title=title)
     for heading in ("q (pixels)", "rocks", "merged", "missed", "line", "detections", "false",
                     "line", "hazards", "cleared", "line"):  # fmt: skip
@@ -234,7 +253,8 @@ def show(data: dict[str, Any], title: str, console: Console) -> None:
 
 
 @click.command()
-@click.option("--images", type=click.IntRange(min=4), default=80, show_default=True)
+@click.option("--images", type=click.IntRange(min=4), default=80, show_default=True,
+              help="Number of simulated images.")  # fmt: skip
 @click.option(
     "--shape",
     type=click.Choice((ALL, *SHAPES)),
@@ -251,7 +271,7 @@ def show(data: dict[str, Any], title: str, console: Console) -> None:
 def main(
     images: int, shape: str, sun_elevation: float, light: str, seed: int, out: Path | None
 ) -> None:
-    """Measure the rates and fit the lines."""
+    """Measure the rates of the shadow detector and fit lines to them."""
     console = plain_console(130)
     elevation = np.radians(sun_elevation)
     looks = []

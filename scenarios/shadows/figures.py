@@ -1,4 +1,4 @@
-"""Plot the figures of the nominal and the modified descent."""
+"""Plot the figures of the shadow studies: descents, maps, detection rates."""
 
 from __future__ import annotations
 
@@ -19,7 +19,10 @@ CLEAR, UNKNOWN, OCCUPIED = "#4daf4a", "#ffd92f", "#c1272d"
 
 
 def draw_all(results: list[dict[str, Any]], out: Path) -> None:
-    """Plot all figures of the experiment into a folder."""
+    """Plot all figures of the nominal and modified descents into a folder.
+
+    `results` are the flights of `nominal_vs_modified.py`.
+    """
     first = {p: next(r for r in results if r["path"] == p) for p in PATHS}
     draw_paths(first, out / "paths.png")
     draw_classes(first, out / "classes.png")
@@ -30,7 +33,10 @@ def draw_all(results: list[dict[str, Any]], out: Path) -> None:
 
 
 def draw_paths(first: dict[str, dict[str, Any]], path: Path) -> None:
-    """Plot the two descents from the side and from above (Figure 4 of the paper)."""
+    """Plot both descents from the side and from above (shadow EKF paper, Figure 4).
+
+    `first` holds the first flight of each path by its name.
+    """
     figure = new_figure(9.0, 3.8)
     side, top = figure.subplots(1, 2)
     for name, colour in zip(PATHS, COLOURS, strict=False):
@@ -51,7 +57,10 @@ def draw_paths(first: dict[str, dict[str, Any]], path: Path) -> None:
 
 
 def draw_classes(first: dict[str, dict[str, Any]], path: Path) -> None:
-    """Plot the maps in three classes by altitude (Figure 7 of the paper)."""
+    """Plot clear, unknown and occupied cells by altitude (shadow EKF paper, Figure 7).
+
+    `first` holds the first flight of each path by its name.
+    """
     altitudes = list(first["nominal"]["levels"])
     figure = new_figure(3.0 * len(altitudes), 7.0)
     figure.suptitle("Three map classes by altitude, first field")
@@ -81,13 +90,20 @@ def draw_classes(first: dict[str, dict[str, Any]], path: Path) -> None:
 
 
 def _about(level: dict[str, Any]) -> tuple[float, float, float, float]:
+    """Return the extent of a map relative to its center: west, east, south, north, m.
+
+    `level` is the map with its data at one altitude.
+    """
     west, east, south, north = level["extent"]
     x, y = 0.5 * (west + east), 0.5 * (south + north)
     return west - x, east - x, south - y, north - y
 
 
 def draw_contours(first: dict[str, dict[str, Any]], path: Path, half: float = 20.0) -> None:
-    """Plot the last maps around the site with the true rocks (Figure 6 of the paper)."""
+    """Plot the last maps and true rocks around the site (shadow EKF paper, Figure 6).
+
+    `first` holds the first flight of each path by its name; `half` is half the side of the view, m.
+    """
     figure = new_figure(9.6, 4.9)
     figure.suptitle("Hazard probability around the site, first field")
     axes = figure.subplots(1, 2, sharex=True, sharey=True)
@@ -116,7 +132,10 @@ def draw_contours(first: dict[str, dict[str, Any]], path: Path, half: float = 20
 
 
 def draw_slice(first: dict[str, dict[str, Any]], path: Path) -> None:
-    """Plot the probability along one line by altitude (Figure 5 of the paper)."""
+    """Plot hazard probability along a line by altitude (shadow EKF paper, Figure 5).
+
+    `first` holds the first flight of each path by its name.
+    """
     figure = new_figure(9.6, 4.4)
     axes = figure.subplots(1, 2, sharex=True, sharey=True)
     # The line with the maximum number of hazards near the site.
@@ -146,7 +165,7 @@ def draw_slice(first: dict[str, dict[str, Any]], path: Path) -> None:
 
 
 def draw_reliability(results: list[dict[str, Any]], path: Path) -> None:
-    """Plot predicted against observed probability at 50 m, all fields pooled."""
+    """Plot predicted against observed hazard probability at 50 m over all fields."""
     figure = new_figure(5.4, 4.6)
     ax = figure.subplots()
     for name, colour in zip(PATHS, COLOURS, strict=False):
@@ -168,7 +187,10 @@ def draw_reliability(results: list[dict[str, Any]], path: Path) -> None:
 
 
 def draw_rates(data: dict[str, Any], shape: str, path: Path) -> None:
-    """Plot the measured rates of the detector and the fitted lines."""
+    """Plot the measured error rates of the shadow detector and the fitted lines.
+
+    `data` are the rates by shadow size of `detection_rates.py`; `shape` is the rock shape.
+    """
     figure = new_figure(8.4, 3.6)
     missed, false = figure.subplots(1, 2)
     edges = np.array(data["edges"])
@@ -193,7 +215,7 @@ def draw_rates(data: dict[str, Any], shape: str, path: Path) -> None:
 
 
 def draw_forms(path: Path) -> None:
-    """Plot the exact coverage probability of a rock and the paper's approximation."""
+    """Plot the coverage probability of a rock, exact and as in the shadow EKF paper."""
     figure = new_figure(8.4, 3.4)
     axes = figure.subplots(1, 2, sharey=True)
     d = np.linspace(0.0, 2.0, 401)

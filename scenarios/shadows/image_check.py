@@ -23,11 +23,11 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
+from lunarsim import Grid, Heightfield, Terrain
+from lunarsim.api import State, gimbal_mount
 from lunarsim.campaign.pool import collect_results
 from lunarsim.console import plain_console
 from lunarsim.frames import direction_from_angles
-from lunarsim.grid import Grid
-from lunarsim.models.gimbal import gimbal_mount
 from lunarsim.onboard.perception.detector import detect_rocks
 from lunarsim.onboard.perception.image_quality import ImageQualityCheck
 from lunarsim.onboard.perception.shadow_direction import measure_shadow_angle
@@ -35,10 +35,9 @@ from lunarsim.onboard.perception.shadow_model import ShadowModel
 from lunarsim.rocks.field import RockModel
 from lunarsim.rocks.size_distribution import sample_diameters
 from lunarsim.sensors.camera import Camera
-from lunarsim.vehicle import State
 from lunarsim.world import World
 from lunarsim.world.light import Light
-from lunarsim.world.terrain import Heightfield, Terrain, fractal_relief, place_rocks
+from lunarsim.world.terrain import fractal_relief, place_rocks
 
 COVERS = (0.02, 0.05, 0.08, 0.15)
 SLOPES = (0.0, 2.0, 4.0)
@@ -53,7 +52,11 @@ Counts = NDArray[np.uint8]
 
 @dataclass(frozen=True)
 class ImageCheckTask:
-    """One field, seen under all Suns from all altitudes."""
+    """Settings of one simulated field, imaged under all Suns from all altitudes.
+
+    `number` is the number of the field, `cover` the rock cover (fraction), `slope` the RMS slope
+    (deg) and `seed` the root seed; `faults` adds faulty images.
+    """
 
     number: int
     cover: float
@@ -63,7 +66,7 @@ class ImageCheckTask:
 
 
 def make_terrain(task: ImageCheckTask, rng: np.random.Generator) -> Terrain:
-    """Return relief 1 km wide with rocks around its center."""
+    """Generate fractal terrain 1 km wide with rocks around its center."""
     grid = Grid.centred((0.0, 0.0), 1000.0, 4.0)
     relief = fractal_relief(grid, rng, hurst=0.8, rms_slope=np.radians(task.slope))
     low, high = (int(k) for k in np.searchsorted(grid.x, [-0.5 * FIELD, 0.5 * FIELD]))
@@ -75,7 +78,11 @@ def make_terrain(task: ImageCheckTask, rng: np.random.Generator) -> Terrain:
 
 
 def check_images(task: ImageCheckTask) -> list[dict[str, Any]]:
-    """Return the check result of every image of a field, good and faulty."""
+    """Return the check result of every image of a field, good and faulty.
+
+    Each result holds the conditions, the fault, and the reason of rejection ("counts" if the image
+    is accepted).
+    """
     rng = np.random.default_rng(np.random.SeedSequence(task.seed, spawn_key=(task.number,)))
     terrain = make_terrain(task, rng)
     rows = []
@@ -95,7 +102,7 @@ def check_images(task: ImageCheckTask) -> list[dict[str, Any]]:
         for name, image, turn in cases + (faulty_images(counts, rng) if task.faults else []):
             sun = direction_from_angles(light.azimuth + turn, light.elevation)
             health = ImageQualityCheck()
-            health.sun.seen = name == SEEN
+            health.sun.confirmed = name == SEEN
             checked = judge(image, camera, state, sun, aim[2], health)
             rows.append(cell | {"fault": name, "verdict": checked})
     return rows
@@ -109,14 +116,18 @@ def judge(
     height: float,
     health: ImageQualityCheck,
 ) -> str:
-    """Return why an image is rejected; "counts" if it is accepted."""
+    """Return why the image check rejects an image; "counts" if the image is accepted.
+
+    `sun` (3,) is the assumed direction to the Sun, `height` the terrain height (m) and `health` the
+    check. Reasons without an alarm are in parentheses.
+    """
     checked = health.before_detection(image, camera, state)
     if checked.good:
         # The rock population is unknown to the check.
         model = ShadowModel(float(np.arcsin(sun[2])))
         seen = detect_rocks(image, camera, state, sun, terrain=height, model=model)
         points = np.column_stack((seen.terrain_xy, np.full(len(seen), height)))
-        noise = checked.figures["noise"]
+        noise = checked.metrics["noise"]
         turn = measure_shadow_angle(seen, camera.view(state), points, sun, model, noise)
         checked = health.after_detection(seen, turn, noise)
     if checked.fault is None:
@@ -125,7 +136,7 @@ def judge(
 
 
 def faulty_images(counts: Counts, rng: np.random.Generator) -> list[tuple[str, Any, float]]:
-    """Return name, image and Sun rotation (rad) of all faults."""
+    """Return faulty versions of an image: name, image, Sun rotation (rad)."""
     grey, shape = counts.astype(np.float32), counts.shape
     out: list[tuple[str, Any, float]] = [
         ("black", np.zeros_like(counts), 0.0), ("white", np.full_like(counts, 255), 0.0),
@@ -150,13 +161,13 @@ def faulty_images(counts: Counts, rng: np.random.Generator) -> list[tuple[str, A
 
 
 def read(grey: Any, rng: np.random.Generator) -> Counts:
-    """Return counts with read noise."""
+    """Add read noise to gray values and round them to counts (0 to 255)."""
     noisy = grey + 0.6 * rng.standard_normal(grey.shape)
     return np.asarray(np.rint(noisy).clip(0, 255), np.uint8)
 
 
 def smear(grey: NDArray[np.float32], length: int, rng: np.random.Generator) -> Any:
-    """Return an image smeared by a number of pixels in a random direction."""
+    """Smear an image by `length` pixels in a random direction."""
     angle = rng.uniform(0.0, np.pi)
     kernel = np.zeros((2 * length + 1,) * 2, np.float32)
     for t in np.linspace(-0.5, 0.5, 100) * length:
@@ -165,7 +176,10 @@ def smear(grey: NDArray[np.float32], length: int, rng: np.random.Generator) -> A
 
 
 def show(rows: list[dict[str, Any]], console: Console) -> None:
-    """Print the tables."""
+    """Print accepted and rejected fractions by condition, and results by fault.
+
+    `rows` are the results of `check_images`.
+    """
     good = [r for r in rows if r["fault"] == SEEN]
     for key in ("sun", "altitude", "cover", "slope"):
         table = Table(title=f"Good images with confirmed Sun direction, by {key}")
@@ -196,9 +210,9 @@ def show(rows: list[dict[str, Any]], console: Console) -> None:
 
 @click.command()
 @click.option("--fields", type=click.IntRange(min=1), default=1, show_default=True,
-              help="Number of fields per cover and slope.")  # fmt: skip
+              help="Number of fields per rock cover and terrain slope.")  # fmt: skip
 @click.option(
-    "--faults/--good-only", default=True, show_default=True, help="Also check faulty images."
+    "--faults/--no-faults", default=True, show_default=True, help="Also check faulty images."
 )
 @click.option("--seed", type=int, default=7, show_default=True, help="Root random seed.")
 @click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True,
@@ -206,7 +220,7 @@ def show(rows: list[dict[str, Any]], console: Console) -> None:
 @click.option("--json", "json_file", type=click.Path(path_type=Path, dir_okay=False), default=None,
               help="Output file of all results.")  # fmt: skip
 def main(fields: int, faults: bool, seed: int, jobs: int, json_file: Path | None) -> None:
-    """Check good and faulty images."""
+    """Check good and faulty images; print how often each is accepted or rejected."""
     console = plain_console(140)
     cells = list(product(range(fields), COVERS, SLOPES))
     tasks = [

@@ -1,9 +1,10 @@
 """Evaluate the shadow map over rock cover, shape, Sun and terrain.
 
-Every cell is flown over a few rock fields on the modified path. The map at 50 m is evaluated per
-cell, and by whether a hazard lies under a vehicle that lands at the safest site of the map. The
-flights themselves land at the end of the path, which arrives with an acceleration, 5 to 20 m from
-any given site. Flights are saved one by one, so an interrupted study resumes from the file.
+Every cell (test case) is flown over a few rock fields on the modified path. The map at 50 m is
+evaluated per map cell, and by whether a hazard lies under a vehicle that lands at the safest site
+of the map. The flights themselves land at the end of the path, which arrives with an acceleration,
+5 to 20 m from any given site. Flights are saved one by one, so an interrupted study resumes from
+the file.
 
 python scenarios/shadows/matrix.py --jobs 2 --json out/matrix.json
 """
@@ -24,14 +25,12 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
+from lunarsim import InputError, Simulation, flight_seed
 from lunarsim.campaign.flight_store import FlightStore
 from lunarsim.campaign.pool import iterate_results
 from lunarsim.console import plain_console, plain_progress
-from lunarsim.errors import InputError
 from lunarsim.evaluation.classification import RELIABILITY_EDGES, Classification, classify
 from lunarsim.evaluation.reliability import calibration_error, reliability
-from lunarsim.rng import flight_seed
-from lunarsim.simulation import Simulation
 from lunarsim.simulation.loop import make_policy
 
 ALTITUDE = 50.0
@@ -43,7 +42,11 @@ MAX_FALSE_CLEAR, MAX_MISSED_HAZARDS, MIN_RECALL = 0.0025, 0.02, 0.6
 
 @dataclass(frozen=True)
 class ShadowMatrixTask:
-    """One flight."""
+    """Settings of one simulated flight of the shadow map study.
+
+    `cell` is the test case, `field` the number of the rock field and `seed` the root seed; `path`
+    is "nominal" or "modified", `method` a name in `METHODS`.
+    """
 
     cell: ShadowCell
     field: int
@@ -58,7 +61,7 @@ class ShadowMatrixTask:
 
 
 def fly(task: ShadowMatrixTask) -> dict[str, Any]:
-    """Fly once; return the map quality at 50 m and the touchdown hazard for JSON."""
+    """Simulate one flight; return map quality at 50 m and touchdown hazard for JSON."""
     scenario = task.cell.scenario(task.path).changed(mappers={"rocks": METHODS[task.method]})
     simulation = Simulation(scenario, flight_seed(task.seed, task.field))
     while not simulation.done and simulation.altitude > ALTITUDE:
@@ -67,7 +70,7 @@ def fly(task: ShadowMatrixTask) -> dict[str, Any]:
     simulation.computer.stop_sensors()
     while not simulation.done:
         simulation.step()
-    outcome = simulation.verdict
+    outcome = simulation.outcome
     out["landed"] = outcome is not None and outcome.touchdown is not None
     out["on_hazard"] = False
     if outcome is not None and outcome.touchdown is not None:
@@ -76,11 +79,10 @@ def fly(task: ShadowMatrixTask) -> dict[str, Any]:
 
 
 def choice(simulation: Simulation) -> dict[str, Any]:
-    """Return the site that the policy `safest` selects, and the hazard there.
+    """Return the site selected by the policy `safest`, and the hazard there.
 
     The decision is not executed. If the policy does not divert, the current site is its choice,
-    unless
-    the map shows no reachable site.
+    unless the map shows no reachable site.
     """
     shown = simulation.observe()
     decision = simulation.ask(make_policy(simulation.scenario, "safest"), shown)
@@ -94,13 +96,13 @@ def choice(simulation: Simulation) -> dict[str, Any]:
 
 
 def hazards_of(simulation: Simulation) -> NDArray[np.bool_]:
-    """Return which true rocks reach the hazard diameter (n,)."""
-    least = simulation.scenario.mappers["rocks"].hazard_diameter_m
+    """Return which true rocks have the minimum hazard diameter or more (n,)."""
+    least = simulation.scenario.mappers["rocks"].min_hazard_diameter_m
     return np.asarray(2.0 * simulation.world.terrain.rocks.a >= least)
 
 
 def reach_into(simulation: Simulation, xy: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Return at which true positions (n, 2) a hazard reaches under the lander (n,).
+    """Return whether a hazard lies under the lander at true positions `xy` (n, 2), m.
 
     Each hazard is represented by its circumscribed disc.
     """
@@ -115,9 +117,10 @@ def reach_into(simulation: Simulation, xy: NDArray[np.float64]) -> NDArray[np.bo
 
 
 def judge(simulation: Simulation) -> dict[str, Any]:
-    """Compare the current map with the truth in the onboard frame.
+    """Compare the current shadow map with the true rocks, in the onboard frame.
 
-    A cell is classified as clear if it is observed and its probability is below the threshold.
+    A map cell is classified as clear if it is observed and its hazard probability is below the
+    threshold. Returns class counts and calibration counts for JSON.
     """
     mapper = simulation.computer.mappers["rocks"]
     p = mapper.probability.probability(mapper.tracker)
@@ -149,7 +152,7 @@ def judge(simulation: Simulation) -> dict[str, Any]:
 
 
 def has_flight(results: FlightStore, task: ShadowMatrixTask) -> bool:
-    """Return whether the file has the flight of this exact cell."""
+    """Return whether the results contain the flight of exactly this test case."""
     done = results.flights.get(task.key)
     return done is not None and done.get("cell") == asdict(task.cell)
 
@@ -158,7 +161,7 @@ def has_flight(results: FlightStore, task: ShadowMatrixTask) -> bool:
 
 
 def pool_flights(flights: list[dict[str, Any]]) -> dict[str, float]:
-    """Return the metrics of one cell over its fields."""
+    """Return the map quality metrics of one test case over its fields."""
     of = reduce(Classification.__add__, (Classification(**f["classes"]) for f in flights))
     table = np.sum([f["reliability"] for f in flights], axis=0)
     objects = sum(f["objects"] for f in flights)
@@ -180,7 +183,10 @@ def pool_flights(flights: list[dict[str, Any]]) -> dict[str, float]:
 
 
 def missed_goals(cell: ShadowCell, figures: dict[str, float]) -> str:
-    """Return the names of the goals that a cell misses; empty if none."""
+    """Return the names of the requirements that a test case misses; empty if none.
+
+    `figures` are the metrics of `pool_flights`.
+    """
     misses = []
     if figures["clear_false"] > MAX_FALSE_CLEAR:
         misses.append("area")
@@ -192,7 +198,7 @@ def missed_goals(cell: ShadowCell, figures: dict[str, float]) -> str:
 
 
 def show(tasks: list[ShadowMatrixTask], results: FlightStore, console: Console) -> None:
-    """Print one row per cell and the totals."""
+    """Print the map quality of each test case and the totals."""
     first = tasks[0]
     table = Table(
         title=f"Shadow maps at {ALTITUDE:.0f} m: {first.path} path, {first.method} method, seed"
@@ -244,14 +250,14 @@ def show(tasks: list[ShadowMatrixTask], results: FlightStore, console: Console) 
 
 @click.command()
 @click.option("--cells", "patterns", default="*", show_default=True,
-              help="Cell names with * and ?, separated by commas.")  # fmt: skip
+              help="Names of cells (test cases) with * and ?, separated by commas.")  # fmt: skip
 @click.option("--fields", type=click.IntRange(min=1), default=4, show_default=True,
               help="Number of rock fields per cell.")  # fmt: skip
 @click.option("--seed", type=int, default=1, show_default=True, help="Root random seed.")
 @click.option("--path", "way", type=click.Choice(("nominal", "modified")), default="modified",
-              show_default=True, help="Path flown.")  # fmt: skip
+              show_default=True, help="Descent of the shadow EKF paper.")  # fmt: skip
 @click.option("--method", type=click.Choice(tuple(METHODS)), default="own", show_default=True,
-              help="Shapes inferred, as expected, or the paper's method.")  # fmt: skip
+              help="Rock shapes: inferred, as expected, or the paper's method.")  # fmt: skip
 @click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True,
               help="Number of processes; does not change the results.")  # fmt: skip
 @click.option("--json", "json_file", type=click.Path(path_type=Path, dir_okay=False), default=None,
@@ -265,7 +271,7 @@ def main(
     jobs: int,
     json_file: Path | None,
 ) -> None:
-    """Fly the cells and print the quality of their maps."""
+    """Fly the test cases and print the quality of their shadow maps."""
     console = plain_console(150)
     wanted = [p.strip() for p in patterns.split(",")]
     cells = [c for c in CELLS if any(fnmatch(c.name, p) for p in wanted)]
@@ -280,9 +286,9 @@ def main(
         )
     except InputError as error:
         raise click.BadParameter(str(error), param_hint="--json") from None
-    if results.of_other_code:
+    if results.outdated_count:
         console.print(
-            f"{results.of_other_code} flights of {json_file} were computed with different code"
+            f"{results.outdated_count} flights of {json_file} were computed with different code"
         )
     # Field by field: after an interruption every cell has some flights.
     everything = [

@@ -21,14 +21,12 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from lunarsim import Scenario, Simulation, flight_seed
 from lunarsim.campaign.pool import collect_results
 from lunarsim.console import plain_console
 from lunarsim.evaluation.classification import RELIABILITY_EDGES, classify
 from lunarsim.evaluation.reliability import reliability
 from lunarsim.evaluation.statistics import MeanInterval, mean_interval
-from lunarsim.rng import flight_seed
-from lunarsim.scenario import Scenario
-from lunarsim.simulation import Simulation
 
 SCENARIOS = Path(__file__).parents[1]
 PATHS = ("nominal", "modified")
@@ -36,7 +34,7 @@ SHAPES = ("hemisphere", "ellipsoid", "cube", "irregular", "mixed")
 # Settings of the shadow mapper.
 METHODS: dict[str, dict[str, str]] = {
     "own": {},
-    "told": {"shapes": "told"},
+    "told": {"shapes": "expected"},
     "paper": {"shapes": "hemisphere", "form": "gaussian"},
 }
 ALTITUDES = (300.0, 200.0, 100.0, 50.0)
@@ -58,7 +56,12 @@ LABELS = {
 
 @dataclass(frozen=True)
 class ShadowPathTask:
-    """One flight."""
+    """Settings of one simulated flight of the nominal or the modified descent.
+
+    `path` is "nominal" or "modified" (which overflies the site), `field` the number of the rock
+    field, `seed` the root seed; `shapes` is the expected rock shape (None: that of the scenario),
+    `method` a name in `METHODS`.
+    """
 
     path: str
     field: int
@@ -68,7 +71,7 @@ class ShadowPathTask:
 
 
 def fly(task: ShadowPathTask) -> dict[str, Any]:
-    """Fly once; return map results by altitude, propellant and duration."""
+    """Simulate one flight; return map quality by altitude, propellant and duration."""
     scenario = Scenario.load(SCENARIOS / f"shadow_{task.path}.toml")
     if task.shapes is not None:
         scenario = scenario.changed(expected_rocks={"shape": task.shapes})
@@ -91,18 +94,21 @@ def fly(task: ShadowPathTask) -> dict[str, Any]:
         "levels": levels,
         "propellant": simulation.lander.wet_mass - simulation.state.mass,
         "duration": simulation.time,
-        "landed": simulation.verdict is not None and simulation.verdict.touchdown is not None,
+        "landed": simulation.outcome is not None and simulation.outcome.touchdown is not None,
         "track": np.array(track)[::5],
     }
 
 
 def judge(simulation: Simulation) -> dict[str, Any]:
-    """Compare the current map with the truth in the onboard frame."""
+    """Compare the current shadow map with the true rocks, in the onboard frame.
+
+    Returns class counts, calibration counts, the map and the true hazards.
+    """
     mapper = simulation.computer.mappers["rocks"]
     probability = mapper.probability.probability(mapper.tracker)
     terrain = simulation.world.terrain
     rock = terrain.rock_raster(mapper.grid.moved(-simulation.navigation_error))
-    hazard = simulation.scenario.mappers["rocks"].hazard_diameter_m
+    hazard = simulation.scenario.mappers["rocks"].min_hazard_diameter_m
     large = 2.0 * terrain.rocks.a >= hazard
     occupied = (rock >= 0) & large[np.maximum(rock, 0)]
     return {
@@ -116,7 +122,7 @@ def judge(simulation: Simulation) -> dict[str, Any]:
 
 
 def compare_means(nominal: list[float], modified: list[float]) -> dict[str, MeanInterval]:
-    """Return the means over fields of both paths and of their difference."""
+    """Return the means over fields of a metric for both paths and the difference."""
     return {
         "nominal": mean_interval(nominal),
         "modified": mean_interval(modified),
@@ -125,7 +131,10 @@ def compare_means(nominal: list[float], modified: list[float]) -> dict[str, Mean
 
 
 def summarise(results: list[dict[str, Any]]) -> dict[str, Any]:
-    """Return means by altitude, path and rate, and paired differences."""
+    """Return mean map metrics by altitude and path, and paired differences.
+
+    `results` are the values of `fly`.
+    """
     by = [[r for r in results if r["path"] == p] for p in PATHS]
     out: dict[str, Any] = {"altitudes": {}, "fields": len(by[0])}
     for altitude in ALTITUDES:
@@ -144,7 +153,10 @@ def summarise(results: list[dict[str, Any]]) -> dict[str, Any]:
 
 
 def show(summary: dict[str, Any], console: Console) -> None:
-    """Print the tables."""
+    """Print map quality by altitude, propellant and duration of both paths.
+
+    `summary` is the value of `summarise`.
+    """
     for altitude, level in summary["altitudes"].items():
         table = Table(
             title=f"Map at {altitude:.0f} m, {summary['fields']} fields (mean, 95 % interval)"
@@ -178,9 +190,9 @@ def show(summary: dict[str, Any], console: Console) -> None:
 @click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True,
               help="Number of processes; does not change the results.")  # fmt: skip
 @click.option("--shapes", type=click.Choice(SHAPES), default=None,
-              help="Expected rock shape (default: of the scenario).")  # fmt: skip
+              help="Expected rock shape (default: as in the scenario).")  # fmt: skip
 @click.option("--method", type=click.Choice(tuple(METHODS)), default="own", show_default=True,
-              help="Shapes inferred, as expected, or the "
+              help="Rock shapes: inferred, as expected, or the "
               "paper's method.")  # fmt: skip
 @click.option("--json", "json_file", type=click.Path(path_type=Path, dir_okay=False), default=None,
               help="Output file of all values.")  # fmt: skip
@@ -195,7 +207,7 @@ def main(
     json_file: Path | None,
     out: Path | None,
 ) -> None:
-    """Fly both paths over random fields and compare their maps."""
+    """Fly nominal and modified descents over rock fields; compare their maps."""
     console = plain_console(140)
     tasks = [
         ShadowPathTask(path, field, seed, shapes, method)
@@ -221,7 +233,7 @@ def main(
 
 
 def to_json(summary: dict[str, Any], results: list[dict[str, Any]]) -> dict[str, Any]:
-    """Return everything except the maps for JSON."""
+    """Return the summary and all flights except their maps for JSON."""
     flights = [
         {
             **{k: r[k] for k in ("path", "field", "propellant", "duration", "landed")},

@@ -20,12 +20,12 @@ from rich.table import Table
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist
 
+from lunarsim.api import State
 from lunarsim.console import plain_console
 from lunarsim.evaluation.statistics import Proportion
 from lunarsim.onboard.perception.detector import Detections, detect_rocks
 from lunarsim.onboard.perception.shadow_direction import mean_direction, shadow_directions
 from lunarsim.sensors.camera import Camera
-from lunarsim.vehicle import State
 from lunarsim.viz.style import COLOURS, new_figure, save
 
 DATA = Path(__file__).parents[1] / "data"
@@ -41,13 +41,13 @@ SIZES = ((1, 1), (2, 2), (3, 3), (4, 9))
 
 
 def load() -> np.ndarray:
-    """Return the radiance factor I/F (400, 400)."""
+    """Load the real image as radiance factor I/F (400, 400)."""
     with np.load(DATA / f"{NAME}_iof_400.npz") as data:
         return data["iof"]
 
 
 def detect(image: np.ndarray) -> Detections:
-    """Run the detector with its default settings.
+    """Detect rocks by their shadows in a real image with the default settings.
 
     The image is mirrored and its north is not needed: "east" is along samples here, "north" against
     lines.
@@ -69,14 +69,18 @@ def detect(image: np.ndarray) -> Detections:
 
 
 def middles(seen: Detections) -> np.ndarray:
-    """Return the centers of the rock shadows (n, 2), column and row."""
+    """Return the centers of the detected rock shadows (n, 2), column and row."""
     return np.array(
         [np.argwhere(seen.labels == label).mean(0)[::-1] for label in seen.label]
     ).reshape(-1, 2)
 
 
 def compare(seen: Detections, labels: dict[str, Any]) -> dict[str, Any]:
-    """Match detections in the window with labels one to one."""
+    """Match the detections in the labelled window with the labels one to one.
+
+    `labels` is the content of the label file. Returns numbers of detections, matches and labels,
+    and for each label its shadow width (pixels) and whether it was detected.
+    """
     window = labels["window"]
     low = np.array([window["column"], window["row"]])
     high = low + np.array([window["columns"], window["rows"]])
@@ -100,7 +104,10 @@ def compare(seen: Detections, labels: dict[str, Any]) -> dict[str, Any]:
 
 def draw(image: np.ndarray, seen: Detections, result: dict[str, Any], window: dict[str, int],
          path: Path) -> None:  # fmt: skip
-    """Plot the detections over the image, and the window with the labels."""
+    """Plot the detections over the image, and the labelled window in detail.
+
+    `result` is the value of `compare`; `window` gives first row and column and size, pixels.
+    """
     figure = new_figure(11.0, 5.6)
     full, part = figure.subplots(1, 2)
     low, high = np.percentile(image, [0.5, 99.5])
@@ -140,14 +147,14 @@ def draw(image: np.ndarray, seen: Detections, result: dict[str, Any], window: di
 @click.option("--out", type=click.Path(path_type=Path, file_okay=False), default=None,
               help="Output folder of the figure (default: none).")  # fmt: skip
 def main(json_file: Path | None, out: Path | None) -> None:
-    """Detect rocks, measure the shadow direction, compare with labels."""
+    """Detect rocks in a real image; compare shadow direction and rocks with labels."""
     console = plain_console(100)
     image = load()
     seen = detect(image)
     angle, half, number = mean_direction(shadow_directions(image, seen))
     stated = np.arctan2(STATED[1], STATED[0])
     console.print(
-        f"{len(seen)} rocks, {len(seen.extended)} extended shadows; shadow direction "
+        f"{len(seen)} rocks, {len(seen.excluded_labels)} extended shadows; shadow direction "
         f"({np.cos(angle):+.2f} sample, {np.sin(angle):+.2f} line), {np.degrees(angle):.1f} "
         f"± {np.degrees(half):.1f} deg from {number} rocks; published (+0.82, -0.57), "
         f"{np.degrees(stated):.1f} deg"

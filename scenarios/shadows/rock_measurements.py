@@ -2,13 +2,13 @@
 
 A camera with known pose descends to a rendered field along a straight path, and the detected rock
 positions are compared with the true ones. The difference between two images 0.1 s apart is
-measurement noise; the table compares it with the covariance of the detector (`look_covariance`).
-The additional difference after a rotation of the view is specific to a rock or common to all rocks
-(`RockFilter.turn`); both are random walks, in radii per square root of a radian, as in
-`TrackerSettings.view_wander`. The remaining error after averaging the measurements of a rock comes
-from its shape; `ShadowModel` contains such values. The first measurement good enough to start a
-track is compared with the later ones: it is selected and they are not, so a tracker restarts with
-the second one.
+measurement noise; the table compares it with the covariance of the detector
+(`independent_covariance`). The additional difference after a rotation of the view is specific to a
+rock or common to all rocks (`RockFilter.turn`); both are random walks, in radii per square root of
+a radian, as in `TrackerSettings.view_wander`. The remaining error after averaging the measurements
+of a rock comes from its shape; `ShadowModel` contains such values. The first measurement good
+enough to start a track is compared with the later ones: the first is selected by its quality and
+the later ones are not, so a tracker restarts with the second one.
 
 python scenarios/shadows/rock_measurements.py
 python scenarios/shadows/rock_measurements.py --shape irregular --sun-elevation 10
@@ -28,14 +28,13 @@ from rich.progress import track
 from rich.table import Table
 from scipy.spatial import cKDTree
 
+from lunarsim.api import State, gimbal_mount
 from lunarsim.console import plain_console
 from lunarsim.frames import direction_from_angles
-from lunarsim.models.gimbal import gimbal_mount
 from lunarsim.onboard.hazards.shadows import TrackerSettings
 from lunarsim.onboard.perception.detector import detect_rocks
 from lunarsim.onboard.perception.shadow_model import ShadowModel
 from lunarsim.sensors.camera import Camera
-from lunarsim.vehicle import State
 from lunarsim.world import World
 
 Array = NDArray[np.float64]
@@ -58,7 +57,7 @@ MIN_COMMON_ROCKS = 8
 
 @dataclass(frozen=True)
 class RockMeasurements:
-    """Measurements of rocks in a sequence of images.
+    """Shadow measurements of rocks in a sequence of images.
 
     Attributes
     ----------
@@ -68,7 +67,7 @@ class RockMeasurements:
     pixel
         Size of a pixel on the terrain along and across, m (images, rocks, 2).
     sight
-        Directions to the rocks (images, rocks, 3).
+        Unit vectors from the camera to the rocks (images, rocks, 3).
     ratio
         Measured over true radius (images, rocks).
     radius
@@ -87,7 +86,10 @@ class RockMeasurements:
 
 
 def descend(world: World, model: ShadowModel, rng: np.random.Generator) -> RockMeasurements:
-    """Descend towards the center of a field and measure the rocks."""
+    """Simulate a descent towards a field and measure the rocks in each image.
+
+    `model` predicts shadows for the Sun elevation and rock shape.
+    """
     rocks, sun = world.terrain.rocks, world.light.direction
     true = np.column_stack((rocks.x, rocks.y, np.zeros(len(rocks))))
     tree = cKDTree(true[:, :2])
@@ -115,7 +117,7 @@ def descend(world: World, model: ShadowModel, rng: np.random.Generator) -> RockM
             by_place = view.pinhole.jacobian((true[of] - position) @ view.axes, view.axes[:2].T)
             to_terrain = np.linalg.inv(by_place @ axes)
             moved = seen.pixel[at] - view.pinhole.project((true[of] - position) @ view.axes)
-            own = to_terrain @ seen.look_covariance[at] @ np.swapaxes(to_terrain, 1, 2)
+            own = to_terrain @ seen.independent_covariance[at] @ np.swapaxes(to_terrain, 1, 2)
             row[of, :2] = np.einsum("nij,nj->ni", to_terrain, moved)
             row[of, 2:4] = np.sqrt(np.diagonal(own, axis1=1, axis2=2))
             row[of, 9] = seen.radius[at] / rocks.a[of]
@@ -128,16 +130,17 @@ def descend(world: World, model: ShadowModel, rng: np.random.Generator) -> RockM
     off, sigma, pixel, sight = np.split(table[..., :9], (2, 4, 6), axis=-1)
     ratio, q = table[..., 9], table[..., 10]
     begins, read = TrackerSettings(), ratio * rocks.a
-    sharp = sigma.max(axis=-1) < np.maximum(begins.birth_sigma, read / 3.0)
-    good = (q >= begins.birth_q) & (read >= begins.least_radius) & sharp
+    sharp = sigma.max(axis=-1) < np.maximum(begins.max_birth_sigma, read / 3.0)
+    good = (q >= begins.min_birth_q) & (read >= begins.min_radius) & sharp
     return RockMeasurements(off, sigma, pixel, sight, ratio, rocks.a, good)
 
 
 def successive_changes(looks: list[RockMeasurements]) -> Array:
-    """Return rock radius, normalised and pixel changes of measurement pairs (n, 5).
+    """Return the change of measured rock positions between successive images (n, 5).
 
-    Columns: radius in pixels; change along and across over its standard deviation; change along and
-    across in pixels, scaled to a single measurement.
+    `looks` are the measurements of several descents. Columns: rock radius in pixels; change along
+    and across the Sun direction over its standard deviation; change along and across in pixels,
+    scaled to a single measurement.
     """
     out = []
     for one in looks:
@@ -152,11 +155,12 @@ def successive_changes(looks: list[RockMeasurements]) -> Array:
 
 
 def after_the_first(looks: list[RockMeasurements]) -> Array:
-    """Return the bias of the first good measurement and of the following ones (n, 4).
+    """Return the bias of the first good and the following measurements (n, 4).
 
-    The reference is the mean of the measurements `SETTLED` to twice as many images after the first.
-    Only rocks that were first seen below the quality limit are used. Columns: along and across the
-    Sun direction, pixels, and their standard errors.
+    `looks` are the measurements of several descents. The reference is the mean of the measurements
+    `SETTLED` to twice as many images after the first. Only rocks that were first seen below the
+    quality limit are used. Columns: along and across the Sun direction, pixels, and their standard
+    errors.
     """
     out = []
     for one in looks:
@@ -176,7 +180,9 @@ def after_the_first(looks: list[RockMeasurements]) -> Array:
 
 
 def random_walks(looks: list[RockMeasurements]) -> tuple[Array, Array]:
-    """Return the random walk of the centers, in radii per square root of a radian.
+    """Estimate the random walk of measured rock centers as the view direction rotates.
+
+    It is in radii per square root of a radian. `looks` are the measurements of several descents.
 
     Returns
     -------
@@ -206,12 +212,11 @@ def random_walks(looks: list[RockMeasurements]) -> tuple[Array, Array]:
 
 
 def shapes(looks: list[RockMeasurements]) -> tuple[float, float, int]:
-    """Return the errors that averaging does not remove, and the number of rocks.
+    """Return errors that averaging over images does not remove, and the rock count.
 
     These are the scatter of mean radius / true radius between rocks, and the RMS error of the mean
     position per axis, in radii. Only rocks with `MIN_MEASUREMENTS` measurements or more are used,
-    and the noise is
-    subtracted.
+    and the noise is subtracted. `looks` are the measurements of several descents.
     """
     sizes, places = [], []
     for one in looks:
@@ -233,7 +238,10 @@ def shapes(looks: list[RockMeasurements]) -> tuple[float, float, int]:
 
 
 def show(looks: list[RockMeasurements], console: Console) -> None:
-    """Print the tables."""
+    """Print noise, bias of the first measurement, random walk and remaining errors.
+
+    `looks` are the measurements of several descents.
+    """
     rows = successive_changes(looks)
     table = Table(title="Change between successive measurements")
     for heading in ("radius (pixels)", "measurements", "along the Sun (pixels)", "across (pixels)",
@@ -280,7 +288,7 @@ def show(looks: list[RockMeasurements], console: Console) -> None:
     "--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Root random seed."
 )
 def main(fields: int, shape: str, sun_elevation: float, seed: int) -> None:
-    """Measure the errors of rock centers between images and views."""
+    """Measure the errors of rock centers between images and between views."""
     elevation = np.radians(sun_elevation)
     model = ShadowModel(elevation, model_of(shape))
     looks = []

@@ -23,12 +23,10 @@ from rich.console import Console
 from rich.table import Table
 from scipy import ndimage
 
+from lunarsim import RandomStreams, Scenario, build_world, flight_seed
+from lunarsim.api import State
 from lunarsim.console import plain_console
-from lunarsim.rng import RandomStreams, flight_seed
-from lunarsim.scenario import Scenario
 from lunarsim.sensors.camera import Camera
-from lunarsim.simulation.worlds import build_world
-from lunarsim.vehicle import State
 from lunarsim.viz.style import COLOURS, new_figure, save
 from lunarsim.world import World
 from lunarsim.world.light import FULL_EARTH_IRRADIANCE_RATIO, SUN_DIAMETER_RAD, Light
@@ -52,20 +50,26 @@ DARK = 0.55
 
 
 def light(full: bool, seed: int) -> Light:
-    """Return the Sun of the real image, plain or with all effects."""
+    """Return the Sun of the real image as a point source, or with all light effects.
+
+    `full` enables the effects; `seed` is that of the albedo variation.
+    """
     plain = Light(AZIMUTH, ELEVATION)
     if not full:
         return plain
     return replace(
-        plain, photometry="hapke", diameter=SUN_DIAMETER_RAD, scattered=True,
-        earthshine=0.5 * FULL_EARTH_IRRADIANCE_RATIO, mottle=0.05, boulder_albedo=1.3,
-        boulder_mottle=0.15,
-        mottle_seed=seed,
+        plain, photometry="hapke", diameter=SUN_DIAMETER_RAD, scattered_light=True,
+        earthshine=0.5 * FULL_EARTH_IRRADIANCE_RATIO, albedo_variation=0.05, boulder_albedo=1.3,
+        boulder_albedo_variation=0.15,
+        albedo_seed=seed,
     )  # fmt: skip
 
 
 def camera() -> Camera:
-    """Return a camera with the pixels of the real one; 12 bits over an I/F of 0.3."""
+    """Return a camera with the pixels of the real image, 12 bits up to an I/F of 0.3.
+
+    I/F is the radiance factor: radiance relative to a white diffuse surface under the Sun overhead.
+    """
     return Camera(
         SIDE, SIDE, ALTITUDE / SAMPLE, ALTITUDE / LINE, exposure=1e-3,
         mount=np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]]),
@@ -74,7 +78,10 @@ def camera() -> Camera:
 
 
 def render(name: str, full: bool, seed: int) -> Array:
-    """Return I/F (400, 400) of the terrain of a scenario as seen by the real camera."""
+    """Render I/F (400, 400) of a scenario's terrain as seen by the real camera.
+
+    `name` is the scenario; `full` enables all light effects.
+    """
     scenario = Scenario.load(ROOT / f"{name}.toml")
     if hasattr(scenario.terrain, "size_m"):
         scenario = scenario.changed(terrain={"size_m": 260.0})
@@ -91,12 +98,15 @@ def render(name: str, full: bool, seed: int) -> Array:
 
 
 def divide_by_local_mean(image: Array) -> Array:
-    """Return an image divided by its local mean."""
+    """Divide an image by its Gaussian local mean to remove large-scale brightness."""
     return np.asarray(image / ndimage.gaussian_filter(image, REGION, mode="reflect"))
 
 
 def spectrum(flat: Array) -> tuple[Array, Array]:
-    """Return wave numbers (cycles/m) and power (m^2) in rings of equal ratio."""
+    """Return the power spectrum of a normalised image, averaged over rings.
+
+    Returns wave numbers (cycles/m), which grow by a constant ratio, and power (m^2).
+    """
     window = np.outer(np.hanning(SIDE), np.hanning(SIDE))
     window /= np.sqrt(np.mean(window**2))
     power = np.abs(np.fft.fft2((flat - flat.mean()) * window)) ** 2 * SAMPLE * LINE / SIDE**2
@@ -108,7 +118,10 @@ def spectrum(flat: Array) -> tuple[Array, Array]:
 
 
 def correlation(flat: Array) -> tuple[Array, Array]:
-    """Return the autocorrelation at distances (m) along and across the Sun azimuth."""
+    """Return the autocorrelation of a normalised image along and across the shadows.
+
+    Returns distances (n,), m, and the two correlations (2, n).
+    """
     f = np.fft.fft2(flat - flat.mean())
     auto = np.fft.ifft2(np.abs(f) ** 2).real
     auto = np.fft.fftshift(auto / auto[0, 0])
@@ -123,7 +136,10 @@ def correlation(flat: Array) -> tuple[Array, Array]:
 
 
 def shadow_lengths(flat: Array) -> Array:
-    """Return the length of each dark patch of two pixels or more along the shadows, m."""
+    """Return the length of each dark patch along the shadow direction (n,), m.
+
+    `flat` is a normalised image; patches of a single pixel are omitted.
+    """
     patches, count = ndimage.label(flat < DARK, np.ones((3, 3)))
     along = SHADOWS / np.hypot(*SHADOWS)
     lengths = []
@@ -136,7 +152,7 @@ def shadow_lengths(flat: Array) -> Array:
 
 
 def figures(image: Array) -> dict[str, Any]:
-    """Return the metrics of an image."""
+    """Return histogram, spectrum, correlation and shadow metrics of an image."""
     flat = divide_by_local_mean(image)
     k, power = spectrum(flat)
     distance, auto = correlation(flat)
@@ -159,7 +175,7 @@ def figures(image: Array) -> dict[str, Any]:
 
 
 def histogram_distance(one: Array, other: Array) -> float:
-    """Return the mean difference of the sorted values of two normalised images."""
+    """Return the mean difference of the sorted pixel values of two normalised images."""
     return float(
         np.mean(
             np.abs(
@@ -171,9 +187,10 @@ def histogram_distance(one: Array, other: Array) -> float:
 
 
 def smooth_part(image: Array) -> tuple[float, float]:
-    """Return spread and correlation length (m, to 1/e) of the smooth terrain.
+    """Return spread and correlation length (m) of a smooth part of the real image.
 
-    This is an upper limit of the albedo variation, because it includes unresolved relief.
+    The correlation length is at 1/e. The spread is an upper limit of the albedo variation, because
+    it includes unresolved relief.
     """
     part = divide_by_local_mean(image)[60:380, 260:390]
     part = part - part.mean()
@@ -199,7 +216,10 @@ ROWS = (
 
 
 def show(found: dict[str, dict[str, Any]], console: Console) -> None:
-    """Print a table of all images."""
+    """Print a table of the metrics of all images.
+
+    `found` holds the metrics by name of the image.
+    """
     table = Table(title="Rendered images compared with M143947267L")
     table.add_column("")
     for name in found:
@@ -210,7 +230,10 @@ def show(found: dict[str, dict[str, Any]], console: Console) -> None:
 
 
 def draw(images: dict[str, Array], found: dict[str, dict[str, Any]], path: Path) -> None:
-    """Plot the images, their histograms, spectra and correlations."""
+    """Plot the images with their histograms, power spectra and autocorrelations.
+
+    `found` holds the metrics by name of the image; `path` is the output file.
+    """
     count = len(images)
     figure = new_figure(3.1 * count, 6.6)
     axes = figure.subplots(2, max(count, 3), gridspec_kw={"height_ratios": [1.15, 1.0]})
@@ -246,7 +269,10 @@ def draw(images: dict[str, Array], found: dict[str, dict[str, Any]], path: Path)
 
 
 def compare(grounds: tuple[str, ...], seed: int) -> tuple[dict[str, Array], dict[str, Any]]:
-    """Return the images and their metrics, the real one first."""
+    """Render terrains with plain and full light; return images and metrics by name.
+
+    `grounds` are scenario names. The real image comes first.
+    """
     with np.load(REAL) as data:
         images = {"real": data["iof"].astype(np.float64)}
     for name in grounds:
@@ -259,17 +285,17 @@ def compare(grounds: tuple[str, ...], seed: int) -> tuple[dict[str, Array], dict
 
 
 @click.command()
-@click.option("--ground", "grounds", multiple=True, default=GROUNDS, show_default=True,
+@click.option("--terrain", "grounds", multiple=True, default=GROUNDS, show_default=True,
               help="Scenario of the terrain; repeatable.")  # fmt: skip
 @click.option(
     "--seed", default=1, show_default=True, help="Random seed of rocks, albedo and noise."
 )
 @click.option("--json", "json_file", type=click.Path(path_type=Path, dir_okay=False), default=None,
-              help="Output file of the metrics.")  # fmt: skip
+              help="Output file of all metrics (JSON).")  # fmt: skip
 @click.option("--out", type=click.Path(path_type=Path, file_okay=False), default=None,
               help="Output folder of the figure (default: none).")  # fmt: skip
 def main(grounds: tuple[str, ...], seed: int, json_file: Path | None, out: Path | None) -> None:
-    """Compare rendered images with the real image."""
+    """Compare rendered terrain images with a real LROC narrow-angle camera image."""
     images, found = compare(grounds, seed)
     console = plain_console(150)
     show(found, console)

@@ -12,9 +12,8 @@ from typing import Any
 import click
 import numpy as np
 
-from lunarsim.errors import InputError
+from lunarsim import InputError, Scenario
 from lunarsim.rocks.size_distribution import golombek_number
-from lunarsim.scenario import Scenario
 from lunarsim.simulation.image_rendering import render
 
 SCENARIOS = Path(__file__).parents[1]
@@ -86,10 +85,11 @@ SCENES: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
 
 
 def draw_rock_law(out: Path) -> str:
-    """Plot measured rocks with Golombek's law, fit its cover, and return a summary.
+    """Plot measured rocks with Golombek's size law and its fitted cover.
 
     The data are 12,627 rocks that a shadow detector found in a HiRISE image of 3289 x 6824 m. Small
-    rocks cast shadows of too few pixels and are missed, so the fit uses only 1.5 to 4 m.
+    rocks cast shadows of too few pixels and are missed, so the fit uses only 1.5 to 4 m. The figure
+    is written to folder `out`; returns a summary.
     """
     from scipy.optimize import minimize_scalar
 
@@ -134,18 +134,17 @@ def draw_rock_law(out: Path) -> str:
 def draw_shadow_crops(out: Path) -> str:
     """Plot rendered shadows pixel by pixel with the computed positions of their tips.
 
-    A cube, a hemisphere and a half ellipsoid, each 2 m wide, on a horizontal plane,
-    Sun in the west.
+    The shapes are a cube, a hemisphere and a half ellipsoid, each 2 m wide, on a horizontal plane
+    with the Sun in the west. The figure is written to folder `out`; returns a summary.
     """
+    from lunarsim import Grid, Heightfield, Terrain
     from lunarsim.frames import sensor_axes
-    from lunarsim.grid import Grid
     from lunarsim.models.pinhole import View
     from lunarsim.rocks.field import RockField
     from lunarsim.rocks.shapes import CUBE, ELLIPSOID
     from lunarsim.sensors.rendering import Renderer
     from lunarsim.viz.style import new_figure, save
     from lunarsim.world.light import Light
-    from lunarsim.world.terrain import Heightfield, Terrain
 
     shapes = {"cube": (CUBE, 2.0), "half sphere": (ELLIPSOID, 1.0), "ellipsoid": (ELLIPSOID, 0.6)}
     suns = (5.0, 10.0, 20.0, 45.0)
@@ -199,7 +198,7 @@ def draw_shadow_crops(out: Path) -> str:
     "--only", type=click.Choice([*SCENES, "rocks", "shadows"]), help="Generate only this image."
 )
 def main(out: Path, only: str | None) -> None:
-    """Render the gallery."""
+    """Render the terrain gallery of the documentation."""
     out.mkdir(parents=True, exist_ok=True)
     try:
         for name, (tables, how) in SCENES.items():

@@ -1,4 +1,4 @@
-"""Render one scene with the plain light and with all effects of `[sun]`.
+"""Render one terrain with the plain light and with all effects of `[sun]`.
 
 python scenarios/terrain/light.py --out docs/images
 """
@@ -12,12 +12,10 @@ import click
 import numpy as np
 from numpy.typing import NDArray
 
-from lunarsim.rng import RandomStreams, flight_seed
-from lunarsim.scenario import Scenario
+from lunarsim import RandomStreams, Scenario, build_world, flight_seed
 from lunarsim.sensors.camera import Camera
 from lunarsim.sensors.rendering import renderer_of
 from lunarsim.simulation.image_rendering import camera_pointing_state
-from lunarsim.simulation.worlds import build_world
 from lunarsim.viz.style import new_figure, save
 from lunarsim.world.light import FULL_EARTH_IRRADIANCE_RATIO, SUN_DIAMETER_RAD, Light
 
@@ -26,17 +24,21 @@ SCENARIOS = Path(__file__).parents[1]
 STEPS = {
     "plain": {},
     "the Sun's disc": {"diameter": SUN_DIAMETER_RAD},
-    "and scattered light, Earthshine": {"scattered": True,
+    "and scattered light, Earthshine": {"scattered_light": True,
     "earthshine": FULL_EARTH_IRRADIANCE_RATIO},
     "and Hapke, mottles, boulders": {
-        "photometry": "hapke", "mottle": 0.05, "boulder_albedo": 1.3, "boulder_mottle": 0.15,
+        "photometry": "hapke", "albedo_variation": 0.05, "boulder_albedo": 1.3,
+        "boulder_albedo_variation": 0.15,
     },
 }  # fmt: skip
 ROWS = ((3.0, 25.0, 2.5), (20.0, 60.0, 2.5))
 
 
 def render_image(world, light: Light, altitude: float) -> NDArray[np.float32]:
-    """Return I/F (240, 320), four rays per pixel, 30 deg off nadir."""
+    """Render a terrain from 30 deg off nadir as I/F (240, 320), four rays per pixel.
+
+    I/F is the radiance factor. `altitude` is the height above the terrain, m.
+    """
     camera = Camera.with_field_of_view(640, 480, 50.0)
     state = camera_pointing_state(camera, world, (10.0, -15.0), altitude, np.radians(30.0), 0.0)
     drawn = renderer_of(world.terrain).render(camera.view(state), light).radiance
@@ -49,14 +51,14 @@ def render_image(world, light: Light, altitude: float) -> NDArray[np.float32]:
 @click.option("--out", type=click.Path(path_type=Path, file_okay=False), required=True,
               help="Output folder of the image.")  # fmt: skip
 def main(scenario: str, seed: int, out: Path) -> None:
-    """Render the images."""
+    """Render one terrain with an increasing number of light effects."""
     world = build_world(
         Scenario.load(SCENARIOS / f"{scenario}.toml"), RandomStreams(flight_seed(seed, 0))
     )
     figure = new_figure(3.3 * len(STEPS), 5.4)
     axes = figure.subplots(len(ROWS), len(STEPS))
     for row, (elevation, altitude, power) in zip(axes, ROWS, strict=True):
-        light = Light(np.radians(250.0), np.radians(elevation), mottle_seed=seed)
+        light = Light(np.radians(250.0), np.radians(elevation), albedo_seed=seed)
         for ax, (name, more) in zip(row, STEPS.items(), strict=True):
             light = replace(light, **more)
             image = render_image(world, light, altitude)

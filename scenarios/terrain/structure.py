@@ -18,18 +18,18 @@ import click
 import numpy as np
 from rich.table import Table
 
+from lunarsim import Heightfield, Scenario, load_terrain
 from lunarsim.console import plain_console
-from lunarsim.scenario import Scenario
 from lunarsim.viz.style import COLOURS, new_figure, save
-from lunarsim.world.terrain import Heightfield
-from lunarsim.world.terrain.dtm import load_terrain
 from lunarsim.world.terrain_models.measured import RasterTerrain
 
 LAGS = (0.25, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0, 32.0)
 
 
 def differences(relief: Heightfield, lag: float, box: tuple[float, ...]) -> tuple[float, float]:
-    """Return the RMS first and second difference over a lag, m; NaN off the posting.
+    """Return the RMS first and second difference of elevations over a lag, m.
+
+    The result is NaN if the lag is not a multiple of the grid spacing.
 
     Parameters
     ----------
@@ -60,7 +60,7 @@ def differences(relief: Heightfield, lag: float, box: tuple[float, ...]) -> tupl
 
 
 def reliefs(raster: RasterTerrain) -> dict[str, Heightfield]:
-    """Return the relief as filed, refined, and with generated detail."""
+    """Return a measured relief as filed, refined, and with generated detail, by name."""
     filed = load_terrain(raster.path, posting=raster.dtm_posting, window=raster.dtm_window)
     return {
         "as filed": filed.scaled(raster.relief_scale),
@@ -70,7 +70,11 @@ def reliefs(raster: RasterTerrain) -> dict[str, Heightfield]:
 
 
 def draw(rows: dict[str, np.ndarray], posting: float, path: Path) -> None:
-    """Plot first and second differences divided by the lag."""
+    """Plot RMS first and second differences divided by the lag.
+
+    `rows` holds the differences (lags, 2), m, by name of the relief; `posting` is the grid spacing
+    of the measured raster, m; `path` is the output file.
+    """
     figure = new_figure(9.6, 4.2)
     panels = figure.subplots(1, 2)
     titles = ("first differences / lag", "second differences / lag")
@@ -98,7 +102,7 @@ def draw(rows: dict[str, np.ndarray], posting: float, path: Path) -> None:
               show_default=True,
               help="West, east, south, north limit of the area (m).")  # fmt: skip
 @click.option("--json", "json_file", type=click.Path(path_type=Path, dir_okay=False), default=None,
-              help="Output file of the values.")  # fmt: skip
+              help="Output file of all values (JSON).")  # fmt: skip
 @click.option("--out", type=click.Path(path_type=Path, file_okay=False), default=None,
               help="Output folder of the figure.")  # fmt: skip
 def main(scenario: Path, box: tuple[float, ...], json_file: Path | None, out: Path | None) -> None:

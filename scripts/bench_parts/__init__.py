@@ -1,1 +1,1 @@
-"""The parts of `scripts/bench.py`, one function each."""
+"""Benchmarks of `scripts/bench.py`, one function each."""

@@ -11,7 +11,7 @@ _EVERY = 1.0
 
 
 def eyes() -> None:
-    """Two cameras at 10 Hz, flashes at 2 Hz, a fused map per second."""
+    """Time a flight with two cameras (10 Hz), LiDAR (2 Hz) and a fused map (1 Hz)."""
     for words, both in (("in sequence", False), ("both all the time", True)):
         scenario = all_sensors(both)
         # Compiles the kernels and computes the Sun tables.
@@ -35,7 +35,10 @@ def eyes() -> None:
 
 
 def all_sensors(both: bool):
-    """Return the scenario; `both`: both cameras observe the complete descent."""
+    """Return a scenario with two cameras and a flash LiDAR.
+
+    If `both`, both cameras observe during the complete descent, otherwise one after the other.
+    """
     from lunarsim.scenario import Scenario
 
     every = {"rate_hz": 10.0, "first_altitude_m": 1150.0, "last_altitude_m": 0.0}
@@ -43,13 +46,16 @@ def all_sensors(both: bool):
         "narrow": {"rate_hz": 10.0}, "wide": {"rate_hz": 10.0}
     }  # fmt: skip
     flash = {"kind": "periodic", "rate_hz": 2.0, "first_altitude_m": 1150.0}
-    return Scenario.load(ROOT / "scenarios" / "all_eyes.toml").changed(
+    return Scenario.load(ROOT / "scenarios" / "all_sensors.toml").changed(
         tasking=cameras | {"flash": flash}, sun={"photometry": "lambert"}
     )
 
 
 def time_flight(scenario, until: float = float("inf")) -> tuple[float, list[float], list[float]]:
-    """Return the simulated time, and wall and processor time of each second, s."""
+    """Fly a scenario up to time `until` (s) and measure its computing time.
+
+    Returns the simulated time, and wall-clock and processor time of each simulated second, s.
+    """
     from lunarsim.rng import flight_seed
     from lunarsim.simulation import Simulation
 

@@ -15,6 +15,12 @@ from lunarsim.safety.footprint import polygon_runs
 
 @kernel(inline=True)
 def _over_polygon(z, here, wide, runs, begin, beyond, gx, gy):
+    """Return the maximum height above a plane within a leg polygon, for several sites.
+
+    `z` are flattened heights of rows of `wide` cells; `here` is the first site;
+    `runs[begin:beyond]` are the cells of the polygon by row; `gx` and `gy` are the slopes of the
+    plane per cell.
+    """
     top = lane_fill(-1e30)
     for n in range(begin, beyond):
         row, col = item(runs, 3 * n), item(runs, 3 * n + 1)
@@ -28,6 +34,7 @@ def _over_polygon(z, here, wide, runs, begin, beyond, gx, gy):
 
 @kernel(parallel=True, inner=False)
 def _brute(z, feet, shape, cells, legs, runs, first, posting, tangent, roughness):
+    """Write slope tangent and roughness of all sites, over all headings of the lander."""
     inverse, place, reach = cells.inverse, cells.place, cells.reach
     rows, cols = shape
     for i in prange(reach, rows - reach):
@@ -47,7 +54,10 @@ def _brute(z, feet, shape, cells, legs, runs, first, posting, tangent, roughness
 
 
 def brute(z, grid, lander):
-    """Return tan(slope) and roughness (rows, cols), 0 near the edge."""
+    """Compute tangent of slope and roughness of all sites by brute force.
+
+    `z` (rows, cols) are heights on `grid`, m. Both results are (rows, cols), and 0 near the edge.
+    """
     footprint = footprint_of(lander, grid.posting)
     lines = [polygon_runs(polygon) for polygon in footprint.legs]
     first = np.cumsum([0] + [len(line) for line in lines])
@@ -66,7 +76,7 @@ def brute(z, grid, lander):
 
 
 def terrains(grid):
-    """Return terrains by name, including cases in which the exact map was slow."""
+    """Return test terrains (rows, cols) by name, some of them slow for the exact map."""
     from lunarsim.world.terrain import fractal_relief
 
     rng = np.random.default_rng(0)
@@ -107,7 +117,10 @@ def terrains(grid):
 
 
 def compare(lander, width: float = 25.0, posting: float = 0.1) -> None:
-    """Print the exact map's time per cell and its ratio to brute force."""
+    """Time the exact safety map per cell, relative to brute force, and check it.
+
+    `width` and `posting` are side and grid spacing of the map, m.
+    """
     import numba
 
     from lunarsim.grid import Grid

@@ -23,7 +23,10 @@ _ROW_COUNT = 2000
 
 
 def worlds(folder: Path) -> None:
-    """Print the cost of a world, and of a flight with and without the cache."""
+    """Print the computing time of a world, and of a flight with and without the cache.
+
+    A world is the random terrain of a flight; `folder` holds the cache.
+    """
     from lunarsim.campaign.cache import open_cache
     from lunarsim.campaign.world_truth import WorldTruthProvider
     from lunarsim.rng import flight_seed
@@ -54,6 +57,7 @@ def worlds(folder: Path) -> None:
 
 
 def _world(grounds: Any, scenario: Any) -> Any:
+    """Generate the world of a scenario with the seed of a world provider."""
     from lunarsim.rng import RandomStreams
     from lunarsim.simulation import build_world
 
@@ -61,7 +65,10 @@ def _world(grounds: Any, scenario: Any) -> Any:
 
 
 def million(folder: Path, row_bytes: float) -> None:
-    """Print the cost of a million flights by hazard mapper."""
+    """Print computing time and cost (USD) of a million flights by hazard mapper.
+
+    `row_bytes` is the storage of the results of one flight, bytes.
+    """
     write = _writer_time(folder)
     print(
         f"  writer: {1e3 * write:.2f} ms per row on one core, {1.0 / write:.0f} rows per second; "
@@ -83,7 +90,7 @@ def million(folder: Path, row_bytes: float) -> None:
 
 
 def _writer_time(folder: Path) -> float:
-    """Return the processor time of the campaign writer per row, s."""
+    """Return the processor time to store the results of one flight, s."""
     from dataclasses import replace
 
     from lunarsim.campaign.flight_execution import build_plan
@@ -102,6 +109,7 @@ def _writer_time(folder: Path) -> float:
 
 
 def _spec(name: str, flights: int) -> Any:
+    """Return a campaign of some flights of a supplied scenario."""
     from lunarsim.campaign.spec import CampaignSpec
 
     path = ROOT / "scenarios" / f"{name}.toml"
@@ -109,7 +117,10 @@ def _spec(name: str, flights: int) -> Any:
 
 
 def _seconds(name: str, flights: int, cache: Any) -> float:
-    """Return the median processor time of a flight without compilation, s."""
+    """Return the median processor time of a flight of a scenario, s.
+
+    The first flight, which compiles kernels, is excluded; `cache` is a cache of worlds or None.
+    """
     from lunarsim.campaign.flight_execution import build_plan, fly
     from lunarsim.campaign.plan import Group
 

@@ -26,7 +26,7 @@ _TASKS, _TURNS = 24, 4_000_000
 
 
 def campaign() -> None:
-    """Overhead, two jobs against one, memory, report of a million rows, and cost."""
+    """Measure overhead, speed-up of two jobs, memory, report time, cost of campaigns."""
     with tempfile.TemporaryDirectory() as folder:
         _memory(Path(folder))
         _jobs(Path(folder))
@@ -37,30 +37,34 @@ def campaign() -> None:
 
 
 def nothing(study: Any, group: Any, arm: int, memory: Any) -> dict[str, Any]:
-    """Return a result without a flight; report the memory of this process."""
+    """Stand in for a flight: return a fixed result and the memory of this process.
+
+    The arguments are those of the flight function of a campaign.
+    """
     return {"safe": group.flight % 3 > 0, "mib": _mib(), **dict.fromkeys("abcdefgh", 1.5)}
 
 
 def measured(study: Any, group: Any, arm: int, memory: Any) -> dict[str, Any]:
-    """Fly; report the memory of this process."""
+    """Fly one flight of a campaign; return its safety and this process's memory, MiB."""
     from lunarsim.campaign.flight_execution import fly
 
     return {"safe": fly(study, group, arm, memory)["safe"], "mib": _mib()}
 
 
 def turns(study: Any, group: Any, arm: int, memory: Any) -> dict[str, Any]:
-    """Keep a core busy."""
+    """Stand in for a flight: keep a core busy for `study` loop iterations."""
     spin(int(study))
     return {"safe": True}
 
 
 def spin(count: int) -> None:
-    """Count."""
+    """Run an empty loop of `count` iterations, to keep a core busy."""
     for _ in range(count):
         pass
 
 
 def _plan(flights: int, function: str, study: Any = None) -> Any:
+    """Return a campaign plan that calls a function of this module for each flight."""
     from lunarsim.campaign.plan import Plan, Work
 
     kinds = {"safe": "bool", "mib": "float"} | dict.fromkeys("abcdefgh", "float")
@@ -72,7 +76,7 @@ def _plan(flights: int, function: str, study: Any = None) -> Any:
 
 
 def _overhead(folder: Path) -> None:
-    """Print the overhead per flight, and its fraction of a flight."""
+    """Print the campaign's overhead per flight, and its fraction of a flight's time."""
     from lunarsim.campaign.cache import open_cache
     from lunarsim.campaign.engines.local import LocalEngine
     from lunarsim.campaign.flight_execution import build_plan
@@ -111,7 +115,7 @@ def _overhead(folder: Path) -> None:
 
 
 def _jobs(folder: Path) -> None:
-    """Print the speed-up of two jobs over one, and that of two bare processes."""
+    """Print the speed-up of two jobs over one, compared with two plain processes."""
     from lunarsim.campaign.engines.local import LocalEngine
     from lunarsim.campaign.results import load_results
     from lunarsim.campaign.run import run
@@ -141,7 +145,10 @@ def _jobs(folder: Path) -> None:
 
 
 def _busy(timing: Any) -> float:
-    """Return the fraction of time that workers were flying."""
+    """Return the mean fraction of time that workers spent in flights.
+
+    `timing` is the timing table of a campaign.
+    """
     shares = []
     for _, one in timing.groupby("worker"):
         ended = one["finished_unix_s"].to_numpy()
@@ -151,7 +158,7 @@ def _busy(timing: Any) -> float:
 
 
 def _bare(processes: int) -> float:
-    """Return the time per task when several processes share the tasks, s."""
+    """Return the time per task when plain processes share the tasks, s."""
     each = _TASKS // processes
     code = (
         "import time; from bench_parts.campaigns import spin; began = time.perf_counter()\n"
@@ -168,7 +175,7 @@ def _bare(processes: int) -> float:
 
 
 def _memory(folder: Path) -> None:
-    """Print the memory of driver and worker over many short flights."""
+    """Print the memory of main process and worker during campaigns of many flights."""
     from lunarsim.campaign.engines.local import LocalEngine
     from lunarsim.campaign.flight_execution import build_plan
     from lunarsim.campaign.results import load_results
@@ -200,7 +207,10 @@ def _memory(folder: Path) -> None:
 
 
 def _report(folder: Path) -> float:
-    """Print the time of a report of a million rows; return the bytes per row."""
+    """Print the time of a campaign report of a million flights.
+
+    Returns the stored bytes per flight.
+    """
     from lunarsim.campaign.engines.inline import InlineEngine
     from lunarsim.campaign.report import write_report
     from lunarsim.campaign.run import run
@@ -220,7 +230,7 @@ def _report(folder: Path) -> float:
 
 
 def _fill_with_rows(out: Path, rows: int) -> None:
-    """Fill the folder of a campaign with random rows that have the columns of flights."""
+    """Fill a campaign folder with random results of `rows` flights."""
     import json
 
     import pyarrow as pa
@@ -269,6 +279,7 @@ def _fill_with_rows(out: Path, rows: int) -> None:
 
 
 def _part(out: Path, kind: str, part: int) -> Path:
+    """Return the path of a numbered result file of a campaign folder."""
     return out / kind / f"part-{part:05d}.parquet"
 
 

@@ -10,7 +10,7 @@ from bench_parts.common import ROOT
 
 
 def frames() -> None:
-    """Frames of an environment, one per decision, compared with the flight itself."""
+    """Time the frames of an environment, one per decision, relative to its steps."""
     import gymnasium
 
     env = gymnasium.make("lunarsim_envs:lunarsim/Retarget-v0", render_mode="rgb_array")
@@ -37,7 +37,7 @@ def frames() -> None:
 
 
 def flight() -> None:
-    """One closed-loop flight on one thread, relative to real time."""
+    """Time closed-loop flights on one thread, relative to real time."""
     from lunarsim.rng import flight_seed
     from lunarsim.scenario import Scenario
     from lunarsim.simulation import Simulation

@@ -25,7 +25,10 @@ main()
 
 
 def _run(*words: str, cores: int | None = None) -> tuple[float, float, float]:
-    """Return processor time of a command and its helper, and wall time, s."""
+    """Run `lunarsim` with arguments and no compiled kernels, on some cores.
+
+    Returns processor time of the command and of its helper process, and wall-clock time, s.
+    """
     with tempfile.TemporaryDirectory() as folder:
         environment = {**os.environ, "NUMBA_CACHE_DIR": str(Path(folder) / "kernels")}
         some = sorted(os.sched_getaffinity(0))[:cores]
@@ -41,7 +44,7 @@ def _run(*words: str, cores: int | None = None) -> tuple[float, float, float]:
 
 
 def cold_start() -> None:
-    """`lunarsim` on a machine without compiled kernels."""
+    """Time the first commands on a machine without compiled kernels."""
     for label, words, cores in (
         ("lunarsim --help", ("--help",), None),
         ("fly hirise", ("fly", "hirise"), None),

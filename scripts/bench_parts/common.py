@@ -1,4 +1,4 @@
-"""Timing functions and terrain for all parts."""
+"""Timing functions and terrain that several benchmarks use."""
 
 from __future__ import annotations
 
@@ -35,7 +35,10 @@ def reference_ms() -> float:
 def alternating_medians(
     calls: dict[str, Callable[[], object]], repeats: int = 11
 ) -> dict[str, float]:
-    """Return the median time of each call, ms; the calls alternate."""
+    """Return the median time of each function, ms, with the calls in turn.
+
+    Slow changes of the machine's speed therefore affect all functions equally.
+    """
     for call in calls.values():
         call()
     times: dict[str, list[float]] = {name: [] for name in calls}
@@ -48,7 +51,7 @@ def alternating_medians(
 
 
 class TimedFunction:
-    """A function wrapper that counts calls and their time."""
+    """Wrapper of a function that counts its calls and their total time, s."""
 
     def __init__(self, function):
         self.function = function
@@ -56,7 +59,7 @@ class TimedFunction:
         self.calls = 0
 
     def __call__(self, *args, **more):
-        """Call the function and add its time."""
+        """Call the function, add its time to the total, and return its result."""
         began = time.perf_counter()
         result = self.function(*args, **more)
         self.seconds += time.perf_counter() - began
@@ -65,7 +68,10 @@ class TimedFunction:
 
 
 def make_terrain(slope_deg: float, count: int, posting: float, side: float, seed: int = 0):
-    """Return a square of fractal relief with `count` rocks by the Golombek law."""
+    """Return a square fractal terrain with about `count` rocks of Golombek's law.
+
+    `slope_deg` is the RMS slope, `posting` the grid spacing and `side` the side, m.
+    """
     import numpy as np
 
     from lunarsim.grid import Grid

@@ -39,7 +39,7 @@ print("steps", steps / (time.perf_counter() - begun))
 
 
 def _peer(name: str) -> float:
-    """Return steps per second of another environment; NaN if missing."""
+    """Measure the steps per second of another project's environment; NaN if missing."""
     python = _PEERS / "bin" / "python"
     if not python.exists():
         print(f"  creating {_PEERS} for {', '.join(_PACKAGES)}", flush=True)
@@ -56,7 +56,10 @@ def _peer(name: str) -> float:
 
 
 def _single(name: str, clock: Callable[[], float] = time.perf_counter, **settings: Any) -> float:
-    """Return steps per second of an environment with random actions and resets."""
+    """Measure the steps per second of an environment, random actions and resets.
+
+    `clock` measures the time, s; `settings` are arguments of the environment.
+    """
     env = gymnasium.make(name, **settings)
     env.reset(seed=1)
     env.action_space.seed(1)
@@ -72,7 +75,7 @@ def _single(name: str, clock: Callable[[], float] = time.perf_counter, **setting
 
 
 def _retarget() -> None:
-    """Print decisions per second and core in Retarget-v0 by perception, and map times.
+    """Print decisions per second of Retarget-v0 and time per map, by perception.
 
     One thread and processor time, so that other work on the machine has no effect.
     """
@@ -98,7 +101,10 @@ def _retarget() -> None:
 
 
 def _map_time(env: gymnasium.Env[Any, Any]) -> str:
-    """Return the time of a map as text, ms; empty for perceptions without maps."""
+    """Return the median time of a hazard map as text, ms.
+
+    The text is empty for perceptions that kernels do not fly.
+    """
     lanes = getattr(env.unwrapped.flight, "lanes", None)  # type: ignore[attr-defined]
     if lanes is None:
         return ""
@@ -121,7 +127,7 @@ def _map_time(env: gymnasium.Env[Any, Any]) -> str:
 
 
 def _batch_of_choices(count: int) -> float:
-    """Return decisions per second of a batch of Retarget-v0, including resets."""
+    """Measure decisions per second of `count` parallel Retarget-v0, with resets."""
     vector = gymnasium.make_vec(
         "lunarsim/Retarget-v0", num_envs=count, vectorization_mode="vector_entry_point", worlds=8
     )
@@ -137,7 +143,7 @@ def _batch_of_choices(count: int) -> float:
 
 
 def _batch(name: str, count: int) -> float:
-    """Return steps per second of a batch, including resets."""
+    """Measure steps per second of `count` parallel environments, including resets."""
     vector = gymnasium.make_vec(name, num_envs=count, vectorization_mode="vector_entry_point")
     vector.reset(seed=1)
     rng = np.random.default_rng(1)
@@ -152,7 +158,7 @@ def _batch(name: str, count: int) -> float:
 
 
 def envs() -> None:
-    """Steps per second relative to PyFlyt and Gymnasium; simulated seconds per second."""
+    """Measure steps per second of the environments, relative to PyFlyt and Gymnasium."""
     assert lunarsim_envs.__name__
     lander, rocket = _peer("LunarLander-v3"), _peer("PyFlyt/Rocket-Landing-v4")
     print(f"  LunarLander-v3 {lander:,.0f} steps/s, PyFlyt/Rocket-Landing-v4 {rocket:,.0f} steps/s")

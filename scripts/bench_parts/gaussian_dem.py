@@ -6,7 +6,7 @@ from bench_parts.common import median_ms
 
 
 def gaussian_dem() -> None:
-    """65,536 returns from 500 m at nadir to a safety map, relative to Qhull and ALHAT."""
+    """Time 65,536 LiDAR returns to a safety map, relative to Qhull and ALHAT."""
     import numpy as np
 
     from bench_parts.brute_safety import compare
@@ -24,6 +24,7 @@ def gaussian_dem() -> None:
 
 
 def _plane_with_rocks():
+    """Return a flat terrain of 202 m with 500 rocks of 1 m."""
     import numpy as np
 
     from lunarsim.grid import Grid
@@ -34,7 +35,10 @@ def _plane_with_rocks():
 
 
 def _scan(terrain, lidar, here):
-    """Return the returns (n, 3) of a flash at nadir, and the detector's shape."""
+    """Simulate a LiDAR flash from position `here` (3,) straight down.
+
+    Returns the points (n, 3), m, and rows and columns of the detector.
+    """
     import numpy as np
 
     from lunarsim.frames import sensor_axes
@@ -49,7 +53,10 @@ def _scan(terrain, lidar, here):
 
 
 def _triangulations(points, shape) -> float:
-    """Time the triangulations; return the time of Qhull, ms."""
+    """Print the times of Delaunay triangulations relative to Qhull.
+
+    `points` (n, 3) are from a detector of `shape`. Returns the time of Qhull, ms.
+    """
     from scipy.spatial import Delaunay
 
     from lunarsim.triangulation import delaunay, delaunay_of_image
@@ -65,7 +72,10 @@ def _triangulations(points, shape) -> float:
 
 
 def _safety_maps(points, shape, sigma: float, lander, qhull: float) -> None:
-    """Time the step from points to safety map on increasingly fine grids."""
+    """Print the time from points to safety map on increasingly fine grids.
+
+    `sigma` is the range noise, m, and `qhull` the time of the triangulation by Qhull, ms.
+    """
     from lunarsim.grid import Grid
     from lunarsim.onboard.hazards.gaussian_dem import gaussian_dem as build
     from lunarsim.safety import alhat_safety, conservative_safety, stochastic_safety
@@ -88,7 +98,10 @@ def _safety_maps(points, shape, sigma: float, lander, qhull: float) -> None:
 
 
 def _safety_tests(terrain, lander) -> None:
-    """Time the exact map, the decision only, and the bounded test on a million cells."""
+    """Time the exact safety map, the safe mask only, and the bounded safety test.
+
+    Each is for a million cells of a rock field and of a rough relief.
+    """
     import numpy as np
 
     from lunarsim.grid import Grid

@@ -16,7 +16,7 @@ _STATES, _G = 200, 1.622
 
 
 def _states(lander: Any) -> list[Any]:
-    """Return random start states for the comparison of laws, as estimates."""
+    """Return random start states, as state estimates, to compare guidance laws."""
     from lunarsim.onboard.navigation.estimate import Estimate
 
     rng = np.random.default_rng(11)
@@ -33,11 +33,15 @@ def _states(lander: Any) -> list[Any]:
 def _fly_law(
     law: Any, start: Any, end: Any, time_to_go: float, exhaust: float
 ) -> tuple[float, ...]:
-    """Return propellant (kg), miss (m), speed error (m/s) with held commands."""
+    """Fly a point mass with a guidance law whose commands are held for 0.1 s.
+
+    `start` and `end` are the states, `time_to_go` the duration, s, and `exhaust` the exhaust
+    velocity, m/s. Returns propellant (kg), miss (m) and velocity error (m/s).
+    """
     from dataclasses import replace
 
     cycle = 0.1
-    flight = law.build(SimpleNamespace(weight=_G, field=None), 0.0)
+    flight = law.build(SimpleNamespace(surface_gravity=_G, nonuniform_gravity=None), 0.0)
     r, v, mass, at = start.position.copy(), start.velocity.copy(), start.mass, 0.0
     while at < time_to_go - 1e-9:
         step = min(cycle, time_to_go - at)
@@ -55,7 +59,7 @@ def _fly_law(
 
 
 def _optima(starts: list[Any], end: Any, lander: Any) -> Any:
-    """Return the minimum propellant of each start, kg; NaN if infeasible."""
+    """Return the minimum propellant from each start to `end`, kg; NaN if infeasible."""
     from lunarsim.onboard.guidance.divert_cost import PathLimits
     from lunarsim.optimal.errors import InfeasibleError
     from lunarsim.optimal.final_time import minimize_propellant
@@ -79,7 +83,10 @@ def _optima(starts: list[Any], end: Any, lander: Any) -> Any:
 
 
 def _min_cpu_ms(work: Callable[[], object]) -> float:
-    """Return the minimum thread CPU time of nine runs, ms, to exclude other processes."""
+    """Return the minimum thread CPU time of nine calls of `work`, ms.
+
+    The minimum excludes the effect of other processes.
+    """
     work()
     spent = []
     for _ in range(9):
@@ -90,7 +97,7 @@ def _min_cpu_ms(work: Callable[[], object]) -> float:
 
 
 def guidance() -> None:
-    """Each law: command, reach of 100 x 100 cells, propellant and errors."""
+    """Time command and reach map of each guidance law; print propellant and errors."""
     from lunarsim.models.lander import Lander
     from lunarsim.onboard.guidance import PhaseEnd
     from lunarsim.parts.registry import kinds, resolve
@@ -113,7 +120,7 @@ def guidance() -> None:
     )
     for kind, law in laws.items():
         began = time.perf_counter()
-        flight = law.build(SimpleNamespace(weight=_G, field=None), 0.4)
+        flight = law.build(SimpleNamespace(surface_gravity=_G, nonuniform_gravity=None), 0.4)
         for n in range(2000):
             flight.command(starts[n % 20], end, 0.1 * n, 30.0)
         took = (time.perf_counter() - began) / 2000 * 1e6

@@ -20,7 +20,7 @@ _SPEC = 'scenario = "{}"\nflights = 200\n[factors]\npolicy = ["no-divert", "safe
 
 
 def interrupts() -> None:
-    """Time from Ctrl-C to the end of `lunarsim campaign run` on a busy machine."""
+    """Time how fast a campaign ends after Ctrl-C on a busy machine."""
     rng = random.Random(1)
     busy = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(_BUSY)]
     try:
@@ -41,7 +41,10 @@ def interrupts() -> None:
 
 
 def _time_to_end(folder: Path, number: int, later: float) -> float:
-    """Return the time that a campaign takes to end after an interrupt, s."""
+    """Return the time that a campaign takes to end after an interrupt, s.
+
+    `number` names the campaign; the interrupt comes `later` s after its first journal entry.
+    """
     spec, out = folder / "spec.toml", folder / str(number)
     spec.write_text(_SPEC.format(ROOT / "scenarios" / "hirise.toml"), encoding="utf-8")
     words = ["campaign", "run", spec, "--out", out, "--jobs", "2", "--cache", folder / "cache"]

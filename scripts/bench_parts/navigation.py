@@ -10,7 +10,7 @@ SCENARIOS = Path(__file__).resolve().parents[2] / "scenarios"
 
 
 def navigation() -> None:
-    """Computing time of navigation / real time on one core, by sensor set."""
+    """Time navigation on one core, relative to real time, by sensor set."""
     from lunarsim.scenario import Scenario
     from lunarsim.simulation import Simulation
 
@@ -19,7 +19,7 @@ def navigation() -> None:
                                                           "mappers": {"dem": None},
                                                           "sensors": {"flash": None}},
         "and flashes of 128 x 128 at 10 Hz": {
-            "sensors": {"flash": {"rows": 128, "cols": 128, "half_width": 0.025}},
+            "sensors": {"flash": {"rows": 128, "cols": 128, "half_fov_tangent": 0.025}},
             "tasking": {"flash": {"kind": "periodic", "rate_hz": 10.0}},
             "mappers": {"dem": None},
         },
@@ -37,12 +37,12 @@ def navigation() -> None:
 
 
 def camera_and_lidar():
-    """Return the scenario with camera and flashes at 10 Hz and a prior map."""
+    """Return a scenario with camera and LiDAR flashes at 10 Hz and a prior map."""
     from lunarsim.scenario import Scenario
 
-    return Scenario.load(SCENARIOS / "two_eyes.toml").changed(
+    return Scenario.load(SCENARIOS / "camera_and_lidar.toml").changed(
         terrain={"rms_slope_deg": 1.5},
-        sensors={"flash": {"rows": 128, "cols": 128, "half_width": 0.1}},
+        sensors={"flash": {"rows": 128, "cols": 128, "half_fov_tangent": 0.1}},
         start={"position_m": [-140.0, 0.0, 180.0], "velocity_m_s": [11.0, 0.0, -9.0]},
         tasking={"flash": {"kind": "periodic", "rate_hz": 10.0}, "camera": {"rate_hz": 10.0}},
         prior_map={"posting_m": 0.5, "size_m": 100.0},
@@ -52,14 +52,17 @@ def camera_and_lidar():
 
 
 def _time_fraction(simulate, scenario, seconds: float = 15.0) -> float:
-    """Return the computing time of navigation / simulated time."""
+    """Return the ratio of navigation's computing time to simulated time, on one core.
+
+    `simulate` is the class `Simulation`; the flight is simulated for `seconds`.
+    """
     with _one_core():
         return _time_fraction_here(simulate, scenario, seconds)
 
 
 @contextmanager
 def _one_core():
-    """Use one thread, because waiting threads would be counted too."""
+    """Use one thread in this context, because waiting threads would be counted too."""
     import numba
     from threadpoolctl import threadpool_limits
 
@@ -71,6 +74,7 @@ def _one_core():
 
 
 def _time_fraction_here(simulate, scenario, seconds: float) -> float:
+    """Return the ratio of `_time_fraction` with the current number of threads."""
     simulate(scenario, 1, "no-divert").step()
     simulation = simulate(scenario, 1, "no-divert")
     navigation = simulation.computer.navigation
@@ -85,7 +89,10 @@ def _time_fraction_here(simulate, scenario, seconds: float) -> float:
 
 
 class _MethodTimer:
-    """Measures the time of navigation methods; nested calls count once."""
+    """Measure the total time of the methods of navigation objects, s.
+
+    Nested calls count once. `parts` are the objects whose methods are wrapped.
+    """
 
     def __init__(self, *parts) -> None:
         self.seconds, self._depth = 0.0, 0
@@ -93,8 +100,9 @@ class _MethodTimer:
         asked = [time.process_time() for _ in range(1001)]
         self._asking = (asked[-1] - asked[0]) / 1000
         for part in parts:
-            for name in ("take", "estimate", "update_rocks", "add", "sight", "remove", "widen",
-                         "innovation_covariance", "relative_covariance", "turn",
+            for name in ("take", "estimate", "update_rocks", "add", "project_rocks", "remove",
+            "add_process_noise",
+                         "innovation_covariance", "relative_covariance", "add_view_noise",
                          "terrain_points"):  # fmt: skip
                 if hasattr(part, name):
                     setattr(part, name, self._timed(getattr(part, name)))

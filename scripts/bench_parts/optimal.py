@@ -14,7 +14,10 @@ _G = 1.622
 
 
 def _descent(rng: Any = None, **changes: Any) -> Any:
-    """Return the default approach, with random scatter if `rng` is given."""
+    """Return the default approach as an optimal descent problem.
+
+    The start state is dispersed if `rng` is given; `changes` replaces fields.
+    """
     from lunarsim.models.lander import Lander
     from lunarsim.optimal.problem import Descent
 
@@ -34,7 +37,10 @@ def _descent(rng: Any = None, **changes: Any) -> Any:
 
 
 def _fixed() -> float:
-    """Print solve times at a fixed final time; return the cold time of Clarabel, ms."""
+    """Print solver times of descents with fixed final time, relative to Clarabel.
+
+    Returns the time of Clarabel from a cold start, ms.
+    """
     from lunarsim.optimal.cone_program import ClarabelSolver, QocoSolver
     from lunarsim.optimal.transcription import ProgramStructure, Transcription
 
@@ -67,7 +73,10 @@ def _fixed() -> float:
 
 
 def _network(clarabel: float) -> None:
-    """Print the evaluation time of the network trained on such descents."""
+    """Print the evaluation time of the network of `neural-optimal` guidance.
+
+    `clarabel` is the reference time, ms.
+    """
     from lunarsim.onboard.guidance.optimal_network import OptimalNetwork, reduce_state
 
     network, here = OptimalNetwork.load(), _descent()
@@ -75,14 +84,17 @@ def _network(clarabel: float) -> None:
 
     def answer() -> None:
         for _ in range(many):
-            network(reduce_state(here.gap, here.velocity, here.mass)[0])
+            network(reduce_state(here.displacement, here.velocity, here.mass)[0])
 
     took = median_ms(answer, 7) / many
     print(f"    network of `neural-optimal`     {took:7.3f} ms  {took / clarabel:6.4f} x")
 
 
 def _free(clarabel: float) -> None:
-    """Print the search for the optimal final time, warm (1 s later) and cold."""
+    """Print times of the search for the optimal final time, from warm and cold starts.
+
+    A warm start uses the solution of 1 s before. `clarabel` is the reference time, ms.
+    """
     from lunarsim.optimal.final_time import minimize_propellant
     from lunarsim.optimal.planner import Planner
 
@@ -110,7 +122,7 @@ def _free(clarabel: float) -> None:
 
 
 def _rigid() -> None:
-    """Print the times of a rigid-body descent by quadratic programs and by IPOPT."""
+    """Print solver times of a rigid-body descent by convexification and by IPOPT."""
     from scipy.spatial.transform import Rotation
 
     from lunarsim.evaluation.open_loop import flown
@@ -152,7 +164,7 @@ def _rigid() -> None:
 
 
 def optimal() -> None:
-    """Optimal descents at fixed and free final time, relative to Clarabel (cold)."""
+    """Time solvers of optimal descents, relative to Clarabel from a cold start."""
     from lunarsim.optimal.collocation import collocate
     from lunarsim.optimal.final_time import minimize_propellant
     from lunarsim.optimal.planner import Planner

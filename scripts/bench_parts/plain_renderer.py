@@ -1,4 +1,4 @@
-"""A simple reference renderer.
+"""Render terrain with a simple OpenGL renderer, as a reference for speed.
 
 The relief is one mesh of all its triangles and every rock an instance of a cube. Shadows come from
 one map of 2048 x 2048 texels with linear depth, and every drawn fragment is shaded.
@@ -51,7 +51,7 @@ _DEPTH = "#version 330\nvoid main() {}"
 
 
 class PlainRenderer:
-    """Renders one terrain around a fixed center.
+    """Simple renderer of one terrain, with relief, cube rocks and a shadow map.
 
     Parameters
     ----------
@@ -95,7 +95,7 @@ class PlainRenderer:
 
     @on_render_thread
     def render(self, view, sun):
-        """Return the image of a view (480, 640)."""
+        """Render the image (480, 640) of a camera pose; `sun` (3,) is towards the Sun."""
         a = view.axes.T
         near, far = 1.0, 4.0 * float(view.position[2])
         camera = np.zeros((4, 4))

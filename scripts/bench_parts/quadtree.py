@@ -9,7 +9,7 @@ from bench_parts.common import ROOT, TimedFunction, median_ms
 
 
 def quadtree() -> None:
-    """Insertion relative to SciPy's KD-tree and binned means; sites as the map grows."""
+    """Time point insertion relative to SciPy, and site selection as the map grows."""
     import numpy as np
 
     from lunarsim.onboard.hazards.quadtree import QuadtreeMap
@@ -23,7 +23,7 @@ def quadtree() -> None:
 
 
 def _cloud(rng, count: int, width: float, centre=(0.0, 0.0)):
-    """Return random points (n, 3) on smooth terrain with bumps."""
+    """Return random points (n, 3), m, on a square of smooth terrain with bumps."""
     import numpy as np
 
     xy = rng.uniform(-0.5 * width, 0.5 * width, (count, 2)) + centre
@@ -33,12 +33,12 @@ def _cloud(rng, count: int, width: float, centre=(0.0, 0.0)):
 
 
 def _flash(rng):
-    """Return the points of 128 x 128 pixels at a random place of a map of 100 m."""
+    """Return the points of a LiDAR flash (128 x 128) at a random place of a 100 m map."""
     return _cloud(rng, 16_384, 8.0, rng.uniform(-45.0, 45.0, 2))
 
 
 def _flash_ms(rng, quadtree, selector) -> tuple[float, float]:
-    """Return the median times (ms) to insert one more flash and to update the sites."""
+    """Return the median times (ms) to insert a flash and to update the sites."""
     steps = []
     for _ in range(9):
         flash = _flash(rng)
@@ -52,6 +52,7 @@ def _flash_ms(rng, quadtree, selector) -> tuple[float, float]:
 
 
 def _points_at_once(rng) -> None:
+    """Print the times to insert up to ten million points in one call."""
     from scipy.spatial import cKDTree
     from scipy.stats import binned_statistic_2d
 
@@ -87,7 +88,7 @@ def _points_at_once(rng) -> None:
 
 
 def _memory() -> None:
-    """Print the memory of a process with a map and one site selection."""
+    """Print the memory of a process with a quadtree map and one site selection."""
     import subprocess
     import sys
 
@@ -100,7 +101,10 @@ def _memory() -> None:
 
 
 def resident(way: str, count: int) -> None:
-    """Print the memory growth of this process with `count` points."""
+    """Print the memory growth of this process by a quadtree map of `count` points.
+
+    `way` is "at once" (one insertion) or "flashes" (one insertion per LiDAR flash).
+    """
     import resource
     from pathlib import Path
 
@@ -138,6 +142,7 @@ def resident(way: str, count: int) -> None:
 
 
 def _flash_after_flash(rng) -> None:
+    """Print insertion and query times while a map grows flash by flash."""
     from lunarsim.onboard.hazards.quadtree import QuadtreeMap, SiteSelector
 
     print("  successive flashes of 128 x 128 points on 8 x 8 m; then one update of the sites")
@@ -161,7 +166,7 @@ def _flash_after_flash(rng) -> None:
 
 
 def _time_queries(rng, quadtree, selector) -> None:
-    """Time one more flash and queries of the map at its current size."""
+    """Print the times of one more flash and of queries at the current map size."""
     from lunarsim.onboard.hazards.quadtree import SiteSelector
 
     insert, update = _flash_ms(rng, quadtree, selector)
@@ -179,6 +184,7 @@ def _time_queries(rng, quadtree, selector) -> None:
 
 
 def _larger_maps(rng) -> None:
+    """Print the time of one more flash on larger maps of equal point density."""
     from lunarsim.onboard.hazards.quadtree import QuadtreeMap, SiteSelector
 
     print("  equal point density on larger maps, one more flash")
@@ -195,7 +201,7 @@ def _larger_maps(rng) -> None:
 
 
 def lidar_inertial() -> None:
-    """Registration of scans on a prior map, and the initial position search."""
+    """Time the registration of scans on a prior map and the initial position search."""
     from lunarsim.onboard.navigation import map_matcher as navigation
     from lunarsim.rng import flight_seed
     from lunarsim.scenario import Scenario

@@ -13,7 +13,10 @@ _PATHS = 3000
 
 
 def _planning_problem(changes: dict[str, Any]) -> tuple[Any, Any, float]:
-    """Return planner, problem and time-to-go at the start of the descent."""
+    """Return path planner, planning problem and time-to-go, s, at a descent's start.
+
+    `changes` are changed tables of the scenario.
+    """
     from lunarsim.onboard.guidance.divert_cost import divert_cost
     from lunarsim.scenario import Scenario
     from lunarsim.simulation import Simulation
@@ -30,7 +33,7 @@ def _planning_problem(changes: dict[str, Any]) -> tuple[Any, Any, float]:
 
 
 def _reach(problem: Any) -> Any:
-    """Return a survey of 10,000 sites as a reference."""
+    """Return a function that computes the propellant to 10,000 sites, as a reference."""
     from lunarsim.onboard.guidance.divert_cost import divert_cost
 
     side = np.linspace(-300.0, 300.0, 100)
@@ -42,7 +45,7 @@ def _reach(problem: Any) -> Any:
 
 
 def seeking() -> None:
-    """Scoring of paths by their information: camera only, and camera and LiDAR."""
+    """Time the scoring of paths by information, with camera only and with LiDAR."""
     small = {"terrain": {"size_m": 80.0}, "rocks": {"min_diameter_m": 0.6}}
     flash = {
         "sensors": {"flash": {"kind": "flash-lidar"}},
@@ -52,7 +55,7 @@ def seeking() -> None:
     }
     for name, more in (("camera", {}), ("camera and LiDAR", flash)):
         planner, problem, expected = _planning_problem(small | more)
-        plans = planner.drawn(problem, expected, _PATHS)
+        plans = planner.sample_plans(problem, expected, _PATHS)
         took = alternating_medians({
             "score": lambda a=planner, b=problem, c=plans: a.score(b, c),
             "plan": lambda a=planner, b=problem, c=expected: a.best(b, c, 50.0, None),

@@ -13,7 +13,7 @@ from bench_parts.plain_renderer import PlainRenderer
 
 
 def terrain() -> None:
-    """Generation of 1 km^2 with 50,000 rocks, and the scaling of rock placement."""
+    """Time the generation of 1 km^2 with 50,000 rocks, and rock placement by cover."""
     import numpy as np
 
     from lunarsim.grid import Grid
@@ -42,7 +42,7 @@ def terrain() -> None:
 
 
 def render() -> None:
-    """Images of 640 x 480 with shadow pass and read-back, Sun at 20 degrees."""
+    """Time images of 640 x 480 pixels with shadows and read-back, Sun at 20 degrees."""
     import numpy as np
 
     from lunarsim.frames import sensor_axes
@@ -95,7 +95,7 @@ def render() -> None:
 
 
 def _lights() -> None:
-    """Print the time of each light effect relative to the plain light, alternating."""
+    """Print the rendering time of each light effect relative to the plain light."""
     import numpy as np
 
     from lunarsim.frames import sensor_axes
@@ -106,8 +106,12 @@ def _lights() -> None:
     parts = {
         "Hapke": {"photometry": "hapke"},
         "the Sun's disc": {"diameter": SUN_DIAMETER_RAD},
-        "scattered light": {"scattered": True},
-        "mottles and boulders": {"mottle": 0.05, "boulder_albedo": 1.3, "boulder_mottle": 0.15},
+        "scattered light": {"scattered_light": True},
+        "mottles and boulders": {
+            "albedo_variation": 0.05,
+            "boulder_albedo": 1.3,
+            "boulder_albedo_variation": 0.15,
+        },
     }
     combined = {"earthshine": FULL_EARTH_IRRADIANCE_RATIO}
     for settings in parts.values():
@@ -137,6 +141,7 @@ def _lights() -> None:
 
 
 def _small_square_of_cubes(count: int):
+    """Return a terrain of 256 m with `count` cube rocks of 0.2 to 0.5 m."""
     import numpy as np
 
     from lunarsim.grid import Grid
@@ -151,7 +156,7 @@ def _small_square_of_cubes(count: int):
 
 
 def lidar() -> None:
-    """65,536 rays from 500 m relative to Embree, one thread each."""
+    """Time 65,536 LiDAR rays from 500 m relative to Embree, one thread each."""
     import numpy as np
 
     from lunarsim.grid import Grid
@@ -180,7 +185,11 @@ def lidar() -> None:
 
 
 def _compare_with_embree(terrain, grid, tilt: float, built: float) -> None:
-    """Cast the same rays with both; `built` is the generation time of the terrain, s."""
+    """Print ray times of lunarsim and Embree on the same terrain.
+
+    `tilt` is the angle of the LiDAR from nadir, rad; `built` is the generation time of the terrain,
+    s.
+    """
     import numpy as np
 
     from lunarsim.frames import sensor_axes
@@ -220,7 +229,7 @@ def _compare_with_embree(terrain, grid, tilt: float, built: float) -> None:
 
 
 def _print_gap(same, theirs) -> None:
-    """Print the difference of two sets of ranges over the same triangles."""
+    """Print the difference of ranges by lunarsim and Embree over the same triangles."""
     import numpy as np
 
     seen = np.isfinite(same) & (theirs < 1e6)
@@ -233,7 +242,7 @@ def _print_gap(same, theirs) -> None:
 
 
 def _triangles_of(grid, surface):
-    """Return vertices (n, 3) and triangles (m, 3) of a raster, float32 and int32."""
+    """Return vertices (n, 3) and triangles (m, 3) of an elevation raster `surface`."""
     import numpy as np
 
     rows, cols = grid.shape
@@ -245,7 +254,7 @@ def _triangles_of(grid, surface):
 
 
 class _EmbreeScene:
-    """A scene of triangles in Embree."""
+    """Scene of triangles for ray casting by the library Embree."""
 
     def __init__(self, vertices, triangles):
         from embreex import rtcore_scene
@@ -255,7 +264,7 @@ class _EmbreeScene:
         self._mesh = TriangleMesh(self._scene, vertices, triangles)
 
     def ranges(self, starts, directions):
-        """Return the distances (n,) along rays, float32."""
+        """Return the distances (n,) along rays from `starts` (n, 3) to the triangles, m."""
         import numpy as np
 
         return np.asarray(self._scene.run(starts, directions, query="DISTANCE"))

@@ -1,4 +1,4 @@
-"""Measure the speed of the shadow pipeline."""
+"""Measure the speed of rock detection, tracking and mapping from shadows."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from bench_parts.common import ROOT, TimedFunction, make_terrain, median_ms, ref
 
 
 def _rock_filter(count, seed=0):
-    """Return a filter of `count` rocks, its camera and the true positions."""
+    """Return a rock filter with `count` rocks, its camera and true positions (n, 2)."""
     from dataclasses import replace
 
     import numpy as np
@@ -31,7 +31,7 @@ def _rock_filter(count, seed=0):
 
 
 def shadows() -> None:
-    """Detection, filter, map and a complete flight of the shadow pipeline."""
+    """Time detection, filter and map of rocks from shadows, and complete flights."""
     import numpy as np
 
     from lunarsim.onboard.perception.shadow_model import ShadowModel
@@ -48,6 +48,7 @@ def shadows() -> None:
 
 
 def _detection(model, elevation: float, rng) -> None:
+    """Print rock-detection times by number of rocks; `elevation` is the Sun's, rad."""
     import numpy as np
 
     from lunarsim.frames import direction_from_angles
@@ -82,7 +83,10 @@ def _detection(model, elevation: float, rng) -> None:
 
 
 def _plain_detection(counts):
-    """Detect by threshold, labels and moments with plain SciPy calls as a reference."""
+    """Detect shadows by threshold, labels and moments with SciPy, as a reference.
+
+    `counts` (rows, cols) is the image. Returns first and second moments of each shadow.
+    """
     import numpy as np
     from scipy import ndimage
 
@@ -97,7 +101,7 @@ def _plain_detection(counts):
 
 
 def _check_image(counts, camera, state, sun, seen, model):
-    """Check the quality of one image, without the detection."""
+    """Run the image-quality check of one image, without its rock detection."""
     import numpy as np
 
     from lunarsim.onboard.perception.image_quality import ImageQualityCheck
@@ -106,13 +110,13 @@ def _check_image(counts, camera, state, sun, seen, model):
     health = ImageQualityCheck()
     first = health.before_detection(counts, camera, state)
     points = np.column_stack((seen.terrain_xy, np.zeros(len(seen))))
-    noise = first.figures["noise"]
+    noise = first.metrics["noise"]
     turn = measure_shadow_angle(seen, camera.view(state), points, sun, model, noise)
     return health.after_detection(seen, turn, noise)
 
 
 def _images(rng) -> None:
-    """Time association and update for one image for several numbers of rocks."""
+    """Print the time of association and filter update per image, by number of rocks."""
     for count in (100, 200, 500, 1000, 2000):
         rocks, camera, _ = _rock_filter(count)
         seen = min(150, count)
@@ -121,12 +125,15 @@ def _images(rng) -> None:
 
 
 def _one_image(rocks, camera, seen: int, rng) -> None:
-    """Associate and update for an image with the first `seen` rocks detected."""
+    """Associate an image's detections and update the filter.
+
+    The first `seen` rocks of the filter are detected, with random pixel noise.
+    """
     import numpy as np
 
     from lunarsim.onboard.hazards.shadows.association import associate
 
-    sight = rocks.sight(camera)
+    sight = rocks.project_rocks(camera)
     noise = np.tile(0.25 * np.eye(2), (seen, 1, 1))
     pixel = sight.pixel[:seen] + 0.5 * rng.standard_normal((seen, 2))
     radius, variance = np.full(seen, 0.5), np.full(seen, 0.01)
@@ -140,22 +147,22 @@ def _one_image(rocks, camera, seen: int, rng) -> None:
 
 
 def _update_only() -> None:
-    """Time the update and that of filterpy with the same states."""
+    """Print the time of a filter update, and of filterpy's with the same states."""
     import numpy as np
     from filterpy.kalman import ExtendedKalmanFilter
     from threadpoolctl import threadpool_limits
 
     rocks, camera, _ = _rock_filter(500)
     seen = 150
-    sight, noise = rocks.sight(camera), np.tile(0.25 * np.eye(2), (seen, 1, 1))
+    sight, noise = rocks.project_rocks(camera), np.tile(0.25 * np.eye(2), (seen, 1, 1))
     index, flat = np.arange(seen), np.full(seen, 0.01)
     size = 15 + 3 * 500
     dense = ExtendedKalmanFilter(size, 2 * seen)
     dense.P = rocks.covariance.copy()
     h = np.zeros((2 * seen, size))
     for j in range(seen):
-        h[2 * j : 2 * j + 2, [0, 1, 2, 9, 10, 11]] = sight.by_pose[j]
-        h[2 * j : 2 * j + 2, 15 + 3 * j : 18 + 3 * j] = sight.by_rock[j]
+        h[2 * j : 2 * j + 2, [0, 1, 2, 9, 10, 11]] = sight.jacobian_by_pose[j]
+        h[2 * j : 2 * j + 2, 15 + 3 * j : 18 + 3 * j] = sight.jacobian_by_rock[j]
     z, r = np.zeros(2 * seen), 0.25 * np.eye(2 * seen)
     with threadpool_limits(1, "blas"):
         ours = median_ms(
@@ -170,7 +177,10 @@ def _update_only() -> None:
 
 
 def _evidence(elevation: float) -> None:
-    """Time the evidence of rock-free terrain from one image, first and repeated."""
+    """Print the time to mark rock-free terrain from one image, first and repeated.
+
+    `elevation` is the elevation of the Sun, rad.
+    """
     import numpy as np
 
     from lunarsim.frames import direction_from_angles
@@ -205,6 +215,7 @@ def _evidence(elevation: float) -> None:
 
 
 def _maps(model) -> None:
+    """Print the time of probability maps of rocks, by number of tracked rocks."""
     import numpy as np
 
     from lunarsim.grid import Grid
@@ -224,6 +235,7 @@ def _maps(model) -> None:
 
 
 def _flights() -> None:
+    """Print the time of complete flights with shadow mapping, relative to real time."""
     from lunarsim.scenario import Scenario
 
     for name in ("nominal", "modified"):
@@ -251,7 +263,10 @@ def _flights() -> None:
 def _time_flight(
     scenario, until: float = float("inf")
 ) -> tuple[float, float, float, TimedFunction]:
-    """Return simulated time, computing time, map time, s, and the image timer."""
+    """Fly a scenario up to time `until` (s) and measure its computing times.
+
+    Returns simulated time, computing time, map time, s, and the timer of camera images.
+    """
     from lunarsim.rng import flight_seed
     from lunarsim.sensors.camera import Camera
     from lunarsim.simulation import Simulation

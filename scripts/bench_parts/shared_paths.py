@@ -15,7 +15,7 @@ _CASES = (
 
 
 def paths() -> None:
-    """Processor time of flights of several policies with and without shared paths."""
+    """Time flights of several policies with and without shared paths."""
     from lunarsim.campaign.flight_execution import build_plan
     from lunarsim.campaign.spec import CampaignSpec
 
@@ -40,7 +40,11 @@ def paths() -> None:
 
 
 def _processor_times(study: Any, index: int, arms: int) -> tuple[float, float]:
-    """Return processor times of all arms of an index with and without shared paths."""
+    """Return processor times of one flight with all policies, s.
+
+    The times are with and without shared paths; `index` is the number of the flight and `arms` the
+    number of policies.
+    """
     from dataclasses import replace
 
     from lunarsim.campaign.flight_execution import fly

@@ -1,1 +1,1 @@
-"""Parts of `scripts/golden.py`."""
+"""Modules of `scripts/golden.py`: golden cases, digests and renamed results."""

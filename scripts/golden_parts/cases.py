@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from golden_parts.digests import digest, digests_of_folder
+from golden_parts.names import SCENARIOS
 
 Digests = dict[str, list[str]]
 
@@ -36,18 +37,25 @@ set = { policy = "safest" }
 
 
 def _lunarsim(folder: Path, *arguments: str) -> None:
+    """Run the command `lunarsim` with arguments in a working folder."""
     subprocess.run([sys.executable, "-m", "lunarsim", *arguments], check=True, cwd=folder)
 
 
 def _source() -> Path:
-    """Return the folder of the imported source."""
+    """Return the repository folder from which lunarsim is imported."""
     import lunarsim
 
     return Path(lunarsim.__file__).parent.parent
 
 
 def fly(scenario: str, *arguments: str) -> Digests:
-    """Fly a shipped scenario with the policy `safest`."""
+    """Fly a supplied scenario with the policy `safest`; return digests of the results.
+
+    `arguments` are options of `lunarsim fly`; ``--policy`` replaces the policy.
+    """
+    older = {new: old for old, new in SCENARIOS.items()}
+    if not (_source() / "scenarios" / f"{scenario}.toml").is_file():
+        scenario = older.get(scenario, scenario)
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         policy = () if "--policy" in arguments else ("--policy", "safest")
@@ -56,7 +64,7 @@ def fly(scenario: str, *arguments: str) -> Digests:
 
 
 def true_maps(scenario: str) -> Digests:
-    """Compute the true safety map of a shipped scenario."""
+    """Compute the true safety map of a supplied scenario; return its digests."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         _lunarsim(folder, "terrain", "truth", scenario, "--size", "40", "--out", "truth.nc")
@@ -64,7 +72,7 @@ def true_maps(scenario: str) -> Digests:
 
 
 def campaign() -> Digests:
-    """Run a small campaign, export its rows and write its report."""
+    """Run a small campaign, export its results, write its report; return digests."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         _lunarsim(folder, "scenario", "new", "golombek")
@@ -77,7 +85,11 @@ def campaign() -> Digests:
 
 
 def steps(environment: str, count: int, lanes: int = 0) -> Digests:
-    """Step an environment, or a batch of `lanes` of them, with random actions."""
+    """Step an environment with random actions; return digests of its outputs.
+
+    `count` is the number of steps; `lanes` is the number of parallel environments (0: a single
+    environment). The digests are of observations, rewards and ends.
+    """
     import gymnasium
     import numpy as np
 
@@ -133,15 +145,15 @@ COMPLETE: dict[str, Callable[[], Digests]] = CASES | {
     "fly shadow_nominal": partial(fly, "shadow_nominal"),
     "fly shadow_modified": partial(fly, "shadow_modified"),
     "fly morpheus": partial(fly, "morpheus"),
-    "fly two_eyes": partial(fly, "two_eyes"),
-    "fly all_eyes_hard": partial(fly, "all_eyes_hard"),
+    "fly camera_and_lidar": partial(fly, "camera_and_lidar"),
+    "fly all_sensors_hard": partial(fly, "all_sensors_hard"),
     "fly instruments": partial(fly, "instruments"),
     "campaign and report": campaign,
 }
 
 
 def main(name: str, out: str) -> None:
-    """Run one case and write its digests."""
+    """Run the golden case `name` and write its digests to the JSON file `out`."""
     Path(out).write_text(json.dumps(COMPLETE[name]()), encoding="utf-8")
 
 

@@ -10,12 +10,12 @@ from .faults import Mutant
 
 
 class BrokenListError(ValueError):
-    """The list of equivalent faults cannot be read."""
+    """Error: the list of equivalent faults cannot be read."""
 
 
 @dataclass(frozen=True)
 class EquivalentMutant:
-    """A fault that no test can catch.
+    """A listed fault that no test can catch, because it changes no result.
 
     Attributes
     ----------
@@ -32,7 +32,10 @@ class EquivalentMutant:
     reason: str
 
     def match(self, faults: list[Mutant]) -> Mutant | None:
-        """Return the matching fault: the nearest one with this code, column and operator."""
+        """Return the fault that this entry describes, or None.
+
+        It is the nearest fault by line that has the same file, code, column and operator.
+        """
         path, line, column, operator = self.fault.rsplit(":", 3)
         alike = [
             f

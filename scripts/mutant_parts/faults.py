@@ -42,7 +42,7 @@ _SYMMETRIC = {"min", "max", "hypot", "minimum", "maximum", "smaller", "larger", 
 
 @dataclass(frozen=True)
 class Mutant:
-    """One change at one place in a file.
+    """A fault for mutation tests: one small change at one place in a source file.
 
     Attributes
     ----------
@@ -73,12 +73,12 @@ class Mutant:
         return f"{self.path}:{self.line}:{self.column}:{self.operator}"
 
     def apply(self, source: str) -> str:
-        """Return the source with the fault."""
+        """Return the source text of the file with the fault in it."""
         raw = source.encode()
         return (raw[: self.start] + self.text.encode() + raw[self.end :]).decode()
 
     def line_after(self, source: str) -> str:
-        """Return the line of code with the fault, stripped."""
+        """Return the changed line of code of `source` with the fault, stripped."""
         return self.apply(source).splitlines()[self.line - 1].strip()
 
 
@@ -99,23 +99,29 @@ class _SourceText:
         ]
 
     def _offset_of(self, place: tuple[int, int]) -> int:
-        """Return the byte offset of a token position, whose column counts characters."""
+        """Return the byte offset of a token position (line, column in characters)."""
         line, column = place
         if line > len(self.lines):
             return len(self.raw)
         return self.starts[line - 1] + len(self.lines[line - 1][:column].encode())
 
     def start(self, node: ast.AST) -> int:
+        """Return the byte offset of the start of a syntax node."""
         return self.starts[node.lineno - 1] + node.col_offset  # type: ignore[attr-defined]
 
     def end(self, node: ast.AST) -> int:
+        """Return the byte offset of the end of a syntax node."""
         return self.starts[node.end_lineno - 1] + node.end_col_offset  # type: ignore[attr-defined]
 
     def segment(self, node: ast.AST) -> str:
+        """Return the source text of a syntax node."""
         return self.raw[self.start(node) : self.end(node)].decode()
 
     def token(self, after: int, before: int, known: Container[str]) -> tuple[int, int, str] | None:
-        """Return the first token of `known` between two bytes."""
+        """Return start, end and text of the first token of `known` between two offsets.
+
+        Offsets are in bytes; None if there is no such token.
+        """
         first = bisect.bisect_left(self.tokens, (after,))
         for start, end, text in self.tokens[first:]:
             if end > before:
@@ -136,7 +142,7 @@ class _SourceText:
 def _between(
     source: _SourceText, left: ast.expr, right: ast.expr, what: ast.AST
 ) -> Iterator[Mutant]:
-    """Yield the faults of the operator between two operands."""
+    """Yield the faults that change the operator `what` between two operands."""
     start, end = source.end(left), source.start(right)
     if isinstance(what, ast.cmpop):
         for operator, table in (("opposite", _OPPOSITE), ("boundary", _BOUNDARY)):
@@ -159,7 +165,10 @@ def _dropped(source: _SourceText, node: ast.BinOp) -> Iterator[Mutant]:
 
 
 def _constant(source: _SourceText, node: ast.Constant, subscript: bool) -> Iterator[Mutant]:
-    """Yield the fault that changes a number: times 1.5, or plus one."""
+    """Yield the fault that changes a number: times 1.5, or plus one.
+
+    `subscript`: whether the number is an array index.
+    """
     value = node.value
     if isinstance(value, bool):
         yield source.fault(source.start(node), source.end(node), str(not value), "constant")
@@ -213,7 +222,10 @@ def _statement(source: _SourceText, node: ast.stmt) -> Iterator[Mutant]:
 
 
 def _node_faults(source: _SourceText, node: ast.AST, subscript: bool) -> Iterator[Mutant]:
-    """Yield the faults of one node of the tree, without those of its children."""
+    """Yield the faults of one syntax node, without the faults of its children.
+
+    `subscript`: whether the node is within an array index.
+    """
     if isinstance(node, ast.Compare):
         operands = [node.left, *node.comparators]
         for left, right, what in zip(operands, operands[1:], node.ops, strict=False):
@@ -237,7 +249,7 @@ def _node_faults(source: _SourceText, node: ast.AST, subscript: bool) -> Iterato
 
 
 def _faults_within(source: _SourceText, node: ast.AST, subscript: bool = False) -> Iterator[Mutant]:
-    """Yield the faults of a node and of its children."""
+    """Yield the faults of a syntax node and of all its children."""
     if isinstance(node, ast.Call) and ast.unparse(node.func) in ("np.empty", "numpy.empty"):
         return
     if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant):
@@ -251,6 +263,7 @@ def _faults_within(source: _SourceText, node: ast.AST, subscript: bool = False) 
 
 
 def _is_kernel(node: ast.AST) -> bool:
+    """Return whether a syntax node is a function with the decorator `kernel`."""
     return isinstance(node, ast.FunctionDef) and any(
         isinstance(d, ast.Call) and isinstance(d.func, ast.Name) and d.func.id == "kernel"
         for d in node.decorator_list
@@ -258,7 +271,7 @@ def _is_kernel(node: ast.AST) -> bool:
 
 
 def kernel_lines(text: str) -> int:
-    """Return the number of lines of the kernels in a file."""
+    """Return the number of lines of all kernels in the source text of a file."""
     tree = ast.parse(text)
     return sum(n.end_lineno - n.lineno + 1 for n in tree.body if _is_kernel(n))  # type: ignore[attr-defined]
 
@@ -287,7 +300,7 @@ def faults_of(path: str, text: str) -> list[Mutant]:
 
 
 def sample_faults(faults: list[Mutant], count: int, seed: int) -> list[Mutant]:
-    """Select `count` faults of a file, cycling through the operators.
+    """Select `count` faults of a file at random, cycling through the operators.
 
     The order within an operator is a hash of seed, code and place in the line, so that a change
     elsewhere in the file does not change the selection.

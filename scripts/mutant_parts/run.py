@@ -19,9 +19,11 @@ from .trial import MutantWorkspace, TrialStopped
 
 @dataclass(frozen=True)
 class MutantResult:
-    """Result of a fault; `verdict` and `test` as returned by `MutantWorkspace.trial`.
+    """Stored result of the trial of one fault.
 
-    `source` and `tests` are digests of the file and of its tests at that time.
+    `verdict` is the outcome ("caught", "survived", ...) and `test` the first failed test, from
+    `MutantWorkspace.trial`; `seconds` is the time of the trial. `source` and `tests` are digests of
+    the file and of its tests at the time of the trial.
     """
 
     fault: str
@@ -39,7 +41,7 @@ def _digest(paths: list[Path]) -> str:
 
 
 class MutationRun:
-    """Trials of faults.
+    """Run trials of faults in parallel, and store and reuse their results.
 
     Parameters
     ----------
@@ -76,10 +78,11 @@ class MutationRun:
         }
 
     def known(self, fault: Mutant) -> MutantResult | None:
-        """Return the stored result of a fault if it is still valid."""
+        """Return the stored result of a fault, or None if there is no valid result."""
         return self._valid_result(fault.name, fault.path)
 
     def _valid_result(self, name: str, path: str) -> MutantResult | None:
+        """Return a stored result if file and, for survivors, tests are unchanged."""
         kept = self._kept.get(name)
         source, tests = self._digests[path]
         if kept is None or kept.source != source:
@@ -151,7 +154,7 @@ class MutationRun:
         return kept.seconds
 
     def _try_fault(self, space: MutantWorkspace, fault: Mutant, limit: float) -> MutantResult:
-        """Try a fault and store its result."""
+        """Try a fault in a workspace with a time limit, s, and store the result."""
         start = time.monotonic()
         outcome, test = space.trial(fault, self._tests[fault.path], limit)
         seconds = round(time.monotonic() - start, 1)
@@ -160,6 +163,7 @@ class MutationRun:
         return result
 
     def _keep(self, result: MutantResult) -> None:
+        """Append a result to the file of results."""
         with self._writing, self._file.open("a", encoding="utf-8") as out:
             out.write(json.dumps(asdict(result)) + "\n")
         self._kept[result.fault] = result

@@ -28,15 +28,15 @@ _FAILED = re.compile(r"^(?:FAILED|ERROR) (\S+)", re.MULTILINE)
 
 
 class BrokenTestsError(RuntimeError):
-    """The tests cannot be run, or fail without a fault."""
+    """Error: the tests cannot be run, or fail without a fault."""
 
 
 class TrialStopped(Exception):  # noqa: N818
-    """A trial was stopped from outside and has no result."""
+    """Signal that a trial was stopped by another thread and has no result."""
 
 
 def importers(files: Iterable[Path], root: Path) -> dict[str, set[str]]:
-    """Return each file's direct and indirect importers, and itself.
+    """Return for each file itself and all files that import it, also indirectly.
 
     Numba links a kernel into the cached code of its callers and does not check whether it changed.
 
@@ -61,7 +61,7 @@ def importers(files: Iterable[Path], root: Path) -> dict[str, set[str]]:
 
 
 class MutantWorkspace:
-    """Copy of package and tests into which faults are put in turn.
+    """Copy of lunarsim and its tests, into which faults are put one after the other.
 
     Parameters
     ----------
@@ -106,7 +106,7 @@ class MutantWorkspace:
         return time.monotonic() - start
 
     def trial(self, fault: Mutant, tests: list[str], limit: float) -> tuple[str, str]:
-        """Try a fault; return the outcome and the first failed test.
+        """Run the tests with a fault; return the outcome and the first failed test.
 
         Parameters
         ----------
@@ -138,7 +138,7 @@ class MutantWorkspace:
             os.killpg(process.pid, signal.SIGKILL)
 
     def _compiled(self, path: str) -> list[Path]:
-        """Return the cached kernels that contain those of a file."""
+        """Return the cached files of compiled kernels that contain kernels of a file."""
         return [
             cached
             for user in self._users.get(path, {path})
@@ -172,7 +172,7 @@ class MutantWorkspace:
             stored.rmdir()
 
     def _run(self, tests: list[str], limit: float | None) -> tuple[str, str]:
-        """Return the outcome of the tests, and their output."""
+        """Run tests in the copy, with a time limit, s; return outcome and output."""
         if self._stopped.is_set():
             raise TrialStopped
         environment = dict(

@@ -76,15 +76,15 @@ def test_flights_of_other_code_are_counted(tmp_path, monkeypatch):
     file = tmp_path / "flights.json"
     monkeypatch.setattr(flight_store, "code_digest", lambda: "before")
     FlightStore(file, SETTINGS).keep("a", {"clear": 1.0})
-    assert FlightStore(file, SETTINGS).of_other_code == 0
+    assert FlightStore(file, SETTINGS).outdated_count == 0
     monkeypatch.setattr(flight_store, "code_digest", lambda: "after")
     kept = FlightStore(file, SETTINGS)
     kept.keep("b", {"clear": 1.0})
-    assert kept.of_other_code == 1
+    assert kept.outdated_count == 1
     kept.keep("a", {"clear": 0.5})
-    assert FlightStore(file, SETTINGS).of_other_code == 0
+    assert FlightStore(file, SETTINGS).outdated_count == 0
     # Of a file that does not say, nobody knows.
     data = json.loads(file.read_text())
     del data["code"]
     file.write_text(json.dumps(data))
-    assert FlightStore(file, SETTINGS).of_other_code == 2
+    assert FlightStore(file, SETTINGS).outdated_count == 2

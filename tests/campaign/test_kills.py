@@ -204,7 +204,7 @@ def test_status_while_it_flies_and_after_a_kill(tmp_path):
     driver = start(folder, flights=400, sleep=0.02)
     wait_for(lambda: journalled(folder) >= 10)
     found = read_status(folder)
-    assert found.state == "flying" and found.wanted == 800
+    assert found.state == "flying" and found.expected_rows == 800
     assert 5.0 < found.rate < 100.0 and found.seconds_left > 5.0
     driver.kill()
     driver.communicate(timeout=60)

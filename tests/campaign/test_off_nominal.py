@@ -245,7 +245,7 @@ def test_failures_that_hardly_count_are_said_to_be_few(tmp_path, shift, rough):
     InlineEngine(),
         tmp_path / "c")  # fmt: skip
     (share,) = estimate_failure_shares(load_results(tmp_path / "c"))
-    assert share.failures > 500 and share.few == rough
+    assert share.failures > 500 and share.is_approximate == rough
 
 
 def lands(study, group, arm, memory):

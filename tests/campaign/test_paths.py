@@ -89,7 +89,7 @@ def test_settings_and_names_of_policies_share_a_path_and_nothing_else_does(monke
     monkeypatch.setenv("LUNARSIM_ALLOW_MODULES", __name__)
     arms = [
         {"name": "a", "set": {"policy": "safest"}},
-        {"name": "b", "set": {"policy": {"kind": "nearest-safe", "enough": 0.5}}},
+        {"name": "b", "set": {"policy": {"kind": "nearest-safe", "p_safe_min": 0.5}}},
         {"name": "c", "set": {"policy": "safest", "sun.elevation_deg": 5.0}},
         {"name": "d", "set": {"policy": "tests.campaign.test_paths:Restless"}},
         {"name": "e", "set": {"policy": "no-divert", "sun.elevation_deg": 5.0}},
@@ -115,18 +115,19 @@ def test_where_no_copy_is_certain_flights_are_flown_apart(monkeypatch, cycles):
 def test_a_draw_that_another_arm_cannot_take_is_that_arms_alone():
     """A setting of one policy that is drawn, which the other does not have."""
     known = study(["nearest-safe", "no-divert"])
-    group, memory = Group(0, (0, 1), {"policy.enough": 0.7}), {}
+    group, memory = Group(0, (0, 1), {"policy.p_safe_min": 0.7}), {}
     assert fly_with_simulation(known, group, 0, memory)[2]["policy"] == "nearest-safe"
-    with pytest.raises(InputError, match="enough"):
+    with pytest.raises(InputError, match="p_safe_min"):
         fly_with_simulation(known, group, 1, memory)
 
 
 def test_who_climbs_away_parts_from_who_lands():
     """Two that abort alike part from each other too: neither waits for the other without end."""
-    away = {"kind": "safest-or-abort", "least": 0.9999, "altitude_m": 400.0}
+    away = {"kind": "safest-or-abort", "p_safe_min": 0.9999, "abort_altitude_m": 400.0}
     arms = [{"name": "a", "set": {"policy": "safest"}}]
     arms += [
-        {"name": n, "set": {"policy": away | {"worth": w}}} for n, w in (("b", 0.5), ("c", 0.4))
+        {"name": n, "set": {"policy": away | {"value_weight": w}}}
+        for n, w in (("b", 0.5), ("c", 0.4))
     ]
     given = {"name": "p", "flights": 4, "seed": 5, "scenario": ROUGH, "arms": arms}
     known = build_plan(CampaignSpec.from_dict(given)).work.study

@@ -60,9 +60,9 @@ def test_one_in_ten_thousand_from_a_thousand_flights(tmp_path, seed):
     found = flown(tmp_path / "c", seed=seed)
     (made,) = estimate_failure_shares(found)
     assert made.low < 1e-4 < made.high
-    assert made.high / made.low < 1.5 and made.failures > 300 and made.left_out == 0
+    assert made.high / made.low < 1.5 and made.failures > 300 and made.without_outcome == 0
     # Brute force would need so many flights for the same error.
-    assert made.worth > 5e5
+    assert made.equivalent_flights > 5e5
     (same,) = estimate_failure_shares(found, "score", above=BETA)
     assert same == made
     (other,) = estimate_failure_shares(found, "score", below=0.0)

@@ -40,7 +40,7 @@ def test_rows_hold_inputs_seed_metrics_and_versions(tmp_path):
     assert np.isnan(rows[0]["x"]) and rows[2]["name"] == "ünïcode, 0"
     timing = pq.read_table(tmp_path / "c" / "timing").to_pylist()
     assert [t["id"] for t in timing] == [row["id"] for row in rows]
-    assert all(t["seconds"] >= 0.0 and t["tries"] == 1 for t in timing)
+    assert all(t["seconds"] >= 0.0 and t["attempts"] == 1 for t in timing)
 
 
 def test_processes_give_the_same_bytes(tmp_path, whole):
@@ -88,7 +88,7 @@ def test_flights_that_fail_are_rows_with_reason_and_seed(tmp_path):
     )
     assert rows["4-1"]["outcome"] == "killed"
     assert "SIGKILL" in rows["4-1"]["error"] and "3 times" in rows["4-1"]["error"]
-    tries = {t["id"]: t["tries"] for t in load_results(tmp_path / "c").timing.to_pylist()}
+    tries = {t["id"]: t["attempts"] for t in load_results(tmp_path / "c").timing.to_pylist()}
     assert (tries["5-0"], tries["4-1"], tries["0-0"]) == (2, 3, 1)
     assert read_status(tmp_path / "c").outcomes == {
         "flown": 8, "error": 2, "timeout": 1, "killed": 1,
@@ -155,7 +155,7 @@ def test_a_narrow_interval_stops_at_the_first_flight_that_suffices(tmp_path, eng
         return max(high - low for low, high in intervals)
 
     assert width(ran.flights) <= 0.5 < min(width(n) for n in range(1, ran.flights))
-    assert len(found.table) == found.wanted == 2 * ran.flights
+    assert len(found.table) == found.expected_rows == 2 * ran.flights
     again = run(plan(flights=200), InlineEngine(), tmp_path / "c", rule=rule())
     assert (again.state, again.flown, again.flights) == ("stopped", 0, ran.flights)
 

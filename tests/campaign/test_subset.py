@@ -41,8 +41,8 @@ def in_memory(function: str, seed: int, flights: int, **more: object):
 def test_one_in_ten_thousand_from_a_thousand_flights(whole_subset):
     found = load_results(whole_subset)
     (made,) = estimate_failure_shares(found)
-    assert made.low < 1e-4 < made.high and not made.few
-    assert made.high / made.low < 50.0 and made.worth > 3.0 * len(found.table)
+    assert made.low < 1e-4 < made.high and not made.is_approximate
+    assert made.high / made.low < 50.0 and made.equivalent_flights > 3.0 * len(found.table)
     levels = load_chains(found).levels
     assert len(found.table) == 300 + 270 * (len(levels) - 1) < 1500
     # Thresholds are what a linear limit state must have at 0.1, 0.01, ... of the flights.
@@ -179,7 +179,7 @@ def test_a_metric_with_steps_is_told_of(tmp_path):
 def test_flights_without_the_metric_are_counted_and_taken_as_far_from_failure(tmp_path):
     ran = run(planned("patchy"), InlineEngine(), tmp_path / "c")
     (made,) = estimate_failure_shares(load_results(tmp_path / "c"))
-    assert made.left_out == pytest.approx(0.2 * (ran.flown), rel=0.1)
+    assert made.without_outcome == pytest.approx(0.2 * (ran.flown), rel=0.1)
     assert ran.failed == pytest.approx(0.1 * ran.flown, rel=0.1)
     # Eight in ten of those that would have failed.
     assert made.low < 0.8e-4 < made.high

@@ -51,7 +51,8 @@ def made_up(scenario=SMALL, **changes):
     held = {
         "shares": np.array([0.2, 0.8]), "tables": tables, "common": np.full((2, 2), 0.3),
         "weights": weights, "stretch": np.full((2, 2), 1.2), "kept": 0.4,
-        "drift": np.array([0.02, 0.05]), "claimed": 0.03, "altitudes": np.array([180.0, 110.0]),
+        "drift": np.array([0.02, 0.05]), "reported_velocity_sigma": 0.03,
+        "altitudes": np.array([180.0, 110.0]),
         "made_for": json.dumps(surrogate_tables(scenario)),
     }  # fmt: skip
     return Surrogate(**(held | changes))
@@ -64,7 +65,8 @@ def lanes(count=1, keys=range(1000), perception="surrogate", kind=SiteDescentBat
     errors = exact_errors() if truth else model.errors(pool().shares, 0.4)
     many = kind(
         count, scenario, pool(), errors=errors, view=fov_and_footprint(scenario),
-        drift=np.zeros(2) if truth else model.drift, claimed=0.0 if truth else model.claimed,
+        drift=np.zeros(2) if truth else model.drift,
+        claimed=0.0 if truth else model.reported_velocity_sigma,
         posting=0.4,
     )  # fmt: skip
     every = np.ones(count, bool)

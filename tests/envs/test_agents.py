@@ -107,7 +107,7 @@ def test_a_law_is_asked_with_what_is_observed():
 
 
 class _Briefed:
-    weight, field = 1.622, None
+    surface_gravity, nonuniform_gravity = 1.622, None
 
 
 def test_a_law_forgets_the_last_flight(env):
@@ -126,7 +126,7 @@ def test_a_policy_decides_as_in_the_simulation(small_scenario):
     simulation.run()
     info, *_ = flown(env, agent, 4)
     assert np.array_equal(env.simulation.state.position, simulation.state.position)
-    assert info["safe"] == simulation.verdict.safe
+    assert info["safe"] == simulation.outcome.safe
     wet = small_scenario.vehicle.make().wet_mass
     assert info["propellant_kg"] == pytest.approx(wet - simulation.state.mass)
 

@@ -21,11 +21,11 @@ from tests.envs.site_scene import SMALL, made_up
 LANES = 4
 MODES = ["NextStep", "SameStep", "Disabled"]
 # What a reset tells of a lane.
-BEGUN = ("time", "action_mask", "drawn", "privileged")
+BEGUN = ("time", "action_mask", "randomized", "privileged")
 SHORT = SMALL.changed(simulation={"max_time_s": 25.0})
 SITE = {
     "scenario": SHORT, "perception": "surrogate", "worlds": 1, "world_seed": 5, "covers": [0.02],
-    "surrogate": made_up(SHORT), "action": ("site", "stretch"),
+    "surrogate": made_up(SHORT), "action": ("site", "time_scale"),
     "weights": RewardWeights(safe=3.0, speed=0.1, tilt=0.2, hazard=0.1, information=0.1,
                              shaping=0.3),
 }  # fmt: skip
@@ -38,7 +38,8 @@ DESCENT = {
     "covers": [0.1], "worlds": 2, "privileged": True,
     "changes": {
         "start.position_m": [0.0, 0.0, 25.0], "start.velocity_m_s": [0.0, 0.0, -1.0],
-        "start.position_sigma_m": 1.0, "simulation.max_time_s": 5.0, "variation.load_kg": 20.0,
+        "start.position_sigma_m": 1.0, "simulation.max_time_s": 5.0,
+        "domain_randomization.payload_kg": 20.0,
         "target.scatter_m": [8.0, 8.0], "terrain.size_m": 90.0,
     },
 }  # fmt: skip
@@ -51,7 +52,7 @@ DESCENT_OPTIONS = [
 def check(info, i, own, names=None, masks=True):
     """Compare what a batch tells of a lane with what its environment tells."""
     for name in own if names is None else own.keys() & set(names):
-        if name == "failed":  # a bit each in a batch
+        if name == "failure_causes":  # a bit each in a batch
             continue
         if isinstance(own[name], dict):
             assert {term: value[i] for term, value in info[name].items()} == own[name], name
@@ -116,7 +117,7 @@ class Pair:
                 assert info["_final_obs"][i] and info["_final_info"][i]
                 same(info["final_obs"], i, own)
                 check(info["final_info"], i, tells, masks=False)
-                check(info, i, tells, ("reward_terms", "cost", "stretch_refused", "safe"))
+                check(info, i, tells, ("reward_terms", "cost", "time_scale_refused", "safe"))
                 own, tells = self.ones[i].reset(options=self.told[i])
                 check(info, i, tells, BEGUN)
             else:
@@ -132,8 +133,8 @@ class Pair:
         check(info, i, tells, BEGUN)
         assert not any(term[i] for term in info["reward_terms"].values())
         assert info["cost"][i] == 0.0 and not info["_reward_terms"][i] and not info["_cost"][i]
-        if "stretch_refused" in info:
-            assert not info["stretch_refused"][i] and not info["_stretch_refused"][i]
+        if "time_scale_refused" in info:
+            assert not info["time_scale_refused"][i] and not info["_time_scale_refused"][i]
         self.over[i] = False
 
 

@@ -210,7 +210,7 @@ def test_terms_are_what_they_say():
         assert reward == pytest.approx(sum(info["reward_terms"].values()))
         total = {name: total[name] + term for name, term in info["reward_terms"].items()}
         assert not late
-    assert info["safe"] and info["failed"] == ()
+    assert info["safe"] and info["failure_causes"] == ()
     off = float(np.hypot(*(lanes.y[0, :2] - lanes.target[0, :2])))
     assert total["touchdown"] == 1.0
     assert total["miss"] == pytest.approx(-0.02 * off)
@@ -229,7 +229,7 @@ def test_weights_that_will_not_do_are_refused(weights):
 
 
 ACTIONS = [
-    (np.full(3, np.nan), "not finite"), (np.array([0.0, 0.0, 1.1]), "1.1 in size"),
+    (np.full(3, np.nan), "not finite"), (np.array([0.0, 0.0, 1.1]), "magnitude 1.1"),
     (np.zeros(4), "shape"), (np.zeros((1, 3)), "shape"), (np.array(["0", "0", "0"]), "type"),
     (np.array([True, False, True]), "type"), (np.zeros(3, complex), "type"), (0.0, "shape"),
     (None, "type"),

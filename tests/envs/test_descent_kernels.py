@@ -32,10 +32,11 @@ TABLES = {
     "simulation": {"max_time_s": 12.0},
 }  # fmt: skip
 ROUGH = Scenario.from_dict(TABLES)
-VARIED = ROUGH.changed(variation={
-    "load_kg": 80.0, "specific_impulse_s": 15.0, "thrust": 0.05, "thrust_lag_s": 0.05,
-    "thrust_offset_m": 0.01, "engine_failure": 0.5, "torque_failure": 0.6, "weakest": 0.8,
-    "failure_by_s": 3.0,
+VARIED = ROUGH.changed(domain_randomization={
+    "payload_kg": 80.0, "specific_impulse_s": 15.0, "thrust_scale": 0.05, "thrust_lag_s": 0.05,
+    "thrust_offset_m": 0.01, "engine_failure": 0.5, "torque_failure": 0.6,
+    "min_remaining_fraction": 0.8,
+    "latest_failure_s": 3.0,
 })  # fmt: skip
 RATES = {True: 5.0, False: 50.0}
 
@@ -89,13 +90,13 @@ def against_plain(worlds, guided, count, scenario=ROUGH):
     lanes = lanes_of(worlds, count, guided, scenario=scenario)
     c, d = lanes.craft, lanes.craft.dynamics
     drawn = [plain.ALIKE] * count
-    if c.variation is not None:
-        drawn = [plain.varied((11 + i) * 977, 0, c.variation) for i in range(count)]
+    if c.domain_randomization is not None:
+        drawn = [plain.varied((11 + i) * 977, 0, c.domain_randomization) for i in range(count)]
     ones = [
         plain.Lander(y, d, c.gains, c.heading, c.max_tilt, own)
         for y, own in zip(lanes.y, drawn, strict=True)
     ]
-    heavy = [replace(d.lander, dry_mass=d.lander.dry_mass + own["load_kg"]) for own in drawn]
+    heavy = [replace(d.lander, dry_mass=d.lander.dry_mass + own["payload_kg"]) for own in drawn]
     rng = np.random.default_rng(3)
     while (lanes.ended == FLYING).any():
         flying = np.flatnonzero(lanes.ended == FLYING)
@@ -110,7 +111,7 @@ def against_plain(worlds, guided, count, scenario=ROUGH):
             assert lanes.y[i] == pytest.approx(y, rel=1e-9, abs=1e-9)
             assert (verdict is not None) == (lanes.ended[i] == LANDED)
             if verdict is not None:
-                assert lanes.words(i) == verdict.failed
+                assert lanes.words(i) == verdict.failure_causes
                 assert lanes.safe[i] == verdict.safe
                 slope = lanes.touchdown_values[i, 4]
                 assert slope == pytest.approx(verdict.touchdown.slope, abs=1e-9)
@@ -157,10 +158,10 @@ def test_starts_are_those_drawn_plainly(worlds):
 def test_landers_are_those_drawn_plainly(worlds):
     """With every range open, flight after flight; another flight of the same start."""
     keys = {"sensing_delay_s": 1.0, "actuation_delay_s": 0.5}
-    table = {key: value for key, value in VARIED.to_dict()["variation"].items() if value}
-    lanes = lanes_of(worlds, 60, True, scenario=ROUGH.changed(variation=table | keys))
+    table = {key: value for key, value in VARIED.to_dict()["domain_randomization"].items() if value}
+    lanes = lanes_of(worlds, 60, True, scenario=ROUGH.changed(domain_randomization=table | keys))
     alike = lanes_of(worlds, 60, True)
-    varied, every = lanes.craft.variation, np.ones(60, bool)
+    varied, every = lanes.craft.domain_randomization, np.ones(60, bool)
     seen = []
     for flight in range(2):
         for i in range(60):
@@ -171,7 +172,7 @@ def test_landers_are_those_drawn_plainly(worlds):
             own = lanes.figures[i]
             assert own[1] == pytest.approx(9.80665 * (311.0 + wanted["specific_impulse_s"]))
             assert own[2] == pytest.approx(0.1 + wanted["thrust_lag_s"])
-            assert own[3:] == pytest.approx([1100.0 + wanted["load_kg"], lanes.y[i, 13]])
+            assert own[3:] == pytest.approx([1100.0 + wanted["payload_kg"], lanes.y[i, 13]])
         assert np.array_equal(lanes.y[:, :13], alike.y[:, :13])
         seen.append(lanes.drawn.copy())
         lanes.begin(every)

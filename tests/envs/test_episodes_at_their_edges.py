@@ -54,7 +54,7 @@ def test_time_may_run_out_before_the_first_decision():
     env.reset(seed=1)
     *_, terminated, truncated, info = env.step(0)
     assert truncated and not terminated
-    assert info["failed"] == ("time-limit",) and info["cost"] == 0.0
+    assert info["failure_causes"] == ("time-limit",) and info["cost"] == 0.0
 
 
 @pytest.mark.parametrize("mode", ["NextStep", "SameStep", "Disabled"])

@@ -45,7 +45,11 @@ class Wanted(gymnasium.Env):
         terms = {"luck": self.luck, "shaping": 10.0}
         info = {"reward_terms": terms, "action_mask": np.ones(2)}
         if not self.left:
-            info |= {"safe": self.luck > 0.5, "miss_m": 20.0 * self.luck, "failed": ("a", "b")}
+            info |= {
+                "safe": self.luck > 0.5,
+                "miss_m": 20.0 * self.luck,
+                "failure_causes": ("a", "b"),
+            }
             info["propellant_kg"] = np.float32(2.0)
         return np.zeros(1, np.float32), sum(terms.values()), self.left == 0, False, info
 
@@ -73,7 +77,7 @@ def test_rows_tell_what_came_of_every_episode():
         assert row["return"] == pytest.approx(3.0 * (luck + 10.0))
         assert row["score"] == pytest.approx(3.0 * luck)
         assert row["reward_luck"] == pytest.approx(3.0 * luck)
-        assert row["safe"] is (luck > 0.5) and row["failed"] == "a, b" and row["steps"] == 3
+        assert row["safe"] is (luck > 0.5) and row["failure_causes"] == "a, b" and row["steps"] == 3
         assert row["late"] is False and "action_mask" not in row
     assert len({row["miss_m"] for row in rows}) == 12
     again = list(fly_episodes(asked(), "random", range(5, 7)))

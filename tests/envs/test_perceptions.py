@@ -87,19 +87,19 @@ def test_a_scenario_is_given_what_it_lacks():
         assert given.rocks == plain.rocks and given.start == plain.start
     fused = with_perception(plain, "fused")
     assert {part.kind for part in fused.mappers.values()} == {"gaussian-dem", "shadow", "fused"}
-    assert tuple(fused.mappers["fused"].of) == ("dem", "rocks")
+    assert tuple(fused.mappers["fused"].inputs) == ("dem", "rocks")
     assert fused.navigation.kind == with_perception(plain, "shadows").navigation.kind == "rocks"
     assert with_perception(plain, "quadtree").navigation.kind == "inertial"
     lander, zone = (
         plain.vehicle.make(),
         with_perception(plain, "quadtree").mappers["quadtree"].sites,
     )
-    assert zone.zone_m > lander.leg_radius + 0.5 * lander.pad_diameter
+    assert zone.zone_half_side_m > lander.leg_radius + 0.5 * lander.pad_diameter
     assert zone.roughness_limit_m == lander.roughness_limit
 
 
 def test_a_scenario_keeps_what_it_has():
-    eyes = Scenario.load(found(Path("two_eyes")))
+    eyes = Scenario.load(found(Path("camera_and_lidar")))
     assert with_perception(eyes, "onboard") is eyes
     assert with_perception(eyes, "fused").to_dict() == eyes.to_dict()
     assert with_perception(eyes, "shadows").to_dict() == eyes.changed(

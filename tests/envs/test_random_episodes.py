@@ -22,12 +22,12 @@ def parts(shown):
     ("name", "lanes", "settings"),
     [
         ("Guidance-v0", 500, {"changes": {"rocks.cover": 0.05}, "worlds": 4}),
-        ("Guidance-v0", 500, {"changes": {"variation.engine_failure": 0.5}}),
+        ("Guidance-v0", 500, {"changes": {"domain_randomization.engine_failure": 0.5}}),
         ("Control-v0", 500, {}),
         ("Retarget-v0", 50, {"perception": "truth", "worlds": 8}),
         (
             "Retarget-v0", 50,
-            {"perception": "truth", "worlds": 8, "action": ("site", "stretch")},
+            {"perception": "truth", "worlds": 8, "action": ("site", "time_scale")},
         ),
         ("Retarget-v0", 50, {"perception": "surrogate", "worlds": 8, "scenario": "few_sites"}),
     ],

@@ -196,7 +196,9 @@ def test_frames_say_what_the_reward_was_and_how_it_ended(env):
         _, reward, ended, _, info = env.step(0)
     env.render()
     assert f"reward {'+' if reward > 0.0 else '-'}{abs(reward):.3f}" in frames.title
-    assert frames.title.endswith("landed safely" if info["safe"] else ", ".join(info["failed"]))
+    assert frames.title.endswith(
+        "landed safely" if info["safe"] else ", ".join(info["failure_causes"])
+    )
 
 
 def _colours(picture, box):

@@ -46,7 +46,7 @@ def test_a_miss_wider_than_the_map_is_spread_all_the_same():
         Grid(*map(float, many.maps.corner[0]), 0.4, *many.maps.p.shape[1:]), many.maps.p[0],
         many.maps.seen[0],
     )  # fmt: skip
-    assert many.maps.aim[0] == pytest.approx(held.dispersed(40.0), abs=1e-5)
+    assert many.maps.aim[0] == pytest.approx(held.dispersed_p_safe(40.0), abs=1e-5)
     assert many.maps.aim[0].max() > 0.0
 
 

@@ -29,17 +29,17 @@ from tests.reference.site_flight import SiteFlight
 _DRIFT = 0xA0761D6478BD642F
 
 
-def on(many, sites=None, stretches=None):
+def on(many, sites=None, time_scales=None):
     """Fly all lanes to their next decisions."""
     goal = np.full((many.count, 3), np.nan) if sites is None else sites
-    many.decide(goal, np.ones(many.count, bool), stretches)
+    many.decide(goal, np.ones(many.count, bool), time_scales)
 
 
-@pytest.fixture(scope="module", params=[False, True], ids=["", "stretched"])
+@pytest.fixture(scope="module", params=[False, True], ids=["", "rescaled"])
 def flown(request):
     """Return lanes, and of each its decisions with where it stood, and when it scanned.
 
-    Sites are drawn, and stretches too or none.
+    Sites are drawn, and time_scales too or none.
     """
     high = SMALL.changed(tasking={"flash": {"altitudes_m": [180.0, 110.0]}})
     told, scans = [[] for _ in range(4)], [[] for _ in range(4)]
@@ -53,7 +53,7 @@ def flown(request):
     many = lanes(4, kind=Noted, scenario=high)
     rng, drawn = np.random.default_rng(3), np.random.default_rng(4)
     while (many.ended == FLYING).any():
-        goal, stretches = np.full((4, 3), np.nan), np.full(4, np.nan)
+        goal, time_scales = np.full((4, 3), np.nan), np.full(4, np.nan)
         for i in range(4):
             if many.ended[i] != FLYING:
                 continue
@@ -62,16 +62,16 @@ def flown(request):
             if len(good) and rng.random() < 0.4:
                 goal[i] = many.found.position[i, rng.choice(good)]
             if request.param and drawn.random() < 0.6:
-                stretches[i] = drawn.uniform(0.7, 1.4)
-            told[i].append([many.time[i], many.y[i].copy(), goal[i].copy(), stretches[i]])
+                time_scales[i] = drawn.uniform(0.7, 1.4)
+            told[i].append([many.time[i], many.y[i].copy(), goal[i].copy(), time_scales[i]])
         flying = np.flatnonzero(many.ended == FLYING)
-        on(many, goal, stretches)
+        on(many, goal, time_scales)
         for i in flying:
-            told[i][-1].append(many.unstretched[i])
+            told[i][-1].append(many.time_scale_refused[i])
     if request.param:
         every = [one for lane in told for one in lane]
-        asked = sum(np.isfinite(stretch) for *_, stretch, _ in every)
-        refused = sum(unstretched for *_, unstretched in every)
+        asked = sum(np.isfinite(time_scale) for *_, time_scale, _ in every)
+        refused = sum(time_scale_refused for *_, time_scale_refused in every)
         assert asked > 10 and 2 < refused < asked - 5
     return many, told, scans
 
@@ -100,11 +100,14 @@ def test_flights_are_those_of_the_computers_laws(flown, lane):
         if heights and plain.time > heights[0][0] - 1e-6:
             plain.site[2] = heights.pop(0)[1]
 
-    for time, y, goal, stretch, unstretched in told[lane]:
+    for time, y, goal, time_scale, time_scale_refused in told[lane]:
         fly_on(time)
         assert plain.plain.y == pytest.approx(y, abs=1e-6, rel=1e-9)
-        asked = (goal if np.isfinite(goal[0]) else None, stretch if np.isfinite(stretch) else None)
-        assert plain.decide(*asked, first) == unstretched
+        asked = (
+            goal if np.isfinite(goal[0]) else None,
+            time_scale if np.isfinite(time_scale) else None,
+        )
+        assert plain.decide(*asked, first) == time_scale_refused
         first = False
     fly_on(many.time[lane] - many.law.cycle * craft.dynamics.step)
     assert many.ended[lane] == LANDED and plain.low
@@ -135,7 +138,7 @@ def test_any_company_and_threads_give_the_same_bits():
 
 def test_the_last_metres_are_those_of_the_law():
     rng = np.random.default_rng(1)
-    law = VerticalDescent.behind(0.55, 1.622)
+    law = VerticalDescent.for_lag(0.55, 1.622)
     many = lanes(1)
     descent = many.law.descent
     wanted, seen = np.empty(3), 0
@@ -276,10 +279,10 @@ def test_a_spread_map_is_that_of_the_computer():
     for miss in (0.1, 0.3, 0.9, 3.0, 12.0):
         out, line = np.empty_like(p), np.full(300, np.nan, np.float32)
         choice.spread(p, seen, miss / 0.4, out, line, np.empty(200, np.float32))
-        assert out == pytest.approx(held.dispersed(miss), abs=2e-6)
+        assert out == pytest.approx(held.dispersed_p_safe(miss), abs=2e-6)
         cells = rng.integers((60, 50), size=(40, 2))
         xy = held.grid.centre_of(cells[:, 0], cells[:, 1])
-        plain = held.dispersed_at(xy, np.full(40, miss))
+        plain = held.dispersed_p_safe_at(xy, np.full(40, miss))
         found = [choice.spread_at(p, seen, *map(int, cell), miss / 0.4) for cell in cells]
         assert found == pytest.approx(plain, abs=2e-6)
 

@@ -34,7 +34,7 @@ def proposed(many, lane, within):
         drift = maps.stated[1] * (seen.time - maps.mapped[lane] + until + maps.stated[2])
         return np.hypot(decisions.touchdown_sigma, drift)
 
-    reach = ReachabilityMap.under(seen.hazard_map, seen.site, cost_of) if within else None
+    reach = ReachabilityMap.over_map(seen.hazard_map, seen.site, cost_of) if within else None
     return seen.candidates, candidate_sites(
         seen.hazard_map, maps.aim[lane].copy(), seen.site, cost_of, count=decisions.candidates,
         separation=decisions.separation, miss_of=miss_of, reach=reach,

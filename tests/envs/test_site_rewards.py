@@ -33,7 +33,7 @@ def touch_of(env):
     """Return vertical and horizontal speed, tilt, slope and roughness of an ended flight."""
     if env.simulation is None:
         return env.flight.lanes.touchdown_values[0, [0, 1, 2, 4, 5]]
-    t = env.simulation.verdict.touchdown
+    t = env.simulation.outcome.touchdown
     return t.vertical_speed, t.horizontal_speed, t.tilt, t.slope, t.roughness
 
 
@@ -150,7 +150,7 @@ def test_choices_that_are_not_available_cost_ten_times_at_most():
     env = RetargetEnv(**SETTINGS, perception="surrogate")
     env.reset(seed=1)
     one, none = np.ones(1, bool), np.zeros(1, bool)
-    stand = env.standing()
+    stand = env.reward_inputs()
     env.rewards.begin(one, *stand)
     touch = np.full((1, 3), np.nan)
     told = [

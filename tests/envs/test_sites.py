@@ -68,7 +68,7 @@ def test_same_seed_same_episode_in_any_order(perception):
     again, _ = episode(env, 4, row=2)
     assert same(first, again)
     assert not same(first, episode(env, 5, row=2)[0])
-    assert set(info) >= {"safe", "failed", "propellant_kg", "cost", "time"}
+    assert set(info) >= {"safe", "failure_causes", "propellant_kg", "cost", "time"}
     assert info["cost"] == float(not info["safe"])
 
 
@@ -85,7 +85,7 @@ def test_another_process_flies_the_same():
     assert done.stdout.strip() == wanted
 
 
-@pytest.mark.parametrize("action", [("site",), ("site", "stretch")])
+@pytest.mark.parametrize("action", [("site",), ("site", "time_scale")])
 def test_a_lane_flies_what_one_environment_flies(action):
     rng = np.random.default_rng(2)
     settings = {
@@ -111,8 +111,8 @@ def test_a_lane_flies_what_one_environment_flies(action):
         alone, reward, over, _, told_alone = one.step(actions[lane])
         assert rewards[lane] == pytest.approx(reward, rel=1e-12) and ended[lane] == over
         if len(action) > 1:
-            refused.append(told_alone["stretch_refused"])
-            assert info["stretch_refused"][lane] == refused[-1]
+            refused.append(told_alone["time_scale_refused"])
+            assert info["time_scale_refused"][lane] == refused[-1]
         if over:
             flights += 1
             assert info["final_info"]["safe"][lane] == told_alone["safe"]
@@ -196,7 +196,7 @@ def test_a_part_of_ones_own():
         ({"observation": ["hazards"]}, "hazard"),
         ({"worlds": 0}, "worlds"),
         ({"changes": {"guidance.kind": "gravity-turn"}}, "guidance"),
-        ({"changes": {"sensors.flash.half_width": 0.2}}, "surrogate"),
+        ({"changes": {"sensors.flash.half_fov_tangent": 0.2}}, "surrogate"),
         ({"changes": {"tasking.flash.altitudes_m": [170.0]}}, "surrogate"),
         ({"surrogate": "no/such.npz"}, "no/such.npz"),
     ],

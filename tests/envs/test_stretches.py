@@ -23,14 +23,14 @@ from lunarsim_envs.evaluation.request import evaluation_study
 from lunarsim_envs.retarget import RetargetEnv
 from lunarsim_envs.retarget_vector import RetargetVectorEnv
 from lunarsim_envs.sites import actions
-from lunarsim_envs.sites.actions import STRETCHES, ActionComponent, SiteActions
+from lunarsim_envs.sites.actions import TIME_SCALES, ActionComponent, SiteActions
 from lunarsim_envs.sites.batch import SiteDescentBatch
 from lunarsim_envs.sites.field_of_view import fov_and_footprint
 from lunarsim_envs.sites.pool import SiteWorldPool
 from lunarsim_envs.sites.surrogate import exact_errors
 from tests.envs.site_scene import SMALL
 
-BOTH = ("site", "stretch")
+BOTH = ("site", "time_scale")
 SITE = {"scenario": SMALL, "perception": "truth", "worlds": 2, "world_seed": 5}
 # Level ground, an exact start and exact navigation: nothing is drawn that a flight hangs on.
 EXACT = {
@@ -64,7 +64,7 @@ def same(a, b):
 
 
 def drawn(seed, count):
-    """Return sites about the target, None keeps, and stretches, None leaves."""
+    """Return sites about the target, None keeps, and time_scales, None leaves."""
     rng = np.random.default_rng(seed)
     made = []
     for _ in range(count):
@@ -86,15 +86,15 @@ def test_kernels_stretch_as_the_whole_simulation_does():
         computer = simulation.computer
         kernels.seed(one, np.array([seed], np.uint64))
         kernels.begin(one)
-        for site, stretch in drawn(seed, 8):
+        for site, time_scale in drawn(seed, 8):
             before = len(computer.telemetry)
-            taken = simulation.apply(Decision(site, "drawn", stretch=stretch))
+            taken = simulation.apply(Decision(site, "drawn", time_scale=time_scale))
             names = [name for _, name, _ in computer.telemetry[before:]]
             goal = np.full((1, 3), np.nan) if site is None else site[None]
-            kernels.decide(goal, one, np.array([np.nan if stretch is None else stretch]))
-            refused = stretch is not None and (not taken or "stretch-refused" in names)
-            assert (taken, refused) == (not kernels.refused[0], bool(kernels.unstretched[0]))
-            counts[0] += stretch is not None and not refused
+            kernels.decide(goal, one, np.array([np.nan if time_scale is None else time_scale]))
+            refused = time_scale is not None and (not taken or "time-scale-refused" in names)
+            assert (taken, refused) == (not kernels.refused[0], bool(kernels.time_scale_refused[0]))
+            counts[0] += time_scale is not None and not refused
             counts[1] += refused
             counts[2] += site is not None and taken
             simulation.move()
@@ -116,7 +116,7 @@ def test_sites_alone_are_what_they_were():
     assert env.action_space == spaces.Discrete(21)
     env.reset(seed=1)
     assert env.action_masks().shape == (21,)
-    assert "stretch_refused" not in env.step(0)[-1]
+    assert "time_scale_refused" not in env.step(0)[-1]
     batch = RetargetVectorEnv(2, **SITE)
     assert batch.single_action_space == spaces.Discrete(21)
 
@@ -136,9 +136,9 @@ def test_actions_of_two_parts_and_their_masks():
         _, _, over, _, info = env.step(drawn)
         assert info["reward_terms"]["invalid"] == 0.0
     assert known > 10
-    turned = made(action=("stretch", "site"))
+    turned = made(action=("time_scale", "site"))
     assert turned.action_space == spaces.MultiDiscrete([5, 21])
-    assert made(action=("stretch",)).action_space == spaces.Discrete(5)
+    assert made(action=("time_scale",)).action_space == spaces.Discrete(5)
 
 
 @pytest.mark.parametrize("perception", ["truth", "onboard"])
@@ -151,7 +151,7 @@ def test_check_env_without_a_warning(perception):
 
 @pytest.mark.parametrize("perception", ["truth", "onboard"])
 def test_choices_are_of_the_cheapest_time(perception):
-    """From one second decision on: 0 leaves it as it is, 1 and on are stretches of one time."""
+    """From one second decision on: 0 leaves it as it is, 1 and on are time_scales of one time."""
     begun = made(perception=perception)
     begun.reset(seed=3)
     begun.step(np.array([0, 0]))
@@ -164,12 +164,12 @@ def test_choices_are_of_the_cheapest_time(perception):
         start = env.flight.time
         seen, *_, info = env.step([0, choice])
         left.append(float(seen["to_go"][0]) + env.flight.time - start)
-        refused.append(info["stretch_refused"])
+        refused.append(info["time_scale_refused"])
     assert not refused[0] and not refused[1]
     cheapest = left[1]
-    assert STRETCHES == (1.0, 1.07, 1.15, 1.3)
+    assert TIME_SCALES == (1.0, 1.07, 1.15, 1.3)
     for choice in range(1, 5):
-        wanted = 1.0 if refused[choice] else STRETCHES[choice - 1]
+        wanted = 1.0 if refused[choice] else TIME_SCALES[choice - 1]
         assert left[choice] == pytest.approx(wanted * cheapest, abs=0.02)
     assert (
         sum(refused) < 4 and len(set(np.round(left[1:], 2))) > 1 and abs(left[0] - cheapest) > 0.02
@@ -201,16 +201,16 @@ def test_a_row_that_is_not_to_be_had_leaves_all_as_it_is():
     seen, *_, info = wrong.step([none, 3])
     own, *_, told = stays.step([0, 0])
     assert same(seen, own)
-    assert info["stretch_refused"] and not told["stretch_refused"]
+    assert info["time_scale_refused"] and not told["time_scale_refused"]
     assert info["reward_terms"]["invalid"] < 0.0
-    # No stretch was asked for, so none is refused.
+    # No time_scale was asked for, so none is refused.
     *_, plain = copy.deepcopy(begun).step([none, 0])
-    assert plain["reward_terms"]["invalid"] < 0.0 and not plain["stretch_refused"]
+    assert plain["reward_terms"]["invalid"] < 0.0 and not plain["time_scale_refused"]
     batch = RetargetVectorEnv(2, action=BOTH, **SITE)
     batch.reset(seed=[3, 3])
     info = batch.step(np.array([[none, 3], [0, 3]]))[-1]
-    assert info["stretch_refused"].tolist() == [True, False]
-    assert info["_stretch_refused"].all()
+    assert info["time_scale_refused"].tolist() == [True, False]
+    assert info["_time_scale_refused"].all()
 
 
 def test_a_site_that_the_computer_refuses_has_its_stretch_refused():
@@ -218,9 +218,9 @@ def test_a_site_that_the_computer_refuses_has_its_stretch_refused():
     env.reset(seed=3)
     far = np.array([4000.0, 0.0, 0.0])
     env.flight.decide(far, lambda: None, 1.15)
-    assert env.flight.unstretched
+    assert env.flight.time_scale_refused
     env.flight.decide(far, lambda: None)
-    assert not env.flight.unstretched
+    assert not env.flight.time_scale_refused
 
 
 WRONG = [
@@ -234,7 +234,7 @@ def test_actions_that_are_none_are_refused_and_change_nothing(action):
     env = made()
     env.reset(seed=1)
     before = env.flight.time
-    with pytest.raises(ValueError, match="site from 0 to 20, stretch from 0 to 4"):
+    with pytest.raises(ValueError, match="site from 0 to 20, time_scale from 0 to 4"):
         env.step(action)
     assert env.flight.time == before
     batch = RetargetVectorEnv(2, action=BOTH, **SITE)
@@ -269,12 +269,12 @@ def test_copies_go_on_alike(copied):
         other = copied(env)
         (seen, reward, *_, info), (own, earned, *_, told) = (e.step(action) for e in (env, other))
         assert same(seen, own) and np.array_equal(reward, earned)
-        assert np.array_equal(info["stretch_refused"], told["stretch_refused"])
+        assert np.array_equal(info["time_scale_refused"], told["time_scale_refused"])
 
 
 def test_a_part_of_ones_own(monkeypatch):
     monkeypatch.setattr(actions, "PARTS", dict(actions.PARTS))
-    slow = ActionComponent("slow", "stretch", 2, "1 takes a fifth more time",
+    slow = ActionComponent("slow", "time_scale", 2, "1 takes a fifth more time",
                       lambda sights, chosen: np.where(chosen == 1, 1.2, np.nan))  # fmt: skip
     actions.register(slow)
     env = pickle.loads(pickle.dumps(made(action=("site", "slow"))))
@@ -284,19 +284,19 @@ def test_a_part_of_ones_own(monkeypatch):
     start = env.flight.time
     env.step([0, 1])
     assert env.flight.lanes.course.arrival[0] - start == pytest.approx(1.2 * left, rel=0.05)
-    with pytest.raises(InputError, match="one component that sets the stretch"):
-        SiteActions(("slow", "stretch"))
+    with pytest.raises(InputError, match="one component that sets the time_scale"):
+        SiteActions(("slow", "time_scale"))
     for part, says in (
         (slow, "is already registered"),
         (ActionComponent("a", "abort", 2, "", slow.of), "'site' or"),
-        (ActionComponent("b", "stretch", 1, "", slow.of), "at least 2"),
+        (ActionComponent("b", "time_scale", 1, "", slow.of), "at least 2"),
     ):  # fmt: skip
         with pytest.raises(InputError, match=says):
             actions.register(part)
     for part, says in (
-        (ActionComponent("c", "stretch", 2, "", lambda s, c: s.site), r"c: must be an array"),
-        (ActionComponent("d", "stretch", 2, "", lambda s, c: -1.0 * c), "positive and finite"),
-        (ActionComponent("e", "stretch", 2, "", slow.of, lambda s: s.here > 0), "open"),
+        (ActionComponent("c", "time_scale", 2, "", lambda s, c: s.site), r"c: must be an array"),
+        (ActionComponent("d", "time_scale", 2, "", lambda s, c: -1.0 * c), "positive and finite"),
+        (ActionComponent("e", "time_scale", 2, "", slow.of, lambda s: s.here > 0), "open"),
     ):  # fmt: skip
         actions.register(part)
         env = made(action=(part.name,))
@@ -328,11 +328,11 @@ def test_agents_of_sites_leave_the_time_as_it_comes(name):
     assert rewards == plainly
     assert np.array_equal(did[:, 0], rows) and not did[:, 1].any()
     assert (rows > 0).any() or name == "zero"
-    turned, _ = flown(made(action=("stretch", "site")), name, 3)
+    turned, _ = flown(made(action=("time_scale", "site")), name, 3)
     assert turned == plainly
     if name != "zero":
         with pytest.raises(InputError, match="needs Retarget-v0 with the action component 'site'"):
-            agent_of(name, made(action=("stretch",)))
+            agent_of(name, made(action=("time_scale",)))
 
 
 def test_random_draws_all_that_can_be_had():
@@ -341,7 +341,7 @@ def test_random_draws_all_that_can_be_had():
     mask = np.zeros(26, np.int8)
     mask[[0, 3, 20, 21, 24]] = 1
     told = {tuple(map(int, agent.act(None, {"action_mask": mask}))) for _ in range(200)}
-    assert told == {(site, stretch) for site in (0, 3, 20) for stretch in (0, 3)}
+    assert told == {(site, time_scale) for site in (0, 3, 20) for time_scale in (0, 3)}
     free = np.array([agent.act(None, {}) for _ in range(400)])
     assert free.max(axis=0).tolist() == [20, 4] and free.min() == 0
     _, did = flown(made(), "random", 2)
@@ -353,9 +353,9 @@ def test_agents_are_evaluated_on_the_parts_that_are_asked_for():
     assert given.make().action_space == spaces.MultiDiscrete([21, 5])
     for name in ("lunarsim_envs:Guidance-v0", "CartPole-v1"):
         with pytest.raises(InputError, match="--action: applies only"):
-            evaluation_study(name, None, [], 1, action=["stretch"])
+            evaluation_study(name, None, [], 1, action=["time_scale"])
     words = ["evaluate", "Retarget-v0", "--episodes", "1", "--jobs", "1"]
-    done = CliRunner().invoke(main, [*words, "--action", "stretch", "--agent", "nearest-safe"])
+    done = CliRunner().invoke(main, [*words, "--action", "time_scale", "--agent", "nearest-safe"])
     assert done.exit_code == 2 and "with the action component 'site'" in done.output
 
 
@@ -369,4 +369,4 @@ def test_frames_say_by_which_stretch():
     assert "keep the site,  time scale 1.15,  reward" in env.frames.title
     env.step([0, 0])
     env.render()
-    assert "stretch" not in env.frames.title
+    assert "time_scale" not in env.frames.title

@@ -17,9 +17,10 @@ from lunarsim_envs.descent.env import ControlEnv, GuidanceEnv
 from tests.low_descents import IDS, LOW
 
 VARIED = LOW | {
-    "variation.load_kg": 50.0, "variation.thrust": 0.03, "variation.thrust_offset_m": 0.002,
-    "variation.position_noise_m": 0.5, "variation.attitude_noise_deg": 1.0,
-    "variation.sensing_delay_s": 0.6, "variation.actuation_delay_s": 0.4,
+    "domain_randomization.payload_kg": 50.0, "domain_randomization.thrust_scale": 0.03,
+    "domain_randomization.thrust_offset_m": 0.002,
+    "domain_randomization.position_noise_m": 0.5, "domain_randomization.attitude_noise_deg": 1.0,
+    "domain_randomization.sensing_delay_s": 0.6, "domain_randomization.actuation_delay_s": 0.4,
 }  # fmt: skip
 
 
@@ -33,7 +34,7 @@ def varied(count=4, mode="NextStep", **more):
 
 def only(**keys):
     """Return one environment that has these alone, with all kept back from no one."""
-    changes = LOW | {f"variation.{key}": value for key, value in keys.items()}
+    changes = LOW | {f"domain_randomization.{key}": value for key, value in keys.items()}
     return GuidanceEnv(changes=changes, privileged=True)
 
 
@@ -59,12 +60,17 @@ def test_a_lane_is_one_environment_bit_for_bit(mode):
                 ended += due[i]
                 if due[i] and mode == "SameStep":
                     assert np.array_equal(info["final_obs"][i], own)
-                    assert info["final_info"]["drawn"]["load_kg"][i] == told["drawn"]["load_kg"]
+                    assert (
+                        info["final_info"]["randomized"]["payload_kg"][i]
+                        == told["randomized"]["payload_kg"]
+                    )
                     own, told = one.reset()
                     due[i] = False
             assert np.array_equal(seen[i], own)
             assert np.array_equal(info["privileged"][i], told["privileged"])
-            assert {name: info["drawn"][name][i] for name in RANDOM_QUANTITIES} == told["drawn"]
+            assert {name: info["randomized"][name][i] for name in RANDOM_QUANTITIES} == told[
+                "randomized"
+            ]
     assert ended > 4
 
 
@@ -74,7 +80,7 @@ def test_what_is_shown_comes_as_late_as_was_drawn():
     counts = set()
     for seed in range(14):
         seen, info = env.reset(seed=seed)
-        late = round(info["drawn"]["sensing_delay_s"] / 0.2)
+        late = round(info["randomized"]["sensing_delay_s"] / 0.2)
         truth = [info["privileged"][:15]]
         for _ in range(8):
             assert np.array_equal(seen, truth[max(len(truth) - 1 - late, 0)])
@@ -91,7 +97,7 @@ def test_what_is_commanded_acts_as_late_as_was_drawn():
     seen = set()
     for seed in range(6):
         _, info = delayed.reset(seed=seed)
-        late = round(info["drawn"]["actuation_delay_s"] / 0.2)
+        late = round(info["randomized"]["actuation_delay_s"] / 0.2)
         plain = GuidanceEnv(changes=LOW, privileged=True)
         plain.reset(seed=seed)
         down = np.float32([0.3, 0.0, -0.9])
@@ -133,19 +139,20 @@ def test_a_weak_engine_and_a_load_are_felt():
     for seed in range(4):
         speeds = {}
         for name, keys in {
-            "load_kg": {"load_kg": 200.0}, "thrust_share": {"thrust": 0.2},
-            "engine_left": {"engine_failure": 1.0, "weakest": 0.3, "failure_by_s": 0.1},
-            "none": {"load_kg": 0.0},
+            "payload_kg": {"payload_kg": 200.0}, "thrust_scale": {"thrust_scale": 0.2},
+            "engine_effectiveness": {"engine_failure": 1.0, "min_remaining_fraction": 0.3,
+            "latest_failure_s": 0.1},
+            "none": {"payload_kg": 0.0},
         }.items():  # fmt: skip
             env = only(**keys)
             _, info = env.reset(seed=seed)
             for _ in range(10):
                 *_, info = env.step(hover)
-            speeds[name] = info["privileged"][5], info["drawn"].get(name)
+            speeds[name] = info["privileged"][5], info["randomized"].get(name)
         sinks = speeds["none"][0]
-        assert (speeds["load_kg"][0] < sinks) == (speeds["load_kg"][1] > 0.0)
-        assert (speeds["thrust_share"][0] > sinks) == (speeds["thrust_share"][1] > 0.0)
-        assert speeds["engine_left"][0] < sinks and speeds["engine_left"][1] < 1.0
+        assert (speeds["payload_kg"][0] < sinks) == (speeds["payload_kg"][1] > 0.0)
+        assert (speeds["thrust_scale"][0] > sinks) == (speeds["thrust_scale"][1] > 0.0)
+        assert speeds["engine_effectiveness"][0] < sinks and speeds["engine_effectiveness"][1] < 1.0
 
 
 def test_a_copy_goes_on_like_the_one_it_is_of():
@@ -162,9 +169,11 @@ def test_a_copy_goes_on_like_the_one_it_is_of():
 @pytest.mark.parametrize(
     ("keys", "says"),
     [
-        ({"load_kg": -1.0}, "load_kg"), ({"load_kg": 1100.0}, r"variation\.load.*less than 1100"),
-        ({"thrust_lag_s": 0.09}, r"thrust_lag.*less than 0\.08"), ({"weakest": 1.5}, "weakest"),
-        ({"loads_kg": 1.0}, "load_kg"), ({"engine_failure": "often"}, "engine_failure"),
+        ({"payload_kg": -1.0}, "payload_kg"), ({"payload_kg": 1100.0},
+        r"domain_randomization\.payload.*less than 1100"),
+        ({"thrust_lag_s": 0.09}, r"thrust_lag.*less than 0\.08"),
+        ({"min_remaining_fraction": 1.5}, "min_remaining_fraction"),
+        ({"payloads_kg": 1.0}, "payload_kg"), ({"engine_failure": "often"}, "engine_failure"),
     ],
 )  # fmt: skip
 def test_ranges_that_will_not_do_are_refused(keys, says):
@@ -179,10 +188,10 @@ def test_nothing_is_drawn_or_told_that_is_not_asked_for():
     *_, info = env.step(np.zeros(4, np.float32))
     assert set(info) == {"reward_terms", "cost"}
     _, info = ControlEnv(changes=VARIED).reset(seed=1)
-    assert set(info) == {"drawn"} and set(info["drawn"]) == set(RANDOM_QUANTITIES)
+    assert set(info) == {"randomized"} and set(info["randomized"]) == set(RANDOM_QUANTITIES)
 
 
 def test_the_whole_simulation_refuses_the_table():
-    scenario = Scenario.from_dict({"variation": {"load_kg": 5.0}})
+    scenario = Scenario.from_dict({"domain_randomization": {"payload_kg": 5.0}})
     with pytest.raises(InputError, match="only Guidance-v0 and Control-v0"):
         Simulation(scenario, 1)

@@ -48,7 +48,7 @@ def test_sites_are_judged_where_they_truly_are():
     assert taken.sum() == len(found) > 20
     assert np.array_equal(found.safe, (x - 1.0 < 1.9)[taken])
     assert 0 < found.safe.sum() < len(found)
-    assert np.array_equal(found.tilting, e.tilting()[taken])
+    assert np.array_equal(found.tilting, e.expected_tilt_violations()[taken])
     assert (found.flight == 5).all()
     some = [sample_sites(e, truth, np.zeros(3), 20, 0, np.random.default_rng(i)) for i in (1, 1, 2)]
     assert [len(s) for s in some] == [20, 20, 20]
@@ -99,14 +99,14 @@ def test_figures_are_those_of_plain_counting():
     assert k.sum() < every.known.sum()
     p, safe = every.probability()[k], every.safe[k]
     f = found.packaged_domain.packaged
-    assert (f.sites, f.sure) == (k.sum(), (p > 0.95).sum())
+    assert (f.sites, f.confident_sites) == (k.sum(), (p > 0.95).sum())
     assert f.share[0] == pytest.approx(k.mean())
     assert f.safe[0] == pytest.approx(safe.mean())
     assert f.ece[0] == pytest.approx(calibration_error(reliability(p, safe)))
     assert f.skill[0] == pytest.approx(brier_skill(p, safe))
     sure = p > 0.95
-    assert f.gap[0] == pytest.approx(p[sure].mean() - safe[sure].mean())
-    for figure in (f.share, f.safe, f.ece, f.skill, f.gap):
+    assert f.bias[0] == pytest.approx(p[sure].mean() - safe[sure].mean())
+    for figure in (f.share, f.safe, f.ece, f.skill, f.bias):
         assert figure[1] <= figure[0] <= figure[2]
         assert figure[1] < figure[2]
     # The refit of each flight by hand.

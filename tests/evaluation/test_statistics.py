@@ -23,8 +23,8 @@ def test_summary_pools_cells():
         "divert_m": 2.0, "vertical_speed_m_s": 2.0, "horizontal_speed_m_s": 0.1, "tilt_deg": 1.0,
     }  # fmt: skip
     rows = [
-        base | {"map_hits": 90, "map_false_safe": 10, "map_missed": 10},
-        base | {"map_hits": 0, "map_false_safe": 0, "map_missed": 80, "safe": False,
+        base | {"map_true_safe": 90, "map_false_safe": 10, "map_false_unsafe": 10},
+        base | {"map_true_safe": 0, "map_false_safe": 0, "map_false_unsafe": 80, "safe": False,
                 "safe_site_in_reach": False},
     ]  # fmt: skip
     a = summarise_policies(rows)["a"]

@@ -44,7 +44,7 @@ def test_compiled_kernels_project_as_the_plain_code_does():
 
 def test_the_border_lies_half_a_pixel_beyond_the_outer_pixels():
     view = View(np.zeros(3), np.eye(3), *HOLE, 640, 400)
-    left, right, upper, lower = view.border
+    left, right, upper, lower = view.border_tangents
     corners = np.array([[left, upper, 1.0], [right, lower, 1.0]])
     np.testing.assert_allclose(HOLE.project(corners), [[-0.5, -0.5], [639.5, 399.5]], atol=1e-9)
 

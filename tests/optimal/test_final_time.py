@@ -45,7 +45,7 @@ def lean_little(tilt: float) -> Descent:
 
 def effort(d: Descent, time: float) -> float:
     """Return the integral of the squared thrust over mass of the straight law to both ends."""
-    gap = -d.gap - d.velocity * time + 0.5 * np.array([0.0, 0.0, d.gravity]) * time**2
+    gap = -d.displacement - d.velocity * time + 0.5 * np.array([0.0, 0.0, d.gravity]) * time**2
     speed = d.end_velocity - d.velocity + np.array([0.0, 0.0, d.gravity]) * time
     b = (6.0 * speed * time - 12.0 * gap) / time**3
     a = speed / time - 0.5 * b * time
@@ -122,7 +122,7 @@ def test_a_path_that_the_engine_cannot_fly_is_told_not_returned():
     d = Descent(
         [-189.4, -133.6, 3431.6], [16.6, -19.0, -83.3], 11597.5, np.zeros(3), np.zeros(3), 9.81,
         250297.0, 255405.0, 2684.9, 1159.7, np.deg2rad(80.0), np.deg2rad(83.55),
-        end_tilt=np.deg2rad(10.0),
+        max_final_tilt=np.deg2rad(10.0),
     )  # fmt: skip
     with pytest.raises(RelaxationError, match="violates the thrust limits by"):
         minimize_propellant(Planner(20), d)

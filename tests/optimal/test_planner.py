@@ -99,7 +99,7 @@ def test_a_last_solution_leaves_four_solves_at_most():
 
 
 def test_the_end_may_have_to_be_upright():
-    upright = minimize_propellant(Planner(40), moon(end_tilt=np.deg2rad(5.0)))
+    upright = minimize_propellant(Planner(40), moon(max_final_tilt=np.deg2rad(5.0)))
     free = minimize_propellant(Planner(40), moon())
     tilts = [np.arccos(p.thrust[-1, 2] / np.linalg.norm(p.thrust[-1])) for p in (upright, free)]
     assert tilts[0] < np.deg2rad(10.0) < np.deg2rad(30.0) < tilts[1]
@@ -225,7 +225,7 @@ def test_infeasible_errors_travel_between_processes():
         ({"dry_mass": -1.0}, "dry_mass"),
         ({"max_tilt": 1.6}, "max_tilt"),
         ({"glideslope": -0.1}, "glideslope"),
-        ({"end_tilt": np.nan}, "end_tilt"),
+        ({"max_final_tilt": np.nan}, "max_final_tilt"),
         ({"tilt_rate": np.nan}, "tilt_rate"),
         ({"region": np.inf}, "region"),
         ({"region": 5.0, "thrust_slack": 10.0}, "thrust_slack"),

@@ -29,7 +29,7 @@ def check_structure(path) -> int:
 
 def check_primer(path) -> None:
     """The primer is linear in time, thrust lies along it, the Hamiltonian is constant."""
-    p = path.primer
+    p = path.primer_vector
     curvature_guess = np.abs(np.diff(p, n=2, axis=0)).max() / np.abs(p).max()
     assert curvature_guess < 1e-5
     size = np.linalg.norm(path.thrust, axis=1)

@@ -14,7 +14,7 @@ def test_it_flies_to_the_site(small):
     scenario = small.changed(guidance={"kind": OWN}, approach={"time_to_go_s": 38.0})
     simulation = Simulation(scenario, 3, "no-divert")
     flight = simulation.run()
-    touchdown = flight.verdict.touchdown
+    touchdown = flight.outcome.touchdown
     aimed = simulation.site - simulation.navigation_error
     assert np.hypot(*(touchdown.position - aimed)[:2]) < 0.8
     assert touchdown.horizontal_speed < 0.5
@@ -23,5 +23,5 @@ def test_it_flies_to_the_site(small):
 
 
 def test_its_settings_are_checked(small):
-    with pytest.raises(ValueError, match=r"guidance\.least_time_to_go_s: .*got -1"):
-        small.changed(guidance={"kind": OWN, "least_time_to_go_s": -1.0})
+    with pytest.raises(ValueError, match=r"guidance\.min_time_to_go_s: .*got -1"):
+        small.changed(guidance={"kind": OWN, "min_time_to_go_s": -1.0})

@@ -17,15 +17,15 @@ def test_a_policy_flies_on_it_and_the_record_holds_both(small, tmp_path):
     simulation = Simulation(scenario, 3, "safest")
     flight = simulation.run()
     assert set(flight.maps) == {"dem", "level"}
-    assert flight.decided_on == "level"
+    assert flight.decision_mapper == "level"
     assert flight.hazard_map is flight.maps["level"].hazard_map
     assert flight.hazard_map.observed.any()
-    assert flight.verdict.touchdown is not None
+    assert flight.outcome.touchdown is not None
     assert set(Flight.load(flight.save(tmp_path / "f")).maps) == {"dem", "level"}
 
 
 def test_it_must_be_given_a_lidar(small):
     with pytest.raises(
-        InputError, match=r"mappers\.level\.sensor: must be a sensor of .*got 'imu'"
+        InputError, match=r"mappers\.level\.sensor: must name a sensor .*'imu' is of kind 'imu'"
     ):
         small.changed(mappers={"level": {"kind": OWN, "sensor": "imu"}})

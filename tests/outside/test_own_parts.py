@@ -15,7 +15,7 @@ def test_a_navigation(small):
     scenario = small.from_dict(data | {"sensors": sensors})
     simulation = Simulation(scenario, 3, "safest")
     flight = simulation.run()
-    assert flight.verdict.touchdown is not None
+    assert flight.outcome.touchdown is not None
     sigma = np.sqrt(np.diag(simulation.estimate.covariance)[:3])
     assert (np.abs(simulation.navigation_error) < 4.0 * sigma).all()
 
@@ -24,8 +24,8 @@ def test_a_control(small):
     flight = Simulation(
         small.changed(control={"kind": "own_control:SlidingMode"}), 3, "safest"
     ).run()
-    assert flight.verdict.safe, flight.verdict
-    assert flight.verdict.touchdown.tilt < np.deg2rad(4.0)
+    assert flight.outcome.safe, flight.outcome
+    assert flight.outcome.touchdown.tilt < np.deg2rad(4.0)
 
 
 def test_a_tasking(small):
@@ -41,7 +41,7 @@ def test_a_ground(small):
     simulation = Simulation(scenario, 3, "safest")
     low, high = simulation.world.terrain.relief.z_range
     assert high - low == pytest.approx(0.6, abs=0.02)
-    assert simulation.run().verdict.touchdown is not None
+    assert simulation.run().outcome.touchdown is not None
 
 
 def test_an_environment(small):

@@ -14,8 +14,8 @@ OWN = "own_policy:FirstCome"
 
 
 def test_in_a_scenario(small):
-    scenario = small.changed(policy={"kind": OWN, "enough": 0.5})
-    assert scenario.policy.enough == 0.5
+    scenario = small.changed(policy={"kind": OWN, "threshold": 0.5})
+    assert scenario.policy.threshold == 0.5
     flight = Simulation(scenario, 3, OWN).run()
     assert flight.policy == "first-come"
     assert [d["reason"] for d in flight.decisions] == ["first come"]
@@ -30,7 +30,7 @@ def test_on_the_command_line(small, tmp_path):
 
 
 def test_objects_compete_in_any_number_of_processes(small, tmp_path):
-    policies = [resolve("policy", OWN)(enough=0.8), "no-divert"]
+    policies = [resolve("policy", OWN)(threshold=0.8), "no-divert"]
     for jobs in (1, 2):
         out = tmp_path / str(jobs)
         compare(small, policies, flights=2, seed=4, jobs=jobs, out=out, figures=False)

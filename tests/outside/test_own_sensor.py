@@ -14,7 +14,7 @@ def lander(small, **more):
     data = small.to_dict()
     sensors = {name: part for name, part in data["sensors"].items() if name != "fix"}
     # The ground is level and its height known: what the altimeter says is the lander's height.
-    level = {"kind": "rocks", "relief_deg": 0.1}
+    level = {"kind": "rocks", "terrain_slope_deg": 0.1}
     return small.from_dict(data | {"navigation": level, "sensors": sensors | more})
 
 

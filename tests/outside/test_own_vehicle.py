@@ -15,9 +15,9 @@ def test_it_lands(small):
     simulation = Simulation(scenario, 3, "no-divert")
     flight = simulation.run()
     assert simulation.lander.wet_mass == 200.0
-    assert flight.verdict.touchdown is not None
+    assert flight.outcome.touchdown is not None
     assert 3.0 < flight.propellant_used < 15.0
-    assert flight.verdict.touchdown.vertical_speed == pytest.approx(2.0, abs=0.3)
+    assert flight.outcome.touchdown.vertical_speed == pytest.approx(2.0, abs=0.3)
 
 
 def test_its_figures_can_be_set_and_are_checked(small):
@@ -26,5 +26,5 @@ def test_its_figures_can_be_set_and_are_checked(small):
     )
     with pytest.raises(InputError, match=r"vehicle\.thrust_max_n"):
         Simulation(small.changed(vehicle={"kind": OWN, "thrust_max_n": 200.0}), 1)
-    with pytest.raises(InputError, match=r"vehicle\.wheels: is an unknown key, got 4"):
+    with pytest.raises(InputError, match=r"vehicle\.wheels: is an unknown key\."):
         small.changed(vehicle={"kind": OWN, "wheels": 4})

@@ -53,7 +53,7 @@ def test_names_and_paths_give_classes():
         (f"{__name__}:Missing", "can be imported (AttributeError"),
         (f"{__name__}:NoDataclass", "must be a dataclass, but "),
         (f"{__name__}:pytest", "must be a dataclass, but "),
-        (":", 'must be a registered part or "module:Class"'),
+        (":", 'must be a registered name or "module:Class"'),
     ],
 )
 def test_what_is_no_part_is_explained(kind, says):
@@ -94,7 +94,7 @@ def test_entry_points_add_names_but_take_none(monkeypatch):
     assert "mine" not in kinds("mapper")
     assert resolve("policy", "mine", "entry-point") is MyPolicy
     extra.append(EntryPoint("safest", "other:Safest", "lunarsim.policy"))
-    with pytest.raises(InputError, match=r"must be a unique name; lunarsim\.onboard\.policies"):
+    with pytest.raises(InputError, match=r"must be a unique name, but lunarsim\.onboard\.policies"):
         kinds("policy")
 
 
@@ -126,7 +126,7 @@ class Greedy:
         ("policy", "Greedy", "must not have a field named 'kind'"),
         ("navigation", "MyPolicy", "has no 'build'"),
         ("control", "MyPolicy", "has no 'torques'"),
-        ("sensor", "MyPolicy", "has no 'gives'"),
+        ("sensor", "MyPolicy", "has no 'measurement_type'"),
     ],
 )
 def test_what_is_no_part_of_the_contract_is_refused(contract, name, words):
@@ -166,3 +166,12 @@ def test_entry_points_follow_the_search_path(tmp_path, monkeypatch):
         patch.syspath_prepend(tmp_path)
         assert kinds("policy")["from_elsewhere"] == "elsewhere:P"
     assert "from_elsewhere" not in kinds("policy")
+
+
+def test_a_class_that_a_session_defines_again_is_the_new_one(monkeypatch):
+    monkeypatch.setenv("LUNARSIM_ALLOW_MODULES", "__main__")
+    main = sys.modules["__main__"]
+    for attempt in range(2):
+        again = type("Again", (MyPolicy,), {"attempt": attempt})
+        monkeypatch.setattr(main, "Again", dataclass(frozen=True)(again), raising=False)
+        assert resolve("policy", "__main__:Again").attempt == attempt

@@ -45,26 +45,27 @@ def varied(key, flight, v):
         return most * (2.0 * u[k] - 1.0)
 
     def left(k):
-        return v.weakest + (1.0 - v.weakest) * u[k]
+        return v.min_remaining_fraction + (1.0 - v.min_remaining_fraction) * u[k]
 
     torque = [1.0, 1.0, 1.0]
     if u[11] < v.torque_failure:
         torque[int(3.0 * u[9])] = left(10)
     return {
-        "load_kg": about(v.load, 0), "specific_impulse_s": about(v.specific_impulse, 1),
-        "thrust_share": about(v.thrust, 2), "thrust_lag_s": about(v.thrust_lag, 3),
+        "payload_kg": about(v.payload, 0), "specific_impulse_s": about(v.specific_impulse, 1),
+        "thrust_scale": about(v.thrust_scale, 2), "thrust_lag_s": about(v.thrust_lag, 3),
         "offset_x_m": about(v.thrust_offset, 4), "offset_y_m": about(v.thrust_offset, 5),
-        "fails_at_s": v.failure_by * u[6],
-        "engine_left": left(7) if u[8] < v.engine_failure else 1.0,
-        "torque_left_x": torque[0], "torque_left_y": torque[1], "torque_left_z": torque[2],
+        "failure_time_s": v.latest_failure * u[6],
+        "engine_effectiveness": left(7) if u[8] < v.engine_failure else 1.0,
+        "torque_effectiveness_x": torque[0], "torque_effectiveness_y": torque[1],
+        "torque_effectiveness_z": torque[2],
         "sensing_delay_s": v.sensing_delay * u[12], "actuation_delay_s": v.actuation_delay * u[13],
     }  # fmt: skip
 
 
 ALIKE = {
-    "load_kg": 0.0, "specific_impulse_s": 0.0, "thrust_share": 0.0, "thrust_lag_s": 0.0,
-    "offset_x_m": 0.0, "offset_y_m": 0.0, "fails_at_s": math.inf, "engine_left": 1.0,
-    "torque_left_x": 1.0, "torque_left_y": 1.0, "torque_left_z": 1.0,
+    "payload_kg": 0.0, "specific_impulse_s": 0.0, "thrust_scale": 0.0, "thrust_lag_s": 0.0,
+    "offset_x_m": 0.0, "offset_y_m": 0.0, "failure_time_s": math.inf, "engine_effectiveness": 1.0,
+    "torque_effectiveness_x": 1.0, "torque_effectiveness_y": 1.0, "torque_effectiveness_z": 1.0,
 }  # fmt: skip
 
 
@@ -91,7 +92,7 @@ class Lander:
 
     def guided(self, acceleration, steps):
         """Fly so many steps under a thrust acceleration; yield the state after each."""
-        v, mass = self.d.lander, self.y[13] - self.own["load_kg"]
+        v, mass = self.d.lander, self.y[13] - self.own["payload_kg"]
         most = v.thrust_max / mass
         up = min(max(acceleration[2], 1e-3), most)
         side = np.array(acceleration[:2])
@@ -118,12 +119,14 @@ class Lander:
 
     def _step(self, thrust, torque):
         v, dt, y, own = self.d.lander, self.d.step, self.y, self.own
-        failed = self.time >= own["fails_at_s"]
-        left = [own[f"torque_left_{axis}"] for axis in "xyz"]
+        failed = self.time >= own["failure_time_s"]
+        left = [own[f"torque_effectiveness_{axis}"] for axis in "xyz"]
         torque = torque * np.array(left) if failed else torque
         torque = torque + y[14] * np.array([own["offset_y_m"], -own["offset_x_m"], 0.0])
-        thrust = thrust * (1.0 + own["thrust_share"]) * (own["engine_left"] if failed else 1.0)
-        load = own["load_kg"]
+        thrust = (
+            thrust * (1.0 + own["thrust_scale"]) * (own["engine_effectiveness"] if failed else 1.0)
+        )
+        load = own["payload_kg"]
         args = (
             thrust, torque, self.d.gravity,
             v.exhaust_velocity + 9.80665 * own["specific_impulse_s"],

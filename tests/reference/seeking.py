@@ -31,7 +31,7 @@ def told_by(eye, place, node, site, pull, left):
     return told * open_ * np.exp(-astray * distance**2)
 
 
-def known_after(path, eyes, nodes, site, standing, least, end_tilt):
+def known_after(path, eyes, nodes, site, standing, least, max_final_tilt):
     """Return what is known of each node after a path, or None where it leans too much.
 
     `path`: places, thrust accelerations (n, 3) and time left (n,) at its samples.
@@ -40,7 +40,7 @@ def known_after(path, eyes, nodes, site, standing, least, end_tilt):
     altitude = path["place"][:, 2] - site[2] - standing
     low = altitude < least
     lean = np.hypot(path["pull"][:, 0], path["pull"][:, 1])
-    if (lean[low] > np.tan(end_tilt) * path["pull"][low, 2]).any():
+    if (lean[low] > np.tan(max_final_tilt) * path["pull"][low, 2]).any():
         return None
     for eye in eyes:
         looks = []
@@ -64,7 +64,7 @@ def known_after(path, eyes, nodes, site, standing, least, end_tilt):
     return np.array(known)
 
 
-def score(r, v, target, v_f, plans, samples, vehicle, end_tilt, ground, nodes, eyes):
+def score(r, v, target, v_f, plans, samples, vehicle, max_final_tilt, ground, nodes, eyes):
     """Return share known and increment of each plan (n, 2): time and acceleration at the end.
 
     `samples`: of limits and of looks. `vehicle`: gravity, mass, exhaust velocity, least and
@@ -76,7 +76,7 @@ def score(r, v, target, v_f, plans, samples, vehicle, end_tilt, ground, nodes, e
     for total, *asked in plans:
         a_f = np.array(asked)
         taken = [np.inf]
-        if np.hypot(a_f[0], a_f[1]) <= np.tan(end_tilt) * (a_f[2] + gravity) and total > 0.0:
+        if np.hypot(a_f[0], a_f[1]) <= np.tan(max_final_tilt) * (a_f[2] + gravity) and total > 0.0:
             taken = divert.best(r, v, target, v_f, a_f, [total], samples[0], *vehicle)
         if not np.isfinite(taken[0]):
             out.append((0.0, np.inf))
@@ -84,7 +84,7 @@ def score(r, v, target, v_f, plans, samples, vehicle, end_tilt, ground, nodes, e
         t = np.linspace(0.0, total, samples[1] + 1)
         place, move = divert.path(r, v, target, v_f, a_f, total, t)
         path = {"place": place, "pull": move + [0.0, 0.0, gravity], "left": total - t}
-        known = known_after(path, eyes, nodes, *ground, end_tilt)
+        known = known_after(path, eyes, nodes, *ground, max_final_tilt)
         if known is None:
             out.append((0.0, np.inf))
         else:

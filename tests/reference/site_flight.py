@@ -37,15 +37,13 @@ class SiteFlight:
             y, dynamics, control.gains, self.start.heading, self.software.approach.max_tilt
         )
         self.strain = LimitViolationMonitor()
-        self.vertical = VerticalDescent.behind(self.lag, self.gravity)
+        self.vertical = VerticalDescent.for_lag(self.lag, self.gravity)
         self.arrival = self.left_to(self.site)
         self.law = self._law()
 
     def _law(self):
         g = self.software.guidance
-        return PathGuidance(
-            g.shape, self.gravity, lead=self.lag, least_time_to_go=g.least_time_to_go
-        )
+        return PathGuidance(g.shape, self.gravity, lead=self.lag, min_time_to_go=g.min_time_to_go)
 
     @property
     def estimate(self):
@@ -107,7 +105,7 @@ class SiteFlight:
     def wanted(self):
         """Return the thrust acceleration of this cycle (3,)."""
         approach, e = self.software.approach, self.estimate
-        self.low = self.low or approach.over(self.altitude, self.arrival - self.time)
+        self.low = self.low or approach.is_finished(self.altitude, self.arrival - self.time)
         if self.low:
             return self.vertical.command(
                 e, approach.touchdown_end(self.site, self.lander), self.time
@@ -115,7 +113,7 @@ class SiteFlight:
         end = approach.end(self.site, self.lander)
         asked = self.law.command(e, end, self.time, self.arrival - self.time)
         most = approach.max_tilt, self.lander.thrust_max
-        if self.strain.lasts(asked, e.mass, most, self.time):
+        if self.strain.exceeds_duration(asked, e.mass, most, self.time):
             left = self.left_to(self.site)
             if left > self.arrival - self.time:
                 self.arrival = self.time + left

@@ -114,10 +114,10 @@ def test_the_packaged_weights_do_not_fall_and_say_where_they_come_from():
 
 def test_outside_the_domain_it_is_a_bound_and_the_map_says_so():
     sparse = evidence(slope=0.1, rough=0.1, level=3.0, planes=6.0, density=0.01)
-    assert (sparse.hazards() > 30.0 * MOST_HAZARDS).all()
+    assert (sparse.expected_hazards() > 30.0 * MOST_HAZARDS).all()
     p, known = calibrated_safety(sparse)
     assert not known.any()
-    none = np.exp(-sparse.piercing())
+    none = np.exp(-sparse.expected_roughness_violations())
     assert (outside_domain_bound(sparse) == np.minimum(sparse.level.p_safe, none)).all()
     assert (p <= np.minimum(sparse.level.p_safe, none) + 1e-6).all()
     # A noise or a spacing that no scan of the fit had.
@@ -207,7 +207,7 @@ def test_the_domain_ends_where_holes_may_gape_or_the_lander_is_another():
     good = {"slope": 0.1, "rough": 0.1, "curve": rocky(0.01)}
     assert in_domain(evidence(**good)).all()
     assert not in_domain(evidence(**good, holes=rocky(30.0))).any()
-    assert (evidence(**good, holes=rocky(30.0)).sinking() > MOST_SINKING).all()
+    assert (evidence(**good, holes=rocky(30.0)).expected_hole_violations() > MOST_SINKING).all()
     for degrees, inside in ((3.0, False), (5.0, True), (20.0, True), (25.0, False)):
         other = replace(LANDER, slope_limit=np.deg2rad(degrees))
         e = replace(evidence(**good), lander=other)
@@ -242,9 +242,9 @@ def test_on_a_slope_it_is_at_most_the_chance_that_no_unseen_rock_lies_under_a_pa
     expected = [1e-4, 0.01, 0.1]
     for tilting in expected:
         e = evidence(**good, slope=0.9)
-        share = e.curve.share * tilting / e.tilting().max()
+        share = e.curve.share * tilting / e.expected_tilt_violations().max()
         e = replace(e, curve=ExceedanceCurve(e.curve.height, share))
-        assert e.tilting() == pytest.approx(tilting, rel=1e-6)
+        assert e.expected_tilt_violations() == pytest.approx(tilting, rel=1e-6)
         p, claimed = calibrated_safety(e, fits_of(9.0))
         most = np.exp(-2.0 * tilting)
         assert p == pytest.approx(
@@ -304,18 +304,18 @@ def test_few_high_rocks_say_nothing_of_rocks_too_low_to_be_counted():
     law = distribution_fraction(height, 0.05, 0.5)
     for noise, least in ((0.005, 0.05), (0.02, 0.075), (0.04, 0.15), (0.2, 0.25)):
         bare = height_curve(np.zeros(20_000), noise, 0.25, 0.05)
-        assert bare.gravel_counted == pytest.approx(least)
-        assert bare.counted == pytest.approx(max(least, 0.1))
+        assert bare.min_counted_gravel_height == pytest.approx(least)
+        assert bare.min_counted_height == pytest.approx(max(least, 0.1))
         low = height < least
         assert (bare.share < 0.1 * law).all()
-        assert bare.careful.share[low] == pytest.approx(law[low])
-        assert bare.careful.share[~low] == pytest.approx(bare.share[~low])
+        assert bare.with_gravel.share[low] == pytest.approx(law[low])
+        assert bare.with_gravel.share[~low] == pytest.approx(bare.share[~low])
     rises = np.zeros(20_000)
     rises[:4000] = 0.06
     gravel = height_curve(rises, 0.005, 0.25, 0.05)
     assert gravel.at(0.05) < 0.001  # nothing is higher than 0.1 m
-    assert gravel.careful.at(0.045) > 0.2
-    assert gravel.careful.at(0.1) == pytest.approx(gravel.at(0.1))
+    assert gravel.with_gravel.at(0.045) > 0.2
+    assert gravel.with_gravel.at(0.1) == pytest.approx(gravel.at(0.1))
 
 
 def test_where_rocks_too_low_to_be_counted_tilt_the_lander_no_site_is_surely_safe():
@@ -340,8 +340,8 @@ def test_unseen_rocks_are_those_that_random_samples_miss():
     top = 1.5 * np.pi * height**2
     count = rng.poisson(density * top, 200_000)
     expected = 0.02 / top * np.mean(count == 0)
-    assert curve.unseen(height, density) == pytest.approx(expected, rel=0.02)
-    assert curve.unseen(height, 2.0 * density) < curve.unseen(height, density)
+    assert curve.unseen_rocks(height, density) == pytest.approx(expected, rel=0.02)
+    assert curve.unseen_rocks(height, 2.0 * density) < curve.unseen_rocks(height, density)
 
 
 def test_the_law_raises_as_much_ground_as_its_rocks_do():

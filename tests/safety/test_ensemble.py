@@ -40,12 +40,12 @@ def test_odds_of_terms_are_those_of_their_features(seed, fits, each):
     free = rng.normal(0.0, 1.0, (n, 2) if each else 2)
     x = np.column_stack((np.broadcast_to(free, (n, 2)), spline_features(terms, n)))
     model = Ensemble(tuple(map(tuple, rng.normal(0.0, 2.0, (fits, x.shape[1])))))
-    found, wanted = model.judge(free, terms), [
+    found, wanted = model.evaluate_log_odds(free, terms), [
         [sum(w * v for w, v in zip(row, site, strict=True)) for row in model.weights] for site in x
     ]  # fmt: skip
     assert found.low == pytest.approx(np.min(wanted, axis=1), abs=1e-9)
     assert found.high == pytest.approx(np.max(wanted, axis=1), abs=1e-9)
-    of_features = model.of_features(x)
+    of_features = model.evaluate_features(x)
     assert of_features.low == pytest.approx(found.low, abs=1e-9)
     assert of_features.high == pytest.approx(found.high, abs=1e-9)
 
@@ -117,7 +117,7 @@ def test_what_one_world_decides_is_not_agreed_on():
     assert model.note == "here"
     assert min(w for row in model.weights for w in row[1:]) >= 0.0
     sites = np.array([[1.0, 0.9, 0.0], [1.0, 0.5, 0.9]])
-    odds = model.of_features(sites)
+    odds = model.evaluate_features(sites)
     assert odds.estimate(np.ones(2)).agreed.tolist() == [True, False]
     whole = sites @ np.array(model.weights[0])
     assert whole == pytest.approx(sites @ [-4.0, 9.0, 3.0], abs=0.4)

@@ -27,14 +27,14 @@ def test_missed_rocks_are_about_those_that_samples_miss(steep):
         for density in (0.0, 1.0, 10.0, 50.0):
             seen = area * np.maximum(high**2 - h**2, 0.0)
             expected = (np.exp(-density * seen) * (high > h)).sum() / ground
-            assert 0.5 < curve.missed(h, density) / expected < 4.0, (h, density)
+            assert 0.5 < curve.missed_rocks(h, density) / expected < 4.0, (h, density)
 
 
 def test_rocks_of_one_size_are_never_more_than_the_share_lets_stand():
     area, high, number = np.pi / (4.0 * 0.8**2), 0.3, 0.02
     height = np.geomspace(0.02, 2.0, 200)
     share = np.maximum(number * area * (high**2 - height**2), 1e-12)
-    found = ExceedanceCurve(height, share).missed([0.1, 0.2, 0.25], 0.0)
+    found = ExceedanceCurve(height, share).missed_rocks([0.1, 0.2, 0.25], 0.0)
     # A quarter of the most that there can be.
     assert found == pytest.approx(
         0.25 * number * high**2 / np.array([0.1, 0.2, 0.25]) ** 2, rel=0.1
@@ -48,14 +48,14 @@ def test_missed_rocks_never_fall_with_less_height_or_thinner_samples_or_more_roc
         share = np.exp(np.cumsum(-rng.exponential(0.3, 40))) * 0.3
         curve, more = ExceedanceCurve(height, share), ExceedanceCurve(height, 1.5 * share)
         h, density = np.sort(rng.uniform(0.0, 2.2, 50)), np.sort(rng.uniform(0.01, 3000.0, 50))
-        assert (np.diff(curve.missed(h, 20.0)) <= 1e-12).all()
-        assert (np.diff(curve.missed(0.3, density)) <= 1e-12).all()
+        assert (np.diff(curve.missed_rocks(h, 20.0)) <= 1e-12).all()
+        assert (np.diff(curve.missed_rocks(0.3, density)) <= 1e-12).all()
         taller = ExceedanceCurve(
             height, np.maximum.accumulate((share * rng.uniform(1, 3, 40))[::-1])[::-1]
         )
-        assert (taller.missed(h, density) >= curve.missed(h, density)).all()
-        assert (more.missed(h, 20.0) >= curve.missed(h, 20.0)).all()
-        assert curve.missed(h[:, None], density).shape == (50, 50)
+        assert (taller.missed_rocks(h, density) >= curve.missed_rocks(h, density)).all()
+        assert (more.missed_rocks(h, 20.0) >= curve.missed_rocks(h, 20.0)).all()
+        assert curve.missed_rocks(h[:, None], density).shape == (50, 50)
 
 
 @given(st.integers(0, 10_000), st.floats(1.0, 3.0), st.sampled_from([0.005, 0.02, 0.05]))
@@ -69,8 +69,8 @@ def test_taller_rocks_are_no_fewer_that_are_missed(seed, times, noise):
     taller[: int(rng.integers(1, count + 1))] *= times
     h, density = rng.uniform(0.0, 1.0, 30), rng.uniform(0.1, 200.0, 30)
     low, high = (height_curve(r, noise, 0.25, 0.05) for r in (rises, taller))
-    assert (high.missed(h, density) >= low.missed(h, density) * (1.0 - 1e-9)).all()
-    assert (high.unseen(h, density) >= low.unseen(h, density) * (1.0 - 1e-9)).all()
+    assert (high.missed_rocks(h, density) >= low.missed_rocks(h, density) * (1.0 - 1e-9)).all()
+    assert (high.unseen_rocks(h, density) >= low.unseen_rocks(h, density) * (1.0 - 1e-9)).all()
 
 
 def test_holes_are_counted_as_far_as_the_ground_lies_below():
@@ -80,5 +80,5 @@ def test_holes_are_counted_as_far_as_the_ground_lies_below():
     assert deep.at([0.1, 0.15, 0.2]) == pytest.approx(0.02, rel=0.3)
     assert depth_curve(-rises, 0.01, 0.25, 0.05).at(0.2) < 1e-3
     # 0.02 of the ground in squares of 0.5 m, each missed by 4 samples a square metre.
-    assert deep.sunk(0.2, 4.0, 0.5) == pytest.approx(4.0 * deep.at(0.2) * np.exp(-1.0))
-    assert (np.diff(deep.sunk(np.linspace(0.0, 1.0, 20), 4.0, 0.5)) <= 0.0).all()
+    assert deep.missed_holes(0.2, 4.0, 0.5) == pytest.approx(4.0 * deep.at(0.2) * np.exp(-1.0))
+    assert (np.diff(deep.missed_holes(np.linspace(0.0, 1.0, 20), 4.0, 0.5)) <= 0.0).all()

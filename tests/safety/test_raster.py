@@ -207,4 +207,4 @@ def test_a_dispersion_is_finite_and_not_negative(sigma):
     grid = Grid.centred((0.0, 0.0), 4.0, 0.5)
     hazard_map = HazardMap(grid, np.ones(grid.shape, np.float32), np.ones(grid.shape, np.bool_))
     with pytest.raises(InputError, match="sigma"):
-        hazard_map.dispersed(sigma)
+        hazard_map.dispersed_p_safe(sigma)

@@ -156,7 +156,9 @@ def test_in_its_domain_rocks_under_the_pads_are_what_its_sites_were():
     assert known.all()
     assert (p > 5.0 * p_no_rock_under_pads(e)).all()
     # Outside of it nobody knows: the chance that there is none holds, in all cases but a few.
-    narrow = replace(own, domain=replace(WIDE, tilting=0.5 * float(e.tilting().min())))
+    narrow = replace(
+        own, domain=replace(WIDE, tilting=0.5 * float(e.expected_tilt_violations().min()))
+    )
     q, known = calibrated_safety(e, refit=narrow)
     assert not known.any()
     assert (q <= p_no_rock_under_pads(e) + UNKNOWN_MODEL_WEIGHT).all()
@@ -210,7 +212,9 @@ def test_the_domain_is_that_of_nearly_all_sites():
     assert (domain.hazards, domain.tilting) == pytest.approx((0.99, 99.0))
     assert domain.noise == pytest.approx((0.04, 0.125))
     assert domain.spacing == pytest.approx((0.16, 0.375))
-    assert list(domain.few([0.98, 1.0, 0.0, np.nan], [0.0, 0.0, 99.5, 0.0])) == [True] + 3 * [False]
+    assert list(domain.is_within_counts([0.98, 1.0, 0.0, np.nan], [0.0, 0.0, 99.5, 0.0])) == [
+        True
+    ] + 3 * [False]
     for name, value in (("hazards", np.nan), ("tilting", -1.0), ("noise", (0.2, 0.1)),
                         ("spacing", (0.0, np.inf))):  # fmt: skip
         with pytest.raises(InputError, match=rf"domain\.{name}"):

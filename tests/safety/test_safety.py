@@ -309,7 +309,7 @@ def test_bad_input():
         plane_stochastic_safety(z, np.full_like(z, -1.0), grid, SMALL)
     with pytest.raises(ValueError, match="block_side"):
         bounded_safety(z, grid, SMALL, block_side=0.0)
-    with pytest.raises(ValueError, match="finer"):
+    with pytest.raises(ValueError, match=r"grid\.posting: must be less"):
         footprint_of(SMALL, 2.0)
 
 
@@ -317,10 +317,10 @@ def test_aiming_at_a_site_spreads_the_probability():
     grid = Grid.centred((0.0, 0.0), 20.0, 0.2)
     p = np.where(grid.x[None, :] > 0.0, 1.0, 0.0) * np.ones((grid.rows, 1))
     hazard_map = HazardMap(grid, p.astype(np.float32), np.ones(grid.shape, bool))
-    aim = hazard_map.dispersed(0.5)
+    aim = hazard_map.dispersed_p_safe(0.5)
     middle = aim[grid.rows // 2]
     assert np.allclose(middle[20:-20], norm.cdf(grid.x[20:-20] / 0.5), atol=0.02)
-    assert np.array_equal(hazard_map.dispersed(0.0), hazard_map.p_safe)
+    assert np.array_equal(hazard_map.dispersed_p_safe(0.0), hazard_map.p_safe)
     assert hazard_map.p_safe_at([50.0, 0.0]) == 0.0
     with pytest.raises(ValueError, match="shape"):
         HazardMap(grid, np.zeros((2, 2), np.float32), np.ones(grid.shape, bool))

@@ -68,7 +68,7 @@ def unseen(height, where=None, *, number=2.0, density=10.0):
 @given(ratios, st.floats(0.0, 0.8), st.booleans())
 def test_what_is_left_of_each_size_equals_a_plain_sum(ratio, height, raster):
     h = np.full((1, 1), height) if raster else np.array(height)
-    found = thinning(ratio, (1, 1)).left(unseen, h)[0, 0]
+    found = thinning(ratio, (1, 1)).remaining_rocks(unseen, h)[0, 0]
     told = [float(np.float32(r)) for r in ratio]
     expected = plain.left_by_size(
         height, list(DIAMETERS), told, 0.05, 0.5, lambda x: float(unseen(x)[0, 0])
@@ -87,7 +87,7 @@ def test_none_of_a_size_are_left_for_better_evidence_than_for_worse(
         def before(x, where=None):
             return unseen(x, where, **changes)
 
-        return thinning(of, (1, 1)).left(before, np.array(above))[0, 0]
+        return thinning(of, (1, 1)).remaining_rocks(before, np.array(above))[0, 0]
 
     here, bad = left(), list(ratio)
     bad[which] += worse
@@ -105,14 +105,14 @@ def test_where_only_a_large_rock_may_be_there_are_no_more_small_ones():
         return unseen(x, where, density=40.0)
 
     here = thinning((1.0, 1.0, 200.0), (1, 1))
-    assert here.left(missed, np.array(0.25))[0, 0] < 1.1 * missed(0.25)[0, 0]
+    assert here.remaining_rocks(missed, np.array(0.25))[0, 0] < 1.1 * missed(0.25)[0, 0]
     # By the law's own sizes it would be 200 times as many.
     assert dark.at(0.25)[0, 0] > 150.0
 
 
 def test_where_nothing_was_seen_all_are_left():
     here = thinning((1.0, 1.0, 1.0))
-    assert not here.touched.any()
+    assert not here.is_changed.any()
     assert (here.at(0.3) == 1.0).all()
     assert (here.at(np.full((SIDE, SIDE), 0.1)) == 1.0).all()
     # Pebbles that no look can tell of are left whole, large rocks as they are missed.
@@ -129,16 +129,16 @@ def test_heights_beyond_the_law_have_the_last_ratio():
 def test_fewer_unseen_rocks_make_sites_safer_and_more_less_safe(slope):
     plainly = evidence(slope=slope, rough=0.2, density=3.0, curve=rocky(2.0))
     p = [
-        calibrated_safety(replace(plainly, thinning=t))[0].mean()
+        calibrated_safety(replace(plainly, undetected_rock_ratio=t))[0].mean()
         for t in (thinning((4.0, 4.0, 4.0)), None, thinning())
     ]
     assert p[0] < p[1] < p[2]
-    for name in ("hazards", "piercing", "tilting"):
-        fewer = getattr(replace(plainly, thinning=thinning()), name)()
+    for name in ("expected_hazards", "expected_roughness_violations", "expected_tilt_violations"):
+        fewer = getattr(replace(plainly, undetected_rock_ratio=thinning()), name)()
         assert (fewer < getattr(plainly, name)()).all(), name
     # Holes are no rocks.
-    fewer = replace(plainly, thinning=thinning())
-    assert np.array_equal(fewer.sinking(), plainly.sinking())
+    fewer = replace(plainly, undetected_rock_ratio=thinning())
+    assert np.array_equal(fewer.expected_hole_violations(), plainly.expected_hole_violations())
 
 
 def test_bad_figures_are_refused():
@@ -148,9 +148,9 @@ def test_bad_figures_are_refused():
         "ratio": {"ratio": -good.ratio},
         "height_ratio": {"height_ratio": 0.0},
     }.items():
-        with pytest.raises(InputError, match=rf"thinning\.{field}"):
+        with pytest.raises(InputError, match=rf"undetected_rock_ratio\.{field}"):
             replace(good, **changes)
-    with pytest.raises(InputError, match=r"thinning\.ratio"):
+    with pytest.raises(InputError, match=r"undetected_rock_ratio\.ratio"):
         replace(good, ratio=good.ratio[:2])
-    with pytest.raises(InputError, match=r"calibration\.thinning"):
-        replace(evidence(), thinning=thinning(shape=(2, 2)))
+    with pytest.raises(InputError, match=r"calibration\.undetected_rock_ratio"):
+        replace(evidence(), undetected_rock_ratio=thinning(shape=(2, 2)))

@@ -48,7 +48,7 @@ WRONG = {
     "mapper's sensor is missing": (
         {"mappers": {"dem": {"kind": "gaussian-dem", "sensor": "flush"}}},
         "mappers.dem.sensor", "flush",
-        "Sensors: imu, altimeter, velocimeter, stars, flash.",
+        "Sensors: imu (imu), altimeter (radar-altimeter), velocimeter (velocimeter), ",
     ),
     "mapper's sensor is missing, and there is none at all": (
         {"sensors": {}, "tasking": {}},
@@ -57,25 +57,26 @@ WRONG = {
     "mapper's sensor is of another kind": (
         {"mappers": {"dem": {"kind": "gaussian-dem", "sensor": "imu"}}},
         "mappers.dem.sensor", "imu",
-        "a sensor of kind 'flash-lidar', but measures InertialSamples",
+        "a sensor of kind 'flash-lidar', but the sensor 'imu' is of kind 'imu'",
     ),
     "camera mapped by LiDAR": (
         camera_lander(mappers={"dem": {"kind": "quadtree", "sensor": "eye"}}),
-        "mappers.dem.sensor", "eye", "a sensor of kind 'flash-lidar', but measures CameraImage",
+        "mappers.dem.sensor", "eye",
+        "a sensor of kind 'flash-lidar', but the sensor 'eye' is of kind 'camera'",
     ),
     "one of several cameras is missing": (
         camera_lander(
             mappers={"rocks": {"kind": "shadow", "sensors": ["eye", "other"]}},
             navigation={"kind": "rocks"},
         ),
-        "mappers.rocks.sensors", "other", "the name of a sensor of kind",
+        "mappers.rocks.sensors", "other", "but no sensor is named 'other'",
     ),
     "one of several cameras is none": (
         camera_lander(
             mappers={"rocks": {"kind": "shadow", "sensors": ["eye", "imu"]}},
             navigation={"kind": "rocks"},
         ),
-        "mappers.rocks.sensors", "imu", "but measures InertialSamples",
+        "mappers.rocks.sensors", "imu", "but the sensor 'imu' is of kind 'imu'",
     ),
     "shadow mapper without rocks navigation": (
         camera_lander(navigation={"kind": "fixes"}),
@@ -106,8 +107,8 @@ WRONG = {
         "prior_map", "given", "is not used by navigation of kind 'fixes'",
     ),
     "knowledge of the start that nothing uses": (
-        {"sensors": FIXED, "start_knowledge": {}},
-        "start_knowledge", "given", "is not used by navigation of kind 'fixes'",
+        {"sensors": FIXED, "initial_uncertainty": {}},
+        "initial_uncertainty", "given", "is not used by navigation of kind 'fixes'",
     ),
     "control on gyroscopes without any": (
         {"sensors": {"fix": FIX, "flash": FLASH}},
@@ -136,7 +137,7 @@ WRONG = {
     ),
     "more measurements than cycles": (
         {"tasking": {"flash": {"kind": "periodic", "rate_hz": 10.5}}},
-        "tasking.flash.rate_hz", 10.5, "must be at most 10, one measurement per control cycle",
+        "tasking.flash.rate_hz", 10.5, "must be at most 10 Hz, one measurement per control cycle",
     ),
     "more measurements on the site than cycles": (
         {
@@ -148,7 +149,7 @@ WRONG = {
     "a sensor that no part uses": (
         {"sensors": {"imu": IMU, "fix": FIX, "flash": FLASH, "radar": {"kind": "radar-altimeter"}}},
         "sensors.radar", "radar-altimeter",
-        "navigation of kind 'fixes', which does not accept AltimeterReading",
+        "navigation of kind 'fixes' does not accept AltimeterReading",
     ),
     "a LiDAR that no mapper maps": (
         {"sensors": FIXED, "mappers": {}},
@@ -159,32 +160,33 @@ WRONG = {
         "decisions.map", "dam", "Did you mean 'dem'?",
     ),
     "shadows along ground that nobody measures": (
-        {"mappers": {"dem": DEM, "rocks": {"kind": "shadow", "sensor": "flash", "ground": "dam"}}},
-        "mappers.rocks.ground", "dam", "Did you mean 'dem'?",
+        {"mappers": {"dem": DEM, "rocks": {"kind": "shadow", "sensor": "flash",
+        "terrain_mapper": "dam"}}},
+        "mappers.rocks.terrain_mapper", "dam", "Did you mean 'dem'?",
     ),
     "shadows along the ground of the map that they make": (
-        {"mappers": {"dem": DEM, "rocks": {"kind": "shadow", "ground": "rocks"}}},
-        "mappers.rocks.ground", "rocks", "Known names: dem",
+        {"mappers": {"dem": DEM, "rocks": {"kind": "shadow", "terrain_mapper": "rocks"}}},
+        "mappers.rocks.terrain_mapper", "rocks", "Known names: dem",
     ),
     "a fused map of one that is not there": (
-        {"mappers": {"dem": DEM, "all": {"kind": "fused", "of": ["dam"]}}},
-        "mappers.all.of", "dam", "Did you mean 'dem'?",
+        {"mappers": {"dem": DEM, "all": {"kind": "fused", "inputs": ["dam"]}}},
+        "mappers.all.inputs", "dam", "Did you mean 'dem'?",
     ),
     "a fused map of itself": (
-        {"mappers": {"dem": DEM, "all": {"kind": "fused", "of": ["dem", "all"]}}},
-        "mappers.all.of", "all", "publishes evidence",
+        {"mappers": {"dem": DEM, "all": {"kind": "fused", "inputs": ["dem", "all"]}}},
+        "mappers.all.inputs", "all", "publishes evidence",
     ),
     "a fused map of a mapper twice": (
-        {"mappers": {"dem": DEM, "all": {"kind": "fused", "of": ["dem", "dem"]}}},
-        "mappers.all.of", ("dem", "dem"), "each mapper once",
+        {"mappers": {"dem": DEM, "all": {"kind": "fused", "inputs": ["dem", "dem"]}}},
+        "mappers.all.inputs", ("dem", "dem"), "each mapper once",
     ),
     "a fused map of two maps of the same returns": (
         {"mappers": {"dem": DEM, "other": DEM, "all": {"kind": "fused"}}},
-        "mappers.all.of", ("dem", "other"), "one mapper of elevations",
+        "mappers.all.inputs", ("dem", "other"), "one mapper of elevations",
     ),
     "a fused map of nothing": (
         {"mappers": {"all": {"kind": "fused"}}},
-        "mappers.all.of", (), "at least one other mapper",
+        "mappers.all.inputs", (), "at least one other mapper",
     ),
 }  # fmt: skip
 
@@ -216,7 +218,7 @@ class ArrivalOnly:
     """Navigation of another package, which needs and takes nothing."""
 
     needs = ()
-    takes = ()
+    accepts = ()
     needs_prior_map = False
     uses_prior_map = False
 
@@ -247,12 +249,12 @@ def test_changes_are_checked_too():
         (
             {"sensors": {n: {"kind": "imu"} for n in ("one", "two")}},
             "sensors.two",
-            "the only sensor that measures InertialSamples",
+            "a second sensor that measures InertialSamples",
         ),
         (
             {"sensors": {n: {"kind": "navigation-fix"} for n in ("one", "two")}},
             "sensors.two",
-            "the only sensor that measures NavigationFix",
+            "a second sensor that measures NavigationFix",
         ),
         (
             {"tasking": {"flash": {"kind": "at-altitudes", "altitudes_m": []}}},
@@ -268,7 +270,7 @@ def test_changes_are_checked_too():
         (
             map_lander(prior_map={"size_m": 1e5, "posting_m": 0.1}),
             "prior_map.size_m",
-            "at most 4000 posts of 0.1 m",
+            "at most 4000 points of 0.1 m",
         ),
     ],
 )

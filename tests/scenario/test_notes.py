@@ -58,12 +58,14 @@ def test_the_default_study_has_nothing_odd():
             "rocks.cover = 0.1", "its own boulders",
         ),
         ({"rocks": {"cover": 0.0, "shape": "cube"}}, "rocks.shape = 'cube'", "cover = 0"),
-        ({"rocks": {"block_crater_m": 30.0}}, "rocks.block_crater_m = 30", "clustered = 0"),
+        ({"rocks": {"min_block_crater_diameter_m": 30.0}},
+        "rocks.min_block_crater_diameter_m = 30", "cluster_fraction = 0"),
         (
             {"terrain": {"kind": "dtm", "path": "x.tif", "preset": "mare", "detail": False}},
             "terrain.preset = 'mare'", "detail = false",
         ),
-        ({"terrain": {"crater_saturation_m": 9.0}}, "terrain.crater_saturation_m", "no craters"),
+        ({"terrain": {"crater_equilibrium_diameter_m": 9.0}},
+        "terrain.crater_equilibrium_diameter_m", "no craters"),
         (
             {"policy": {"kind": "no-divert"}, "decisions": {"interval_s": 2.0}},
             "decisions.interval_s = 2", "never diverts",
@@ -77,8 +79,10 @@ def test_each_oddity_is_told_once_with_key_and_value(tables, begins, told):
 
 
 def test_the_sun_is_of_use_to_what_sees_it():
-    two_eyes = Scenario.load(SCENARIOS / "two_eyes.toml").changed(sun={"elevation_deg": 7.0})
-    assert warnings_for(two_eyes) == []
+    camera_and_lidar = Scenario.load(SCENARIOS / "camera_and_lidar.toml").changed(
+        sun={"elevation_deg": 7.0}
+    )
+    assert warnings_for(camera_and_lidar) == []
     stars = Scenario.load(SCENARIOS / "instruments.toml").changed(sun={"elevation_deg": 7.0})
     assert not [n for n in warnings_for(stars) if n.startswith("sun")]
 
@@ -126,8 +130,8 @@ def test_a_lidar_whose_range_is_below_all_tasked_altitudes_is_odd(tasking, told)
 
 
 def test_variation_is_odd_where_landers_fly_by_themselves():
-    (note,) = notes(variation={"load_kg": 10.0})
-    assert "variation" in note and "lunarsim evaluate Guidance-v0" in note
+    (note,) = notes(domain_randomization={"payload_kg": 10.0})
+    assert "domain_randomization" in note and "lunarsim evaluate Guidance-v0" in note
 
 
 def test_a_camera_that_no_mapper_uses_may_record():
@@ -139,4 +143,4 @@ def test_a_camera_that_no_mapper_uses_may_record():
     (note,) = notes(**tables)
     assert note.startswith("sensors.eye: no mapper uses its images")
     flight = Simulation(Scenario.from_dict(tables), 1, "no-divert").run()
-    assert {e["sensor"] for e in flight.events if e["name"] == "picture"} == {"eye"}
+    assert {e["sensor"] for e in flight.events if e["name"] == "image"} == {"eye"}

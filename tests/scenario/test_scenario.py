@@ -42,7 +42,7 @@ def test_defaults_make_a_whole_study():
     assert scenario.vehicle.make() == Lander()
     assert sorted(scenario.sensors) == ["altimeter", "flash", "imu", "stars", "velocimeter"]
     assert scenario.navigation.kind == "inertial"
-    assert (scenario.prior_map, scenario.start_knowledge) == (None, None)
+    assert (scenario.prior_map, scenario.initial_uncertainty) == (None, None)
     assert scenario.start.heading_deg == 90.0
     assert scenario.start.make().heading == pytest.approx(np.pi / 2)
     assert scenario.mappers["dem"].posting_m == scenario.mappers["dem"].make().posting == 0.2
@@ -70,8 +70,12 @@ def test_relative_paths_start_from_the_files_folder(tmp_path):
         ({"vehicle": {"dry_mass_kg": float("nan")}}, "vehicle.dry_mass_kg", "finite"),
         ({"rocks": {"cover": 0.9}}, "rocks.cover", "less than or equal to 0.2"),
         ({"rocks": {"min_diameter_m": 5.0}}, "rocks.min_diameter_m", "less than max_diameter_m"),
-        ({"terrain": {"kind": "dtm"}}, "terrain.path", "the raster to load"),
-        ({"simulation": {"cycle_s": 0.015}}, "simulation.cycle_s", "multiple of the step"),
+        ({"terrain": {"kind": "dtm"}}, "terrain.path", "must name a raster file"),
+        (
+            {"simulation": {"cycle_s": 0.015}},
+            "simulation.cycle_s",
+            "of the simulation step",
+        ),
         ({"start": {"position_m": [0.0, 1.0]}}, "start.position_m", "a list of 3 values in m"),
         ({"start": {"position_m": [0.0, 1.0, 2.0, 3.0]}}, "start.position_m", "a list of 3 values"),
         ({"start": {"position_m": [0.0, 1.0, "2"]}}, "start.position_m.2", "a plain number in m"),
@@ -93,8 +97,12 @@ def test_relative_paths_start_from_the_files_folder(tmp_path):
         ({"sensors": {"a": {"kind": "sonar"}}}, "sensors.a.kind", "Known names: camera"),
         ({"start": {"heading": 1.0}}, "start.heading", "Did you mean 'heading_deg'"),
         # What a part makes sure of itself is told by its key, in its unit.
-        ({"vehicle": {"thrust_min_n": 7000}}, "vehicle.thrust_min_n", "less than 6000"),
-        ({"vehicle": {"inertia_dry_kg_m2": [1, 1, 9]}}, "vehicle.inertia_dry_kg_m2", "moments"),
+        ({"vehicle": {"thrust_min_n": 7000}}, "vehicle.thrust_min_n", "6000.0 N"),
+        (
+            {"vehicle": {"inertia_dry_kg_m2": [1, 1, 9]}},
+            "vehicle.inertia_dry_kg_m2",
+            "sum of the other two",
+        ),
     ],
     ids=str,
 )
@@ -110,7 +118,7 @@ def test_mistakes_name_field_and_remedy(data, field, hint):
     [
         ("terrain", {"kind": "fractal", "path": "x.tif"}, "'dtm'"),
         ("terrain", {"kind": "hazard-field", "hurst": 0.5}, "'fractal' or 'dtm'"),
-        ("policy", {"kind": "safest", "price": 1.0}, "'fuel-aware'"),
+        ("policy", {"kind": "safest", "propellant_weight": 1.0}, "'fuel-aware' or 'scoreboard'"),
         ("control", {"kind": "ideal", "damping": 1.0}, "'pd' or 'quaternion-feedback'"),
     ],
 )
@@ -120,14 +128,15 @@ def test_a_key_of_another_kind_names_that_kind(table, value, owner):
         Scenario.from_dict({table: value})
     assert (caught.value.field, caught.value.value) == (f"{table}.{key}", value[key])
     assert caught.value.problem == f"is not a key of kind {value['kind']!r}"
-    assert caught.value.remedy == f"Kind {owner} has it."
+    remedy = f"Delete the key, or use it with {table}.kind = {owner}."
+    assert caught.value.remedy == remedy
 
 
 def test_a_key_of_another_kind_in_a_named_table():
     with pytest.raises(InputError) as caught:
         Scenario.from_dict({"mappers": {"dem": {"kind": "gaussian-dem", "split_count": 4}}})
     assert caught.value.field == "mappers.dem.split_count"
-    assert caught.value.remedy == "Kind 'quadtree' has it."
+    assert "use it with mappers.dem.kind = 'quadtree'." in caught.value.remedy
     # A key of a table within a table is looked for there.
     with pytest.raises(InputError) as caught:
         Scenario.from_dict({"mappers": {"q": {"kind": "quadtree", "sites": {"slope_limit": 1}}}})
@@ -143,7 +152,7 @@ def test_a_kind_without_keys_says_so():
 
 
 def test_moved_keys_say_where_they_went():
-    with pytest.raises(InputError, match=r"\[start_knowledge\]"):
+    with pytest.raises(InputError, match=r"\[initial_uncertainty\]"):
         Scenario.from_dict({"navigation": {"kind": "fixes", "position_bias_m": 1.0}})
     with pytest.raises(InputError, match=r"\[approach\]"):
         Scenario.from_dict({"guidance": {"max_tilt_deg": 30.0}})
@@ -154,7 +163,7 @@ def test_tables_of_earlier_versions_tell_where_they_are_now(table):
     with pytest.raises(InputError) as caught:
         Scenario.from_dict({table: {}})
     assert caught.value.field == table
-    assert caught.value.remedy == f"It is now {MOVED_TABLES[table]}."
+    assert caught.value.remedy == f"Use {MOVED_TABLES[table]} instead."
     # And what it names is there to be written.
     assert any(f"[{name}" in MOVED_TABLES[table] for name in Scenario.__dataclass_fields__)
 
@@ -185,8 +194,8 @@ def test_a_change_is_laid_over_what_is_there():
 
 def test_a_change_reaches_tables_within_tables():
     before = Scenario.load(SCENARIOS / "morpheus.toml")
-    after = before.changed(mappers={"sites": {"sites": {"zone_m": 1.0}}})
-    assert after.mappers["sites"].sites.zone_m == 1.0
+    after = before.changed(mappers={"sites": {"sites": {"zone_half_side_m": 1.0}}})
+    assert after.mappers["sites"].sites.zone_half_side_m == 1.0
     assert after.mappers["sites"].sites.count == before.mappers["sites"].sites.count
     assert after.mappers["sites"].size_m == 102.4
 
@@ -200,7 +209,7 @@ def test_another_kind_starts_from_its_own_defaults():
 
 def test_none_takes_a_table_or_a_value_away():
     morpheus = Scenario.load(SCENARIOS / "morpheus.toml")
-    assert morpheus.changed(start_knowledge=None).start_knowledge is None
+    assert morpheus.changed(initial_uncertainty=None).initial_uncertainty is None
     with pytest.raises(InputError, match="prior_map: is required"):
         morpheus.changed(prior_map=None)
     assert morpheus.changed(approach={"time_to_go_s": None}).approach.time_to_go_s is None
@@ -287,8 +296,8 @@ def test_navigation_goes_by_what_the_lander_carries_after_a_change():
         == "fixes"
     )
     # What is not as if left out stays.
-    own = Scenario.from_dict({"navigation": {"relief_deg": 8.0}})
-    assert own.changed(rocks={"cover": 0.1}).navigation.relief_deg == 8.0
+    own = Scenario.from_dict({"navigation": {"terrain_slope_deg": 8.0}})
+    assert own.changed(rocks={"cover": 0.1}).navigation.terrain_slope_deg == 8.0
     with pytest.raises(InputError, match="navigation-fix"):
         hard.changed(sensors={"fix": None}, navigation={"kind": "fixes"})
 

@@ -37,7 +37,7 @@ def test_scenario_file_contains_the_load(study):
     loaded = study.apollo11.with_ignition_start(study.apollo11.with_load(plain))
     for table in ("start", "braking", "approach"):
         _close(getattr(plain, table).model_dump(), getattr(loaded, table).model_dump())
-    assert plain.descent.table == loaded.descent.table
+    assert plain.terminal_descent.table == loaded.terminal_descent.table
 
 
 # Scales of the computer's words by the listing of its sample load: metres 2^24, m/cs 2^10, m/cs^2
@@ -112,7 +112,7 @@ def test_coast_from_ignition_reaches_the_throttle_up_state_of_the_load(study):
     r, v = _leapt(moon, *start, 26.0)
     assert r == pytest.approx([436_655.6875, 0.0, -39_782.4375], abs=0.01)  # RIGNZ, RIGNX
     assert np.linalg.norm(v) == pytest.approx(1690.256118774 + 26.0 * 0.350132708, abs=1e-4)
-    assert v @ moon.from_centre(r) == pytest.approx(0.0, abs=10.0)  # horizontal there
+    assert v @ moon.position_from_centre(r) == pytest.approx(0.0, abs=10.0)  # horizontal there
 
 
 def test_first_guess_of_braking_solves_its_cubic(study):
@@ -163,7 +163,7 @@ def test_known_differences_are_recovered(study):
 def test_command_has_help(study):
     said = CliRunner().invoke(study.main, ["--help"])
     assert said.exit_code == 0
-    for option in ("--json", "--out", "--isp", "--sample", "--ground"):
+    for option in ("--json", "--out", "--isp", "--sample", "--terrain"):
         assert option in said.output
     assert CliRunner().invoke(study.main, ["--isp", "311"]).exit_code == 2
 

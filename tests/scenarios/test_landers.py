@@ -32,7 +32,7 @@ def test_the_lunar_module_can_be_loaded():
     assert lander.thrusters.count == 16
     # 550 ft lb per thruster, four per direction in pitch and roll.
     assert abs(lander.torque_max[0] / 4.0 - 745.7) < 3.0
-    assert lander.engine.gap_from == 28024.0
+    assert lander.engine.gap_lower == 28024.0
 
 
 def test_failed_thruster_with_and_without_detection(script):

@@ -53,7 +53,7 @@ def test_time_of_the_requested_surface_counts_for_the_mapper(script, monkeypatch
 
     mapper = Slow(now)
     clock = flown.SingleMapperTimer(mapper)
-    mapper.surface()
+    mapper.terrain_surface()
     assert clock.seconds == 3.0
 
 
@@ -65,7 +65,13 @@ def test_scene_evaluation_is_repeatable(script, name):
     assert np.array_equal(a.features, b.features)
     assert np.array_equal(a.safe, b.safe)
     assert len(a.safe) > 20
-    assert len(a.features) == len(a.safe) == len(a.known) == len(a.bound) == len(a.ceiling)
+    assert (
+        len(a.features)
+        == len(a.safe)
+        == len(a.known)
+        == len(a.outside_domain_bound)
+        == len(a.observed_terrain_bound)
+    )
     assert np.isfinite(a.features).all()
     done = CliRunner().invoke(study.main, ["--scenes", "2"])
     assert done.exit_code == 2

@@ -30,7 +30,7 @@ def test_consistency_is_printed_and_written_by_epoch(script, tmp_path):
         "--json",
         out,
         "--set",
-        "start_knowledge.position_m=1e-4",
+        "initial_uncertainty.position_m=1e-4",
         "--set",
         "terrain.size_m=300",
         "--set",
@@ -102,7 +102,7 @@ def test_check_exits_with_1_if_errors_are_inconsistent(script, monkeypatch):
     for scale, code in ((1.0, 0), (2.0, 1)):
         flown = [drawn(study, rng, scale=scale) for _ in range(20)]
         monkeypatch.setattr(study, "collect_results", lambda *_, flown=flown: flown)
-        done = CliRunner().invoke(study.main, ["--flights", "20", "--judge", "1"])
+        done = CliRunner().invoke(study.main, ["--flights", "20", "--check", "1"])
         assert done.exit_code == code, done.output
         assert ("NEES of all nine at 0.15: " in done.output) is bool(code)
 
@@ -113,7 +113,7 @@ def test_flights_with_faults_are_written_and_summed(script, tmp_path, monkeypatc
     monkeypatch.setattr(faults, "RELIEFS", (4.0,))
     # Smaller terrain, smaller initial error and a shorter descent.
     Scenario.load(SCENARIOS / "instruments.toml").changed(
-        terrain={"size_m": 300.0}, start_knowledge={"position_m": 5.0},
+        terrain={"size_m": 300.0}, initial_uncertainty={"position_m": 5.0},
         start={"position_m": [-300.0, 0.0, 250.0], "velocity_m_s": [18.0, 0.0, -12.0]},
     ).save(tmp_path / "instruments.toml")  # fmt: skip
     monkeypatch.setattr(faults, "SCENARIOS", tmp_path)
@@ -123,9 +123,9 @@ def test_flights_with_faults_are_written_and_summed(script, tmp_path, monkeypatc
     assert [f["row"] for f in flown] == ["none", "velocimeter dead"]
     more = tmp_path / "rocks.json"
     wrong = [
-        {"row": "none", "far": 0, "lost": 1, "doubted": 0, "safe": 1},
-        {"row": "Sun 45 deg off", "far": 1, "lost": 1, "doubted": 0, "safe": 0},
-        {"row": "Sun 45 deg off", "far": 1, "lost": 0, "doubted": 0, "safe": 0},
+        {"row": "none", "far": 0, "lost": 1, "inflated": 0, "safe": 1},
+        {"row": "Sun 45 deg off", "far": 1, "lost": 1, "inflated": 0, "safe": 0},
+        {"row": "Sun 45 deg off", "far": 1, "lost": 0, "inflated": 0, "safe": 0},
     ]
     more.write_text(json.dumps(wrong))
     text = run(script("navigation", "undeclared_failures").main, out, more)
@@ -162,7 +162,7 @@ def test_flight_on_an_outdated_map_is_evaluated(script, tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["instruments", "two_eyes", "shadow_nominal", "morpheus"])
+@pytest.mark.parametrize("name", ["instruments", "camera_and_lidar", "shadow_nominal", "morpheus"])
 def test_errors_of_fifty_flights_are_consistent(script, name):
     study = script("navigation", "consistency")
     modest, changes = study.SETS[name]

@@ -17,9 +17,9 @@ def small(script, monkeypatch, tmp_path):
     short = Scenario.load(SCENARIOS / "morpheus.toml").changed(
         terrain={"size_m": 200.0, "field_m": 70.0, "boulders": 150, "craters": 12},
         start={"position_m": [-220.0, 0.0, 150.0], "position_sigma_m": 1.0},
-        start_knowledge={"position_m": 8.0},
+        initial_uncertainty={"position_m": 8.0},
         prior_map={"size_m": 180.0},
-        sensors={"flash": {"half_width": 0.025}},
+        sensors={"flash": {"half_fov_tangent": 0.025}},
         tasking={"flash": {"duration_s": 9.0, "rate_hz": 10.0, "size_m": 50.0}},
         mappers={"sites": {"size_m": 64.0}},
         approach={"time_to_go_s": 30.0},

@@ -44,9 +44,9 @@ def same(first, second):
         ),
         (
             "Retarget-v0", "random",
-            ("--perception", "truth", "--scenario", "small.toml", "--action", "stretch",
+            ("--perception", "truth", "--scenario", "small.toml", "--action", "time_scale",
              "--action", "site"),
-            {"perception": "truth", "scenario": "small.toml", "action": ("stretch", "site")},
+            {"perception": "truth", "scenario": "small.toml", "action": ("time_scale", "site")},
         ),
     ],
 )  # fmt: skip
@@ -89,8 +89,8 @@ def test_recorded_episodes_can_be_replayed(
         (("Guidance-v0", "--perception", "truth"), "--perception"),
         (("Retarget-v0", "--perception", "trooth"), "perception"),
         (("Guidance-v0", "--agent", "safest"), "--agent"),
-        (("Guidance-v0", "--action", "stretch"), "--action"),
-        (("Retarget-v0", "--action", "stretsh"), "Did you mean 'stretch'"),
+        (("Guidance-v0", "--action", "time_scale"), "--action"),
+        (("Retarget-v0", "--action", "time_scal"), "Did you mean 'time_scale'"),
         (("Retarget-v0", "--set", "rocks.cover=2"), "rocks.cover"),
         (("Guidance-v0", "--episodes", "0"), "--episodes"),
     ],

@@ -37,7 +37,11 @@ def test_measurement_noise_is_constant_in_pixels(script, monkeypatch):
         # The reported noise depends only on pixels: constant for large patches, larger below.
         edges = np.array([float(edge) for edge in row[0].split("-")])
         for found, ratio, base, small in zip(
-            (along, across), (over, over_across), told.look_sigma, told.look_small, strict=True
+            (along, across),
+            (over, over_across),
+            told.observation_sigma,
+            told.small_patch_sigma,
+            strict=True,
         ):
             least, most = np.sort(np.hypot(base, small / edges))
             assert least / 1.2 < found / ratio < 1.2 * most
@@ -148,7 +152,7 @@ def test_orthogonal_array_has_every_pair_of_levels_once(script):
         [
             (
                 c.cover, cells.SHAPES.index(c.shape),
-                (cells.SHAPES.index(c.told_shape) - cells.SHAPES.index(c.shape)) % 5,
+                (cells.SHAPES.index(c.expected_shape) - cells.SHAPES.index(c.shape)) % 5,
                 c.elevation, c.turn, c.relief,
             )
             for c in runs
@@ -162,11 +166,11 @@ def test_orthogonal_array_has_every_pair_of_levels_once(script):
         scenario = cell.scenario()
         assert (scenario.rocks.cover, scenario.expected_rocks.shape) == (
             cell.cover,
-            cell.told_shape,
+            cell.expected_shape,
         )
         assert scenario.sensors["camera"].width == 640 * cell.pixels
         rocks = scenario.rocks
-        assert rocks.min_diameter_m == cell.least_diameter
+        assert rocks.min_diameter_m == cell.min_diameter
         assert cell.height in (None, rocks.height_ratio[0])
         assert cell.slenderness in (None, pytest.approx(np.mean(rocks.axis_ratio)))
         assert getattr(scenario.terrain.table, "crater_density", None) == (cell.craters or None)

@@ -48,7 +48,24 @@ def test_provenance_is_not_compared(folder):
     assert digests_of_folder(folder) == before
     (folder / "flight.json").write_text(text.replace("0.1", "0.2"))
     (line,) = golden.changes("case", before, digests_of_folder(folder))
-    assert "flight.json:verdict.tilt" in line
+    assert "flight.json:outcome.tilt" in line
+
+
+def test_names_of_earlier_versions_count_as_the_current_ones(folder):
+    old = 'name = "two_eyes"\n[policy]\nenough = 0.9\n[variation]\nload_kg = 5.0\n'
+    new = 'name = "camera_and_lidar"\n[domain_randomization]\npayload_kg = 5.0\n'
+    new += "[policy]\np_safe_min = 0.9\n"
+    flight = {"scenario": old, "events": [{"time": 1.0, "name": "doubted"}], "verdict": {}}
+    renamed = {"scenario": new, "events": [{"time": 1.0, "name": "covariance-inflated"}]}
+    found = []
+    for scenario, record in ((old, flight), (new, renamed | {"outcome": {}})):
+        (folder / "flight.json").write_text(json.dumps(record))
+        (folder / "scenario.toml").write_text(scenario)
+        found.append(digests_of_folder(folder))
+    assert found[0] == found[1]
+    (folder / "scenario.toml").write_text(new.replace("0.9", "0.8"))
+    (line,) = golden.changes("case", found[0], digests_of_folder(folder))
+    assert line.startswith("changed: case: scenario.toml:values")
 
 
 def test_renamed_quantity_is_not_a_changed_result(folder):

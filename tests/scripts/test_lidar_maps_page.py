@@ -116,7 +116,7 @@ def test_new_results_replace_only_the_rows_of_their_world(pages, tmp_path, monke
     monkeypatch.setattr(pages, "PAGE", tmp_path / "page.md")
     pages.PAGE.write_text(_page(pages))
     (tmp_path / "figures.json").write_text(json.dumps({"new": _world()}))
-    arguments = ["--take", str(tmp_path / "figures.json"), "--command", "python a.py"]
+    arguments = ["--store", str(tmp_path / "figures.json"), "--command", "python a.py"]
     pages.main(arguments, standalone_mode=False)
     page = pages.PAGE.read_text()
     assert "NaN" not in (tmp_path / "kept" / "new.json").read_text()

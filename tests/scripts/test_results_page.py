@@ -192,6 +192,6 @@ def test_report_is_stored_completely(results, tmp_path, monkeypatch):
     found = {"flights": [_descent("nominal", 1.0), _descent("modified", 2.0)]}
     written = tmp_path / "raw"
     written.write_text(json.dumps(found))
-    results.main(["--take", "shadows", str(written), "--command", "c"], standalone_mode=False)
+    results.main(["--store", "shadows", str(written), "--command", "c"], standalone_mode=False)
     assert results.load(tmp_path / "shadows.json") == results.take("shadows", found, "c")
     assert "## Shadow filter, two descents" in results.page()

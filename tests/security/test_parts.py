@@ -29,7 +29,7 @@ MODULE = "strange_parts"
 STRANGE = {"kind": f"{MODULE}:Mine"}
 TABLES = {
     **{name: {name: STRANGE} for name in (
-        "policy", "terrain", "vehicle", "navigation", "control", "guidance", "descent",
+        "policy", "terrain", "vehicle", "navigation", "control", "guidance", "terminal_descent",
     )},
     "sensors.x": {"sensors": {"x": STRANGE}},
     "tasking.x": {"tasking": {"x": STRANGE}},

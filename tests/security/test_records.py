@@ -38,8 +38,8 @@ def use(folder):
     """Load a record and use what figures and metrics are made from."""
     flight = Flight.load(folder)
     _ = flight.positions, flight.sites, flight.propellant_used, flight.duration, flight.lost
-    _ = flight.first_lost, flight.divert_distance, flight.map_error, flight.hazard_map
-    map_remarks_by_mapper(flight.maps, flight.decided_on)
+    _ = flight.first_lost_time, flight.divert_distance, flight.map_error, flight.hazard_map
+    map_remarks_by_mapper(flight.maps, flight.decision_mapper)
     assert all(isinstance(float(e["time"]), float) for e in flight.events)
     return flight
 

@@ -52,7 +52,7 @@ def rasters(tmp_path_factory):
     [
         ({"path": "large.tif", "posting_m": 10.0}, ["terrain.path", "large.tif", "dtm_window"]),
         ({"path": "coarse.tif", "posting_m": 0.25}, ["terrain.posting_m:", "got 0.25", "larger"]),
-        ({"path": "coarse.tif", "posting_m": 5.0, "mirrored_to_m": 90_000.0},
+        ({"path": "coarse.tif", "posting_m": 5.0, "mirrored_size_m": 90_000.0},
          ["terrain.posting_m: ", "got 5.0", "larger value"]),
     ],
 )  # fmt: skip
@@ -73,9 +73,9 @@ def test_a_raster_of_gigabytes_is_refused_by_its_header(rasters, terrain, words)
         ({"terrain": {"size_m": 2500.0, "posting_m": 0.5},
           "rocks": {"cover": 0.2, "min_diameter_m": 0.01}},
          ["rocks.min_diameter_m: ", "got 0.01", "smaller cover"]),
-        ({"moon": {}, "surroundings": {"sizes_m": [40_000.0] * 400, "postings_m": [10.0] * 400,
+        ({"moon": {}, "far_terrain": {"sizes_m": [40_000.0] * 400, "postings_m": [10.0] * 400,
                                        "rms_slopes_deg": [1.0] * 400}},
-         ["surroundings.sizes_m", "fewer levels"]),
+         ["far_terrain.sizes_m", "fewer levels"]),
     ],
 )  # fmt: skip
 def test_rocks_and_surroundings_of_gigabytes_are_refused(tmp_path, tables, words):
@@ -136,10 +136,10 @@ def test_flights_without_end_are_refused(tmp_path, flights):
 def test_the_estimate_counts_a_raster_around_the_terrain(rasters):
     around = {"sizes_m": [2000.0], "postings_m": [10.0], "rms_slopes_deg": [1.0]}
     for extra, memory in (({}, 0.0), ({"path": "coarse.tif"}, 32.0 * 400**2)):
-        tables = TINY_FLIGHT | {"moon": {}, "surroundings": around | extra}
-        assert estimate(Scenario.from_dict(tables, rasters)).memory["surroundings.path"] == memory
-    tables["surroundings"]["path"] = "large.tif"
+        tables = TINY_FLIGHT | {"moon": {}, "far_terrain": around | extra}
+        assert estimate(Scenario.from_dict(tables, rasters)).memory["far_terrain.path"] == memory
+    tables["far_terrain"]["path"] = "large.tif"
     with pytest.raises(
-        InputError, match=r"surroundings\.path.*limit 16 GiB.*\. Use a smaller raster"
+        InputError, match=r"far_terrain\.path.*limit 16 GiB.*\. Use a smaller raster"
     ):
         Scenario.from_dict(tables, rasters)

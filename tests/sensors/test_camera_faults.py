@@ -139,11 +139,11 @@ def test_exposure_keeps_its_bounds_in_the_night_and_in_glare():
     black, white = np.zeros((4, 5), np.uint8), np.full((4, 5), 255, np.uint8)
     time = 1e-3
     for _ in range(5):
-        time = control.after(black, 8, time)
+        time = control.next_exposure(black, 8, time)
     assert time == 1e-2
-    assert control.after(white, 8, time) == pytest.approx(time / 8.0)
+    assert control.next_exposure(white, 8, time) == pytest.approx(time / 8.0)
     for _ in range(5):
-        time = control.after(white, 8, time)
+        time = control.next_exposure(white, 8, time)
     assert time == 1e-4
 
 

@@ -104,7 +104,7 @@ def test_samples_of_a_motion_carry_a_state_along_it():
     """Perfect samples, dead reckoned plainly, end where the lander is."""
     rows = moved()
     unit = ImuSettings(TriadErrors(), TriadErrors()).build(np.random.default_rng(0), 0.01)
-    samples = unit.sense(rows, 0.01, 1.622, 2.0)
+    samples = unit.sample_trajectory(rows, 0.01, 1.622, 2.0)
     assert samples.time == 2.0
     assert samples.angle.shape == samples.velocity.shape == (200, 3)
     r, v, q = rows[0, 0:3], rows[0, 3:6], rows[0, 6:10]
@@ -125,7 +125,7 @@ def test_free_fall_is_felt_as_nothing():
     for _ in range(10):
         fall = Dynamics(Lander(), 1.622).advance(fall, 0.0, np.zeros(3))
         rows.append(fall.as_vector())
-    samples = unit.sense(np.array(rows), 0.01, 1.622, 0.1)
+    samples = unit.sample_trajectory(np.array(rows), 0.01, 1.622, 0.1)
     assert np.abs(samples.velocity).max() < 1e-12
     assert np.abs(samples.angle).max() < 1e-12
 
@@ -135,7 +135,9 @@ def test_what_gyroscopes_gave_on_the_way_is_not_sampled_again():
     errors = TriadErrors(random_walk=1e-3)
     given = np.random.default_rng(1).standard_normal((10, 3))
     first, second = (Imu(np.random.default_rng(2), 100.0, errors, errors) for _ in range(2))
-    samples = first.sense(rows, 0.01, 1.622, 0.1, given)
+    samples = first.sample_trajectory(rows, 0.01, 1.622, 0.1, given)
     assert samples.angle is given
     # Accelerometers draw from a stream of their own.
-    assert np.array_equal(samples.velocity, second.sense(rows, 0.01, 1.622, 0.1).velocity)
+    assert np.array_equal(
+        samples.velocity, second.sample_trajectory(rows, 0.01, 1.622, 0.1).velocity
+    )

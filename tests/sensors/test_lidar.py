@@ -68,10 +68,10 @@ def test_attitude_error_moves_the_points():
     "change",
     [
         {"rows": 1},
-        {"half_width": 0.0},
+        {"half_fov_tangent": 0.0},
         {"noise_ratio": -1.0},
         {"max_range": 0.0},
-        {"spacing": "x"},
+        {"pixel_spacing": "x"},
         {"max_incidence": 2.0},
         {"photons": 0.0},
     ],
@@ -82,7 +82,7 @@ def test_impossible_sensors(change):
 
 
 def test_pixels_even_in_the_angle():
-    lidar = FlashLidar(5, 9, half_width=0.5, spacing="angle")
+    lidar = FlashLidar(5, 9, half_fov_tangent=0.5, pixel_spacing="angle")
     rays = lidar.directions().reshape(5, 9, 3)
     across = np.arctan2(rays[2, :, 0], rays[2, :, 2])
     assert np.allclose(np.diff(across), np.diff(across)[0])
@@ -91,10 +91,10 @@ def test_pixels_even_in_the_angle():
 
 def test_no_return_beyond_the_greatest_incidence():
     slope = World(sloped_terrain((0.3, 0.0), 200.0), 1.622)
-    lidar = FlashLidar(32, 32, half_width=0.2)
+    lidar = FlashLidar(32, 32, half_fov_tangent=0.2)
     normal = np.array([-0.3, 0.0, 1.0]) / np.hypot(0.3, 1.0)
     expected = np.arccos(-(lidar.directions() @ DOWN.T) @ normal)
-    blind = FlashLidar(32, 32, half_width=0.2, max_incidence=np.arctan(0.3))
+    blind = FlashLidar(32, 32, half_fov_tangent=0.2, max_incidence=np.arctan(0.3))
     kept = blind.measure(slope, state(100.0), 0.0, np.random.default_rng(0), DOWN)
     assert np.array_equal(np.isfinite(kept.range), expected <= np.arctan(0.3))
 

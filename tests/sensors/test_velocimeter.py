@@ -52,7 +52,7 @@ def test_beams_see_their_share_of_the_velocity():
 def test_what_beams_are_off_by_is_drawn_for_a_flight_and_wanders():
     noiseless = DopplerVelocimeter(speed_noise=1e-9)
     said = noiseless.calibration()
-    assert (said.speed_bias, said.speed_wander) == (0.02, 0.005)
+    assert (said.speed_bias, said.speed_bias_walk) == (0.02, 0.005)
     here, rng = state(), np.random.default_rng(5)
     truth = noiseless.measure(LEVEL, here, 0.0, rng).speed
     off = np.empty((400, 3, 3))
@@ -65,7 +65,7 @@ def test_what_beams_are_off_by_is_drawn_for_a_flight_and_wanders():
     assert (off[:, 2] - off[:, 1]).std() == pytest.approx(0.005 * np.sqrt(39.9), rel=0.08)
     # Each beam by itself.
     assert np.abs(np.corrcoef(off[:, 0].T)[np.triu_indices(3, 1)]).max() < 0.2
-    perfect = DopplerVelocimeter(speed_bias=0.0, speed_wander=0.0).build(rng, 0.01)
+    perfect = DopplerVelocimeter(speed_bias=0.0, speed_random_walk=0.0).build(rng, 0.01)
     for time in (0.0, 5.0):
         perfect.measure(LEVEL, here, time, rng)
         assert not perfect.bias.any()
@@ -82,7 +82,7 @@ def test_beams_without_a_return_are_nan():
 
 
 def test_stars_tell_the_attitude_but_for_noise_and_mount():
-    figures = StarTracker(misalignment=1e-3, across=1e-4, about=1e-3)
+    figures = StarTracker(misalignment=1e-3, cross_boresight_noise=1e-4, roll_noise=1e-3)
     here, offsets = state(turn=(0.0, 0.0, 0.4)), []
     for seed in range(200):
         rng = np.random.default_rng(seed)
@@ -107,7 +107,7 @@ def test_stars_tell_the_attitude_but_for_noise_and_mount():
     [
         ({}, {"rate": (0.1, 0.0, 0.0)}),  # turns too fast
         ({}, {"turn": (-1.2, 0.0, 0.0)}),  # looks at the ground
-        ({"boresight": tuple(LEVEL.light.direction), "ground_angle": 0.0}, {"turn": (0, 0, 0)}),
+        ({"boresight": tuple(LEVEL.light.direction), "min_elevation": 0.0}, {"turn": (0, 0, 0)}),
     ],
 )
 def test_it_sees_no_stars_while_it_turns_looks_down_or_at_the_sun(changes, where):

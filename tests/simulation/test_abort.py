@@ -40,9 +40,9 @@ def test_an_abort_climbs_away_and_is_counted_apart(scenario, tmp_path):
     simulation = Simulation(scenario, 3, GivesUp(120.0))
     flight = simulation.run()
     t = flight.trajectory
-    assert flight.verdict.failed == ("aborted",)
-    assert flight.verdict.touchdown is None
-    assert not flight.verdict.safe
+    assert flight.outcome.failure_causes == ("aborted",)
+    assert flight.outcome.touchdown is None
+    assert not flight.outcome.safe
     row = evaluate(flight, simulation.truth)
     assert row["aborted"]
     assert not row["safe"]
@@ -54,20 +54,20 @@ def test_an_abort_climbs_away_and_is_counted_apart(scenario, tmp_path):
     assert np.hypot(t["velocity_x"][-1], t["velocity_y"][-1]) < 10.0
     assert [e["name"] for e in flight.events].count("abort") == 1
     flight.save(tmp_path / "flight")
-    assert Flight.load(tmp_path / "flight").verdict == flight.verdict
+    assert Flight.load(tmp_path / "flight").outcome == flight.outcome
 
 
 def test_an_abort_too_low_still_meets_the_ground_or_clears_it(scenario):
     """From 12 m up at some metres a second the engine turns the descent round, or it is a crash."""
-    verdict = Simulation(scenario, 3, GivesUp(18.0)).run().verdict
-    assert verdict.failed == ("aborted",) or verdict.touchdown is not None
+    verdict = Simulation(scenario, 3, GivesUp(18.0)).run().outcome
+    assert verdict.failure_causes == ("aborted",) or verdict.touchdown is not None
 
 
 def test_the_policy_aborts_for_want_of_a_safe_site(scenario):
-    never = Simulation(scenario, 3, SafestOrAbort(least=0.0)).run()
-    always = Simulation(scenario, 3, SafestOrAbort(least=1.0, altitude=200.0)).run()
-    assert never.verdict.failed != ("aborted",)
-    assert always.verdict.failed == ("aborted",)
+    never = Simulation(scenario, 3, SafestOrAbort(p_safe_min=0.0)).run()
+    always = Simulation(scenario, 3, SafestOrAbort(p_safe_min=1.0, abort_altitude=200.0)).run()
+    assert never.outcome.failure_causes != ("aborted",)
+    assert always.outcome.failure_causes == ("aborted",)
     # With nothing to be afraid of it decides as `safest`.
     safest = Simulation(scenario, 3, "safest").run()
     assert np.array_equal(never.sites, safest.sites)

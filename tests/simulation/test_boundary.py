@@ -55,9 +55,9 @@ def sweep() -> Scenario:
         simulation={"cycle_s": 0.1, "max_time_s": 12.0},
         tasking={"flash": {"duration_s": 9.0, "rate_hz": 10.0, "size_m": 50.0}},
         prior_map={"size_m": 180.0},
-        sensors={"flash": {"rows": 96, "cols": 96, "half_width": 0.025}},
+        sensors={"flash": {"rows": 96, "cols": 96, "half_fov_tangent": 0.025}},
         mappers={"sites": {"size_m": 64.0}},
-        start_knowledge={"position_m": 6.0},
+        initial_uncertainty={"position_m": 6.0},
     )
 
 
@@ -67,14 +67,14 @@ def sites(folder: Path) -> Scenario:
     np.savez(folder / "north.npz", value=value, x0=-25.0, y0=-25.0, posting=10.0)
     return sweep().changed(
         start={"position_m": [-220.0, 0.0, 150.0]},
-        start_knowledge={"position_m": 3.0},
+        initial_uncertainty={"position_m": 3.0},
         mappers={"sites": {"interest_path": str(folder / "north.npz")}},
         decisions={"first_altitude_m": 400.0},
     )
 
 
 def both() -> Scenario:
-    return Scenario.load(SCENARIOS / "two_eyes.toml").changed(
+    return Scenario.load(SCENARIOS / "camera_and_lidar.toml").changed(
         terrain={"size_m": 120.0},
         rocks={"min_diameter_m": 0.5},
         target={"scatter_m": [5.0, 5.0]},
@@ -98,7 +98,7 @@ def instruments() -> Scenario:
         terrain={"size_m": 160.0},
         rocks={"min_diameter_m": 0.6},
         start={"position_m": [-140.0, 0.0, 180.0], "velocity_m_s": [11.0, 0.0, -9.0]},
-        start_knowledge={"position_m": 5.0},
+        initial_uncertainty={"position_m": 5.0},
         sensors={"flash": {"rows": 64, "cols": 64}},
         tasking={"flash": {"kind": "periodic", "rate_hz": 2.0}},
         mappers={"dem": {"posting_m": 0.5, "size_m": 50.0}},
@@ -146,7 +146,7 @@ def test_a_policy_gets_interest_and_scoreboard_where_there_is_no_world(tmp_path)
     ranked = [s for s in observation.candidates.source if s == "sites: ranked"]
     assert len(ranked) == len(board.score) > 0
     assert observation.site_eligible
-    assert np.isfinite(board.here)
+    assert np.isfinite(board.current_site_score)
     hazard_map = flight.hazard_map
     assert not hazard_map.eligible[hazard_map.value == 0.0].any()
     again = Flight.load(flight.save(tmp_path / "flight")).hazard_map

@@ -65,7 +65,7 @@ def fly(law, count=8, **made):
     for command in commands(count):
         # Navigation errs: the loop starts each cycle from an attitude a little off.
         attitude = quat_multiply(moving.state.attitude, quat_from_rotation_vector([0.0, 2e-3, 0.0]))
-        loop.begin(command, attitude, moving.state.mass)
+        loop.start_cycle(command, attitude, moving.state.mass)
         cycle = fly_cycle(moving, loop, command)
         measured.append(cycle.measurements)
         torques.append(cycle.torques)
@@ -108,7 +108,7 @@ def test_recorded_increments_give_the_torques_again(law):
     for command in commands(6):
         attitude, mass = moving.state.attitude, moving.state.mass
         for one in (loop, again):
-            one.begin(command, attitude, mass)
+            one.start_cycle(command, attitude, mass)
         cycle = fly_cycle(moving, loop, command)
         torques = again.replay(angles(cycle.measurements))
         assert torques.shape == (STEPS, 3)
@@ -122,7 +122,7 @@ def test_perfect_gyroscopes_give_the_turn_of_the_vehicle():
     loop = AttitudeLoop(ProportionalDerivative(), LANDER, STEP)
     for command in commands(5):
         before = moving.state.attitude
-        loop.begin(command, before, moving.state.mass)
+        loop.start_cycle(command, before, moving.state.mass)
         measured = fly_cycle(moving, loop, command).measurements
         turned = before
         for increment in angles(measured):
@@ -152,9 +152,9 @@ def test_a_touchdown_ends_the_cycle_and_its_samples():
     moving = plant(height=LANDER.com_height + 1.3, speed=-20.0)
     loop = AttitudeLoop(ProportionalDerivative(), LANDER, STEP)
     command = Command(600.0, START)
-    loop.begin(command, START, LANDER.wet_mass)
+    loop.start_cycle(command, START, LANDER.wet_mass)
     cycle = fly_cycle(moving, loop, command)
-    assert moving.verdict is not None
+    assert moving.outcome is not None
     steps = round(moving.time / STEP)
     assert 0 < steps < STEPS
     assert len(angles(cycle.measurements)) == steps

@@ -88,7 +88,7 @@ def test_judgement_and_figures_need_the_record_alone(flown, tmp_path):
     truth = TerrainTruth.of(world, simulation.lander)
     row = evaluate(loaded, truth)
     assert_same(row, evaluate(flight, simulation.truth))
-    assert row["map_hits"] > 1000
+    assert row["map_true_safe"] > 1000
     draw_flight(loaded, world, truth, tmp_path / "figures")
     assert {f.name for f in (tmp_path / "figures").iterdir()} == {
         "descent.png", "maps.png", "touchdown.png",
@@ -121,15 +121,15 @@ def test_a_start_within_the_decision_window_is_judged_by_where_it_aimed(small_sc
     for seed in range(1, 9):
         simulation = Simulation(scenario, flight_seed(seed, 0), "truth-oracle")
         aimed = simulation.site - simulation.navigation_error
-        if not simulation.truth.safe_at(aimed[:2]):
+        if not simulation.truth.is_safe_at(aimed[:2]):
             break
     flight = simulation.run()
     row = evaluate(flight, simulation.truth)
     assert flight.decisions[0]["time"] == 0.0
     assert initial_aim_point(flight) == pytest.approx(aimed[:2])
     assert row["target_exactly_safe"] is False
-    assert flight.verdict.touchdown is not None
-    flown = np.hypot(*(flight.verdict.touchdown.position[:2] - aimed[:2]))
+    assert flight.outcome.touchdown is not None
+    flown = np.hypot(*(flight.outcome.touchdown.position[:2] - aimed[:2]))
     assert row["divert_m"] > 1.0
     assert row["divert_m"] == pytest.approx(flown, abs=1.0)
 

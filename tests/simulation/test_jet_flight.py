@@ -51,12 +51,12 @@ def test_a_flight_without_thrusters_is_what_it_was(small):
         assert last[name] == pytest.approx(value, rel=1e-9, abs=1e-9), name
     assert "faults" not in flight.scenario
     assert "engine" not in flight.scenario
-    assert set(flight.events[-1]) == {"time", "name", "failed"}
+    assert set(flight.events[-1]) == {"time", "name", "failure_causes"}
 
 
 def test_thrusters_land_it(landed):
     simulation, flight, _ = landed
-    touchdown = flight.verdict.touchdown
+    touchdown = flight.outcome.touchdown
     assert touchdown.vertical_speed == pytest.approx(2.0, abs=0.3)
     assert touchdown.horizontal_speed < 0.6
     assert np.hypot(*(simulation.estimate.position - simulation.site)[:2]) < 2.0
@@ -78,7 +78,9 @@ def test_every_kilogramme_is_counted(landed):
     assert flight.propellant_used == pytest.approx(engine + actuators.spent, rel=3e-3)
     # The computer counts by its orders: right but for what touchdown cut short.
     assert simulation.computer.mass == pytest.approx(simulation.state.mass, abs=0.3)
-    assert simulation.computer.attitude_loop.spent == pytest.approx(actuators.spent, abs=0.02)
+    assert simulation.computer.attitude_loop.propellant_used == pytest.approx(
+        actuators.spent, abs=0.02
+    )
     assert thrusters.count == len(last["thruster_on_time_s"])
 
 
@@ -112,15 +114,15 @@ def test_an_engine_that_sticks_open_does_not_land(small):
     )  # fmt: skip
     late = flight.trajectory["time"] > 12.0
     assert flight.trajectory["thrust"][late] == pytest.approx(6000.0)
-    assert not flight.verdict.safe
+    assert not flight.outcome.safe
 
 
 def test_on_legs_the_motion_gives_the_verdict(small, tmp_path):
     simulation, flight = flown(small, legs={"friction": 0.6})
     rest, last = simulation.plant.rest, flight.events[-1]
     assert rest.settled
-    assert flight.verdict.safe == (not flight.verdict.failed)
-    assert flight.verdict.touchdown.vertical_speed == pytest.approx(2.0, abs=0.3)
+    assert flight.outcome.safe == (not flight.outcome.failure_causes)
+    assert flight.outcome.touchdown.vertical_speed == pytest.approx(2.0, abs=0.3)
     assert last["leg_energy_j"] == rest.energy > 2000.0
     assert last["rest_tilt_deg"] == pytest.approx(np.rad2deg(rest.tilt))
     assert type(flight).load(flight.save(tmp_path)).events[-1] == last
@@ -133,19 +135,19 @@ def test_on_legs_the_motion_gives_the_verdict(small, tmp_path):
     [
         ({"vehicle": JETS, "control": {"kind": "ideal"}}, "control.kind"),
         ({"control": {"kind": "phase-plane"}}, "control.kind"),
-        ({"faults": {"jets_shut": [1]}}, "faults.jets_shut"),
+        ({"faults": {"jets_stuck_shut": [1]}}, "faults.jets_stuck_shut"),
         (
-            {"vehicle": JETS, "control": PHASE_PLANE, "faults": {"jets_shut": [16]}},
-            "faults.jets_shut",
+            {"vehicle": JETS, "control": PHASE_PLANE, "faults": {"jets_stuck_shut": [16]}},
+            "faults.jets_stuck_shut",
         ),
         ({"vehicle": JETS, "control": PHASE_PLANE | {"period_s": 0.105}}, "control.period_s"),
         ({"vehicle": JETS}, "control.frequency_rad_s"),
         (
             {
-                "vehicle": JETS | {"thrusters": {"minimum_on_s": 0.2}},
+                "vehicle": JETS | {"thrusters": {"min_on_time_s": 0.2}},
                 "control": {"kind": "phase-plane"},
             },
-            "vehicle.thrusters.minimum_on_s",
+            "vehicle.thrusters.min_on_time_s",
         ),
     ],
 )  # fmt: skip
@@ -158,7 +160,10 @@ def test_parts_that_do_not_go_together_are_refused(small, tables, field):
 def test_a_dead_thruster_is_noticed_and_left_alone(small, landed):
     assert not [e for e in landed[1].events if e["name"] == "thruster-failed"]
     simulation, flight = flown(
-        small, vehicle=JETS, control=PHASE_PLANE, faults={"jets_shut": [1], "jets_from_s": 5.0}
+        small,
+        vehicle=JETS,
+        control=PHASE_PLANE,
+        faults={"jets_stuck_shut": [1], "jets_stuck_from_s": 5.0},
     )
     told = [e for e in flight.events if e["name"] == "thruster-failed"]
     assert [e["thruster"] for e in told] == [1]
@@ -167,4 +172,4 @@ def test_a_dead_thruster_is_noticed_and_left_alone(small, landed):
     assert loop.on_times[1] == 0.0
     times = loop.allocation.on_times(np.array([20.0, -30.0, 10.0]), 0.1)
     assert times[1] == 0.0
-    assert flight.verdict.safe
+    assert flight.outcome.safe

@@ -27,7 +27,7 @@ SEED = 2
 def instruments() -> Scenario:
     """Own instruments and a coarse map."""
     return Scenario.load(SCENARIOS / "instruments.toml").changed(
-        terrain={"size_m": 240.0}, start_knowledge={"position_m": 10.0},
+        terrain={"size_m": 240.0}, initial_uncertainty={"position_m": 10.0},
         sensors={"flash": {"rows": 64, "cols": 64}},
         mappers={"dem": {"posting_m": 0.4, "size_m": 60.0}},
     )  # fmt: skip
@@ -67,23 +67,23 @@ def test_lost_before_a_map_it_lands_where_the_mission_said(instruments, tmp_path
     well = Simulation(late, SEED, "safest")
     while not well.computer.diverts:
         well.step()
-    assert (well.flight().lost, well.flight().first_lost) == (False, None)
-    assert "diverts-barred" not in names(well.flight())
+    assert (well.flight().lost, well.flight().first_lost_time) == (False, None)
+    assert "diverts-inhibited" not in names(well.flight())
 
     simulation = Simulation(late, SEED, "safest")
     faulty(simulation, AttitudeReading, turned, 2.0)
     flight = simulation.run()
     assert flight.decisions == []
     assert flight.lost
-    assert 2.0 < flight.first_lost < 13.0
-    assert names(flight).count("diverts-barred") == 1
-    assert "diverts-allowed" not in names(flight)
+    assert 2.0 < flight.first_lost_time < 13.0
+    assert names(flight).count("diverts-inhibited") == 1
+    assert "diverts-enabled" not in names(flight)
     shift = simulation.computer.navigation.site_to_local
     # What is learnt of the site during the vertical descent does not move it.
     assert flight.sites[-1, :2] == pytest.approx(shift.to_local(flight.target)[:2], abs=0.5)
 
     again = Flight.load(flight.save(tmp_path / "flight"))
-    assert (again.lost, again.first_lost) == (True, flight.first_lost)
+    assert (again.lost, again.first_lost_time) == (True, flight.first_lost_time)
     assert np.array_equal(again.trajectory["lost"], flight.trajectory["lost"])
 
 
@@ -93,7 +93,7 @@ def test_lost_after_a_divert_it_keeps_the_site_decided_on_last(instruments):
         simulation.step()
     site = simulation.site.copy()
     faulty(simulation, DopplerReading, one_beam_off, simulation.time)
-    while not simulation.computer.diverts_barred:
+    while not simulation.computer.diverts_inhibited:
         simulation.step()
     # Nobody gets a divert any more, whoever decides.
     decided = len(simulation.computer.diverts)
@@ -103,17 +103,17 @@ def test_lost_after_a_divert_it_keeps_the_site_decided_on_last(instruments):
     assert (name, details["reason"]) == ("divert-refused", "navigation is lost")
     # Nor another time-to-go, there or elsewhere.
     left = simulation.computer.time_to_go
-    assert simulation.apply(Decision(None, "later", stretch=1.2))
-    assert not simulation.apply(Decision(site + [5.0, 0.0, 0.0], "elsewhere", stretch=1.2))
+    assert simulation.apply(Decision(None, "later", time_scale=1.2))
+    assert not simulation.apply(Decision(site + [5.0, 0.0, 0.0], "elsewhere", time_scale=1.2))
     told = [(name, d["reason"]) for _, name, d in simulation.computer.telemetry[-3:]]
-    assert told[:2] == [("stretch-refused", "navigation is lost")] * 2
+    assert told[:2] == [("time-scale-refused", "navigation is lost")] * 2
     assert told[2] == ("divert-refused", "navigation is lost")
     assert simulation.computer.time_to_go == left
     last = simulation.site.copy()
     flight = simulation.run()
     assert len(simulation.computer.diverts) == decided
     assert flight.sites[-1, :2] == pytest.approx(last[:2])
-    assert not [e for e in simulation.computer.telemetry if e[1] == "diverts-allowed"]
+    assert not [e for e in simulation.computer.telemetry if e[1] == "diverts-enabled"]
 
 
 def test_trust_that_comes_back_allows_diverts_unless_something_was_mapped(small_scenario):
@@ -131,15 +131,15 @@ def test_trust_that_comes_back_allows_diverts_unless_something_was_mapped(small_
         while not simulation.done and (name == "before" or simulation.time < scans[0] + 3.0):
             simulation.step()
         found[name] = simulation.flight()
-    assert found["before"].first_lost < scans[0] - 1.0
+    assert found["before"].first_lost_time < scans[0] - 1.0
     assert not found["before"].lost
     assert [n for n in names(found["before"]) if n.startswith("diverts")] == [
-        "diverts-barred", "diverts-allowed",
+        "diverts-inhibited", "diverts-enabled",
     ]  # fmt: skip
     assert found["before"].decisions
     assert not found["during"].lost
-    assert [n for n in names(found["during"]) if n.startswith("diverts")] == ["diverts-barred"]
-    (barred,) = (e["time"] for e in found["during"].events if e["name"] == "diverts-barred")
+    assert [n for n in names(found["during"]) if n.startswith("diverts")] == ["diverts-inhibited"]
+    (barred,) = (e["time"] for e in found["during"].events if e["name"] == "diverts-inhibited")
     assert [d for d in found["during"].decisions if d["time"] >= barred] == []
 
 

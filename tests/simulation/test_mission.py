@@ -36,7 +36,7 @@ def test_the_plan_does_not_know_the_true_start(small_scenario):
 
 def test_errors_of_the_start_are_those_stated():
     scenario = Scenario.from_dict(SMALL_SHADOW_FLIGHT).changed(
-        start_knowledge={"position_m": 4.0, "velocity_m_s": 0.3, "attitude_deg": 1.0}
+        initial_uncertainty={"position_m": 4.0, "velocity_m_s": 0.3, "attitude_deg": 1.0}
     )
     made, told = briefings(scenario, range(40))
     errors = np.array(
@@ -65,7 +65,7 @@ def test_a_world_of_another_gravity_is_refused(small_scenario):
     ):
         Simulation(small_scenario, 1, world=heavy)
     other = small_scenario.changed(gravity_m_s2=1.7)
-    assert Simulation(other, 1, world=heavy).briefing.weight == 1.7
+    assert Simulation(other, 1, world=heavy).briefing.surface_gravity == 1.7
 
 
 def test_rocks_are_told_as_expected_not_as_drawn():
@@ -78,9 +78,9 @@ def test_rocks_are_told_as_expected_not_as_drawn():
 
 
 def test_the_scenarios_own_policy_settings_count(small_scenario):
-    scenario = small_scenario.changed(policy={"kind": "safest", "gain": 5.0})
-    assert Simulation(scenario, 1, "safest").policy.gain == 5.0
-    assert Simulation(scenario, 1, "nearest-safe").policy.enough == 0.95
+    scenario = small_scenario.changed(policy={"kind": "safest", "hysteresis": 5.0})
+    assert Simulation(scenario, 1, "safest").policy.hysteresis == 5.0
+    assert Simulation(scenario, 1, "nearest-safe").policy.p_safe_min == 0.95
 
 
 def test_fixes_err_by_what_they_state(small_scenario):
@@ -95,7 +95,7 @@ def test_fixes_err_by_what_they_state(small_scenario):
 def test_each_mapper_gets_the_scans_of_its_own_sensor(small_scenario):
     flash = small_scenario.to_dict()["sensors"]["flash"]
     scenario = small_scenario.changed(
-        sensors={"other": flash | {"half_width": 0.02}},
+        sensors={"other": flash | {"half_fov_tangent": 0.02}},
         tasking={
             "flash": {"altitudes_m": [350.0]},
             "other": {"kind": "at-altitudes", "altitudes_m": [300.0], "boresight": "nadir"},
@@ -105,8 +105,8 @@ def test_each_mapper_gets_the_scans_of_its_own_sensor(small_scenario):
     simulation = Simulation(scenario, 2)
     while simulation.altitude > 320.0:
         simulation.move()
-    assert not simulation.computer.mappers["dem"].blank
-    assert simulation.computer.mappers["narrow"].blank
+    assert not simulation.computer.mappers["dem"].is_empty
+    assert simulation.computer.mappers["narrow"].is_empty
     scans = []
     while simulation.altitude > 280.0:
         simulation.move()
@@ -151,7 +151,7 @@ def test_the_oracle_flies_to_what_is_truly_safe(small_scenario):
         simulation = Simulation(scenario, seed, "truth-oracle")
         flight = simulation.run()
         assert np.linalg.norm(simulation.navigation_error[:2]) > 3.0
-        assert simulation.truth.safe_at(flight.verdict.touchdown.position[:2]), seed
+        assert simulation.truth.is_safe_at(flight.outcome.touchdown.position[:2]), seed
 
 
 @pytest.mark.parametrize(
@@ -166,9 +166,9 @@ def test_the_height_above_ground_errs_by_what_is_stated(relief, worlds, good_to)
             # Relief is drawn anew for another number of posts.
             terrain={"size_m": 1600.0 + 32.0 * world, "posting_m": 4.0, "rms_slope_deg": relief},
             rocks={"cover": 1e-4, "min_diameter_m": 2.0}, target={"scatter_m": [150.0, 150.0]},
-            start_knowledge={"position_m": 4.0, "ground_m": 5.0},
+            initial_uncertainty={"position_m": 4.0, "target_elevation_m": 5.0},
             # Told is the slope over a metre, made that over a post.
-            navigation={"relief_deg": relief * 4.0**0.15}, approach={"time_to_go_s": 45.0},
+            navigation={"terrain_slope_deg": relief * 4.0**0.15}, approach={"time_to_go_s": 45.0},
         )  # fmt: skip
         made = build_world(scenario, RandomStreams(flight_seed(3, world)))
         for flight in range(200 // worlds):
@@ -187,9 +187,11 @@ def test_the_height_above_ground_errs_by_what_is_stated(relief, worlds, good_to)
 
 def test_the_target_is_told_as_well_as_it_is_known(small_scenario):
     own = small_scenario.changed(
-        sensors={"fix": None}, navigation={"kind": "inertial"}, start_knowledge={"ground_m": 3.0}
+        sensors={"fix": None},
+        navigation={"kind": "inertial"},
+        initial_uncertainty={"target_elevation_m": 3.0},
     )
-    exact = own.changed(start_knowledge={"ground_m": 0.0})
+    exact = own.changed(initial_uncertainty={"target_elevation_m": 0.0})
     off, made = [], build_world(own, RandomStreams(0))
     for seed in range(30):
         (_, told), (_, true) = (plan(s, made, RandomStreams(seed)) for s in (own, exact))

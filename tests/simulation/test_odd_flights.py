@@ -74,7 +74,7 @@ def test_diverts_that_cannot_be_are_refused_and_told(law):
     with pytest.raises(InputError, match="decide must return"):
         computer.apply(Decision(np.array([np.nan, 0.0, 0.0]), "try"))
     flight = simulation.run()
-    assert flight.verdict.touchdown is not None
+    assert flight.outcome.touchdown is not None
     assert not flight.decisions
     assert names(flight).count("divert-refused") == 2
 
@@ -91,10 +91,10 @@ def test_tanks_that_run_empty_in_flight_end_in_a_crash_that_is_recorded(law, tol
     y[13] = dry + 0.5
     simulation.plant.state = type(simulation.plant.state).from_vector(y)
     if told:
-        simulation.computer.tanks.mass = dry + 0.5
+        simulation.computer.mass_estimator.mass = dry + 0.5
     flight = simulation.run()
     assert whole(flight)
-    assert "vertical-speed" in flight.verdict.failed
+    assert "vertical-speed" in flight.outcome.failure_causes
     assert flight.trajectory["mass"][-1] == pytest.approx(dry)
     assert names(flight).count("tanks-empty") == told
 
@@ -105,7 +105,7 @@ def test_a_time_too_short_to_be_kept_ends_in_a_verdict(law, left):
     flight = Simulation(blind(law, approach={"time_to_go_s": left}), 1, "no-divert").run()
     assert whole(flight)
     # The optimal law takes the time that it needs.
-    assert flight.verdict.safe == (law == "optimal")
+    assert flight.outcome.safe == (law == "optimal")
 
 
 def test_a_time_under_a_step_of_control_is_refused():
@@ -120,7 +120,7 @@ def test_a_ridge_in_the_way_is_met(law, monkeypatch):
     ground = {"kind": f"{__name__}:Ridge"}
     flight = Simulation(blind(law, terrain=ground), 1, "no-divert").run()
     assert whole(flight)
-    assert {"slope", "vertical-speed"} & set(flight.verdict.failed)
+    assert {"slope", "vertical-speed"} & set(flight.outcome.failure_causes)
     assert abs(flight.positions[-1, 0] + 60.0) < 20.0
 
 
@@ -197,15 +197,15 @@ def test_what_thrusters_burn_is_taken_from_the_dry_mass():
         simulation.step()
     computer = simulation.computer
     loop, dry = computer.attitude_loop, computer.lander.dry_mass
-    computer.tanks.mass = dry + 0.3
-    loop.spent += 4.0
+    computer.mass_estimator.mass = dry + 0.3
+    loop.propellant_used += 4.0
     simulation.step()
-    assert dry - loop.spent < computer.mass < dry - 3.0
+    assert dry - loop.propellant_used < computer.mass < dry - 3.0
     assert "tanks-empty" not in [name for _, name, _ in computer.telemetry]
-    computer.tanks.mass = dry - loop.spent + 0.05
+    computer.mass_estimator.mass = dry - loop.propellant_used + 0.05
     for _ in range(4):
         simulation.step()
-    assert computer.mass == pytest.approx(dry - loop.spent, abs=1e-2)
+    assert computer.mass == pytest.approx(dry - loop.propellant_used, abs=1e-2)
     assert [name for _, name, _ in computer.telemetry].count("tanks-empty") == 1
 
 
@@ -219,7 +219,7 @@ def test_thrusters_without_propellant_are_recorded_from_the_start():
     empty = [e for e in flight.events if e["name"] == "thruster-tanks-empty"]
     assert [e["time"] for e in empty] == [pytest.approx(0.0, abs=0.2)]
     assert flight.events[-1]["thruster_propellant_kg"] == 0.0
-    assert not flight.verdict.safe
+    assert not flight.outcome.safe
 
 
 @pytest.mark.parametrize("stuck", [None, 0.0, 3000.0])
@@ -232,8 +232,8 @@ def test_an_engine_that_sticks_on_a_lander_without_thrusters(law, stuck):
         Simulation(blind(control={"kind": law}, **more), 1, "no-divert").run()
         for more in ({}, {"faults": faults})
     )
-    assert plain.verdict.safe
-    assert not odd.verdict.safe
+    assert plain.outcome.safe
+    assert not odd.outcome.safe
     time, thrust = odd.trajectory["time"], odd.trajectory["thrust"]
     late, held = time > 7.0, thrust[time > 7.0][0]
     assert thrust[late] == pytest.approx(held, rel=1e-3, abs=1e-3)
@@ -271,8 +271,8 @@ def test_no_engine_sticks_where_it_cannot_run(thrust):
 @pytest.mark.parametrize(
     ("faults", "field"),
     [
-        ({"jets_shut": [0]}, "faults.jets_shut"),
-        ({"jets_open": [2]}, "faults.jets_open"),
+        ({"jets_stuck_shut": [0]}, "faults.jets_stuck_shut"),
+        ({"jets_stuck_open": [2]}, "faults.jets_stuck_open"),
         ({"engine_stuck_from_s": 1.0, "engine_stuck_at_n": 90.0}, "faults.engine_stuck_at_n"),
         ({"engine_stuck_from_s": 1.0, "engine_stuck_at_n": 9e4}, "faults.engine_stuck_at_n"),
     ],
@@ -292,6 +292,6 @@ def test_thrusters_that_run_out_are_recorded_once():
     flight = simulation.run()
     assert whole(flight)
     assert names(flight).count("thruster-tanks-empty") == 1
-    assert simulation.computer.attitude_loop.spent > 0.05
+    assert simulation.computer.attitude_loop.propellant_used > 0.05
     # What is ordered from then on is not burnt.
     assert simulation.computer.mass == pytest.approx(flight.trajectory["mass"][-1], abs=0.5)

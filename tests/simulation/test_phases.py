@@ -33,7 +33,7 @@ def flown(scenario: Scenario, **tables):
 
 
 def landed_well(simulation, flight, most=1.0):
-    touchdown = flight.verdict.touchdown
+    touchdown = flight.outcome.touchdown
     return (
         touchdown is not None
         and touchdown.horizontal_speed < 0.5
@@ -67,36 +67,36 @@ def test_braking_hands_over_where_it_aims(blind, law, jerk):
 
 def test_other_laws_bring_it_down(blind):
     pilot, flight = flown(
-        blind, descent={"kind": "rate-of-descent"}, approach={"vertical_altitude_m": 30.0}
+        blind, terminal_descent={"kind": "rate-of-descent"}, approach={"vertical_altitude_m": 30.0}
     )
     assert landed_well(pilot, flight, 2.0)
     assert pilot.computer.vertical.clicks >= 3
     turn, flight = flown(
-        blind, descent={"kind": "gravity-turn", "last_speed_m_s": 1.5},
+        blind, terminal_descent={"kind": "gravity-turn", "final_speed_m_s": 1.5},
         approach={"vertical_altitude_m": 100.0, "vertical_speed_m_s": 8.0},
     )  # fmt: skip
     assert landed_well(turn, flight, 10.0)
-    assert flight.verdict.touchdown.vertical_speed == pytest.approx(1.5, abs=0.2)
+    assert flight.outcome.touchdown.vertical_speed == pytest.approx(1.5, abs=0.2)
 
 
 def test_without_the_tables_phases_are_what_they_were(blind):
     text = blind.to_toml()
     assert "[braking]" not in text
-    assert "[descent]" not in text
+    assert "[terminal_descent]" not in text
     assert "[legs]" not in text
     existing = Scenario.load(SCENARIOS / "hirise.toml")
-    assert existing.braking is existing.descent is existing.legs is existing.faults is None
-    again = Scenario.from_toml(blind.changed(descent={"kind": "gravity-turn"}).to_toml())
-    assert again.descent.kind == "gravity-turn"
-    assert again.changed(descent=None).descent is None
+    assert existing.braking is existing.terminal_descent is existing.legs is existing.faults is None
+    again = Scenario.from_toml(blind.changed(terminal_descent={"kind": "gravity-turn"}).to_toml())
+    assert again.terminal_descent.kind == "gravity-turn"
+    assert again.changed(terminal_descent=None).terminal_descent is None
 
 
 def test_wrong_tables_are_refused(blind):
     for tables, field in (
-        ({"descent": {"kind": "gravity-tern"}}, "descent.kind"),
-        ({"descent": {}}, "descent.kind"),
+        ({"terminal_descent": {"kind": "gravity-tern"}}, "terminal_descent.kind"),
+        ({"terminal_descent": {}}, "terminal_descent.kind"),
         ({"braking": {"law": "apolo"}}, "braking.law"),
-        ({"braking": {"ends_at_s": 100.0}}, "braking.ends_at_s"),
+        ({"braking": {"end_time_to_go_s": 100.0}}, "braking.end_time_to_go_s"),
     ):
         with pytest.raises(InputError) as refused:
             blind.changed(**tables)

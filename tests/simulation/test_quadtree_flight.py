@@ -22,9 +22,9 @@ def scenario(**changes):
         simulation={"cycle_s": 0.1},
         tasking={"flash": {"duration_s": 9.0, "rate_hz": 10.0, "size_m": 50.0}},
         prior_map={"size_m": 180.0},
-        sensors={"flash": {"half_width": 0.025}},
+        sensors={"flash": {"half_fov_tangent": 0.025}},
         mappers={"sites": {"size_m": 64.0}},
-        start_knowledge={"position_m": 8.0},
+        initial_uncertainty={"position_m": 8.0},
         decisions={"first_altitude_m": 80.0},
     )
     return base.changed(**changes)
@@ -46,14 +46,17 @@ def flown():
     while not simulation.done:
         navigation, mapper = filter_of(simulation), mapper_of(simulation)
         before = mapper.map.points.copy() if known.points is None else None
-        turned = navigation.ground_turn
+        turned = navigation.map_rotation
         simulation.step()
         if navigation.locked:
             sigma = np.sqrt(np.diag(simulation.estimate.covariance)[:3])
             known.at_lock = simulation.site_error, sigma
             if known.points is None:
                 known.points, known.points_after = before, mapper.map.points.copy()
-                known.turn = navigation.ground_turn.since(turned.rotation)[0], turned.pivot
+                known.turn = (
+                    navigation.map_rotation.rotation_since(turned.rotation)[0],
+                    turned.pivot,
+                )
                 known.grid, known.site = mapper.grid, simulation.site.copy()
                 known.lock_time = simulation.time
         if simulation.time < 9.0:
@@ -67,7 +70,7 @@ def flown():
 
 def test_a_policy_lands_on_the_quadtree(flown):
     simulation, flight = flown.simulation, flown.flight
-    assert flight.verdict.safe, flight.verdict
+    assert flight.outcome.safe, flight.outcome
     names = [event["name"] for event in flight.events]
     assert names[:2] == ["scan", "lock"]
     assert len(flight.decisions)
@@ -77,7 +80,7 @@ def test_a_policy_lands_on_the_quadtree(flown):
     shift = filter_of(simulation).site_to_local.offset
     assert 0.0 < np.linalg.norm(flight.map_error - shift) < 0.5
     assert np.linalg.norm(flight.map_error) > 2.0
-    touchdown = flight.verdict.touchdown.position
+    touchdown = flight.outcome.touchdown.position
     aimed = simulation.site - simulation.navigation_error
     assert np.linalg.norm(touchdown[:2] - aimed[:2]) < 0.7
 
@@ -86,7 +89,7 @@ def test_the_map_tells_safe_from_unsafe(flown):
     simulation, flight = flown.simulation, flown.flight
     hazard_map = flight.hazard_map
     there = hazard_map.grid.centres() - flight.map_error[:2]
-    safe = simulation.truth.safe_at(there)
+    safe = simulation.truth.is_safe_at(there)
     seen = hazard_map.observed
     assert hazard_map.p_safe[seen & safe].mean() > hazard_map.p_safe[seen & ~safe].mean() + 0.2
     ground = simulation.world.terrain.relief
@@ -208,13 +211,16 @@ def test_no_site_is_an_answer_too():
         ({"tasking": {"flash": {"size_m": -1.0}}}, "tasking.flash.size_m"),
         ({"prior_map": {"sigma_m": 0.0}}, "prior_map.sigma_m"),
         ({"prior_map": {"size_m": 600.0}}, None),
-        ({"prior_map": {"stale_share": 1.0}}, "prior_map.stale_share"),
-        ({"mappers": {"sites": {"sites": {"zone_m": 0.0}}}}, "mappers.sites.sites.zone_m"),
+        ({"prior_map": {"outdated_fraction": 1.0}}, "prior_map.outdated_fraction"),
+        (
+            {"mappers": {"sites": {"sites": {"zone_half_side_m": 0.0}}}},
+            "mappers.sites.sites.zone_half_side_m",
+        ),
         (
             {"mappers": {"sites": {"sites": {"mesh_band_m": [3.2, 1.6]}}}},
             "mappers.sites.sites.mesh_band",
         ),
-        ({"mappers": {"sites": {"least_m": 1e-9}}}, "mappers.sites.least_m"),
+        ({"mappers": {"sites": {"min_cell_size_m": 1e-9}}}, "mappers.sites.min_cell_size_m"),
         ({"mappers": {"sites": {"split_count": 1}}}, "mappers.sites.split_count"),
         ({"mappers": {"sites": {"size_m": 5.0}}}, "mappers.sites.size_m"),
         ({"terrain": {"field_m": 900.0}}, "terrain.field_m"),

@@ -25,11 +25,11 @@ def flown():
 
 def test_a_policy_lands_on_the_shadow_map(flown):
     simulation, flight = flown
-    assert flight.verdict.touchdown is not None
+    assert flight.outcome.touchdown is not None
     assert flight.hazard_map is not None
     assert flight.hazard_map.observed.any()
     names = [event["name"] for event in flight.events]
-    assert "picture" in names
+    assert "image" in names
     p = flight.hazard_map.p_safe
     assert 0.0 <= p.min() <= p.max() <= 1.0
     # The map tells rocks from open ground, in the frame that the lander flies in.
@@ -76,7 +76,7 @@ def test_a_camera_that_is_stopped_leaves_a_usable_loop():
     simulation.computer.stop_sensors()
     while not simulation.done:
         simulation.step()
-    assert simulation.verdict.touchdown is not None
+    assert simulation.outcome.touchdown is not None
 
 
 @pytest.mark.parametrize(
@@ -85,7 +85,11 @@ def test_a_camera_that_is_stopped_leaves_a_usable_loop():
         ("mappers", {"rocks": {"kind": "sonar"}}, "mappers.rocks.kind"),
         ("expected_rocks", {"shape": "pyramid"}, "expected_rocks.shape"),
         ("expected_rocks", {"cover": 0.9}, "expected_rocks.cover"),
-        ("mappers", {"rocks": {"hazard_diameter_m": -1.0}}, "mappers.rocks.hazard_diameter_m"),
+        (
+            "mappers",
+            {"rocks": {"min_hazard_diameter_m": -1.0}},
+            "mappers.rocks.min_hazard_diameter_m",
+        ),
         ("tasking", {"camera": {"rate_hz": 0.0}}, "tasking.camera.rate_hz"),
         ("tasking", {"camera": {"first_altitude_m": -3.0}}, "tasking.camera.first_altitude_m"),
         (

@@ -61,8 +61,8 @@ def test_a_silent_unit_costs_certainty_and_no_trust(unit):
     assert [one["count"] for one in told] == [10 if unit == "silent" else 6] * len(held)
     assert not simulation.computer.estimate.lost
     assert np.abs(error(simulation)).max() < 5.0
-    watches = simulation.computer.navigation.watches.values()
-    assert sum(watch.refused for watch in watches) == 0
+    watches = simulation.computer.navigation.monitors.values()
+    assert sum(watch.rejected_count for watch in watches) == 0
 
 
 def test_a_unit_that_starts_late_costs_certainty_and_no_trust():
@@ -78,8 +78,8 @@ def test_a_unit_that_starts_late_costs_certainty_and_no_trust():
     assert told == [{"sensor": "imu", "count": 10}] * 3
     assert not simulation.computer.estimate.lost
     assert np.abs(error(simulation)).max() < 5.0
-    watches = simulation.computer.navigation.watches.values()
-    assert sum(watch.refused for watch in watches) == 0
+    watches = simulation.computer.navigation.monitors.values()
+    assert sum(watch.rejected_count for watch in watches) == 0
 
 
 def test_the_order_in_which_a_cycle_is_told_makes_no_difference_to_samples():

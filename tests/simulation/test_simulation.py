@@ -26,7 +26,7 @@ from tests.conftest import SCENARIOS
 def test_a_flight_reaches_the_ground_where_it_aimed(small_scenario, policy):
     simulation = Simulation(small_scenario, flight_seed(3, 0), policy)
     flight = simulation.run()
-    touchdown = flight.verdict.touchdown
+    touchdown = flight.outcome.touchdown
     assert touchdown is not None
     assert touchdown.vertical_speed == pytest.approx(2.0, abs=0.2)
     assert touchdown.horizontal_speed < 0.3
@@ -84,18 +84,18 @@ def test_sites_out_of_reach_are_refused(small_scenario):
 
 def test_verdict_is_that_of_the_true_ground(small_scenario):
     simulation = Simulation(small_scenario, flight_seed(1, 0), "no-divert")
-    verdict = simulation.run().verdict
+    verdict = simulation.run().outcome
     again = evaluate_touchdown(
         simulation.lander, simulation.state, simulation.world.terrain, simulation.world.gravity
     )
-    assert again.failed == verdict.failed
+    assert again.failure_causes == verdict.failure_causes
 
 
 def test_an_ideal_attitude_flies_too(small_scenario):
     scenario = small_scenario.changed(control={"kind": "ideal"})
     flight = Simulation(scenario, flight_seed(3, 0), "safest").run()
-    assert flight.verdict.touchdown is not None
-    assert flight.verdict.touchdown.horizontal_speed < 0.5
+    assert flight.outcome.touchdown is not None
+    assert flight.outcome.touchdown.horizontal_speed < 0.5
 
 
 def test_support_planes_see_more_safe_ground_on_relief(small_scenario):
@@ -128,7 +128,7 @@ def test_record_opens_without_the_package(small_scenario, tmp_path):
         assert np.allclose(data.x, flight.hazard_map.grid.x)
         assert data.elevation.attrs["units"] == "m"
     record = json.loads((folder / "flight.json").read_text())
-    assert record["verdict"]["safe"] == flight.verdict.safe
+    assert record["outcome"]["safe"] == flight.outcome.safe
     assert Scenario.from_toml(record["scenario"]) == small_scenario
     assert len(pd.read_parquet(folder / "scans.parquet")) == len(flight.scans)
 
@@ -150,9 +150,9 @@ def test_true_share_of_safe_ground_predicts_blind_landings(small_scenario):
     for i in range(6):
         simulation = Simulation(small_scenario, flight_seed(9, i), "no-divert")
         flight = simulation.run()
-        touchdown = flight.verdict.touchdown
-        if simulation.truth.safe_at(touchdown.position[:2]):
-            agreements.append(flight.verdict.safe)
+        touchdown = flight.outcome.touchdown
+        if simulation.truth.is_safe_at(touchdown.position[:2]):
+            agreements.append(flight.outcome.safe)
     assert agreements
     assert all(agreements)
 
@@ -193,9 +193,9 @@ def test_holes_in_a_dtm_are_unsafe_and_unobserved(small_scenario, tmp_path):
     truth = simulation.truth.safety
     row, col = truth.grid.cell(hole)
     assert not truth.observed[row, col]
-    assert not simulation.truth.safe_at(hole)
+    assert not simulation.truth.is_safe_at(hole)
     flight = simulation.run()
-    assert flight.verdict.safe
+    assert flight.outcome.safe
     hazard_map = flight.hazard_map
     row, col = hazard_map.grid.cell(hole + flight.map_error[:2])
     assert not hazard_map.observed[row, col]
@@ -213,7 +213,7 @@ def test_stepping_past_the_end_is_an_error(small_scenario):
 def test_shipped_scenarios_fly_end_to_end(name):
     scenario = Scenario.load(SCENARIOS / f"{name}.toml")
     flight = Simulation(scenario, flight_seed(1, 0), "safest").run()
-    assert flight.verdict.safe
+    assert flight.outcome.safe
     assert flight.hazard_map.observed.mean() > 0.2
 
 
@@ -260,17 +260,17 @@ def moved_late(scenario) -> Simulation:
 def test_a_path_that_asks_for_too_much_arrives_later(small_scenario, monkeypatch):
     def miss(simulation: Simulation) -> float:
         aimed = simulation.site - simulation.navigation_error
-        touchdown = simulation.verdict.touchdown
+        touchdown = simulation.outcome.touchdown
         # One that leaves the ground that there is touches down nowhere.
         return np.inf if touchdown is None else float(np.hypot(*(touchdown.position - aimed)[:2]))
 
     found = moved_late(small_scenario)
-    (later,) = [d for _, name, d in found.computer.telemetry if name == "arrives-later"]
+    (later,) = [d for _, name, d in found.computer.telemetry if name == "time-to-go-extended"]
     assert later["seconds"] > 1.0
     assert miss(found) < 1.0
-    assert found.verdict.touchdown.horizontal_speed < 0.5
+    assert found.outcome.touchdown.horizontal_speed < 0.5
     monkeypatch.setattr(
-        "lunarsim.onboard.guidance.limit_violation_monitor.LimitViolationMonitor.lasts",
+        "lunarsim.onboard.guidance.limit_violation_monitor.LimitViolationMonitor.exceeds_duration",
         lambda *a: False,
     )
     assert miss(moved_late(small_scenario)) > 5.0
@@ -278,7 +278,7 @@ def test_a_path_that_asks_for_too_much_arrives_later(small_scenario, monkeypatch
 
 def test_a_time_that_the_mission_fixes_stands(small_scenario):
     found = moved_late(small_scenario.changed(approach={"time_to_go_s": 30.0}))
-    assert not [1 for _, name, _ in found.computer.telemetry if name == "arrives-later"]
+    assert not [1 for _, name, _ in found.computer.telemetry if name == "time-to-go-extended"]
 
 
 def test_a_gimbal_stops_at_its_limit_whatever_it_is_told(small_scenario):

@@ -1,4 +1,4 @@
-"""Decisions that stretch the time-to-go: what the whole simulation flies then."""
+"""Decisions that time_scale the time-to-go: what the whole simulation flies then."""
 
 from __future__ import annotations
 
@@ -43,18 +43,18 @@ def refusals(simulation):
 
 
 @pytest.mark.parametrize("away", [AWAY, None], ids=["new", "present"])
-@pytest.mark.parametrize("stretch", [1, 1.1, np.float32(1.25)])
-def test_a_stretch_is_of_the_cheapest_time(flying, away, stretch):
+@pytest.mark.parametrize("time_scale", [1, 1.1, np.float32(1.25)])
+def test_a_stretch_is_of_the_cheapest_time(flying, away, time_scale):
     site = None if away is None else flying.site + away
     goal = flying.site if site is None else site
     left = cheapest(flying, goal)
     # The arrival that is flown was chosen a second before: planned afresh it is another.
     assert abs(flying.computer.time_to_go - left) > 0.01
-    assert flying.apply(Decision(site, "slowly", stretch=stretch))
-    assert flying.computer.time_to_go == pytest.approx(stretch * left, rel=1e-12)
+    assert flying.apply(Decision(site, "slowly", time_scale=time_scale))
+    assert flying.computer.time_to_go == pytest.approx(time_scale * left, rel=1e-12)
     assert np.array_equal(flying.site, goal) and refusals(flying) == []
     flight = flying.run()
-    assert flight.verdict.touchdown is not None
+    assert flight.outcome.touchdown is not None
     assert np.hypot(*flying.state.velocity[:2]) < 0.6
 
 
@@ -69,31 +69,31 @@ def test_without_one_a_kept_site_keeps_its_arrival_and_a_new_one_gets_the_cheape
 
 
 @pytest.mark.parametrize("away", [AWAY, None], ids=["new", "present"])
-@pytest.mark.parametrize("stretch", [0.4, 8.0])
-def test_what_breaks_a_limit_gives_way_to_the_cheapest(flying, away, stretch):
+@pytest.mark.parametrize("time_scale", [0.4, 8.0])
+def test_what_breaks_a_limit_gives_way_to_the_cheapest(flying, away, time_scale):
     """Too short for thrust and tilt; too long for the tanks."""
     site = None if away is None else flying.site + away
     goal = flying.site.copy() if site is None else site
     left = cheapest(flying, goal)
-    assert flying.apply(Decision(site, "quickly", stretch=stretch))
+    assert flying.apply(Decision(site, "quickly", time_scale=time_scale))
     assert flying.computer.time_to_go == pytest.approx(left, rel=1e-12)
     assert np.array_equal(flying.site, goal)
     time, name, told = flying.computer.telemetry[-1]
-    assert (time, name) == (flying.time, "stretch-refused")
-    assert told["reason"] == "beyond the limits" and told["stretch"] == stretch
+    assert (time, name) == (flying.time, "time-scale-refused")
+    assert told["reason"] == "beyond the limits" and told["time_scale"] == time_scale
     assert np.array_equal(told["site"], goal)
     # It is in the record, with all that was told.
-    (event,) = (e for e in flying.flight().events if e["name"] == "stretch-refused")
-    assert event["stretch"] == stretch
+    (event,) = (e for e in flying.flight().events if e["name"] == "time-scale-refused")
+    assert event["time_scale"] == time_scale
 
 
 def test_sites_out_of_reach_are_refused_as_ever(flying):
     before, left = flying.site.copy(), flying.computer.time_to_go
-    assert not flying.apply(Decision(before + [5000.0, 0.0, 0.0], "far", stretch=1.1))
+    assert not flying.apply(Decision(before + [5000.0, 0.0, 0.0], "far", time_scale=1.1))
     assert refusals(flying) == [("divert-refused", "out of reach")]
     flying.computer.site = before + [5000.0, 0.0, 0.0]
-    assert flying.apply(Decision(None, "stay", stretch=1.1))
-    assert refusals(flying)[1:] == [("stretch-refused", "out of reach")]
+    assert flying.apply(Decision(None, "stay", time_scale=1.1))
+    assert refusals(flying)[1:] == [("time-scale-refused", "out of reach")]
     assert flying.computer.time_to_go == left
 
 
@@ -107,20 +107,20 @@ def test_sites_out_of_reach_are_refused_as_ever(flying):
 def test_where_others_set_the_time_the_site_is_taken_alone(small_scenario, changes, reason):
     flying = deciding(small_scenario.changed(**changes))
     before, goal = flying.computer.time_to_go, flying.site + AWAY
-    assert flying.apply(Decision(None, "later", stretch=1.2))
+    assert flying.apply(Decision(None, "later", time_scale=1.2))
     assert flying.computer.time_to_go == before
     left = cheapest(flying, goal)
-    assert flying.apply(Decision(goal, "elsewhere", stretch=1.2))
+    assert flying.apply(Decision(goal, "elsewhere", time_scale=1.2))
     assert np.array_equal(flying.site, goal)
     assert flying.computer.time_to_go == pytest.approx(left, rel=1e-12)
-    assert refusals(flying) == [("stretch-refused", reason)] * 2
+    assert refusals(flying) == [("time-scale-refused", reason)] * 2
 
 
 def test_below_the_approach_there_is_nothing_to_stretch(flying):
     while flying.altitude > 8.0:
         flying.move()
-    flying.apply(Decision(None, "late", stretch=1.2))
-    assert refusals(flying) == [("stretch-refused", "not on the approach")]
+    flying.apply(Decision(None, "late", time_scale=1.2))
+    assert refusals(flying) == [("time-scale-refused", "not on the approach")]
 
 
 @dataclass(frozen=True)
@@ -138,12 +138,12 @@ def test_a_law_that_knows_no_times_flies_without_stretches(small_scenario, monke
     assert flying.apply(Decision(flying.site + AWAY, "go"))
 
 
-@pytest.mark.parametrize("stretch", [0.0, -1.0, np.nan, np.inf, "1", True, [1.1]], ids=str)
-def test_what_is_no_stretch_is_refused(stretch):
-    with pytest.raises(InputError, match=r"decision\.stretch"):
-        Decision(None, "stay", stretch=stretch)
+@pytest.mark.parametrize("time_scale", [0.0, -1.0, np.nan, np.inf, "1", True, [1.1]], ids=str)
+def test_what_is_no_stretch_is_refused(time_scale):
+    with pytest.raises(InputError, match=r"decision\.time_scale"):
+        Decision(None, "stay", time_scale=time_scale)
 
 
 def test_an_abort_has_no_stretch():
-    with pytest.raises(InputError, match=r"decision\.stretch: must be None for an abort"):
-        replace(Decision.climb_away("up"), stretch=1.1)
+    with pytest.raises(InputError, match=r"decision\.time_scale: must be None for an abort"):
+        replace(Decision.climb_away("up"), time_scale=1.1)

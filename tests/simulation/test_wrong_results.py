@@ -29,10 +29,10 @@ def _own_parts(monkeypatch):
 
 class _Law:
     def __init__(self, part, weight):
-        self.part, self.weight = part, weight
+        self.part, self.surface_gravity = part, weight
 
     def command(self, estimate, end, time, time_to_go):
-        upward = [0.0, 0.0, self.weight]
+        upward = [0.0, 0.0, self.surface_gravity]
         return self.part.late if time > 2.0 else upward
 
 
@@ -44,7 +44,7 @@ class NanLaw(PathLaw):
     late = (NAN, 0.0, 1.0)
 
     def build(self, briefing, lag):
-        return _Law(self, briefing.weight)
+        return _Law(self, briefing.surface_gravity)
 
 
 @dataclass(frozen=True)

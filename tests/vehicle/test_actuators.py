@@ -77,7 +77,7 @@ def test_rate_of_change_with_all_that_acts(seed):
 def test_a_pulse_gives_its_impulse_however_it_falls_on_the_steps():
     actuators = Actuators(LANDER, STEP)
     on = 0.0537  # five steps and a part of one
-    actuators.order(orders(LANDER, j0=on, j4=on), NO_SWING)  # both push up, on either side
+    actuators.command(orders(LANDER, j0=on, j4=on), NO_SWING)  # both push up, on either side
     end = run(actuators, 10, start(LANDER))[-1]
     torque = LANDER.thrusters.torques[[0, 4]].sum(axis=0)
     assert np.linalg.norm(torque) > 100.0
@@ -105,7 +105,7 @@ def test_the_work_of_thrusters_is_the_energy_of_the_turn():
     first = 0.5 * inertia @ state.rate**2
     dynamics = Dynamics(lander, ALMOST_NOTHING, 0.002)
     for on in (orders(lander, j0=1.0, j2=1.0, j7=1.0), orders(lander, j5=1.0, j3=1.0)):
-        actuators.order(on, NO_SWING)
+        actuators.command(on, NO_SWING)
         torque = (on > 0.0) @ lander.thrusters.torques
         for _ in range(500):
             before, state = state, actuators.advance(dynamics, state, 0.0)
@@ -117,20 +117,20 @@ def test_the_work_of_thrusters_is_the_energy_of_the_turn():
 
 def test_valves_stay_open_for_their_least_time():
     actuators = Actuators(LANDER, STEP)
-    actuators.order(orders(LANDER, j0=0.001), NO_SWING)
+    actuators.command(orders(LANDER, j0=0.001), NO_SWING)
     run(actuators, 5, start(LANDER))
     assert actuators.on_time[0] == pytest.approx(0.02)
     again = Actuators(LANDER, STEP)
-    again.order(orders(LANDER, j0=0.1), NO_SWING)
+    again.command(orders(LANDER, j0=0.1), NO_SWING)
     state = run(again, 1, start(LANDER))[-1]
-    again.order(orders(LANDER), NO_SWING)  # called back after a step
+    again.command(orders(LANDER), NO_SWING)  # called back after a step
     run(again, 5, state)
     assert again.on_time[0] == pytest.approx(0.02)
     # A valve that opens again has its least time again.
     state = run(again, 5, state)[-1]
-    again.order(orders(LANDER, j0=0.1), NO_SWING)
+    again.command(orders(LANDER, j0=0.1), NO_SWING)
     state = run(again, 1, state)[-1]
-    again.order(orders(LANDER), NO_SWING)
+    again.command(orders(LANDER), NO_SWING)
     run(again, 5, state)
     assert again.on_time[0] == pytest.approx(0.04)
 
@@ -138,7 +138,7 @@ def test_valves_stay_open_for_their_least_time():
 def test_empty_thruster_tanks_push_no_more():
     lander = replace(LANDER, thrusters=Thrusters(propellant=0.01))
     actuators = Actuators(lander, STEP)
-    actuators.order(orders(lander, j0=5.0), NO_SWING)
+    actuators.command(orders(lander, j0=5.0), NO_SWING)
     states = run(actuators, 500, start(lander))
     assert actuators.spent == pytest.approx(0.01, rel=1e-9)
     assert lander.wet_mass - states[-1].mass == pytest.approx(0.01, rel=1e-6)
@@ -148,7 +148,7 @@ def test_empty_thruster_tanks_push_no_more():
 def test_main_tanks_run_dry_at_their_own_mass_whatever_thrusters_have_burnt():
     lander = replace(LANDER, propellant_mass=2.0)
     actuators = Actuators(lander, STEP)
-    actuators.order(orders(lander, j0=10.0, j1=10.0, j4=10.0, j5=10.0), NO_SWING)
+    actuators.command(orders(lander, j0=10.0, j1=10.0, j4=10.0, j5=10.0), NO_SWING)
     states = run(actuators, 400, start(lander), throttle=3000.0)
     dry = next(s for s in states if s.thrust == 0.0 and s is not states[0])
     left = dry.mass - lander.dry_mass
@@ -161,7 +161,7 @@ def test_main_tanks_run_dry_at_their_own_mass_whatever_thrusters_have_burnt():
 def test_the_gimbal_turns_at_its_rate_up_to_its_limit():
     lander = replace(LANDER, engine=DescentEngine(gimbal_limit=0.1, gimbal_rate=0.05))
     actuators = Actuators(lander, STEP)
-    actuators.order(orders(lander), np.array([1.0, -0.03]))
+    actuators.command(orders(lander), np.array([1.0, -0.03]))
     run(actuators, 40, start(lander))
     assert actuators.gimbal == pytest.approx([0.02, -0.02])
     run(actuators, 400, start(lander))
@@ -176,7 +176,7 @@ def test_a_swung_engine_turns_the_lander_by_force_times_arm():
         com_full=(0.0, 0.0, 0.2),
     )
     actuators = Actuators(lander, STEP)
-    actuators.order(orders(lander), np.array([0.05, 0.0]))
+    actuators.command(orders(lander), np.array([0.05, 0.0]))
     end = run(actuators, 10, start(lander), throttle=4000.0)[-1]
     arm = lander.engine.pivot_depth + 0.2
     expected = -4000.0 * np.sin(0.05) * arm / lander.inertia_full[0] * 0.1
@@ -199,44 +199,44 @@ def test_the_centre_of_mass_moves_with_the_propellant():
 
 
 def test_throttle_steps_dead_band_and_gap():
-    engine = DescentEngine(throttle_step=50.0, dead_band=30.0, gap_from=3600.0, gap_to=5500.0)
+    engine = DescentEngine(throttle_step=50.0, dead_band=30.0, gap_lower=3600.0, gap_upper=5500.0)
     actuators = Actuators(replace(LANDER, engine=engine), STEP)
     # An engine that does not run is started however little is asked for.
-    assert actuators.throttled(20.0) == LANDER.thrust_min
-    assert actuators.throttled(2020.0) == 2000.0
-    assert actuators.throttled(2029.0) == 2000.0
-    assert actuators.throttled(2031.0) == 2050.0
-    assert actuators.throttled(10.0) == LANDER.thrust_min
-    assert actuators.throttled(3700.0) == 3600.0
-    assert actuators.throttled(5000.0) == 5500.0
-    assert actuators.throttled(1e9) == 5500.0
-    assert actuators.throttled(0.0) == 0.0
+    assert actuators.set_throttle(20.0) == LANDER.thrust_min
+    assert actuators.set_throttle(2020.0) == 2000.0
+    assert actuators.set_throttle(2029.0) == 2000.0
+    assert actuators.set_throttle(2031.0) == 2050.0
+    assert actuators.set_throttle(10.0) == LANDER.thrust_min
+    assert actuators.set_throttle(3700.0) == 3600.0
+    assert actuators.set_throttle(5000.0) == 5500.0
+    assert actuators.set_throttle(1e9) == 5500.0
+    assert actuators.set_throttle(0.0) == 0.0
     # No step leads into the gap: 3579 is nearer to 3600 than to 3500.
-    uneven = DescentEngine(throttle_step=100.0, gap_from=3580.0, gap_to=5500.0)
-    assert Actuators(replace(LANDER, engine=uneven), STEP).throttled(3579.0) == 3580.0
+    uneven = DescentEngine(throttle_step=100.0, gap_lower=3580.0, gap_upper=5500.0)
+    assert Actuators(replace(LANDER, engine=uneven), STEP).set_throttle(3579.0) == 3580.0
 
 
 def test_what_fails_is_not_what_is_ordered():
-    faults = Faults(jets_shut=(0,), jets_open=(1,), jets_from=0.05)
+    faults = Faults(jets_stuck_shut=(0,), jets_stuck_open=(1,), jets_stuck_from=0.05)
     actuators = Actuators(LANDER, STEP, faults)
-    actuators.order(orders(LANDER, j0=0.1), NO_SWING)
+    actuators.command(orders(LANDER, j0=0.1), NO_SWING)
     run(actuators, 10, start(LANDER))
     assert actuators.on_time[0] == pytest.approx(0.05)
     assert actuators.on_time[1] == pytest.approx(0.05)
     stuck = Actuators(LANDER, STEP, Faults(engine_stuck_from=0.03))
-    assert stuck.throttled(2000.0) == 2000.0
+    assert stuck.set_throttle(2000.0) == 2000.0
     run(stuck, 4, start(LANDER))
-    assert stuck.throttled(4000.0) == 2000.0
+    assert stuck.set_throttle(4000.0) == 2000.0
     shut = Actuators(LANDER, STEP, Faults(engine_stuck_from=0.0, engine_stuck_at=1500.0))
-    assert shut.throttled(4000.0) == 1500.0
+    assert shut.set_throttle(4000.0) == 1500.0
 
 
 @pytest.mark.parametrize(
     ("make", "field"),
     [
-        (lambda: Faults(jets_shut=(1,), jets_open=(1,)), "faults.jets_open"),
+        (lambda: Faults(jets_stuck_shut=(1,), jets_stuck_open=(1,)), "faults.jets_stuck_open"),
         (lambda: Faults(engine_stuck_at=100.0), "faults.engine_stuck_at"),
-        (lambda: Actuators(LANDER, STEP, Faults(jets_shut=(16,))), "faults.jets_shut"),
+        (lambda: Actuators(LANDER, STEP, Faults(jets_stuck_shut=(16,))), "faults.jets_stuck_shut"),
         (lambda: Thrusters(positions=((1.0, 0.0, 0.0),)), "thrusters.directions"),
         (
             lambda: Thrusters(
@@ -245,10 +245,10 @@ def test_what_fails_is_not_what_is_ordered():
             "thrusters.positions",
         ),
         (lambda: Thrusters(force=float("nan")), "thrusters.force"),
-        (lambda: DescentEngine(gap_from=3000.0), "engine.gap_to"),
+        (lambda: DescentEngine(gap_lower=3000.0), "engine.gap_upper"),
         (
-            lambda: JetLander(engine=DescentEngine(gap_from=3000.0, gap_to=9000.0)),
-            "vehicle.engine.gap_to_n",
+            lambda: JetLander(engine=DescentEngine(gap_lower=3000.0, gap_upper=9000.0)),
+            "vehicle.engine.gap_upper_n",
         ),
         (
             lambda: JetLander(thrusters=Thrusters(propellant=2000.0)),

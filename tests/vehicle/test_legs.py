@@ -150,14 +150,14 @@ def test_verdicts_name_what_failed():
     hard, _ = evaluate_motion(
         LEGS, dynamics, above(velocity=np.array([0.0, 0.0, -6.0])), flat_terrain()
     )
-    assert "legs" in hard.failed
-    assert "tip-over" not in hard.failed
+    assert "legs" in hard.failure_causes
+    assert "tip-over" not in hard.failure_causes
     rock = Terrain(flat_terrain().relief, RockField.hemispheres(0.3, 0.1, 0.0, 0.4))
-    assert "belly" in evaluate_motion(LEGS, dynamics, above(), rock)[0].failed
+    assert "belly" in evaluate_motion(LEGS, dynamics, above(), rock)[0].failure_causes
     state, steep = on_slope(14.0)
-    assert evaluate_motion(LEGS, dynamics, state, steep)[0].failed == ("slope",)
+    assert evaluate_motion(LEGS, dynamics, state, steep)[0].failure_causes == ("slope",)
     off, none = evaluate_motion(LEGS, dynamics, above(position=np.array([100.0, 0.0, 1.6])), steep)
-    assert off.failed == ("off-map",)
+    assert off.failure_causes == ("off-map",)
     assert none is None
 
 
@@ -207,7 +207,7 @@ def test_the_belly_counts_from_its_underside_and_at_its_lowest():
         high = LANDER.belly_clearance - spare
         rock = Terrain(flat_terrain().relief, RockField.hemispheres(0.2, 0.1, 0.0, high))
         verdict, _ = evaluate_motion(LEGS, dynamics, above(0.0, velocity=slowly), rock)
-        assert ("belly" in verdict.failed) == touched
+        assert ("belly" in verdict.failure_causes) == touched
     # A hard touchdown presses the springs farther than they are left.
     rest = settle(LEGS, dynamics, above(0.0), flat_terrain())
     assert rest.strokes.max() > rest.crushed.max() + 0.02
@@ -227,7 +227,7 @@ def stepped(y, legs, law, dt=0.001):
     dynamics = Dynamics(LANDER, G)
     kernels.settle(
         y, 1, dt, LANDER.pads, legs, law, np.zeros((401, 401)), np.array([0.0, 0.0, 0.05]),
-        dynamics.figures, dynamics.inertia, PLAIN_RIG.copy(),
+        dynamics.params, dynamics.inertia, PLAIN_RIG.copy(),
     )  # fmt: skip
 
 

@@ -20,7 +20,12 @@ from lunarsim.vehicle.dynamics import build_rig
 from lunarsim.vehicle.slosh import SloshPendulums
 from tests.reference import slosh as plain
 
-TWO = Slosh(tanks=((0.5, 0.1, -0.3), (-0.4, 0.2, 0.2)), shares=(0.6, 0.4), radius=0.35, damping=0.0)
+TWO = Slosh(
+    tanks=((0.5, 0.1, -0.3), (-0.4, 0.2, 0.2)),
+    propellant_fractions=(0.6, 0.4),
+    radius=0.35,
+    damping=0.0,
+)
 LANDER = JetLander(thrust_lag=0.0, slosh=TWO, com_dry=(0.02, 0.0, 0.1), com_full=(0.0, 0.03, -0.1))
 ALMOST_NOTHING = 1e-12
 
@@ -260,7 +265,7 @@ def test_liquid_at_rest_changes_nothing():
     ends = []
     for one in (lander, still):
         actuators, state = Actuators(one, 0.01), start(one, 1.0)
-        actuators.order(np.zeros(16), np.zeros(2))
+        actuators.command(np.zeros(16), np.zeros(2))
         for _ in range(300):
             state = actuators.advance(Dynamics(one, 1.62, 0.01), state, 2500.0)
         ends.append(state.as_vector())
@@ -273,15 +278,15 @@ def test_empty_tanks_swing_no_more():
         thrust_lag=0.0, propellant_mass=5.0, slosh=Slosh(tanks=((0.0, 0.0, 0.0),), height=0.1)
     )
     actuators, state = Actuators(lander, 0.01), start(lander, 1.0)
-    actuators.liquid.rod_states[0, :3] = [0.1, 0.0, -np.sqrt(0.99)]
+    actuators.slosh_pendulums.rod_states[0, :3] = [0.1, 0.0, -np.sqrt(0.99)]
     for _ in range(800):
         state = actuators.advance(Dynamics(lander, 1.62, 0.01), state, 3000.0)
         assert np.all(np.isfinite(state.as_vector()))
-        assert np.all(np.isfinite(actuators.liquid.rod_states))
+        assert np.all(np.isfinite(actuators.slosh_pendulums.rod_states))
     assert state.mass == pytest.approx(lander.dry_mass, abs=1e-6)
     dry = lander.exhaust_velocity * np.log(lander.wet_mass / lander.dry_mass)
     assert state.velocity[2] == pytest.approx(dry - 1.62 * 8.0, abs=0.05)
-    assert np.all(actuators.liquid.most >= np.arcsin(0.1) - 1e-3)
+    assert np.all(actuators.slosh_pendulums.max_angles >= np.arcsin(0.1) - 1e-3)
 
 
 @pytest.mark.parametrize(
@@ -289,8 +294,9 @@ def test_empty_tanks_swing_no_more():
     [
         (lambda: Slosh(tanks=((0.0, 0.0),)), "slosh.tanks"),
         (lambda: Slosh(tanks=((0.0, float("nan"), 0.0),)), "slosh.tanks"),
-        (lambda: Slosh(tanks=((0.0, 0.0, 0.0),), shares=(0.5, 0.5)), "slosh.shares"),
-        (lambda: Slosh(tanks=((0.0, 0.0, 0.0),) * 2, shares=(0.5, 0.6)), "slosh.shares"),
+        (lambda: Slosh(tanks=((0.0, 0.0, 0.0),), propellant_fractions=(0.5, 0.5)), "slosh.shares"),
+        (lambda: Slosh(tanks=((0.0, 0.0, 0.0),) * 2, propellant_fractions=(0.5, 0.6)),
+        "slosh.shares"),
         (lambda: Slosh(radius=0.0), "slosh.radius"),
         (lambda: Slosh(damping=1.0), "slosh.damping"),
         (lambda: JetLander(slosh=Slosh(tanks=((0.0, 0.0, 9.0),))), "vehicle.slosh.tanks_m"),

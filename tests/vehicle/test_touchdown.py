@@ -33,7 +33,7 @@ def standing(height: float = 0.0, **changes) -> State:
 def test_flat_ground_is_safe():
     verdict = evaluate_touchdown(LANDER, standing(), flat_terrain(), G)
     assert verdict.safe
-    assert verdict.failed == ()
+    assert verdict.failure_causes == ()
     assert verdict.touchdown.slope == pytest.approx(0.0, abs=1e-6)
     assert verdict.touchdown.roughness == pytest.approx(0.0, abs=1e-6)
 
@@ -51,7 +51,7 @@ def test_flat_ground_is_safe():
 def test_each_limit_is_named(changes, limit):
     verdict = evaluate_touchdown(LANDER, standing(**changes), flat_terrain(), G)
     assert not verdict.safe
-    assert verdict.failed == (limit,)
+    assert verdict.failure_causes == (limit,)
 
 
 @pytest.mark.parametrize("degrees", [3.0, 9.9, 10.5, 20.0])
@@ -59,7 +59,7 @@ def test_slope_is_that_of_the_plane(degrees):
     ground = sloped_terrain((np.tan(np.deg2rad(degrees)), 0.0))
     verdict = evaluate_touchdown(LANDER, standing(), ground, G)
     assert np.rad2deg(verdict.touchdown.slope) == pytest.approx(degrees, abs=0.02)
-    assert ("slope" in verdict.failed) == (degrees > 10.0)
+    assert ("slope" in verdict.failure_causes) == (degrees > 10.0)
 
 
 @pytest.mark.parametrize(("radius", "safe"), [(0.2, True), (0.3, False)])
@@ -69,7 +69,7 @@ def test_rock_under_the_belly(radius, safe):
     assert verdict.safe is safe
     assert verdict.touchdown.roughness == pytest.approx(radius, abs=0.01)
     if not safe:
-        assert verdict.failed == ("roughness", "belly")
+        assert verdict.failure_causes == ("roughness", "belly")
 
 
 def test_rock_under_a_pad_tilts_the_support_plane():
@@ -86,7 +86,7 @@ def test_sideways_speed_tips_a_tall_lander():
     tall = Lander(com_height=6.0, horizontal_speed_limit=5.0)
     state = standing(velocity=np.array([2.5, 0.0, -2.0]), position=np.array([0.0, 0.0, 6.0]))
     verdict = evaluate_touchdown(tall, state, flat_terrain(), G)
-    assert verdict.failed == ("tip-over",)
+    assert verdict.failure_causes == ("tip-over",)
     slow = replace(state, velocity=np.array([0.3, 0.0, -2.0]))
     assert evaluate_touchdown(tall, slow, flat_terrain(), G).safe
 

@@ -70,7 +70,7 @@ def test_verdicts_are_those_of_the_simulation():
         t = wanted.touchdown
         own = (t.vertical_speed, t.horizontal_speed, t.tilt, t.rate, t.slope, t.roughness,
                t.tip_margin)  # fmt: skip
-        assert failed == wanted.failed, seed
+        assert failed == wanted.failure_causes, seed
         assert told == pytest.approx(own, abs=1e-9, nan_ok=True), seed
         seen |= set(failed) | ({"safe"} if not failed else set())
     assert seen >= set(NAMES) - {"tip-over"}

@@ -9,12 +9,13 @@ from lunarsim.scenario import Scenario
 from lunarsim.viz import draw_comparison
 
 MAPS = {
-    "a": {"map_hits": 30, "map_false_safe": 10, "map_missed": 20},
-    "b": {"map_hits": 10, "map_false_safe": 0, "map_missed": 30},
+    "a": {"map_true_safe": 30, "map_false_safe": 10, "map_false_unsafe": 20},
+    "b": {"map_true_safe": 10, "map_false_safe": 0, "map_false_unsafe": 30},
 }
 ROWS = [
     {
-        "policy": policy, "flight": flight, "safe": not failed, "failed": failed, "aborted": False,
+        "policy": policy, "flight": flight, "safe": not failed, "failure_causes": failed,
+        "aborted": False,
         "propellant_kg": 40.0 + flight, "divert_m": 1.0, "vertical_speed_m_s": 2.0,
         "horizontal_speed_m_s": 0.1, "tilt_deg": tilt, "safe_site_in_reach": True, **MAPS[policy],
     }

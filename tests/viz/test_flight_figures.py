@@ -60,12 +60,12 @@ def test_a_boulder_under_the_belly_is_seen(tmp_path):
     )
     simulation = Simulation(scenario, flight_seed(1, 0), "no-divert")
     record = simulation.run()
-    assert record.verdict.safe
+    assert record.outcome.safe
     draw_flight(record, simulation.world, simulation.truth, tmp_path)
     assert {path.name for path in tmp_path.iterdir()} == {
         "descent.png", "maps.png", "touchdown.png",
     }  # fmt: skip
-    x, y = record.verdict.touchdown.position[:2]
+    x, y = record.outcome.touchdown.position[:2]
     bare = simulation.world.terrain
     one = [np.array([v]) for v in (x, y, float(bare.elevation([x, y])), 0.5, 0.5, 0.6, 0.0)]
     rocky = Terrain(bare.relief, RockField(*one, np.array([0])))
@@ -94,9 +94,9 @@ def test_differences_are_of_the_same_flight():
 
 def test_a_comparison_in_which_all_failed_is_drawn(tmp_path):
     row = {
-        "safe": False, "failed": "slope,belly", "aborted": False, "propellant_kg": 40.0,
+        "safe": False, "failure_causes": "slope,belly", "aborted": False, "propellant_kg": 40.0,
         "divert_m": 1.0, "vertical_speed_m_s": 2.0, "horizontal_speed_m_s": 0.1, "tilt_deg": 1.0,
-        "map_hits": 0, "map_false_safe": 0, "map_missed": 0, "safe_site_in_reach": False,
+        "map_true_safe": 0, "map_false_safe": 0, "map_false_unsafe": 0, "safe_site_in_reach": False,
     }  # fmt: skip
     rows = [{**row, "policy": p, "flight": f} for p in ("a", "b") for f in range(2)]
     draw_comparison(rows, Scenario.from_dict({}), tmp_path / "c.png")

@@ -42,7 +42,7 @@ def drawn(monkeypatch, tmp_path):
 def _pads(record, lander):
     """Return the pads over the ground (legs, 2) by the attitude that the record ends with."""
     q = np.array([record.trajectory[f"attitude_{a}"][-1] for a in "xyzw"])
-    return record.verdict.touchdown.position[:2] + quat_rotate(q, lander.pads)[:, :2]
+    return record.outcome.touchdown.position[:2] + quat_rotate(q, lander.pads)[:, :2]
 
 
 def _ground_above(axes, points):
@@ -82,7 +82,7 @@ def test_no_pad_stands_below_the_ground(flown, drawn, raised):
 def test_a_rock_beside_a_pad_lifts_no_pad(flown, drawn):
     record, world, lander = flown
     level = flat_terrain(size=160.0)
-    middle, pads = record.verdict.touchdown.position[:2], _pads(record, lander)
+    middle, pads = record.outcome.touchdown.position[:2], _pads(record, lander)
     aside = pads[0] + 0.4 * (middle - pads[0]) / np.linalg.norm(middle - pads[0])
     one = [np.array([v]) for v in (*aside, 0.0, 0.15, 0.15, 0.2, 0.0)]
     rocky = Terrain(level.relief, RockField(*one, np.array([0])))
@@ -94,7 +94,7 @@ def test_a_rock_beside_a_pad_lifts_no_pad(flown, drawn):
 def test_bars_are_the_figures_over_their_limits(flown, drawn):
     record, world, lander = flown
     _, right = drawn(record, world)
-    found = record.verdict.touchdown
+    found = record.outcome.touchdown
     names = [text.get_text() for text in right.get_yticklabels()]
     bars = dict(zip(names, (bar.get_width() for bar in right.patches), strict=True))
     assert bars == pytest.approx({

@@ -115,8 +115,9 @@ def test_full_earth_is_a_ten_thousandth_of_the_sun():
 
 @pytest.mark.parametrize(
     ("field", "value"),
-    [("diameter", -0.1), ("hapke_roughness", 0.0), ("mottle", 0.9), ("earthshine", np.nan),
-     ("mottle_length", 0.0), ("photometry", "phong"), ("boulder_albedo", 0.0)],
+    [("diameter", -0.1), ("hapke_roughness", 0.0), ("albedo_variation", 0.9), ("earthshine",
+    np.nan),
+     ("albedo_correlation_length", 0.0), ("photometry", "phong"), ("boulder_albedo", 0.0)],
 )  # fmt: skip
 def test_light_that_cannot_be_is_refused(field, value):
     with pytest.raises(InputError, match="sun"):

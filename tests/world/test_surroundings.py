@@ -59,7 +59,7 @@ def test_far_off_it_is_the_sphere(ground):
     away = np.array([300_000.0, 0.0, np.sqrt(R**2 - 300_000.0**2) - R + 7_000.0])
     height = np.hypot(300_000.0, away[2] + R) - R
     assert ground.clearance(away) == pytest.approx(height, abs=1e-6)
-    assert ground.way(away) == pytest.approx([R * np.arctan2(300_000.0, away[2] + R), 0.0])
+    assert ground.surface_arc(away) == pytest.approx([R * np.arctan2(300_000.0, away[2] + R), 0.0])
 
 
 def test_levels_are_built_when_they_are_looked_at(monkeypatch):
@@ -115,7 +115,7 @@ def test_a_level_sphere_reflects_straight_up():
 
 
 def test_the_world_casts_onto_the_map_first(ground):
-    world = World(ground.terrain, 1.622, moon=MOON, surroundings=ground)
+    world = World(ground.terrain, 1.622, moon=MOON, far_terrain=ground)
     down = np.array([[0.0, 0.0, -1.0]])
     over = world.cast([20.0, 30.0, 500.0], down)
     assert over.range == ground.terrain.cast([20.0, 30.0, 500.0], down).range
@@ -149,4 +149,4 @@ def test_what_does_not_fit_is_refused():
     with pytest.raises(InputError, match="postings"):
         FarTerrainSettings(postings=(40.0,))
     with pytest.raises(InputError, match="moon"):
-        Scenario.from_dict({"surroundings": {}})
+        Scenario.from_dict({"far_terrain": {}})

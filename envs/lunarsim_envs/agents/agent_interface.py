@@ -11,10 +11,10 @@ from lunarsim.errors import InputError
 
 
 class Agent(Protocol):
-    """Select actions in an environment; one object flies many episodes in sequence."""
+    """Interface of an agent, which selects actions; one object flies many episodes."""
 
     def begin(self, rng: np.random.Generator) -> None:
-        """Start an episode; all random numbers of the agent come from this generator."""
+        """Start an episode; `rng` is the source of all random numbers of the agent."""
         ...
 
     def act(self, observation: Any, info: dict[str, Any]) -> Any:
@@ -23,18 +23,23 @@ class Agent(Protocol):
 
 
 def incompatible_agent_error(name: str, env: gymnasium.Env[Any, Any], wanted: str) -> InputError:
-    """Return the error for an agent that cannot fly an environment."""
+    """Return the error for the agent `name`, which cannot fly the environment `env`.
+
+    `wanted` names the environment or property that the agent requires.
+    """
     spec = env.spec.id if env.spec is not None else type(env.unwrapped).__name__
-    return InputError("--agent", name, f"cannot fly {spec}, because it needs {wanted}")
+    return InputError("--agent", name, f"cannot fly {spec}, because the agent needs {wanted}")
 
 
 def check_sites(name: str, env: Any) -> None:
-    """Check that the actions of a ``Retarget-v0`` environment include a site.
+    """Check that the actions of a ``Retarget-v0`` environment can choose a site.
+
+    `name` is the agent's name in the error.
 
     Raises
     ------
     InputError
-        Naming the agent.
+        If the action has no component ``site``.
     """
     if not env.actions.has("site"):
         raise incompatible_agent_error(name, env, "Retarget-v0 with the action component 'site'")

@@ -14,13 +14,13 @@ from lunarsim.parts.registry import import_part_module
 
 
 class CallableAgent:
-    """Use a callable as an agent.
+    """Agent that gets its actions from a user's function or callable object.
 
     Parameters
     ----------
     call
-        Callable ``(observation, info) -> action`` or ``observation -> action``. If it has a method
-        ``begin(rng)``, that is called before each episode.
+        Callable ``(observation, info) -> action`` or ``observation -> action``. Its method
+        ``begin(rng)``, if there is one, is called before each episode.
     """
 
     def __init__(self, call: Callable[..., Any]) -> None:
@@ -28,18 +28,18 @@ class CallableAgent:
         self._informed = _accepts(call, 2)
 
     def begin(self, rng: np.random.Generator) -> None:
-        """Call the callable's ``begin``, if it has one."""
+        """Call the method ``begin(rng)`` of the callable, if there is one."""
         begin = getattr(self._call, "begin", None)
         if begin is not None:
             begin(rng)
 
     def act(self, observation: Any, info: dict[str, Any]) -> Any:
-        """Return the action of the callable."""
+        """Return the action that the callable computes from an observation (and info)."""
         return self._call(observation, info) if self._informed else self._call(observation)
 
 
 def _accepts(call: Callable[..., Any], count: int) -> bool:
-    """Return whether a callable accepts `count` arguments; True if unknown."""
+    """Return whether a callable accepts `count` positional arguments; True if unknown."""
     try:
         inspect.signature(call).bind(*[None] * count)
     except TypeError:
@@ -50,7 +50,7 @@ def _accepts(call: Callable[..., Any], count: int) -> bool:
 
 
 def custom_agent(env: gymnasium.Env[Any, Any], name: str) -> Any:
-    """Return the agent ``module:Name``.
+    """Import a user's agent by its name ``module:Name``, for an environment.
 
     A class is instantiated with the environment as its only argument. The instance, or a function,
     is used directly if it has ``begin`` and ``act``; otherwise it is called for every action.
@@ -58,7 +58,7 @@ def custom_agent(env: gymnasium.Env[Any, Any], name: str) -> Any:
     Raises
     ------
     InputError
-        If it cannot be imported, or cannot be called in this way.
+        If the name cannot be imported, or the object cannot be called in this way.
     """
     module, _, attribute = name.partition(":")
     try:

@@ -31,6 +31,7 @@ _LONGER, _LEAST, _SLOWEST = 2.0, 5.0, 1.0
 
 
 def _descents(name: str, env: gymnasium.Env[Any, Any]) -> DescentEnvCore:
+    """Return the core of a ``Guidance-v0`` environment with the needed observations."""
     flown = env.unwrapped
     if not isinstance(flown, GuidanceEnv):
         raise incompatible_agent_error(name, env, "Guidance-v0")
@@ -41,7 +42,10 @@ def _descents(name: str, env: gymnasium.Env[Any, Any]) -> DescentEnvCore:
 
 
 def _briefing(scenario: Scenario, software: FlightSoftware, time_to_go: float) -> Briefing:
-    """Return the inputs for building a law; the target is the origin of positions."""
+    """Return the data known before the flight, from which a guidance law is built.
+
+    Positions are relative to the target; `time_to_go` is the planned approach duration, s.
+    """
     start, clock = scenario.start.make(), scenario.simulation.make()
     upright = attitude_from_thrust([0.0, 0.0, 1.0], start.heading)
     known = InitialStateEstimate(
@@ -59,7 +63,7 @@ def _briefing(scenario: Scenario, software: FlightSoftware, time_to_go: float) -
 class GuidanceLawAgent:
     """Fly the approach with a guidance law, then the scenario's terminal descent.
 
-    Phases, time-to-go and limits are those of the onboard computer; the observation replaces
+    Phases, time-to-go and limits are as in the onboard computer; the observation replaces
     navigation. The law is evaluated at every step of the environment, not once per control cycle.
 
     Parameters
@@ -67,8 +71,8 @@ class GuidanceLawAgent:
     env
         ``Guidance-v0`` with position, velocity, attitude, rate and propellant in its observation.
     kind
-        Kind of guidance from `lunarsim parts guidance`. Other kinds than the scenario's have their
-        default settings.
+        Kind of guidance law, as listed by `lunarsim parts guidance`. The scenario's settings apply
+        if the kind is that of the scenario, otherwise the default settings of the kind.
 
     Raises
     ------
@@ -92,17 +96,20 @@ class GuidanceLawAgent:
         self._has_started = False
 
     def _start(self, estimate: Estimate) -> None:
-        """Choose the time-to-go from the start state and build the laws."""
+        """Choose the time-to-go from the start state and build the guidance laws."""
         descents, software = self._descents, self._software
         briefing = _briefing(descents.scenario, software, self._time_to_go(estimate))
         lag = software.control.response_time + self._lander.thrust_lag
         self._law = self._part.build(briefing, lag)
-        self._down = descent_law(software.descent, briefing, lag)
+        self._down = descent_law(software.terminal_descent, briefing, lag)
         self._arrival = briefing.time_to_go
         self._time, self._vertical, self._has_started = 0.0, False, True
 
     def _time_to_go(self, estimate: Estimate) -> float:
-        """Return the approach duration with minimum propellant within the limits, s."""
+        """Return the minimum-propellant duration of the approach within its limits, s.
+
+        If no duration is within the limits, it follows from distance over speed.
+        """
         if self._approach.time_to_go is not None:
             return float(self._approach.time_to_go)
         end = self._approach.end(np.zeros((1, 3)), self._lander)
@@ -116,7 +123,7 @@ class GuidanceLawAgent:
         return max(_LONGER * way / speed, _LEAST)
 
     def _estimate(self, observation: Array, time: float) -> Estimate:
-        """Convert an observation to a state estimate."""
+        """Convert an observation (size,) at `time`, s, to a state estimate."""
         places = self._descents.shown.places
         seen = {name: observation[places[name]].astype(np.float64) for name in _NEEDED}
         mass = self._lander.dry_mass + float(seen["propellant"][0])
@@ -126,7 +133,7 @@ class GuidanceLawAgent:
         )  # fmt: skip
 
     def act(self, observation: Any, info: dict[str, Any]) -> NDArray[np.float32]:
-        """Return the action closest to the acceleration that the law commands."""
+        """Return the action (3,) closest to the acceleration that the law commands."""
         estimate = self._estimate(observation, self._time if self._has_started else 0.0)
         if not self._has_started:
             self._start(estimate)
@@ -146,7 +153,7 @@ class GuidanceLawAgent:
 
 
 class PolynomialLawAgent:
-    """Fly `Guidance-v0` with `lunarsim_envs.descent.baseline.PolynomialGuidance`.
+    """Fly ``Guidance-v0`` by E-guidance, then vertically, with `PolynomialGuidance`.
 
     Parameters
     ----------
@@ -161,5 +168,5 @@ class PolynomialLawAgent:
         """Do nothing: the agent has no memory and is deterministic."""
 
     def act(self, observation: Any, info: dict[str, Any]) -> NDArray[np.float32]:
-        """Return the action of the law."""
+        """Return the action (3,) of the guidance law for an observation."""
         return self._law(observation)

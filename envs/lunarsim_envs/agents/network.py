@@ -23,7 +23,7 @@ _FORMAT = "lunarsim network 1"
 
 @dataclass(frozen=True)
 class Network:
-    """Multilayer perceptron with tanh layers and two scales per observation value.
+    """Multilayer perceptron (tanh) that maps observations of a descent to actions.
 
     Attributes
     ----------
@@ -32,7 +32,7 @@ class Network:
     weights, biases
         Weights (m, n) and biases (m,) of the layers; the last layer outputs the action.
     level
-        Environment: "Guidance-v0" or "Control-v0".
+        Environment for which the network is trained: "Guidance-v0" or "Control-v0".
     parts
         Names of the observation components, in order.
     rate
@@ -48,7 +48,7 @@ class Network:
     rate: float
 
     def __call__(self, observation: ArrayLike) -> Array:
-        """Return actions for observations (size,) or (n, size)."""
+        """Return actions from -1 to 1 for observations (size,) or (n, size)."""
         seen = np.asarray(observation, dtype=np.float32)
         layer = np.concatenate((seen / self.far, np.arcsinh(seen / self.near)), axis=-1)
         for weight, bias in zip(self.weights[:-1], self.biases[:-1], strict=True):
@@ -91,7 +91,7 @@ class Network:
         return network
 
     def _check(self) -> None:
-        """Check that layers have consistent shapes and finite values."""
+        """Raise ValueError if shapes of layers are inconsistent or values not finite."""
         width = 2 * len(self.far)
         if not self.weights or self.near.shape != self.far.shape:
             raise ValueError("layers or scales are missing")
@@ -104,7 +104,7 @@ class Network:
 
 
 class NetworkAgent:
-    """Fly ``Guidance-v0`` or ``Control-v0`` with a network.
+    """Fly ``Guidance-v0`` or ``Control-v0`` with a trained NumPy network.
 
     Parameters
     ----------
@@ -143,5 +143,5 @@ class NetworkAgent:
         """Do nothing: the network has no memory and is deterministic."""
 
     def act(self, observation: Any, info: dict[str, Any]) -> Array:
-        """Return the action of the network."""
+        """Return the action that the network computes from an observation (size,)."""
         return self._network(observation)

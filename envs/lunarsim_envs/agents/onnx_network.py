@@ -25,9 +25,10 @@ _MASK = "action_mask"
 
 
 def _session(path: Path) -> Any:
-    """Load a network; it runs on one thread so that results are reproducible.
+    """Load an ONNX network into an onnxruntime session.
 
-    The network is read from memory, and external weight files are disabled by an invalid folder.
+    The session uses one thread, so that results are reproducible. The network is read from memory,
+    and external weight files are disabled by an invalid folder.
     """
     try:
         import onnxruntime  # noqa: PLC0415  (an extra)
@@ -61,8 +62,9 @@ class OnnxAgent:
     """Fly a memoryless, deterministic network from an ONNX file.
 
     Inputs have a batch axis of length 1 and type float32. If the observation is a Box, the network
-    has one input with any name. If it is a Dict, the inputs have the names of observations. An
-    input ``action_mask`` gets ``info["action_mask"]`` (1: allowed). The first output is the action:
+    has one input with any name. If the observation is a Dict, the inputs have the names of its
+    entries. An input ``action_mask`` gets ``info["action_mask"]`` (1: allowed). The first output is
+    the action:
 
     ================  ==================================================================
     action space      first output
@@ -82,7 +84,7 @@ class OnnxAgent:
     Raises
     ------
     InputError
-        If the file is not such a network, or the extra is missing.
+        If the file is not such a network, or onnxruntime (the extra ``onnx``) is missing.
     """
 
     def __init__(self, env: gymnasium.Env[Any, Any], path: Path) -> None:
@@ -118,7 +120,7 @@ class OnnxAgent:
         return self._action(self._run(observation, info), info)
 
     def _run(self, observation: Any, info: dict[str, Any]) -> NDArray[Any]:
-        """Evaluate the network and return its first output, flattened."""
+        """Evaluate the network on an observation and return its first output, flattened."""
         import onnxruntime  # noqa: PLC0415
 
         fed: dict[str, NDArray[Any]] = {}
@@ -146,7 +148,10 @@ class OnnxAgent:
             timer.cancel()
 
     def _action(self, output: NDArray[Any], info: dict[str, Any]) -> Any:
-        """Convert an output to an action."""
+        """Convert the flattened output of the network to an action of the environment.
+
+        Scores become the allowed option with the maximum, by the mask in `info`.
+        """
         space, sizes = self._space, _choices(self._space)
         if output.dtype.kind not in "iuf" or not np.isfinite(output).all():
             raise self._error("finite numbers as its first output")
@@ -174,7 +179,7 @@ def _zeros(space: gymnasium.Space[Any]) -> Any:
 
 
 def _choices(space: gymnasium.Space[Any]) -> list[int]:
-    """Return the number of options of each choice of an action; empty if continuous."""
+    """Return the number of options of each discrete choice; empty for Box actions."""
     if isinstance(space, gymnasium.spaces.Discrete):
         return [int(space.n)]
     if isinstance(space, gymnasium.spaces.MultiDiscrete):

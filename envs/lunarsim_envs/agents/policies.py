@@ -14,7 +14,7 @@ from lunarsim_envs.sites.observations import SITES
 
 
 class PolicyAgent:
-    """Choose sites with an onboard policy.
+    """Choose landing sites in ``Retarget-v0`` with an onboard retargeting policy.
 
     If the policy chooses a site that is not a row of the observation, or decides to abort, the
     lander keeps its site. The agent does not change the time-to-go.
@@ -24,7 +24,7 @@ class PolicyAgent:
     env
         ``Retarget-v0``.
     kind
-        Kind of policy from `lunarsim parts policy`.
+        Kind of policy, as listed by `lunarsim parts policy`.
 
     Raises
     ------

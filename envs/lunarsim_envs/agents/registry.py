@@ -27,12 +27,12 @@ _SHIPPED = Path(__file__).parent / "trained"
 
 
 def packaged_agents() -> dict[str, Path]:
-    """Return the files of trained agents that come with the package, by name."""
+    """Return the files of the trained networks supplied with lunarsim_envs, by name."""
     return {path.stem: path for path in sorted(_SHIPPED.glob("*.npz"))}
 
 
 def known_agents() -> dict[str, str]:
-    """Return the type of each agent by name.
+    """Return the agents that can be selected by name, with the type of each.
 
     Examples
     --------
@@ -46,7 +46,9 @@ def known_agents() -> dict[str, str]:
 
 
 def label(given: str) -> str:
-    """Return the name of an agent in tables; files lose their folder and suffix.
+    """Return the name of an agent for tables, from its file, name or ``module:Name``.
+
+    Files lose their folder and suffix, classes their module.
 
     Examples
     --------
@@ -63,12 +65,14 @@ def _is_file(given: str) -> bool:
 
 
 def check(given: str, *, trust_pickle: bool = False) -> None:
-    """Check that an agent exists and may be loaded, without an environment.
+    """Check that an agent exists and may be loaded, before an environment is made.
+
+    `given` is a name, a file or ``module:Name``; `trust_pickle` permits Stable-Baselines3 files.
 
     Raises
     ------
     InputError
-        Naming ``--agent``.
+        If the name or file does not exist, or the file is not permitted.
     """
     if _is_file(given):
         if not Path(given).is_file():
@@ -92,7 +96,7 @@ def agent_of(given: str, env: gymnasium.Env[Any, Any], *, trust_pickle: bool = F
     ----------
     given
         Name from `known_agents`, network file (``.npz``, ``.onnx``), Stable-Baselines3 file
-        (``.zip``), or ``module:Name`` of a callable (`own.custom_agent`).
+        (``.zip``), or ``module:Name`` of a callable (`custom_agents.custom_agent`).
     env
         Environment to fly.
     trust_pickle
@@ -123,7 +127,7 @@ def agent_of(given: str, env: gymnasium.Env[Any, Any], *, trust_pickle: bool = F
 
 
 def _network(env: gymnasium.Env[Any, Any], path: Path, name: str) -> Agent:
-    """Load a network that chooses sites, or one that flies the descent."""
+    """Create the agent of a ``.npz`` file: a site network or a descent network."""
     if is_site_network(path):
         return SiteNetworkAgent(env, SiteNetwork.load(path), name)
     return NetworkAgent(env, Network.load(path), name)

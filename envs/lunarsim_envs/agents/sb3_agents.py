@@ -26,7 +26,7 @@ _ALGORITHMS = (
 
 
 def _algorithm(path: Path) -> Any:
-    """Return the algorithm class that loads a file.
+    """Return the Stable-Baselines3 algorithm class that can load a saved agent.
 
     Raises
     ------
@@ -54,7 +54,10 @@ def _algorithm(path: Path) -> Any:
 
 
 def _sizes(space: gymnasium.Space[Any]) -> Any:
-    """Return type and size of a space, to compare spaces and for messages."""
+    """Return type and size of a space as text; a dictionary of texts for a Dict.
+
+    The result serves to compare spaces and for messages.
+    """
     if isinstance(space, gymnasium.spaces.Dict):
         return {name: _sizes(part) for name, part in sorted(space.items())}
     if isinstance(space, gymnasium.spaces.Discrete):
@@ -70,7 +73,7 @@ def check_trust(given: str, trust_pickle: bool) -> None:
     Raises
     ------
     InputError
-        Naming ``--agent``.
+        If the file is not such an archive, or `trust_pickle` is false.
     """
     if not zipfile.is_zipfile(given):
         raise InputError("--agent", given, "must be a file from Stable-Baselines3")
@@ -78,7 +81,7 @@ def check_trust(given: str, trust_pickle: bool) -> None:
         raise InputError(
             "--agent", given,
             "is a pickle, which can run any code when it is loaded",
-            "If you trust it, add --trust-pickle (Python: trust_pickle=True).",
+            "If you trust the file, add --trust-pickle (Python: trust_pickle=True).",
         )  # fmt: skip
 
 
@@ -95,7 +98,7 @@ def load_model(path: Path) -> Any:
 
 
 class Sb3Agent:
-    """Fly a Stable-Baselines3 agent without exploration.
+    """Fly an agent saved by Stable-Baselines3, with its most likely actions.
 
     The file is a pickle, which can run any code when it is loaded.
 
@@ -130,11 +133,11 @@ class Sb3Agent:
         self._first = True
 
     def begin(self, rng: np.random.Generator) -> None:
-        """Reset the memory of the agent."""
+        """Reset the memory of recurrent agents."""
         self._memory, self._first = None, True
 
     def act(self, observation: Any, info: dict[str, Any]) -> Any:
-        """Return the most likely action."""
+        """Return the most likely action (of the available ones, for MaskablePPO)."""
         if self._masked:
             mask = np.asarray(info["action_mask"], dtype=bool)
             return self._model.predict(observation, action_masks=mask, deterministic=True)[0]

@@ -21,7 +21,7 @@ from lunarsim_envs.sites.site_inputs import SiteInputs
 Array = NDArray[np.float64]
 
 FORMAT = "lunarsim site network 1"
-# Input features of a site. The constants below are the scales of the features.
+# Input quantities (features) of a site. The constants below are their scales.
 FEATURES = (
     "log-odds of safety", "propellant over that of the present site", "distance", "is the present",
     "has been seen", "altitude", "expected miss", "log-odds under the best",
@@ -32,9 +32,10 @@ _LEAST, _MOST = 1e-6, 0.999
 
 
 def features(sights: SiteInputs) -> tuple[Array, NDArray[np.bool_]]:
-    """Return features (n, 21, features) and availability (n, 21) of all options.
+    """Compute network inputs (n, 21, features) of all sites that n landers can choose.
 
-    Option 0 is the current site, the others are the rows of the action space.
+    Option 0 is the current site, option i is candidate site i - 1. Also returns which options are
+    available (n, 21). `FEATURES` names the inputs.
     """
     n, m = len(sights.site), min(SITES, sights.p_safe.shape[1])
     p = np.zeros((n, SITES + 1))
@@ -63,12 +64,12 @@ def features(sights: SiteInputs) -> tuple[Array, NDArray[np.bool_]]:
 
 @dataclass(frozen=True)
 class SiteNetwork:
-    """Score options by a linear function of their features plus one hidden tanh layer.
+    """Network that scores landing sites: a linear function plus one hidden tanh layer.
 
     Attributes
     ----------
     linear
-        Weights of the features (features,).
+        Weights of the linear function (features,).
     inner, bias, outer
         Input weights (hidden, features), biases (hidden,) and output weights (hidden,) of the
         hidden layer.
@@ -81,18 +82,24 @@ class SiteNetwork:
 
     @classmethod
     def of(cls, flat: Array, hidden: int) -> SiteNetwork:
-        """Create a network from a flat vector of weights in the order of `flat`."""
+        """Create a network from its weights as one vector, as the property `flat` has it.
+
+        `hidden` is the width of the hidden layer.
+        """
         k = len(FEATURES)
         parts = np.split(flat, np.cumsum([k, hidden * k, hidden]))
         return cls(parts[0], parts[1].reshape(hidden, k), parts[2], parts[3])
 
     @property
     def flat(self) -> Array:
-        """All weights as one vector."""
+        """All weights as one vector: `linear`, `inner` (by row), `bias`, `outer`."""
         return np.concatenate((self.linear, self.inner.ravel(), self.bias, self.outer))
 
     def choose(self, sights: SiteInputs) -> NDArray[np.int64]:
-        """Return the best available option of every lander (n,)."""
+        """Return the available option with the highest score for every lander (n,).
+
+        0 is the current site; i is candidate site i - 1.
+        """
         x, good = features(sights)
         scores = x @ self.linear + np.tanh(x @ self.inner.T + self.bias) @ self.outer
         return np.asarray(np.where(good, scores, -np.inf).argmax(axis=1))
@@ -138,7 +145,7 @@ def is_site_network(path: Path) -> bool:
 
 
 class SiteNetworkAgent:
-    """Fly ``Retarget-v0`` with a site network.
+    """Choose landing sites in ``Retarget-v0`` with a trained site network.
 
     The network gets the same inputs as onboard policies.
 
@@ -168,6 +175,6 @@ class SiteNetworkAgent:
         """Do nothing: the network has no memory and is deterministic."""
 
     def act(self, observation: Any, info: dict[str, Any]) -> Any:
-        """Return the action for the best site; the time-to-go is not changed."""
+        """Return the action that selects the best site and keeps the time-to-go."""
         best = self._network.choose(self._env.flight.sights)[0]
         return self._env.actions.alone("site", int(best))

@@ -59,11 +59,11 @@ class RandomAgent:
         self._rng = np.random.default_rng(0)
 
     def begin(self, rng: np.random.Generator) -> None:
-        """Use the generator of the episode."""
+        """Use `rng` for the actions of the next episode."""
         self._rng = rng
 
     def act(self, observation: Any, info: dict[str, Any]) -> Any:
-        """Draw a random action."""
+        """Sample an action at random, from the available ones by ``info["action_mask"]``."""
         space = self._space
         if isinstance(space, spaces.Discrete):
             return space.start + self._of(info.get("action_mask"), int(space.n))
@@ -77,7 +77,7 @@ class RandomAgent:
         return self._rng.uniform(space.low, space.high).astype(space.dtype)
 
     def _of(self, mask: Any, count: int) -> np.int64:
-        """Draw one of `count` options, only among those of the mask if there is one."""
+        """Sample one of `count` options at random; a mask (count,) restricts the options."""
         known = np.arange(count) if mask is None else np.flatnonzero(mask)
         return np.int64(self._rng.choice(known))
 

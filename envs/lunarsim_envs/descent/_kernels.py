@@ -24,7 +24,10 @@ _SECOND = np.uint64(0x94D049BB133111EB)
 
 @kernel()
 def uniform(key, count):
-    """Return draw `count` of a key in (0, 1) by SplitMix64 (Steele et al. 2014)."""
+    """Return random number `count` of a stream, uniform in (0, 1).
+
+    The 64-bit integer `key` selects the stream; the generator is SplitMix64 (Steele et al. 2014).
+    """
     x = np.uint64(key) + _GOLDEN * np.uint64(count + 1)
     x = (x ^ (x >> np.uint64(30))) * _FIRST
     x = (x ^ (x >> np.uint64(27))) * _SECOND
@@ -34,7 +37,10 @@ def uniform(key, count):
 
 @kernel()
 def normal(key, count):
-    """Return a standard normal draw of a key from its draws `count` and `count` + 1."""
+    """Return a standard normal number from numbers `count`, `count` + 1 of a stream.
+
+    The 64-bit integer `key` selects the stream.
+    """
     size = np.sqrt(-2.0 * np.log(uniform(key, count)))
     return size * np.cos(2.0 * np.pi * uniform(key, count + 1))
 
@@ -44,7 +50,13 @@ def begin(
     share, mask, keys, counts, y, rate, target, world, time, ended, starts, aims, spans, upright,
     weight, reliefs, frame,
 ):  # fmt: skip
-    """Start a new random flight in every lane of `mask` (n,)."""
+    """Sample start, target and world of new flights for the landers of `mask` (n,).
+
+    `keys` and `counts` (n,) are the random streams and their numbers of flights; `spans` (n, 2) has
+    the first allowed world and the number of worlds; `upright` is the initial attitude and `weight`
+    the initial mass (kg) and thrust (N). Other arguments are attributes of `DescentBatch`;
+    `reliefs` and `frame` are terrain without rocks. `share` is (thread, number of threads).
+    """
     for i in range(share[0], len(y), share[1]):
         if not mask[i]:
             continue
@@ -73,7 +85,7 @@ def begin(
         ended[i] = FLYING
 
 
-# Indices of the randomized parameters, in the order of `variation.DRAWN`.
+# Indices of the randomized parameters, in the order of `domain_randomization.DRAWN`.
 LOAD, IMPULSE, THRUST, LAG, OFFSET, FAILS, ENGINE, TORQUE, SEES_LATE, ACTS_LATE = (
     0, 1, 2, 3, 4, 6, 7, 8, 11, 12,
 )  # fmt: skip
@@ -84,7 +96,11 @@ VARIED = np.uint64(0xD1342543DE82EF95)
 
 @kernel()
 def draw(key, flight, ranges, out):
-    """Draw the parameters of a flight (13,) from the ranges of `Variation` (12,)."""
+    """Sample the randomized vehicle parameters of one flight into `out` (13,).
+
+    `key` selects the random stream of the lander, `flight` is the number of the flight, and
+    `ranges` (12,) is `DomainRandomization.ranges`.
+    """
     key = np.uint64(key) ^ VARIED
     first = flight * 2 * DRAWS
     for k in range(6):
@@ -104,7 +120,12 @@ def draw(key, flight, ranges, out):
 
 @kernel(shared=True)
 def vary(share, mask, keys, counts, ranges, standard, nominal, drawn, figures, y):
-    """Apply new randomized parameters to the started flights of `mask` (n,)."""
+    """Sample new randomized vehicle parameters for the started flights of `mask` (n,).
+
+    `standard` is standard gravity, m/s^2; `nominal` (5,) has the nominal gravity, exhaust velocity,
+    thrust lag, dry mass and wet mass. Writes `drawn` (n, 13), `figures` (n, 5) and the mass in `y`.
+    `share` is (thread, number of threads).
+    """
     for i in range(share[0], len(y), share[1]):
         if not mask[i]:
             continue
@@ -120,7 +141,11 @@ def vary(share, mask, keys, counts, ranges, standard, nominal, drawn, figures, y
 
 @kernel(shared=True)
 def scatter(share, mask, keys, counts, out):
-    """Write standard normal numbers to rows `mask` of `out` (n, k), and count them."""
+    """Write standard normal numbers to rows `mask` of `out` (n, k).
+
+    `counts` (n,) is the position in each random stream `keys` (n,) and is advanced. `share` is
+    (thread, number of threads).
+    """
     for i in range(share[0], len(out), share[1]):
         if mask[i]:
             for k in range(out.shape[1]):
@@ -129,11 +154,13 @@ def scatter(share, mask, keys, counts, out):
 
 
 class Vehicle(NamedTuple):
-    """Vehicle parameters, SI.
+    """Vehicle parameters of a batch of n landers, SI.
 
-    `figures` (n, 5) and `drawn` (n, 13) are the randomized parameters of each lane; `control` (9,)
-    has minimum and maximum thrust, maximum tilt, gains of the attitude loop (3) and maximum torques
-    (3). The other fields are arguments of `advance_bodies` and `violated_limits`.
+    `figures` (n, 5) has gravity, exhaust velocity, thrust lag, dry and wet mass, and `drawn` (n,
+    13) the other randomized parameters of each lander. `control` (9,) has minimum and maximum
+    thrust, maximum tilt, gains of the attitude loop (3) and maximum torques (3). `inertia` and
+    `rig` are arguments of `advance_bodies`; the fields from `pads` on describe the touchdown
+    (`violated_limits`); `heading` is the azimuth of body x, rad.
     """
 
     figures: np.ndarray
@@ -150,9 +177,10 @@ class Vehicle(NamedTuple):
 
 
 class TerrainRasters(NamedTuple):
-    """Heights with rocks (k, rows, cols), grid frame (3,) and height ranges (k, 2), m.
+    """Terrain of k worlds: heights with rocks, grid and height ranges, m.
 
-    `frame`: east and north of cell (0, 0), and posting.
+    `z` (k, rows, cols) are heights; `frame` (3,) has east and north of cell (0, 0) and the grid
+    spacing; `levels` (k, 2) has minimum and maximum height.
     """
 
     z: np.ndarray
@@ -161,7 +189,10 @@ class TerrainRasters(NamedTuple):
 
 
 class Flights(NamedTuple):
-    """Status of all lanes (n,): world, time (s), end, violated limits and touchdown."""
+    """Status of the flights of n landers, each field an attribute of `DescentBatch`.
+
+    World index, time (s), status (FLYING, ...) and violated limits (n,); touchdown values (n, 7).
+    """
 
     world: np.ndarray
     time: np.ndarray
@@ -172,7 +203,10 @@ class Flights(NamedTuple):
 
 @kernel()
 def _end(i, y, vehicle, terrains, flights):
-    """Record a touchdown or a flight below the map; return 1 if the flight ended."""
+    """Check if lander `i`, in state `y` (15,), has touched down or left the map.
+
+    Records the end in `flights` and returns 1, or returns 0 while the flight continues.
+    """
     w = flights.world[i]
     z, frame = terrains.z[w], terrains.frame
     if has_contact(y, vehicle.pads, vehicle.disc, z, frame):
@@ -193,7 +227,11 @@ def _end(i, y, vehicle, terrains, flights):
 
 @kernel(exact=True)
 def _loaded(first, beyond, ended, y, lanes, block):
-    """Copy flying lanes to a padded block (15, width); return their number."""
+    """Copy the states of flying landers to `block` (15, width), one column each.
+
+    `first` and `beyond` bound the indices of landers; their indices are written to `lanes`. Empty
+    columns repeat the first lander. Returns the number of flying landers.
+    """
     count = 0
     for i in range(first, beyond):
         if ended[i] == FLYING:
@@ -208,9 +246,10 @@ def _loaded(first, beyond, ended, y, lanes, block):
 
 @kernel(exact=True)
 def _asked(block, own, n, action, guided, control, heading, load, attitude):
-    """Store the commanded thrust, and attitude or torques, of lane n.
+    """Convert an action to commanded thrust, and attitude or torques, of one lander.
 
-    The command does not take a random load into account.
+    `action` is in physical units: thrust acceleration if `guided`, otherwise thrust and torques.
+    The command is computed with the nominal mass, without the random payload `load`, kg.
     """
     if guided:
         own[loop.THRUST, n] = thrust_attitude(
@@ -226,7 +265,11 @@ def _asked(block, own, n, action, guided, control, heading, load, attitude):
 
 @kernel(exact=True)
 def _takes(i, block, own, n, figures, rate, vehicle, levels, reach, flights):
-    """Copy parameters, draws and controller state of lane i to place n of a block."""
+    """Copy vehicle parameters and controller state of lander i to column n of a block.
+
+    `own` gets the rows of `_loop_kernels`; `figures` (5, width) the vehicle parameters; `reach` is
+    the distance from the centre of mass to the pads plus a margin, m.
+    """
     for k in range(5):
         figures[k, n] = vehicle.figures[i, k]
     drawn, inertia = vehicle.drawn[i], vehicle.inertia
@@ -245,6 +288,7 @@ def _takes(i, block, own, n, figures, rate, vehicle, levels, reach, flights):
 
 @kernel(exact=True)
 def _stored(block, own, n, i, y, rate, flights):
+    """Copy state, body rate and time from column n of a block back to lander i."""
     for s in range(15):
         y[i, s] = block[s, n]
     for k in range(3):
@@ -254,7 +298,11 @@ def _stored(block, own, n, i, y, rate, flights):
 
 @kernel()
 def _ended(block, own, count, lanes, y, rate, vehicle, terrains, flights):
-    """Return the number of lanes of a block that have ended."""
+    """Check which landers of a block near the terrain have ended their flight.
+
+    `count` is the number of landers in the block and `lanes` their indices. Returns the number of
+    flights that ended in this step.
+    """
     over = 0
     for n in range(count):
         i = lanes[n]
@@ -266,7 +314,12 @@ def _ended(block, own, count, lanes, y, rate, vehicle, terrains, flights):
 
 @kernel(shared=True)
 def advance(share, y, rate, actions, guided, steps, dt, limit, width, vehicle, terrains, flights):
-    """Fly every flying lane for `steps` steps with its action, or to its end."""
+    """Fly all flying landers for `steps` integration steps, or to their end.
+
+    `y` (n, 15) are the states and `rate` (n, 3) the measured body rates; `actions` are thrust
+    accelerations if `guided`, otherwise thrust and torques. `dt` is the time step and `limit` the
+    time limit, s; landers are flown in blocks of `width`. `share` is (thread, number of threads).
+    """
     v, ended = vehicle, flights.ended
     gains, most = v.control[3:6], v.control[6:]
     reach = np.sqrt(np.max(np.sum(v.pads * v.pads, axis=1))) + 0.1

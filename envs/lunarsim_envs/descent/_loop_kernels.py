@@ -1,5 +1,9 @@
 # mypy: allow-untyped-defs, no-check-untyped-defs
-"""Compiled attitude loop for blocks of lanes, with perfect gyroscopes."""
+"""Compiled attitude loop for blocks of landers, with perfect gyroscopes.
+
+A block has one column per lander: `block` (15, width) are the states (position, velocity, attitude,
+body rate, mass, thrust) and `own` (ROWS, width) has the rows that are listed below.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +14,7 @@ from lunarsim.onboard.control._kernels import limited_torque
 
 # Rows of a block (ROWS, width): commanded and previous attitude; measured body rate; commanded
 # torques; moments of inertia; commanded thrust; flight time; randomized parameters
-# (`variation.DRAWN`); height below which the lander may touch down.
+# (`domain_randomization.DRAWN`); height below which the lander may touch down.
 AIM, BEFORE, RATE, TORQUE, MOMENT, THRUST, TIME, FAILS, ENGINE, WEAK, SHARE, OFFSET, FLOOR = (
     0, 4, 8, 11, 14, 17, 18, 19, 20, 21, 24, 25, 27,
 )  # fmt: skip
@@ -30,7 +34,7 @@ _STEEP, _MIDDLE = 2.41421356237309504880, 0.66
 
 @kernel(exact=True)
 def arc(s, w):
-    """Return atan2(s, w) for s and w of 0 or more, without branches."""
+    """Return the angle atan2(s, w), rad, for s and w of 0 or more, without branches."""
     steep = s > _STEEP * w
     middle = s > _MIDDLE * w
     over = -w if steep else (s - w if middle else s)
@@ -45,7 +49,11 @@ def arc(s, w):
 
 @kernel(exact=True)
 def _between(block, a, other, b, out, n):
-    """Write the rotation vector of lane n from the quaternion in rows a to rows b."""
+    """Compute the rotation vector between two attitudes of the lander in column n.
+
+    The attitudes are the quaternions in rows a to a + 3 of `block` (from) and b to b + 3 of `other`
+    (to). Writes the vector, rad, in axes of the first attitude, to column n of `out` (3, width).
+    """
     qx, qy, qz, qw = block[a, n], block[a + 1, n], block[a + 2, n], block[a + 3, n]
     tx, ty, tz, tw = other[b, n], other[b + 1, n], other[b + 2, n], other[b + 3, n]
     x = qw * tx - qx * tw - qy * tz + qz * ty
@@ -62,7 +70,11 @@ def _between(block, a, other, b, out, n):
 
 @kernel(inner=True)
 def ask(block, own, width, gains, most, error):
-    """Compute torques by the proportional-derivative law, and store the attitude."""
+    """Compute control torques of a block of landers by a proportional-derivative law.
+
+    `gains` (3,) are those of the attitude loop, `most` (3,) the maximum torques, N m, and `error`
+    (3, width) is scratch. Also stores the attitude, from which `sense` computes the next rates.
+    """
     for n in range(width):
         _between(block, 6, own, AIM, error, n)
     for k in range(3):
@@ -78,7 +90,10 @@ def ask(block, own, width, gains, most, error):
 
 @kernel(inner=True)
 def sense(block, own, width, dt, turn):
-    """Compute the gyroscope rates over the last step; `turn` (3, width) is scratch."""
+    """Compute the gyroscope rates from the change of attitude over the last step.
+
+    `dt` is the step, s, and `turn` (3, width) is scratch.
+    """
     for n in range(width):
         _between(own, BEFORE, block, 6, turn, n)
     for k in range(3):
@@ -88,9 +103,10 @@ def sense(block, own, width, dt, turn):
 
 @kernel(inner=True)
 def give(block, own, width, gives, torque):
-    """Write thrusts (width,), N, and torques (3, width), N m, with failures.
+    """Compute the thrust and torque that the actuators deliver, with random failures.
 
-    Torques include the effect of the thrust offset.
+    Writes the thrust that the engine follows to `gives` (width,), N, and torques to `torque`
+    (3, width), N m. Torques include the effect of the offset of the thrust line.
     """
     for n in range(width):
         asked = own[THRUST, n] * (1.0 + own[SHARE, n])
@@ -107,7 +123,7 @@ def give(block, own, width, gives, torque):
 
 @kernel(inner=True)
 def low(block, own, width):
-    """Return the number of lanes that are low enough to touch down."""
+    """Return the number of landers in a block low enough to touch the terrain."""
     count = 0
     for n in range(width):
         count += 1 if block[2, n] <= own[FLOOR, n] else 0

@@ -15,7 +15,9 @@ _ROUNDING = 1e-6
 
 
 class Actions:
-    """Action space of thrust accelerations, or of thrust and torques.
+    """Convert between actions from -1 to 1 and physical commands.
+
+    Commands are thrust accelerations, or thrust and torques.
 
     Parameters
     ----------
@@ -42,7 +44,7 @@ class Actions:
         return spaces.Box(-1.0, 1.0, self.scale.shape, np.float32)
 
     def physical(self, action: ArrayLike, count: int | None = None) -> Array:
-        """Convert actions to physical units (n, size).
+        """Convert actions from -1 to 1 to physical units (n, size), m/s^2 or N and N m.
 
         Parameters
         ----------
@@ -74,6 +76,6 @@ class Actions:
         return np.asarray(self.offset + self.scale * np.clip(wide, -1.0, 1.0))
 
     def action(self, physical: ArrayLike) -> NDArray[np.float32]:
-        """Return the action closest to values in physical units (..., size)."""
+        """Return the action from -1 to 1 closest to values in physical units (..., size)."""
         scaled = (np.asarray(physical, dtype=np.float64) - self.offset) / self.scale
         return np.asarray(np.clip(scaled, -1.0, 1.0), dtype=np.float32)

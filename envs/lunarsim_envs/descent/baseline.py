@@ -60,7 +60,10 @@ class PolynomialGuidance:
         return action if np.ndim(observation) == 2 else action[0]
 
     def _to_gate(self, position: Array, velocity: Array) -> Array:
-        """Return the acceleration to the position and velocity of the gate (n, 3), m/s^2."""
+        """Return the acceleration (n, 3), m/s^2, that leads to the gate above the target.
+
+        `position` and `velocity` are (n, 3), relative to the target, ENU. Gravity is not included.
+        """
         gate = np.array([0.0, 0.0, self._pads + _HEIGHT])
         there = np.array([0.0, 0.0, -_SPEED])
         away = gate - position
@@ -69,7 +72,10 @@ class PolynomialGuidance:
         return np.asarray(6.0 * away / left**2 - (4.0 * velocity + 2.0 * there) / left)
 
     def _down(self, position: Array, velocity: Array) -> Array:
-        """Return the acceleration of a descent at the gate's speed (n, 3), m/s^2."""
+        """Return the acceleration (n, 3), m/s^2, of a vertical descent onto the target.
+
+        The descent keeps the speed at the gate; gravity is not included.
+        """
         across = -_ON_POSITION * position[:, :2] - _ON_VELOCITY * velocity[:, :2]
         along = -_ON_SPEED * (velocity[:, 2:] + _SPEED)
         return np.hstack((np.clip(across, -_ACROSS, _ACROSS), np.clip(along, -_ALONG, _ALONG)))

@@ -43,7 +43,7 @@ LIMITS = (
 
 @dataclass(frozen=True)
 class VehicleParams:
-    """Parameters of lander, start, target and clock, in the form that kernels use.
+    """Parameters of lander, start, target and time limit, in the form for kernels.
 
     Attributes
     ----------
@@ -60,7 +60,7 @@ class VehicleParams:
         Centre and half widths of the target area, east and north (4,), m.
     limit
         Time limit of a flight, s.
-    variation
+    domain_randomization
         Ranges of the randomized parameters; None disables domain randomization.
     """
 
@@ -71,11 +71,11 @@ class VehicleParams:
     start: Array
     aim: Array
     limit: float
-    variation: DomainRandomization | None = None
+    domain_randomization: DomainRandomization | None = None
 
     @classmethod
     def of(cls, scenario: Scenario) -> VehicleParams:
-        """Return the parameters of a scenario.
+        """Read the parameters from a scenario.
 
         Raises
         ------
@@ -90,7 +90,10 @@ class VehicleParams:
             raise InputError("legs", "given", "is not supported in this environment", "Omit it.")
         if scenario.faults is not None:
             raise InputError(
-                "faults", "given", "is not supported in this environment", "Use [variation]."
+                "faults",
+                "given",
+                "is not supported in this environment",
+                "Use [domain_randomization].",
             )
         if scenario.moon is not None:
             raise InputError("moon", "given", "is not supported in this environment", "Omit it.")
@@ -99,7 +102,9 @@ class VehicleParams:
                 "control.kind", type(control).__name__, "must be 'pd' in this environment"
             )
         lander.check_hover(scenario.gravity_m_s2)
-        varied = None if scenario.variation is None else scenario.variation.make()
+        varied = (
+            None if scenario.domain_randomization is None else scenario.domain_randomization.make()
+        )
         _check_ranges(varied, lander, scenario.simulation.make().step)
         start, target = scenario.start.make(), scenario.target.make()
         clock, approach = scenario.simulation.make(), scenario.approach.make()
@@ -117,12 +122,12 @@ class VehicleParams:
         )
 
     def steps(self, rate: float) -> int:
-        """Return the number of integration steps between two actions.
+        """Return the number of integration steps between two actions at `rate` Hz.
 
         Raises
         ------
         InputError
-            If the number is not an integer.
+            If that number is not an integer.
         """
         steps = 1.0 / (rate * self.dynamics.step)
         if not (steps >= 1.0 and abs(steps - round(steps)) < 1e-6):
@@ -133,24 +138,29 @@ class VehicleParams:
 
 
 def _check_ranges(varied: DomainRandomization | None, lander: Lander, step: float) -> None:
-    """Check that randomized parameters stay positive and large enough for integration."""
+    """Check that random payload, specific impulse and thrust lag fit a lander.
+
+    Masses and impulses must stay positive, and the lag above two integration steps (`step`, s).
+    """
     if varied is None:
         return
     for name, most in (
-        ("load", lander.dry_mass), ("specific_impulse", lander.specific_impulse),
+        ("payload", lander.dry_mass), ("specific_impulse", lander.specific_impulse),
         ("thrust_lag", lander.thrust_lag - 2.0 * step),
     ):  # fmt: skip
         given = getattr(varied, name)
         if given > 0.0 and not given < most:
             raise InputError(
-                f"variation.{name}",
+                f"domain_randomization.{name}",
                 given,
                 f"must be 0, or less than {max(most, 0.0):g}, for this lander",
             )
 
 
 class DescentBatch:
-    """A batch of landers.
+    """States and flights of many landers that are simulated in parallel.
+
+    A lane is one lander of the batch with its current flight.
 
     Parameters
     ----------
@@ -193,7 +203,7 @@ class DescentBatch:
         Gravity, exhaust velocity, thrust lag, dry mass and wet mass of each lane (n, 5), SI.
     drawn
         Other randomized parameters of each flight (n, 13), in the order of
-        `variation.RANDOM_QUANTITIES`.
+        `domain_randomization.RANDOM_QUANTITIES`.
     """
 
     def __init__(
@@ -210,7 +220,7 @@ class DescentBatch:
         self.has_key = np.zeros(count, np.bool_)
         self._keys, self._flight_counts = np.zeros(count, np.uint64), np.zeros(count, np.int64)
         self._rate, self.world = np.zeros((count, 3)), np.zeros(count, np.int64)
-        self.figures = np.tile(d.figures, (count, 1))
+        self.figures = np.tile(d.params, (count, 1))
         self.drawn = np.tile(_ALIKE, (count, 1))
         self._counts = np.zeros(count, np.int64)
         self._upright = attitude_from_thrust([0.0, 0.0, 1.0], craft.heading)
@@ -243,14 +253,14 @@ class DescentBatch:
         return self._flight_counts
 
     def seed(self, mask: NDArray[np.bool_], keys: NDArray[np.uint64]) -> None:
-        """Set the random keys of lanes; all later flights derive from them."""
+        """Set the random keys (64-bit) of lanes `mask` (n,), which fix their flights."""
         self._keys[mask] = keys
         self._flight_counts[mask] = 0
         self._counts[mask] = 0
         self.has_key[mask] = True
 
     def begin(self, mask: NDArray[np.bool_]) -> None:
-        """Start a new random flight in every lane of `mask` (n,)."""
+        """Start new flights with random start, target and world in lanes `mask` (n,)."""
         w = self.worlds
         with threads_for(_STEP * self.count):
             k.begin(
@@ -258,23 +268,23 @@ class DescentBatch:
                 self.time, self.ended, self.starts, self.aims, self.spans, self._upright,
                 self._weight, w.reliefs, w.relief_frame,
             )  # fmt: skip
-            if self.craft.variation is not None:
+            if self.craft.domain_randomization is not None:
                 k.vary(
-                    mask, self._keys, self._flight_counts, self.craft.variation.ranges,
-                    STANDARD_GRAVITY, self.craft.dynamics.figures, self.drawn, self.figures, self.y,
+                    mask, self._keys, self._flight_counts, self.craft.domain_randomization.ranges,
+                    STANDARD_GRAVITY, self.craft.dynamics.params, self.drawn, self.figures, self.y,
                 )  # fmt: skip
         self.failed[mask] = 0
         self.touchdown_values[mask] = np.nan
 
     def normals(self, mask: NDArray[np.bool_], size: int) -> Array:
-        """Return standard normal numbers for lanes of `mask` (n, size); 0 in the others."""
+        """Return `size` standard normal numbers per lane of `mask` (n, size); 0 in others."""
         found = np.zeros((self.count, size))
         with threads_for(0.02 * self.count * size):
             k.scatter(mask, self._keys, self._counts, found)
         return found
 
     def move(self, actions: Array) -> None:
-        """Fly all flying lanes until the next action is due, or to their end.
+        """Fly all landers that have not ended until the next action is due, or to the end.
 
         Parameters
         ----------
@@ -299,16 +309,19 @@ class DescentBatch:
 
     @property
     def miss(self) -> Array:
-        """Horizontal distance from the target (n,), m."""
+        """Horizontal distance of each lander from its target (n,), m."""
         return np.asarray(np.linalg.norm(self.y[:, :2] - self.target[:, :2], axis=1))
 
     @property
     def burnt(self) -> Array:
-        """Propellant used since the start (n,), kg."""
+        """Propellant that each lander has used since its start (n,), kg."""
         return np.asarray(self.figures[:, 4] - self.y[:, 13])
 
     def words(self, lane: int) -> tuple[str, ...]:
-        """Return the names of the limits that a lane's flight violated."""
+        """Return why the flight of a lane failed: the violated limits, from `LIMITS`.
+
+        A flight that reached the time limit gives ``("time-limit",)``.
+        """
         if self.ended[lane] == LATE:
             return ("time-limit",)
         return tuple(name for bit, name in enumerate(LIMITS) if self.failed[lane] >> bit & 1)

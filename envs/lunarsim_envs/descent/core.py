@@ -45,7 +45,7 @@ def flat_scenario() -> Scenario:
 
 
 def _rate(given: Any) -> float:
-    """Return a positive number."""
+    """Check that the argument `rate_hz` is a positive number, and return the value."""
     numbers = int, float, np.integer, np.floating
     if isinstance(given, bool) or not isinstance(given, numbers) or not given > 0:
         raise InputError("rate_hz", given, "must be a positive number")
@@ -53,7 +53,11 @@ def _rate(given: Any) -> float:
 
 
 class DescentEnvArguments(TypedDict, total=False):
-    """Arguments of single and vector environments, described in `env.GuidanceEnv`."""
+    """Arguments that single and vector descent environments share.
+
+    Scenario with changes, action rate, observation components, reward weights, pool of worlds and
+    privileged information. The docstring of `env.GuidanceEnv` describes each one.
+    """
 
     scenario: Scenario | str | Path | None
     changes: Mapping[str, Any] | None
@@ -67,7 +71,9 @@ class DescentEnvArguments(TypedDict, total=False):
 
 
 class DescentEnvCore:
-    """Landers with their spaces and rewards: the core of the descent environments.
+    """Simulate n landers with observations, actions and rewards of an environment.
+
+    Single and vector environments of ``Guidance-v0`` and ``Control-v0`` wrap this class.
 
     Parameters
     ----------
@@ -114,10 +120,13 @@ class DescentEnvCore:
         check_height(craft.start, self.lanes)
         self.rewards = Rewards(weights or DescentWeights.of(self.scenario), self.lanes)
         self.truth = ObservationLayout(DEFAULT) if privileged else None
-        self.senses = self._senses() if craft.variation is not None else None
+        self.senses = self._senses() if craft.domain_randomization is not None else None
 
     def _senses(self) -> SensingModel:
-        """Return the noise and delay model; before the first action, thrust equals weight."""
+        """Create the model of noise and delays.
+
+        Delayed actions before the first one command a thrust equal to the weight.
+        """
         d = self.lanes.craft.dynamics
         weight = d.lander.wet_mass * d.gravity
         idle = [0.0, 0.0, d.gravity] if self.lanes.guided else [weight, 0.0, 0.0, 0.0]
@@ -129,46 +138,48 @@ class DescentEnvCore:
         return self.lanes.steps * self.lanes.craft.dynamics.step
 
     def seed(self, mask: Mask, seeds: Sequence[int | None]) -> None:
-        """Seed the landers of `mask`; a seed of None keeps the generator.
+        """Set the random keys of landers `mask` (n,) from one seed per selected lander.
 
-        A lander without a previous seed gets a random one.
+        A seed of None keeps the key; a lander without a key then gets a random one.
         """
         for lane, seed in zip(np.flatnonzero(mask), seeds, strict=True):
             if seed is not None or not self.lanes.has_key[lane]:
                 self.key(int(lane), seeding.np_random(seed)[0])
 
     def key(self, lane: int, rng: np.random.Generator) -> None:
-        """Draw the random key of a lander."""
+        """Sample the random key of a lander (index `lane`), which fixes its later flights."""
         one = np.zeros(self.lanes.count, np.bool_)
         one[lane] = True
         self.lanes.seed(one, rng.integers(2**64, size=1, dtype=np.uint64))
 
     def apply_options(self, mask: Mask, options: Mapping[str, Any] | None) -> None:
-        """Apply reset options to the landers of `mask`; they hold until the next call."""
+        """Apply options of `reset` to the landers of `mask` (n,), until the next call."""
         apply_options(options, self.lanes, mask)
 
     def restart(self, mask: Mask) -> None:
-        """Start new episodes for the lanes of `mask`, with options of `apply_options`."""
+        """Start new episodes for the landers of `mask` (n,), with their current options."""
         self.lanes.begin(mask)
         self.rewards.begin(mask)
         if self.senses is not None:
             self.senses.begin(mask)
 
     def observe(self) -> NDArray[np.float32]:
-        """Return the observations of all landers (n, size)."""
+        """Return the observations of all landers (n, size), with noise and delay if set."""
         return self.shown.of(self.lanes) if self.senses is None else self.senses.seen
 
     def hidden(self) -> dict[str, Any]:
-        """Return values that are not part of the observation, by name.
+        """Return values for `info` that are not part of the observation, by name.
 
-        ``drawn``: randomized parameters of each flight by name (n,), if the scenario has them.
+        ``randomized``: randomized parameters of each flight by name (n,), if the scenario has them.
         ``privileged``: true state with the components of `observations.DEFAULT`, followed by all
         randomized parameters (n, 28), if requested.
         """
         hidden: dict[str, Any] = {}
         drawn = self.lanes.drawn
         if self.senses is not None:
-            hidden["drawn"] = {name: drawn[:, i].copy() for i, name in enumerate(RANDOM_QUANTITIES)}
+            hidden["randomized"] = {
+                name: drawn[:, i].copy() for i, name in enumerate(RANDOM_QUANTITIES)
+            }
         if self.truth is not None:
             finite = np.minimum(drawn, self.lanes.craft.limit).astype(np.float32)
             hidden["privileged"] = np.hstack((self.truth.of(self.lanes), finite))
@@ -180,7 +191,11 @@ class DescentEnvCore:
         return {"time_s": lanes.time, "propellant_kg": lanes.burnt, "miss_m": lanes.miss}
 
     def step(self, action: Any) -> tuple[dict[str, NDArray[np.float64]], Mask, Mask, Mask]:
-        """Advance all flying landers; return reward terms, moved, terminated, truncated."""
+        """Fly all flying landers with actions from -1 to 1 until the next action is due.
+
+        Returns the reward terms (n,) by name, and which landers moved, terminated (by touchdown or
+        below the map) and were truncated (by the time limit), each (n,).
+        """
         physical = self.actions.physical(action, self.lanes.count if self.many else None)
         moved = self.lanes.ended == FLYING
         if self.senses is not None:

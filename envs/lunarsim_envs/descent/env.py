@@ -22,7 +22,7 @@ Shown = NDArray[np.float32]
 
 
 class DescentEnv(gymnasium.Env[Any, Any]):
-    """Base class of the single environments `GuidanceEnv` and `ControlEnv`."""
+    """Base class of the single-lander environments `GuidanceEnv` and `ControlEnv`."""
 
     metadata: dict[str, Any] = {"render_modes": ["rgb_array", "human"], "render_fps": 5}  # noqa: RUF012
     guided: ClassVar[bool]
@@ -51,7 +51,7 @@ class DescentEnv(gymnasium.Env[Any, Any]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Shown, dict[str, Any]]:
-        """Start a new episode."""
+        """Start a new episode; return its first observation (size,) and info."""
         self.descents.apply_options(self._one, options)
         super().reset(seed=seed)
         if seed is not None or not self.descents.lanes.has_key[0]:
@@ -64,14 +64,16 @@ class DescentEnv(gymnasium.Env[Any, Any]):
 
     def _hidden(self) -> dict[str, Any]:
         hidden = self.descents.hidden()
-        if "drawn" in hidden:
-            hidden["drawn"] = {name: float(one[0]) for name, one in hidden["drawn"].items()}
+        if "randomized" in hidden:
+            hidden["randomized"] = {
+                name: float(one[0]) for name, one in hidden["randomized"].items()
+            }
         if "privileged" in hidden:
             hidden["privileged"] = hidden["privileged"][0]
         return hidden
 
     def step(self, action: ArrayLike) -> tuple[Shown, float, bool, bool, dict[str, Any]]:
-        """Fly with an action until the next one is due, or to the end."""
+        """Fly with an action until the next action is due, or to the end of the flight."""
         d = self.descents
         if d.lanes.ended[0] != FLYING:
             raise gymnasium.error.ResetNeeded("The episode has ended. Call reset().")
@@ -83,7 +85,7 @@ class DescentEnv(gymnasium.Env[Any, Any]):
         crash = bool(terminated[0]) and not d.lanes.safe[0]
         info: dict[str, Any] = {"reward_terms": named, "cost": float(crash)} | self._hidden()
         if terminated[0] or truncated[0]:
-            info |= {"safe": bool(d.lanes.safe[0]), "failed": d.lanes.words(0)}
+            info |= {"safe": bool(d.lanes.safe[0]), "failure_causes": d.lanes.words(0)}
             info |= {name: float(value[0]) for name, value in d.outcome().items()}
         ends = bool(terminated[0]), bool(truncated[0])
         return d.observe()[0], float(sum_terms(named)), *ends, info
@@ -98,9 +100,10 @@ class DescentEnv(gymnasium.Env[Any, Any]):
             self._screen.close()
 
     def render(self) -> Any:
-        """Return an image (440, 640, 3) of the descent plane and gauges, or None.
+        """Return an RGB image of the descent plane and gauges (440, 640, 3).
 
-        In the mode ``"human"`` a window shows every frame during the flight.
+        Without a render mode, and in the mode ``"human"``, in which a window shows every frame
+        during the flight, it returns None.
         """
         if self._picture is None or self._screen is not None:
             return None
@@ -149,7 +152,7 @@ class DescentVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         seed: int | Sequence[int | None] | None = None,
         options: dict[str, Any] | None = None,
     ) -> tuple[Shown, dict[str, Any]]:
-        """Start new episodes in all lanes or in those of ``options["reset_mask"]`` (n,)."""
+        """Start episodes in all environments, or those of ``options["reset_mask"]`` (n,)."""
         left = checked_options(options)
         mask = reset_mask(left.pop("reset_mask", None), self.num_envs)
         check_all_reset(self._was_reset, mask)
@@ -186,7 +189,7 @@ class DescentVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         info |= {"cost": np.where(terminated & ~d.lanes.safe, 1.0, 0.0), "_cost": moved}
         if over.any():
             info |= {"safe": d.lanes.safe & over, "_safe": over}
-            info |= {"failed": np.where(over, d.lanes.failed, 0), "_failed": over}
+            info |= {"failure_causes": np.where(over, d.lanes.failed, 0), "_failure_causes": over}
             for name, values in d.outcome().items():
                 info |= {name: np.where(over, values, 0.0), f"_{name}": over}
         truncated = truncated | self._limit.reached(moved)
@@ -263,23 +266,24 @@ class GuidanceEnv(DescentEnv):
     ``covers`` or that of the scenario). Options hold until the next call of `reset`; automatic
     resets keep them.
 
-    The table [variation] of a scenario (``changes={"variation.load_kg": 50.0}``) randomizes each
-    flight: load, specific impulse, thrust, thrust lag, thrust line; failures of thrust and torque
-    from a random time; noise and delay of the observation, and delay of the action.
-    ``info["drawn"]`` contains the random values.
+    The table [domain_randomization] of a scenario (``changes={"domain_randomization.payload_kg":
+    50.0}``) randomizes each flight: payload mass, specific impulse, thrust, thrust lag, offset of
+    the thrust line; failures of thrust and torque from a random time; noise and delay of the
+    observation, and delay of the action.
+    ``info["randomized"]`` contains the random values.
 
     ## Episode End
 
     The episode terminates at touchdown or below the map. The simulation evaluates the touchdown
-    (``info["safe"]``, ``info["failed"]``). ``info`` then also has ``time_s``, ``propellant_kg``
-    used and ``miss_m``, the horizontal distance from the target. The episode is truncated at the
-    time limit of the scenario (120 s). In a vector environment, ``info["failed"]`` has one bit for
-    each limit in `lunarsim_envs.descent.batch.LIMITS`.
+    (``info["safe"]``, ``info["failure_causes"]``). ``info`` then also has ``time_s``,
+    ``propellant_kg`` used and ``miss_m``, the horizontal distance from the target. The episode is
+    truncated at the time limit of the scenario (120 s). In a vector environment,
+    ``info["failure_causes"]`` has one bit for each limit in `lunarsim_envs.descent.batch.LIMITS`.
 
     ## Arguments
 
     - ``scenario``: a `lunarsim.scenario.Scenario`, the path of a TOML file or the name of a
-      packaged scenario. Default: nearly flat terrain without rocks.
+      scenario that is supplied with lunarsim. Default: nearly flat terrain without rocks.
     - ``changes``: changed values by key, for example ``{"rocks.cover": 0.05}``.
     - ``rate_hz``: action rate, Hz.
     - ``observation``: names of the observation components.
@@ -287,12 +291,13 @@ class GuidanceEnv(DescentEnv):
       [descent_reward] of the scenario.
     - ``render_mode``: ``"rgb_array"`` returns images of the descent plane with gauges; ``"human"``
       shows them in a window; None disables rendering. Vector environments do not render.
-    - ``worlds``, ``world_seed``: number of worlds in the pool and their root seed. Each flight uses
-      one of them. The terrain is a raster with 0.1 m posting around the targets.
+    - ``worlds``, ``world_seed``: number of worlds (simulated terrains with rocks) in the pool and
+      their root seed. Each flight uses one of them. The terrain is a raster with a grid spacing of
+      0.1 m around the targets.
     - ``covers``: additional rock covers for ``reset(options={"cover": ...})``. The pool has
       ``worlds`` worlds for each cover.
     - ``privileged``: adds ``info["privileged"]`` (28,) for asymmetric critics: the true state with
-      the default observation components, then all values of ``info["drawn"]``.
+      the default observation components, then all values of ``info["randomized"]``.
     - ``num_envs``, ``autoreset_mode``, ``max_episode_steps`` with ``gymnasium.make_vec(...,
       vectorization_mode="vector_entry_point")``: number of flights in one kernel; "NextStep",
       "SameStep" or "Disabled"; number of steps until truncation. Environment i with seed s gives
@@ -307,7 +312,10 @@ class GuidanceEnv(DescentEnv):
 
 
 class GuidanceVectorEnv(DescentVectorEnv):
-    """Vector environment of `GuidanceEnv`."""
+    """Fly many landers at once with thrust acceleration commands.
+
+    It is the vector version of `GuidanceEnv`, with the same arguments.
+    """
 
     guided, rate = True, 5.0
 
@@ -352,6 +360,9 @@ class ControlEnv(DescentEnv):
 
 
 class ControlVectorEnv(DescentVectorEnv):
-    """Vector environment of `ControlEnv`."""
+    """Fly many landers at once with throttle and torque commands.
+
+    It is the vector version of `ControlEnv`, with the same arguments.
+    """
 
     guided, rate = False, 50.0

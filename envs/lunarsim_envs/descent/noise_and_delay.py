@@ -15,15 +15,15 @@ Mask = NDArray[np.bool_]
 
 
 class DelayLine:
-    """Delay line with a separate delay for each lane.
+    """Delay the observation or command vectors of n landers by individual delays.
 
     Parameters
     ----------
     lanes, size
-        Batch of landers, and number of values per row.
+        Batch of n landers, and length of the vectors.
     place
-        Column of `DescentBatch.drawn` with the delay, s. Delays are rounded to multiples
-        of the step.
+        Column of `DescentBatch.drawn` that has the delays, s. Delays are rounded to multiples of
+        the step.
     most, period
         Maximum delay and duration of a step, s.
     """
@@ -36,17 +36,17 @@ class DelayLine:
         self._rows = np.arange(lanes.count)
 
     def begin(self, mask: Mask, row: Array) -> None:
-        """Fill the delay line of the lanes of `mask` with one row."""
+        """Fill the delay line of landers `mask` (n,) with constant vectors (n, size)."""
         self._kept[:, mask] = row[mask]
 
     def put(self, mask: Mask, row: Array) -> None:
-        """Insert the rows of this step for the lanes of `mask`."""
+        """Insert the vectors (n, size) of this step for the landers of `mask` (n,)."""
         self._kept[1:, mask] = self._kept[:-1, mask]
         self._kept[0, mask] = row[mask]
 
     @property
     def rows(self) -> Array:
-        """Delayed rows of the current step (n, size)."""
+        """Delayed vectors of the current step (n, size)."""
         steps = np.round(self._lanes.drawn[:, self._place] / self._period).astype(int)
         return np.asarray(self._kept[steps, self._rows])
 
@@ -57,17 +57,18 @@ class SensingModel:
     Parameters
     ----------
     lanes, shown
-        Batch of landers whose `VehicleParams.variation` is set, and the observation components.
+        Batch of landers whose `VehicleParams.domain_randomization` is set, and the observation
+        components.
     period
         Duration of a step, s.
     idle
-        Command before the first action (size,).
+        Command that applies before the first delayed action (size,).
     """
 
     def __init__(
         self, lanes: DescentBatch, shown: ObservationLayout, period: float, idle: Array
     ) -> None:
-        varied = lanes.craft.variation
+        varied = lanes.craft.domain_randomization
         assert varied is not None
         self._lanes, self._shown = lanes, shown
         self._idle = np.tile(idle, (lanes.count, 1))
@@ -80,26 +81,26 @@ class SensingModel:
         ]  # fmt: skip
 
     def begin(self, mask: Mask) -> None:
-        """Take the first observation of a flight in the lanes of `mask`."""
+        """Take the first observations of the new flights of the landers of `mask` (n,)."""
         self._seen.begin(mask, self._look(mask))
         self._asked.begin(mask, self._idle)
 
     def look(self, mask: Mask) -> None:
-        """Take a new observation in the lanes of `mask`."""
+        """Take a new noisy observation of the landers of `mask` (n,) into the delay line."""
         self._seen.put(mask, self._look(mask))
 
     def act(self, mask: Mask, physical: Array) -> Array:
-        """Insert the commands (n, size) and return the delayed commands."""
+        """Insert commands (n, size) of landers `mask` (n,); return the delayed commands."""
         self._asked.put(mask, physical)
         return self._asked.rows
 
     @property
     def seen(self) -> NDArray[np.float32]:
-        """Delayed, noisy observations of all lanes (n, size)."""
+        """Delayed, noisy observations of all landers (n, size)."""
         return self._seen.rows.astype(np.float32)
 
     def _look(self, mask: Mask) -> Array:
-        """Return the undelayed observations (n, size), with noise in the lanes of `mask`."""
+        """Return the undelayed observations (n, size), with noise for landers `mask`."""
         found = self._shown.of(self._lanes).astype(np.float64)
         if not self._noise:
             return found

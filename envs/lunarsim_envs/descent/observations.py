@@ -24,18 +24,18 @@ FAR = 5000.0
 
 @dataclass(frozen=True)
 class ObservationComponent:
-    """One component of an observation.
+    """One component of the observation of a descent, such as the position.
 
     Attributes
     ----------
     name
-        Name by which `observation` selects it.
+        Name by which the environment's argument `observation` selects the component.
     size, low, high
         Number of values, and their bounds.
     unit, meaning
         Unit and description, for the documentation.
     of
-        Function that returns the values of all lanes (n, size).
+        Function that returns the values of all n landers of a batch (n, size).
     """
 
     name: str
@@ -53,7 +53,7 @@ DEFAULT = ("position", "velocity", "attitude", "rate", "thrust", "propellant")
 
 
 def register(part: ObservationComponent) -> None:
-    """Register a component.
+    """Register a custom component, so that environments can select it by name.
 
     Raises
     ------
@@ -113,7 +113,7 @@ for _part in (
 
 
 class ObservationLayout:
-    """An observation that consists of named components.
+    """Compute observations that consist of named components in sequence.
 
     Parameters
     ----------
@@ -149,11 +149,11 @@ class ObservationLayout:
 
     @property
     def space(self) -> spaces.Box:
-        """Observation space of one lane."""
+        """Observation space of one lander."""
         return spaces.Box(self._low, self._high)
 
     def of(self, lanes: DescentBatch) -> NDArray[np.float32]:
-        """Return the observations of all lanes (n, size)."""
+        """Compute the observations of all landers of a batch (n, size)."""
         each = [p.of(lanes) for p in self.parts]
         for part, value in () if self._checked else zip(self.parts, each, strict=True):
             check_shape(f"observation: {part.name}", value, (lanes.count, part.size))

@@ -38,19 +38,19 @@ MOST = 5000.0
 def apply_options(
     options: Mapping[str, Any] | None, lanes: DescentBatch, mask: NDArray[np.bool_]
 ) -> None:
-    """Set start, target and rock cover of the next flights of some lanes.
+    """Set start, target and rock cover of the next flights of some landers.
 
     Parameters
     ----------
     options
         ``position_m`` and ``velocity_m_s`` (3,), ``position_sigma_m``, ``velocity_sigma_m_s`` as in
         the table [start] of a scenario; ``target_m``, ``target_scatter_m`` (2,) as in [target],
-        within the target area of the scenario; ``cover``, a rock cover of the pool. Omitted options
-        have the values of the scenario.
+        within the target area of the scenario; ``cover``, a rock cover (area fraction) for which
+        the pool has worlds. Omitted options have the values of the scenario.
     lanes
         Batch of landers.
     mask
-        Lanes to change (n,).
+        Landers to change (n,).
 
     Raises
     ------
@@ -81,7 +81,7 @@ def apply_options(
 
 
 def scenario_with_options(options: Mapping[str, Any] | None, scenario: Scenario) -> Scenario:
-    """Return a scenario with the options of a reset applied.
+    """Return a scenario with the options of `reset` applied.
 
     Parameters
     ----------
@@ -109,7 +109,10 @@ def scenario_with_options(options: Mapping[str, Any] | None, scenario: Scenario)
 
 
 def _numbers(key: str, value: Any, room: Array) -> Array:
-    """Return the numbers of an option in the shape of `room`."""
+    """Check the numbers of an option and return them in the shape of `room`.
+
+    `key` is the name of the option. Standard deviations and scatters must not be negative.
+    """
     plain = value.tolist() if isinstance(value, (np.ndarray, np.generic)) else value
     several = list(plain) if isinstance(plain, Sequence) else []
     listed = [plain] if len(room) == 1 else several
@@ -129,7 +132,10 @@ def _numbers(key: str, value: Any, room: Array) -> Array:
 
 
 def _check_aims(aims: Array, lanes: DescentBatch) -> None:
-    """Check that targets are in the target area, for which terrain is stored."""
+    """Check that targets lie in the scenario's target area, where terrain is stored.
+
+    `aims` (4,) has centre and half widths, east and north, m.
+    """
     middle, scatter = lanes.craft.aim[:2], lanes.craft.aim[2:]
     low, high = middle - scatter, middle + scatter
     if np.any(aims[:2] - aims[2:] < low - 1e-9) or np.any(aims[:2] + aims[2:] > high + 1e-9):
@@ -141,12 +147,15 @@ def _check_aims(aims: Array, lanes: DescentBatch) -> None:
 
 
 def check_height(starts: Array, lanes: DescentBatch) -> None:
-    """Check that starts are above the terrain.
+    """Check that flights start above the terrain of all worlds.
+
+    `starts` (8,) has the planned position, velocity and their standard deviations, as
+    `VehicleParams.start`.
 
     Raises
     ------
     InputError
-        If the planned height minus five standard deviations is not above all terrain.
+        If the planned height minus five standard deviations is not above the highest terrain.
     """
     low, high = lanes.worlds.levels[:, 0].min(), lanes.worlds.levels[:, 1].max()
     least = high - low + lanes.craft.dynamics.lander.com_height + 5.0 * starts[6]

@@ -26,12 +26,12 @@ _UNDER, _TOP, _HALF = 0.25, 1.1, 0.55
 
 
 class PlaneView:
-    """Draw one lane with its path.
+    """Draw one lander of a batch, its path and gauges, in a vertical plane.
 
     Parameters
     ----------
     lanes, lane
-        Batch of landers, and index of the lane to draw.
+        Batch of landers, and index of the lander to draw.
     """
 
     def __init__(self, lanes: DescentBatch, lane: int = 0) -> None:
@@ -48,7 +48,7 @@ class PlaneView:
         self.note()
 
     def note(self) -> None:
-        """Append the current position to the path."""
+        """Append the current position of the lander to the drawn path."""
         self._path.append(self._flat(self._lanes.y[self._lane, :3]))
 
     def _flat(self, points: Array) -> Array:
@@ -57,7 +57,7 @@ class PlaneView:
         return np.stack((off[..., :2] @ self._along, off[..., 2]), axis=-1)
 
     def draw(self) -> Image:
-        """Return an image of the current state (440, 640, 3)."""
+        """Return an RGB image of the current state (440, 640, 3)."""
         here = self._flat(self._lanes.y[self._lane, :3])
         extent = max(_NEAREST, _ROOM * max(abs(float(here[0])), float(here[1])))
         left, low = 0.5 * float(here[0]) - 0.5 * extent, -0.12 * extent
@@ -82,7 +82,11 @@ class PlaneView:
         return np.hstack((image, self._gauges()))
 
     def _terrain_profile(self, left: float, extent: float) -> Array:
-        """Return the terrain profile (n, 2), m, with target height for unknown terrain."""
+        """Return the terrain profile in the view plane as distance and height (n, 2), m.
+
+        `left` is the distance of the left edge from the target and `extent` the width of the view,
+        m. Unknown terrain has the height of the target.
+        """
         lanes, worlds = self._lanes, self._lanes.worlds
         z = worlds.terrains[lanes.world[self._lane]]
         x0, y0, posting = worlds.frame
@@ -98,7 +102,7 @@ class PlaneView:
     def _lander(
         self, image: Image, pixels: Callable[[Array], NDArray[np.int32]], scale: float
     ) -> None:
-        """Draw legs, body and flame."""
+        """Draw legs, body and flame; `pixels` converts m to pixels, by `scale`."""
         lanes, y = self._lanes, self._lanes.y[self._lane]
         vehicle = lanes.craft.dynamics.lander
         size = vehicle.leg_radius
@@ -126,7 +130,7 @@ class PlaneView:
         cv2.fillPoly(image, [np.array(body)], _BODY, cv2.LINE_AA)
 
     def _gauges(self) -> Image:
-        """Return an image of the gauges (440, 200, 3)."""
+        """Return an RGB image of gauges and of the landing outcome (440, 200, 3)."""
         lanes, y = self._lanes, self._lanes.y[self._lane]
         vehicle = lanes.craft.dynamics.lander
         tilt = np.degrees(np.arccos(np.clip(quat_rotate(y[6:10], [0.0, 0.0, 1.0])[2], -1.0, 1.0)))

@@ -18,14 +18,14 @@ _LAST, _SOONER = 4.0, 1.5
 
 
 def reference_velocity(lanes: DescentBatch) -> Array:
-    """Return the reference velocity towards the target (n, 3), ENU, m/s.
+    """Return each lander's reference velocity towards its target (n, 3), ENU, m/s.
 
-    It is the vector to the target divided by T + sqrt(r / 2 a), where r is the distance. Far away
-    its norm is sqrt(2 a r), which corresponds to a constant deceleration a; near the target it is
-    r / T. Vertically it aims at a point slightly below the terrain, so that touchdown occurs at a
-    speed within the limit. Rewards based on a velocity field: Gaudet, Linares and Furfaro, "Deep
-    reinforcement learning for six degree-of-freedom planetary landing", Advances in Space Research
-    65, 2020.
+    It is the vector to the target divided by T + sqrt(r / 2 a), where r is the distance, a is 0.38
+    of the maximum deceleration and T is 4 s. Far away its norm is sqrt(2 a r), which corresponds to
+    a constant deceleration a; near the target it is r / T. Vertically it aims at a point slightly
+    below the terrain, so that touchdown occurs at a speed within the limit. Rewards based on a
+    velocity field: Gaudet, Linares and Furfaro, "Deep reinforcement learning for six
+    degree-of-freedom planetary landing", Advances in Space Research 65, 2020.
     """
     dynamics = lanes.craft.dynamics
     lander = dynamics.lander
@@ -39,10 +39,10 @@ def reference_velocity(lanes: DescentBatch) -> Array:
 
 
 def velocity_deviation(lanes: DescentBatch) -> Array:
-    """Return the deviation of each lander from its reference velocity (n,).
+    """Return how far the velocity of each lander is from its reference velocity (n,).
 
-    It is log(1 + error / horizontal speed limit). The logarithm distinguishes 1 from 2 m/s near the
-    end as well as 10 from 20 m/s earlier.
+    The deviation is log(1 + error / horizontal speed limit). The logarithm distinguishes 1 from 2
+    m/s near the end as well as 10 from 20 m/s earlier.
     """
     error = np.linalg.norm(lanes.y[:, 3:6] - reference_velocity(lanes), axis=1)
     limit = lanes.craft.dynamics.lander.horizontal_speed_limit

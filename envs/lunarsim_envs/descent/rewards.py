@@ -27,11 +27,11 @@ _LIMITED = 4
 
 @dataclass(frozen=True)
 class DescentWeights(DescentReward):
-    """Weights of the reward terms, with the keys of the table [descent_reward]."""
+    """Weights of the reward terms of descents, as in the table [descent_reward]."""
 
     @classmethod
     def of(cls, scenario: Scenario) -> DescentWeights:
-        """Return the weights of a scenario, or the defaults."""
+        """Return the weights in the table [descent_reward] of a scenario, or the defaults."""
         given = scenario.descent_reward
         return cls() if given is None else cls(**vars(given.make()))
 
@@ -46,7 +46,7 @@ class DescentWeights(DescentReward):
         Raises
         ------
         InputError
-            Naming the weight ``safe``.
+            If the weight ``safe`` is too small for that.
         """
         least = self.crash + self.propellant * propellant + self.miss * MAX_MISS_M
         if not self.safe > least:
@@ -58,7 +58,7 @@ class DescentWeights(DescentReward):
 
 
 class Rewards:
-    """Compute the reward terms of every step.
+    """Compute the reward terms of every step of n descents.
 
     ``touchdown``, ``propellant``, ``miss``, ``severity`` and ``excess`` are the objective.
     ``shaping`` is the discount factor times the potential after the step minus the potential
@@ -88,18 +88,22 @@ class Rewards:
         self._potential = np.zeros(lanes.count)
 
     def _off(self) -> Array:
-        """Return distance plus speed (n,), each over that of the planned start."""
+        """Return distance from the target plus speed, each relative to the start (n,)."""
         y = self.lanes.y
         away = np.linalg.norm(y[:, :3] - self.lanes.target, axis=1) / self._far
         fast = np.linalg.norm(y[:, 3:6], axis=1) / self._fast
         return np.asarray(away + fast)
 
     def potential(self) -> Array:
-        """Return the potential of the current state of every lane (n,)."""
+        """Return the shaping potential of the current state of every lander (n,)."""
         return -self.weights.shaping * off_wanted(self.lanes)
 
     def _excess(self) -> Array:
-        """Return the summed logarithms of the ratios to the touchdown limits (n,)."""
+        """Return by how much touchdowns exceed their limits (n,).
+
+        It is the sum over speed, tilt and rate of log(value / limit), or 0 within the limit; each
+        logarithm is at most `MAX_EXCESS`, also without a touchdown.
+        """
         vehicle = self.lanes.craft.dynamics.lander
         limits = np.array([
             vehicle.vertical_speed_limit, vehicle.horizontal_speed_limit, vehicle.tilt_limit,
@@ -111,12 +115,12 @@ class Rewards:
         return np.asarray(folds.sum(axis=1))
 
     def begin(self, mask: NDArray[np.bool_]) -> None:
-        """Store mass and potential at the start of the flights of `mask` (n,)."""
+        """Store mass and potential of the flights of `mask` (n,), which have just started."""
         self._mass[mask] = self.lanes.y[mask, 13]
         self._potential[mask] = self.potential()[mask]
 
     def terms(self, moved: NDArray[np.bool_]) -> dict[str, Array]:
-        """Return the reward terms of the last step (n,); 0 in lanes that did not move."""
+        """Return the reward terms (n,) of the last step by name; 0 where `moved` is false."""
         w, lanes = self.weights, self.lanes
         over = (lanes.ended != FLYING) & (lanes.ended != LATE)
         after = np.where(over, 0.0, self.potential())

@@ -1,4 +1,4 @@
-"""Generate a pool of worlds that all lanes share."""
+"""Generate a pool of worlds (terrains with rocks) that all landers share."""
 
 from __future__ import annotations
 
@@ -27,19 +27,20 @@ _SINGLE = 1e-6
 
 @dataclass(frozen=True)
 class WorldPool:
-    """Terrain of each world around its target area.
+    """Terrain rasters of k worlds around the target area.
 
     Attributes
     ----------
     terrains, frame
-        Heights with rocks (k, rows, cols), m; east and north of cell (0, 0), and posting (3,), m.
+        Heights with rocks (k, rows, cols), m; east and north of cell (0, 0), and grid spacing (3,),
+        m.
     reliefs, relief_frame
-        The same without rocks, as the mission knows the terrain.
+        Heights without rocks, as the mission knows the terrain, and the frame of their grid.
     levels
         Minimum and maximum height of each world (k, 2), m.
     covers
-        Rock covers. The worlds are grouped by cover in this order, with equal group sizes; the
-        cover of the scenario is the first.
+        Rock covers (area fractions). The worlds are grouped by cover in this order, with equal
+        group sizes; the cover of the scenario is the first.
     """
 
     terrains: NDArray[np.float32]
@@ -60,10 +61,10 @@ class WorldPool:
         scenario
             Scenario with terrain, rocks and target area.
         count, seed
-            Number of worlds per cover, and root seed. World k is that of flight k of a campaign
-            with this seed.
+            Number of worlds per cover, and root seed. World k is the world of flight k in a
+            campaign with this seed.
         covers
-            Additional rock covers.
+            Additional rock covers, area fractions.
 
         Raises
         ------
@@ -84,7 +85,15 @@ class WorldPool:
     def about(
         cls, scenario: Scenario, count: int, drawn: Iterable[World], covers: Sequence[float] = ()
     ) -> WorldPool:
-        """Store the terrain around the targets of generated worlds; arguments as in `of`."""
+        """Rasterize the terrain around the targets of worlds that were generated before.
+
+        Parameters
+        ----------
+        scenario, count, covers
+            Scenario, number of worlds per rock cover, and additional rock covers.
+        drawn
+            Worlds, grouped by cover, with the cover of the scenario first.
+        """
         all_covers = tuple(one.rocks.cover for one in scenarios_by_cover(scenario, covers))
         terrains, reliefs, grids = [], [], None
         for world in drawn:
@@ -110,9 +119,9 @@ class WorldPool:
         return cls(height, frames[0], relief, frames[1], levels.astype(np.float64), all_covers)
 
     def span(self, cover: float | None) -> tuple[int, int]:
-        """Return index of the first world and number of worlds of a cover.
+        """Return index of the first world and number of worlds that have a rock cover.
 
-        None is the cover of the scenario.
+        None selects the cover of the scenario.
 
         Raises
         ------
@@ -129,13 +138,13 @@ class WorldPool:
                 "options.cover",
                 cover,
                 f"must be one of {known}",
-                "Add it to the argument covers of the environment.",
+                "Add the value to the argument covers of the environment.",
             )
         return k * count, count
 
 
 def scenarios_by_cover(scenario: Scenario, covers: Sequence[float]) -> list[Scenario]:
-    """Return a scenario, followed by copies with other rock covers.
+    """Return a list of a scenario and its copies with other rock covers.
 
     Raises
     ------
@@ -153,7 +162,7 @@ def scenarios_by_cover(scenario: Scenario, covers: Sequence[float]) -> list[Scen
 
 
 def _grids(scenario: Scenario, terrain: Terrain) -> tuple[Grid, Grid]:
-    """Return the grids of the terrain with rocks and of the terrain without rocks."""
+    """Return the grids around the target area for terrain with and without rocks."""
     target = scenario.target.make()
     middle, scatter = np.asarray(target.position), np.asarray(target.scatter)
     west, east, south, north = terrain.bounds

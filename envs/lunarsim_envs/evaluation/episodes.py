@@ -17,7 +17,7 @@ from lunarsim_envs.agents.registry import agent_of, label
 
 @dataclass(frozen=True)
 class EvaluationStudy:
-    """Definition of an evaluation, without the agents.
+    """Definition of an evaluation of agents: environment, scenario and seed.
 
     Attributes
     ----------
@@ -40,7 +40,7 @@ class EvaluationStudy:
     trust_pickle: bool = False
 
     def make(self) -> gymnasium.Env[Any, Any]:
-        """Create the environment."""
+        """Create the environment with its scenario and arguments."""
         given = dict(self.arguments)
         if self.scenario is not None:
             given["scenario"] = self.scenario
@@ -48,7 +48,10 @@ class EvaluationStudy:
 
 
 def _ending(info: dict[str, Any]) -> dict[str, Any]:
-    """Return the booleans, numbers and tuples of words (as one text) of the last info."""
+    """Return the values of the last `info` that fit in a results table, by name.
+
+    Booleans and numbers are kept, tuples of words become one text, other values are omitted.
+    """
     row: dict[str, Any] = {}
     for name, value in info.items():
         if isinstance(value, bool | np.bool_):
@@ -61,22 +64,22 @@ def _ending(info: dict[str, Any]) -> dict[str, Any]:
 
 
 def fly_episodes(study: EvaluationStudy, agent: str, episodes: range) -> Iterator[dict[str, Any]]:
-    """Fly episodes and yield one row per episode.
+    """Fly episodes with one agent and yield the results of each episode.
 
     Parameters
     ----------
     study
         Definition of the evaluation.
     agent
-        Agent, in a form that `agent_of` accepts.
+        Agent: a name, a file or ``module:Name``, as `agent_of` accepts.
     episodes
         Indices of the episodes.
 
     Yields
     ------
     dict
-        Agent, episode, return, score (return without shaping), steps, sum of each reward term, and
-        values of the last info.
+        Name of the agent, episode, return, score (return without the term ``shaping``), steps, sum
+        of each reward term, and values of the last `info`.
 
     Raises
     ------

@@ -23,7 +23,7 @@ Rows = list[dict[str, Any]]
 
 
 class WorkersDieError(RuntimeError):
-    """Report that a worker process died."""
+    """Error: a worker process of a parallel evaluation died."""
 
 
 def check_agents(study: EvaluationStudy, agents: Sequence[str]) -> None:
@@ -32,7 +32,7 @@ def check_agents(study: EvaluationStudy, agents: Sequence[str]) -> None:
     Raises
     ------
     InputError
-        Naming ``--agent``.
+        If there are no agents, or one of them fails a check.
     """
     if not agents:
         raise InputError("--agent", "", "must be given at least once")
@@ -50,6 +50,7 @@ def check_agents(study: EvaluationStudy, agents: Sequence[str]) -> None:
 
 
 def _chunk(study: EvaluationStudy, agent: str, episodes: range) -> Rows:
+    """Fly a range of episodes with one agent in a worker process; return their rows."""
     return list(fly_episodes(study, agent, episodes))
 
 
@@ -57,7 +58,7 @@ def fly(
     study: EvaluationStudy, agents: Sequence[str], episodes: int, jobs: int,
     progress: Callable[[int], None] | None = None,
 ) -> Rows:  # fmt: skip
-    """Fly the same episodes with every agent.
+    """Fly the same episodes with every agent, in parallel processes.
 
     Parameters
     ----------
@@ -71,7 +72,7 @@ def fly(
     Returns
     -------
     list of dict
-        One row per episode, ordered by agent and episode.
+        Results of each episode from `fly_episodes`, ordered by agent and episode.
 
     Raises
     ------
@@ -99,9 +100,10 @@ def fly(
 def _spread(
     study: EvaluationStudy, work: list[tuple[str, range]], jobs: int, report: Callable[[int], None]
 ) -> Rows:
-    """Fly tasks in worker processes.
+    """Fly tasks (agent, episodes) in worker processes; return rows in task order.
 
-    Workers are spawned, because a fork of a process that has flown or rendered may hang.
+    `report` gets the number of episodes finished since the last call. Workers are spawned, because
+    a fork of a process that has flown or rendered may hang.
     """
     check_picklable("study", study)
     # Agents and environments are sent by name, so classes defined in a notebook fail here.

@@ -26,21 +26,21 @@ _DEFAULTS = {
 
 
 def _environment(given: str) -> str:
-    """Return the id of a registered environment.
+    """Return the id of the registered environment that a user names.
 
-    The prefix ``lunarsim/`` may be omitted.
+    The prefix ``lunarsim/`` may be omitted; ``module:`` imports a module first.
 
     Raises
     ------
     InputError
-        If the environment does not exist, or its module cannot be imported.
+        If the environment does not exist, or the module cannot be imported.
     """
     module, _, name = given.rpartition(":")
     if module:
         try:
             importlib.import_module(module)
         except ImportError as error:
-            raise InputError("env", given, f"its module cannot be imported ({error})") from None
+            raise InputError("env", given, f"the module cannot be imported ({error})") from None
     for candidate in (name, f"lunarsim/{name}"):
         if candidate in gymnasium.registry:
             return f"{module}:{candidate}" if module else candidate
@@ -50,7 +50,10 @@ def _environment(given: str) -> str:
 
 
 def _check_perception(given: str, default: Any) -> None:
-    """Check that a perception exists and applies to the environment."""
+    """Check that a perception exists and that the environment has perceptions.
+
+    `default` is the function that creates the default scenario of the environment.
+    """
     if given not in PERCEPTIONS:
         raise InputError("--perception", given, "is unknown", suggestion(given, PERCEPTIONS))
     if default is flat_scenario:
@@ -60,7 +63,7 @@ def _check_perception(given: str, default: Any) -> None:
 def evaluation_study(
     env: str, scenario: Path | None, changes: Sequence[str], seed: int, **arguments: Any
 ) -> EvaluationStudy:
-    """Return the definition of an evaluation.
+    """Check command-line options and return the definition of an evaluation.
 
     Parameters
     ----------

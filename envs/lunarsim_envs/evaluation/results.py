@@ -31,14 +31,14 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class BootstrapMean:
-    """A mean over finite values with its 95 % bootstrap interval."""
+    """Mean of finite values with its 95 % bootstrap interval, `low` to `high`."""
 
     value: float
     low: float
     high: float
 
     def text(self, digits: int) -> str:
-        """Format as ``value [low, high]``, or as a dash if there are no values."""
+        """Format as ``value [low, high]`` with `digits` decimals, or as a dash for NaN."""
         if not np.isfinite(self.value):
             return "-"
         if not np.isfinite(self.low):
@@ -48,7 +48,7 @@ class BootstrapMean:
 
 @dataclass(frozen=True)
 class AgentMetrics:
-    """Metrics of one agent.
+    """Performance metrics of one agent over the episodes of an evaluation.
 
     Attributes
     ----------
@@ -74,12 +74,15 @@ class AgentMetrics:
 
 
 def column(rows: Rows, name: str) -> Array:
-    """Return a column of rows (n,); NaN where a row does not have it."""
+    """Return the values `name` of all episodes (n,); NaN where a value is missing."""
     return np.array([float(row.get(name, np.nan)) for row in rows], dtype=np.float64)
 
 
 def add_on_target(rows: Rows, within: float) -> Rows:
-    """Add ``on_target``: whether the landing was safe and within a distance, m."""
+    """Add ``on_target`` to each row: whether the landing was safe and near the target.
+
+    `within` is the maximum distance, m. Episodes without an outcome or distance are unchanged.
+    """
     return [
         row | {"on_target": bool(row["safe"] and row["miss_m"] <= within)}
         if "miss_m" in row and "safe" in row
@@ -89,13 +92,17 @@ def add_on_target(rows: Rows, within: float) -> Rows:
 
 
 def _share(rows: Rows, name: str) -> Proportion | None:
+    """Return the fraction of episodes in which a boolean is true; None if missing."""
     if not all(name in row for row in rows):
         return None
     return Proportion(sum(bool(row[name]) for row in rows), len(rows))
 
 
 def agent_metrics(rows: Rows, seed: int) -> list[AgentMetrics]:
-    """Return the metrics of every agent, in the order of the rows."""
+    """Compute the metrics of every agent from the rows of its episodes.
+
+    Agents are in the order of the rows; `seed` fixes the bootstrap.
+    """
     rng = np.random.default_rng(design_seed(seed))
 
     def mean(own: Rows, name: str) -> BootstrapMean:
@@ -121,8 +128,9 @@ def agent_metrics(rows: Rows, seed: int) -> list[AgentMetrics]:
 def differences(rows: Rows, seed: int) -> dict[str, list[Difference]]:
     """Return paired differences between agents on the same episodes, by metric.
 
-    Safe landings are compared on all episodes, propellant on episodes in which both agents landed
-    safely. The p-values of one metric are corrected for multiple comparisons (Holm).
+    `rows` are the results of all episodes and `seed` fixes the bootstrap. Safe landings are
+    compared on all episodes, propellant on episodes in which both agents landed safely. The
+    p-values of one metric are corrected for multiple comparisons (Holm).
     """
     rng = np.random.default_rng(design_seed(seed))
     agents = list(dict.fromkeys(row["agent"] for row in rows))
@@ -145,6 +153,7 @@ def differences(rows: Rows, seed: int) -> dict[str, list[Difference]]:
 
 
 def _corrected(found: list[Difference]) -> list[Difference]:
+    """Return differences with p-values corrected for multiple comparisons (Holm)."""
     corrected = holm_correction([d.p for d in found])
     return [replace(d, corrected=float(p)) for d, p in zip(found, corrected, strict=True)]
 
@@ -179,7 +188,7 @@ def write(
 
 
 def _finite(value: Any) -> Any:
-    """Replace numbers that JSON cannot represent (NaN, infinity) by None."""
+    """Replace numbers that JSON cannot represent (NaN, inf) in nested data by None."""
     if isinstance(value, dict):
         return {key: _finite(own) for key, own in value.items()}
     if isinstance(value, list | tuple):

@@ -25,7 +25,10 @@ def _table(headings: tuple[str, ...]) -> Table:
 
 
 def agents_table(found: list[AgentMetrics], within: float) -> Table:
-    """Return a table with one row per agent."""
+    """Return the table of metrics that `lunarsim evaluate` prints, one row per agent.
+
+    `within` is the distance of an on-target landing from the target, m.
+    """
     table = _table(
         ("Agent", "Episodes", "Landed safely [95 % CI]", f"Safe within {within:g} m", "Score, mean",
          "Propellant (kg)\nsafe landings", "Miss (m)\nsafe landings", "Steps,\nmean")
@@ -42,13 +45,13 @@ def agents_table(found: list[AgentMetrics], within: float) -> Table:
 
 
 def _interval(d: Difference) -> str:
-    """Format a difference with its interval, if there is more than one pair."""
+    """Format a difference with its 95 % interval, if there is one."""
     value = f"{d.value:+.3f}"
     return value if np.isnan(d.low) else f"{value} [{d.low:+.3f}, {d.high:+.3f}]"
 
 
 def differences_table(between: dict[str, list[Difference]]) -> Table:
-    """Return a table with one row per pair of agents and metric."""
+    """Return the table of paired differences, one row per pair of agents and metric."""
     table = _table(("Paired difference", "Metric", "Pairs", "Difference [95 % CI]", "p (Holm)"))
     for metric, many in between.items():
         for d in many:

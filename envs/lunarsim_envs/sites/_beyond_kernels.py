@@ -1,5 +1,9 @@
 # mypy: allow-untyped-defs, no-check-untyped-defs
-"""Compiled proofs that a region is out of reach for every time-to-go."""
+"""Compiled proofs that a region of targets is out of reach for every time-to-go.
+
+T is the time-to-go, s. Along a path (a polynomial in time), acceleration and position relative to
+the target are linear in 1 / T^2, 1 / T and T; a limit is violated where a polynomial is positive.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +29,12 @@ _LOOKED, _FINEST = 4, 1.0 / 64.0
 
 @kernel(inner=True)
 def ways_of(state, law, out):
-    """Write the coefficients of path samples in T and 1 / T (samples, 9)."""
+    """Compute how path samples depend on the time-to-go T, into `out` (samples, 9).
+
+    `state` (2, 3) is the estimated position and velocity. With g the vector from target to lander,
+    acceleration is out[0] g / T^2 + out[1:4] / T and position from the target out[4] g + out[5:8]
+    T.
+    """
     low, high = law.powers[0], law.powers[1]
     k = (low + 2.0) / (high - low)
     for s in range(len(out)):
@@ -44,7 +53,7 @@ def ways_of(state, law, out):
 
 @kernel(inline=True)
 def _square(a, b, c, out, sign):
-    """Add the square of a quadratic (highest term first) to a quartic (5,)."""
+    """Add sign * (a x^2 + b x + c)^2 to a polynomial `out` (5,), constant term first."""
     out[0] += sign * c * c
     out[1] += sign * 2.0 * b * c
     out[2] += sign * (b * b + 2.0 * a * c)
@@ -54,9 +63,9 @@ def _square(a, b, c, out, sign):
 
 @kernel(inline=True)
 def _positive(c, low, high):
-    """Return whether a quartic (5,), constant first, is positive in an interval.
+    """Return whether a quartic (5,), constant first, is positive from `low` to `high`.
 
-    The test is sufficient, not necessary.
+    The test by Bernstein coefficients is sufficient, not necessary.
     """
     w = high - low
     # Bernstein form on the interval from low to high.
@@ -76,7 +85,12 @@ def _positive(c, low, high):
 
 @kernel(inline=True)
 def _over(way, gap, wide, tall, glide, time):
-    """Return the maximum sample height above the cone, m, and its derivative in T."""
+    """Bound the height of a path sample above the glideslope cone of a target box, m.
+
+    `way` is a row of `ways_of`, `gap` (3,) the vector from the centre of the box to the lander,
+    `wide` and `tall` the half sizes of the box, m, `glide` the tangent of the glideslope and `time`
+    the time-to-go T, s. Also returns the derivative with respect to T.
+    """
     part = abs(way[4])
     east, north = way[4] * gap[0] + way[5] * time, way[4] * gap[1] + way[6] * time
     side = np.sqrt(east * east + north * north)
@@ -87,9 +101,10 @@ def _over(way, gap, wide, tall, glide, time):
 
 @kernel(inner=True)
 def sunk(ways, gap, wide, tall, glide, first):
-    """Return a time after `first`, s, after which all paths are below the cone.
+    """Return a time-to-go above which all paths to a box violate the glideslope, s.
 
-    It is inf if no such time is known.
+    The time is at least `first`, and inf if no such time is known. Arguments as in `_over`; `ways`
+    are the rows of `ways_of`.
     """
     best = np.inf
     for s in range(len(ways) - 1):
@@ -122,7 +137,11 @@ def sunk(ways, gap, wide, tall, glide, first):
 
 @kernel(inner=True)
 def _quartics(ways, gap, wide, tall, figures, out):
-    """Write polynomials in 1 / T that are positive where limits are violated."""
+    """Compute polynomials in 1 / T, positive where all paths to a box violate limits.
+
+    `out[0]` (5,) is for the thrust, the others for the tilt at the first samples. `figures` are
+    `Law.figures`; other arguments as in `_over`.
+    """
     out[:] = 0.0
     tan, gravity = figures[TAN_TILT] * (1.0 + _SHARE), figures[GRAVITY]
     for s in range(_LOOKED):
@@ -143,7 +162,12 @@ def _quartics(ways, gap, wide, tall, figures, out):
 
 @kernel()
 def beyond(ways, state, low, high, speed, most, law, figures):
-    """Return whether no target in a box has an admissible time-to-go, for certain."""
+    """Return whether no target in a box can be reached within limits, proven.
+
+    `low` and `high` (3,) are corners of the box, m; `state` (2, 3) is position and velocity;
+    `speed` is its norm and `most` the maximum acceleration, m/s^2. False means that nothing is
+    proven.
+    """
     for axis in range(3):
         if law.asked[1, axis] != 0.0:
             return False

@@ -1,5 +1,10 @@
 # mypy: allow-untyped-defs, no-check-untyped-defs
-"""Compiled selection of map cells: the best ones, and the nearest safe ones."""
+"""Compiled selection of map cells: the best scores, and the nearest safe cells.
+
+In all functions, `aim` (rows, cols) is p_safe averaged over the landing dispersion, `corner` (2,)
+and `posting` are position and spacing of cells, m, and `site` is the current site. The score of a
+cell is `aim`, slightly reduced with its distance from the site.
+"""
 
 from __future__ import annotations
 
@@ -17,14 +22,17 @@ _NOUGHT, _WHOLE = np.float32(0.0), np.float32(1.0)
 
 @kernel(finite=True)
 def offsets(corner, posting, site, out):
-    """Write the distance of columns from a site (cols,), m."""
+    """Write the east offset of each map column from a site to `out` (cols,), m."""
     for c in range(len(out)):
         out[c] = np.float32(corner + c * posting - site)
 
 
 @kernel(finite=True)
 def _scored(aim, dy, offset, score):
-    """Write the scores of the cells of a row (cols,)."""
+    """Write the scores of the cells of one row (cols,); `aim` 0 excludes a cell.
+
+    `dy` and `offset` (cols,) are the north and east offsets of cells from the site, m.
+    """
     for c in range(len(aim)):
         dx = offset[c]
         good = aim[c] * (_WHOLE - _PRICE * np.sqrt(dx * dx + dy * dy))
@@ -33,7 +41,7 @@ def _scored(aim, dy, offset, score):
 
 @kernel()
 def row_max(cells, row):
-    """Return the maximum of a row of cells (rows, cols) without NaN."""
+    """Return the maximum of one row of an array (rows, cols) without NaN."""
     cols = cells.shape[1]
     best = cells[row, 0]
     if cols < SIMD_WIDTH:
@@ -53,7 +61,10 @@ def row_max(cells, row):
 
 @kernel()
 def score_all(aim, corner, posting, site, score, most, highest):
-    """Write the scores (rows, cols), and the row maxima of score and aim (rows,)."""
+    """Compute the scores of all cells, `score` (rows, cols).
+
+    Also writes the maximum of each row of the scores to `most` and of `aim` to `highest` (rows,).
+    """
     rows, cols = aim.shape
     offset = np.empty(cols, np.float32)
     offsets(corner[0], posting, site[0], offset)
@@ -65,7 +76,10 @@ def score_all(aim, corner, posting, site, score, most, highest):
 
 @kernel(inner=True)
 def halves_of(separation, posting, out):
-    """Write the half widths of the exclusion disc per row (m,), in cells."""
+    """Write the half width of a disc of radius `separation` (m) in each row of cells.
+
+    Entry k of `out`, in cells, is for the rows k cells from the centre.
+    """
     for apart in range(len(out)):
         out[apart] = 0
         while np.hypot(apart, out[apart]) * posting < separation:
@@ -74,7 +88,10 @@ def halves_of(separation, posting, out):
 
 @kernel(inner=True)
 def clear(score, most, row, col, halves):
-    """Exclude the cells around a chosen cell, with the half widths of `halves_of`."""
+    """Exclude the cells in a disc around a chosen cell from further choices.
+
+    `halves` are the half widths from `halves_of`; updates `score` and its row maxima `most`.
+    """
     rows, cols = score.shape
     wide = len(halves) - 1
     for r in range(max(row - wide, 0), min(row + wide + 1, rows)):
@@ -86,7 +103,11 @@ def clear(score, most, row, col, halves):
 
 @kernel()
 def best_cells(aim, corner, posting, site, count, separation, score, highest, cells):
-    """Write up to `count` cells (m, 2) with the highest scores; return their number."""
+    """Select up to `count` cells with the highest scores, `separation` (m) apart.
+
+    The separation is a minimum. Writes row and column to `cells` (m, 2), and returns the number of
+    cells. `score` (rows, cols) is scratch; `highest` (rows,) gets the row maxima of `aim`.
+    """
     rows = len(aim)
     most = np.empty(rows, np.float32)
     score_all(aim, corner, posting, site, score, most, highest)
@@ -109,7 +130,11 @@ def best_cells(aim, corner, posting, site, count, separation, score, highest, ce
 
 @kernel()
 def nearest(aim, corner, posting, site, level, highest, place):
-    """Write the nearest cell (2,) with `aim` >= `level`; return whether one exists."""
+    """Find the cell nearest to the site with `aim` of at least `level`.
+
+    Writes row and column to `place` (2,), and returns whether there is such a cell. `highest`
+    (rows,) are the row maxima of `aim`.
+    """
     rows, cols = aim.shape
     middle = min(max(int(np.floor((site[1] - corner[1]) / posting + 0.5)), 0), rows - 1)
     best = np.inf
@@ -132,7 +157,11 @@ def nearest(aim, corner, posting, site, level, highest, place):
 
 @kernel()
 def nearest_cells(aim, corner, posting, site, levels, count, highest, cells):
-    """Append the nearest cell at each level of aim, if it is new; return the number."""
+    """Append the nearest cell at each minimum `aim` of `levels` to a list of cells.
+
+    `cells` (m, 2) has `count` cells before; cells in the list are not repeated. Returns the new
+    number of cells.
+    """
     place = np.empty(2, np.int64)
     for k in range(len(levels)):
         known = not nearest(aim, corner, posting, site, levels[k], highest, place)

@@ -20,9 +20,12 @@ _MOST = 30.0
 
 
 class Found(NamedTuple):
-    """Candidate sites (n, m, ...) with p_safe and cost; their number (n,).
+    """Candidate landing sites of n landers, m places each.
 
-    `here` (n, 3): current site: p_safe (NaN: not observed), propellant to it, expected miss.
+    Position (n, m, 3), p_safe (probability of a safe landing), distance from the current site (m)
+    and propellant to reach the candidate (kg), each (n, m); `number` (n,) of candidates. `here` (n,
+    3) is the current site: p_safe (NaN if not observed), propellant to reach it, kg, and expected
+    miss, m.
     """
 
     position: np.ndarray
@@ -35,7 +38,11 @@ class Found(NamedTuple):
 
 @kernel()
 def miss_at(time, left, mapped, stated):
-    """Return the expected miss of a site after a flight time, m, as `Aim.misses`."""
+    """Return the expected horizontal miss at touchdown, m.
+
+    `time` is now, `left` the time-to-go and `mapped` the time of the map, s. `stated` (3,) is
+    `Maps.stated`. The miss grows with the drift of navigation since the map.
+    """
     if stated[1] == 0.0:
         return stated[0]
     seconds = max(time - mapped + left + stated[2], 0.0)
@@ -44,21 +51,25 @@ def miss_at(time, left, mapped, stated):
 
 @kernel(exact=True)
 def one(out, a, w):
-    """Add a multiple of a line to another."""
+    """Add w * a to the row `out`, in place."""
     for c in range(len(out)):
         out[c] += w * a[c]
 
 
 @kernel(exact=True)
 def two(out, a, v, b, w):
-    """Add multiples of two lines to another."""
+    """Add v * a + w * b to the row `out`, in place."""
     for c in range(len(out)):
         out[c] = (out[c] + v * a[c]) + w * b[c]
 
 
 @kernel(allocates=False)
 def spread(p, seen, sigma, out, line, weight):
-    """Write p_safe (rows, cols) averaged over the miss, as `HazardMap.dispersed`."""
+    """Average a map of p_safe (rows, cols) over a Gaussian landing dispersion.
+
+    `sigma` is the dispersion per axis, in cells. Unobserved cells (`seen` false) get 0. `line` and
+    `weight` are scratch.
+    """
     rows, cols = p.shape
     reach_ = int(3.0 * sigma + 0.5)
     total = 0.0
@@ -86,7 +97,7 @@ def spread(p, seen, sigma, out, line, weight):
 
 @kernel()
 def spread_at(p, seen, row, col, sigma):
-    """Return the result of `spread` at one cell."""
+    """Return p_safe of one cell, averaged over a Gaussian landing dispersion."""
     if not seen[row, col]:
         return 0.0
     reach_ = int(3.0 * sigma + 0.5)
@@ -107,7 +118,10 @@ def spread_at(p, seen, row, col, sigma):
 
 @kernel()
 def _aimed(i, time, left, maps, line, weight):
-    """Average a lane's map over the expected miss of its site; return that miss, m."""
+    """Average a lander's map over the expected miss of its site; return the miss, m.
+
+    `time` is now and `left` the time-to-go, s; `line` and `weight` are scratch.
+    """
     miss = miss_at(time, left, maps.mapped[i], maps.stated)
     if not abs(miss / maps.aimed[i] - 1.0) <= _ALIKE:
         maps.aimed[i] = miss
@@ -117,7 +131,10 @@ def _aimed(i, time, left, maps, line, weight):
 
 @kernel()
 def _sorted(order, count, p):
-    """Sort rows by decreasing p_safe (stable)."""
+    """Write indices of `count` values of p_safe to `order`, by decreasing value.
+
+    Equal values keep their order.
+    """
     for n in range(count):
         order[n] = n
     for n in range(1, count):
@@ -131,7 +148,11 @@ def _sorted(order, count, p):
 
 @kernel()
 def _costs(i, cells, n, site, state, mass, law, maps, sites, cost):
-    """Write candidate positions and the costs of candidates and the current site."""
+    """Compute position and propellant of n candidate cells and of the current site.
+
+    `cells` (n, 2) are rows and columns in the map of lander `i`; `state` (2, 3) is the estimated
+    position and velocity. Writes `sites` and `cost` (n + 1, ...); the last row is the current site.
+    """
     for m in range(n):
         row, col = cells[m, 0], cells[m, 1]
         sites[m, 0] = maps.corner[i, 0] + col * maps.posting
@@ -144,7 +165,10 @@ def _costs(i, cells, n, site, state, mass, law, maps, sites, cost):
 
 @kernel()
 def _average_p_safe(i, time, left, cells, n, cost, maps, p):
-    """Write p_safe of candidates (n,), each averaged over the miss of its path."""
+    """Write p_safe of n candidates, each averaged over the expected miss of its path.
+
+    `cost` has the time-to-go of each candidate; `left` is used for unreachable candidates.
+    """
     for m in range(n):
         row, col = cells[m, 0], cells[m, 1]
         p[m] = maps.aim[i, row, col]
@@ -156,7 +180,12 @@ def _average_p_safe(i, time, left, cells, n, cost, maps, p):
 
 @kernel(shared=True)
 def look(share, mask, y, time, course, law, maps, count, separation, levels, found):
-    """Write candidate sites and their cost for the lanes of `mask` (n,)."""
+    """Select candidate sites from the maps of landers `mask` (n,), with their cost.
+
+    Candidates are up to `count` cells with the best p_safe, `separation` (m) apart, and the nearest
+    cells with p_safe of at least `levels`. Writes them to `found`, by decreasing p_safe. `share` is
+    (thread, number of threads).
+    """
     rows, cols = maps.p.shape[1], maps.p.shape[2]
     most = 2 * (count + len(levels))
     work, score = np.empty((rows, cols), np.float32), np.empty((rows, cols), np.float32)

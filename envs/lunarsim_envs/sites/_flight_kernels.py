@@ -32,15 +32,20 @@ _advance = cast(Any, d.advance).compiled
 
 
 class Law(NamedTuple):
-    """Guidance parameters, SI.
+    """Guidance parameters of a scenario, SI.
 
-    `powers` (2,): powers of the path. `asked` (2, 3): velocity and acceleration at the end of the
-    approach; `above` (3,): its position relative to the site. `figures` (7,): parameters of
-    `guidance._kernels.measure`; its mass is unused. `rough`, `table`: samples of a path. `bounds`
-    (4,): maximum thrust over dry mass, dry mass, exhaust velocity, reserve. `ends` (2,): altitude
-    and time-to-go at the end of the approach. `descent` (10,): frequency, damping, speed gain,
-    leans (2), heights (2), slip, slowest, vertical velocity. `window` (3,): minimum and maximum
-    altitude of decisions, interval. `scans`: altitudes, descending. `cycle`: number of steps.
+    `powers` (2,): powers of time in the polynomial path. `asked` (2, 3): velocity and acceleration
+    at the end of the approach; `above` (3,): position of this end relative to the site. `figures`
+    (7,): gravity, mass (unused), exhaust velocity, minimum and maximum thrust, tangents of maximum
+    tilt and glideslope. `rough`, `table`: coarse and fine samples of a path (`batch.samples`).
+    `bounds` (4,): maximum thrust over dry mass, dry mass, exhaust velocity, propellant reserve.
+    `ends` (2,): altitude and time-to-go at which the vertical descent starts. `descent` (10,):
+    frequency, damping, speed gain, maximum tilt and its value at touchdown, heights of full tilt
+    and of the low descent, tolerated lateral speed, minimum speed fraction, vertical velocity.
+    `window` (3,): minimum and maximum altitude of decisions, and their interval. `scans`: altitudes
+    of LiDAR scans, descending. `lag`: time constant of attitude and thrust. `least`: minimum
+    time-to-go for replanning. `most_thrust`: maximum thrust. `stand`: height of the centre of mass
+    above the pads. `cycle`: integration steps per control cycle.
     """
 
     powers: np.ndarray
@@ -63,12 +68,14 @@ class Law(NamedTuple):
 
 
 class Course(NamedTuple):
-    """Guidance state of all lanes (n, ...).
+    """Guidance state of n landers.
 
-    `site` (n, 3): local frame, m. `arrival`, `due` (next decision), `strained` (start of a limit
-    violation, NaN: none): times, s. `phase`, `scanned` (number of scans), `event`, `decided`.
-    `answer` (n, 7): lagged acceleration, commanded acceleration, and its time. `path` (n, 8): start
-    time, duration and coefficients of the current path. `slip` (n, 2): drift velocity, m/s.
+    `site` (n, 3): current site, local frame, m. Times, s (n,): `arrival` at the end of the
+    approach, `due` of the next decision, `strained` since which commands exceed limits (NaN: they
+    do not). `phase`: APPROACH or VERTICAL; `scanned`: number of scans; `event` that stops the
+    lander; `decided`: whether a decision was made. `answer` (n, 7): lagged and commanded
+    acceleration, and the time of the command. `path` (n, 8): start time, duration and coefficients
+    of the current path. `slip` (n, 2): drift velocity of navigation, m/s.
     """
 
     site: np.ndarray
@@ -86,7 +93,11 @@ class Course(NamedTuple):
 
 @kernel(exact=True)
 def believed(y, slip, time, out):
-    """Write the estimated position and velocity (2, 3)."""
+    """Compute the estimated position and velocity of a lander, into `out` (2, 3).
+
+    They are the true state `y` (15,) plus a drift with constant velocity `slip` (2,), m/s, since
+    the start (`time`, s).
+    """
     for k in range(3):
         out[0, k] = y[k]
         out[1, k] = y[3 + k]
@@ -97,7 +108,11 @@ def believed(y, slip, time, out):
 
 @kernel()
 def _slower(state, targets, first, likely, last, law, figures, out):
-    """Search longer times-to-go for sites without an admissible path (m, 4)."""
+    """Search longer times-to-go for targets without an admissible path.
+
+    `out` (m, 4) has the results of the search between `first` and `likely` (m,), s; the search goes
+    on to `last` (m,). `targets` (m, 3) are end points of the approach, m.
+    """
     slow = 0
     at = np.empty(len(targets), np.int64)
     for n in range(len(targets)):
@@ -124,7 +139,7 @@ def _slower(state, targets, first, likely, last, law, figures, out):
 
 @kernel(exact=True)
 def _fastest(state, gap, law):
-    """Return a lower bound of the time over a distance, s, as `admissible_times`."""
+    """Return a lower bound of the time to fly a distance `gap`, m, at full thrust, s."""
     speed = np.sqrt(state[1, 0] ** 2 + state[1, 1] ** 2 + state[1, 2] ** 2)
     most = law.bounds[0] + law.figures[0]
     fastest = 2.0 * gap / (speed + np.sqrt(speed * speed + 2.0 * most * gap) + 1e-12)
@@ -133,14 +148,21 @@ def _fastest(state, gap, law):
 
 @kernel(exact=True)
 def _burnt(increment, mass, law):
-    """Return the propellant of a delta-v, kg; inf if the tanks do not hold it."""
+    """Return the propellant for a delta-v `increment`, m/s, in kg.
+
+    `mass` is the current mass, kg. The result is inf if too little propellant is left.
+    """
     burnt = mass * -np.expm1(-increment / law.bounds[2])
     return burnt if burnt <= mass - law.bounds[1] - law.bounds[3] else np.inf
 
 
 @kernel()
 def reach(state, mass, sites, law, out):
-    """Write propellant (kg) and time-to-go (s) (m, 4); inf and NaN if out of reach."""
+    """Compute propellant (kg) and time-to-go (s) of minimum-propellant paths to sites.
+
+    `state` (2, 3) is the estimated position and velocity, and `sites` (m, 3) are positions, m. The
+    first two columns of `out` (m, 4) get the results: inf and NaN for sites out of reach.
+    """
     m = len(sites)
     targets = np.empty((m, 3))
     first, last, likely = np.empty(m), np.empty(m), np.empty(m)
@@ -171,7 +193,10 @@ def reach(state, mass, sites, law, out):
 
 @kernel()
 def holds(state, mass, site, time, law):
-    """Return whether a path to a site (3,) with a given time, s, is within all limits."""
+    """Return whether the path to a site (3,) with time-to-go `time`, s, is feasible.
+
+    A feasible path is within the limits of thrust, tilt, glideslope and propellant.
+    """
     target, figures = np.empty((1, 3)), law.figures.copy()
     gap = 0.0
     for k in range(3):
@@ -186,7 +211,10 @@ def holds(state, mass, site, time, law):
 
 @kernel()
 def time_to(y, slip, time, site, law):
-    """Return the time-to-go to a site (3,), s; NaN if out of reach."""
+    """Return the minimum-propellant time-to-go to a site (3,), s; NaN if out of reach.
+
+    `y` (15,) is the true state and `slip` (2,) the drift velocity of its estimate, m/s.
+    """
     state, out = np.empty((2, 3)), np.empty((1, 4))
     believed(y, slip, time, state)
     reach(state, y[13], site.reshape((1, 3)), law, out)
@@ -195,7 +223,11 @@ def time_to(y, slip, time, site, law):
 
 @kernel(exact=True)
 def _approach(i, time, course, law, wanted, spare):
-    """Write the thrust acceleration of the approach (3,), as `PathGuidance.command`."""
+    """Compute the commanded thrust acceleration of the approach, into `wanted` (3,).
+
+    It is the same computation as `PathGuidance.command`. `i` is the lander; the first two rows of
+    the scratch `spare` (7, 3) are its estimated position and velocity.
+    """
     state, ahead, x, target = spare[:2], spare[2:4], spare[4:6], spare[6]
     answer, path = course.answer[i], course.path[i]
     if law.lag > 0.0 and not np.isnan(answer[6]):
@@ -226,14 +258,21 @@ def _approach(i, time, course, law, wanted, spare):
 
 @kernel(exact=True)
 def leaning(height, full, descent):
-    """Return tan(maximum tilt) at a height, as `VerticalDescent._leaning`."""
+    """Return the tangent of the maximum tilt in the vertical descent at a height, m.
+
+    Below the height `full` (m), the limit falls linearly to its value at touchdown.
+    """
     share = min(max(height / full, 0.0), 1.0)
     return np.tan(descent[4] + share * (descent[3] - descent[4]))
 
 
 @kernel(exact=True)
 def vertical(state, end, descent, gravity, wanted):
-    """Write the vertical-descent acceleration, as `VerticalDescent.command`."""
+    """Compute the thrust acceleration of the vertical descent (3,), m/s^2.
+
+    It is the same computation as `VerticalDescent.command`. `state` (2, 3) is the estimated
+    position and velocity, `end` (3,) the touchdown position and `descent` is `Law.descent`.
+    """
     frequency, damping, planned = descent[0], descent[1], descent[9]
     height = state[0, 2] - end[2]
     speed = np.hypot(state[1, 0], state[1, 1])
@@ -256,7 +295,10 @@ def vertical(state, end, descent, gravity, wanted):
 
 @kernel(exact=True)
 def _strains(i, wanted, mass, time, course, law):
-    """Return whether commands exceed limits for too long, as `Strain.lasts`."""
+    """Return whether commands of a lander have exceeded tilt or thrust for 0.5 s.
+
+    `wanted` (3,) is the commanded thrust acceleration, m/s^2. Updates `course.strained`.
+    """
     side = np.hypot(wanted[0], wanted[1])
     lean = np.arctan2(side, wanted[2])
     push = mass * np.hypot(side, wanted[2])
@@ -273,7 +315,11 @@ def _strains(i, wanted, mass, time, course, law):
 
 @kernel(exact=True)
 def guide(i, y, time, course, law, wanted, spare):
-    """Write the commanded acceleration; return whether to search a new time-to-go."""
+    """Compute the commanded thrust acceleration of lander `i` (3,), m/s^2.
+
+    Returns whether the path exceeds limits, so that a longer time-to-go is needed. `y` (15,) is the
+    true state and `spare` (7, 3) is scratch.
+    """
     state = spare[:2]
     slip, site = course.slip[i], course.site[i]
     believed(y, slip, time, state)
@@ -294,7 +340,10 @@ def guide(i, y, time, course, law, wanted, spare):
 
 @kernel()
 def _longer(i, y, time, course, law):
-    """Use a longer time-to-go for a path that exceeds limits, if that helps."""
+    """Delay the arrival of lander `i` if the minimum-propellant path takes longer.
+
+    The kernel is called when the current path exceeds limits.
+    """
     longer = time_to(y, course.slip[i], time, course.site[i], law)
     if longer > course.arrival[i] - time:
         course.arrival[i] = time + longer
@@ -302,7 +351,10 @@ def _longer(i, y, time, course, law):
 
 @kernel(exact=True)
 def due(i, y, time, course, law):
-    """Return the next event of a lane: a scan, a decision or none."""
+    """Return the event that is due for lander `i` now: SCAN, DECIDE or NOTHING.
+
+    Scans are due at the altitudes `law.scans`; decisions within the altitude window `law.window`.
+    """
     altitude = y[2] - course.site[i, 2] - law.stand
     done = course.scanned[i]
     if done < len(law.scans) and altitude <= law.scans[done]:
@@ -318,7 +370,11 @@ def due(i, y, time, course, law):
 
 @kernel(shared=True)
 def begin(share, mask, keys, flight_counts, y, target, drift, control, heading, course, law):
-    """Initialise guidance for the started flights of `mask` (n,)."""
+    """Initialise guidance, drift and attitude of the started flights of `mask` (n,).
+
+    `drift` (2,) is the standard deviation of the drift velocity of navigation, m/s; `control` is
+    `Vehicle.control`. `share` is (thread, number of threads).
+    """
     wanted, attitude, spare = np.empty(3), np.empty(4), np.empty((7, 3))
     for i in range(share[0], len(y), share[1]):
         if not mask[i]:
@@ -358,7 +414,11 @@ def begin(share, mask, keys, flight_counts, y, target, drift, control, heading, 
 
 @kernel()
 def stretched(y, slip, time, site, stretch, law):
-    """Return the time-to-go to a site (3,), s, and whether the factor was applied."""
+    """Return the time-to-go to a site (3,), s, and whether a factor was applied.
+
+    `stretch` is the factor on the minimum-propellant time-to-go (NaN: none). The factor is ignored
+    if its path would violate a limit.
+    """
     left = time_to(y, slip, time, site, law)
     if np.isnan(stretch) or not np.isfinite(left):
         return left, np.isnan(stretch)
@@ -371,7 +431,12 @@ def stretched(y, slip, time, site, stretch, law):
 
 @kernel(shared=True)
 def decide(share, mask, time, y, sites, stretches, course, law, refused, unstretched):
-    """Apply decisions (n, 3) in the lanes of `mask` (n,); NaN keeps the site."""
+    """Apply site decisions of the landers of `mask` (n,).
+
+    `sites` (n, 3) are new sites (NaN keeps the site) and `stretches` (n,) factors on the
+    time-to-go. Writes to `refused` and `unstretched` (n,) whether the site was out of reach and
+    whether the factor was ignored. `share` is (thread, number of threads).
+    """
     for i in range(share[0], len(y), share[1]):
         if not mask[i]:
             continue
@@ -396,7 +461,11 @@ def decide(share, mask, time, y, sites, stretches, course, law, refused, unstret
 
 @kernel(shared=True)
 def fly(share, y, rate, width, dt, limit, vehicle, terrains, flights, course, law):
-    """Fly every flying lane to its next event or its end."""
+    """Fly all flying landers until a scan or a decision is due, or to their end.
+
+    Landers are flown in blocks of `width`; a lander whose event is due waits for its block. `dt` is
+    the integration step and `limit` the time limit, s. `share` is (thread, number of threads).
+    """
     wanted, spare = np.zeros((width, 3)), np.empty((7, 3))
     n = len(y)
     for b in range(share[0], (n + width - 1) // width, share[1]):

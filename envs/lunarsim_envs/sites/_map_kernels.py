@@ -18,7 +18,11 @@ _DRAWS = 16
 
 
 class Pool(NamedTuple):
-    """True class, safety and height, m (k, rows, cols); corner and posting (3,), m."""
+    """True terrain of k worlds: hazard class, safety, height, m (k, rows, cols).
+
+    `kind` is the class of a cell by slope, roughness and distance to the safety edge (`hazard.py`).
+    `frame` (3,) has east and north of cell (0, 0), and the grid spacing, m.
+    """
 
     kind: np.ndarray
     safe: np.ndarray
@@ -27,10 +31,10 @@ class Pool(NamedTuple):
 
 
 class Errors(NamedTuple):
-    """Error model of a mapper, from `surrogate.Surrogate`.
+    """Statistical error model of a mapper, as `surrogate.Surrogate.errors` returns it.
 
     `tables` (worlds, scans, classes, nodes): p_safe at evenly spaced normal scores from `-most` to
-    `most`. `noise` (terrains, scans, fields, m, m): periodic standard normal fields; `bank`
+    `most`. `noise` (terrains, scans, fields, side, side): periodic standard normal fields; `bank`
     (worlds,): index of the terrain of each world. `common` (worlds, scans): fraction of the
     variance that is common to a complete map. `kept`: correlation of consecutive maps. `exact`:
     whether maps are the truth.
@@ -46,8 +50,9 @@ class Errors(NamedTuple):
 
 
 class Maps(NamedTuple):
-    """Maps of all lanes: p_safe, observed mask and height, m (n, rows, cols).
+    """Hazard maps of n landers: p_safe, observed mask and height, m (n, rows, cols).
 
+    `p` is p_safe, the probability of a safe landing; `seen` marks observed cells.
     `corner` (n, 2) and `posting`: position of cell (0, 0) and spacing of cells, m.
     `aim` (n, rows, cols) is p_safe averaged over the miss `aimed` (n,), m (NaN: not computed).
     `stated` (3,): touchdown sigma, m, drift velocity sigma, m/s, and duration of the vertical
@@ -67,7 +72,10 @@ class Maps(NamedTuple):
 
 @kernel(inline=True)
 def _p_safe_at(tables, world, stage, kind, z, most):
-    """Return the p_safe of a class at a normal score."""
+    """Interpolate p_safe of a terrain class (`kind`) at a standard normal score `z`.
+
+    `tables` and `most` are fields of `Errors`; `world` and `stage` index the world and the scan.
+    """
     nodes = tables.shape[3]
     at = (min(max(z, -most), most) + most) * ((nodes - 1) / (2.0 * most))
     low = min(int(at), nodes - 2)
@@ -79,7 +87,10 @@ def _p_safe_at(tables, world, stage, kind, z, most):
 
 @kernel()
 def axes_to(way, out):
-    """Write image x, image y and boresight (3, 3) of a camera with boresight `way`."""
+    """Compute the axes (3, 3) of a sensor that points along `way` (3,).
+
+    The rows of `out` are image x (horizontal), image y and boresight, as unit vectors.
+    """
     size = np.sqrt(way[0] ** 2 + way[1] ** 2 + way[2] ** 2)
     for k in range(3):
         out[2, k] = way[k] / size
@@ -95,7 +106,10 @@ def axes_to(way, out):
 
 @kernel()
 def _place(noise, key, first, out):
-    """Draw noise field, offset and orientation of a map (5,)."""
+    """Sample noise field, offsets and orientation of a map at random, into `out` (5,).
+
+    `key` selects the random stream and `first` its first number.
+    """
     fields, side = noise.shape[2], noise.shape[3]
     out[0] = min(int(uniform(key, first) * fields), fields - 1)
     out[1] = min(int(uniform(key, first + 1) * side), side - 1)
@@ -106,6 +120,7 @@ def _place(noise, key, first, out):
 
 @kernel(inline=True)
 def _noise(noise, bank, scan, place, r, c):
+    """Return the noise at map cell (r, c), with the placement from `_place`."""
     side = noise.shape[3]
     row, col = (place[1] + place[3] * r) % side, (place[2] + place[4] * c) % side
     return noise[bank, scan, place[0], row, col]
@@ -113,7 +128,11 @@ def _noise(noise, bank, scan, place, r, c):
 
 @kernel()
 def drawn_scan(i, key, first, y, time, world, course, errors, places, draw, axes):
-    """Draw the random numbers of a scan, and return its index."""
+    """Sample the random numbers of a LiDAR scan of lander `i`; return its index.
+
+    Writes the placement of noise fields to `places` (2, 5), common offset and noise amplitudes to
+    `draw` (3,), and the axes of the LiDAR, which points at the site, to `axes` (3, 3).
+    """
     level = np.empty(2)
     for k in range(2):
         _place(errors.noise, key, first + 5 * k, places[k])
@@ -137,7 +156,12 @@ def drawn_scan(i, key, first, y, time, world, course, errors, places, draw, axes
 
 @kernel(inline=True)
 def scanned_cell(r, c, true_x, true_y, y, world, stage, pool, errors, view, places, draw, axes):
-    """Return p_safe (-1: not in view or unknown) and height that a scan gives a cell."""
+    """Return p_safe and height that a simulated scan measures at map cell (r, c).
+
+    `true_x` and `true_y` are the true position of the cell, m; `y` the true state of the lander;
+    `view` the result of `fov_and_footprint`. p_safe is -1 for cells that are not in view or without
+    known truth. Other arguments are results of `drawn_scan`.
+    """
     row = int(np.floor((true_y - pool.frame[1]) / pool.frame[2] + 0.5))
     col = int(np.floor((true_x - pool.frame[0]) / pool.frame[2] + 0.5))
     if not (0 <= row < pool.kind.shape[1] and 0 <= col < pool.kind.shape[2]):
@@ -164,7 +188,10 @@ def scanned_cell(r, c, true_x, true_y, y, world, stage, pool, errors, view, plac
 
 @kernel()
 def _lay(i, key, first, y, time, world, course, maps, pool, errors, view):
-    """Add a scan to the map of a lane."""
+    """Add a simulated LiDAR scan to the map of lander `i`.
+
+    `key` and `first` select the random numbers of the scan; the other arguments are as in `scan`.
+    """
     places, draw, axes = np.empty((2, 5), np.int64), np.empty(3), np.empty((3, 3))
     stage = drawn_scan(i, key, first, y, time, world, course, errors, places, draw, axes)
     east, north = course.slip[i, 0] * time, course.slip[i, 1] * time
@@ -183,7 +210,11 @@ def _lay(i, key, first, y, time, world, course, maps, pool, errors, view):
 
 @kernel(shared=True)
 def scan(share, mask, keys, flight_counts, y, time, world, course, maps, pool, errors, view):
-    """Take the due scans in the lanes of `mask` (n,)."""
+    """Take the due scans of the landers of `mask` (n,) and update their maps.
+
+    `y` (n, 15) are the true states and `world` (n,) the terrain of each lander. `view` is the
+    result of `fov_and_footprint`; `share` is (thread, number of threads).
+    """
     for i in range(share[0], len(y), share[1]):
         if not mask[i]:
             continue
@@ -194,13 +225,13 @@ def scan(share, mask, keys, flight_counts, y, time, world, course, maps, pool, e
 
 @kernel()
 def drawn_from(key, flight_count):
-    """Return the random key and the first draw for the maps of a flight."""
+    """Return random stream and index of its first number for the maps of a flight."""
     return np.uint64(key) ^ _ERRORS, (flight_count - 1) * _DRAWS
 
 
 @kernel()
 def taken(i, time, course, maps):
-    """Record a scan of a lane, and set the site's height from its map."""
+    """Record that lander `i` has taken a scan, and set its site's height from its map."""
     course.scanned[i] += 1
     course.event[i] = NOTHING
     maps.mapped[i] = time
@@ -213,7 +244,7 @@ def taken(i, time, course, maps):
 
 @kernel(shared=True)
 def took(share, mask, time, course, maps):
-    """Record scans of the lanes of `mask` (n,) that were mapped elsewhere."""
+    """Record scans of landers `mask` (n,) whose maps were updated by other code."""
     for i in range(share[0], len(mask), share[1]):
         if mask[i]:
             taken(i, time[i], course, maps)
@@ -221,7 +252,10 @@ def took(share, mask, time, course, maps):
 
 @kernel()
 def cell(i, x, y, maps):
-    """Return row and column of the map cell at a point; they may be out of range."""
+    """Return row and column of the map cell of lander `i` at (x, y), m, local frame.
+
+    The indices may be outside the map.
+    """
     col = int(np.floor((x - maps.corner[i, 0]) / maps.posting + 0.5))
     row = int(np.floor((y - maps.corner[i, 1]) / maps.posting + 0.5))
     return row, col
@@ -229,7 +263,11 @@ def cell(i, x, y, maps):
 
 @kernel(shared=True)
 def shrink(share, mask, p, seen, out):
-    """Write mean p_safe and observed fraction of map blocks (n, 2, cells, cells)."""
+    """Downsample the maps of landers `mask` (n,) to p_safe and observed fraction.
+
+    `p` and `seen` are (n, rows, cols), `out` is (n, 2, cells, cells). `share` is (thread, number of
+    threads).
+    """
     rows, cols, cells = p.shape[1], p.shape[2], out.shape[2]
     total = np.zeros((cells, cells))
     for i in range(share[0], len(p), share[1]):
@@ -255,7 +293,12 @@ shrink_here = partial(cast(Any, shrink).compiled, (0, 1))
 
 @kernel(shared=True)
 def crop(share, p, seen, corner, posting, middle, spacing, out):
-    """Write p_safe and observed mask (n, 2, m, m) around points, `spacing` m apart."""
+    """Sample maps around points: p_safe and observed mask, into `out` (n, 2, k, k).
+
+    `p` and `seen` are (n, rows, cols) with `corner` (n, 2) and cell size `posting`; `middle` (n,
+    2+) are the points, and `spacing` the distance of samples, m. `share` is (thread, number of
+    threads).
+    """
     half = out.shape[2] // 2
     for i in range(share[0], len(p), share[1]):
         for a in range(out.shape[2]):

@@ -17,7 +17,11 @@ _ENOUGH, _TRIES = 0.95, 6
 def _around(
     r, c, near, corner, posting, slip, time, y, world, stage, pool, errors, view, places, draw, axes
 ):
-    """Return mean p_safe of a cell and 4 neighbours (-1: unobserved), and its height."""
+    """Return mean p_safe of a cell (r, c) and 4 neighbours, and the cell's height.
+
+    The neighbours are `near` cells away. p_safe is -1 if the cell is not observed. The other
+    arguments are those of `_map_kernels.scanned_cell`.
+    """
     total, height, unseen = 0.0, 0.0, False
     for k in range(5):
         a = r + (near if k == 1 else -near if k == 2 else 0)
@@ -34,7 +38,10 @@ def _around(
 
 @kernel()
 def _nearer(p, far, best_p, best_far):
-    """Return whether a site is better: the nearest safe enough one, else the safest."""
+    """Return whether a site is better than the best site so far.
+
+    Sites with p_safe of 0.95 or more are compared by their distance (`far`, m), others by p_safe.
+    """
     if p >= _ENOUGH:
         return best_p < _ENOUGH or far < best_far
     return best_p < _ENOUGH and p > best_p
@@ -42,7 +49,10 @@ def _nearer(p, far, best_p, best_far):
 
 @kernel()
 def _fly_to_best(i, y, time, n, sites, p, far, course, law, site_p_safe):
-    """Divert a lane to the best of n sites within reach, if there is one."""
+    """Divert lander `i` to the best reachable site among the six best of n sites.
+
+    `sites` (n, 3) with p_safe `p` and distance `far` (n,); writes p_safe to `site_p_safe`.
+    """
     for _ in range(min(n, _TRIES)):
         best = 0
         for k in range(1, n):
@@ -66,7 +76,11 @@ def choose(
     share, mask, keys, flight_counts, y, time, world, target, course, law, side, every, posting,
     pool, errors, view, site_p_safe,
 ):  # fmt: skip
-    """Scan in the lanes of `mask` (n,) and divert to the best site of the lattice."""
+    """Take a scan for landers `mask` (n,) and divert each to the best lattice site.
+
+    The lattice is every `every`-th cell of a square of `side` cells around the target. A lander
+    with p_safe of 0.95 or more at its site does not divert. `share` is (thread, number of threads).
+    """
     count = (side - 1) // every + 1
     places, draw, axes = np.empty((2, 5), np.int64), np.empty(3), np.empty((3, 3))
     corner = np.empty(2)

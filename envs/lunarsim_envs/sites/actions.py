@@ -22,25 +22,26 @@ Array = NDArray[np.float64]
 Choice = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
-# Factors on the time-to-go for choices 1 and above of `stretch` (see `Decision`). No factor is less
-# than 1, because the minimum-propellant path is usually the fastest one within the limits.
-STRETCHES = (1.0, 1.07, 1.15, 1.3)
+# Factors on the time-to-go for choices 1 and above of `time_scale` (see `Decision`). No factor is
+# less than 1, because the minimum-propellant path is usually the fastest one within the limits.
+TIME_SCALES = (1.0, 1.07, 1.15, 1.3)
 
 
 def _every(sights: SiteInputs, count: int) -> Mask:
+    """Return a mask (n, count) in which all choices are available."""
     return np.ones((len(sights.site), count), np.bool_)
 
 
 @dataclass(frozen=True)
 class ActionComponent:
-    """One component of an action.
+    """One component of the action of ``Retarget-v0``, such as the choice of a site.
 
     Attributes
     ----------
     name
-        Name by which `action` selects it.
+        Name by which the environment's argument `action` selects the component.
     sets
-        Quantity that it sets: "site", or "stretch" (factor on the time-to-go).
+        Quantity that the component sets: "site", or "time_scale" (factor on the time-to-go).
     count
         Number of choices. Choice 0 changes nothing and is always available.
     meaning
@@ -53,7 +54,7 @@ class ActionComponent:
     """
 
     name: str
-    sets: Literal["site", "stretch"]
+    sets: Literal["site", "time_scale"]
     count: int
     meaning: str
     of: Callable[[SiteInputs, Choice], Array]
@@ -66,7 +67,7 @@ DEFAULT_ACTION = ("site",)
 
 
 def register(part: ActionComponent) -> None:
-    """Register a component.
+    """Register a custom component, so that environments can select it by name.
 
     Raises
     ------
@@ -74,8 +75,8 @@ def register(part: ActionComponent) -> None:
         If the name exists, `sets` is invalid, or there are fewer than two choices.
     """
     check_new(part.name, PARTS)
-    if part.sets not in ("site", "stretch"):
-        raise InputError(f"{part.name}: sets", part.sets, "must be 'site' or 'stretch'")
+    if part.sets not in ("site", "time_scale"):
+        raise InputError(f"{part.name}: sets", part.sets, "must be 'site' or 'time_scale'")
     if part.count < 2:
         raise InputError(f"{part.name}: count", part.count, "must be at least 2")
     PARTS[part.name] = part
@@ -98,8 +99,8 @@ def _sites_open(sights: SiteInputs) -> Mask:
     return mask
 
 
-def _stretches(sights: SiteInputs, chosen: Choice) -> Array:
-    return np.array([np.nan, *STRETCHES])[chosen]
+def _time_scales(sights: SiteInputs, chosen: Choice) -> Array:
+    return np.array([np.nan, *TIME_SCALES])[chosen]
 
 
 for _part in (
@@ -109,10 +110,10 @@ for _part in (
         _sites, _sites_open,
     ),
     ActionComponent(
-        "stretch", "stretch", len(STRETCHES) + 1,
+        "time_scale", "time_scale", len(TIME_SCALES) + 1,
         "0 keeps the time-to-go (minimum propellant for a new site); 1 and above set it to "
-        f"{', '.join(f'{one:g}' for one in STRETCHES)} times that of minimum propellant",
-        _stretches,
+        f"{', '.join(f'{one:g}' for one in TIME_SCALES)} times that of minimum propellant",
+        _time_scales,
     ),
 ):  # fmt: skip
     register(_part)
@@ -120,11 +121,11 @@ for _part in (
 
 @dataclass(frozen=True)
 class SiteDecisions:
-    """Decisions of n landers.
+    """Site decisions of n landers, decoded from their actions.
 
     Attributes
     ----------
-    site, stretch
+    site, time_scale
         New sites (n, 3), local frame, m, and factors on the time-to-go of the minimum-propellant
         path (n,). NaN changes nothing.
     invalid
@@ -134,13 +135,13 @@ class SiteDecisions:
     """
 
     site: Array
-    stretch: Array
+    time_scale: Array
     invalid: Mask
     lost: Mask
 
 
 def _array(given: Any) -> NDArray[Any]:
-    """Return actions as an array; ragged actions give an invalid array."""
+    """Return actions as an array; lists of unequal lengths give an array of shape ()."""
     try:
         return np.asarray(given)
     except ValueError:
@@ -148,12 +149,14 @@ def _array(given: Any) -> NDArray[Any]:
 
 
 class SiteActions:
-    """Action space of named components: ``Discrete`` or ``MultiDiscrete``.
+    """Decode actions that consist of named components into site decisions.
+
+    The action space is ``Discrete`` for one component, otherwise ``MultiDiscrete``.
 
     Parameters
     ----------
     names
-        Names of the components.
+        Names of the components, in order.
 
     Raises
     ------
@@ -182,26 +185,29 @@ class SiteActions:
         return SiteActions, ([part.name for part in self.parts],)
 
     @property
-    def stretches(self) -> bool:
+    def has_time_scale(self) -> bool:
         """Whether the action can set a factor on the time-to-go."""
-        return any(part.sets == "stretch" for part in self.parts)
+        return any(part.sets == "time_scale" for part in self.parts)
 
     def has(self, name: str) -> bool:
-        """Return whether a component is part of the action."""
+        """Return whether the action has a component with this name."""
         return any(part.name == name for part in self.parts)
 
     def alone(self, name: str, choice: int) -> Any:
-        """Return the action that makes one choice of one component, and no other choice."""
+        """Return the action that makes `choice` in one component, and 0 in all others."""
         chosen = np.array([choice * (part.name == name) for part in self.parts], np.int64)
         return chosen[0] if len(chosen) == 1 else chosen
 
     def choice(self, name: str, chosen: Choice) -> Choice:
-        """Return the choices (n,) of a component in actions (n, parts), or 0 without it."""
+        """Return the choices (n,) of one component; zeros if the action does not have it.
+
+        `chosen` (n, components) are the choices of all components.
+        """
         at = [k for k, part in enumerate(self.parts) if part.name == name]
         return np.asarray(chosen[:, at].sum(axis=1))
 
     def chosen(self, action: Any) -> Choice:
-        """Return the choices in the action of a single environment (1, parts).
+        """Check the action of a single environment; return its choices (1, components).
 
         Raises
         ------
@@ -220,7 +226,7 @@ class SiteActions:
         return given.astype(np.int64)[None]
 
     def all_chosen(self, actions: Any, count: int) -> Choice:
-        """Return the choices in the actions of `count` environments (n, parts).
+        """Check the actions of `count` environments; return the choices (n, components).
 
         Raises
         ------
@@ -253,10 +259,10 @@ class SiteActions:
         return bool(((given < 0) | (given >= np.array(self.counts))).any())
 
     def masks(self, sights: SiteInputs) -> Mask:
-        """Return the available choices of all components, concatenated (n, sum).
+        """Return which choices are available (n, total number of choices).
 
-        Factors on the time-to-go are always available; whether they can be flown also depends on
-        the site.
+        The masks of all components are concatenated. Factors on the time-to-go are always
+        available; whether they can be flown also depends on the site.
         """
         return np.concatenate([self._open(part, sights) for part in self.parts], axis=1)
 
@@ -268,23 +274,26 @@ class SiteActions:
         return mask
 
     def orders(self, chosen: Choice, sights: SiteInputs) -> SiteDecisions:
-        """Convert choices (n, parts) to decisions."""
+        """Convert the choices of n landers (n, components) to site decisions.
+
+        `sights` are the onboard data from which the choices were made.
+        """
         n = len(chosen)
         places = chosen + np.cumsum([0, *self.counts[:-1]])
         had = np.take_along_axis(self.masks(sights), places, axis=1)
         invalid: Mask = np.asarray(~had.all(axis=1))
-        decided = {"site": np.full((n, 3), np.nan), "stretch": np.full(n, np.nan)}
+        decided = {"site": np.full((n, 3), np.nan), "time_scale": np.full(n, np.nan)}
         for part, own in zip(self.parts, chosen.T, strict=True):
             value = np.array(part.of(sights, own), dtype=np.float64)
             check_shape(f"action: {part.name}", value, decided[part.sets].shape)
             decided[part.sets] = value
-        if (decided["stretch"] <= 0.0).any() or np.isinf(decided["stretch"]).any():
+        if (decided["time_scale"] <= 0.0).any() or np.isinf(decided["time_scale"]).any():
             raise InputError(
-                "action: stretch",
-                decided["stretch"].tolist(),
+                "action: time_scale",
+                decided["time_scale"].tolist(),
                 "must be positive and finite, or NaN",
             )
-        lost = invalid & np.isfinite(decided["stretch"])
+        lost = invalid & np.isfinite(decided["time_scale"])
         for value in decided.values():
             value[invalid] = np.nan
-        return SiteDecisions(decided["site"], decided["stretch"], invalid, lost)
+        return SiteDecisions(decided["site"], decided["time_scale"], invalid, lost)

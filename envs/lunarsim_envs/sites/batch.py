@@ -32,12 +32,12 @@ _NOTHING = np.array([np.nan, np.inf, 0.0])
 
 
 def kernel_guidance(scenario: Scenario, craft: VehicleParams) -> f.Law:
-    """Return the guidance of a scenario in the form that kernels use.
+    """Convert the guidance settings of a scenario to the form that kernels use.
 
     Raises
     ------
     InputError
-        If the scenario has parts that only the full simulation supports.
+        If the scenario has tables or settings that only the full simulation supports.
     """
     software = scenario.software()
     guidance, approach, window = software.guidance, software.approach, software.decisions
@@ -45,7 +45,7 @@ def kernel_guidance(scenario: Scenario, craft: VehicleParams) -> f.Law:
     lander = craft.dynamics.lander
     gravity = scenario.gravity_m_s2
     lag = software.control.response_time + lander.thrust_lag
-    down = VerticalDescent.behind(lag, gravity)
+    down = VerticalDescent.for_lag(lag, gravity)
     limits = approach.limits
     margin = limits.throttle_margin * (lander.thrust_max - lander.thrust_min)
     end = approach.end(np.zeros(3), lander)
@@ -54,8 +54,10 @@ def kernel_guidance(scenario: Scenario, craft: VehicleParams) -> f.Law:
         lander.thrust_max - margin, np.tan(limits.max_tilt), np.tan(limits.glideslope),
     ])  # fmt: skip
     descent = np.array([
-        down.frequency, down.damping, down.speed_gain, down.lean, down.lean_low, down.lean_height,
-        down.low_height, down.slip, down.slowest, -approach.rate,
+        down.frequency, down.damping, down.speed_gain, down.max_tilt, down.max_tilt_at_touchdown,
+        down.full_tilt_height,
+        down.low_height, down.tolerated_speed, down.min_speed_fraction,
+        -approach.vertical_descent_speed,
     ])  # fmt: skip
     clock = scenario.simulation.make()
     return f.Law(
@@ -66,36 +68,52 @@ def kernel_guidance(scenario: Scenario, craft: VehicleParams) -> f.Law:
             lander.thrust_max / lander.dry_mass, lander.dry_mass, lander.exhaust_velocity,
             limits.reserve,
         ]),
-        np.array([max(approach.vertical_altitude, approach.takeover_altitude), approach.ends_at]),
+        np.array([max(approach.vertical_altitude, approach.takeover_altitude),
+        approach.end_time_to_go]),
         descent,
         np.array([window.last_altitude, window.first_altitude, window.interval]),
-        scan_altitudes(scenario), lag, guidance.least_time_to_go, approach.max_tilt,
+        scan_altitudes(scenario), lag, guidance.min_time_to_go, approach.max_tilt,
         lander.thrust_max, lander.com_height, clock.steps,
     )  # fmt: skip
 
 
 def samples(shape: PathShape, count: int) -> Array:
-    """Return the remaining time fraction and its powers along a path (count + 1, 3)."""
+    """Tabulate the remaining time fraction u, u^low and u^high (count + 1, 3).
+
+    The rows are evenly spaced times along a path; `shape` has the powers `low` and `high`.
+    """
     left = 1.0 - np.arange(count + 1) / count
     return np.column_stack((left, left**shape.low, left**shape.high))
 
 
 def _refuse_others(scenario: Scenario, guidance: Any) -> None:
+    """Raise InputError if kernels do not support the guidance or a scenario table."""
     plain = isinstance(guidance, PathLaw) and type(guidance).cost is PathLaw.cost
     if not plain or guidance.feedback(scenario.gravity_m_s2) is not None:
         kind = scenario.guidance.kind
-        raise InputError("guidance.kind", kind, "must be apollo or e-guidance for kernels")
-    for table in ("braking", "window", "descent", "variation", "prior_map"):
-        if getattr(scenario, table) is not None:
-            raise InputError(table, "given", "is not supported by kernels", "Omit it.")
-    if not scenario.approach.make().free:
         raise InputError(
-            "approach.time_to_go_s", "given", "is not supported by kernels", "Omit it."
+            "guidance.kind", kind, "must be apollo or e-guidance for compiled kernels",
+            "Otherwise use perception='onboard'.",
+        )  # fmt: skip
+    for table in ("braking", "window", "terminal_descent", "domain_randomization", "prior_map"):
+        if getattr(scenario, table) is not None:
+            raise InputError(
+                table, "given", "is not supported by compiled kernels",
+                "Omit the table, or use perception='onboard'.",
+            )  # fmt: skip
+    if not scenario.approach.make().has_free_time_to_go:
+        raise InputError(
+            "approach.time_to_go_s",
+            "given",
+            "is not supported by compiled kernels",
+            "Omit the key, or use perception='onboard'.",
         )
 
 
 class SiteDescentBatch(DescentBatch):
-    """A batch of landers that fly to selectable sites.
+    """Landers that fly in parallel, map the terrain and can divert to other sites.
+
+    A lane is one lander of the batch with its current flight.
 
     Parameters
     ----------
@@ -106,7 +124,7 @@ class SiteDescentBatch(DescentBatch):
     pool
         Worlds with their true safety.
     errors
-        Error model of the perception, from `surrogate`.
+        Error model of the perception, from `Surrogate.errors` or `exact_errors`.
     view
         Field of view of the LiDAR, from `fov_and_footprint`.
     drift, claimed
@@ -118,8 +136,9 @@ class SiteDescentBatch(DescentBatch):
     Attributes
     ----------
     course, maps, found
-        Guidance states, hazard maps and site candidates, defined in the kernels.
-    refused, unstretched
+        Guidance states (`_flight_kernels.Course`), hazard maps (`_map_kernels.Maps`) and candidate
+        sites (`_choice_kernels.Found`).
+    refused, time_scale_refused
         Whether the site of the last decision was out of reach, and whether its factor on the
         time-to-go was refused (n,).
     """
@@ -143,17 +162,17 @@ class SiteDescentBatch(DescentBatch):
         approach = scenario.approach.make()
         stated = np.array([
             self.decisions.touchdown_sigma, claimed,
-            approach.vertical_altitude / approach.rate,
+            approach.vertical_altitude / approach.vertical_descent_speed,
         ])  # fmt: skip
         self.course = _course(count)
         self.maps = _maps(count, cells, posting, stated)
         # Twice the number: reachable candidates, plus substitutes for those out of reach.
         self.found = _found(count, 2 * (self.decisions.candidates + len(self.levels)))
-        self.refused, self.unstretched = np.zeros(count, np.bool_), np.zeros(count, np.bool_)
+        self.refused, self.time_scale_refused = np.zeros(count, np.bool_), np.zeros(count, np.bool_)
         self._control = self._vehicle.control
 
     def begin(self, mask: Mask) -> None:
-        """Start a new flight in every lane of `mask` (n,) and fly to its first decision."""
+        """Start new flights in the lanes of `mask` (n,) and fly to their first decisions."""
         super().begin(mask)
         self._run(
             f.begin, 100.0 * self.count, mask, self._keys, self._flight_counts, self.y,
@@ -165,14 +184,14 @@ class SiteDescentBatch(DescentBatch):
         maps.p[mask], maps.seen[mask], maps.aim[mask] = 0.0, False, 0.0
         maps.height[mask] = np.nan
         maps.aimed[mask], maps.mapped[mask] = np.nan, 0.0
-        self.refused[mask] = self.unstretched[mask] = False
+        self.refused[mask] = self.time_scale_refused[mask] = False
         # Clear the candidates of the last flight, because a flight may end before its first map.
         self.found.number[mask], self.found.here[mask] = 0, _NOTHING
         self.mapped = mask.copy()
         self._on(mask)
 
-    def decide(self, sites: Array, mask: Mask, stretches: Array | None = None) -> None:
-        """Apply decisions in the lanes of `mask` and fly to the next decision or the end.
+    def decide(self, sites: Array, mask: Mask, time_scales: Array | None = None) -> None:
+        """Apply site decisions of some lanes and fly to the next decision or the end.
 
         Parameters
         ----------
@@ -180,21 +199,24 @@ class SiteDescentBatch(DescentBatch):
             New sites (n, 3), local frame, m; NaN keeps the site.
         mask
             Lanes that decide (n,).
-        stretches
+        time_scales
             Factors on the time-to-go of the minimum-propellant path (n,); NaN or None keeps the
             time-to-go.
         """
         mask = mask & (self.ended == FLYING)
-        asked = np.full(self.count, np.nan) if stretches is None else stretches
+        asked = np.full(self.count, np.nan) if time_scales is None else time_scales
         self._run(
             f.decide, 20.0 * self.count, mask, self.time, self.y, sites, asked, self.course,
-            self.law, self.refused, self.unstretched,
+            self.law, self.refused, self.time_scale_refused,
         )  # fmt: skip
         self.mapped = np.zeros(self.count, np.bool_)
         self._on(mask)
 
     def _on(self, mask: Mask) -> None:
-        """Fly to the next decision, with scans on the way, and evaluate the candidates."""
+        """Fly to the next decision or the end, with scans on the way.
+
+        Then evaluate the candidate sites of the lanes of `mask` (n,) that still fly.
+        """
         while True:
             self._run(
                 f.fly, 10.0 * _CYCLE * self.count, self.y, self._rate, min(SIMD_BATCH, self.count),
@@ -215,7 +237,10 @@ class SiteDescentBatch(DescentBatch):
             )  # fmt: skip
 
     def _run(self, kernel: Any, microseconds: float, *given: Any) -> None:
-        """Run a kernel over the lanes; a single lane runs without threads."""
+        """Run a kernel over all lanes in parallel threads; a single lane uses no threads.
+
+        `microseconds` is the estimated computing time; `given` are the arguments of the kernel.
+        """
         if self.count == 1:
             kernel.compiled((0, 1), *given)
             return
@@ -223,7 +248,7 @@ class SiteDescentBatch(DescentBatch):
             kernel(*given)
 
     def scan(self, due: Mask) -> None:
-        """Take the due scans in the lanes of `due` (n,) and update their maps."""
+        """Take a LiDAR scan in the lanes of `due` (n,) and update their hazard maps."""
         self._run(
             m.scan, _MAP * self.count, due, self._keys, self._flight_counts, self.y, self.time,
             self.world, self.course, self.maps, self.pool.layers, self.errors, self.view,

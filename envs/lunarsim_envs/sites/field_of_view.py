@@ -13,14 +13,14 @@ Array = NDArray[np.float64]
 
 
 def fov_and_footprint(scenario: Scenario) -> Array:
-    """Return tangent of half the field of view, and footprint radius, m (2,).
+    """Return tangent of half the LiDAR's field of view, and footprint radius (2,).
 
-    They are those of the LiDAR of the mapper that decisions use.
+    The LiDAR is the sensor of the mapper that decisions use; the radius, m, is the lander's.
 
     Raises
     ------
     InputError
-        If the sensor of this mapper is not a flash LiDAR.
+        If the sensor of that mapper is not a flash LiDAR.
     """
     name = deciding_mapper(scenario)
     sensor = scenario.mappers[name].make().sensor
@@ -28,11 +28,11 @@ def fov_and_footprint(scenario: Scenario) -> Array:
     if not isinstance(lidar, FlashLidar):
         raise InputError(f"sensors.{sensor}.kind", type(lidar).__name__, "must be flash-lidar")
     lander = scenario.vehicle.make()
-    return np.array([lidar.half_width, lander.leg_radius + 0.5 * lander.pad_diameter])
+    return np.array([lidar.half_fov_tangent, lander.leg_radius + 0.5 * lander.pad_diameter])
 
 
 def deciding_mapper(scenario: Scenario) -> str:
-    """Return the name of the mapper that decisions use.
+    """Return the name of the mapper whose hazard map is used for site decisions.
 
     Raises
     ------
@@ -45,7 +45,9 @@ def deciding_mapper(scenario: Scenario) -> str:
 
 
 def scan_altitudes(scenario: Scenario) -> Array:
-    """Return the altitudes at which the mapper's sensor measures, descending, m.
+    """Return the altitudes at which the sensor of the decisions' mapper measures, m.
+
+    They are in descending order.
 
     Raises
     ------
@@ -66,14 +68,15 @@ def scan_altitudes(scenario: Scenario) -> Array:
 def in_view(
     xy: Array, height: Array, here: Array, boresight: Array, view: Array
 ) -> NDArray[np.bool_]:
-    """Return the mask of sites whose complete footprint is in view (...,).
+    """Return at which sites the complete footprint of the lander is in view (...,).
 
     Parameters
     ----------
     xy, height
         Horizontal position (..., 2) and height (...,) of the sites, m.
     here, boresight
-        Position (3,), m, and boresight (3,) of the LiDAR; image x is horizontal.
+        Position (3,), m, and boresight (3,) of the LiDAR, which has no roll: its image x axis is
+        horizontal.
     view
         Field of view and footprint radius, from `fov_and_footprint`.
     """

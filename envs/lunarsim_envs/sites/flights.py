@@ -24,20 +24,20 @@ Array = NDArray[np.float64]
 
 
 class SiteFlight(Protocol):
-    """A flight that stops at each decision."""
+    """Interface of one simulated flight that stops at each site decision."""
 
     simulation: Simulation | None
 
     def apply_options(self, options: Mapping[str, Any]) -> None:
-        """Apply reset options to the next flights."""
+        """Apply options of `reset` to the next flights."""
         ...
 
     def begin(self, rng: np.random.Generator) -> None:
-        """Draw a new flight and fly it to its first decision."""
+        """Start a random flight, selected by `rng`, and fly it to its first decision."""
         ...
 
     def decide(
-        self, site: Array | None, each: Callable[[], None], stretch: float | None = None
+        self, site: Array | None, each: Callable[[], None], time_scale: float | None = None
     ) -> None:
         """Apply a decision and fly to the next decision or the end.
 
@@ -47,24 +47,24 @@ class SiteFlight(Protocol):
             New site (3,), local frame, m; None keeps the site.
         each
             Function called after every control cycle of the full simulation.
-        stretch
+        time_scale
             Factor on the time-to-go of the minimum-propellant path; None keeps the time-to-go.
         """
         ...
 
     @property
-    def unstretched(self) -> bool:
+    def time_scale_refused(self) -> bool:
         """Whether the factor on the time-to-go of the last decision was refused."""
         ...
 
     @property
     def seen(self) -> Observation:
-        """Current observation of a policy."""
+        """Current observation of an onboard policy."""
         ...
 
     @property
     def sights(self) -> SiteInputs:
-        """Current observation as arrays."""
+        """Current observation of a policy, as arrays."""
         ...
 
     @property
@@ -74,7 +74,7 @@ class SiteFlight(Protocol):
 
     @property
     def mass(self) -> float:
-        """True mass, kg."""
+        """True mass of the lander, kg."""
         ...
 
     @property
@@ -84,7 +84,7 @@ class SiteFlight(Protocol):
 
     @property
     def touch(self) -> Array:
-        """Ratios of `touchdown_limit_ratios` (1, 3); NaN in flight."""
+        """Touchdown speed, tilt and terrain over their limits (1, 3); NaN in flight."""
         ...
 
     def close(self) -> None:
@@ -93,14 +93,14 @@ class SiteFlight(Protocol):
 
 
 class OnboardFlight:
-    """A flight in the full simulation, with mappers and navigation of the scenario."""
+    """A flight by the full simulation, with mappers and navigation of its scenario."""
 
     def __init__(self, scenario: Scenario) -> None:
         self.scenario = self._flown_scenario = scenario
         self.simulation: Simulation | None = None
         self._seen: Observation | None = None
         self._small: tuple[object, NDArray[np.float32]] | None = None
-        self.unstretched = False
+        self.time_scale_refused = False
 
     @property
     def _flown(self) -> Simulation:
@@ -108,24 +108,26 @@ class OnboardFlight:
         return self.simulation
 
     def apply_options(self, options: Mapping[str, Any]) -> None:
-        """Apply reset options to the next flights."""
+        """Apply options of `reset` to the next flights."""
         self._flown_scenario = scenario_with_options(options, self.scenario)
 
     def begin(self, rng: np.random.Generator) -> None:
-        """Draw a new flight and fly it to its first decision."""
+        """Start a random flight, selected by `rng`, and fly it to its first decision."""
         self.simulation = Simulation(self._flown_scenario, int(rng.integers(2**62)))
-        self.unstretched = False
+        self.time_scale_refused = False
         self._on(lambda: None)
 
     def decide(
-        self, site: Array | None, each: Callable[[], None], stretch: float | None = None
+        self, site: Array | None, each: Callable[[], None], time_scale: float | None = None
     ) -> None:
-        """Apply a decision and fly to the next one."""
+        """Apply a site decision and fly to the next decision or the end."""
         flown = self._flown
         before = len(flown.computer.telemetry)
-        taken = flown.apply(Decision(site, "agent", stretch=stretch))
+        taken = flown.apply(Decision(site, "agent", time_scale=time_scale))
         events = {name for _, name, _ in flown.computer.telemetry[before:]}
-        self.unstretched = stretch is not None and (not taken or "stretch-refused" in events)
+        self.time_scale_refused = time_scale is not None and (
+            not taken or "time-scale-refused" in events
+        )
         flown.move()
         self._on(each)
 
@@ -138,13 +140,13 @@ class OnboardFlight:
 
     @property
     def seen(self) -> Observation:
-        """What a policy is shown now."""
+        """Current observation of an onboard policy."""
         assert self._seen is not None
         return self._seen
 
     @property
     def sights(self) -> SiteInputs:
-        """The same as arrays."""
+        """Current observation of a policy, as arrays."""
         hazard_map = self.seen.hazard_map
         if self._small is None or self._small[0] is not hazard_map:
             small = downsample_maps(hazard_map.p_safe[None], hazard_map.observed[None])
@@ -153,24 +155,24 @@ class OnboardFlight:
 
     @property
     def time(self) -> float:
-        """Since the start, s."""
+        """Time since the start, s."""
         return self._flown.time
 
     @property
     def mass(self) -> float:
-        """True one, kg."""
+        """True mass of the lander, kg."""
         return self._flown.state.mass
 
     @property
     def outcome(self) -> tuple[bool, tuple[str, ...]] | None:
         """Whether the landing was safe, and the violated limits; None during the flight."""
-        outcome = self._flown.verdict
-        return None if outcome is None else (outcome.safe, outcome.failed)
+        outcome = self._flown.outcome
+        return None if outcome is None else (outcome.safe, outcome.failure_causes)
 
     @property
     def touch(self) -> Array:
-        """Ratios of `touchdown_limit_ratios` (1, 3); NaN in flight."""
-        outcome = self._flown.verdict
+        """Touchdown speed, tilt and terrain over their limits (1, 3); NaN in flight."""
+        outcome = self._flown.outcome
         t = None if outcome is None else outcome.touchdown
         if t is None:
             return np.full((1, 3), np.nan)
@@ -183,7 +185,10 @@ class OnboardFlight:
 
 
 class KernelFlight:
-    """A flight by kernels in a batch of one lane, over a pool of worlds."""
+    """A flight by compiled kernels over a pool of worlds.
+
+    `lanes` is a batch of one lander.
+    """
 
     def __init__(self, lanes: SiteDescentBatch) -> None:
         self.simulation: Simulation | None = None
@@ -193,22 +198,22 @@ class KernelFlight:
         self._sights: SiteInputs | None = None
 
     def apply_options(self, options: Mapping[str, Any]) -> None:
-        """Apply reset options to the next flights."""
+        """Apply options of `reset` to the next flights."""
         apply_options(options, self.lanes, self._one)
 
     def begin(self, rng: np.random.Generator) -> None:
-        """Draw a new flight and fly it to its first decision."""
+        """Start a random flight, selected by `rng`, and fly it to its first decision."""
         self._sights = None
         self.lanes.seed(self._one, rng.integers(2**64, size=1, dtype=np.uint64))
         self.lanes.begin(self._one)
         self._small = downsample_maps(self.lanes.maps.p, self.lanes.maps.seen)
 
     def decide(
-        self, site: Array | None, each: Callable[[], None], stretch: float | None = None
+        self, site: Array | None, each: Callable[[], None], time_scale: float | None = None
     ) -> None:
-        """Apply a decision and fly to the next one."""
+        """Apply a site decision and fly to the next decision or the end."""
         goal = np.full((1, 3), np.nan) if site is None else np.asarray(site)[None]
-        asked = None if stretch is None else np.array([stretch])
+        asked = None if time_scale is None else np.array([time_scale])
         self.lanes.decide(goal, self._one, asked)
         self._sights = None
         if self.lanes.mapped[0]:
@@ -216,30 +221,30 @@ class KernelFlight:
         each()
 
     @property
-    def unstretched(self) -> bool:
-        """Whether the last decision requested a time-to-go factor that is not flown."""
-        return bool(self.lanes.unstretched[0])
+    def time_scale_refused(self) -> bool:
+        """Whether the factor on the time-to-go of the last decision was refused."""
+        return bool(self.lanes.time_scale_refused[0])
 
     @property
     def seen(self) -> Observation:
-        """What a policy is shown now."""
+        """Current observation of an onboard policy."""
         return observation_of_lane(self.lanes, 0)
 
     @property
     def sights(self) -> SiteInputs:
-        """The same as arrays."""
+        """Current observation of a policy, as arrays."""
         if self._sights is None:
             self._sights = site_inputs(self.lanes, self._small)
         return self._sights
 
     @property
     def time(self) -> float:
-        """Since the start, s."""
+        """Time since the start, s."""
         return float(self.lanes.time[0])
 
     @property
     def mass(self) -> float:
-        """True one, kg."""
+        """True mass of the lander, kg."""
         return float(self.lanes.y[0, 13])
 
     @property
@@ -251,7 +256,7 @@ class KernelFlight:
 
     @property
     def touch(self) -> Array:
-        """Ratios of `touchdown_limit_ratios` (1, 3); NaN in flight."""
+        """Touchdown speed, tilt and terrain over their limits (1, 3); NaN in flight."""
         return touchdown_limit_ratios(self.lanes.craft.dynamics.lander, self.lanes.touchdown_values)
 
     def close(self) -> None:
@@ -259,7 +264,10 @@ class KernelFlight:
 
 
 def site_inputs(lanes: SiteDescentBatch, small: NDArray[np.float32]) -> SiteInputs:
-    """Return the observation arrays of all lanes; `small`: coarse maps (n, 2, 48, 48)."""
+    """Collect the arrays from which observations of n landers are computed.
+
+    `small` are the downsampled maps (n, 2, 48, 48), from `downsample_maps`.
+    """
     place, velocity = lanes.believed
     course, found, maps = lanes.course, lanes.found, lanes.maps
     left = np.maximum(course.arrival - lanes.time, 0.0)
@@ -272,7 +280,7 @@ def site_inputs(lanes: SiteDescentBatch, small: NDArray[np.float32]) -> SiteInpu
 
 
 def observation_of_lane(lanes: SiteDescentBatch, lane: int) -> Observation:
-    """Return the observation of a policy for one lane."""
+    """Return the observation of an onboard policy for lander `lane` of a batch."""
     place, velocity = (one[lane] for one in lanes.believed)
     y, maps, found, course = lanes.y[lane], lanes.maps, lanes.found, lanes.course
     n = int(found.number[lane])

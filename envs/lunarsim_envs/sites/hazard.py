@@ -27,7 +27,7 @@ UNKNOWN = 255
 
 @dataclass(frozen=True)
 class TruthLayers:
-    """Classes and true safety of a world.
+    """Hazard class, true safety and elevation of each cell of a simulated terrain.
 
     Attributes
     ----------
@@ -48,7 +48,7 @@ class TruthLayers:
 
     @classmethod
     def of(cls, truth: TerrainTruth) -> TruthLayers:
-        """Compute the layers from the true safety maps of a world."""
+        """Compute classes and safety from the true safety map of a terrain."""
         safety = truth.safety
         size = hazard_size(safety.slope, safety.roughness, truth.lander)
         to_unsafe = ndimage.distance_transform_edt(safety.safe)
@@ -60,7 +60,10 @@ class TruthLayers:
         return cls(safety.grid, kind, safety.safe, truth.elevation)
 
     def at(self, xy: ArrayLike) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
-        """Return class and safety of the cells nearest to points (..., 2), true frame, m."""
+        """Return hazard class and safety (...,) of the cells nearest to points (..., 2).
+
+        The points are in the true frame, m. Points off the map are `UNKNOWN` and not safe.
+        """
         grid = self.grid
         row, col = grid.cell(xy)
         inside = grid.contains(xy)
@@ -79,7 +82,10 @@ class TruthLayers:
 def hazard_size(
     slope: NDArray[np.float32], roughness: NDArray[np.float32], lander: Lander
 ) -> NDArray[np.float64]:
-    """Return the larger of slope and roughness over their limits (rows, cols)."""
+    """Return the larger of slope and roughness, each over its limit (rows, cols).
+
+    The limits are those of the lander.
+    """
     return np.maximum(
         slope.astype(np.float64) / lander.slope_limit,
         roughness.astype(np.float64) / lander.roughness_limit,
@@ -87,12 +93,15 @@ def hazard_size(
 
 
 def hazard_class(size: ArrayLike, distance: ArrayLike) -> NDArray[np.uint8]:
-    """Return the class for a hazard size and a distance to the edge, m."""
+    """Return the class index of sites from hazard size and distance to the edge.
+
+    `size` is from `hazard_size`; `distance` is in m, negative on unsafe terrain.
+    """
     by_size = np.searchsorted(SIZES, size, side="right")
     by_distance = np.searchsorted(DISTANCES, distance, side="right")
     return np.asarray(by_size * (len(DISTANCES) + 1) + by_distance, dtype=np.uint8)
 
 
 def size_class(kind: NDArray[np.uint8]) -> NDArray[np.int64]:
-    """Return the index of the hazard size of each class, from 0."""
+    """Return the hazard-size interval (index from 0) to which each class belongs."""
     return np.asarray(kind, dtype=np.int64) // (len(DISTANCES) + 1)

@@ -24,7 +24,7 @@ _AFTER = 4.0
 
 @dataclass(frozen=True)
 class MapSample:
-    """A map after a scan, with the truth at its cells.
+    """Hazard map of a simulated mapper after a scan, with the truth at its cells.
 
     Attributes
     ----------
@@ -38,11 +38,11 @@ class MapSample:
         p_safe and observed mask of the map (rows, cols).
     kind
         Class of the true terrain at each cell (rows, cols), from `hazard`; `hazard.UNKNOWN` where
-        it is not known.
+        the true safety is not known.
     safe
         True safety of each cell (rows, cols).
     viewed
-        Whether each cell is in the field of view of the last scan (rows, cols), from `view`.
+        Whether each cell is in the field of view of the last scan (rows, cols).
     """
 
     stage: int
@@ -57,7 +57,7 @@ class MapSample:
 
 @dataclass(frozen=True)
 class SampledFlight:
-    """Maps and navigation drift of one flight.
+    """Hazard maps and navigation drift of one simulated flight.
 
     Attributes
     ----------
@@ -80,7 +80,7 @@ class SampledFlight:
 def sample_flights(
     scenario: Scenario, seed: int, flights: Iterable[int]
 ) -> Iterator[SampledFlight]:
-    """Fly flights of a campaign to their last scan and yield their maps.
+    """Simulate flights of a campaign, and yield the hazard maps and drift of each.
 
     The flights do not divert, and end 4 s after the last scan.
 
@@ -98,11 +98,11 @@ def sample_flights(
         samples: list[MapSample] = []
         first: tuple[float, Array] | None = None
         claimed = float("nan")
-        name = simulation.computer.decisions_map
+        name = simulation.computer.decision_map_name
         until = np.inf
         while not simulation.done and simulation.time < until:
             simulation.step()
-            if name in simulation.computer.mapped and not simulation.done:
+            if name in simulation.computer.updated_mappers and not simulation.done:
                 error = simulation.navigation_error
                 if first is None:
                     first = simulation.time, error
@@ -119,6 +119,10 @@ def sample_flights(
 
 
 def _map_sample(simulation: Simulation, layers: TruthLayers, error: Array, stage: int) -> MapSample:
+    """Sample the current map of a simulation and the truth at its cells.
+
+    `error` (3,) is the navigation error, m, and `stage` the index of the last scan.
+    """
     mapper = simulation.computer.mapper
     assert mapper is not None
     drawn = mapper.hazard_map()

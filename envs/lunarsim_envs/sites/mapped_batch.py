@@ -24,7 +24,10 @@ Array = NDArray[np.float64]
 
 
 class MappedDescentBatch(SiteDescentBatch):
-    """A `SiteDescentBatch` with LiDAR scans of the terrain and Gaussian DEM maps.
+    """Landers that fly in parallel with simulated scans and ``gaussian-dem`` maps.
+
+    Unlike `SiteDescentBatch`, which samples map errors from a statistical model, LiDAR scans of the
+    terrain are simulated and mapped. `given` and `settings` are arguments of `SiteDescentBatch`.
 
     Raises
     ------
@@ -41,19 +44,19 @@ class MappedDescentBatch(SiteDescentBatch):
         super().__init__(count, scenario, *given, **(settings | {"posting": part.posting}))
 
     def begin(self, mask: Mask) -> None:
-        """Start a new flight in every lane of `mask` (n,) and fly to its first decision."""
+        """Start new flights in the lanes of `mask` (n,) and fly to their first decisions."""
         for lane in np.flatnonzero(mask):
             self._mappers[int(lane)] = None
         super().begin(mask)
 
     def scan(self, due: Mask) -> None:
-        """Take the due scans in the lanes of `due` (n,) and update their maps."""
+        """Simulate a LiDAR scan in the lanes of `due` (n,) and update their maps."""
         for lane in np.flatnonzero(due):
             self._map(int(lane))
         m.took(due, self.time, self.course, self.maps)
 
     def _map(self, i: int) -> None:
-        """Take a scan in one lane and update its map."""
+        """Simulate a LiDAR scan of lane `i` and update its map."""
         mapper = self._mappers[i]
         if mapper is None:
             mapper = self._mappers[i] = GaussianDemMapper(
@@ -85,12 +88,12 @@ class MappedDescentBatch(SiteDescentBatch):
 
     @property
     def lander(self) -> Any:
-        """Parameters of the vehicle."""
+        """Parameters of the lander: masses, engine, geometry and limits."""
         return self.craft.dynamics.lander
 
 
 def gaussian_dem_of(scenario: Scenario) -> GaussianDemMapperSettings:
-    """Return the settings of the Gaussian DEM mapper that decisions use.
+    """Return the settings of the mapper that decisions use, a Gaussian DEM mapper.
 
     Raises
     ------

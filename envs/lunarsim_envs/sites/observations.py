@@ -27,14 +27,14 @@ FAR = 5000.0
 
 @dataclass(frozen=True)
 class SiteObservationComponent:
-    """One component of an observation.
+    """One component of the observation of ``Retarget-v0``, such as the hazard map.
 
     Attributes
     ----------
     name
-        Name by which `observation` selects it.
+        Name by which the environment's argument `observation` selects the component.
     shape
-        Shape for one lander.
+        Shape of the array for one lander.
     units
         Units along the last axis, or one unit for all.
     low, high
@@ -55,7 +55,7 @@ class SiteObservationComponent:
 
     @property
     def space(self) -> spaces.Box:
-        """Space of one lander."""
+        """Gymnasium space of the component for one lander."""
         low = np.broadcast_to(np.asarray(self.low, np.float32), self.shape).copy()
         high = np.broadcast_to(np.asarray(self.high, np.float32), self.shape).copy()
         return spaces.Box(low, high, self.shape, np.float32)
@@ -67,7 +67,7 @@ DEFAULT = ("estimate", "hazard_map", "sites", "to_go")
 
 
 def register(part: SiteObservationComponent) -> None:
-    """Register a component.
+    """Register a custom component, so that environments can select it by name.
 
     Raises
     ------
@@ -93,7 +93,10 @@ def _to_go(s: SiteInputs) -> Array:
 
 
 def _rows(s: SiteInputs, columns: Sequence[Array]) -> Array:
-    """Return a table of sites (n, 20, columns); rows without a site are zero."""
+    """Return a table of candidate sites (n, 20, columns) from its columns (n, m).
+
+    Rows without a site are zero.
+    """
     out = np.zeros((len(s.site), SITES, len(columns)))
     n = min(SITES, s.p_safe.shape[1])
     known = np.arange(n) < s.count[:, None]
@@ -175,7 +178,7 @@ for _part in (
 
 
 class SiteObservationLayout:
-    """A ``Dict`` observation that consists of named components.
+    """Compute observations of named components, as a dictionary of arrays.
 
     Parameters
     ----------
@@ -202,7 +205,7 @@ class SiteObservationLayout:
         return spaces.Dict({part.name: part.space for part in self.parts})
 
     def of(self, sights: SiteInputs) -> Shown:
-        """Return the observations of all landers, an array (n, ...) per component."""
+        """Compute the observations of n landers: an array (n, ...) per component."""
         observation = {}
         for part in self.parts:
             value = np.array(part.of(sights), dtype=np.float32)

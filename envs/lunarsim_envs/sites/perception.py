@@ -32,7 +32,10 @@ def create_flight(
     perception: str, scenario: Scenario, worlds: int, world_seed: int, surrogate: Any,
     covers: Sequence[float] = (),
 ) -> SiteFlight:  # fmt: skip
-    """Return the flight of a single environment.
+    """Create the simulated flight of a single ``Retarget-v0`` environment.
+
+    The arguments are described in `RetargetEnv`. The full simulation flies ``"onboard"``,
+    ``"shadows"``, ``"quadtree"`` and ``"fused"``; kernels fly the other perceptions.
 
     Raises
     ------
@@ -52,12 +55,12 @@ def create_batch(
     count: int, perception: str, scenario: Scenario, worlds: int, world_seed: int, surrogate: Any,
     covers: Sequence[float] = (),
 ) -> SiteDescentBatch:  # fmt: skip
-    """Return a batch of landers flown by kernels.
+    """Create a batch of landers for site decisions, flown by compiled kernels.
 
     Parameters
     ----------
     count
-        Number of lanes.
+        Number of landers.
     perception
         One of `KERNELS`.
     scenario
@@ -65,9 +68,9 @@ def create_batch(
     worlds, world_seed
         Number of worlds in the pool per cover, and root seed.
     surrogate
-        `Surrogate` or the path of its file; None is the packaged one.
+        `Surrogate` or the path of its file; None is the surrogate supplied with lunarsim_envs.
     covers
-        Additional rock covers.
+        Additional rock covers, area fractions.
 
     Raises
     ------
@@ -100,5 +103,5 @@ def create_batch(
     kind = MappedDescentBatch if perception == "gaussian-dem" else SiteDescentBatch
     return kind(
         count, scenario, pool, errors=errors, view=view, drift=model.drift,
-        claimed=model.claimed, posting=_POSTING,
+        claimed=model.reported_velocity_sigma, posting=_POSTING,
     )  # fmt: skip

@@ -19,9 +19,9 @@ _PICTURES = 5.0
 
 
 def with_perception(scenario: Scenario, perception: str) -> Scenario:
-    """Return a scenario whose decisions use the mapper of a perception.
+    """Change a scenario so that site decisions use the mapper of a perception.
 
-    If the scenario has a mapper of this kind, decisions use it. Otherwise one is added:
+    If the scenario has a mapper of this kind, decisions use that mapper. Otherwise one is added:
 
     - "quadtree" replaces the current mapper, with the same scans and map area.
     - "shadows" replaces the current mapper; a camera is added if there is none, and navigation
@@ -38,7 +38,7 @@ def with_perception(scenario: Scenario, perception: str) -> Scenario:
     Raises
     ------
     InputError
-        If other parts of the scenario do not fit the mapper.
+        If other tables of the scenario do not fit the mapper.
     """
     if perception == "onboard":
         return scenario
@@ -52,19 +52,20 @@ def with_perception(scenario: Scenario, perception: str) -> Scenario:
 
 
 def _named(scenario: Scenario, name: str) -> str:
-    """Return an unused name for a mapper or sensor."""
+    """Return `name`, with underscores appended until no mapper or sensor has it."""
     while name in scenario.mappers or name in scenario.sensors:
         name += "_"
     return name
 
 
 def _map_size(scenario: Scenario) -> dict[str, Any]:
-    """Return size and posting of the map that decisions use, if its mapper has them."""
+    """Return `size_m` and `posting_m` of the mapper that decisions use, by key."""
     part = scenario.mappers[deciding_mapper(scenario)]
     return {key: getattr(part, key) for key in ("size_m", "posting_m") if hasattr(part, key)}
 
 
 def _quadtree(scenario: Scenario) -> dict[str, Any]:
+    """Return the changes that replace the mapper of decisions by a quadtree mapper."""
     before = deciding_mapper(scenario)
     name, part = _named(scenario, "quadtree"), scenario.mappers[before]
     if part.kind != "gaussian-dem":
@@ -74,7 +75,7 @@ def _quadtree(scenario: Scenario) -> dict[str, Any]:
         )  # fmt: skip
     lander = scenario.vehicle.make()
     sites = {
-        "zone_m": _ZONE * (lander.leg_radius + 0.5 * lander.pad_diameter),
+        "zone_half_side_m": _ZONE * (lander.leg_radius + 0.5 * lander.pad_diameter),
         "roughness_limit_m": lander.roughness_limit,
     }
     table = _map_size(scenario) | {"kind": "quadtree", "sensor": part.sensor, "sites": sites}
@@ -82,6 +83,7 @@ def _quadtree(scenario: Scenario) -> dict[str, Any]:
 
 
 def _shadows(scenario: Scenario) -> dict[str, Any]:
+    """Return the changes that replace all mappers by a shadow mapper."""
     given = _camera(scenario)
     others = dict.fromkeys(scenario.mappers)
     name = next(iter(given["mappers"]))
@@ -89,6 +91,7 @@ def _shadows(scenario: Scenario) -> dict[str, Any]:
 
 
 def _fused(scenario: Scenario) -> dict[str, Any]:
+    """Return the changes that add a fused mapper of a LiDAR and a shadow mapper."""
     reliefs = [name for name, part in scenario.mappers.items() if part.kind in _LIDAR]
     if not reliefs:
         raise InputError(
@@ -99,7 +102,7 @@ def _fused(scenario: Scenario) -> dict[str, Any]:
     given: dict[str, Any] = {"mappers": {}} if rocks else _camera(scenario)
     of = [reliefs[0], *(rocks or given["mappers"])]
     name = _named(scenario, "fused")
-    mappers = given["mappers"] | {name: {"kind": "fused", "of": of}}
+    mappers = given["mappers"] | {name: {"kind": "fused", "inputs": of}}
     return given | {"mappers": mappers, "decisions": {"map": name}}
 
 

@@ -26,16 +26,16 @@ _pools: OrderedDict[str, SiteWorldPool] = OrderedDict()
 
 @dataclass(frozen=True)
 class SiteWorldPool:
-    """Worlds of a scenario with their true safety.
+    """Pool of k simulated terrains (worlds) of a scenario, with their true safety.
 
     Attributes
     ----------
     worlds
-        Worlds for sensor models.
+        Complete worlds, for sensor models.
     terrains
         Terrain around the target areas, for touchdown.
     layers
-        Class, true safety and height of all cells, for kernels.
+        Hazard class, true safety and height of all cells, for kernels.
     shares
         Truly safe fraction of each world (k,).
     """
@@ -49,17 +49,17 @@ class SiteWorldPool:
     def of(
         cls, scenario: Scenario, count: int, seed: int, covers: Sequence[float] = ()
     ) -> SiteWorldPool:
-        """Return a pool, from memory if this process has used it recently.
+        """Generate a pool of worlds, or return it if this process has used it recently.
 
         Parameters
         ----------
         scenario
             Scenario with terrain, rocks, vehicle, Sun and target area.
         count, seed
-            Number of worlds per cover, and root seed. World k is that of flight k of a campaign
-            with this seed.
+            Number of worlds per cover, and root seed. World k is the world of flight k in a
+            campaign with this seed.
         covers
-            Additional rock covers.
+            Additional rock covers, area fractions.
 
         Raises
         ------
@@ -81,6 +81,7 @@ class SiteWorldPool:
 
 
 def _made(scenario: Scenario, count: int, seed: int, covers: Sequence[float]) -> SiteWorldPool:
+    """Generate a pool of worlds; the cache of campaigns supplies known true maps."""
     worlds: list[World] = []
     layers: list[TruthLayers] = []
     cache = open_cache(default_cache_folder())

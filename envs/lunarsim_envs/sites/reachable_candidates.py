@@ -1,5 +1,9 @@
 # mypy: allow-untyped-defs, no-check-untyped-defs
-"""Compiled search for reachable sites that replace candidates out of reach."""
+"""Compiled search for reachable sites that replace candidates out of reach.
+
+Reachability is computed on a coarser grid over the map (the reach grid), in tiles of 4 x 4 cells
+and only where candidates are.
+"""
 
 from __future__ import annotations
 
@@ -26,7 +30,11 @@ _SIDE, _TILE, _BLOCK = 100, 4, 4
 
 @kernel()
 def beaten(aim, cells, cost, count, enough):
-    """Return whether a site out of reach is safer than all within reach."""
+    """Return whether an unreachable candidate is safer than all reachable ones.
+
+    `aim` (rows, cols) is p_safe; `cells` (m, 2) and `cost` (m, ...) are `count` candidates, with
+    infinite cost if unreachable. False if a reachable one has p_safe of at least `enough`.
+    """
     best, lost = 0.0, 0.0
     for n in range(count):
         p = aim[cells[n, 0], cells[n, 1]]
@@ -39,7 +47,10 @@ def beaten(aim, cells, cost, count, enough):
 
 @kernel()
 def _grid(rows, cols, corner, posting, out):
-    """Write west, south, posting, rows and columns of the reach grid (5,)."""
+    """Compute the reach grid that covers a map, with at most 100 cells per side.
+
+    Writes west, south, grid spacing (m), rows and columns to `out` (5,).
+    """
     ratio = max(1.0, max(rows, cols) / _SIDE)
     side = posting * ratio
     out[2] = side
@@ -51,7 +62,7 @@ def _grid(rows, cols, corner, posting, out):
 
 
 class Place(NamedTuple):
-    """A map (corner, posting, heights), its `_grid`, and the current site.
+    """A map (corner, cell size, heights), its reach grid (5,) and the current site.
 
     `row` (rows,), `col` (cols,): reach-grid indices of the rows and columns of the map.
     """
@@ -66,9 +77,10 @@ class Place(NamedTuple):
 
 
 class Flying(NamedTuple):
-    """State of a lander (2, 3), mass, guidance law, and paths from `ways_of`.
+    """Lander for which reachability is computed: state (2, 3), mass and guidance law.
 
-    `speed`, m/s, `most`, m/s^2, and `figures` are arguments of `beyond`.
+    `state` is position and velocity; `ways` are path coefficients from `ways_of`; `speed` (m/s),
+    `most` (m/s^2) and `figures` are arguments of `beyond`.
     """
 
     state: np.ndarray
@@ -82,7 +94,7 @@ class Flying(NamedTuple):
 
 @kernel()
 def flying(state, mass, law):
-    """Return the state of a lander in the form that this module uses."""
+    """Return a `Flying` from position and velocity (2, 3), mass (kg) and guidance law."""
     ways, figures = np.zeros((len(law.rough), 9)), law.figures.copy()
     ways_of(state, law, ways)
     figures[MASS] = mass
@@ -92,7 +104,10 @@ def flying(state, mass, law):
 
 @kernel(inner=True)
 def _at(k, row, col, side, place, site):
-    """Write the position of cell k of a square of the reach grid (3,)."""
+    """Compute the position of one cell in a square of the reach grid (3,), m.
+
+    The square has `side` cells per side from (row, col); `k` numbers its cells row by row.
+    """
     grid, corner, posting = place.grid, place.corner, place.posting
     rows, cols = place.height.shape
     x = grid[0] + min(col + k % side, int(grid[4]) - 1) * grid[2]
@@ -106,7 +121,10 @@ def _at(k, row, col, side, place, site):
 
 @kernel(inner=True)
 def _lost(row, col, side, place, lander):
-    """Return whether a square of the reach grid is out of reach, by `beyond`."""
+    """Return whether it is proven that a square of the reach grid is out of reach.
+
+    The square has `side` cells per side from (row, col); `lander` is a `Flying`.
+    """
     low, high, site = np.full(3, np.inf), np.full(3, -np.inf), np.empty(3)
     for k in range(side * side):
         _at(k, row, col, side, place, site)
@@ -119,7 +137,7 @@ def _lost(row, col, side, place, lander):
 
 @kernel()
 def _survey(row, col, place, lander, out):
-    """Write which cells of a tile can be reached (16,)."""
+    """Compute which cells of a tile (4 x 4 cells from row, col) are reachable (16,)."""
     sites, cost = np.empty((_TILE * _TILE, 3)), np.empty((_TILE * _TILE, 4))
     for k in range(_TILE * _TILE):
         _at(k, row, col, _TILE, place, sites[k])
@@ -130,14 +148,22 @@ def _survey(row, col, place, lander, out):
 
 @kernel(inner=True)
 def _columns(count, corner, posting, low, side, out):
-    """Write the cell of the reach grid for each cell along the map (count,)."""
+    """Write the reach-grid index of each map row or column to `out` (count,).
+
+    `corner` and `posting` are position and spacing of map cells, `low` and `side` those of the
+    reach grid, m.
+    """
     for c in range(count):
         out[c] = int(np.floor((corner + c * posting - low) / side + 0.5))
 
 
 @kernel()
 def _open(row, col, side, place, score, masked, most, reached):
-    """Remove the unreachable cells in a square of the reach grid from a masked aim."""
+    """Remove unreachable map cells in a square of the reach grid from the candidates.
+
+    `reached` are the flags of the cells in the square; an empty array means that none is reachable.
+    Updates p_safe `masked`, `score` (rows, cols) and the row maxima `most` (rows,).
+    """
     rows, cols = masked.shape
     ratio = place.grid[2] / place.posting
     for r in range(max(int(row * ratio) - 2, 0), min(int((row + side) * ratio) + 3, rows)):
@@ -153,7 +179,10 @@ def _open(row, col, side, place, score, masked, most, reached):
 
 @kernel()
 def _looked(r, c, place, tiles, blocks, lander, masked, score, most):
-    """Survey the tile of a cell if it is new; return whether it was."""
+    """Compute reachability around map cell (r, c), unless it is known.
+
+    `tiles` and `blocks` mark what was evaluated. Returns whether the candidates may have changed.
+    """
     row, col = place.row[r] // _TILE, place.col[c] // _TILE
     if tiles[row, col]:
         return False
@@ -182,7 +211,11 @@ def within(
     aim, corner, posting, height, site, state, mass, law, count, separation, levels, masked, score,
     cells,
 ):  # fmt: skip
-    """Write the reachable candidate cells (m, 2), and return their number."""
+    """Select reachable candidate cells from a map, into `cells` (m, 2).
+
+    Candidates are up to `count` cells with the best p_safe `aim`, `separation` (m) apart, and the
+    nearest cells at each of `levels`. Returns their number. `masked` and `score` are scratch.
+    """
     rows, cols = aim.shape
     grid, most, highest = np.empty(5), np.empty(rows, np.float32), np.empty(rows, np.float32)
     _grid(rows, cols, corner, posting, grid)
@@ -230,7 +263,11 @@ def within(
 
 @kernel()
 def replace_unreachable(cells, cost, count, more, found):
-    """Replace unreachable candidates by reachable cells; return the number."""
+    """Replace unreachable candidates by reachable cells; return the new number.
+
+    `cells` (m, 2) has `count` candidates with `cost` (inf if unreachable); `more` has `found`
+    reachable cells. If all of these are known, nothing changes.
+    """
     kept = 0
     new = np.ones(found, np.bool_)
     any_new = False

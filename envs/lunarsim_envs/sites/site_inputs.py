@@ -18,7 +18,9 @@ MAP_CELLS, CROP_CELLS, CROP_SPACING = 48, 33, 1.0
 
 @dataclass(frozen=True)
 class SiteInputs:
-    """Onboard information of n landers, local frames, SI.
+    """Onboard data of n landers from which observations and actions are computed.
+
+    Positions are in the local frame of each lander; units are SI.
 
     Attributes
     ----------
@@ -29,8 +31,8 @@ class SiteInputs:
     time_to_go, propellant
         Time to the end of the approach, s, and remaining propellant, kg (n,).
     position_of, p_safe, distance, cost
-        Candidate sites (n, m, 3); their p_safe, distance from the current site, and propellant to
-        reach them, inf out of reach (n, m).
+        Candidate sites (n, m, 3); their p_safe (probability of a safe landing), distance from the
+        current site, and propellant to reach them, inf out of reach (n, m).
     count
         Number of candidates (n,).
     here
@@ -39,7 +41,7 @@ class SiteInputs:
         Maps of p_safe and of observed cells (n, rows, cols), centres of cells (0, 0) (n, 2), and
         cell size.
     small
-        Mean p_safe and observed fraction in equal blocks (n, 2, 48, 48).
+        Maps downsampled to mean p_safe and observed fraction of equal blocks (n, 2, 48, 48).
     """
 
     position: Array
@@ -62,7 +64,10 @@ class SiteInputs:
 
     @classmethod
     def of(cls, observation: Observation, small: NDArray[np.float32]) -> SiteInputs:
-        """Convert the observation of one policy; `small`: its coarse map (1, 2, 48, 48)."""
+        """Convert the observation of an onboard policy (n = 1).
+
+        `small` is its downsampled map (1, 2, 48, 48), from `downsample_maps`.
+        """
         o, c, e = observation, observation.candidates, observation.estimate
         grid = o.hazard_map.grid
 
@@ -87,7 +92,10 @@ class SiteInputs:
 
 
 def downsample_maps(p: NDArray[np.float32], seen: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """Return mean p_safe and observed fraction in equal blocks of maps (n, 2, 48, 48)."""
+    """Downsample maps to mean p_safe and observed fraction of blocks (n, 2, 48, 48).
+
+    `p` and `seen` (n, rows, cols) are p_safe and the mask of observed cells.
+    """
     out = np.zeros((len(p), 2, MAP_CELLS, MAP_CELLS))
     every = np.ones(len(p), np.bool_)
     given = every, np.ascontiguousarray(p, dtype=np.float32), seen, out

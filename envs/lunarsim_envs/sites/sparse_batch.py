@@ -23,7 +23,7 @@ LANES, _EVERY, _REACH = 4096, 8, 24.0
 
 @dataclass(frozen=True)
 class FlightSummary:
-    """Summary of many flights.
+    """Numbers of flights and safe landings, failures and propellant of many flights.
 
     Attributes
     ----------
@@ -49,7 +49,7 @@ class FlightSummary:
     safe_by_p_safe: NDArray[np.int64]
 
     def __add__(self, other: FlightSummary) -> FlightSummary:
-        """Add two summaries."""
+        """Return the summary of the flights of both."""
         return FlightSummary(
             self.flights + other.flights, self.safe + other.safe,
             {name: self.failed[name] + other.failed[name] for name in self.failed},
@@ -66,9 +66,9 @@ def batches(
     lanes: int = LANES,
     surrogate: Any = None,
 ) -> Iterator[FlightSummary]:
-    """Fly batches of flights and yield the summary of each.
+    """Fly many descents in parallel batches and yield the summary of each batch.
 
-    Flight i does not depend on the number of lanes and threads.
+    Flight i does not depend on the number of parallel flights and threads.
 
     Parameters
     ----------
@@ -82,7 +82,7 @@ def batches(
     lanes
         Number of parallel flights.
     surrogate
-        `Surrogate` or the path of its file; None is the packaged one.
+        `Surrogate` or the path of its file; None is the surrogate supplied with lunarsim_envs.
 
     Raises
     ------
@@ -108,7 +108,9 @@ def batches(
 
 
 class SparseDescentBatch(SiteDescentBatch):
-    """A batch with perception on a sparse lattice and one decision after every scan.
+    """Landers that evaluate a sparse lattice of sites and divert after every scan.
+
+    No complete hazard maps are computed, so that millions of flights are feasible.
 
     Attributes
     ----------
@@ -119,12 +121,12 @@ class SparseDescentBatch(SiteDescentBatch):
     keeps_maps = False
 
     def begin(self, mask: Mask) -> None:
-        """Fly a new flight in every lane of `mask` (n,) to its end."""
+        """Start new flights in the lanes of `mask` (n,) and fly them to their end."""
         self.site_p_safe = np.full(self.count, np.nan)
         super().begin(mask)
 
     def scan(self, due: Mask) -> None:
-        """Take the due scans in the lanes of `due` (n,) and choose their sites."""
+        """Take a scan in the lanes of `due` (n,) and divert to the best lattice site."""
         side = int(2.0 * _REACH / self.maps.posting) + 1
         self._run(
             k.choose, 200.0 * self.count, due, self._keys, self._flight_counts, self.y, self.time,
@@ -133,7 +135,7 @@ class SparseDescentBatch(SiteDescentBatch):
         )  # fmt: skip
 
     def tally(self, mask: Mask) -> FlightSummary:
-        """Return the summary of the lanes of `mask` (n,)."""
+        """Return the summary of the ended flights of the lanes of `mask` (n,)."""
         safe = self.safe & mask
         failed = {
             name: int(((self.failed >> bit & 1).astype(bool) & mask).sum())
@@ -150,5 +152,5 @@ class SparseDescentBatch(SiteDescentBatch):
 
 
 def without_site_decisions(scenario: Scenario) -> Scenario:
-    """Return a scenario without decisions: their altitude window is below the pads."""
+    """Return a scenario without site decisions, by an altitude window below 0.2 mm."""
     return scenario.changed(decisions={"first_altitude_m": 2e-4, "last_altitude_m": 1e-4})

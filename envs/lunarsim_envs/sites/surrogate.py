@@ -1,4 +1,4 @@
-"""Statistical surrogate of a mapper: p_safe maps drawn from the true terrain.
+"""Surrogate (statistical substitute) of a mapper: random p_safe maps of a terrain.
 
 For each site class (see `hazard`), scan and fraction of safe terrain, tables store the distribution
 of the mapper's p_safe in simulated flights. A Gaussian copula draws the maps: a standard normal
@@ -41,7 +41,10 @@ _FIELDS, _SIDE = 6, 256
 
 @dataclass(frozen=True)
 class Surrogate:
-    """Error model of a mapper.
+    """Statistical model of the p_safe maps that a mapper makes of known true terrain.
+
+    p_safe is the probability of a safe landing at a site. A class groups sites by true hazard size
+    and distance to the safety edge (`hazard`).
 
     Attributes
     ----------
@@ -62,7 +65,7 @@ class Surrogate:
     drift
         Standard deviation of the drift velocity of the lander over its map, east and north (2,),
         m/s.
-    claimed
+    reported_velocity_sigma
         Standard deviation of velocity that navigation reports, per axis, m/s.
     altitudes
         Altitudes of the scans, m.
@@ -77,7 +80,7 @@ class Surrogate:
     stretch: Array
     kept: float
     drift: Array
-    claimed: float
+    reported_velocity_sigma: float
     altitudes: Array
     made_for: str
 
@@ -92,7 +95,7 @@ class Surrogate:
                 "stretch",
                 "kept",
                 "drift",
-                "claimed",
+                "reported_velocity_sigma",
                 "altitudes",
             )
         }
@@ -115,7 +118,7 @@ class Surrogate:
             made = cls(
                 held["shares"], held["tables"].astype(np.float64), held["common"], held["weights"],
                 held["stretch"], float(held["kept"]), held["drift"],
-                float(held["claimed"]), held["altitudes"], str(held["made_for"]),
+                float(held["reported_velocity_sigma"]), held["altitudes"], str(held["made_for"]),
             )  # fmt: skip
             made._check()
         except (KeyError, ValueError, TypeError, AttributeError) as error:
@@ -146,7 +149,7 @@ class Surrogate:
         Raises
         ------
         InputError
-            Naming the scenario table that differs.
+            If a scenario table differs from those of the fit.
         """
         mine, theirs = json.loads(self.made_for), surrogate_tables(scenario)
         taken = theirs["tasking"].get("altitudes_m", [])
@@ -166,7 +169,7 @@ class Surrogate:
         return noise(*held, self.weights.shape, posting)
 
     def errors(self, shares: Array, posting: float) -> Errors:
-        """Return the error model in the form that kernels use.
+        """Interpolate the error model to worlds, in the form that kernels use.
 
         Parameters
         ----------
@@ -192,7 +195,7 @@ class Surrogate:
 
 
 def surrogate_tables(scenario: Scenario) -> dict[str, Any]:
-    """Return the scenario tables, except terrain, on which the maps depend."""
+    """Return the scenario tables on which maps depend, except the terrain, by name."""
     held, name = scenario.to_dict(), deciding_mapper(scenario)
     mapper = held["mappers"][name]
     sensor = mapper["sensor"]
@@ -206,7 +209,7 @@ def surrogate_tables(scenario: Scenario) -> dict[str, Any]:
 def noise(
     weights: bytes, stretch: bytes, shape: tuple[int, int, int], posting: float
 ) -> NDArray[np.float32]:
-    """Return periodic standard normal fields (terrains, scans, fields, side, side).
+    """Generate periodic standard normal fields (terrains, scans, fields, side, side).
 
     Their spatial correlation is a mixture of Gaussians with the lengths `LENGTHS` times `stretch`
     (terrains, scans) and `weights` (terrains, scans, lengths). Both are passed as bytes, so that
@@ -234,7 +237,7 @@ def noise(
 
 
 def exact_errors() -> Errors:
-    """Return the error model of perfect perception."""
+    """Return the error model of perfect perception, whose maps are the true safety."""
     return Errors(
         np.zeros((1, 1, 1, 2), np.float32), MOST, np.zeros((1, 1, 1, 1, 1), np.float32),
         np.zeros(1, np.int64), np.zeros((1, 1)), 0.0, True,

@@ -37,7 +37,7 @@ _LAGS = np.array([0, 1, 2, 3, 4, 6, 8, 12, 16, 24, 32])
 def fit_mapper_surrogate(
     scenario: Scenario, terrains: Sequence[Sequence[SampledFlight]]
 ) -> Surrogate:
-    """Fit the surrogate of a scenario's mapper.
+    """Fit the surrogate of a scenario's mapper to maps from simulated flights.
 
     Parameters
     ----------
@@ -85,7 +85,10 @@ def fit_mapper_surrogate(
 
 
 def _stretched(surrogate: Surrogate, terrains: Sequence[Sequence[SampledFlight]]) -> Surrogate:
-    """Return a surrogate with the mapper's correlation lengths on the terrains."""
+    """Fit the factor on a surrogate's correlation lengths to maps of the mapper.
+
+    `terrains` are the simulated flights over each fitted terrain.
+    """
     for _ in range(_ROUNDS):
         stretch = surrogate.stretch.copy()
         for g, terrain in enumerate(terrains):
@@ -106,7 +109,10 @@ def _altitude(samples: Sequence[Sequence[MapSample]], stage: int) -> float:
 
 
 def quantile_tables(samples: Sequence[MapSample]) -> Array:
-    """Return p_safe of each class at the nodes (classes, nodes)."""
+    """Tabulate the distribution of p_safe in each terrain class (classes, nodes).
+
+    Column k is the quantile of p_safe at the k-th of the evenly spaced normal scores.
+    """
     kind = np.concatenate([sample.kind[is_evaluated(sample)] for sample in samples])
     p = np.concatenate([sample.p_safe[is_evaluated(sample)] for sample in samples]).astype(
         np.float64
@@ -128,7 +134,10 @@ def quantile_tables(samples: Sequence[MapSample]) -> Array:
 
 
 def normal_scores(samples: Sequence[MapSample]) -> list[Array]:
-    """Return the normal score of each site in its class (rows, cols); NaN elsewhere."""
+    """Return the normal score of each cell's p_safe within its terrain class.
+
+    Each map gives an array (rows, cols), with NaN where `is_evaluated` is false.
+    """
     masks = [is_evaluated(sample) for sample in samples]
     kind = np.concatenate([sample.kind[mask] for sample, mask in zip(samples, masks, strict=True)])
     p = np.concatenate([sample.p_safe[mask] for sample, mask in zip(samples, masks, strict=True)])
@@ -147,7 +156,10 @@ def normal_scores(samples: Sequence[MapSample]) -> list[Array]:
 
 
 def correlation_weights(fields: Sequence[Array], posting: float) -> Array:
-    """Return the weights of the correlation `LENGTHS` (lengths,), which sum to 1."""
+    """Fit the autocorrelation of fields by Gaussians with the lengths `LENGTHS`.
+
+    `posting` is the spacing of cells, m. Returns the weights (lengths,), which sum to 1.
+    """
     wanted = correlation(fields, _LAGS)
     away = _LAGS * posting
     basis = np.stack(
@@ -160,7 +172,10 @@ def correlation_weights(fields: Sequence[Array], posting: float) -> Array:
 
 
 def _kept(scores: Sequence[Sequence[Array]]) -> float:
-    """Return the correlation of normal scores between the first and the second map."""
+    """Return the correlation of normal scores between the first and the second map.
+
+    `scores` are the fields (rows, cols) of each scan; with one scan, the result is 0.
+    """
     if len(scores) < 2:
         return 0.0
     first, second = scores

@@ -17,17 +17,16 @@ _LAGS = np.arange(0, 33)
 
 
 def is_evaluated(sample: MapSample) -> NDArray[np.bool_]:
-    """Return the mask of cells with a p_safe from the last scan and with known truth."""
+    """Return which cells have p_safe from the last scan and known truth (rows, cols)."""
     return np.asarray(sample.viewed & sample.observed & (sample.kind != hazard.UNKNOWN))
 
 
 def draw_surrogate_maps(
     surrogate: Surrogate, flight: SampledFlight, rng: np.random.Generator
 ) -> list[NDArray[np.float32]]:
-    """Draw surrogate maps for the scans of a flight.
+    """Generate random surrogate maps of p_safe (rows, cols) for the scans of a flight.
 
-    Cells outside `is_evaluated` are NaN.
-    The computation is the same as in the kernel, cell by cell.
+    Cells outside `is_evaluated` are NaN. The computation is the same as in the kernel.
     """
     posting = flight.samples[0].posting
     errors = surrogate.errors(np.array([flight.safe_share]), posting)
@@ -56,7 +55,7 @@ def draw_surrogate_maps(
 
 
 def correlation(fields: Sequence[Array], lags: NDArray[np.int64]) -> Array:
-    """Return the autocorrelation of fields (without their means) at lags in cells."""
+    """Return the autocorrelation of fields, minus their means, at lags (k,) in cells."""
     top, count = np.zeros(len(lags)), np.zeros(len(lags))
     for one in fields:
         if np.isnan(one).all():
@@ -73,7 +72,11 @@ def correlation(fields: Sequence[Array], lags: NDArray[np.int64]) -> Array:
 
 
 def correlation_length(samples: Sequence[MapSample], maps: Sequence[NDArray[np.float32]]) -> float:
-    """Return the correlation length of p_safe minus its class mean (fall to 1 / e), m."""
+    """Return the correlation length of map errors (p_safe minus its class mean), m.
+
+    `maps` are the maps of p_safe for `samples`. It is the lag at which the autocorrelation falls to
+    1 / e, and NaN if it does not.
+    """
     masks = [is_evaluated(sample) for sample in samples]
     total, count = np.zeros(hazard.COUNT), np.zeros(hazard.COUNT)
     for sample, one, mask in zip(samples, maps, masks, strict=True):

@@ -23,7 +23,7 @@ _RESAMPLED = 500
 
 @dataclass(frozen=True)
 class SurrogateMapQuality:
-    """Quality metrics of maps: names and values (n,) in the same order."""
+    """Quality metrics of p_safe maps: names and values (n,) in the same order."""
 
     names: tuple[str, ...]
     values: Array
@@ -32,7 +32,10 @@ class SurrogateMapQuality:
 def quality(
     samples: Sequence[MapSample], maps: Sequence[NDArray[np.float32]]
 ) -> SurrogateMapQuality:
-    """Return calibration error, false rates and correlation length of maps."""
+    """Compute calibration error, false rates and correlation length of p_safe maps.
+
+    `maps` are maps of p_safe; `samples` have the true classes and safety of their cells.
+    """
     masks = [is_evaluated(sample) for sample in samples]
     p = np.concatenate([one[mask] for one, mask in zip(maps, masks, strict=True)])
     safe = np.concatenate([sample.safe[mask] for sample, mask in zip(samples, masks, strict=True)])
@@ -63,11 +66,12 @@ def quality(
 
 
 def _share(is_wrong: NDArray[np.bool_]) -> float:
+    """Return the fraction of wrong classifications; NaN for fewer than 20 cells."""
     return float(is_wrong.mean()) if is_wrong.size >= 20 else float("nan")
 
 
 def _calibration_error(p: NDArray[np.float32], safe: NDArray[np.bool_]) -> float:
-    """Return the expected calibration error over tenths of p_safe."""
+    """Return the expected calibration error of p_safe, in ten bins."""
     tenth = np.minimum((p * 10).astype(int), 9)
     gap = 0.0
     for k in range(10):
@@ -79,7 +83,7 @@ def _calibration_error(p: NDArray[np.float32], safe: NDArray[np.bool_]) -> float
 
 @dataclass(frozen=True)
 class MetricComparison:
-    """One metric for the mapper and for the surrogate.
+    """One quality metric of maps, for the mapper and for its surrogate.
 
     Attributes
     ----------
@@ -99,14 +103,17 @@ class MetricComparison:
 
     @property
     def within(self) -> bool:
-        """Whether the surrogate's value is within the interval."""
+        """Whether the surrogate's value is within the mapper's 95 % interval."""
         return bool(self.low <= self.surrogate <= self.high)
 
 
 def compare_metrics(
     surrogate: Surrogate, flights: Sequence[SampledFlight], scan: int, rng: np.random.Generator
 ) -> list[MetricComparison]:
-    """Return the metrics of one scan of all flights, for mapper and surrogate."""
+    """Compare quality metrics of mapper and surrogate for one scan of all flights.
+
+    `scan` is the index of the scan; `rng` samples surrogate maps and the bootstrap.
+    """
     samples = [sample for f in flights for sample in f.samples if sample.stage == scan]
     maps = [sample.p_safe for sample in samples]
     drawn = [draw_surrogate_maps(surrogate, f, rng)[scan] for f in flights if len(f.samples) > scan]

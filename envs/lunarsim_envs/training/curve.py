@@ -10,12 +10,12 @@ from lunarsim.viz.style import COLOURS, new_figure, save
 
 
 def draw_curve(curve: list[dict[str, float]], path: Path) -> None:
-    """Plot landing fractions and propellant of on-target landings over training.
+    """Plot fractions of safe landings and propellant against the training steps.
 
     Parameters
     ----------
     curve
-        Rows from `guidance.Run.curve`.
+        One row per evaluation, from `guidance.TrainingRun.curve`.
     path
         PNG file to write.
     """

@@ -10,9 +10,10 @@ from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 
 
 class TwoScaleFeatures(BaseFeaturesExtractor):  # type: ignore[misc]
-    """Scale each input x in two ways: x / far and asinh(x / near).
+    """Input layer of a policy network: scale each observation value in two ways.
 
-    The second feature resolves small values near the terrain and never saturates.
+    A value x gives x / far and asinh(x / near). The second feature resolves small values near the
+    terrain and never saturates.
 
     Parameters
     ----------
@@ -34,5 +35,5 @@ class TwoScaleFeatures(BaseFeaturesExtractor):  # type: ignore[misc]
         self.register_buffer("near", torch.as_tensor(near, dtype=torch.float32))
 
     def forward(self, observations: torch.Tensor) -> torch.Tensor:
-        """Return features (n, 2 size)."""
+        """Return the scaled values (n, 2 size) of observations (n, size)."""
         return torch.cat((observations / self.far, torch.asinh(observations / self.near)), dim=1)

@@ -35,7 +35,7 @@ _LOOKED_AT, _LOOK_SEED = 300, 10**9
 def create_batch_env(
     settings: PpoSettings, count: int
 ) -> gymnasium.vector.VectorEnv[Any, Any, Any]:
-    """Create the vector environment of the training with `count` lanes."""
+    """Create the vector environment of a training, with `count` parallel flights."""
     return gymnasium.make_vec(
         ENV, num_envs=count, vectorization_mode="vector_entry_point", autoreset_mode="SameStep",
         weights=settings.weights, changes=settings.changes,
@@ -43,7 +43,7 @@ def create_batch_env(
 
 
 def policy_network(model: PPO) -> Network:
-    """Convert the policy of a PPO model to a NumPy network."""
+    """Convert the policy of a Stable-Baselines3 PPO model to a NumPy network."""
     flown = model.get_env().batch.unwrapped.descents
     parts = tuple(part.name for part in flown.shown.parts)
     policy = model.policy
@@ -62,7 +62,7 @@ def policy_network(model: PPO) -> Network:
 
 @dataclass(frozen=True)
 class HeldOutResult:
-    """Result of an evaluation on held-out seeds.
+    """Result of an evaluation of an agent on seeds that the training does not use.
 
     Attributes
     ----------
@@ -78,7 +78,7 @@ class HeldOutResult:
 
 
 def look(network: Network, settings: PpoSettings) -> HeldOutResult:
-    """Evaluate an agent on held-out seeds."""
+    """Evaluate a network on 300 flights with seeds that the training does not use."""
     batch = create_batch_env(settings, _LOOKED_AT)
     observation, _ = batch.reset(seed=_LOOK_SEED)
     waiting = np.ones(_LOOKED_AT, np.bool_)
@@ -97,19 +97,19 @@ def look(network: Network, settings: PpoSettings) -> HeldOutResult:
 
 
 class TrainingRun:
-    """A training run with its folder.
+    """PPO training of a ``Guidance-v0`` agent, with checkpoints in a folder.
 
     Parameters
     ----------
     settings
         Settings of the training.
     out
-        Folder: a new one, or one with a training with the same settings, which is then continued.
+        Folder of the checkpoints. A training with the same settings in this folder is continued.
 
     Attributes
     ----------
     done
-        Number of updates so far.
+        Number of updates of the agent so far.
     curve
         Learning curve, one row per evaluation, filled by `look`.
 
@@ -143,21 +143,21 @@ class TrainingRun:
         far, near = scales(tuple(part.name for part in descents.shown.parts))
         model = PPO(
             "MlpPolicy", env, n_steps=s.horizon, batch_size=s.batch, n_epochs=s.epochs,
-            gamma=s.discount, gae_lambda=s.trace, seed=s.seed, device="cpu",
+            gamma=s.discount, gae_lambda=s.gae_lambda, seed=s.seed, device="cpu",
             policy_kwargs={
                 "features_extractor_class": TwoScaleFeatures,
                 "features_extractor_kwargs": {"far": far, "near": near},
-                "net_arch": [s.width, s.width], "log_std_init": s.spread,
+                "net_arch": [s.width, s.width], "log_std_init": s.initial_log_std,
             },
         )  # fmt: skip
         # The initial action is slightly less than hover thrust: climbing flights teach nothing.
-        sinking = [0.0, 0.0, s.bears * descents.lanes.craft.dynamics.gravity]
+        sinking = [0.0, 0.0, s.initial_thrust_to_weight * descents.lanes.craft.dynamics.gravity]
         with torch.no_grad():
             model.policy.action_net.bias[:] = torch.as_tensor(descents.actions.action(sinking))
         return model
 
     def advance(self) -> None:
-        """Collect a rollout in all lanes and update the agent."""
+        """Fly `horizon` steps in all parallel environments and update the agent once."""
         start, s = time.perf_counter(), self.settings
         rate = s.learning_rate(self.done)
         self.model.lr_schedule = lambda _: rate
@@ -168,7 +168,7 @@ class TrainingRun:
         self.seconds += time.perf_counter() - start
 
     def look(self) -> HeldOutResult:
-        """Evaluate the agent and append the result to the learning curve."""
+        """Evaluate the agent on held-out seeds; append the result to the learning curve."""
         seen = look(policy_network(self.model), self.settings)
         row: dict[str, float] = {"update": self.done, "steps": int(self.model.num_timesteps)}
         row |= {"seconds": round(self.seconds, 1), "on_target": seen.on_target}
@@ -177,7 +177,10 @@ class TrainingRun:
         return seen
 
     def checkpoint(self) -> None:
-        """Write a checkpoint; the previous one is kept until the new one is complete."""
+        """Write a checkpoint of agent, flights and random generators to the folder.
+
+        The previous checkpoint is kept until the new one is complete.
+        """
         new, there = self.out / "checkpoint.part", self.out / "checkpoint"
         shutil.rmtree(new, ignore_errors=True)
         new.mkdir()
@@ -192,7 +195,7 @@ class TrainingRun:
         policy_network(self.model).save(self.out / "agent.npz")
 
     def _resume(self) -> None:
-        """Continue from the last checkpoint."""
+        """Restore model, flights and random generators from the last checkpoint."""
         there = self.out / "checkpoint"
         kept = pickle.loads((there / "flights.pickle").read_bytes())
         self.model = PPO.load(
@@ -208,7 +211,7 @@ def train(
     settings: PpoSettings, out: Path, interval: int,
     report: Callable[[TrainingRun, HeldOutResult], None],
 ) -> TrainingRun:  # fmt: skip
-    """Train to the end, with regular evaluations and checkpoints.
+    """Train a ``Guidance-v0`` agent to the end, with evaluations and checkpoints.
 
     Parameters
     ----------
@@ -217,7 +220,7 @@ def train(
     interval
         Number of updates between two evaluations.
     report
-        Function called after each evaluation.
+        Function called after each evaluation with the run and the result.
     """
     torch.set_num_threads(1)
     run = TrainingRun(settings, out)

@@ -12,18 +12,20 @@ from stable_baselines3.common.vec_env import VecEnv
 
 from lunarsim.errors import InputError
 
-_SHARED = "is not supported for single lanes, which share one environment"
+_SHARED = "is not supported, because all lanes share one vector environment"
 
 
 def _of(shown: Any, lane: Any) -> Any:
-    """Return the observation of one lane."""
+    """Return the observation of one environment (index `lane`) from all observations."""
     if isinstance(shown, dict):
         return {name: part[lane] for name, part in shown.items()}
     return shown[lane]
 
 
 class Sb3VecEnv(VecEnv):  # type: ignore[misc]
-    """Present a vector environment to Stable-Baselines3 without a loop over lanes.
+    """Present a lunarsim vector environment to Stable-Baselines3 as its `VecEnv`.
+
+    All environments (called lanes here) step in one call, without a Python loop.
 
     Parameters
     ----------
@@ -31,8 +33,8 @@ class Sb3VecEnv(VecEnv):  # type: ignore[misc]
         Vector environment with ``autoreset_mode="SameStep"``. For ``Retarget-v0``, the masks that
         MaskablePPO needs are available, also with several action components.
     starts
-        Reset options, each for an equal share of the lanes, in order. Default: all lanes start as
-        in the scenario.
+        Options of `reset`; each applies to an equal number of consecutive lanes. Default: all lanes
+        start as in the scenario.
 
     Raises
     ------
@@ -53,7 +55,10 @@ class Sb3VecEnv(VecEnv):  # type: ignore[misc]
         self._actions: NDArray[np.float32] | None = None
 
     def reset(self) -> Any:
-        """Start new episodes in all lanes, with the values of `seed` and `set_options`."""
+        """Start new episodes in all lanes, with the values of `seed` and `set_options`.
+
+        Returns the first observations.
+        """
         seeds: Any = None if self._seeds[0] is None else list(self._seeds)
         pairs = self._reset_groups()
         self._reset_seeds()
@@ -65,7 +70,10 @@ class Sb3VecEnv(VecEnv):  # type: ignore[misc]
         return observation
 
     def _reset_groups(self) -> list[tuple[dict[str, Any], list[int]]]:
-        """Return reset options (`set_options` overrides `starts`) and their lanes."""
+        """Return pairs of reset options and the lanes to which they apply.
+
+        Options of `set_options` override those of `starts`.
+        """
         given = self._options
         if len(given) != self.num_envs or not all(isinstance(one, dict) for one in given):
             raise InputError(
@@ -84,11 +92,14 @@ class Sb3VecEnv(VecEnv):  # type: ignore[misc]
         return pairs
 
     def step_async(self, actions: NDArray[np.float32]) -> None:
-        """Store the actions (n, size)."""
+        """Store the actions (n, size) for the next call of `step_wait`."""
         self._actions = actions
 
     def step_wait(self) -> Any:
-        """Step all lanes; only lanes whose episode has ended have a non-empty info."""
+        """Step all lanes with the stored actions; return observation, reward, end, info.
+
+        Only lanes whose episode has ended have a non-empty info.
+        """
         observation, reward, terminated, truncated, info = self.batch.step(self._actions)
         over = terminated | truncated
         infos: list[dict[str, Any]] = [{}] * self.num_envs
@@ -107,7 +118,7 @@ class Sb3VecEnv(VecEnv):  # type: ignore[misc]
         self.batch.close()
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
-        """Return an attribute of the vector environment, repeated for each lane."""
+        """Return an attribute of the vector environment, once per lane of `indices`."""
         value = getattr(self.batch, attr_name, None if attr_name == "render_mode" else ...)
         if value is ...:
             raise AttributeError(attr_name)
@@ -120,14 +131,17 @@ class Sb3VecEnv(VecEnv):  # type: ignore[misc]
     def env_method(
         self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any
     ) -> list[Any]:
-        """Return the action masks of lanes; raise an `InputError` for other methods."""
+        """Return the action masks of the lanes of `indices`, for ``action_masks`` only.
+
+        Other methods raise an `InputError`.
+        """
         if method_name == "action_masks" and hasattr(self.batch, method_name):
             masks = getattr(self.batch, method_name)()
             return [masks[lane] for lane in self._get_indices(indices)]
         raise InputError("env_method", method_name, _SHARED)
 
     def env_is_wrapped(self, wrapper_class: Any, indices: Any = None) -> list[bool]:
-        """Return false for each lane."""
+        """Return False for each lane, because lanes are not wrapped separately."""
         return [False] * len(list(self._get_indices(indices)))
 
     def get_images(self) -> Sequence[NDArray[np.uint8] | None]:

@@ -1,4 +1,4 @@
-"""Define the settings of a training of ``Guidance-v0``; they determine its result."""
+"""Define the settings of a training of ``Guidance-v0``; they fix its result."""
 
 from __future__ import annotations
 
@@ -29,24 +29,24 @@ class PpoSettings:
     Attributes
     ----------
     steps
-        Number of environment steps, all lanes together.
+        Total number of environment steps of all parallel flights.
     seed
         Root seed of the training.
     lanes, horizon
         Number of parallel flights, and steps of each between two updates.
     batch, epochs
         Minibatch size, and number of passes over each rollout.
-    discount, trace
+    discount, gae_lambda
         Discount factor of the return, and lambda of the advantage estimate.
     rate_first, rate_last
         Initial and final learning rate; it decreases linearly.
-    spread, spread_last
+    initial_log_std, final_log_std
         Initial and final bound of the log standard deviation of actions; it decreases linearly.
         With large random actions, the lander rotates faster than a safe touchdown allows, so the
         agent never experiences a safe landing.
     width
         Width of the two hidden layers.
-    bears
+    initial_thrust_to_weight
         Mean initial thrust over the weight.
     position_sigma, velocity_sigma
         Dispersion of the start, 1 sigma per axis, m and m/s.
@@ -64,13 +64,13 @@ class PpoSettings:
     batch: int = 2048
     epochs: int = 5
     discount: float = 0.995
-    trace: float = 0.95
+    gae_lambda: float = 0.95
     rate_first: float = 1.5e-3
     rate_last: float = 1e-4
-    spread: float = -1.5
-    spread_last: float = -3.5
+    initial_log_std: float = -1.5
+    final_log_std: float = -3.5
     width: int = 64
-    bears: float = 0.9
+    initial_thrust_to_weight: float = 0.9
     position_sigma: float = 100.0 / 3.0
     velocity_sigma: float = 10.0
     nearest: float = 0.04
@@ -100,7 +100,7 @@ class PpoSettings:
 
     @property
     def weights(self) -> DescentWeights:
-        """Reward weights."""
+        """Reward weights of the training environment."""
         return DescentWeights(
             safe=self.safe, crash=self.crash, propellant=self.propellant, miss=self.miss,
             severity=self.severity, excess=self.excess, shaping=self.shaping,
@@ -109,7 +109,7 @@ class PpoSettings:
 
     @property
     def changes(self) -> dict[str, Any]:
-        """Scenario changes."""
+        """Changed scenario values by key: dispersion of the start state."""
         return {
             "start.position_sigma_m": self.position_sigma,
             "start.velocity_sigma_m_s": self.velocity_sigma,
@@ -117,11 +117,11 @@ class PpoSettings:
 
     @property
     def updates(self) -> int:
-        """Number of updates of the agent."""
+        """Total number of updates of the agent in a training."""
         return -(-self.steps // (self.lanes * self.horizon))
 
     def _falls(self, first: float, last: float, done: int) -> float:
-        """Interpolate linearly from `first` to `last` over the updates."""
+        """Interpolate from `first` to `last` over all updates, at update number `done`."""
         return first + (last - first) * min(done / max(self.updates - 1, 1), 1.0)
 
     def learning_rate(self, done: int) -> float:
@@ -129,11 +129,11 @@ class PpoSettings:
         return self._falls(self.rate_first, self.rate_last, done)
 
     def most_spread(self, done: int) -> float:
-        """Return the bound of the log standard deviation of actions after `done` updates."""
-        return self._falls(self.spread, self.spread_last, done)
+        """Return the maximum log standard deviation of actions after `done` updates."""
+        return self._falls(self.initial_log_std, self.final_log_std, done)
 
     def starts(self, planned: np.ndarray) -> list[dict[str, Any]]:
-        """Return reset options with starts from near the target to the full distance.
+        """Return options of `reset` with starts from near the target to the full distance.
 
         Parameters
         ----------
@@ -166,6 +166,9 @@ class PpoSettings:
 
 
 def scales(parts: tuple[str, ...]) -> tuple[list[float], list[float]]:
-    """Return the scales far and near of every value of an observation."""
+    """Return the input scales `far` and `near` of every value of an observation.
+
+    `parts` are the names of its components, in order.
+    """
     each = [SCALES[name] for name in parts for _ in range(PARTS[name].size)]
     return [far for far, _ in each], [near for _, near in each]

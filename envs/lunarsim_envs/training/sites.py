@@ -2,7 +2,7 @@
 
 All networks of a population fly the same flights. The best networks define mean and standard
 deviation of the next population (Rubinstein and Kroese, "The Cross-Entropy Method", Springer 2004,
-ch. 5). All flights of a generation run in parallel, one lane each with its own network.
+ch. 5). All flights of a generation run in parallel, each with its own network.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class CemSettings:
-    """Settings of the training.
+    """Settings of a training of a site network by the cross-entropy method.
 
     Attributes
     ----------
@@ -34,11 +34,11 @@ class CemSettings:
     population, elite, flights, generations
         Networks per generation, number of best networks for the update, flights per network, and
         number of generations.
-    price
+    propellant_weight
         Penalty per kilogram of propellant; a safe landing is worth 1.
     spread
-        Standard deviation of the first population.
-    kept
+        Standard deviation of the network weights in the first population.
+    smoothing
         Smoothing factor: weight of the old mean and standard deviation in an update.
     seed
         Root seed.
@@ -49,14 +49,17 @@ class CemSettings:
     elite: int = 4
     flights: int = 96
     generations: int = 30
-    price: float = 0.006
+    propellant_weight: float = 0.006
     spread: float = 0.5
-    kept: float = 0.3
+    smoothing: float = 0.3
     seed: int = 1
 
 
 def start(hidden: int) -> SiteNetwork:
-    """Return an initial network that imitates the policy `fuel-aware`."""
+    """Return the initial network, which imitates the onboard policy ``fuel-aware``.
+
+    `hidden` is the width of the hidden layer, whose weights are zero.
+    """
     linear = np.zeros(len(FEATURES))
     # Score: 1 per unit of log-odds, -0.25 per kilogram, +0.7 for keeping the site.
     linear[0], linear[1], linear[3] = 5.0, -0.5, 0.7
@@ -65,7 +68,9 @@ def start(hidden: int) -> SiteNetwork:
 
 
 def flown(lanes: SiteDescentBatch, keys: NDArray[np.uint64], weights: Array, hidden: int) -> Array:
-    """Fly each lane with its own network; return safety (0, 1) and propellant (n, 2).
+    """Fly n landers, each with its own network; return safety and propellant (n, 2).
+
+    Safety is 0 or 1; propellant is in kg.
 
     Parameters
     ----------
@@ -106,7 +111,7 @@ def train(
     settings: CemSettings,
     report: Callable[[int, float, float, float], None],
 ) -> SiteNetwork:
-    """Train a network and return it.
+    """Train a site network by the cross-entropy method and return it.
 
     Parameters
     ----------
@@ -128,10 +133,10 @@ def train(
         keys = rng.integers(2**64, size=s.flights, dtype=np.uint64)
         found = flown(lanes, np.tile(keys, s.population), np.repeat(drawn, s.flights, 0), s.hidden)
         found = found.reshape(s.population, s.flights, 2)
-        worth = (found[..., 0] - s.price * found[..., 1]).mean(axis=1)
+        worth = (found[..., 0] - s.propellant_weight * found[..., 1]).mean(axis=1)
         best = np.argsort(-worth, kind="stable")[: s.elite]
-        mean = s.kept * mean + (1.0 - s.kept) * drawn[best].mean(axis=0)
-        sigma = s.kept * sigma + (1.0 - s.kept) * drawn[best].std(axis=0)
+        mean = s.smoothing * mean + (1.0 - s.smoothing) * drawn[best].mean(axis=0)
+        sigma = s.smoothing * sigma + (1.0 - s.smoothing) * drawn[best].std(axis=0)
         safe, burnt = found[best].mean(axis=(0, 1))
         report(generation, float(safe), float(burnt), float(sigma.mean()))
     return SiteNetwork.of(mean, s.hidden)

@@ -9,7 +9,11 @@ from lunarsim.campaign.engines.contract import Engine
 
 
 def make_engine(name: str, jobs: int, address: str | None, time_limit: float | None) -> Engine:
-    """Create the engine called `name`: local or ray."""
+    """Create the engine that runs the flights of a campaign: "local" or "ray".
+
+    `jobs` is the number of processes or cores, `address` that of a Ray cluster, and `time_limit`
+    the wall-clock limit of a flight, s.
+    """
     if name == "ray":
         from lunarsim.campaign.engines.ray_cluster import RayEngine  # noqa: PLC0415
 

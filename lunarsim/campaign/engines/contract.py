@@ -1,4 +1,4 @@
-"""Interface of the engines."""
+"""Interface of the engines that run the flights of a campaign."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from lunarsim.campaign.plan import Group, Work
 
 
 class Engine(Protocol):
-    """Executes groups of flights.
+    """Interface of an engine that runs groups of flights, for instance in processes.
 
     Attributes
     ----------
@@ -27,7 +27,7 @@ class Engine(Protocol):
     def fly(
         self, work: Work, groups: Iterable[Group | None], halt: Callable[[], bool]
     ) -> Iterator[Finished]:
-        """Yield flights as they finish.
+        """Fly groups of flights; yield the result of each flight as it finishes.
 
         Parameters
         ----------

@@ -24,7 +24,10 @@ class InlineEngine:
     def fly(
         self, work: Work, groups: Iterable[Group | None], halt: Callable[[], bool]
     ) -> Iterator[Finished]:
-        """Yield flights in order."""
+        """Fly groups of flights in this process; yield the results in order.
+
+        The parameters are those of `Engine.fly`.
+        """
         function = import_function(work)
         for group in groups:
             if group is None:  # no flight is running that could be waited for

@@ -28,7 +28,7 @@ class WorkerStartError(RuntimeError):
 
 
 class _Worker:
-    """A worker process and its current flight."""
+    """Worker process of a campaign and the flight that it is flying."""
 
     def __init__(self, work: Work) -> None:
         # OpenGL contexts and Numba's thread pools do not survive a fork.
@@ -62,7 +62,7 @@ class _Worker:
 
 
 class LocalEngine:
-    """Executes flights in spawned processes that end with this one.
+    """Executes flights in processes of this machine, which end with this process.
 
     Parameters
     ----------
@@ -90,9 +90,10 @@ class LocalEngine:
     def fly(
         self, work: Work, groups: Iterable[Group | None], halt: Callable[[], bool]
     ) -> Iterator[Finished]:
-        """Yield flights as they end.
+        """Fly groups of flights in processes; yield the result of each as it finishes.
 
-        A flight whose process dies is started up to `MAX_ATTEMPTS` times.
+        The parameters are those of `Engine.fly`. A flight whose process dies is started up to
+        `MAX_ATTEMPTS` times.
 
         Raises
         ------
@@ -118,7 +119,10 @@ class LocalEngine:
             self._workers.clear()
 
     def _assign(self, work: Work, source: Iterator[Group | None]) -> None:
-        """Give every free worker a group, and start workers while there are groups."""
+        """Give every free worker a group of flights from `source`.
+
+        New workers are started while there are groups and fewer than `jobs` workers.
+        """
         free = deque(w for w in self._workers if w.group is None)
         while free or len(self._workers) < self.jobs:
             group = self._requeued.popleft() if self._requeued else next(source, None)
@@ -139,7 +143,7 @@ class LocalEngine:
         return min([_POLL_INTERVAL_S, *(max(v, 0.0) for v in left)])
 
     def _receive(self, worker: _Worker) -> Iterator[Finished]:
-        """Handle one message of a worker, or its death."""
+        """Handle one message of a worker or its death; yield the flights that ended."""
         assert worker.group is not None
         try:
             what, value = worker.orders.recv()
@@ -153,12 +157,12 @@ class LocalEngine:
         elif what == ENDED:
             worker.left.remove(value.arm)
             worker.arm = None
-            yield replace(value, tries=1 + self._tries.pop((value.flight, value.arm), 0))
+            yield replace(value, attempts=1 + self._tries.pop((value.flight, value.arm), 0))
         elif what == DONE:
             worker.group = None
 
     def _handle_death(self, worker: _Worker) -> Iterator[Finished]:
-        """Queue the flights of a dead worker again, or report the flight that kills it."""
+        """Queue the flights of a dead worker again; yield a flight that keeps dying."""
         code = self._remove_worker(worker)
         group = worker.group
         assert group is not None
@@ -181,7 +185,7 @@ class LocalEngine:
         self._requeue(worker)
 
     def _end_overdue(self) -> Iterator[Finished]:
-        """End flights that exceed the time limit."""
+        """End flights that exceed the time limit, and yield their results."""
         if self.time_limit is None:
             return
         now = time.monotonic()
@@ -201,7 +205,7 @@ class LocalEngine:
     ) -> Finished:
         assert worker.group is not None
         return Finished(
-            worker.group.flight, arm, outcome, error=error, tries=tries, finished=time.time(),
+            worker.group.flight, arm, outcome, error=error, attempts=tries, finished=time.time(),
             seconds=time.monotonic() - worker.began, worker=str(worker.process.pid),
         )  # fmt: skip
 
@@ -229,7 +233,9 @@ class LocalEngine:
 
 @contextlib.contextmanager
 def block_interrupts() -> Iterator[None]:
-    """Block interrupts in processes that start meanwhile; this one gets them later.
+    """Block keyboard interrupts in processes that start within the context.
+
+    This process receives its interrupts after the context.
 
     The keyboard sends SIGINT to all processes, and one that is still loading would die of it with
     a traceback.
@@ -249,7 +255,7 @@ def _try_receive(connection: Connection) -> Any:
 
 
 def _describe_exit(code: int | None) -> str:
-    """Describe an exit code."""
+    """Describe the exit code of a process as words, for instance "by signal SIGKILL"."""
     if code is None or code >= 0:
         return f"with exit code {code}"
     name = signal.Signals(-code).name if -code in set(signal.Signals) else str(-code)

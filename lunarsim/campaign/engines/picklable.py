@@ -12,7 +12,7 @@ from lunarsim.errors import InputError
 
 
 def check_picklable(field: str, value: object) -> None:
-    """Refuse an object that worker processes cannot load.
+    """Raise `InputError` if worker processes cannot load an object.
 
     Parameters
     ----------
@@ -49,20 +49,20 @@ def check_picklable(field: str, value: object) -> None:
 
 
 class _NamePickler(pickle.Pickler):
-    """Pickles; collects names in texts such as ``__main__:Mine``, as in scenarios."""
+    """Pickler that collects class names in strings such as ``__main__:Mine``."""
 
     def __init__(self, file: io.BytesIO) -> None:
         super().__init__(file)
         self.main_names: list[str] = []
 
     def persistent_id(self, value: Any) -> None:
-        """Collect the name of a text; the value is pickled as usual."""
+        """Collect the class name in a string; the value is pickled as usual."""
         if isinstance(value, str) and value.startswith("__main__:"):
             self.main_names.append(value.partition(":")[2])
 
 
 class _NameUnpickler(pickle.Unpickler):
-    """Loads a pickle; collects the names that it takes from module ``__main__``."""
+    """Unpickler that collects the names that it loads from module ``__main__``."""
 
     def __init__(self, file: io.BytesIO) -> None:
         super().__init__(file)

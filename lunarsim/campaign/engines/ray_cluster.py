@@ -74,7 +74,9 @@ class RayEngine:
     def fly(
         self, work: Work, groups: Iterable[Group | None], halt: Callable[[], bool]
     ) -> Iterator[Finished]:
-        """Yield flights as their groups end.
+        """Fly groups of flights as Ray tasks; yield the results as groups end.
+
+        The parameters are those of `Engine.fly`.
 
         After an interrupt Ray is not shut down here, which takes seconds: `exit_immediately` ends
         it.
@@ -135,7 +137,10 @@ class RayEngine:
                     ray.cancel(reference, force=True)
 
     def _retry_lost(self, group: Group, again: list[Group], message: str) -> Iterator[Finished]:
-        """Fly the arms of a lost group separately; record a single arm as killed."""
+        """Queue the arms of a group whose process died; yield a single arm as killed.
+
+        `again` is the queue of groups, and `message` the error of Ray.
+        """
         if len(group.arms) > 1:
             again += [replace(group, arms=(arm,)) for arm in group.arms]
             return
@@ -146,7 +151,7 @@ class RayEngine:
             group.arms[0],
             KILLED,
             error=error,
-            tries=MAX_ATTEMPTS,
+            attempts=MAX_ATTEMPTS,
             finished=time.time(),
         )
 
@@ -158,7 +163,7 @@ class RayEngine:
                 yield from self.check_node(ray.get(reference))
 
     def check_node(self, came: list[Finished] | NodeMismatch) -> list[Finished]:
-        """Return the flights of a node; refuse a node with other code or packages."""
+        """Return the flights of a node; raise `InputError` if its software differs."""
         if isinstance(came, NodeMismatch):
             raise InputError(
                 "--address", self.address,
@@ -170,7 +175,7 @@ class RayEngine:
 
 @dataclass(frozen=True)
 class NodeMismatch:
-    """Node that may give other results than this machine.
+    """Report of a cluster node whose code or packages differ from this machine.
 
     Attributes
     ----------
@@ -220,7 +225,7 @@ def node_environment() -> dict[str, str]:
 
 
 class _FlightTimeoutError(BaseException):
-    """The flight exceeded its time limit."""
+    """Exception raised inside a flight that exceeds its wall-clock time limit."""
 
 
 def exit_immediately(status: int) -> NoReturn:
@@ -248,7 +253,7 @@ def _children(process: int) -> list[int]:
 
 @contextlib.contextmanager
 def _flight_time_limit(seconds: float | None) -> Iterator[None]:
-    """Raise `_FlightTimeoutError` in the enclosed code when the time is over."""
+    """Raise `_FlightTimeoutError` in the enclosed code after a number of seconds."""
     if seconds is None:
         yield
         return

@@ -1,4 +1,4 @@
-"""Worker process: flies the groups it receives, and always ends with its parent."""
+"""Worker process of a campaign: flies the groups of flights that it receives."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _PR_SET_PDEATHSIG = 1
 
 
 def run_worker(work: Work, connection: Connection, lifeline: Connection, parent: int) -> None:
-    """Fly groups until the connection closes.
+    """Fly the groups of flights received from a connection until it closes.
 
     Parameters
     ----------
@@ -77,7 +77,10 @@ def limit_to_one_thread() -> None:
 
 
 def _end_with_parent(parent: int, lifeline: Connection) -> None:
-    """Make this process end with its parent."""
+    """Make this process end when its parent process, given by id, ends.
+
+    `lifeline` is a connection that closes when the parent ends.
+    """
     if sys.platform == "linux":
         # The operating system kills it at once, even within a long compiled kernel.
         ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)

@@ -1,4 +1,6 @@
-"""Plots of a report as Plotly data: traces, each with its arm, and a layout.
+"""Plots of a campaign report as Plotly data: traces and layout.
+
+An arm is a variant of the scenario in a campaign.
 
 The page sets the colours of text, grid and background for its light or dark theme.
 """
@@ -32,7 +34,7 @@ Plot = dict[str, Any]
 
 
 def colour(index: int) -> str:
-    """Return the colour of an arm."""
+    """Return the plot colour of the arm (variant of the scenario) with an index."""
     return COLOURS[index % len(COLOURS)]
 
 
@@ -44,9 +46,9 @@ def _plot(identity: str, title: str, caption: str, traces: list[Plot], layout: P
 
 
 def _literal(value: Any) -> Any:
-    """Escape texts so that Plotly does not read them as HTML tags.
+    """Escape the strings in Plotly data, so that Plotly does not read HTML tags.
 
-    Names of arms are not escaped: the page compares them and does not draw them.
+    Names of arms are not escaped, because the page compares them and does not display them.
     """
     if isinstance(value, dict):
         return {k: v if k in ("arm", "arms") else _literal(v) for k, v in value.items()}
@@ -56,7 +58,11 @@ def _literal(value: Any) -> Any:
 
 
 def shares_plot(figures: list[ArmStatistics], intervals: dict[str, tuple[float, float]]) -> Plot:
-    """Plot the share of safe landings with its interval; omit arms without a share."""
+    """Plot the fraction of safe landings of each arm with its 95 % interval.
+
+    `figures` are the statistics of the arms, and `intervals` lower and upper limits by arm name.
+    Arms without a finished flight are omitted.
+    """
     traces = []
     for i, arm in enumerate(figures):
         share = arm.shares["safe"].value
@@ -83,7 +89,11 @@ def landings_plot(
     figures: list[ArmStatistics],
     terrain: tuple[list[float], list[float], Any] | str | None,
 ) -> Plot | None:
-    """Plot touchdown points with 95 % ellipses, over the terrain if it is available."""
+    """Plot touchdown points and 95 % landing ellipses over the terrain.
+
+    `figures` are the statistics of the arms. `terrain` has east and north coordinates, m, and
+    shading, or is the reason why the terrain is not shown.
+    """
     if "touchdown_x_m" not in results.manifest["columns"]:
         return None
     traces: list[Plot] = []
@@ -139,7 +149,10 @@ def _outline(ellipse: Ellipse) -> tuple[list[float], list[float]]:
 
 
 def reliability_plot(results: Results, figures: list[ArmStatistics]) -> Plot | None:
-    """Plot the observed share of exactly safe sites against predicted p_safe."""
+    """Plot the observed fraction of truly safe sites against predicted probability.
+
+    `figures` are the statistics of the arms.
+    """
     if "p_safe" not in results.manifest["columns"]:
         return None
     predicted = column(results, "p_safe")
@@ -186,7 +199,10 @@ def reliability_plot(results: Results, figures: list[ArmStatistics]) -> Plot | N
 
 
 def differences_plot(made: list[Difference]) -> Plot:
-    """Plot the paired differences of the share of safe landings."""
+    """Plot the differences of the fraction of safe landings between pairs of arms.
+
+    `made` are the differences, paired by flight.
+    """
     names = [f"{d.second} − {d.first}" for d in made]
     traces = [
         {"type": "scatter", "mode": "markers", "x": [d.value], "y": [name],
@@ -207,7 +223,10 @@ def differences_plot(made: list[Difference]) -> Plot:
 
 
 def rare_plot(made: list[RareFailureEstimate]) -> Plot:
-    """Plot the failure share of each arm with its interval."""
+    """Plot the estimated probability of failure of each arm with its interval.
+
+    `made` are the estimates, one per arm.
+    """
     traces = [
         {"type": "scatter", "mode": "markers", "x": [s.value], "y": [s.arm], "arm": s.arm,
          "error_x": {"type": "data", "symmetric": False, "array": [s.high - s.value],
@@ -225,7 +244,7 @@ def rare_plot(made: list[RareFailureEstimate]) -> Plot:
 
 
 def levels_plot(chains: SubsetChains) -> Plot | None:
-    """Plot the distribution of the failure metric, level by level."""
+    """Plot the distribution of the failure metric in the levels of subset simulation."""
     traces: list[Plot] = []
     reached = 1.0
     for number, level in enumerate(chains.levels):
@@ -252,7 +271,10 @@ def levels_plot(chains: SubsetChains) -> Plot | None:
 
 
 def sensitivity_plot(made: list[Sensitivity]) -> Plot:
-    """Plot sensitivity indices of every arm with intervals; hollow: total indices."""
+    """Plot the sensitivity of safe landings to the random values, with intervals.
+
+    `made` has the indices of each arm; hollow symbols are total indices.
+    """
     traces = []
     names: tuple[str, ...] = ()
     for i, one in enumerate(made):
@@ -291,7 +313,10 @@ def sensitivity_plot(made: list[Sensitivity]) -> Plot:
 
 
 def spread_plot(results: Results, metric: str, label: str) -> Plot:
-    """Plot quartiles and 5th and 95th percentiles of a metric of each arm."""
+    """Plot quartiles and 5th and 95th percentiles of a metric for each arm.
+
+    `metric` is the result column, and `label` its name with unit.
+    """
     traces = []
     flown = pc.equal(results.table["outcome"], "flown").to_numpy(zero_copy_only=False)
     for i, (arm, rows) in enumerate(arm_rows(results).items()):

@@ -1,4 +1,4 @@
-"""Content of a report, and the file that it is written to."""
+"""Write the report of a campaign as an HTML page or as Markdown tables."""
 
 from __future__ import annotations
 
@@ -89,13 +89,13 @@ def write_report(folder: str | Path, out: Path) -> Results:
 
 
 def _page(jinja2: Any) -> Any:
-    """Load the template of the HTML page."""
+    """Load the Jinja template of the HTML report; `jinja2` is the module."""
     environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined)
     return environment.from_string(_text("page.html.j2"))
 
 
 def _markdown(jinja2: Any) -> Any:
-    """Load the template of the tables in Markdown."""
+    """Load the Jinja template of the report in Markdown; `jinja2` is the module."""
 
     def row(cells: Iterable[object]) -> str:
         return f"| {' | '.join(map(_literal, cells))} |"
@@ -109,7 +109,7 @@ def _markdown(jinja2: Any) -> Any:
 
 
 def _literal(text: object) -> str:
-    """Return a text on one line, with Markdown characters escaped."""
+    """Return text on one line with Markdown characters escaped."""
     return _MARKDOWN.sub(r"\\\1", " ".join(str(text).split()))
 
 
@@ -124,7 +124,7 @@ def _in_script(text: str) -> Any:
 
 
 def _content(results: Results) -> dict[str, Any]:
-    """Return everything that the page shows."""
+    """Return the values that the report template shows, by template variable."""
     if results.has_unequal_weights:
         return _rare_content(results)
     figures = compute_arm_statistics(results)
@@ -152,16 +152,21 @@ def _content(results: Results) -> dict[str, Any]:
 
 
 def _rare_content(results: Results) -> dict[str, Any]:
-    """Return the content for rare failures, without equal-weight statistics."""
+    """Return the template variables of a report on rare failures.
+
+    Statistics that need flights of equal weight are omitted.
+    """
     shares = estimate_failure_shares(results)
     chains = load_chains(results) if results.is_subset else None
     rows = [
         {
-            "name": s.arm, "rows": s.flights + s.left_out, "flown": s.flights,
+            "name": s.arm, "rows": s.flights + s.without_outcome, "flown": s.flights,
             "cells": {
                 "Failure share": _ranged_share(s),
                 "Failures in last level" if chains else "Failures": str(s.failures),
-                "Equivalent Monte Carlo flights": f"{s.worth:.3g}" if s.worth == s.worth else "–",
+                "Equivalent Monte Carlo flights": (
+                    "–" if np.isnan(s.equivalent_flights) else f"{s.equivalent_flights:.3g}"
+                ),
             },
         }
         for s in shares
@@ -181,12 +186,15 @@ def _rare_content(results: Results) -> dict[str, Any]:
 def _ranged_share(s: RareFailureEstimate) -> str:
     if s.value != s.value:
         return "–"
-    rough = " (few failures: approximate)" if s.few else ""
+    rough = " (few failures: approximate)" if s.is_approximate else ""
     return f"{s.value:.3g} [{s.low:.3g}, {s.high:.3g}]{rough}"
 
 
 def _common(results: Results, plots: list[dict[str, Any] | None]) -> dict[str, Any]:
-    """Return what the page shows of every campaign."""
+    """Return the template variables that the reports of all campaigns have.
+
+    `plots` are Plotly data, or None for plots that are not available.
+    """
     spec = results.folder / "spec.toml"
     drawn = [p for p in plots if p is not None]
     return {
@@ -197,7 +205,7 @@ def _common(results: Results, plots: list[dict[str, Any] | None]) -> dict[str, A
         "ended": "",
         "blocks": results.manifest["identity"].get("method") == "saltelli",
         "done": len(results.table),
-        "wanted": results.wanted,
+        "wanted": results.expected_rows,
         "factors": _factors(results),
         "plots": {p["id"]: p for p in drawn},
         "data": drawn,
@@ -209,7 +217,10 @@ def _common(results: Results, plots: list[dict[str, Any] | None]) -> dict[str, A
 
 
 def _sensitivity(results: Results) -> tuple[list[Sensitivity], str]:
-    """Return the sensitivity of the safe share, or the reason why there is none."""
+    """Compute the sensitivity of the fraction of safe landings to the random values.
+
+    Return the sensitivity of each arm, and the reason if there is none.
+    """
     if not results.manifest["identity"].get("dispersions"):
         return [], ""
     if len(results.arms) > _MAX_SENSITIVITY_ARMS:
@@ -221,13 +232,19 @@ def _sensitivity(results: Results) -> tuple[list[Sensitivity], str]:
 
 
 def _interval(arm: ArmStatistics, watched: bool) -> tuple[float, float]:
-    """Return the interval of the safe share; a confidence sequence if monitored."""
+    """Return the 95 % interval of the fraction of safe landings of an arm.
+
+    If the campaign has an early-stopping rule (`watched`), this is a confidence sequence.
+    """
     share = arm.shares["safe"]
     return share_confidence_sequence(share.count, share.total) if watched else share.interval
 
 
 def _row(arm: ArmStatistics, low: float, high: float) -> dict[str, Any]:
-    """Return the cells of an arm in the tables of outcomes and of effort."""
+    """Return the cells of an arm in the report's tables, by column heading.
+
+    `low` and `high` are the limits of the fraction of safe landings.
+    """
 
     def ranged(value: float, low: float, high: float, form: str) -> str:
         if not math.isfinite(value):
@@ -254,7 +271,7 @@ def _row(arm: ArmStatistics, low: float, high: float) -> dict[str, Any]:
 
 
 def _factors(results: Results) -> dict[str, list[str]]:
-    """Return the values of every key in which arms differ."""
+    """Return the values of every scenario key in which the arms differ."""
     values: dict[str, list[str]] = {}
     for arm in results.manifest["arms"]:
         for key, value in arm["values"].items():
@@ -265,7 +282,10 @@ def _factors(results: Results) -> dict[str, list[str]]:
 
 
 def _worst(results: Results) -> list[dict[str, Any]]:
-    """Return the worst flights of each arm: no outcome first, then hard landings."""
+    """Return id and cause of the worst flights of each arm.
+
+    Flights without an outcome come first, then landings with high speed or tilt.
+    """
     table = results.table
     speed = np.zeros(len(table))
     for name in ("vertical_speed_m_s", "horizontal_speed_m_s", "tilt_deg"):
@@ -277,7 +297,7 @@ def _worst(results: Results) -> list[dict[str, Any]]:
     for arm in results.arms:
         mine = pc.equal(table["arm"], arm).to_numpy(zero_copy_only=False) & bad
         for row in table.take(pa.array(order[mine[order]][:_LISTED_PER_ARM])).to_pylist():
-            why = row["error"] or row.get("failed") or row["outcome"]
+            why = row["error"] or row.get("failure_causes") or row["outcome"]
             out.append({"id": row["id"], "arm": arm, "why": why})
     return out
 
@@ -300,7 +320,10 @@ def _timing(results: Results) -> dict[str, Any]:
 
 
 def _terrain_image(results: Results) -> tuple[list[float], list[float], Any] | str | None:
-    """Return a coarse image of the terrain, why it is missing, or None."""
+    """Return coordinates and shading of the terrain for the plot of landings.
+
+    Return the reason if the terrain cannot be built, and None if it differs between flights.
+    """
     if not (results.folder / "scenario.toml").is_file() or any(
         key.startswith("terrain") for key in results.manifest["inputs"]
     ):

@@ -19,8 +19,12 @@ _POINTS = 160
 
 
 def shaded(path: Path, seed: int) -> tuple[list[float], list[float], list[list[float | None]]]:
-    """Return east and north (m), and the shading in [0, 1]; None without terrain."""
-    scenario = Scenario.world_of(
+    """Compute a shaded image of a scenario's terrain without rocks.
+
+    `path` is the TOML file, and `seed` the root seed. Return east and north coordinates, m, and the
+    brightness in [0, 1] of each point, None where there is no terrain.
+    """
+    scenario = Scenario.world_from_toml(
         read_bounded_bytes(path).decode(errors="replace"), path.parent.resolve()
     )
     relief = Terrain(build_world(scenario, RandomStreams(flight_seed(seed, 0))).terrain.relief)

@@ -35,9 +35,13 @@ def _removed_uncertainty(
     sin_depression,
     distance,
 ):
-    """Return the fraction of uncertainty that one observation removes.
+    """Return the fraction of hazard uncertainty that one observation removes.
 
-    The tables are those of `SensorCoverageModel`.
+    `sharpness`, `visible`, `displacement` (sensors, 33, 33) and `reduction` (sensors, 129) are the
+    tables of `SensorCoverageModel`. `sensor` is the index of the sensor and `pixel` the angle of a
+    pixel, rad, times its maximum sharpness. `cos_azimuth` is the cosine of the azimuth from the
+    Sun, `sin_depression` the sine of the depression of the line of sight, and `distance` the range,
+    m.
     """
     last = sharpness.shape[1] - 1
     u, v = 0.5 * last * (cos_azimuth + 1.0), last * sin_depression
@@ -83,10 +87,13 @@ def observe_nodes(
     sensor_params,
     known,
 ):
-    """Raise the known fraction of each node (g,) by one observation of the site.
+    """Update what is known at each terrain node with one observation of the site.
 
-    Only nodes count that the lander can still divert to with `time_left` seconds left. `position`
-    (3,) is that of the sensor, m; `thrust` (3,) gives the direction of the vehicle axis.
+    `known` (g,) is the fraction of hazard uncertainty removed at each node and receives the
+    maximum. `position` (3,) is that of the sensor, m, and `thrust` (3,) gives the direction of the
+    vehicle axis. Only nodes count to which the lander can still divert with `time_left` seconds
+    left. `sensor` is the index of the sensor, which points at `site`. The other arguments are those
+    of `score`.
     """
     bx, by, bz = site[0] - position[0], site[1] - position[1], site[2] - position[2]
     size = np.sqrt(bx * bx + by * by + bz * bz)
@@ -135,7 +142,13 @@ def observe_nodes(
 
 @kernel(inner=True)
 def path_state(target, end_state, total, table, s, powers, x, gravity, position, thrust):
-    """Write position and thrust acceleration (3,) at sample s of a path."""
+    """Compute position and thrust acceleration (3,) at a sample of a polynomial path.
+
+    `s` is the index of the sample. `target` (3,) and `end_state` (2, 3) are the final position,
+    velocity and acceleration, `total` is the time-to-go of the path, s. `table` holds the fraction
+    of time left and its powers at the samples, `powers` (2,) the powers of time-to-go, and `x` (2,
+    3) the coefficients of the path. `position`, m, and `thrust`, m/s^2, receive the results.
+    """
     low, high = table[s, LOW], table[s, HIGH]
     time_left = table[s, SHARE] * total
     f, g = low / (powers[0] + 2.0), high / (powers[1] + 2.0)
@@ -149,19 +162,21 @@ def path_state(target, end_state, total, table, s, powers, x, gravity, position,
 
 @kernel(inner=True)
 def observe_along_path(
-    target, end_state, total, table, powers, x, gravity, end_tilt, site, nodes, sharpness,
+    target, end_state, total, table, powers, x, gravity, max_final_tilt, site, nodes, sharpness,
     visible, displacement, reduction, sensor_params, single_altitudes, samples, known,
 ):  # fmt: skip
-    """Raise the known fraction of each node (g,) by all observations along a path.
+    """Update what is known at each terrain node with all observations along a path.
 
-    Returns False if the thrust tilts by more than `end_tilt` (a tangent) below the altitude at
-    which observations cease to count.
+    `known` (g,) is the fraction of hazard uncertainty removed at each node. The function returns
+    False if the thrust tilts by more than `max_final_tilt` (a tangent) below the altitude at which
+    observations cease to count. The path is defined as for `path_state`; the sensors as for
+    `score`.
 
     Parameters
     ----------
     site
         Site (3,), height of the centre of mass of a landed vehicle, and altitude below which
-        observations do not count, m (5,).
+        observations do not count, m; together (5,).
     single_altitudes
         Altitudes of single observations of each sensor, m (sensors, k); NaN for none. A sensor
         without any observes at every sample.
@@ -175,7 +190,7 @@ def observe_along_path(
         altitude = samples[0, 2] - standing_height
         if altitude < min_altitude:
             lateral_thrust = np.sqrt(samples[1, 0] ** 2 + samples[1, 1] ** 2)
-            if lateral_thrust > end_tilt * samples[1, 2]:
+            if lateral_thrust > max_final_tilt * samples[1, 2]:
                 return False
         time_left = table[s, SHARE] * total
         for sensor in range(sensor_params.shape[0]):
@@ -211,35 +226,38 @@ def observe_along_path(
 
 @kernel(shared=True)
 def score(
-    share, state, target, speed, plans, fine, coarse, powers, vehicle, end_tilt, site, nodes,
+    share, state, target, speed, plans, fine, coarse, powers, vehicle, max_final_tilt, site, nodes,
     sharpness, visible, displacement, reduction, sensor_params, single_altitudes, out,
 ):  # fmt: skip
-    """Write the information gained on each path, and its delta-v (n, 2).
+    """Compute the information gained along each candidate path, and its delta-v.
 
     Parameters
     ----------
     share
-        First path and stride of this worker.
+        Index of the first path of this thread, and number of threads.
     state, target, speed
-        Position and velocity now (2, 3); position (3,) and velocity (3,) at the end.
+        Current position and velocity (2, 3), m and m/s; position (3,) and velocity (3,) at the end.
     plans
-        Time-to-go and acceleration at the end of each path (n, 4).
+        Time-to-go, s, and acceleration at the end of each path, m/s^2 (n, 4).
     fine, coarse
-        Tables of samples at which limits are checked, and at which sensors observe.
+        Tables of the path samples at which limits are checked, and at which sensors observe.
     powers, vehicle
-        See `evaluate_path`.
-    end_tilt
+        Powers of time-to-go of the paths (2,); parameters of the vehicle and limits (7,), as for
+        `evaluate_path`.
+    max_final_tilt
         Tangent of the maximum tilt of the thrust at the end, and below the minimum altitude of
         observations.
     site, single_altitudes
-        See `observe_along_path`.
+        Site and altitudes (5,), and altitudes of single observations (sensors, k), m, as for
+        `observe_along_path`.
     nodes
-        Terrain nodes (g, 6): position (m), weight, fraction known already, and minimum time-to-go
-        with which a lander on its way to the site can still divert there, s.
+        Terrain nodes (g, 6): position (m), weight, fraction of uncertainty already removed, and
+        minimum time-to-go with which a lander on its way to the site can still divert there, s.
     sharpness, visible, displacement, reduction, sensor_params
-        Tables and parameters of the sensors, see `SensorCoverageModel`.
+        Tables and parameters of the sensors, from `SensorCoverageModel`.
     out
-        Weighted mean of the known fraction, and delta-v, m/s; inf if a limit is violated.
+        Receives the results (n, 2): weighted mean over the nodes of the fraction of uncertainty
+        removed, and delta-v, m/s; inf if a limit is violated.
     """
     total = 0.0
     for g in range(nodes.shape[0]):
@@ -254,7 +272,7 @@ def score(
         lateral_thrust = np.sqrt(end_state[1, 0] ** 2 + end_state[1, 1] ** 2)
         if (
             vertical_thrust <= 0.0
-            or lateral_thrust > end_tilt * vertical_thrust
+            or lateral_thrust > max_final_tilt * vertical_thrust
             or not plans[n, 0] > 0.0
         ):
             continue
@@ -272,7 +290,7 @@ def score(
             powers,
             x,
             vehicle[GRAVITY],
-            end_tilt,
+            max_final_tilt,
             site,
             nodes,
             sharpness,

@@ -54,8 +54,9 @@ _CHECKED_FRACTIONS = np.linspace(0.0, 1.0, 101)[:-1]  # fractions of the time-to
 
 @dataclass(frozen=True)
 class InformationSeekingLaw(PathLaw):
-    """Apollo-law paths that maximise the information about reachable terrain.
+    """Settings of guidance on Apollo paths that maximise hazard information.
 
+    The paths are chosen by what the sensors observe of the terrain that the lander can still reach.
     The cost of reaching a site is that of the paths of the Apollo law.
 
     Attributes
@@ -64,41 +65,50 @@ class InformationSeekingLaw(PathLaw):
         Time between plans, s.
     candidates
         Number of paths evaluated for a plan.
-    squares
-        Terrain nodes along a side of the map.
-    allowance
+    nodes_per_side
+        Number of terrain squares along a side of the map for which information is evaluated.
+    propellant_allowance
         Propellant that observation may cost in total, above the minimum-propellant path, kg.
-    price
-        Fraction of uncertainty that one kilogram of propellant is worth, 1/kg.
-    least_diameter
+    propellant_weight
+        Fraction of hazard uncertainty whose removal is worth one kilogram of propellant, 1/kg.
+    min_rock_diameter
         Minimum diameter of a rock that is a hazard, m.
-    end_tilt
+    max_final_tilt
         Maximum tilt of the thrust below the altitude of the last decision, rad.
     """
 
     interval: float = quantity(2.0, "s", gt=0, le=60, help="Time between plans")
     candidates: int = quantity(3000, ge=30, le=100_000, help="Number of paths evaluated for a plan")
-    squares: int = quantity(8, ge=2, le=40, help="Terrain nodes along a side of the map")
-    allowance: float = quantity(
-        1.5, "kg", ge=0, help="Propellant allowed for observation above the minimum"
+    nodes_per_side: int = quantity(
+        8, ge=2, le=40, help="Number of evaluated terrain squares along a side of the map"
     )
-    price: float = quantity(
-        0.02, ge=0, help="Weight of one kilogram of propellant, fraction of uncertainty"
+    propellant_allowance: float = quantity(
+        1.5, "kg", ge=0, help="Propellant allowed for observation, above that of the cheapest path"
     )
-    least_diameter: float = quantity(
+    propellant_weight: float = quantity(
+        0.02, ge=0, help="Fraction of hazard uncertainty that is worth one kilogram of propellant"
+    )
+    min_rock_diameter: float = quantity(
         0.5, "m", gt=0, lt=4, help="Minimum diameter of a rock that is a hazard"
     )
-    end_tilt: float = quantity(
-        25.0, "deg", ge=0, lt=85, help="Maximum tilt below the altitude of the last decision"
+    max_final_tilt: float = quantity(
+        25.0,
+        "deg",
+        ge=0,
+        lt=85,
+        help="Maximum tilt of the thrust below the altitude of the last decision",
     )
 
     @property
     def shape(self) -> PathShape:
-        """Shape of the paths."""
+        """Shape of the paths: that of the Apollo law."""
         return APOLLO
 
     def build(self, briefing: Briefing, lag: float) -> SeekingGuidance:  # type: ignore[override]
-        """Return the guidance law of one flight.
+        """Build the guidance law of one flight.
+
+        `briefing` is the data known before the flight; `lag` is the total response lag of attitude
+        control and engine, s.
 
         Raises
         ------
@@ -109,18 +119,19 @@ class InformationSeekingLaw(PathLaw):
 
 
 class SeekingGuidance:
-    """Information-seeking guidance of one flight; see `InformationSeekingLaw`.
+    """Guidance of one flight on paths that maximise hazard information.
 
     Attributes
     ----------
-    belief
-        Returns the current hazard map; None until the computer sets it.
+    hazard_map_source
+        Function that returns the current hazard map; None until the onboard computer sets it.
     arrival
-        Planned time at the end of the approach, s; None before the first command.
+        Planned time of the end of the approach, s; None before the first command.
     events
-        Events: time (s), name ("guidance-fallback", "guidance-planned", "seeking-over"), details.
+        Events: time (s), name ("guidance-fallback", "guidance-planned", "observation-phase-ended"),
+        details.
     plan
-        Plan being flown; None: the time-to-go and end of the computer are used.
+        Plan being flown; None: time-to-go and end acceleration of the onboard computer are used.
     planner
         Planner of the paths.
     """
@@ -128,31 +139,31 @@ class SeekingGuidance:
     def __init__(self, settings: InformationSeekingLaw, briefing: Briefing, lag: float) -> None:
         self.settings = settings
         self.briefing = briefing
-        self.lander, self.gravity = briefing.lander, briefing.weight
-        self.belief: Callable[[], HazardMap | None] | None = None
+        self.lander, self.gravity = briefing.lander, briefing.surface_gravity
+        self.hazard_map_source: Callable[[], HazardMap | None] | None = None
         self.arrival: float | None = None
         self.events: list[tuple[float, str, dict[str, Any]]] = []
         self.plan: PathPlan | None = None
         self.limits: PathLimits = briefing.software.approach.limits
-        sensors = build_coverage_models(briefing, settings.least_diameter)
+        sensors = build_coverage_models(briefing, settings.min_rock_diameter)
         if not sensors:
             raise InputError(
                 "guidance.kind", "information-seeking",
-                "needs a tasked camera or LiDAR that a mapper uses",
+                "needs a camera or LiDAR that is tasked and that a mapper uses",
                 "A camera needs a Sun elevation between 2 and 80 deg.",
             )  # fmt: skip
         looks = [
             _measurement_altitudes(briefing.software.tasking[sensor.name]) for sensor in sensors
         ]
         self.planner = SeekingPlanner(
-            sensors, looks, settings.candidates, settings.price, settings.end_tilt
+            sensors, looks, settings.candidates, settings.propellant_weight, settings.max_final_tilt
         )
-        rocks = ExpectedRocks.of(briefing.rocks.cover, settings.least_diameter)
+        rocks = ExpectedRocks.of(briefing.rocks.cover, settings.min_rock_diameter)
         self._prior = rocks.hazard(footprint_radius(briefing))
         self._answering = ActuatorLagModel(lag)
         self._apollo = PathGuidance(
             APOLLO, self.gravity, answering=self._answering,
-            least_time_to_go=settings.least_time_to_go, field=briefing.field,
+            min_time_to_go=settings.min_time_to_go, field=briefing.nonuniform_gravity,
         )  # fmt: skip
         self._end: PhaseEnd | None = None
         self._next = -np.inf
@@ -161,11 +172,15 @@ class SeekingGuidance:
         self._observation_over = self._has_fallen_back = False
 
     def command(self, estimate: Estimate, end: PhaseEnd, time: float, time_to_go: float) -> Array:
-        """Return the thrust acceleration (3,), ENU, m/s^2."""
+        """Return the thrust acceleration (3,), ENU, m/s^2, after planning if it is due.
+
+        `end` is the end of the approach, `time` the current time and `time_to_go` the time-to-go
+        from the onboard computer, s.
+        """
         require_finite_state(estimate, end)
         if not np.isfinite(time_to_go):
             raise InputError("guidance.time_to_go", time_to_go, "must be a finite time in s")
-        self._answering.follow(time)
+        self._answering.advance(time)
         moved = self._end is not None and _horizontal_distance(self._end, end) > _DIVERT_DISTANCE_M
         if self.arrival is None or moved:
             self.arrival = time + time_to_go  # the computer's estimate
@@ -184,7 +199,7 @@ class SeekingGuidance:
         return self._apollo.command(estimate, target_end, time, self.arrival - time)
 
     def _can_replan(self, time: float) -> bool:
-        """Return whether enough time is left for another plan."""
+        """Return whether enough time is left for another plan at `time`, s."""
         return (
             not self._is_past_decisions
             and self.arrival is not None
@@ -193,7 +208,7 @@ class SeekingGuidance:
 
     @property
     def _is_past_decisions(self) -> bool:
-        """Whether observations no longer count, because no decision follows."""
+        """Whether observations no longer matter, because no site decision follows."""
         return bool(self._lowest <= self.briefing.software.decisions.last_altitude)
 
     def _cheapest(
@@ -201,7 +216,8 @@ class SeekingGuidance:
     ) -> tuple[float, float]:
         """Return propellant (kg) and time-to-go (s) of the cheapest admissible path.
 
-        It takes at least `min_time`. Without an admissible path they are inf and NaN.
+        The path ends at `end` and takes at least `min_time`, s. Without an admissible path the
+        results are inf and NaN.
         """
         end_batch = replace(end, position=end.position[None, :])
         cost = divert_cost(
@@ -215,7 +231,7 @@ class SeekingGuidance:
         return float(cost.propellant[0]), float(cost.time_to_go[0])
 
     def _site(self, end: PhaseEnd) -> Array:
-        """Return the site that belongs to an end of the approach (3,), m."""
+        """Return the site (3,), m, above which the approach ends at `end`."""
         approach = self.briefing.software.approach
         height = approach.end(np.zeros(3), self.lander).position
         return np.asarray(end.position - height)
@@ -223,18 +239,22 @@ class SeekingGuidance:
     # --- Plans ----------------------------------------------------------------------------
 
     def _ahead(self, estimate: Estimate) -> Estimate:
-        """Return the estimate at the time when a command takes effect."""
-        position, velocity = self._answering.ahead(estimate)
+        """Return the state predicted for the time when a command takes effect."""
+        position, velocity = self._answering.predict(estimate)
         return replace(estimate, position=position, velocity=velocity)
 
     def _replan(
         self, estimate: Estimate, end: PhaseEnd, time: float, site: Array, previous: PathPlan | None
     ) -> None:
-        """Search for the best path from where commands take effect."""
+        """Search for the best path from where commands take effect, or fall back.
+
+        `site` (3,), m, is the landing site, and `previous` the plan flown before; None: none.
+        `time` is the current time, s.
+        """
         if self._is_past_decisions:
             self._begin_descent(estimate, end, time)
             return
-        start, lead = self._ahead(estimate), self._answering.lead
+        start, lead = self._ahead(estimate), self._answering.lag
         cheapest, fastest = self._cheapest(start, end, self.limits)
         remaining = (self.arrival or time) - time - lead
         problem = self.problem(start, end, site)
@@ -251,50 +271,60 @@ class SeekingGuidance:
         self.plan = plan
         self.arrival = time + lead + plan.time_to_go
         self.events.append((time, "guidance-planned", {
-            "known": plan.known, "propellant": plan.propellant, "time_to_go": plan.time_to_go,
+            "known_fraction": plan.known, "propellant": plan.propellant,
+            "time_to_go": plan.time_to_go,
         }))  # fmt: skip
 
     def _propellant_limit(self, mass: float, cheapest: float) -> float:
         """Return the propellant that a path may use, kg: the rest of the initial budget.
 
-        A site that needs more than this can still be flown to.
+        `mass` is the current mass, kg, and `cheapest` the propellant of the cheapest path, kg; the
+        result is at least `cheapest`, so that a site above the budget can still be reached.
         """
         if self._budget is None:
             if not np.isfinite(cheapest):
                 return float("inf")
-            self._budget = mass - cheapest - self.settings.allowance
+            self._budget = mass - cheapest - self.settings.propellant_allowance
         return max(mass - self._budget, cheapest if np.isfinite(cheapest) else 0.0)
 
     def _fall_back(self, time: float, reason: str) -> None:
-        """Keep the last plan to this end, or fly as the computer commands."""
+        """Keep the last plan, or the path of the onboard computer, and report the reason."""
         if not self._has_fallen_back:
             self.events.append((time, "guidance-fallback", {"reason": reason}))
         self._has_fallen_back = True
 
     def _begin_descent(self, estimate: Estimate, end: PhaseEnd, time: float) -> None:
-        """Select a path with little tilt once observations no longer count.
+        """Start the descent on a path with little tilt once observations no longer matter.
 
-        Paths with less tilt are preferred, and of those the slower variant, because a reversal of
-        the tilt takes one or two seconds. The propellant above that of the cheapest of these paths
-        is limited by the allowance, since a path with almost no tilt can hover down for minutes. If
-        no path is admissible, the plan is flown to its end, which also keeps the maximum tilt. The
-        same holds if all paths hover near the height of the end, because this would end the phase
-        beside the end point. After a divert without a plan, a hovering path is accepted.
+        Paths with less tilt are preferred. For the same tilt limit the slower variant is preferred,
+        because a reversal of the tilt takes one or two seconds. The propellant above that of the
+        cheapest candidate is limited by the allowance, since a path with almost no tilt can hover
+        down for minutes. If no path is admissible, the plan is flown to its end, which also keeps
+        the maximum tilt. The same holds if all paths hover near the height of the end, because this
+        would end the phase beside the end point. After a divert without a plan, a hovering path is
+        accepted.
         """
         paths = self._descent_paths(self._ahead(estimate), end)
         if not paths:
             return
-        max_propellant = min(propellant for propellant, _, _ in paths) + self.settings.allowance
+        max_propellant = (
+            min(propellant for propellant, _, _ in paths) + self.settings.propellant_allowance
+        )
         _, fastest, tilt = next(path for path in paths if path[0] <= max_propellant)
         self.plan, self._observation_over = None, True
-        self.arrival = time + fastest + self._answering.lead
-        self.events.append((time, "seeking-over", {"time_to_go": fastest, "lean": tilt}))
+        self.arrival = time + fastest + self._answering.lag
+        self.events.append((time, "observation-phase-ended", {"time_to_go": fastest, "tilt": tilt}))
 
     def _descent_paths(self, start: Estimate, end: PhaseEnd) -> list[tuple[float, float, float]]:
-        """Return propellant (kg), time-to-go (s) and tilt (rad), by increasing tilt."""
+        """Return candidate paths for the descent after observation, by increasing tilt.
+
+        Each is propellant (kg), time-to-go (s) and tilt limit (rad). Paths that sink to the height
+        of `end` too early are excluded, unless only they exist and there is no plan. `start` is the
+        state at the start of the paths.
+        """
         paths = []
         for share in _TILT_FRACTIONS:
-            tilt = share * min(self.settings.end_tilt, self.limits.max_tilt)
+            tilt = share * min(self.settings.max_final_tilt, self.limits.max_tilt)
             limits = replace(self.limits, max_tilt=tilt)
             fast_propellant, fastest = self._cheapest(start, end, limits)
             calm_propellant, slower = self._cheapest(start, end, limits, _CALM_TIME_RATIO * fastest)
@@ -304,18 +334,27 @@ class SeekingGuidance:
         return monotonic if monotonic or self.plan is not None else paths
 
     def _descends_monotonically(self, start: Estimate, end: PhaseEnd, time_to_go: float) -> bool:
-        """Return whether a path reaches the height of its end no earlier than its end."""
+        """Return whether a path stays sufficiently above its final height until its end.
+
+        At each time before the end, the remaining height must be at least half of the final sink
+        rate times the remaining time. `start` is the state at the start of the path and
+        `time_to_go` its duration, s.
+        """
         path = self.settings.shape.path(start.position, start.velocity, end, time_to_go)
         height = path.at(_CHECKED_FRACTIONS * time_to_go)[0][:, 2] - end.position[2]
         remaining = (1.0 - _CHECKED_FRACTIONS) * time_to_go
         return bool((height >= _MIN_SINK_RATIO * -end.velocity[2] * remaining).all())
 
     def problem(self, start: Estimate, end: PhaseEnd, site: Array) -> PlanningProblem | None:
-        """Return the planning problem; None without a map."""
-        hazard_map = None if self.belief is None else self.belief()
+        """Return the inputs of path planning; None without a hazard map.
+
+        `start` is the state at the start of the path, `end` the end of the approach and `site` (3,)
+        the landing site, m.
+        """
+        hazard_map = None if self.hazard_map_source is None else self.hazard_map_source()
         if hazard_map is None:
             return None
-        nodes = terrain_nodes(hazard_map, self.settings.squares, self._prior, site)
+        nodes = terrain_nodes(hazard_map, self.settings.nodes_per_side, self._prior, site)
         distance = np.hypot(*(nodes[:, :2] - site[:2]).T)
         # With time-to-go T, a lateral divert d needs an initial acceleration of 6 d / T^2. Before
         # that, the map must be updated and the site selected.
@@ -331,7 +370,7 @@ class SeekingGuidance:
         )  # fmt: skip
 
     def _lateral_acceleration(self, mass: float) -> float:
-        """Return the lateral acceleration available for a divert, m/s^2."""
+        """Return the lateral acceleration available for a divert at a mass (kg), m/s^2."""
         lander = self.lander
         margin = self.limits.throttle_margin * (lander.thrust_max - lander.thrust_min)
         max_acceleration = (lander.thrust_max - margin) / mass
@@ -340,10 +379,14 @@ class SeekingGuidance:
 
 
 def _measurement_altitudes(part: Any) -> MeasurementAltitudes:
-    """Return the altitudes at which a schedule measures."""
-    known = getattr(part, "looks", None)
+    """Return the altitudes at which a sensor measures, from its tasking settings.
+
+    Tasking without stated altitudes gets the default. `part` are the settings.
+    """
+    known = getattr(part, "measurement_altitudes", None)
     return known if isinstance(known, MeasurementAltitudes) else MeasurementAltitudes()
 
 
 def _horizontal_distance(a: PhaseEnd, b: PhaseEnd) -> float:
+    """Return the horizontal distance of two phase ends, m."""
     return float(np.hypot(*(a.position[:2] - b.position[:2])))

@@ -25,7 +25,7 @@ _SIZES = 16
 
 
 def entropy(p: ArrayLike) -> Array:
-    """Return the entropy of events of given probabilities (...), bits.
+    """Return the entropy of binary events with given probabilities (...), bits.
 
     Examples
     --------
@@ -40,14 +40,14 @@ def entropy(p: ArrayLike) -> Array:
 
 @dataclass(frozen=True)
 class ExpectedRocks:
-    """Expected rocks in classes of equal size.
+    """Expected density of rocks in classes of size.
 
     Attributes
     ----------
     radius
         Radius of each class, ascending (n,), m.
     number
-        Expected number of each class per area (n,), 1/m^2.
+        Expected number of rocks of each class per area (n,), 1/m^2.
     """
 
     radius: Array
@@ -55,7 +55,7 @@ class ExpectedRocks:
 
     @classmethod
     def of(cls, cover: float, least_diameter: float) -> ExpectedRocks:
-        """Return the expected rocks by Golombek's law between a diameter and 4 m.
+        """Return the densities by Golombek's size distribution, from a diameter to 4 m.
 
         Parameters
         ----------
@@ -71,7 +71,7 @@ class ExpectedRocks:
         """
         if not 0.0 < least_diameter < MAX_ROCK_DIAMETER_M:
             raise InputError(
-                "least_diameter", least_diameter, f"must be between 0 and {MAX_ROCK_DIAMETER_M} m"
+                "min_diameter", least_diameter, f"must be between 0 and {MAX_ROCK_DIAMETER_M} m"
             )
         edges = np.geomspace(least_diameter, MAX_ROCK_DIAMETER_M, _SIZES + 1)
         diameter = np.sqrt(edges[1:] * edges[:-1])
@@ -80,23 +80,27 @@ class ExpectedRocks:
         return cls(0.5 * diameter, number)
 
     def reaching(self, footprint: float) -> Array:
-        """Return the expected number of each size that reaches into a disc (n,).
+        """Return the expected number of rocks of each size that reach into a disc (n,).
 
         `footprint` is the radius of the disc, m.
         """
         return np.asarray(self.number * np.pi * (self.radius + footprint) ** 2)
 
     def hazard(self, footprint: float) -> float:
-        """Return the probability that a rock reaches into a disc of `footprint` (m)."""
+        """Return the probability that at least one rock reaches into a disc.
+
+        `footprint` is the radius of the disc, m.
+        """
         return float(-np.expm1(-self.reaching(footprint).sum()))
 
 
 def removed_uncertainty(
     rocks: ExpectedRocks, footprint: float, missed: Callable[[Array], Array], sharpness: ArrayLike
 ) -> Array:
-    """Return the fraction of uncertainty that an observation removes (...), 0 to 1.
+    """Return the fraction of hazard uncertainty that an observation removes (...).
 
-    ``[H(h (1 - m)) - h H(m)] / H(h)`` with h the probability of a hazard and m that of missing it.
+    The fraction, from 0 to 1, is ``[H(h (1 - m)) - h H(m)] / H(h)``, with the entropy H, the
+    probability h of a hazard and the probability m of missing it.
 
     Parameters
     ----------
@@ -105,9 +109,10 @@ def removed_uncertainty(
     footprint
         Radius of the disc that must be free of rocks, m.
     missed
-        Returns the rate at which rocks are missed from radius times sharpness (..., n).
+        Function that returns the miss rate of rocks, from radius times sharpness (..., n).
     sharpness
-        Sharpness of the observations (...), for 1 m of radius.
+        Sharpness of the observations (...): size of a rock of 1 m radius in the measure of
+        `missed`, for instance in pixels.
     """
     weight = rocks.reaching(footprint)
     s = np.asarray(sharpness, dtype=np.float64)[..., None]

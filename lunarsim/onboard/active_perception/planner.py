@@ -40,7 +40,7 @@ _REFINEMENT_WIDTH = 0.12
 
 @dataclass(frozen=True)
 class PathPlan:
-    """Planned path and its expected result.
+    """Planned approach path with its expected information and propellant.
 
     Attributes
     ----------
@@ -49,9 +49,9 @@ class PathPlan:
     acceleration
         Acceleration at the end (3,), m/s^2.
     known
-        Expected fraction of uncertainty removed, averaged over the reachable terrain.
+        Expected fraction of hazard uncertainty removed, averaged over the reachable terrain.
     propellant
-        Propellant, kg.
+        Propellant used on the path, kg.
     """
 
     time_to_go: float
@@ -62,7 +62,7 @@ class PathPlan:
 
 @dataclass(frozen=True)
 class PlanningProblem:
-    """Inputs of a plan.
+    """Inputs of path planning: state, end, terrain and limits.
 
     Attributes
     ----------
@@ -71,21 +71,22 @@ class PlanningProblem:
     end
         End of the approach.
     site
-        Site (3,), m.
+        Landing site (3,), local frame, m.
     nodes
-        Terrain nodes (g, 6), see `_seeking_kernels.score`.
+        Terrain nodes (g, 6): position (m), weight, fraction of uncertainty already removed, and
+        minimum time-to-go for a divert there, s.
     lander
-        Lander.
+        Vehicle parameters.
     gravity
-        Gravity, m/s^2.
+        Downward gravitational acceleration, m/s^2.
     limits
-        Limits of the path.
+        Limits of thrust, tilt, glideslope and propellant.
     com_height
         Height of the centre of mass above the pads, m.
     min_altitude
         Altitude of the pads above the site below which observations do not count, m.
     lowest_altitude
-        Lowest altitude so far, m; single observations above it are in the past.
+        Lowest altitude flown so far, m; single observations above it are in the past.
     """
 
     estimate: Estimate
@@ -101,7 +102,9 @@ class PlanningProblem:
 
 
 class SeekingPlanner:
-    """Scores candidate paths with models of the sensors and their schedules.
+    """Planner that selects the path with most information for its propellant.
+
+    Candidate paths are scored with models of the sensors and the altitudes at which they measure.
 
     Parameters
     ----------
@@ -110,8 +113,8 @@ class SeekingPlanner:
     candidates
         Number of paths evaluated for a plan.
     propellant_weight
-        Fraction of uncertainty that one kilogram of propellant is worth, 1/kg.
-    end_tilt
+        Fraction of hazard uncertainty whose removal is worth one kilogram of propellant, 1/kg.
+    max_final_tilt
         Maximum tilt of the thrust at the end of the approach, rad.
     """
 
@@ -121,12 +124,12 @@ class SeekingPlanner:
         schedules: list[MeasurementAltitudes],
         candidates: int,
         propellant_weight: float,
-        end_tilt: float,
+        max_final_tilt: float,
     ) -> None:
-        self.candidates, self.propellant_weight, self.end_tilt = (
+        self.candidates, self.propellant_weight, self.max_final_tilt = (
             candidates,
             propellant_weight,
-            end_tilt,
+            max_final_tilt,
         )
         self._schedules = schedules
         self._tables = [
@@ -145,23 +148,23 @@ class SeekingPlanner:
         max_propellant: float,
         last: PathPlan | None,
     ) -> PathPlan | None:
-        """Return the best path within the limits; None if there is none.
+        """Return the best path within the limits; None if no path is admissible.
 
         If no path stays below `max_propellant`, the minimum-propellant path is returned.
 
         Parameters
         ----------
         problem
-            Planning problem.
+            Inputs of the planning.
         expected
-            Time-to-go about which paths are sampled, s.
+            Expected time-to-go, around which paths are sampled, s.
         max_propellant
             Propellant that a path may use, kg.
         last
-            Plan being flown; it is kept unless another is better.
+            Plan being flown, which is one of the candidates; None: no plan.
         """
         low, high = self._bounds(problem, expected)
-        plans = self.drawn(problem, expected, 2 * self.candidates // 3)
+        plans = self.sample_plans(problem, expected, 2 * self.candidates // 3)
         if last is not None:
             plans = np.vstack((_plan_row(last), plans))
         value, known, propellant = self._values(problem, plans, max_propellant)
@@ -189,7 +192,11 @@ class SeekingPlanner:
         )
 
     def _bounds(self, problem: PlanningProblem, expected: float) -> tuple[Array, Array]:
-        """Return lower and upper bounds of the path parameters (4,), along and across."""
+        """Return lower and upper bounds of time-to-go and end acceleration (4,).
+
+        `expected` is the expected time-to-go, s. Accelerations are along the way, across and up,
+        m/s^2.
+        """
         g = problem.gravity
         low = np.array(
             [
@@ -210,15 +217,17 @@ class SeekingPlanner:
         low[0] = max(low[0], 1.0)
         return low, np.maximum(high, low)
 
-    def drawn(self, problem: PlanningProblem, expected: float, count: int) -> Array:
-        """Return evenly spread plans (count, 4): time-to-go and acceleration at the end.
+    def sample_plans(self, problem: PlanningProblem, expected: float, count: int) -> Array:
+        """Return evenly spread candidate plans (count, 4).
+
+        Each is the time-to-go, s, and the acceleration at the end, ENU, m/s^2.
 
         Parameters
         ----------
         problem
-            Planning problem.
+            Inputs of the planning.
         expected
-            Time-to-go about which plans are sampled, s.
+            Expected time-to-go, around which plans are sampled, s.
         count
             Number of plans.
         """
@@ -228,7 +237,11 @@ class SeekingPlanner:
     def _values(
         self, problem: PlanningProblem, plans: Array, max_propellant: float
     ) -> tuple[Array, Array, Array]:
-        """Return value (-inf: not admissible), known fraction and propellant (kg)."""
+        """Return value, information and propellant (kg) of plans (n, 4), each (n,).
+
+        The value is the information minus the weighted propellant; -inf: not admissible.
+        `max_propellant`, kg, limits the propellant of admissible plans.
+        """
         scored = self.score(problem, plans)
         e, lander = problem.estimate, problem.lander
         propellant = e.mass * -np.expm1(-scored[:, 1] / lander.exhaust_velocity)
@@ -242,9 +255,10 @@ class SeekingPlanner:
         return value, scored[:, 0], propellant
 
     def score(self, problem: PlanningProblem, plans: Array) -> Array:
-        """Return known fraction and delta-v (m/s) of plans (n, 2).
+        """Return the fraction of uncertainty removed and the delta-v of plans (n, 2).
 
-        The plans (n, 4) consist of time-to-go (s) and acceleration at the end (m/s^2).
+        The plans (n, 4) consist of time-to-go (s) and acceleration at the end, ENU (m/s^2). The
+        delta-v, m/s, is inf if a limit is violated.
         """
         p = problem
         out = np.empty((len(plans), 2))
@@ -256,15 +270,16 @@ class SeekingPlanner:
                 np.asarray(p.end.position, dtype=np.float64),
                 np.asarray(p.end.velocity, dtype=np.float64), np.ascontiguousarray(plans),
                 self._fine, self._coarse, np.array(APOLLO.powers), vehicle,
-                float(np.tan(self.end_tilt)), site, np.ascontiguousarray(p.nodes),
+                float(np.tan(self.max_final_tilt)), site, np.ascontiguousarray(p.nodes),
                 *self._tables, self._sensor_params, self._single_altitudes(p.lowest_altitude), out,
             )  # fmt: skip
         return out
 
     def _single_altitudes(self, lowest_altitude: float) -> Array:
-        """Return altitudes of future single observations (sensors, k), m; NaN for none.
+        """Return the altitudes of future single observations (sensors, k), m; NaN: none.
 
-        A sensor without future observations gets an altitude of -inf, which is never reached.
+        `lowest_altitude` is the lowest altitude flown so far, m. A sensor without future
+        observations gets an altitude of -inf, which is never reached.
         """
         max_count = max(max((len(o.at) for o in self._schedules), default=0), 1)
         out = np.full((len(self._schedules), max_count), np.nan)
@@ -276,7 +291,7 @@ class SeekingPlanner:
 
 
 def _to_enu(problem: PlanningProblem, plans: Array) -> Array:
-    """Return plans with end accelerations rotated from along/across to ENU."""
+    """Rotate the end accelerations of plans (n, 4) from along and across to ENU."""
     direction = problem.end.position[:2] - problem.estimate.position[:2]
     length = float(np.hypot(*direction))
     along = direction / length if length > 1.0 else np.array([1.0, 0.0])
@@ -288,7 +303,7 @@ def _to_enu(problem: PlanningProblem, plans: Array) -> Array:
 
 
 def _sensor_params(sensor: SensorCoverageModel, schedules: MeasurementAltitudes) -> list[float]:
-    """Return the parameters of a sensor for the kernel (9,)."""
+    """Return the parameters of a sensor and its schedule for the kernel (9,)."""
     field = 1.0 / np.sqrt(1.0 + sensor.half_field**2)
     limit = float(np.cos(min(sensor.gimbal_limit, np.pi)))
     return [
@@ -304,7 +319,10 @@ def _sensor_params(sensor: SensorCoverageModel, schedules: MeasurementAltitudes)
 
 
 def vehicle_params(estimate: Estimate, lander: Lander, gravity: float, limits: PathLimits) -> Array:
-    """Return vehicle and limits as an array for `measure` (7,)."""
+    """Return vehicle parameters and path limits for the kernel `evaluate_path` (7,).
+
+    `limits` are the limits of the path; `gravity` is in m/s^2.
+    """
     margin = limits.throttle_margin * (lander.thrust_max - lander.thrust_min)
     return np.array([
         gravity, estimate.mass, lander.exhaust_velocity, lander.thrust_min + margin,
@@ -313,17 +331,21 @@ def vehicle_params(estimate: Estimate, lander: Lander, gravity: float, limits: P
 
 
 def _samples(count: int) -> Array:
-    """Return the fraction of time left and its powers along a path (count + 1, 3)."""
+    """Return the fraction of time left and its powers along a path (count + 1, 3).
+
+    `count` is the number of intervals.
+    """
     left = 1.0 - np.arange(count + 1) / count
     return np.column_stack((left, left**APOLLO.low, left**APOLLO.high))
 
 
 def _plan_row(plan: PathPlan) -> Array:
+    """Return time-to-go and end acceleration of a plan as an array (1, 4)."""
     return np.array([[plan.time_to_go, *plan.acceleration]])
 
 
 @lru_cache(maxsize=8)
 def _halton_points(count: int) -> Array:
-    """Return evenly spread points of the unit cube (count, 4)."""
+    """Return evenly spread points of the unit cube (count, 4), a Halton sequence."""
     points: Any = qmc.Halton(4, scramble=False).random(max(count, 1) + 1)[1:]
     return np.asarray(points)

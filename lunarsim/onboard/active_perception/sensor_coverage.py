@@ -43,24 +43,27 @@ _POINTING_SIGMA_RAD, _HEIGHT_SIGMA_RATIO = 1e-3, 0.007
 
 @dataclass(frozen=True)
 class SensorCoverageModel:
-    """Model of a sensor for the planner.
+    """Tables of what a sensor detects on the terrain, by direction and range.
+
+    Sharpness is the size of a rock in the image of the sensor: for a camera, the square root of the
+    number of dark pixels; for a LiDAR, that of the number of returns.
 
     Attributes
     ----------
     name
         Name of the sensor.
     sharpness
-        Sharpness of an observation at 1 m radius and a pixel of 1 m (33, 33), over the cosine of
-        the azimuth from the Sun (-1 to 1) and the sine of the depression (0 to 1).
+        Sharpness for a rock of 1 m radius and a pixel of 1 m (33, 33), over the cosine of the
+        azimuth from the Sun (-1 to 1) and the sine of the depression (0 to 1).
     visible_fraction
-        Fraction of the terrain that the observation can evaluate (33, 33).
+        Fraction of the terrain that the observation can evaluate because nothing hides it (33, 33).
     displacement
-        Loss by displaced detections (33, 33): half the variance of a position at a range of 1 m
-        divided by the squared radius of the smallest hazard, 1/m^2. It reduces the information
-        exponentially.
+        Loss of information by displaced detections (33, 33): half the variance of a position at a
+        range of 1 m divided by the squared radius of the smallest hazard, 1/m^2. It reduces the
+        information exponentially.
     reduction
-        Fraction of uncertainty that an observation removes (129,), over sharpness from 0 to
-        `max_sharpness`.
+        Fraction of hazard uncertainty that an observation removes (129,), over sharpness per metre
+        of radius from 0 to `max_sharpness`.
     max_sharpness
         Sharpness at the end of `reduction`.
     pixel
@@ -89,14 +92,17 @@ class SensorCoverageModel:
 
 
 def directions() -> tuple[Array, Array]:
-    """Return azimuth from the Sun and depression of the table nodes (33, 33), rad."""
+    """Return the viewing directions of the table nodes (33, 33), rad.
+
+    They are the azimuth from the Sun and the depression.
+    """
     cosine, sine = np.linspace(-1.0, 1.0, _DIRECTION_NODES), np.linspace(0.0, 1.0, _DIRECTION_NODES)
     azimuth, depression = np.meshgrid(np.arccos(cosine), np.arcsin(sine), indexing="ij")
     return azimuth, depression
 
 
 def build_coverage_models(briefing: Briefing, least_diameter: float) -> list[SensorCoverageModel]:
-    """Return models of the sensors that detect hazards.
+    """Build coverage models of the sensors that detect hazards.
 
     These are the tasked sensors whose measurements a mapper uses. A camera is included only if the
     Sun casts usable shadows.
@@ -104,7 +110,7 @@ def build_coverage_models(briefing: Briefing, least_diameter: float) -> list[Sen
     Parameters
     ----------
     briefing
-        Briefing of the flight.
+        Data known before the flight.
     least_diameter
         Minimum diameter of a rock that is a hazard, m.
     """
@@ -126,11 +132,12 @@ def build_coverage_models(briefing: Briefing, least_diameter: float) -> list[Sen
 def build_camera_model(
     name: str, camera: CameraInstrument, briefing: Briefing, least_diameter: float
 ) -> SensorCoverageModel:
-    """Return the model of a camera, which detects rocks by their shadows.
+    """Build the coverage model of a camera, which detects rocks by their shadows.
 
-    q is the square root of the foreshortened area that a rock of radius 1 darkens, divided by the
-    pixel size (Eqs. 13 to 15 of the shadow paper). Terrain is visible where no shadow of another
-    rock falls.
+    Sharpness q is the square root of the foreshortened area that a rock of radius 1 darkens,
+    divided by the pixel size (Eqs. 13 to 15 of the shadow EKF paper). Terrain is visible where no
+    shadow of another rock falls. `name` is that of the sensor and `least_diameter` the minimum
+    diameter of a hazard, m.
     """
     model = ShapeMixture(float(np.arcsin(briefing.sun[2])), briefing.rocks.shape)
     azimuth, depression = directions()
@@ -154,10 +161,11 @@ def build_camera_model(
 
 
 def position_variance(depression: Array) -> Array:
-    """Return the position variance at a range of 1 m for a camera alone (...), m^2.
+    """Return the variance of positions from a camera at a range of 1 m (...), m^2.
 
-    Mean over both axes. A pointing error moves a position along the line of sight by its angle
-    divided by the sine of the depression; a height error adds to it.
+    The variance is the mean over both axes and depends on the `depression` (...), rad. A pointing
+    error moves a position along the line of sight by its angle divided by the sine of the
+    depression; a height error adds to it.
     """
     sine = np.maximum(np.sin(depression), 1e-3)
     height = _HEIGHT_SIGMA_RATIO * np.cos(depression)
@@ -167,11 +175,12 @@ def position_variance(depression: Array) -> Array:
 def build_lidar_model(
     name: str, lidar: LidarInstrument, briefing: Briefing, least_diameter: float
 ) -> SensorCoverageModel:
-    """Return the model of a LiDAR, which misses a rock if no return falls on it.
+    """Build the coverage model of a LiDAR, which misses rocks between its returns.
 
     Returns are spaced by one pixel across the line of sight, and by one pixel over the sine of the
     depression along it. Terrain is visible where no rock stands in front of it. Beyond the maximum
-    incidence angle there are no returns.
+    incidence angle there are no returns. `name` is that of the sensor and `least_diameter` the
+    minimum diameter of a hazard, m.
     """
     _, depression = directions()
     sine = np.sin(depression)
@@ -196,12 +205,12 @@ def build_lidar_model(
 
 
 def no_return_probability(returns: Any) -> Array:
-    """Return the probability that no return falls on a disc (...).
+    """Return the probability that no LiDAR return falls on a disc (...).
 
     Parameters
     ----------
     returns
-        Square root of the number of returns on the square of the disc's radius (...).
+        Square root of the number of returns on a square whose side is the radius of the disc (...).
     """
     return np.asarray(np.exp(-np.pi * np.asarray(returns, dtype=np.float64) ** 2))
 
@@ -216,7 +225,12 @@ def _build_model(
     name: str, instrument: PointedInstrument, briefing: Briefing, least_diameter: float,
     tables: tuple[Array, Array, Array], miss_rate: Callable[[Array], Array], max_range: float,
 ) -> SensorCoverageModel:  # fmt: skip
-    """Return the coverage model of a sensor that misses rocks at a given rate."""
+    """Build the coverage model of a sensor from its direction tables and miss rate.
+
+    `tables` are sharpness, visible fraction and displacement (33, 33). `miss_rate` returns the rate
+    at which rocks are missed, from radius times sharpness. `max_range` is in m, `least_diameter` is
+    the minimum diameter of a hazard, m.
+    """
     rocks = ExpectedRocks.of(briefing.rocks.cover, least_diameter)
     max_sharpness = _MAX_SHARPNESS_PER_RADIUS / float(rocks.radius[0])
     sharpness = np.linspace(0.0, max_sharpness, _SHARPNESS_NODES)
@@ -231,7 +245,7 @@ def _build_model(
         reduction,
         max_sharpness,
         instrument.pixel,
-        instrument.half_field,
+        instrument.tan_half_fov,
         instrument.gimbal_limit,
         max_range,
         sun,

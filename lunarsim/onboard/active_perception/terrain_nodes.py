@@ -14,22 +14,23 @@ Array = NDArray[np.float64]
 
 
 def terrain_nodes(hazard_map: HazardMap, side: int, prior: float, site: Array) -> Array:
-    """Return square terrain nodes over a hazard map (side^2, 5).
+    """Divide a hazard map into squares; return position, weight and knowledge of each.
 
-    The columns are the centre (3), m, the weight and the fraction of uncertainty that the map has
-    already removed: ``1 - E[H(p)] / H(prior)``, with the prior where nothing was observed. The
-    weight is the fraction of the square on which the mission allows a landing.
+    The columns (side^2, 5) are the centre (3), m, the weight and the fraction of hazard uncertainty
+    that the map has already removed: ``1 - E[H(p)] / H(prior)``, with the entropy H, and with the
+    prior where nothing was observed. The weight is the fraction of the square on which the mission
+    allows a landing.
 
     Parameters
     ----------
     hazard_map
         Current hazard map.
     side
-        Squares along a side of the map.
+        Number of squares along a side of the map.
     prior
         Probability of a hazard without any observation.
     site
-        Site (3,), m; its height is used where the map has none.
+        Landing site (3,), m; its height is used where the map has none.
     """
     fine = hazard_map.grid
     posting = max(fine.shape) * fine.posting / side
@@ -45,13 +46,14 @@ def terrain_nodes(hazard_map: HazardMap, side: int, prior: float, site: Array) -
 
 
 def _averaged(layer: Array, side: int) -> Array:
-    """Return means of a layer over equal squares (side, side)."""
+    """Return means of a layer (rows, cols) over equal squares (side, side)."""
     rows, cols = layer.shape
     most = max(rows, cols)
     # Fractions of each row and column of cells that lie in each row and column of squares.
     edges = np.linspace(0.0, most, side + 1)
 
     def shares(count: int) -> Array:
+        """Return the fraction of each of `count` cells in each square (side, count)."""
         first = np.arange(count) + 0.5 * (most - count)
         low, high = np.maximum(edges[:-1, None], first), np.minimum(edges[1:, None], first + 1.0)
         return np.asarray(np.maximum(high - low, 0.0))

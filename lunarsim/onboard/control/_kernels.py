@@ -18,7 +18,12 @@ from lunarsim._jit import kernel
 
 @kernel(exact=True)
 def limited_torque(error, rate, inertia, frequency, damping, slew, max_torque):
-    """Return the torque of the proportional-derivative law about an axis, N m."""
+    """Return the torque of the proportional-derivative law about one axis, N m.
+
+    `error` (rad) is the commanded minus the estimated angle, `rate` (rad/s) the angular rate, and
+    `slew` (rad/s) the limit of the commanded rate. `frequency` (rad/s) and `damping` are those of
+    the closed loop.
+    """
     # Large errors saturate the commanded rate as well as the torque.
     wanted = min(max(frequency / (2.0 * damping) * error, -slew), slew)
     torque = inertia * 2.0 * damping * frequency * (wanted - rate)
@@ -27,9 +32,10 @@ def limited_torque(error, rate, inertia, frequency, damping, slew, max_torque):
 
 @kernel()
 def compute_torque(state, target, gains, inertia, torque_max):
-    """Write the torque of the proportional-derivative law into `state`.
+    """Write the torque (3,) of the proportional-derivative law into `state[7:]`, N m.
 
-    `gains` is natural frequency (rad/s), damping ratio, slew limit (rad/s).
+    `state` (10,) is the state of the loop; `target` (4,) is the commanded attitude. `gains` is
+    natural frequency (rad/s), damping ratio, slew limit (rad/s).
     """
     error = np.empty(3)
     rotation_vector_between(state[:4], target, error)
@@ -41,7 +47,10 @@ def compute_torque(state, target, gains, inertia, torque_max):
 
 @kernel()
 def propagate_attitude(state, increment, step):
-    """Propagate the attitude by the gyroscope increment (3,) of one step."""
+    """Propagate attitude and rate in `state` by a gyroscope increment (3,), rad.
+
+    `step` is the sample period, s.
+    """
     rotate_quaternion(state[:4], increment)
     for k in range(3):
         state[4 + k] = increment[k] / step
@@ -49,7 +58,11 @@ def propagate_attitude(state, increment, step):
 
 @kernel()
 def replay(state, target, gains, inertia, torque_max, increments, step):
-    """Return the torques (n, 3) of the law for recorded increments (n, 3)."""
+    """Return the torques (n, 3), N m, of the law for recorded angle increments (n, 3).
+
+    Each step computes the torque and then propagates the attitude. The other arguments are those of
+    `compute_torque`.
+    """
     torques = np.empty((increments.shape[0], 3))
     for n in range(increments.shape[0]):
         compute_torque(state, target, gains, inertia, torque_max)
@@ -62,7 +75,8 @@ def replay(state, target, gains, inertia, torque_max, increments, step):
 def thrust_attitude(acceleration, mass, thrust_min, thrust_max, heading, max_tilt, attitude):
     """Write the attitude (4,) for a thrust acceleration (3,); return the thrust, N.
 
-    The limits are those of `thrust.thrust_to_command`.
+    The acceleration is in ENU, m/s^2. The tilt is limited to `max_tilt` (rad). If the thrust does
+    not suffice, the vertical component has priority.
     """
     max_torque = thrust_max / mass
     up = min(max(acceleration[2], 1e-3), max_torque)

@@ -21,10 +21,10 @@ Array = NDArray[np.float64]
 
 
 class ThrusterAllocation:
-    """Thrusters of a layout, and the optimal bases of their torques.
+    """Propellant-optimal distribution of a commanded torque to on-off thrusters.
 
-    Thrusters with equal torques form a group: they share a long firing, and one of them performs a
-    short one.
+    The optimal bases of the linear program are computed once for a thruster layout. Thrusters with
+    equal torques form a group: they share a long firing, and one of them performs a short one.
 
     Parameters
     ----------
@@ -36,10 +36,11 @@ class ThrusterAllocation:
     Attributes
     ----------
     authority
-        Maximum sustained torque about each single axis (3,), N m, the smaller of both senses.
+        Maximum sustained torque about each single axis (3,), N m, the smaller of both directions of
+        rotation.
     min_impulse
         Angular impulse of the shortest pulses about each single axis (3,), N m s, the larger of
-        both senses.
+        both directions of rotation.
     """
 
     def __init__(self, thrusters: Thrusters, without: Sequence[int] = ()) -> None:
@@ -63,8 +64,8 @@ class ThrusterAllocation:
         self.min_impulse = both[:, :, 1].max(axis=0)
 
     @property
-    def complete(self) -> bool:
-        """Whether every torque can be produced."""
+    def spans_all_torques(self) -> bool:
+        """Whether the usable thrusters can produce a torque in every direction."""
         if len(self._bases) == 0:
             return False
         axes = np.vstack((np.eye(3), -np.eye(3)))
@@ -85,21 +86,22 @@ class ThrusterAllocation:
         return np.array(bases, dtype=np.int64), np.array(inverses)
 
     def _limits(self, axis: Array) -> tuple[float, float]:
-        """Return maximum torque and minimum impulse along a unit vector."""
+        """Return maximum torque (N m) and minimum impulse (N m s) along a unit vector."""
         thrust_per_torque = self.group_thrust(axis)
         used = thrust_per_torque > 1e-12
         if not used.any():
             return 0.0, 0.0
         most = float(np.min(self._sizes[used] * self.thrusters.force / thrust_per_torque[used]))
         least = float(
-            self.thrusters.minimum_on * self.thrusters.force / thrust_per_torque[used].min()
+            self.thrusters.min_on_time * self.thrusters.force / thrust_per_torque[used].min()
         )
         return most, least
 
     def group_thrust(self, torque: Array) -> Array:
-        """Return the thrust of each group (groups,), N, for a torque (3,), N m.
+        """Return the minimum-propellant thrust of each thruster group for a torque (3,).
 
-        The sum of the thrusts is minimal; group limits are not applied.
+        The torque is in N m; the thrusts (groups,) are in N. Their sum is minimal. The maximum
+        thrust of a group is not taken into account.
 
         Raises
         ------
@@ -107,7 +109,7 @@ class ThrusterAllocation:
             If the torque is not finite.
         """
         if not np.isfinite(torque).all():
-            raise InputError("control.torque", np.asarray(torque).tolist(), "must be finite")
+            raise InputError("control.torque", np.asarray(torque).tolist(), "must be finite, N m")
         thrust = self._inverses @ torque
         # First basis whose cone holds the torque; rounding may leave small negative thrusts.
         best = int(np.argmax(thrust.min(axis=1) >= -1e-9 * max(1.0, float(np.abs(torque).max()))))
@@ -116,19 +118,20 @@ class ThrusterAllocation:
         return out
 
     def on_times(self, torque: Array, period: float) -> Array:
-        """Return the on-time of each thruster in one period (n,), s.
+        """Return the on-time of each thruster in one control period (n,), s.
 
-        A torque beyond the control authority is scaled down in its direction. On-times below half
-        of the minimum on-time are omitted; other on-times below the minimum are raised to it.
+        A torque beyond the control authority is scaled down without a change of direction. On-times
+        below half of the minimum on-time are omitted; other on-times below the minimum are raised
+        to it.
 
         Parameters
         ----------
         torque
             Mean torque over the period (3,), N m.
         period
-            s.
+            Duration of the period, s.
         """
-        force, least = self.thrusters.force, self.thrusters.minimum_on
+        force, least = self.thrusters.force, self.thrusters.min_on_time
         thrust = self.group_thrust(torque)
         overload = float((thrust / (self._sizes * force)).max(initial=0.0))
         total = thrust / max(overload, 1.0) / force * period
@@ -144,5 +147,5 @@ class ThrusterAllocation:
         return np.minimum(out, period)
 
     def impulse(self, on_times: Array) -> Array:
-        """Return the angular impulse (3,), N m s, for on-times (n,), s."""
+        """Return the angular impulse (3,), N m s, of thruster on-times (n,), s."""
         return np.asarray(on_times @ self.thrusters.torques)

@@ -15,19 +15,19 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class ProportionalDerivative:
-    """Quaternion proportional-derivative control with gyroscope feedback.
+    """Proportional-derivative attitude control on the quaternion error and gyro rate.
 
     Attributes
     ----------
     frequency, damping
-        Natural frequency (rad/s) and damping ratio of the loop.
+        Natural frequency (rad/s) and damping ratio of the closed attitude loop.
     slew_limit
         Maximum commanded rate about each axis, rad/s.
     """
 
-    frequency: float = quantity(4.0, "rad/s", gt=0, help="natural frequency of the loop")
-    damping: float = quantity(0.9, ge=0.3, le=3, help="damping ratio of the loop")
-    slew_limit: float = quantity(15.0, "deg/s", gt=0, help="maximum commanded rate per axis")
+    frequency: float = quantity(4.0, "rad/s", gt=0, help="natural frequency of the attitude loop")
+    damping: float = quantity(0.9, ge=0.3, le=3, help="damping ratio of the attitude loop")
+    slew_limit: float = quantity(15.0, "deg/s", gt=0, help="maximum angular rate per axis")
 
     torques: ClassVar[bool] = True
 
@@ -38,11 +38,15 @@ class ProportionalDerivative:
 
     @property
     def gains(self) -> Array:
-        """Frequency, damping and slew limit for the compiled loop (3,)."""
+        """Gains for the compiled loop (3,): frequency, damping ratio and slew limit."""
         return np.array([self.frequency, self.damping, self.slew_limit])
 
     def torque(self, error: Array, rate: Array, inertia: Array) -> Array:
-        """Return the commanded torque (3,), body axes, N m."""
+        """Return the torque (3,), body axes, N m, for attitude error and angular rate.
+
+        `error` is the rotation vector from the estimated to the commanded attitude (3,), rad;
+        `rate` is the measured rate (3,), rad/s; `inertia` are the principal moments (3,), kg m^2.
+        """
         wanted = np.clip(
             self.frequency / (2.0 * self.damping) * error, -self.slew_limit, self.slew_limit
         )
@@ -51,7 +55,10 @@ class ProportionalDerivative:
 
 @dataclass(frozen=True)
 class IdealAttitude:
-    """Ideal actuator on the shortest arc (shadow EKF paper, section IV.A.3).
+    """Ideal attitude actuator that turns the lander to the commanded attitude.
+
+    It turns on the shortest arc, without lag or torque, at up to `slew_limit` (shadow EKF paper,
+    section IV.A.3).
 
     Attributes
     ----------
@@ -59,15 +66,15 @@ class IdealAttitude:
         Maximum rate, rad/s.
     """
 
-    slew_limit: float = quantity(15.0, "deg/s", gt=0, help="maximum rate")
+    slew_limit: float = quantity(15.0, "deg/s", gt=0, help="maximum angular rate")
 
     torques: ClassVar[bool] = False
 
     @property
     def response_time(self) -> float:
-        """Zero: the ideal actuator has no lag."""
+        """Lag of the attitude, s: zero for the ideal actuator."""
         return 0.0
 
     def torque(self, error: Array, rate: Array, inertia: Array) -> Array:
-        """Return zero torque, because the ideal actuator turns the vehicle directly."""
+        """Return zero torque (3,), because the ideal actuator turns the vehicle directly."""
         return np.zeros(3)

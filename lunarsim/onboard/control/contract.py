@@ -11,13 +11,15 @@ Array = NDArray[np.float64]
 
 
 class AttitudeControl(Protocol):
-    """Law that converts an attitude error into torques, at the gyroscope rate.
+    """Interface of attitude control laws: attitude error in, torque out.
+
+    The law is evaluated at the sample rate of the gyroscopes.
 
     Attributes
     ----------
     torques
-        Whether the law commands torques. If not, the vehicle must have an ideal attitude
-        actuator, and only `slew_limit` (rad/s) of the part is used.
+        Whether the law commands torques. If not, the vehicle must have an ideal attitude actuator,
+        and only the law's `slew_limit` (rad/s) is used.
     """
 
     torques: ClassVar[bool]
@@ -28,7 +30,7 @@ class AttitudeControl(Protocol):
         ...
 
     def torque(self, error: Array, rate: Array, inertia: Array) -> Array:
-        """Return the commanded torque (3,), body axes, N m, before clipping.
+        """Return the commanded torque (3,), body axes, N m; the loop applies the limits.
 
         Parameters
         ----------

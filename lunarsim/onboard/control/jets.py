@@ -29,10 +29,11 @@ class JetLoop(AttitudeLoop):
     """Attitude loop that fires thrusters and trims steady torques with the gimbal.
 
     If the centre of mass is off the engine's axis, the initial gimbal angle points the thrust
-    through it, and the body tilts by the same angle in the opposite direction.
+    through the centre of mass, and the body tilts by the same angle in the opposite direction.
 
-    The torques of a law are modulated into pulses; the remainder of a period, up to the shortest
-    pulse, is carried into the next. A law with `rate_change` commands firings directly.
+    The torque of a control law is converted into thruster pulses. The remainder that is shorter
+    than the shortest pulse is carried into the next period. A law with a method `rate_change`
+    commands firings directly.
 
     Parameters
     ----------
@@ -42,10 +43,11 @@ class JetLoop(AttitudeLoop):
     Attributes
     ----------
     on_times, gimbal
-        Commands of the current period: (n,), s, and (2,), rad.
-    spent
+        Commands of the current period: on-time of each thruster (n,), s, and gimbal angles (2,),
+        rad.
+    propellant_used
         Thruster propellant used by the commanded firings, kg.
-    watch
+    failure_detector
         Thruster failure detector; failed thrusters are no longer used.
     """
 
@@ -56,19 +58,19 @@ class JetLoop(AttitudeLoop):
         self.period_steps = max(1, round(getattr(law, "period", _DEFAULT_PERIOD_S) / step))
         self.on_times = np.zeros(lander.thrusters.count)
         self.gimbal = np.zeros(2)
-        self.spent = 0.0
+        self.propellant_used = 0.0
         self._carry = np.zeros(3)
         self._step = 0
         self._thrust = 0.0
         self._arm = lander.engine.pivot_depth
-        self.watch = ThrusterFailureDetector(lander.thrusters.count)
+        self.failure_detector = ThrusterFailureDetector(lander.thrusters.count)
         self._com = np.zeros(3)
         self._rate: Array | None = None
         self._started = False
 
     @property
     def compiled(self) -> bool:
-        """False: the compiled loop supports only torques."""
+        """Always False: the compiled attitude loop does not support thrusters."""
         return False
 
     @property
@@ -77,13 +79,17 @@ class JetLoop(AttitudeLoop):
         return self.period_steps * self.step
 
     @property
-    def due(self) -> bool:
+    def is_due(self) -> bool:
         """Whether the next call of `torque` computes new thruster commands."""
         return self._step % self.period_steps == 0
 
-    def begin(self, command: Command, attitude: Array, mass: float) -> None:
-        """Start a control cycle from a command, estimated attitude (4,) and mass (kg)."""
-        super().begin(command, attitude, mass)
+    def start_cycle(self, command: Command, attitude: Array, mass: float) -> None:
+        """Set commanded attitude, estimated attitude (4,) and mass (kg) for a new cycle.
+
+        The commanded attitude is corrected for an engine that is gimballed through an offset centre
+        of mass.
+        """
+        super().start_cycle(command, attitude, mass)
         self._thrust = command.thrust
         self._com = self.vehicle.com(mass)
         self._arm = self.vehicle.engine.pivot_depth + float(self._com[2])
@@ -96,14 +102,17 @@ class JetLoop(AttitudeLoop):
         self._started = True
 
     def torque(self) -> Array:
-        """Return the mean torque of the current firings (3,), N m; compute them if due."""
-        if self.due:
+        """Return the mean torque of the current firings (3,), N m.
+
+        New firings are computed first if a period has ended.
+        """
+        if self.is_due:
             self._command_thrusters()
         self._step += 1
         return self.state[7:].copy()
 
     def _gimbal_through_com(self) -> Array:
-        """Return gimbal angles (2,), rad, for thrust through the centre of mass."""
+        """Return gimbal angles (2,), rad, that point thrust through the centre of mass."""
         east, north = float(self._com[0]), float(self._com[1])
         if self.vehicle.engine.gimbal_limit == 0.0 or self._arm <= 0.0:
             return np.zeros(2)
@@ -114,7 +123,10 @@ class JetLoop(AttitudeLoop):
         return np.asarray(np.clip(swing, -limit, limit))
 
     def _detect_failures(self) -> None:
-        """Compare the measured rate change of the last period with the commanded one."""
+        """Update the failure detector with the last period; stop using failed thrusters.
+
+        The detector compares the measured rate change of the period with the commanded one.
+        """
         rate, before = self.state[4:7].copy(), self._rate
         self._rate = rate
         if before is None:
@@ -125,9 +137,9 @@ class JetLoop(AttitudeLoop):
         (x, y), (east, north, _) = self.gimbal, self._com
         engine += self._thrust * period * np.array([-north, east, east * x + north * y])
         turns = self.on_times[:, None] * about_com / inertia
-        if self.watch.update(rate - before, engine / inertia, turns, period):
-            left = ThrusterAllocation(jets, self.watch.failed)
-            if left.complete:
+        if self.failure_detector.update(rate - before, engine / inertia, turns, period):
+            left = ThrusterAllocation(jets, self.failure_detector.failed)
+            if left.spans_all_torques:
                 self.allocation = left
 
     def _command_thrusters(self) -> None:
@@ -151,12 +163,15 @@ class JetLoop(AttitudeLoop):
         if not hasattr(law, "rate_change"):
             most = self.allocation.min_impulse
             self._carry = np.clip(impulse - given, -most, most)
-        self.spent += self.vehicle.thrusters.flow * float(self.on_times.sum())
+        self.propellant_used += self.vehicle.thrusters.propellant_flow * float(self.on_times.sum())
         self.state[7:] = given / period
         self._trim_gimbal(given)
 
     def _trim_gimbal(self, impulse: Array) -> None:
-        """Move the gimbal to take over the steady part of the thruster torque."""
+        """Move the gimbal to take over the steady part of the thruster torque.
+
+        `impulse` (3,), N m s, is the angular impulse of the thrusters in the current period.
+        """
         engine = self.vehicle.engine
         pull = self._thrust * self._arm
         if engine.gimbal_limit == 0.0 or pull <= 0.0:
@@ -167,7 +182,10 @@ class JetLoop(AttitudeLoop):
 
 
 def _align_thrust(swing: Array) -> Array:
-    """Return the rotation (4,) from a gimballed engine's thrust onto body z."""
+    """Return the quaternion (4,) that rotates a gimballed engine's thrust onto body z.
+
+    `swing` (2,) are the gimbal angles about body x and y, rad.
+    """
     x, y = swing
     push = np.array([np.sin(y) * np.cos(x), -np.sin(x), np.cos(y) * np.cos(x)])
     turn = np.array([push[1], -push[0], 0.0, 1.0 + push[2]])  # axis push x z, half the angle
@@ -175,5 +193,8 @@ def _align_thrust(swing: Array) -> Array:
 
 
 def attitude_loop(law: AttitudeControl, lander: Any, step: float) -> AttitudeLoop:
-    """Return the fast attitude loop for a lander."""
+    """Return the attitude loop of a lander: `JetLoop` if it has on-off thrusters.
+
+    All other landers get an `AttitudeLoop`. `step` is the gyroscope sample period, s.
+    """
     return (JetLoop if isinstance(lander, JetLander) else AttitudeLoop)(law, lander, step)

@@ -1,4 +1,4 @@
-"""Fast attitude loop on gyroscopes between control cycles."""
+"""Attitude loop at the gyroscope rate, between the control cycles of the computer."""
 
 from __future__ import annotations
 
@@ -17,21 +17,24 @@ Array = NDArray[np.float64]
 
 
 class AttitudeLoop:
-    """Propagate the estimated attitude with gyroscopes and compute torques.
+    """Attitude loop at the gyroscope rate: propagates the attitude, computes torques.
+
+    The onboard computer sets the commanded attitude once per control cycle; the loop runs between
+    these cycles.
 
     Parameters
     ----------
     law
         Attitude control law.
     lander
-        Nominal inertia and thrusters.
+        Lander, with its nominal inertia and maximum torque.
     step
         Sample period of the gyroscopes, s.
 
     Attributes
     ----------
     state
-        Attitude (4), rate (3), torque (3): (10,).
+        Estimated attitude (4), rate (3), torque (3), concatenated: (10,).
     inertia
         Principal moments at the mass of the last command (3,), kg m^2.
     """
@@ -48,23 +51,23 @@ class AttitudeLoop:
 
     @property
     def compiled(self) -> bool:
-        """Whether the compiled loop supports the law."""
+        """Whether a compiled implementation of the control law exists."""
         return type(self.law) is ProportionalDerivative
 
     @property
     def gains(self) -> Array:
-        """Gains of the compiled law (3,)."""
+        """Frequency, damping ratio and slew limit of the compiled control law (3,)."""
         assert isinstance(self.law, ProportionalDerivative)
         return self.law.gains
 
-    def begin(self, command: Command, attitude: Array, mass: float) -> None:
-        """Start a control cycle from a command, estimated attitude (4,) and mass (kg)."""
+    def start_cycle(self, command: Command, attitude: Array, mass: float) -> None:
+        """Set commanded attitude, estimated attitude (4,) and mass (kg) for a new cycle."""
         self.state[:4] = attitude
         self.inertia = self.lander.inertia(mass)
         self.target = np.ascontiguousarray(command.attitude, dtype=np.float64)
 
     def torque(self) -> Array:
-        """Return the torque for the next step (3,), N m."""
+        """Compute and return the torque for the next gyroscope step (3,), body axes, N m."""
         if self.compiled:
             k.compute_torque(self.state, self.target, self.gains, self.inertia, self.torque_max)
             return self.state[7:].copy()
@@ -75,12 +78,15 @@ class AttitudeLoop:
         self.state[7:] = np.clip(wanted, -self.torque_max, self.torque_max)
         return self.state[7:].copy()
 
-    def take(self, increment: Array) -> None:
-        """Propagate the attitude by the gyroscope increment of one step (3,), rad."""
+    def propagate(self, increment: Array) -> None:
+        """Propagate the attitude by the gyroscopes' angle increment of one step (3,), rad."""
         k.propagate_attitude(self.state, increment, self.step)
 
     def replay(self, increments: Array) -> Array:
-        """Return torques (n, 3) for recorded increments (n, 3), bit-identical."""
+        """Return torques (n, 3), N m, for recorded gyroscope increments (n, 3), rad.
+
+        The results are bit-identical to alternating calls of `torque` and `propagate`.
+        """
         if self.compiled:
             return np.asarray(
                 k.replay(
@@ -91,5 +97,5 @@ class AttitudeLoop:
         torques = np.empty((len(increments), 3))
         for n, increment in enumerate(increments):
             torques[n] = self.torque()
-            self.take(increment)
+            self.propagate(increment)
         return torques

@@ -24,7 +24,10 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class PhasePlane:
-    """Phase-plane law per axis: dead band, switching parabola and shortest pulse.
+    """Phase-plane control law for on-off thrusters, evaluated for each axis.
+
+    The law consists of a dead band in angle and rate, and a switching parabola. Firings are not
+    shorter than the shortest pulse.
 
     Attributes
     ----------
@@ -38,10 +41,14 @@ class PhasePlane:
         Time between evaluations of the law, s.
     """
 
-    dead_band: float = quantity(0.3, "deg", gt=0, help="attitude error within which it coasts")
-    rate_band: float = quantity(0.5, "deg/s", gt=0, help="tolerated rate within the dead band")
-    slew_limit: float = quantity(10.0, "deg/s", gt=0, help="maximum rate of a slew")
-    period: float = quantity(0.1, "s", gt=0, le=1, help="time between evaluations of the law")
+    dead_band: float = quantity(
+        0.3, "deg", gt=0, help="attitude error within which no thruster fires"
+    )
+    rate_band: float = quantity(
+        0.5, "deg/s", gt=0, help="tolerated angular rate within the dead band"
+    )
+    slew_limit: float = quantity(10.0, "deg/s", gt=0, help="maximum angular rate of a slew")
+    period: float = quantity(0.1, "s", gt=0, le=1, help="time between thruster commands")
 
     torques: ClassVar[bool] = True
 
@@ -57,13 +64,15 @@ class PhasePlane:
     def turning_time(self, angle: float) -> float:
         """Return the time of a slew by an angle (rad) at the maximum rate, s.
 
-        A position loop that oscillates faster than this saturates the attitude and becomes
-        unstable.
+        A guidance loop that oscillates faster than this time saturates the attitude loop and
+        becomes unstable.
         """
         return angle / self.slew_limit
 
     def rate_change(self, error: Array, rate: Array, authority: Array, min_change: Array) -> Array:
-        """Return the commanded rate change about each axis (3,), rad/s.
+        """Return the rate change that the thrusters must produce about each axis (3,).
+
+        The rate change is in rad/s, and 0 for an axis on which no firing is needed.
 
         Parameters
         ----------
@@ -72,7 +81,7 @@ class PhasePlane:
         rate
             Angular rate measured by the gyroscopes (3,), rad/s.
         authority
-            Maximum sustained angular acceleration (3,), rad/s^2.
+            Maximum sustained angular acceleration by the thrusters (3,), rad/s^2.
         min_change
             Rate change of the shortest pulse (3,), rad/s.
         """
@@ -84,7 +93,12 @@ class PhasePlane:
         )
 
     def _axis_rate_change(self, angle: float, rate: float, a: float, min_change: float) -> float:
-        """Return the rate change about one axis for an attitude error `angle`."""
+        """Return the commanded rate change about one axis, rad/s.
+
+        `angle` (rad) is the estimated minus the commanded attitude, `rate` (rad/s) the angular
+        rate, `a` (rad/s^2) the maximum angular acceleration, and `min_change` (rad/s) the rate
+        change of the shortest pulse.
+        """
         if angle < 0.0 or (angle == 0.0 and rate < 0.0):
             return -self._axis_rate_change(-angle, -rate, a, min_change)
         band = self.dead_band
@@ -107,5 +121,5 @@ class PhasePlane:
         return 0.0
 
     def torque(self, error: Array, rate: Array, inertia: Array) -> Array:
-        """Return zero torque, because the law commands firings through `rate_change`."""
+        """Return zero torque (3,), because `rate_change` commands the firings instead."""
         return np.zeros(3)

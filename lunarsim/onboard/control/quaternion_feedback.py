@@ -19,17 +19,18 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class QuaternionFeedback:
-    """Rate-limited eigenaxis quaternion feedback with gyroscopic compensation.
+    """Eigenaxis quaternion feedback control, limited in angular rate.
 
-    The commanded rate points along the rotation vector of the error. Its magnitude is the minimum
-    of the linear feedback, the slew limit, and the rate from which `braking` can still stop the
-    rotation. Limiting the magnitude keeps large rotations about one axis. Small errors follow
-    ``e'' + 2 damping frequency e' + frequency^2 e = 0``.
+    The commanded rate points along the rotation vector of the attitude error. Its magnitude is the
+    minimum of the linear feedback, the slew limit, and the rate from which `braking` can still stop
+    the rotation. Because the magnitude is limited and not the components, large rotations stay
+    about one axis. The torque includes gyroscopic compensation. Small errors follow ``e'' + 2
+    damping frequency e' + frequency^2 e = 0``.
 
     Attributes
     ----------
     frequency, damping
-        Natural frequency (rad/s) and damping ratio of the loop.
+        Natural frequency (rad/s) and damping ratio of the closed attitude loop.
     slew_limit
         Maximum commanded rate, rad/s.
     braking
@@ -38,9 +39,9 @@ class QuaternionFeedback:
         Time between thruster commands, s.
     """
 
-    frequency: float = quantity(2.0, "rad/s", gt=0, help="natural frequency of the loop")
-    damping: float = quantity(0.9, ge=0.3, le=3, help="damping ratio of the loop")
-    slew_limit: float = quantity(10.0, "deg/s", gt=0, help="maximum commanded rate")
+    frequency: float = quantity(2.0, "rad/s", gt=0, help="natural frequency of the attitude loop")
+    damping: float = quantity(0.9, ge=0.3, le=3, help="damping ratio of the attitude loop")
+    slew_limit: float = quantity(10.0, "deg/s", gt=0, help="maximum angular rate")
     braking: float = quantity(
         0.08, "rad/s^2", gt=0, help="angular acceleration available to stop a rotation"
     )
@@ -54,7 +55,11 @@ class QuaternionFeedback:
         return 2.0 * self.damping / self.frequency
 
     def torque(self, error: Array, rate: Array, inertia: Array) -> Array:
-        """Return the commanded torque (3,), body axes, N m."""
+        """Return the torque (3,), body axes, N m, for attitude error and angular rate.
+
+        `error` is the rotation vector from the estimated to the commanded attitude (3,), rad;
+        `rate` is the measured rate (3,), rad/s; `inertia` are the principal moments (3,), kg m^2.
+        """
         size = float(np.linalg.norm(error))
         wanted = self.frequency / (2.0 * self.damping) * error
         max_rate = min(self.slew_limit, np.sqrt(2.0 * self.braking * size))

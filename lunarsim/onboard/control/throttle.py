@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from lunarsim.models.jet_lander import DescentEngine
 
-# Fraction of the gap's lower end by which a command must pass it to switch. Luminary of Apollo 11
-# switches to full above 63 % and back below 57 %, around a gap end of 60 %.
+# Fraction of the gap's lower end by which a command must pass this end to switch. Luminary of
+# Apollo 11 switches to full above 63 % and back below 57 %, around a gap end of 60 %.
 _HYSTERESIS = 0.05
 
 
 class ThrottleRegions:
-    """Choose the fixed point above the gap or the range below it, with hysteresis.
+    """Keeps thrust commands out of an engine's forbidden throttle gap.
+
+    Above the gap, the engine runs at a fixed throttle point; below the gap, it is throttled.
+    Hysteresis prevents frequent switching between the two.
 
     Parameters
     ----------
@@ -19,21 +22,21 @@ class ThrottleRegions:
 
     Attributes
     ----------
-    full
+    is_full
         Whether the engine runs at its fixed throttle point.
     """
 
     def __init__(self, engine: DescentEngine) -> None:
         self.engine = engine
-        self.full = False
+        self.is_full = False
 
-    def allowed(self, wanted: float) -> float:
-        """Return the thrust command for a desired thrust, N."""
+    def select_thrust(self, wanted: float) -> float:
+        """Return the allowed thrust command for a desired thrust, both in N."""
         e = self.engine
         if not e.has_gap:
             return wanted
-        if wanted > e.gap_from * (1.0 + _HYSTERESIS):
-            self.full = True
-        elif wanted < e.gap_from * (1.0 - _HYSTERESIS):
-            self.full = False
-        return e.gap_to if self.full else min(wanted, e.gap_from)
+        if wanted > e.gap_lower * (1.0 + _HYSTERESIS):
+            self.is_full = True
+        elif wanted < e.gap_lower * (1.0 - _HYSTERESIS):
+            self.is_full = False
+        return e.gap_upper if self.is_full else min(wanted, e.gap_lower)

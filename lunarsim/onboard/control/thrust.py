@@ -18,7 +18,7 @@ def thrust_to_command(
     heading: float,
     max_tilt: float,
 ) -> Command:
-    """Return the command for a thrust acceleration within the vehicle's limits.
+    """Return throttle and attitude commands for a thrust acceleration.
 
     The tilt is limited to `max_tilt`. If the engine cannot produce the complete vector, the
     vertical component has priority and the horizontal component gets the remaining thrust: a
@@ -52,7 +52,7 @@ def thrust_along(
     heading: float,
     max_tilt: float,
 ) -> Command:
-    """Return the command that keeps the direction of a thrust acceleration.
+    """Return the command for a thrust acceleration, keeping the vector's direction.
 
     The magnitude is clipped to the throttle range. A direction with a tilt above `max_tilt` (which
     may exceed 90 deg) is rotated to that tilt; a direction straight down is rotated towards the
@@ -80,13 +80,14 @@ def thrust_lift_first(
     heading: float,
     max_tilt: float,
 ) -> Command:
-    """Return the command that keeps the vertical component, up or down.
+    """Return the command for a thrust acceleration, keeping its vertical component.
 
-    As in braking by the lunar module's computer (Luminary 099, AFCCALC2), the horizontal component
-    gets the remaining thrust. There only the downrange part is reduced; here downrange and
-    crossrange parts are reduced alike, which is equivalent for planar descents. Unlike
-    `thrust_to_command` the tilt from the site's vertical may exceed 90 deg, which is necessary
-    beyond the horizon. The parameters are those of `thrust_to_command`.
+    The vertical component may point up or down. As in braking by the lunar module's computer
+    (Luminary 099, AFCCALC2), the horizontal component gets the remaining thrust. Luminary reduces
+    only the downrange part; here downrange and crossrange parts are reduced alike, which is
+    equivalent for planar descents. Unlike in `thrust_to_command`, the tilt from the site's vertical
+    may exceed 90 deg, which is necessary beyond the horizon. The parameters are those of
+    `thrust_to_command`.
     """
     max_acceleration = lander.thrust_max / mass
     up = min(max(float(acceleration[2]), -max_acceleration), max_acceleration)

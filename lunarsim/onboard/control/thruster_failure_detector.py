@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 _INITIAL_SIGMA = 0.5  # initial standard deviation of an effectiveness
-_PROCESS_SIGMA = 0.004  # its process noise per period
+_PROCESS_SIGMA = 0.004  # process noise of an effectiveness per period
 _FAILURE_THRESHOLD, _CONFIDENCE_SIGMAS = (
     0.5,
     3.0,
@@ -30,11 +30,13 @@ _IMPULSE_RELATIVE_ERROR = (
 _INITIAL_DISTURBANCE_RAD_S2 = (
     0.02  # initial standard deviation of the steady angular acceleration, rad/s^2
 )
-_DISTURBANCE_PROCESS_RAD_S2 = 0.001  # its process noise per period, rad/s^2
+_DISTURBANCE_PROCESS_RAD_S2 = 0.001  # process noise of that acceleration, rad/s^2
 
 
 class ThrusterFailureDetector:
-    """Estimate the effectiveness of thrusters from gyroscope data.
+    """Kalman filter that detects failed thrusters from gyroscope data.
+
+    The filter estimates the effectiveness of each thruster: 1 for nominal thrust, 0 for none.
 
     Parameters
     ----------
@@ -59,12 +61,12 @@ class ThrusterFailureDetector:
 
     @property
     def effectiveness(self) -> Array:
-        """Estimated effectiveness (n,)."""
+        """Estimated effectiveness of each thruster (n,): 1 nominal, 0 no thrust."""
         return self._x[: self.count].copy()
 
     @property
     def sigma(self) -> Array:
-        """Standard deviations of the estimates (n,)."""
+        """Standard deviations of the estimated effectiveness (n,)."""
         return np.asarray(np.sqrt(np.diag(self._p)[: self.count]))
 
     def update(
@@ -75,13 +77,13 @@ class ThrusterFailureDetector:
         Parameters
         ----------
         rate_change
-            Change of the angular rate over the period (3,), rad/s.
+            Measured change of the angular rate over the period (3,), rad/s.
         engine_change
-            Predicted rate change by the engine (3,), rad/s.
+            Predicted rate change by the main engine (3,), rad/s.
         thruster_changes
             Predicted rate change by each thruster (n, 3), rad/s.
         period
-            s.
+            Duration of the period, s.
         """
         n = self.count
         self._p[np.arange(n), np.arange(n)] += _PROCESS_SIGMA**2
@@ -101,7 +103,10 @@ class ThrusterFailureDetector:
         return new
 
     def _limit_variance(self) -> None:
-        """Limit the variance of unused thrusters to its initial value."""
+        """Limit the variance of each thruster's effectiveness to its initial value.
+
+        Otherwise the process noise of unused thrusters would accumulate.
+        """
         n = self.count
         over = np.sqrt(np.diag(self._p)[:n]) / _INITIAL_SIGMA
         shrink = np.ones(n + 3)

@@ -11,10 +11,13 @@ from lunarsim.onboard.guidance._kernels import evaluate_path
 
 @kernel(shared=True)
 def evaluate_given_times(share, state, targets, final, times, table, powers, params, out):
-    """Evaluate the path of a given time (n,), s, to each target (n, 3).
+    """Evaluate the path with a given time-to-go to each target.
 
-    Writes (n, 4) as `_reach_kernels.survey`: delta-v (inf if a limit is violated or the time is
-    NaN), time, maximum thrust (N) and maximum tangent of the tilt.
+    `targets` (n, 3) are end positions, m, and `times` (n,) times-to-go, s. `state` and `final` (2,
+    3) are current position and velocity, and final velocity and acceleration. `table`, `powers` and
+    `params` are those of `evaluate_path`. `out` (n, 4) receives delta-v, m/s (inf if a limit is
+    violated or the time is NaN), time, s, maximum thrust, N, and maximum tangent of the tilt.
+    `share` is (thread, number of threads).
     """
     x = np.empty((2, 3))
     for n in range(share[0], len(targets), share[1]):

@@ -19,12 +19,17 @@ _HALVINGS = 40  # bisections of a bracket
 
 @kernel(inner=True)
 def _dot(a, b):
+    """Return the scalar product of two vectors (3,)."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 @kernel(inner=True)
 def _squared(a, b, c, way, out, k):
-    """Write coefficients of ``|a + b u + c way u^2|^2`` to (5, 16), u^0 first."""
+    """Compute the polynomial coefficients of ``|a + b u + c way u^2|^2``.
+
+    `a`, `b` and `way` are vectors (3,) and `c` is a number. Column `k` of `out` (5, 16) receives
+    the coefficients, u^0 first.
+    """
     out[0, k] = _dot(a, a)
     out[1, k] = 2.0 * _dot(a, b)
     out[2, k] = _dot(b, b) + 2.0 * c * _dot(a, way)
@@ -34,14 +39,17 @@ def _squared(a, b, c, way, out, k):
 
 @kernel(inline=True)
 def _polynomial(c, k, u):
+    """Return the value at `u` of the quartic polynomial in column `k` of `c` (5, 16)."""
     return c[0, k] + u * (c[1, k] + u * (c[2, k] + u * (c[3, k] + u * c[4, k])))
 
 
 @kernel(inline=True)
 def _is_within_limits(terms, k, u, most):
-    """Return whether target k is within both limits; false for NaN.
+    """Return whether the path to target `k` keeps the limits of jerk and snap.
 
-    `most` (2,): ``(jerk / 6)^2`` and ``(snap / 12)^2``.
+    `terms` (3, 5, 16) are the polynomials of squared jerk at start and end and of squared snap; `u`
+    is the inverse of the time-to-go. `most` (2,) is ``(jerk / 6)^2`` and ``(snap / 12)^2``. NaN
+    gives False.
     """
     square = u * u
     start, end = _polynomial(terms[0], k, u) * square, _polynomial(terms[1], k, u) * square
@@ -51,7 +59,11 @@ def _is_within_limits(terms, k, u, most):
 
 @kernel(inner=True)
 def _refine(terms, low, high, most):
-    """Bisect brackets (16,) of which only the lower ends violate a limit."""
+    """Bisect 16 time brackets between a violated and a kept limit, in place.
+
+    `low` and `high` (16,), s, are the brackets; only the lower ends violate a limit. `terms` and
+    `most` are those of `_is_within_limits`.
+    """
     for _ in range(_HALVINGS):
         for k in range(_BLOCK):
             middle = 0.5 * (low[k] + high[k])
@@ -62,9 +74,12 @@ def _refine(terms, low, high, most):
 
 @kernel(shared=True)
 def min_times_to_go(share, r, v, targets, v_f, a_f, times, jerk, snap, out):
-    """Find the minimum time-to-go within both limits for each target (n, 3), else NaN.
+    """Find the minimum time-to-go within the limits of jerk and snap for each target.
 
-    Times (m,) ascend; the minimum is bracketed by them and bisected 40 times.
+    `r` and `v` (3,) are current position and velocity, `targets` (n, 3) end positions, `v_f` and
+    `a_f` (3,) final velocity and acceleration. `times` (m,), s, ascend; the minimum is bracketed by
+    them and bisected 40 times. `out` (n,) receives the times, s, NaN if no time keeps the limits.
+    `share` is (thread, number of threads).
     """
     count, inverse, good = targets.shape[0], 1.0 / times, np.empty(len(times), np.bool_)
     terms, way, still = np.empty((3, 5, _BLOCK)), np.empty(3), -a_f

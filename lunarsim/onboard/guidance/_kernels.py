@@ -17,7 +17,13 @@ HALVINGS = 5
 
 @kernel(inline=True, inner=True)
 def power_terms(state, target, final, big_t, powers, out):
-    """Write each power's part of the mean acceleration (2, 3), as `PathShape`."""
+    """Compute the coefficients of a polynomial path from its boundary conditions.
+
+    `out` (2, 3), m/s^2, receives the part of each power of time-to-go in the mean acceleration.
+    `state` (2, 3) is current position and velocity, `target` (3,) the final position, `final` (2,
+    3) final velocity and acceleration, `big_t` the time-to-go, s, and `powers` (2,) are the powers
+    of `PathShape`.
+    """
     low, high = powers[0], powers[1]
     for k in range(3):
         r, v, v_f, a_f = state[0, k], state[1, k], final[0, k], final[1, k]
@@ -29,7 +35,13 @@ def power_terms(state, target, final, big_t, powers, out):
 
 @kernel(inline=True, inner=True)
 def above_cone(target, final, big_t, share, low, high, powers, x, glide):
-    """Return whether a sample is above the glideslope, apex 0.5 m below the end."""
+    """Return whether a sample of a path is above the glideslope cone of the target.
+
+    The apex of the cone is 0.5 m below the end. `share` is the fraction of time left at the sample,
+    `low` and `high` are its powers, and `x` (2, 3) is the result of `power_terms`. `glide` is the
+    tangent of the minimum elevation. `target` (3,), `final` (2, 3) and `big_t` are those of
+    `power_terms`.
+    """
     left = share * big_t
     f, g = low / (powers[0] + 2.0), high / (powers[1] + 2.0)
     east = left * (left * (0.5 * final[1, 0] + x[0, 0] * f + x[1, 0] * g) - final[0, 0])
@@ -42,13 +54,14 @@ def above_cone(target, final, big_t, share, low, high, powers, x, glide):
 
 @kernel(inline=True, inner=True)
 def evaluate_path(state, target, final, big_t, table, powers, params, x, out):
-    """Evaluate one path; return whether it is admissible, and write its cost.
+    """Evaluate a polynomial path; return whether it is admissible, and write its cost.
 
-    Writes delta-v (m/s), time (s), maximum thrust (N) and maximum tangent of the tilt into `out`
-    (4,); `x` (2, 3) is scratch. `state` and `final` (2, 3): current position and velocity,
-    final velocity and acceleration. `table` (samples + 1, 3): fraction of time-to-go, from 1 to 0,
-    and its two powers. `params` (7,): gravity, mass, exhaust velocity, minimum and maximum thrust,
-    tangents of maximum tilt and glideslope.
+    `out` (4,) receives delta-v (m/s), time (s), maximum thrust (N) and maximum tangent of the tilt;
+    `x` (2, 3) is a work array. `state` (2, 3) is current position and velocity, `target` (3,) the
+    final position, `final` (2, 3) final velocity and acceleration, and `big_t` the time-to-go, s.
+    `table` (samples + 1, 3) is the fraction of time-to-go, from 1 to 0, and its two powers `powers`
+    (2,). `params` (7,): gravity, mass, exhaust velocity, minimum and maximum thrust, tangents of
+    maximum tilt and glideslope.
     """
     power_terms(state, target, final, big_t, powers, x)
     d, e = powers[0] + 1.0, powers[1] + 1.0
@@ -93,7 +106,12 @@ def evaluate_path(state, target, final, big_t, table, powers, params, x, out):
 
 @kernel(inner=True)
 def search_coarse(state, target, final, first, step, count, skip, table, powers, params, x, found):
-    """Return the best of `count` geometric steps from `first`, or -1."""
+    """Search the time-to-go with minimum delta-v among geometric steps.
+
+    The times are ``first exp(m step)`` for m below `count`; multiples of `skip` are skipped if it
+    is positive. Returns the best m, or -1 if no path is admissible. The other arguments are those
+    of `evaluate_path`; `found` (4,) is a work array.
+    """
     best, least = -1, np.inf
     for m in range(count):
         if skip > 0 and m % skip == 0:
@@ -107,14 +125,19 @@ def search_coarse(state, target, final, first, step, count, skip, table, powers,
 
 @kernel(inline=True)
 def _copy_result(found, out):
-    """Copy the result of a path (4,)."""
+    """Copy the result of a path (4,) from `found` to `out`."""
     for k in range(4):
         out[k] = found[k]
 
 
 @kernel(inner=True)
 def refine_time(state, target, final, first, at, step, span, table, powers, params, x, found, out):
-    """Write the best path (4,) around time ``first exp(at)`` by halving steps."""
+    """Refine the time-to-go with minimum delta-v by halving steps.
+
+    The search starts at time ``first exp(at)`` and stays within ``exp(span)`` of `first`; `step` is
+    the initial step of the logarithm. `out` (4,) receives the result of `evaluate_path` for the
+    best path. The other arguments are those of `evaluate_path`; `found` (4,) is a work array.
+    """
     time = first * np.exp(at)
     if evaluate_path(state, target, final, time, table, powers, params, x, found):
         _copy_result(found, out)

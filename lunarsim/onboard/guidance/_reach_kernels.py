@@ -45,7 +45,13 @@ _NOTHING = 1e30  # represents an infinite cost
 
 @kernel(inline=True)
 def acceleration_terms(w, place, state, final, axis, powers, inverse):
-    """Return the lower power's part of the mean acceleration, and both parts' sum."""
+    """Compute one axis of the path coefficients for sixteen sites at once.
+
+    Returns the part of the lower power in the mean acceleration, and the sum of both parts, as
+    `power_terms` does for one site. `w` is scratch with the target coordinates at index `place`;
+    `state` and `final` (2, 3) are as for `evaluate_path`, `axis` is 0 to 2, and `inverse` is one
+    over the times-to-go, 1/s. `powers` (2,) are the powers of time-to-go.
+    """
     p = (final[0, axis] - state[1, axis]) * inverse - final[1, axis]
     q = ((state[0, axis] - load(w, place)) * inverse + final[0, axis]) * inverse
     q = q - 0.5 * final[1, axis]
@@ -54,9 +60,10 @@ def acceleration_terms(w, place, state, final, axis, powers, inverse):
 
 @kernel(inline=True)
 def evaluate_lanes(w, state, final, table, powers, params):
-    """Write the costs of sixteen paths whose times are in scratch, as `evaluate_path`.
+    """Compute the delta-v of sixteen paths at once (one SIMD lane per site).
 
-    Inadmissible paths cost `_NOTHING`.
+    `w` is scratch with targets, times and resulting costs; inadmissible paths cost `_NOTHING`. The
+    other arguments are those of `evaluate_path`.
     """
     time = load(w, _TIME)
     inverse = 1.0 / time
@@ -110,9 +117,12 @@ def evaluate_lanes(w, state, final, table, powers, params):
 
 @kernel(inner=True)
 def search_lanes(w, state, final, spans, count, skip, table, powers, params, best):
-    """Write the best of `count` geometric steps (16,) for lanes without one yet.
+    """Search the best time-to-go of sixteen sites among geometric steps.
 
-    `spans` (3, 16): first time, its logarithmic span, step.
+    `best` (16,) receives the index of the best step for SIMD lanes in which it is still negative.
+    `spans` (3, 16) are first time, s, logarithm of the range of times, and step of the logarithm.
+    There are `count` steps; multiples of `skip` are skipped if it is positive. `w` is scratch; the
+    other arguments are those of `evaluate_path`.
     """
     least = np.full(SIMD_WIDTH, _NOTHING)
     open_ = best < 0
@@ -129,7 +139,11 @@ def search_lanes(w, state, final, spans, count, skip, table, powers, params, bes
 
 @kernel(inner=True)
 def refine_lanes(w, state, final, spans, table, powers, params, at):
-    """Move logarithmic times (16,) to the best nearby, halving the steps."""
+    """Refine the times-to-go of sixteen sites by halving steps, in place.
+
+    `at` (16,) are logarithms of time over the first time. `spans` (3, 16) are those of
+    `search_lanes`, `w` is scratch, and the other arguments are those of `evaluate_path`.
+    """
     least = np.empty(SIMD_WIDTH)
     for k in range(SIMD_WIDTH):
         w[_TIME + k] = spans[0, k] * np.exp(at[k])
@@ -156,7 +170,13 @@ def refine_lanes(w, state, final, spans, table, powers, params, at):
 
 @kernel(inner=True)
 def search_one(state, target, final, start, span, coarse, rough, table, powers, params, out):
-    """Search for one target in double precision, and write the best result (4,)."""
+    """Search the best time-to-go to one target in double precision.
+
+    `start` is the first time, s, `span` the logarithm of the range of times, and `coarse` the
+    number of steps. `rough` and `table` are the samples for the coarse search and the refinement.
+    `out` (4,) receives the result of `evaluate_path` for the best path. The other arguments are
+    those of `evaluate_path`.
+    """
     found, x = np.empty(4), np.empty((2, 3))
     step = span / max(coarse - 1, 1)
     best = search_coarse(
@@ -179,13 +199,15 @@ def search_one(state, target, final, start, span, coarse, rough, table, powers, 
 def search_sites(
     share, state, targets, final, first, last, coarse, rough, table, powers, params, out
 ):
-    """Find the admissible time-to-go with minimum delta-v for each target.
+    """Find the admissible time-to-go with minimum delta-v for each target (n, 3).
 
-    Writes (n, 4): delta-v (inf if no time is admissible), time, maximum thrust (N) and maximum
-    tangent of the tilt, as `evaluate_path`; NaN if no time. Per target, `coarse` times in geometric
-    steps from `first` to `last` (n,) are tried with the samples of `rough`; if none is admissible,
-    two more between each pair. Then the steps around the best time are halved with the samples of
-    `table`, which finds a limit of admissibility as well as a minimum.
+    `out` (n, 4) receives delta-v, m/s (inf if no time is admissible), time, s, maximum thrust, N,
+    and maximum tangent of the tilt, as from `evaluate_path`; NaN without an admissible time. Per
+    target, `coarse` times in geometric steps from `first` to `last` (n,), s, are tried with the
+    samples of `rough`; if none is admissible, two more between each pair. Then the steps around the
+    best time are halved with the samples of `table`, which finds a limit of admissibility as well
+    as a minimum. `share` is (thread, number of threads). `state` and `final` (2, 3), `powers` and
+    `params` are those of `evaluate_path`.
     """
     count = targets.shape[0]
     blocks = (count + SIMD_WIDTH - 1) // SIMD_WIDTH

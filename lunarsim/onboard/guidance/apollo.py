@@ -22,11 +22,11 @@ from lunarsim.onboard.navigation.estimate import Estimate
 
 @dataclass(frozen=True)
 class ApolloLaw(PathLaw):
-    """Apollo polynomial guidance law (Klumpp 1974)."""
+    """Settings of the Apollo polynomial guidance law (Klumpp 1974)."""
 
     @property
     def shape(self) -> PathShape:
-        """Acceleration profile: linear and quadratic in time-to-go."""
+        """Shape of the paths: acceleration with linear and quadratic terms of time-to-go."""
         return APOLLO
 
 
@@ -62,7 +62,9 @@ def jerk_time_to_go(
     r_f, v_f, a_f = end
     c = np.array([jerk, -6.0 * a_f, 18.0 * v_f + 6.0 * velocity, -24.0 * (r_f - position)])
     if not (np.isfinite(c).all() and np.isfinite(guess)):
-        raise InputError("guidance.time_to_go", (c.tolist(), guess), "must have finite parameters")
+        raise InputError(
+            "guidance.time_to_go", (c.tolist(), guess), "must follow from finite inputs"
+        )
     roots = np.roots(c)
     real = roots.real[np.abs(roots.imag) <= 1e-9 * np.maximum(1.0, np.abs(roots))]
     real = real[real > 0.0]
@@ -72,10 +74,10 @@ def jerk_time_to_go(
 def time_to_go_for_jerk(
     estimate: Estimate, end: PhaseEnd, jerk: float, guess: float, *, share: float = 1.0 / 3.0
 ) -> float:
-    """Return the time-to-go (s) for a downrange jerk at the phase end, or the guess.
+    """Return the time-to-go (s) that gives a downrange jerk at the phase end.
 
-    Downrange is along the horizontal velocity at the end. The guess is returned if that velocity
-    is zero or the cubic has no root near the guess.
+    Downrange is along the horizontal velocity at the end. The guess is returned if this velocity is
+    zero or Klumpp's cubic has no root near the guess.
 
     Parameters
     ----------
@@ -86,7 +88,7 @@ def time_to_go_for_jerk(
     guess
         Time-to-go of the previous cycle, s.
     share
-        Maximum relative difference between the time-to-go and the guess.
+        Maximum difference between result and guess, relative to the guess.
     """
     along = end.velocity[:2]
     speed = float(np.hypot(*along))

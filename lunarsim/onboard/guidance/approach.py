@@ -18,7 +18,9 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Approach:
-    """Approach that ends above the site at the speed of the vertical descent.
+    """Settings of the approach phase, which ends above the site.
+
+    Its end has the speed of the vertical descent that follows.
 
     Attributes
     ----------
@@ -32,16 +34,19 @@ class Approach:
         Horizontal offset from the site, m, and horizontal velocity, m/s, at the end of the
         approach (2,), east and north.
     time_to_go
-        Fixed initial time-to-go, s; None: the admissible one with minimum propellant.
+        Fixed initial time-to-go, s; None: the admissible time with minimum propellant.
     jerk
-        Downrange jerk at the end, m/s^3. The time-to-go follows from it in every cycle by
-        Klumpp's cubic, as in P64. It needs an `arrival_velocity` to define downrange.
-    ends_at
-        Time-to-go at which the vertical descent begins, s.
+        Downrange jerk at the end, m/s^3. The time-to-go follows from it in every cycle by Klumpp's
+        cubic, as in Apollo's program P64. It needs an `arrival_velocity` to define downrange. None:
+        the time-to-go counts down.
+    end_time_to_go
+        Time-to-go at which the approach ends and the vertical descent begins, s.
     takeover_altitude
-        Pad altitude at which it begins regardless of time-to-go, as in a pilot takeover, m.
+        Pad altitude at which the approach ends regardless of time-to-go, as in a pilot takeover, m.
     max_tilt, glideslope, reserve, throttle_margin
-        Path constraints; their meanings are in `PathLimits`.
+        Path constraints: maximum tilt of the thrust and minimum elevation of the path seen from its
+        end, rad, propellant reserve, kg, and fraction of the thrust range reserved for feedback at
+        each end.
     """
 
     vertical_altitude: float = quantity(
@@ -51,32 +56,47 @@ class Approach:
         2.0, "m/s", gt=0, help="downward speed at the end of the approach"
     )
     descent_speed: float | None = quantity(
-        None, "m/s", gt=0, help="speed of the vertical descent; omitted: vertical_speed"
+        None, "m/s", gt=0, help="speed of the vertical descent; omitted: same as vertical_speed"
     )
     arrival_acceleration: tuple[float, float, float] = quantity(
         (0.0, 0.0, 0.0), "m/s^2", help="acceleration at the end of the approach (ENU)"
     )
     arrival_offset: tuple[float, float] = quantity(
-        (0.0, 0.0), "m", help="horizontal offset from the site at the end, east and north"
+        (0.0, 0.0), "m", help="horizontal offset of the approach's end from the site (east, north)"
     )
     arrival_velocity: tuple[float, float] = quantity(
-        (0.0, 0.0), "m/s", help="horizontal velocity at the end, east and north"
+        (0.0, 0.0), "m/s", help="horizontal velocity at the end of the approach (east, north)"
     )
     time_to_go: float | None = quantity(
-        None, "s", ge=1, le=10_000, help="initial time-to-go; omitted: minimum propellant"
+        None,
+        "s",
+        ge=1,
+        le=10_000,
+        help="initial time-to-go of the approach; omitted: that with minimum propellant",
     )
     jerk: float | None = quantity(
-        None, "m/s^3", help="downrange jerk at the end, sets time-to-go; omitted: countdown"
+        None,
+        "m/s^3",
+        help="downrange jerk at the end of the approach, from which the time-to-go is computed; "
+        "omitted: the initial time-to-go counts down",
     )
-    ends_at: float = quantity(0.0, "s", ge=0, help="time-to-go at which the approach ends")
+    end_time_to_go: float = quantity(0.0, "s", ge=0, help="time-to-go at which the approach ends")
     takeover_altitude: float = quantity(
-        0.0, "m", ge=0, help="pad altitude at which it ends regardless of time-to-go"
+        0.0, "m", ge=0, help="pad altitude at which the approach ends regardless of time-to-go"
     )
     max_tilt: float = quantity(40.0, "deg", gt=0, lt=85, help="maximum tilt of the thrust")
-    glideslope: float = quantity(8.0, "deg", ge=0, lt=80, help="minimum elevation of the path")
-    reserve: float = quantity(15.0, "kg", ge=0, help="propellant reserve at the end")
+    glideslope: float = quantity(
+        8.0,
+        "deg",
+        ge=0,
+        lt=80,
+        help="minimum angle of the path above the horizontal, seen from its end",
+    )
+    reserve: float = quantity(
+        15.0, "kg", ge=0, help="propellant reserve at the end of the approach"
+    )
     throttle_margin: float = quantity(
-        0.08, ge=0, lt=0.5, help="fraction of the thrust range reserved for feedback"
+        0.08, ge=0, lt=0.5, help="fraction of the thrust range reserved for feedback at each end"
     )
 
     def __post_init__(self) -> None:
@@ -88,27 +108,33 @@ class Approach:
             )  # fmt: skip
 
     @property
-    def rate(self) -> float:
+    def vertical_descent_speed(self) -> float:
         """Downward speed of the vertical descent, m/s."""
         return self.descent_speed or self.vertical_speed
 
     @property
-    def free(self) -> bool:
-        """Whether the onboard computer chooses the time-to-go by propellant cost."""
+    def has_free_time_to_go(self) -> bool:
+        """Whether the onboard computer chooses the time-to-go by propellant cost.
+
+        It is False if the settings fix the time-to-go or the jerk.
+        """
         return self.time_to_go is None and self.jerk is None
 
-    def over(self, altitude: float, time_to_go: float) -> bool:
+    def is_finished(self, altitude: float, time_to_go: float) -> bool:
         """Return whether the approach ends at a pad altitude (m) and time-to-go (s)."""
         end = max(self.vertical_altitude, self.takeover_altitude)
-        return altitude <= end or time_to_go <= self.ends_at
+        return altitude <= end or time_to_go <= self.end_time_to_go
 
     @property
     def limits(self) -> PathLimits:
-        """Constraints on the path."""
+        """Constraints on thrust, tilt, glideslope and propellant of the path."""
         return PathLimits(self.max_tilt, self.glideslope, self.reserve, self.throttle_margin)
 
     def end(self, sites: ArrayLike, lander: Lander) -> PhaseEnd:
-        """Return the end of the approach to sites (3,) or (n, 3), local frame."""
+        """Return the end state of the approach to one site (3,) or to sites (n, 3).
+
+        Sites are in the local frame, m; `lander` gives the height of the centre of mass.
+        """
         above = np.array([*self.arrival_offset, self.vertical_altitude + lander.com_height])
         return PhaseEnd(
             np.asarray(sites, dtype=np.float64) + above,
@@ -117,8 +143,12 @@ class Approach:
         )
 
     def touchdown_end(self, site: ArrayLike, lander: Lander) -> PhaseEnd:
-        """Return the end of the vertical descent to a site (3,), local frame."""
+        """Return the end state of the vertical descent to a site (3,), local frame, m.
+
+        `lander` gives the height of the centre of mass.
+        """
         stand = np.array([0.0, 0.0, lander.com_height])
         return PhaseEnd(
-            np.asarray(site, dtype=np.float64) + stand, np.array([0.0, 0.0, -self.rate])
+            np.asarray(site, dtype=np.float64) + stand,
+            np.array([0.0, 0.0, -self.vertical_descent_speed]),
         )

@@ -19,8 +19,9 @@ def initial_time_to_go(
 ) -> tuple[float, bool]:
     """Return the initial time-to-go of the approach, s, and whether it is admissible.
 
-    It follows from the jerk or the time that the mission sets, else it is `admissible`, s. If that
-    is not finite, no time is admissible, and a fallback from distance and speed is returned.
+    The time follows from the jerk or the time in the settings `approach`; otherwise it is
+    `admissible`, s. If that is not finite, no time is admissible, and a fallback from distance and
+    speed is returned. `end` is the end of the approach.
     """
     if approach.jerk is not None:
         guess = approach.time_to_go or fallback_time(estimate, end)
@@ -30,14 +31,18 @@ def initial_time_to_go(
 
 
 def reason_time_is_fixed(approach: Approach, law: GuidanceLaw) -> str:
-    """Return why the computer does not choose the time-to-go; empty if it does."""
-    if not approach.free:
+    """Return why the onboard computer does not choose the time-to-go.
+
+    The text is empty if it does. `approach` are the settings and `law` is the guidance law of the
+    approach.
+    """
+    if not approach.has_free_time_to_go:
         return "the mission sets the time-to-go"
     return "the law plans its own arrival" if isinstance(law, PlansArrival) else ""
 
 
 def fallback_time(estimate: Estimate, end: PhaseEnd) -> float:
-    """Return a time-to-go from distance and speed only, s."""
+    """Estimate a time-to-go (s) from distance and speed only, without path limits."""
     distance = float(np.linalg.norm(end.position - estimate.position))
     speed = float(np.linalg.norm(estimate.velocity))
     return max(_FALLBACK_TIME_FACTOR * distance / max(speed, _MIN_SPEED_M_S), _MIN_FALLBACK_TIME_S)

@@ -14,15 +14,19 @@ from lunarsim.parts.quantity import quantity
 
 @dataclass(frozen=True)
 class AugmentedApolloLaw(FractionalPolynomialLaw):
-    """Augmented Apollo guidance (Lu 2019): fractional-polynomial law with gamma = 1.
+    """Settings of augmented Apollo guidance (Lu 2019).
+
+    This is the fractional-polynomial law with gamma = 1.
 
     Attributes
     ----------
     gamma
         Fixed at 1.
     gain
-        k_r: 6 is E-guidance, 12 the Apollo law.
+        Gain k_r of the position error: 6 gives E-guidance, 12 the Apollo law.
     """
 
     gamma: float = quantity(1.0, ge=1, le=1, help="fixed at 1 for augmented Apollo guidance")
-    gain: float = quantity(8.0, ge=6, le=200, help="k_r: 6 is E-guidance, 12 the Apollo law")
+    gain: float = quantity(
+        8.0, ge=6, le=200, help="gain k_r of the position error: 6 is E-guidance, 12 the Apollo law"
+    )

@@ -28,30 +28,31 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Braking:
-    """Braking to a point before the site, where the approach begins.
+    """Settings of the braking phase, at whose end the approach begins.
 
     Attributes
     ----------
     law
-        Kind of guidance law; it uses its defaults.
+        Kind of the guidance law, which uses its default settings.
     end_position, end_velocity, end_acceleration
-        Aim point (3,), ENU, m from the site, m/s, m/s^2; the approach begins before it.
+        Aim point of braking (3,), ENU: position relative to the site, m, velocity, m/s, and
+        acceleration, m/s^2. The approach begins `end_time_to_go` before it.
     time_to_go
         Initial time-to-go, s.
     jerk
         Downrange jerk at the end, m/s^3; the time-to-go follows from it in every cycle by Klumpp's
         cubic. None: the initial time-to-go counts down.
-    ends_at
+    end_time_to_go
         Time-to-go at which the approach begins, s.
     max_tilt
         Maximum tilt of the thrust from the site's vertical, rad.
-    direction_first
-        Whether saturated thrust keeps its direction; otherwise it keeps its vertical component.
-    trim
+    keeps_thrust_direction
+        Whether saturated thrust keeps its direction. If not, its vertical component is kept.
+    min_thrust_time
         Time at minimum thrust after the start, s.
     """
 
-    law: str = quantity("apollo", help="kind of guidance law")
+    law: str = quantity("apollo", help="kind of guidance law for braking")
     end_position: tuple[float, float, float] = quantity(
         (-600.0, 0.0, 500.0), "m", help="aim point of braking, from the site (ENU)"
     )
@@ -59,36 +60,41 @@ class Braking:
         (28.0, 0.0, -18.0), "m/s", help="velocity at the end of braking (ENU)"
     )
     end_acceleration: tuple[float, float, float] = quantity(
-        (0.0, 0.0, 0.0), "m/s^2", help="total acceleration at the end of braking (ENU)"
+        (0.0, 0.0, 0.0), "m/s^2", help="acceleration at the end of braking, gravity included (ENU)"
     )
     time_to_go: float = quantity(60.0, "s", gt=0, le=10_000, help="initial time-to-go of braking")
     jerk: float | None = quantity(
-        None, "m/s^3", help="downrange jerk at the end, sets time-to-go; omitted: countdown"
+        None,
+        "m/s^3",
+        help="downrange jerk at the end of braking, from which the time-to-go is computed; "
+        "omitted: the initial time-to-go counts down",
     )
-    ends_at: float = quantity(2.0, "s", ge=0, help="time-to-go at which the approach begins")
+    end_time_to_go: float = quantity(2.0, "s", ge=0, help="time-to-go at which the approach begins")
     max_tilt: float = quantity(
         80.0, "deg", gt=0, lt=180, help="maximum tilt of the thrust from the site's vertical"
     )
-    direction_first: bool = quantity(
-        False, help="whether saturated thrust keeps its direction instead of its lift"
+    keeps_thrust_direction: bool = quantity(
+        False, help="whether saturated thrust keeps its direction, not its vertical component"
     )
-    trim: float = quantity(0.0, "s", ge=0, help="time at minimum thrust after the start")
+    min_thrust_time: float = quantity(
+        0.0, "s", ge=0, help="duration of minimum thrust at the start"
+    )
 
     def __post_init__(self) -> None:
         check_bounds(self, "braking")
-        if self.ends_at >= self.time_to_go:
+        if self.end_time_to_go >= self.time_to_go:
             raise InputError(
-                "braking.ends_at", self.ends_at,
+                "braking.end_time_to_go_s", self.end_time_to_go,
                 f"must be less than time_to_go, which is {self.time_to_go} s",
             )  # fmt: skip
         self.part()
 
     def part(self) -> Any:
-        """Return the guidance law with its defaults."""
+        """Return the settings of the guidance law, with default values."""
         return settings_of(resolve("guidance", self.law, "braking.law"))().make()
 
     def end(self, site: ArrayLike) -> PhaseEnd:
-        """Return the aim point of braking for a site (3,), local frame."""
+        """Return the aim point of braking for a site (3,), local frame, m."""
         return PhaseEnd(
             np.asarray(site, dtype=np.float64) + np.asarray(self.end_position),
             np.asarray(self.end_velocity, dtype=np.float64),
@@ -96,20 +102,23 @@ class Braking:
         )
 
     def time_left(self, estimate: Estimate, end: PhaseEnd, guess: float) -> float:
-        """Return the time-to-go (s) for the jerk at the end, or the guess.
+        """Return the time-to-go (s) that gives the jerk at the end, or the guess.
 
-        The guess is returned if the cubic has no root within a third of it.
+        The guess, s, is returned if no jerk is set or Klumpp's cubic has no root within a third of
+        it.
         """
-        if self.jerk is None or guess <= self.ends_at:
+        if self.jerk is None or guess <= self.end_time_to_go:
             return guess
         return time_to_go_for_jerk(estimate, end, self.jerk, guess)
 
-    def ask(
+    def build_command(
         self, wanted: Array, mass: float, lander: Lander, heading: float, time: float
     ) -> Command:
-        """Return the command for a thrust acceleration (3,), m/s^2.
+        """Return the command for a thrust acceleration (3,), m/s^2, within limits.
 
-        If `max_tilt` is 90 deg or more, the thrust may point downward (`thrust_lift_first`).
+        `wanted` is the thrust acceleration, `heading` the heading of the lander, rad, and `time`
+        the time since the start of the flight, s. If `max_tilt` is 90 deg or more, the thrust may
+        point downward (`thrust_lift_first`).
 
         Raises
         ------
@@ -118,7 +127,7 @@ class Braking:
         """
         wanted = checked_command("braking.law", self.part(), wanted, time)
         give = thrust_to_command if self.max_tilt < 0.5 * np.pi else thrust_lift_first
-        give = thrust_along if self.direction_first else give
+        give = thrust_along if self.keeps_thrust_direction else give
         command = give(wanted, mass, lander, heading, self.max_tilt)
-        trims = time < self.trim - 1e-9
+        trims = time < self.min_thrust_time - 1e-9
         return replace(command, thrust=lander.thrust_min) if trims else command

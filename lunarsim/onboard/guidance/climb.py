@@ -22,7 +22,7 @@ def climb(estimate: Estimate, most: float) -> NDArray[np.float64]:
     estimate
         Estimated state.
     most
-        Maximum thrust over mass, m/s^2.
+        Maximum thrust divided by mass, m/s^2.
     """
     require_finite_state(estimate)
     horizontal = -_DAMPING_PER_S * estimate.velocity[:2]

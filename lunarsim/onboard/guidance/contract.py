@@ -18,10 +18,10 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class PhaseEnd:
-    """End state of a flight phase, for one site or for many.
+    """Required state at the end of a flight phase, for one site or for many.
 
-    Path planning, surveys of many sites and guidance use the same object, so that the flown path is
-    the surveyed one.
+    Path planning, cost estimates for many sites and guidance use the same object, so that the flown
+    path is the evaluated one.
 
     Attributes
     ----------
@@ -30,8 +30,8 @@ class PhaseEnd:
     velocity, acceleration
         Required velocity and acceleration (3,), m/s and m/s^2.
     frame
-        Frame of all three: "local", the frame of guidance and control. Navigation's
-        `site_to_local` converts from the site frame.
+        Frame of position, velocity and acceleration: "local", the frame of guidance and control.
+        Navigation's `site_to_local` converts from the site frame.
 
     Raises
     ------
@@ -55,7 +55,7 @@ class PhaseEnd:
 
 
 def require_finite_state(estimate: Estimate, end: PhaseEnd | None = None) -> None:
-    """Reject a state or a phase end that is not finite.
+    """Raise InputError if an estimated state or a phase end is not finite.
 
     Raises
     ------
@@ -71,17 +71,19 @@ def require_finite_state(estimate: Estimate, end: PhaseEnd | None = None) -> Non
 
 
 class GuidanceLaw(Protocol):
-    """Law that computes a thrust acceleration from a state estimate and a phase end."""
+    """Guidance law: thrust acceleration from a state estimate and a phase end."""
 
     def command(self, estimate: Estimate, end: PhaseEnd, time: float, time_to_go: float) -> Array:
-        """Return the thrust acceleration (3,), ENU, m/s^2, gravity compensation included.
+        """Return the thrust acceleration (3,), ENU, m/s^2.
+
+        The thrust compensates gravity.
 
         Parameters
         ----------
         estimate
             Estimated state.
         end
-            Phase end for one site.
+            Required state at the end of the phase, for one site.
         time, time_to_go
             Current time, and time until the phase end, s.
         """
@@ -90,7 +92,7 @@ class GuidanceLaw(Protocol):
 
 @runtime_checkable
 class PlansArrival(Protocol):
-    """Law that plans its own arrival time and reports events.
+    """Guidance law that plans its arrival time and reports events.
 
     Attributes
     ----------
@@ -106,13 +108,13 @@ class PlansArrival(Protocol):
 
 @runtime_checkable
 class UsesHazardMap(Protocol):
-    """Law that plans with the current hazard map.
+    """Guidance law that plans with the current hazard map.
 
     Attributes
     ----------
-    belief
-        Function that the onboard computer sets; it returns the current decision map, or None if
-        the lander has no map.
+    hazard_map_source
+        Function set by the onboard computer. It returns the hazard map used for site decisions, or
+        None if the lander has no map.
     """
 
-    belief: Callable[[], HazardMap | None] | None
+    hazard_map_source: Callable[[], HazardMap | None] | None

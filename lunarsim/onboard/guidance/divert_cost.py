@@ -29,7 +29,7 @@ _FIRST_SEARCH_TIME_RATIO = 8.0
 
 @dataclass(frozen=True)
 class PathLimits:
-    """Constraints on a trajectory.
+    """Limits of tilt, glideslope, propellant and thrust on a planned path.
 
     Attributes
     ----------
@@ -51,14 +51,14 @@ class PathLimits:
 
 @dataclass(frozen=True)
 class DivertCost:
-    """Cost of reaching each of n sites.
+    """Propellant and time-to-go of the cheapest path to each of n sites.
 
     Attributes
     ----------
     propellant
-        kg (n,); inf if no admissible trajectory exists or the propellant does not suffice.
+        Propellant (n,), kg; inf if no admissible path exists or the propellant does not suffice.
     time_to_go
-        Optimal time-to-go (n,), s; NaN if infeasible.
+        Time-to-go with minimum propellant (n,), s; NaN if infeasible.
     peak_thrust, peak_tilt
         Maximum thrust (N) and tilt of the thrust from the vertical (rad) on the path (n,); NaN
         if infeasible.
@@ -77,7 +77,10 @@ class DivertCost:
 
 @lru_cache(maxsize=32)
 def _table(shape: PathShape, samples: int) -> Array:
-    """Return the fraction of time-to-go and its powers along a path, for the kernel."""
+    """Return the fraction of time-to-go and its powers along a path, for kernels.
+
+    `shape` holds the powers; there are `samples` intervals. The result has shape (samples + 1, 3).
+    """
     left = 1.0 - np.arange(samples + 1) / samples
     return np.column_stack((left, left**shape.low, left**shape.high))
 
@@ -85,11 +88,11 @@ def _table(shape: PathShape, samples: int) -> Array:
 def admissible_times(
     estimate: Estimate, end: PhaseEnd, targets: Array, lander: Lander, gravity: float
 ) -> tuple[Array, Array]:
-    """Return bounds of the time-to-go to each target (n,), s.
+    """Return lower and upper bounds of the time-to-go to each target (n,), s.
 
-    The minimum is the time of constant maximum thrust straight towards the target. The maximum is
-    the time for which the delta-v in the tanks can compensate gravity. The bounds of a target are
-    independent of the other targets.
+    `targets` (n, 3) are end positions, m. The minimum is the time of constant maximum thrust
+    straight towards the target. The maximum is the time for which the delta-v in the tanks can
+    compensate gravity. The bounds of a target are independent of the other targets.
     """
     distance = np.linalg.norm(targets - estimate.position, axis=1)
     speed = float(np.linalg.norm(estimate.velocity))
@@ -102,7 +105,10 @@ def admissible_times(
 
 
 def _first_search_limit(estimate: Estimate, targets: Array, first: Array, last: Array) -> Array:
-    """Return the upper time-to-go of the first search (n,), s."""
+    """Return the upper limit of the time-to-go in the first search (n,), s.
+
+    `first` and `last` (n,), s, are the bounds of `admissible_times`.
+    """
     distance = np.linalg.norm(targets - estimate.position, axis=1)
     speed = float(np.linalg.norm(estimate.velocity))
     return np.asarray(
@@ -121,23 +127,23 @@ def divert_cost(
     least_times: Array | None = None,
     times: Array | None = None,
 ) -> DivertCost:
-    """Find the minimum-propellant admissible path of a law to each end of an approach.
+    """Find the minimum-propellant path of a guidance law to each end of an approach.
 
     The integral of the thrust acceleration (Eq. 10 of the quadtree paper) is minimised over
-    times-to-go, or evaluated at a given one.
+    admissible times-to-go, or evaluated at given times.
 
     Parameters
     ----------
     estimate
         Estimated state.
     end
-        End of the approach for n sites.
+        End state of the approach, for n sites.
     lander, gravity
         Lander, and downward gravitational acceleration, m/s^2.
     limits
-        Constraints on the trajectory.
+        Limits on thrust, tilt, glideslope and propellant; default: default limits.
     shape
-        Shape of the law's paths.
+        Shape of the paths of the guidance law.
     least_times
         Minimum time-to-go of each site (n,), s; NaN: the site is out of reach.
     times
@@ -175,7 +181,12 @@ def _search_paths(
     estimate: Estimate, targets: Array, end_motion: Array, first: Array, last: Array,
     shape: PathShape, params: Array,
 ) -> Array:  # fmt: skip
-    """Return kernel results for the best path to each target (n, 4)."""
+    """Find the path with minimum delta-v to each target, between two times.
+
+    `targets` (n, 3) are positions, m, `end_motion` (2, 3) is final velocity and acceleration, and
+    `first` and `last` (n,) are the bounds of the time-to-go, s. The result (n, 4) is that of
+    `search_sites`. `params` is the result of `_kernel_params`.
+    """
     found = np.empty((len(targets), 4))
     with threads_for(1.0 * len(targets)):
         k.search_sites(
@@ -195,7 +206,12 @@ def _evaluate_paths(
     shape: PathShape,
     params: Array,
 ) -> Array:
-    """Return the kernel's result for the path of a given time to each target (n, 4)."""
+    """Evaluate the path of a given time-to-go to each target.
+
+    `targets` (n, 3) are positions, m, `end_motion` (2, 3) is final velocity and acceleration, and
+    `times` (n,) are in s. The result (n, 4) is that of `evaluate_given_times`. `params` is the
+    result of `_kernel_params`.
+    """
     found = np.empty((len(targets), 4))
     with threads_for(0.1 * len(targets)):
         held.evaluate_given_times(
@@ -206,7 +222,10 @@ def _evaluate_paths(
 
 
 def _convert_costs(found: Array, estimate: Estimate, lander: Lander, reserve: float) -> DivertCost:
-    """Convert kernel results (n, 4) to costs."""
+    """Convert kernel results (n, 4) to propellant costs and check the propellant.
+
+    `reserve` is the propellant that must remain, kg; sites that need more are infeasible.
+    """
     propellant = estimate.mass * -np.expm1(-found[:, 0] / lander.exhaust_velocity)
     good = propellant <= estimate.mass - lander.dry_mass - reserve
     return DivertCost(
@@ -218,7 +237,7 @@ def _convert_costs(found: Array, estimate: Estimate, lander: Lander, reserve: fl
 
 
 def _kernel_params(estimate: Estimate, lander: Lander, gravity: float, limits: PathLimits) -> Array:
-    """Return parameters of vehicle and limits for the kernel (7,)."""
+    """Return parameters of vehicle and limits for the kernel `evaluate_path` (7,)."""
     margin = limits.throttle_margin * (lander.thrust_max - lander.thrust_min)
     return np.array(
         [
@@ -234,6 +253,7 @@ def _kernel_params(estimate: Estimate, lander: Lander, gravity: float, limits: P
 
 
 def _check_inputs(estimate: Estimate, end: PhaseEnd, gravity: float) -> None:
+    """Raise InputError if the state or the end is not finite or gravity not positive."""
     for name, value in (
         ("estimate.position", estimate.position),
         ("estimate.velocity", estimate.velocity),

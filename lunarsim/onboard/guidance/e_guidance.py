@@ -16,9 +16,9 @@ from lunarsim.onboard.guidance.paths import E_GUIDANCE, PathShape
 
 @dataclass(frozen=True)
 class EGuidanceLaw(PathLaw):
-    """E-guidance law (Cherry 1964): acceleration linear in time."""
+    """Settings of the E-guidance law (Cherry 1964): acceleration linear in time."""
 
     @property
     def shape(self) -> PathShape:
-        """Acceleration profile: constant and linear in time-to-go."""
+        """Shape of the paths: acceleration with constant and linear terms of time-to-go."""
         return E_GUIDANCE

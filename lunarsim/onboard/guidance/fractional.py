@@ -25,7 +25,7 @@ Array = NDArray[np.float64]
 
 
 def fractional_shape(gamma: float, gain: float) -> PathShape:
-    """Return the shape with powers `gamma` and ``gain / (gamma + 2) - 2``.
+    """Return the path shape with powers `gamma` and ``gain / (gamma + 2) - 2``.
 
     The powers may come in either order. Equal powers need a logarithm and are rejected.
 
@@ -58,20 +58,20 @@ def fractional_feedback(
     gamma: float,
     gain: float,
 ) -> Array:
-    """Return the thrust acceleration (3,), m/s^2, of Lu's feedback law.
+    """Return the thrust acceleration (3,), m/s^2, of Lu's feedback law (Lu 2020).
 
-    ``a_T = gamma (k / (2 (gamma + 2)) - 1) a_Tf + (gamma k / (2 (gamma + 2)) - gamma - 1) g
-    + (gamma + 1) / T (1 - k / (gamma + 2)) (V_f - V) + k / T^2 (r_f - r - V T)``; a_Tf is the
-    thrust acceleration at the end.
+    ``a_T = gamma (k / (2 (gamma + 2)) - 1) a_Tf + (gamma k / (2 (gamma + 2)) - gamma - 1) g +
+    (gamma + 1) / T (1 - k / (gamma + 2)) (V_f - V) + k / T^2 (r_f - r - V T)``; a_Tf is the thrust
+    acceleration at the end.
 
     Parameters
     ----------
     position, velocity
         Current state (3,), m and m/s.
     end
-        Phase end; its acceleration includes gravity.
+        Required state at the phase end; its acceleration includes gravity.
     time_to_go
-        T, s.
+        Time-to-go T, s.
     gravity
         Downward acceleration, m/s^2.
     gamma, gain
@@ -87,29 +87,32 @@ def fractional_feedback(
 
 @dataclass(frozen=True)
 class FractionalPolynomialLaw(PathLaw):
-    """Fractional-polynomial powered descent guidance (Lu 2020).
+    """Settings of fractional-polynomial powered descent guidance (Lu 2020).
 
     Attributes
     ----------
     gamma
-        One power of time-to-go.
+        One of the two powers of time-to-go in the acceleration.
     gain
-        k_r.
+        Gain k_r of the position error, which gives the other power.
     """
 
-    gamma: float = quantity(0.5, ge=0, le=10, help="one power of time-to-go")
+    gamma: float = quantity(
+        0.5, ge=0, le=10, help="one of the two powers of time-to-go in the acceleration"
+    )
     gain: float = quantity(
         8.0,
         gt=0,
         le=200,
-        help="k_r, at least 2 (gamma + 2); the other power is k_r / (gamma + 2) - 2",
+        help="gain k_r of the position error, at least 2 (gamma + 2); the other power is "
+        "k_r / (gamma + 2) - 2",
     )
 
     def __post_init__(self) -> None:
         try:
             fractional_shape(self.gamma, self.gain)
         except InputError as error:
-            raise error.renamed(error.field.rpartition(".")[2]) from None
+            raise error.with_field(error.field.rpartition(".")[2]) from None
 
     @property
     def shape(self) -> PathShape:
@@ -117,11 +120,19 @@ class FractionalPolynomialLaw(PathLaw):
         return fractional_shape(self.gamma, self.gain)
 
     def feedback(self, gravity: float) -> FeedbackLaw:
-        """Return `fractional_feedback` with the law's parameters, gravity included."""
+        """Return Lu's feedback law with these parameters, as a function.
+
+        The function takes position, velocity, phase end and time-to-go and returns the acceleration
+        including gravity. `gravity` is in m/s^2.
+        """
         gamma, gain = self.gamma, self.gain
         down = np.array([0.0, 0.0, -gravity])
 
         def wanted(position: Array, velocity: Array, end: PhaseEnd, left: float) -> Array:
+            """Return the acceleration (3,), m/s^2, gravity included.
+
+            `left` is the time-to-go, s.
+            """
             thrust = fractional_feedback(
                 position, velocity, end, left, gravity, gamma=gamma, gain=gain
             )

@@ -28,14 +28,16 @@ Array = NDArray[np.float64]
 
 
 def gravity_turn_thrust(height: float, velocity: Array, gravity: float) -> float:
-    """Return N, the thrust acceleration over gravity of a gravity turn.
+    """Return the ratio N of thrust acceleration to gravity for a gravity turn.
+
+    With this constant ratio the lander stops after losing the given height.
 
     Parameters
     ----------
     height
         Height to lose, m.
     velocity
-        ENU (3,), m/s.
+        Velocity (3,), ENU, m/s.
     gravity
         Downward acceleration, m/s^2.
 
@@ -56,34 +58,48 @@ def gravity_turn_thrust(height: float, velocity: Array, gravity: float) -> float
 
 @dataclass(frozen=True)
 class GravityTurn:
-    """Gravity turn down to a low speed, then vertical descent at that speed.
+    """Settings of a gravity turn down to a low speed, then vertical descent.
 
     Attributes
     ----------
-    last_speed
+    final_speed
         Speed at which the turn ends and the vertical descent continues, m/s.
     stop_height
         Height above the terrain at which the turn aims for zero speed, m.
-    max_lean
+    max_tilt
         Maximum tilt of the thrust, rad.
     """
 
-    last_speed: float = quantity(
+    final_speed: float = quantity(
         1.5, "m/s", gt=0, help="speed of the vertical descent after the turn"
     )
     stop_height: float = quantity(
-        3.0, "m", ge=0, help="height above terrain at which the turn aims to stop"
+        3.0, "m", ge=0, help="height above terrain at which the turn aims for zero speed"
     )
-    max_lean: float = quantity(60.0, "deg", gt=0, lt=85, help="maximum tilt of the thrust")
+    max_tilt: float = quantity(60.0, "deg", gt=0, lt=85, help="maximum tilt of the thrust")
 
     def build(self, briefing: Briefing, lag: float) -> GravityTurnLaw:
-        """Return the law for one flight; `lag` is that of attitude and engine, s."""
-        last = VerticalDescent.behind(lag, briefing.weight)
-        return GravityTurnLaw(self, briefing.weight, last)
+        """Build the guidance law of one flight.
+
+        `briefing` is the data known before the flight; `lag` is the total response lag of attitude
+        control and engine, s.
+        """
+        last = VerticalDescent.for_lag(lag, briefing.surface_gravity)
+        return GravityTurnLaw(self, briefing.surface_gravity, last)
 
 
 class GravityTurnLaw:
-    """Gravity turn for one flight, with the settings of `GravityTurn`."""
+    """Gravity turn guidance of one flight, followed by vertical descent.
+
+    Parameters
+    ----------
+    settings
+        Settings of the gravity turn.
+    gravity
+        Downward acceleration, m/s^2.
+    last
+        Law of the vertical descent after the turn.
+    """
 
     def __init__(self, settings: GravityTurn, gravity: float, last: VerticalDescent) -> None:
         self.settings = settings
@@ -92,21 +108,25 @@ class GravityTurnLaw:
         self._turned = False
 
     @property
-    def lean(self) -> float:
+    def max_tilt(self) -> float:
         """Current maximum tilt of the thrust, rad."""
-        return self.last.lean if self._turned else self.settings.max_lean
+        return self.last.max_tilt if self._turned else self.settings.max_tilt
 
     def command(self, estimate: Estimate, end: PhaseEnd, time: float) -> Array:
-        """Return the thrust acceleration (3,), ENU, m/s^2."""
+        """Return the thrust acceleration (3,), ENU, m/s^2, opposite to the velocity.
+
+        After the turn, the law descends vertically at the current horizontal position. `end` is the
+        touchdown state; `time` is in s.
+        """
         require_finite_state(estimate, end)
         height = float(estimate.position[2] - end.position[2]) - self.settings.stop_height
         speed = float(np.linalg.norm(estimate.velocity))
-        self._turned |= height <= 0.0 or speed <= self.settings.last_speed
+        self._turned |= height <= 0.0 or speed <= self.settings.final_speed
         if self._turned:
             # The horizontal position is not controlled: descend at the current position.
             here = PhaseEnd(
                 np.array([*estimate.position[:2], end.position[2]]),
-                np.array([0.0, 0.0, -self.settings.last_speed]),
+                np.array([0.0, 0.0, -self.settings.final_speed]),
             )
             return self.last.command(estimate, here, time)
         pull = gravity_turn_thrust(height, estimate.velocity, self.gravity) * self.gravity

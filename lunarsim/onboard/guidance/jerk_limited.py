@@ -24,16 +24,17 @@ _TIMES = np.geomspace(1.0, 1000.0, 120)
 
 @dataclass(frozen=True)
 class SiteCost:
-    """Cost of reaching each of n sites.
+    """Delta-v, propellant and time-to-go to reach each of n sites.
 
     Attributes
     ----------
-    increment
-            F of Eq. 10: integral of the thrust acceleration (n,), m/s; inf if no time is found.
+    delta_v
+        Integral of the thrust acceleration (F of Eq. 10 of the quadtree paper) (n,), m/s; inf if no
+        time is found.
     propellant
-        kg (n,).
+        Propellant (n,), kg; equal to the mass if no time is found.
     time_to_go
-            s (n,); NaN if no time is found.
+        Minimum time-to-go within the limits of jerk and snap (n,), s; NaN if no time is found.
     """
 
     delta_v: Array
@@ -44,7 +45,8 @@ class SiteCost:
 def max_jerk_and_snap(path: PolynomialPath) -> tuple[float, float]:
     """Return the maximum jerk (m/s^3) and snap (m/s^4) along a quartic path.
 
-    Jerk is linear in time, so its maximum is at an end; snap is constant.
+    Jerk and snap are the first and second derivative of the acceleration. Jerk is linear in time,
+    so its maximum is at an end; snap is constant.
 
     Raises
     ------
@@ -64,16 +66,18 @@ def max_jerk_and_snap(path: PolynomialPath) -> tuple[float, float]:
 def min_times_to_go(
     position: ArrayLike, velocity: ArrayLike, ends: PhaseEnd, *, jerk: float, snap: float
 ) -> Array:
-    """Return the minimum times-to-go (n,), s, within both limits; NaN above 1000 s.
+    """Return the minimum times-to-go within limits of jerk and snap (n,), s.
+
+    The result is NaN above 1000 s.
 
     Parameters
     ----------
     position, velocity
         Current state (3,), m and m/s.
     ends
-        Phase ends for one site or for n.
+        Required states at the phase end, for one site or for n.
     jerk, snap
-        Limits, m/s^3 and m/s^4.
+        Maximum jerk, m/s^3, and snap, m/s^4.
 
     Raises
     ------
@@ -101,7 +105,10 @@ def min_times_to_go(
 
 
 def delta_v(path: PolynomialPath, gravity: float) -> float:
-    """Return the integral of the thrust acceleration along a path (Eq. 10), m/s."""
+    """Return the integral of the thrust acceleration along a path, m/s.
+
+    This is Eq. 10 of the quadtree paper; `gravity` is in m/s^2.
+    """
     half = 0.5 * path.time_to_go
     acceleration = path.at(half * (_NODES + 1.0))[2] + np.array([0.0, 0.0, gravity])
     return float(half * _WEIGHTS @ np.linalg.norm(acceleration, axis=-1))
@@ -117,7 +124,7 @@ def site_cost(
     snap: float,
     arrival_velocity: ArrayLike = (0.0, 0.0, -1.0),
 ) -> SiteCost:
-    """Return the cost of reaching sites (n, 3), estimated ENU.
+    """Return delta-v, propellant and time-to-go to reach sites (n, 3), estimated ENU.
 
     Time-to-go is the minimum within the limits of jerk and snap, on Apollo paths. Thrust and
     glideslope are not checked here: `lunarsim.onboard.guidance.divert_cost` does it before a
@@ -128,11 +135,11 @@ def site_cost(
     estimate
         Estimated state.
     sites
-        Ends of the trajectories, m.
+        End positions of the paths, m.
     gravity, exhaust_velocity
-        m/s^2, m/s.
+        Downward acceleration, m/s^2, and exhaust velocity, m/s.
     jerk, snap
-        Limits, m/s^3 and m/s^4.
+        Maximum jerk, m/s^3, and snap, m/s^4.
     arrival_velocity
         Velocity at the site (3,), m/s.
 

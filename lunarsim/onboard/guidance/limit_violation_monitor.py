@@ -18,31 +18,31 @@ class LimitViolationMonitor:
 
     Attributes
     ----------
-    longest
+    max_duration
         Tolerated duration of a violation, s.
     slack
         Tolerated relative violation of a limit.
     """
 
-    longest: float = 0.5
+    max_duration: float = 0.5
     slack: float = 0.02
     _start_time: float | None = None
 
-    def lasts(
+    def exceeds_duration(
         self, wanted: NDArray[np.float64], mass: float, limits: tuple[float, float], time: float
     ) -> bool:
-        """Return whether a violation lasts too long; restart the timer if so.
+        """Return whether a limit violation has lasted too long; restart the timer if so.
 
         Parameters
         ----------
         wanted
             Commanded thrust acceleration (3,), ENU, m/s^2.
         mass
-            kg.
+            Current mass, kg.
         limits
             Maximum tilt from the vertical, rad, and maximum thrust, N.
         time
-            s, once per cycle.
+            Current time, s; the method is called once per control cycle.
         """
         tilt = float(np.arctan2(np.hypot(wanted[0], wanted[1]), wanted[2]))
         thrust = mass * float(np.linalg.norm(wanted))
@@ -51,7 +51,7 @@ class LimitViolationMonitor:
             return False
         if self._start_time is None:
             self._start_time = time
-        if time - self._start_time < self.longest - 1e-9:
+        if time - self._start_time < self.max_duration - 1e-9:
             return False
         self._start_time = None
         return True

@@ -24,12 +24,12 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class ModifiedApolloLaw(ApolloLaw):
-    """Apollo law with a minimum time-to-go from limits on jerk and snap.
+    """Settings of the Apollo law with limits on jerk and snap of its paths.
 
     Attributes
     ----------
     jerk, snap
-        Limits, m/s^3 and m/s^4.
+        Maximum jerk, m/s^3, and snap, m/s^4, which define a minimum time-to-go.
     """
 
     jerk: float = quantity(0.25, "m/s^3", gt=0, help="maximum jerk along the path")
@@ -44,9 +44,10 @@ class ModifiedApolloLaw(ApolloLaw):
         limits: PathLimits | None = None,
         times: Array | None = None,
     ) -> DivertCost:
-        """Return the cost of reaching each end within the limits on jerk and snap.
+        """Return the propellant cost of reaching each end within the limits.
 
-        Time-to-go is the optimal admissible one above the minimum of the two limits.
+        Time-to-go is the optimal admissible one above the minimum from the limits of jerk and snap;
+        `times` (n,), s, replaces it. `limits` are those of thrust, tilt, glideslope and propellant.
         """
         least = min_times_to_go(
             estimate.position, estimate.velocity, end, jerk=self.jerk, snap=self.snap

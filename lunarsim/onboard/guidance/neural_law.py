@@ -42,50 +42,67 @@ _PARAM_TOLERANCE = 1e-3  # maximum relative difference of problem parameters fro
 
 @cache
 def load_default_network() -> OptimalNetwork:
-    """Return the network that is part of the package."""
+    """Return the trained network that is supplied with lunarsim."""
     return OptimalNetwork.load()
 
 
 @dataclass(frozen=True)
 class NeuralOptimalLaw(PathLaw):
-    """Minimum propellant by a trained network, with the Apollo law as fallback.
+    """Settings of minimum-propellant guidance by a trained network.
 
-    The cost of reaching a site is that of the Apollo law's paths.
+    The Apollo law is the fallback. The cost of reaching a site is that of the Apollo law's paths.
 
     Attributes
     ----------
-    least_time_to_go
+    min_time_to_go
         Time-to-go below which the last path of E-guidance is flown open loop, s.
     handover
         Time-to-go below which E-guidance flies to the end, s.
     interval
         Time after a fallback until the network is tried again, s.
-    thrust_slack, tilt_slack
-        Limit violations that are clipped instead of rejected: fraction of the maximum thrust,
-        and tilt, rad.
+    thrust_tolerance, tilt_tolerance
+        Limit violations of the network's output that are clipped instead of rejected: fraction of
+        the maximum thrust, and tilt, rad.
     """
 
-    handover: float = quantity(3.0, "s", gt=0, help="time-to-go below which E-guidance flies")
+    handover: float = quantity(
+        3.0, "s", gt=0, help="time-to-go below which E-guidance replaces the network"
+    )
     interval: float = quantity(
         1.0, "s", gt=0, le=60, help="time after a fallback until the network is tried again"
     )
-    thrust_slack: float = quantity(
-        0.05, ge=0, le=1, help="thrust violation that is clipped, fraction of the maximum"
+    thrust_tolerance: float = quantity(
+        0.05,
+        ge=0,
+        le=1,
+        help="violation of the thrust limits up to which the network's output is clipped, not "
+        "rejected, fraction of the maximum thrust",
     )
-    tilt_slack: float = quantity(3.0, "deg", ge=0, lt=45, help="tilt violation that is clipped")
+    tilt_tolerance: float = quantity(
+        3.0,
+        "deg",
+        ge=0,
+        lt=45,
+        help="violation of the tilt limit up to which the network's output is clipped, not "
+        "rejected",
+    )
 
     @property
     def shape(self) -> PathShape:
-        """Shape of the paths that give the cost of a site."""
+        """Shape of the paths that give the cost of a site: that of the Apollo law."""
         return APOLLO
 
     def build(self, briefing: Briefing, lag: float) -> NeuralGuidance:  # type: ignore[override]
-        """Return the law for one flight; `lag` is that of attitude and engine, s."""
+        """Build the guidance law of one flight.
+
+        `briefing` is the data known before the flight; `lag` is the total response lag of attitude
+        control and engine, s.
+        """
         return NeuralGuidance(self, briefing, lag, load_default_network())
 
 
 class NeuralGuidance:
-    """Network guidance for one flight, with the settings of `NeuralOptimalLaw`.
+    """Minimum-propellant guidance of one flight by a trained network.
 
     Attributes
     ----------
@@ -93,7 +110,7 @@ class NeuralGuidance:
         Planned time of arrival at the end, s; None before the first command.
     events
         Events: time (s), name ("guidance-fallback", "guidance-planned"), details.
-    asked, infeasible
+    evaluation_count, violation_count
         Number of network evaluations, and of outputs that violate the limits.
     """
 
@@ -101,21 +118,21 @@ class NeuralGuidance:
         self, settings: NeuralOptimalLaw, briefing: Briefing, lag: float, network: OptimalNetwork
     ) -> None:
         self.settings, self.network = settings, network
-        self.lander, self.gravity = briefing.lander, briefing.weight
+        self.lander, self.gravity = briefing.lander, briefing.surface_gravity
         self.limits = briefing.software.approach.limits
         self.arrival: float | None = None
         self.events: list[tuple[float, str, dict[str, Any]]] = []
-        self.asked = self.infeasible = 0
-        self._field = briefing.field
+        self.evaluation_count = self.violation_count = 0
+        self._field = briefing.nonuniform_gravity
         self._answering = ActuatorLagModel(lag)
         self._apollo, self._terminal_law = (
             PathGuidance(
                 shape, self.gravity, answering=self._answering,
-                least_time_to_go=least, field=briefing.field,
+                min_time_to_go=least, field=briefing.nonuniform_gravity,
             )
             for shape, least in (
-                (APOLLO, ApolloLaw().least_time_to_go),
-                (EGuidanceLaw().shape, settings.least_time_to_go),
+                (APOLLO, ApolloLaw().min_time_to_go),
+                (EGuidanceLaw().shape, settings.min_time_to_go),
             )
         )  # fmt: skip
         self._end: PhaseEnd | None = None
@@ -123,7 +140,10 @@ class NeuralGuidance:
         self._is_fallback = self._is_terminal = self._is_following = False
 
     def command(self, estimate: Estimate, end: PhaseEnd, time: float, time_to_go: float) -> Array:
-        """Return the thrust acceleration (3,), ENU, m/s^2.
+        """Return the thrust acceleration (3,), ENU, m/s^2, from the network or a fallback.
+
+        `end` is the required end state, `time` the current time and `time_to_go` the time-to-go
+        from the onboard computer, s.
 
         Raises
         ------
@@ -133,7 +153,7 @@ class NeuralGuidance:
         require_finite_state(estimate, end)
         if not np.isfinite(time_to_go):
             raise InputError("guidance.time_to_go", time_to_go, "must be finite")
-        self._answering.follow(time)
+        self._answering.advance(time)
         if self._end is None or _horizontal_distance(self._end, end) > _DIVERT_DISTANCE_M:
             self._end, self._next_attempt, self._is_terminal = end, -np.inf, False
             self._is_following = False
@@ -146,17 +166,23 @@ class NeuralGuidance:
             law = self._terminal_law if self._is_terminal else self._apollo
             return law.command(estimate, end, time, self.arrival - time)
         acceleration = thrust - np.array([0.0, 0.0, self.gravity])
-        self._answering.ask(acceleration)
+        self._answering.record_command(acceleration)
         if self._field is None:
             return thrust
-        return np.asarray(acceleration - self._field.felt(estimate.position, estimate.velocity))
+        return np.asarray(
+            acceleration - self._field.free_fall_acceleration(estimate.position, estimate.velocity)
+        )
 
     def _evaluate_network(self, estimate: Estimate, end: PhaseEnd, time: float) -> Array | None:
-        """Return the network's thrust over mass (3,), m/s^2, or None if a path law flies."""
+        """Return the network's thrust over mass (3,), m/s^2; None if another law flies.
+
+        The result is None if the state is outside the training domain, the output violates the
+        limits, or E-guidance flies the last seconds.
+        """
         if not self._matches_training(end):
             self._fall_back(estimate, end, time, "problem differs from training")
             return None
-        position, velocity = self._answering.ahead(estimate)
+        position, velocity = self._answering.predict(estimate)
         inputs, axes = reduce_state(position - end.position, velocity, estimate.mass)
         # On a followed path the state may leave the domain of initial states.
         if not (
@@ -164,12 +190,12 @@ class NeuralGuidance:
         ):
             self._fall_back(estimate, end, time, "outside the training domain")
             return None
-        self.asked += 1
+        self.evaluation_count += 1
         output = self.network(inputs)
         wanted = axes.T @ output[:3]
         thrust, left = self._within_limits(wanted, estimate.mass), float(output[3])
         if thrust is None or not left > 0.0:
-            self.infeasible += 1
+            self.violation_count += 1
         if (
             thrust is None
             and self._is_following
@@ -185,12 +211,12 @@ class NeuralGuidance:
             self.events.append((time, "guidance-planned", {}))
         self._is_fallback, self._is_following = False, True
         # The command is issued one lag ahead, so that the end comes earlier by the lag.
-        self.arrival = time + self._answering.lead + left
+        self.arrival = time + self._answering.lag + left
         self._is_terminal = left < self.settings.handover
         return None if self._is_terminal else thrust
 
     def _matches_training(self, end: PhaseEnd) -> bool:
-        """Return whether the problem is the one of the training."""
+        """Return whether vehicle, gravity, limits and end velocity are those of training."""
         lander, limits = self.lander, self.limits
         margin = limits.throttle_margin * (lander.thrust_max - lander.thrust_min)
         params = np.array(
@@ -205,18 +231,22 @@ class NeuralGuidance:
         )
 
     def _within_limits(self, thrust: Array, mass: float) -> Array | None:
-        """Return thrust over mass clipped to the limits; None if far outside them."""
-        lander, slack = self.lander, self.settings.thrust_slack * self.lander.thrust_max
+        """Clip thrust over mass to the limits of thrust and tilt; None if far outside.
+
+        `thrust` (3,) is thrust over mass, m/s^2, and `mass` is in kg. Far outside means by more
+        than the tolerances in the settings.
+        """
+        lander, slack = self.lander, self.settings.thrust_tolerance * self.lander.thrust_max
         force = float(np.linalg.norm(thrust)) * mass
         tilt = float(np.arctan2(np.hypot(thrust[0], thrust[1]), thrust[2]))
         if not lander.thrust_min - slack <= force <= lander.thrust_max + slack:
             return None
-        if not tilt <= self.limits.max_tilt + self.settings.tilt_slack:
+        if not tilt <= self.limits.max_tilt + self.settings.tilt_tolerance:
             return None
         return self._clip_to_limits(thrust, mass)
 
     def _clip_to_limits(self, thrust: Array, mass: float) -> Array:
-        """Return thrust over mass clipped to the limits."""
+        """Return thrust over mass (3,), m/s^2, clipped to the limits of thrust and tilt."""
         lander, horizontal = self.lander, float(np.hypot(thrust[0], thrust[1]))
         force = float(np.linalg.norm(thrust)) * mass
         if float(np.arctan2(horizontal, thrust[2])) > self.limits.max_tilt:
@@ -227,13 +257,16 @@ class NeuralGuidance:
         return np.asarray(thrust * (wanted / force))
 
     def _apollo_time(self, estimate: Estimate, end: PhaseEnd) -> float:
-        """Return the optimal time-to-go of the Apollo law, s; NaN if there is none."""
+        """Return the minimum-propellant time-to-go of the Apollo law, s; NaN for none."""
         one = replace(end, position=end.position[None, :])
         cost = divert_cost(estimate, one, self.lander, self.gravity, limits=self.limits)
         return float(cost.time_to_go[0])
 
     def _fall_back(self, estimate: Estimate, end: PhaseEnd, time: float, why: str) -> None:
-        """Switch to the Apollo law, with its optimal time-to-go if one is admissible."""
+        """Switch to the Apollo law, with its optimal time-to-go if one is admissible.
+
+        `why` is the reason reported in the event.
+        """
         self._next_attempt = time + self.settings.interval
         if not self._is_fallback:
             self.events.append((time, "guidance-fallback", {"reason": why}))
@@ -244,10 +277,11 @@ class NeuralGuidance:
 
 
 def _is_trained_start(inputs: Array) -> bool:
-    """Return whether inputs (6,) are in the domain of training's initial states."""
+    """Return whether network inputs (6,) are within the initial states of training."""
     low = inputs[1] < np.tan(MIN_ELEVATION_RAD) * inputs[0]
     return not (low or inputs[1] > MAX_HEIGHT_M or inputs[3] > MAX_CROSSRANGE_SPEED_M_S)
 
 
 def _horizontal_distance(a: PhaseEnd, b: PhaseEnd) -> float:
+    """Return the horizontal distance of two phase ends, m."""
     return float(np.hypot(*(a.position[:2] - b.position[:2])))

@@ -53,29 +53,29 @@ _MAX_SOLVES, _STEP = 3, 0.015  # solves of a search around the last final time, 
 
 @dataclass(frozen=True)
 class OptimalLaw(PathLaw):
-    """Minimum propellant by repeated planning, with the Apollo law as fallback.
+    """Settings of minimum-propellant guidance by repeated optimal planning.
 
-    The cost of reaching a site is that of the Apollo law's paths: an upper bound of the law's own
-    propellant.
+    The Apollo law is the fallback. The cost of reaching a site is that of the Apollo law's paths:
+    an upper bound of the propellant of this law.
 
     Attributes
     ----------
-    least_time_to_go
+    min_time_to_go
         Time-to-go below which the last plan is flown to its end, s.
     interval
         Time between plans, s.
     intervals
-        Number of intervals of a plan.
+        Number of intervals of constant thrust in a plan.
     iterations
-        Maximum solver iterations of a plan; with more, the plan is late.
+        Maximum number of solver iterations of a plan; a plan with more is late and rejected.
     frequency
         Natural frequency of plan tracking, rad/s; critically damped.
-    end_tilt, tilt_rate
+    max_final_tilt, tilt_rate
         Maximum tilt at the end of the approach, rad, and its allowed growth backward in time,
         rad/s. The vertical descent needs a small tilt, and attitude takes time to follow.
     """
 
-    least_time_to_go: float = quantity(
+    min_time_to_go: float = quantity(
         3.0, "s", gt=0, help="time-to-go below which the last plan is tracked to its end"
     )
     interval: float = quantity(1.0, "s", gt=0, le=60, help="time between plans")
@@ -83,34 +83,44 @@ class OptimalLaw(PathLaw):
         30, ge=8, le=200, help="number of constant-thrust intervals of a plan"
     )
     iterations: int = quantity(400, ge=1, help="maximum solver iterations of a plan")
-    frequency: float = quantity(0.5, "rad/s", ge=0, le=3, help="natural frequency of plan tracking")
-    end_tilt: float = quantity(
+    frequency: float = quantity(
+        0.5, "rad/s", ge=0, le=3, help="natural frequency of the plan tracking"
+    )
+    max_final_tilt: float = quantity(
         10.0, "deg", ge=0, lt=85, help="maximum tilt at the end of the approach"
     )
     tilt_rate: float = quantity(
-        15.0, "deg/s", gt=0, le=180, help="growth of the tilt limit backward from the end"
+        15.0,
+        "deg/s",
+        gt=0,
+        le=180,
+        help="rate at which the tilt limit grows backward in time from the end of the approach",
     )
 
     @property
     def shape(self) -> PathShape:
-        """Shape of the paths that give the cost of a site."""
+        """Shape of the paths that give the cost of a site: that of the Apollo law."""
         return APOLLO
 
     def build(self, briefing: Briefing, lag: float) -> OptimalGuidance:  # type: ignore[override]
-        """Return the law for one flight; `lag` is that of attitude and engine, s."""
+        """Build the guidance law of one flight.
+
+        `briefing` is the data known before the flight; `lag` is the total response lag of attitude
+        control and engine, s.
+        """
         return OptimalGuidance(self, briefing, lag)
 
 
 @dataclass(frozen=True)
 class _Plan:
-    """Path and its start time, s."""
+    """Planned minimum-propellant path and its start time, s."""
 
     path: OptimalPath
     start_time: float
 
 
 class OptimalGuidance:
-    """Optimal guidance for one flight, with the settings of `OptimalLaw`.
+    """Minimum-propellant guidance of one flight by repeated optimal planning.
 
     Attributes
     ----------
@@ -126,7 +136,7 @@ class OptimalGuidance:
         self.settings = settings
         self.lander = briefing.lander
         self.limits: PathLimits = briefing.software.approach.limits
-        self.gravity = briefing.weight
+        self.gravity = briefing.surface_gravity
         self.arrival: float | None = None
         self.events: list[tuple[float, str, dict[str, Any]]] = []
         self.plans = 0
@@ -135,18 +145,22 @@ class OptimalGuidance:
         # This law has its own open-loop end, for the last seconds without a plan.
         self._apollo = PathGuidance(
             APOLLO, self.gravity, answering=self._answering,
-            least_time_to_go=ApolloLaw().least_time_to_go, field=briefing.field,
+            min_time_to_go=ApolloLaw().min_time_to_go, field=briefing.nonuniform_gravity,
         )  # fmt: skip
-        self._field = briefing.field
+        self._field = briefing.nonuniform_gravity
         self._plan: _Plan | None = None
         self._end: PhaseEnd | None = None
         self._next_plan_time = -np.inf
         self._is_fallback = False
 
     def command(self, estimate: Estimate, end: PhaseEnd, time: float, time_to_go: float) -> Array:
-        """Return the thrust acceleration (3,), ENU, m/s^2."""
+        """Return the thrust acceleration (3,), ENU, m/s^2, after planning if it is due.
+
+        `end` is the required end state, `time` the current time and `time_to_go` the time-to-go
+        from the onboard computer, s.
+        """
         _check(estimate, end, time_to_go)
-        self._answering.follow(time)
+        self._answering.advance(time)
         if self.arrival is None:
             self.arrival = time + time_to_go
         is_divert = (
@@ -154,7 +168,7 @@ class OptimalGuidance:
         )
         if is_divert:
             self.arrival = time + time_to_go  # the onboard computer's estimate for the new site
-        is_terminal = self.arrival - time < self.settings.least_time_to_go
+        is_terminal = self.arrival - time < self.settings.min_time_to_go
         if (
             is_divert
             or (time >= self._next_plan_time - 1e-9 and not is_terminal)
@@ -166,18 +180,22 @@ class OptimalGuidance:
             return self._apollo.command(estimate, end, time, self.arrival - time)
         wanted = self._track(self._plan, estimate, time)
         acceleration = wanted - np.array([0.0, 0.0, self.gravity])
-        self._answering.ask(acceleration)
+        self._answering.record_command(acceleration)
         # Plans assume uniform gravity; the remaining acceleration is compensated here.
         return (
             wanted
             if self._field is None
-            else acceleration - self._field.felt(estimate.position, estimate.velocity)
+            else acceleration
+            - self._field.free_fall_acceleration(estimate.position, estimate.velocity)
         )
 
     # --- plans ----------------------------------------------------------------------------
 
     def _replan(self, estimate: Estimate, end: PhaseEnd, time: float, *, fresh: bool) -> None:
-        """Plan from the state at which commands take effect; fall back if that fails."""
+        """Plan from the state at which commands take effect; fall back if that fails.
+
+        With `fresh`, the previous plan is not used as a first guess.
+        """
         before = self._planner.iterations
         path, why = self._plan_path(estimate, end, time, None if fresh else self._plan)
         spent = self._planner.iterations - before
@@ -190,7 +208,7 @@ class OptimalGuidance:
         if self._is_fallback:
             self.events.append((time, "guidance-planned", {"iterations": spent}))
         self._is_fallback = False
-        self._plan = _Plan(path, time + self._answering.lead)
+        self._plan = _Plan(path, time + self._answering.lag)
         # A command one lag before the end of the path takes effect at its end, where the next phase
         # begins.
         self.arrival = time + path.duration
@@ -198,12 +216,16 @@ class OptimalGuidance:
     def _plan_path(
         self, estimate: Estimate, end: PhaseEnd, time: float, last: _Plan | None
     ) -> tuple[OptimalPath | None, str]:
-        """Return a path, or None and the reason."""
-        position, velocity = self._answering.ahead(estimate)
+        """Return a minimum-propellant path and an empty text, or None and the reason.
+
+        `last` is the previous plan, used as a first guess; None: none. `time` is the current time,
+        s.
+        """
+        position, velocity = self._answering.predict(estimate)
         expected = max((self.arrival or 0.0) - time, 1.0)
         masses = None
         if last is not None:
-            elapsed = time + self._answering.lead - last.start_time
+            elapsed = time + self._answering.lag - last.start_time
             masses = remaining_log_mass(last.path, elapsed, self._planner.intervals)
         try:
             descent = self._build_problem(estimate.mass, position, velocity, end)
@@ -222,9 +244,9 @@ class OptimalGuidance:
         return (path, "") if is_flyable(path) else (None, "thrust")
 
     def _failure_reason(self, descent: Descent, expected: float) -> str:
-        """Return the reason for a missing path, at the start of a fallback only.
+        """Return why no path was found; empty except at the start of a fallback.
 
-        "infeasible" is proven for all tried final times around the expected one.
+        "infeasible" is proven for all tried final times around the expected one (`expected`, s).
         """
         if self._is_fallback:
             return ""
@@ -240,7 +262,11 @@ class OptimalGuidance:
     def _build_problem(
         self, mass: float, position: Array, velocity: Array, end: PhaseEnd
     ) -> Descent:
-        """Return the problem; the upper throttle margin is available at a penalty."""
+        """Return the optimal control problem from a state to a phase end.
+
+        The upper throttle margin is available at a penalty. `mass` is in kg; `position` and
+        `velocity` (3,) are in m and m/s.
+        """
         lander, limits = self.lander, self.limits
         throttle = lander.thrust_max - lander.thrust_min
         margin, thrust_slack = (m * throttle for m in (limits.throttle_margin, self._upper_margin))
@@ -254,7 +280,7 @@ class OptimalGuidance:
             lander.thrust_min + margin, lander.thrust_max - thrust_slack, lander.exhaust_velocity,
             lander.dry_mass + min(limits.reserve, 0.5 * (mass - lander.dry_mass)),
             limits.max_tilt, glideslope, _APEX_DEPTH_M, thrust_slack=thrust_slack,
-            end_tilt=self.settings.end_tilt, tilt_rate=self.settings.tilt_rate,
+            max_final_tilt=self.settings.max_final_tilt, tilt_rate=self.settings.tilt_rate,
         )  # fmt: skip
 
     @property
@@ -265,7 +291,10 @@ class OptimalGuidance:
     def _fall_back(
         self, estimate: Estimate, end: PhaseEnd, time: float, why: str, spent: int
     ) -> None:
-        """Switch to the Apollo law, with its optimal time-to-go if one is admissible."""
+        """Switch to the Apollo law, with its optimal time-to-go if one is admissible.
+
+        `why` is the reason and `spent` the number of solver iterations, both reported in the event.
+        """
         if not self._is_fallback:
             self.events.append((time, "guidance-fallback", {"reason": why, "iterations": spent}))
             one = replace(end, position=end.position[None, :])
@@ -278,20 +307,24 @@ class OptimalGuidance:
     # --- tracking -------------------------------------------------------------------------
 
     def _track(self, plan: _Plan, estimate: Estimate, time: float) -> Array:
-        """Return the plan's thrust acceleration plus tracking feedback (3,), m/s^2."""
-        position, velocity = self._answering.ahead(estimate)
-        at = min(time + self._answering.lead - plan.start_time, plan.path.duration)
+        """Return the plan's thrust acceleration plus tracking feedback (3,), m/s^2.
+
+        `time` is the current time, s; position and velocity errors are fed back.
+        """
+        position, velocity = self._answering.predict(estimate)
+        at = min(time + self._answering.lag - plan.start_time, plan.path.duration)
         r, v, thrust = plan.path.at(at)
         w = self.settings.frequency
         return np.asarray(thrust + w * w * (r - position) + 2.0 * w * (v - velocity))
 
 
 def _horizontal_distance(a: PhaseEnd, b: PhaseEnd) -> float:
+    """Return the horizontal distance of two phase ends, m."""
     return float(np.hypot(*(a.position[:2] - b.position[:2])))
 
 
 def _check(estimate: Estimate, end: PhaseEnd, time_to_go: float) -> None:
-    """Reject values that are not finite."""
+    """Raise InputError if the state, the end or the time-to-go is not finite."""
     require_finite_state(estimate, end)
     if not np.isfinite(time_to_go):
         raise InputError("guidance.time_to_go", time_to_go, "must be finite")

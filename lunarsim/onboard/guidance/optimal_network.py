@@ -23,7 +23,7 @@ _PROBLEM_SIZE = 7  # number of parameters in `OptimalNetwork.problem`
 
 
 def reduce_state(gap: ArrayLike, velocity: ArrayLike, mass: ArrayLike) -> tuple[Array, Array]:
-    """Return the network inputs, and the axes of its thrust output.
+    """Reduce a state by symmetry to the network inputs, with the axes of its output.
 
     The problem is symmetric under rotation about the vertical through the end and under reflection.
     The first axis points horizontally from the end to the lander; the second is horizontal, across
@@ -34,13 +34,13 @@ def reduce_state(gap: ArrayLike, velocity: ArrayLike, mass: ArrayLike) -> tuple[
     gap, velocity
         Position relative to the end, and velocity (..., 3), ENU, m and m/s.
     mass
-        (...), kg.
+        Mass (...), kg.
 
     Returns
     -------
     shown
-        Horizontal distance, height, velocity along the first, second and up axis (m and m/s),
-        mass (..., 6).
+        Network inputs (..., 6): horizontal distance and height, m, velocity along the first, second
+        and up axis, m/s, and mass, kg.
     axes
         Unit vectors in rows (..., 3, 3), ENU.
     """
@@ -68,7 +68,9 @@ def reduce_state(gap: ArrayLike, velocity: ArrayLike, mass: ArrayLike) -> tuple[
 
 @dataclass(frozen=True)
 class OptimalNetwork:
-    """Layers of tanh on two scalings of each input.
+    """Trained network that maps a state to optimal thrust and time-to-go.
+
+    Its layers are tanh of linear functions; the inputs enter in two scalings.
 
     Attributes
     ----------
@@ -97,11 +99,15 @@ class OptimalNetwork:
     problem: Array
 
     def is_in_domain(self, shown: Array) -> bool:
-        """Return whether the inputs (6,) lie in the training domain."""
+        """Return whether network inputs `shown` (6,) are in the training domain."""
         return bool(np.all(shown >= self.low) and np.all(shown <= self.high))
 
     def __call__(self, shown: Array) -> Array:
-        """Return thrust over mass in the axes of `reduce_state` and time-to-go (..., 4)."""
+        """Return thrust over mass in the axes of `reduce_state` and time-to-go (..., 4).
+
+        `shown` (..., 6) are the network inputs from `reduce_state`; thrust over mass is in m/s^2,
+        time in s.
+        """
         layer = np.concatenate((shown / self.far, np.arcsinh(shown / self.near)), axis=-1)
         for weight, bias in zip(self.weights[:-1], self.biases[:-1], strict=True):
             layer = np.tanh(layer @ weight.T + bias)
@@ -144,7 +150,7 @@ class OptimalNetwork:
         return network
 
     def _check(self) -> None:
-        """Reject layers of inconsistent shape or with values that are not finite."""
+        """Raise ValueError if layers have inconsistent shapes or values are not finite."""
         scales = (self.far, self.near, self.low, self.high)
         if any(a.shape != (INPUTS,) for a in scales) or not self.weights:
             raise ValueError("layers or input scales are missing")

@@ -25,39 +25,39 @@ class ActuatorLagModel:
     Parameters
     ----------
     lead
-        Time constant, s.
+        Time constant of the response, s.
     """
 
     def __init__(self, lead: float) -> None:
-        self.lead = lead
+        self.lag = lead
         self._lagged = np.zeros(3)
         self._command = np.zeros(3)
         self._time: float | None = None
 
-    def follow(self, time: float) -> None:
-        """Propagate the modelled acceleration to `time`, s."""
-        if self.lead > 0.0 and self._time is not None:
-            keep = np.exp(-(time - self._time) / self.lead)
+    def advance(self, time: float) -> None:
+        """Propagate the modelled acceleration of the vehicle to `time`, s."""
+        if self.lag > 0.0 and self._time is not None:
+            keep = np.exp(-(time - self._time) / self.lag)
             self._lagged = self._command + keep * (self._lagged - self._command)
         self._time = time
 
-    def ask(self, acceleration: Array) -> None:
+    def record_command(self, acceleration: Array) -> None:
         """Store the commanded acceleration (3,), gravity included, m/s^2."""
         self._command = acceleration
 
-    def ahead(self, estimate: Estimate) -> tuple[Array, Array]:
-        """Predict position and velocity (3,) one lag ahead."""
-        a, lead = self._lagged, self.lead
+    def predict(self, estimate: Estimate) -> tuple[Array, Array]:
+        """Predict position and velocity (3,), m and m/s, one lag ahead."""
+        a, lead = self._lagged, self.lag
         position = estimate.position + lead * (estimate.velocity + 0.5 * lead * a)
         return position, estimate.velocity + lead * a
 
 
 class PathGuidance:
-    """Guidance law whose paths have one shape.
+    """Guidance along polynomial paths of one shape, with compensation of the lag.
 
     The vehicle responds to a command with a lag. The boundary value problem is therefore solved
     from the state predicted a `lead` ahead with a first-order model of the past commands. Near the
-    target the gains would grow without bound; below `least_time_to_go` the last path is flown open
+    target the gains would grow without bound; below `min_time_to_go` the last path is flown open
     loop.
 
     Parameters
@@ -67,15 +67,16 @@ class PathGuidance:
     gravity
         Downward acceleration, m/s^2.
     lead
-        Lag of attitude and engine that is compensated, s.
-    least_time_to_go
-        Time-to-go below which the loop is open, s.
+        Response lag of attitude control and engine that is compensated, s.
+    min_time_to_go
+        Time-to-go below which the last path is flown open loop, s.
     feedback
         Feedback formula of the law; None: initial acceleration of the path.
     answering
         Response model shared with another law; it replaces `lead`.
     field
-        Non-uniform gravity and rotating frame to compensate; None: uniform `gravity`.
+        Gravity model (non-uniform gravity and rotating frame) to compensate; None: uniform
+        `gravity`.
 
     Raises
     ------
@@ -89,7 +90,7 @@ class PathGuidance:
         gravity: float,
         *,
         lead: float = 0.0,
-        least_time_to_go: float = 1.5,
+        min_time_to_go: float = 1.5,
         feedback: FeedbackLaw | None = None,
         answering: ActuatorLagModel | None = None,
         field: GravityModel | None = None,
@@ -97,24 +98,25 @@ class PathGuidance:
         self.shape = shape
         self.field = field
         self.gravity = np.array([0.0, 0.0, -gravity])
-        self.least_time_to_go = least_time_to_go
+        self.min_time_to_go = min_time_to_go
         self.feedback = feedback
         self._answering = answering or ActuatorLagModel(lead)
-        self.lead = self._answering.lead
+        self.lead = self._answering.lag
         self._last: tuple[float, PolynomialPath] | None = None
 
     def command(self, estimate: Estimate, end: PhaseEnd, time: float, time_to_go: float) -> Array:
-        """Return the thrust acceleration (3,), ENU, m/s^2.
+        """Return the thrust acceleration (3,), ENU, m/s^2, towards the phase end.
 
-        If no path exists yet, time-to-go is raised to the minimum.
+        If no path exists yet, a time-to-go below the minimum is raised to it. `time` and
+        `time_to_go` are in s.
         """
-        self._answering.follow(time)
+        self._answering.advance(time)
         left = time_to_go - self.lead
         if not np.isfinite(left):
             raise InputError("guidance.time_to_go", time_to_go, "must be finite")
-        if left >= self.least_time_to_go or self._last is None:
-            position, velocity = self._answering.ahead(estimate)
-            left = max(left, self.least_time_to_go)
+        if left >= self.min_time_to_go or self._last is None:
+            position, velocity = self._answering.predict(estimate)
+            left = max(left, self.min_time_to_go)
             path = self.shape.path(position, velocity, end, left)
             self._last = (time, path)
             wanted = (
@@ -125,8 +127,8 @@ class PathGuidance:
         else:
             since, path = self._last
             wanted = path.at(min(time - since, path.time_to_go))[2]
-        self._answering.ask(wanted)
+        self._answering.record_command(wanted)
         pull = self.gravity
         if self.field is not None:
-            pull = self.field.felt(estimate.position, estimate.velocity)
+            pull = self.field.free_fall_acceleration(estimate.position, estimate.velocity)
         return np.asarray(wanted - pull)

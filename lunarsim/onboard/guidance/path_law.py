@@ -1,4 +1,4 @@
-"""Interface of guidance parts, and the base class of laws with paths of one shape."""
+"""Interface of guidance settings, and base class of laws with paths of one shape."""
 
 from __future__ import annotations
 
@@ -22,10 +22,17 @@ Array = NDArray[np.float64]
 
 
 class GuidancePart(Protocol):
-    """Interface of a guidance part: a frozen dataclass with the settings of a law."""
+    """Settings of a guidance law, a scenario component selected by `kind`.
+
+    Implementations are frozen dataclasses.
+    """
 
     def build(self, briefing: Briefing, lag: float) -> GuidanceLaw:
-        """Return the law for one flight; `lag` is that of attitude and engine, s."""
+        """Build the guidance law of one flight.
+
+        `briefing` is the data known before the flight; `lag` is the total response lag of attitude
+        control and engine, s.
+        """
         ...
 
     def cost(
@@ -37,42 +44,50 @@ class GuidancePart(Protocol):
         limits: PathLimits | None = None,
         times: Array | None = None,
     ) -> DivertCost:
-        """Return the cost of reaching each of n ends, as `divert_cost` does.
+        """Return the propellant cost of reaching each of n ends of an approach.
 
-        `times` (n,), s, are given only if a decision changes the time-to-go.
+        `gravity` is in m/s^2; `limits` are those of thrust, tilt, glideslope and propellant.
+        `times` (n,), s, are fixed times-to-go, given only if a decision changes the time-to-go.
         """
         ...
 
 
 @dataclass(frozen=True)
 class PathLaw(ABC):
-    """Base class of laws whose paths have one shape; it gives the cost of a site.
+    """Base class for settings of guidance laws whose paths have one shape.
 
     Attributes
     ----------
-    least_time_to_go
-        Time-to-go below which the loop is open, s.
+    min_time_to_go
+        Time-to-go below which the last path is flown open loop, s.
     """
 
-    least_time_to_go: float = quantity(
+    min_time_to_go: float = quantity(
         1.5, "s", gt=0, help="time-to-go below which the last path is flown open loop"
     )
 
     @property
     @abstractmethod
     def shape(self) -> PathShape:
-        """Shape of the paths under perfect actuation."""
+        """Shape of the paths if the vehicle follows commands perfectly."""
 
     def feedback(self, gravity: float) -> FeedbackLaw | None:
-        """Return the feedback formula for a gravity (m/s^2); None: follow the path."""
+        """Return the feedback formula for a gravity (m/s^2); None: follow the path.
+
+        The formula is a function of position, velocity, phase end and time-to-go.
+        """
         return None
 
     def build(self, briefing: Briefing, lag: float) -> PathGuidance:
-        """Return the law for one flight; `lag` is that of attitude and engine, s."""
-        gravity = briefing.weight
+        """Build the guidance law of one flight.
+
+        `briefing` is the data known before the flight; `lag` is the total response lag of attitude
+        control and engine, s.
+        """
+        gravity = briefing.surface_gravity
         return PathGuidance(
-            self.shape, gravity, lead=lag, least_time_to_go=self.least_time_to_go,
-            feedback=self.feedback(gravity), field=briefing.field,
+            self.shape, gravity, lead=lag, min_time_to_go=self.min_time_to_go,
+            feedback=self.feedback(gravity), field=briefing.nonuniform_gravity,
         )  # fmt: skip
 
     def cost(
@@ -84,7 +99,11 @@ class PathLaw(ABC):
         limits: PathLimits | None = None,
         times: Array | None = None,
     ) -> DivertCost:
-        """Return the cost of reaching each end of an approach, as `divert_cost` does."""
+        """Return the propellant cost of reaching each of n ends of an approach.
+
+        `gravity` is in m/s^2; `limits` are those of thrust, tilt, glideslope and propellant.
+        `times` (n,), s, are fixed times-to-go; None: the optimal ones.
+        """
         return divert_cost(
             estimate, end, lander, gravity, limits=limits, shape=self.shape, times=times
         )

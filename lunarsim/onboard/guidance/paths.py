@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class PolynomialPath:
-    """Path from the current state to a phase end.
+    """Path from the current state to a phase end, with two powers of time-to-go.
 
     Attributes
     ----------
@@ -30,7 +30,7 @@ class PolynomialPath:
     time_to_go
         Duration, s.
     powers
-        Powers of time-to-go.
+        Powers of time-to-go in the acceleration.
     terms
         Contribution of each power to the initial acceleration (2, 3), m/s^2.
     """
@@ -42,11 +42,14 @@ class PolynomialPath:
 
     @property
     def command(self) -> Array:
-        """Initial acceleration (3,), m/s^2."""
+        """Initial acceleration (3,), m/s^2, gravity included."""
         return np.asarray(self.end.acceleration + self.terms.sum(axis=0))
 
     def at(self, t: ArrayLike) -> tuple[Array, Array, Array]:
-        """Return position, velocity and acceleration (..., 3) at times `t` (...), s."""
+        """Return position, velocity and acceleration (..., 3) at times on the path.
+
+        `t` (...), s, is measured from the start of the path.
+        """
         left = (self.time_to_go - np.asarray(t, dtype=np.float64))[..., None]
         share = left / self.time_to_go
         a = np.zeros(share.shape) + self.end.acceleration
@@ -62,12 +65,12 @@ class PolynomialPath:
 
 @dataclass(frozen=True)
 class PathShape:
-    """Powers of time-to-go that define a family of paths.
+    """Two powers of time-to-go in the acceleration, which define a family of paths.
 
     Attributes
     ----------
     low, high
-        Powers; ``0 <= low < high``.
+        Powers, with ``0 <= low < high``.
 
     Raises
     ------
@@ -86,22 +89,22 @@ class PathShape:
 
     @property
     def powers(self) -> tuple[float, float]:
-        """Powers `low` and `high`."""
+        """Both powers of time-to-go, the lower one first."""
         return self.low, self.high
 
     def path(
         self, position: ArrayLike, velocity: ArrayLike, end: PhaseEnd, time_to_go: float
     ) -> PolynomialPath:
-        """Return the unique path of this shape from a state to an end.
+        """Return the unique path of this shape from a state to a phase end.
 
         Parameters
         ----------
         position, velocity
             Current state (3,), m and m/s.
         end
-            Phase end.
+            Required state at the phase end.
         time_to_go
-            s.
+            Duration of the path, s.
 
         Raises
         ------

@@ -12,7 +12,7 @@ from lunarsim.onboard.navigation.estimate import Estimate
 
 @dataclass
 class PositionCorrectionLimiter:
-    """Limit the rate of position corrections near the end of a path.
+    """Limit the rate of navigation's position corrections near the end of a path.
 
     A navigation filter corrects its position in steps, sometimes by a metre. A path with a
     time-to-go T responds to a step d with an acceleration of 6 d / T^2: 1.5 m/s^2 for 1 m and 2 s.
@@ -22,36 +22,36 @@ class PositionCorrectionLimiter:
 
     Attributes
     ----------
-    within
+    active_time_to_go
         Time-to-go below which the limit applies, s; before, the estimate is used unchanged.
     min_rate
         Minimum correction rate, m/s.
-    growth
-        Correction rate per second of time-to-go, m/s^2.
+    rate_growth
+        Increase of the correction rate per second of time-to-go, m/s^2.
     """
 
-    within: float = 12.0
+    active_time_to_go: float = 12.0
     min_rate: float = 0.15
-    growth: float = 0.06
+    rate_growth: float = 0.06
     _time: float = -np.inf
     _position: NDArray[np.float64] | None = None
 
-    def of(self, estimate: Estimate, time_left: float) -> Estimate:
-        """Return the estimate for guidance.
+    def limit(self, estimate: Estimate, time_left: float) -> Estimate:
+        """Return the navigation estimate with a rate-limited position, for guidance.
 
         Parameters
         ----------
         estimate
-            Navigation estimate, once per cycle.
+            Navigation estimate; the method is called once per control cycle.
         time_left
             Time until the path ends, s; 0 after it.
         """
         position, elapsed = estimate.position[:2], estimate.time - self._time
-        if self._position is not None and time_left < self.within:
+        if self._position is not None and time_left < self.active_time_to_go:
             propagated = self._position + elapsed * estimate.velocity[:2]
             correction = position - propagated
             size = float(np.hypot(correction[0], correction[1]))
-            limit = max(self.min_rate, self.growth * time_left) * elapsed
+            limit = max(self.min_rate, self.rate_growth * time_left) * elapsed
             if size > limit:
                 position = propagated + correction * (limit / size)
         self._time, self._position = estimate.time, position.copy()

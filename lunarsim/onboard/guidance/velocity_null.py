@@ -19,35 +19,37 @@ from lunarsim.parts.quantity import check_bounds, quantity
 
 @dataclass(frozen=True)
 class VelocityNull:
-    """Descent at the phase's rate with zero horizontal velocity (P65).
+    """Settings of a descent with zero horizontal velocity (Apollo P65).
+
+    The rate of descent is that of the phase end.
 
     Attributes
     ----------
     time_constant
-        Time constant of each channel, s.
-    max_lean
+        Time constant with which each velocity component approaches its desired value, s.
+    max_tilt
         Maximum tilt of the thrust, rad.
     """
 
-    time_constant: float = quantity(5.0, "s", gt=0, help="time constant of each channel")
-    max_lean: float = quantity(20.0, "deg", gt=0, lt=60, help="maximum tilt of the thrust")
+    time_constant: float = quantity(5.0, "s", gt=0, help="time constant of each velocity axis")
+    max_tilt: float = quantity(20.0, "deg", gt=0, lt=60, help="maximum tilt of the thrust")
 
     def __post_init__(self) -> None:
-        check_bounds(self, "descent")
+        check_bounds(self, "terminal_descent")
 
     def build(self, briefing: Briefing, lag: float) -> VelocityNullLaw:
-        """Return the law for one flight; `lag` is that of attitude and engine, s."""
-        return VelocityNullLaw(self, briefing.weight)
+        """Build the descent law of one flight; `lag` is not used."""
+        return VelocityNullLaw(self, briefing.surface_gravity)
 
 
 @dataclass(frozen=True)
 class VelocityNullLaw:
-    """P65 for one flight, with the settings of `VelocityNull`.
+    """Descent law of Apollo P65 for one flight: nulls the horizontal velocity.
 
     Attributes
     ----------
     settings
-        Settings of the part.
+        Time constant and maximum tilt.
     gravity
         Downward acceleration, m/s^2.
     """
@@ -56,17 +58,20 @@ class VelocityNullLaw:
     gravity: float
 
     @property
-    def lean(self) -> float:
+    def max_tilt(self) -> float:
         """Maximum tilt of the thrust, rad."""
-        return self.settings.max_lean
+        return self.settings.max_tilt
 
     def command(self, estimate: Estimate, end: PhaseEnd, time: float) -> NDArray[np.float64]:
-        """Return the thrust acceleration (3,), ENU, m/s^2."""
+        """Return the thrust acceleration (3,), ENU, m/s^2.
+
+        `end` is the touchdown state, of which only the vertical velocity is used; `time` is in s.
+        """
         require_finite_state(estimate, end)
         wanted = np.array([0.0, 0.0, float(end.velocity[2])])
         pull = (wanted - estimate.velocity) / self.settings.time_constant
         pull[2] = max(pull[2] + self.gravity, 0.3 * self.gravity)
-        most, size = self.gravity * np.tan(self.settings.max_lean), float(np.hypot(*pull[:2]))
+        most, size = self.gravity * np.tan(self.settings.max_tilt), float(np.hypot(*pull[:2]))
         if size > most:
             pull[:2] *= most / size
         return pull

@@ -16,27 +16,28 @@ _MAX_FREQUENCY_LAG = 0.33
 
 
 class TerminalDescentLaw(Protocol):
-    """Interface of guidance laws for the terminal descent."""
+    """Guidance law of the terminal descent, the last phase before touchdown."""
 
     @property
-    def lean(self) -> float:
+    def max_tilt(self) -> float:
         """Current maximum tilt of the thrust from the vertical, rad."""
         ...
 
     def command(self, estimate: Estimate, end: PhaseEnd, time: float) -> NDArray[np.float64]:
         """Return the thrust acceleration (3,), ENU, m/s^2.
 
-        The end has the position of the centre of mass on the terrain and the nominal velocity.
+        `end` has the position of the centre of mass at touchdown and the nominal velocity; `time`
+        is in s.
         """
         ...
 
 
 @dataclass(frozen=True)
 class VerticalDescent:
-    """Hold descent speed and position (shadow EKF paper, section IV.B).
+    """Vertical descent that holds speed and horizontal position.
 
-    If the lander drifts faster than it can stop before touchdown, it descends more slowly until it
-    can.
+    It is the law of the shadow EKF paper, section IV.B. If the lander drifts faster than it can
+    stop before touchdown, it descends more slowly until it can.
 
     Attributes
     ----------
@@ -46,14 +47,15 @@ class VerticalDescent:
         Natural frequency (rad/s) and damping ratio of the horizontal position loop.
     speed_gain
         Gain of the vertical speed loop, 1/s.
-    lean, lean_low
-        Maximum tilt of the thrust at `lean_height` and above, and on the terrain, rad; the lander
-        must touch down upright.
-    lean_height, low_height
-        Heights below which the maximum tilt decreases: nominal, and during a slowed descent, m.
-    slip
+    max_tilt, max_tilt_at_touchdown
+        Maximum tilt of the thrust at `full_tilt_height` and above, and at touchdown, rad; the
+        lander must touch down upright.
+    full_tilt_height, low_height
+        Heights below which the maximum tilt decreases, m: during a nominal descent, and during a
+        slowed descent.
+    tolerated_speed
         Tolerated horizontal speed, m/s.
-    slowest
+    min_speed_fraction
         Minimum descent speed as a fraction of the nominal one.
     """
 
@@ -61,16 +63,16 @@ class VerticalDescent:
     frequency: float = 0.6
     damping: float = 1.1
     speed_gain: float = 1.5
-    lean: float = np.deg2rad(12.0)
-    lean_low: float = np.deg2rad(2.0)
-    lean_height: float = 8.0
+    max_tilt: float = np.deg2rad(12.0)
+    max_tilt_at_touchdown: float = np.deg2rad(2.0)
+    full_tilt_height: float = 8.0
     low_height: float = 3.0
-    slip: float = 0.3
-    slowest: float = 0.25
+    tolerated_speed: float = 0.3
+    min_speed_fraction: float = 0.25
 
     @classmethod
-    def behind(cls, lag: float, gravity: float) -> VerticalDescent:
-        """Return the law for a vehicle with a response lag (s).
+    def for_lag(cls, lag: float, gravity: float) -> VerticalDescent:
+        """Return the law for a vehicle with a response lag (s) and gravity (m/s^2).
 
         The product of frequency and lag is at most 0.33, where the loop with lag is still as damped
         as the loop without.
@@ -80,7 +82,8 @@ class VerticalDescent:
     def command(self, estimate: Estimate, end: PhaseEnd, time: float) -> NDArray[np.float64]:
         """Return the thrust acceleration (3,), ENU, m/s^2.
 
-        The end has the position of the centre of mass on the terrain and the nominal velocity.
+        `end` has the position of the centre of mass at touchdown and the nominal velocity; `time`
+        is in s.
         """
         require_finite_state(estimate, end)
         offset = estimate.position[:2] - end.position[:2]
@@ -92,7 +95,7 @@ class VerticalDescent:
         planned = float(end.velocity[2])
         wanted = self._limit_descent_speed(estimate.velocity, height, planned)
         tan_tilt = self._tan_max_tilt(
-            height, self.lean_height if wanted == planned else self.low_height
+            height, self.full_tilt_height if wanted == planned else self.low_height
         )
         up = self.gravity + self.speed_gain * (wanted - float(estimate.velocity[2]))
         up = max(up, 0.3 * self.gravity)
@@ -103,47 +106,60 @@ class VerticalDescent:
         return np.array([horizontal[0], horizontal[1], up])
 
     def _tan_max_tilt(self, height: float, full: float) -> float:
-        """Return the tangent of the maximum tilt at a height; it is constant above `full`."""
+        """Return the tangent of the maximum tilt at a height (m) above touchdown.
+
+        It decreases linearly below the height `full`, m, and is constant above.
+        """
         share = min(max(height / full, 0.0), 1.0)
-        return float(np.tan(self.lean_low + share * (self.lean - self.lean_low)))
+        return float(
+            np.tan(
+                self.max_tilt_at_touchdown + share * (self.max_tilt - self.max_tilt_at_touchdown)
+            )
+        )
 
     def _limit_descent_speed(
         self, velocity: NDArray[np.float64], height: float, planned: float
     ) -> float:
-        """Return the vertical speed, m/s, reduced while the lander drifts too fast."""
-        excess = max(float(np.hypot(velocity[0], velocity[1])) - self.slip, 0.0)
+        """Return the vertical velocity, m/s, slowed while the lander drifts too fast.
+
+        `velocity` (3,) is in m/s, `height` is the height to touchdown, m, and `planned` the nominal
+        vertical velocity, m/s.
+        """
+        excess = max(float(np.hypot(velocity[0], velocity[1])) - self.tolerated_speed, 0.0)
         # The maximum tilt decreases with height: plan with half of the value at this height.
-        stopping = excess / (0.5 * self.gravity * self._tan_max_tilt(height, self.lean_height))
+        stopping = excess / (0.5 * self.gravity * self._tan_max_tilt(height, self.full_tilt_height))
         if excess == 0.0 or -planned * stopping <= height:
             return planned
-        return min(-height / stopping, self.slowest * planned)
+        return min(-height / stopping, self.min_speed_fraction * planned)
 
 
 @runtime_checkable
 class SlewLimitedControl(Protocol):
-    """Attitude control with a maximum slew rate that a position loop must respect."""
+    """Attitude control with a maximum slew rate, which limits a position loop."""
 
     def turning_time(self, angle: float) -> float:
-        """Return the time of a slew by an angle (rad), s."""
+        """Return the duration (s) of a slew by an angle (rad)."""
         ...
 
 
 def descent_law(part: Any, briefing: Any, lag: float) -> TerminalDescentLaw:
-    """Return the law of the terminal descent: a scenario's part, or `VerticalDescent`.
+    """Return the law of the terminal descent: that of the scenario or the default.
+
+    The default is `VerticalDescent`.
 
     Parameters
     ----------
     part
-        Terminal descent part; None if the scenario has none.
+        Settings of the terminal descent in the scenario; None if there are none.
     briefing
-        Briefing of the flight.
+        Data known before the flight.
     lag
-        Lag of attitude and engine, s.
+        Total response lag of attitude control and engine, s.
     """
     if part is None:
         control = briefing.software.control
         if isinstance(control, SlewLimitedControl):
-            lag += control.turning_time(VerticalDescent.lean)
-        return VerticalDescent.behind(lag, briefing.weight)
+            lag += control.turning_time(VerticalDescent.max_tilt)
+        return VerticalDescent.for_lag(lag, briefing.surface_gravity)
     law: TerminalDescentLaw = part.build(briefing, lag)
     return law

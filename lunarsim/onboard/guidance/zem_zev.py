@@ -27,7 +27,9 @@ Array = NDArray[np.float64]
 def zem_zev(
     position: Array, velocity: Array, end: PhaseEnd, time_to_go: float, gravity: float
 ) -> Array:
-    """Return the thrust acceleration ``6 ZEM / T^2 - 2 ZEV / T`` (3,), m/s^2.
+    """Return the ZEM/ZEV thrust acceleration ``6 ZEM / T^2 - 2 ZEV / T`` (3,), m/s^2.
+
+    ZEM and ZEV are the errors of position and velocity at the end if no thrust is applied.
 
     Parameters
     ----------
@@ -36,7 +38,7 @@ def zem_zev(
     end
         Required position and velocity; its acceleration is not used.
     time_to_go
-        T, s.
+        Time-to-go T, s.
     gravity
         Downward acceleration, m/s^2.
     """
@@ -48,18 +50,28 @@ def zem_zev(
 
 @dataclass(frozen=True)
 class ZemZevLaw(PathLaw):
-    """Zero-effort miss and zero-effort velocity feedback (Ebrahimi 2008, Guo 2013)."""
+    """Settings of zero-effort-miss/zero-effort-velocity feedback (Guo 2013).
+
+    The law is also in Ebrahimi 2008.
+    """
 
     @property
     def shape(self) -> PathShape:
-        """Shape of E-guidance: both have the same paths under perfect actuation."""
+        """Shape of E-guidance, whose paths are the same under perfect actuation."""
         return E_GUIDANCE
 
     def feedback(self, gravity: float) -> FeedbackLaw:
-        """Return `zem_zev` with gravity included in the acceleration."""
+        """Return the ZEM/ZEV law as a function of state, phase end and time-to-go.
+
+        The function returns the acceleration including gravity; `gravity` is in m/s^2.
+        """
         down = np.array([0.0, 0.0, -gravity])
 
         def wanted(position: Array, velocity: Array, end: PhaseEnd, left: float) -> Array:
+            """Return the acceleration (3,), m/s^2, gravity included.
+
+            `left` is the time-to-go, s.
+            """
             return np.asarray(zem_zev(position, velocity, end, left, gravity) + down)
 
         return wanted

@@ -23,7 +23,8 @@ class TerrainSurface(Protocol):
     Attributes
     ----------
     grid, observed, elevation, variance
-        As in `HazardMap`.
+        Cell positions, observed cells, mean elevation (m) and its variance (m^2); same meaning as
+        in `HazardMap`.
     """
 
     @property
@@ -33,7 +34,7 @@ class TerrainSurface(Protocol):
 
     @property
     def observed(self) -> BoolMap:
-        """True where the complete footprint has been observed (rows, cols)."""
+        """True where the complete footprint of the lander has been observed (rows, cols)."""
         ...
 
     @property
@@ -48,7 +49,12 @@ class TerrainSurface(Protocol):
 
 
 def lookup_elevation(surface: TerrainSurface, xy: ArrayLike) -> float:
-    """Return the mean elevation (m) of the cell at a point (2,); NaN where unknown."""
+    """Return the mean elevation (m) of the map cell that contains a point.
+
+    `surface` holds the elevations and `xy` (2,) is the point, east and north in the frame of the
+    map, m. The result is NaN off the map, where the elevation is unknown, and if the mapper does
+    not estimate elevations.
+    """
     if surface.elevation is None or not bool(surface.grid.contains(xy)):
         return float("nan")
     row, col = surface.grid.cell(xy)
@@ -67,24 +73,35 @@ class HazardMap:
         Probability that a lander centred on the cell lands safely (rows, cols), in [0, 1]; 0 where
         not observed.
     observed
-        True where the complete footprint has been observed (rows, cols).
+        True where the complete footprint of a lander centred on the cell has been observed (rows,
+        cols).
     elevation
         Mean elevation (rows, cols), m; NaN where unknown; None if the mapper does not estimate it.
     variance
-        Variance of the elevation (rows, cols), m^2, or None.
+        Variance of the elevation (rows, cols), m^2; None if the mapper does not estimate it.
     eligible
-        Where the mission permits a landing (rows, cols), independent of safety. None: everywhere.
+        Where the mission permits a landing (rows, cols), independent of its safety. None:
+        everywhere.
     value
-        Value of a landing there to the mission (rows, cols), in [0, 1]. None: 1 everywhere.
+        Value to the mission of a landing in the cell, relative to the best cell (rows, cols), in
+        [0, 1]. None: 1 everywhere.
     in_domain
-        Where `p_safe` is a calibrated frequency (rows, cols); elsewhere it is a conservative bound.
-        None: the mapper does not state it.
+        True where `p_safe` is a calibrated frequency, because the terrain resembles that of the
+        calibration (rows, cols). Elsewhere `p_safe` is a conservative bound. None: the mapper does
+        not state it.
 
     Raises
     ------
     InputError
         If a layer is masked or has the wrong shape or type, or if an entry of `p_safe` or `value`
         is NaN or outside [0, 1].
+
+    Examples
+    --------
+    >>> hazard_map = HazardMap.unobserved(Grid.centred((0.0, 0.0), 4.0, 1.0))
+    >>> hazard_map.p_safe[2:], hazard_map.observed[2:] = 0.9, True  # the northern half
+    >>> hazard_map.p_safe_at([[0.5, 1.5], [0.5, -1.5], [9.0, 0.0]]).round(2).tolist()
+    [0.9, 0.0, 0.0]
     """
 
     grid: Grid
@@ -133,7 +150,7 @@ class HazardMap:
 
     @classmethod
     def unobserved(cls, grid: Grid) -> HazardMap:
-        """Return a map without observations."""
+        """Return a hazard map on `grid` without any observation (p_safe is 0 everywhere)."""
         return cls(
             grid,
             np.zeros(grid.shape, np.float32),
@@ -143,37 +160,52 @@ class HazardMap:
         )
 
     def eligible_at(self, xy: ArrayLike) -> BoolMap:
-        """Return whether cells at points (..., 2) are eligible (...,); False off the map."""
+        """Return whether the mission permits a landing at points (..., 2).
+
+        `xy` is in the estimated ENU frame, m. The result (...,) is False off the map.
+        """
         inside = np.asarray(self.grid.contains(xy), dtype=np.bool_)
         return inside if self.eligible is None else inside & self._layer_at(self.eligible, xy)
 
     def value_at(self, xy: ArrayLike) -> NDArray[np.float64]:
-        """Return the value (...,) of the cells at points (..., 2); 0 off the map."""
+        """Return the mission value, in [0, 1], of the cells at points (..., 2).
+
+        `xy` is in the estimated ENU frame, m. The result (...,) is 0 off the map.
+        """
         inside = self.grid.contains(xy)
         value = 1.0 if self.value is None else self._layer_at(self.value, xy).astype(np.float64)
         return np.where(inside, value, 0.0)
 
     def _layer_at(self, layer: NDArray[Any], xy: ArrayLike) -> NDArray[Any]:
-        """Return the entries (...,) of a layer at points (..., 2), clipped to the map."""
+        """Return the entries of a map layer (rows, cols) in the cells at points (..., 2).
+
+        Points `xy` off the map get the entry of the nearest cell.
+        """
         row, col = self.grid.cell(xy)
         g = self.grid
         return np.asarray(layer[np.clip(row, 0, g.rows - 1), np.clip(col, 0, g.cols - 1)])
 
     def p_safe_at(self, xy: ArrayLike) -> NDArray[np.float64]:
-        """Return p_safe (...,) of the cells at points (..., 2); 0 off the map."""
+        """Return the probability of a safe landing in the cells at points (..., 2).
+
+        `xy` is in the estimated ENU frame, m. The result (...,) is 0 off the map.
+        """
         inside = self.grid.contains(xy)
         p = self._layer_at(self.p_safe, xy).astype(np.float64)
         return np.where(inside, p, 0.0)
 
     def elevation_at(self, xy: ArrayLike) -> float:
-        """Return the mean elevation (m) of the cell at a point (2,); NaN where unknown."""
+        """Return the mean elevation (m) of the cell that contains a point (2,).
+
+        The result is NaN off the map and where the elevation is unknown.
+        """
         return lookup_elevation(self, xy)
 
-    def dispersed(self, sigma: float) -> FloatMap:
+    def dispersed_p_safe(self, sigma: float) -> FloatMap:
         """Return the probability of a safe landing when aiming at each cell (rows, cols).
 
-        The touchdown error is Gaussian. The result is p_safe averaged over it, as in the ALHAT
-        programme. Unobserved terrain counts as unsafe.
+        The touchdown point is Gaussian about the aim point. The result is p_safe averaged over the
+        touchdown point, as in the ALHAT programme. Unobserved terrain counts as unsafe.
 
         Parameters
         ----------
@@ -195,8 +227,12 @@ class HazardMap:
         )
         return np.where(self.observed, smooth, np.float32(0.0)).astype(np.float32)
 
-    def dispersed_at(self, xy: Array, sigma: Array) -> Array:
-        """Return `dispersed` at points (n, 2) only; 0 off the map.
+    def dispersed_p_safe_at(self, xy: Array, sigma: Array) -> Array:
+        """Return the probability of a safe landing when aiming at points (n, 2).
+
+        The touchdown point is Gaussian about the aim point. The result (n,) is p_safe averaged over
+        the touchdown point; it is 0 off the map. Unlike `dispersed_p_safe`, the method evaluates
+        only the given points.
 
         Parameters
         ----------
@@ -224,9 +260,10 @@ class HazardMap:
 
 
 def _gaussian_mean(p: FloatMap, row: int, col: int, sigma: float) -> float:
-    """Return the Gaussian mean of p about a cell; `sigma` in cells, cut at 3 sigma.
+    """Return the mean of p_safe around one cell, weighted by a Gaussian.
 
-    Cells off the map count as 0.
+    `p` (rows, cols) is p_safe, 0 where unobserved. `row` and `col` are the cell, and `sigma` is the
+    standard deviation in cells, cut at 3 sigma. Cells off the map count as 0.
     """
     reach = int(3.0 * sigma + 0.5)
     if reach == 0:

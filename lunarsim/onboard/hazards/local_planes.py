@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class LocalPlaneGrid:
-    """Squares of a few samples each, in which the terrain is approximated by a plane.
+    """Division of a map into squares in which the terrain is approximated by a plane.
 
     Attributes
     ----------
@@ -31,7 +31,11 @@ class LocalPlaneGrid:
 
     @classmethod
     def of(cls, grid: Grid, edges: Array) -> LocalPlaneGrid:
-        """Return squares with a side of about two typical triangle edges; `edges` (m,), m."""
+        """Choose squares with a side of about two typical triangle edges.
+
+        `grid` holds the cells of the map; `edges` (m,) are edge lengths of the triangles between
+        elevation samples, m.
+        """
         if not len(edges):
             return cls(grid, 8)
         return cls(grid, int(np.clip(np.ceil(2.0 * np.median(edges) / grid.posting), 2, 64)))
@@ -42,17 +46,23 @@ class LocalPlaneGrid:
         return -(-self.grid.rows // self.cells), -(-self.grid.cols // self.cells)
 
     def at(self, values: Array, points: Array) -> Array:
-        """Return the values of the squares that contain points (n, 2 or more) (n, ...)."""
+        """Look up the values of the squares that contain given points.
+
+        `values` (square rows, square columns, ...) has one entry per square. `points` (n, 2 or
+        more) start with east and north, m. The result has shape (n, ...).
+        """
         row, col = self.grid.cell(points[:, :2])
         rows, cols = self.shape
         at = np.clip(row // self.cells, 0, rows - 1), np.clip(col // self.cells, 0, cols - 1)
         return np.ascontiguousarray(values[at])
 
     def fit_planes(self, vertices: Array) -> Array:
-        """Fit a plane to the vertices in 5 x 5 squares about each square (rows, cols, 3).
+        """Fit a least-squares plane around each square, from elevation samples.
 
-        Components: height at the centre of the raster of squares, m, slope to the east and slope to
-        the north.
+        `vertices` (n, 3) are the samples: east, north, up, m. The fit of a square uses the samples
+        in the 5 x 5 squares centred on it. The result (square rows, square columns, 3) contains the
+        height of the plane at the centre of the raster of squares, m, its slope to the east and its
+        slope to the north.
         """
         west, _, south, _ = self.grid.extent
         sums = np.zeros((*self.shape, 9))
@@ -73,7 +83,11 @@ class LocalPlaneGrid:
         return np.stack((level, east, north), axis=-1)
 
     def plane_heights(self, planes: Array, points: Array) -> Array:
-        """Return the heights of the planes at points (n, 2 or more), m."""
+        """Return the heights of the fitted planes at points (n,), m.
+
+        `planes` is the result of `fit_planes`; `points` (n, 2 or more) start with east and north,
+        m.
+        """
         west, _, south, _ = self.grid.extent
         side = self.cells * self.grid.posting
         rows, cols = self.shape

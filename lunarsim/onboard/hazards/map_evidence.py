@@ -24,16 +24,16 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class RockTracks:
-    """Individually tracked rocks.
+    """Estimated positions and sizes of individually tracked rocks.
 
     Attributes
     ----------
     xy
         Centres (n, 2), local frame, m.
     sigma
-        Uncertainty of the centres relative to the lander (n,), m, 1 sigma per axis.
+        Standard deviation of the centre relative to the lander (n,), m, per axis.
     radius, radius_variance
-        Radius (n,), m, and its variance (n,), m^2.
+        Estimated radius (n,), m, and its variance (n,), m^2.
     existence
         Probability that each track is a rock (n,).
 
@@ -61,21 +61,25 @@ class RockTracks:
 
 @dataclass(frozen=True)
 class TerrainEvidence:
-    """Evidence of a mapper of elevations.
+    """Measured elevations of one mapper and the data behind its safety estimate.
+
+    The fusion of several mappers uses them instead of the finished hazard map.
 
     Attributes
     ----------
     surface
-        Elevations: the map of the mapper, or the snapshot that it is computed from.
+        Elevations: the hazard map of the mapper, or the elevation map from which it is computed.
     site_evidence
-        Evidence for the probability at each site; None if not available.
-    refit
-        Last stage of the calibration; None: that of the package.
+        Inputs of the safety calibration for each site, such as slope and roughness relative to the
+        limits of the lander; None if not available.
+    scenario_calibration
+        Last stage of the safety calibration, fitted to the scenario; None: the calibration supplied
+        with lunarsim.
     residual_heights
-        Heights of the samples above the local terrain plane, per cell (rows, cols), m; NaN without
-        a sample. None if not available.
+        Height of the elevation sample in each cell above a plane fitted to the terrain around it
+        (rows, cols), m; NaN without a sample. None if not available.
     compute_map
-        Function that returns the map of the mapper; None if `surface` is that map.
+        Function that computes the hazard map of the mapper; None if `surface` is that map.
 
     Raises
     ------
@@ -86,7 +90,7 @@ class TerrainEvidence:
 
     surface: TerrainSurface
     site_evidence: MapEvidence | None = None
-    refit: ScenarioCalibration | None = None
+    scenario_calibration: ScenarioCalibration | None = None
     residual_heights: NDArray[np.float32] | None = None
     compute_map: Callable[[], HazardMap] | None = None
 
@@ -96,17 +100,19 @@ class TerrainEvidence:
                 "evidence.surface",
                 type(self.surface),
                 "must be a HazardMap",
-                "Otherwise give draw.",
+                "Otherwise give compute_map.",
             )
         wanted = self.surface.grid.shape
         if self.residual_heights is not None and self.residual_heights.shape != wanted:
             raise InputError(
-                "evidence.rises", self.residual_heights.shape, f"must have shape {wanted}"
+                "evidence.residual_heights",
+                self.residual_heights.shape,
+                f"must have shape {wanted}",
             )
 
     @cached_property
     def hazard_map(self) -> HazardMap:
-        """The map of the mapper."""
+        """Hazard map of the mapper."""
         if self.compute_map is not None:
             return self.compute_map()
         assert isinstance(self.surface, HazardMap)
@@ -115,53 +121,68 @@ class TerrainEvidence:
 
 @dataclass(frozen=True)
 class RockEvidence:
-    """Evidence of a mapper of rocks.
+    """Detected and expected undetected rocks of one rock mapper, for fusion.
 
     Attributes
     ----------
     hazard_map
-        Map of the mapper.
+        Hazard map of the mapper.
     diameter
         Lower edges of the size classes (sizes,), ascending, m.
-    ratio
-        Undetected rocks of each class, divided by the number expected before any observation
-        (sizes, rows, cols); 1 where nothing was observed.
+    undetected_ratio
+        Expected number of undetected rocks of each class, divided by the number expected before any
+        observation (sizes, rows, cols); 1 where nothing was observed.
     tracks
-        Tracked rocks and candidates.
-    clear
-        Function that returns the probability that none of the given rocks reaches into the
-        footprint (rows, cols).
-    unseen
-        Probability that an undetected rock reaches into the footprint (rows, cols); None if not
-        available.
-    expected
-        Expected number of detected rocks that are hazardous.
+        Tracked rocks, including detections that are not yet confirmed.
+    clear_probability
+        Function that takes tracked rocks and returns the probability that none of them reaches
+        under a lander centred on each cell (rows, cols).
+    undetected_probability
+        Probability that an undetected rock reaches under a lander centred on each cell (rows,
+        cols); None if not available.
+    expected_detections
+        Number of hazardous rocks that the mapper should have detected so far according to the
+        expected rock population.
 
     Raises
     ------
     InputError
-        If `ratio` or `unseen` has the wrong shape, or if `unseen` is not a probability.
+        If `undetected_ratio` or `undetected_probability` has the wrong shape, or if
+        `undetected_probability` is not a probability.
     """
 
     hazard_map: HazardMap
     diameter: Array
-    ratio: NDArray[np.float32]
+    undetected_ratio: NDArray[np.float32]
     tracks: RockTracks
-    clear: Callable[[RockTracks], Array]
-    unseen: NDArray[np.float32] | None = None
-    expected: float = 0.0
+    clear_probability: Callable[[RockTracks], Array]
+    undetected_probability: NDArray[np.float32] | None = None
+    expected_detections: float = 0.0
 
     def __post_init__(self) -> None:
-        if self.unseen is not None and self.unseen.shape != self.hazard_map.grid.shape:
+        if (
+            self.undetected_probability is not None
+            and self.undetected_probability.shape != self.hazard_map.grid.shape
+        ):
             wanted_here = f"must have shape {self.hazard_map.grid.shape}"
-            raise InputError("evidence.unseen", self.unseen.shape, wanted_here)
-        if self.unseen is not None:
-            invalid = self.unseen[~((self.unseen >= 0.0) & (self.unseen <= 1.0))]
+            raise InputError(
+                "evidence.undetected_probability", self.undetected_probability.shape, wanted_here
+            )
+        if self.undetected_probability is not None:
+            invalid = self.undetected_probability[
+                ~((self.undetected_probability >= 0.0) & (self.undetected_probability <= 1.0))
+            ]
             if invalid.size:
-                raise InputError("evidence.unseen", float(invalid[0]), "must be between 0 and 1")
+                raise InputError(
+                    "evidence.undetected_probability", float(invalid[0]), "must be between 0 and 1"
+                )
         wanted = (len(self.diameter), *self.hazard_map.grid.shape)
-        if self.ratio.shape != wanted:
-            raise InputError("evidence.ratio", self.ratio.shape, f"must have shape {wanted}")
+        if self.undetected_ratio.shape != wanted:
+            raise InputError(
+                "evidence.undetected_ratio",
+                self.undetected_ratio.shape,
+                f"must have shape {wanted}",
+            )
 
 
 FusionEvidence = TerrainEvidence | RockEvidence

@@ -18,28 +18,28 @@ class MapTiltCorrection:
     mappers
         Mappers by name.
     navigation
-        Estimates the rotation of the mapped terrain.
+        Navigation filter, which estimates by how much the mapped terrain must be rotated.
     """
 
     def __init__(self, mappers: Mapping[str, HazardMapper], navigation: Navigation) -> None:
         self._mappers, self._navigation = mappers, navigation
         self._applied_rotation = np.eye(3)
 
-    def follow(self, time: float, mass: float) -> None:
-        """Rotate the maps by the tilt correction since the last call.
+    def apply(self, time: float, mass: float) -> None:
+        """Rotate all maps by the change of the tilt estimate since the last call.
 
         Parameters
         ----------
         time, mass
-            Time (s) and mass (kg) passed to the navigation estimate.
+            Current time (s) and mass (kg), which the navigation filter needs for its estimate.
         """
-        rotation = self._navigation.ground_turn
+        rotation = self._navigation.map_rotation
         if rotation is None:
             return
-        turn, angle = rotation.since(self._applied_rotation)
+        turn, angle = rotation.rotation_since(self._applied_rotation)
         if angle < NEGLIGIBLE_TILT_RAD:
             return
         self._applied_rotation = rotation.rotation
         sigma = self._navigation.estimate(time, mass).tilt_sigma
         for mapper in self._mappers.values():
-            mapper.level(turn, rotation.pivot, sigma)
+            mapper.correct_tilt(turn, rotation.pivot, sigma)

@@ -10,7 +10,7 @@ from lunarsim.errors import InputError
 class MapUpdateTimer:
     """Limit the recomputation of a map to once per interval.
 
-    Without a known time, recomputation is always allowed.
+    Recomputation is always allowed until `set_time` has been called.
 
     Parameters
     ----------
@@ -40,9 +40,9 @@ class MapUpdateTimer:
         return self._time_s is None or self._time_s >= self._next_update_s - 1e-9
 
     def mark_updated(self) -> None:
-        """Record that the map has been recomputed."""
+        """Record that the map has been recomputed at the current time."""
         self._next_update_s = (self._time_s or 0.0) + self._interval_s
 
     def force_update(self) -> None:
-        """Allow the next recomputation at any time."""
+        """Allow the next recomputation without waiting for the end of the interval."""
         self._next_update_s = -np.inf

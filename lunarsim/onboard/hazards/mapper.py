@@ -28,14 +28,14 @@ _MAX_CELLS_PER_SIDE = 8000
 
 
 class HazardMapper(ABC):
-    """Build a `HazardMap` from measurements."""
+    """Onboard mapper that builds a `HazardMap` from sensor measurements."""
 
     @abstractmethod
     def update(self, measurement: Any, estimate: Estimate) -> None:
-        """Process one measurement made at the estimated pose."""
+        """Add one measurement, made at the estimated pose of the lander, to the map."""
 
-    def take(self, sensor: str, measurement: Any, estimate: Estimate) -> None:
-        """Process one measurement of a named sensor made at the estimated pose.
+    def update_from_sensor(self, sensor: str, measurement: Any, estimate: Estimate) -> None:
+        """Add one measurement of a named sensor, made at the estimated pose, to the map.
 
         Mappers of several sensors override this method. The default ignores the sensor name.
         """
@@ -43,27 +43,26 @@ class HazardMapper(ABC):
 
     @abstractmethod
     def hazard_map(self) -> HazardMap:
-        """Return the current map."""
+        """Return the current hazard map."""
 
     @property
     @abstractmethod
-    def blank(self) -> bool:
-        """Whether nothing has been mapped yet."""
+    def is_empty(self) -> bool:
+        """Whether the map does not contain any measurement yet."""
 
-    def surface(self) -> TerrainSurface:
+    def terrain_surface(self) -> TerrainSurface:
         """Return the terrain elevations of the current map.
 
-        A mapper that can provide elevations before it has evaluated their safety overrides this
-        method. Until the map is recomputed, the method returns the same object or one with the same
-        map.
+        A mapper that computes elevations before landing safety overrides this method. Until the map
+        is recomputed, repeated calls return the same object or an object with the same map.
         """
         return self.hazard_map()
 
     def recentre(self, centre: Array) -> None:  # noqa: B027
-        """Move the map to another centre if the present centre is too far from it.
+        """Move the map to another centre if its present centre is too far from it.
 
         Called when navigation has updated the target position. Mapped terrain keeps its
-        coordinates; terrain outside the new map may be dropped.
+        coordinates; terrain outside the moved map may be dropped.
 
         Parameters
         ----------
@@ -71,24 +70,25 @@ class HazardMapper(ABC):
             New centre (3,), local frame, m.
         """
 
-    def level(self, turn: Array, pivot: Array, tilt_sigma: float) -> None:  # noqa: B027
+    def correct_tilt(self, turn: Array, pivot: Array, tilt_sigma: float) -> None:  # noqa: B027
         """Rotate terrain that was mapped before the tilt of the lander was known.
 
-        Called when navigation has corrected the tilt. Terrain that was mapped with a tilt known to
-        `NEGLIGIBLE_TILT_RAD` stays.
+        Called when navigation has corrected its tilt estimate. Terrain that was mapped while the
+        standard deviation of the tilt was at most `NEGLIGIBLE_TILT_RAD` is not rotated.
 
         Parameters
         ----------
         turn, pivot
-            Rotation (3, 3) about a point (3,), local frame, m.
+            Rotation matrix (3, 3) and the point (3,) about which the terrain is rotated, local
+            frame, m.
         tilt_sigma
-            Present standard deviation of the tilt, rad.
+            Current standard deviation of the tilt, rad.
         """
 
     def terrain_height(self, xy: Array) -> float | None:
-        """Return the terrain height at a point if the map itself does not state it.
+        """Return the terrain height at a point, if the map does not contain elevations.
 
-        The default returns None: the map states the height in the local frame.
+        The default returns None, for mappers whose map contains the elevations.
 
         Parameters
         ----------
@@ -103,10 +103,13 @@ class HazardMapper(ABC):
         return None
 
     def refresh(self, time: float) -> None:  # noqa: B027
-        """Do the work due at `time` (s); called once per cycle, after the measurements."""
+        """Do the work that is due at a time (s), such as an update of the map.
+
+        Called once per control cycle, after the measurements.
+        """
 
     def scoreboard(self, site: Array) -> Scoreboard | None:
-        """Return the mapper's own ranking of sites; None if it ranks none.
+        """Return the mapper's own ranking of landing sites; None if it ranks none.
 
         Parameters
         ----------
@@ -116,48 +119,57 @@ class HazardMapper(ABC):
         return None
 
     def evidence(self) -> FusionEvidence | None:
-        """Return the evidence behind the map, for fusion with other maps.
+        """Return the measured data behind the map, for fusion with other maps.
 
-        None if there is none yet. A mapper whose part declares `publishes` overrides this method.
+        None if there are none yet. A mapper whose settings declare `publishes` overrides this
+        method.
         """
         return None
 
     @property
-    def sources(self) -> frozenset[str]:
-        """Names of the mappers whose evidence it fuses; empty if it maps measurements."""
+    def source_mappers(self) -> frozenset[str]:
+        """Names of the mappers that this mapper fuses; empty if it maps measurements."""
         return frozenset()
 
-    def tables(self) -> dict[str, dict[str, Array]]:
-        """Return additional tables for the record: name to columns (n,), local frame."""
+    def record_tables(self) -> dict[str, dict[str, Array]]:
+        """Return additional tables for the flight record: table name to columns.
+
+        Each table maps column names to arrays (n,); positions are in the local frame.
+        """
         return {}
 
 
 class MapperPart(Protocol):
-    """Settings of a mapper, as a frozen dataclass in the part registry.
+    """Settings of a hazard mapper, a scenario component selected by `kind`.
+
+    Implementations are frozen dataclasses in the part registry.
 
     Attributes
     ----------
-    takes
-        Type of the measurements that it maps.
+    accepts
+        Type of the measurements that the mapper uses.
     navigation
-        Optional: navigation part that the mapper requires.
+        Optional: `kind` of the navigation that the mapper requires.
     publishes
-        Optional: type of the evidence that it provides for fusion.
+        Optional: type of the data that the mapper provides for fusion.
     sensor
-        Name of the sensor whose measurements it maps.
+        Name of the sensor whose measurements the mapper uses.
     sensors
         Optional: names of several sensors, instead of `sensor`.
     """
 
-    takes: ClassVar[type]
+    accepts: ClassVar[type]
 
     @property
     def sensor(self) -> str:
-        """Name of the sensor whose measurements it maps."""
+        """Name of the sensor whose measurements the mapper uses."""
         ...
 
     def build(self, briefing: Briefing, navigation: Navigation) -> HazardMapper:
-        """Return the mapper of one flight, with its map centred on the target.
+        """Build the mapper of one flight from the data known before it.
+
+        The map is centred on the target of the briefing. `navigation` is the navigation filter of
+        the flight.
 
         Raises
         ------
@@ -182,16 +194,16 @@ def sensor_names(part: Any) -> tuple[str, ...]:
 
 
 def is_off_centre(grid: Grid, centre: Array) -> bool:
-    """Return whether a point lies too far from the map centre to keep the map.
+    """Return whether a point is too far from the map centre to keep the map in place.
 
-    The limit is an eighth of the side along either axis.
+    The limit is an eighth of the side of the map along either axis.
 
     Parameters
     ----------
     grid
         Cells of the map.
     centre
-        Point (2,) or (3,), local frame, m.
+        Desired centre (2,) or (3,), local frame, m.
     """
     west, east, south, north = grid.extent
     distance = np.abs(np.asarray(centre)[:2] - grid.centre)
@@ -199,14 +211,14 @@ def is_off_centre(grid: Grid, centre: Array) -> bool:
 
 
 def check_map_size(size: float, posting: float, lander: Lander) -> None:
-    """Reject a map that is smaller than the footprint, too coarse or too large.
+    """Raise InputError if a map is too small, too coarse or too large for the lander.
 
     Parameters
     ----------
     size, posting
-        Sides of the square map and of a cell, m.
+        Sides of the square map and of one cell, m.
     lander
-        Lander that the map is for.
+        Lander whose footprint must fit on the map.
 
     Raises
     ------
@@ -221,7 +233,19 @@ def check_map_size(size: float, posting: float, lander: Lander) -> None:
 
 
 def map_grid(centre: Array, size: float, posting: float, lander: Lander) -> Grid:
-    """Return the cells of a hazard map centred on a point.
+    """Return the cells of a square hazard map centred on a point.
+
+    `centre` (2,) or (3,) is in the local frame, m. `size` and `posting` are the sides of the map
+    and of one cell, m. `lander` is the lander whose footprint must fit on the map.
+
+    Parameters
+    ----------
+    centre
+        Centre of the map (2,) or (3,), m.
+    size, posting
+        Sides of the square map and of a cell, m.
+    lander
+        Lander that the map is for.
 
     Raises
     ------
@@ -233,14 +257,14 @@ def map_grid(centre: Array, size: float, posting: float, lander: Lander) -> Grid
 
 
 def checked_hazard_map(name: str, part: object, mapper: HazardMapper, time: float) -> HazardMap:
-    """Return the hazard map of a mapper after checking its type.
+    """Return the hazard map of a mapper, or raise InputError if its type is wrong.
 
     Parameters
     ----------
     name, part, mapper
-        Name, settings and mapper.
+        Name of the mapper in the scenario, its settings and the mapper itself.
     time
-        Time for the error message, s.
+        Current time for the error message, s.
 
     Raises
     ------

@@ -11,9 +11,10 @@ from lunarsim.onboard.navigation.estimate import Navigation
 
 
 def build_mappers(briefing: Briefing, navigation: Navigation) -> dict[str, HazardMapper]:
-    """Return the mappers by name, in the order of the briefing.
+    """Build all mappers of a flight; return them by name, in the briefing's order.
 
-    Mappers that use other mappers are built after them.
+    Mappers that use other mappers are built after them. `navigation` is the navigation filter of
+    the flight.
 
     Raises
     ------
@@ -29,7 +30,11 @@ def build_mappers(briefing: Briefing, navigation: Navigation) -> dict[str, Hazar
 
 
 def _build_stage(part: Any) -> int:
-    """Return the build stage: 0 without dependencies, 1 with `ground`, 2 with `of`."""
-    if hasattr(part, "of"):
+    """Return the build order of a mapper from its settings: 0 is built first.
+
+    2 for a mapper that fuses others (`inputs`), 1 for a mapper that uses the elevations of another
+    (`terrain_mapper`), otherwise 0.
+    """
+    if hasattr(part, "inputs"):
         return 2
-    return 1 if getattr(part, "ground", "") else 0
+    return 1 if getattr(part, "terrain_mapper", "") else 0

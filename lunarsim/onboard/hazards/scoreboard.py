@@ -14,15 +14,18 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Scoreboard:
-    """Best sites by a mapper's own score, best first (quadtree paper, section 4).
+    """Landing sites ranked by a mapper's own score (quadtree paper, section 4).
+
+    The sites are in order of their score, best first.
 
     Attributes
     ----------
     position
         Terrain points at the sites (n, 3), local frame, m.
     score
-        Score (n,), lower is better; Eq. 9 for the quadtree.
-    here
+        Score of each site (n,), lower is better; Eq. 9 of the quadtree paper for the quadtree
+        mapper.
+    current_site_score
         Score of the current target site; inf if it is not eligible or was not evaluated.
 
     Raises
@@ -33,7 +36,7 @@ class Scoreboard:
 
     position: Array
     score: Array
-    here: float = float("inf")
+    current_site_score: float = float("inf")
 
     def __post_init__(self) -> None:
         n = len(self.score)
@@ -41,6 +44,6 @@ class Scoreboard:
             raise InputError(
                 "scoreboard.position", np.shape(self.position), f"must have shape ({n}, 3)"
             )
-        for name in ("position", "score", "here"):
+        for name in ("position", "score", "current_site_score"):
             if np.isnan(getattr(self, name)).any():
                 raise InputError(f"scoreboard.{name}", "NaN", "must be a number")

@@ -11,17 +11,17 @@ Array = NDArray[np.float64]
 
 
 class UnleveledScans:
-    """Decide which measurements must be rotated when the tilt is corrected.
+    """Decide which scans must be rotated when navigation corrects the tilt estimate.
 
-    These are all measurements from the first scan until the first scan whose tilt is known to
-    `NEGLIGIBLE_TILT_RAD`. They share one tilt error; later measurements are placed correctly.
+    These are all scans before the first scan whose tilt is known to `NEGLIGIBLE_TILT_RAD`. They
+    share one tilt error; later scans are placed correctly.
     """
 
     def __init__(self) -> None:
         self._open = True
 
     def includes(self, tilt_sigma: float) -> bool:
-        """Return whether a measurement with this tilt uncertainty must be rotated later.
+        """Return whether a scan with this tilt uncertainty must be rotated later.
 
         Parameters
         ----------
@@ -32,7 +32,7 @@ class UnleveledScans:
         return self._open
 
     def is_tilt_known(self, tilt_sigma: float) -> bool:
-        """Return whether the tilt is known, so that rotated measurements become final.
+        """Return whether the tilt is known, so that rotated scans become final.
 
         Parameters
         ----------
@@ -44,5 +44,5 @@ class UnleveledScans:
 
 
 def rotate_about(points: Array, turn: Array, pivot: Array) -> Array:
-    """Return points (..., 3) rotated by a matrix (3, 3) about a pivot (3,)."""
+    """Rotate points (..., 3), m, about a pivot (3,) by the rotation matrix `turn`."""
     return np.asarray((points - pivot) @ turn.T + pivot)

@@ -26,7 +26,11 @@ def _rotation(q, out):
 
 @kernel(inline=True)
 def _read_sample(angle, velocity, n, step, last_sample):
-    """Write rate and specific force (6,) of sample n, unless missing; return success."""
+    """Write rate and specific force of sample n to `last_sample` (6,), unless missing.
+
+    The return value states whether the sample is present. `angle` (n, 3), rad, and `velocity` (n,
+    3), m/s, are increments over `step`, s.
+    """
     good = True
     for k in range(3):
         good = good and np.isfinite(angle[n, k]) and np.isfinite(velocity[n, k])
@@ -39,10 +43,10 @@ def _read_sample(angle, velocity, n, step, last_sample):
 
 @kernel(inline=True)
 def _write_transition(r, ra, w, step, phi):
-    """Write the error transition over a step to `phi` (15, 15).
+    """Write the state-transition matrix of the errors over a step to `phi` (15, 15).
 
-    `phi` starts as the identity. `r` is the attitude R (3, 3) in the middle of the step, `ra` is
-    R [a x] with specific force a, and `w` the rate (3,).
+    `phi` starts as the identity. `r` is the attitude R (3, 3) in the middle of the step, `ra` is R
+    [a x] with specific force a, and `w` the rate (3,).
     """
     for i in range(3):
         phi[i, 3 + i] = step
@@ -60,7 +64,7 @@ def _write_transition(r, ra, w, step, phi):
 
 @kernel()
 def _random_walks(step, velocity, angle, accelerometer, gyroscope):
-    """Return the covariance that random walks of given densities add in one step.
+    """Return the variances that random walks of given densities add in one step.
 
     The elements are position; position with velocity; velocity; attitude; accelerometer bias;
     gyroscope bias.
@@ -77,7 +81,7 @@ def _random_walks(step, velocity, angle, accelerometer, gyroscope):
 
 @kernel(inline=True)
 def _add_noise(walks, noise):
-    """Add the result of `_random_walks` to a covariance (15, 15)."""
+    """Add the variances from `_random_walks` (6,) to an error covariance (15, 15)."""
     for i in range(3):
         noise[i, i] += walks[0]
         noise[i, 3 + i] += walks[1]
@@ -90,7 +94,7 @@ def _add_noise(walks, noise):
 
 @kernel()
 def propagate(state, last_sample, angle, velocity, step, gravity, density, blind):
-    """Propagate the state with consecutive inertial samples (Eqs. 2-6).
+    """Propagate state and errors with inertial samples (shadow EKF paper, Eqs. 2-6).
 
     Parameters
     ----------
@@ -114,7 +118,7 @@ def propagate(state, last_sample, angle, velocity, step, gravity, density, blind
     -------
     state, transition, noise
         New state (16,), and transition (15, 15) and noise (15, 15) over all samples. Errors are in
-        the order of Eq. 1, attitude as a small rotation in body axes.
+        the order of Eq. 1 of the paper, attitude as a small rotation in body axes.
     """
     x = state.copy()
     total = np.eye(15)

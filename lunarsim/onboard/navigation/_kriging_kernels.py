@@ -1,5 +1,5 @@
 # mypy: allow-untyped-defs, no-check-untyped-defs
-"""Compiled ordinary kriging of heights, and counting of posts below a scan."""
+"""Compiled ordinary kriging of heights, and counting of grid squares below a scan."""
 
 from __future__ import annotations
 
@@ -11,7 +11,10 @@ from lunarsim.onboard.navigation._nearest_kernels import nearest, sort_by_square
 
 @kernel(allocates=False)
 def _solve(a, b):
-    """Solve a x = b by Gaussian elimination with pivoting; x overwrites b (n,)."""
+    """Solve the linear system a x = b by Gaussian elimination; x overwrites b (n,).
+
+    Rows are pivoted; `a` (n, n) is overwritten.
+    """
     n = b.size
     for c in range(n):
         best = c
@@ -35,7 +38,11 @@ def _solve(a, b):
 
 @kernel()
 def _height_at(east, north, squares, known, x, y, count, growth, own):
-    """Return the interpolated height at one point; see `interpolate_heights`."""
+    """Return the terrain height at one point (x, y), m, by ordinary kriging.
+
+    `east`, `north` and `known` (n,) are the known points, m; `squares` is their order from
+    `sort_by_square`. The other parameters are those of `interpolate_heights`.
+    """
     chosen = np.empty(count, np.int64)
     away = np.empty(count)
     system = np.empty((count + 1, count + 1))
@@ -60,12 +67,13 @@ def _height_at(east, north, squares, known, x, y, count, growth, own):
 
 @kernel(parallel=True)
 def interpolate_heights(places, known, at, count, growth, own):
-    """Interpolate heights (b,) at points (b, 2) from known heights at places, m.
+    """Interpolate terrain heights (b,), m, at points (b, 2), m, by ordinary kriging.
 
     Parameters
     ----------
     places, known, at
-        Places (n, 2), their heights (n,), and points (b, 2); n must be at least `count`.
+        Horizontal positions (n, 2) of known heights (n,), and points to interpolate at (b, 2), all
+        m; n must be at least `count`.
     count
         Number of neighbours.
     growth, own
@@ -88,7 +96,11 @@ def interpolate_heights(places, known, at, count, growth, own):
 def _crossing(
     at, east, north, squares, known, origin, per_drop, height, search, count, growth, own
 ):
-    """Write the intersection of one line with the terrain (3,); see `intersect_lines`."""
+    """Write the intersection of one line of sight with the terrain to `at` (3,), m.
+
+    `east`, `north`, `squares` and `known` are those of `_height_at`; the other parameters are those
+    of `intersect_lines`, for one line.
+    """
     passes, found, least, most = search
     last_height, last_gap, nearest_yet = height, np.nan, np.inf
     for _ in range(passes):
@@ -118,11 +130,13 @@ def _crossing(
 
 @kernel(parallel=True)
 def intersect_lines(places, known, origin, per_drop, height, search, count, growth, own):
-    """Intersect lines from a point (3,) with the interpolated terrain (b, 3), m.
+    """Return the intersections (b, 3), m, of lines of sight with kriged terrain.
 
-    The terrain is that of `interpolate_heights`. The iteration equals that of `RockFilter`.
-    Parameters are those of `wandering_ground.intersect_lines`; `count` and `own` as for
-    `interpolate_heights`.
+    The iteration equals that of `RockFilter`. `places`, `known`, `count`, `growth` and `own` define
+    the terrain as for `interpolate_heights`. The lines start at `origin` (3,), m, and advance by
+    `per_drop` (b, 2), east and north, per metre of drop; `height` (b,), m, are the initial heights.
+    `search` is the maximum number of iterations, the height tolerance (m), and the minimum and
+    maximum factor of a step relative to the last height difference.
     """
     out = np.empty((len(per_drop), 3))
     east, north = places[:, 0].copy(), places[:, 1].copy()
@@ -137,10 +151,11 @@ def intersect_lines(places, known, origin, per_drop, height, search, count, grow
 
 @kernel()
 def squares_under(points, side, most):
-    """Count the squares that contain points (n, 3), up to `most`.
+    """Count the grid squares that contain points (n, 3), m, up to `most`.
 
-    NaN marks missing points. The squares start at the minimum east and north. The result is -1 if
-    the grid of squares would be too large, as for a scan that grazes the terrain.
+    Squares have the side `side`, m, and start at the minimum east and north. NaN marks missing
+    points. The result is -1 if the grid of squares would be too large, as for a scan that grazes
+    the terrain.
     """
     west, east, south, north = np.inf, -np.inf, np.inf, -np.inf
     for i in range(len(points)):

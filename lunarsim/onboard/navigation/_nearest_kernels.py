@@ -15,10 +15,11 @@ _MAX_ROWS, _MIN_EXTENT_M = 256, 1e-6
 
 @kernel(allocates=False)
 def _insert(i, d, count, chosen, away):
-    """Insert place i at squared distance d into the neighbours; return their number.
+    """Insert place i into the sorted list of nearest neighbours; return their number.
 
-    At most as many are kept as fit into `chosen` (k,) and `away` (k,); of places at the same
-    distance those with lower indices come first.
+    `d` is the squared distance of the place and `count` the number of neighbours so far. At most as
+    many are kept as fit into `chosen` (k,), their indices, and `away` (k,), their squared
+    distances; of places at the same distance those with lower indices come first.
     """
     k = chosen.size
     if count == k and not (d < away[k - 1] or (d == away[k - 1] and i < chosen[k - 1])):
@@ -33,7 +34,7 @@ def _insert(i, d, count, chosen, away):
 
 @kernel()
 def sort_by_square(east, north):
-    """Sort places (n,) by the grid squares that contain them.
+    """Sort places, with coordinates `east` and `north` (n,), by grid square.
 
     Returns
     -------
@@ -73,7 +74,11 @@ def sort_by_square(east, north):
 
 @kernel(allocates=False)
 def _search_square(row, col, cols, east, north, x, y, order, first, count, chosen, away):
-    """Insert the places of one square into the neighbours; return their number."""
+    """Insert the places of one grid square into the neighbours; return their number.
+
+    The square is given by `row` and `col` of `cols` columns, the point by `x` and `y`. The other
+    parameters are those of `sort_by_square` and `_insert`.
+    """
     square = row * cols + col
     for at in range(first[square], first[square + 1]):
         i = order[at]
@@ -84,12 +89,13 @@ def _search_square(row, col, cols, east, north, x, y, order, first, count, chose
 
 @kernel(allocates=False)
 def nearest(east, north, x, y, squares, chosen, away):
-    """Write the places (n,) nearest to a finite point, nearest first.
+    """Write the places nearest to a finite point (x, y), nearest first.
 
-    As many are written as fit into `chosen` (k,) and `away` (k,), the squared distances; of places
-    at the same distance those with lower indices come first. `squares` is the result of
-    `sort_by_square`. Squares are searched in rings about the point's square, or the one nearest to
-    it; places in ring n are at least n - 1 sides away.
+    Their indices are written to `chosen` (k,) and the squared distances to `away` (k,). If there
+    are fewer than k places, the remaining elements stay unchanged. Of places at the same distance
+    those with lower indices come first. `squares` is the result of `sort_by_square` for the
+    coordinates `east` and `north` (n,). Squares are searched in rings about the point's square, or
+    the square nearest to the point; places in ring n are at least n - 1 sides away.
     """
     order, first, box = squares
     side, rows, cols = box[2], int(box[3]), int(box[4])

@@ -10,7 +10,7 @@ from lunarsim._jit import kernel
 
 @kernel(finite=True)
 def evidence(shown, negative_log_density, known, height, weight, sharpness, level, floor, row, col):
-    """Compute the log-likelihood ratios of a tile at places on a map.
+    """Return the log-likelihood ratios of a scanned tile at places on a map.
 
     Parameters
     ----------
@@ -21,14 +21,16 @@ def evidence(shown, negative_log_density, known, height, weight, sharpness, leve
         Tile (r, c): heights above the local planes, m; 1 where known, else 0; inverse of twice the
         variance of a residual, 1/m^2; logarithm of the residual's density at 0, density in 1/m.
     floor
-        Minimum log-likelihood ratio of a post.
+        Minimum log-likelihood ratio of a grid point.
     row, col
-        Row and column of the map post below the first post of the tile (n,); can be off the map.
+        Row and column of the map grid point below the first grid point of the tile (n,); can be off
+        the map.
 
     Returns
     -------
     ratio, covered
-        Sum of the log-likelihood ratios of the posts, and number of compared posts (n,).
+        Sum of the log-likelihood ratios of the grid points, and number of compared grid points
+        (n,).
     """
     n = row.size
     rows, cols = shown.shape

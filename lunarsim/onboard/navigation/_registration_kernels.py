@@ -1,5 +1,5 @@
 # mypy: allow-untyped-defs, no-check-untyped-defs
-"""Compiled averaging of a scan over map posts, and the Jacobian of its points."""
+"""Compiled averaging of a scan over grid squares, and the Jacobian of its points."""
 
 from __future__ import annotations
 
@@ -19,9 +19,10 @@ def _no_squares():
 
 @kernel()
 def average(points, x0, y0, posting, least):
-    """Average points (n, 3) over the squares of a grid.
+    """Average scan points (n, 3) over the squares of a grid.
 
-    NaN points, and squares with fewer than `least` points, are omitted.
+    The square (0, 0) is centred at `x0`, `y0`, and squares have the side `posting`, m. NaN points,
+    and squares with fewer than `least` points, are omitted.
 
     Returns
     -------
@@ -81,12 +82,15 @@ def average(points, x0, y0, posting, least):
 
 @kernel()
 def surface(col, row, mean, x0, y0, posting, centre_tolerance):
-    """Extrapolate averages to the square centres along the slopes between neighbours.
+    """Extrapolate mean heights to the square centres along slopes between neighbours.
+
+    `col`, `row` (n,) and `mean` (n, 3) are the result of `average`, for a grid with origin `x0`,
+    `y0` and squares with the side `posting`, m.
 
     Returns
     -------
     height, slope, good
-        Height (m,) and slope (m, 2) at the centres; `good` (m,) marks squares with neighbours on
+        Height (n,) and slope (n, 2) at the centres; `good` (n,) marks squares with neighbours on
         all four sides and evenly distributed points (mean within `centre_tolerance` of the centre).
     """
     m = col.size
@@ -125,16 +129,16 @@ def surface(col, row, mean, x0, y0, posting, centre_tolerance):
 
 @kernel()
 def scan_jacobian(points, normals, position, rotation, aim, velocity, rate):
-    """Return the Jacobian of scan points (m, 3) along vectors (m, 3): (m, 11).
+    """Return the Jacobian (n, 11) of scan points along vectors, for scan errors.
 
     Errors: position, small rotation (body axes), range, boresight (sensor axes), latency.
 
     Parameters
     ----------
     points, normals
-        Points and vectors of equal shape.
+        Points and vectors (n, 3).
     position, velocity
-        Of the lander (3,), m, and (3,), m/s, in the frame of the points.
+        Position (3,), m, and velocity (3,), m/s, of the lander in the frame of the points.
     rotation, aim
         Rotation matrices from body and from sensor axes to that frame (3, 3).
     rate

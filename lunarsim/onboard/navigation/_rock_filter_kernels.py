@@ -10,7 +10,7 @@ from lunarsim._jit import kernel, prange
 
 @kernel(parallel=True)
 def add_outer_products(p, w):
-    """Add w' w to the matrix p (n, n) in place, for w (m, n), in one pass."""
+    """Add w' w to the covariance p (n, n) in place, for w (m, n), in one pass."""
     for i in prange(len(p)):
         for k in range(len(w)):
             a = w[k, i]
@@ -22,9 +22,9 @@ def add_outer_products(p, w):
 
 @kernel(parallel=True)
 def subtract_few(p, w, states):
-    """Subtract w' w from the rows `states` (s,) of the matrix p (n, n) in place.
+    """Subtract w' w from the rows `states` (s,) of the covariance p (n, n), in place.
 
-    w is (m, n). This is done row by row, which is limited by memory access for small m. The block
+    `w` is (m, n). This is done row by row, which is limited by memory access for small m. The block
     of `states` stays exactly symmetric: each entry is reduced by the same products in the same
     order.
     """
@@ -38,7 +38,10 @@ def subtract_few(p, w, states):
 
 @kernel()
 def subtract_from_rows(p, product, states):
-    """Subtract rows (k, n) from rows `states` (k,) of the matrix p in place."""
+    """Subtract the rows of `product` (k, n) from rows `states` (k,) of p, in place.
+
+    `p` (n, n) is a covariance matrix.
+    """
     for k in range(states.size):
         row = p[states[k]]
         for j in range(row.size):
@@ -47,9 +50,10 @@ def subtract_from_rows(p, product, states):
 
 @kernel(parallel=True)
 def mirror_columns(p, rows, columns):
-    """Set p[rows, columns] to p[columns, rows]'; rows and columns are disjoint.
+    """Set p[rows, columns] to p[columns, rows]' in a covariance p, in place.
 
-    Blocks of eight rows use full cache lines if the rows are adjacent.
+    `rows` and `columns` are disjoint index arrays. Blocks of eight rows use full cache lines if the
+    rows are adjacent.
     """
     for block in prange((rows.size + 7) // 8):
         first = 8 * block
@@ -62,7 +66,10 @@ def mirror_columns(p, rows, columns):
 
 @kernel(parallel=True)
 def mirror_lower(p, states):
-    """Set p[states[i], states[k]] to p[states[k], states[i]] for k < i."""
+    """Make the block of the rows and columns `states` (s,) of p symmetric, in place.
+
+    The upper triangle of the block is copied to the lower one.
+    """
     for block in prange((states.size + 7) // 8):
         first = 8 * block
         last = min(first + 8, states.size)
@@ -74,10 +81,12 @@ def mirror_lower(p, states):
 
 @kernel(parallel=True)
 def measured_rows(p, size, pose, by_pose, columns, by_rock):
-    """Return the products (2 m, size) of the pixels' Jacobians with the covariance p.
+    """Return the products (2 n, size) of rock-pixel Jacobians with a covariance.
 
-    The only non-zero entries of the Jacobians are `by_pose` (m, 2, 6) and `by_rock` (m, 2, 3), at
-    the states `pose` (6,) and `columns` (m, 3).
+    Each of the n rocks has two rows, for its two pixel coordinates. The only non-zero entries of
+    the Jacobians are the derivatives `by_pose` (n, 2, 6) with respect to the lander's pose and
+    `by_rock` (n, 2, 3) with respect to the rock's position. `pose` (6,) and `columns` (n, 3) are
+    the indices of these errors in the covariance `p`; `size` is the number of errors.
     """
     out = np.empty((2 * len(columns), size))
     for k in prange(2 * len(columns)):

@@ -1,4 +1,4 @@
-"""Process ranges, speeds and attitudes, and monitor all innovations."""
+"""Update the filter with ranges, speeds and attitudes; monitor all innovations."""
 
 from __future__ import annotations
 
@@ -61,13 +61,12 @@ MONITOR_SETTINGS = {
     ),
     # An outdated part of a map is rejected for as long as it is in view.
     "map": InnovationMonitorSettings(min_count=10, max_rejected_share=0.8, drift_time_scale_s=8.0),
-    # Good fits at another place: a scanner error explains the first alarm, nothing the second.
+    # Good fits at another place: a scanner error explains only the first alarm.
     "fits": InnovationMonitorSettings(min_count=10, max_rejected_share=0.8, max_inflations=1),
     # The noise of the reference scan is common to all comparisons with it, so they are correlated.
     "scans": InnovationMonitorSettings(),
 }
 # Bias that explains a drift of a sensor, and its standard deviation after a drift: m/s^2, rad/s.
-# What drifts where innovations lie to one side, and how far it may: m/s^2, rad/s.
 _BIASES = {"speed": (ACCELEROMETER, 0.1), "attitude": (GYROSCOPE, 2e-3)}
 # Maximum ratio of an estimated bias to its standard deviation; more contradicts the specification.
 _MAX_BIAS_RATIO = 6.0
@@ -81,12 +80,18 @@ _MIN_BEAM_HISTORY = 30
 
 @lru_cache
 def innovation_gate(degrees: int) -> float:
-    """Return the maximum accepted normalised innovation squared."""
+    """Return the maximum accepted normalised innovation squared for a chi-square test.
+
+    `degrees` is the number of degrees of freedom. One in 20,000 valid measurements is rejected.
+    """
     return float(chdtri(degrees, 1.0 / _SAMPLES_PER_FALSE_REJECTION))
 
 
 def aiding_blocks(instruments: Mapping[str, Any], terrain_prior: TerrainPrior) -> dict[str, Array]:
-    """Return the error-state blocks that the measurements of these instruments need.
+    """Return initial covariances of the errors that aiding sensors add to the state.
+
+    The result maps the name of each block (group of errors) to its covariance (k, k): terrain
+    height, terrain heights at the beam footprints, speed biases, star-tracker misalignments.
 
     Parameters
     ----------
@@ -113,22 +118,22 @@ def aiding_blocks(instruments: Mapping[str, Any], terrain_prior: TerrainPrior) -
 
 
 def _mount_block(sensor: str) -> str:
-    """Return the block name of a star tracker's misalignment."""
+    """Return the name of the error block with a star tracker's misalignment."""
     return f"mount of {sensor}"
 
 
 def _footprint_block(sensor: str) -> str:
-    """Return the block name of the terrain heights at a sensor's beam footprints."""
+    """Return the name of the error block with terrain heights at beam footprints."""
     return f"ground under {sensor}"
 
 
 def _speed_block(sensor: str) -> str:
-    """Return the block name of the speed biases of a velocimeter's beams."""
+    """Return the name of the error block with a velocimeter's speed biases."""
     return f"speeds of {sensor}"
 
 
 def check_scalar_reading(sensor: str, reading: AltimeterReading) -> None:
-    """Check that a reading is one range and one standard deviation.
+    """Check that an altimeter reading is one range and one standard deviation.
 
     Raises
     ------
@@ -142,7 +147,7 @@ def check_scalar_reading(sensor: str, reading: AltimeterReading) -> None:
 
 
 class AidingMeasurements:
-    """Process ranges, speeds and attitudes, and monitor all innovations.
+    """Updates the filter with ranges, speeds and attitudes; monitors all innovations.
 
     Parameters
     ----------
@@ -153,7 +158,8 @@ class AidingMeasurements:
     terrain_prior
         Prior knowledge of the terrain height.
     events
-        List that receives the events "doubted", "drift", "shut-off", "lost" and "believed".
+        List that receives the events "covariance-inflated", "drift", "beam-excluded", "lost" and
+        "recovered".
     """
 
     def __init__(
@@ -209,11 +215,11 @@ class AidingMeasurements:
 
     @property
     def watches(self) -> dict[str, InnovationMonitor]:
-        """Innovation monitors by "sensor kind"."""
+        """Innovation monitors by "SENSOR KIND", for example "altimeter range"."""
         return {f"{sensor} {kind}": monitor for (sensor, kind), monitor in self._monitors.items()}
 
     def add_terrain_noise(self) -> None:
-        """Add process noise to the terrain height for the distance moved."""
+        """Add process noise to the terrain height for the distance since the last call."""
         if not self.state.has(TERRAIN):
             return
         here = self.state.inertial.position[:2]
@@ -226,9 +232,9 @@ class AidingMeasurements:
     def check_sensor_biases(self) -> None:
         """Declare navigation lost if an estimated bias contradicts its specification.
 
-        Either the sensor does not meet its specification, or the measurement that the bias was
-        estimated with drifts. The first case does not affect velocity and attitude, but in the
-        second they drift too, and the two cases cannot be distinguished. Likewise, an undetected
+        Either the sensor does not meet its specification, or another measurement that affects the
+        bias estimate drifts. The first case does not affect velocity and attitude, but in the
+        second case they drift too. The two cases cannot be distinguished. Likewise, an undetected
         rotation of the lander cannot be distinguished from a boresight error of the scanner.
         """
         if self._has_contradiction:
@@ -246,16 +252,19 @@ class AidingMeasurements:
                 place, value = self.state.block(block), self.state.value(block)
                 biases.append((sensor, name, place, value, deviation))
         for sensor, name, place, value, stated in biases:
-            variance = self.state.own(np.arange(self.state.head)[place]).diagonal() + stated**2
+            variance = (
+                self.state.covariance_of(np.arange(self.state.head)[place]).diagonal() + stated**2
+            )
             if (value**2 > _MAX_BIAS_RATIO**2 * variance).any():
                 self._has_contradiction = True
                 self._add_event(self._time, "lost", sensor, name)
                 return
 
     def take(self, sensor: str, measurement: Any, time: float, *, used: bool = False) -> bool:
-        """Process a measurement; return whether its type is supported.
+        """Process a range, speed or attitude measurement; return whether it was used.
 
-        A measurement that an earlier processor has `used` is skipped.
+        A measurement that an earlier processor has `used` is skipped. `time` is in s. The result is
+        False for other measurement types.
 
         Raises
         ------
@@ -311,7 +320,7 @@ class AidingMeasurements:
             self._range(sensor, distance, deviation, beam, time, k)
 
     def _add_bias_noise(self, sensor: str, time: float) -> None:
-        """Add the random walk of the beam biases since the last reading."""
+        """Add the random walk of a velocimeter's beam biases since its last reading."""
         block, last = _speed_block(sensor), self._last_reading.get(sensor, time)
         self._last_reading[sensor] = time
         if self.state.has(block):
@@ -356,7 +365,10 @@ class AidingMeasurements:
         self.record_outcome(sensor, "range", outcome, columns, _MAX_HEIGHT_SIGMA_M, time)
 
     def _footprint_offset(self, beam: Any) -> Array:
-        """Return the horizontal offset of a beam's footprint from the lander (2,), m."""
+        """Return the horizontal offset of a beam's footprint from the lander (2,), m.
+
+        `beam` is the direction of the beam in body axes (3,).
+        """
         inertial, level = self.state.inertial, self.terrain_prior.elevation
         level += float(self.state.value(TERRAIN)[0]) if self.state.has(TERRAIN) else 0.0
         level += float(self.state.value(MAP)[2]) if self.state.has(MAP) else 0.0
@@ -367,12 +379,14 @@ class AidingMeasurements:
     def _move_footprint(self, sensor: str, beam: Any, number: int) -> int:
         """Move a beam's terrain-height state to its current footprint; return its index.
 
-        A slanted beam meets the terrain beside the lander, at another height than below it, and
-        almost at the same point in the next reading. If this difference were white noise, some
-        hundred readings would average it away, and terrain slopes would be taken for a tilt of the
-        lander. The new height is a weighted mean of the last footprint's height and the height
-        below the lander. The weight of the former decays with the distance between the footprints,
-        relative to the distance from the lander.
+        `number` is the index of the beam among the beams of the sensor; `beam` (3,) is its
+        direction in body axes. A slanted beam meets the terrain beside the lander, at another
+        height than below the lander, and almost at the same point in the next reading. If this
+        height difference were white noise, some hundred readings would average it away, and terrain
+        slopes would be taken for a tilt of the lander. The new height is a weighted mean of the
+        last footprint's height and the height below the lander. The weight of the last footprint's
+        height decays with the distance between the footprints, relative to the distance from the
+        lander.
         """
         state, offset = self.state, self._footprint_offset(beam)
         footprint, distance = state.inertial.position[:2] + offset, float(np.hypot(*offset))
@@ -395,11 +409,12 @@ class AidingMeasurements:
         return at
 
     def _monitor_beams(self, sensor: str, outcomes: dict[int, UpdateOutcome], time: float) -> None:
-        """Monitor the speeds of each beam, and exclude a single faulty beam.
+        """Monitor the speeds of each velocimeter beam, and exclude a single faulty beam.
 
-        A velocity error of the lander would affect all beams. If one beam alone raises an alarm
-        and the others agree with the estimate, that beam is excluded. The variances of velocity
-        and accelerometer bias are increased by the effect that the fault may have had.
+        `outcomes` contains the update outcome of each beam by number. A velocity error of the
+        lander would affect all beams. If one beam alone raises an alarm and the others agree with
+        the estimate, that beam is excluded. The variances of velocity and accelerometer bias are
+        increased by the effect that the fault may have had.
         """
         monitors = {k: self._monitor(sensor, _of_beam(k)) for k in outcomes}
         before = {k: monitor.lost for k, monitor in monitors.items()}
@@ -411,7 +426,7 @@ class AidingMeasurements:
         is_single = (
             len(alarms) == 1 and calm_count == len(outcomes) - 1 and not any(before.values())
         )
-        has_history = all(monitor.degrees >= _MIN_BEAM_HISTORY for monitor in monitors.values())
+        has_history = all(monitor.dof >= _MIN_BEAM_HISTORY for monitor in monitors.values())
         if is_single and has_history and len(outcomes) >= _MIN_BEAMS:
             self._excluded.add((sensor, alarms[0]))
             monitors[alarms[0]].lost = False
@@ -420,7 +435,7 @@ class AidingMeasurements:
             )
             bias = np.arange(ACCELEROMETER.start, ACCELEROMETER.stop)
             self.state.raise_variances(bias, self.state.inertial.bias_sigma[0])
-            self._add_event(time, "shut-off", sensor, _of_beam(alarms[0]))
+            self._add_event(time, "beam-excluded", sensor, _of_beam(alarms[0]))
             return
         columns = np.r_[VELOCITY.start : VELOCITY.stop, ATTITUDE.start : ATTITUDE.stop]
         max_sigma = np.repeat([_MAX_SPEED_SIGMA_M_S, _MAX_ATTITUDE_SIGMA_RAD], 3)
@@ -450,10 +465,10 @@ class AidingMeasurements:
         Parameters
         ----------
         sensor, kind, outcome, time
-            Sensor, kind of measurement, outcome, and time in s.
+            Sensor, kind of measurement, outcome of the update, and time in s.
         columns, max_sigma
-            Errors (k,) that the measurement depends on, and their maximum standard deviations
-            after an inflation.
+            Indices (k,) of the errors that the measurement depends on, and their maximum standard
+            deviations after an inflation.
         drifting
             Errors (j,) that can explain a drift, and the standard deviations (j,) that they are
             raised to; default: a bias of the inertial unit.
@@ -461,7 +476,7 @@ class AidingMeasurements:
         Returns
         -------
         result
-            Result of the monitor, already acted on.
+            Result of the monitor; the method has already responded to it.
         """
         monitor = self._monitor(sensor, kind)
         before = monitor.lost
@@ -476,7 +491,11 @@ class AidingMeasurements:
         max_sigma: Any, time: float, *, before: bool,
         drifting: tuple[NDArray[np.int64], Any] | None = None,
     ) -> None:  # fmt: skip
-        """Act on the result of a monitor; `before` is its `lost` before the measurement."""
+        """Inflate the covariance and record events according to the result of a monitor.
+
+        `before` states whether the monitor was `lost` before the measurement. The other parameters
+        are those of `record_outcome`.
+        """
         monitor = self._monitor(sensor, kind)
         if result is MonitorResult.DRIFT:
             # The bias itself has changed, so only its own variance grows: its new estimate must not
@@ -491,15 +510,15 @@ class AidingMeasurements:
             growth = float(np.clip(monitor.nis_ratio, _MIN_GROWTH, _MAX_GROWTH))
             self.state.inflate(columns, growth, max_sigma)
             if result is MonitorResult.INFLATE or not before:
-                name = "doubted" if result is MonitorResult.INFLATE else "lost"
+                name = "covariance-inflated" if result is MonitorResult.INFLATE else "lost"
                 self._add_event(time, name, sensor, kind)
         elif before and not monitor.lost:
-            self._add_event(time, "believed", sensor, kind)
+            self._add_event(time, "recovered", sensor, kind)
 
     def _add_event(self, time: float, name: str, sensor: str, kind: str) -> None:
         self._events.append(NavigationEvent(time, name, {"sensor": sensor, "measurement": kind}))
 
 
 def _of_beam(number: int) -> str:
-    """Return the name of the speed along a beam; beams are counted from 1."""
+    """Return the monitor's name of a beam's speed; beams are counted from 1."""
     return f"speed of beam {number + 1}"

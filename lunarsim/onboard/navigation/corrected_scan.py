@@ -28,12 +28,16 @@ DRIFTED_SCANNER_SIGMAS = np.array([0.5, *np.full(3, np.deg2rad(0.5)), 0.02])
 
 
 def scanner_block(name: str) -> str:
-    """Return the block name of a scanner's errors."""
+    """Return the name of a LiDAR's block of errors in the error state."""
     return f"lidar {name}"
 
 
 def scanner_covariance(instrument: LidarInstrument) -> Array:
-    """Return the prior covariance of a scanner's errors (5, 5), bounded from below."""
+    """Return the prior covariance (5, 5) of a LiDAR's calibration errors.
+
+    The errors are range (m), boresight (3, rad) and latency (s). Their variances follow from the
+    specification, but are at least realistic minima.
+    """
     i = instrument
     stated = np.array([i.range_bias, *np.full(3, i.boresight), i.latency])
     return np.diag(np.maximum(stated, MIN_SCANNER_SIGMAS) ** 2)
@@ -41,7 +45,10 @@ def scanner_covariance(instrument: LidarInstrument) -> Array:
 
 @dataclass(frozen=True)
 class CorrectedScan:
-    """LiDAR scan with the estimated pose.
+    """LiDAR scan with the estimated pose, corrected for estimated scanner errors.
+
+    The points of a scan depend on 11 errors: position (m), small rotation in body axes (rad), range
+    (m), boresight (3, rad) and latency (s).
 
     Attributes
     ----------
@@ -61,7 +68,11 @@ class CorrectedScan:
 
     @classmethod
     def of(cls, scan: LidarScan, own: StrapdownState, scanner: Array) -> CorrectedScan:
-        """Return a scan at the estimated state, corrected by scanner errors (5,)."""
+        """Return a scan at the estimated lander state, corrected by scanner errors.
+
+        `own` is the state; `scanner` (5,) are the estimated errors of range (m), boresight (3, rad)
+        and latency (s).
+        """
         corrected = cls(
             scan, own.position.copy(), own.attitude.copy(), own.velocity.copy(), own.rate
         )
@@ -70,7 +81,7 @@ class CorrectedScan:
         )
 
     def turned(self, rotation: Array, attitude: Array, position: Array) -> CorrectedScan:
-        """Transform the scan to another frame.
+        """Return the scan transformed to another frame.
 
         Parameters
         ----------
@@ -87,7 +98,7 @@ class CorrectedScan:
         )
 
     def moved(self, error: Array) -> CorrectedScan:
-        """Return the scan with errors (11,) added."""
+        """Return the scan with estimated errors (11,) of pose and scanner added."""
         latency = float(error[10])
         turn = quat_from_rotation_vector(error[3:6])
         attitude = quat_multiply(self.attitude, turn)
@@ -101,7 +112,7 @@ class CorrectedScan:
         return replace(self, scan=scan, position=position, attitude=attitude)
 
     def points(self) -> Array:
-        """Return the points (n, 3), m; NaN marks missing returns."""
+        """Return the points of the scan (n, 3), m; NaN marks missing returns."""
         return self.scan.points(self.position, self.attitude)
 
     def surface(self, grid: Grid) -> ScanSurface:
@@ -113,9 +124,10 @@ class CorrectedScan:
         return self.jacobian(np.broadcast_to(point, (3, 3)), np.eye(3))
 
     def jacobian(self, points: Array, normals: Array) -> Array:
-        """Return the Jacobian of points (m, 3) along vectors (m, 3): (m, 11).
+        """Return the Jacobian (n, 11) of points along vectors, with respect to the errors.
 
-        With normals (-dz/dx, -dz/dy, 1) this is the Jacobian of the height at fixed places.
+        Points and vectors (`normals`) are (n, 3). With normals (-dz/dx, -dz/dy, 1) this is the
+        Jacobian of the terrain height at fixed horizontal positions.
         """
         rotation = quat_to_matrix(self.attitude)
         return np.asarray(

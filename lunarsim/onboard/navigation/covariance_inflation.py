@@ -16,7 +16,7 @@ _REGULARISATION = 1e-9
 
 
 def inflate(p: Array, columns: ArrayLike, factor: float, max_sigma: ArrayLike) -> None:
-    """Multiply the conditional variances of some errors by a factor.
+    """Multiply the conditional variances of some errors in a covariance by a factor.
 
     Each error is the sum of its regression on the other errors and a residual. Only the residual is
     inflated, so that the correlations remain valid. If the total variance were inflated, a later
@@ -56,7 +56,11 @@ def inflate(p: Array, columns: ArrayLike, factor: float, max_sigma: ArrayLike) -
 
 
 def _explained_covariance(p: Array, at: Index) -> Array:
-    """Return the covariance of some errors explained by all other errors (k, k)."""
+    """Return the covariance (k, k) of some errors explained by all other errors.
+
+    This is the covariance of the regression of the errors `at` (k,) on the others; `p` (n, n) is
+    the covariance of all errors.
+    """
     others = np.setdiff1d(np.arange(len(p)), at)
     unit = np.sqrt(np.maximum(p.diagonal()[others], 1e-300))
     cross = p[np.ix_(at, others)] / unit

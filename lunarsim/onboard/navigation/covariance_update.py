@@ -27,10 +27,11 @@ _FEW = 6
 
 
 def subtract_square(p: Array, w: Array) -> None:
-    """Subtract w' w (n, n) from the symmetric p in place, for w (m, n).
+    """Subtract w' w of a Kalman update from the symmetric covariance p, in place.
 
-    For small m this is done row by row, otherwise in blocks above the diagonal that fit the cache.
-    The blocks are distributed over threads; the result does not depend on the number of threads.
+    `p` is (n, n) and `w` (m, n). For small m this is done row by row, otherwise in blocks above the
+    diagonal that fit the cache. The blocks are distributed over threads; the result does not depend
+    on the number of threads.
     """
     n = len(p)
     if len(w) <= _FEW:
@@ -46,10 +47,11 @@ def subtract_square(p: Array, w: Array) -> None:
 
 
 def subtract_rows(p: Array, w: Array, states: Index) -> None:
-    """Subtract w' w from the rows `states` (s,) of the symmetric p (n, n) in place.
+    """Subtract w' w of a Kalman update from some rows of the covariance p, in place.
 
-    w is (m, n). The block of `states` stays symmetric; their columns in other rows are not changed.
-    The rows are distributed over threads; the result does not depend on the number of threads.
+    `states` (s,) are the indices of the rows; `p` (n, n) is symmetric; `w` is (m, n). The block of
+    `states` stays symmetric; their columns in other rows are not changed. The rows are distributed
+    over threads; the result does not depend on the number of threads.
     """
     if len(w) <= _FEW:
         with threads_for(4e-4 * len(w) * len(states) * len(p)):
@@ -67,7 +69,7 @@ def subtract_rows(p: Array, w: Array, states: Index) -> None:
 
 
 def _share(job: Callable[[int], None], starts: range) -> None:
-    """Run a job for each start, with the number of threads of the kernels."""
+    """Run a function for each start index, distributed over the kernels' threads."""
     threads = numba.get_num_threads()
     if threads == 1 or len(starts) == 1:
         for start in starts:

@@ -22,25 +22,36 @@ Flags = NDArray[np.bool_]
 
 
 class DeferredColumns:
-    """Mirror the columns of active errors in the rows of frozen errors on demand.
+    """Copies covariances between active and frozen errors only when they are read.
+
+    Active errors are those that measurements currently correct; frozen errors are not corrected.
+    Their covariances are kept up to date in the rows of the active errors. The equal entries in the
+    rows of the frozen errors may be outdated.
 
     Attributes
     ----------
     is_outdated
-        Whether these columns are out of date.
+        Whether entries in the rows of the frozen errors are out of date.
     """
 
     def __init__(self) -> None:
         self.is_outdated = False
 
     def catch_up(self, p: Array, is_frozen: Flags) -> None:
-        """Update the columns of the symmetric p (n, n) for frozen errors (n,)."""
+        """Update the outdated entries of the symmetric covariance p (n, n) in place.
+
+        `is_frozen` (n,) marks the frozen errors.
+        """
         if self.is_outdated:
             self.is_outdated = False
             _take_over(p, np.flatnonzero(is_frozen), np.flatnonzero(~is_frozen))
 
     def change_frozen(self, p: Array, before: Flags, now: Flags) -> None:
-        """Change the frozen errors of the symmetric p (n, n) from `before` to `now` (n,)."""
+        """Update the entries of p (n, n) that a change of the frozen errors requires.
+
+        `before` and `now` (n,) mark the frozen errors before and after the change. `p` is the
+        symmetric covariance, changed in place.
+        """
         if not self.is_outdated:
             return
         begin, cease = np.flatnonzero(~before & now), np.flatnonzero(before & ~now)
@@ -53,6 +64,6 @@ class DeferredColumns:
 
 
 def _take_over(p: Array, rows: Index, columns: Index) -> None:
-    """Copy p[columns, rows]' to p[rows, columns]."""
+    """Copy p[columns, rows]' to p[rows, columns] of a symmetric matrix, in place."""
     with threads_for(2e-3 * len(rows) * len(columns)):
         mirror_columns(p, rows, columns)

@@ -20,9 +20,10 @@ _MAX_ROWS = 256
 
 
 class DeferredUpdates:
-    """Matrix squares that are still to be subtracted from a symmetric matrix.
+    """Queue of matrix products w' w to be subtracted from a covariance in one pass.
 
-    The covariance block of frozen rows does not change; see `SchmidtKalmanCovariance.rest`.
+    Each row of w belongs to one scalar measurement. Some errors can be frozen: the covariances
+    among frozen errors do not change.
     """
 
     def __init__(self) -> None:
@@ -32,23 +33,23 @@ class DeferredUpdates:
 
     @property
     def rows(self) -> int:
-        """Number of deferred rows."""
+        """Number of queued rows, one for each scalar measurement."""
         return sum(len(w) for w in (*self._full_rows, *self._active_rows))
 
     @property
     def is_full(self) -> bool:
-        """Whether the deferred rows must be subtracted before more are added."""
+        """Whether the queued rows must be subtracted before more are added."""
         return self.rows >= _MAX_ROWS
 
     def add(self, w: Array, active: Index | None) -> None:
-        """Defer the subtraction of w' w, for w (m, n).
+        """Queue the subtraction of w' w from the covariance, for w (m, n).
 
         Parameters
         ----------
         w
-            One row for each scalar measurement.
+            One row for each scalar measurement, one column for each error.
         active
-            Indices of the rows that are not frozen (k,), constant until `apply`; None for all.
+            Indices of the errors that are not frozen (k,), constant until `apply`; None for all.
         """
         if len(w) == 0:
             return
@@ -60,16 +61,19 @@ class DeferredUpdates:
 
     @property
     def affects_frozen(self) -> bool:
-        """Whether a deferred update applies to all rows, including frozen ones."""
+        """Whether a queued update applies to all errors, including frozen ones.
+
+        Frozen errors are not corrected by measurements.
+        """
         return bool(self._full_rows)
 
     def apply(self, p: Array) -> bool:
-        """Subtract all deferred squares from the first n rows and columns of p, in place.
+        """Subtract all queued products from the first n rows and columns of p, in place.
 
         Returns
         -------
         lags
-            Whether the columns of active rows are out of date in the frozen rows.
+            Whether the columns of active errors are out of date in the rows of frozen errors.
         """
         lags = False
         if self._full_rows:

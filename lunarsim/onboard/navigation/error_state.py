@@ -2,7 +2,7 @@
 
 The first 15 errors are those of the lander (shadow EKF paper, Eq. 1). Then come named blocks that
 exist for the entire flight: poses of earlier scans, sensor biases, terrain height. States that are
-added and removed in flight, such as rocks, stand behind the blocks. This module implements their
+added and removed in flight, such as rocks, come after the blocks. This module implements their
 propagation and their measurement updates.
 """
 
@@ -50,29 +50,32 @@ _MIN_RELATIVE_INFORMATION = 1e-3
 
 @dataclass(frozen=True)
 class UpdateOutcome:
-    """Outcome of a measurement update.
+    """Outcome of a measurement update of the navigation filter.
 
     Attributes
     ----------
     nis
-        Normalised innovation squared; chi-squared with `degrees` degrees of freedom.
-    degrees
+        Normalised innovation squared; chi-squared with `dof` degrees of freedom.
+    dof
         Degrees of freedom.
-    taken
+    is_accepted
         Whether the measurement was accepted.
-    white
+    whitened
         Whitened innovation (n,) of an accepted measurement, otherwise empty. The length is constant
         for one kind of measurement of one sensor; missing components are NaN.
     """
 
     nis: float
-    degrees: int
-    taken: bool
-    white: Array = field(default_factory=lambda: np.zeros(0))
+    dof: int
+    is_accepted: bool
+    whitened: Array = field(default_factory=lambda: np.zeros(0))
 
 
 class ErrorState(SchmidtKalmanCovariance):
-    """Error covariance of the filter with its time and measurement updates.
+    """Error-state Kalman filter: lander state, error covariance and their updates.
+
+    The errors are those of the lander (15), then named blocks of additional errors that exist for
+    the entire flight, then errors that are added and removed in flight (rocks).
 
     Parameters
     ----------
@@ -83,7 +86,7 @@ class ErrorState(SchmidtKalmanCovariance):
     blocks
         Initial covariances (k, k) of additional errors, by name of the block.
     capacity
-        Initial number of errors behind the blocks to allocate; it grows as needed.
+        Initial number of errors after the blocks to allocate; it grows as needed.
 
     Attributes
     ----------
@@ -92,9 +95,10 @@ class ErrorState(SchmidtKalmanCovariance):
     head
         Number of errors of the lander and the blocks.
     tail
-        Number of errors behind the blocks.
+        Number of errors after the blocks.
     listeners
-        Called with each correction (size,), after the lander's state was corrected.
+        Functions that are called with each correction (size,), after the lander's state was
+        corrected.
     """
 
     def __init__(
@@ -121,44 +125,62 @@ class ErrorState(SchmidtKalmanCovariance):
     # --- layout ---------------------------------------------------------------------------
 
     def block(self, name: str) -> slice:
-        """Return the slice of a block in the error state."""
+        """Return the slice of a named block (group of errors) in the error state."""
         return self._blocks[name]
 
     def value(self, name: str) -> Array:
-        """Return the sum of a block's corrections (k,), its value if it started at 0."""
+        """Return the estimate of a named block (group of errors) that started at 0 (k,).
+
+        This is the sum of all corrections of these errors so far.
+        """
         return self._values[name]
 
     def has(self, name: str) -> bool:
-        """Return whether a block exists."""
+        """Return whether the error state contains a block (group of errors) of this name."""
         return name in self._blocks
 
     def inflate(self, columns: ArrayLike, factor: float, max_sigma: ArrayLike) -> None:
-        """Multiply the variances of errors (k,) by a factor.
+        """Multiply the conditional variances of some errors by a factor.
 
-        See `covariance_inflation.inflate`.
+        `columns` (k,) are the indices of the errors, and `max_sigma` (k,) their maximum standard
+        deviations after the inflation. Correlations with the other errors remain valid.
         """
         inflate(self.covariance, columns, factor, max_sigma)
 
     def raise_variances(self, columns: ArrayLike, sigma: ArrayLike) -> None:
-        """Raise the standard deviations of errors (k,) to at least `sigma` (k,)."""
+        """Raise the standard deviations of errors to at least given values.
+
+        `columns` (k,) are the indices of the errors, and `sigma` (k,) the minimum standard
+        deviations.
+        """
         at = np.asarray(columns)
         p = self._readable(at)
         p[at, at] = np.maximum(p[at, at], np.square(sigma))
 
     def widen(self, columns: ArrayLike, covariance: ArrayLike) -> None:
-        """Add process noise (k, k) to the covariance of errors (k,)."""
+        """Add process noise of a given covariance (k, k) to some errors.
+
+        `columns` (k,) are the indices of the errors.
+        """
         at = np.asarray(columns)
         self._readable(at)[np.ix_(at, at)] += np.atleast_2d(covariance)
 
     def clone(self, name: str, source: Index) -> None:
-        """Set a block's errors equal to other errors, such as those of the current pose."""
+        """Set a block (group of errors) equal to other errors, as for a copy of the pose.
+
+        `source` (k,) are the indices of the errors that are copied into the block `name`.
+        """
         p = self._p if int(np.max(source)) < self.head else self.p
         into = self._blocks[name]
         p[into] = p[source]
         p[:, into] = p[:, source]
 
     def follow(self, at: int, sources: Index, weights: Array, variance: float) -> None:
-        """Set an error to a weighted sum of errors (k,) plus noise of a given variance."""
+        """Replace one error by a weighted sum of errors plus independent noise.
+
+        `at` is the index of the replaced error; `sources` (k,) and `weights` (k,) define the sum;
+        `variance` is that of the noise.
+        """
         p = self._readable(at, sources)
         row = weights @ p[sources]
         own = float(row[sources] @ weights) + variance
@@ -168,7 +190,10 @@ class ErrorState(SchmidtKalmanCovariance):
     # --- time -----------------------------------------------------------------------------
 
     def propagate(self, angle: ArrayLike, velocity: ArrayLike) -> None:
-        """Propagate state and covariance with inertial samples (n, 3), NaN if missing.
+        """Propagate state and covariance with inertial samples; NaN marks missing ones.
+
+        `angle` (n, 3), rad, and `velocity` (n, 3), m/s, are the increments of gyroscopes and
+        accelerometers.
 
         Raises
         ------
@@ -194,18 +219,18 @@ class ErrorState(SchmidtKalmanCovariance):
         noise: ArrayLike,
         gate: float = np.inf,
     ) -> UpdateOutcome:
-        """Update with a measurement (m,) that depends on a few errors.
+        """Update state and covariance with a measurement (n,) that depends on few errors.
 
         Parameters
         ----------
         jacobian
-            Jacobian of the measurement with respect to the errors at `columns` (m, k).
+            Jacobian of the measurement with respect to the errors at `columns` (n, k).
         columns
             Distinct indices into the error state (k,).
         innovation
-            Measured minus predicted value (m,).
+            Measured minus predicted value (n,).
         noise
-            Noise covariance (m, m), or variances (m,) of independent components.
+            Noise covariance (n, n), or variances (n,) of independent components.
         gate
             Maximum normalised innovation squared; a larger one is rejected. A measurement that is
             not finite or whose noise is not positive definite is ignored, and `nis` is NaN. If the
@@ -224,16 +249,18 @@ class ErrorState(SchmidtKalmanCovariance):
     def update_with_innovation(
         self, hp: Array, expected: Array, innovation: Array, gate: float = np.inf
     ) -> UpdateOutcome:
-        """Update with an innovation (m,) and its Jacobian times the covariance (m, size).
+        """Update state and covariance with an innovation (n,), H and P already multiplied.
 
-        `expected` (m, m) is the innovation covariance. The update overwrites `hp`.
+        `hp` (n, size) is the product of the measurement Jacobian H and the covariance P; the update
+        overwrites it. `expected` (n, n) is the innovation covariance. `gate` is the maximum
+        normalised innovation squared; an innovation above it is rejected.
         """
         outcome, lower = gate_innovation(innovation, expected, gate)
-        if not outcome.taken:
+        if not outcome.is_accepted:
             return outcome
         # (L^-1 H P)' = (H P)' L^-T, in place: the transposed array is in Fortran order.
         w = np.ascontiguousarray(dtrsm(1.0, lower.T, hp.T, side=1, lower=0, overwrite_b=1).T)
-        error = outcome.white @ w
+        error = outcome.whitened @ w
         active = self._active()
         if active is not None:
             error[self.head :][self._frozen] = 0.0
@@ -252,20 +279,21 @@ class ErrorState(SchmidtKalmanCovariance):
         *,
         min_probability: float = 0.0,
     ) -> UpdateOutcome:
-        """Update with an information matrix (k, k) and vector (k,) on errors `part` (k,).
+        """Update state and covariance with an information matrix and vector.
 
-        The update avoids the inverse of the covariance, which is singular while two poses coincide.
-        It treats the information as independent measurements of unit variance along its principal
-        axes; it subtracts a matrix square, so that the covariance stays symmetric. `nis` of the
-        outcome is the squared Mahalanobis distance of the correction. A correction is rejected if
-        `nis` exceeds `gate`, or if its chi-squared tail probability is below `min_probability`.
+        The matrix (k, k) and vector (k,) refer to the errors with indices `part` (k,). The update
+        avoids the inverse of the covariance, which is singular while two poses coincide. It treats
+        the information as independent measurements of unit variance along its principal axes; it
+        subtracts a matrix square, so that the covariance stays symmetric. `nis` of the outcome is
+        the squared Mahalanobis distance of the correction. A correction is rejected if `nis`
+        exceeds `gate`, or if its chi-squared tail probability is below `min_probability`.
         Information that is not finite is ignored, and `nis` is NaN. If the covariance is no longer
         positive definite, it is rejected with an infinite `nis`.
         """
         k = len(part)
         if not (np.isfinite(information).all() and np.isfinite(vector).all()):
             return UpdateOutcome(np.nan, k, False)
-        own = self.own(part)
+        own = self.covariance_of(part)
         try:
             rows, measured, white = _as_measurements(own, information, vector)
             hp = rows @ self._rows(part)
@@ -290,10 +318,10 @@ class ErrorState(SchmidtKalmanCovariance):
 
         Velocity sensors measure in body axes. They constrain a combination of the velocity error
         and the tilt times the velocity. When the velocity estimate changes, this combination must
-        keep its covariance, so the velocity errors are transformed with the tilt. The result is
-        the covariance of an invariant filter (Barrau and Bonnabel 2017), whose Jacobians do not
-        depend on the estimate. Without it, successive velocity corrections would wrongly reduce
-        the uncertainty of the tilt.
+        keep its covariance, so the velocity errors are transformed with the tilt. The result is the
+        covariance of an invariant filter (Barrau and Bonnabel 2017), whose Jacobians do not depend
+        on the estimate. Without this transformation, successive velocity corrections would wrongly
+        reduce the uncertainty of the tilt.
 
         Raises
         ------
@@ -317,11 +345,12 @@ class ErrorState(SchmidtKalmanCovariance):
 
 
 def gate_innovation(innovation: Array, expected: Array, gate: float) -> tuple[UpdateOutcome, Array]:
-    """Test an innovation (m,); return the outcome and the factor of its covariance.
+    """Test an innovation (n,); return the outcome and a Cholesky factor (n, n).
 
-    The factor is that of Cholesky. The innovation is accepted if its normalised square is at most
-    `gate`. If it is not finite, it is ignored (`nis` is NaN). If the covariance (m, m) is not
-    positive definite, the innovation is rejected with an infinite `nis`.
+    The factor is that of the innovation covariance `expected` (n, n). The innovation is accepted if
+    its normalised square is at most `gate`. If it is not finite, it is ignored (`nis` is NaN). If
+    the covariance is not positive definite, the innovation is rejected with an infinite `nis`; the
+    second result is then not a factor.
     """
     m = len(innovation)
     if not np.isfinite(innovation).all():
@@ -341,17 +370,18 @@ def gate_innovation(innovation: Array, expected: Array, gate: float) -> tuple[Up
 
 
 def _as_measurements(own: Array, information: Array, vector: Array) -> tuple[Array, Array, Array]:
-    """Convert information on errors to independent measurements.
+    """Convert information on errors to independent measurements of unit variance.
 
-    With the prior covariance P = L L', the information matrix I, M = L' I L and u = L' v, the
-    covariance of u is M + M^2, since I is the covariance of the noise of v. Directions with little
-    information are dropped: small unmodelled errors look like many standard deviations there, and
-    would move the state again with each update.
+    `own` (k, k) is the prior covariance of the errors. With its factorisation P = L L', the
+    information matrix I and vector v, M = L' I L and u = L' v, the covariance of u is M + M^2,
+    since I is the covariance of the noise of v. Directions with little information are dropped:
+    small unmodelled errors look like many standard deviations there, and would move the state again
+    with each update.
 
     Returns
     -------
     rows, measured
-        Jacobian (m, k) and innovation (m,) of measurements of unit variance.
+        Jacobian (n, k) and innovation (n,) of the measurements.
     white
         Whitened innovation (k,) along the axes of L, which are the same for every measurement.
     """
@@ -368,7 +398,15 @@ def _as_measurements(own: Array, information: Array, vector: Array) -> tuple[Arr
 
 
 def _samples(angle: ArrayLike, velocity: ArrayLike) -> tuple[Array, Array]:
-    """Check inertial samples, and return them as two arrays (n, 3)."""
+    """Return inertial samples as two arrays (n, 3) after checking the shapes.
+
+    `angle` is in rad and `velocity` in m/s.
+
+    Raises
+    ------
+    InputError
+        If the arrays are not (n, 3) or differ in length.
+    """
     out = []
     for name, values in (("angle", angle), ("velocity", velocity)):
         array = np.atleast_2d(np.asarray(values, dtype=np.float64))

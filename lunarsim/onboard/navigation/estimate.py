@@ -18,12 +18,12 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Estimate:
-    """State of the lander as estimated on board.
+    """State of the lander as estimated on board, with its covariance.
 
     Attributes
     ----------
     time
-        s.
+        Time of the estimate, s.
     position, velocity
         Local frame (3,), m and m/s.
     attitude
@@ -31,7 +31,7 @@ class Estimate:
     rate
         Body rate (3,), rad/s.
     mass
-        kg.
+        Mass, kg.
     covariance
         Covariance (9, 9) of position (site frame, m), velocity (m/s) and small rotation in ENU
         (rad).
@@ -48,8 +48,8 @@ class Estimate:
     covariance: Array
     lost: bool = False
 
-    def ahead(self, seconds: float) -> Estimate:
-        """Extrapolate with constant velocity and body rate."""
+    def extrapolate(self, seconds: float) -> Estimate:
+        """Return the estimate `seconds` later, for constant velocity and body rate."""
         attitude = self.attitude.copy()
         rotate_quaternion(attitude, self.rate * seconds)
         return replace(
@@ -65,7 +65,7 @@ class Estimate:
 
 @dataclass(frozen=True)
 class MapRotation:
-    """Rotation of the mapped terrain by corrections of the lander's tilt.
+    """Rotation of the terrain map that results from corrections of the lander's tilt.
 
     A map built with a tilt error is itself tilted. When the filter corrects the tilt, everything
     mapped before rotates about one point, the anchor of the local frame.
@@ -81,20 +81,23 @@ class MapRotation:
     rotation: Array
     pivot: Array
 
-    def since(self, before: Array) -> tuple[Array, float]:
-        """Return the rotation (3, 3) since `before` (3, 3), and its angle, rad."""
+    def rotation_since(self, before: Array) -> tuple[Array, float]:
+        """Return the rotation (3, 3) since an earlier one, and its angle, rad.
+
+        `before` (3, 3) is the earlier value of `rotation`.
+        """
         turn = self.rotation @ before.T
         return turn, float(np.linalg.norm(turn - turn.T) / np.sqrt(8.0))
 
 
 @dataclass(frozen=True)
 class NavigationEvent:
-    """Event reported by navigation.
+    """Event reported by navigation, for instance that the estimate is lost.
 
     Attributes
     ----------
     time
-        s.
+        Time of the event, s.
     name
         For instance "lock", "lock-lost" or "relock".
     details
@@ -107,22 +110,22 @@ class NavigationEvent:
 
 
 class Navigation(ABC):
-    """Turn measurements into an `Estimate`.
+    """Interface of navigation filters: measurements in, `Estimate` out.
 
     Attributes
     ----------
     events
         Events reported so far.
-    own_azimuth
+    has_local_azimuth
         Whether the azimuth of the local frame is the lander's initial estimate and not that of the
         site frame.
-    steps
+    has_position_steps
         Whether measurements change the estimated position in steps.
     """
 
     events: list[NavigationEvent]
-    own_azimuth: ClassVar[bool] = False
-    steps: ClassVar[bool] = True
+    has_local_azimuth: ClassVar[bool] = False
+    has_position_steps: ClassVar[bool] = True
 
     @property
     @abstractmethod
@@ -131,21 +134,26 @@ class Navigation(ABC):
 
     @abstractmethod
     def take(self, sensor: str, measurement: Any, time: float) -> None:
-        """Process one measurement of a named sensor; ignore one that cannot be used."""
+        """Update the filter with one measurement of a named sensor.
+
+        A measurement that the filter cannot use is ignored. `time` is the current time, s.
+        """
 
     @abstractmethod
     def estimate(self, time: float, mass: float) -> Estimate:
-        """Return the estimate at `time` (s) with the mass (kg) given by the computer."""
+        """Return the estimate at `time` (s); `mass` (kg) is that assumed by the computer."""
 
     @property
-    def adrift(self) -> bool:
+    def is_drifting(self) -> bool:
         """Whether neither a map nor tracked rocks bound the position error.
 
         Velocity errors then accumulate until touchdown.
         """
         return True
 
-    def corrected(self, sensor: str, measurement: Any, now: Estimate) -> tuple[Any, Estimate]:
+    def correct_measurement(
+        self, sensor: str, measurement: Any, now: Estimate
+    ) -> tuple[Any, Estimate]:
         """Return a measurement and its pose, corrected for the estimated sensor errors.
 
         Mappers use the result. A navigation without estimates of sensor errors returns its
@@ -161,41 +169,41 @@ class Navigation(ABC):
         return measurement, now
 
     @property
-    def ground_turn(self) -> MapRotation | None:
+    def map_rotation(self) -> MapRotation | None:
         """Rotation of the mapped terrain by tilt corrections; None if not estimated."""
         return None
 
 
 @runtime_checkable
 class ThrustAware(Protocol):
-    """Navigation that uses the commanded thrust."""
+    """Interface of a navigation filter that uses the commanded thrust."""
 
-    def commanded(self, thrust: float, seconds: float) -> None:
+    def record_thrust(self, thrust: float, seconds: float) -> None:
         """Record the thrust (N) commanded over the last `seconds`.
 
-        It is called before the measurements of that time are processed.
+        The method is called before the measurements of that time are processed.
         """
         ...
 
 
 class NavigationPart(Protocol):
-    """Settings of a navigation in the registry: a frozen dataclass.
+    """Settings of a navigation filter in the scenario: a frozen dataclass.
 
     Attributes
     ----------
     needs
         Measurement types that the navigation requires.
-    takes
-        Measurement types that it uses if available.
+    accepts
+        Measurement types that the navigation uses if available.
     needs_prior_map, uses_prior_map
-        Whether it requires a prior map, and whether it uses one if available.
+        Whether the navigation requires a prior map, and whether it uses one if available.
     """
 
     needs: ClassVar[tuple[type, ...]]
-    takes: ClassVar[tuple[type, ...]]
+    accepts: ClassVar[tuple[type, ...]]
     needs_prior_map: ClassVar[bool]
     uses_prior_map: ClassVar[bool]
 
     def build(self, briefing: Briefing) -> Navigation:
-        """Build the navigation filter of one flight."""
+        """Return the navigation filter of one flight, built from its briefing."""
         ...

@@ -20,24 +20,24 @@ _MAX_FIX_AGE_S = 2.0
 
 @dataclass(frozen=True)
 class ExternalFixes:
-    """Use the fixes of an external navigation system unchanged."""
+    """Settings of navigation by position fixes of an external navigation system."""
 
     needs: ClassVar[tuple[type, ...]] = (NavigationFix,)
-    takes: ClassVar[tuple[type, ...]] = (InertialSamples,)
+    accepts: ClassVar[tuple[type, ...]] = (InertialSamples,)
     needs_prior_map: ClassVar[bool] = False
     uses_prior_map: ClassVar[bool] = False
 
     def build(self, briefing: Briefing) -> FixNavigation:
-        """Build the navigation of one flight."""
+        """Return the navigation of one flight, built from its briefing."""
         return FixNavigation(briefing.start, briefing.step)
 
 
 class FixNavigation(Navigation):
-    """Use the last fix as the estimate, and the initial estimate before the first.
+    """Navigation that returns the last fix of an external navigation system.
 
-    A fix is ignored if it is not finite, its attitude is not a unit quaternion or a variance is
-    negative. `MeasurementSequencer` rejects fixes that are out of order. Navigation is lost if
-    there is no fix for 2 s.
+    Before the first fix, the estimate is the initial one. A fix is ignored if it is not finite, its
+    attitude is not a unit quaternion or a variance is negative. `MeasurementSequencer` rejects
+    fixes that are out of order. Navigation is lost if there is no fix for 2 s.
 
     Parameters
     ----------
@@ -47,7 +47,7 @@ class FixNavigation(Navigation):
         Time between gyroscope samples, if there are any, s.
     """
 
-    steps: ClassVar[bool] = False
+    has_position_steps: ClassVar[bool] = False
 
     def __init__(self, start: InitialStateEstimate, step: float) -> None:
         self._step = step
@@ -60,7 +60,7 @@ class FixNavigation(Navigation):
         )
 
     @property
-    def adrift(self) -> bool:
+    def is_drifting(self) -> bool:
         """False, since fixes do not drift."""
         return False
 
@@ -73,12 +73,14 @@ class FixNavigation(Navigation):
         self.events.append(NavigationEvent(time, name, details))
 
     def take(self, sensor: str, measurement: Any, time: float) -> None:
-        """Store a fix, or the rate measured by the gyroscopes.
+        """Store a position fix, or the angular rate measured by the gyroscopes.
+
+        `time` is the current time, s. Other measurements are ignored.
 
         Raises
         ------
         InputError
-            If `time` (s) runs backwards, or an array has a wrong shape.
+            If `time` runs backwards, or an array has a wrong shape.
         """
         measurement = self._arrivals.admit(sensor, measurement, time)
         if isinstance(measurement, NavigationFix):
@@ -90,7 +92,7 @@ class FixNavigation(Navigation):
                 self._rate = angle[-1] / self._step
 
     def estimate(self, time: float, mass: float) -> Estimate:
-        """Return the last fix with the given mass (kg)."""
+        """Return the last fix as the estimate at `time` (s), with the given mass (kg)."""
         f = self._fix
         lost = time - f.time > _MAX_FIX_AGE_S
         return Estimate(
@@ -99,7 +101,13 @@ class FixNavigation(Navigation):
 
 
 def _is_valid(fix: NavigationFix) -> bool:
-    """Return whether a fix is finite with a unit quaternion and valid variances."""
+    """Return whether a fix is finite, with a unit quaternion and valid variances.
+
+    Raises
+    ------
+    InputError
+        If an array has a wrong shape.
+    """
     shapes = {"position": (3,), "velocity": (3,), "attitude": (4,), "covariance": (9, 9)}
     for name, shape in shapes.items():
         shape_given = np.shape(getattr(fix, name))

@@ -26,20 +26,20 @@ _MONITOR_SETTINGS = {
 
 
 class RockCorrection(Enum):
-    """Corrective action for the tracked rocks."""
+    """Corrective action for the tracked rocks: none, inflate covariance, or reset."""
 
     NONE = "none"
-    DOUBT = "doubt"
-    RENEW = "renew"
+    INFLATE = "doubt"
+    RESET = "renew"
 
 
 class ImageInnovationMonitor:
-    """Monitor the rock observations of camera images.
+    """Monitor of whether rock observations in camera images agree with the estimate.
 
     Parameters
     ----------
     events
-        List that receives the events "doubted", "renewed", "lost" and "believed".
+        List that receives the events "covariance-inflated", "rocks-reset", "lost" and "recovered".
     """
 
     def __init__(self, events: list[NavigationEvent]) -> None:
@@ -51,7 +51,7 @@ class ImageInnovationMonitor:
 
     @property
     def lost(self) -> bool:
-        """Whether the observations contradict the estimate."""
+        """Whether the rock observations contradict the navigation estimate."""
         return any(monitor.lost for monitor in self.watches.values())
 
     def record(self, kind: str, time: float, outcome: UpdateOutcome) -> RockCorrection:
@@ -60,9 +60,10 @@ class ImageInnovationMonitor:
         Parameters
         ----------
         kind
-            "places", "expected" or "shadows".
+            "places" (rock positions), "expected" (detected fraction of the rocks expected in view)
+            or "shadows" (direction of the shadows).
         time
-            s.
+            Time of the image, s.
         outcome
             Outcome of the update.
         """
@@ -70,17 +71,17 @@ class ImageInnovationMonitor:
         before, result = monitor.lost, monitor.record(time, outcome)
         if result is MonitorResult.CONSISTENT:
             if before and not monitor.lost:
-                self._add_event(time, "believed", kind)
+                self._add_event(time, "recovered", kind)
             return RockCorrection.NONE
         if result is MonitorResult.LOST:
             if not before:
                 self._add_event(time, "lost", kind)
-            return RockCorrection.RENEW
+            return RockCorrection.RESET
         # The first alarm inflates the covariance; another one soon after it resets the rocks.
         again = time - self._last_alarm[kind] < 3.0 * monitor.settings.window_s
         self._last_alarm[kind] = time
-        self._add_event(time, "renewed" if again else "doubted", kind)
-        return RockCorrection.RENEW if again else RockCorrection.DOUBT
+        self._add_event(time, "rocks-reset" if again else "covariance-inflated", kind)
+        return RockCorrection.RESET if again else RockCorrection.INFLATE
 
     def _add_event(self, time: float, name: str, kind: str) -> None:
         self._events.append(NavigationEvent(time, name, {"measurement": f"rocks' {kind}"}))

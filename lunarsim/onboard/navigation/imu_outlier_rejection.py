@@ -33,26 +33,26 @@ CONFIRMATION_COUNT = 3
 
 @dataclass(frozen=True)
 class ImuSampleLimits:
-    """Limits of the inertial samples from the lander's dynamics and the sensor noise.
+    """Limits of inertial samples from the lander's dynamics and the sensor noise.
 
     Attributes
     ----------
-    step
-        Maximum change of rate and specific force (6,) between samples, rad/s and m/s^2; infinite
-        if the vehicle is unknown.
-    noise
+    max_change
+        Maximum change of rate and specific force (6,) between samples, rad/s and m/s^2; infinite if
+        the vehicle is unknown.
+    max_noise
         Maximum additional change by noise (6,), rad/s and m/s^2.
     maximum
         Maximum rate and specific force (6,), rad/s and m/s^2.
     """
 
-    step: Array
-    noise: Array
+    max_change: Array
+    max_noise: Array
     maximum: Array
 
     @classmethod
     def unknown(cls) -> ImuSampleLimits:
-        """Return the limits of an unknown lander."""
+        """Return the limits for an unknown lander: absolute maxima, no rate of change."""
         maximum = np.repeat([_MAX_RATE_RAD_S, _MAX_FORCE_M_S2], 3)
         return cls(np.full(6, np.inf), np.zeros(6), maximum)
 
@@ -66,7 +66,7 @@ class ImuSampleLimits:
         *,
         slew: float = 0.0,
     ) -> ImuSampleLimits:
-        """Return the limits of a given lander.
+        """Return the limits that follow from a lander's actuators and sensor noise.
 
         Parameters
         ----------
@@ -100,13 +100,17 @@ class ImuSampleLimits:
 
 
 def _noise(unit: TriadErrors, step: float) -> float:
-    """Return the maximum difference of two samples by noise and quantisation, units/s."""
+    """Return the maximum difference of two samples by noise and quantisation.
+
+    The unit is rad/s for gyroscopes and m/s^2 for accelerometers (`unit`). `step` is the time
+    between samples, s.
+    """
     return _NOISE_SIGMAS * float(np.sqrt(2.0 / step)) * unit.random_walk + 2.0 * unit.quantum / step
 
 
 @dataclass(frozen=True)
 class ScreenedSamples:
-    """Result of the outlier rejection.
+    """Result of the outlier rejection in a series of inertial samples.
 
     Attributes
     ----------
@@ -125,7 +129,7 @@ class ScreenedSamples:
 
 
 class ImuOutlierDetector:
-    """Detect outliers in a stream of inertial samples.
+    """Detects outliers in a stream of inertial samples.
 
     Parameters
     ----------
@@ -143,7 +147,7 @@ class ImuOutlierDetector:
     def __init__(self, limits: ImuSampleLimits, step: float) -> None:
         if not 0.0 < step < np.inf:
             raise InputError("step", step, "must be a positive time in seconds")
-        for name in ("step", "noise", "maximum"):
+        for name in ("max_change", "max_noise", "maximum"):
             limit = np.asarray(getattr(limits, name))
             if limit.shape != (6,) or not (limit >= 0.0).all():
                 raise InputError(f"limits.{name}", limit, "must be six non-negative numbers")
@@ -157,7 +161,11 @@ class ImuOutlierDetector:
         self._agreeing = 0
 
     def screen(self, angle: Array, velocity: Array) -> ScreenedSamples:
-        """Check increments (n, 3) and (n, 3), rad and m/s; NaN marks missing samples."""
+        """Find missing and implausible samples in increments of angle and velocity.
+
+        `angle` (n, 3), rad, and `velocity` (n, 3), m/s, follow the samples of the last call; NaN
+        marks missing samples.
+        """
         samples = np.hstack((angle, velocity)) / self._step
         with np.errstate(invalid="ignore"):
             is_implausible = np.asarray((np.abs(samples) > self.limits.maximum).any(axis=1))
@@ -165,7 +173,7 @@ class ImuOutlierDetector:
             np.isfinite(samples).all(axis=1) & ~is_implausible
         )
         rejected, jump = int(is_implausible.sum()), np.zeros(6)
-        if not np.isfinite(self.limits.step).any():
+        if not np.isfinite(self.limits.max_change).any():
             return ScreenedSamples(~is_present, rejected, jump)
         if self._last_accepted is None:
             if not is_present.any():
@@ -184,7 +192,8 @@ class ImuOutlierDetector:
                 continue
             change = np.abs(samples[n] - self._last_accepted)
             is_accepted = (
-                change <= self.limits.step * (1 + self._steps_since_last) + self.limits.noise
+                change
+                <= self.limits.max_change * (1 + self._steps_since_last) + self.limits.max_noise
             ).all()
             if is_accepted or self._is_confirmed(samples[n]):
                 if not is_accepted:
@@ -197,17 +206,23 @@ class ImuOutlierDetector:
         return ScreenedSamples(is_missing, rejected, jump)
 
     def _accept_all(self, samples: Array, last: Array) -> bool:
-        """Accept samples at once if none is missing and none differs much from the last."""
+        """Accept all samples (n, 6) together if no change between them exceeds the limits.
+
+        `last` (6,) is the last accepted sample. The return value states whether the samples were
+        accepted; no sample may be missing.
+        """
         if len(samples):
             change = np.abs(np.diff(samples, axis=0, prepend=last[None]))
-            if (change > self.limits.step + self.limits.noise).any():
+            if (change > self.limits.max_change + self.limits.max_noise).any():
                 return False
             self._last_accepted, self._steps_since_last, self._agreeing = samples[-1], 0, 0
         return True
 
     def _is_confirmed(self, sample: Array) -> bool:
-        """Return whether enough rejected samples in a row agree with this one."""
-        agrees = np.abs(sample - self._last_rejected) <= self.limits.step + self.limits.noise
+        """Return whether enough rejected samples in a row agree with a sample (6,)."""
+        agrees = (
+            np.abs(sample - self._last_rejected) <= self.limits.max_change + self.limits.max_noise
+        )
         self._agreeing = self._agreeing + 1 if self._agreeing and bool(agrees.all()) else 1
         self._last_rejected = sample
         return self._agreeing >= CONFIRMATION_COUNT

@@ -23,7 +23,7 @@ from lunarsim.onboard.navigation.imu_outlier_rejection import (
 
 Array = NDArray[np.float64]
 
-# Positions in the error state, Eq. 1.
+# Positions in the error state (shadow EKF paper, Eq. 1).
 POSITION, VELOCITY, ACCELEROMETER = slice(0, 3), slice(3, 6), slice(6, 9)
 ATTITUDE, GYROSCOPE = slice(9, 12), slice(12, 15)
 INERTIAL = 15
@@ -34,14 +34,14 @@ _MAX_DISTANCE_M, _MAX_SPEED_M_S, _MAX_GRAVITY_M_S2 = 1e6, 2e4, 100.0
 
 @dataclass(frozen=True)
 class StartSigmas:
-    """Standard deviations of the initial state, per axis.
+    """Standard deviations of the initial state of the lander, per axis.
 
     Attributes
     ----------
     position, velocity
-        m, m/s.
+        Standard deviations of position (m) and velocity (m/s).
     attitude
-        rad.
+        Standard deviation of the attitude, rad.
     """
 
     position: float = 5.0
@@ -58,7 +58,16 @@ class StartSigmas:
 def _check_start(
     position: Array, velocity: Array, attitude: Array, gravity: float, step: float
 ) -> Array:
-    """Check the initial state; return it as one array (10,)."""
+    """Check the initial state; return it as one array (10,).
+
+    The array contains position (ENU, m), velocity (m/s) and quaternion. `gravity` is in m/s^2 and
+    `step` in s.
+
+    Raises
+    ------
+    InputError
+        If a value is not finite or out of range.
+    """
     start = np.concatenate((position, velocity, attitude)).astype(np.float64)
     if start.shape != (10,) or not np.isfinite(start).all():
         raise InputError("navigation.start", start.tolist(), "must be ten finite numbers")
@@ -88,7 +97,9 @@ def _check_start(
 
 
 class StrapdownState:
-    """Position, velocity, attitude and biases, propagated with inertial samples.
+    """Strapdown inertial navigation: state propagated with inertial samples.
+
+    The state consists of position, velocity, attitude and the biases of the inertial unit.
 
     Parameters
     ----------
@@ -157,7 +168,7 @@ class StrapdownState:
 
     @classmethod
     def of(cls, briefing: Briefing) -> tuple[StrapdownState, StartSigmas]:
-        """Return the initial state of a briefing, and its standard deviations.
+        """Return the initial state stated in a briefing, and its standard deviations.
 
         Raises
         ------
@@ -181,13 +192,13 @@ class StrapdownState:
             slew=0.0 if control.torques else control.slew_limit,
         )  # fmt: skip
         state = cls(
-            s.position, s.velocity, s.attitude, briefing.weight, step=briefing.step,
+            s.position, s.velocity, s.attitude, briefing.surface_gravity, step=briefing.step,
             gyroscopes=unit.gyroscopes, accelerometers=unit.accelerometers, limits=limits,
         )  # fmt: skip
         return state, sigmas
 
     def covariance(self, errors: StartSigmas) -> Array:
-        """Return the initial covariance of the error state (15, 15)."""
+        """Return the initial covariance (15, 15) of the errors for given deviations."""
         sigmas = (
             errors.position, errors.velocity, self._bias_sigma[0], errors.attitude,
             self._bias_sigma[1],
@@ -196,27 +207,30 @@ class StrapdownState:
 
     @property
     def position(self) -> Array:
-        """ENU (3,), m."""
+        """Estimated position, ENU (3,), m."""
         return self._x[0:3]
 
     @property
     def velocity(self) -> Array:
-        """ENU (3,), m/s."""
+        """Estimated velocity, ENU (3,), m/s."""
         return self._x[3:6]
 
     @property
     def attitude(self) -> Array:
-        """Quaternion, body to ENU (4,)."""
+        """Estimated attitude, quaternion from body axes to ENU (4,)."""
         return self._x[9:13]
 
     @property
     def biases(self) -> tuple[Array, Array]:
-        """Biases of accelerometers (3,), m/s^2, and gyroscopes (3,), rad/s."""
+        """Estimated biases of accelerometers (3,), m/s^2, and gyroscopes (3,), rad/s."""
         return self._x[6:9], self._x[13:16]
 
     @property
     def bias_sigma(self) -> tuple[float, float]:
-        """Specified accelerometer and gyroscope bias, 1 sigma per axis, m/s^2 and rad/s."""
+        """Specified accelerometer and gyroscope bias, 1 sigma per axis, m/s^2 and rad/s.
+
+        The accelerometer bias includes the effect of scale factor and misalignment under thrust.
+        """
         return self._bias_sigma
 
     @property
@@ -225,14 +239,14 @@ class StrapdownState:
         return np.asarray(self._last_sample[:3] - self._x[13:16])
 
     def estimate(self, covariance: Array, time: float, mass: float) -> Estimate:
-        """Return the estimate of the lander's state.
+        """Return the current state as an `Estimate`.
 
         Parameters
         ----------
         covariance
             Covariance (n, n) of an error state whose first 15 errors are those of this state.
         time, mass
-            s, kg.
+            Time (s) and mass (kg) of the estimate.
         """
         keep = np.r_[0:6, 9:12]
         # The error state has attitude errors in body axes, `Estimate` has them in ENU.
@@ -244,11 +258,12 @@ class StrapdownState:
         )  # fmt: skip
 
     def propagate(self, angle: Array, velocity: Array) -> tuple[Array, Array]:
-        """Propagate the state with samples (n, 3); NaN marks missing samples.
+        """Propagate the state with inertial samples; NaN marks missing samples.
 
-        Samples that exceed the lander's dynamics count as missing (`ImuOutlierDetector`). If rate
-        or specific force jump beyond these limits and stay there, the bias variances are increased
-        by the squared jump.
+        `angle` (n, 3), rad, and `velocity` (n, 3), m/s, are the increments of gyroscopes and
+        accelerometers. Samples that exceed the lander's dynamics count as missing
+        (`ImuOutlierDetector`). If rate or specific force jump beyond these limits and stay there,
+        the bias variances are increased by the squared jump.
 
         Returns
         -------
@@ -258,7 +273,7 @@ class StrapdownState:
         angle, velocity = np.atleast_2d(angle), np.atleast_2d(velocity)
         screened = self._outlier_detector.screen(angle, velocity)
         if screened.rejected:
-            self._pending_events.append(("samples-refused", {"count": screened.rejected}))
+            self._pending_events.append(("samples-rejected", {"count": screened.rejected}))
         is_missing = screened.is_missing.reshape(-1, 1)
         if is_missing.any():
             angle, velocity = (
@@ -274,33 +289,39 @@ class StrapdownState:
             self._rotation_since_start,
             self._rotation_since_start + turn,
         )
-        # A reverse rotation would cancel the error; the filter takes no credit for that.
+        # A reverse rotation would cancel the error; the filter conservatively neglects this.
         growth = np.maximum(
             self._variance_per_rotation @ (self._rotation_since_start**2 - before**2), 0.0
         )
         noise[ATTITUDE, ATTITUDE] += np.diag(growth)
         if screened.jump.any():
             rate, force = float(screened.jump[:3].max()), float(screened.jump[3:].max())
-            self._pending_events.append(("samples-jumped", {"rate": rate, "force": force}))
+            self._pending_events.append(("samples-jump", {"rate": rate, "force": force}))
             self._add_bias_jump(noise, screened.jump, len(angle))
         return transition, noise
 
     def _add_bias_jump(self, noise: Array, jump: Array, samples: int) -> None:
-        """Add a jump of rate and specific force (6,) to the process noise (15, 15)."""
+        """Add a jump of rate and specific force (6,) to the process noise (15, 15).
+
+        `samples` is the number of samples of the propagation in which the jump was confirmed.
+        """
         seconds = (samples + CONFIRMATION_COUNT) * self.step
-        for bias, admit_and_propagate, of in (
+        for bias, columns, of in (
             (GYROSCOPE, ATTITUDE, jump[:3]), (ACCELEROMETER, VELOCITY, jump[3:])
         ):  # fmt: skip
             noise[bias, bias] += np.diag(of**2)
-            noise[admit_and_propagate, admit_and_propagate] += np.diag((seconds * of) ** 2)
+            noise[columns, columns] += np.diag((seconds * of) ** 2)
 
     def pop_events(self) -> list[tuple[str, dict[str, Any]]]:
-        """Return name and details of the rejections since the last call."""
+        """Return name and details of new events (rejected samples, jumps), and clear them."""
         events, self._pending_events = self._pending_events, []
         return events
 
     def correct(self, error: Array) -> None:
-        """Add an estimated error (15,); the attitude by Eq. 8, which preserves its norm.
+        """Add an estimated error (15,) to the state.
+
+        The attitude is corrected by Eq. 8 of the shadow EKF paper, which preserves the norm of the
+        quaternion.
 
         Raises
         ------

@@ -1,4 +1,4 @@
-"""Find the initial shift of a scan on a map for a fit with local convergence."""
+"""Find the most probable shift of a scan on a map, as the start of a local fit."""
 
 from __future__ import annotations
 
@@ -14,15 +14,16 @@ from lunarsim.onboard.navigation.surface import ScanSurface
 
 Array = NDArray[np.float64]
 
-# Range of the searched shifts: standard deviations of the scan position, and maximum in posts.
+# Range of the searched shifts: standard deviations of the position, and maximum in grid points.
 _SEARCH_SIGMAS, _MAX_SHIFT_POSTS = 4.0, 60
-# Side of the tiles, in posts, that may have changed independently; maximum side of a scan in posts.
+# Side of the tiles that may have changed independently, and maximum side of a scan, both in grid
+# points of the map.
 _TILE_POSTS, _MAX_SCAN_POSTS = 12, 600
 
 
 @dataclass(frozen=True)
 class InitialShift:
-    """Most probable shift of a scan on a map, an integer number of posts.
+    """Most probable horizontal shift of a scan on a map, in steps of the grid spacing.
 
     Attributes
     ----------
@@ -31,7 +32,8 @@ class InitialShift:
     certainty
         Probability of this shift and its direct neighbours.
     spread
-        Second moment of all shifts about it, weighted by their probability (2, 2), m^2.
+        Second moment of all shifts about the most probable one, weighted by their probability (2,
+        2), m^2.
     """
 
     shift: Array
@@ -42,14 +44,15 @@ class InitialShift:
 def find_initial_shift(
     surface: ScanSurface, features: MapFeatures, covariance: Array
 ) -> InitialShift:
-    """Find the most probable shift of a scan within its position uncertainty.
+    """Find the most probable shift of a scan on a map within its position uncertainty.
 
-    All shifts by an integer number of posts are evaluated, as in `PlaceSearch`, for a single scan.
+    All shifts by an integer number of grid points are evaluated by the likelihood of the scanned
+    terrain.
 
     Parameters
     ----------
     surface
-        Scan averaged over the squares of the map.
+        Scan averaged over the squares of the map grid.
     features
         Features of the map.
     covariance
@@ -79,7 +82,11 @@ def find_initial_shift(
 
 
 def _tiles(surface: ScanSurface, features: MapFeatures) -> list[tuple[int, int, FeatureTile]]:
-    """Divide a scan into tiles; return each with the row and column of its first post."""
+    """Divide a scan into tiles for the comparison with a map.
+
+    Each tile is returned after the row and column of its first cell on the map grid. The result is
+    empty for a scan that is too large.
+    """
     first = (int(surface.row.min()), int(surface.col.min()))
     shape = (int(surface.row.max()) - first[0] + 1, int(surface.col.max()) - first[1] + 1)
     if max(shape) > _MAX_SCAN_POSTS:
@@ -89,7 +96,7 @@ def _tiles(surface: ScanSurface, features: MapFeatures) -> list[tuple[int, int, 
     height[place] = surface.position[:, 2]
     known[place] = True
     above, kept = subtract_plane(height, known, features.reach)
-    # The true shift can differ from an integer number of posts by half a post.
+    # The true shift can differ from an integer number of grid points by half the spacing.
     slope = surface.normal[:, :2] - surface.normal[:, :2].mean(axis=0)
     spread[place] = (slope**2).sum(axis=1) * features.prior.grid.posting**2 / 12.0
     variance = features.variance + spread

@@ -27,7 +27,7 @@ _CALM_FRACTION = 0.55
 
 
 class MonitorResult(Enum):
-    """Result of an innovation monitor."""
+    """Result of an innovation monitor: filter consistent, or how it must respond."""
 
     CONSISTENT = "well"
     INFLATE = "widen"
@@ -44,7 +44,8 @@ class InnovationMonitorSettings:
     window_s
         Length of the window, s.
     min_count
-        Minimum number of measurements in the window; older ones are kept to reach it.
+        Minimum number of measurements in the window; older measurements are kept to reach this
+        number.
     max_rejected_share
         Maximum fraction of rejected measurements.
     false_alarm_probability
@@ -53,9 +54,10 @@ class InnovationMonitorSettings:
         Number of correlated measurements that count as one. Errors that last longer than one cycle
         correlate the innovations.
     max_inflations
-        Number of inflations within three windows that are tolerated, for instance because the
-        terrain height changes. One more declares the filter lost. If None, the first alarm declares
-        it lost for good, since the filter has then already followed the wrong measurements.
+        Number of covariance inflations within three windows that are tolerated, for instance
+        because the terrain height changes. One more declares the filter lost. If None, the first
+        alarm declares it lost for good, since the filter has then already followed the wrong
+        measurements.
     drift_time_scale_s
         Time constant of the mean of the whitened innovations, s; None disables the drift test.
     drift_threshold
@@ -101,7 +103,7 @@ class InnovationMonitorSettings:
 
 @dataclass
 class InnovationMonitor:
-    """Monitor the innovations of one kind of measurement.
+    """Monitor that tests the innovations of one kind of measurement for consistency.
 
     Attributes
     ----------
@@ -111,19 +113,19 @@ class InnovationMonitor:
         Whether the measurements contradict the filter.
     nis_ratio
         Normalised innovation squared per degree of freedom in the last evaluated window.
-    total, degrees
+    nis_sum, dof
         Sum of the normalised innovations squared, and of the degrees of freedom, of all accepted
         measurements.
-    refused
+    rejected_count
         Number of rejected measurements.
     """
 
     settings: InnovationMonitorSettings = field(default_factory=InnovationMonitorSettings)
     lost: bool = False
     nis_ratio: float = 1.0
-    total: float = 0.0
-    degrees: int = 0
-    refused: int = 0
+    nis_sum: float = 0.0
+    dof: int = 0
+    rejected_count: int = 0
     _recent: deque[tuple[float, UpdateOutcome]] = field(default_factory=deque)
     _inflations: deque[float] = field(default_factory=deque)
     _drifts: deque[float] = field(default_factory=deque)
@@ -132,17 +134,17 @@ class InnovationMonitor:
     _last: float = -np.inf
 
     def record(self, time: float, outcome: UpdateOutcome) -> MonitorResult:
-        """Add the outcome of a measurement at a time (s), and evaluate the monitor.
+        """Add the outcome of an update at `time` (s); return the result of the tests.
 
         Outcomes without information (`nis` is NaN) are not counted. If there are more drifts than
         `max_drifts`, the result is still a drift, and `lost` is set.
         """
-        if outcome.degrees == 0 or not outcome.nis >= 0.0:
+        if outcome.dof == 0 or not outcome.nis >= 0.0:
             return MonitorResult.CONSISTENT
-        if outcome.taken:
-            self.total, self.degrees = self.total + outcome.nis, self.degrees + outcome.degrees
+        if outcome.is_accepted:
+            self.nis_sum, self.dof = self.nis_sum + outcome.nis, self.dof + outcome.dof
         else:
-            self.refused += 1
+            self.rejected_count += 1
         result = self._test_window(time, outcome)
         if not self._has_drift(time, outcome) or result is not MonitorResult.CONSISTENT:
             return result
@@ -156,9 +158,12 @@ class InnovationMonitor:
         return MonitorResult.DRIFT
 
     def is_calm(self, time: float) -> bool:
-        """Return whether there are enough recent measurements and no sign of a fault."""
+        """Return whether enough recent measurements show no sign of a fault.
+
+        `time` is the current time, s.
+        """
         s = self.settings
-        recent = [outcome.taken for at, outcome in self._recent if at >= time - s.window_s]
+        recent = [outcome.is_accepted for at, outcome in self._recent if at >= time - s.window_s]
         is_enough = len(recent) >= s.min_count and recent.count(
             False
         ) <= _CALM_FRACTION * s.max_rejected_share * len(recent)
@@ -167,7 +172,7 @@ class InnovationMonitor:
         )
 
     def _drift_levels(self) -> Array:
-        """Return the absolute mean of each component in units of its standard deviation."""
+        """Return the absolute mean of each whitened component, in standard deviations."""
         if self._mean is None:
             return np.zeros(0)
         is_frequent = self._weight >= self.settings.min_count
@@ -198,21 +203,24 @@ class InnovationMonitor:
     def _has_alarm(self) -> bool:
         s = self.settings
         recent = [o for _, o in self._recent]
-        self.nis_ratio = sum(o.nis for o in recent) / sum(o.degrees for o in recent)
-        refused = sum(not o.taken for o in recent)
+        self.nis_ratio = sum(o.nis for o in recent) / sum(o.dof for o in recent)
+        refused = sum(not o.is_accepted for o in recent)
         if refused > s.max_rejected_share * len(recent):
             return True
-        taken = [o for o in recent if o.taken]
-        degrees = sum(o.degrees for o in taken) / s.correlated_count
+        taken = [o for o in recent if o.is_accepted]
+        degrees = sum(o.dof for o in taken) / s.correlated_count
         total = sum(o.nis for o in taken) / s.correlated_count
         return degrees > 0.0 and bool(chdtrc(degrees, total) < s.false_alarm_probability)
 
     def _has_drift(self, time: float, outcome: UpdateOutcome) -> bool:
-        """Return whether the fading mean of whitened innovations exceeds the threshold."""
+        """Return whether the fading mean of whitened innovations exceeds the threshold.
+
+        `outcome` is the outcome of an update at `time` (s), which is first added to the mean.
+        """
         s = self.settings
-        if s.drift_time_scale_s is None or not outcome.taken:
+        if s.drift_time_scale_s is None or not outcome.is_accepted:
             return False
-        parts = len(outcome.white)
+        parts = len(outcome.whitened)
         if self._mean is None:
             self._mean, self._weight = np.zeros(parts), np.zeros(parts)
             self._last = time
@@ -220,8 +228,8 @@ class InnovationMonitor:
         self._last = time
         # The mean is a weighted sum of independent unit normals, whose variance is the sum of the
         # squared weights. Components can be missing, so each has its own weight.
-        is_present = np.isfinite(outcome.white)
-        self._mean = decay * self._mean + np.where(is_present, outcome.white, 0.0)
+        is_present = np.isfinite(outcome.whitened)
+        self._mean = decay * self._mean + np.where(is_present, outcome.whitened, 0.0)
         self._weight = decay**2 * self._weight + is_present
         if not (self._drift_levels() > s.drift_threshold).any():
             return False

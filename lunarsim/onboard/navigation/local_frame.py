@@ -38,21 +38,25 @@ _UP = np.array([0.0, 0.0, 1.0])
 
 
 def empty_map_block() -> dict[str, Array]:
-    """Return an empty block for an error state; `LocalFrame` sets its covariance."""
+    """Return a zero covariance (4, 4) of the map offset, by name of its error block.
+
+    `LocalFrame` sets the covariance.
+    """
     return {MAP: np.zeros((4, 4))}
 
 
 class LocalFrame:
-    """Transformation between the local frame and the site frame.
+    """Estimated transformation between the filter's local frame and the site frame.
 
     Site coordinates of a local point x are c + R (x - c - d). Here c is the initial position
-    estimate; d and the angle of R about up are the values of the block.
+    estimate; d and the angle of R about up are the values of a block of four errors in the error
+    state.
 
     Parameters
     ----------
     state
-        Error state with the block and the initial estimate in the site frame. The constructor
-        moves the errors of position and azimuth from the lander to the block.
+        Error state with the block and the initial estimate in the site frame. The constructor moves
+        the errors of position and azimuth from the lander to the block.
     """
 
     def __init__(self, state: ErrorState) -> None:
@@ -66,12 +70,15 @@ class LocalFrame:
 
     @property
     def azimuth(self) -> float:
-        """Rotation angle about up from the local to the site frame, rad."""
+        """Rotation angle about up that converts local to site-frame vectors, rad.
+
+        A site-frame vector is the local vector, rotated counterclockwise by this angle.
+        """
         return float(self.state.value(MAP)[3])
 
     @property
     def rotation(self) -> Array:
-        """Rotation matrix from the local to the site frame (3, 3)."""
+        """Rotation matrix (3, 3) that converts local to site-frame vectors."""
         return rotation_about_up(self.azimuth)
 
     @property
@@ -81,18 +88,18 @@ class LocalFrame:
         return SiteToLocal(self.pivot + d - self.rotation.T @ self.pivot, -self.azimuth)
 
     def to_site(self, points: ArrayLike) -> Array:
-        """Transform local points (..., 3) to the site frame, m."""
+        """Return local points (..., 3), m, in the site frame."""
         d = self.state.value(MAP)[:3]
         local = np.asarray(points, np.float64)
         return np.asarray((local - self.pivot - d) @ self.rotation.T + self.pivot)
 
     def in_site(self, corrected: CorrectedScan) -> CorrectedScan:
-        """Transform a scan from the local frame to the site frame."""
+        """Return a scan, given in the local frame, in the site frame."""
         turn = quat_from_rotation_vector(self.azimuth * _UP)
         return corrected.turned(self.rotation, turn, self.to_site(np.zeros(3)))
 
     def estimate_in_site(self, estimate: Estimate) -> Estimate:
-        """Transform an estimate from the local frame to the site frame."""
+        """Return an estimate, given in the local frame, in the site frame."""
         turn = quat_from_rotation_vector(self.azimuth * _UP)
         return replace(
             estimate,
@@ -108,9 +115,9 @@ class LocalFrame:
         return np.concatenate((POSE, self.columns))
 
     def pose_jacobian(self) -> Array:
-        """Return the Jacobian of the pose in the site frame (6, 10).
+        """Return the Jacobian (6, 10) of the pose in the site frame for state errors.
 
-        Columns: `pose_columns`. Rows: position (ENU) and small rotation (body axes).
+        Columns: the errors of `pose_columns`. Rows: position (ENU) and small rotation (body axes).
         """
         r, own = self.rotation, self.state.inertial
         out = np.zeros((6, 10))
@@ -121,7 +128,7 @@ class LocalFrame:
         return out
 
     def covariance_in_site(self) -> Array:
-        """Return the covariance of position, velocity, rotation in the site frame (9, 9).
+        """Return the covariance (9, 9) of position, velocity and rotation, site frame.
 
         The rotation is about body axes.
         """
@@ -132,14 +139,14 @@ class LocalFrame:
         out[0:3, :10], out[6:9, :10] = pose[:3], pose[3:]
         out[3:6, 10:13] = r
         out[3:6, 9] = np.cross(_UP, r @ own.velocity)
-        return np.asarray(out @ self.state.own(at) @ out.T)
+        return np.asarray(out @ self.state.covariance_of(at) @ out.T)
 
     def anchor(self, jacobian: Array, columns: Index, places: list[slice]) -> None:
         """Anchor the local frame to a terrain point instead of the initial position.
 
         A correction of the attitude then leaves the mapped terrain near this point in place, and
-        moves the lander. The step adds no information: it only changes the reference point of the
-        errors.
+        moves the lander. The operation adds no information: it only changes the reference point of
+        the errors.
 
         Parameters
         ----------
@@ -147,7 +154,8 @@ class LocalFrame:
             Jacobian of the point (3, k) with respect to errors of the state, and their indices
             (k,).
         places
-            Slices of all other positions in the local frame in the state, without the lander's.
+            Slices of all other positions in the local frame in the state, without the lander's
+            position.
         """
         row = np.zeros((3, self.state.size))
         row[:, columns] = jacobian
@@ -160,11 +168,12 @@ class LocalFrame:
 
 
 def _move_initial_errors(state: ErrorState, columns: Index) -> None:
-    """Set the block's covariance from the errors of the initial position and azimuth.
+    """Move initial errors of position and azimuth from the lander to the map block.
 
-    The initial errors z = (position, velocity, body rotation, ...) refer to the site frame. The
-    local frame is rotated by the azimuth error. In it, the position has no error, the attitude
-    error is the tilt, and the velocity error includes the effect of the rotation.
+    `columns` (4,) are the indices of the block in the error state. The initial errors z =
+    (position, velocity, body rotation, ...) refer to the site frame. The local frame is rotated by
+    the azimuth error. In the local frame, the position has no error, the attitude error is the
+    tilt, and the velocity error includes the effect of the rotation.
     """
     own: StrapdownState = state.inertial
     p = state.covariance

@@ -16,7 +16,7 @@ from lunarsim.onboard.navigation.features import subtract_plane
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-# Up to this posting rocks and small craters are visible, m; a scan covers many of them.
+# Up to this grid spacing rocks and small craters are visible, m; a scan covers many of them.
 _MAX_FINE_POSTING_M = 1.0
 # Number of places that represent the entire map in the mean likelihood of a tile.
 _SAMPLE_PLACES = 2048
@@ -24,22 +24,23 @@ _SAMPLE_PLACES = 2048
 
 @dataclass(frozen=True)
 class FeatureSettings:
-    """Parameters of the comparison between scanned terrain and a map.
+    """Parameters of the likelihood comparison between scanned terrain and a map.
 
     Attributes
     ----------
     width
-        Maximum width of a feature, m. The half width is limited to 4 to 8 posts; with widely spaced
-        posts the features are undulations, which the swept area must cover.
+        Maximum width of a terrain feature, m. The half width is limited to 4 to 8 grid points; with
+        a large grid spacing the features are undulations, which the swept area must cover.
     changed_probability
         Probability that the terrain below a tile has changed since the map was made.
     outlier
-        Fraction of disagreeing posts in a matching tile, from rock shadows and single changes.
+        Fraction of disagreeing grid points in a matching tile, from rock shadows and single
+        changes.
     model_sigma
-        Standard deviation of the difference between a scan's mean over the square of a post and the
-        post, apart from the map's noise, m.
+        Standard deviation of the difference between the mean height of a scan over the cell of a
+        map grid point and the map height, apart from the map's noise, m.
     correlation_length
-        Correlation length of the agreement of posts, m: a rock hides the terrain behind it.
+        Correlation length of the agreement of grid points, m: a rock hides the terrain behind it.
 
     Raises
     ------
@@ -66,14 +67,16 @@ class FeatureSettings:
 
 @dataclass(frozen=True)
 class FeatureTile:
-    """Scanned posts that are compared with the map together.
+    """Patch of scanned terrain that is compared with the map as a unit.
+
+    Heights are given at the spacing of the map grid.
 
     Attributes
     ----------
     height
         Heights above the local planes (r, c), m.
     weight
-        1 for posts to be compared, else 0 (r, c).
+        1 for grid points to be compared, else 0 (r, c).
     variance
         Variance of the height residuals (r, c), m^2.
     """
@@ -92,7 +95,7 @@ class _Density:
     height
         Ascending heights (n,), m.
     rare
-        Negative logarithm of their density (n,), for a density in 1/m.
+        Negative logarithm of the density at these heights (n,), for a density in 1/m.
     """
 
     height: Array
@@ -100,7 +103,10 @@ class _Density:
 
     @classmethod
     def of(cls, values: Array, sigma: float) -> _Density:
-        """Estimate the density from heights (m,) with standard deviation `sigma`."""
+        """Estimate the density from heights (n,) by a smoothed histogram.
+
+        `sigma` is the standard error of a map height, m; it sets the width of the bins.
+        """
         width = 0.2 * sigma
         top = float(np.abs(values).max()) if len(values) else sigma
         top = min(top + 4.0 * sigma, 2000.0 * width)
@@ -112,17 +118,18 @@ class _Density:
         return cls(0.5 * (edges[1:] + edges[:-1]), -np.log(density))
 
     def negative_log_density(self, height: Array) -> Array:
-        """Return the negative logarithm of the density at given heights, density in 1/m."""
+        """Return the negative logarithm of the density (1/m) at given heights, m."""
         return np.asarray(np.interp(height, self.height, self.rare))
 
 
 class MapFeatures:
-    """Map prepared for the comparison with scanned terrain.
+    """Prior map prepared for likelihoods of scanned terrain at places on the map.
 
-    The likelihood of the map heights for a tile at a place is divided by their density over the
-    entire map. Noise agrees with flat terrain everywhere, so only features give information. Since
-    features occur in clusters, the likelihood of a tile is also divided by its mean over places
-    all over the map.
+    A place is a position of a tile (patch of scanned terrain) on the map grid. The likelihood of
+    the map heights for a tile at a place is divided by their density over the entire map. Noise
+    agrees with flat terrain everywhere, so only terrain features give information. Since features
+    occur in clusters, the likelihood of a tile is also divided by its mean over places all over the
+    map.
 
     Parameters
     ----------
@@ -134,11 +141,12 @@ class MapFeatures:
     Attributes
     ----------
     shown, kept
-        Heights above the local planes, m, and 1 where they exist, else 0 (rows, cols).
+        Heights above the planes fitted around each grid point, m, and 1 where they exist, else 0
+        (rows, cols).
     reach
-        Half width of the squares for the local planes, in posts.
+        Half width of the squares for the fitted planes, in grid points.
     together
-        Number of posts that agree or disagree together.
+        Number of grid points whose agreement is correlated; they count as one.
     """
 
     def __init__(self, prior: PriorMap, settings: FeatureSettings | None = None) -> None:
@@ -147,7 +155,11 @@ class MapFeatures:
         posting = prior.grid.posting
         half = 0.5 * self.settings.width / posting
         self.reach = 4 if posting <= _MAX_FINE_POSTING_M else int(np.clip(round(half), 4, 8))
-        self.together = max(1.0, (self.settings.correlation_length / posting) ** 2, prior.together)
+        self.together = max(
+            1.0,
+            (self.settings.correlation_length / posting) ** 2,
+            prior.equivalent_correlated_posts,
+        )
         shown, kept = subtract_plane(prior.elevation, np.isfinite(prior.elevation), self.reach)
         self.shown = np.ascontiguousarray(shown, np.float32)
         self.kept = np.ascontiguousarray(kept, np.float32)
@@ -159,13 +171,15 @@ class MapFeatures:
 
     @property
     def variance(self) -> float:
-        """Variance of the residual of an evenly scanned post, m^2."""
+        """Variance of the height residual at a grid point that is evenly scanned, m^2."""
         return self.prior.sigma**2 + self.settings.model_sigma**2
 
     def likelihood(self, tile: FeatureTile, row: IntArray, col: IntArray) -> tuple[Array, Array]:
-        """Return a tile's log-likelihood ratios and covered shares at places (n,), (n,).
+        """Return log-likelihood ratios and covered fractions of a tile at places.
 
-        A place is the row and column of the map post below the first post of the tile.
+        A tile is a patch of scanned terrain. Both results are (n,). `row` and `col` (n,) are those
+        of the map grid point below the first grid point of the tile. The covered fraction is that
+        of the tile's points with a known map height.
         """
         total = float(tile.weight.sum())
         if total == 0.0 or len(row) == 0:
@@ -183,7 +197,11 @@ class MapFeatures:
         return ratio / self.together, covered / total
 
     def mean_log_ratio(self, tile: FeatureTile) -> float | None:
-        """Return the log of a tile's mean likelihood ratio over the map; None off it."""
+        """Return the log of a tile's likelihood ratio averaged over the entire map.
+
+        A tile is a patch of scanned terrain. The result is None if no place covers more than half
+        of the tile.
+        """
         middle = np.array(tile.height.shape) // 2
         ratio, share = self.likelihood(
             tile, self._places[0] - middle[0], self._places[1] - middle[1]
@@ -195,23 +213,26 @@ class MapFeatures:
         return float(best + np.log(np.mean(np.exp(scaled - best))))
 
     def exact(self, tile: FeatureTile) -> float:
-        """Return the log-likelihood ratio of a tile at a place where it fits exactly."""
+        """Return the log-likelihood ratio of a tile at a place where it fits exactly.
+
+        A tile is a patch of scanned terrain.
+        """
         fits = self._density.negative_log_density(tile.height) - 0.5 * np.log(
             2.0 * np.pi * tile.variance
         )
         return float((tile.weight * fits).sum()) / self.together
 
     def factor(self, ratio: Array, share: Array, mean_log_ratio: float, places: float) -> Array:
-        """Return the log of a tile's factor on the probability of places (n,).
+        """Return the log of the factor by which a tile changes the probability of places.
 
-        Unknown parts of the map give no information. The probability of changed terrain limits the
-        evidence against a place. The evidence for a place is limited to a factor of the number of
-        places.
+        A tile is a patch of scanned terrain; the result is (n,). Unknown parts of the map give no
+        information. The probability of changed terrain limits how much a tile can lower the
+        probability of a place. The factor that raises it is limited to the number of places.
 
         Parameters
         ----------
         ratio, share
-            Log-likelihood ratios and covered shares (n,), from `likelihood`.
+            Log-likelihood ratios and covered fractions (n,), from `likelihood`.
         mean_log_ratio
             Logarithm of the mean likelihood ratio, from `mean_log_ratio`.
         places

@@ -16,21 +16,21 @@ from lunarsim.onboard.navigation.map_features import FeatureSettings, MapFeature
 
 Array = NDArray[np.float64]
 
-# Number of scales, in doublings of a post; minimum size of a feature in standard deviations of the
-# noise (one in 16,000 posts exceeds it without a feature).
+# Number of scales, in doublings of the grid spacing; minimum size of a feature in standard
+# deviations of the noise (one in 16,000 grid points exceeds this size without a feature).
 _SCALES, _THRESHOLD_SIGMAS = 4, 4.0
 
 
 @dataclass(frozen=True)
 class LockForecast:
-    """Forecast for the terrain that is planned to be scanned.
+    """Forecast whether scans of a planned area can be located on the prior map.
 
     Attributes
     ----------
     expected
-        Expected log-likelihood ratio of the right place to the most probable wrong place.
+        Expected log-likelihood ratio of the true place to the most probable wrong place.
     needed
-        Log-likelihood ratio needed for a lock, given the number of possible places.
+        Log-likelihood ratio needed to locate the scans, given the number of possible places.
     rival
         Offset of the most probable wrong place, east and north (2,), m.
     """
@@ -41,7 +41,7 @@ class LockForecast:
 
     @property
     def can_lock(self) -> bool:
-        """Whether the expected ratio suffices for a lock."""
+        """Whether the expected likelihood ratio suffices to locate the scans."""
         return self.expected >= self.needed
 
     def __str__(self) -> str:
@@ -63,12 +63,12 @@ def forecast_lock(
     certainty: float = 0.99999,
     settings: FeatureSettings | None = None,
 ) -> LockForecast:
-    """Forecast whether a swept area can be located on a map.
+    """Forecast from a prior map whether scans of a square area can be located on it.
 
-    The features of the swept square are separated from the noise of the map, scale by scale, with a
-    threshold that noise rarely exceeds. At the right place, a scan of these features fits better
-    than flat terrain by the sum of their squares over twice the variance. At a wrong place the
-    gain is smaller by the mismatch with the map there. The probability of changed terrain and the
+    The terrain features of the square are separated from the noise of the map, scale by scale, with
+    a threshold that noise rarely exceeds. At the true place, a scan of these features fits better
+    than flat terrain by the sum of their squares over twice the variance. At a wrong place the gain
+    is smaller by the mismatch with the map there. The probability of changed terrain and the
     correlation of errors are taken into account. Features below the noise are neglected, so the
     forecast is conservative.
 
@@ -77,13 +77,13 @@ def forecast_lock(
     prior
         Prior map.
     middle
-        Centre of the square to be swept (east, north), m.
+        Centre of the square to be scanned (east, north), m.
     swept
-        Its side, m.
+        Side of the square, m.
     place_sigma
         Prior standard deviation of the position, per axis, m.
     certainty
-        Probability of the best place that a lock requires.
+        Required probability of the best place.
     settings
         Parameters of the comparison between terrain and map.
     """
@@ -116,7 +116,7 @@ def forecast_lock(
 
 
 def _check(swept: float, place_sigma: float, certainty: float) -> None:
-    """Check the arguments of a forecast."""
+    """Check the arguments of `forecast_lock`: lengths in m and a probability."""
     if not (np.isfinite(swept) and swept > 0.0):
         raise InputError("swept_m", swept, "must be a positive length in metres")
     if not (np.isfinite(place_sigma) and place_sigma > 0.0):
@@ -128,7 +128,11 @@ def _check(swept: float, place_sigma: float, certainty: float) -> None:
 def _window(
     of: NDArray[Any], prior: PriorMap, middle: tuple[float, float], swept: float, reach: int
 ) -> Array:
-    """Return the swept square with a margin of `reach` posts, 0 outside the map."""
+    """Cut a square with a margin out of a raster; the result is 0 outside the map.
+
+    `of` is the raster (rows, cols) on the grid of the map. The square has its centre at `middle`
+    (east, north), m, the side `swept`, m, and a margin of `reach` grid points.
+    """
     row, col = (int(part) for part in prior.grid.cell(middle))
     half = max(1, round(0.5 * swept / prior.grid.posting)) + reach
     out = np.zeros((2 * half + 1, 2 * half + 1))
@@ -141,7 +145,7 @@ def _window(
 
 
 def _extract_features(features: MapFeatures) -> tuple[Array, Array]:
-    """Return the features of a map above the noise threshold (rows, cols), m.
+    """Return the terrain features of a map above the noise threshold (rows, cols), m.
 
     The second array is the mean product of the retained noise with the map's noise (rows, cols),
     m^2. The method is hard thresholding of undecimated wavelets, which are differences of binomial
@@ -168,7 +172,7 @@ def _extract_features(features: MapFeatures) -> tuple[Array, Array]:
 
 
 def _smoothed(of: Array, step: int) -> Array:
-    """Smooth a raster with binomial weights at a distance of `step` posts."""
+    """Smooth a raster with five binomial weights that are `step` grid points apart."""
     kernel = np.zeros(4 * step + 1)
     kernel[::step] = np.array([1.0, 4.0, 6.0, 4.0, 1.0]) / 16.0
     for axis in (0, 1):

@@ -41,7 +41,8 @@ class _MapAlignment:
     Attributes
     ----------
     rotation, position
-        Map coordinates of a local point are ``rotation @ point + position``.
+        Rotation matrix (3, 3) and offset (3,), m: map coordinates of a local point are ``rotation @
+        point + position``.
     azimuth
         Angle of the rotation, rad.
     """
@@ -52,10 +53,11 @@ class _MapAlignment:
 
 
 class MapMatcher:
-    """Search for the place of scans on a map, then register every scan on it.
+    """Measurement processor that locates LiDAR scans on a prior map.
 
-    The error of a map post is the same in every use. Its k-th use therefore gets the weight
-    1 / (k (k + 1)), so that all uses together count as one.
+    The processor searches the map until the place of the scans is certain ("lock"), then registers
+    every scan on the map. The error of a map grid point is the same in every use. The k-th use
+    therefore gets the weight 1 / (k (k + 1)), so that all uses together count as one.
 
     Parameters
     ----------
@@ -108,7 +110,7 @@ class MapMatcher:
 
     @property
     def found(self) -> bool:
-        """Whether a scan was located on the map at least once."""
+        """Whether scans were located on the prior map at least once."""
         return any(event.name == "lock" for event in self.context.events)
 
     @property
@@ -117,7 +119,11 @@ class MapMatcher:
         return float(np.sqrt(np.diag(self.frame.covariance_in_site())[:3].max()))
 
     def take(self, sensor: str, measurement: Any, time: float, *, used: bool) -> bool:
-        """Search or register a scan on the map; return whether it agrees with the map."""
+        """Locate or register a scan on the map; return whether it agrees with the map.
+
+        Nothing is done with a scan that an earlier processor has `used`, or with other measurement
+        types. `time` is in s.
+        """
         if used or not isinstance(measurement, LidarScan):
             return False
         self._before = self.frame.shift.offset
@@ -140,24 +146,27 @@ class MapMatcher:
     # --- fit ------------------------------------------------------------------------------
 
     def _register(self, sensor: str, scan: LidarScan, time: float) -> bool:
-        """Register a scan; without a lock only if the position is certain enough."""
+        """Update the filter by registering a scan on the map; return whether accepted.
+
+        Without a lock, a scan is registered only if the position is certain enough.
+        """
         s = self.settings
         is_certain = self.found and self.position_sigma < self.prior.grid.posting
         if not self.locked and not is_certain:
             return False
         corrected = self._accumulator.take(self.context.correct_scan(sensor, scan), time)
         if corrected is None:
-            # A scan that covers too few posts is no evidence for or against the lock.
+            # A scan that covers too few grid points neither confirms nor contradicts the lock.
             if self.locked and is_certain:
                 self._last_agreement = time
             return False
         columns, jacobian = self._site_jacobian(sensor)
-        own = self.context.state.own(columns)
+        own = self.context.state.covariance_of(columns)
         result, posts = register_scan(
             self.frame.in_site(corrected), self._features, jacobian @ own @ jacobian.T,
             self._variance,
         )  # fmt: skip
-        if not s.believes(result):
+        if not s.accepts_fit(result):
             if self.locked:
                 self._check_other_place(sensor, corrected, time)
             return False
@@ -166,7 +175,7 @@ class MapMatcher:
         )
         if self.locked:
             self.context.record_outcome(sensor, "map", outcome, time)
-        if not outcome.taken:
+        if not outcome.is_accepted:
             return False
         self._monitor(sensor, outcome, time)
         self._uses[posts] += 1
@@ -182,19 +191,19 @@ class MapMatcher:
         A scan that fits nowhere has met changed terrain, and gives no further information. A scan
         that fits well, but farther away than the errors allow, contradicts the state. Since the
         lander cannot jump between scans, only the variances of the scanner's errors are raised, to
-        cover the offset. If this does not explain it, navigation is lost.
+        cover the offset. If the scanner's errors do not explain the offset, navigation is lost.
         """
         columns, jacobian = self._site_jacobian(sensor)
-        own = self.context.state.own(columns)
+        own = self.context.state.covariance_of(columns)
         wide_covariance = _WIDE_FACTOR**2 * jacobian @ own @ jacobian.T
         in_site = self.frame.in_site(corrected)
         result, _ = register_scan(in_site, self._features, wide_covariance, self._variance)
-        if not self.settings.believes(result):
+        if not self.settings.accepts_fit(result):
             return
         information = jacobian.T @ result.information @ jacobian, jacobian.T @ result.vector
         # A negative gate rejects the information, so that only its distance is evaluated.
         outcome = self.context.state.update_with_information(columns, *information, -1.0)
-        if chdtrc(max(outcome.degrees, 1), outcome.nis) >= self.settings.map_rejection_probability:
+        if chdtrc(max(outcome.dof, 1), outcome.nis) >= self.settings.map_rejection_probability:
             return
         if self._monitor(sensor, outcome, time) is MonitorResult.CONSISTENT:
             return
@@ -210,14 +219,21 @@ class MapMatcher:
         )
 
     def _monitor(self, sensor: str, outcome: UpdateOutcome, time: float) -> MonitorResult:
-        """Monitor whether scans fit the map at the estimated place."""
+        """Monitor whether scans fit the map at the estimated place; return the result.
+
+        `outcome` is the outcome of a registration at `time` (s).
+        """
         scanner = self.context.scanner(sensor)
         return self.context.aiding.record_outcome(
             sensor, "fits", outcome, scanner, DRIFTED_SCANNER_SIGMAS[: len(scanner)], time
         )
 
     def _site_jacobian(self, sensor: str) -> tuple[Index, Array]:
-        """Return state indices (k,) and Jacobian (11, k) of a scan's site-frame errors."""
+        """Return state errors that a scan in the site frame depends on, and the Jacobian.
+
+        The errors are given by their indices (k,). The Jacobian (11, k) converts them to the 11
+        errors of a `CorrectedScan` in the site frame.
+        """
         own = self.context.scanner(sensor)
         out = np.zeros((11, 10 + len(own)))
         out[:6, :10] = self.frame.pose_jacobian()
@@ -227,7 +243,11 @@ class MapMatcher:
     def _inform(
         self, sensor: str, information: Array, vector: Array, min_probability: float
     ) -> UpdateOutcome:
-        """Update with information (11, 11) on a scan's errors in the site frame."""
+        """Update the filter with information on a scan's errors in the site frame.
+
+        `information` (11, 11) and `vector` (11,) are the information matrix and vector; a
+        correction with a smaller chi-squared tail probability than `min_probability` is rejected.
+        """
         columns, jacobian = self._site_jacobian(sensor)
         return self.context.state.update_with_information(
             columns,
@@ -237,7 +257,10 @@ class MapMatcher:
         )
 
     def _use_variance(self, prior: PriorMap, uses: NDArray[np.int32]) -> Array:
-        """Return the variance of a residual at posts with a number of earlier uses, m^2."""
+        """Return the residual variance of map grid points after earlier uses, m^2.
+
+        `uses` is the number of earlier uses of each grid point.
+        """
         own = prior.sigma**2 * (uses + 1.0) * (uses + 2.0)
         return np.asarray(own + self.settings.model_sigma**2)
 
@@ -248,7 +271,7 @@ class MapMatcher:
         self._alignment = None
 
     def _align(self) -> _MapAlignment:
-        """Return the transformation of the search; restart it after a large rotation."""
+        """Return the transformation used by the search; restart after a large rotation."""
         frame = self.frame
         if (
             self._alignment is not None
@@ -262,7 +285,10 @@ class MapMatcher:
         return self._alignment
 
     def _search(self, sensor: str, scan: LidarScan, time: float) -> bool:
-        """Search the map for the scanned terrain; return whether the place was found."""
+        """Search the map for the scanned terrain; return whether the place was found.
+
+        If it was found, the filter is updated. `time` is in s.
+        """
         s, frame = self.settings, self.frame
         corrected, alignment = self.context.correct_scan(sensor, scan), self._align()
         local = corrected.points()
@@ -277,8 +303,8 @@ class MapMatcher:
         jacobian = frame.in_site(corrected).point_jacobian(at)
         columns, of_state = self._site_jacobian(sensor)
         over = jacobian @ of_state
-        p = over @ self.context.state.own(columns) @ over.T
-        speed = float(np.sqrt(self.context.state.own(_LEVEL_VELOCITY).diagonal().max()))
+        p = over @ self.context.state.covariance_of(columns) @ over.T
+        speed = float(np.sqrt(self.context.state.covariance_of(_LEVEL_VELOCITY).diagonal().max()))
         match = self._places.search(time, prior_shift[:2], p[:2, :2], speed)
         if match is None:
             return False
@@ -289,16 +315,21 @@ class MapMatcher:
         return self._inform(
             sensor, jacobian.T @ information @ jacobian,
             jacobian.T @ information @ (match.shift - prior_shift), s.rejection_probability,
-        ).taken  # fmt: skip
+        ).is_accepted  # fmt: skip
 
     def _take_height(
         self, sensor: str, row: Array, match: MapMatch, prior_shift: float, before: float
     ) -> None:
-        """Update the height only, if the search determines it much better than the prior."""
-        # The level of the map is common to all searches: the strong condition uses it only once.
-        variance = match.up_variance + self.settings.height_sigma**2
+        """Update only the height, if the search determines it much better than the prior.
+
+        `row` (11,) is the Jacobian of the height with respect to the scan's errors, `prior_shift`
+        the vertical shift of the prior, m, and `before` its variance, m^2.
+        """
+        # The height offset of the map is common to all searches: use it only once.
+        variance = match.vertical_shift_variance + self.settings.height_sigma**2
         if 9.0 * variance < before:
             self._inform(
-                sensor, np.outer(row, row) / variance, row * (match.up - prior_shift) / variance,
+                sensor, np.outer(row, row) / variance,
+                row * (match.vertical_shift - prior_shift) / variance,
                 self.settings.rejection_probability,
             )  # fmt: skip

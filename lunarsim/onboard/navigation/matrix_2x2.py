@@ -9,7 +9,7 @@ Array = NDArray[np.float64]
 
 
 def invert_2x2(a: Array) -> Array:
-    """Invert matrices (n, 2, 2)."""
+    """Return the inverses of matrices (n, 2, 2)."""
     out = np.empty_like(a)
     out[:, 0, 0], out[:, 1, 1] = a[:, 1, 1], a[:, 0, 0]
     out[:, 0, 1], out[:, 1, 0] = -a[:, 0, 1], -a[:, 1, 0]
@@ -24,7 +24,7 @@ def largest_eigenvalue_2x2(a: Array) -> Array:
 
 
 def squared_mahalanobis_2x2(offset: Array, a: Array) -> Array:
-    """Return squared Mahalanobis norms (n,) for covariances (n, 2, 2)."""
+    """Return squared Mahalanobis norms (n,) of offsets for covariances (n, 2, 2)."""
     x, y = offset.T
     determinant = a[:, 0, 0] * a[:, 1, 1] - a[:, 0, 1] * a[:, 1, 0]
     square = a[:, 1, 1] * x * x - (a[:, 0, 1] + a[:, 1, 0]) * x * y + a[:, 0, 0] * y * y

@@ -41,7 +41,7 @@ _SLOPE_BASE_M = 4.0
 
 
 class TerrainHeights(Protocol):
-    """Source of measured terrain heights."""
+    """Interface of a source of measured terrain heights."""
 
     def heights(self, xy: Array) -> Array:
         """Return terrain heights (n,) at points (n, 2), local frame, m; NaN if unknown."""
@@ -49,7 +49,7 @@ class TerrainHeights(Protocol):
 
 
 class RockErrors(Protocol):
-    """Rocks in an error state; implemented by `RockStates`."""
+    """Interface of rocks whose positions are part of an error state (`RockStates`)."""
 
     state: ErrorState
 
@@ -63,8 +63,11 @@ class RockErrors(Protocol):
         """Centres of the rocks (n, 2), east and north, m."""
         ...
 
-    def places(self, index: Index | None = None) -> Index:
-        """Return the indices of the rocks' coordinates in the error state (n, 3)."""
+    def state_indices(self, index: Index | None = None) -> Index:
+        """Return the indices of the rocks' coordinates in the error state (n, 3).
+
+        `index` (n,) selects rocks; default: all rocks.
+        """
         ...
 
 
@@ -85,7 +88,7 @@ def correct_heights(rocks: RockErrors, terrain: TerrainHeights) -> UpdateOutcome
     Returns
     -------
     outcome
-        Outcome for the heights, with one degree of freedom per rock.
+        Outcome of the update, with one degree of freedom per rock.
     """
     height = terrain.heights(rocks.xy)
     index = np.flatnonzero(np.isfinite(height))
@@ -98,7 +101,7 @@ def correct_heights(rocks: RockErrors, terrain: TerrainHeights) -> UpdateOutcome
     if not len(selected):
         return UpdateOutcome(0.0, 0, False)
     index, by_pose, by_rock = index[selected], by_pose[selected], by_rock[selected]
-    state, columns = rocks.state, rocks.places(index)
+    state, columns = rocks.state, rocks.state_indices(index)
     p = state.covariance
     with one_blas_thread():
         hp = by_pose @ p[POSE] + np.einsum("ka,kas->ks", by_rock, p[columns])
@@ -110,7 +113,7 @@ def correct_heights(rocks: RockErrors, terrain: TerrainHeights) -> UpdateOutcome
 
 
 def height_jacobian(state: ErrorState, point: Array) -> Array:
-    """Return the Jacobian of a rock's measured height by the pose (6,).
+    """Return the Jacobian of a rock's measured height with respect to the pose (6,).
 
     `point` (3,) is the position of the rock, m. The terrain slope has no influence: a horizontal
     error moves the rock and the terrain alike.
@@ -120,7 +123,11 @@ def height_jacobian(state: ErrorState, point: Array) -> Array:
 
 
 def _jacobians(state: ErrorState, points: Array, gradient: Array) -> tuple[Array, Array]:
-    """Return the Jacobians of the innovation by pose (k, 6) and by rock (k, 3)."""
+    """Return the Jacobians of height innovations with respect to pose and rocks.
+
+    They are (k, 6) for the pose and (k, 3) for the position of each rock. `points` (k, 3), m, are
+    the rocks, and `gradient` (k, 2) the terrain slopes there.
+    """
     body = quat_to_matrix(state.inertial.attitude)
     normal = np.hstack((-gradient, np.ones((len(points), 1))))
     arm = (points - state.inertial.position) @ body
@@ -128,8 +135,11 @@ def _jacobians(state: ErrorState, points: Array, gradient: Array) -> tuple[Array
 
 
 def _variances(rocks: RockErrors, index: Index, by_pose: Array, by_rock: Array) -> Array:
-    """Return the innovation variance of rocks (k,) without noise, m^2."""
-    p, columns = rocks.state.covariance, rocks.places(index)
+    """Return the variance of each rock's height innovation without noise (k,), m^2.
+
+    `index` (k,) are the rocks; `by_pose` (k, 6) and `by_rock` (k, 3) are their Jacobians.
+    """
+    p, columns = rocks.state.covariance, rocks.state_indices(index)
     both = np.hstack((by_pose, by_rock))
     at = np.hstack((np.broadcast_to(POSE, (len(index), len(POSE))), columns))
     own = p[at[:, :, None], at[:, None, :]]
@@ -139,8 +149,8 @@ def _variances(rocks: RockErrors, index: Index, by_pose: Array, by_rock: Array) 
 def _slope_and_curvature(terrain: TerrainHeights, xy: Array) -> tuple[Array, Array]:
     """Return gradient (k, 2) and curvature height (k,), m, of measured terrain.
 
-    The latter is the height error of a rock at a slightly wrong place. Both are 0 if the terrain
-    around the point is unknown.
+    The curvature height is the height error of a rock at a slightly wrong place. `xy` (k, 2), m,
+    are the points. Both results are 0 if the terrain around the point is unknown.
     """
     gradient, bend = np.zeros((len(xy), 2)), np.zeros(len(xy))
     middle = terrain.heights(xy)

@@ -30,7 +30,7 @@ _MAX_POSITION_SIGMA_M = 100.0
 
 @dataclass(frozen=True)
 class FilterContext:
-    """State and helpers that the measurement processors share.
+    """Filter state and helper functions that the measurement processors share.
 
     Attributes
     ----------
@@ -41,7 +41,7 @@ class FilterContext:
     events
         List that receives the events.
     max_sigmas
-        Maximum standard deviations (head,) after covariance inflation; see `maximum_sigmas`.
+        Maximum standard deviations (head,) after covariance inflation, from `maximum_sigmas`.
     """
 
     state: ErrorState
@@ -50,7 +50,10 @@ class FilterContext:
     max_sigmas: Array
 
     def scanner(self, sensor: str) -> Index:
-        """Return the indices of a scanner's errors in the state (5,), or (0,) without any."""
+        """Return the indices of a scanner's five calibration errors in the error state.
+
+        The result is (5,), or (0,) if the state has no errors of this scanner.
+        """
         name = scanner_block(sensor)
         if not self.state.has(name):
             return np.zeros(0, np.int64)
@@ -58,22 +61,27 @@ class FilterContext:
         return np.arange(place.start, place.stop)
 
     def correct_scan(self, sensor: str, scan: Any) -> CorrectedScan:
-        """Return a scan with the estimated pose and scanner errors, frame of the state."""
+        """Return a scan with the estimated pose, corrected for estimated scanner errors."""
         name = scanner_block(sensor)
         value = self.state.value(name) if self.state.has(name) else np.zeros(5)
         return CorrectedScan.of(scan, self.state.inertial, value)
 
     def local_jacobian(self, sensor: str) -> tuple[Index, Array]:
-        """Return the state indices (k,) that a scan depends on, and its Jacobian (11, k)."""
+        """Return which state errors a scan depends on, and the scan's Jacobian.
+
+        The indices are (k,). The Jacobian (11, k) converts these errors to the 11 errors of a
+        `CorrectedScan`.
+        """
         scanner_indices = self.scanner(sensor)
         return np.concatenate((POSE, scanner_indices)), np.eye(11, 6 + len(scanner_indices))
 
     def record_outcome(self, sensor: str, kind: str, outcome: Any, time: float) -> None:
-        """Monitor the outcome of a scan update.
+        """Monitor the outcome of a scan update, and inflate the covariance after an alarm.
 
         After an alarm the entire state is inflated. The error can be in the current pose, the
-        reference pose, the map offset, the rocks or their correlated errors, and a part that did
-        not grow would pull the others back. After a drift the scanner's errors are widened.
+        reference pose, the map offset, the rocks or their correlated errors, and errors that were
+        not inflated would pull the others back. After a drift the scanner's variances are
+        increased. `kind` names the kind of scan update, and `time` is in s.
         """
         scanner_indices, all_indices = self.scanner(sensor), np.arange(self.state.size)
         max_sigmas = np.concatenate(
@@ -91,7 +99,10 @@ class FilterContext:
 
 
 def scanner_blocks(instruments: Mapping[str, Any]) -> dict[str, Array]:
-    """Return the initial covariances of the scanner-error blocks of all LiDARs."""
+    """Return the initial covariance (5, 5) of each LiDAR's errors, by block name.
+
+    A block is a named group of errors in the error state.
+    """
     return {
         scanner_block(name): scanner_covariance(instrument)
         for name, instrument in instruments.items()
@@ -100,10 +111,10 @@ def scanner_blocks(instruments: Mapping[str, Any]) -> dict[str, Array]:
 
 
 def maximum_sigmas(state: ErrorState) -> Array:
-    """Return the maximum standard deviations (head,) after covariance inflation.
+    """Return the maximum standard deviations (head,) of errors after an inflation.
 
-    These are three times the initial ones; for the pose of the lander and the reference scan, they
-    are 30 m and 0.2 rad, and 3 m/s for the velocity.
+    The maxima are three times the initial values; for the pose of the lander and the reference
+    scan, they are 30 m and 0.2 rad, and 3 m/s for the velocity.
     """
     out = 3.0 * np.sqrt(state.covariance.diagonal()[: state.head])
     out[POSITION], out[VELOCITY], out[ATTITUDE] = 30.0, 3.0, 0.2
@@ -113,10 +124,10 @@ def maximum_sigmas(state: ErrorState) -> Array:
 
 
 class MeasurementProcessor(Protocol):
-    """Processor of measurements in the navigator."""
+    """Interface of a processor that updates the filter with some measurement types."""
 
     def take(self, sensor: str, measurement: Any, time: float, *, used: bool) -> bool:
-        """Process a measurement; return whether it was used.
+        """Process a measurement; return whether the processor used it for an update.
 
         Parameters
         ----------

@@ -22,27 +22,28 @@ _MAX_AGE_S = 0.03
 
 
 class MeasurementSequencer:
-    """Admit measurements in the order of their time stamps.
+    """Checks the time order of measurements and fills gaps in inertial samples.
 
     A measurement is rejected with the event "out-of-order" if its time stamp is before the last one
     of its sensor, in the future or NaN; the filters here cannot process delayed measurements. It is
     rejected with "stale" if it is more than 0.03 s older than the last inertial sample. Camera
     images are exempt, since their time stamp is the middle of the exposure. Gaps in the inertial
-    samples are filled with missing samples ("samples-missing"), so that state and covariance are
+    samples are filled with NaN samples ("samples-missing"), so that state and covariance are
     propagated over the gap. If there are more samples than time steps, the last ones are kept
     ("samples-surplus").
 
-    Inertial samples must arrive before the other measurements of the same time; see `overdue`.
+    Inertial samples must arrive before the other measurements of the same time. If they do not,
+    `overdue_samples` returns NaN samples as substitutes.
 
     Parameters
     ----------
     step
         Time between inertial samples, s.
     report
-        Called with time (s), name and details of each rejection or gap.
+        Function that is called with time (s), name and details of each rejection or gap.
     begin
-        Time of the initial state, s; samples between it and the first ones count as missing.
-        Default: the time at which the first samples begin.
+        Time of the initial state, s; samples between this time and the first received ones count as
+        missing. Default: the time at which the first samples begin.
     unit
         Name of the inertial unit before its first samples arrive.
     """
@@ -66,7 +67,10 @@ class MeasurementSequencer:
     def of(
         cls, briefing: Briefing, report: Callable[[float, str, dict[str, Any]], None]
     ) -> MeasurementSequencer:
-        """Return the sequencer of a descent that begins at 0 s."""
+        """Return the sequencer of a descent that begins at 0 s, for the lander's sensors.
+
+        `report` is called with time (s), name and details of each rejection or gap.
+        """
         of = briefing.instruments
         units = [name for name, unit in of.items() if isinstance(unit, InertialInstrument)]
         if not units:
@@ -74,7 +78,9 @@ class MeasurementSequencer:
         return cls(briefing.step, report, begin=0.0, unit=units[0])
 
     def admit(self, sensor: str, measurement: Any, time: float) -> Any:
-        """Return a measurement, inertial samples without gaps; None if it is rejected.
+        """Return a measurement if its time stamp is valid, else None.
+
+        Inertial samples are returned without gaps: NaN samples are inserted.
 
         Parameters
         ----------
@@ -117,15 +123,17 @@ class MeasurementSequencer:
     def admit_and_propagate(
         self, sensor: str, measurement: Any, time: float, propagate: Callable[[Any, Any], None]
     ) -> Any:
-        """Propagate to the time of a measurement, and return it for the update.
+        """Propagate a filter to the time of a measurement, and return the measurement.
 
         Returns None for inertial samples, which are used for the propagation, and for rejected
         measurements.
 
         Parameters
         ----------
-        sensor, measurement, time
-            As for `admit`.
+        sensor, measurement
+            Sensor name and its measurement; without a time stamp it is taken as current.
+        time
+            Current time, s.
         propagate
             Function that propagates the state with increments of angle (n, 3), rad, and velocity
             (n, 3), m/s.
@@ -134,17 +142,20 @@ class MeasurementSequencer:
         if isinstance(given, InertialSamples):
             propagate(given.angle, given.velocity)
             return None
-        overdue = None if given is None else self.overdue(float(getattr(given, "time", time)))
+        overdue = (
+            None if given is None else self.overdue_samples(float(getattr(given, "time", time)))
+        )
         if overdue is not None:
             propagate(overdue[1].angle, overdue[1].velocity)
         return given
 
-    def overdue(self, time: float) -> tuple[str, InertialSamples] | None:
-        """Return inertial samples overdue at `time` (s) as missing samples, if any.
+    def overdue_samples(self, time: float) -> tuple[str, InertialSamples] | None:
+        """Return NaN samples that replace inertial samples overdue at `time` (s), if any.
 
-        They come with the name of their unit. The state can then be propagated to the time of a
-        measurement. If the samples arrive later, they are out of order. Returns None if the start
-        of the samples is unknown, or if `time` is not finite.
+        The result is the name of the inertial unit and the samples. With them, the state can be
+        propagated to the time of a measurement. If the real samples arrive later, they are out of
+        order. Returns None if no samples are overdue, if the start of the samples is unknown, or if
+        `time` is not finite.
         """
         if not (
             np.isfinite(self._propagated_until)
@@ -157,7 +168,7 @@ class MeasurementSequencer:
         return self._unit, self._fill_gaps(self._unit, none, elapsed, time)
 
     def advance(self, time: float) -> None:
-        """Set the current time (s).
+        """Set the current time, s; refuse times before the last one.
 
         Raises
         ------
@@ -173,7 +184,10 @@ class MeasurementSequencer:
     def _fill_gaps(
         self, sensor: str, samples: InertialSamples, elapsed: float, time: float
     ) -> InertialSamples:
-        """Insert missing samples before the given ones, or drop surplus ones."""
+        """Return inertial samples with gaps filled by NaN, or without surplus samples.
+
+        `elapsed` (s) is the time that the samples should cover; `time` (s) is the current time.
+        """
         if not np.isfinite(elapsed):
             return samples  # the start of the samples is unknown before the first ones
         surplus = len(samples.angle) - round(elapsed / self._step)
@@ -195,7 +209,7 @@ class MeasurementSequencer:
 
 
 def _check_samples(samples: InertialSamples) -> InertialSamples:
-    """Check inertial samples, and return them as arrays (n, 3)."""
+    """Return inertial samples as two float arrays (n, 3) after checking the shapes."""
     angle, velocity = (np.asarray(of, np.float64) for of in (samples.angle, samples.velocity))
     for name, of in (("angle", angle), ("velocity", velocity)):
         if of.ndim != 2 or of.shape[1] != 3:

@@ -1,4 +1,4 @@
-"""Navigation part kinds that use the error-state filter."""
+"""Settings of the navigation kinds that use the error-state filter."""
 
 from __future__ import annotations
 
@@ -24,16 +24,18 @@ from lunarsim.parts.quantity import check_bounds, quantity
 
 @dataclass(frozen=True)
 class InertialNavigation:
-    """Use all sensors: IMU, LiDAR, altimeter, velocimeter and star tracker.
+    """Settings of navigation with IMU, LiDAR, altimeter, velocimeter and star tracker.
 
-    All but the IMU are optional. Scans are matched with each other and, if there is one, with a
-    prior map.
+    All sensors but the IMU are optional. Scans are matched with each other and, if there is one,
+    with a prior map.
     """
 
-    relief: float = quantity(5.0, "deg", ge=0, le=45, help="typical slope of the overflown terrain")
+    terrain_slope: float = quantity(
+        5.0, "deg", ge=0, le=45, help="typical slope of the overflown terrain"
+    )
 
     needs: ClassVar[tuple[type, ...]] = (InertialSamples,)
-    takes: ClassVar[tuple[type, ...]] = (
+    accepts: ClassVar[tuple[type, ...]] = (
         LidarScan, AltimeterReading, DopplerReading, AttitudeReading,
     )  # fmt: skip
     needs_prior_map: ClassVar[bool] = False
@@ -44,21 +46,24 @@ class InertialNavigation:
         check_bounds(self, "navigation")
 
     def build(self, briefing: Briefing) -> Navigator:
-        """Build the navigation filter of one flight."""
-        return _navigator(briefing, float(np.tan(self.relief)), rocks=self.rocks)
+        """Return the navigation filter of one flight, built from its briefing."""
+        return _navigator(briefing, float(np.tan(self.terrain_slope)), rocks=self.rocks)
 
 
 @dataclass(frozen=True)
 class PriorMapNavigation:
-    """Match LiDAR scans with a prior map, and propagate with the IMU (quadtree paper)."""
+    """Settings of navigation by LiDAR scans matched with a prior map, and the IMU.
+
+    A prior map and a LiDAR are required (quadtree paper).
+    """
 
     needs: ClassVar[tuple[type, ...]] = (InertialSamples, LidarScan)
-    takes: ClassVar[tuple[type, ...]] = (AltimeterReading, DopplerReading, AttitudeReading)
+    accepts: ClassVar[tuple[type, ...]] = (AltimeterReading, DopplerReading, AttitudeReading)
     needs_prior_map: ClassVar[bool] = True
     uses_prior_map: ClassVar[bool] = True
 
     def build(self, briefing: Briefing) -> Navigator:
-        """Build the navigation filter of one flight.
+        """Return the navigation filter of one flight, built from its briefing.
 
         Raises
         ------
@@ -75,9 +80,14 @@ class PriorMapNavigation:
 
 @dataclass(frozen=True)
 class RockNavigation(InertialNavigation):
-    """Extend `InertialNavigation` by rocks that the camera detects by their shadows."""
+    """Settings of `InertialNavigation` extended by rocks as landmarks.
 
-    relief: float = quantity(6.0, "deg", ge=0, le=45, help="typical slope of the overflown terrain")
+    The camera detects the rocks by their shadows.
+    """
+
+    terrain_slope: float = quantity(
+        6.0, "deg", ge=0, le=45, help="typical slope of the overflown terrain"
+    )
 
     rocks: ClassVar[bool] = True
 

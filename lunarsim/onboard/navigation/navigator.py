@@ -52,21 +52,21 @@ Array = NDArray[np.float64]
 
 
 class Navigator(Navigation):
-    """Error-state Kalman filter with a list of measurement processors.
+    """Error-state Kalman filter that fuses all sensors, with LiDAR map matching.
 
-    Inertial samples propagate it. The pose is kept in the local frame. This frame starts at the
-    initial position estimate and is then anchored to the terrain of the first scan; its offset from
-    the site frame is part of the state (`LocalFrame`). Each measurement is offered to the
-    processors in order, and is used once only. A scan is registered on the map; if that fails, it
-    is registered on an earlier scan. Rocks detected by their shadows are states at the end of the
-    error state; the hazard mapper that tracks them provides the observations.
+    Inertial samples propagate the filter. The pose is kept in the local frame. This frame starts at
+    the initial position estimate and is then anchored to the terrain of the first scan; its offset
+    from the site frame is part of the state (`LocalFrame`). Each measurement is offered to a list
+    of processors in order, and is used once only. A scan is registered on the map; if that fails,
+    it is registered on an earlier scan. Rocks detected by their shadows are states at the end of
+    the error state; the hazard mapper that tracks the rocks provides the observations.
 
     Parameters
     ----------
     inertial
         Initial state estimate, site frame.
     errors
-        Its standard deviations.
+        Standard deviations of the initial state.
     prior
         Prior map; if None, scans are only registered on each other.
     settings
@@ -92,7 +92,7 @@ class Navigator(Navigation):
         Filter of the rock positions; None if no rocks are tracked.
     """
 
-    own_azimuth: ClassVar[bool] = True
+    has_local_azimuth: ClassVar[bool] = True
 
     def __init__(
         self,
@@ -133,17 +133,23 @@ class Navigator(Navigation):
 
     @property
     def inertial(self) -> StrapdownState:
-        """State of the lander, local frame."""
+        """Estimated state of the lander (pose, velocity, biases), local frame."""
         return self.state.inertial
 
     @property
     def covariance(self) -> Array:
-        """Covariance of the error state: lander (15, local frame), blocks, rocks (3 n)."""
+        """Covariance of the error state: lander (15, local frame), blocks, rocks (3 n).
+
+        The blocks are named groups of errors, such as sensor biases and the map offset.
+        """
         return self.state.covariance
 
     @property
-    def watches(self) -> dict[str, InnovationMonitor]:
-        """Innovation monitors by "sensor kind"; those of rocks by "rocks' kind"."""
+    def monitors(self) -> dict[str, InnovationMonitor]:
+        """Innovation monitors by name: "SENSOR KIND", for images "rocks' KIND".
+
+        KIND is the kind of measurement, for example "range".
+        """
         corrected = {} if self.rocks is None else self.rocks.image_monitor.watches
         return {**self._aiding.watches, **{f"rocks' {kind}": w for kind, w in corrected.items()}}
 
@@ -154,7 +160,7 @@ class Navigator(Navigation):
 
     @property
     def locked(self) -> bool:
-        """Whether scans agree with the prior map."""
+        """Whether the scans currently agree with the prior map."""
         return self.matcher is not None and self.matcher.locked
 
     @property
@@ -163,13 +169,13 @@ class Navigator(Navigation):
         return self.matcher is not None and self.matcher.found
 
     @property
-    def adrift(self) -> bool:
+    def is_drifting(self) -> bool:
         """Whether neither the prior map nor tracked rocks bound the position error."""
         return not self.locked and (self.rocks is None or self.rocks.count == 0)
 
     def estimate(self, time: float, mass: float) -> Estimate:
-        """Return the state of the lander in the local frame."""
-        local = self.inertial.estimate(self.state.own(np.arange(INERTIAL)), time, mass)
+        """Return the lander's state at `time` (s) in the local frame, with mass (kg)."""
+        local = self.inertial.estimate(self.state.covariance_of(np.arange(INERTIAL)), time, mass)
         # The error state has attitude errors in body axes, `Estimate` has them in ENU.
         turn = np.eye(9)
         turn[6:, 6:] = self.frame.rotation @ quat_to_matrix(self.inertial.attitude)
@@ -177,7 +183,7 @@ class Navigator(Navigation):
         return replace(local, covariance=covariance, lost=self.lost)
 
     def estimate_in_site(self, time: float, mass: float) -> Estimate:
-        """Return the state of the lander in the site frame."""
+        """Return the lander's state at `time` (s) in the site frame, with mass (kg)."""
         return self.frame.estimate_in_site(self.estimate(time, mass))
 
     @property
@@ -189,7 +195,9 @@ class Navigator(Navigation):
         self.events.append(NavigationEvent(time, name, details))
 
     def take(self, sensor: str, measurement: Any, time: float) -> None:
-        """Process a measurement; ignore one that is unusable or out of order.
+        """Update the filter with one measurement of a named sensor.
+
+        A measurement that is unusable or out of order is ignored.
 
         Raises
         ------
@@ -213,22 +221,27 @@ class Navigator(Navigation):
             self._offer_to_processors(sensor, measurement, time)
 
     def _check_noise(self, sensor: str, scan: LidarScan, time: float) -> bool:
-        """Return whether a scan is too noisy; report when this begins and ends."""
+        """Return whether a scan is too noisy; record an event when this begins or ends."""
         noisy = is_noisy(scan)
         if noisy != (sensor in self._noisy):
             (self._noisy.add if noisy else self._noisy.discard)(sensor)
-            name = "scans-refused" if noisy else "scans-accepted"
+            name = "scans-rejected" if noisy else "scans-accepted"
             self._add_event(time, name, {"sensor": sensor, "noise": range_noise(scan)})
         return noisy
 
     def _offer_to_processors(self, sensor: str, measurement: Any, time: float) -> None:
-        """Offer a measurement to the processors in order."""
+        """Pass a measurement to all processors in order; later ones learn if it was used."""
         used = False
         for part in self.parts:
             used = part.take(sensor, measurement, time, used=used) or used
 
-    def corrected(self, sensor: str, measurement: Any, now: Estimate) -> tuple[Any, Estimate]:
-        """Return a measurement and its pose, corrected for the estimated sensor errors."""
+    def correct_measurement(
+        self, sensor: str, measurement: Any, now: Estimate
+    ) -> tuple[Any, Estimate]:
+        """Return a scan and its pose (`now`), corrected for estimated scanner errors.
+
+        Measurements of other types are returned unchanged.
+        """
         if not isinstance(measurement, LidarScan):
             return measurement, now
         corrected = self._context.correct_scan(sensor, measurement)
@@ -237,18 +250,22 @@ class Navigator(Navigation):
         )
 
     def propagate(self, angle: ArrayLike, velocity: ArrayLike) -> None:
-        """Propagate the filter with inertial samples (n, 3); NaN marks missing samples."""
+        """Propagate the filter with inertial samples; NaN marks missing samples.
+
+        `angle` (n, 3), rad, and `velocity` (n, 3), m/s, are the increments of gyroscopes and
+        accelerometers.
+        """
         self.state.propagate(angle, velocity)
         self._aiding.add_terrain_noise()
         self._aiding.check_sensor_biases()
 
     @property
-    def ground_turn(self) -> MapRotation | None:
-        """Rotation of the mapped terrain since the first scan, by tilt corrections."""
+    def map_rotation(self) -> MapRotation | None:
+        """Rotation of the mapped terrain by tilt corrections; None before the first scan."""
         return self._map_rotation
 
     def _rotate_map(self, error: Array) -> None:
-        """Add a tilt correction to the rotation of the mapped terrain, without azimuth."""
+        """Add the tilt part of a correction (size,) to the rotation of the mapped terrain."""
         if self._map_rotation is None:
             return
         tilt = quat_to_matrix(self.inertial.attitude) @ error[ATTITUDE] * [1.0, 1.0, 0.0]
@@ -258,7 +275,7 @@ class Navigator(Navigation):
         )
 
     def _anchor_frame(self, sensor: str, scan: LidarScan) -> None:
-        """Anchor the local frame to the terrain of the first scan."""
+        """Anchor the local frame to the terrain of the first scan; ignore later scans."""
         if self._is_anchored:
             return
         self._is_anchored = True
@@ -268,7 +285,7 @@ class Navigator(Navigation):
         self._map_rotation = MapRotation(np.eye(3), middle)
         places = [self.state.block(REFERENCE_POSE).start]
         if self.rocks is not None:
-            places += self.rocks.places()[:, 0].tolist()
+            places += self.rocks.state_indices()[:, 0].tolist()
         self.frame.anchor(
             corrected.point_jacobian(middle) @ jacobian, columns, [slice(k, k + 3) for k in places]
         )

@@ -14,7 +14,7 @@ _MIN_SIGMA_M = 3e-4
 
 
 def comparison_normals(new: Array, old: Array) -> Array:
-    """Return the normals (m, 3) for the comparison of two scans.
+    """Return terrain normals (n, 3) for the comparison of two scans, without noise.
 
     Measured slopes contain the scan noise, which dominates on smooth terrain and would look like
     position information (errors in variables; Fuller 1987, section 1.1). The difference of the two
@@ -24,7 +24,7 @@ def comparison_normals(new: Array, old: Array) -> Array:
     Parameters
     ----------
     new, old
-        Normals (-dz/dx, -dz/dy, 1) of the same squares in both scans (m, 3).
+        Normals (-dz/dx, -dz/dy, 1) of the same squares in both scans (n, 3).
     """
     slope = 0.5 * (new[:, :2] + old[:, :2])
     middle = np.median(slope, axis=0)
@@ -39,10 +39,11 @@ def comparison_normals(new: Array, old: Array) -> Array:
 
 
 def height_variances(normal: Array, left: Array, used: NDArray[np.bool_]) -> Array:
-    """Estimate height variances of squares (m,), m^2, from residuals of a fit (m,).
+    """Estimate the height variance of each square (n,), m^2, from fit residuals.
 
-    The variance grows with the squared slope: at the edges of rocks the measured height depends on
-    the viewpoint.
+    `left` (n,), m, are the residuals, `normal` (n, 3) the terrain normals, and `used` (n,) marks
+    the squares used in the fit. The variance grows with the squared slope: at the edges of rocks
+    the measured height depends on the viewpoint.
     """
     square = left**2
     squared_slope = np.sum((normal[:, :2] - np.median(normal[:, :2], axis=0)) ** 2, axis=1)
@@ -57,9 +58,9 @@ def height_variances(normal: Array, left: Array, used: NDArray[np.bool_]) -> Arr
 
 
 def linearisation_variance(prior: Array, displacements: Array) -> float:
-    """Return the variance of the linearisation error of a fit, m^2.
+    """Return the variance of the linearisation error of a scan comparison, m^2.
 
-    It is common to all squares. Attitude errors rotate the displacements (2, 3) of the lander and
+    The error is common to all squares. Attitude errors rotate the displacements of the lander and
     of the observed terrain between the two scans. The squared angle times the displacement is the
     second-order error.
 
@@ -67,6 +68,8 @@ def linearisation_variance(prior: Array, displacements: Array) -> float:
     ----------
     prior
         Prior covariance of the pose, the reference pose and the scanner errors.
+    displacements
+        Displacements of the lander and of the observed terrain (2, 3), m.
     """
     angles = 0.5 * float(np.trace(prior[3:6, 3:6]) + np.trace(prior[9:12, 9:12]))
     angles += float(np.trace(prior[13:16, 13:16]))

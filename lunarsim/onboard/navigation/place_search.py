@@ -1,4 +1,4 @@
-"""Search for the place of scanned terrain on a map by a posterior over shifts."""
+"""Locate scanned terrain on a prior map by a posterior over horizontal shifts."""
 
 from __future__ import annotations
 
@@ -24,7 +24,8 @@ _MAX_LOG_DEFICIT = 14.0
 _HEIGHT_SAMPLE_PLACES = 2048
 # Standard deviations of the prior within which places are searched.
 _SEARCH_SIGMAS = 3.5
-# Maximum number of places with a spacing of half a post, else one post; maximum per side.
+# Maximum number of places with half the grid spacing of the map (with more places, the full spacing
+# is used); maximum per side.
 _MAX_HALF_POST_PLACES, _MAX_PLACES_PER_SIDE = 250_000, 2000
 # Minimum log-likelihood ratio of a tile at an exact fit, in a search with many places.
 _MIN_TILE_INFORMATION = 5.0
@@ -32,14 +33,14 @@ _MIN_TILE_INFORMATION = 5.0
 
 @dataclass(frozen=True)
 class SearchSettings:
-    """Parameters of the tiles and of the drift.
+    """Settings of the search for scanned terrain on a map: tile size and drift.
 
     Attributes
     ----------
     tile
-        Side of a tile, m; limited to 4 to 16 posts.
+        Side of a tile, m; limited to 4 to 16 grid points of the map.
     idle_s
-        Time without new posts after which an incomplete tile is compared, s.
+        Time without new grid points after which an incomplete tile is compared, s.
     drift_correlation_s
         Correlation time of the velocity error that lets the shift drift, s.
 
@@ -62,7 +63,7 @@ class SearchSettings:
 
 @dataclass(frozen=True)
 class MapMatch:
-    """Estimated place of the scanned terrain on the map.
+    """Estimated place of the scanned terrain on the map, with its uncertainty.
 
     Attributes
     ----------
@@ -71,10 +72,10 @@ class MapMatch:
     covariance
         Covariance of the shift (3, 3), m^2.
     certainty
-        Probability that the true shift lies within 1.5 posts.
+        Probability that the true shift lies within 1.5 times the grid spacing of the map.
     share
-        Fraction of the posts that agree at this place.
-    up, up_variance
+        Fraction of the grid points that agree at this place.
+    vertical_shift, vertical_shift_variance
         Mean and variance of the vertical shift over all places, weighted by their probability, m
         and m^2. On horizontal terrain the height is known before the place.
     """
@@ -83,20 +84,21 @@ class MapMatch:
     covariance: Array
     certainty: float
     share: float
-    up: float
-    up_variance: float
+    vertical_shift: float
+    vertical_shift_variance: float
 
 
 @dataclass(frozen=True)
 class _SampledTile:
-    """Tile sampled at every half post.
+    """Tile of scanned terrain, sampled at every half grid spacing of the map.
 
     Attributes
     ----------
     first
-        Row and column of the first post, in half posts from the first post of the map.
+        Row and column of the first sample, counted in half grid spacings from the first grid point
+        of the map.
     samples
-        Heights, weights and variances at every half post (r, c).
+        Heights, weights and variances at every half grid spacing (r, c).
     level
         Terrain heights (r, c), m.
     """
@@ -106,7 +108,7 @@ class _SampledTile:
     level: Array
 
     def lay(self, a: int, b: int) -> FeatureTile:
-        """Return every second post, starting at an offset of `a` rows and `b` columns."""
+        """Return every second sample of the tile, starting at row `a` and column `b`."""
         cut = (slice(a, None, 2), slice(b, None, 2))
         return FeatureTile(
             self.samples.height[cut], self.samples.weight[cut], self.samples.variance[cut]
@@ -114,21 +116,21 @@ class _SampledTile:
 
 
 class PlaceSearch:
-    """Posterior over shifts from the local frame to a map, updated during a flight.
+    """Bayesian search for the horizontal shift of scanned terrain on a prior map.
 
     The scanned terrain is accumulated in the local frame (`Submap`) and compared tile by tile. The
     likelihood of a tile at a place, relative to its mean over all places, multiplies the posterior;
-    flat terrain fits nearly everywhere and gives no information. Each post is compared once, since
-    its error is the same in every view. A tile that does not fit lowers the probability of a place
-    by no more than the factor `changed`. Between searches the posterior is blurred by the drift of
-    the local frame.
+    flat terrain fits nearly everywhere and gives no information. Each grid point is compared once,
+    since its error is the same in every view. A tile that does not fit lowers the probability of a
+    place by no more than a factor of `FeatureSettings.changed_probability`. Between searches the
+    posterior is blurred by the drift of the local frame.
 
     Parameters
     ----------
     features
         Features of the map.
     settings
-        Parameters of the tiles and the drift.
+        Settings of the tiles and the drift.
     """
 
     def __init__(self, features: MapFeatures, settings: SearchSettings | None = None) -> None:
@@ -153,19 +155,23 @@ class PlaceSearch:
 
     @property
     def evidence(self) -> tuple[Array, tuple[int, int]]:
-        """Log evidence at every place (rows, cols), and the shift of the first place.
+        """Log-likelihood of every place (rows, cols), and the shift of the first place.
 
-        The shift is (north, east) in units of `spacing`.
+        The prior of the position is not included. The shift is (north, east) in units of `spacing`.
         """
         return self._log, self._origin
 
     @property
     def spacing(self) -> float:
-        """Distance of the places, m: half a post, or one post if there are many places."""
+        """Distance between neighbouring places, m.
+
+        The distance is half the grid spacing of the map, or the full spacing if there are many
+        places.
+        """
         return self._unit
 
     def add(self, points: Array) -> None:
-        """Add the points of a scan in the local frame (n, 3), m; NaN marks missing points."""
+        """Add the points of a scan (n, 3), local frame, m; NaN marks missing points."""
         self._submap.add(points)
 
     # --- search ---------------------------------------------------------------------------
@@ -173,12 +179,12 @@ class PlaceSearch:
     def search(
         self, time: float, mean: Array, covariance: Array, speed_sigma: float = 0.0
     ) -> MapMatch | None:
-        """Compare new tiles, and return the most probable place by all tiles so far.
+        """Compare new tiles with the map, and return the most probable place by all tiles.
 
         Parameters
         ----------
         time
-            s.
+            Time of the search, s.
         mean, covariance
             Prior mean (2,) and covariance (2, 2) of the shift, east and north, m and m^2.
         speed_sigma
@@ -217,7 +223,11 @@ class PlaceSearch:
         return self._best_match(prior_distance, mean, covariance) if self._tiles else None
 
     def _cover(self, mean: Array, covariance: Array) -> None:
-        """Extend the posterior to the reach of the prior; add places without evidence."""
+        """Extend the array of places to the reach of the prior.
+
+        `mean` (2,), m, and `covariance` (2, 2), m^2, are the prior of the shift. New places start
+        with a log-likelihood of 0.
+        """
         posting = self.prior.grid.posting
         far = _SEARCH_SIGMAS * np.sqrt(np.diag(covariance)) + 2.0 * posting
         if not self._log.size:
@@ -240,7 +250,10 @@ class PlaceSearch:
             self._log, self._origin = grown, (int(low[0]), int(low[1]))
 
     def _blur(self, time: float, speed_sigma: float) -> None:
-        """Blur the posterior by the drift since the last search."""
+        """Blur the log-likelihoods of the places by the drift since the last search.
+
+        `time` is in s; `speed_sigma` is the standard deviation of the drift velocity, m/s.
+        """
         before, self._time = self._time, time
         if before is None or time <= before or not self._tiles:
             return
@@ -253,7 +266,11 @@ class PlaceSearch:
             self._log = best + np.log(np.maximum(p, 1e-300))
 
     def _prior_distance(self, mean: Array, covariance: Array) -> Array:
-        """Return half the squared Mahalanobis distance of every place from the prior mean."""
+        """Return half the squared Mahalanobis distance of every place from the prior mean.
+
+        `mean` (2,), m, and `covariance` (2, 2), m^2, are the prior of the shift; the result is
+        (rows, cols).
+        """
         rows, cols = self._log.shape
         y = self._unit * (self._origin[0] + np.arange(rows))[:, None] - mean[1]
         x = self._unit * (self._origin[1] + np.arange(cols))[None, :] - mean[0]
@@ -265,12 +282,15 @@ class PlaceSearch:
     # --- scanned terrain ------------------------------------------------------------------
 
     def _complete_tiles(self, time: float) -> list[_SampledTile]:
-        """Return the new tiles that are complete or no longer grow."""
+        """Return the tiles that became complete or stopped growing since the last call.
+
+        `time` is the current time, s.
+        """
         height, known = self._submap.posts()
         if not known.any():
             return []
         first = self._submap.first
-        # Count only full posts, the first of the four offsets of posts over the half-post squares.
+        # Count only samples at full grid spacing, the first of the four offsets of half a spacing.
         skip = (first[0] % 2, first[1] % 2)
         kept = subtract_plane(
             height[skip[0] :: 2, skip[1] :: 2], known[skip[0] :: 2, skip[1] :: 2],
@@ -298,8 +318,12 @@ class PlaceSearch:
         return [self._cut(key, height, known) for key in complete]
 
     def _cut(self, key: tuple[int, int], height: Array, known: NDArray[np.bool_]) -> _SampledTile:
-        """Cut a tile at every half post out of the scanned terrain."""
-        # Margin of half a post per side for the four offsets, and of two posts for slopes.
+        """Cut a tile, sampled at every half grid spacing, out of the scanned terrain.
+
+        `key` is the row and column of the tile; `height`, m, and `known` are the result of
+        `Submap.posts`.
+        """
+        # Margin of half a grid spacing for the four offsets, and of two spacings for slopes.
         side, margin = 2 * self._wide, 2 * self.features.reach + 2
         south, west = (side * key[i] - margin - self._submap.first[i] for i in (0, 1))
         many = side + 2 * margin
@@ -326,14 +350,18 @@ class PlaceSearch:
     def _add_evidence(
         self, tile: _SampledTile, prior_distance: Array, mean_log_ratios: float
     ) -> None:
-        """Multiply the posterior by the likelihood of a tile."""
+        """Multiply the posterior of the places by the likelihood of a tile.
+
+        `prior_distance` is the result of `_prior_distance`; `mean_log_ratios` is the logarithm of
+        the tile's mean likelihood ratio over the map.
+        """
         log = self._log - prior_distance
         row, col = np.nonzero(log >= log.max() - _MAX_LOG_DEFICIT)
         ratio, share = np.zeros(len(row)), np.zeros(len(row))
         north, east, ways = row + self._origin[0], col + self._origin[1], self._offsets
         for a in range(ways):
             for b in range(ways):
-                # A shift by an odd number of half posts uses the posts with an offset of a half.
+                # Shifts by an odd number of half spacings use samples offset by half a spacing.
                 selected = np.flatnonzero(((north + a) % ways == 0) & ((east + b) % ways == 0))
                 ratio[selected], share[selected] = self.features.likelihood(
                     tile.lay(a, b), (north[selected] + a) // ways + tile.first[0] // 2,
@@ -344,7 +372,11 @@ class PlaceSearch:
     # --- outcome --------------------------------------------------------------------------
 
     def _best_match(self, prior_distance: Array, mean: Array, covariance: Array) -> MapMatch:
-        """Normalise the posterior, with the prior probability of all places beyond it."""
+        """Normalise the posterior and return the most probable place.
+
+        The normalisation includes the prior probability of places beyond those searched. `mean`
+        (2,), m, and `covariance` (2, 2), m^2, are the prior of the shift.
+        """
         log = self._log - prior_distance
         best = log.max()
         p = np.exp(log - best)
@@ -360,7 +392,7 @@ class PlaceSearch:
         north = self._unit * (rows[near] + self._origin[0])
         east = self._unit * (cols[near] + self._origin[1])
         middle = np.array([q @ east, q @ north])
-        # Add half a post to the spread of the posterior for its finite resolution.
+        # Add half a grid spacing to the spread for the finite resolution.
         spread = np.array([q @ (east - middle[0]) ** 2, q @ (north - middle[1]) ** 2])
         spread += (0.5 * self.prior.grid.posting) ** 2
         share, rise, error = self._agreement(int(row), int(col))
@@ -371,10 +403,11 @@ class PlaceSearch:
         )  # fmt: skip
 
     def _prior_beyond(self, mean: Array, covariance: Array) -> float:
-        """Return an upper bound of the prior probability beyond the searched places.
+        """Return an upper bound of the prior probability outside the searched places.
 
-        It sums the tails past each side. The sum over the searched places would be inaccurate for a
-        prior narrower than their spacing.
+        The bound is the sum of the tails beyond each side. One minus the sum over the searched
+        places would be inaccurate for a prior narrower than their spacing. `mean` (2,), m, and
+        `covariance` (2, 2), m^2, are the prior of the shift.
         """
         sigma = np.sqrt(np.diag(covariance))
         low = self._unit * (np.array(self._origin[::-1]) - 0.5)
@@ -385,9 +418,10 @@ class PlaceSearch:
     def _posts_below(
         self, tile: _SampledTile, row: IntArray, col: IntArray
     ) -> tuple[tuple[slice, slice], IntArray, IntArray]:
-        """Return slices of a tile's posts, and map rows (n, r) and columns (n, c) below.
+        """Return slices of a tile's samples, and the map rows and columns below them.
 
-        All places must use the same of the four offsets of posts.
+        `row` and `col` (n,) are places; the map rows are (n, r) and the columns (n, c). All places
+        must lie at the same offset from the grid points of the map, in half grid spacings.
         """
         north, east = row + self._origin[0], col + self._origin[1]
         ways = self._offsets
@@ -398,9 +432,10 @@ class PlaceSearch:
         return (slice(a, None, 2), slice(b, None, 2)), r, c
 
     def _agreement(self, row: int, col: int) -> tuple[float, float | None, float]:
-        """Return share of agreeing posts, height difference and its variance at a place.
+        """Return fraction of agreeing points, height difference and variance at a place.
 
-        The height difference is map minus scan, m, from the last six tiles.
+        `row` and `col` are those of the place. The height difference is map minus scan, m, from the
+        last six tiles; None without agreeing points.
         """
         agreed, compared, rises = 0, 0, []
         for n, tile in enumerate(reversed(self._tiles)):
@@ -416,13 +451,19 @@ class PlaceSearch:
                 rises.append((elevation - tile.level[cut])[agree])
         rise = np.concatenate(rises)
         posting, sigma = self.prior.grid.posting, self.prior.sigma
-        error = sigma**2 * self.prior.together / max(len(rise), 1) + (0.4 * posting) ** 2
+        error = (
+            sigma**2 * self.prior.equivalent_correlated_posts / max(len(rise), 1)
+            + (0.4 * posting) ** 2
+        )
         found = float(np.median(rise)) if len(rise) else None
         return agreed / compared if compared else 0.0, found, float(error)
 
     def _vertical_shift(self, p: Array) -> tuple[float, float]:
-        """Return mean and variance of the vertical shift, weighted by the posterior."""
-        # Use the places with one offset of posts only, and thin them for speed.
+        """Return mean and variance of the vertical shift over all places, m and m^2.
+
+        `p` (rows, cols) is the probability of each place.
+        """
+        # Use only the places at one of the four offsets, and thin them for speed.
         every = self._offsets * max(
             1, int(np.sqrt(p.size / self._offsets**2 / _HEIGHT_SAMPLE_PLACES))
         )
@@ -452,7 +493,13 @@ class PlaceSearch:
 
 
 def _check_prior(mean: Array, covariance: Array, speed_sigma: float) -> None:
-    """Check the prior of a search."""
+    """Check mean, covariance and drift velocity given to a search.
+
+    Raises
+    ------
+    InputError
+        If a shape is wrong, or a value is not finite or out of range.
+    """
     if np.shape(mean) != (2,) or not np.isfinite(mean).all():
         raise InputError("mean", mean, "must be two finite numbers, m")
     p = np.asarray(covariance, dtype=np.float64)
@@ -464,7 +511,10 @@ def _check_prior(mean: Array, covariance: Array, speed_sigma: float) -> None:
 
 
 def _cut(of: NDArray[Any], row: int, col: int, side: int) -> NDArray[Any]:
-    """Return a square of a raster, with 0 outside the raster."""
+    """Cut a square of `side` cells out of a raster `of`; 0 outside the raster.
+
+    `row` and `col` are the first row and column of the square; they can lie outside the raster.
+    """
     out = np.zeros((side, side), of.dtype)
     r0, r1 = max(row, 0), min(row + side, of.shape[0])
     c0, c1 = max(col, 0), min(col + side, of.shape[1])
@@ -474,7 +524,11 @@ def _cut(of: NDArray[Any], row: int, col: int, side: int) -> NDArray[Any]:
 
 
 def _at(of: NDArray[Any], row: IntArray, col: IntArray, *, paired: bool = False) -> Array:
-    """Return a raster at rows (r,) by columns (c,) or at pairs; NaN outside of it."""
+    """Return the values of a raster `of` at given rows and columns; NaN outside.
+
+    The result is (r, c) for rows (r,) and columns (c,). With `paired`, each row belongs to one
+    column, and the result has the shape of `row`.
+    """
     if not paired:
         row, col = np.broadcast_arrays(row[:, None], col[None, :])
     inside = (row >= 0) & (row < of.shape[0]) & (col >= 0) & (col < of.shape[1])

@@ -16,10 +16,10 @@ from lunarsim.onboard.navigation.surface import ScanSurface, average_scan
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-# The scan position is unambiguous if this number of standard deviations is below half a post, or if
-# the best shift has this probability.
+# The scan position is unambiguous if this number of standard deviations is below half the grid
+# spacing of the map, or if the best shift has this probability.
 _UNAMBIGUOUS_SIGMAS, _MIN_CERTAINTY = 3.5, 0.9995
-# Side of the blocks for the correlation of residuals, in posts; minimum number of blocks.
+# Side of the blocks for the correlation of residuals, in grid points; minimum number of blocks.
 _BLOCK_POSTS, _MIN_BLOCKS = 6, 4
 
 
@@ -30,9 +30,9 @@ class MapFit:
     Attributes
     ----------
     information
-        J' W J (d, d).
+        Information matrix J' W J (d, d), with Jacobian J and inverse variances W.
     vector
-        J' W y (d,).
+        Information vector J' W y (d,), with residuals y.
     used, compared
         Number of squares that agree with the map, and of all compared squares.
     misfit
@@ -47,7 +47,7 @@ class MapFit:
 
     @property
     def share(self) -> float:
-        """Fraction of the squares that agree."""
+        """Fraction of the compared squares that agree with the map."""
         return self.used / self.compared if self.compared else 0.0
 
 
@@ -60,19 +60,19 @@ def fit(
     *,
     expected: Array | None = None,
 ) -> MapFit:
-    """Estimate an error from residuals, and exclude outliers.
+    """Estimate errors from height residuals by least squares without outliers.
 
     Parameters
     ----------
     jacobian, residual, variance
-        Jacobian, residuals and variances of m scalar measurements (m, d), (m,), (m,).
+        Jacobian, residuals and variances of n scalar measurements (n, d), (n,), (n,).
     prior
         Prior covariance of the error (d, d).
     gate
         Maximum residual after the fit, in standard deviations.
     expected
-        Variances for the outlier test (m,); default: `variance`. The latter can be larger because a
-        measurement was used before. With it, changed terrain would pass the test after repeated
+        Variances for the outlier test (n,); default: `variance`. `variance` can be larger because a
+        measurement was used before. If the test used it, changed terrain would pass after repeated
         views.
     """
     d = jacobian.shape[1]
@@ -105,7 +105,7 @@ def fit(
 
 
 def _is_on_map(surface: ScanSurface, prior: PriorMap) -> NDArray[np.bool_]:
-    """Return which squares of a scan lie on known posts of a map (m,)."""
+    """Return which squares of a scan lie on known grid points of a map (n,)."""
     g, row, col = prior.grid, surface.row, surface.col
     inside = (col >= 0) & (col < g.cols) & (row >= 0) & (row < g.rows)
     inside[inside] = np.isfinite(prior.elevation[row[inside], col[inside]])
@@ -120,19 +120,20 @@ def register_scan(
     *,
     passes: int = 4,
 ) -> tuple[MapFit, tuple[IntArray, IntArray]]:
-    """Register a scan on a map.
+    """Register a scan on a prior map by Gauss-Newton least squares.
 
-    Gauss-Newton iteration: the scan is averaged again after each correction, until the terrain
-    moves by less than 1/20 of a post. The result refers to the scan as given.
+    The scan is averaged again after each correction, until the terrain moves by less than 1/20 of
+    the grid spacing. The result refers to the scan as given.
 
     Parameters
     ----------
     corrected, features
         Scan in the frame of the map, and the features of the map.
     covariance
-        Prior covariance of the scan's errors (11, 11); see `CorrectedScan`.
+        Prior covariance of the scan's errors (11, 11), in the order of `CorrectedScan`.
     variance
-        Variance of the residual at each post (rows, cols), m^2; it grows with the number of uses.
+        Variance of the residual at each map grid point (rows, cols), m^2; it grows with the number
+        of uses.
     passes
         Maximum number of iterations.
 
@@ -141,7 +142,7 @@ def register_scan(
     fit
         Information on the scan's errors.
     posts
-        Rows and columns of the compared posts.
+        Rows and columns of the compared grid points.
     """
     prior = features.prior
     error, level_only, spread = _initial_error(corrected, features, covariance)
@@ -164,7 +165,7 @@ def register_scan(
             break
     if result.used:
         correlation = residual_correlation(posts, residual - jacobian @ error, expected)
-        share = max(correlation, prior.together, 1.0)
+        share = max(correlation, prior.equivalent_correlated_posts, 1.0)
         result = replace(
             result, information=result.information / share, vector=result.vector / share
         )
@@ -172,16 +173,20 @@ def register_scan(
 
 
 def solve_error(found: MapFit, covariance: Array) -> Array:
-    """Return the maximum a posteriori error of a fit with its prior covariance (d,)."""
+    """Return the maximum a posteriori error (d,) of a fit, given a prior covariance.
+
+    The prior covariance is (d, d); the prior mean is zero.
+    """
     both = np.eye(len(covariance)) + found.information @ covariance
     return np.asarray(covariance @ np.linalg.solve(both, found.vector))
 
 
 def _normals(normal: Array, spread: Array | None) -> tuple[Array, Array]:
-    """Return normals (m, 3) for a fit, and additional residual variances (m,), m^2.
+    """Return terrain normals (n, 3) for a fit, and added residual variances (n,), m^2.
 
-    If a `spread` (2, 2) is given, the fit must not determine the horizontal position. All normals
-    are then replaced by their mean, and the deviation of each slope adds variance.
+    `spread` (2, 2), m^2, is the covariance of an uncertain horizontal position, which the fit must
+    not determine. All normals are then replaced by their mean, and the deviation of each slope adds
+    variance. With None, the normals are returned unchanged.
     """
     if spread is None or len(normal) == 0:
         return normal, np.zeros(len(normal))
@@ -195,9 +200,10 @@ def residual_correlation(
 ) -> float:
     """Return the variance inflation that accounts for the correlation of residuals.
 
-    It compares sums over blocks of a few posts with their variance for independent residuals. Map
-    errors with a correlation length of some metres and small terrain changes add up in these sums.
-    The result is 1 if there are too few blocks.
+    Sums of residuals over blocks of a few grid points are compared with their variance for
+    independent residuals. Map errors with a correlation length of some metres and small terrain
+    changes add up in these sums. The result is 1 if there are too few blocks. `posts` are rows and
+    columns (n,) of the residuals (n,), m, with variances (n,), m^2.
     """
     row, col = (part // _BLOCK_POSTS for part in posts)
     keep = residual**2 <= 9.0 * variance
@@ -213,11 +219,13 @@ def residual_correlation(
 def _initial_error(
     corrected: CorrectedScan, features: MapFeatures, covariance: Array
 ) -> tuple[Array, bool, Array]:
-    """Return initial error of a fit (11,), a flag for heights only, and the spread.
+    """Return initial error (11,), whether to fit heights only, and shift covariance.
 
-    Slopes give the correct position only within half a post on rough terrain. If the position of
-    the scan is less certain, all shifts that its uncertainty allows are compared first. If several
-    shifts are plausible, the fit must not choose between them.
+    The covariance (2, 2), m^2, is the second moment of the horizontal shift about the most probable
+    one. Slopes give the correct position only within half the grid spacing on rough terrain. If the
+    position of the scan is less certain, all shifts that its uncertainty allows are compared first.
+    If several shifts are plausible, the fit must not choose between them and determines only
+    heights. `covariance` (11, 11) is the prior covariance of the scan's errors.
     """
     surface = corrected.surface(features.prior.grid)
     error, none = np.zeros(len(covariance)), np.zeros((2, 2))

@@ -17,18 +17,19 @@ class RegistrationSettings:
     Attributes
     ----------
     model_sigma
-        Standard deviation of the difference between a scan's mean over the square of a post and the
-        post, apart from the map's noise, m. Causes are occlusion by rocks and uneven sampling.
+        Standard deviation of the difference between the mean height of a scan over the cell of a
+        map grid point and the map height, apart from the map's noise, m. Causes are occlusion by
+        rocks and uneven sampling.
     min_squares
         Minimum number of squares for a registration.
     min_agreement
         Minimum fraction of squares that agree with the map.
     max_misfit
-        Maximum mean square of their residuals, in units of their variance.
+        Maximum mean square of the residuals of agreeing squares, in units of their variance.
     rejection_probability, map_rejection_probability
         Probability to reject a valid correction, from a reference scan or a search
         (`rejection_probability`) and from a fit to the map (`map_rejection_probability`). Partly
-        changed terrain biases the latter by a few standard deviations.
+        changed terrain biases a fit to the map by a few standard deviations.
     certainty
         Minimum probability of the best place of a search.
     height_sigma
@@ -41,7 +42,7 @@ class RegistrationSettings:
         Maximum time over which small scans are accumulated, s.
     odometry_postings
         Minimum and maximum side of the squares for scan-to-scan odometry, m. Between these limits
-        it is 1/24 of the width of a scan.
+        the side is 1/24 of the width of a scan.
     odometry_sigma
         Standard deviation of the height difference of two scans in a square, m.
     min_overlap
@@ -94,8 +95,8 @@ class RegistrationSettings:
             if not 0.0 < value < np.inf:
                 raise InputError(f"navigation.{name}", value, "must be a positive number")
 
-    def believes(self, fit: MapFit) -> bool:
-        """Return whether enough squares agree, with small enough residuals."""
+    def accepts_fit(self, fit: MapFit) -> bool:
+        """Return whether enough squares of a fit agree, with small enough residuals."""
         return (
             fit.used >= self.min_squares
             and fit.share >= self.min_agreement

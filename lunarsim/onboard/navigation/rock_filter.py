@@ -1,4 +1,6 @@
-"""Augmented multiplicative EKF for the lander and all tracked rocks (Eqs. 1-11).
+"""Multiplicative EKF of the lander and all tracked rocks (shadow EKF paper).
+
+It implements Eqs. 1-11 of the paper.
 
 The error state contains the lander, the states of other measurements, and three coordinates per
 rock (`rock_states.py`). An observed rock depends on position, attitude and its own coordinates, so
@@ -61,14 +63,14 @@ MapRegion = tuple[float, float, float, float]
 
 
 class RockFilter(RockStates):
-    """Filter of the lander and the rocks.
+    """Joint Kalman filter of the lander and the positions of tracked rocks.
 
     Parameters
     ----------
     state
-        Error state of the lander; the rocks are appended behind its blocks.
+        Error state of the lander; the rocks are appended after its blocks.
     aiding
-        Processor of the other measurements, with the prior terrain height.
+        Processor of ranges, speeds and attitudes, with the prior terrain height.
     capacity
         Initial number of rocks to allocate; it grows as needed.
 
@@ -106,7 +108,7 @@ class RockFilter(RockStates):
         inertial
             Initial state of the lander.
         errors
-            Its standard deviations.
+            Standard deviations of the initial state.
         terrain_prior
             Prior knowledge of the terrain height; default: horizontal at 0 m, exact.
         capacity
@@ -118,14 +120,14 @@ class RockFilter(RockStates):
 
     @property
     def inertial(self) -> StrapdownState:
-        """State of the lander."""
+        """Estimated state of the lander (pose, velocity, biases)."""
         return self.state.inertial
 
     # --- state ----------------------------------------------------------------------------
 
     @property
     def covariance(self) -> Array:
-        """Covariance of the lander (15), the blocks, and the rock coordinates (3 n)."""
+        """Covariance of the lander (15), other error blocks, and rock coordinates (3 n)."""
         return self.state.covariance
 
     def terrain_points(
@@ -133,15 +135,17 @@ class RockFilter(RockStates):
     ) -> Array:
         """Intersect lines of sight through undistorted pixels (n, 2) with the terrain.
 
-        Returns points (n, 3), m; NaN without an intersection, and for points far outside a
-        given region (west, east, south and north limits, m).
+        `near` is an optional region of interest: west, east, south and north limits, m. Returns
+        points (n, 3), m; NaN without an intersection, and for points far outside the region.
         """
         out = np.full((len(pixel), ROCK_DIM), np.nan)
         if len(pixel) == 0:
             return out
         origin, per_drop = self._sight_lines(camera, pixel)
         middle = None if near is None else np.reshape(near, (2, 2)).mean(axis=1)
-        out[:, 2] = self.terrain_height_below if middle is None else self.ground_at(middle)[0]
+        out[:, 2] = (
+            self.terrain_height_below if middle is None else self.terrain_height_at(middle)[0]
+        )
         out[:, :2] = origin[:2] + per_drop * (origin[2] - out[:, 2:])
         is_finite = np.isfinite(out[:, :2]).all(1)
         if near is not None:
@@ -151,8 +155,12 @@ class RockFilter(RockStates):
         return out
 
     def _intersect(self, origin: Array, per_drop: Array, height: Array) -> Array:
-        """Intersect lines from a point (3,) with the terrain (n, 3), with initial heights."""
-        if self.measured is None and self.can_interpolate_height:
+        """Return the intersections (n, 3), m, of lines from one point with the terrain.
+
+        `origin` (3,) is the point, `per_drop` (n, 2) the advance of the lines, east and north, per
+        metre of drop, and `height` (n,) the initial heights of the iteration, m.
+        """
+        if self.measured_terrain is None and self.can_interpolate_height:
             # The compiled version of the same iteration.
             search = (_MAX_ITERATIONS, _HEIGHT_TOLERANCE_M, *_STEP_LIMITS)
             known = self._known_heights()
@@ -165,7 +173,7 @@ class RockFilter(RockStates):
         least, points = np.full(len(height), np.inf), np.empty((len(height), ROCK_DIM))
         for _ in range(_MAX_ITERATIONS):
             xy = origin[:2] + per_drop[indices] * (origin[2] - height)[:, None]
-            found = self.ground_at(xy)
+            found = self.terrain_height_at(xy)
             gap = found - height
             # Without convergence, the best iterate counts; NaN: the terrain height is unknown.
             is_better = ~(np.abs(gap) >= least[indices])
@@ -187,9 +195,10 @@ class RockFilter(RockStates):
         return points
 
     def _sight_lines(self, camera: CameraModel, pixel: Array) -> tuple[Array, Array]:
-        """Return camera position (3,) and horizontal advance of lines per drop (n, 2).
+        """Return camera position (3,) and the lines of sight through pixels (n, 2).
 
-        The advance is east and north per metre downwards; NaN for lines that do not descend.
+        A line is given by its advance, east and north, per metre downwards (n, 2); NaN for lines
+        that do not descend.
         """
         view = camera.view(self.inertial)
         tangent = (pixel - [view.cx, view.cy]) / [view.fx, view.fy]
@@ -197,8 +206,8 @@ class RockFilter(RockStates):
         with np.errstate(divide="ignore", invalid="ignore"):
             return view.position, np.where(ray[:, 2:] < 0.0, ray[:, :2] / -ray[:, 2:], np.nan)
 
-    def in_frame(self, direction: Array) -> Array:
-        """Transform a direction (3,) from the site frame to the frame of the filter."""
+    def rotate_to_local(self, direction: Array) -> Array:
+        """Return a direction (3,), given in the site frame, in the frame of the filter."""
         if not self.state.has(MAP):
             return direction
         return rotation_about_up(-float(self.state.value(MAP)[3])) @ direction
@@ -211,24 +220,34 @@ class RockFilter(RockStates):
     # --- time -----------------------------------------------------------------------------
 
     def propagate(self, angle: ArrayLike, velocity: ArrayLike) -> None:
-        """Propagate the filter with inertial samples (n, 3); NaN marks missing samples."""
+        """Propagate the filter with inertial samples; NaN marks missing samples.
+
+        `angle` (n, 3), rad, and `velocity` (n, 3), m/s, are the increments of gyroscopes and
+        accelerometers.
+        """
         self.state.propagate(angle, velocity)
         self._aiding.add_terrain_noise()
         self._aiding.check_sensor_biases()
 
     # --- rocks ----------------------------------------------------------------------------
 
-    def sight(self, camera: CameraModel, points: Array | None = None) -> RockProjection:
-        """Predict the pixels of points (n, 3), or of the tracked rocks (Eqs. 10-11)."""
+    def project_rocks(self, camera: CameraModel, points: Array | None = None) -> RockProjection:
+        """Predict the pixels of points (n, 3), m, by default of all tracked rocks.
+
+        This is the projection of the shadow EKF paper (Eqs. 10-11), from the estimated pose.
+        """
         return project_points(self.inertial, camera, self.xyz if points is None else points)
 
     def innovation_covariance(self, sight: RockProjection) -> Array:
-        """Return the covariance of the predicted pixels of all rocks (n, 2, 2)."""
-        p = self.state.for_rows(POSE)
+        """Return the covariance of the predicted pixels of all rocks (n, 2, 2).
+
+        `sight` is the prediction from the current state. The pixel noise is not included.
+        """
+        p = self.state.covariance_for_rows(POSE)
         pose = p[np.ix_(POSE, POSE)]
-        cross = np.moveaxis(p[POSE[:, None, None], self.places()[None]], 0, 1)  # (n, 6, 3)
+        cross = np.moveaxis(p[POSE[:, None, None], self.state_indices()[None]], 0, 1)  # (n, 6, 3)
         own = self.rock_covariance()
-        a, b = sight.by_pose, sight.by_rock
+        a, b = sight.jacobian_by_pose, sight.jacobian_by_rock
         mixed = a @ cross @ np.swapaxes(b, 1, 2)
         return np.asarray(
             a @ pose @ np.swapaxes(a, 1, 2)
@@ -256,13 +275,13 @@ class RockFilter(RockStates):
         Parameters
         ----------
         index
-            Indices of the rocks (m,), without repetition.
+            Indices of the rocks (n,), without repetition.
         sight
-            Prediction for all rocks from the current state.
+            Predicted pixels of all rocks from the current state.
         pixel, pixel_covariance
-            Measured centres (m, 2) and their covariances (m, 2, 2).
+            Measured centres (n, 2) and their covariances (n, 2, 2).
         radius, radius_variance
-            Measured radii (m,), m and m^2.
+            Measured radii (n,), m and m^2.
         common
             Standard deviation of an error common to all pixels of the image, per axis, pixels. The
             offset between a rock and its shadow depends on the view, so it does not average out
@@ -297,12 +316,15 @@ class RockFilter(RockStates):
         common: float,
         gate: float,
     ) -> UpdateOutcome:
-        """Update lander and rock positions."""
+        """Update lander and rock positions with valid pixels; return the outcome.
+
+        The parameters are those of `update_rocks`.
+        """
         m = len(index)
-        a, b = sight.by_pose[index], sight.by_rock[index]
-        columns = self.places(index)
+        a, b = sight.jacobian_by_pose[index], sight.jacobian_by_rock[index]
+        columns = self.state_indices(index)
         with threads_for(1e-2 * m * self.state.size):
-            p = self.state.for_rows(POSE, columns)
+            p = self.state.covariance_for_rows(POSE, columns)
             hp = measured_rows(p, self.state.size, POSE, a, columns, b)
         s = hp[:, POSE] @ a.reshape(2 * m, 6).T
         own = hp[:, columns.ravel()].reshape(2 * m, m, ROCK_DIM)
@@ -314,11 +336,11 @@ class RockFilter(RockStates):
         innovation = (pixel - sight.pixel[index]).ravel()
         return self.state.update_with_innovation(hp, s, innovation, 2 * m * gate)
 
-    def turn(
+    def add_view_noise(
         self, sun: Array, along: float, across: float, shared: float, *,
         closing: float = 0.0, pixel: float = 0.0,
     ) -> None:  # fmt: skip
-        """Add process noise to the rock positions when the view rotates or comes closer.
+        """Add process noise to rock positions when the view rotates or comes closer.
 
         The offset between a shadow patch and its rock depends on the viewpoint. The error of the
         shadow model has an individual part and a common part; the common part lies along the Sun
@@ -360,27 +382,33 @@ class RockFilter(RockStates):
         range_ = closing * np.sqrt(is_better + other) * coarser * far
         self._add_common_noise(np.stack((shared * root, range_)), level)
         axes = np.array([[*level, 0.0], [-level[1], level[0], 0.0]])
-        i = self.places()
+        i = self.state_indices()
         own = (axes.T * [along**2, across**2]) @ axes
         own = 0.5 * (own + own.T)  # symmetric to the last bit
-        self.state.for_rows()[i[:, :, None], i[:, None, :]] += (root**2)[:, None, None] * own
+        self.state.covariance_for_rows()[i[:, :, None], i[:, None, :]] += (root**2)[
+            :, None, None
+        ] * own
 
     def _add_common_noise(self, sigma: Array, axis: Array) -> None:
-        """Add common noise of m sources, sigma (m, n) in m, along a horizontal axis (2,)."""
+        """Add position noise that is common to all rocks along a horizontal axis (2,).
+
+        `sigma` (k, n), m, is the standard deviation by each of k independent sources for each of n
+        rocks.
+        """
         size = self.state.size
         move = np.zeros((len(sigma), self.count, ROCK_DIM))
         move[..., :2] = sigma[..., None] * axis
         with threads_for(4e-3 * size**2):
             add_outer_products(
-                self.state.for_rows()[self.first : size, self.first : size],
+                self.state.covariance_for_rows()[self.first : size, self.first : size],
                 move.reshape(len(sigma), -1),
             )
 
-    def judge(self, kind: str, time: float, outcome: UpdateOutcome) -> RockCorrection:
-        """Monitor the outcome of an image, and inflate the state after an alarm.
+    def monitor_image(self, kind: str, time: float, outcome: UpdateOutcome) -> RockCorrection:
+        """Monitor the outcome of an image, and inflate the covariance after an alarm.
 
-        The caller must reset the rocks if the returned action asks for it; see
-        `ImageInnovationMonitor`.
+        `kind` is the monitored quantity: "places", "expected" or "shadows". `time` is in s. The
+        caller must reset the rocks if the returned action is `RockCorrection.RESET`.
         """
         remedy = self.image_monitor.record(kind, time, outcome)
         if remedy is not RockCorrection.NONE and kind != "shadows":
@@ -410,9 +438,11 @@ class RockFilter(RockStates):
         radius: Array,
         radius_variance: Array,
     ) -> Index:
-        """Add rocks observed at points (b, 3), with their full cross-covariance.
+        """Add rocks observed in an image, correlated with the lander and other rocks.
 
-        Their heights are correlated with those of their neighbours.
+        The rocks are at `points` (b, 3), m; `pixel_covariance` (b, 2, 2) is that of the observed
+        pixels; `radius` and `radius_variance` (b,) are in m and m^2. Heights are correlated with
+        those of neighbouring rocks.
 
         Returns
         -------
@@ -426,7 +456,7 @@ class RockFilter(RockStates):
         self._set_position_covariance(index, *jacobians)
         return index
 
-    def begin_anew(
+    def reset_positions(
         self,
         index: Index,
         camera: CameraModel,
@@ -438,7 +468,8 @@ class RockFilter(RockStates):
         """Reset the positions of rocks (b,) to one image's undistorted pixels (b, 2).
 
         The information of earlier images is discarded, and the lander is not corrected. The heights
-        of the rocks do not change.
+        of the rocks do not change. `pixel_covariance` is (b, 2, 2); `radius` and `radius_variance`
+        (b,) are in m and m^2.
 
         Raises
         ------
@@ -456,15 +487,17 @@ class RockFilter(RockStates):
     def _position_jacobians(
         self, camera: CameraModel, points: Array, pixel_covariance: Array
     ) -> tuple[Array, Array, Array]:
-        """Return the Jacobians of rock positions (b, 2) with respect to pose and height.
+        """Return Jacobians and covariance of rock positions found by lines of sight.
 
-        They follow from ``by_pose d(pose) + by_rock d(rock) = d(pixel)``: by the pose (b, 2, 6), by
-        the rock's height (b, 2), and the covariance from the pixel noise (b, 2, 2).
+        The horizontal positions at `points` (b, 3), m, follow from ``by_pose d(pose) + by_rock
+        d(rock) = d(pixel)``. The results are the Jacobian with respect to the pose (b, 2, 6), that
+        with respect to the rock's height (b, 2), and the covariance from the pixel noise (b, 2, 2),
+        m^2.
         """
-        sight = self.sight(camera, points)
-        back = invert_2x2(sight.by_rock[:, :, :2])
-        by_pose = -(back @ sight.by_pose)
-        by_height = -(back @ sight.by_rock[:, :, 2:])[:, :, 0]
+        sight = self.project_rocks(camera, points)
+        back = invert_2x2(sight.jacobian_by_rock[:, :, :2])
+        by_pose = -(back @ sight.jacobian_by_pose)
+        by_height = -(back @ sight.jacobian_by_rock[:, :, 2:])[:, :, 0]
         own = back @ pixel_covariance @ np.swapaxes(back, 1, 2)
         if not (np.isfinite(by_pose).all() and np.isfinite(own).all()):
             raise InputError(
@@ -475,10 +508,13 @@ class RockFilter(RockStates):
     def _set_position_covariance(
         self, index: Index, by_pose: Array, by_height: Array, own: Array
     ) -> None:
-        """Set the horizontal covariance of rocks from `_position_jacobians`."""
+        """Set the horizontal covariance of the rocks `index` (b,) in the error state.
+
+        The other parameters are the results of `_position_jacobians`.
+        """
         b = len(index)
-        size, i = self.state.size, self.places(index)
-        p, level = self.state.for_rows(POSE, i), i[:, :2].ravel()
+        size, i = self.state.size, self.state_indices(index)
+        p, level = self.state.covariance_for_rows(POSE, i), i[:, :2].ravel()
         rows = by_pose.reshape(2 * b, 6) @ p[POSE, :size]
         rows += (by_height[:, :, None] * p[i[:, 2], :size][:, None, :]).reshape(2 * b, size)
         self.state.set_rows(level, rows)
@@ -490,10 +526,11 @@ class RockFilter(RockStates):
 
 
 def _is_near_region(xy: Array, per_drop: Array, near: MapRegion) -> NDArray[np.bool_]:
-    """Return which points (n, 2) can lie inside a region or its margin.
+    """Return which points (n, 2), m, can lie inside a region or its margin.
 
-    The points were found on horizontal terrain at the height of the region's centre, along lines
-    with an advance of `per_drop` (n, 2) per metre of drop.
+    `near` are the west, east, south and north limits of the region, m. The points were found on
+    horizontal terrain at the height of the region's centre, along lines with an advance of
+    `per_drop` (n, 2) per metre of drop.
     """
     west, east, south, north = near
     rise = _MAX_SLOPE * 0.5 * max(east - west, north - south)

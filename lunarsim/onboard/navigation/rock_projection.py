@@ -1,4 +1,4 @@
-"""Predict the pixels of rocks in a camera image (Eqs. 10-11)."""
+"""Predict the pixels of rocks in a camera image (shadow EKF paper, Eqs. 10-11)."""
 
 from __future__ import annotations
 
@@ -21,23 +21,26 @@ class RockProjection:
     Attributes
     ----------
     pixel
-        Predicted pixels (n, 2), without distortion (Eq. 10).
+        Predicted pixels (n, 2), without distortion (shadow EKF paper, Eq. 10).
     depth
         Distance along the boresight (n,), m; not positive behind the camera.
-    by_pose
-        Derivatives by position and attitude error (n, 2, 6).
-    by_rock
-        Derivatives by the rock's east, north and height (n, 2, 3).
+    jacobian_by_pose
+        Derivatives with respect to position and attitude error (n, 2, 6).
+    jacobian_by_rock
+        Derivatives with respect to the rock's east, north and height (n, 2, 3).
     """
 
     pixel: Array
     depth: Array
-    by_pose: Array
-    by_rock: Array
+    jacobian_by_pose: Array
+    jacobian_by_rock: Array
 
 
 def project_points(inertial: StrapdownState, camera: CameraModel, points: Array) -> RockProjection:
-    """Predict the pixels of points (n, 3) from the estimated pose (Eqs. 10-11)."""
+    """Predict the pixels of points (n, 3), m, with Jacobians, from the estimated pose.
+
+    This is the projection of the shadow EKF paper (Eqs. 10-11).
+    """
     rotation = quat_to_matrix(inertial.attitude)
     body = (points - inertial.position) @ rotation
     in_camera = (body - np.asarray(camera.offset)) @ camera.mount

@@ -1,11 +1,11 @@
 """Rock states at the end of an error state: positions, radii and their errors.
 
 Rocks do not move, and their radius is measured directly, in metres and with independent errors
-(paper, III.B). Radii are therefore not correlated with the lander or with each other, and exact
-scalar filters estimate them.
+(shadow EKF paper, III.B). Radii are therefore not correlated with the lander or with each other,
+and exact scalar filters estimate them.
 
 The paper assumes that all rocks stand on one plane. Here the height of a new rock is interpolated
-from its neighbours and from the terrain height below the lander (`wandering_ground.py`), together
+from its neighbours and from the terrain height below the lander (`terrain_kriging.py`), together
 with their errors, so that a height error counts once in repeated observations. If another sensor
 has measured the terrain, its shape is used, with an offset from the rocks. After each such
 measurement, rocks with a larger height error are corrected by it (`measured_heights.py`).
@@ -42,12 +42,12 @@ _MIN_ROCKS = 5
 
 
 class RockStates:
-    """Rocks as the tail of an error state.
+    """Positions and radii of rocks, with position errors at the end of an error state.
 
     Parameters
     ----------
     state
-        Error state of the lander; the rocks are appended behind its blocks.
+        Error state of the lander; the rocks are appended after its blocks.
     level
         Prior knowledge of the terrain height.
     capacity
@@ -61,34 +61,37 @@ class RockStates:
         Number of rocks.
     first
         Index of the first rock's east coordinate in the error state.
-    measured
+    measured_terrain
         Source of measured terrain heights; None: heights are interpolated between the rocks.
     """
 
     def __init__(self, state: ErrorState, level: TerrainPrior, capacity: int) -> None:
         if state.tail:
             raise InputError(
-                "navigation.rocks", state.tail, "must be added to an error state without tail"
+                "navigation.rocks",
+                state.tail,
+                "must be added before any other states that follow the blocks",
             )
         self.state = state
         self.state.reserve(ROCK_DIM * capacity)
         self.state.listeners.append(self._apply_correction)
         self.first = self.state.head
         self.count = 0
-        self.measured: TerrainHeights | None = None
+        self.measured_terrain: TerrainHeights | None = None
         self._level = level
         self._xyz = np.zeros((capacity, ROCK_DIM))
         self._r = np.zeros((capacity, 2))
         self._frozen = np.zeros(capacity, bool)
 
     def _apply_correction(self, error: Array) -> None:
-        """Apply a correction of the error state to the rocks."""
+        """Add a correction of the error state (size,) to the rock positions."""
         self.xyz[:] += error[self.first :].reshape(-1, ROCK_DIM)
 
-    def rest(self, rocks: NDArray[np.bool_]) -> None:
-        """Freeze the marked rocks (n,) until the next call; new rocks are not frozen.
+    def freeze(self, rocks: NDArray[np.bool_]) -> None:
+        """Stop correcting the marked rocks (n,) by measurements, until the next call.
 
-        See `SchmidtKalmanCovariance.rest`.
+        New rocks are not frozen. Correlations between frozen and other errors are still updated, so
+        the covariance remains correct.
         """
         self._frozen[: self.count] = rocks
         self._update_frozen()
@@ -96,8 +99,11 @@ class RockStates:
     def _update_frozen(self) -> None:
         self.state.rest(np.repeat(self._frozen[: self.count], ROCK_DIM))
 
-    def places(self, index: Index | None = None) -> Index:
-        """Return the indices of the rocks' coordinates in the error state (n, 3)."""
+    def state_indices(self, index: Index | None = None) -> Index:
+        """Return the indices of the rocks' coordinates in the error state (n, 3).
+
+        `index` (n,) selects rocks; default: all rocks.
+        """
         rocks = np.arange(self.count) if index is None else np.asarray(index)
         return np.asarray(self.first + ROCK_DIM * rocks[:, None] + np.arange(ROCK_DIM))
 
@@ -123,22 +129,23 @@ class RockStates:
 
     def rock_covariance(self) -> Array:
         """Return the covariance of each rock's coordinates (n, 3, 3), m^2."""
-        i = self.places()
-        return np.asarray(self.state.for_rows()[i[:, :, None], i[:, None, :]])
+        i = self.state_indices()
+        return np.asarray(self.state.covariance_for_rows()[i[:, :, None], i[:, None, :]])
 
     def relative_covariance(self) -> Array:
         """Return the covariance of rock positions relative to the lander (n, 3, 3), m^2.
 
-        Errors common to lander and rocks shift the map with the lander and cause no error on it.
+        Errors common to lander and rocks are not included: they shift the map together with the
+        lander and are harmless for positions relative to the map.
         """
         own = self.rock_covariance()
         if self.count == 0:
             return own
-        p = self.state.for_rows()
-        cross = np.moveaxis(p[np.arange(ROCK_DIM)[:, None, None], self.places()[None]], 0, 1)
+        p = self.state.covariance_for_rows()
+        cross = np.moveaxis(p[np.arange(ROCK_DIM)[:, None, None], self.state_indices()[None]], 0, 1)
         return np.asarray(own + p[:ROCK_DIM, :ROCK_DIM] - cross - np.swapaxes(cross, 1, 2))
 
-    def rise_variance(self, neighbours: Index) -> Array:
+    def height_difference_variance(self, neighbours: Index) -> Array:
         """Return the variance of height differences between rocks and others (n, k), m^2.
 
         Parameters
@@ -146,13 +153,13 @@ class RockStates:
         neighbours
             Indices of the other rocks (n, k).
         """
-        p, height = self.state.for_rows(), self.places()[:, 2]
+        p, height = self.state.covariance_for_rows(), self.state_indices()[:, 2]
         own = p[height, height]
-        between = self.state.between(height[:, None], height[neighbours])
+        between = self.state.pair_covariances(height[:, None], height[neighbours])
         return np.asarray(own[:, None] + own[neighbours] - 2.0 * between)
 
     @property
-    def expected_growth(self) -> float:
+    def prior_variance_growth(self) -> float:
         """Prior growth of the variance of terrain heights with distance, m^2/m.
 
         0 if the terrain is modelled as horizontal.
@@ -161,27 +168,29 @@ class RockStates:
 
     @property
     def terrain_height_below(self) -> float:
-        """Height of the terrain below the lander, m."""
+        """Estimated height of the terrain below the lander, local frame, m."""
         below = sum(float(self.state.value(name)[at]) for name, at in self._height_blocks())
         return self._level.elevation + below
 
     def _height_blocks(self) -> list[tuple[str, int]]:
-        """Return the blocks and indices whose values add up to the height below.
+        """Return names and indices of the errors that add up to the terrain height.
 
-        Elevations refer to the site frame, which has a vertical offset from the local frame.
+        They belong to the terrain below the lander. Elevations refer to the site frame, which has a
+        vertical offset from the local frame.
         """
         parts = ((TERRAIN, 0), (MAP, 2))
         return [(name, at) for name, at in parts if self.state.has(name)]
 
-    def ground_at(self, xy: ArrayLike) -> Array:
-        """Return the terrain height at points (b, 2): (b,), m.
+    def terrain_height_at(self, xy: ArrayLike) -> Array:
+        """Return the estimated terrain height at points (b, 2), m: (b,), m.
 
-        Uses the measured terrain with the offset of the rocks, and elsewhere the rocks.
+        If another sensor has measured the terrain, its heights are used, shifted by the median
+        offset of the rocks. Elsewhere, heights are interpolated between the rocks.
         """
         at = np.atleast_2d(np.asarray(xy, np.float64))
-        if self.measured is None:
+        if self.measured_terrain is None:
             return self._interpolate_height(at)
-        height = self.measured.heights(at) + self._median_offset(self.measured)
+        height = self.measured_terrain.heights(at) + self._median_offset(self.measured_terrain)
         unknown = np.isnan(height)
         if unknown.any():
             height[unknown] = self._interpolate_height(at[unknown])
@@ -205,20 +214,28 @@ class RockStates:
         return self.count > 0 and self.state.has(TERRAIN)
 
     def _interpolate_height(self, at: Array) -> Array:
-        """Interpolate the terrain height at points (b, 2) between rocks (b,), m."""
+        """Interpolate the terrain height (b,), m, at points (b, 2), m, between rocks."""
         if not self.can_interpolate_height:
             return np.full(len(at), self.terrain_height_below)
         return interpolate_heights(*self._known_heights(), at, self._level.growth)
 
     def _known_heights(self) -> tuple[Array, Array]:
-        """Return places (n, 2) and heights (n,), m, of the terrain below lander and rocks."""
+        """Return horizontal positions and terrain heights at the lander and the rocks.
+
+        They are (n, 2), m, and (n,), m.
+        """
         places = np.vstack((self.state.inertial.position[:2], self.xy))
         return places, np.append(self.terrain_height_below, self.xyz[:, 2])
 
     def update_radii(
         self, index: Index, radius: Array, radius_variance: Array, floor: float = 0.0
     ) -> None:
-        """Update only the radii of observed rocks, as `update_rocks` does."""
+        """Update the radii of observed rocks by independent scalar Kalman filters.
+
+        `index` (n,) are the rocks; `radius` and `radius_variance` (n,) are the measured radii, m,
+        and their variances, m^2. `floor` is the minimum variance after the update relative to that
+        of the observation.
+        """
         radius_variance = np.broadcast_to(radius_variance, np.shape(radius))
         good = np.isfinite(radius) & np.isfinite(radius_variance) & (radius_variance > 0.0)
         index, radius, radius_variance = index[good], radius[good], radius_variance[good]
@@ -230,20 +247,29 @@ class RockStates:
     # --- adding and removing --------------------------------------------------------------
 
     def add_known(self, xy: Array, sigma: Array, radius: Array, radius_variance: Array) -> None:
-        """Add rocks with known positions (n,) and independent errors."""
-        index = self.append(np.column_stack((xy, self.ground_at(xy))), radius, radius_variance)
-        level = self.places(index)[:, :2].ravel()
+        """Add rocks with known horizontal positions (n, 2), m, and independent errors.
+
+        `sigma` (n,) are standard deviations per axis, m; `radius` and `radius_variance` (n,) are in
+        m and m^2. Heights come from the estimated terrain.
+        """
+        index = self.append(
+            np.column_stack((xy, self.terrain_height_at(xy))), radius, radius_variance
+        )
+        level = self.state_indices(index)[:, :2].ravel()
         for rock in index:
             self.correlate_height(rock)
         self.state.p[level, level] = np.repeat(np.square(sigma), 2)
 
     def append(self, points: Array, radius: Array, radius_variance: Array) -> Index:
-        """Add rocks (b,) with zero covariance; return their indices."""
+        """Add rocks at points (b, 3), m, with zero covariance; return their indices (b,).
+
+        `radius` and `radius_variance` (b,) are in m and m^2.
+        """
         index = np.arange(self.count, self.count + len(points))
         self._reserve(self.count + len(points))
         old = self.state.size
         self._set_count(self.count + len(points))
-        p, size = self.state.for_rows(), self.state.size
+        p, size = self.state.covariance_for_rows(), self.state.size
         p[old:size, :size] = 0.0
         p[:size, old:size] = 0.0
         self._xyz[index] = points
@@ -253,14 +279,15 @@ class RockStates:
         return index
 
     def correlate_height(self, rock: int) -> None:
-        """Set a rock's height error from its neighbours and the height below the lander.
+        """Set a rock's height error from its neighbours and the terrain below the lander.
 
-        On measured terrain, only the neighbours on it are used.
+        `rock` is the index of the rock. If the terrain at the rock was measured by another sensor,
+        only the neighbours on measured terrain are used.
         """
         if not self.state.has(TERRAIN):
             return
-        if self.measured is not None:
-            known = np.isfinite(self.measured.heights(self._xyz[: rock + 1, :2]))
+        if self.measured_terrain is not None:
+            known = np.isfinite(self.measured_terrain.heights(self._xyz[: rock + 1, :2]))
             if known[rock]:
                 self._correlate_with_measured(rock, np.flatnonzero(known[:rock]))
                 return
@@ -269,30 +296,33 @@ class RockStates:
         places = np.vstack((self.state.inertial.position[:2], self._xyz[neighbours, :2]))
         weights, variance = kriging_weights(places[None], at[None], self._level.growth)
         below = [self.state.block(name).start + at for name, at in self._height_blocks()]
-        sources = np.concatenate((below, self.places(neighbours)[:, 2]))
+        sources = np.concatenate((below, self.state_indices(neighbours)[:, 2]))
         weights = np.concatenate((np.full(len(below), weights[0, 0]), weights[0, 1:]))
         self._set_height_error(rock, sources, weights, float(variance[0]))
 
     def _correlate_with_measured(self, rock: int, others: Index) -> None:
-        """Set the error of a rock's height from its neighbours on measured terrain (k,).
+        """Set a rock's height error from those of its neighbours on measured terrain.
 
-        Without neighbours, it depends on the lander's pose, from which the terrain was measured.
+        `others` (k,) are the indices of all rocks on measured terrain. Without neighbours, the
+        error depends on the lander's pose, from which the terrain was measured.
         """
         neighbours = self._nearest(rock, others)
         if len(neighbours):
             weights = np.full(len(neighbours), 1.0 / len(neighbours))
             self._set_height_error(
-                rock, self.places(neighbours)[:, 2], weights, INDIVIDUAL_SIGMA_M**2
+                rock, self.state_indices(neighbours)[:, 2], weights, INDIVIDUAL_SIGMA_M**2
             )
         else:
             weights = height_jacobian(self.state, self._xyz[rock])
             self._set_height_error(rock, POSE, weights, INDIVIDUAL_SIGMA_M**2 + COMMON_SIGMA_M**2)
 
     def _set_height_error(self, rock: int, sources: Index, weights: Array, variance: float) -> None:
-        self.state.follow(int(self.places(np.array([rock]))[0, 2]), sources, weights, variance)
+        self.state.follow(
+            int(self.state_indices(np.array([rock]))[0, 2]), sources, weights, variance
+        )
 
     def _nearest(self, rock: int, others: Index) -> Index:
-        """Return the nearest neighbours of a rock among others (k,)."""
+        """Return the nearest neighbours of a rock among the rocks `others` (k,)."""
         distance = np.hypot(*(self._xyz[others, :2] - self._xyz[rock, :2]).T)
         if len(distance) > NEIGHBOUR_COUNT:
             # Keep all at the same distance as the last one: the stable sort takes the first ones.
@@ -302,14 +332,17 @@ class RockStates:
             distance, others = distance[neighbours], others[neighbours]
         return others[np.argsort(distance, kind="stable")[:NEIGHBOUR_COUNT]]
 
-    def lay_on_measured(self) -> UpdateOutcome:
-        """Correct rock heights by measured terrain; see `correct_heights`."""
-        if self.measured is None or not self.state.has(TERRAIN) or self.count == 0:
+    def correct_heights_by_terrain(self) -> UpdateOutcome:
+        """Update rock heights with terrain heights measured by another sensor.
+
+        The outcome has no degrees of freedom if there are no rocks or no measured terrain.
+        """
+        if self.measured_terrain is None or not self.state.has(TERRAIN) or self.count == 0:
             return UpdateOutcome(0.0, 0, False)
-        return correct_heights(self, self.measured)
+        return correct_heights(self, self.measured_terrain)
 
     def remove(self, index: Index) -> Index:
-        """Remove rocks; the last rocks move to their indices.
+        """Remove the rocks `index` from the error state; the last rocks fill the gaps.
 
         Returns
         -------
@@ -324,7 +357,9 @@ class RockStates:
         old = np.arange(remaining)
         old[holes] = movers
         self.state.move_and_truncate(
-            ROCK_DIM * remaining, self.places(holes).ravel(), self.places(movers).ravel()
+            ROCK_DIM * remaining,
+            self.state_indices(holes).ravel(),
+            self.state_indices(movers).ravel(),
         )
         self._xyz[holes] = self._xyz[movers]
         self._r[holes] = self._r[movers]
@@ -333,8 +368,11 @@ class RockStates:
         self._update_frozen()
         return old
 
-    def widen(self, radius_rate: float, seconds: float) -> None:
-        """Add process noise to the radii (relative, per sqrt(s)), since sides differ."""
+    def add_process_noise(self, radius_rate: float, seconds: float) -> None:
+        """Add process noise to the rock radii, because the sides of a rock differ.
+
+        `radius_rate` is relative to the radius, per sqrt(s); `seconds` is the elapsed time, s.
+        """
         self._r[: self.count, 1] += (radius_rate * self.radius) ** 2 * seconds
 
     def _reserve(self, count: int) -> None:

@@ -1,4 +1,4 @@
-"""Accumulate small scans until they cover enough posts of a map."""
+"""Accumulate small scans until they cover enough grid points of a map."""
 
 from __future__ import annotations
 
@@ -14,20 +14,22 @@ from lunarsim.onboard.navigation.submap import Submap
 
 Array = NDArray[np.float64]
 
-# Squares per side of a post in which scans are averaged. The second number is the ratio of covered
-# posts to posts that must agree; posts at the edge have no slope.
+# Squares per grid spacing of the map in which scans are averaged. The second number is the ratio of
+# covered grid points to grid points that must agree; points at the edge have no slope.
 _SQUARES_PER_POST, _POSTS_RATIO = 4, 3
 
 
 class ScanAccumulator:
-    """Average scans on squares of the local frame until they suffice for a fit.
+    """Combines small scans until they cover enough map grid points for a fit.
+
+    The scans are averaged over squares of the local frame.
 
     Parameters
     ----------
     posting
-        Distance of the map's posts, m.
+        Grid spacing of the map, m.
     min_agreeing
-        Number of posts that must agree.
+        Number of grid points that must agree in a fit.
     max_time_s
         Maximum time of an accumulation, s.
     """
@@ -40,10 +42,11 @@ class ScanAccumulator:
         self._since = -np.inf
 
     def take(self, corrected: CorrectedScan, time: float) -> CorrectedScan | None:
-        """Return a scan that covers enough posts, or None while there is none.
+        """Add a scan; return a scan that covers enough map grid points, else None.
 
-        This is the given scan if it is large enough, or else all accumulated points. They are fixed
-        in the local frame, and are returned as a scan from the current pose.
+        The result is the given scan if it is large enough, or else all accumulated points. The
+        accumulated points are fixed in the local frame, and are returned as a scan from the current
+        pose. `time` is in s.
         """
         points = corrected.points()
         if count_posts_below(points, self._posting, self._min_posts) == self._min_posts:
@@ -65,7 +68,10 @@ class ScanAccumulator:
 
 
 def count_posts_below(points: Array, posting: float, max_count: int = 1 << 40) -> int:
-    """Count the posts below points (n, 3), NaN if missing, up to `max_count`."""
+    """Count the grid squares that contain scan points (n, 3), m, up to `max_count`.
+
+    The squares have the side `posting`, m. NaN marks missing points.
+    """
     count = int(kernels.squares_under(np.ascontiguousarray(points), posting, max_count))
     if count >= 0:
         return count

@@ -29,7 +29,9 @@ _SIGMA_PER_MEDIAN = 1.4826
 
 
 def remove_spikes(scan: LidarScan) -> LidarScan:
-    """Remove ranges that differ strongly from those of their neighbours.
+    """Return a scan without ranges that differ strongly from neighbouring pixels.
+
+    Removed ranges are NaN.
 
     Raises
     ------
@@ -53,10 +55,10 @@ def remove_spikes(scan: LidarScan) -> LidarScan:
 
 
 def range_noise(scan: LidarScan) -> float:
-    """Estimate the range noise, 1 sigma, m; NaN with fewer than 100 pixels.
+    """Estimate the range noise of a scan, 1 sigma, m; NaN with too few pixels.
 
-    The estimate is the scaled median of the differences between a range and the mean of its two
-    neighbours in the row. These differences are 0 on a uniform slope.
+    At least 100 pixels are needed. The estimate is the scaled median of the differences between a
+    range and the mean of its two neighbours in the row. These differences are 0 on a uniform slope.
     """
     r = _range_image(scan)
     second_difference = r[:, 1:-1] - 0.5 * (r[:, :-2] + r[:, 2:])
@@ -67,7 +69,11 @@ def range_noise(scan: LidarScan) -> float:
 
 
 def is_noisy(scan: LidarScan) -> bool:
-    """Return whether the range noise exceeds its specification, or this is too large."""
+    """Return whether a scan's range noise is too large for registration.
+
+    This is the case if the noise exceeds the scanner's specification, or if the specified noise is
+    too large.
+    """
     specified = scan.sigma[np.isfinite(scan.range) & np.isfinite(scan.sigma)]
     if len(specified) == 0:
         return False
@@ -87,7 +93,7 @@ def _range_image(scan: LidarScan) -> Array:
 
 
 def _neighbour_slices() -> list[tuple[tuple[slice, slice], tuple[slice, slice]]]:
-    """Return slices of pixels and of their neighbours, for the four sides."""
+    """Return slices of pixels and of their neighbours, for each of the four sides."""
     every, first, last = slice(None), slice(None, -1), slice(1, None)
     return [
         ((first, every), (last, every)), ((last, every), (first, every)),

@@ -33,7 +33,10 @@ _MAX_DISPLACEMENT_SQUARES = 0.05
 
 
 def reference_pose_block() -> dict[str, Array]:
-    """Return the empty block of the reference pose for an error state."""
+    """Return the initial error covariance (6, 6) of the reference-scan pose, zero.
+
+    The result maps the name of the block (group of errors) to the covariance.
+    """
     return {REFERENCE_POSE: np.zeros((6, 6))}
 
 
@@ -58,7 +61,10 @@ class _ReferenceScan:
     displacement: float = 0.0
 
     def moved(self, change: Array) -> _ReferenceScan:
-        """Return it with errors (11,) added, extrapolated along the slopes of the squares."""
+        """Return the reference scan with errors (11,) added to its pose and scanner.
+
+        The heights are extrapolated along the slopes of the squares, without a new averaging.
+        """
         centre = self.surface.position.mean(axis=0)
         displacement = self.displacement + float(
             np.abs(self.corrected.point_jacobian(centre) @ change).max()
@@ -71,14 +77,16 @@ class _ReferenceScan:
         )
 
     def refresh(self) -> _ReferenceScan:
-        """Return it averaged again, if its displacement is too large."""
+        """Return the reference scan, averaged again if its displacement is too large."""
         if self.displacement <= _MAX_DISPLACEMENT_SQUARES * self.grid.posting:
             return self
         return replace(self, surface=self.corrected.surface(self.grid), displacement=0.0)
 
 
 class ScanOdometry:
-    """Compare scans with a reference scan, whose pose is part of the state.
+    """Measurement processor that compares scans with an earlier reference scan.
+
+    The pose of the reference scan is part of the error state.
 
     Parameters
     ----------
@@ -97,7 +105,12 @@ class ScanOdometry:
         context.state.listeners.append(self._apply_correction)
 
     def take(self, sensor: str, measurement: Any, time: float, *, used: bool) -> bool:
-        """Compare an unused scan with the reference scan; replace the latter if needed."""
+        """Update the filter by comparing a scan with the reference scan.
+
+        The scan is not compared if an earlier processor has `used` it. It becomes the new reference
+        if its overlap with the old one is too small. The return value states whether the comparison
+        was accepted.
+        """
         if not isinstance(measurement, LidarScan):
             return False
         taken = False
@@ -107,7 +120,7 @@ class ScanOdometry:
         return taken
 
     def _update_reference(self, sensor: str, scan: LidarScan) -> None:
-        """Make this scan the reference if the overlap with the last one is too small."""
+        """Make a scan the reference if its overlap with the last reference is too small."""
         if self._reference is not None and self._share >= self.settings.min_overlap:
             return
         posting = float(np.clip(scan_width(scan) / 24.0, *self.settings.odometry_postings))
@@ -118,7 +131,7 @@ class ScanOdometry:
         self._share = 1.0
 
     def _compare(self, sensor: str, scan: LidarScan, time: float) -> bool:
-        """Compare a scan with the reference scan; return whether it was accepted."""
+        """Update the filter from the overlap with the reference; return whether accepted."""
         self._share = 0.0
         if self._reference is None or self._reference.sensor != sensor:
             return False
@@ -129,11 +142,11 @@ class ScanOdometry:
         i, j = _common_squares(reference.surface, new)
         if len(i) < least:
             return False
-        # A scan from a lower altitude covers a smaller area: it need only lie on the reference.
+        # A scan from a lower altitude covers a smaller area; only this area must overlap.
         self._share = len(i) / len(new) if len(i) >= 2 * least else 0.0
         own = self.context.scanner(sensor)
         indices = np.concatenate((POSE, np.arange(state.head)[state.block(REFERENCE_POSE)], own))
-        prior = state.own(indices)
+        prior = state.covariance_of(indices)
         centre = new.position[j].mean(axis=0)
         normal = noise.comparison_normals(new.normal[j], reference.surface.normal[i])
         jacobian = _difference_jacobian(
@@ -142,7 +155,7 @@ class ScanOdometry:
         residual = reference.surface.position[i, 2] - new.position[j, 2]
         variance = np.full(len(i), self.settings.odometry_sigma**2)
         result = fit(jacobian, residual, variance, prior)
-        if not self.settings.believes(result):
+        if not self.settings.accepts_fit(result):
             self._share = 0.0
             return False
         residual_after = residual - jacobian @ solve_error(result, prior)
@@ -165,13 +178,13 @@ class ScanOdometry:
             min_probability=self.settings.rejection_probability,
         )
         self.context.record_outcome(sensor, "scans", outcome, time)
-        if not outcome.taken:
+        if not outcome.is_accepted:
             # Either scan can be wrong: make this one the reference for the next.
             self._share = 0.0
-        return outcome.taken
+        return outcome.is_accepted
 
     def _apply_correction(self, error: Array) -> None:
-        """Correct the pose of the reference scan; skip one without squares."""
+        """Apply a filter correction (size,) to the pose of the reference scan."""
         if self._reference is None or len(self._reference.surface) == 0:
             return
         state = self.context.state
@@ -188,10 +201,10 @@ def _difference_jacobian(
     normals: Array,
     scanner: NDArray[np.int64],
 ) -> Array:
-    """Return the Jacobian of the difference between points (m, 3) of two scans.
+    """Return the Jacobian (n, d) of the difference between points of two scans.
 
-    The difference is taken along vectors (m, 3). Columns are the errors of the pose, of the
-    reference pose and of the common scanner (m, d).
+    The difference at `points` (n, 3) is taken along `normals` (n, 3). Columns are the errors of the
+    pose, of the reference pose and of the common scanner, whose state indices are `scanner`.
     """
     here, there = new.jacobian(points, normals), old.jacobian(points, normals)
     of_scanner = (here - there)[:, 6 : 6 + len(scanner)]
@@ -199,9 +212,10 @@ def _difference_jacobian(
 
 
 def remove_implausible_ranges(scan: LidarScan) -> LidarScan:
-    """Remove ranges that are implausible or have no standard deviation.
+    """Return a scan without implausible ranges or ranges without standard deviation.
 
-    All ranges are removed if the mount is not a rotation, or the rays are not unit vectors.
+    Removed ranges are NaN. All ranges are removed if the mount is not a rotation, or the rays are
+    not unit vectors.
 
     Raises
     ------
@@ -234,7 +248,7 @@ def scan_width(scan: LidarScan) -> float:
 
 
 def _common_squares(a: ScanSurface, b: ScanSurface) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the indices in `a` and in `b` of their common squares."""
+    """Return the indices in `a` and in `b` of the grid squares that both contain."""
     if len(a) == 0 or len(b) == 0:
         return np.zeros(0, np.int64), np.zeros(0, np.int64)
     wide = int(max(a.col.max(), b.col.max()) - min(a.col.min(), b.col.min())) + 1

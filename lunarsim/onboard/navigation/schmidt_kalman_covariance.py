@@ -15,10 +15,11 @@ Index = NDArray[np.int64]
 
 
 class SchmidtKalmanCovariance:
-    """Covariance of a head, which is always corrected, and a tail that can be frozen.
+    """Error covariance of a Schmidt-Kalman filter, with frozen errors.
 
-    The updates of the tail are deferred (`DeferredUpdates`, `DeferredColumns`) until its covariance
-    is read.
+    The covariance consists of a head, whose errors every measurement corrects, and a tail, whose
+    errors can be frozen: measurements do not correct frozen errors. The updates of the tail are
+    deferred (`DeferredUpdates`, `DeferredColumns`) until its covariance is read.
 
     Parameters
     ----------
@@ -55,23 +56,27 @@ class SchmidtKalmanCovariance:
 
     @property
     def p(self) -> Array:
-        """Covariance of all errors, with allocated space behind them."""
+        """Covariance array of all errors; rows beyond `size` are unused allocated space."""
         self._apply_deferred()
         self._catch_up()
         return self._p
 
-    def for_rows(self, *rows: ArrayLike) -> Array:
-        """Return `p` for reading the rows of given errors (...) and the blocks of rocks.
+    def covariance_for_rows(self, *rows: ArrayLike) -> Array:
+        """Return the covariance array `p`, valid for reading the rows of given errors.
 
-        The columns in other rows may be out of date; see `DeferredColumns`.
+        The columns of these errors in other rows may be out of date, except within the block of one
+        rock.
         """
         self._apply_deferred()
         if self._columns.is_outdated and any(self._is_frozen(at).any() for at in rows):
             self._catch_up()
         return self._p
 
-    def between(self, one: Index, other: Index) -> Array:
-        """Return the covariances of pairs of errors (...)."""
+    def pair_covariances(self, one: Index, other: Index) -> Array:
+        """Return the covariance of each pair of errors, with indices `one` and `other`.
+
+        All three arrays have the same shape (...).
+        """
         self._apply_deferred()
         if self._columns.is_outdated:
             one, other = np.broadcast_arrays(one, other)
@@ -80,7 +85,7 @@ class SchmidtKalmanCovariance:
         return np.asarray(self._p[one, other])
 
     def _is_frozen(self, errors: ArrayLike) -> NDArray[np.bool_]:
-        """Return whether errors (...) are frozen."""
+        """Return which of the errors with given indices (...) are frozen."""
         behind = np.asarray(errors) - self.head
         known = (behind >= 0) & (behind < len(self._frozen))
         is_frozen = np.zeros(behind.shape, np.bool_)
@@ -88,12 +93,12 @@ class SchmidtKalmanCovariance:
         return is_frozen
 
     def _catch_up(self) -> None:
-        """Update columns that are out of date."""
+        """Update covariance entries in rows of frozen errors that are out of date."""
         n = len(self._frozen)
         self._columns.catch_up(self._p[self.head :, self.head :][:n, :n], self._frozen)
 
     def _apply_deferred(self) -> None:
-        """Apply the deferred updates of the tail; those of the head are never deferred."""
+        """Apply the deferred updates of the tail; updates of the head are never deferred."""
         if self._deferred.rows:
             if self._deferred.affects_frozen:
                 self._catch_up()
@@ -105,26 +110,30 @@ class SchmidtKalmanCovariance:
         """Covariance of all errors (size, size)."""
         return np.asarray(self.p[: self.size, : self.size])
 
-    def own(self, columns: ArrayLike) -> Array:
-        """Return the covariance of some errors (k, k); in the head this costs no update."""
+    def covariance_of(self, columns: ArrayLike) -> Array:
+        """Return the covariance (k, k) of the errors with indices `columns` (k,).
+
+        For errors of the head, no deferred update is applied.
+        """
         at = np.asarray(columns)
         return np.asarray(self._readable(at)[np.ix_(at, at)])
 
     def _rows(self, at: Index) -> Array:
-        """Return rows of the covariance (k, size)."""
+        """Return the covariance rows (k, size) of the errors with indices `at` (k,)."""
         return np.asarray(self._readable(at)[at])
 
     def _readable(self, *columns: ArrayLike) -> Array:
-        """Return the covariance for reading given rows (k,), and columns among them.
+        """Return the covariance (size, size), valid for reading the rows of given errors.
 
-        For errors of the head, no deferred update is needed.
+        The columns are valid only among the given errors. If all of them belong to the head, no
+        deferred update is applied.
         """
         last = max(int(np.max(at, initial=0)) for at in columns)
-        held = self._p if last < self.head else self.for_rows(*columns)
+        held = self._p if last < self.head else self.covariance_for_rows(*columns)
         return np.asarray(held[: self.size, : self.size])
 
     def reserve(self, tail: int) -> None:
-        """Allocate space for a number of tail errors."""
+        """Allocate space for `tail` errors in the tail."""
         if self.head + tail <= len(self._p):
             return
         grown = np.zeros((self.head + max(tail, 2 * (len(self._p) - self.head)),) * 2)
@@ -132,8 +141,12 @@ class SchmidtKalmanCovariance:
         self._p = grown
 
     def move_and_truncate(self, tail: int, to: Index, source: Index) -> None:
-        """Move errors from `source` (k,) to `to` (k,); truncate the tail to `tail` errors."""
-        p, size = self.for_rows(), self.size
+        """Move errors of the tail to other indices, then shorten the tail.
+
+        Errors at the indices `source` (k,) move to `to` (k,); afterwards the tail has `tail`
+        errors.
+        """
+        p, size = self.covariance_for_rows(), self.size
         p[to, :size] = p[source, :size]
         p[:size, to] = p[:size, source]
         is_frozen = self._frozen.copy()
@@ -142,7 +155,7 @@ class SchmidtKalmanCovariance:
         self._frozen, self.tail = is_frozen[:tail], tail
 
     def set_rows(self, at: Index, rows: Array) -> None:
-        """Set covariance rows (k, size) of some errors (k,), and the matching columns.
+        """Set the covariance rows (k, size) of the errors `at` (k,), and matching columns.
 
         In the rows of frozen errors the columns may stay out of date.
         """
@@ -159,10 +172,10 @@ class SchmidtKalmanCovariance:
     def rest(self, tail: NDArray[np.bool_]) -> None:
         """Freeze the marked errors of the tail (tail,), until the next call.
 
-        Measurements of other errors change neither the frozen errors nor their covariance, but
-        their correlations with the corrected errors are updated. The covariance therefore remains
-        correct (Schmidt's consider filter; Jazwinski 1970, section 8.4). The cost of a measurement
-        is then proportional to the number of errors, and not to its square.
+        Measurements of other errors change neither the frozen errors nor the covariance among them,
+        but the correlations of frozen errors with the corrected errors are updated. The covariance
+        therefore remains correct (Schmidt's consider filter; Jazwinski 1970, section 8.4). The cost
+        of a measurement is then proportional to the number of errors, and not to its square.
         """
         if not np.array_equal(tail, self._frozen):
             self._apply_deferred()  # The deferred updates refer to the errors frozen so far.
@@ -172,17 +185,20 @@ class SchmidtKalmanCovariance:
             self._frozen = tail
 
     def _active(self) -> Index | None:
-        """Return the indices of the active tail errors; None if all are to be corrected."""
+        """Return the indices of the active (not frozen) tail errors; None for all.
+
+        If less than half of the tail is frozen, all errors are treated as active.
+        """
         # If less than half of the tail is frozen, a full update costs no more.
         if 2 * np.count_nonzero(self._frozen) < max(self.tail, 1):
             return None
         return np.flatnonzero(~self._frozen)
 
     def _subtract(self, w: Array, active: Index | None) -> None:
-        """Subtract w' w from the covariance, for w (m, size); defer it for the tail.
+        """Subtract w' w from the covariance, for w (n, size); defer this for the tail.
 
-        Parameters are those of `DeferredUpdates.add`; `active` is counted from the start of the
-        tail.
+        `active` (k,) are the indices of tail errors that are not frozen, counted from the start of
+        the tail; None for all.
         """
         n, p = self.head, self._readable(self.head - 1)
         if self.tail == 0:

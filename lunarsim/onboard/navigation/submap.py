@@ -12,9 +12,9 @@ _MAX_SQUARES = 3000
 
 
 class Submap:
-    """Accumulate mean heights over squares.
+    """Height map that accumulates the mean height of scan points over grid squares.
 
-    A single scan covers few posts of a map; all scans together cover the swept area.
+    A single scan covers few grid points of a prior map; all scans together cover the swept area.
 
     Parameters
     ----------
@@ -36,7 +36,10 @@ class Submap:
         self._count = np.zeros((0, 0))
 
     def add(self, points: Array) -> bool:
-        """Add points (n, 3), with NaN for missing ones; return whether any was added."""
+        """Add points (n, 3), m, local frame; return whether any was added.
+
+        NaN marks missing points.
+        """
         points = points[np.isfinite(points).all(axis=1)]
         if len(points) == 0:
             return False
@@ -53,7 +56,10 @@ class Submap:
         return True
 
     def _cover(self, south: int, north: int, west: int, east: int) -> bool:
-        """Extend the arrays to cover rows and columns; return whether this is possible."""
+        """Extend the arrays to cover given rows and columns; return whether possible.
+
+        `south` and `north` are row numbers, `west` and `east` column numbers.
+        """
         rows, cols = self._sum.shape
         if self._sum.size:
             south, west = min(south, self.first[0]), min(west, self.first[1])
@@ -76,7 +82,7 @@ class Submap:
 
     @property
     def count(self) -> int:
-        """Number of squares with points."""
+        """Number of grid squares that contain points."""
         return int(np.count_nonzero(self._count))
 
     def points(self) -> Array:
@@ -87,11 +93,12 @@ class Submap:
         return np.column_stack((xy, self._sum[row, col] / self._count[row, col]))
 
     def posts(self) -> tuple[Array, NDArray[np.bool_]]:
-        """Return heights of posts (means of 2 x 2 squares), m, and which are known.
+        """Return mean heights over blocks of 2 x 2 squares, m, and which are known.
 
-        Element (i, j) is the mean over the squares (i, j) to (i + 1, j + 1) after `first`, so there
-        is one at every half post. A height is known if all four squares have points, which makes it
-        the mean over an evenly covered area.
+        Element (i, j) is the mean over the squares (i, j) to (i + 1, j + 1) after `first`. If the
+        squares are half as wide as the spacing of a prior map, there is one element at every half
+        grid spacing. A height is known if all four squares have points, which makes it the mean
+        over an evenly covered area.
         """
         if min(self._sum.shape) < 2:
             return np.zeros((0, 0)), np.zeros((0, 0), np.bool_)

@@ -21,12 +21,12 @@ class ScanSurface:
     Attributes
     ----------
     col, row
-        Grid indices of the squares (m,); they can lie outside the grid.
+        Grid indices of the squares (n,); they can lie outside the grid.
     position
-        Square centres at the height of the scan (m, 3), ENU, m.
+        Square centres at the height of the scan (n, 3), ENU, m.
     normal
-        (-dz/dx, -dz/dy, 1) of the scan (m, 3). Slopes of the map are not used: its noise would look
-        like slope, and flat terrain would seem to give position information.
+        (-dz/dx, -dz/dy, 1) of the scan (n, 3). Slopes of the map are not used: the noise of the map
+        would look like slope, and flat terrain would seem to give position information.
     """
 
     col: IntArray
@@ -39,7 +39,11 @@ class ScanSurface:
 
 
 def average_scan(points: Array, grid: Grid, least: int = 4) -> ScanSurface:
-    """Average points (n, 3), with NaN for missing ones, over the squares of a grid."""
+    """Average scan points (n, 3), m, over the squares of a grid; NaN is missing.
+
+    `least` is the minimum number of points in a square. The averages are extrapolated to the square
+    centres along the slopes; squares without four neighbours or with uneven points are omitted.
+    """
     col, row, mean, _ = k.average(
         np.ascontiguousarray(points), grid.x0, grid.y0, grid.posting, least
     )

@@ -23,21 +23,21 @@ NEIGHBOUR_COUNT = 5
 
 
 def kriging_weights(places: Array, at: Array, growth: float) -> tuple[Array, Array]:
-    """Return kriging weights and variances of the height at given points.
+    """Return ordinary-kriging weights and variances of terrain heights at points.
 
     Parameters
     ----------
     places
-        Neighbours of each point (b, k, 2), m.
+        Horizontal positions of the neighbours of each point (b, k, 2), m.
     at
-        Points (b, 2), m.
+        Points to interpolate at (b, 2), m.
     growth
         Growth of the variance of a height difference with distance, m^2/m.
 
     Returns
     -------
     weights
-        Weights of the neighbours (b, k); their sum is 1.
+        Weights of the neighbours' heights (b, k); their sum is 1.
     variance
         Kriging variance (b,), m^2.
     """
@@ -59,9 +59,10 @@ def _lengths(way: Array) -> Array:
 
 
 def interpolate_heights(places: Array, known: Array, at: Array, growth: float) -> Array:
-    """Interpolate heights at points (b, 2) from heights (n,) at places (n, 2), m.
+    """Interpolate terrain heights (b,), m, at points `at` (b, 2), m, by kriging.
 
-    Points that are not finite give NaN.
+    The known heights are `known` (n,), m, at `places` (n, 2), m. `growth` is the growth of the
+    variance of a height difference with distance, m^2/m. Points that are not finite give NaN.
     """
     with threads_for(0.7 * len(at)):
         return np.asarray(
@@ -83,18 +84,19 @@ def intersect_lines(
     growth: float,
     search: tuple[int, float, float, float],
 ) -> Array:
-    """Intersect lines of sight with the interpolated terrain (b, 3), m.
+    """Return the intersections of lines of sight with kriged terrain (b, 3), m.
 
     Parameters
     ----------
     places, known, growth
-        As for `interpolate_heights`, which gives the terrain.
+        Horizontal positions (n, 2), m, and terrain heights there (n,), m; growth of the variance of
+        a height difference with distance, m^2/m.
     origin
         Start of the lines (3,), m.
     per_drop
         Horizontal advance of the lines, east and north, per metre of drop (b, 2).
     height
-        Initial heights (b,), m.
+        Initial heights of the iteration (b,), m.
     search
         Maximum number of iterations; height tolerance, m; minimum and maximum factor of a step
         relative to the last height difference.

@@ -22,7 +22,7 @@ _MIN_HEIGHT_SIGMA_M = 0.1
 
 @dataclass(frozen=True)
 class TerrainPrior:
-    """Prior estimate of the terrain height, used to interpret ranges.
+    """Prior estimate of the terrain height, used to interpret ranges to the terrain.
 
     Attributes
     ----------
@@ -52,11 +52,11 @@ class TerrainPrior:
 
     @classmethod
     def of(cls, briefing: Briefing, relief: float) -> TerrainPrior:
-        """Return the prior terrain height below the initial position.
+        """Return the prior terrain height below the initial position of a flight.
 
-        The estimate is the target elevation. Its error combines the elevation error in the briefing
-        and the height difference over the distance to the target; `relief` is the tangent of the
-        slope over 1 m.
+        The estimate is the target elevation. Its error combines the elevation error stated in the
+        briefing and the height difference over the distance to the target; `relief` is the tangent
+        of the slope over 1 m.
         """
         distance = float(np.linalg.norm((briefing.start.position - briefing.target)[:2]))
         rise = relief * distance**_HURST_EXPONENT
@@ -65,5 +65,5 @@ class TerrainPrior:
 
     @property
     def growth(self) -> float:
-        """Growth of the variance of a height difference with distance, m^2/m."""
+        """Growth of the variance of a terrain-height difference with distance, m^2/m."""
         return self.relief**2 * _LENGTH_SCALE_M

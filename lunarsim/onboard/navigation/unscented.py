@@ -5,7 +5,7 @@ position, velocity, accelerometer bias and mass. The attitude is not a state: ea
 reading replaces it, and the gyroscopes propagate it in between. Errors of the attitude and of the
 terrain height are treated as measurement noise. Since these errors persist over many measurements,
 their variance is increased accordingly. LiDAR scans and the ranges of velocimeters are not used.
-The main filter is the error-state filter (`kinds.py`).
+The main filter is the error-state filter (`navigator.py`).
 """
 
 from __future__ import annotations
@@ -93,16 +93,18 @@ _MAX_HEIGHT_SIGMA_M, _MAX_BIAS_SIGMA_M_S2, _MAX_SPEED_SIGMA_M_S = 300.0, 0.1, 30
 
 @dataclass(frozen=True)
 class UnscentedNavigation:
-    """Use an unscented filter of position, velocity, accelerometer bias and mass."""
+    """Settings of the unscented filter: position, velocity, accelerometer bias, mass."""
 
-    relief: float = quantity(5.0, "deg", ge=0, le=45, help="typical slope of the overflown terrain")
+    terrain_slope: float = quantity(
+        5.0, "deg", ge=0, le=45, help="typical slope of the overflown terrain"
+    )
     mass_sigma: float = quantity(1.0, "kg", gt=0, help="1-sigma error of the initial mass")
-    thrust_error: float = quantity(
+    thrust_sigma: float = quantity(
         0.01, gt=0, le=1, help="relative 1-sigma error of the thrust against its command"
     )
 
     needs: ClassVar[tuple[type, ...]] = (InertialSamples,)
-    takes: ClassVar[tuple[type, ...]] = (AltimeterReading, DopplerReading, AttitudeReading)
+    accepts: ClassVar[tuple[type, ...]] = (AltimeterReading, DopplerReading, AttitudeReading)
     needs_prior_map: ClassVar[bool] = False
     uses_prior_map: ClassVar[bool] = False
 
@@ -110,11 +112,11 @@ class UnscentedNavigation:
         check_bounds(self, "navigation")
 
     def build(self, briefing: Briefing) -> UnscentedFilter:
-        """Build the navigation filter of one flight."""
+        """Return the navigation filter of one flight, built from its briefing."""
         state, sigmas = StrapdownState.of(briefing)
         return UnscentedFilter(
             state, sigmas, self,
-            terrain_prior=TerrainPrior.of(briefing, float(np.tan(self.relief))),
+            terrain_prior=TerrainPrior.of(briefing, float(np.tan(self.terrain_slope))),
             mass=briefing.lander.wet_mass,
             exhaust_velocity=briefing.lander.exhaust_velocity, lag=briefing.lander.thrust_lag,
             instruments=briefing.instruments,
@@ -122,14 +124,16 @@ class UnscentedNavigation:
 
 
 class UnscentedFilter(Navigation):
-    """Unscented filter with ten states; the attitude is propagated outside of it.
+    """Unscented Kalman filter with ten states; the attitude is propagated separately.
+
+    The states are position, velocity, accelerometer bias and mass.
 
     Parameters
     ----------
     inertial
         Initial state of the lander.
     errors
-        Its standard deviations.
+        Standard deviations of the initial state.
     settings
         Standard deviations of the other errors.
     terrain_prior
@@ -137,7 +141,7 @@ class UnscentedFilter(Navigation):
     mass
         Initial mass, kg.
     exhaust_velocity
-        m/s.
+        Exhaust velocity of the engine, m/s.
     lag
         Time constant of the thrust response, s.
     instruments
@@ -169,20 +173,13 @@ class UnscentedFilter(Navigation):
         self._beams = {
             n: i.boresight for n, i in calibrations.items() if isinstance(i, AltimeterInstrument)
         }
-        self._beam_sets = {
-            n: np.array(i.directions)
-            for n, i in calibrations.items()
-            if isinstance(i, VelocimeterInstrument)
+        velocimeters = {
+            n: i for n, i in calibrations.items() if isinstance(i, VelocimeterInstrument)
         }
+        self._beam_sets = {n: np.array(i.directions) for n, i in velocimeters.items()}
+        biases = {n: speed_bias_model(i) for n, i in velocimeters.items()}
         # Variance of the speed biases of the beams, m^2/s^2.
-        self._bias_variance = {
-            n: b**2 + _CORRELATION_TIME_S * w**2
-            for n, (b, w) in (
-                (n, speed_bias_model(i))
-                for n, i in calibrations.items()
-                if isinstance(i, VelocimeterInstrument)
-            )
-        }
+        self._bias_variance = {n: b**2 + _CORRELATION_TIME_S * w**2 for n, (b, w) in biases.items()}
         self._mounts = {
             n: i.misalignment
             for n, i in calibrations.items()
@@ -210,7 +207,10 @@ class UnscentedFilter(Navigation):
 
     @property
     def covariance(self) -> Array:
-        """Covariance as in `StrapdownState` (15, 15), without attitude correlations."""
+        """Covariance (15, 15) in the order of `StrapdownState`, as a block diagonal.
+
+        Attitude and gyroscope bias are not correlated with the filter states.
+        """
         out = np.zeros((INERTIAL, INERTIAL))
         out[_LINEAR, _LINEAR] = self.kalman.P[_LINEAR, _LINEAR]
         out[_ROTATION, _ROTATION] = self._attitude_covariance
@@ -222,8 +222,8 @@ class UnscentedFilter(Navigation):
         return float(self.kalman.x[_MASS]), float(np.sqrt(self.kalman.P[_MASS, _MASS]))
 
     @property
-    def watches(self) -> dict[str, InnovationMonitor]:
-        """Innovation monitors by "sensor kind"."""
+    def monitors(self) -> dict[str, InnovationMonitor]:
+        """Innovation monitors by "SENSOR KIND", for example "altimeter range"."""
         return {f"{sensor} {kind}": monitor for (sensor, kind), monitor in self._monitors.items()}
 
     @property
@@ -232,7 +232,11 @@ class UnscentedFilter(Navigation):
         return SiteToLocal(self._offset.copy())
 
     def estimate(self, time: float, mass: float) -> Estimate:
-        """Return the lander's state, with the filter's mass after a thrust command."""
+        """Return the lander's state at `time` (s) in the local frame.
+
+        After a thrust command, the mass is that of the filter; before, it is the argument `mass`,
+        kg.
+        """
         own = mass if self._thrust is None else self.mass[0]
         site_state = self.inertial.estimate(self.covariance, time, own)
         lost = any(monitor.lost for monitor in self._monitors.values())
@@ -242,12 +246,12 @@ class UnscentedFilter(Navigation):
         )  # fmt: skip
 
     def estimate_in_site(self, time: float, mass: float) -> Estimate:
-        """Return the lander's state in the site frame."""
+        """Return the lander's state at `time` (s) in the site frame, with mass (kg)."""
         return replace(self.estimate(time, mass), position=self.inertial.position.copy())
 
     # --- time -----------------------------------------------------------------------------
 
-    def commanded(self, thrust: float, seconds: float) -> None:
+    def record_thrust(self, thrust: float, seconds: float) -> None:
         """Record the thrust (N) that was commanded over the last `seconds`.
 
         Raises
@@ -266,7 +270,10 @@ class UnscentedFilter(Navigation):
         self._thrust = thrust + (before - thrust) * left
 
     def propagate(self, angle: ArrayLike, velocity: ArrayLike) -> None:
-        """Propagate the filter with inertial samples (n, 3); NaN marks missing samples.
+        """Propagate the filter with inertial samples; NaN marks missing samples.
+
+        `angle` (n, 3), rad, and `velocity` (n, 3), m/s, are the increments of gyroscopes and
+        accelerometers.
 
         Raises
         ------
@@ -292,9 +299,9 @@ class UnscentedFilter(Navigation):
         q = np.zeros((STATES, STATES))
         q[_LINEAR, _LINEAR] = noise[_LINEAR, _LINEAR]
         q[_LINEAR, _LINEAR] += lasting * by_turn @ self._attitude_covariance[:3, :3] @ by_turn.T
-        q[_MASS, _MASS] = lasting * (self.settings.thrust_error * burnt) ** 2 + 1e-12
+        q[_MASS, _MASS] = lasting * (self.settings.thrust_sigma * burnt) ** 2 + 1e-12
         # For a given attitude, deviations from the propagated state evolve linearly.
-        admit_and_propagate = np.concatenate(
+        predicted = np.concatenate(
             (self.inertial.position, self.inertial.velocity, self.inertial.biases[0],
              [before[_MASS] - burnt])
         )  # fmt: skip
@@ -302,9 +309,7 @@ class UnscentedFilter(Navigation):
         full_transition[_LINEAR, _LINEAR] = transition[_LINEAR, _LINEAR]
         self.kalman.Q = q
         self._repair_covariance()
-        self.kalman.predict(
-            dt=seconds, fx=lambda x, dt: admit_and_propagate + full_transition @ (x - before)
-        )
+        self.kalman.predict(dt=seconds, fx=lambda x, dt: predicted + full_transition @ (x - before))
         turn = transition[_ROTATION, _ROTATION]
         self._attitude_covariance = (
             turn @ self._attitude_covariance @ turn.T + noise[_ROTATION, _ROTATION]
@@ -313,11 +318,14 @@ class UnscentedFilter(Navigation):
         self._update_with_thrust(samples[1])
 
     def _update_with_thrust(self, velocity: Array) -> None:
-        """Update with the axial acceleration: thrust over mass plus accelerometer bias."""
+        """Update with the axial acceleration, predicted as thrust over mass plus bias.
+
+        `velocity` (n, 3), m/s, are the velocity increments of the accelerometers in the last cycle.
+        """
         push = velocity[np.isfinite(velocity).all(axis=1), 2] / self.inertial.step
         if self._thrust is None or self._mean_thrust <= 0.0 or len(push) == 0:
             return
-        asked, sigma = self._mean_thrust, self.settings.thrust_error
+        asked, sigma = self._mean_thrust, self.settings.thrust_sigma
         expected = asked / self.kalman.x[_MASS]
         noise = _CORRELATION_TIME_S / (len(velocity) * self.inertial.step) * (sigma * expected) ** 2
         self._update(
@@ -331,7 +339,9 @@ class UnscentedFilter(Navigation):
         self.events.append(NavigationEvent(time, name, details))
 
     def take(self, sensor: str, measurement: Any, time: float) -> None:
-        """Process a measurement; ignore one that is unusable or out of order.
+        """Update the filter with one measurement of a named sensor.
+
+        A measurement that is unusable or out of order is ignored.
 
         Raises
         ------
@@ -365,7 +375,7 @@ class UnscentedFilter(Navigation):
             np.array([r]), lambda x: np.array([(self._ground.elevation - x[2]) / down]),
             np.array([[sigma**2 + level]]), innovation_gate(1),
         )  # fmt: skip
-        self._range_counts[sensor] = uses + outcome.taken
+        self._range_counts[sensor] = uses + outcome.is_accepted
         return outcome
 
     def _speeds(self, sensor: str, reading: DopplerReading) -> UpdateOutcome:
@@ -391,9 +401,9 @@ class UnscentedFilter(Navigation):
             innovation_gate(int(has_return.sum())),
         )  # fmt: skip
         white = np.full(len(beams), np.nan)
-        if outcome.taken:
-            white[has_return] = outcome.white
-        return UpdateOutcome(outcome.nis, outcome.degrees, outcome.taken, white)
+        if outcome.is_accepted:
+            white[has_return] = outcome.whitened
+        return UpdateOutcome(outcome.nis, outcome.dof, outcome.is_accepted, white)
 
     def _attitude(self, sensor: str, reading: AttitudeReading) -> UpdateOutcome:
         q, r = np.asarray(reading.attitude, float), np.asarray(reading.covariance, float)
@@ -413,7 +423,7 @@ class UnscentedFilter(Navigation):
         outcome, _ = gate_innovation(
             turn, self._attitude_covariance[:3, :3] + own, innovation_gate(3)
         )
-        if outcome.taken:
+        if outcome.is_accepted:
             error = np.zeros(INERTIAL)
             error[ATTITUDE] = turn
             self.inertial.correct(error)
@@ -429,7 +439,11 @@ class UnscentedFilter(Navigation):
     def _update(
         self, z: Array, expected: Callable[[Array], Array], noise: Array, gate: float
     ) -> UpdateOutcome:
-        """Update with a measurement (m,), unless its innovation exceeds the gate."""
+        """Update with a measurement (n,), unless its innovation exceeds the gate.
+
+        `z` is the measurement, `expected` the function that predicts it from a state (10,), `noise`
+        (n, n) its covariance, and `gate` the maximum normalised innovation squared.
+        """
         k = self.kalman
         # filterpy draws sigma points only in `predict`; each further update needs new ones.
         self._repair_covariance()
@@ -437,7 +451,7 @@ class UnscentedFilter(Navigation):
         through = np.array([expected(x) for x in k.sigmas_f])
         mean, spread = unscented_transform(through, k.Wm, k.Wc, noise)
         outcome, _ = gate_innovation(z - mean, spread, gate)
-        if outcome.taken:
+        if outcome.is_accepted:
             k.update(z, R=noise, hx=expected)
             k.P = 0.5 * (k.P + k.P.T)
             self._copy_to_inertial()
@@ -446,8 +460,8 @@ class UnscentedFilter(Navigation):
     def _repair_covariance(self) -> None:
         """Make the covariance positive definite again after rounding errors.
 
-        Directions without variance get a small one, and no reading reduces it to zero again. If the
-        estimate is wrong there, the innovations show it.
+        Directions without variance get a small variance, which no reading can reduce to zero. If
+        the estimate is wrong in such a direction, the innovations show the error.
         """
         try:
             np.linalg.cholesky(self.kalman.P)
@@ -457,7 +471,7 @@ class UnscentedFilter(Navigation):
             self.kalman.P = (axes * np.maximum(values, least)) @ axes.T
 
     def _copy_to_inertial(self) -> None:
-        """Set the propagated state to the filter's estimate."""
+        """Set the propagated lander state to the filter's estimate after an update."""
         s = self.inertial
         error = np.zeros(INERTIAL)
         error[_LINEAR] = self.kalman.x[_LINEAR] - np.concatenate(
@@ -466,14 +480,17 @@ class UnscentedFilter(Navigation):
         s.correct(error)
 
     def _monitor_outcome(self, sensor: str, kind: str, outcome: UpdateOutcome, time: float) -> None:
-        """Monitor the outcome of a measurement, and inflate the covariance after an alarm."""
+        """Monitor the outcome of a measurement, and inflate the covariance after an alarm.
+
+        `kind` is "range", "speed" or "attitude"; `time` is in s.
+        """
         settings = replace(MONITOR_SETTINGS[kind], max_drifts=_MAX_DRIFTS)
         monitor = self._monitors.setdefault((sensor, kind), InnovationMonitor(settings))
         before = monitor.lost
         result = monitor.record(time, outcome)
         growth = float(np.clip(monitor.nis_ratio, *_GROWTH))
         name = {
-            MonitorResult.INFLATE: "doubted",
+            MonitorResult.INFLATE: "covariance-inflated",
             MonitorResult.LOST: "lost",
             MonitorResult.DRIFT: "drift",
         }.get(result)
@@ -487,7 +504,7 @@ class UnscentedFilter(Navigation):
         elif result is not MonitorResult.CONSISTENT:
             inflate(self.kalman.P, _VELOCITY, growth, _MAX_SPEED_SIGMA_M_S)
         elif before and not monitor.lost:
-            name = "believed"
+            name = "recovered"
         if result is MonitorResult.DRIFT and monitor.lost and not before:
             name = "lost"
         if name is not None and not (name == "lost" and before):

@@ -25,7 +25,7 @@ _DIAGONAL = math.sqrt(0.5)
 
 @kernel(inline=True)
 def _range_about(image, i, j):
-    """Return the brightness range about a pixel."""
+    """Return the brightness range within 3 pixels of pixel (i, j)."""
     low = high = image[i, j]
     for di in range(-REACH, REACH + 1):
         for dj in range(-REACH, REACH + 1):
@@ -37,7 +37,10 @@ def _range_about(image, i, j):
 
 @kernel(inline=True)
 def _range_along(image, i, j, down, right):
-    """Return the brightness range along a line through a pixel."""
+    """Return the brightness range within 3 pixels along a line through pixel (i, j).
+
+    One step along the line is `down` rows and `right` columns.
+    """
     low = high = image[i, j]
     for n in range(-REACH, REACH + 1):
         value = image[i + n * down, j + n * right]
@@ -48,14 +51,22 @@ def _range_along(image, i, j, down, right):
 
 @kernel(inline=True)
 def _raise_along(out, k, direction, slope, size, min_range):
-    """Update the maximum slope of patch k along a direction, relative to the range."""
+    """Update the maximum relative slope of patch `k` along one direction.
+
+    `out` (patches, 5) holds the maxima and `direction` is the column. `slope` is the brightness
+    gradient and `size` the brightness range by which it is divided, if the range is at least
+    `min_range`.
+    """
     if size >= min_range:
         out[k, direction] = max(out[k, direction], slope / size)
 
 
 @kernel(inline=True)
 def _raise_slopes(out, k, image, i, j, min_range):
-    """Update the maximum slopes of patch k with those at a pixel."""
+    """Update the maximum relative slopes of patch `k` with those at pixel (i, j).
+
+    `out` (patches, 5) holds the maxima; brightness ranges below `min_range` are ignored.
+    """
     gu = 0.5 * (image[i, j + 1] - image[i, j - 1])
     gv = 0.5 * (image[i + 1, j] - image[i - 1, j])
     steep = math.sqrt(gu * gu + gv * gv)
@@ -80,10 +91,11 @@ def _raise_slopes(out, k, image, i, j, min_range):
 
 @kernel()
 def edge_slopes(image, patch, count, every, min_range):
-    """Return the maximum relative slope of brightness at the rim of each patch.
+    """Return the maximum relative brightness slope at the edge of each dark patch.
 
-    Along a direction the range is that along it, or half of the range all about if this is larger.
-    For the steepest slope it is the range all about.
+    The slope is divided by the brightness range of the edge. Along a direction this is the range
+    along it, or half of the range all around if this is larger. For the steepest slope it is the
+    range all around.
 
     Parameters
     ----------
@@ -94,15 +106,15 @@ def edge_slopes(image, patch, count, every, min_range):
     count
         Number of patches.
     every
-        Only patches whose number is a multiple of this are measured.
+        Only patches whose number is a multiple of this value are measured.
     min_range
         Minimum brightness range of an edge.
 
     Returns
     -------
     out
-        (count + 1, 5), 1 / pixels: in four directions and in the steepest; 0 for no edge and for
-        patches that were not measured.
+        Relative slopes (count + 1, 5), 1 / pixels: in four directions and in the steepest; 0 for no
+        edge and for patches that were not measured.
     """
     out = np.zeros((count + 1, SLOPES))
     height, width = patch.shape
@@ -131,7 +143,7 @@ def edge_slopes(image, patch, count, every, min_range):
 
 @kernel()
 def two_sides(image, patch, ring, count, cut):
-    """Return the sums over each patch and over the bright pixels beside it.
+    """Sum positions over each dark patch and over the bright pixels beside it.
 
     Parameters
     ----------
@@ -140,17 +152,18 @@ def two_sides(image, patch, ring, count, cut):
     patch
         Patch of each pixel (height, width), 0 for none.
     ring
-        Patch that each pixel lies beside (height, width), 0 for none.
+        Patch adjacent to each pixel outside the patches (height, width), 0 for none.
     count
         Number of patches.
     cut
-        Excess above lit terrain from which a pixel counts; its weight is the excess beyond, at most
-        1.
+        Excess of brightness above lit terrain from which a pixel counts. Its weight is its
+        brightness minus 1 and minus this excess, at most 1.
 
     Returns
     -------
     out
-        (count + 1, 6), by the columns above.
+        Sums (count + 1, 6): weight and weighted column and row of the bright pixels; number, column
+        and row of the dark pixels.
     """
     out = np.zeros((count + 1, 6))
     height, width = patch.shape
@@ -175,7 +188,7 @@ def two_sides(image, patch, ring, count, cut):
 
 @kernel()
 def black_and_lit(relative, above, patch, ring, count, black, grey, most, cut):
-    """Return sums over the black pixels of each patch, and over its lit pixels.
+    """Sum positions over the black pixels of each dark patch and over its lit pixels.
 
     Parameters
     ----------
@@ -184,18 +197,22 @@ def black_and_lit(relative, above, patch, ring, count, black, grey, most, cut):
     above
         Brightness relative to lit pixels nearby, for bright pixels (height, width).
     patch, ring, count
-        See `two_sides`.
+        Patch of each pixel (height, width), patch adjacent to each other pixel (height, width),
+        both 0 for none, and number of patches.
     black
-        Level below which a pixel of the patch is black; its weight is the difference.
+        Level below which a pixel of the patch is black; its weight is the difference to this level.
     grey, most
-        Level above which it is lit, with the excess as weight, at most `most`.
+        Level above which a pixel of the patch is lit; its weight is the excess above this level, at
+        most `most`.
     cut
-        See `two_sides`.
+        Excess of brightness above lit terrain from which a pixel outside the patch counts as lit.
+        Its weight is its brightness minus 1 and minus this excess, at most 1.
 
     Returns
     -------
     out
-        (count + 1, 6), by the columns above.
+        Sums (count + 1, 6): weight and weighted column and row of the black pixels, then of the lit
+        pixels.
     """
     out = np.zeros((count + 1, 6))
     height, width = patch.shape

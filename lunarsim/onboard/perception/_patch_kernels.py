@@ -21,13 +21,17 @@ COLUMNS = 14
 
 @kernel(inline=True)
 def _borders_on(k, a, b, c, d):
-    """Return whether one of four neighbours belongs to another patch than k."""
+    """Return whether one of the neighbours `a` to `d` is in a patch other than `k`."""
     return a != k or b != k or c != k or d != k
 
 
 @kernel(inline=True)
 def _count_pixel(out, k, tx, ty, rim, edge, deep):
-    """Count a pixel of patch k and add its tangents."""
+    """Count a pixel of patch `k` in the table `out` and add its tangents.
+
+    `tx` and `ty` are the tangents of its line of sight. `rim` is whether it is at the rim of the
+    patch, `edge` whether it is on an edge of the image, and `deep` whether it is dark.
+    """
     out[k, PIXELS] += 1.0
     if deep:
         out[k, DEEP] += 1.0
@@ -41,7 +45,10 @@ def _count_pixel(out, k, tx, ty, rim, edge, deep):
 
 @kernel(inline=True)
 def _add_place(out, k, along, across):
-    """Add the position of a pixel of patch k to the first and second moments."""
+    """Add the position of a pixel of patch `k` to the moments in the table `out`.
+
+    `along` and `across` are its coordinates towards the Sun and to the left of it, m.
+    """
     out[k, ALONG] += along
     out[k, ACROSS] += across
     out[k, LENGTH] += along * along
@@ -51,7 +58,10 @@ def _add_place(out, k, along, across):
 
 @kernel()
 def _line_of_sight(tx, ty, right, down, ahead):
-    """Return east, north and up for a depth of 1 m; the sensor axes are tuples."""
+    """Return the line of sight of a pixel: east, north and up for a depth of 1 m.
+
+    `tx` and `ty` are its tangents; `right`, `down` and `ahead` are the sensor axes (tuples).
+    """
     return (
         right[0] * tx + down[0] * ty + ahead[0],
         right[1] * tx + down[1] * ty + ahead[1],
@@ -61,13 +71,22 @@ def _line_of_sight(tx, ty, right, down, ahead):
 
 @kernel()
 def _to_sun(e, n, sun):
-    """Return the components of an east/north vector along the Sun and across."""
+    """Return the components of an east/north vector along the Sun and across it.
+
+    `sun` is the horizontal unit vector towards the Sun. `e` and `n` are the east and north
+    components.
+    """
     return e * sun[0] + n * sun[1], n * sun[0] - e * sun[1]
 
 
 @kernel()
 def _pixel_size_on_terrain(depth, ray, right, down, sun):
-    """Return the size of a pixel along the Sun and across, m, times the focal length."""
+    """Return the size of a pixel on the terrain along the Sun and across it.
+
+    The sizes are in m times the focal length. `depth` is the depth of the terrain point, m, `ray`
+    its line of sight, `right` and `down` are sensor axes, and `sun` is the horizontal unit vector
+    towards the Sun.
+    """
     # Displacement of the terrain point along and across for one pixel right and down.
     along_u, across_u = _to_sun(
         depth * (right[0] - ray[0] * right[2] / ray[2]),
@@ -84,7 +103,7 @@ def _pixel_size_on_terrain(depth, ray, right, down, sun):
 
 @kernel()
 def _sums_to_means(out):
-    """Convert the sums over each patch into the result of `measure_patches`."""
+    """Convert the sums over each patch in `out` to the results of `measure_patches`."""
     for k in range(1, out.shape[0]):
         pixels = max(out[k, PIXELS], 1.0)
         out[k, TX] /= pixels
@@ -101,7 +120,9 @@ def _sums_to_means(out):
 
 @kernel()
 def measure_patches(labels, count, edges, deep, x, y, position, axes, elevation, sun_e, sun_n):
-    """Measure the patches of a label image on a horizontal plane.
+    """Measure position, size and darkness of dark patches on a horizontal plane.
+
+    The pixels of a patch are projected onto the plane.
 
     Parameters
     ----------
@@ -110,13 +131,13 @@ def measure_patches(labels, count, edges, deep, x, y, position, axes, elevation,
     count
         Number of patches.
     edges
-        Edges of the image (height, width), uint8.
+        Edges of the image, nonzero on an edge (height, width), uint8.
     deep
         Pixels darker than half way to lit terrain (height, width), uint8.
     x, y
         Tangents of the line of sight of each pixel, right and down (height, width).
     position, axes
-        Camera parameters as in `View`.
+        Camera position (3,), m, and matrix (3, 3) from sensor axes to ENU.
     elevation
         Elevation of the plane, m.
     sun_e, sun_n
@@ -125,7 +146,8 @@ def measure_patches(labels, count, edges, deep, x, y, position, axes, elevation,
     Returns
     -------
     out
-        (count + 1, 14), by the columns above; sizes of pixels are multiplied by the focal length.
+        Table (count + 1, 14) with the columns listed at the top of the module; sizes of pixels are
+        multiplied by the focal length.
     """
     out = np.zeros((count + 1, COLUMNS))
     height, width = labels.shape

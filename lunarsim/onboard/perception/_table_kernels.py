@@ -10,7 +10,7 @@ from lunarsim._jit import kernel
 
 @kernel()
 def _interval(grid, value):
-    """Return the interval of an ascending grid that contains a value."""
+    """Return the index of the interval of an ascending grid that contains a value."""
     low, high = 0, grid.size - 1
     while high - low > 1:
         middle = (low + high) // 2
@@ -23,7 +23,7 @@ def _interval(grid, value):
 
 @kernel()
 def interpolated(table, x, y, at_x, at_y):
-    """Return the columns of a table by bilinear interpolation.
+    """Interpolate the columns of a two-dimensional table bilinearly.
 
     Parameters
     ----------

@@ -30,23 +30,24 @@ class DetectionRates:
     Attributes
     ----------
     missed
-        False-negative rate at q = 0, its slope, and minimum rate at large q.
+        False-negative rate: value at q = 0, slope, and minimum at large q.
     false
-        The same for detections that are not rocks.
-    cleared
-        The same for rocks at positions that an image declares free of them.
+        Rate of detections that are not rocks: value at q = 0, slope, and minimum at large q.
+    false_clear_line
+        Rate at which an image declares the position of a rock free of rocks: value at q = 0, slope,
+        and minimum at large q.
     blur
-        Point spread of the camera of the study, 1 sigma, pixels.
+        Point spread of the camera for which the rates were determined, 1 sigma, pixels.
     """
 
     missed: tuple[float, float, float] = (1.428, -0.4175, 0.0422)
     false: tuple[float, float, float] = (1.172, -0.5177, 0.0088)
-    cleared: tuple[float, float, float] = (1.0, -0.3943, 0.0214)
+    false_clear_line: tuple[float, float, float] = (1.0, -0.3943, 0.0214)
     blur: float = 0.6
 
     def __post_init__(self) -> None:
         check_types("rates", self)
-        for name in ("missed", "false", "cleared"):
+        for name in ("missed", "false", "false_clear_line"):
             _, slope, floor = getattr(self, name)
             if not (slope <= 0.0 and 0.0 < floor < 1.0):
                 raise InputError(
@@ -59,32 +60,36 @@ class DetectionRates:
             raise InputError("rates.blur", self.blur, "must be 0 or positive, in pixels")
 
     def wider(self, blur: float) -> float:
-        """Return the ratio of edge width to that of the study, at least 1.
+        """Return the edge width of a camera relative to that of these rates, at least 1.
 
-        The size of a pixel contributes to both widths. A wider edge fills shadows with light as
-        larger pixels would.
+        `blur` is the point spread of the camera, 1 sigma, pixels. The size of a pixel contributes
+        to both widths. A wider edge fills shadows with light as larger pixels would.
         """
         return max(float(np.hypot(blur, _PIXEL_SIGMA) / np.hypot(self.blur, _PIXEL_SIGMA)), 1.0)
 
     def false_negative(self, q: Any) -> Array:
-        """Return the false-negative rate FN(q) (...)."""
+        """Return the false-negative rate FN(q) for q, the root of the dark pixels (...)."""
         return _clipped_line(self.missed, q)
 
     def false_positive(self, q: Any) -> Array:
-        """Return the false-positive rate FP(q) (...)."""
+        """Return the false-positive rate FP(q) for q, the root of the dark pixels (...)."""
         return _clipped_line(self.false, q)
 
     def false_clear(self, q: Any) -> Array:
-        """Return the rate at which the position of a rock is declared free (...)."""
-        return _clipped_line(self.cleared, q)
+        """Return the rate at which the position of a rock is declared free of rocks (...).
+
+        `q` is the square root of the number of dark pixels of the rock.
+        """
+        return _clipped_line(self.false_clear_line, q)
 
     @property
-    def least_q(self) -> float:
+    def min_q(self) -> float:
         """Value of q below which every shadow is missed; the paper calls it resolution."""
         start, slope, _ = self.missed
         return max((1.0 - start) / slope, 0.0) if slope < 0.0 else 0.0
 
 
 def _clipped_line(line: tuple[float, float, float], q: Any) -> Array:
+    """Return the rate of a clipped line (value at q = 0, slope, minimum) at q (...)."""
     start, slope, floor = line
     return np.clip(start + slope * np.asarray(q, dtype=np.float64), floor, 1.0)

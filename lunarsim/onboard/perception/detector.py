@@ -49,25 +49,26 @@ class DetectorSettings:
     Attributes
     ----------
     gamma, window
-        See `segment`.
-    least_pixels
+        Exponent of the gamma correction, and side of the neighbourhood for the brightness of lit
+        terrain as a fraction of the image width; both used by `segment`.
+    min_pixels
         Minimum number of dark pixels of a patch.
-    edge_share
+    min_edge_fraction
         Minimum fraction of a patch's rim that lies on an edge of the image (Canny).
-    deep_share
+    min_deep_fraction
         Minimum fraction of a patch that is darker than half way from shadow to lit terrain.
     canny
         Lower and upper threshold on the gradient of the gamma-corrected 8-bit image.
-    largest_radius
+    max_radius
         Maximum radius of a rock, m; larger dark patches are shadows of the terrain.
-    least_fill
+    min_fill_fraction
         Minimum fraction of its bounding box on the terrain that a patch fills.
     pixel_sigma
         Standard deviation of the position of an end of a patch, pixels.
-    look_sigma
+    observation_sigma
         Standard deviations of a centre between observations, along the Sun and across, relative to
         the size of a pixel on the terrain; determined by `scenarios/shadows/rock_measurements.py`.
-    look_small
+    small_patch_sigma
         Additional standard deviations for patches of one pixel per radius, along the Sun and
         across, pixels; they decrease as patches grow. They were tuned on filters in flight, because
         the study does not pair patches that merge with a neighbour in some images only.
@@ -75,29 +76,29 @@ class DetectorSettings:
 
     gamma: float = 0.7
     window: float = 0.12
-    least_pixels: int = 4
-    edge_share: float = 0.5
-    deep_share: float = 0.5
+    min_pixels: int = 4
+    min_edge_fraction: float = 0.5
+    min_deep_fraction: float = 0.5
     canny: tuple[float, float] = (40.0, 100.0)
-    largest_radius: float = 5.0
-    least_fill: float = 0.3
+    max_radius: float = 5.0
+    min_fill_fraction: float = 0.3
     pixel_sigma: float = 0.4
-    look_sigma: tuple[float, float] = (0.26, 0.095)
-    look_small: tuple[float, float] = (0.62, 0.22)
+    observation_sigma: tuple[float, float] = (0.26, 0.095)
+    small_patch_sigma: tuple[float, float] = (0.62, 0.22)
 
     def __post_init__(self) -> None:
         check_types("detector", self)
-        if not self.least_pixels >= 1:
-            raise InputError("detector.least_pixels", self.least_pixels, "must be 1 or more")
-        for name in ("gamma", "largest_radius", "pixel_sigma"):
+        if not self.min_pixels >= 1:
+            raise InputError("detector.min_pixels", self.min_pixels, "must be 1 or more")
+        for name in ("gamma", "max_radius", "pixel_sigma"):
             value = getattr(self, name)
             if not (np.isfinite(value) and value > 0.0):
                 raise InputError(f"detector.{name}", value, "must be positive and finite")
-        for name in ("window", "edge_share", "deep_share", "least_fill"):
+        for name in ("window", "min_edge_fraction", "min_deep_fraction", "min_fill_fraction"):
             value = getattr(self, name)
             if not 0.0 < value <= 1.0:
                 raise InputError(f"detector.{name}", value, "must be above 0 and at most 1")
-        for name, least in (("look_sigma", 1e-9), ("look_small", 0.0)):
+        for name, least in (("observation_sigma", 1e-9), ("small_patch_sigma", 0.0)):
             pair = np.ravel(getattr(self, name))
             if not (len(pair) == 2 and np.isfinite(pair).all() and (pair >= least).all()):
                 what = "positive" if least else "non-negative"
@@ -113,37 +114,38 @@ class DetectorSettings:
 
 @dataclass(frozen=True)
 class Detections:
-    """Rocks detected in one image, and its other dark patches.
+    """Rocks detected by their shadows in one image, and its other dark patches.
 
     Attributes
     ----------
     pixel
         Image position of the rock centres on the terrain (n, 2), undistorted.
     pixel_covariance
-        Covariance of `pixel` (n, 2, 2).
-    look_covariance
-        Part of it that is independent between observations (n, 2, 2). The effect of the shape of a
-        rock on its patch persists.
+        Covariance of `pixel` (n, 2, 2), pixels^2.
+    independent_covariance
+        Part of `pixel_covariance` that is independent between observations (n, 2, 2), pixels^2. The
+        effect of the shape of a rock on its patch persists and is not included.
     terrain_xy
         Centres (n, 2), ENU, m, for the given pose and plane.
     radius, radius_sigma
         Radius and its standard deviation (n,), m.
     height
-        Height from the length of the patch only (n,), m.
+        Rock height, estimated from the length of the patch only (n,), m.
     length
-        Length of the dark patch along the Sun, as in `ShadowPatch` (n,), m.
+        Length of the dark patch on the terrain along the Sun: side of the rectangle with the same
+        variance (n,), m.
     width, skew
-        Width across the Sun (n,), m, and covariance along and across (n,), m^2, as in
-        `ShadowPatch`.
+        Width of the patch across the Sun, defined in the same way (n,), m, and covariance of the
+        coordinates along and across (n,), m^2.
     q
         Square root of the number of dark pixels (n,).
     label
         Patch of each rock (n,), a value of `labels`.
     labels
         Dark patch of each pixel (height, width), 0 for none.
-    extended
-        Labels that belong to no rock and hide terrain: terrain in its own shadow, patches cut by
-        the image border, and invalid pixels.
+    excluded_labels
+        Labels of patches that belong to no rock but hide terrain: terrain in its own shadow,
+        patches cut by the image border, and invalid pixels.
     relative
         Brightness relative to the nearby slopes if they were lit (height, width).
     relative_to_lit_terrain
@@ -152,12 +154,12 @@ class Detections:
         Longest half axis of the largest rock that each label may be the shadow of (labels + 1,), m;
         0 for none, infinite where unknown.
     shapes
-        Weights of the shape hypotheses of each rock (n, hypotheses), see `ShapeMixture`.
+        Weights of the rock shape hypotheses of `ShapeMixture` for each rock (n, hypotheses).
     """
 
     pixel: Array
     pixel_covariance: Array
-    look_covariance: Array
+    independent_covariance: Array
     terrain_xy: Array
     radius: Array
     radius_sigma: Array
@@ -168,7 +170,7 @@ class Detections:
     q: Array
     label: NDArray[np.int32]
     labels: NDArray[np.int32]
-    extended: NDArray[np.int32]
+    excluded_labels: NDArray[np.int32]
     relative: NDArray[np.float32]
     relative_to_lit_terrain: NDArray[np.float32]
     largest: NDArray[np.float32]
@@ -179,20 +181,26 @@ class Detections:
 
     @cached_property
     def rock(self) -> NDArray[np.uint16]:
-        """Index in `label` plus 1 of each pixel's rock (height, width); 0 for none."""
+        """Number of the rock at each pixel: index in `label` plus 1; 0 for none.
+
+        Shape (height, width).
+        """
         place = np.zeros(int(self.labels.max(initial=0)) + 1, np.uint16)
         place[self.label] = np.arange(1, len(self) + 1)
         return np.asarray(place[self.labels])
 
     def hiding(self, left_out: NDArray[np.bool_]) -> Detections:
-        """Return a copy with an extra label for invalid pixels (height, width)."""
+        """Return a copy in which the given pixels have an extra label for invalid pixels.
+
+        `left_out` (height, width) marks the pixels.
+        """
         if not left_out.any():
             return self
         label = np.int32(len(self.largest))
         return replace(
             self,
             labels=np.where(left_out, label, self.labels),
-            extended=np.append(self.extended, label),
+            excluded_labels=np.append(self.excluded_labels, label),
             largest=np.append(self.largest, np.float32(np.inf)),
         )
 
@@ -216,7 +224,7 @@ def detect_rocks(
     model: ShadowModel | ShapeMixture | None = None,
     settings: DetectorSettings | None = None,
 ) -> Detections:
-    """Detect rocks by their shadows.
+    """Detect rocks in one image by their shadows.
 
     The image is segmented into light and shadow. Each dark patch with a complete edge is projected
     onto the terrain. The end towards the Sun gives the position of the rock, the length along the
@@ -232,7 +240,7 @@ def detect_rocks(
     sun
         Direction towards the Sun (3,), ENU, unit vector.
     terrain
-        Plane on which rocks stand, or the elevation of a horizontal one, m.
+        Plane on which rocks stand, or the elevation of a horizontal plane, m.
     model
         Model of the shadows for the Sun elevation above horizontal terrain; default: half spheres.
     settings
@@ -241,8 +249,8 @@ def detect_rocks(
     Returns
     -------
     detections
-        Empty if no shadow can be visible: Sun elevation outside 2 to 80 deg, camera below the
-        plane, or only sky in the image.
+        Detected rocks; none if no shadow can be visible: Sun elevation outside 2 to 80 deg, camera
+        below the plane, or only sky in the image.
 
     Raises
     ------
@@ -274,7 +282,10 @@ def detect_rocks(
 def _mixture_of(
     model: ShadowModel | ShapeMixture | None, sun: Array, plane: GroundPlane
 ) -> ShapeMixture:
-    """Return the shadow model on a plane for the given Sun direction (ENU)."""
+    """Return the shadow model adapted to a plane, for a Sun direction (3,), ENU.
+
+    A `ShadowModel` becomes a mixture of one shape; None stands for half spheres.
+    """
     if not isinstance(model, ShapeMixture):
         elevation = float(np.clip(np.arcsin(sun[2]), MIN_SUN_ELEVATION, MAX_SUN_ELEVATION))
         model = ShapeMixture.known(model or _half_spheres(elevation))
@@ -282,6 +293,7 @@ def _mixture_of(
 
 
 def _check_pose(pose: Pose) -> None:
+    """Raise InputError if the pose of the camera is not finite or not a rotation."""
     if np.shape(pose.position) != (3,) or not np.isfinite(pose.position).all():
         raise InputError("pose.position", pose.position, "must be three finite numbers in m (ENU)")
     if not is_rotation(pose.attitude):
@@ -290,12 +302,17 @@ def _check_pose(pose: Pose) -> None:
 
 @lru_cache(maxsize=8)
 def _half_spheres(elevation: float) -> ShadowModel:
+    """Return the cached shadow model of half spheres for a Sun elevation (rad)."""
     return ShadowModel(elevation)
 
 
 def _no_detections(
     labels: NDArray[np.int32], extended: NDArray[np.int32], shade: Segmentation
 ) -> Detections:
+    """Return detections without rocks, with the dark patches of the image.
+
+    `labels` (height, width) are the patches, `extended` their labels, and `shade` the segmentation.
+    """
     none = np.empty(0)
     return Detections(
         np.empty((0, 2)), np.empty((0, 2, 2)), np.empty((0, 2, 2)), np.empty((0, 2)),
@@ -306,7 +323,10 @@ def _no_detections(
 
 
 def _unknown_largest(count: int) -> NDArray[np.float32]:
-    """Return `Detections.largest` for patches (count,) of unknown origin."""
+    """Return an infinite maximum rock radius for `count` patches of unknown origin.
+
+    The result (count + 1,) has the format of `Detections.largest`.
+    """
     largest = np.full(count + 1, np.inf, np.float32)
     largest[0] = 0.0
     return largest
@@ -319,7 +339,12 @@ def _label_patches(
     sun: Array,
     settings: DetectorSettings,
 ) -> tuple[NDArray[np.int32], Array]:
-    """Return the label image and the table of its patches (n, columns), label 1 first."""
+    """Label the dark patches of an image and measure them on the terrain plane.
+
+    Returns the label image and the table of patches (n, columns), label 1 first. `view` and `sun`
+    (3,) are in coordinates in which the plane is at height 0. `shade` is the segmentation of the
+    image.
+    """
     count, labels = cv2.connectedComponents(shade.dark, connectivity=8, ltype=cv2.CV_32S)
     if count == 1:
         return labels, np.empty((0, kernels.COLUMNS))
@@ -357,12 +382,17 @@ def _measure_rocks(
     settings: DetectorSettings,
     shade: Segmentation,
 ) -> Detections:
-    """Convert the table of patches into rocks; terrain is at height 0 of the view."""
+    """Convert measured dark patches to rocks, and reject those that are not shadows.
+
+    `labels` (height, width) and `table` (n, columns) are the results of `_label_patches`. Terrain
+    is at height 0 of `view`; `sun` (3,) is in the same coordinates. `shade` is the segmentation of
+    the image.
+    """
     k = kernels
     is_noise = (
-        (table[:, k.PIXELS] < settings.least_pixels)
-        | (table[:, k.SEEN] < settings.edge_share * table[:, k.EDGE])
-        | (table[:, k.DEEP] < settings.deep_share * table[:, k.PIXELS])
+        (table[:, k.PIXELS] < settings.min_pixels)
+        | (table[:, k.SEEN] < settings.min_edge_fraction * table[:, k.EDGE])
+        | (table[:, k.DEEP] < settings.min_deep_fraction * table[:, k.PIXELS])
     )
     is_cut = table[:, k.BORDER] > 0.0
     is_complete = ~is_noise & ~is_cut
@@ -376,7 +406,7 @@ def _measure_rocks(
     share = _area_fraction(read, view, t)
     rocks = _RadiusCorrection.for_merged(read, share)
     fill = t[:, k.PIXELS] * along_px * across_px / np.maximum(length * width, 1e-9)
-    is_terrain = (rocks.radius > settings.largest_radius) | (fill < settings.least_fill)
+    is_terrain = (rocks.radius > settings.max_radius) | (fill < settings.min_fill_fraction)
     frame = _sun_frame(sun)
     look = _observation_sigma(settings, rocks.radius, along_px, across_px, sun)
     offset, spread = _rock_centres(t, rocks, unit, look)
@@ -400,20 +430,26 @@ def _measure_rocks(
 def _observation_sigma(
     settings: DetectorSettings, radius: Array, along: Array, across: Array, sun: Array
 ) -> Array:
-    """Return the scatter of centres between observations, along and across (n, 2), m.
+    """Return the scatter of rock centres between observations (n, 2), m.
 
-    Under a Sun below the reference elevation, the end of a shadow scatters more than the shadow
-    lengthens, because it merges with others and falls on uneven terrain.
+    The columns are along the Sun and across. `radius` (n,) is that of the rocks, m; `along` and
+    `across` (n,) are the sizes of a pixel on the terrain, m. Under a Sun below the reference
+    elevation, the end of a shadow scatters more than the shadow lengthens, because it merges with
+    others and falls on uneven terrain.
     """
     wide = np.maximum(radius / np.sqrt(along * across), 0.25)
     spans = np.column_stack((observation_scatter_factor(sun) * along, across))
     return np.asarray(
-        spans * np.hypot(settings.look_sigma, np.divide(settings.look_small, wide[:, None]))
+        spans
+        * np.hypot(settings.observation_sigma, np.divide(settings.small_patch_sigma, wide[:, None]))
     )
 
 
 def _sun_frame(sun: Array) -> Array:
-    """Return the matrix (2, 2) from along/across the Sun to east/north."""
+    """Return the matrix (2, 2) from along and across the Sun to east and north.
+
+    `sun` (3,) is the direction towards the Sun.
+    """
     s = sun[:2] / np.hypot(sun[0], sun[1])
     return np.array([[s[0], -s[1]], [s[1], s[0]]])
 
@@ -421,7 +457,11 @@ def _sun_frame(sun: Array) -> Array:
 def _rock_centres(
     table: Array, rocks: _RadiusCorrection, unit: ShadowPatch, look: Array
 ) -> tuple[Array, Array]:
-    """Return centres along the Sun and across, m, and standard deviations (n, 2)."""
+    """Return rock centres along and across the Sun, m, and their standard deviations.
+
+    Both have shape (n, 2). `table` are the measured patches, `rocks` the radii, `unit` the expected
+    patches for a radius of 1, and `look` (n, 2) the scatter between observations, m.
+    """
     k, r = kernels, rocks.radius
     centre = np.column_stack(
         (table[:, k.ALONG] - r * unit.along, table[:, k.ACROSS] - r * unit.side)
@@ -432,7 +472,11 @@ def _rock_centres(
 
 
 def _area_fraction(read: RadiusEstimate, view: View, table: Array) -> Array:
-    """Return the measured over the expected number of pixels of patches (n,)."""
+    """Return measured over expected number of pixels of dark patches (n,).
+
+    `read` are the radii estimated from length and width, and `table` the measured patches. A small
+    value indicates several merged shadows.
+    """
     line_of_sight = np.column_stack(
         (table[:, kernels.TX], table[:, kernels.TY], np.ones(len(table)))
     )
@@ -446,15 +490,25 @@ def _area_fraction(read: RadiusEstimate, view: View, table: Array) -> Array:
 
 @dataclass(frozen=True)
 class _RadiusCorrection:
+    """Radii of rocks and their standard deviations, corrected for merged shadows.
+
+    Attributes
+    ----------
+    radius, sigma
+        Radius and its standard deviation (n,), m.
+    """
+
     radius: Array
     sigma: Array
 
     @classmethod
     def for_merged(cls, read: RadiusEstimate, share: Array) -> _RadiusCorrection:
-        """Return the radii, corrected for patches that hold several shadows.
+        """Return the radii, reduced for patches that consist of several merged shadows.
 
-        Such a patch has far less area than its length and width imply. Its area is the sum of the
-        shadows, so the radius of a rock with this area bounds the radius of each.
+        `read` are the radii from length and width of the patches; `share` (n,) is the measured over
+        the expected area. Merged patches have far less area than their length and width imply.
+        Their area is the sum of the shadows, so the radius of a rock with this area bounds the
+        radius of each.
         """
         merged = share < _MERGED_AREA_RATIO
         radius = np.where(merged, read.radius * np.sqrt(share), read.radius)
@@ -462,7 +516,10 @@ class _RadiusCorrection:
 
 
 def _viewing_angles(table: Array, view: View, sun: Array) -> tuple[Array, Array]:
-    """Return azimuth from the Sun and depression of lines of sight (n,), rad."""
+    """Return the camera's azimuth from the Sun and depression at patches (n,), rad.
+
+    `table` are the measured patches; `sun` (3,) is the direction towards the Sun.
+    """
     line_of_sight = np.column_stack(
         (table[:, kernels.TX], table[:, kernels.TY], np.ones(len(table)))
     )
@@ -475,13 +532,23 @@ def _viewing_angles(table: Array, view: View, sun: Array) -> tuple[Array, Array]
 
 
 def _to_pixels(offset: Array, view: View, frame: Array) -> tuple[Array, Array]:
-    """Return pixels of points (n, 2) and their Jacobian along/across (n, 2, 2)."""
-    points = np.column_stack((offset, np.full(len(offset), -view.position[2]))) @ view.into.T
+    """Project terrain points to pixels, with the Jacobian along and across the Sun.
+
+    `offset` (n, 2) are the points relative to the camera, east and north, m; `frame` is the result
+    of `_sun_frame`. Returns pixels (n, 2) and Jacobians (n, 2, 2).
+    """
+    points = (
+        np.column_stack((offset, np.full(len(offset), -view.position[2]))) @ view.enu_to_sensor.T
+    )
     # The Jacobian by east and north is rotated to along the Sun and across.
-    turned = view.pinhole.jacobian(points, view.into[:, :2]) @ frame
+    turned = view.pinhole.jacobian(points, view.enu_to_sensor[:, :2]) @ frame
     return view.pinhole.project(points), turned
 
 
 def _pixel_covariance(turned: Array, sigma: Array) -> Array:
-    """Return pixel covariances (n, 2, 2) from sigmas along and across (n, 2), m."""
+    """Return pixel covariances (n, 2, 2) from errors along and across the Sun.
+
+    `turned` (n, 2, 2) are the Jacobians of `_to_pixels` and `sigma` (n, 2) the standard deviations,
+    m.
+    """
     return np.asarray((turned * (sigma**2)[:, None, :]) @ np.swapaxes(turned, 1, 2))

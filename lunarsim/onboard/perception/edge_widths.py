@@ -31,30 +31,34 @@ _MAX_SHADOWS = 150
 
 @dataclass(frozen=True)
 class EdgeWidths:
-    """Widths of shadow edges from differences over two pixels, 1 sigma, pixels.
+    """Widths of the shadow edges in an image, 1 sigma, pixels.
+
+    They are measured from brightness differences over two pixels.
 
     Attributes
     ----------
     number
         Number of shadows with measured edges.
     sharpest
-        Width of the sharpest fifth along the steepest slope; infinite for none.
-    least_sharp
-        Maximum over fixed directions of the width of the sharpest fifth along that direction.
+        Width of the sharpest fifth of the shadows along the steepest slope; infinite without a
+        shadow.
+    least_sharp_direction
+        Width of the sharpest fifth along each of four directions; the maximum over the directions.
+        It exceeds `sharpest` under motion blur.
     """
 
     number: int
     sharpest: float
-    least_sharp: float
+    least_sharp_direction: float
 
     @staticmethod
     def expected(blur_sigma: float) -> float:
-        """Return the width of a step for a given point spread (1 sigma, pixels)."""
+        """Return the edge width expected for a point spread (1 sigma, pixels)."""
         return float(np.sqrt(blur_sigma**2 + _DIFFERENCE_VARIANCE))
 
 
 def edge_widths(seen: Detections, noise: float) -> EdgeWidths:
-    """Measure the edges of rock shadows.
+    """Measure the widths of rock shadow edges, to detect defocus and motion blur.
 
     An edge blurred by a Gaussian point spread of width s has a maximum slope of 0.4 / s times its
     height. The height is the brightness range within three pixels. For the slope along a direction

@@ -19,22 +19,25 @@ Array = NDArray[np.float64]
 
 
 class LevelledView(View):
-    """View in coordinates that make a sloping plane horizontal; `axes` is no rotation."""
+    """Camera view in coordinates in which a sloping plane is horizontal.
+
+    In these coordinates `axes` is not a rotation matrix.
+    """
 
     @property
-    def into(self) -> Array:
-        """Matrix (3, 3) from these coordinates to the sensor's."""
+    def enu_to_sensor(self) -> Array:
+        """Matrix (3, 3) from the levelled coordinates to sensor axes."""
         return np.asarray(np.linalg.inv(self.axes))
 
 
 @dataclass(frozen=True)
 class GroundPlane:
-    """Plane that approximates the terrain.
+    """Plane that approximates the terrain, with coordinates in which it is horizontal.
 
     Attributes
     ----------
     height
-        Height at the origin, m.
+        Height of the plane at the origin of the frame, m.
     gradient
         Slope to the east and to the north (2,), tangents.
     """
@@ -55,30 +58,39 @@ class GroundPlane:
         return self.gradient == (0.0, 0.0)
 
     def heights(self, xy: Array) -> Array:
-        """Return the heights of the plane (n,) at points (n, 2), m."""
+        """Return the heights of the plane (n,) at points (n, 2), m.
+
+        `xy` is east and north.
+        """
         return np.asarray(self.height + xy @ np.array(self.gradient))
 
     def levelled(self, vectors: Array) -> Array:
-        """Return vectors (..., 3), ENU, minus the rise of the plane along them."""
+        """Return vectors (..., 3), ENU, in coordinates in which the plane is horizontal.
+
+        The rise of the plane along each vector is subtracted from its vertical component.
+        """
         out = np.array(vectors, np.float64)
         out[..., 2] -= out[..., :2] @ np.array(self.gradient)
         return out
 
     def direction(self, vector: Array) -> Array:
-        """Return a direction (3,) in coordinates with the plane horizontal, unit length."""
+        """Return a direction (3,), ENU, in coordinates in which the plane is horizontal.
+
+        The result has unit length.
+        """
         if self.level:
             return np.asarray(vector)
         out = self.levelled(vector)
         return np.asarray(out / np.linalg.norm(out))
 
     def points(self, points: Array) -> Array:
-        """Return points (..., 3) with heights measured from the plane, m."""
+        """Return points (..., 3), ENU, with their heights measured from the plane, m."""
         out = self.levelled(points)
         out[..., 2] -= self.height
         return out
 
     def seen_pixel(self, pixel: Array, away: Array, levelled: Array) -> Array:
-        """Return pixel sizes (...), m, at which horizontal terrain appears as this plane.
+        """Return the pixel sizes (...), m, at which flat terrain appears as this plane.
 
         Of two equal patches of terrain, the one that is seen more steeply and from nearby covers
         more pixels. Models for horizontal terrain use the depression in levelled coordinates.
@@ -88,13 +100,13 @@ class GroundPlane:
         pixel
             Pixel size across the lines of sight (...), m.
         away, levelled
-            Vectors to the camera (..., 3), as they are and levelled, m.
+            Vectors to the camera (..., 3), m, in ENU and in levelled coordinates.
         """
         longer = np.linalg.norm(away, axis=-1) / np.linalg.norm(levelled, axis=-1)
         return np.asarray(pixel * np.sqrt(longer))
 
     def view(self, view: View) -> View:
-        """Return a view in coordinates with the plane horizontal at height 0."""
+        """Return a camera view in coordinates with the plane horizontal at height 0."""
         position = self.points(view.position)
         if self.level:
             return replace(view, position=position)

@@ -64,11 +64,14 @@ def high_sun_angle(
 ) -> SunAngle:
     """Measure the angle between shadows and their direction under an assumed high Sun.
 
+    Lit faces of rocks and axes of their dark patches are compared with the shadow model.
+
     Parameters
     ----------
     seen, view, points, sun, model
-        See `turn_from_sun`.
-    cut
+        Detected rocks, view of the image, positions of the rocks on the terrain (n, 3), ENU, m,
+        assumed direction towards the Sun (3,), ENU, and model of the shadows.
+    threshold
         Relative excess over lit terrain from which a pixel counts as bright.
     """
     at, gap = _shadow_to_lit(seen, view, points, threshold)
@@ -92,7 +95,10 @@ def high_sun_angle(
 
 
 def more_certain(one: SunAngle, other: SunAngle) -> SunAngle:
-    """Return the more accurate of two angles, or no angle if they disagree."""
+    """Return the more accurate of two angles, or an unknown angle if they disagree.
+
+    They disagree if their difference exceeds three standard deviations.
+    """
     if np.isfinite(one.sigma) and np.isfinite(other.sigma):
         apart = np.angle(np.exp(1j * (one.angle - other.angle)))
         if abs(apart) > _DISAGREEMENT_SIGMAS * np.hypot(one.sigma, other.sigma):
@@ -114,7 +120,12 @@ def _angle_under_sun(
     points: Array,
     model: ShadowModel | ShapeMixture,
 ) -> SunAngle:
-    """Return the angle of faces (n,) and axes (n,) relative to an assumed Sun."""
+    """Estimate the angle by which shadows differ from those of an assumed Sun.
+
+    `towards` is the azimuth of the Sun as a unit vector. `gap` (n,) are unit vectors from lit faces
+    to black pixels, and `axes` (n,) the patch axes as vectors at twice their angle. Vectors have
+    east as real and north as imaginary part. `points` (n, 3) are the positions of the rocks, m.
+    """
     seen_at = viewing_angles(view, points, np.array([towards.real, towards.imag, 0.0]))
     models = model.models if isinstance(model, ShapeMixture) else (model,)
     shares = model.shape_shares if isinstance(model, ShapeMixture) else np.ones(1)
@@ -133,9 +144,11 @@ def _angle_under_sun(
 def _shadow_to_lit(
     seen: Detections, view: View, points: Array, threshold: float
 ) -> tuple[Index, Complex]:
-    """Return rocks with separate black and lit parts (n,), and vectors (n,).
+    """Find rocks with separate black and lit parts; return their indices and vectors.
 
-    The horizontal vectors point from lit to black; east is real, north imaginary.
+    The horizontal vectors (n,) point from lit to black; east is real, north imaginary. `points` are
+    the positions of all rocks, m. `threshold` is the excess over lit terrain from which a pixel
+    counts as bright.
     """
     ring = cv2.dilate(seen.rock, np.ones((2 * _RING_PX + 1, 2 * _RING_PX + 1), np.uint8))
     sums = kernels.black_and_lit(
@@ -158,13 +171,25 @@ def _shadow_to_lit(
     gap -= sums[:, [kernels.LIT_U, kernels.LIT_V]] / lit
     apart = np.hypot(*gap.T) > _MIN_GAP_PX
     at, gap = at[apart], gap[apart]
-    moves = view.pinhole.jacobian((points[at] - view.position) @ view.into.T, view.into[:, :2])
+    moves = view.pinhole.jacobian(
+        (points[at] - view.position) @ view.enu_to_sensor.T, view.enu_to_sensor[:, :2]
+    )
     return at, np.linalg.solve(moves, gap[:, :, None])[:, :, 0] @ np.array([1.0, 1.0j])
 
 
 @dataclass(frozen=True)
 class _ShapeAngle:
-    """Angle under one hypothesis of the rock shape, see `SunAngle`, and its weight."""
+    """Angle between shadows and their expected direction under one rock shape.
+
+    Attributes
+    ----------
+    angle, sigma
+        Angle and its standard deviation, rad; infinite deviation if unknown.
+    side
+        Significance of the side on which lit faces lie, in standard deviations.
+    weight
+        Weight of the shape.
+    """
 
     angle: float
     sigma: float
@@ -173,9 +198,11 @@ class _ShapeAngle:
 
 
 def _angle_for_shape(faces: Complex, axes: Complex, share: float, drawn: float) -> _ShapeAngle:
-    """Return the angle given by faces and axes (n,) under one rock shape.
+    """Estimate the angle from faces and axes (n,) under one rock shape.
 
-    `drawn` is the common error of the faces, 1 sigma, rad.
+    `faces` and `axes` are vectors relative to their expected directions, axes at twice the angle.
+    `share` is the prior fraction of the shape. `drawn` is the error common to all faces, 1 sigma,
+    rad.
     """
     angle, sigma = mean_angle(faces)
     sigma = float(np.hypot(sigma, drawn))
@@ -196,7 +223,11 @@ def _angle_for_shape(faces: Complex, axes: Complex, share: float, drawn: float) 
 
 
 def _combine(estimates: list[_ShapeAngle], number: int) -> SunAngle:
-    """Return the angle averaged over the hypotheses of the rock shape."""
+    """Average the angle over the hypotheses of the rock shape.
+
+    `number` is the number of rocks. The result is an unknown angle if all shapes fit badly.
+    `estimates` are the angles under each shape.
+    """
     weight = np.array([one.weight for one in estimates])
     known = np.array([np.isfinite(one.sigma) for one in estimates])
     if weight.sum() < _MIN_LIKELIHOOD or weight[known].sum() < 0.5 * weight.sum():

@@ -77,15 +77,16 @@ class ImageQuality:
     ----------
     fault
         First fault found; None: the image is accepted.
-    figures
-        Metrics measured so far, by name: `lit` (counts), `saturated`, `gaps`, `dark` (fractions),
-        `noise` (relative to lit terrain), `shadows` (number), `shade` (relative to lit terrain),
-        `width`, `smear` (pixels, 1 sigma of edges), `turn`, `turn_sigma` (rad), `turn_side`
-        (standard deviations).
+    metrics
+        Metrics measured so far, by name: `lit` (brightness of lit terrain, counts), `saturated`,
+        `gaps`, `dark` (fractions), `noise` (relative to lit terrain), `shadows` (number), `shade`
+        (brightness of shadows relative to lit terrain), `width`, `smear` (pixels, 1 sigma of
+        edges), `turn`, `turn_sigma` (angle of shadows from their expected direction, rad),
+        `turn_side` (its significance, standard deviations).
     """
 
     fault: ImageRejection | None
-    figures: dict[str, float]
+    metrics: dict[str, float]
 
     @property
     def good(self) -> bool:
@@ -94,7 +95,7 @@ class ImageQuality:
 
     @property
     def alarm(self) -> bool:
-        """Whether camera, image or Sun direction is faulty, not only the view empty."""
+        """Whether camera, image or Sun direction is faulty; False if the view is empty."""
         return self.fault is not None and self.fault not in _INCONCLUSIVE
 
 
@@ -106,124 +107,137 @@ class ImageQualitySettings:
     ----------
     blur_sigma
         Calibrated point spread of the camera, 1 sigma, pixels.
-    least_lit
+    min_lit_counts
         Minimum counts of lit terrain; one count is then an eighth of its brightness.
-    most_saturated
+    max_saturated_fraction
         Maximum fraction of the pixels at the highest count.
-    most_noise
+    max_noise
         Maximum noise of a pixel relative to lit terrain, in any part of the image.
-    most_dark
+    max_dark_fraction
         Maximum fraction of the image that is dark, whether shadow or sky.
-    most_gaps
+    max_missing_fraction
         Maximum fraction of pixels that are not finite, and of rows or columns that are missing.
-    most_same
+    max_repeated_fraction
         Maximum fraction of the lit pixels of a band that equal those of an earlier image.
-    most_shade
+    max_shadow_brightness
         Maximum brightness of the darkest shadows relative to lit terrain.
-    least_shadows
+    min_shadows
         Minimum number of rock shadows.
-    most_width
+    max_edge_width_ratio
         Maximum width of the sharpest shadow edges, relative to that of the point spread.
-    most_smear
-        The same for the direction with the widest edges.
-    most_turn, least_turn
-        Angle between shadows and their expected direction up to which the Sun direction is
-        confirmed, and from which it is contradicted, rad; in between neither holds.
-    high_turn
-        Replaces `least_turn` under a high Sun, where boulders brighter than the terrain bias the
-        angle by up to 18 deg, rad.
+    max_smear_ratio
+        Maximum width of the sharpest edges in the direction with the widest edges, relative to that
+        of the point spread.
+    confirm_angle, contradict_angle
+        Angles between shadows and their expected direction, rad. Up to the first the Sun direction
+        is confirmed; from the second it is contradicted; in between neither holds.
+    high_sun_contradict_angle
+        Replaces `contradict_angle` under a high Sun, where boulders brighter than the terrain bias
+        the angle by up to 18 deg, rad.
     turn_sigma
-        Maximum standard deviation of that angle for a conclusion, rad.
-    least_side
-        Minimum significance against an error of half a turn, standard deviations.
-    least_agreement
-        Minimum mean resultant length of the directions from lit faces to shadows for a
+        Maximum standard deviation of the angle for a conclusion, rad.
+    min_side_significance
+        Minimum significance of the side on which lit faces lie, which excludes an error of half a
+        turn, standard deviations.
+    contradict_agreement
+        Minimum agreement (mean resultant length) of the directions from lit faces to shadows for a
         contradiction. Craters and slopes shift the angle too, but agree less.
-    proof_agreement
-        The same for a confirmation. Where shadows merge, terrain between them is taken for lit
-        faces on the wrong side, and fewer directions agree.
-    wrong_turn, wrong_by
-        Maximum error of the Sun direction, rad. Under a high Sun a less accurate angle also
-        confirms the direction if it is `wrong_by` standard deviations away from `wrong_turn`.
+    confirm_agreement
+        Minimum agreement of these directions for a confirmation. Where shadows merge, terrain
+        between them is taken for lit faces on the wrong side, and fewer directions agree.
+    max_confirmed_error, confirm_sigmas
+        Maximum error of a confirmed Sun direction, rad. Under a high Sun a less accurate angle also
+        confirms the direction if it is `confirm_sigmas` standard deviations away from
+        `max_confirmed_error`.
     """
 
     blur_sigma: float = 0.6
-    least_lit: float = 8.0
-    most_saturated: float = 0.1
-    most_noise: float = 0.08
-    most_dark: float = 0.6
-    most_gaps: float = 0.02
-    most_same: float = 0.9
-    most_shade: float = 0.35
-    least_shadows: int = 4
-    most_width: float = 1.25
-    most_smear: float = 1.15
-    most_turn: float = float(np.deg2rad(10.0))
-    least_turn: float = float(np.deg2rad(15.0))
-    high_turn: float = float(np.deg2rad(25.0))
+    min_lit_counts: float = 8.0
+    max_saturated_fraction: float = 0.1
+    max_noise: float = 0.08
+    max_dark_fraction: float = 0.6
+    max_missing_fraction: float = 0.02
+    max_repeated_fraction: float = 0.9
+    max_shadow_brightness: float = 0.35
+    min_shadows: int = 4
+    max_edge_width_ratio: float = 1.25
+    max_smear_ratio: float = 1.15
+    confirm_angle: float = float(np.deg2rad(10.0))
+    contradict_angle: float = float(np.deg2rad(15.0))
+    high_sun_contradict_angle: float = float(np.deg2rad(25.0))
     turn_sigma: float = float(np.deg2rad(5.0))
-    least_side: float = 4.0
-    least_agreement: float = 0.55
-    proof_agreement: float = 0.2
-    wrong_turn: float = float(np.deg2rad(30.0))
-    wrong_by: float = 3.5
+    min_side_significance: float = 4.0
+    contradict_agreement: float = 0.55
+    confirm_agreement: float = 0.2
+    max_confirmed_error: float = float(np.deg2rad(30.0))
+    confirm_sigmas: float = 3.5
 
     def __post_init__(self) -> None:
         check_types("health", self)
         if not (np.isfinite(self.blur_sigma) and self.blur_sigma >= 0.0):
             raise InputError("health.blur_sigma", self.blur_sigma, "must be 0 or positive")
-        for name in ("most_saturated", "most_dark", "most_gaps", "most_same"):
+        for name in (
+            "max_saturated_fraction",
+            "max_dark_fraction",
+            "max_missing_fraction",
+            "max_repeated_fraction",
+        ):
             if not 0.0 < getattr(self, name) <= 1.0:
                 raise InputError(
                     f"health.{name}", getattr(self, name), "must be above 0 and at most 1"
                 )
-        for name in ("least_lit", "most_noise", "least_shadows", "most_shade", "most_width",
-                     "most_smear", "most_turn", "least_turn", "high_turn", "turn_sigma",
-                     "least_side", "least_agreement", "proof_agreement", "wrong_turn",
-                     "wrong_by"):  # fmt: skip
+        for name in ("min_lit_counts", "max_noise", "min_shadows", "max_shadow_brightness",
+        "max_edge_width_ratio",
+                     "max_smear_ratio", "confirm_angle", "contradict_angle",
+                     "high_sun_contradict_angle", "turn_sigma",
+                     "min_side_significance", "contradict_agreement", "confirm_agreement",
+                     "max_confirmed_error",
+                     "confirm_sigmas"):  # fmt: skip
             if not (np.isfinite(getattr(self, name)) and getattr(self, name) > 0.0):
                 raise InputError(
                     f"health.{name}", getattr(self, name), "must be positive and finite"
                 )
-        for name in ("least_agreement", "proof_agreement"):
+        for name in ("contradict_agreement", "confirm_agreement"):
             if getattr(self, name) > 1.0:
                 raise InputError(f"health.{name}", getattr(self, name), "must be at most 1")
-        if not self.most_turn <= self.least_turn <= np.pi:
-            turns = (self.most_turn, self.least_turn)
+        if not self.confirm_angle <= self.contradict_angle <= np.pi:
+            turns = (self.confirm_angle, self.contradict_angle)
             raise InputError(
-                "health.most_turn, least_turn", turns, "must be ascending angles of at most pi rad"
+                "health.confirm_angle, contradict_angle",
+                turns,
+                "must be ascending angles of at most pi rad",
             )
 
 
 @dataclass
 class SunConfirmation:
-    """Whether shadows have confirmed the assumed Sun direction.
+    """Record whether shadows have confirmed the assumed Sun direction.
 
     The Sun does not move, so later images, also of other cameras of the same lander, need not
     confirm it again. An image that contradicts it withdraws the confirmation.
 
     Attributes
     ----------
-    seen
+    confirmed
         Whether the direction is confirmed.
     side
-        Highest significance of a confirming image, see `SunAngle.side`.
+        Highest significance (`SunAngle.side`) of an image that confirmed the direction.
     """
 
-    seen: bool = False
+    confirmed: bool = False
     side: float = 0.0
 
 
 class ImageQualityCheck:
-    """Checks the quality of the images of one camera in sequence.
+    """Check the quality of the images of one camera in sequence.
 
     Parameters
     ----------
     settings
-        See `ImageQualitySettings`.
+        Criteria for accepting an image; default: default criteria.
     sun
-        Confirmation of the Sun direction, shared with other cameras of the lander; default: its
-        own.
+        Confirmation of the Sun direction, shared with other cameras of the lander; default: a
+        separate one.
     """
 
     def __init__(
@@ -234,7 +248,7 @@ class ImageQualityCheck:
         self._last: deque[NDArray[Any]] = deque(maxlen=_COMPARED_FRAMES)
 
     def before_detection(self, counts: ArrayLike, camera: CameraModel, pose: Pose) -> ImageQuality:
-        """Check an image by itself.
+        """Check the pixels of an image before rocks are detected in it.
 
         Parameters
         ----------
@@ -259,35 +273,43 @@ class ImageQualityCheck:
     def _check_counts(
         self, raw: NDArray[Any], below_horizon: NDArray[np.bool_], figures: dict[str, float]
     ) -> ImageRejection | None:
+        """Check the pixels of an image; return the first fault, or None.
+
+        `raw` is the image, `below_horizon` marks the sampled pixels that show terrain, and
+        `figures` receives the measured metrics.
+        """
         s = self.settings
         sampled = raw[::_PIXEL_STRIDE, ::_PIXEL_STRIDE]
         is_finite = np.isfinite(sampled)
         figures["gaps"] = 1.0 - float(is_finite.mean())
-        if figures["gaps"] > s.most_gaps:
+        if figures["gaps"] > s.max_missing_fraction:
             return ImageRejection.NO_NUMBERS
-        same = self._repeated_fraction(sampled, s.least_lit)
+        same = self._repeated_fraction(sampled, s.min_lit_counts)
         self._last.append(sampled.copy())
         below_horizon = below_horizon & is_finite
         if not below_horizon.any():
             return ImageRejection.NO_SHADOWS
         figures["lit"] = _lit_brightness(sampled[below_horizon])
-        if not figures["lit"] >= s.least_lit:
+        if not figures["lit"] >= s.min_lit_counts:
             return ImageRejection.FAINT
         figures["saturated"] = float(
             (sampled[below_horizon] == sampled[below_horizon].max()).mean()
         )
-        if figures["saturated"] > s.most_saturated:
+        if figures["saturated"] > s.max_saturated_fraction:
             return ImageRejection.SATURATED
         figures["gaps"] = max(figures["gaps"], _missing_lines(raw, below_horizon, figures["lit"]))
-        if figures["gaps"] > s.most_gaps:
+        if figures["gaps"] > s.max_missing_fraction:
             return ImageRejection.GAPS
-        if same > s.most_same:
+        if same > s.max_repeated_fraction:
             return ImageRejection.STUCK
         figures["noise"] = _noise(raw) / figures["lit"]
-        return ImageRejection.NOISE if not figures["noise"] <= s.most_noise else None
+        return ImageRejection.NOISE if not figures["noise"] <= s.max_noise else None
 
     def _repeated_fraction(self, sampled: NDArray[Any], lit: float) -> float:
-        """Return the maximum fraction of lit pixels of a band that repeat earlier ones."""
+        """Return the maximum fraction of lit pixels of a band that repeat earlier images.
+
+        `sampled` are the sampled pixels and `lit` is the brightness from which they count.
+        """
         highest = 0.0
         bright = sampled >= lit
         for last in self._last:
@@ -306,60 +328,70 @@ class ImageQualityCheck:
         return highest
 
     def after_detection(self, seen: Detections, turn: SunAngle, noise: float) -> ImageQuality:
-        """Check an image by the shadows found in it.
+        """Check an image by the shadows detected in it, and the Sun direction by theirs.
 
         Parameters
         ----------
         seen
             Detections in the image.
         turn
-            Angle between shadows and their expected direction.
+            Measured angle between shadows and their expected direction.
         noise
-            Noise from `before_detection`.
+            Noise of a pixel relative to lit terrain, from `before_detection`.
         """
         s = self.settings
         dark = float((seen.labels[::_PIXEL_STRIDE, ::_PIXEL_STRIDE] > 0).mean())
         figures = {"dark": dark, "shadows": float(len(seen))}
-        if dark > s.most_dark:
+        if dark > s.max_dark_fraction:
             return ImageQuality(ImageRejection.DARK, figures)
         widths = edge_widths(seen, noise)
-        figures |= {"width": widths.sharpest, "smear": widths.least_sharp}
+        figures |= {"width": widths.sharpest, "smear": widths.least_sharp_direction}
         figures |= {"turn": turn.angle, "turn_sigma": turn.sigma, "turn_side": turn.side}
-        if widths.number < s.least_shadows:
+        if widths.number < s.min_shadows:
             return ImageQuality(ImageRejection.NO_SHADOWS, figures)
         fault = self._check_sharpness(widths)
         figures["shade"] = _shadow_brightness(seen)
-        if fault is None and figures["shade"] > s.most_shade:
+        if fault is None and figures["shade"] > s.max_shadow_brightness:
             fault = ImageRejection.VEILED
         return ImageQuality(fault or self._check_sun(turn), figures)
 
     def _check_sharpness(self, widths: EdgeWidths) -> ImageRejection | None:
+        """Return the fault of images with blurred shadow edges, or None."""
         expected = EdgeWidths.expected(self.settings.blur_sigma)
-        if not widths.sharpest <= self.settings.most_width * expected:
+        if not widths.sharpest <= self.settings.max_edge_width_ratio * expected:
             return ImageRejection.BLURRED
-        if not widths.least_sharp <= self.settings.most_smear * max(expected, MIN_WIDTH):
+        if not widths.least_sharp_direction <= self.settings.max_smear_ratio * max(
+            expected, MIN_WIDTH
+        ):
             return ImageRejection.SMEARED
         return None
 
     def is_accurate(self, turn: SunAngle) -> bool:
-        """Return whether the angle is accurate enough to locate the Sun."""
-        s = self.settings
-        return turn.sigma <= s.turn_sigma and turn.side >= s.least_side
+        """Return whether a measured shadow angle is accurate enough to locate the Sun.
 
-    def judges(self, turn: SunAngle) -> bool:
-        """Return whether shadows confirm or contradict the Sun direction."""
-        near = abs(turn.angle) < self.settings.least_turn
+        `turn` is the angle between shadows and their expected direction.
+        """
+        s = self.settings
+        return turn.sigma <= s.turn_sigma and turn.side >= s.min_side_significance
+
+    def is_conclusive(self, turn: SunAngle) -> bool:
+        """Return whether a shadow angle confirms or contradicts the Sun direction.
+
+        `turn` is the angle between shadows and their expected direction.
+        """
+        near = abs(turn.angle) < self.settings.contradict_angle
         return self.contradicts(turn) or (self.is_accurate(turn) and near)
 
     def contradicts(self, turn: SunAngle) -> bool:
-        """Return whether consistent shadows of rocks contradict the Sun direction.
+        """Return whether a measured shadow angle contradicts the Sun direction.
 
-        If lit faces agree with the Sun direction but axes do not, the axes belong to merged shadows
-        and do not count.
+        The angle must be accurate and the shadows consistent. If lit faces agree with the Sun
+        direction but axes of patches do not, the axes belong to merged shadows and do not count.
+        `turn` is the angle between shadows and their expected direction.
         """
         s = self.settings
-        agrees = turn.high_sun or turn.agreement >= s.least_agreement
-        wrong_angle = s.high_turn if turn.high_sun else s.least_turn
+        agrees = turn.high_sun or turn.agreement >= s.contradict_agreement
+        wrong_angle = s.high_sun_contradict_angle if turn.high_sun else s.contradict_angle
         contradicted_by_faces = abs(turn.by_faces) < wrong_angle
         return (
             self.is_accurate(turn)
@@ -369,26 +401,32 @@ class ImageQualityCheck:
         )
 
     def _check_sun(self, turn: SunAngle) -> ImageRejection | None:
+        """Compare a shadow angle with the Sun direction; return a fault, or None.
+
+        Updates whether the Sun direction is confirmed. `turn` is the angle between shadows and
+        their expected direction.
+        """
         s = self.settings
         if self.contradicts(turn):
-            self.sun.seen, self.sun.side = False, 0.0
+            self.sun.confirmed, self.sun.side = False, 0.0
             return ImageRejection.SUN_ELSEWHERE
         is_far = (
-            turn.side >= s.least_side and abs(turn.angle) - s.wrong_by * turn.sigma > s.most_turn
+            turn.side >= s.min_side_significance
+            and abs(turn.angle) - s.confirm_sigmas * turn.sigma > s.confirm_angle
         )
-        if is_far or (self.is_accurate(turn) and abs(turn.angle) >= s.least_turn):
+        if is_far or (self.is_accurate(turn) and abs(turn.angle) >= s.contradict_angle):
             # Either craters and merged shadows cause this, or the Sun direction is wrong.
-            self.sun.seen &= turn.side <= self.sun.side
+            self.sun.confirmed &= turn.side <= self.sun.side
             return ImageRejection.SUN_UNPROVEN
-        agrees = turn.high_sun or turn.agreement >= s.proof_agreement
+        agrees = turn.high_sun or turn.agreement >= s.confirm_agreement
         is_proven = (self.is_accurate(turn) and agrees) or (
             turn.high_sun
-            and turn.side >= s.least_side
-            and abs(turn.angle) + s.wrong_by * turn.sigma <= s.wrong_turn
+            and turn.side >= s.min_side_significance
+            and abs(turn.angle) + s.confirm_sigmas * turn.sigma <= s.max_confirmed_error
         )
-        if is_proven and abs(turn.angle) <= s.most_turn:
-            self.sun.seen, self.sun.side = True, max(self.sun.side, turn.side)
-        return None if self.sun.seen else ImageRejection.SUN_UNPROVEN
+        if is_proven and abs(turn.angle) <= s.confirm_angle:
+            self.sun.confirmed, self.sun.side = True, max(self.sun.side, turn.side)
+        return None if self.sun.confirmed else ImageRejection.SUN_UNPROVEN
 
 
 def _shadow_brightness(seen: Detections) -> float:
@@ -399,7 +437,7 @@ def _shadow_brightness(seen: Detections) -> float:
 
 
 def _lit_brightness(seen: NDArray[Any]) -> float:
-    """Return the brightness of lit terrain among pixels (n,), counts.
+    """Return the brightness of lit terrain among pixels `seen` (n,), counts.
 
     Lit pixels have at least half of the brightness of the 90th percentile, also if most of the
     image is dark.
@@ -411,7 +449,7 @@ def _lit_brightness(seen: NDArray[Any]) -> float:
 
 
 def _looks_down(view: View) -> NDArray[np.bool_]:
-    """Return which sampled pixels look below the horizon."""
+    """Return which sampled pixels (rows, cols) are below the horizon."""
     u = (np.arange(0, view.width, _PIXEL_STRIDE) - view.cx) / view.fx
     v = (np.arange(0, view.height, _PIXEL_STRIDE) - view.cy) / view.fy
     up = view.axes[2]
@@ -421,8 +459,10 @@ def _looks_down(view: View) -> NDArray[np.bool_]:
 def _missing_lines(raw: NDArray[Any], below_horizon: NDArray[np.bool_], lit: float) -> float:
     """Return the fraction of rows or columns of terrain that were not read out.
 
-    Such lines repeat the previous line, which never happens on lit terrain, or they are completely
-    dark up to a straight end, which no shadow has.
+    `raw` is the image, `below_horizon` marks the sampled pixels that show terrain, and `lit` is the
+    brightness of lit terrain, counts. Lines that were not read out repeat the previous line, which
+    never happens on lit terrain, or they are completely dark up to a straight end, which no shadow
+    has.
     """
     highest = 0.0
     for image, below in ((raw, below_horizon), (raw.T, below_horizon.T)):
@@ -445,7 +485,10 @@ def _missing_lines(raw: NDArray[Any], below_horizon: NDArray[np.bool_], lit: flo
 
 
 def _exclude_sky(below_horizon: NDArray[np.bool_], dark: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return which lines (n,) show terrain, without dark lines next to the sky."""
+    """Return which image lines (n,) show terrain, without dark lines next to the sky.
+
+    `below_horizon` and `dark` (n,) mark the lines below the horizon and the dark lines.
+    """
     out = below_horizon.copy()
     for order in (range(1, len(out)), range(len(out) - 2, -1, -1)):
         for i in order:
@@ -456,16 +499,18 @@ def _exclude_sky(below_horizon: NDArray[np.bool_], dark: NDArray[np.bool_]) -> N
 
 
 def _noise(raw: NDArray[Any]) -> float:
-    """Return the noise of a pixel, 1 sigma, in the noisiest part of the image.
+    """Return the noise of a pixel, 1 sigma, counts, in the noisiest part of the image.
 
     Uses the Laplacian of Immerkaer (1996, Computer Vision and Image Understanding 64), which is 0
     on a slope. Its lower quartile is insensitive to edges, also if they fill half of the image.
+    `raw` is the image.
     """
     h, w = raw.shape
     if min(h, w) < 3 * _BAND_COUNT:
         return 0.0
 
     def at(di: int, dj: int) -> NDArray[np.float32]:
+        """Return the sampled pixels shifted by (di, dj)."""
         return raw[1 + di : h - 1 + di : _PIXEL_STRIDE, 1 + dj : w - 1 + dj : _PIXEL_STRIDE].astype(
             np.float32
         )

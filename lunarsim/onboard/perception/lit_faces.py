@@ -55,17 +55,18 @@ _BLUR_RADII = 0.22
 
 
 def lit_faces(model: ShadowModel, azimuth: Any, depression: Any) -> tuple[Complex, Complex]:
-    """Return the mean directions of faces and patches of rocks under a high Sun.
+    """Return the expected directions of lit rock faces and dark patches, high Sun.
 
-    Directions are complex numbers in the terrain plane: the real axis points towards the Sun, the
-    imaginary axis to the left of it.
+    Both are means over a population of rocks. Directions are complex numbers in the terrain plane:
+    the real axis points towards the Sun, the imaginary axis to the left of it.
 
     Parameters
     ----------
     model
-        Model of the rocks.
+        Shadow model of the rocks, which defines Sun elevation and shapes.
     azimuth, depression
-        See `ShadowModel.patch` (n,), rad.
+        Azimuth of the camera from the rock minus that of the Sun, clockwise from above, and
+        depression of the line of sight (n,), rad.
 
     Returns
     -------
@@ -85,7 +86,10 @@ def lit_faces(model: ShadowModel, azimuth: Any, depression: Any) -> tuple[Comple
 
 @lru_cache(maxsize=32)
 def _table(elevation: float, shapes: RockModel) -> Complex:
-    """Return direction and axis (azimuths, depressions, 2) of a population."""
+    """Tabulate the mean directions of faces and patches for a population of rocks.
+
+    `elevation` is that of the Sun, rad. The result has shape (azimuths, depressions, 2).
+    """
     field = shapes.draw(np.full(_ROCKS_PER_SHAPE, 2.0), np.random.default_rng(1966))
     scenes = [RockOnPlane(field, k) for k in range(len(field))]
     sun = direction_from_angles(0.0, elevation)
@@ -99,9 +103,12 @@ def _table(elevation: float, shapes: RockModel) -> Complex:
 
 
 def _directions_of_rock(scene: RockOnPlane, sun: Array, camera: Array) -> tuple[complex, complex]:
-    """Return direction and axis of one rock of radius 1; 0 where they are not visible.
+    """Return image directions of one rock: lit face to shadow, and long dark axis.
 
-    The Sun is in the north, so the direction to its left is west.
+    The first points from the lit face to the black shadow; the second is the squared direction of
+    the long axis of the dark patch. Both are complex numbers, 0 where not visible. `sun` and
+    `camera` (3,) are directions. The Sun is in the north, so the direction to its left is west.
+    `scene` is the rock on a plane.
     """
     place, brightness = _render(scene, sun, camera)
     dark = brightness < DARK
@@ -119,7 +126,11 @@ def _directions_of_rock(scene: RockOnPlane, sun: Array, camera: Array) -> tuple[
 
 
 def _render(scene: RockOnPlane, sun: Array, camera: Array) -> tuple[Complex, Array]:
-    """Return positions on the terrain (n,) and their blurred relative brightness."""
+    """Render a rock; return positions on the terrain and their brightness, both (n,).
+
+    `sun` and `camera` (3,) are directions. Positions are complex, and brightness is relative to
+    horizontal terrain and blurred. `scene` is the rock on a plane.
+    """
     reach = shadow_reach(float(np.arcsin(sun[2])))
     shape, position, point, normal = visible_points_about_rock(
         scene, camera, reach, 1.0 / _SAMPLES_PER_RADIUS

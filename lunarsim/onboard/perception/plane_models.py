@@ -16,7 +16,9 @@ Model = TypeVar("Model", ShadowModel, ShapeMixture, ShadowModel | ShapeMixture)
 
 
 def model_on_plane(model: Model, plane: GroundPlane, sun: Array) -> Model:
-    """Return the shadow model in coordinates in which a plane is horizontal.
+    """Return the shadow model for coordinates in which a sloping plane is horizontal.
+
+    In these coordinates the Sun has another elevation above the plane.
 
     Parameters
     ----------

@@ -32,7 +32,7 @@ _PIXEL_STRIDE = 2
 
 @dataclass(frozen=True)
 class Segmentation:
-    """Shadowed pixels of one image.
+    """Shadowed pixels of one image, and its brightness relative to lit terrain.
 
     Attributes
     ----------
@@ -62,8 +62,8 @@ def segment(image: ArrayLike, *, gamma: float = 0.7, window: float = 0.12) -> Se
     """Find the shadowed pixels of an image.
 
     The image is divided by the brightness of nearby lit terrain, then by that of nearby slopes, and
-    is gamma-corrected. The brightness of shadow and the variation of lit terrain come from the
-    image itself. The threshold lies half way between shadow and lit terrain, for small shadows
+    is gamma-corrected. The brightness of shadow and the variation of lit terrain are estimated from
+    the image itself. The threshold lies half way between shadow and lit terrain, for small shadows
     higher.
 
     Parameters
@@ -71,9 +71,9 @@ def segment(image: ArrayLike, *, gamma: float = 0.7, window: float = 0.12) -> Se
     image
         Counts or radiance (height, width); NaN for invalid pixels.
     gamma
-        Exponent; values below 1 expand dark tones.
+        Exponent of the gamma correction; values below 1 expand dark tones.
     window
-        Side of the neighbourhood as a fraction of the image's width.
+        Side of the neighbourhood for lit terrain, as a fraction of the image's width.
 
     Raises
     ------
@@ -113,15 +113,20 @@ def segment(image: ArrayLike, *, gamma: float = 0.7, window: float = 0.12) -> Se
 
 
 def _no_shadows(shape: tuple[int, ...], left_out: NDArray[np.bool_] | None) -> Segmentation:
+    """Return a segmentation without shadows for an image of a shape.
+
+    `left_out` marks the pixels that are not finite.
+    """
     none = np.zeros(shape, np.uint8)
     black = none.astype(np.float32)
     return Segmentation(none, none, none, black, black, left_out)
 
 
 def lit_terrain_brightness(grey: NDArray[np.float32], window: float) -> NDArray[np.float32]:
-    """Return the brightness of lit terrain about each pixel (height, width).
+    """Estimate the brightness of lit terrain around each pixel (height, width).
 
-    `window` is the side of the neighbourhood as a fraction of the width.
+    `grey` (height, width) is the image and `window` the side of the neighbourhood as a fraction of
+    the image's width.
     """
     height, width = grey.shape
     small = cv2.resize(
@@ -144,13 +149,17 @@ def lit_terrain_brightness(grey: NDArray[np.float32], window: float) -> NDArray[
 
 
 def _gamma_corrected(ratio: NDArray[np.float32], gamma: float) -> NDArray[np.uint8]:
+    """Return a gamma-corrected 8-bit image of the relative brightness `ratio`."""
     scaled = cv2.convertScaleAbs(ratio, alpha=170.0)
     table = np.rint(255.0 * (np.arange(256) / 255.0) ** gamma).astype(np.uint8)
     return np.asarray(cv2.LUT(scaled, table))
 
 
 def _brightness_levels(ratio: NDArray[np.float32]) -> tuple[float, float] | None:
-    """Return the brightness of shadow and of lit terrain; None without shadows."""
+    """Estimate the brightness of shadow and of lit terrain; None without shadows.
+
+    `ratio` (height, width) is the brightness relative to nearby lit terrain.
+    """
     # One histogram gives both: the median of lit terrain, and the darkest pixels.
     bins: Any = cv2.calcHist([ratio], [0], None, [512], [0.0, 2.0]).ravel()
     level = (np.arange(512) + 0.5) / 256.0
@@ -170,14 +179,22 @@ def _brightness_levels(ratio: NDArray[np.float32]) -> tuple[float, float] | None
 
 
 def _lit_sigma(ratio: NDArray[np.float32], core: float, lit: float) -> float:
-    """Return the variation of lit terrain between pixels, 1 sigma."""
+    """Return the variation of lit terrain between neighbouring pixels, 1 sigma.
+
+    `ratio` (height, width) is the relative brightness; `core` and `lit` are the brightness of
+    shadow and of lit terrain.
+    """
     sampled = ratio[::_PIXEL_STRIDE, ::_PIXEL_STRIDE]
     step = np.abs(sampled[:, 1:] - sampled[:, :-1])[sampled[:, 1:] > 0.5 * (core + lit)]
     return float(np.median(step[:: max(len(step) // 20_000, 1)])) / 0.954 if len(step) else 0.0
 
 
 def _slope_brightness(ratio: NDArray[np.float32], core: float, lit: float) -> NDArray[np.float32]:
-    """Return the brightness of nearby slopes relative to lit terrain (height, width)."""
+    """Return the brightness of nearby slopes relative to lit terrain (height, width).
+
+    `ratio` (height, width) is the relative brightness; `core` and `lit` are the brightness of
+    shadow and of lit terrain.
+    """
     height, width = ratio.shape
     size = (max(width // _SLOPE_SCALE, 1), max(height // _SLOPE_SCALE, 1))
     shown = cv2.threshold(
@@ -197,10 +214,15 @@ def _slope_brightness(ratio: NDArray[np.float32], core: float, lit: float) -> ND
 def _shadow_masks(
     relative: NDArray[np.float32], ratio: NDArray[np.float32], core: float, lit: float
 ) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
-    """Return masks of shadow, and of pixels below half way (height, width)."""
+    """Return masks of shadow, and of pixels below half brightness (height, width).
+
+    `relative` and `ratio` (height, width) are the brightness relative to nearby slopes and to lit
+    terrain; `core` and `lit` are the brightness of shadow and of lit terrain.
+    """
     core, darkest = core / lit, core + _MIN_SLOPE_LEVEL * (lit - core)
 
     def below(level: float) -> NDArray[np.uint8]:
+        """Return the mask of pixels below a level between shadow (0) and lit terrain (1)."""
         threshold = min(
             core + level * (1.0 - core), _MAX_SHADOW_RATIO + (level - _LARGE_SHADOW_LEVEL)
         )

@@ -59,10 +59,10 @@ _AXIS_MODEL_SIGMA_RAD = float(np.deg2rad(3.0))
 
 
 def shadow_directions(image: ArrayLike, seen: Detections, rocks: Index | None = None) -> Array:
-    """Return the direction from each rock's lit face to its shadow (n, 2), image axes.
+    """Return the image direction from each rock's lit face to its shadow (n, 2).
 
-    The lit face is the centroid of the pixels around a patch that are brighter than the terrain.
-    NaN where there is none.
+    The directions are unit vectors, right and down. The lit face is the centroid of the pixels
+    around a patch that are brighter than the terrain. NaN where there is none.
 
     Parameters
     ----------
@@ -119,8 +119,8 @@ def measure_shadow_angle(
     give nothing under a high Sun, when patches are round. Pixels beside a patch that are brighter
     than the terrain nearby are the lit face of the rock. The direction from there to the centre of
     the patch, compared with the model, gives the complete angle. Under a high Sun, faces are no
-    brighter than the terrain; see `high_sun_angle`. Terrain that faces the Sun is bright too, but
-    lies on any side of a rock, so the mean over many rocks is used.
+    brighter than the terrain, and `high_sun_angle` is used. Terrain that faces the Sun is bright
+    too, but lies on any side of a rock, so the mean over many rocks is used.
 
     Parameters
     ----------
@@ -159,8 +159,9 @@ def measure_shadow_angle(
 
 
 def _select_angle(by_faces: SunAngle, by_axes: SunAngle, faces: NDArray[np.complex128]) -> SunAngle:
-    """Return the angle of the axes, unless many consistent faces (n,) contradict it.
+    """Return the angle from patch axes, unless many consistent faces contradict it.
 
+    `by_faces` and `by_axes` are the two angles, `faces` (n,) the unit vectors of the single faces.
     Axes can be wrong: from far and from the side, shadows of rocks behind each other merge, and on
     slopes the shadows of the terrain itself are long.
     """
@@ -174,13 +175,17 @@ def _select_angle(by_faces: SunAngle, by_axes: SunAngle, faces: NDArray[np.compl
 
 
 def _face_angle(faces: NDArray[np.complex128]) -> SunAngle:
-    """Return the angle given by lit faces (n,)."""
+    """Return the mean angle of lit faces, given as unit vectors (n,)."""
     angle, sigma = mean_angle(faces)
     return _sun_angle(faces, angle, sigma)
 
 
 def _sun_angle(faces: NDArray[np.complex128], angle: float, sigma: float) -> SunAngle:
-    """Return an angle with the significance of its side by faces (n,)."""
+    """Combine an angle with the significance of the side on which lit faces lie.
+
+    `faces` (n,) are unit vectors of single faces; `angle` and its standard deviation `sigma` are in
+    rad.
+    """
     if not np.isfinite(sigma):
         return SunAngle(float("nan"), float("inf"), 0.0, len(faces))
     along = np.real(faces * np.exp(-1j * angle))
@@ -193,9 +198,10 @@ def _sun_angle(faces: NDArray[np.complex128], angle: float, sigma: float) -> Sun
 def _axis_errors(
     seen: Detections, view: View, points: Array, sun: Array, model: ShadowModel | ShapeMixture
 ) -> NDArray[np.complex128]:
-    """Return twice the angles from the expected to the measured axes (n,), as vectors.
+    """Return twice the angles from the expected to the measured patch axes (n,).
 
-    The length of a vector grows with expected and measured elongation.
+    They are complex vectors, whose length grows with expected and measured elongation. `points` are
+    the positions of the rocks, m, and `sun` (3,) is the assumed direction towards the Sun, ENU.
     """
     at = np.flatnonzero((seen.q >= _MIN_AXIS_Q) & np.isfinite(points).all(1))
     azimuth, depression = viewing_angles(view, points[at], sun)
@@ -214,9 +220,12 @@ def _face_errors(
     model: ShadowModel | ShapeMixture,
     threshold: float,
 ) -> tuple[NDArray[np.complex128], NDArray[np.bool_]]:
-    """Return unit vectors of the angles from expected to measured directions (n,).
+    """Return the angles from expected to measured face directions as unit vectors.
 
-    The second result is whether the shadow is large enough to separate a face from bright terrain.
+    The vectors (n,) are complex. The second result (n,) is whether the shadow is large enough to
+    separate a face from bright terrain. `points` are the positions of the rocks, m. `threshold` is
+    the excess over lit terrain from which a pixel counts as bright. `sun` (3,) is the assumed
+    direction towards the Sun, ENU.
     """
     ring = cv2.dilate(seen.rock, np.ones((2 * _RING_PX + 1, 2 * _RING_PX + 1), np.uint8))
     sums = kernels.two_sides(
@@ -229,7 +238,9 @@ def _face_errors(
     gap = sums[:, [kernels.DARK_U, kernels.DARK_V]] / sums[:, [kernels.PIXELS]] - bright
     difference = np.hypot(*gap.T) > _MIN_GAP_PX
     at, gap = at[difference], gap[difference]
-    moves = view.pinhole.jacobian((points[at] - view.position) @ view.into.T, view.into[:, :2])
+    moves = view.pinhole.jacobian(
+        (points[at] - view.position) @ view.enu_to_sensor.T, view.enu_to_sensor[:, :2]
+    )
     gap = np.linalg.solve(moves, gap[:, :, None])[:, :, 0]
     away = _expected_gap(view, points[at], sun, model)
     turned = (gap @ [1.0, 1.0j]) * np.conj(away @ [1.0, 1.0j])
@@ -241,7 +252,11 @@ def _face_errors(
 def _expected_gap(
     view: View, points: Array, sun: Array, model: ShadowModel | ShapeMixture
 ) -> Array:
-    """Return the vectors from lit faces to dark patches (n, 2), in radii."""
+    """Return the expected vectors from lit faces to dark patches (n, 2), in radii.
+
+    The vectors are horizontal (east, north) for rocks at `points` (n, 3), m. `sun` (3,) is the
+    assumed direction towards the Sun, ENU.
+    """
     towards = sun[:2] / np.hypot(sun[0], sun[1])
     left = np.array([-towards[1], towards[0]])
     sight = points - view.position
@@ -253,10 +268,11 @@ def _expected_gap(
 
 
 def mean_direction(directions: Array) -> tuple[float, float, int]:
-    """Return median angle, half 95 % interval and number of directions (n, 2).
+    """Return median angle, half the 95 % confidence interval and number of directions.
 
-    Angles are in radians from the first axis towards the second. The interval is that of a mean
-    with the spread found (median absolute deviation).
+    `directions` (n, 2) are vectors; NaN is ignored. Angles are in radians from the first axis
+    towards the second. The interval is that of a mean with the observed spread (median absolute
+    deviation).
     """
     good = directions[np.isfinite(directions).all(1)]
     if len(good) < 3:

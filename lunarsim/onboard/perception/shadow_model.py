@@ -65,7 +65,7 @@ class ShadowPatch:
     area
         Dark area (...).
     along_sigma, side_sigma, length_sigma, width_sigma
-        Standard deviations over the population of shapes (...).
+        Standard deviations of position, length and width over the population of shapes (...).
     """
 
     along: Array
@@ -81,7 +81,7 @@ class ShadowPatch:
 
 
 class ShadowModel:
-    """Dark patches of a population of shapes under one Sun elevation.
+    """Model of the dark patches of rocks of given shapes under one Sun elevation.
 
     Parameters
     ----------
@@ -94,21 +94,21 @@ class ShadowModel:
     Attributes
     ----------
     height
-        Mean height above the terrain, in radii.
+        Mean height of the rocks above the terrain, in radii.
     elongation
         Maximum half axis of a rock, in radii; half the side for a cube.
     longer_axis
-        Mean and standard deviation of the longer half axis, in radii.
+        Mean and standard deviation of the longer half axis of a rock, in radii.
     slope
         Spread of the terrain slope, tangent; 0, since rocks stand on horizontal terrain.
     shadowless_fraction
-        Fraction of the rocks without anything dark, see `faceted_shadowless_fraction`.
+        Fraction of the rocks without any dark area, from `faceted_shadowless_fraction`.
     outline
         Mean and standard deviation of the distance from a rock's centre to its outline, over all
         directions and shapes, in radii.
     radius_sigma, centre_sigma
-        Uncertainty of radius and centre (per axis) by shape that remains for any number of
-        observations, in radii.
+        Uncertainty of radius and centre (per axis) due to the unknown shape that remains for any
+        number of observations, in radii.
 
     Raises
     ------
@@ -141,9 +141,9 @@ class ShadowModel:
         self.outline, self.radius_sigma, self.centre_sigma = _outline(self.shapes)
 
     def under(self, elevation: float) -> ShadowModel:
-        """Return the model of the same shapes under another Sun elevation, rad.
+        """Return the model of the same shapes under another Sun elevation (rad).
 
-        See `near_elevation`.
+        The elevation is rounded to the steps of `near_elevation`.
         """
         nearest = near_elevation(elevation, self.elevation)
         return self if nearest == self.elevation else _model_under(nearest, self.shapes)
@@ -154,7 +154,7 @@ class ShadowModel:
         Parameters
         ----------
         half_axis
-            Value, m.
+            Limit of the half axis, m.
         radius, sigma
             Radii of discs with the area of the rocks, and their standard deviations, positive (n,),
             m.
@@ -164,7 +164,7 @@ class ShadowModel:
         return np.asarray(ndtr((mean * radius - half_axis) / unknown))
 
     def patch(self, azimuth: Any, depression: Any) -> ShadowPatch:
-        """Return the patches seen from given directions.
+        """Return the dark patches of rocks of radius 1 seen from given directions.
 
         Parameters
         ----------
@@ -189,14 +189,15 @@ class ShadowModel:
         return ShadowPatch(along, side, length, width, skew, *rest)
 
     def visible_pixels(self, radius: Any, azimuth: Any, depression: Any, pixel: Any) -> Array:
-        """Return q, the square root of the number of pixels that a patch covers (...).
+        """Return q, the square root of the number of dark pixels of a rock's patch (...).
 
         Parameters
         ----------
         radius
             Radius of the rocks (...), m.
         azimuth, depression
-            See `patch`.
+            Azimuth of the camera from the rock minus that of the Sun, and depression of the line of
+            sight (...), rad.
         pixel
             Size of a pixel across the line of sight at the rock (...), m.
         """
@@ -206,7 +207,10 @@ class ShadowModel:
 
 
 def _longer_axis(least: float, most: float) -> tuple[float, float]:
-    """Return mean and deviation of r^-1/2 for an axis ratio r uniform between limits."""
+    """Return mean and standard deviation of the longer half axis, in radii.
+
+    It is r^-1/2 for an axis ratio r that is uniform between `least` and `most`.
+    """
     if most - least < 1e-6:
         return least**-0.5, 0.0
     mean = 2.0 * (np.sqrt(most) - np.sqrt(least)) / (most - least)
@@ -216,15 +220,16 @@ def _longer_axis(least: float, most: float) -> tuple[float, float]:
 
 @lru_cache(maxsize=128)
 def _model_under(elevation: float, shapes: RockModel) -> ShadowModel:
+    """Return the cached shadow model of given shapes for a Sun elevation (rad)."""
     return ShadowModel(elevation, shapes)
 
 
 def near_elevation(elevation: float, start: float) -> float:
     """Return the nearest Sun elevation for which shadow tables exist, rad.
 
-    From `start`, its tangent changes in steps of 10 %, so the length of shadows is accurate to 5 %.
-    The result lies between 2 and 80 degrees, also if the Sun is below a plane that slopes away from
-    it.
+    From the elevation `start`, rad, its tangent changes in steps of 10 %, so the length of shadows
+    is accurate to 5 %. The result lies between 2 and 80 degrees, also if the Sun is below a plane
+    that slopes away from it.
     """
     elevation = float(np.clip(elevation, MIN_SUN_ELEVATION, MAX_SUN_ELEVATION))
     steps = round(np.log(np.tan(elevation) / np.tan(start)) / np.log(_TANGENT_STEP))
@@ -236,7 +241,7 @@ def near_elevation(elevation: float, start: float) -> float:
 def faceted_shadowless_fraction(
     elevation: float, height_ratio: tuple[float, float] = RockModel.height_ratio
 ) -> float:
-    """Return the fraction of faceted rocks with nothing dark at a Sun elevation (rad).
+    """Return the fraction of faceted rocks without dark areas at a Sun elevation, rad.
 
     The higher the Sun, the more rocks have all faces lit and no shadow beyond their outline: 1 of
     60 at 45 deg, 1 of 5 at 60 deg, fewer for higher rocks. `height_ratio` gives mean and deviation
@@ -252,19 +257,28 @@ def faceted_shadowless_fraction(
 
 
 def shadow_reach(elevation: float) -> float:
-    """Return how far the patch of a rock of radius 1 may reach away from the Sun."""
+    """Return how far the dark patch of a rock of radius 1 extends away from the Sun.
+
+    `elevation` is that of the Sun, rad; the result is an upper bound, in radii.
+    """
     return 1.6 * (1.0 + 1.0 / float(np.tan(elevation))) + 0.5
 
 
 @lru_cache(maxsize=128)
 def _tabulate(elevation: float, shapes: RockModel) -> Array:
-    """Return the cached table (azimuths, depressions, 10) of the `ShadowPatch` fields."""
+    """Return the cached table of dark patches for a Sun elevation (rad) and shapes.
+
+    The table (azimuths, depressions, 10) contains the fields of `ShadowPatch`.
+    """
     key = f"{elevation!r} {shapes!r}"
     return cached_table("shadows", key, lambda: _compute_table(elevation, shapes))
 
 
 def _compute_table(elevation: float, shapes: RockModel) -> Array:
-    """Compute the table of `_tabulate`."""
+    """Compute the table of dark patches for a Sun elevation (rad) by ray casting.
+
+    The table (azimuths, depressions, 10) contains the fields of `ShadowPatch`.
+    """
     rng = np.random.default_rng(1953)
     one = shapes.shape == "hemisphere"
     field = shapes.draw(np.full(1 if one else _ROCKS_PER_SHAPE, 2.0), rng)
@@ -317,10 +331,12 @@ def visible_points_about_rock(
 
 
 def _dark_patch(scene: RockOnPlane, sun: Array, camera: Array, reach: float) -> tuple[float, ...]:
-    """Return parameters of the dark patch of a rock of radius 1.
+    """Return position, length, width, skew and area of the dark patch of a rock.
 
-    These are along, side, length, width, skew and area. The Sun is in the north, so `along` is y
-    and `across`, to its left, is -x.
+    The rock has radius 1. `sun` and `camera` (3,) are directions, and `reach` is the maximum length
+    of the shadow. The results are along, side, length, width, skew and area as in `ShadowPatch`.
+    The Sun is in the north, so `along` is y and `across`, to its left, is -x. `scene` is the rock
+    on a plane.
     """
     step = 1.0 / _SAMPLES_PER_RADIUS
     _, position, point, normal = visible_points_about_rock(scene, camera, reach, step)
@@ -340,7 +356,11 @@ def _dark_patch(scene: RockOnPlane, sun: Array, camera: Array, reach: float) -> 
 
 @lru_cache(maxsize=8)
 def _outline(shapes: RockModel) -> tuple[tuple[float, float], float, float]:
-    """Return outline, radius_sigma and centre_sigma of `ShadowModel` for a population."""
+    """Return outline, radius and centre uncertainty of `ShadowModel` for shapes.
+
+    The outline is mean and standard deviation of the distance from the centre to the outline. All
+    are in radii.
+    """
     if shapes.shape == "hemisphere":
         return (1.0, 0.0), *_PERSISTENT_SIGMAS
     field = shapes.draw(np.full(64, 2.0), np.random.default_rng(1972))

@@ -66,7 +66,7 @@ _LARGEST_SIGMAS = 2.0
 
 @dataclass(frozen=True)
 class RadiusEstimate:
-    """Patches evaluated under all hypotheses.
+    """Radii of rocks, estimated from dark patches under all shape hypotheses.
 
     Attributes
     ----------
@@ -76,9 +76,9 @@ class RadiusEstimate:
         Longest half axis of the largest rock that may cast the shadow, under any hypothesis that is
         not improbable (n,), m.
     unit
-        Patch of a rock of radius 1, mean over the hypotheses (n,).
+        Expected patch of a rock of radius 1, mean over the hypotheses (n,).
     weight
-        Weights of the hypotheses (n, hypotheses).
+        Probabilities of the hypotheses (n, hypotheses).
     """
 
     radius: Array
@@ -89,9 +89,10 @@ class RadiusEstimate:
 
 
 class ShapeMixture:
-    """Dark patches of rocks of unknown shape on terrain of unknown slope.
+    """Model of dark patches of rocks of unknown shape on terrain of unknown slope.
 
-    The other attributes are those of `ShadowModel`, averaged over the estimated population.
+    The fractions of shapes and slopes are estimated from observed patches. The other attributes are
+    those of `ShadowModel`, averaged over the estimated population.
 
     Parameters
     ----------
@@ -103,7 +104,7 @@ class ShapeMixture:
     Attributes
     ----------
     models
-        Model of each shape.
+        Shadow model of each shape.
     """
 
     def __init__(self, elevation: float, expected_shape: str | None = None) -> None:
@@ -127,7 +128,7 @@ class ShapeMixture:
 
     @classmethod
     def known(cls, model: ShadowModel) -> ShapeMixture:
-        """Return the mixture of one shape on horizontal terrain."""
+        """Return a mixture of one shape on horizontal terrain, from its shadow model."""
         one = cls.__new__(cls)
         one.elevation, one.models = model.elevation, (model,)
         one.slopes, one._prior, one._observed_weight = np.zeros(1), np.ones(1), np.zeros(1)
@@ -137,7 +138,7 @@ class ShapeMixture:
     def under(self, elevation: float) -> ShapeMixture:
         """Return the current population under another Sun elevation (rad).
 
-        Elevations change in steps, see `near_elevation`.
+        The elevation is rounded to the steps of `near_elevation`.
         """
         near = near_elevation(elevation, self.elevation)
         if near == self.elevation:
@@ -149,14 +150,17 @@ class ShapeMixture:
 
     @property
     def shares(self) -> Array:
-        """Fractions of the hypotheses (shapes * slopes,), slopes varying fastest."""
+        """Estimated fractions of the hypotheses about shape and slope.
+
+        Shape (shapes * slopes,), slopes varying fastest.
+        """
         count = self._prior + self._observed_weight
         share = np.maximum(count / count.sum(), _MIN_SHARE)
         return np.asarray(share / share.sum())
 
     @property
     def shape_shares(self) -> Array:
-        """Fractions of the shapes (shapes,)."""
+        """Estimated fractions of the shapes (shapes,)."""
         return np.asarray(self.shares.reshape(len(self.models), -1).sum(1))
 
     @property
@@ -166,18 +170,19 @@ class ShapeMixture:
 
     @property
     def shadowless_fraction(self) -> float:
-        """Fraction of the rocks without anything dark under this Sun.
+        """Fraction of the rocks without any dark area under this Sun.
 
         They cannot be observed, so all rocks except cubes are taken as faceted.
         """
         return float(self.shape_shares @ self._shadowless)
 
     def _mean(self, name: str) -> float:
+        """Return the mean of an attribute of `ShadowModel` over the shapes."""
         return float(self.shape_shares @ np.array([getattr(m, name) for m in self.models]))
 
     @property
     def height(self) -> float:
-        """Mean height above the terrain, in radii."""
+        """Mean height of the rocks above the terrain, in radii."""
         return self._mean("height")
 
     @property
@@ -200,21 +205,27 @@ class ShapeMixture:
     def probability_longer_than(self, half_axis: float, radius: Array, sigma: Array) -> Array:
         """Return the probability that rocks exceed a half axis, averaged over shapes (n,).
 
-        See `ShadowModel.probability_longer_than`.
+        `half_axis` is the limit of the longer half axis, m; `radius` and `sigma` (n,) are the radii
+        of the rocks and their standard deviations, m.
         """
         of_shape = [m.probability_longer_than(half_axis, radius, sigma) for m in self.models]
         return np.asarray(self.shape_shares @ np.stack(of_shape))
 
     def patch(self, azimuth: Any, depression: Any) -> ShadowPatch:
-        """Return the mean patches of the population seen from given directions (...).
+        """Return the mean dark patches of the population seen from given directions (...).
 
-        See `ShadowModel.patch`.
+        `azimuth` is that of the camera from the rock minus that of the Sun, and `depression` that
+        of the line of sight (...), rad. The patches are for rocks of radius 1.
         """
         units = [m.patch(azimuth, depression) for m in self.models]
         return _mean_patch(units, self.shape_shares)
 
     def visible_pixels(self, radius: Any, azimuth: Any, depression: Any, pixel: Any) -> Array:
-        """Return q (...), see `ShadowModel.visible_pixels`."""
+        """Return q, the square root of the number of dark pixels of a rock's patch (...).
+
+        `radius` is that of the rocks, m, and `pixel` the size of a pixel across the line of sight
+        at the rock, m. `azimuth` and `depression`, rad, are those of `patch`.
+        """
         # Terrain above the camera is not visible.
         area = self.patch(azimuth, depression).area * np.sin(np.maximum(depression, 0.0))
         return np.asarray(np.asarray(radius) * np.sqrt(area) / pixel)
@@ -229,18 +240,19 @@ class ShapeMixture:
         across_px: Array,
         pixel: float,
     ) -> RadiusEstimate:
-        """Return the radii that belong to patches.
+        """Estimate the radii of rocks from length and width of their dark patches.
 
         Parameters
         ----------
         length, width
             Size of the patches (n,), m.
         azimuth, depression
-            See `ShadowModel.patch` (n,), rad.
+            Azimuth of the camera from the rock minus that of the Sun, and depression of the line of
+            sight (n,), rad.
         along_px, across_px
-            Size of a pixel there (n,), m.
+            Size of a pixel on the terrain along the Sun and across (n,), m.
         pixel
-            Standard deviation of an end of a patch, pixels.
+            Standard deviation of the position of an end of a patch, pixels.
         """
         units = [m.patch(azimuth, depression) for m in self.models]
         # A slope lengthens the shadow on the terrain, and its image at a grazing angle.
@@ -270,10 +282,11 @@ class ShapeMixture:
         )
 
     def _largest(self, radius: Array, weight: Array, of_shape: Array) -> Array:
-        """Return the longest half axis under any probable hypothesis (n,), m.
+        """Return the longest half axis of rocks under any probable hypothesis (n,), m.
 
-        `radius` (n, hypotheses) is the largest under each. The threshold applies to the total
-        weight of a shape, so that it does not depend on the number of slopes.
+        `radius` (n, hypotheses) is the upper limit of the radius under each, m; `weight` (n,
+        hypotheses) and `of_shape` (n, shapes) are their probabilities. The threshold applies to the
+        total weight of a shape, so that it does not depend on the number of slopes.
         """
         slopes = len(self.slopes)
         longest = np.repeat([m.elongation for m in self.models], slopes)
@@ -283,19 +296,24 @@ class ShapeMixture:
         return np.asarray((longest * np.where(possible, radius, 0.0)).max(-1))
 
     def learn(self, weight: Array, q: Array) -> None:
-        """Update the population with weights (n, hypotheses) of patches with q (n,)."""
+        """Update the fractions of shapes and slopes with the patches of one image.
+
+        `weight` (n, hypotheses) are the probabilities of the hypotheses for each patch, and `q`
+        (n,) is the square root of its number of dark pixels; small patches are ignored.
+        """
         self._observed_weight = _MEMORY * self._observed_weight + weight[q >= _MIN_Q].sum(0)
 
 
 def _radius_of_patch(
     length: Array, width: Array, unit: ShadowPatch, along: Array, across: Array, stretch: Array
 ) -> tuple[Array, Array, Array]:
-    """Return radius, its variance and the log likelihood of patches (n,).
+    """Return radius, its variance and log likelihood for patches under one hypothesis.
 
-    Length and width each give a radius. Its variance consists of pixel noise (standard deviations
-    `along` and `across`, m), the spread of shapes, and the relative elongation by slopes
-    (`stretch`). The mean is weighted by inverse variance; the likelihood grows with the agreement
-    of the two.
+    All are (n,); `length` and `width` (n,), m, are the measured sizes, and `unit` is the expected
+    patch for a radius of 1. Length and width each give a radius. Its variance consists of pixel
+    noise (standard deviations `along` and `across`, m), the spread of shapes, and the relative
+    elongation by slopes (`stretch`). The mean is weighted by inverse variance; the likelihood grows
+    with the agreement of the two.
     """
     l0, w0 = np.maximum(unit.length, _MIN_LENGTH), np.maximum(unit.width, _MIN_LENGTH)
     by_length, by_width = length / l0, width / w0
@@ -311,7 +329,11 @@ def _radius_of_patch(
 
 
 def _mean_patch(units: list[ShadowPatch], share: Array) -> ShadowPatch:
-    """Return the mean patch over shapes with fractions (shapes,) or (n, shapes)."""
+    """Return the mean of expected patches over shapes, weighted by fractions.
+
+    `share` has shape (shapes,) or (n, shapes). The standard deviations include the differences
+    between shapes. `units` are the patches for rocks of radius 1, one per shape.
+    """
     stack = {f.name: np.stack([getattr(u, f.name) for u in units], -1) for f in fields(ShadowPatch)}
     mean = {k: (share * stack[k]).sum(-1) for k in _AVERAGED}
     sigma = {

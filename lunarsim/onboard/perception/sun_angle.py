@@ -30,16 +30,19 @@ class SunAngle:
     angle
         Angle on the terrain, rad, from -pi to pi; NaN if unknown.
     sigma
-        Standard deviation by scatter, given the side, rad; infinite if unknown.
+        Standard deviation of the angle from the scatter of the shadows, if the side is right, rad;
+        infinite if unknown.
     side
         Significance of the side on which lit faces lie, in standard deviations of random
         directions; excludes an error of half a turn.
     number
         Number of rocks that determine the side.
     high_sun
-        Whether it was measured under a high Sun, where it is less accurate for any number of rocks.
+        Whether the angle was measured under a high Sun, where it is less accurate for any number of
+        rocks.
     by_faces
-        Angle by lit faces where `angle` is that of the axes, rad; NaN if unknown.
+        Angle measured by lit faces, where `angle` is measured by the axes of patches, rad; NaN if
+        unknown.
     """
 
     angle: float
@@ -51,7 +54,7 @@ class SunAngle:
 
     @property
     def agreement(self) -> float:
-        """Mean resultant length of the directions of single shadows, up to 1.
+        """Agreement of the directions of single shadows (mean resultant length), up to 1.
 
         A small value means that most pairs of dark and bright areas are craters or slopes, not
         rocks.
@@ -61,9 +64,10 @@ class SunAngle:
 
 
 def mean_angle(vectors: Complex) -> tuple[float, float]:
-    """Return the angle of the mean of vectors (n,) and its standard deviation, rad.
+    """Return the angle of the mean of complex vectors (n,) and its error, rad.
 
-    NaN and infinite if the mean is not significant.
+    The error is the standard deviation. The results are NaN and infinite if the mean is not
+    significant.
     """
     n = len(vectors)
     if n < 3:
@@ -79,16 +83,17 @@ def mean_angle(vectors: Complex) -> tuple[float, float]:
 
 
 def doubled_axes(length: Array, width: Array, skew: Array) -> Complex:
-    """Return the axes of patches (n,) as vectors at twice their angle from the Sun.
+    """Return the axes of dark patches (n,) as complex vectors at twice their angle.
 
-    The length is 0 for round patches and 1 for lines.
+    Angles are measured from the Sun. `length`, `width` (n,), m, and `skew` (n,), m^2, describe the
+    patches as in `Detections`. The length of a vector is 0 for a round patch and 1 for a line.
     """
     along, across = length**2 / 12.0, width**2 / 12.0
     return np.asarray((along - across + 2j * skew) / np.maximum(along + across, 1e-12))
 
 
 def local_relative_brightness(seen: Detections) -> NDArray[np.float32]:
-    """Return brightness relative to lit pixels nearby (height, width).
+    """Return the brightness of an image relative to lit pixels nearby (height, width).
 
     A slope is no brighter than its surroundings, but the face of a rock is.
     """
@@ -99,7 +104,10 @@ def local_relative_brightness(seen: Detections) -> NDArray[np.float32]:
 
 
 def viewing_angles(view: View, points: Array, sun: Array) -> tuple[Array, Array]:
-    """Return azimuth of the camera from the Sun and depression of points (n, 3)."""
+    """Return the camera's azimuth from the Sun and the depression of points (n,), rad.
+
+    `points` (n, 3) are on the terrain, m, and `sun` (3,) is the direction towards the Sun.
+    """
     line_of_sight = points - view.position
     azimuth = np.arctan2(-line_of_sight[:, 0], -line_of_sight[:, 1]) - np.arctan2(sun[0], sun[1])
     return azimuth, np.arctan2(

@@ -17,7 +17,7 @@ _SCATTER_POWER = 1.5
 
 
 def unit_vector(sun: ArrayLike) -> Array:
-    """Return the direction towards the Sun (3,).
+    """Return the direction towards the Sun (3,) after checking its unit length.
 
     Raises
     ------
@@ -37,11 +37,18 @@ def has_usable_shadows(sun: Array) -> bool:
 
 
 def shadow_length_ratio(sun: Array) -> float:
-    """Return the length of shadows relative to a Sun elevation of 20 deg, at least 1."""
+    """Return the length of shadows relative to a Sun elevation of 20 deg, at least 1.
+
+    `sun` (3,) is the direction towards the Sun.
+    """
     ratio = np.tan(_REFERENCE_ELEVATION_RAD) * np.hypot(sun[0], sun[1]) / max(float(sun[2]), 1e-6)
     return max(float(ratio), 1.0)
 
 
 def observation_scatter_factor(sun: Array) -> float:
-    """Return the scatter of centres along the Sun relative to 20 deg, at least 1."""
+    """Return the scatter of rock centres along the Sun relative to that at 20 deg.
+
+    The scatter is that between observations of the same rock. `sun` (3,) is the direction towards
+    the Sun; the result is at least 1.
+    """
     return float(shadow_length_ratio(sun) ** _SCATTER_POWER)

@@ -33,9 +33,9 @@ def cached_table(name: str, key: str, make: Callable[[], Array]) -> Array:
     name
         Kind of table.
     key
-        Parameters of the table.
+        Text that identifies the parameters of the table.
     make
-        Computes the table.
+        Function that computes the table.
     """
     digest = hashlib.sha256(f"{_code()} {key}".encode()).hexdigest()[:20]
     path = user_cache("tables") / f"{name}-{digest}.npz"
@@ -51,7 +51,7 @@ def cached_table(name: str, key: str, make: Callable[[], Array]) -> Array:
 
 @lru_cache(maxsize=1)
 def _code() -> str:
-    """Return a digest of the source files and of NumPy's version."""
+    """Return a digest of the source files that compute tables and of NumPy's version."""
     found = hashlib.sha256(np.__version__.encode())
     for pattern in _CODE:
         for file in sorted(_PACKAGE.glob(pattern)):

@@ -15,10 +15,10 @@ from lunarsim.onboard.policies.reachability import ReachabilityMap
 
 Array = NDArray[np.float64]
 
-# The nearest site above each of these values of p_safe is also a candidate.
+# For each of these values of p_safe, the nearest site above the value is also a candidate.
 SAFETY_LEVELS = (0.99, 0.95, 0.8, 0.5)
-# Fraction of p_safe that 100 m of distance cost, so that the nearer of equally safe sites wins. It
-# is relative, because p_safe differs only in the third decimal where the map is uncertain
+# Fraction of p_safe that 100 m of distance cost, so that the nearer of equally safe sites wins. The
+# cost is relative, because p_safe differs only in the third decimal where the map is uncertain
 # everywhere.
 _DISTANCE_WEIGHT = 1e-3
 
@@ -26,16 +26,19 @@ _DISTANCE_WEIGHT = 1e-3
 def best_cells(
     aim: FloatMap, distance: Array, posting: float, count: int, separation: float
 ) -> NDArray[np.int64]:
-    """Return up to `count` cells with the highest `aim`, at least `separation` apart.
+    """Return the `count` cells with the highest safety, at least `separation` apart.
+
+    Fewer cells are returned if no others have a positive probability. Of equally safe cells, the
+    nearer one is preferred.
 
     Parameters
     ----------
     aim
         Probability of a safe landing when aiming at each cell (rows, cols).
     distance
-        Horizontal distance of each cell from the site (rows, cols), m.
+        Horizontal distance of each cell from the current site (rows, cols), m.
     posting
-        Size of a cell, m.
+        Side length of a cell, m.
     count
         Maximum number of cells.
     separation
@@ -81,32 +84,34 @@ def candidate_sites(
     scoreboard: Scoreboard | None = None,
     reach: ReachabilityMap | None = None,
 ) -> Candidates:
-    """Return the candidate sites of a policy, with the cost of reaching each.
+    """Return candidate landing sites from a hazard map, with the cost of each.
 
     Candidates are the `count` safest eligible cells at least `separation` metres apart, the nearest
     eligible cell at each of four levels of safety, and the sites ranked by the mapper. If the
-    safest site is out of reach, reachable sites replace all unreachable ones, if there are any.
+    safest site is out of reach, other reachable sites (if there are any) replace all unreachable
+    ones.
 
     Parameters
     ----------
     hazard_map
         Hazard map.
     aim
-        Probability of landing safely when aiming at each cell (rows, cols): `HazardMap.dispersed`.
+        Probability of landing safely when aiming at each cell (rows, cols), from
+        `HazardMap.dispersed_p_safe`.
     site
-        Present site (3,), local frame, m.
+        Current site (3,), local frame, m.
     cost_of
-        Returns the cost of flying to sites (n, 3).
+        Function that returns the cost of flying to sites (n, 3).
     count
         Number of sites selected by safety.
     separation
-        Minimum distance between them, m.
+        Minimum distance between the sites selected by safety, m.
     miss_of
-        Returns the expected miss (n,), m, for the time needed to reach each site (n,), s; see
-        `expected_miss`. None: the miss used for `aim` applies to all sites.
+        Function that returns the expected touchdown error (n,), m, for the time needed to reach
+        each site (n,), s. None: the error used for `aim` applies to all sites.
     mapper
-        Name of the mapper, for the sources "MAPPER: safest", "MAPPER: nearest at 0.99" and
-        "MAPPER: ranked".
+        Name of the mapper, for the sources "MAPPER: safest", "MAPPER: nearest at 0.99" and "MAPPER:
+        ranked".
     scoreboard
         Sites ranked by the mapper.
     reach
@@ -128,7 +133,7 @@ def candidate_sites(
         cost = cost_of(position)
     p_safe = aim[grid.cell(position[:, :2])].astype(np.float64)
     if miss_of is not None:
-        p_safe = hazard_map.dispersed_at(position[:, :2], miss_of(cost.time_to_go))
+        p_safe = hazard_map.dispersed_p_safe_at(position[:, :2], miss_of(cost.time_to_go))
     order = np.argsort(-p_safe, kind="stable")
     position = position[order]
     return Candidates(
@@ -138,7 +143,11 @@ def candidate_sites(
 
 
 def _is_safest_unreachable(aim: FloatMap, feasible: NDArray[np.bool_]) -> bool:
-    """Return whether an unreachable site is safer than all reachable ones."""
+    """Return whether an unreachable site is safer than all reachable ones.
+
+    `aim` is the probability of a safe landing at each site (n,); `feasible` marks reachable sites.
+    The result is False if a reachable site has a probability of at least 0.99.
+    """
     best = float(np.max(aim[feasible], initial=0.0))
     return best < SAFETY_LEVELS[0] and best < float(np.max(aim[~feasible], initial=0.0))
 
@@ -147,7 +156,12 @@ def _replace_unreachable(
     sites: tuple[Array, Array, list[str]], feasible: NDArray[np.bool_],
     more: tuple[Array, list[str]],
 ) -> tuple[Array, Array, list[str]]:  # fmt: skip
-    """Return sites, scores and sources with unreachable sites replaced by others."""
+    """Return sites with the unreachable ones replaced by newly found reachable sites.
+
+    `sites` contains positions (n, 3), m, scores (n,) and sources; `feasible` (n,) marks reachable
+    sites. `more` contains positions and sources of the new sites, whose scores are NaN. Without new
+    sites, `sites` is returned unchanged.
+    """
     (position, score, source), (found, found_source) = sites, more
     kept = np.flatnonzero(feasible)
     new = ~(found[:, None, :2] == position[None, kept, :2]).all(axis=2).any(axis=1)
@@ -163,7 +177,11 @@ def _replace_unreachable(
 def _proposed_sites(
     hazard_map: HazardMap, aim: FloatMap, site: Array, count: int, separation: float, mapper: str
 ) -> tuple[Array, list[str]]:
-    """Return the sites proposed by safety (n, 3), m, and the rule of each."""
+    """Return the safest and the nearest safe sites (n, 3), m, and the rule of each.
+
+    `aim` is the probability of a safe landing at each cell; `site` is the current site (3,), m;
+    `count` and `separation` (m) are those of the safest sites.
+    """
     grid = hazard_map.grid
     if hazard_map.eligible is not None:
         aim = np.where(hazard_map.eligible, aim, np.float32(0.0))
@@ -175,7 +193,12 @@ def _proposed_sites(
 def _proposed_cells(
     aim: FloatMap, distance: Array, posting: float, count: int, separation: float, mapper: str
 ) -> tuple[NDArray[np.int64], list[str]]:
-    """Return the safest cells and the nearest at each level (n, 2), and their sources."""
+    """Return the safest cells and the nearest cell above each p_safe threshold.
+
+    `aim` (probability of a safe landing) and `distance` (m) are given for each cell (rows, cols);
+    `posting` is the side of a cell, m. `count` and `separation` (m) are those of the safest cells.
+    The result is row and column (n, 2), and the source "MAPPER: RULE" of each cell.
+    """
     cells = best_cells(aim, distance, posting, count, separation)
     source = [f"{mapper}: safest"] * len(cells)
     for level in SAFETY_LEVELS:
@@ -191,7 +214,10 @@ def _proposed_cells(
 
 
 def _eligible_ranked(hazard_map: HazardMap, scoreboard: Scoreboard | None) -> tuple[Array, Array]:
-    """Return the eligible ranked sites (n, 3), m, and their scores (n,)."""
+    """Return the mapper's ranked sites that the mission allows, and their scores.
+
+    Positions are (n, 3), m; scores are (n,).
+    """
     if scoreboard is None:
         return np.zeros((0, 3)), np.zeros(0)
     is_eligible = hazard_map.eligible_at(scoreboard.position[:, :2])
@@ -199,7 +225,10 @@ def _eligible_ranked(hazard_map: HazardMap, scoreboard: Scoreboard | None) -> tu
 
 
 def _terrain_positions(hazard_map: HazardMap, cells: NDArray[np.int64], site: Array) -> Array:
-    """Return the cell centres (n, 3), m, at mapped height, or at that of the site."""
+    """Return the centres of cells (n, 2) as positions (n, 3), m, at mapped height.
+
+    Where the map has no height, the height of `site` (3,) is used.
+    """
     xy = hazard_map.grid.centre_of(cells[:, 0], cells[:, 1])
     if hazard_map.elevation is None:
         return np.column_stack((xy, np.full(len(cells), site[2])))

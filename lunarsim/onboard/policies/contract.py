@@ -21,27 +21,27 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Candidates:
-    """Candidate landing sites, safest first; the present site is not included.
+    """Candidate landing sites, safest first, without the site currently flown to.
 
-    All sites are eligible by the mission.
+    The mission allows a landing at each of them.
 
     Attributes
     ----------
     position
         Position in estimated ENU (n, 3), m; z is the terrain height.
     p_safe
-        Probability of a safe landing when aiming there (n,).
+        Probability of a safe landing when aiming at the site (n,).
     distance
-        Horizontal distance from the present site (n,), m.
+        Horizontal distance from the current site (n,), m.
     propellant
-        Propellant to reach it (n,), kg; inf if it is out of reach.
+        Propellant to reach the site (n,), kg; inf if the site is out of reach.
     value
         Value for the mission (n,), in [0, 1]; default 1.
     score
-        Score of the mapper's own ranking, lower is better (n,); NaN for sites that the mapper did
-        not rank, and by default.
+        Score in the mapper's own ranking (n,), lower is better; NaN (default) for sites that the
+        mapper did not rank.
     source
-        Mapper and rule that proposed it, "MAPPER: RULE" (n,); default empty.
+        Mapper and rule that proposed the site, "MAPPER: RULE" (n,); default empty.
 
     Raises
     ------
@@ -85,13 +85,13 @@ class Candidates:
 
     @property
     def reachable(self) -> NDArray[np.bool_]:
-        """Whether each site can be reached (n,)."""
+        """Whether the lander can fly to each site within its limits (n,)."""
         return np.isfinite(self.propellant)
 
 
 @dataclass(frozen=True)
 class Observation:
-    """Information for a policy when a decision is due.
+    """Information that a retargeting policy gets when a decision is due.
 
     Attributes
     ----------
@@ -104,24 +104,24 @@ class Observation:
     candidates
         Candidate sites.
     site
-        Present site in estimated ENU (3,), m.
+        Current landing site in estimated ENU (3,), m.
     site_p_safe
-        Probability of a safe landing at the present site; NaN if it is not observed yet.
+        Probability of a safe landing at the current site; NaN if the site is not observed yet.
     site_propellant
-        Propellant to reach the present site, kg.
+        Propellant to reach the current site, kg.
     time_to_go
         Time until the planned end of the approach, s.
     propellant
         Remaining propellant, kg.
     site_eligible
-        Whether the mission allows a landing at the present site.
+        Whether the mission allows a landing at the current site.
     site_value
-        Value of the present site for the mission, in [0, 1].
+        Value of the current site for the mission, in [0, 1].
     scoreboard
-        Sites ranked by the mapper; None if it ranks none.
+        Sites ranked by the mapper; None if the mapper ranks none.
     expected_miss
-        Expected miss of the site relative to the map, 1 sigma per axis, m.
-    reach
+        Expected touchdown error relative to the map at the current site, 1 sigma per axis, m.
+    reachability
         Map of the cells within reach, computed on first use; None if not available.
 
     Raises
@@ -143,7 +143,7 @@ class Observation:
     site_value: float = 1.0
     scoreboard: Scoreboard | None = None
     expected_miss: float = 0.0
-    reach: ReachabilityMap | None = None
+    reachability: ReachabilityMap | None = None
 
     def __post_init__(self) -> None:
         if np.isnan(self.site_propellant):
@@ -157,23 +157,23 @@ class Observation:
 
 @dataclass(frozen=True)
 class Decision:
-    """Decision of a policy.
+    """Decision of a policy: keep the landing site, divert to another one, or abort.
 
     Attributes
     ----------
     site
-        New site in estimated ENU (3,), m; None keeps the present one.
+        New site in estimated ENU (3,), m; None keeps the current one.
     reason
         Short text for the record.
     details
         Numbers for the record.
     abort
         Whether the lander aborts the landing and climbs away.
-    stretch
-        Time-to-go to the site, divided by that of the minimum-propellant path from the present
+    time_scale
+        Time-to-go to the site, divided by that of the minimum-propellant path from the current
         state. None: a new site gets the minimum-propellant path, a kept site keeps its arrival
         time. With 1, the path to a kept site is planned again. If the path would violate a limit of
-        the approach, the minimum-propellant path is flown and "stretch-refused" is recorded. The
+        the approach, the minimum-propellant path is flown and "time-scale-refused" is recorded. The
         same holds if the mission or a guidance law that plans its own arrival sets the time-to-go.
         A path that is replanned later, because it violates limits or navigation locks, is the
         minimum-propellant path.
@@ -181,59 +181,68 @@ class Decision:
     Raises
     ------
     InputError
-        If an abort has a site or a stretch, or if the stretch is not finite and positive.
+        If an abort has a site or a time scale, or if the time scale is not finite and positive.
+
+    Examples
+    --------
+    >>> Decision.keep("no better site").site is None
+    True
+    >>> Decision(np.array([3.0, 4.0, 0.0]), "safest site", {"p_safe": 0.97}).details
+    {'p_safe': 0.97}
     """
 
     site: Array | None
     reason: str
     details: dict[str, float] = field(default_factory=dict)
     abort: bool = False
-    stretch: float | None = None
+    time_scale: float | None = None
 
     def __post_init__(self) -> None:
         if self.abort and self.site is not None:
             raise InputError("decision.site", self.site, "must be None for an abort")
-        if self.stretch is None:
+        if self.time_scale is None:
             return
         if self.abort:
-            raise InputError("decision.stretch", self.stretch, "must be None for an abort")
-        is_number = isinstance(self.stretch, Real) and not isinstance(self.stretch, bool)
-        if not (is_number and np.isfinite(self.stretch) and self.stretch > 0.0):
+            raise InputError("decision.time_scale", self.time_scale, "must be None for an abort")
+        is_number = isinstance(self.time_scale, Real) and not isinstance(self.time_scale, bool)
+        if not (is_number and np.isfinite(self.time_scale) and self.time_scale > 0.0):
             raise InputError(
-                "decision.stretch", self.stretch, "must be positive and finite, or None"
+                "decision.time_scale", self.time_scale, "must be positive and finite, or None"
             )
 
     @classmethod
     def keep(cls, reason: str) -> Decision:
-        """Return the decision to keep the present site."""
+        """Return the decision to keep the current site, for a given reason."""
         return cls(None, reason)
 
     @classmethod
     def climb_away(cls, reason: str) -> Decision:
-        """Return the decision to abort the landing."""
+        """Return the decision to abort the landing, for a given reason."""
         return cls(None, reason, abort=True)
 
 
 class RetargetingPolicy(Protocol):
-    """Interface of a policy that decides where to land."""
+    """Interface of a policy that decides during the descent where to land."""
 
     @property
     def name(self) -> str:
-        """Name in tables and records."""
+        """Name of the policy in tables and records."""
         ...
 
     def decide(self, observation: Observation) -> Decision:
-        """Return the decision for an observation."""
+        """Return the decision (keep, divert or abort) for an observation."""
         ...
 
 
 def checked_decision(policy: object, value: Any, time: float) -> Decision:
-    """Return the decision of a policy, asked at `time` (s), after checking it.
+    """Return a policy's return value (`value`) after checking that it is a `Decision`.
+
+    `time` (s) is the time of the decision, for the error message.
 
     Raises
     ------
     InputError
-        If it is not a `Decision`, or its site is not three finite numbers.
+        If the value is not a `Decision`, or its site is not three finite numbers.
     """
     if not isinstance(value, Decision):
         raise wrong_result_error("policy", policy, "decide", value, "a Decision", time)

@@ -1,4 +1,4 @@
-"""Settings of the decisions: when a policy is asked, and its candidates."""
+"""Settings of landing-site decisions: when a policy is asked, and its candidates."""
 
 from __future__ import annotations
 
@@ -10,26 +10,29 @@ from lunarsim.parts.quantity import quantity
 
 @dataclass(frozen=True)
 class DecisionSettings:
-    """Settings of the decisions: schedule, decision map and candidate sites.
+    """Settings of landing-site decisions: schedule, hazard map and candidate sites.
 
     Attributes
     ----------
     map
-        Name of the mapper whose map is used; empty: see `Outlook.decisions_map`.
+        Name of the mapper whose map is used for decisions. Empty: the first mapper that combines
+        other maps, else the first mapper.
     first_altitude, last_altitude
         Altitudes of the first and last decision above the site, m.
     interval
         Time between two decisions, s.
     candidates
-        Number of candidate sites.
+        Number of candidate sites selected by safety.
     separation
         Minimum distance between candidate sites, m.
     touchdown_sigma
-        Expected miss of a lander that does not drift relative to its map, 1 sigma per axis, m; see
-        `expected_miss`.
+        Expected landing error of a lander that does not drift relative to its map, 1 sigma per
+        axis, m.
     """
 
-    map: str = quantity("", help="Mapper whose map is used for decisions")
+    map: str = quantity(
+        "", help="Mapper whose map is used for decisions; empty: first mapper combining maps"
+    )
     first_altitude: float = quantity(
         400.0, "m", gt=0, help="Altitude of the first decision above the site"
     )
@@ -37,10 +40,12 @@ class DecisionSettings:
         50.0, "m", gt=0, help="Altitude of the last decision above the site"
     )
     interval: float = quantity(1.0, "s", gt=0, help="Time between two decisions")
-    candidates: int = quantity(16, ge=1, le=256, help="Number of candidate sites")
+    candidates: int = quantity(
+        16, ge=1, le=256, help="Number of candidate sites selected by safety"
+    )
     separation: float = quantity(3.0, "m", gt=0, help="Minimum distance between candidate sites")
     touchdown_sigma: float = quantity(
-        0.3, "m", ge=0, help="Expected miss on the map without drift, 1 sigma per axis"
+        0.3, "m", ge=0, help="Landing error relative to the map without drift, 1 sigma per axis"
     )
 
     def __post_init__(self) -> None:

@@ -1,4 +1,4 @@
-"""Estimate by how much the lander will miss the site on its own map."""
+"""Estimate the landing error of the lander relative to its own map."""
 
 from __future__ import annotations
 
@@ -10,27 +10,29 @@ from lunarsim.onboard.navigation.estimate import Estimate
 
 Array = NDArray[np.float64]
 
-# Upper limit of the expected miss, m. Beyond it no site can be selected anyway.
+# Upper limit of the expected landing error, m. With larger errors no site can be selected anyway.
 MAX_EXPECTED_MISS_M = 30.0
 
 
 def expected_miss(stated: float, estimate: Estimate, adrift: bool, seconds: ArrayLike) -> Array:
-    """Return the expected horizontal miss, 1 sigma per axis (n,), m, at most 30 m.
+    """Return the expected horizontal landing error relative to the map.
 
-    An error common to map and lander is harmless. What matters is the drift of the lander relative
-    to its map between the last mapped scan and touchdown. Without a sensor that measures the
-    position on the map, this drift is the velocity error times the elapsed time. The velocity error
-    is mostly the bias of the velocimeter beams, which changes little within tens of seconds.
-    Misalignment between scans that results from an unknown map tilt is not included.
+    The result (n,) is 1 sigma per axis, m, and at most 30 m unless `stated` is larger. An error
+    common to map and lander is harmless. What matters is the drift of the lander relative to its
+    map between the last mapped scan and touchdown. Without a sensor that measures the position on
+    the map, this drift is the velocity error times the elapsed time. The velocity error is mostly
+    the bias of the velocimeter beams, which changes little within tens of seconds. Misalignment
+    between scans that results from an unknown map tilt is not included.
 
     Parameters
     ----------
     stated
-        Miss of guidance and map without drift, 1 sigma per axis, m.
+        Landing error of guidance and map without drift, 1 sigma per axis, m.
     estimate
         Current estimate with the covariance of the velocity.
     adrift
-        Whether no measurement ties the lander to its map, see `Navigation.adrift`.
+        Whether no measurement bounds the lander's position error relative to its map
+        (`Navigation.is_drifting`).
     seconds
         Time from the last mapped scan to touchdown (n,), s.
     """
@@ -46,12 +48,12 @@ def expected_miss(stated: float, estimate: Estimate, adrift: bool, seconds: Arra
 
 
 class LandingDispersion:
-    """Disperses the decision map by the expected miss.
+    """Averages the map of p_safe over the expected landing error.
 
     Parameters
     ----------
     stated
-        Miss of guidance and map without drift, 1 sigma per axis, m.
+        Landing error of guidance and map without drift, 1 sigma per axis, m.
     descent
         Time from the end of the approach to touchdown, s.
 
@@ -67,15 +69,23 @@ class LandingDispersion:
         self._spread: tuple[FloatMap, float, FloatMap] | None = None
 
     def misses(self, estimate: Estimate, adrift: bool, time_to_go: Array) -> Array:
-        """Return `expected_miss` for sites with times-to-go (n,), s."""
+        """Return the expected landing errors for times-to-go (n,), s: 1 sigma per axis, m.
+
+        `adrift` states whether no measurement bounds the lander's position error relative to its
+        map.
+        """
         elapsed = estimate.time - self.mapped_at
         return expected_miss(self._stated, estimate, adrift, elapsed + time_to_go + self._descent)
 
     def spread(self, hazard_map: HazardMap, miss: float) -> FloatMap:
-        """Return `HazardMap.dispersed`, cached for the last map and miss."""
+        """Return the p_safe of each cell averaged over a landing error (rows, cols).
+
+        `miss` is the landing error, 1 sigma per axis, m. The result is cached for the last map and
+        error.
+        """
         # A new map object can share its p_safe layer with the last one; only that layer matters
         # here.
         cached = self._spread
         if cached is None or cached[0] is not hazard_map.p_safe or cached[1] != miss:
-            cached = self._spread = (hazard_map.p_safe, miss, hazard_map.dispersed(miss))
+            cached = self._spread = (hazard_map.p_safe, miss, hazard_map.dispersed_p_safe(miss))
         return cached[2]

@@ -31,71 +31,76 @@ def _fly_to(observation: Observation, index: int, reason: str) -> Decision:
 
 @dataclass(frozen=True)
 class NoDivert:
-    """Lands at the briefed site whatever the map shows."""
+    """Policy that never diverts from the site briefed before the flight."""
 
     name: str = hidden("no-divert")
 
     def decide(self, observation: Observation) -> Decision:
-        """Keep the site."""
+        """Return the decision to keep the site, whatever the map shows."""
         return Decision.keep("never diverts")
 
 
 @dataclass(frozen=True)
 class Safest:
-    """Diverts to the site with the highest probability of a safe landing.
+    """Policy that diverts to the site with the highest probability of a safe landing.
 
     Attributes
     ----------
-    gain
+    hysteresis
         Minimum gain in log odds of safety for a change of site; prevents changes to and fro when
         the same terrain is observed again.
-    worth
-        Difference in log odds between sites of value 1 and 0. The default is below `gain`, so that
-        value alone does not cause a divert.
+    value_weight
+        Difference in log odds between sites of mission value 1 and 0. The default is below
+        `hysteresis`, so that value alone does not cause a divert.
     """
 
-    worth: float = quantity(0.5, ge=0, help="Weight of the mission value of a site in log odds")
-    gain: float = quantity(0.7, ge=0, help="Minimum gain for a change of site in log odds")
+    value_weight: float = quantity(
+        0.5, ge=0, help="Log odds of safety that the full mission value of a site is worth"
+    )
+    hysteresis: float = quantity(0.7, ge=0, help="Minimum gain in log odds of safety for a divert")
     name: str = hidden("safest")
 
     def decide(self, observation: Observation) -> Decision:
-        """Return the best reachable candidate if it beats the present site."""
+        """Return a divert to the best reachable candidate if it beats the current site."""
         c = observation.candidates
         if not c.reachable.any():
             return Decision.keep("no site within reach")
         # A small cost of distance selects the nearest of equally safe sites.
-        score = _log_odds(c.p_safe) + self.worth * c.value
+        score = _log_odds(c.p_safe) + self.value_weight * c.value
         best = int(np.argmax(np.where(c.reachable, score - 1e-3 * c.distance, -np.inf)))
         present_score = (
-            _log_odds(_present_p_safe(observation)) + self.worth * observation.site_value
+            _log_odds(_present_p_safe(observation)) + self.value_weight * observation.site_value
         )
-        if score[best] < present_score + self.gain:
+        if score[best] < present_score + self.hysteresis:
             return Decision.keep("no safer site")
         return _fly_to(observation, best, "safest site")
 
 
 @dataclass(frozen=True)
 class NearestSafe:
-    """Keeps the site if it is safe enough, otherwise diverts to the nearest that is.
+    """Policy that keeps a safe site, otherwise diverts to the nearest safe one.
 
     Attributes
     ----------
-    enough
+    p_safe_min
         Minimum probability of a safe landing.
     """
 
-    enough: float = quantity(0.95, gt=0, lt=1, help="Minimum probability of a safe landing")
+    p_safe_min: float = quantity(
+        0.95, gt=0, lt=1, help="Probability of a safe landing above which a site is safe enough"
+    )
     name: str = hidden("nearest-safe")
 
     def decide(self, observation: Observation) -> Decision:
-        """Return the nearest reachable candidate that is safe enough, else the safest.
+        """Return a divert to the nearest safe candidate if the current site is not safe.
 
-        Of equally near sites, the one with the highest value is selected.
+        A site is safe if its p_safe is at least `p_safe_min`. Of equally near sites, the one with
+        the highest value is selected. If no reachable site is safe, the policy decides as `Safest`.
         """
-        if _present_p_safe(observation) >= self.enough:
+        if _present_p_safe(observation) >= self.p_safe_min:
             return Decision.keep("safe enough")
         c = observation.candidates
-        good = c.reachable & (c.p_safe >= self.enough)
+        good = c.reachable & (c.p_safe >= self.p_safe_min)
         if good.any():
             best = np.lexsort((-c.value, np.where(good, c.distance, np.inf)))[0]
             return _fly_to(observation, int(best), "nearest safe site")
@@ -104,69 +109,85 @@ class NearestSafe:
 
 @dataclass(frozen=True)
 class FuelAware:
-    """Trades the probability of safety against the propellant of the divert.
+    """Policy that weighs the probability of safety against the divert's propellant.
+
+    The score of a site is its log odds of safety plus weighted mission value minus weighted
+    propellant.
 
     Attributes
     ----------
-    price
+    propellant_weight
         Log odds of safety that one kilogram of propellant is worth.
-    gain
+    hysteresis
         Minimum gain of the score for a change of site.
-    worth
-        Difference in log odds between sites of value 1 and 0.
+    value_weight
+        Difference in log odds between sites of mission value 1 and 0.
     """
 
-    worth: float = quantity(0.5, ge=0, help="Weight of the mission value of a site in log odds")
-    price: float = quantity(0.25, ge=0, help="Weight of one kilogram of propellant in log odds")
-    gain: float = quantity(0.7, ge=0, help="Minimum gain for a change of site in log odds")
+    value_weight: float = quantity(
+        0.5, ge=0, help="Log odds of safety that the full mission value of a site is worth"
+    )
+    propellant_weight: float = quantity(
+        0.25, ge=0, help="Log odds of safety that one kilogram of propellant is worth"
+    )
+    hysteresis: float = quantity(0.7, ge=0, help="Minimum gain in log odds of safety for a divert")
     name: str = hidden("fuel-aware")
 
     def decide(self, observation: Observation) -> Decision:
-        """Return the reachable site with the best log odds minus propellant cost."""
+        """Return a divert to the reachable site with the highest score.
+
+        The current site is kept if the score gains less than `hysteresis`.
+        """
         c = observation.candidates
         if not c.reachable.any():
             return Decision.keep("no site within reach")
         score = np.where(
             c.reachable,
-            _log_odds(c.p_safe) + self.worth * c.value - self.price * np.minimum(c.propellant, 1e6),
+            _log_odds(c.p_safe)
+            + self.value_weight * c.value
+            - self.propellant_weight * np.minimum(c.propellant, 1e6),
             -np.inf,
         )
         best = int(np.argmax(score))
         present_score = (
-            _log_odds(_present_p_safe(observation)) + self.worth * observation.site_value
+            _log_odds(_present_p_safe(observation)) + self.value_weight * observation.site_value
         )
-        present_score -= self.price * observation.site_propellant
-        if score[best] < present_score + self.gain:
+        present_score -= self.propellant_weight * observation.site_propellant
+        if score[best] < present_score + self.hysteresis:
             return Decision.keep("gain too small for the propellant")
         return _fly_to(observation, best, "best value")
 
 
 @dataclass(frozen=True)
 class ScoreboardChoice:
-    """Diverts to the best site by the mapper's own ranking.
+    """Policy that diverts to the best site of the mapper's own ranking.
 
-    This is the selection of the quadtree paper (section 4): sites within limits of slope, roughness
-    and interest, ranked by Eq. 9; fuel is evaluated for ranked sites only. Sites out of reach are
-    excluded, and the cheapest of equally ranked sites is selected. The paper does not specify the
-    weight of fuel, so it is 0 by default. Fuel is that of the trajectory that would be flown (Eq.
-    10 minimised over the time-to-go), not that of the shortest time within limits on jerk and snap.
+    This is the selection of the quadtree paper (section 4). It considers sites within limits of
+    slope, roughness and interest, ranked by Eq. 9 of that paper; fuel is evaluated for ranked sites
+    only. Sites out of reach are excluded, and the cheapest of equally ranked sites is selected. The
+    paper does not specify the weight of fuel, so it is 0 by default. Fuel is that of the trajectory
+    that would be flown (Eq. 10 of the paper minimised over the time-to-go), not that of the
+    shortest time within limits on jerk and snap.
 
     Attributes
     ----------
-    weight_fuel
+    propellant_weight
         Score that one kilogram of propellant is worth.
-    gain
+    hysteresis
         Minimum gain of the score for a change of site.
     """
 
-    weight_fuel: float = quantity(
-        0.0, ge=0, help="Weight of one kilogram of propellant in the score"
+    propellant_weight: float = quantity(
+        0.0, ge=0, help="Score of the mapper's ranking that one kilogram of propellant is worth"
     )
-    gain: float = quantity(0.2, ge=0, help="Minimum gain of the score for a change of site")
+    hysteresis: float = quantity(0.2, ge=0, help="Minimum gain of the score for a divert")
     name: str = hidden("scoreboard")
 
     def decide(self, observation: Observation) -> Decision:
-        """Return the reachable ranked site with the lowest score if it beats the present."""
+        """Return a divert to the best-ranked reachable site (lowest score).
+
+        The current site is kept unless the score improves by at least `hysteresis`.
+        """
         c = observation.candidates
         if observation.scoreboard is None:
             return Decision.keep("the mapper ranks no sites")
@@ -174,42 +195,46 @@ class ScoreboardChoice:
         if not good.any():
             return Decision.keep("no ranked site within reach")
         cost = np.where(
-            good, c.score + self.weight_fuel * np.where(good, c.propellant, 0.0), np.inf
+            good, c.score + self.propellant_weight * np.where(good, c.propellant, 0.0), np.inf
         )
         best = int(np.lexsort((c.propellant, cost))[0])
-        present_score = observation.scoreboard.here
+        present_score = observation.scoreboard.current_site_score
         if np.isfinite(observation.site_propellant):
-            present_score += self.weight_fuel * observation.site_propellant
-        if cost[best] > present_score - self.gain:
+            present_score += self.propellant_weight * observation.site_propellant
+        if cost[best] > present_score - self.hysteresis:
             return Decision.keep("no better ranked site")
         return _fly_to(observation, best, "best ranked site")
 
 
 @dataclass(frozen=True)
 class SafestOrAbort(Safest):
-    """Diverts to the safest site, and aborts if even that is not safe enough.
+    """Policy that diverts to the safest site, or aborts if that is not safe enough.
 
     Attributes
     ----------
-    least
+    p_safe_min
         Probability of a safe landing below which the lander aborts.
-    altitude
-        Estimated height of the centre of mass above the site below which an abort is allowed, m.
-        Higher up, the map may still change. Below it, a site out of reach counts as unsafe.
+    abort_altitude
+        Estimated height of the centre of mass above the site, m. The lander can abort only below
+        this height; above it, the map may still improve. Below this height, a current site out of
+        reach counts as unsafe.
     """
 
-    least: float = quantity(
+    p_safe_min: float = quantity(
         0.5, ge=0, le=1, help="Probability of a safe landing below which the lander aborts"
     )
-    altitude: float = quantity(
+    abort_altitude: float = quantity(
         80.0, "m", gt=0, help="Height above the site below which an abort is allowed"
     )
     name: str = hidden("safest-or-abort")
 
     def decide(self, observation: Observation) -> Decision:
-        """Decide as `Safest`, then abort if neither site is safe enough."""
+        """Decide as `Safest`; below `abort_altitude`, abort if the chosen site is unsafe.
+
+        A site is unsafe if its p_safe is below `p_safe_min` or unknown.
+        """
         height = float(observation.estimate.position[2] - observation.site[2])
-        if height > self.altitude:
+        if height > self.abort_altitude:
             return super().decide(observation)
         if np.isinf(observation.site_propellant):
             observation = replace(observation, site_p_safe=0.0)
@@ -221,13 +246,13 @@ class SafestOrAbort(Safest):
             if chosen.site is not None
             else np.nan_to_num(present_p_safe, nan=0.0)
         )
-        if p >= self.least:
+        if p >= self.p_safe_min:
             return chosen
         return Decision.climb_away(f"no safe site within reach: {p:.2f} at best")
 
 
 def _present_p_safe(observation: Observation) -> float:
-    """Return p_safe of the present site; 0 if the mission excludes it."""
+    """Return p_safe of the current site; 0 if the mission excludes the site."""
     return observation.site_p_safe if observation.site_eligible else 0.0
 
 

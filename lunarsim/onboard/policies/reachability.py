@@ -1,4 +1,4 @@
-"""Map the cells that the lander can still land in."""
+"""Map of the cells that the lander can still reach, with the propellant needed."""
 
 from __future__ import annotations
 
@@ -19,17 +19,19 @@ _MAX_CELLS_PER_SIDE = 100
 
 
 class ReachabilityMap:
-    """Cost of landing in each cell of a grid, computed on first use.
+    """Propellant and feasibility of landing in each cell of a grid.
+
+    They are computed on first use.
 
     Parameters
     ----------
     grid
         Grid of the cells.
     height
-        Terrain height (rows, cols), m.
+        Terrain height of each cell (rows, cols), m.
     cost_of
-        Returns the cost of flying to sites (n, 3), m, with the guidance law in use, within the
-        limits of thrust, tilt, glideslope and propellant.
+        Function that returns propellant and time-to-go of flying to sites (n, 3), m, with the
+        guidance law in use, within the limits of thrust, tilt, glideslope and propellant.
     """
 
     def __init__(self, grid: Grid, height: Array, cost_of: Callable[[Array], DivertCost]) -> None:
@@ -37,12 +39,13 @@ class ReachabilityMap:
         self._height, self._cost_of = height, cost_of
 
     @classmethod
-    def under(
+    def over_map(
         cls, hazard_map: HazardMap, site: Array, cost_of: Callable[[Array], DivertCost]
     ) -> ReachabilityMap:
         """Return the reachability over a hazard map, on at most 100 x 100 cells.
 
-        Where the map has no height, the height of `site` (3,), m, is used.
+        Where the map has no height, the height of the current `site` (3,), m, is used. `cost_of`
+        returns the cost of flying to sites (n, 3), m.
         """
         fine = hazard_map.grid
         ratio = max(1.0, max(fine.shape) / _MAX_CELLS_PER_SIDE)
@@ -54,7 +57,7 @@ class ReachabilityMap:
 
     @cached_property
     def cost(self) -> DivertCost:
-        """Cost for each cell, row by row (rows * cols,)."""
+        """Propellant and time-to-go for all cells, flattened row by row (rows * cols,)."""
         return self._cost_of(np.column_stack((self.grid.centres().reshape(-1, 2),
                                               self._height.ravel())))  # fmt: skip
 
@@ -65,11 +68,11 @@ class ReachabilityMap:
 
     @property
     def reachable(self) -> BoolMap:
-        """Whether each cell can be reached (rows, cols)."""
+        """Whether the lander can fly to each cell within its limits (rows, cols)."""
         return self.cost.feasible.reshape(self.grid.shape)
 
     def at(self, xy: ArrayLike) -> BoolMap:
-        """Return which points (..., 2), m, lie in reachable cells; none outside the grid."""
+        """Return which points (..., 2), m, lie in reachable cells; False outside the grid."""
         points = np.asarray(xy, dtype=np.float64)
         inside = np.asarray(self.grid.contains(points))
         row, col = self.grid.cell(np.where(inside[..., None], points, self.grid.centre))
@@ -77,14 +80,14 @@ class ReachabilityMap:
 
 
 def elevation_on_grid(grid: Grid, hazard_map: HazardMap | None, otherwise: float) -> Array:
-    """Return the mapped terrain height at the cells of a grid (rows, cols), m.
+    """Return a hazard map's terrain heights at the cells of a grid (rows, cols), m.
 
     Parameters
     ----------
     grid
         Grid of the cells.
     hazard_map
-        Hazard map; None or one without elevation gives `otherwise` everywhere.
+        Hazard map. With None or a map without elevation, all heights are `otherwise`.
     otherwise
         Height where the map has none, m.
     """

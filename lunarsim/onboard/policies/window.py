@@ -21,49 +21,67 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class CrewWindow:
-    """Look angles within which a site is visible and can be designated.
+    """Field of view of the crew window; only sites inside can be designated.
 
     Attributes
     ----------
-    forward
+    azimuth
         Azimuth of the window direction, from body x towards body y, rad.
-    highest, lowest
+    upper_edge, lower_edge
         Look angles of the upper and lower edge, from forward downwards, rad.
     half_width
         Maximum angle of the line of sight out of the plane of forward and down, rad.
     """
 
-    forward: float = quantity(
+    azimuth: float = quantity(
         0.0, "deg", ge=-180, le=180, help="Azimuth of the window from body x towards body y"
     )
-    highest: float = quantity(
-        -5.0, "deg", ge=-90, le=90, help="Look angle of the upper edge below forward"
+    upper_edge: float = quantity(
+        -5.0,
+        "deg",
+        ge=-90,
+        le=90,
+        help="Angle of the window's upper edge below the forward direction",
     )
-    lowest: float = quantity(
-        65.0, "deg", ge=-90, le=90, help="Look angle of the lower edge below forward"
+    lower_edge: float = quantity(
+        65.0,
+        "deg",
+        ge=-90,
+        le=90,
+        help="Angle of the window's lower edge below the forward direction",
     )
     half_width: float = quantity(
-        35.0, "deg", gt=0, le=90, help="Half width of the window to either side"
+        35.0,
+        "deg",
+        gt=0,
+        le=90,
+        help="Angle from the middle of the window to its left and right edges",
     )
 
     def __post_init__(self) -> None:
         check_bounds(self, "window")
-        if self.highest >= self.lowest:
+        if self.upper_edge >= self.lower_edge:
             raise InputError(
-                "window.highest", self.highest, f"must be less than lowest, {self.lowest:g}"
+                "window.upper_edge_deg",
+                round(float(np.rad2deg(self.upper_edge)), 6),
+                f"must be less than lower_edge_deg, {np.rad2deg(self.lower_edge):g} deg",
             )
 
     def angles(self, estimate: Estimate, sites: ArrayLike) -> tuple[Array, Array]:
-        """Return look angle and angle to the left (...,), rad, of sites (..., 3), m."""
+        """Return vertical and lateral viewing angles of sites (..., 3), m, in the window.
+
+        Sites are in the local frame. The first angle is the look angle, from forward downwards; the
+        second is the angle to the left of the vertical plane. Both are (...,), rad.
+        """
         line_of_sight = np.asarray(sites, dtype=np.float64) - estimate.position
         body = line_of_sight @ quat_to_matrix(estimate.attitude)
-        c, s = np.cos(self.forward), np.sin(self.forward)
+        c, s = np.cos(self.azimuth), np.sin(self.azimuth)
         ahead, left = c * body[..., 0] + s * body[..., 1], c * body[..., 1] - s * body[..., 0]
         look = np.arctan2(-body[..., 2], ahead)
         return look, np.arctan2(left, np.hypot(ahead, body[..., 2]))
 
     def sees(self, estimate: Estimate, sites: ArrayLike) -> NDArray[np.bool_]:
-        """Return which sites (..., 3), local frame, m, are visible (...,)."""
+        """Return which sites (..., 3), local frame, m, are visible in the window (...,)."""
         look, lateral = self.angles(estimate, sites)
-        inside = (look >= self.highest) & (look <= self.lowest)
+        inside = (look >= self.upper_edge) & (look <= self.lower_edge)
         return np.asarray(inside & (np.abs(lateral) <= self.half_width))

@@ -1,4 +1,4 @@
-"""Sensor tasking: where sensors point, and when they measure."""
+"""Sensor tasking: where steerable sensors point and when they measure."""
 
 from lunarsim.onboard.tasking.contract import Situation, Tasking
 

@@ -1,4 +1,4 @@
-"""Interface of sensor tasking."""
+"""Interface of sensor tasking: schedules that point and trigger a sensor."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Situation:
-    """Input of a schedule.
+    """Predicted state of the descent for which a schedule decides about a measurement.
 
     Attributes
     ----------
     time
-        Time of the measurement, s.
+        Time of the measurement, the end of the next cycle, s.
     altitude
         Altitude of the pads above the site at that time, m.
     site
         Site that the lander flies to (3,), m.
     estimate
-        Predicted state at that time, the end of the next cycle.
+        Predicted navigation state at that time.
     """
 
     time: float
@@ -39,7 +39,7 @@ class Situation:
 
 @dataclass(frozen=True)
 class MeasurementAltitudes:
-    """Altitudes of the pads above the site at which a schedule measures.
+    """Altitudes of the pads above the site at which a sensor measures.
 
     Attributes
     ----------
@@ -55,17 +55,17 @@ class MeasurementAltitudes:
 
 
 class TaskingPart(Protocol):
-    """Part of the registry that builds a schedule: a frozen dataclass of settings.
+    """Settings of a sensor's measurement schedule in the scenario: a frozen dataclass.
 
     Attributes
     ----------
-    looks
-        Optional: the altitudes at which it measures (`MeasurementAltitudes`), for planners.
+    measurement_altitudes
+        Optional: the altitudes at which the sensor measures (`MeasurementAltitudes`), for planners.
         Default: all altitudes.
     """
 
     def build(self, sensor: str, briefing: Briefing) -> Tasking:
-        """Return the schedule of one flight.
+        """Return the measurement schedule of one flight for a named sensor.
 
         Raises
         ------
@@ -79,7 +79,10 @@ class Tasking(Protocol):
     """Interface of a schedule that points and triggers one sensor."""
 
     def task(self, situation: Situation) -> SensorTask | None:
-        """Return the task of the sensor, None for no measurement; called once per cycle."""
+        """Return the sensor's next measurement task, or None for no measurement.
+
+        The method is called once per control cycle; the task applies to the end of the next cycle.
+        """
         ...
 
     def stop(self) -> None:

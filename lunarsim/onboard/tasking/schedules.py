@@ -25,15 +25,16 @@ def _check_rate(sensor: str, key: str, rate: float, briefing: Briefing) -> None:
         raise InputError(
             f"tasking.{sensor}.{key}",
             rate,
-            f"must be at most {1.0 / briefing.cycle:g}, one measurement per control cycle",
+            f"must be at most {1.0 / briefing.cycle:g} Hz, one measurement per control cycle",
         )
 
 
 def _next_due(due: float, now: float, interval: float) -> float:
-    """Return the time of the next measurement after measuring at `now`, s.
+    """Return the due time of the next measurement, s, after one at the time `now`.
 
-    Delays of less than an interval are made up, so that a rate that does not divide the cycle rate
-    is kept on average. After a pause, the schedule restarts.
+    `due` is the time at which the current measurement was due, and `interval` the time between
+    measurements, s. A delay of less than one interval is made up, so that a rate that does not
+    divide the cycle rate is kept on average. After a pause, the schedule restarts.
     """
     return due + interval if now < due + interval else now + interval
 
@@ -47,32 +48,34 @@ class AtAltitudes:
     altitudes
         Altitudes above the site, m.
     boresight
-        Aim of the boresight: "site" or "nadir".
+        Direction in which the sensor points: "site" (the landing site) or "nadir" (straight down).
     """
 
     altitudes: tuple[float, ...] = quantity(
         (350.0, 160.0), "m", gt=0, help="Altitudes above the site of single measurements"
     )
-    boresight: Literal["site", "nadir"] = quantity("site", help="Aim of the boresight")
+    boresight: Literal["site", "nadir"] = quantity(
+        "site", help="Direction in which the sensor points: landing site or straight down"
+    )
 
     def __post_init__(self) -> None:
         if not self.altitudes:
             raise InputError("altitudes", (), "must contain at least one altitude in m")
 
     @property
-    def looks(self) -> MeasurementAltitudes:
-        """Altitudes at which it measures."""
+    def measurement_altitudes(self) -> MeasurementAltitudes:
+        """Altitudes above the site at which the sensor measures."""
         return MeasurementAltitudes(at=self.altitudes)
 
     def build(self, sensor: str, briefing: Briefing) -> AltitudeSchedule:
-        """Return the schedule of one flight."""
+        """Return the measurement schedule of one flight for a named sensor."""
         limit = briefing.instruments[sensor].gimbal_limit
         return AltitudeSchedule(sensor, self.altitudes, self.boresight == "site", limit)
 
 
 @dataclass(frozen=True)
 class Periodic:
-    """Settings of measurements of the site at a fixed rate between two altitudes.
+    """Settings of a schedule that measures the landing site at a fixed rate.
 
     Attributes
     ----------
@@ -105,12 +108,12 @@ class Periodic:
             )  # fmt: skip
 
     @property
-    def looks(self) -> MeasurementAltitudes:
-        """Altitudes at which it measures."""
+    def measurement_altitudes(self) -> MeasurementAltitudes:
+        """Range of altitudes above the site in which the sensor measures."""
         return MeasurementAltitudes(highest=self.first_altitude, lowest=self.last_altitude)
 
     def build(self, sensor: str, briefing: Briefing) -> PeriodicSchedule:
-        """Return the schedule of one flight."""
+        """Return the measurement schedule of one flight for a named sensor."""
         _check_rate(sensor, "rate_hz", self.rate, briefing)
         limit = briefing.instruments[sensor].gimbal_limit
         return PeriodicSchedule(
@@ -120,7 +123,7 @@ class Periodic:
 
 @dataclass(frozen=True)
 class Sweep:
-    """Settings of a raster scan of a square about the site, followed by a dwell on it.
+    """Settings of a raster scan of a square around the site, then a dwell on the site.
 
     Attributes
     ----------
@@ -131,26 +134,28 @@ class Sweep:
     rate, dwell_rate
         Measurement rates during the scan and on the site, Hz.
     last_altitude
-        Altitude below which there are no measurements, m.
+        Altitude above the site below which there are no measurements, m.
     """
 
-    size: float = quantity(90.0, "m", gt=0, help="Side of the scanned square")
+    size: float = quantity(90.0, "m", gt=0, help="Side of the scanned square around the site")
     duration: float = quantity(
         20.0, "s", gt=0, help="Duration of the scan before the dwell on the site"
     )
     rate: float = quantity(20.0, "Hz", gt=0, help="Measurement rate during the scan")
-    dwell_rate: float = quantity(5.0, "Hz", gt=0, help="Measurement rate on the site")
+    dwell_rate: float = quantity(
+        5.0, "Hz", gt=0, help="Measurement rate during the dwell on the site"
+    )
     last_altitude: float = quantity(
-        15.0, "m", ge=0, help="Altitude below which there are no measurements"
+        15.0, "m", ge=0, help="Altitude above the site below which there are no measurements"
     )
 
     @property
-    def looks(self) -> MeasurementAltitudes:
-        """Altitudes at which it measures."""
+    def measurement_altitudes(self) -> MeasurementAltitudes:
+        """Range of altitudes above the site in which the sensor measures."""
         return MeasurementAltitudes(lowest=self.last_altitude)
 
     def build(self, sensor: str, briefing: Briefing) -> SweepSchedule:
-        """Return the schedule of one flight."""
+        """Return the measurement schedule of one flight for a named sensor."""
         _check_rate(sensor, "rate_hz", self.rate, briefing)
         _check_rate(sensor, "dwell_rate_hz", self.dwell_rate, briefing)
         return SweepSchedule(
@@ -161,7 +166,7 @@ class Sweep:
 
 
 class AltitudeSchedule:
-    """Measures the site or the nadir once at each of several altitudes.
+    """Schedule with one measurement at each of several altitudes.
 
     Parameters
     ----------
@@ -170,9 +175,9 @@ class AltitudeSchedule:
     altitudes
         Altitudes above the site, m.
     at_site
-        Whether the boresight points at the site instead of nadir.
+        Whether the sensor points at the site instead of straight down.
     limit
-        Gimbal limit, rad; see `gimbal_mount`.
+        Gimbal limit: maximum angle of the boresight from body -z, rad.
     """
 
     def __init__(
@@ -184,7 +189,7 @@ class AltitudeSchedule:
         self._limit = limit
 
     def task(self, situation: Situation) -> SensorTask | None:
-        """Return a task when an altitude is passed."""
+        """Return a measurement task if the lander has passed the next altitude, else None."""
         if not self._pending or situation.altitude > self._pending[0]:
             return None
         while self._pending and situation.altitude <= self._pending[0]:
@@ -200,7 +205,7 @@ class AltitudeSchedule:
 
 
 class PeriodicSchedule:
-    """Measures the site at a fixed rate between two altitudes.
+    """Schedule that measures the landing site at a fixed rate between two altitudes.
 
     Parameters
     ----------
@@ -211,9 +216,9 @@ class PeriodicSchedule:
     first_altitude
         Altitude of the first measurement above the site, m.
     limit
-        Gimbal limit, rad; see `gimbal_mount`.
+        Gimbal limit: maximum angle of the boresight from body -z, rad.
     last_altitude
-        Altitude at and below which there are no measurements, m.
+        Altitude above the site at and below which there are no measurements, m.
     """
 
     def __init__(
@@ -232,7 +237,7 @@ class PeriodicSchedule:
         self._next = -np.inf
 
     def task(self, situation: Situation) -> SensorTask | None:
-        """Return a task when the next measurement is due."""
+        """Return a measurement task if the next measurement is due, else None."""
         s = situation
         due = s.time >= self._next - 1e-9
         if not (due and self._last_altitude < s.altitude <= self._first_altitude):
@@ -247,7 +252,7 @@ class PeriodicSchedule:
 
 
 class SweepSchedule:
-    """Scans a square row by row, then dwells on the site.
+    """Schedule of a raster scan of a square around the site, then a dwell on the site.
 
     Parameters
     ----------
@@ -260,9 +265,9 @@ class SweepSchedule:
     rate, dwell_rate
         Measurement rates during the scan and on the site, Hz.
     last_altitude
-        Altitude below which there are no measurements, m.
+        Altitude above the site at and below which there are no measurements, m.
     limit
-        Gimbal limit, rad; see `gimbal_mount`.
+        Gimbal limit: maximum angle of the boresight from body -z, rad.
     """
 
     def __init__(
@@ -286,7 +291,7 @@ class SweepSchedule:
         self._count = 0
 
     def task(self, situation: Situation) -> SensorTask | None:
-        """Return a task when the next measurement is due."""
+        """Return a measurement task if the next measurement is due, else None."""
         s = situation
         if s.time < self._next - 1e-9 or not s.altitude > self._last_altitude:
             return None

@@ -38,7 +38,11 @@ def control_units(units: Units) -> Array:
 
 
 def figures_of(descent: RigidDescent, units: Units) -> Array:
-    """Return gravity, exhaust velocity, lag, masses and moments, scaled (11,)."""
+    """Return the vehicle parameters of the equations of motion (11,), without units.
+
+    They are gravity, exhaust velocity, time constant of the engine, dry and initial mass, and the
+    three principal moments of inertia with empty and with full tanks, divided by `units`.
+    """
     v = descent.lander
     moment = units.mass * units.length**2
     return np.concatenate(

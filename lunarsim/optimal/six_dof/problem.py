@@ -268,5 +268,5 @@ class RigidDescent:
             thrust_min=self.least, thrust_max=self.most,
             exhaust_velocity=self.lander.exhaust_velocity, dry_mass=self.dry_mass,
             max_tilt=self.max_tilt, glideslope=self.glideslope, drop=self.drop,
-            end_tilt=np.deg2rad(5.0), tilt_rate=np.deg2rad(8.0),
+            max_final_tilt=np.deg2rad(5.0), tilt_rate=np.deg2rad(8.0),
         )  # fmt: skip

@@ -15,7 +15,11 @@ from lunarsim.models._pinhole_kernels import to_pixel
 
 @kernel(parallel=True)
 def rock_feet(rocks, reach, z, x0, y0, p):
-    """Return an elevation (n,) below all relief under each rock's outline."""
+    """Return an elevation (n,), m, below the complete relief under each rock.
+
+    `reach` (n,) are the radii of the outlines, m; `z` are the elevations of the relief, with the
+    first grid point (x0, y0) and the spacing `p`.
+    """
     rows, cols = z.shape
     foot = np.empty(rocks.shape[0])
     for n in prange(rocks.shape[0]):
@@ -33,7 +37,10 @@ def rock_feet(rocks, reach, z, x0, y0, p):
 
 @kernel(exact=True)
 def _sides(rocks, n, reach):
-    """Return the half side vectors of the box around rock n, ENU."""
+    """Return the half side vectors of the rectangle around rock n: four numbers, m.
+
+    The first vector is (s0, s1), the second (-s2, s3), east and north.
+    """
     scale = reach[n] / max(rocks[n, 3], rocks[n, 4])
     e = rocks[n, 3] * scale
     f = rocks[n, 4] * scale
@@ -42,8 +49,9 @@ def _sides(rocks, n, reach):
 
 @kernel()
 def _fit(u0, v0, u1, v1, width, height, box, m):
-    """Write the pixels with centres in a rectangle to row m; return if any.
+    """Write the pixels with centres in a rectangle into `box[m]`; return if any.
 
+    The rectangle spans columns u0 to u1 and rows v0 to v1 of an image of `width` x `height`.
     Centres are at integers. A margin of 0.005 pixels covers rounding of float32 in the shader.
     """
     u0 = max(np.ceil(u0 - 0.005), 0.0)
@@ -61,9 +69,12 @@ def _fit(u0, v0, u1, v1, width, height, box, m):
 def visible_rocks(
     rocks, reach, foot, number, viewpoint, to_sensor, fx, fy, cx, cy, width, height, near
 ):
-    """Return the pixels (m, 4) that each rock may cover, and whether any (m,).
+    """Return boxes of pixels (m, 4) that rocks may cover, and which boxes have any.
 
-    A rock between the centres of pixels covers none and is omitted.
+    `rocks`, `reach` and `foot` are described in the module; `number` (m,) are the indices of the
+    rocks to test. `viewpoint` (3,) is the camera, `to_sensor` (3, 3) the rotation from ENU, `fx` to
+    `cy` are the focal lengths and principal point, and `near` is the minimum depth, m. A rock
+    between the centres of pixels has an empty box.
     """
     count = number.size
     seen = np.zeros(count, np.bool_)
@@ -124,7 +135,12 @@ def visible_rocks(
 
 @kernel()
 def _is_read(u0, v0, u1, v1, width, height, normal, lower_bound, upper_bound):
-    """Return whether a box of texels meets all strips, or the map's border."""
+    """Return whether a box of shadow map texels may be read by the image.
+
+    The box spans columns u0 to u1 and rows v0 to v1 of a map of `width` x `height`. Texels are read
+    in strips with normals `normal` (k, 2) between `lower_bound` and `upper_bound` (k,), and at the
+    border of the map.
+    """
     # As `ShadowMapReads.meet` has it.
     if u0 < 4.0 or v0 < 4.0 or u1 > width - 4.0 or v1 > height - 4.0:
         return True
@@ -155,10 +171,13 @@ def shading_rocks(
     lower_bound,
     upper_bound,
 ):
-    """Return the texels (m, 4) that each rock may shadow, and whether any (m,).
+    """Return boxes of texels (m, 4) that rocks may shadow, and which are needed (m,).
 
-    `axes` (2, 2) transforms ENU to the map's axes, `corner` is the map's corner in them, m. Texels
-    outside the strips of `ShadowMapReads` (`normal`, `lower_bound`, `upper_bound`) are omitted.
+    `rocks`, `reach` and `foot` are described in the module; `number` (m,) are the indices of the
+    rocks to test. `viewpoint` (3,) is the camera. `lean` (2,) is the displacement of the Sun's
+    rays per metre of height, `axes` (2, 2) transforms ENU to the axes of the shadow map, `corner`
+    is the map's corner in these axes, m, and `texel` the side of a texel, m. Texels outside the
+    strips of `ShadowMapReads` (`normal`, `lower_bound`, `upper_bound`) are not needed.
     """
     count = number.size
     seen = np.zeros(count, np.bool_)
@@ -199,7 +218,10 @@ def shading_rocks(
 
 @kernel()
 def gather(box, number, drawn):
-    """Return the rows of `box` as float32 (m, 4), and the indices, where `drawn`."""
+    """Select the boxes (float32) and rock indices whose rocks are drawn.
+
+    `box` (m, 4) are the boxes, `number` (m,) the rock indices and `drawn` (m,) the selection.
+    """
     picked = np.flatnonzero(drawn)
     out = np.empty((picked.size, 4), np.float32)
     for m in range(picked.size):
@@ -210,9 +232,10 @@ def gather(box, number, drawn):
 
 @kernel()
 def box_corners(box, number, picked):
-    """Return the corners of boxes, relative to the image's corner, and indices.
+    """Return the corners of the picked boxes, with the index of the rock, for OpenGL.
 
-    Rows (4 m, 3), float32: lower left, lower right, upper left, upper right.
+    Rows (4 m, 3), float32: column, row and rock index of the corners lower left, lower right, upper
+    left, upper right of each box. Columns and rows are relative to the image's corner.
     """
     out = np.empty((4 * picked.size, 3), np.float32)
     for m in range(picked.size):

@@ -16,12 +16,12 @@ _RELATIVE_MARGIN = 1e-6
 
 @kernel()
 def tile_bounds(rocks, reach, foot, order, start):
-    """Return bounds of tiles: low (t, 3), high (t, 3), radius and margin (t,).
+    """Return the bounds of the rocks in each tile: low, high, radius, margin.
 
-    Tile t contains the rocks `order[start[t]:start[t + 1]]`. `low` and `high` bound the rocks'
-    positions and their elevations from foot to top. `radius` is that of the largest sphere around a
-    rock's base that contains it, as in `visible_rocks`. `margin` is the maximum lateral extent of a
-    rock's box.
+    Tile t contains the rocks `order[start[t]:start[t + 1]]`. `low` and `high` (t, 3) bound the
+    rocks' positions and their elevations from foot to top. `radius` (t,) is that of the largest
+    sphere around a rock's base that contains the rock, as in `visible_rocks`. `margin` (t,) is the
+    maximum lateral extent of a rock's box.
     """
     count = start.size - 1
     low = np.full((count, 3), np.inf)
@@ -43,7 +43,11 @@ def tile_bounds(rocks, reach, foot, order, start):
 
 @kernel()
 def tiles_in_view(low, high, radius, viewpoint, to_sensor, fx, fy, cx, cy, width, height, near):
-    """Return which tiles (t,) may contain a rock that `visible_rocks` selects."""
+    """Return which tiles (t,) may contain a rock that is visible in an image.
+
+    `low`, `high` (t, 3) and `radius` (t,) are bounds of the tiles, `viewpoint` (3,) is the camera,
+    `to_sensor` (3, 3) the rotation from ENU, and `near` the minimum depth, m.
+    """
     count = low.shape[0]
     kept = np.zeros(count, np.bool_)
     # Inward normals of the view's sides in sensor axes.
@@ -82,7 +86,11 @@ def tiles_in_view(low, high, radius, viewpoint, to_sensor, fx, fy, cx, cy, width
 
 @kernel()
 def tiles_that_shade(low, high, margin, viewpoint, lean, axes, corner, texel, width, height):
-    """Return which tiles (t,) may contain a rock that `shading_rocks` selects."""
+    """Return which tiles (t,) may contain a rock that casts shadows onto a shadow map.
+
+    `low`, `high` (t, 3) and `margin` (t,) are bounds of the tiles; the map is given by `lean`,
+    `axes`, `corner` and `texel` of `ShadowFrame`, and has `width` x `height` texels.
+    """
     count = low.shape[0]
     kept = np.zeros(count, np.bool_)
     for t in range(count):
@@ -111,7 +119,10 @@ def tiles_that_shade(low, high, margin, viewpoint, lean, axes, corner, texel, wi
 
 @kernel()
 def rocks_of(order, start, kept):
-    """Return the indices of the rocks in the selected tiles, in ascending order."""
+    """Return the indices of the rocks in the selected tiles, in ascending order.
+
+    Tile t contains the rocks `order[start[t]:start[t + 1]]`; `kept` (t,) is the selection.
+    """
     mark = np.zeros(order.size, np.bool_)
     for t in range(kept.size):
         if kept[t]:

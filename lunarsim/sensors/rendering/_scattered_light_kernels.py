@@ -23,14 +23,14 @@ def interpolate(values: Array, row: float, column: float) -> float:
 
 @kernel(parallel=True)
 def lit_posts(z: Array, posting: float, sun: Array) -> NDArray[np.bool_]:
-    """Return which posts (rows, cols) see the centre of the Sun.
+    """Return which grid points (rows, cols) of a relief see the centre of the Sun.
 
     Parameters
     ----------
     z
         Elevations (rows, cols), m; NaN casts no shadow.
     posting
-        Distance between posts, m.
+        Grid spacing, m.
     sun
         Unit vector to the Sun (3,), above the horizon.
     """
@@ -65,7 +65,9 @@ def lit_posts(z: Array, posting: float, sun: Array) -> NDArray[np.bool_]:
 def scattered_irradiance(
     z: Array, slope: Array, posting: float, shine: Array, azimuths: int, growth: float
 ) -> Array:
-    """Return the irradiance (rows, cols) of posts by visible terrain, over the Sun's.
+    """Return the irradiance (rows, cols) of a relief by the terrain that it faces.
+
+    The irradiance is relative to that of the Sun.
 
     Along each azimuth the terrain is sampled at increasing distances; a sample above all nearer
     ones is visible, and fills the band of elevation angles in between.
@@ -75,15 +77,15 @@ def scattered_irradiance(
     z
         Elevations (rows, cols), m.
     slope
-        Gradient to the east and to the north at each post (rows, cols, 2).
+        Gradient to the east and to the north at each grid point (rows, cols, 2).
     posting
-        Distance between posts, m.
+        Grid spacing, m.
     shine
-        I/F of every post, equal in all directions (rows, cols).
+        Radiance factor I/F of every grid point, equal in all directions (rows, cols).
     azimuths
         Number of azimuths.
     growth
-        Factor between consecutive distances, except close to the post.
+        Factor between consecutive distances, except close to the grid point.
     """
     rows, cols = z.shape
     out = np.zeros(z.shape)

@@ -20,9 +20,10 @@ MOST = 16  # maximum number of pixels in a small rock's box
 
 @kernel()
 def split(box):
-    """Return indices of boxes with few pixels, their first pixels, other boxes.
+    """Separate the screen boxes (m, 4) of small rocks from those of large rocks.
 
-    The last element of the first pixels is the total number of pixels.
+    Returns the indices of boxes of at most 16 pixels, the number of their first pixel in a list of
+    all their pixels (its last element is the total number), and the indices of the other boxes.
     """
     area = np.empty(box.shape[0], np.int64)
     for m in range(box.shape[0]):
@@ -37,9 +38,14 @@ def split(box):
 def sight(
     rocks, planes, count, box, number, small, start, viewpoint, to_sensor, fx, fy, cx, cy, near
 ):
-    """Write pixel, depth, normal and index of small rocks where rays hit them.
+    """Trace a ray through every pixel of small rocks in an image.
 
-    Returns rows (m, 7), float32, and which of them are hits (m,).
+    `rocks`, `planes` and `count` are rocks (n, 9) and the half spaces of their shapes; `box`,
+    `number`, `small` and `start` are boxes, rock indices and results of `split`; `viewpoint` (3,)
+    is the camera, `to_sensor` (3, 3) the rotation from ENU, `fx` to `cy` are the focal lengths and
+    principal point, and `near` is the minimum depth, m.
+    Returns rows (k, 7), float32: column, row, depth, normal (3) and rock index, and which rows are
+    hits (k,).
     """
     out = np.empty((start[-1], 7), np.float32)
     hit = np.zeros(start[-1], np.bool_)
@@ -100,10 +106,14 @@ def shade(
     highest,
     lowest,
 ):
-    """Write texel and depth of small rocks' highest faces away from the Sun.
+    """Trace a ray to the Sun through every shadow map texel of small rocks.
 
-    Returns rows (m, 3), float32, and which of them are hits (m,). Elevations are relative to the
-    camera.
+    `rocks`, `planes` and `count` are rocks (n, 9) and the half spaces of their shapes; `box`,
+    `number`, `small` and `start` are boxes, rock indices and results of `split`; `viewpoint` (3,)
+    is the camera. `lean`, `axes`, `corner` and `texel` describe the map as in `ShadowFrame`;
+    `highest` and `lowest` bound elevations relative to the camera, m. Returns rows
+    (k, 3), float32: column, row and depth (0 to 1) of the highest face away from the Sun, and which
+    rows are hits (k,).
     """
     out = np.empty((start[-1], 3), np.float32)
     hit = np.zeros(start[-1], np.bool_)

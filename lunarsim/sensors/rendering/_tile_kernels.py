@@ -14,7 +14,11 @@ _STEEP_VIEW_FACTOR = 4.0
 
 @kernel()
 def _extremes(z, i0, j0, i1, j1):
-    """Return minimum, maximum and steepest rise of a tile, and if posts miss."""
+    """Return minimum, maximum, steepest rise per cell, and gaps of a tile.
+
+    The last value is whether an elevation is missing.
+    The tile spans grid points (i0, j0) to (i1, j1) of the elevations `z`, m.
+    """
     low = np.inf
     top = -np.inf
     steep = 0.0
@@ -41,7 +45,10 @@ def _extremes(z, i0, j0, i1, j1):
 
 @kernel()
 def _decimation_error(z, i0, j0, i1, j1, step):
-    """Return the maximum vertical error of a tile drawn with every `step`-th post."""
+    """Return the maximum vertical error, m, of a tile drawn at reduced resolution.
+
+    The tile spans grid points (i0, j0) to (i1, j1) of `z`; every `step`-th point is drawn.
+    """
     worst = 0.0
     for ci in range(i0, i1, step):
         for cj in range(j0, j1, step):
@@ -67,9 +74,10 @@ def _decimation_error(z, i0, j0, i1, j1, step):
 def tile_tables(z, side, levels, p):
     """Return minimum, maximum, steepest gradient and decimation errors of tiles.
 
-    Tile (i, j) spans `side` cells from post (i * side, j * side). Its error at level l is the
-    maximum vertical distance between the relief and the relief through every 2^l-th post; it is
-    infinite where an elevation is missing.
+    Tile (i, j) spans `side` cells from grid point (i * side, j * side) of the elevations `z`, m,
+    with spacing `p`. The error at level l, one of `levels`, is the maximum vertical distance
+    between the relief and the relief through every 2^l-th point; it is infinite where an elevation
+    is missing.
     """
     rows, cols = z.shape
     high = (rows - 2) // side + 1
@@ -97,10 +105,12 @@ def tile_tables(z, side, levels, p):
 
 @kernel()
 def shadow_caster_blocks(z, first, side, blocks, p, sun, share):
-    """Return which blocks (m, blocks^2) of tiles face away from the Sun, or nearly.
+    """Return which blocks (m, blocks^2) of tiles have faces turned away from the Sun.
 
-    `first` (m, 2) are the first column and row of each tile; its blocks are numbered row by row. A
-    face counts if it rises towards the Sun by more than `share` times the rise of the Sun's rays.
+    `first` (m, 2) are the first column and row of each tile of `side` cells along a side; its
+    `blocks` x `blocks` blocks are numbered row by row. `p` is the grid spacing, m, and `sun` (3,)
+    the unit vector to the Sun. A face counts if it rises towards the Sun by more than `share`, a
+    factor slightly below 1, times the rise of the Sun's rays.
     """
     rows, cols = z.shape
     out = np.zeros((first.shape[0], blocks * blocks), np.bool_)
@@ -124,9 +134,10 @@ def shadow_caster_blocks(z, first, side, blocks, p, sun, share):
 
 @kernel(parallel=True)
 def cell_corners(z, datum):
-    """Return the heights of the corners of every cell (rows, cols, 4), float32.
+    """Return the heights of the corners of every cell (rows, cols, 4), float32, m.
 
-    The order is SW, SE, NW, NE. Beyond the last post its value is repeated.
+    Heights are relative to `datum`, m, in the order SW, SE, NW, NE. Beyond the last grid point its
+    value is repeated.
     """
     rows, cols = z.shape
     out = np.empty((rows, cols, 4), np.float32)
@@ -143,7 +154,10 @@ def cell_corners(z, datum):
 
 @kernel()
 def _coarsest(error, n, max_error):
-    """Return the coarsest level of tile n with errors up to `max_error`."""
+    """Return the coarsest level of detail of tile n with errors up to `max_error`, m.
+
+    `error` (levels, n) are the errors of all tiles, m.
+    """
     level = 0
     while level + 1 < error.shape[0] and error[level + 1, n] <= max_error:
         level += 1
@@ -152,11 +166,13 @@ def _coarsest(error, n, max_error):
 
 @kernel()
 def choose(low, high, error, viewpoint, axes, bounds, near, tolerance, shadow_tolerance):
-    """Return the visible tiles (n,) of a camera, their levels and bounds.
+    """Select the visible tiles of a relief and their levels of detail for a camera.
 
-    Levels (n,) are for the image and for the shadow map. The bounds are the minimum distance of a
-    visible tile and the corners of the bounding box of all of them (3,). `bounds` are the tangents
-    at the left, right, upper and lower border of the image.
+    `low` and `high` (n, 3) are the tiles' bounding boxes, `error` (levels, n) their errors; `axes`
+    (3, 3) are the camera's axes, and `bounds` the tangents at the left, right, upper and lower
+    border of the image. `tolerance` and `shadow_tolerance` are errors per metre of distance.
+    Returns which tiles are visible (n,), levels (n,) for the image and for the shadow map, the
+    minimum distance of a visible tile, and the corners of the bounding box of all visible tiles.
     """
     count = low.shape[0]
     shown = np.zeros(count, np.bool_)

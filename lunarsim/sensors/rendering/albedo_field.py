@@ -19,8 +19,9 @@ _DETAIL = 8
 
 @lru_cache(maxsize=4)
 def albedo_field(seed: int) -> NDArray[np.uint8]:
-    """Return a periodic random field (1024, 1024) of exponential correlation.
+    """Generate the albedo variation: a periodic random field (1024, 1024).
 
+    Its correlation is exponential.
     Values are normal with mean 128 and standard deviation 255 / 8, limited to four deviations.
     """
     rng = np.random.default_rng([seed, 0])
@@ -34,16 +35,20 @@ def albedo_field(seed: int) -> NDArray[np.uint8]:
 
 
 def albedo_from_camera(light: Light, viewpoint: Array) -> Array:
-    """Return scale and offset (4,) from the camera's metres to the field."""
-    scale = _DETAIL / (light.mottle_length * _SIDE)
+    """Return the transform from metres relative to the camera to the albedo texture.
+
+    The values (4,) are the scale in x and y, 1/m, and the offset in x and y, texture widths.
+    """
+    scale = _DETAIL / (light.albedo_correlation_length * _SIDE)
     return np.array([scale, scale, *((viewpoint[:2] * scale) % 1.0)])
 
 
 def rock_albedos(light: Light, count: int) -> Array:
-    """Return the albedo of every rock (count,) over the mean of the terrain.
+    """Sample the albedo of every rock (count,), relative to the mean of the terrain.
 
-    It is log-normal around `boulder_albedo`; the value of rock i does not depend on `count`.
+    The albedo is log-normal with mean `boulder_albedo`; the value of rock i does not depend on
+    `count`.
     """
-    spread = np.sqrt(np.log1p(light.boulder_mottle**2))
-    normal = np.random.default_rng([light.mottle_seed, 1]).standard_normal(count)
+    spread = np.sqrt(np.log1p(light.boulder_albedo_variation**2))
+    normal = np.random.default_rng([light.albedo_seed, 1]).standard_normal(count)
     return np.asarray(light.boulder_albedo * np.exp(spread * normal - 0.5 * spread**2))

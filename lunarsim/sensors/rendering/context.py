@@ -37,7 +37,7 @@ _render_thread = DaemonThreads(1, "lunarsim-render")
 
 
 def on_render_thread(function: Callable[P, R]) -> Callable[P, R]:
-    """Run a function on the rendering thread; callers wait for its result."""
+    """Decorate a function to run on the rendering thread; callers wait for its result."""
 
     def run(threads: int, *args: P.args, **kwargs: P.kwargs) -> R:
         _here.is_render_thread = True
@@ -59,7 +59,7 @@ def on_render_thread(function: Callable[P, R]) -> Callable[P, R]:
 
 @lru_cache(maxsize=1)
 def gl_context() -> moderngl.Context:
-    """Return the context of this process; call it on the rendering thread only.
+    """Return the OpenGL context of this process, on the rendering thread only.
 
     Raises
     ------
@@ -82,7 +82,10 @@ def gl_context() -> moderngl.Context:
 
 
 def shader(*names: str, defines: tuple[str, ...] = ()) -> str:
-    """Return GLSL source: version, definitions, and the named shader files."""
+    """Return the GLSL source of a shader: version, definitions, and the named files.
+
+    `names` are shader files without suffix, `defines` are lines such as "BLOCK 16".
+    """
     folder = files(__package__) / "shaders"
     parts = ["#version 330", *(f"#define {line}" for line in defines)]
     parts += [(folder / f"{name}.glsl").read_text(encoding="utf-8") for name in names]

@@ -43,7 +43,7 @@ def frame_block(
     view: View, clip: tuple[float, float], light: Light, grid: Grid, cells: tuple[int, int],
     datum: float, frame: ShadowFrame | None, texture: tuple[int, int],
 ) -> NDArray[np.void]:  # fmt: skip
-    """Return the uniform block of an image.
+    """Return the parameters of an image for the shaders, as an OpenGL uniform block.
 
     Parameters
     ----------

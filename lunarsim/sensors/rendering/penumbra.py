@@ -17,8 +17,10 @@ _MAX_SEARCH_BLOCKS = 128
 
 
 def disc_axes(frame: ShadowFrame, sun: Array, diameter: float) -> Array:
-    """Return the half axes (2,) of the Sun's disc in the map, texels per metre.
+    """Return the half axes (2,) of the Sun's disc in a shadow map, texels per metre.
 
+    The values are per metre of an occluder's height; `sun` (3,) is the unit vector to the Sun and
+    `diameter` its apparent diameter, rad.
     The first axis is along the Sun's azimuth. An occluder at height h over a point hides parts of
     the disc within h tan(r) / sin(e)^2 along the azimuth, and h tan(r) / sin(e) across, with the
     radius r of the disc and the elevation e of the Sun; to first order in r.
@@ -57,7 +59,7 @@ class PenumbraBounds:
         }
 
     def draw(self, frame: ShadowFrame, axes: Array, reach: float) -> None:
-        """Compute the bounds of a map that has been drawn.
+        """Compute minimum and maximum depth around each block of a drawn shadow map.
 
         Parameters
         ----------

@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 
 
 def float_texture(ctx: moderngl.Context, data: NDArray[Any]) -> moderngl.Texture:
-    """Return an array (rows, cols, parts) as a float32 texture without filtering.
+    """Create a float32 texture without filtering from an array (rows, cols, channels).
 
     Rows a power of two apart conflict in a processor's cache; such an array is padded by a few
     columns.
@@ -34,14 +34,17 @@ def float_texture(ctx: moderngl.Context, data: NDArray[Any]) -> moderngl.Texture
 
 
 def disable_filtering(texture: moderngl.Texture) -> None:
-    """Read a texture without filtering, and clamp it at its edges."""
+    """Set a texture to be read without filtering and clamped at its edges."""
     texture.filter = (moderngl.NEAREST, moderngl.NEAREST)
     texture.repeat_x = texture.repeat_y = False
 
 
 @lru_cache(maxsize=LEVELS)
 def tile_mesh(ctx: moderngl.Context, level: int) -> tuple[moderngl.Buffer, moderngl.Buffer]:
-    """Return the vertices and triangles of one level of detail."""
+    """Return the OpenGL buffers of a tile's mesh at a level of detail.
+
+    The first contains vertices (column, row), the second triangles (vertex indices).
+    """
     posts, triangles = level_mesh(level)
     return ctx.buffer(posts.tobytes()), ctx.buffer(triangles.tobytes())
 
@@ -67,12 +70,12 @@ ROCK_KINDS = ("half-sphere", "cube", "hull")
 
 
 def shade_name(*, coarse: bool, leaks: bool, truth: bool) -> str:
-    """Return the name of the program that shades the relief.
+    """Return the name of the shader program that shades the relief.
 
     Parameters
     ----------
     coarse
-        Whether the relief was drawn coarsely.
+        Whether the relief was drawn at reduced resolution.
     leaks
         Whether light may leak through narrow ridges in the shadow map.
     truth
@@ -83,7 +86,10 @@ def shade_name(*, coarse: bool, leaks: bool, truth: bool) -> str:
 
 @lru_cache(maxsize=2)
 def geometry_programs(ctx: moderngl.Context, holes: tuple[str, ...]) -> dict[str, moderngl.Program]:
-    """Return the programs that draw depth and shadow maps."""
+    """Compile the shader programs that draw depth and shadow maps, by name.
+
+    `holes` contains the definition "HOLES" if the relief has missing elevations.
+    """
     block = (f"BLOCK {BLOCK}",)
     programs = {
         "relief": ctx.program(
@@ -109,7 +115,7 @@ def geometry_programs(ctx: moderngl.Context, holes: tuple[str, ...]) -> dict[str
 
 @lru_cache(maxsize=16)
 def shading_programs(ctx: moderngl.Context, model: ShadingModel) -> dict[str, moderngl.Program]:
-    """Return the programs that render images under one shading model."""
+    """Compile the shader programs that render images under one shading model, by name."""
     lit, own = model.sources(), model.defines
     before = ("frame", *lit[:1], "given_light")
     programs = {}
@@ -134,7 +140,10 @@ def shading_programs(ctx: moderngl.Context, model: ShadingModel) -> dict[str, mo
 
 
 def _rock_kind(kind: str) -> tuple[tuple[str, ...], tuple[str, ...], str]:
-    """Return definitions, preceding sources and shader name prefix of a kind of rock."""
+    """Return shader definitions, preceding sources and name prefix of a kind of rock.
+
+    `kind` is an element of `ROCK_KINDS`.
+    """
     if kind == "half-sphere":
         return (), ("half_sphere",), "half_sphere"
     table = shape_table()
@@ -144,7 +153,7 @@ def _rock_kind(kind: str) -> tuple[tuple[str, ...], tuple[str, ...], str]:
 
 
 def _bind_inputs(programs: dict[str, moderngl.Program]) -> dict[str, moderngl.Program]:
-    """Bind textures, uniform block and rock shapes of programs."""
+    """Connect programs to textures, uniform block and rock shapes; return them."""
     table = shape_table()
     # Unused faces of the table become half spaces that contain everything.
     planes = table.planes.astype("f4")

@@ -20,7 +20,7 @@ _INSTANCE = np.dtype([("tile", "4i4"), ("edges", "4i4"), ("placed", "16f4")])
 
 
 class ReliefRenderer:
-    """Draws the depth and the shadow map of a relief.
+    """Renderer of the depth map and the shadow map of a relief.
 
     Parameters
     ----------
@@ -59,7 +59,7 @@ class ReliefRenderer:
     def draw(
         self, matrix: Array, viewpoint: Array, shown: NDArray[np.bool_], level: NDArray[np.int64]
     ) -> None:
-        """Draw the depth of tiles.
+        """Draw the depth of the selected tiles of the relief.
 
         Parameters
         ----------
@@ -111,7 +111,10 @@ class ReliefRenderer:
     def _draw_instances(
         self, name: str, k: int, rows: NDArray[np.void], block: int | None = None
     ) -> None:
-        """Draw instances of a mesh, or of one of its blocks."""
+        """Draw a tile mesh once per row of instance attributes.
+
+        `name` is the shader program, `k` the level of detail; `block` selects a part of the mesh.
+        """
         if (name, k) not in self._vaos:
             posts, triangles = tile_mesh(self._ctx, k)
             instance = (self._buffer, "4i 4i 16f/i", "tile", "edges", "placed")
@@ -129,7 +132,11 @@ class ReliefRenderer:
     def _instances(
         self, matrix: Array, viewpoint: Array, picked: NDArray[np.int64], level: NDArray[np.int64]
     ) -> NDArray[np.void]:
-        """Return the instance attributes of tiles; positions are computed in float64."""
+        """Return the OpenGL instance attributes of the tiles with indices `picked`.
+
+        `matrix` (4, 4) transforms metres relative to the camera to clip coordinates; `level` (n,)
+        are the levels of detail of all tiles. Positions are computed in float64.
+        """
         g, tiles = self._grid, self.tiles
         rows = np.empty(picked.size, _INSTANCE)
         first = tiles.first[picked]

@@ -44,7 +44,7 @@ class TileChoice:
 
 @dataclass(frozen=True)
 class ReliefTiles:
-    """Tiles of 32 x 32 cells with bounding boxes and errors of coarser levels.
+    """Division of a relief into tiles of 32 x 32 cells with several levels of detail.
 
     Attributes
     ----------
@@ -55,7 +55,7 @@ class ReliefTiles:
     steepness
         Maximum gradient of each tile (n,).
     error
-        Maximum vertical error of each level of detail (6, n), m: level l keeps every 2^l-th post.
+        Maximum vertical error of each level of detail (6, n), m: level l keeps every 2^l-th point.
     neighbour
         Indices of the tiles to the west, east, south and north of each (n, 4); its own index where
         there is none.
@@ -70,7 +70,7 @@ class ReliefTiles:
 
     @classmethod
     def of(cls, relief: Heightfield) -> ReliefTiles:
-        """Compute the tiles of a relief."""
+        """Divide a relief into tiles, and compute their bounds and errors."""
         g = relief.grid
         low, top, steep, error = kernels.tile_tables(relief.z, SIDE, LEVELS, g.posting)
         i, j = np.nonzero(np.isfinite(low))
@@ -96,7 +96,7 @@ class ReliefTiles:
         self, viewpoint: Array, axes: Array, bounds: Array, near: float, tolerance: float,
         shadow_tolerance: float,
     ) -> TileChoice:  # fmt: skip
-        """Return the tiles to draw for a camera.
+        """Select the visible tiles and their levels of detail for a camera.
 
         Parameters
         ----------
@@ -118,7 +118,10 @@ class ReliefTiles:
 def _neighbours(
     i: NDArray[np.int64], j: NDArray[np.int64], shape: tuple[int, ...]
 ) -> NDArray[np.int64]:
-    """Return the indices of the four neighbours of tiles at rows `i` and columns `j`."""
+    """Return the indices (n, 4) of the four neighbours of tiles.
+
+    Tile k is at row `i[k]` and column `j[k]`; `shape` are the numbers of rows and columns of tiles.
+    """
     number = np.full((shape[0] + 2, shape[1] + 2), -1)
     number[i + 1, j + 1] = np.arange(i.size)
     around = np.stack(
@@ -128,7 +131,7 @@ def _neighbours(
 
 
 def level_mesh(level: int) -> tuple[NDArray[np.int32], NDArray[np.uint32]]:
-    """Return the vertices (column, row) and triangles of one tile at a level.
+    """Return the vertices (column, row) and triangles of a tile at a level of detail.
 
     At the finest level the triangles are ordered by block.
     """

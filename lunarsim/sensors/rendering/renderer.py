@@ -49,13 +49,13 @@ Array = NDArray[np.float64]
 # pixels.
 _RANGE_ERROR = 4e-4
 _SHADOW_ERROR_PX = 0.5
-# If a posting is smaller than this many texels of the shadow map, ridges may be narrower than a
-# texel.
+# If the grid spacing is smaller than this many texels of the shadow map, ridges may be narrower
+# than a texel.
 _NARROW_RIDGE_TEXELS = 4.0
 
 
 class Renderer:
-    """Graphics buffers and programs of one terrain, usable from any thread.
+    """Renderer of images of one terrain, usable from any thread.
 
     Parameters
     ----------
@@ -65,7 +65,7 @@ class Renderer:
     Raises
     ------
     RenderingError
-        If OpenGL is missing or the relief has more posts than a texture can hold.
+        If OpenGL is missing or the relief has more grid points than a texture can hold.
     """
 
     @on_render_thread
@@ -77,8 +77,8 @@ class Renderer:
         max_size = int(ctx.info["GL_MAX_TEXTURE_SIZE"])
         if max(relief.z.shape) > max_size:
             raise RenderingError(
-                f"The relief has {relief.z.shape} posts, but this device holds at most {max_size} "
-                "per side."
+                f"The relief has {relief.z.shape} grid points, but this device holds at most "
+                f"{max_size} per side."
             )
         holes = () if np.isfinite(relief.z).all() else ("HOLES",)
         self._programs = geometry_programs(ctx, holes)
@@ -106,12 +106,17 @@ class Renderer:
         Parameters
         ----------
         view, light
-            Camera and light.
+            Camera view (pose, projection and image size), and light.
         truth
             Whether to return range, normal and identity; the relief is then drawn at its finest
             level.
         shadows
             Whether to compute shadows.
+
+        Returns
+        -------
+        RenderedImage
+            Radiance factor and, if requested, range, normal and identity of every pixel.
 
         Raises
         ------
@@ -159,7 +164,7 @@ class Renderer:
             return read_image(target, view, truth)
 
     def _upload_frame(self, block: NDArray[np.void]) -> None:
-        """Pass the parameters of an image to the shaders."""
+        """Pass the parameters of an image (its uniform block) to the shaders."""
         self._block.orphan()
         self._block.write(block.tobytes())
         self._block.bind_to_uniform_block(0)
@@ -171,7 +176,11 @@ class Renderer:
         coarse: bool,
         program: moderngl.Program,
     ) -> None:
-        """Shade the relief; correct its depth where it was drawn coarsely."""
+        """Shade the relief; correct its depth if it was drawn at reduced resolution.
+
+        `target` are the framebuffers of the image, `over` is the one with the depth that rocks are
+        tested against, `coarse` is whether the resolution was reduced, and `program` the shader.
+        """
         if coarse:
             over.use()
             over.clear(depth=1.0)
@@ -188,7 +197,7 @@ class Renderer:
         self._ctx.depth_func = "<"
 
     def _check(self, view: View) -> None:
-        """Refuse a pose that is not valid or is below the terrain."""
+        """Raise InputError if the camera's pose is not valid or is below the terrain."""
         if not np.isfinite(view.position).all():
             raise InputError(
                 "camera.position", [float(x) for x in view.position], "must be finite (metres)"
@@ -209,7 +218,7 @@ class Renderer:
                 )  # fmt: skip
 
     def _clip(self, view: View) -> tuple[float, float]:
-        """Return the minimum and maximum depth of all visible points, m."""
+        """Return bounds of the depth, m, of all visible points: minimum and maximum."""
         along = (self._corners.reshape(-1, 3) - view.position) @ view.axes[:, 2]
         far = max(float(along.max(initial=1.0)) * 1.01 + 10.0, 1.0)
         # No ray hits anything before it descends to the top of the highest rock.
@@ -219,19 +228,25 @@ class Renderer:
 
     @staticmethod
     def _corner_tangent(view: View) -> float:
-        """Return the tangent of the angle between boresight and the farthest corner."""
-        left, right, upper, lower = view.border
+        """Return the tangent of the angle between boresight and farthest image corner."""
+        left, right, upper, lower = view.border_tangents
         return float(np.hypot(max(-left, right), max(-upper, lower)))
 
     def _choose(self, view: View, sun: Array, near: float) -> TileChoice:
-        """Return the tiles to draw and their levels of detail."""
+        """Select the visible tiles of the relief and their levels of detail.
+
+        `sun` (3,) is the unit vector to the Sun and `near` the minimum depth, m.
+        """
         run = max(sun[2], 0.02) / max(float(np.hypot(sun[0], sun[1])), 1e-6)
         shift = min(_RANGE_ERROR, _SHADOW_ERROR_PX / max(view.fx, view.fy) * run)
-        bounds = np.array(view.border)
+        bounds = np.array(view.border_tangents)
         return self._tiles.choose(view.position, view.axes, bounds, near, _RANGE_ERROR, shift)
 
     def _shadow_frame(self, view: View, sun: Array, choice: TileChoice) -> ShadowFrame:
-        """Return the frame of the shadow map, and allocate a map of its size."""
+        """Return area and resolution of the shadow map, and allocate a map of this size.
+
+        `sun` (3,) is the unit vector to the Sun, and `choice` are the visible tiles.
+        """
         rock = self._rocks.tallest
         lowest = min(self._lowest, self._rocks.lowest)
         frame = ShadowFrame.of(view, sun, choice, self._highest + rock, lowest, rock)
@@ -242,7 +257,7 @@ class Renderer:
         return frame
 
     def _penumbra_bounds(self) -> PenumbraBounds:
-        """Return the penumbra bounds of the current shadow map."""
+        """Return the depth bounds of the current shadow map; create them if needed."""
         if self._bounds is None:
             assert self._shadow is not None
             self._bounds = PenumbraBounds(self._ctx, self._programs, self._shadow)
@@ -251,9 +266,13 @@ class Renderer:
     def _set_surface(
         self, block: NDArray[np.void], light: Light, view: View, *, wide: bool
     ) -> dict[str, moderngl.Program]:
-        """Bind the surface textures and albedos; return the programs for a light."""
+        """Bind the surface textures and albedos; return the shader programs for a light.
+
+        `wide` is whether penumbrae are wider than a texel. `block` is the uniform block of the
+        image, in place.
+        """
         self._surface.use(light, view.position, block)
-        if light.boulder_mottle > 0.0 or light.boulder_albedo != 1.0:
+        if light.boulder_albedo_variation > 0.0 or light.boulder_albedo != 1.0:
             self._rocks.set_albedo(rock_albedos(light, self._rocks.count))
         model = ShadingModel.of(light)
         return shading_programs(self._ctx, model.with_wide_penumbrae() if wide else model)
@@ -261,9 +280,10 @@ class Renderer:
     def _set_penumbra(
         self, block: NDArray[np.void], frame: ShadowFrame | None, light: Light, relief_shades: bool
     ) -> float:
-        """Write the size of the Sun's disc in the map; return its maximum radius, texels.
+        """Write the size of the Sun's disc in the shadow map into the uniform block.
 
-        The radius is half the width of the widest penumbra; 0 for a point Sun.
+        Returns half the width of the widest penumbra, texels; 0 for a point Sun. `relief_shades` is
+        whether the relief casts shadows.
         """
         if frame is None or light.diameter == 0.0:
             return 0.0
@@ -281,7 +301,7 @@ class Renderer:
     def _shading_tiles(
         self, view: View, sun: Array, frame: ShadowFrame | None
     ) -> NDArray[np.bool_]:
-        """Return which tiles may cast shadows onto the area of the map."""
+        """Return which tiles (n,) may cast shadows onto the area of the shadow map."""
         if frame is None:
             return np.zeros(len(self._corners), np.bool_)
         # Only a face steeper than the Sun's rays is turned away from the Sun.
@@ -291,7 +311,11 @@ class Renderer:
     def _map_reads(
         self, view: View, frame: ShadowFrame, choice: TileChoice, seen: DrawnRocks, reach: float
     ) -> ShadowMapReads:
-        """Return which part of the shadow map an image reads."""
+        """Return which part of the shadow map an image reads.
+
+        `choice` are the visible tiles, `seen` the visible rocks, and `reach` is half the width of
+        the widest penumbra, texels.
+        """
         if reach > 1.0:  # the search for penumbrae may read any texel
             return ShadowMapReads.anywhere(frame)
         low, high = self._rocks.heights(seen)
@@ -304,7 +328,11 @@ class Renderer:
         self, view: View, sun: Array, frame: ShadowFrame, reads: ShadowMapReads,
         shades: NDArray[np.bool_], level: NDArray[np.int64],
     ) -> bool:  # fmt: skip
-        """Draw the shadow map; return whether light may leak through ridges in it."""
+        """Draw the shadow map; return whether light may leak through narrow ridges.
+
+        `reads` is the part that the image reads, `shades` (n,) are the tiles that may cast shadows,
+        and `level` (n,) their levels of detail.
+        """
         shadow = self._shadow
         assert shadow is not None
         shadow.buffer.use()
@@ -332,7 +360,7 @@ _RENDERERS: dict[int, Renderer] = {}
 
 @on_render_thread
 def renderer_of(terrain: Terrain) -> Renderer:
-    """Return the renderer of a terrain, which is kept for its lifetime."""
+    """Return the renderer of a terrain, cached as long as the terrain exists."""
     key = id(terrain)
     if key not in _RENDERERS:
         _RENDERERS[key] = Renderer(terrain)
@@ -342,7 +370,10 @@ def renderer_of(terrain: Terrain) -> Renderer:
 
 
 def _camera_matrix(view: View, near: float, far: float) -> Array:
-    """Return the matrix (4, 4) from the camera's metres, ENU, to clip coordinates."""
+    """Return the matrix (4, 4) from metres relative to the camera to clip coordinates.
+
+    `near` and `far` are the minimum and maximum depth, m; input axes are ENU.
+    """
     x, y, z = view.axes.T
     out = np.zeros((4, 4))
     # The centre of the first pixel is at 0; image rows increase upwards in clip coordinates.

@@ -28,7 +28,7 @@ _TEXELS_PER_POINT = 100
 
 
 class RockRenderer:
-    """Draws the rocks of one terrain.
+    """Renderer of the rocks of one terrain, in images and shadow maps.
 
     Parameters
     ----------
@@ -78,7 +78,7 @@ class RockRenderer:
         self._albedo = np.ones(count)
 
     def set_albedo(self, albedo: Array) -> None:
-        """Set the albedo of every rock (n,) over the terrain's, for programs that use it."""
+        """Set the albedo of every rock (n,), relative to the mean of the terrain."""
         if not np.array_equal(albedo, self._albedo):
             self._albedo = albedo
             self._texels[: len(albedo), 9] = albedo
@@ -86,11 +86,14 @@ class RockRenderer:
             self._texture = float_texture(self._ctx, self._texels.reshape(lines, 3 * _TEXTURE, 4))
 
     def seen(self, view: View, near: float) -> DrawnRocks:
-        """Return the rocks in a view with minimum depth `near`, m."""
+        """Return the rocks that are visible in a view with minimum depth `near`, m."""
         return self._tiles.seen(view, near)
 
     def heights(self, seen: DrawnRocks) -> tuple[float, float]:
-        """Return the minimum and maximum elevation of the visible parts of rocks, m."""
+        """Return bounds of the elevation, m, of the visible parts of rocks.
+
+        The bounds are infinite if the side of a rock continues beyond the relief.
+        """
         if self._bottomless[seen.number].any():
             return -np.inf, np.inf
         lowest = self._foot[seen.number].min(initial=np.inf)
@@ -100,18 +103,18 @@ class RockRenderer:
         self, programs: dict[str, moderngl.Program], view: View, near: float, seen: DrawnRocks,
         truth: bool,
     ) -> None:  # fmt: skip
-        """Draw rocks over the relief.
+        """Draw the visible rocks over an image of the relief.
 
         Parameters
         ----------
         programs
             Shading programs.
         view
-            View.
+            Camera view of the image.
         near
             Minimum depth, m.
         seen
-            Rocks in the view.
+            Rocks that are visible in the image.
         truth
             Whether range, normal and identity are also output.
         """
@@ -129,7 +132,10 @@ class RockRenderer:
     def draw_shadows(
         self, view: View, frame: ShadowFrame, reads: ShadowMapReads, shadow: ShadowMap
     ) -> None:
-        """Initialize a shadow map with all rocks that shadow the texels to be read."""
+        """Clear a shadow map, and draw all rocks that shadow the texels to be read.
+
+        `frame` is the geometry of the map, and `reads` the part that the image reads.
+        """
         shading = self._tiles.shading(view, frame, reads)
         box, number = shading.box, shading.number
         small, start, rest = small_rocks.split(box)
@@ -175,7 +181,10 @@ class RockRenderer:
         self._vaos[program].render(moderngl.TRIANGLES, vertices=6 * boxes)
 
     def _draw_points(self, program: moderngl.Program, points: NDArray[np.float32]) -> None:
-        """Draw pixels of small rocks (n, 7 or 3): position, depth, normal and index."""
+        """Draw pixels of small rocks as OpenGL points.
+
+        `points` (n, 7 or 3) are column, row and depth, and in an image also normal and rock index.
+        """
         if len(points) == 0:
             return
         self._texture.use(ROCKS)

@@ -67,7 +67,10 @@ class RockTiles:
 
     @classmethod
     def of(cls, rocks: Array, reach: Array, foot: Array) -> RockTiles:
-        """Sort rocks into tiles."""
+        """Sort rocks (n, 9) into square tiles, and compute the bounds of each tile.
+
+        `reach` (n,) are outline radii and `foot` (n,) elevations to which sides are drawn, m.
+        """
         count = len(rocks)
         side = int(np.clip(np.sqrt(count / _ROCKS_PER_TILE), 1, _MAX_TILES_PER_SIDE))
         place = rocks[:, :2]
@@ -81,7 +84,10 @@ class RockTiles:
         return cls(rocks, reach, foot, order, start, *bounds)
 
     def seen(self, view: View, near: float) -> DrawnRocks:
-        """Return the rocks that may cover pixels of a view with minimum depth `near`, m."""
+        """Return the rocks that may cover pixels of a view, with their boxes of pixels.
+
+        `near` is the minimum depth, m.
+        """
         towards = np.ascontiguousarray(view.axes.T)
         size = (float(view.width), float(view.height))
         lens = (view.fx, view.fy, view.cx, view.cy, *size, near)
@@ -95,7 +101,7 @@ class RockTiles:
         return DrawnRocks(*cull.gather(box, number, seen))
 
     def shading(self, view: View, frame: ShadowFrame, reads: ShadowMapReads) -> DrawnRocks:
-        """Return the rocks that may shadow the texels that a view reads."""
+        """Return the rocks that may shadow texels of a shadow map that an image reads."""
         size = (float(frame.size[0]), float(frame.size[1]))
         map_ = (frame.lean, frame.axes, frame.corner, frame.texel, *size)
         kept = kernels.tiles_that_shade(self.low, self.high, self.margin, view.position, *map_)

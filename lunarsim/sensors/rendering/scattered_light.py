@@ -14,7 +14,7 @@ from lunarsim.world.terrain import Heightfield
 
 Array = NDArray[np.float64]
 
-# Maximum number of posts along a side: scattered light varies slowly.
+# Maximum number of grid points along a side: scattered light varies slowly.
 _MAX_POSTS_PER_SIDE = 192
 _AZIMUTHS = 16
 _DISTANCE_FACTOR = 1.2
@@ -22,7 +22,7 @@ _DISTANCE_FACTOR = 1.2
 
 @dataclass(frozen=True)
 class ScatteredLightMap:
-    """Irradiance of a relief by its own scattered light, single scattering.
+    """Map of the irradiance of a relief by sunlight scattered once from the terrain.
 
     Attributes
     ----------
@@ -31,7 +31,8 @@ class ScatteredLightMap:
     posting
         Distance between values, m.
     values
-        Irradiance over the Sun's, and mean I/F of the surrounding terrain (rows, cols, 2), float32.
+        Irradiance relative to that of the Sun, and mean radiance factor I/F of the surrounding
+        terrain (rows, cols, 2), float32.
     """
 
     corner: Array
@@ -39,7 +40,10 @@ class ScatteredLightMap:
     values: NDArray[np.float32]
 
     def from_camera(self, viewpoint: Array) -> Array:
-        """Return scale and offset (4,) from metres relative to the camera to the texture."""
+        """Return the transform from metres relative to the camera to the map's texture.
+
+        The values (4,) are the scale in x and y, 1/m, and the offset in x and y, texture widths.
+        """
         rows, cols = self.values.shape[:2]
         size = np.array([cols, rows])
         posts = (viewpoint[:2] - self.corner) / self.posting
@@ -47,7 +51,7 @@ class ScatteredLightMap:
 
 
 def scattered_light_map(relief: Heightfield, light: Light) -> ScatteredLightMap:
-    """Return the irradiance of a relief by its own scattered light.
+    """Compute the irradiance of a relief by sunlight scattered from the terrain.
 
     Terrain reflects equally in all directions, with the hemispherical albedo at its angle of
     incidence, and is lit by a point Sun. Rocks receive scattered light but do not reflect it.

@@ -32,22 +32,25 @@ class ShadingModel:
 
     @classmethod
     def of(cls, light: Light) -> ShadingModel:
-        """Return the definitions for a light, without directions but the Earth's."""
+        """Return the shader definitions for a light.
+
+        They include the direction of the Earth, but not that of the Sun.
+        """
         found = list(_hapke(light))
         if light.diameter > 0.0:
             found.append("SOFT")
-        if light.scattered:
+        if light.scattered_light:
             found += ["GLOW", f"BOUNCE {_number(light.diffuse_albedo)}"]
         if light.earthshine > 0.0 and light.earth[2] > 0.0:
             found.append("EARTH " + ", ".join(map(_number, light.earthshine * light.earth)))
-        if light.mottle > 0.0:
-            found.append(f"MOTTLE {_number(2.0 * ALBEDO_FIELD_RANGE * light.mottle)}")
-        if light.boulder_mottle > 0.0 or light.boulder_albedo != 1.0:
+        if light.albedo_variation > 0.0:
+            found.append(f"MOTTLE {_number(2.0 * ALBEDO_FIELD_RANGE * light.albedo_variation)}")
+        if light.boulder_albedo_variation > 0.0 or light.boulder_albedo != 1.0:
             found.append("BOULDERS")
         return cls(tuple(found))
 
     def with_wide_penumbrae(self) -> ShadingModel:
-        """Return the model for images in which penumbrae are wider than a texel."""
+        """Return a copy for images in which penumbrae are wider than a texel."""
         more = (
             "WIDE", f"SEARCHES {_SEARCHES}", f"STRIPS {_STRIPS}", f"STEPS {_STEPS}",
             "SEARCH_PLACES " + _list(spiral(_SEARCHES)),
@@ -57,7 +60,7 @@ class ShadingModel:
 
     @property
     def fine(self) -> bool:
-        """Whether there is more than a point Sun on terrain of uniform albedo."""
+        """Whether the light needs more than a point Sun on terrain of uniform albedo."""
         names = {line.split()[0] for line in self.defines}
         return bool(names & {"SOFT", "GLOW", "EARTH", "MOTTLE", "BOULDERS"})
 
@@ -79,10 +82,10 @@ def spiral(count: int) -> Array:
 
 
 def strips(count: int, steps: int) -> Array:
-    """Return points (count * steps, 2) on the unit disc, in strips along x.
+    """Return points (count * steps, 2) on the unit disc, in `count` strips along x.
 
-    Each point represents the same area. Neighbouring strips are staggered, so that a straight edge
-    across them passes one point at a time.
+    Each strip has `steps` points, and each point represents the same area. Neighbouring strips are
+    staggered, so that a straight edge across them passes one point at a time.
     """
     y = np.linspace(-1.0, 1.0, 4001)
     below = 0.5 + (y * np.sqrt(1.0 - y**2) + np.arcsin(y)) / np.pi

@@ -41,7 +41,9 @@ class ShadowCasterBlocks:
     def of(
         self, picked: NDArray[np.int64], edges: NDArray[np.int32], sun: Array, texel: float
     ) -> NDArray[np.bool_]:
-        """Return which blocks (m, 16) of tiles at their finest level must be drawn.
+        """Return which blocks (m, 16) of tiles must be drawn into a shadow map.
+
+        The tiles are drawn at their finest level of detail.
 
         Parameters
         ----------

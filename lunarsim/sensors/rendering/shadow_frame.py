@@ -23,7 +23,7 @@ _OVERHANG_TEXELS = 0.6
 
 @dataclass(frozen=True)
 class ShadowFrame:
-    """Geometry of a shadow map.
+    """Geometry of a shadow map: area, axes, resolution and range of heights.
 
     A ray from the Sun is identified by its intersection with the horizontal plane of the camera, in
     axes along and across the Sun's azimuth.
@@ -58,12 +58,12 @@ class ShadowFrame:
     def of(
         cls, view: View, sun: Array, choice: TileChoice, top: float, lowest: float, rock: float
     ) -> ShadowFrame:
-        """Return the frame that contains everything a view shows.
+        """Return the geometry of a shadow map that contains everything a view shows.
 
         Parameters
         ----------
         view
-            View.
+            Camera view of the image.
         sun
             Unit vector to the Sun (3,), ENU, above the horizon.
         choice
@@ -91,7 +91,10 @@ class ShadowFrame:
         )  # fmt: skip
 
     def shades(self, corners: Array, viewpoint: Array) -> NDArray[np.bool_]:
-        """Return which boxes (n, 8, 3) may cast a shadow onto the area of the map."""
+        """Return which boxes may cast a shadow onto the area of the map (n,).
+
+        `corners` (n, 8, 3) are the corners of the boxes and `viewpoint` (3,) is the camera, ENU, m.
+        """
         place = corners - viewpoint
         place = (place[..., :2] - place[..., 2:] * self.lean) @ self.axes.T
         high_corner = self.corner + self.texel * np.array(self.size)
@@ -126,11 +129,14 @@ def _extent(
 ) -> tuple[Array, Array]:
     """Return corner (2,) and extent (2,) of the shadow map, m, in its axes.
 
+    `choice` are the visible tiles, `lean` and `axes` are those of `ShadowFrame`, and `rock` is the
+    height of the tallest rock, m.
+
     The map contains everything visible: the part of the view's pyramid between the minimum and
     maximum elevation of the tiles in view, and within these tiles.
     """
     low, high = choice.low, choice.high + np.array([0.0, 0.0, rock])
-    u, v = view.border[:2], view.border[2:]
+    u, v = view.border_tangents[:2], view.border_tangents[2:]
     border = np.array([[a, b, 1.0] for a in u for b in v]) @ view.axes.T
     # Rays that descend beyond the tiles, or not at all, end far beyond the tiles but at the same
     # elevation: shorter rays would exclude terrain below them.

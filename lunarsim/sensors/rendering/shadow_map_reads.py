@@ -53,15 +53,18 @@ class ShadowMapReads:
 
     @classmethod
     def anywhere(cls, frame: ShadowFrame) -> ShadowMapReads:
-        """Return reads without bounds."""
+        """Return the object for an image that may read any texel of the map."""
         return cls(np.zeros((0, 2)), np.zeros(0), np.zeros(0), frame.size)
 
     @classmethod
     def of(cls, view: View, frame: ShadowFrame, lowest: float, highest: float) -> ShadowMapReads:
-        """Return the reads of a view that shows only points between two elevations, m."""
+        """Return the strips that a view reads.
+
+        The view shows only points between the elevations `lowest` and `highest`, m.
+        """
         drop = float(view.position[2]) - lowest
         top = highest + _DISPLACEMENT * drop
-        left, right, upper, lower = view.border
+        left, right, upper, lower = view.border_tangents
         border = np.array([[left, upper, 1.0], [right, upper, 1.0], [right, lower, 1.0],
                            [left, lower, 1.0]]) @ view.axes.T  # fmt: skip
         steep = -border[:, 2] > _MIN_DESCENT * np.linalg.norm(border, axis=1)
@@ -78,7 +81,10 @@ class ShadowMapReads:
         return cls(normal, along.min(axis=0) - room, along.max(axis=0) + room, frame.size)
 
     def meet(self, place: Array) -> NDArray[np.bool_]:
-        """Return which convex bodies (n, c, 2), in texels, may shadow what is read."""
+        """Return which convex bodies (n,) may shadow texels that the image reads.
+
+        `place` (n, c, 2) are the c corners of each body on the map, texels.
+        """
         along = place @ self.normal.T
         within = ((along.max(1) >= self.lower_bound) & (along.min(1) <= self.upper_bound)).all(-1)
         # A point outside the map reads its border.

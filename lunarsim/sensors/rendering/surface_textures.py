@@ -21,7 +21,9 @@ _MAX_CACHED_LIGHTS = 4
 
 
 class SurfaceTextures:
-    """Creates the textures when a light first needs them, and caches the last few.
+    """Textures of albedo variation and scattered light of one terrain.
+
+    A texture is created when a light first needs it; the last few are cached.
 
     Parameters
     ----------
@@ -38,29 +40,29 @@ class SurfaceTextures:
         self._mottles: tuple[int, moderngl.Texture] | None = None
 
     def use(self, light: Light, viewpoint: Array, block: NDArray[np.void]) -> None:
-        """Bind the textures that a light needs, and write their coordinates.
+        """Bind the textures that a light needs, and write their coordinate transforms.
 
         Parameters
         ----------
         light
-            Light.
+            Light of the image.
         viewpoint
             Position of the camera (3,), ENU, m.
         block
-            Uniform block of the image.
+            Uniform block of the image, in which the transforms are written.
         """
-        if light.scattered:
+        if light.scattered_light:
             found, texture = self._glow_of(light)
             block["glow_from"] = found.from_camera(viewpoint)
             texture.use(GLOW)
-        if light.mottle > 0.0:
+        if light.albedo_variation > 0.0:
             block["mottle_from"] = albedo_from_camera(light, viewpoint)
-            self._mottles_of(light.mottle_seed).use(MOTTLES)
+            self._mottles_of(light.albedo_seed).use(MOTTLES)
 
     def _glow_of(self, light: Light) -> tuple[ScatteredLightMap, moderngl.Texture]:
         # The scattered light does not depend on these fields.
-        key = replace(light, diameter=0.0, earthshine=0.0, mottle=0.0, boulder_albedo=1.0,
-                      boulder_mottle=0.0, mottle_seed=0, ambient=0.0)  # fmt: skip
+        key = replace(light, diameter=0.0, earthshine=0.0, albedo_variation=0.0, boulder_albedo=1.0,
+                      boulder_albedo_variation=0.0, albedo_seed=0, ambient=0.0)  # fmt: skip
         if key not in self._glow:
             if len(self._glow) >= _MAX_CACHED_LIGHTS:
                 del self._glow[next(iter(self._glow))]

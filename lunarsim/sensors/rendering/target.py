@@ -20,7 +20,7 @@ class ImageTarget:
     """Framebuffers of images of one size.
 
     The depth of the relief is drawn first, then its image. Rocks follow, tested against that depth
-    or, where the relief was drawn coarsely, against the corrected one.
+    or, if the relief was drawn at reduced resolution, against a corrected depth.
     """
 
     depth: moderngl.Texture
@@ -35,7 +35,10 @@ class ImageTarget:
     def of(
         cls, ctx: moderngl.Context, width: int, height: int, parts: tuple[int, ...]
     ) -> ImageTarget:
-        """Create the textures of an image; `parts` are the channels of its colour outputs."""
+        """Create the framebuffers of an image of `width` x `height` pixels.
+
+        `parts` are the numbers of channels of the colour outputs.
+        """
         size = (width, height)
         depth, mended = ctx.depth_texture(size), ctx.depth_texture(size)
         depth.compare_func = ""
@@ -61,7 +64,7 @@ class ShadowMap:
 
     @classmethod
     def of(cls, ctx: moderngl.Context, size: tuple[int, int]) -> ShadowMap:
-        """Create a map that holds at least `size` texels."""
+        """Create a shadow map of at least `size` (width, height) texels."""
         # The extra columns prevent cache conflicts between rows a power of two apart.
         width, height = (64 * -(-int(_SIZE_MARGIN * n) // 64) for n in size)
         texture = ctx.texture((width + 16, height), 1, dtype="f4")
@@ -69,14 +72,17 @@ class ShadowMap:
         return cls(texture, ctx.framebuffer([texture]))
 
     def suits(self, size: tuple[int, int]) -> bool:
-        """Return whether `size` texels fit without leaving most of the map unused."""
+        """Return whether `size` (width, height) texels fit and use most of the map."""
         width, height = self.texture.width, self.texture.height
         fits = size[0] <= width and size[1] <= height
         return fits and width * height < int(_SIZE_MARGIN**3 * (size[0] + 80) * (size[1] + 64))
 
 
 def read_image(target: ImageTarget, view: View, truth: bool) -> RenderedImage:
-    """Return the rendered image."""
+    """Read the rendered image from the graphics memory.
+
+    `truth` is whether range, normal and identity were also rendered.
+    """
     shape = (view.height, view.width)
     first = np.frombuffer(target.colours[0].read(), np.float32)
     if not truth:

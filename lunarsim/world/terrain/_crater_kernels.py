@@ -10,7 +10,13 @@ from lunarsim._jit import kernel, prange
 
 @kernel(parallel=True)
 def stamp(z, x0, y0, p, x, y, diameter, freshness, depth, rim_height, reach):
-    """Add the profile of every crater to `z`, row by row, as `craters.crater_profile`."""
+    """Add the height profiles of fresh or eroded craters to a grid of elevations.
+
+    `z` (rows, cols) are elevations, m, in place; its first point is (x0, y0) and its spacing `p`,
+    m. `x`, `y`, `diameter` (m) and `freshness` (0 to 1) describe the craters (n,). `depth` and
+    `rim_height` are those of a fresh crater over its diameter, and `reach` is the outer radius of
+    a profile in crater radii. The profile is that of `craters.crater_profile`.
+    """
     rows, cols = z.shape
     for i in prange(rows):
         py = y0 + i * p
@@ -38,10 +44,12 @@ def stamp(z, x0, y0, p, x, y, diameter, freshness, depth, rim_height, reach):
 
 @kernel(parallel=True)
 def stamp_profiles(z, x0, y0, p, x, y, radius, depth, root, profiles, reach):
-    """Add a tabulated profile to `z` for every crater, row by row.
+    """Add tabulated height profiles of degraded craters to a grid of elevations.
 
-    `root` (n,) is the square root of the relative age, in [0, 1]. `profiles` (ages, radii) is the
-    table of `crater_ages`, at uniform steps of that root and of the distance up to `reach` radii.
+    `z` (rows, cols) are elevations, m, in place; its first point is (x0, y0) and its spacing `p`,
+    m. `x`, `y`, `radius` and fresh `depth` (n,), m, describe the craters; `root` (n,) is the square
+    root of their relative age, from 0 to 1. `profiles` (ages, radii) are heights over the fresh
+    depth, at uniform steps of `root` and of the distance up to `reach` crater radii.
     """
     rows, cols = z.shape
     ages, radii = profiles.shape

@@ -10,11 +10,12 @@ from lunarsim._jit import kernel
 
 @kernel()
 def raise_fillets(soil, x0, y0, p, x, y, a, b, cos, sin, height, reach):
-    """Raise the soil on posts (rows, cols), m, to the fillets of all rocks.
+    """Raise a grid of soil heights to the fillets (banked soil) around all rocks.
 
-    The posts start at (x0, y0) and are `p` apart, m. Rocks have centres x, y and half axes a, b, m;
-    `cos` and `sin` give the direction of axis a. `height` is the soil at each outline, m, and
-    `reach` the width of the fillets in rock radii.
+    `soil` (rows, cols), m, is changed in place; its first point is (x0, y0) and its spacing `p`, m.
+    Rocks have centres x, y and half axes a, b, m; `cos` and `sin` give the direction of axis a.
+    `height` is the soil at each rock's outline, m, and `reach` the width of the fillets in rock
+    radii.
     """
     rows, cols = soil.shape
     for n in range(x.size):

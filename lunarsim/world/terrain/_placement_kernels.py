@@ -11,8 +11,10 @@ from lunarsim.world.terrain._surface_kernels import relief_at
 
 @kernel()
 def _size_classes(radius, area):
-    """Return the size class (n,) of each radius and each class's bucket side.
+    """Divide rocks into size classes for the search for overlaps.
 
+    `radius` (n,) are decreasing radii and `area` is the area of the map, m^2. Returns the class of
+    each rock (n,) and the side of each class's square buckets, m.
     Radii halve from class to class. Buckets are at least as large as the mean area per rock: the
     last class contains all rocks that would need smaller buckets.
     """
@@ -29,7 +31,12 @@ def _size_classes(radius, area):
 
 @kernel()
 def _is_free(px, py, r, x, y, radius, west, south, sides, widths, heights, offset, head, follow):
-    """Return whether a disc overlaps none of those already placed."""
+    """Return whether a disc overlaps none of the discs already placed.
+
+    The disc has its centre at (px, py) and radius `r`; `x`, `y` and `radius` are the placed discs.
+    Bucket class c has squares of side `sides[c]` from the corner (west, south), `widths[c]` x
+    `heights[c]` of them, whose lists start at `head[offset[c]]` and continue in `follow`.
+    """
     for c in range(sides.size):
         j = int((px - west) / sides[c])
         i = int((py - south) / sides[c])
@@ -46,7 +53,11 @@ def _is_free(px, py, r, x, y, radius, west, south, sides, widths, heights, offse
 
 @kernel()
 def _draw_near_crater(craters, farthest):
-    """Return a random point near a crater, at a density of distance^-3."""
+    """Sample a point (x, y) near a random crater, with a density of distance^-3.
+
+    `craters` (4, n) are x, y, radius and cumulative selection probability; points lie between the
+    rim and `farthest` crater radii.
+    """
     k = min(np.searchsorted(craters[3], np.random.random()), craters.shape[1] - 1)  # noqa: NPY002
     # A ring of width dr has an area proportional to r dr: the number within r goes as 1 - R / r.
     u = np.random.random()  # noqa: NPY002
@@ -57,7 +68,11 @@ def _draw_near_crater(craters, farthest):
 
 @kernel()
 def _buckets(sides, wide, high):
-    """Return columns, rows and first bucket of each class, and empty lists."""
+    """Create the empty buckets that cover a map of `wide` x `high` metres.
+
+    `sides` are the bucket sides of the size classes. Returns columns, rows and first bucket of each
+    class, and an array of list heads, one per bucket.
+    """
     widths = np.empty(sides.size, np.int64)
     heights = np.empty(sides.size, np.int64)
     offset = np.empty(sides.size, np.int64)
@@ -74,9 +89,13 @@ def _buckets(sides, wide, high):
 def drop_rocks(
     radius, west, east, south, north, z, x0, y0, p, seed, tries, share, craters, farthest
 ):
-    """Place discs at random without overlap; radii must decrease.
+    """Place discs (rocks) at random on a relief without overlap; radii must decrease.
 
-    A fraction `share` of them lies around craters (rows: x, y, radius, cumulative fractions).
+    The map extends from west to east and south to north, m; `z` (rows, cols) are its elevations
+    with the first point (x0, y0) and the spacing `p`. Random numbers start from `seed`; each disc
+    has `tries` attempts. A fraction
+    `share` of the discs lies around `craters` (rows: x, y, radius, cumulative fractions), up to
+    `farthest` crater radii away.
 
     Discs of similar size share a grid of buckets as wide as the largest of them, with one linked
     list per bucket. A smaller disc can only overlap discs in the nine buckets around it.

@@ -1,7 +1,7 @@
 # mypy: allow-untyped-defs, no-check-untyped-defs
 """Compiled ray casting over relief and rocks.
 
-The relief has a pyramid of maxima (Tevs, Ihrke and Seidel 2008): level 0 holds the highest post of
+The relief has a pyramid of maxima (Tevs, Ihrke and Seidel 2008): level 0 holds the highest point of
 each cell, level l that of 2^l x 2^l cells. All levels lie in one flat array `peak`; level l starts
 at `offset[l]` and has `high[l]` x `wide[l]` nodes. From the level of the buckets (`base`) upward
 the maxima include the rocks; `terrain_peak` holds the maxima of the buckets without them. Each
@@ -20,7 +20,19 @@ from lunarsim.world.terrain._surface_kernels import relief_normal
 
 
 class Pyramid(NamedTuple):
-    """Maxima of the surface over squares of cells, as described in the module."""
+    """Pyramid of surface maxima over squares of 2^l x 2^l cells at level l.
+
+    Attributes
+    ----------
+    base
+        Level whose squares are the buckets that list the rocks.
+    peak
+        Maximum elevation in each square of each level, m; with rocks from level `base` upward.
+    terrain_peak
+        Maximum elevation in each bucket without rocks, m.
+    offset, high, wide
+        First index in `peak`, and numbers of rows and columns, of each level.
+    """
 
     base: Any  # level of the buckets
     peak: Any
@@ -31,7 +43,17 @@ class Pyramid(NamedTuple):
 
 
 class Rocks(NamedTuple):
-    """Rocks, their shapes, and the list of rocks in each bucket."""
+    """Rocks, their shapes, and the list of rocks in each bucket (square of cells).
+
+    Attributes
+    ----------
+    rows
+        Rocks (n, 9): x, y, base, half axes a and b, height, cos and sin of the yaw, shape.
+    planes, count
+        Half spaces of each unit shape, and their number.
+    start, index
+        Bucket k contains the rocks `index[start[k]:start[k + 1]]`.
+    """
 
     rows: Any  # (n, 9)
     planes: Any
@@ -41,10 +63,11 @@ class Rocks(NamedTuple):
 
 
 class _Ray(NamedTuple):
-    """A ray in metres, ENU, and in units of posts.
+    """A ray in metres, ENU, and in units of the grid spacing.
 
-    In posts the pyramid's nodes are at integers: the ray starts at (u, v) and moves by (du, dv) per
-    metre. The inverses (nu, nv, nz) of du, dv and dz convert posts and heights to distances.
+    The ray starts at (ox, oy, oz) in the direction (dx, dy, dz). In grid units it starts at (u, v)
+    and moves by (du, dv) per metre. The inverses (nu, nv, nz) of du, dv and dz convert grid
+    units and heights to distances along the ray.
     """
 
     ox: Any
@@ -64,7 +87,11 @@ class _Ray(NamedTuple):
 
 @kernel()
 def list_rocks(rocks, reach, x0, y0, side, high, wide):
-    """Return the rocks (start, index) that touch each bucket of `side` metres."""
+    """List the rocks that touch each bucket, a square of `side` metres.
+
+    `rocks` (n, 9) are the rocks and `reach` (n,) the radii of their outlines, m. There are `high` x
+    `wide` buckets from the corner (x0, y0). Bucket k touches `index[start[k]:start[k + 1]]`.
+    """
     start = np.zeros(high * wide + 1, np.int64)
     index = np.empty(0, np.int64)
     for fill in range(2):
@@ -91,7 +118,11 @@ def list_rocks(rocks, reach, x0, y0, side, high, wide):
 
 @kernel()
 def build_pyramid(z, rocks, start, index, base, offset, high, wide):
-    """Return the pyramid of maxima, and the buckets' maxima without rocks."""
+    """Compute the surface maxima `peak` and `terrain_peak` of a `Pyramid`.
+
+    `z` (rows, cols) are elevations, m; `rocks` (n, 9), `start` and `index` the rocks and their
+    bucket lists; `base`, `offset`, `high` and `wide` the layout of the levels.
+    """
     peak = np.empty(offset[-1] + high[-1] * wide[-1], np.float32)
     lowest = np.float32(-np.inf)
     for i in range(high[0]):
@@ -128,11 +159,11 @@ def build_pyramid(z, rocks, start, index, base, offset, high, wide):
 
 @kernel(inline=True)
 def _cell_hit(ray, z, i, j, t0, t1):
-    """Return the distance at which a ray hits the two triangles of cell (i, j).
+    """Return the distance, m, at which a ray hits the two triangles of cell (i, j).
 
-    The ray is in the cell from t0 to t1. The result is inf for no hit and -1 for a ray that enters
-    the cell below the surface. Each triangle is a plane, so that the height of the ray above it is
-    linear in the distance; the path in the cell is split at the diagonal.
+    The ray is in the cell from distance t0 to t1. The result is inf for no hit and -1 for a ray
+    that enters the cell below the surface. Each triangle is a plane, so that the height of the ray
+    above it is linear in the distance; the path in the cell is split at the diagonal.
     """
     z00 = np.float64(z[i, j])
     z10 = np.float64(z[i, j + 1])
@@ -176,7 +207,10 @@ def _cell_hit(ray, z, i, j, t0, t1):
 
 @kernel(inline=True)
 def _try_rocks(ray, t, bucket, best, which, rocks):
-    """Return the nearest hit at or after t on a bucket's rocks, and the rock."""
+    """Find the nearest hit of a ray on the rocks of a bucket, at distance t or more.
+
+    `best` and `which` are the nearest hit so far (distance, rock index); returns their new values.
+    """
     for m in range(rocks.start[bucket], rocks.start[bucket + 1]):
         n = rocks.index[m]
         hit = rock_hit(
@@ -191,7 +225,11 @@ def _try_rocks(ray, t, bucket, best, which, rocks):
 
 @kernel(inline=True)
 def _exit_distances(ray, i, j, level):
-    """Return the distances to a node's east or west, and north or south side."""
+    """Return the distances along a ray to the two sides where it can leave a square.
+
+    The square (i, j) belongs to a level of the pyramid. The first distance is to its east or west
+    side, the second to its north or south side, m.
+    """
     wu = 1 if ray.dx > 0.0 else 0
     wv = 1 if ray.dy > 0.0 else 0
     tu = (((j + wu) << level) - ray.u) * ray.nu if ray.du != 0.0 else np.inf
@@ -201,9 +239,10 @@ def _exit_distances(ray, i, j, level):
 
 @kernel(inline=True)
 def _descend_to(ray, level, t, t1, i, j, rows, cols):
-    """Advance a ray down to elevation `level`; return distance and cell.
+    """Advance a ray from distance t down to the elevation `level`.
 
-    A ray that is already below it does not move.
+    Returns the new distance and cell (i, j), of a grid of `rows` x `cols`. A ray that is already
+    below `level` does not move; the cell is (-1, -1) beyond the end t1.
     """
     below = (np.float64(level) - ray.oz) * ray.nz
     if below > t:
@@ -215,12 +254,15 @@ def _descend_to(ray, level, t, t1, i, j, rows, cols):
 
 @kernel(inline=True)
 def _walk_cells(ray, z, base, t, t1, i, j):
-    """Walk from cell to cell until the ray hits the relief or leaves the bucket.
+    """Follow a ray from cell to cell until it hits the relief or leaves its bucket.
+
+    The ray starts at distance t in cell (i, j) and ends at t1. `z` are the elevations; a bucket has
+    2^base cells along a side.
 
     Returns
     -------
     hit
-        Result of the last `_cell_hit`.
+        Result of the last `_cell_hit`: distance of the hit; inf: no hit; -1: below the surface.
     t, i, j
         Distance and cell where the walk ends; t is t1 or more at the end of the ray, inf off the
         map.
@@ -251,9 +293,11 @@ def _walk_cells(ray, z, base, t, t1, i, j):
 
 @kernel(inline=True)
 def _nearest_hit(hit, t, best, which):
-    """Return the nearer of a relief hit, as returned by `_cell_hit`, and a rock hit.
+    """Return the nearer of a relief hit and a rock hit: distance and rock index.
 
-    If the ray is below the surface at t, only a rock hit before t counts.
+    `hit` is the distance of the relief hit; -1 means that the ray is below the surface at t, so
+    that only a rock hit before t counts. `best` and `which` are the rock hit. The index is -1 for
+    relief and -2 for no hit.
     """
     if hit < 0.0:
         return (best, which) if best <= t else (np.inf, -2)
@@ -262,8 +306,10 @@ def _nearest_hit(hit, t, best, which):
 
 @kernel(inline=True)
 def _steep_hit(ray, t, t1, z, pyramid, rocks):
-    """Compute `_first_hit` for a steeply descending ray.
+    """Return distance and rock of the first hit of a steeply descending ray.
 
+    The ray is on the map from distance t to t1. `z` are the elevations, `pyramid` their maxima and
+    `rocks` the rocks. The returned rock index is -1 for relief and -2 for no hit.
     The hit lies within a few cells of the point where the ray descends below a bucket's maximum;
     the search walks from there from cell to cell.
     """
@@ -316,7 +362,11 @@ def _steep_hit(ray, t, t1, z, pyramid, rocks):
 
 @kernel(inline=True)
 def _levels_up(here, there, level, base, last):
-    """Return the number of levels to ascend after a step to the next row or column."""
+    """Return the number of pyramid levels to ascend after a step to the next square.
+
+    `here` and `there` are the row or column before and after the step, `level` the present level,
+    `base` the level of the rock lists and `last` the highest level.
+    """
     # A step out of a bucket must enter the next one at the level of its list of rocks.
     shift = max(base - level, 1)
     if (here >> shift) != (there >> shift):
@@ -326,10 +376,11 @@ def _levels_up(here, there, level, base, last):
 
 @kernel(inline=True)
 def _grazing_hit(ray, t, t1, z, pyramid, rocks):
-    """Compute `_first_hit` for a ray that descends at a small angle or ascends.
+    """Return distance and rock of the first hit of a grazing or ascending ray.
 
-    The ray traverses the pyramid: it skips nodes that it passes above, and descends one level in
-    the others. At the level of the buckets it tests the rocks, at level 0 the two triangles of the
+    The ray is on the map from distance t to t1. The rock is -1 for relief and -2 for no hit. The
+    search traverses the pyramid: it skips squares below the ray and descends one level in the
+    others. At the level of the buckets it tests the rocks, at level 0 the two triangles of the
     cell.
     """
     rows, cols = z.shape
@@ -387,7 +438,11 @@ def _grazing_hit(ray, t, t1, z, pyramid, rocks):
 
 @kernel(inline=True)
 def _ray_over_posts(ox, oy, oz, dx, dy, dz, x0, y0, p):
-    """Return a ray over a relief with first post (x0, y0) and posting p."""
+    """Return a ray in the grid units of a relief.
+
+    The ray starts at (ox, oy, oz) in the direction (dx, dy, dz), m, ENU. The first grid point of
+    the relief is (x0, y0) and its spacing is p, m.
+    """
     q = 1.0 / p
     du = dx * q
     dv = dy * q
@@ -400,7 +455,10 @@ def _ray_over_posts(ox, oy, oz, dx, dy, dz, x0, y0, p):
 
 @kernel(inline=True)
 def _first_hit(ray, max_range, z, pyramid, rocks):
-    """Return the distance of a ray's first hit, and its rock (-1 relief, -2 none).
+    """Return distance, m, and rock index of a ray's first hit (-1 relief, -2 no hit).
+
+    `max_range` is the maximum range, m, `z` are the elevations, `pyramid` their maxima and `rocks`
+    the rocks.
 
     A ray that starts below the surface hits nothing.
     """
@@ -428,10 +486,13 @@ def cast(
     share, origin, direction, max_range, normals, z, frame,
     base, peak, terrain_peak, offset, high, wide, rows, planes, count, start, index, hits,
 ):  # fmt: skip
-    """Cast rays; write distance (n,), normal (n, 3) and rock index (n,) into `hits`.
+    """Intersect rays with relief and rocks; write the hits.
 
-    Without `normals` the second array is empty. The fields of `Pyramid` and `Rocks` are passed one
-    by one: unpacking a tuple at every call would make single rays 25 % slower.
+    `origin` (1 or n, 3) and `direction` (n, 3) are the rays, ENU; `hits` receives distance (n,),
+    normal (n, 3; empty without `normals`) and rock index (n,). `z` are the elevations and `frame`
+    (x0, y0, spacing) their grid; `share` is (thread, number of threads). The fields of `Pyramid`
+    and `Rocks` are passed one by one: unpacking a tuple at every call would make single rays 25 %
+    slower.
     """
     rays = direction.shape[0]
     x0, y0, p = frame

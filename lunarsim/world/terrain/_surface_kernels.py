@@ -1,7 +1,7 @@
 # mypy: allow-untyped-defs, no-check-untyped-defs
 """Compiled terrain queries at points.
 
-The relief is a grid of posts `z` (rows, cols) whose post (0, 0) lies at (x0, y0). Squares of
+The relief is a grid of elevations `z` (rows, cols) whose point (0, 0) lies at (x0, y0). Squares of
 `leaf` x `leaf` cells are buckets: each lists the rocks whose outline touches it (`start`,
 `index`, in compressed rows). Rows of rock parameters are those of `lunarsim.rocks._kernels`.
 """
@@ -16,7 +16,10 @@ from lunarsim.rocks._kernels import rock_height, rock_normal
 
 @kernel()
 def relief_at(x, y, z, x0, y0, p):
-    """Return the elevation of the triangulated relief; NaN outside."""
+    """Return the elevation, m, of the triangulated relief at (x, y); NaN outside.
+
+    `z` (rows, cols) are its elevations, (x0, y0) its first point and `p` its spacing, m.
+    """
     u = (x - x0) / p
     v = (y - y0) / p
     rows, cols = z.shape
@@ -40,7 +43,12 @@ def relief_at(x, y, z, x0, y0, p):
 
 @kernel()
 def _top_rock(x, y, x0, y0, p, leaf, rocks, planes, count, start, index, cols):
-    """Return the elevation and index of the highest rock at (x, y), or (-inf, -1)."""
+    """Return elevation and index of the highest rock at (x, y); (-inf, -1): no rock.
+
+    The first grid point is (x0, y0), the spacing `p`; buckets have `leaf` cells along a side. The
+    rocks are `rocks` (n, 9), their shapes `planes` and `count`, and the bucket lists `start` and
+    `index`; `cols` is the number of columns of the relief.
+    """
     best = -np.inf
     which = -1
     width = (cols - 2) // leaf + 1
@@ -70,7 +78,11 @@ def _surface(x, y, z, x0, y0, p, leaf, rocks, planes, count, start, index):
 
 @kernel()
 def elevation_at(xy, z, x0, y0, p, leaf, rocks, planes, count, start, index):
-    """Return the surface elevation (n,) at points (n, 2)."""
+    """Return the elevation (n,), m, of relief and rocks at points `xy` (n, 2).
+
+    The relief is `z` with the first point (x0, y0) and the spacing `p`; `leaf`, `rocks`, `planes`,
+    `count`, `start` and `index` are the rocks in buckets, as described in the module.
+    """
     out = np.empty(xy.shape[0])
     for i in range(xy.shape[0]):
         out[i] = _surface(
@@ -81,7 +93,11 @@ def elevation_at(xy, z, x0, y0, p, leaf, rocks, planes, count, start, index):
 
 @kernel(shared=True, allocates=False)
 def raster(share, gx, gy, gp, z, x0, y0, p, leaf, rocks, planes, count, start, index, out):
-    """Write the surface elevation at the cell centres of a grid (rows, cols), float32."""
+    """Write the elevation of relief and rocks at the cell centres of another grid.
+
+    `out` (rows, cols), float32, m, has its first centre at (gx, gy) and the spacing `gp`; `share`
+    is (thread, number of threads). The other arguments are those of `elevation_at`.
+    """
     rows, cols = out.shape
     for i in range(share[0], rows, share[1]):
         y = gy + gp * i
@@ -93,7 +109,10 @@ def raster(share, gx, gy, gp, z, x0, y0, p, leaf, rocks, planes, count, start, i
 
 @kernel()
 def relief_normal(x, y, z, x0, y0, p, out):
-    """Write the unit normal of the relief triangle at (x, y), inside the grid."""
+    """Write the unit normal (3,) of the relief triangle at (x, y) into `out`.
+
+    `z` (rows, cols) are the elevations, (x0, y0) the first grid point and `p` the spacing, m.
+    """
     rows, cols = z.shape
     u = (x - x0) / p
     v = (y - y0) / p
@@ -117,7 +136,10 @@ def relief_normal(x, y, z, x0, y0, p, out):
 
 @kernel()
 def normal_at(xy, z, x0, y0, p, leaf, rocks, planes, count, start, index):
-    """Return the unit surface normal (n, 3) at points (n, 2)."""
+    """Return the unit normal (n, 3) of relief and rocks at points `xy` (n, 2).
+
+    The arguments are those of `elevation_at`; the normal is NaN where the relief is unknown.
+    """
     out = np.full((xy.shape[0], 3), np.nan)
     for i in range(xy.shape[0]):
         x = xy[i, 0]
@@ -140,7 +162,12 @@ def normal_at(xy, z, x0, y0, p, leaf, rocks, planes, count, start, index):
 
 @kernel(shared=True, allocates=False)
 def rock_raster(share, gx, gy, gp, z, x0, y0, p, leaf, rocks, planes, count, start, index, out):
-    """Write the index of the rock on top at the cell centres of a grid that have one."""
+    """Write the index of the top rock at the cell centres of another grid.
+
+    `out` (rows, cols) has its first centre at (gx, gy) and the spacing `gp`; cells without a rock
+    remain unchanged. `share` is (thread, number of threads). The other arguments are those of
+    `elevation_at`.
+    """
     rows, cols = out.shape
     for i in range(share[0], rows, share[1]):
         y = gy + gp * i

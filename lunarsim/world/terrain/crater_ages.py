@@ -43,21 +43,21 @@ _LARGE, _SMALL = 1000.0, 10.0
 
 
 def fresh_depth_ratio(diameter: ArrayLike) -> Array:
-    """Return the rim-to-floor depth of fresh craters over their diameter (m)."""
+    """Return depth (rim to floor) over diameter of fresh craters of a `diameter` (m)."""
     d = np.asarray(diameter, dtype=np.float64)
     share = np.log(np.clip(d, _SMALL, _LARGE) / _SMALL) / np.log(_LARGE / _SMALL)
     return np.asarray(_SHALLOW + (_DEEP - _SHALLOW) * share)
 
 
 def diffuse_profile(radius: ArrayLike, age: float) -> Array:
-    """Return the profile of a crater of a given age, over its fresh depth.
+    """Return the height profile of a crater degraded by diffusion, over fresh depth.
 
     Parameters
     ----------
     radius
         Distance from the centre (n,), crater radii.
     age
-        kappa t / R^2.
+        Dimensionless age kappa t / R^2: diffusivity times time over radius squared.
 
     Returns
     -------
@@ -83,26 +83,35 @@ def diffuse_profile(radius: ArrayLike, age: float) -> Array:
 
 
 def fresh_profile_depth() -> float:
-    """Return the rim-to-floor depth of `crater_profile` for 2 m diameter."""
+    """Return the depth (rim to floor), m, of a fresh crater profile of 2 m diameter."""
     rim, floor = crater_profile(np.array([1.0, 0.0]), 2.0, 1.0)
     return float(rim - floor)
 
 
 def relative_depth(age: float) -> float:
-    """Return the rim-to-floor depth of a crater over that of a fresh one."""
+    """Return the depth of a degraded crater over its depth when fresh.
+
+    `age` is dimensionless, kappa t / R^2.
+    """
     profile = diffuse_profile(np.linspace(0.0, PROFILE_RADII, _RADII), age)
     return float(profile.max() - profile[0])
 
 
 @lru_cache(maxsize=1)
 def max_crater_age() -> float:
-    """Return the age (kappa t / R^2) of the relative depth `MIN_RELATIVE_DEPTH`."""
+    """Return the age (kappa t / R^2) of the oldest counted craters.
+
+    Their depth is `MIN_RELATIVE_DEPTH` times the depth when fresh.
+    """
     return float(brentq(lambda age: relative_depth(age) - MIN_RELATIVE_DEPTH, 0.0, 5.0))
 
 
 @lru_cache(maxsize=1)
 def _profiles() -> Array:
-    """Return profiles (ages, radii) at uniform steps of root age, and of radius."""
+    """Tabulate height profiles (ages, radii) over the fresh depth.
+
+    Rows are at uniform steps of the square root of age, columns at uniform steps of distance.
+    """
     r = np.linspace(0.0, PROFILE_RADII, _RADII)
     ages = np.linspace(0.0, np.sqrt(max_crater_age()), _AGES) ** 2
     return np.stack([diffuse_profile(r, age) for age in ages])
@@ -135,22 +144,24 @@ class AgedCraters:
         maximum: float | None = None,
         law: CraterLaw | None = None,
     ) -> AgedCraters:
-        """Draw craters with uniformly distributed ages.
+        """Sample craters with uniformly distributed ages.
 
         Parameters
         ----------
         relief
-            Relief that the craters are to modify.
+            Relief to which the craters will be added; the craters cover its area.
         rng
             Source of sizes, positions and ages.
-        minimum, maximum, law
-            As for `lunarsim.world.terrain.craters.add_craters`.
+        minimum, maximum
+            Limits of the diameters, m; the default maximum is a quarter of the shorter side.
+        law
+            Size-frequency distribution; omitted: mare in equilibrium below 200 m.
         """
         diameter, x, y = draw_sizes_and_positions(relief, rng, PROFILE_RADII, minimum, maximum, law)
         return cls(x, y, diameter, rng.random(diameter.size))
 
     def on(self, relief: Heightfield) -> Heightfield:
-        """Return the relief with these craters added, shifted to zero mean."""
+        """Return `relief` with these craters added, shifted to zero mean."""
         depth = fresh_depth_ratio(self.diameter) * self.diameter
         z = relief.z.astype(np.float64)
         g = relief.grid

@@ -29,7 +29,7 @@ APRON_RADII = 3.0
 
 @dataclass(frozen=True)
 class CraterLaw:
-    """Cumulative size-frequency distribution of craters.
+    """Cumulative size-frequency distribution of craters: N(D) per square metre.
 
     Attributes
     ----------
@@ -49,14 +49,17 @@ class CraterLaw:
             raise InputError("craters.saturation", self.saturation, "must be positive (metres)")
 
     def number(self, diameter: ArrayLike) -> Array:
-        """Return the number of craters of `diameter` (m) or more per square metre."""
+        """Return the number per square metre of craters of `diameter` (m) or more."""
         d = np.asarray(diameter, dtype=np.float64)
         return np.asarray(self.density * d**-2.0 * np.minimum(1.0, self.saturation / d))
 
     def sample(
         self, area: float, minimum: float, maximum: float, rng: np.random.Generator
     ) -> Array:
-        """Draw the diameters (m) of the craters on `area` (m^2), largest first."""
+        """Sample the diameters (m) of the craters on `area` (m^2), largest first.
+
+        `minimum` and `maximum` are the limits of the diameters, m.
+        """
         if not 0.0 < minimum < maximum:
             raise InputError(
                 "craters.min_diameter_m", minimum, f"must be more than 0 and less than {maximum}"
@@ -71,8 +74,9 @@ class CraterLaw:
 
 
 def crater_profile(r: ArrayLike, diameter: float, freshness: float) -> Array:
-    """Return the height that a crater adds at distance `r` (m) from its centre, m.
+    """Return the height, m, that a crater adds at distance `r` (m) from its centre.
 
+    `diameter` is that of the rim, m.
     The profile is a paraboloid inside the rim; outside, an apron falls with the cube of the
     distance and ends smoothly at three radii. `freshness` runs from 0 (erased) to 1 (new): the
     depth is proportional to it, the height of the rim, which erodes faster, to its square.
@@ -94,7 +98,7 @@ def add_craters(
     maximum: float | None = None,
     law: CraterLaw | None = None,
 ) -> Heightfield:
-    """Return the relief with random craters whose freshness is uniform from 0 to 1.
+    """Add random craters, whose freshness is uniform from 0 to 1, to a relief.
 
     Parameters
     ----------
@@ -106,6 +110,11 @@ def add_craters(
         Limits of the diameters, m; the default maximum is a quarter of the shorter side.
     law
         Size-frequency distribution; omitted: mare in equilibrium below 200 m.
+
+    Returns
+    -------
+    Heightfield
+        Relief with the craters, shifted to zero mean.
     """
     diameter, x, y = draw_sizes_and_positions(relief, rng, APRON_RADII, minimum, maximum, law)
     freshness = rng.random(diameter.size)
@@ -135,7 +144,7 @@ def draw_sizes_and_positions(
     maximum: float | None,
     law: CraterLaw | None,
 ) -> tuple[Array, Array, Array]:
-    """Draw diameters (n,), largest first, and centres x, y (n,) of craters, m.
+    """Sample diameters (n,), largest first, and centres x, y (n,) of craters, m.
 
     Parameters
     ----------
@@ -145,8 +154,10 @@ def draw_sizes_and_positions(
         Source of sizes and positions.
     reach
         Outer radius of a crater's profile, crater radii; centres lie up to this far off the map.
-    minimum, maximum, law
-        As for `add_craters`.
+    minimum, maximum
+        Limits of the diameters, m; None: the maximum is a quarter of the shorter side.
+    law
+        Size-frequency distribution; None: mare in equilibrium below 200 m.
     """
     west, east, south, north = relief.bounds
     if maximum is None:

@@ -39,29 +39,30 @@ _MAX_POSTS_DESCRIBED = 20_000_000
 
 @dataclass(frozen=True)
 class DtmInfo:
-    """Description of a raster file.
+    """Description of an elevation raster file.
 
     Attributes
     ----------
     path, driver, rows, cols
         The file, GDAL's name of its format, and the numbers of rows and columns.
     posting
-        Distance between posts of the loaded terrain, m; None without georeferencing.
+        Grid spacing of the loaded terrain, m; None without georeferencing.
     frame
         Coordinate reference system in words.
     orientation
         Order of rows and columns in words.
     spacing
-        True distances between posts along a row and along a column, m; None without georeferencing.
+        True distance between grid points along a row and along a column, m; None without
+        georeferencing.
     map_scale
         Map distance over true distance, along a row and along a column; None in degrees and
         without georeferencing.
     resampled
-        Whether the posts are interpolated; otherwise they are used unchanged.
+        Whether loading interpolates the heights; otherwise they are used unchanged.
     height_scale
         Scale, offset and unit of the heights.
     statistics
-        Number of posts with heights and range of the heights; None if they were not read.
+        Counts and extreme heights; None if the heights were not read.
     """
 
     path: Path
@@ -79,7 +80,7 @@ class DtmInfo:
 
     @property
     def no_data_share(self) -> float:
-        """Fraction of posts without an elevation; NaN if the heights were not read."""
+        """Fraction of grid points without an elevation; NaN if heights were not read."""
         found = self.statistics
         return 1.0 - found.known / found.posts if found else np.nan
 
@@ -96,10 +97,11 @@ def read_info(
     unit: str | None = None,
     nodata: float | Sequence[float] | None = None,
 ) -> DtmInfo:
-    """Describe a raster, or a window of it, without loading it into memory.
+    """Describe an elevation raster, or a window of it, without loading it into memory.
 
     Heights are read for statistics only if a window is given or the raster has at most 20 million
-    posts. The parameters are those of `load_terrain`.
+    points. `window` is first and last row, first and last column (the last not included); `unit`
+    replaces the file's unit of height; `nodata` are values that mean "no height".
 
     Raises
     ------
@@ -137,7 +139,7 @@ def read_info(
 
 
 class DtmSize(NamedTuple):
-    """Number of posts to read from a raster, and sides of the terrain, m."""
+    """Number of grid points to read from a raster, and sides of the terrain, m."""
 
     posts: int
     width: float
@@ -150,9 +152,10 @@ def read_size(
     posting: float | None = None,
     window: tuple[int, int, int, int] | None = None,
 ) -> DtmSize:
-    """Return the size of a terrain from the header of its file.
+    """Read the size of an elevation raster from the header of its file.
 
-    The parameters are those of `load_terrain`.
+    `posting` is the grid spacing of a file without georeferencing, m; `window` is first and last
+    row, first and last column (the last not included).
 
     Raises
     ------
@@ -173,34 +176,49 @@ def load_terrain(
     unit: str | None = None,
     nodata: float | Sequence[float] | None = None,
 ) -> Heightfield:
-    """Load a measured terrain into a local east, north, up frame in true metres.
+    r"""Load an elevation raster into a local east, north, up frame in true metres.
 
-    The origin is the centre of the raster, or of the window, at its mean elevation. Posts on a
+    The origin is the centre of the raster, or of the window, at its mean elevation. Heights on a
     square grid along east and north keep their values, in any order of rows and columns. All
-    others (degrees, rotated or sheared rasters, projections with another scale or another north)
-    are interpolated by cubic spline in an azimuthal equidistant frame.
+    other rasters (degrees, rotated or sheared rasters, projections with another scale or another
+    north) are interpolated by cubic spline in an azimuthal equidistant frame.
 
     Parameters
     ----------
     path
-        Raster with one band in a format of `raster_file.DRIVERS`, or its label.
+        Raster with one band, or its label: GeoTIFF, PDS3, PDS4, ISIS3, ENVI, ASCII grid, netCDF.
     posting
-        Distance between posts, m. Required for a file without a coordinate reference system;
-        otherwise the posting of an interpolated raster (omitted: the mean of the file's).
+        Grid spacing, m. Required for a file without a coordinate reference system; otherwise the
+        spacing of an interpolated raster (omitted: the mean spacing of the file).
     window
         First and last row (in the order of the file) and first and last column, the last not
         included; omitted: the complete raster.
     unit
         Unit of the heights, which replaces the file's: "m", "km", "ft", "us-ft".
     nodata
-        Value or values that mark posts without a height, in addition to those that the file
-        declares; omitted: a value that resembles such a marker is refused.
+        Value or values that mean "no height", in addition to those stated by the file; omitted: a
+        value that resembles such a marker is refused.
+
+    Returns
+    -------
+    Heightfield
+        Elevations above their mean, m; NaN where missing.
 
     Raises
     ------
     InputError
         If the file is missing, is refused or has no heights, if it has no coordinate reference
         system and no `posting` is given, or if the window lies outside.
+
+    Examples
+    --------
+    >>> from tempfile import TemporaryDirectory
+    >>> text = "ncols 3\nnrows 2\nxllcorner 0\nyllcorner 0\ncellsize 2\n1 2 3\n4 5 6\n"
+    >>> with TemporaryDirectory() as folder:
+    ...     count = (Path(folder) / "site.asc").write_text(text)
+    ...     terrain = load_terrain(Path(folder) / "site.asc", posting=2.0)
+    >>> terrain.z.tolist(), terrain.bounds  # row 0 of z is the southernmost row
+    ([[0.5, 1.5, 2.5], [-2.5, -1.5, -0.5]], (-2.0, 2.0, -1.0, 1.0))
     """
     with open_raster(Path(path)) as source:
         z, step = _heights(source, posting, window, unit, nodata)
@@ -218,12 +236,16 @@ def _heights(
     unit: str | None,
     nodata: float | Sequence[float] | None,
 ) -> tuple[NDArray[np.float64], float]:
-    """Return heights on a square grid, row 0 in the south, and its posting, m."""
+    """Return heights on a square grid, row 0 in the south, and its spacing, m.
+
+    `window` is first and last row, first and last column; `unit` replaces the file's unit;
+    `nodata` are values that mean "no height".
+    """
     part = _window(window, source)
     if min(part.width, part.height) < 2:
         shape = (int(part.height), int(part.width))
         raise InputError(
-            "terrain.path", source.name, f"must have at least 2 x 2 posts, but has {shape}"
+            "terrain.path", source.name, f"must have at least 2 x 2 points, but has {shape}"
         )
     frame = frame_of_window(source, part, posting)
     square = frame.square_posting()
@@ -268,13 +290,17 @@ def _window(window: tuple[int, int, int, int] | None, source: DatasetReader) -> 
 def _resampled(
     frame: Frame, z: NDArray[np.float64], step: float, posting: float | None
 ) -> NDArray[np.float64]:
-    """Return heights interpolated to a centred square grid, row 0 in the south."""
+    """Interpolate heights of a raster to a centred square grid, row 0 in the south.
+
+    `z` (rows, cols) are the heights in the order of the file, `step` is the spacing of the new
+    grid, m, and `posting` the spacing that the user gave (only for error messages).
+    """
     wide, high = frame.extent()
     cols, rows = (int(length / step + 1e-6) + 1 for length in (wide, high))
-    check_count("terrain.dtm_posting_m", posting, rows, cols, "Use a coarser posting.")
+    check_count("terrain.dtm_posting_m", posting, rows, cols, "Use a wider spacing.")
     if min(rows, cols) < 2:
         raise InputError(
-            "terrain.dtm_posting_m", posting, "must be fine enough for at least 2 x 2 posts"
+            "terrain.dtm_posting_m", posting, "must be fine enough for at least 2 x 2 points"
         )
     last_row, last_col = z.shape[0] - 1.0, z.shape[1] - 1.0
     spline = GappySpline(np.pad(z, _SPLINE_MARGIN, constant_values=np.nan), extrapolate_slopes=True)

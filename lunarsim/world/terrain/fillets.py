@@ -15,11 +15,11 @@ FILLET_WIDTH_RADII = 0.6
 
 
 def add_fillets(relief: Heightfield, rocks: RockField, share: float) -> Heightfield:
-    """Return relief with soil banked against rocks.
+    """Raise the relief around rocks by fillets, soil that is piled up against them.
 
     The soil is highest at the outline, the ellipse of the rock's axes, and falls quadratically to
-    zero over 0.6 radii; where two fillets overlap, the higher one counts. Rocks do not move. A
-    fillet narrower than the posting raises one post or none.
+    zero over 0.6 rock radii; where two fillets overlap, the higher one counts. Rocks do not move. A
+    fillet narrower than the grid spacing raises one grid point or none.
 
     Parameters
     ----------
@@ -28,10 +28,15 @@ def add_fillets(relief: Heightfield, rocks: RockField, share: float) -> Heightfi
     rocks
         Rocks on the relief.
     share
-        Height of the soil over the exposed height of the rock, from 0 to 0.5.
+        Height of the soil divided by the exposed height of the rock, from 0 to 0.5.
+
+    Returns
+    -------
+    Heightfield
+        Relief with the soil on the same grid.
     """
     if not 0.0 <= share <= 0.5:
-        raise InputError("rocks.fillet", share, "must be from 0 to 0.5")
+        raise InputError("rocks.fillet_height_ratio", share, "must be from 0 to 0.5")
     if share == 0.0 or len(rocks) == 0:
         return relief
     g = relief.grid

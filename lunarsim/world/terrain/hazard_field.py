@@ -33,7 +33,7 @@ def hazard_field(
     grass_sigma: float = 0.02,
     swell: float = 0.25,
 ) -> Terrain:
-    """Return a hazard field in the middle of grassland.
+    """Generate terrain with random boulders and craters in the middle of grassland.
 
     Parameters
     ----------
@@ -44,7 +44,7 @@ def hazard_field(
     surround
         Side of the grassland, m.
     posting
-        Distance between posts of the relief, m.
+        Grid spacing of the relief, m.
     turn
         Rotation of the field, counter-clockwise, rad.
     boulders, craters
@@ -91,9 +91,10 @@ def _scatter_objects(
     size: float,
     turn: float,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return east, north and diameter of objects on the rotated square, largest first.
+    """Sample east, north and diameter (m) of discs without overlap, largest first.
 
-    N(D) falls as D^-2; objects do not overlap.
+    The number of discs of diameter D or more falls as D^-2. The discs lie on a square of side
+    `size`, m, that is rotated by `turn`, rad, counter-clockwise.
     """
     u = rng.random(count)
     diameter = np.sort(1.0 / np.sqrt(u / min_diameter**2 + (1.0 - u) / max_diameter**2))[::-1]

@@ -15,17 +15,24 @@ from lunarsim.world.terrain.spline import GappySpline
 
 @dataclass(frozen=True)
 class Heightfield:
-    """Elevations at the cell centres of a grid, with two triangles per square.
+    """Terrain surface as a grid of elevations, with two triangles per grid square.
 
-    The diagonal of the square between four posts runs from south-west to north-east. Ray casting,
-    rendering and point queries use this same surface and therefore agree exactly.
+    The diagonal of the square between four grid points runs from south-west to north-east. Ray
+    casting, rendering and point queries use this same surface and therefore agree exactly.
 
     Attributes
     ----------
     grid
-        Grid of the posts.
+        Grid whose cell centres are the points with elevations.
     z
         Elevation (rows, cols), float32, m; NaN for no data.
+
+    Examples
+    --------
+    >>> grid = Grid.centred((0.0, 0.0), 4.0, 1.0)
+    >>> relief = Heightfield(grid, np.tile(0.1 * grid.x, (4, 1)).astype(np.float32))
+    >>> relief.bounds, relief.refined(0.5).grid.shape
+    ((-1.5, 1.5, -1.5, 1.5), (7, 7))
     """
 
     grid: Grid
@@ -39,7 +46,7 @@ class Heightfield:
                 "heightfield.z", self.z.shape, f"must have the grid's shape {self.grid.shape}"
             )
         if min(self.z.shape) < 2:
-            raise InputError("heightfield.z", self.z.shape, "must have at least 2 x 2 posts")
+            raise InputError("heightfield.z", self.z.shape, "must have at least 2 x 2 points")
         if np.any(np.isinf(self.z)):
             raise InputError("heightfield.z", "inf", "must be finite, or NaN for no data")
         if not np.any(np.isfinite(self.z)):
@@ -47,7 +54,7 @@ class Heightfield:
 
     @property
     def bounds(self) -> tuple[float, float, float, float]:
-        """West, east, south and north edges of the surface (its outermost posts), m."""
+        """West, east, south and north edges (the outermost grid points), m."""
         g = self.grid
         return (
             g.x0,
@@ -62,11 +69,14 @@ class Heightfield:
         return float(np.nanmin(self.z)), float(np.nanmax(self.z))
 
     def scaled(self, factor: float) -> Heightfield:
-        """Return the relief times `factor`, c of Eq. 20 of the Gaussian DEM paper."""
+        """Return the relief with all elevations multiplied by `factor`.
+
+        The factor is c in Eq. 20 of the Gaussian DEM paper.
+        """
         return Heightfield(self.grid, (self.z * np.float32(factor)).astype(np.float32))
 
     def mirrored(self, side: float) -> Heightfield:
-        """Return the relief extended by mirroring to a square of at least `side`, m.
+        """Extend the relief by mirroring at its edges to a square of at least `side` m.
 
         The extension is symmetric about the middle and continuous in elevation. A direction that
         is already wide enough is not extended.
@@ -78,7 +88,7 @@ class Heightfield:
         return Heightfield(Grid(west, south, grid.posting, *z.shape), z)
 
     def dequantised(self, step: float) -> Heightfield:
-        """Return a smooth relief that rounds to this one, for quantized elevations.
+        """Return a smooth relief that is consistent with quantized elevations.
 
         The relief is smoothed repeatedly and kept within half a step of the measured values, which
         removes the slopes of the quantization steps.
@@ -100,10 +110,10 @@ class Heightfield:
         return Heightfield(self.grid, np.where(known, z, np.nan).astype(np.float32))
 
     def refined(self, posting: float) -> Heightfield:
-        """Return the relief at a posting of at most `posting` (m), by cubic spline.
+        """Interpolate the relief to a grid spacing of at most `posting` (m) by spline.
 
-        The new posting divides the old one, so that the measured posts keep their elevations. A
-        post next to no-data is no-data.
+        The new spacing divides the old one, so that the old grid points keep their elevations. A
+        new point next to no-data is no-data.
         """
         factor = max(1, int(np.ceil(self.grid.posting / posting - 1e-9)))
         if factor == 1:

@@ -21,7 +21,7 @@ _NORTH_NAMES = {"projection_y_coordinate", "latitude", "grid_latitude", "y", "la
 
 
 def check_links(path: Path) -> None:
-    """Refuse an HDF5 file whose samples are stored in other files."""
+    """Raise InputError for an HDF5 file whose samples are stored in other files."""
     import h5py  # noqa: PLC0415  (loads slowly)
 
     if not h5py.is_hdf5(path):
@@ -50,13 +50,15 @@ def check_links(path: Path) -> None:
 
 
 def check_axes(source: DatasetReader) -> None:
-    """Refuse a netCDF file whose axes differ from those that GDAL assumes.
+    """Raise InputError if a netCDF file has axes that GDAL misinterprets.
+
+    GDAL assumes evenly spaced axes, with the last dimension pointing east.
 
     Raises
     ------
     InputError
-        If rows and columns are exchanged, an axis is not evenly spaced, or its unit is not that of
-        the coordinate reference system.
+        If rows and columns are exchanged, an axis is not evenly spaced, or the unit of an axis
+        differs from the unit of the coordinate reference system.
     """
     if source.driver != "netCDF":
         return
@@ -80,7 +82,7 @@ def check_axes(source: DatasetReader) -> None:
         if wrong & (names | {dim.lower()}):
             raise _refusal(
                 source, f"has dimensions ({', '.join(dims)}), but rows must be northings",
-                f"Exchange them: `ncpdq -a {dims[1]},{dims[0]} FILE out.nc`.",
+                f"Exchange the dimensions: `ncpdq -a {dims[1]},{dims[0]} FILE out.nc`.",
             )  # fmt: skip
         _check_axis(source, dim, np.asarray(places, dtype=np.float64), attributes, step)
 
@@ -88,7 +90,11 @@ def check_axes(source: DatasetReader) -> None:
 def _check_axis(
     source: DatasetReader, dim: str, places: Any, attributes: dict[str, Any], map_step: float
 ) -> None:
-    """Refuse an axis with uneven steps, or with steps unlike the map's."""
+    """Raise InputError if an axis has uneven steps or another step than the map.
+
+    `dim` is the name of the axis, `places` (n,) are its coordinates, and `map_step` is the step
+    that GDAL reads, in units of the coordinate reference system.
+    """
     crs, unit = source.crs, str(attributes.get("units", "")).lower()
     if len(places) < 2:
         return
@@ -97,7 +103,9 @@ def _check_axis(
         steps = (steps + 180.0) % 360.0 - 180.0
     step = float(steps.mean())
     if not np.abs(np.cumsum(steps - step)).max() <= _MAX_UNEVENNESS * abs(step):
-        raise _refusal(source, f"has an axis {dim!r} that is not evenly spaced", "Interpolate it.")
+        raise _refusal(
+            source, f"has an axis {dim!r} that is not evenly spaced", "Interpolate to even steps."
+        )
     if crs is None or not unit:
         return
     length = np.radians(1.0) if unit.startswith("degree") else metres_in(unit)

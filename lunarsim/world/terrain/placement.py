@@ -18,7 +18,7 @@ _MAX_CLUSTER_RADII = 5.0
 
 @dataclass(frozen=True)
 class CraterClusters:
-    """Craters with clusters of blocks around them.
+    """Craters around which rocks ("blocks") are clustered.
 
     The density of blocks falls with the cube of the distance from the crater's centre, like ejecta
     (McGetchin, Settle and Head 1973), from the rim to five radii. The number of blocks is
@@ -39,16 +39,16 @@ class CraterClusters:
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.share <= 1.0:
-            raise InputError("rocks.clustered", self.share, "must be from 0 to 1")
+            raise InputError("rocks.cluster_fraction", self.share, "must be from 0 to 1")
         if self.share > 0.0 and not self.radius.size:
             raise InputError(
-                "rocks.clustered",
+                "rocks.cluster_fraction",
                 self.share,
                 "must be 0: no crater is large enough for blocks",
             )
 
     def rows(self) -> NDArray[np.float64]:
-        """Return the kernel's array (4, n): x, y, radius, cumulative fractions."""
+        """Return the craters as an array (4, n): x, y, radius, cumulative area fraction."""
         area = np.cumsum(self.radius**2)
         total = area / area[-1] if area.size else area
         return np.stack((self.x, self.y, self.radius, total))
@@ -66,22 +66,27 @@ def place_rocks(
     tries: int = 200,
     clusters: CraterClusters = NO_CLUSTERS,
 ) -> RockField:
-    """Place rocks at random on the relief without overlap, widest first.
+    """Place rocks of given diameters at random on a relief, without overlap.
 
     Parameters
     ----------
     relief
-        Relief to place them on.
+        Relief on which the rocks are placed, widest first.
     diameters
-        Diameters (n,), m.
+        Diameters of the rocks (n,), m.
     rng
         Source of positions and shapes.
     model
         Shapes and burial; omitted: hemispheres.
     tries
-        Attempts per rock; the field is overfull if all attempts for one rock fail.
+        Attempts per rock; if all attempts for one rock fail, the field is too full.
     clusters
-        Craters with blocks around them; omitted: rocks lie anywhere.
+        Craters around which a fraction of the rocks is clustered; omitted: rocks lie anywhere.
+
+    Returns
+    -------
+    RockField
+        The placed rocks.
 
     Raises
     ------

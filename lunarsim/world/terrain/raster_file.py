@@ -45,8 +45,9 @@ _GDAL_OPTIONS = {
 
 @contextmanager
 def open_raster(path: Path) -> Iterator[DatasetReader]:
-    """Open a raster with one band; convert GDAL's errors to `InputError`.
+    """Open a raster file with one band as a context manager.
 
+    Errors of GDAL become InputError.
     A data file with a detached PDS label (`ldem.img` and `ldem.lbl`) is opened through its label.
     """
     if not path.is_file():
@@ -72,7 +73,7 @@ def open_raster(path: Path) -> Iterator[DatasetReader]:
 
 
 def _opened(path: Path) -> DatasetReader:
-    """Open a raster directly, or else through the label with the same stem."""
+    """Open a raster directly, or else through a label file of the same name."""
     try:
         return DatasetReader(path.absolute(), driver=list(DRIVERS))
     except _ERRORS as error:
@@ -95,7 +96,7 @@ def _opened(path: Path) -> DatasetReader:
 
 
 def _not_a_raster(path: Path, error: Exception) -> InputError:
-    """Return the error for a file that no format can open."""
+    """Return the error for a file that GDAL cannot open in any accepted format."""
     with path.open("rb") as file:
         start = file.read(4096)
     formats = ", ".join(DRIVERS)
@@ -110,12 +111,12 @@ def _not_a_raster(path: Path, error: Exception) -> InputError:
         return InputError("terrain.path", str(path), problem)
     else:
         problem = f"must be a raster of {formats}"
-    remedy = "Convert it: `gdal_translate -of GTiff FILE out.tif`."
+    remedy = "Convert the file: `gdal_translate -of GTiff FILE out.tif`."
     return InputError("terrain.path", str(path), problem, remedy)
 
 
 def _check_proj() -> None:
-    """Refuse a PROJ installation without its data: coordinates would be wrong."""
+    """Raise InputError if PROJ's data are missing: coordinates would be wrong."""
     try:
         CRS.from_epsg(4326)
     except _ERRORS as error:
@@ -133,9 +134,10 @@ def _check_proj() -> None:
 
 
 def _check_siblings(path: Path) -> None:
-    """Refuse pipes and devices that GDAL would open as parts of a raster and block on.
+    """Raise InputError for pipes and devices that belong to a raster.
 
-    These are files that begin with the name of the raster, and files that its label names.
+    GDAL would open them and wait for ever. Files belong to the raster if their names begin with
+    its name or if its label names them.
     """
     siblings = path.absolute().parent.iterdir()
     odd = [p for p in siblings if p.exists() and not p.is_file() and not p.is_dir()]
@@ -152,7 +154,7 @@ def _check_siblings(path: Path) -> None:
 
 
 def _check_files(path: Path, source: DatasetReader) -> None:
-    """Refuse a raster unless all its parts lie in one folder."""
+    """Raise InputError unless all files of a raster lie in one folder."""
     parts = [Path(name).resolve() for name in source.files]
     outside = [
         [part for part in parts if not (part.is_file() and part.is_relative_to(folder))]
@@ -167,7 +169,7 @@ def _check_files(path: Path, source: DatasetReader) -> None:
 
 
 def _check_band(path: Path, source: DatasetReader) -> None:
-    """Refuse a file that does not contain exactly one raster of real numbers."""
+    """Raise InputError unless a file has exactly one raster with one real band."""
     if source.subdatasets:
         first = source.subdatasets[0]
         raise InputError(

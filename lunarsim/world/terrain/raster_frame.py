@@ -1,4 +1,4 @@
-"""Locate the posts of a raster in a local east, north frame in true metres."""
+"""Locate the points of an elevation raster in a local frame in true metres."""
 
 from __future__ import annotations
 
@@ -22,18 +22,18 @@ from lunarsim.world.terrain.raster_label import wkt2
 Array = NDArray[np.float64]
 Mapping = Callable[[Array, Array], tuple[Array, Array]]
 
-# Maximum misplacement of a post in a square, north-up grid, over its distance from the centre, for
-# which posts are re-indexed without interpolation. Otherwise they are resampled.
+# Maximum misplacement of a raster point in a square, north-up grid, over its distance from the
+# centre, for which heights are re-indexed without interpolation. Otherwise they are resampled.
 MAX_MISPLACEMENT = 1e-3
 # Half the distance over which the steps of a raster are measured at its centre, m.
 _DIFFERENCE_M = 1.0
-# Tolerance of mapping window corners to the local frame and back, posts.
+# Tolerance of mapping window corners to the local frame and back, grid spacings.
 _MAX_ROUND_TRIP_POSTS = 0.1
 
 
 @dataclass(frozen=True)
 class Frame:
-    """Local frame of a window; its origin is the centre of the window.
+    """Local east, north frame of a raster window, with its origin at the centre.
 
     Attributes
     ----------
@@ -42,13 +42,13 @@ class Frame:
     to_local, to_map
         Mappings from map coordinates to east and north, m, and back.
     pixel_to_map
-        Transform from fractional columns and rows of the window to map coordinates; a post has its
-        centre at half a column and row.
+        Transform from fractional columns and rows of the window to map coordinates; grid point
+        (i, j) lies at row i + 0.5 and column j + 0.5.
     cols, rows
-        Size of the window.
+        Numbers of columns and rows of the window.
     nominal_posting
-        Distance between posts that the file states, m; None in degrees, and if it differs between
-        the two directions.
+        Grid spacing stated by the file, m; None in degrees, and if it differs between the two
+        directions.
     metres_per_map_unit
         Length of a map unit as stated by the file, m; None in degrees.
     """
@@ -67,15 +67,16 @@ class Frame:
         return self.to_local(*_transformed(self.pixel_to_map, np.asarray(cols), np.asarray(rows)))
 
     def pixels(self, east: Array, north: Array) -> tuple[Array, Array]:
-        """Return fractional columns and rows of points in the local frame."""
+        """Return fractional columns and rows of points `east`, `north` (m)."""
         return _transformed(~self.pixel_to_map, *self.to_map(east, north))
 
     @property
     def steps(self) -> Array:
         """East and north components (2, 2), m, of a step of one column and of one row.
 
-        They are computed from the local frame to the raster, because in the other direction PROJ
-        rounds points near a centre on the equator to about 1 mm.
+        The first index is east or north, the second column or row. The steps are the inverse of
+        the derivative of raster coordinates with respect to local coordinates, because in the
+        other direction PROJ rounds points near a centre on the equator to about 1 mm.
         """
         h = _DIFFERENCE_M
         at = self.pixels(np.array([-h, h, 0.0, 0.0]), np.array([0.0, 0.0, -h, h]))
@@ -83,14 +84,14 @@ class Frame:
         return np.asarray(np.linalg.inv(np.array(per_metre) / (2.0 * h)), dtype=np.float64)
 
     def orientation(self) -> Orientation:
-        """Return how to exchange and reverse rows and columns to make the raster north-up."""
+        """Return the exchange and reversal of rows and columns that orients the raster."""
         steps = self.steps
         transposed = bool(abs(steps[1, 0]) > abs(steps[0, 0]))
         along = steps[:, ::-1] if transposed else steps
         return Orientation(transposed, bool(along[0, 0] < 0.0), bool(along[1, 1] < 0.0))
 
     def square_posting(self) -> float | None:
-        """Return the posting, m, if the posts form a square north-up grid."""
+        """Return the grid spacing, m, if the raster is a square north-up grid, else None."""
         at = np.meshgrid([0.5, 0.5 * self.cols, self.cols - 0.5], [0.5, 0.5 * self.rows,
                                                                   self.rows - 0.5])  # fmt: skip
         east, north = self.local(*(v.ravel() for v in at))
@@ -109,11 +110,11 @@ class Frame:
 
     @property
     def mean_posting(self) -> float:
-        """Geometric mean of the distances between posts along rows and columns, m."""
+        """Geometric mean of the grid spacings along rows and along columns, m."""
         return float(np.sqrt(abs(np.linalg.det(self.steps))))
 
     def extent(self) -> tuple[float, float]:
-        """Return width and height, m, of the centred rectangle that contains all posts."""
+        """Return width and height, m, of the centred rectangle around all grid points."""
         c, r = np.linspace(0.5, self.cols - 0.5, 65), np.linspace(0.5, self.rows - 0.5, 65)
         cols = np.concatenate([c, c, np.full(65, c[0]), np.full(65, c[-1])])
         rows = np.concatenate([np.full(65, r[0]), np.full(65, r[-1]), r, r])
@@ -138,7 +139,7 @@ class Orientation:
     northern_first: bool
 
     def apply(self, z: Array) -> Array:
-        """Return heights with row 0 in the south and column 0 in the west."""
+        """Reorder heights `z` of the file: row 0 in the south, column 0 in the west."""
         z = z.T if self.transposed else z
         return z[:: -1 if self.northern_first else 1, :: -1 if self.eastern_first else 1]
 
@@ -159,9 +160,9 @@ def frame_of_window(source: DatasetReader, window: Window, posting: float | None
     source
         Open raster file.
     window
-        Window to use.
+        Rows and columns to use.
     posting
-        Distance between posts, m, of a file without a coordinate reference system.
+        Grid spacing, m, of a file without a coordinate reference system.
 
     Raises
     ------
@@ -185,7 +186,7 @@ def frame_of_window(source: DatasetReader, window: Window, posting: float | None
                 "a transform but no coordinate reference system",
             ][not source.transform.is_identity]  # fmt: skip
             raise _refusal(
-                source, f"has {found}", "Set terrain.dtm_posting_m, the distance between its posts."
+                source, f"has {found}", "Set terrain.dtm_posting_m, the grid spacing of the raster."
             )
         across, along = _step_lengths(transform)
         if abs(across - along) > 1e-6 * across:
@@ -212,7 +213,7 @@ def frame_of_window(source: DatasetReader, window: Window, posting: float | None
 
 
 def is_placed(source: DatasetReader) -> bool:
-    """Return whether a file is georeferenced (GDAL: no identity transform)."""
+    """Return whether a file has a coordinate reference system and a transform."""
     return source.crs is not None and not source.transform.is_identity
 
 
@@ -223,23 +224,28 @@ def _refusal(source: DatasetReader, problem: str, remedy: str = "") -> InputErro
 def _check_no_tie_points(source: DatasetReader) -> None:
     if source.gcps[0] or source.rpcs:
         raise _refusal(
-            source, "is georeferenced by control points", "Resample it: `gdalwarp FILE out.tif`."
+            source,
+            "is georeferenced by control points",
+            "Resample the file: `gdalwarp FILE out.tif`.",
         )
 
 
 def _check_axes(source: DatasetReader) -> None:
-    """Refuse reference systems whose axis directions GDAL does not preserve."""
+    """Raise InputError if coordinates increase to the west or south.
+
+    GDAL does not preserve these axis directions.
+    """
     counts_west = re.search(r'AXIS\["[^"]*",WEST', source.crs.to_wkt(), re.IGNORECASE)
     axes = source.crs.to_dict().get("axis", "enu")
     if (source.crs.is_geographic and counts_west) or axes != "enu":
         raise _refusal(
             source, "has coordinates that increase to the west or south",
-            "Resample it: `gdalwarp FILE out.tif`.",
+            "Resample the file: `gdalwarp FILE out.tif`.",
         )  # fmt: skip
 
 
 def _transformed(transform: Affine, x: Array, y: Array) -> tuple[Array, Array]:
-    """Return points transformed by an affine transform."""
+    """Return the points `x`, `y` transformed by an affine transform."""
     a, b, c, d, e, f = transform[:6]
     return a * x + b * y + c, d * x + e * y + f
 
@@ -250,7 +256,11 @@ def _step_lengths(transform: Affine) -> tuple[float, float]:
 
 
 def _plane_mappings(centre: tuple[float, float], metres: float) -> tuple[Mapping, Mapping]:
-    """Return the mappings of a plane with axes along east and north."""
+    """Return mappings between a plane map and the local frame, in both directions.
+
+    `centre` are the map coordinates of the local origin, `metres` is the length of a map unit. The
+    map's axes point east and north.
+    """
     cx, cy = centre
 
     def to_local(x: Array, y: Array) -> tuple[Array, Array]:
@@ -265,7 +275,11 @@ def _plane_mappings(centre: tuple[float, float], metres: float) -> tuple[Mapping
 def _spherical_mappings(
     source: DatasetReader, transform: Affine, cols: int, rows: int
 ) -> tuple[Mapping, Mapping]:
-    """Return the mappings to an azimuthal equidistant frame about a window."""
+    """Return mappings between map coordinates and a local frame, in both directions.
+
+    The local frame is an azimuthal equidistant projection about the centre of a window of `cols` x
+    `rows`; `transform` converts columns and rows to map coordinates.
+    """
     body = _body(source.crs)
     crs = _on_sphere(source.crs, body)
     cx, cy = transform @ (0.5 * cols, 0.5 * rows)
@@ -275,7 +289,7 @@ def _spherical_mappings(
         raise _refusal(source, "has its centre outside the domain of its projection")
     edge = _refusal(
         source, "extends beyond the edge of its projection",
-        "Choose a part of it with terrain.dtm_window.",
+        "Choose a part of the raster with terrain.dtm_window.",
     )  # fmt: skip
     target = CRS.from_dict({"proj": "aeqd", "lat_0": lat, "lon_0": lon, "units": "m"} | body)
 
@@ -309,7 +323,11 @@ def _spherical_mappings(
 
 
 def _longitude_period(crs: CRS, globe: CRS, lon: float, lat: float) -> float:
-    """Return the map units in 360 degrees of longitude."""
+    """Return the length of 360 degrees of longitude at a point, in map units.
+
+    `crs` is the map's reference system, `globe` the longitude and latitude of the same body;
+    `lon` and `lat` are the point, deg.
+    """
     x, _ = _reproject(globe, crs, lon + np.array([-1e-3, 0.0, 1e-3]), np.full(3, lat))
     # One of the two steps may cross the edge of the map.
     return float(np.abs(np.diff(x)).min()) * 360_000.0
@@ -324,7 +342,7 @@ def _body(crs: CRS) -> dict[str, Any]:
     """Return the ellipsoid of a coordinate reference system as PROJ parameters.
 
     Planetary maps in the equidistant cylindrical projection define latitudes on a sphere of the
-    equatorial radius; distances are those on that sphere.
+    equatorial radius; distances on the map are distances on that sphere.
     """
     number = r"([-+.\deE]+)"
     found = re.search(rf'(?:ELLIPSOID|SPHEROID)\["[^"]*",{number},{number}', crs.to_wkt())
@@ -337,7 +355,7 @@ def _body(crs: CRS) -> dict[str, Any]:
 
 
 def _on_sphere(crs: CRS, body: dict[str, Any]) -> CRS:
-    """Replace the ellipsoid of an equidistant cylindrical projection by the given body.
+    """Replace the ellipsoid of an equidistant cylindrical projection by `body`.
 
     Only later releases of PROJ compute this projection on the ellipsoid.
     """
@@ -353,7 +371,7 @@ def _is_engineering(crs: CRS) -> bool:
 
 
 def _engineering_unit(source: DatasetReader) -> float:
-    """Return the length of the unit of a local (engineering) reference system, m."""
+    """Return the length, m, of the unit of a local (engineering) reference system."""
     found = re.search(r'LENGTHUNIT\["[^"]*",([-+.\deE]+)', wkt2(source.crs).split("VERTCRS")[0])
     if found is None:
         raise _refusal(source, "has a local coordinate reference system without a unit of length")

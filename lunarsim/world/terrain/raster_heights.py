@@ -1,4 +1,4 @@
-"""Read the heights of a raster in metres, and its missing posts."""
+"""Read the heights of a raster in metres, and find missing heights."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ _METRES = {
 # Words in labels for a missing unit.
 _NO_UNIT = {"", "n/a", "none", "null"}
 
-# Float rasters from PDS mark missing posts by very large negative numbers, often undeclared.
+# Float rasters from PDS mark missing heights by very large negative numbers, often undeclared.
 _MISSING_BELOW = -1e30
 # Limit of heights, which may be radii of the body, m.
 _MAX_HEIGHT_M = 1e7
@@ -65,25 +65,30 @@ _POSTS_PER_BLOCK = 2_000_000
 
 
 def metres_in(unit: str) -> float | None:
-    """Return the length of a unit in metres; None if its name is not known."""
+    """Return the length in metres of a unit given by name; None for unknown names."""
     words = " ".join(re.sub(r"[-_.()\s]+", " ", unit.lower().strip("\"' ")).split())
     return _METRES.get(words, _METRES.get(words.removesuffix("s")))
 
 
 def check_count(field_name: str, value: object, rows: int, cols: int, remedy: str) -> None:
-    """Refuse more posts than fit into memory (400 million: 3 GB)."""
+    """Raise InputError if a raster has over 400 million points (3 GB of memory).
+
+    `field_name`, `value` and `remedy` are the fields of the error message.
+    """
     max_posts = 400_000_000
     if rows * cols > max_posts:
         raise InputError(
             field_name, value,
-            f"needs {rows} x {cols} posts ({format_bytes(8.0 * rows * cols)}), but at most "
-            f"{max_posts} posts are read", remedy,
+            f"needs {rows} x {cols} grid points ({format_bytes(8.0 * rows * cols)}), but at most "
+            f"{max_posts} points are read", remedy,
         )  # fmt: skip
 
 
 @dataclass(frozen=True)
 class HeightScale:
-    """Conversion of raw values to metres: (number * scale + offset) * metres.
+    """Conversion of a raster's raw values to heights in metres.
+
+    height = (raw value * scale + offset) * metres
 
     Attributes
     ----------
@@ -102,7 +107,10 @@ class HeightScale:
 
     @classmethod
     def of(cls, source: DatasetReader, unit: str | None) -> HeightScale:
-        """Return the conversion that a file declares; `unit` replaces the file's unit."""
+        """Return the conversion that an open raster file states.
+
+        `unit`, if given, replaces the unit stated by the file.
+        """
         scale, offset = float(source.scales[0]), float(source.offsets[0])
         if not (np.isfinite(scale) and np.isfinite(offset) and scale != 0.0):
             raise InputError(
@@ -138,19 +146,20 @@ class HeightScale:
         return cls(scale, offset, names[0] if names else "m", (known_lengths or [1.0])[0])
 
     def metres_of(self, numbers: NDArray[np.float64] | float) -> NDArray[np.float64]:
-        """Convert raw values to metres."""
+        """Convert raw values of the raster to heights in metres."""
         return np.asarray((np.asarray(numbers) * self.scale + self.offset) * self.metres)
 
 
 @dataclass
 class HeightStatistics:
-    """Statistics of heights, m, accumulated block by block.
+    """Counts and extreme heights of a raster, accumulated block by block.
 
     Attributes
     ----------
-        Numbers of posts, and of posts with a height.
+    posts, known
+        Number of grid points, and of grid points with a height.
     lowest, highest
-        The eight most extreme heights at each end with their counts; the extreme first.
+        The eight lowest and the eight highest heights, m, with their counts; the extreme first.
     """
 
     posts: int = 0
@@ -159,7 +168,7 @@ class HeightStatistics:
     highest: list[tuple[float, int]] = field(default_factory=list)
 
     def add(self, z: NDArray[np.float64]) -> None:
-        """Add a block of heights, NaN where missing."""
+        """Include a block of heights `z`, m, with NaN where missing."""
         heights = z[np.isfinite(z)]
         self.posts += z.size
         self.known += heights.size
@@ -191,7 +200,7 @@ def _lowest_values(
 
 @dataclass(frozen=True)
 class RasterHeights:
-    """Heights of a raster file.
+    """Reader of the heights of an open raster file.
 
     Attributes
     ----------
@@ -200,8 +209,8 @@ class RasterHeights:
     scale
         Conversion of raw values to metres.
     no_data
-        Values that mark posts without a height, declared by the user; None: undeclared ones are
-        searched for.
+        Raw values that mean "no height", given by the user; None: values that resemble such a
+        marker are found automatically and refused.
     """
 
     source: DatasetReader
@@ -209,7 +218,10 @@ class RasterHeights:
     no_data: Sequence[float] | None
 
     def blocks(self, window: Window) -> Iterator[tuple[int, NDArray[np.float64]]]:
-        """Yield first row and heights, m, of blocks of rows; NaN if missing."""
+        """Yield the window block by block: first row, and heights of its rows, m.
+
+        Heights are NaN where missing.
+        """
         source = self.source
         masked = not has_hexadecimal_no_data(source)
         special = [*special_values(source), *(self.no_data or ())]
@@ -228,12 +240,12 @@ class RasterHeights:
             yield top, z
 
     def extremes(self, window: Window) -> HeightStatistics:
-        """Return statistics of a window, without loading it into memory.
+        """Return height statistics of a window, without loading it into memory.
 
         Raises
         ------
         InputError
-            If `check` refuses the heights.
+            If the window has implausible heights or an undeclared no-data value.
         """
         found = HeightStatistics()
         for _, z in self.blocks(window):
@@ -242,12 +254,13 @@ class RasterHeights:
         return found
 
     def read(self, window: Window) -> NDArray[np.float64]:
-        """Return the heights of a window, m; NaN for posts without a height.
+        """Return the heights of a window (rows, cols), m; NaN where missing.
 
         Raises
         ------
         InputError
-            If the window has too many posts or no heights, or `check` refuses the heights.
+            If the window has too many points, no heights, implausible heights or an undeclared
+            no-data value.
         """
         rows, cols = int(window.height), int(window.width)
         check_count("terrain.path", self.source.name, rows, cols, "Set terrain.dtm_window.")
@@ -261,7 +274,10 @@ class RasterHeights:
         return z
 
     def check(self, found: HeightStatistics) -> None:
-        """Refuse undeclared no-data values and implausible heights."""
+        """Raise InputError for undeclared no-data values and implausible heights.
+
+        `found` are the statistics of the heights.
+        """
         if not found.known:
             return
         low, high = found.z_range
@@ -272,11 +288,16 @@ class RasterHeights:
             raise InputError(
                 "terrain.path", self.source.name,
                 f"has heights from {low:.6g} to {high:.6g} m, which no known body has",
-                "Declare the marker of missing posts: terrain.dtm_nodata.",
+                "Set terrain.dtm_nodata to the value that marks missing heights.",
             )  # fmt: skip
 
     def _check_marker(self, extreme: list[tuple[float, int]], opposite: float, side: str) -> None:
-        """Refuse extreme values far from all others; `opposite` is the other extreme."""
+        """Raise InputError for extreme values that resemble a no-data marker.
+
+        `extreme` are the extreme heights at one end (m) with their counts, `opposite` is the
+        extreme height at the other end, and `side` is "below" or "above". A value resembles a
+        marker if a large gap separates it from all other heights.
+        """
         customary = self.scale.metres_of(np.array(_CUSTOMARY_MARKERS, dtype=np.float64))
         zero = self.scale.metres_of(0.0)
         for number, ((value, _), (following, _)) in enumerate(pairwise(extreme), start=1):
@@ -297,14 +318,14 @@ class RasterHeights:
         declared = f"[{shown}]" if len(numbers) > 1 else shown
         raise InputError(
             "terrain.path", self.source.name,
-            f"has {sum(count for _, count in found)} posts of value {shown}, {gap:.0f} m {side} "
+            f"has {sum(count for _, count in found)} points of value {shown}, {gap:.0f} m {side} "
             "all others",
             f"Set terrain.dtm_nodata = {declared}, or [] if these heights are real.",
         )  # fmt: skip
 
 
 def _equal(numbers: NDArray[np.generic], value: float) -> NDArray[np.bool_]:
-    """Return whether numbers equal a value rounded to their type."""
+    """Return which numbers equal `value` after rounding it to their number type."""
     if numbers.dtype.kind == "f":
         with np.errstate(over="ignore"):
             value = float(numbers.dtype.type(value))

@@ -2,7 +2,7 @@
 
 GDAL provides scale and offset of every format (including SCALING_FACTOR and OFFSET of PDS3, Base
 and Multiplier of ISIS3, scaling_factor and value_offset of PDS4), and the unit of all formats but
-PDS3, ISIS3 and AAIGrid. It provides only one of the values that mark missing posts.
+PDS3, ISIS3 and AAIGrid. GDAL provides only one of the values that mark missing heights.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import numpy as np
 from rasterio.crs import CRS
 from rasterio.io import DatasetReader
 
-# Keywords of PDS3 labels whose value marks posts without a height.
+# Keywords of PDS3 labels whose value means "no height".
 _MISSING_KEYWORDS = re.compile(
     r"((MISSING|INVALID|UNKNOWN|NOT_APPLICABLE|NULL)(_CONSTANT)?"
     r"|CORE_(NULL|(LOW|HIGH)_(INSTR|REPR)_SATURATION))"
@@ -33,7 +33,10 @@ _ISIS_SPECIAL = {
 
 
 def declared_units(source: DatasetReader) -> list[str]:
-    """Return all units of height that a file states: band, label, vertical reference."""
+    """Return the names of all height units that an open raster file states.
+
+    They are read from its band, its label and its vertical reference system.
+    """
     found = [source.units[0]] + [unit for _, unit in _label_units(source)]
     if source.crs is not None:
         vertical = re.search(r'VERTCRS\[.*?LENGTHUNIT\["([^"]*)"', wkt2(source.crs))
@@ -42,7 +45,7 @@ def declared_units(source: DatasetReader) -> list[str]:
 
 
 def has_downward_heights(source: DatasetReader) -> bool:
-    """Return whether the heights are depths."""
+    """Return whether an open raster file states depths (positive down)."""
     if source.driver == "netCDF" and str(source.tags(1).get("positive", "")).lower() == "down":
         return True
     crs = source.crs
@@ -50,7 +53,10 @@ def has_downward_heights(source: DatasetReader) -> bool:
 
 
 def special_values(source: DatasetReader) -> list[float]:
-    """Return the missing values of a label, without the no-data value."""
+    """Return the raw values that a planetary label reserves for missing heights.
+
+    GDAL's no-data value of the open file is not included.
+    """
     dtype = np.dtype(source.dtypes[0])
     if source.driver == "ISIS3":
         return [float(v) for v in _ISIS_SPECIAL.get(dtype.name, ())]
@@ -65,7 +71,7 @@ def special_values(source: DatasetReader) -> list[float]:
 
 
 def has_hexadecimal_no_data(source: DatasetReader) -> bool:
-    """Return whether a PDS3 label has a no-data value like 16#FF7FFFFB#."""
+    """Return whether a PDS3 label has a hexadecimal no-data value (16#FF7FFFFB#)."""
     if source.driver != "PDS":
         return False
     image = _image_object(_json_label(source, "json:PDS"))
@@ -73,7 +79,7 @@ def has_hexadecimal_no_data(source: DatasetReader) -> bool:
 
 
 def _label_units(source: DatasetReader) -> Iterator[tuple[str, str]]:
-    """Yield keyword and unit of height of formats whose unit GDAL does not provide."""
+    """Yield label keywords and height units of files whose unit GDAL does not provide."""
     if source.driver == "PDS":
         image = _image_object(_json_label(source, "json:PDS"))
         for key in ("UNIT", "UNITS", "CORE_UNIT"):
@@ -97,7 +103,10 @@ def _label_units(source: DatasetReader) -> Iterator[tuple[str, str]]:
 
 
 def _json_label(source: DatasetReader, domain: str) -> dict[str, Any]:
-    """Return a label parsed by GDAL; rasterio splits its text at the first colon."""
+    """Return a label as GDAL parsed it; {} without a label.
+
+    `domain` is GDAL's name of the metadata. rasterio splits the text at the first colon.
+    """
     text = ":".join(next(iter(source.tags(ns=domain).items()), ("", "")))
     try:
         label = json.loads(text)
@@ -107,7 +116,7 @@ def _json_label(source: DatasetReader, domain: str) -> dict[str, Any]:
 
 
 def _image_object(label: dict[str, Any]) -> dict[str, Any]:
-    """Return the object of a PDS3 label that describes the samples, or {}."""
+    """Return the nested object of a PDS3 label that describes the samples, or {}."""
     if "SAMPLE_BITS" in label or "CORE_ITEM_BYTES" in label:
         return label
     nested = [_image_object(value) for value in label.values() if isinstance(value, dict)]
@@ -126,7 +135,10 @@ def _pds4_constants(text: str) -> list[ElementTree.Element]:
 
 
 def _number(text: Any, dtype: np.dtype[Any]) -> float | None:
-    """Return a special value given as a number or as its bits; None if it is neither."""
+    """Parse a special value of a label, given as a number or as hexadecimal bits.
+
+    `dtype` is the number type of the raster. Text that is neither gives None.
+    """
     if isinstance(text, dict):
         text = text.get("value")
     bits = re.fullmatch(r"\s*(?:16#([0-9A-Fa-f]+)#|0x([0-9A-Fa-f]+))\s*", str(text))
@@ -141,5 +153,5 @@ def _number(text: Any, dtype: np.dtype[Any]) -> float | None:
 
 
 def wkt2(crs: CRS) -> str:
-    """Return a coordinate reference as text (WKT 2 of 2019)."""
+    """Return a coordinate reference system as text (WKT 2, version of 2019)."""
     return str(crs.to_wkt(version="WKT2_2019"))

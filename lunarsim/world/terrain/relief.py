@@ -17,17 +17,17 @@ def fractal_relief(
     rms_slope: float,
     baseline: float = 1.0,
 ) -> Heightfield:
-    """Draw self-affine relief with a given roughness.
+    """Generate random self-affine (fractal) relief with a given roughness.
 
     The two-dimensional power spectrum falls as ``k**-(2 + 2 hurst)``, as observed for planetary
     surfaces. The synthesis covers twice the width of the grid, so that opposite edges are
-    uncorrelated. The result is scaled so that the root mean square slope between posts `baseline`
+    uncorrelated. The result is scaled so that the root mean square slope between points `baseline`
     apart (east and north together) is `rms_slope`.
 
     Parameters
     ----------
     grid
-        Grid of the posts.
+        Grid of the relief.
     rng
         Source of the phases and amplitudes.
     hurst
@@ -35,7 +35,7 @@ def fractal_relief(
     rms_slope
         Root mean square slope at the baseline, rad.
     baseline
-        Length over which the slope is measured, m; at least one posting.
+        Length over which the slope is measured, m; at least one grid spacing.
 
     Returns
     -------
@@ -66,17 +66,22 @@ def fractal_relief(
 
 
 def add_detail(measured: Heightfield, detail: Heightfield) -> Heightfield:
-    """Return measured relief with added detail between its posts.
+    """Refine measured relief and add synthetic detail between its grid points.
 
-    The spline through the detail's values at the measured posts is subtracted from the detail.
-    The detail therefore acts only below the measured posting.
+    The spline through the detail's values at the measured points is subtracted from the detail.
+    The measured points therefore keep their elevations.
 
     Parameters
     ----------
     measured
-        Relief at the posting of the measurement.
+        Relief at the grid spacing of the measurement.
     detail
-        Relief whose grid is that of ``measured.refined(...)``.
+        Synthetic relief on the refined grid, that of ``measured.refined(...)``.
+
+    Returns
+    -------
+    Heightfield
+        Relief on the refined grid.
 
     Raises
     ------

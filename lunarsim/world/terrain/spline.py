@@ -18,7 +18,7 @@ class GappySpline:
         Values (rows, cols); NaN in gaps, but not everywhere.
     extrapolate_slopes
         Whether to extrapolate slopes into gaps, which prevents oscillation next to them;
-        otherwise gaps take the value of the nearest post.
+        otherwise gaps take the value of the nearest known point.
     """
 
     def __init__(self, z: NDArray[np.floating], *, extrapolate_slopes: bool = False) -> None:
@@ -34,7 +34,10 @@ class GappySpline:
         self._coefficients = ndimage.spline_filter(self.filled, order=3, mode="mirror")
 
     def _extrapolate_slopes(self, nearest: NDArray[np.int32]) -> None:
-        """Fill gaps by point reflection of the raster through the nearest post."""
+        """Fill gaps by reflecting the raster through the nearest known point.
+
+        `nearest` (2, rows, cols) are the row and column of that point for every raster point.
+        """
         rows, cols = np.nonzero(~self._known)
         at = nearest[:, rows, cols]
         shape = np.array(self._known.shape)[:, None]
@@ -44,14 +47,14 @@ class GappySpline:
         self.filled[rows, cols] = 2.0 * self.filled[rows, cols] - self.filled[row, col]
 
     def __call__(self, rows: Array, cols: Array) -> Array:
-        """Return values at fractional rows and columns inside the raster."""
+        """Interpolate the raster at fractional rows and columns inside it."""
         z = ndimage.map_coordinates(
             self._coefficients, (rows, cols), order=3, mode="mirror", prefilter=False
         )
         return np.asarray(z)
 
     def is_gap(self, rows: Array, cols: Array) -> NDArray[np.bool_]:
-        """Return whether any of the four posts around each point is a gap."""
+        """Return which fractional rows and columns have a gap among their 4 neighbours."""
         if self._known.all():
             return np.zeros(np.shape(rows), dtype=bool)
         gaps = (~self._known).astype(np.float64)

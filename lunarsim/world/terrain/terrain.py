@@ -25,7 +25,7 @@ class RayHits:
     Attributes
     ----------
     range
-        Distance along each ray (n,), m; NaN if it misses.
+        Distance along each ray (n,), m; NaN if the ray misses.
     normal
         Unit surface normal at the hit (n, 3), ENU; NaN if the ray misses.
     rock
@@ -50,12 +50,21 @@ class Terrain:
         Relief without rocks.
     rocks
         Rocks on the relief.
+
+    Examples
+    --------
+    >>> grid = Grid.centred((0.0, 0.0), 4.0, 1.0)
+    >>> terrain = Terrain(Heightfield(grid, np.full(grid.shape, 2.0, np.float32)))
+    >>> terrain.elevation([[0.0, 0.0], [9.0, 0.0]]).tolist()  # the second point is outside
+    [2.0, nan]
+    >>> terrain.cast([0.0, 0.0, 50.0], [[0.0, 0.0, -1.0]]).range.tolist()
+    [48.0]
     """
 
     relief: Heightfield
     rocks: RockField = field(default_factory=RockField.empty)
 
-    # Arguments of the kernels: first post (x, y) and posting; rocks; pyramid of maxima.
+    # Arguments of the kernels: first grid point (x, y) and spacing; rocks; pyramid of maxima.
     _frame: tuple[float, float, float] = field(init=False, repr=False, compare=False)
     _leaf: int = field(init=False, repr=False, compare=False)
     _rock_arrays: _ray_kernels.Rocks = field(init=False, repr=False, compare=False)
@@ -97,12 +106,15 @@ class Terrain:
 
     @property
     def nbytes(self) -> int:
-        """Memory of posts, rocks and the ray caster's arrays, bytes."""
+        """Memory of the heightfield, the rocks and the ray caster's arrays, bytes."""
         arrays = (self.relief.z, *self._rock_arrays, *self._pyramid)
         return sum(a.nbytes for a in arrays if isinstance(a, np.ndarray))
 
     def elevation(self, xy: ArrayLike) -> NDArray[np.float64]:
-        """Return the elevation (...,) at points (..., 2), m; NaN where unknown."""
+        """Return the surface elevation (...,), m, at points (..., 2), east and north, m.
+
+        Rocks are included. NaN outside the map and over no-data.
+        """
         xy = np.asarray(xy, dtype=np.float64)
         flat = np.ascontiguousarray(xy.reshape(-1, 2))
         out = _surface_kernels.elevation_at(
@@ -111,7 +123,10 @@ class Terrain:
         return np.asarray(out).reshape(xy.shape[:-1])
 
     def normal(self, xy: ArrayLike) -> NDArray[np.float64]:
-        """Return surface normals (..., 3), ENU, at points (..., 2); NaN if unknown."""
+        """Return unit surface normals (..., 3), ENU, at points (..., 2), east, north, m.
+
+        Rocks are included. NaN outside the map and over no-data.
+        """
         xy = np.asarray(xy, dtype=np.float64)
         flat = np.ascontiguousarray(xy.reshape(-1, 2))
         out = _surface_kernels.normal_at(
@@ -120,7 +135,10 @@ class Terrain:
         return np.asarray(out).reshape((*xy.shape[:-1], 3))
 
     def raster(self, grid: Grid) -> NDArray[np.float32]:
-        """Return the elevation at every cell centre of `grid` (rows, cols), m."""
+        """Return the surface elevation (rows, cols), m, at every cell centre of a grid.
+
+        Rocks are included. NaN outside the map and over no-data.
+        """
         g = grid
         out = np.empty(grid.shape, np.float32)
         _surface_kernels.raster(
@@ -129,7 +147,10 @@ class Terrain:
         return out
 
     def rock_raster(self, grid: Grid) -> NDArray[np.int32]:
-        """Return the index of the rock on top at every cell centre (rows, cols); -1: none."""
+        """Return the index (rows, cols) of the top rock at every cell centre of a grid.
+
+        The index is -1 where no rock covers the centre.
+        """
         g = grid
         out = np.full(grid.shape, -1, np.int32)
         _surface_kernels.rock_raster(
@@ -145,7 +166,7 @@ class Terrain:
         *,
         normals: bool = True,
     ) -> RayHits:
-        """Cast rays onto the surface.
+        """Intersect rays with the surface of relief and rocks.
 
         Parameters
         ----------
@@ -157,6 +178,11 @@ class Terrain:
             Maximum range, m; more distant hits are misses.
         normals
             Whether to compute surface normals; otherwise `normal` is empty.
+
+        Returns
+        -------
+        RayHits
+            Range, surface normal and rock index of the first hit of each ray.
         """
         direction = np.ascontiguousarray(direction, dtype=np.float64)
         origin = np.ascontiguousarray(np.atleast_2d(np.asarray(origin, dtype=np.float64)))
@@ -179,7 +205,11 @@ class Terrain:
 
 
 def _levels(rows: int, cols: int, base: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return rows and columns of the pyramid's levels over `rows` x `cols` cells."""
+    """Return the numbers of rows and columns of each level of the height pyramid.
+
+    Level 0 has `rows` x `cols` cells; each further level has half of the rows and columns. There
+    are more than `base` levels, and the last level is a single cell.
+    """
     high, wide = [rows], [cols]
     while max(high[-1], wide[-1]) > 1 or len(high) <= base:
         high.append((high[-1] + 1) // 2)

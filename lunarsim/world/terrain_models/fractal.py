@@ -14,29 +14,33 @@ from lunarsim.world.terrain import Heightfield, Terrain
 from lunarsim.world.terrain_models.interface import add_rocks, check_posts
 from lunarsim.world.terrain_models.roughness import ReliefRoughness
 
-# Automatic detail: minimum posting (m) and maximum number of posts along a side.
+# Automatic refinement: minimum grid spacing (m) and maximum number of points along a side.
 _MIN_DETAIL_POSTING_M, _MAX_DETAIL_POSTS = 0.05, 4000
-# Above this posting (m), added detail would contain wavelengths for which the roughness is invalid.
+# Above this grid spacing (m), added detail would contain wavelengths for which the roughness is
+# invalid.
 _MAX_DETAILED_POSTING_M = 24.0
 
 
 @dataclass(frozen=True)
 class FractalTerrain(ReliefRoughness):
-    """Fractal relief with craters, constant over flights; rocks are drawn.
+    """Settings of procedural terrain: fractal relief, craters and random rocks.
+
+    The relief is the same in all flights of a scenario; rocks are sampled for every flight.
 
     Attributes
     ----------
     detail
-        Posting of the same relief with roughness and small craters below `posting`, m, for sensors
-        that come close enough to resolve its facets; 0: none. Omitted: `detail_posting` chooses.
+        Grid spacing, m, of a refined relief with added roughness and small craters, for sensors
+        that come close enough to resolve the facets; 0: no refinement. Omitted: `detail_posting`
+        chooses the spacing.
     """
 
-    size: float = quantity(160.0, "m", gt=0, help="side of the square")
-    posting: float = quantity(0.25, "m", gt=0, help="distance between posts of the relief")
+    size: float = quantity(160.0, "m", gt=0, help="side of the square terrain")
+    posting: float = quantity(0.25, "m", gt=0, help="grid spacing of the relief")
     detail: float | None = quantity(
         None, "m", ge=0,
-        help="finer posting with added roughness and craters; 0: none; omitted: with a preset, "
-        "0.05 m, or size_m / 4000 if that is larger",
+        help="grid spacing of refined relief with added roughness and craters; 0: none; omitted: "
+        "none, or with a preset the larger of 0.05 m and size_m / 4000",
     )  # fmt: skip
 
     def __post_init__(self) -> None:
@@ -50,22 +54,25 @@ class FractalTerrain(ReliefRoughness):
 
     @property
     def detail_posting(self) -> float | None:
-        """Return the posting of the added detail, m; None: no detail is added.
+        """Return the grid spacing of the refined relief, m; None: no refinement.
 
-        If `detail` is omitted, terrain with a preset gets posts 0.05 m apart, or more widely
-        spaced ones where that gives more than 4,000 along a side; other terrain gets none.
+        If `detail` is omitted, terrain with a preset gets a spacing of 0.05 m, or a wider spacing
+        that keeps at most 4,000 points along a side; other terrain is not refined.
         """
         if self.detail is not None:
             return self.detail or None
         if self.preset == "none" or self.posting > _MAX_DETAILED_POSTING_M:
             return None
         finest = max(_MIN_DETAIL_POSTING_M, self.size / _MAX_DETAIL_POSTS)
-        # The new posting must divide the old one.
+        # The new spacing must divide the old one.
         steps = int(self.posting / finest * (1.0 + 1e-9))
         return self.posting / steps if steps > 1 else None
 
     def build(self, rocks: RockPopulation, streams: RandomStreams) -> Terrain:
-        """Return the terrain of one flight."""
+        """Return the relief with random rocks of one flight.
+
+        `rocks` is the population to sample from, `streams` are the flight's random streams.
+        """
         relief = self.relief()
         return add_rocks(relief, rocks, streams, lambda: self.craters(relief))
 
@@ -77,4 +84,4 @@ class FractalTerrain(ReliefRoughness):
 @lru_cache(maxsize=4)
 def _cached_relief(model: FractalTerrain) -> Heightfield:
     grid = Grid.centred((0.0, 0.0), model.size, model.posting)
-    return model.procedural(grid, detail=model.detail_posting)
+    return model.procedural_relief(grid, detail=model.detail_posting)

@@ -14,15 +14,19 @@ from lunarsim.world.terrain_models.interface import check_posts
 
 @dataclass(frozen=True)
 class HazardFieldTerrain:
-    """Boulders and craters on flat grassland, drawn for every flight (quadtree paper).
+    """Settings of a field of boulders and craters on flat grassland (quadtree paper).
+
+    Boulders and craters are sampled at random for every flight.
 
     The rock settings of the scenario are not used.
     """
 
     size: float = quantity(160.0, "m", gt=0, help="side of the square of grassland")
-    posting: float = quantity(0.25, "m", gt=0, help="distance between posts of the relief")
+    posting: float = quantity(0.25, "m", gt=0, help="grid spacing of the relief")
     field: float = quantity(100.0, "m", gt=0, help="side of the hazard field in the grassland")
-    field_turn: float = quantity(20.0, "deg", help="rotation of the hazard field")
+    field_rotation: float = quantity(
+        20.0, "deg", help="rotation of the hazard field, counter-clockwise from east"
+    )
     boulders: int = quantity(300, ge=0, help="number of boulders, 0.4 to 1 m across")
     craters: int = quantity(24, ge=0, help="number of craters, 2 to 5 m across")
 
@@ -32,13 +36,16 @@ class HazardFieldTerrain:
             raise InputError("field", self.field, f"must be at most size_m ({self.size})")
 
     def build(self, rocks: RockPopulation, streams: RandomStreams) -> Terrain:
-        """Return the terrain of one flight."""
+        """Return the hazard field of one flight, sampled from its random streams.
+
+        The argument `rocks` is not used.
+        """
         return hazard_field(
             streams.get("rocks"),
             size=self.field,
             surround=self.size,
             posting=self.posting,
-            turn=self.field_turn,
+            turn=self.field_rotation,
             boulders=self.boulders,
             craters=self.craters,
         )

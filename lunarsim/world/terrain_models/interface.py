@@ -29,7 +29,10 @@ class TerrainModel(Protocol):
     """Interface of terrain models, which generate the true terrain of a flight."""
 
     def build(self, rocks: RockPopulation, streams: RandomStreams) -> Terrain:
-        """Return relief with rocks; random parts use the flight's streams."""
+        """Return the true terrain (relief and rocks) of one flight.
+
+        `rocks` is the population to sample from, `streams` are the flight's random streams.
+        """
         ...
 
 
@@ -39,14 +42,14 @@ def add_rocks(
     streams: RandomStreams,
     craters: Callable[[], AgedCraters] | None = None,
 ) -> Terrain:
-    """Return relief with rocks drawn for one flight.
+    """Return the terrain of one flight: relief with rocks sampled at random.
 
     Parameters
     ----------
     relief
         Relief without rocks.
     rocks
-        Population of rocks to draw from.
+        Population to sample the rocks from.
     streams
         Random streams of the flight.
     craters
@@ -62,27 +65,30 @@ def add_rocks(
     field = RockField.empty()
     if rocks.cover > 0.0:
         rng = streams.get("rocks")
-        area = rocks.share * (east - west) * (north - south)
+        area = rocks.disc_area_ratio * (east - west) * (north - south)
         diameters = sample_diameters(area, rocks.cover, rocks.min_diameter, rocks.max_diameter, rng)
         clusters = NO_CLUSTERS
-        if rocks.clustered > 0.0:
+        if rocks.cluster_fraction > 0.0:
             if craters is None:
                 raise InputError(
-                    "rocks.clustered",
-                    rocks.clustered,
+                    "rocks.cluster_fraction",
+                    rocks.cluster_fraction,
                     "must be 0 for terrain whose craters are not known",
                 )
             found = craters()
-            old = found.diameter >= rocks.block_crater
+            old = found.diameter >= rocks.min_block_crater_diameter
             middles = found.x[old], found.y[old]
-            clusters = CraterClusters(*middles, 0.5 * found.diameter[old], rocks.clustered)
+            clusters = CraterClusters(*middles, 0.5 * found.diameter[old], rocks.cluster_fraction)
         field = place_rocks(relief, diameters, rng, model=rocks.model(), clusters=clusters)
-    return Terrain(add_fillets(relief, field, rocks.fillet), field)
+    return Terrain(add_fillets(relief, field, rocks.fillet_height_ratio), field)
 
 
 def check_posts(size: float, posting: float) -> None:
-    """Refuse relief with less than 2 or more than 20,000 posts (1.6 GB) along a side."""
-    check_raster_size("size", size, posting, MAX_POSTS_PER_SIDE, "posts")
+    """Raise InputError unless a side has 2 to 20,000 grid points (1.6 GB).
+
+    `size` is the side of the relief and `posting` its grid spacing, m.
+    """
+    check_raster_size("size", size, posting, MAX_POSTS_PER_SIDE, "points")
     if round(size / posting) < MIN_POSTS_PER_SIDE:
         raise InputError(
             "posting", posting, f"must be at most half of size_m: {size / MIN_POSTS_PER_SIDE:g}"
@@ -90,11 +96,14 @@ def check_posts(size: float, posting: float) -> None:
 
 
 def check_terrain_size(terrain: Terrain, footprint: float) -> None:
-    """Refuse terrain that is less than twice a footprint (m) across."""
+    """Raise InputError if the terrain is less than two lander footprints across.
+
+    `footprint` is the footprint's diameter, m.
+    """
     west, east, south, north = terrain.bounds
     if min(east - west, north - south) < 2.0 * footprint:
         raise InputError(
             "terrain",
             f"{east - west:.1f} x {north - south:.1f} m",
-            f"must be at least twice as wide as the footprint of {footprint:.1f} m",
+            f"must be at least twice as wide as the lander's footprint, {footprint:.1f} m",
         )

@@ -20,73 +20,89 @@ Numbers = float | tuple[float, ...]
 
 @dataclass(frozen=True)
 class RasterTerrain(ReliefRoughness):
-    """A digital terrain model with added roughness between its posts; rocks are drawn.
+    """Settings of measured terrain: an elevation raster, refined, with random rocks.
+
+    Roughness and craters are added between the raster's grid points ("posts").
 
     Attributes
     ----------
     path
         GeoTIFF, PDS image or another raster.
     dtm_posting
-        Distance between posts of a raster without georeferencing, or posting to resample a
-        georeferenced raster to, m.
+        Grid spacing of a raster without georeferencing, or spacing to which a georeferenced raster
+        is resampled, m.
     dtm_unit, dtm_nodata
-        Unit of the heights, overriding the file's; values that mark posts without a height, in
-        addition to those declared by the file.
+        Unit of the heights, which replaces the file's; raster values that mean "no height", in
+        addition to those stated by the file.
     height_step
         Quantization step of the elevations, m.
-    mirrored_to
-        Side of the square to which the raster is extended by mirroring it at its edges, for
-        sensors that see beyond it, m.
+    mirrored_size
+        Side of the square to which the raster is extended by mirroring at its edges, for sensors
+        that see beyond the raster, m.
     detail
-        Whether roughness and craters are added between the posts. Without them the spline
-        through the posts is smoother than real terrain.
+        Whether roughness and craters are added between the grid points. Without them the spline
+        through the points is smoother than real terrain.
     """
 
-    path: Path | None = quantity(None, help="raster file, relative to the scenario file")
+    path: Path | None = quantity(None, help="elevation raster file, relative to the scenario file")
     dtm_posting: float | None = quantity(
-        None, "m", gt=0, help="distance between posts, for a raster without georeferencing"
+        None, "m", gt=0, help="grid spacing of a raster without georeferencing"
     )
     dtm_window: tuple[int, int, int, int] | None = quantity(
-        None, help="first and last row, first and last column, in the order of the file"
+        None, help="part to read: first and last row, first and last column; last ones excluded"
     )
     dtm_unit: str | None = quantity(
         None, help="unit of the heights, overrides the file's: m, km, ft, us-ft"
     )
     dtm_nodata: Numbers | None = quantity(
-        None, help="values that mark posts without a height; [] for none"
+        None, help="raster values that mean 'no height'; [] if all values are heights"
     )
     height_step: float | None = quantity(
-        None, "m", gt=0, help="quantization step of the elevations, to be smoothed; omitted: none"
+        None,
+        "m",
+        gt=0,
+        help="quantization step of the heights, to be smoothed; omitted: no smoothing",
     )
     relief_scale: float = quantity(
         1.0, ge=0, help="factor on heights, c of Eq. 20 of the Gaussian DEM paper"
     )
-    mirrored_to: float | None = quantity(
-        None, "m", gt=0, help="side of the square to extend the raster to, by mirroring"
+    mirrored_size: float | None = quantity(
+        None,
+        "m",
+        gt=0,
+        help="side of the square to which mirroring at the edges extends the raster",
     )
-    posting: float = quantity(0.25, "m", gt=0, help="distance between posts of the refined relief")
-    detail: bool = quantity(True, help="whether roughness and craters are added between the posts")
+    posting: float = quantity(0.25, "m", gt=0, help="grid spacing of the refined relief")
+    detail: bool = quantity(
+        True, help="whether roughness and craters are added between raster points"
+    )
 
     def __post_init__(self) -> None:
         if self.path is None:
             raise InputError("path", None, "must name a raster file")
 
     def check_files(self) -> None:
-        """Refuse a raster that cannot be read or does not suit these settings."""
+        """Raise InputError if the raster is unreadable or does not fit these settings."""
         _load_measured(self)
 
     def posts(self) -> tuple[int, float]:
-        """Return the numbers of posts to read and of the relief, from the file's header."""
+        """Return the numbers of grid points of the raster and of the refined relief.
+
+        Only the header of the file is read.
+        """
         from lunarsim.world.terrain.dtm import read_size  # noqa: PLC0415  (rasterio loads slowly)
 
         assert self.path is not None
         size = read_size(self.path, posting=self.dtm_posting, window=self.dtm_window)
-        min_side = self.mirrored_to or 0.0
+        min_side = self.mirrored_size or 0.0
         cols, rows = (max(side, min_side) / self.posting for side in size[1:])
         return size.posts, cols * rows
 
     def build(self, rocks: RockPopulation, streams: RandomStreams) -> Terrain:
-        """Return the terrain of one flight."""
+        """Return the relief with random rocks of one flight.
+
+        `rocks` is the population to sample from, `streams` are the flight's random streams.
+        """
         return add_rocks(self.relief(), rocks, streams)
 
     def relief(self) -> Heightfield:
@@ -95,7 +111,7 @@ class RasterTerrain(ReliefRoughness):
 
 
 def _load_measured(model: RasterTerrain) -> Heightfield:
-    """Return the raster's elevations, dequantized, scaled and mirrored."""
+    """Load the elevations of the raster of `model`; dequantize, scale and mirror them."""
     from lunarsim.world.terrain.dtm import load_terrain  # noqa: PLC0415  (rasterio loads slowly)
 
     assert model.path is not None
@@ -106,21 +122,21 @@ def _load_measured(model: RasterTerrain) -> Heightfield:
     if model.height_step is not None:
         measured = measured.dequantised(model.height_step)
     measured = measured.scaled(model.relief_scale)
-    if model.mirrored_to is not None:
-        _check_posts(model, model.mirrored_to)
-        measured = measured.mirrored(model.mirrored_to)
+    if model.mirrored_size is not None:
+        _check_posts(model, model.mirrored_size)
+        measured = measured.mirrored(model.mirrored_size)
     west, east, south, north = measured.bounds
     _check_posts(model, max(east - west, north - south))
     return measured
 
 
 def _check_posts(model: RasterTerrain, side: float) -> None:
-    """Refuse a posting too fine for a square of the given side, m."""
+    """Raise InputError if the grid spacing is too fine for a square of `side` metres."""
     if side / model.posting > MAX_POSTS_PER_SIDE:
         raise InputError(
             "terrain.posting_m", model.posting,
             f"must be at least {side / MAX_POSTS_PER_SIDE:.3g} m",
-            f"At most {MAX_POSTS_PER_SIDE} posts are allowed along the {side:.0f} m of the raster.",
+            f"At most {MAX_POSTS_PER_SIDE} points are allowed along the {side:.0f} m raster.",
         )  # fmt: skip
 
 
@@ -130,6 +146,6 @@ def _cached_relief(model: RasterTerrain) -> Heightfield:
     fine = measured.refined(model.posting)
     if not model.detail:
         return fine
-    # The measurement already contains the craters that its posts resolve.
+    # The measurement already contains the craters that its grid resolves.
     largest = 2.0 * measured.grid.posting
-    return add_detail(measured, model.procedural(fine.grid, largest))
+    return add_detail(measured, model.procedural_relief(fine.grid, largest))

@@ -34,18 +34,18 @@ _PRESETS: dict[str, tuple[float, float, float]] = {
     "polar": (0.983, np.deg2rad(13.2), 0.079),
 }
 
-# Minimum diameter of a crater that the relief resolves, in postings.
+# Minimum diameter of a crater that the relief resolves, in grid spacings.
 _MIN_CRATER_POSTS = 4.0
 
 
 @dataclass(frozen=True)
 class ReliefRoughness:
-    """Settings of fractal relief and craters.
+    """Settings of procedural relief: roughness and craters, by preset or parameters.
 
     Attributes
     ----------
-    crater_ageing
-        Wear of the craters. "even": depth-diameter ratios are uniform from 0 to a fifth;
+    crater_degradation
+        Wear of the craters. "uniform": depth-diameter ratios are uniform from 0 to a fifth;
         "diffusion": craters degrade by diffusion, so that small ones are shallow
         (`lunarsim.world.terrain.crater_ages`).
     """
@@ -58,24 +58,25 @@ class ReliefRoughness:
         None, "deg", ge=0, lt=45, help="RMS slope over a baseline of 1 m"
     )
     crater_density: float | None = quantity(
-        None, ge=0, le=0.3, help="craters of 1 m or more per m^2 in equilibrium; 0: none"
+        None, ge=0, le=0.3, help="craters of 1 m or more per m^2 in equilibrium; 0: no craters"
     )
-    crater_saturation: float = quantity(
-        200.0, "m", gt=0, help="crater diameter where equilibrium ends"
+    crater_equilibrium_diameter: float = quantity(
+        200.0, "m", gt=0, help="diameter below which craters are in equilibrium"
     )
     crater_min_diameter: float = quantity(2.0, "m", gt=0, help="minimum crater diameter")
-    crater_ageing: Literal["even", "diffusion"] = quantity(
-        "even",
+    crater_degradation: Literal["uniform", "diffusion"] = quantity(
+        "uniform",
         help="crater wear: even (all depths equally likely) or diffusion (most are shallow)",
     )
 
-    def procedural(
+    def procedural_relief(
         self, grid: Grid, largest: float | None = None, *, detail: float | None = None
     ) -> Heightfield:
-        """Return fractal relief with craters of up to `largest` diameter (m).
+        """Generate fractal relief with craters on a grid.
 
-        If a `detail` posting (m) is given, the same relief is sampled at that posting, with
-        roughness down to it and craters from four postings up.
+        `largest` is the maximum crater diameter, m (None: a quarter of the shorter side). If
+        `detail`, a finer grid spacing (m), is given, the same relief is returned at that spacing,
+        with short-wavelength roughness and craters of at least four spacings in diameter added.
         """
         hurst, slope, density = self._parameters()
         rng = np.random.default_rng(_RELIEF_SEED)
@@ -86,51 +87,59 @@ class ReliefRoughness:
             relief = self._add_small_craters(relief, fine, density)
         if density == 0.0:
             return relief
-        if self.crater_ageing == "diffusion":
+        if self.crater_degradation == "diffusion":
             return self.craters(relief, largest).on(relief)
-        law = CraterLaw(density, self.crater_saturation)
+        law = CraterLaw(density, self.crater_equilibrium_diameter)
         return add_craters(relief, rng, minimum=self.crater_min_diameter, maximum=largest, law=law)
 
     def _add_small_craters(
         self, relief: Heightfield, rng: np.random.Generator, density: float
     ) -> Heightfield:
-        """Return relief with the craters that the coarser posting could not resolve."""
+        """Return refined relief with added craters too small for the coarser grid.
+
+        `density` is the number of craters of 1 m or more per m^2; 0: no craters.
+        """
         min_diameter, max_diameter = (
             _MIN_CRATER_POSTS * relief.grid.posting,
             self.crater_min_diameter,
         )
         if density == 0.0 or min_diameter >= max_diameter:
             return relief
-        law = CraterLaw(density, self.crater_saturation)
-        if self.crater_ageing == "even":
+        law = CraterLaw(density, self.crater_equilibrium_diameter)
+        if self.crater_degradation == "uniform":
             return add_craters(relief, rng, minimum=min_diameter, maximum=max_diameter, law=law)
         return AgedCraters.draw(
             relief, rng, minimum=min_diameter, maximum=max_diameter, law=law
         ).on(relief)
 
     def craters(self, relief: Heightfield, largest: float | None = None) -> AgedCraters:
-        """Return the craters of a relief of this grid that are degraded by diffusion.
+        """Return the craters of a relief whose craters are degraded by diffusion.
+
+        `largest` is their maximum diameter, m; None: a quarter of the relief's shorter side.
 
         Raises
         ------
         InputError
-            If there are no craters or their ageing is not "diffusion".
+            If the settings have no craters or `crater_degradation` is not "diffusion".
         """
         density = self._parameters()[2]
-        if density == 0.0 or self.crater_ageing != "diffusion":
+        if density == 0.0 or self.crater_degradation != "diffusion":
             raise InputError(
-                "rocks.clustered",
-                f"crater_ageing {self.crater_ageing!r}, crater_density {density}",
-                'must be 0 unless the terrain has craters with crater_ageing = "diffusion"',
+                "rocks.cluster_fraction",
+                f"crater_degradation {self.crater_degradation!r}, crater_density {density}",
+                'must be 0 unless the terrain has craters with crater_degradation = "diffusion"',
             )
-        law = CraterLaw(density, self.crater_saturation)
+        law = CraterLaw(density, self.crater_equilibrium_diameter)
         rng = np.random.default_rng([_RELIEF_SEED, 1])
         return AgedCraters.draw(
             relief, rng, minimum=self.crater_min_diameter, maximum=largest, law=law
         )
 
     def _parameters(self) -> tuple[float, float, float]:
-        """Return Hurst exponent, RMS slope and crater density, with preset values."""
+        """Return Hurst exponent, RMS slope (rad) and crater density (per m^2).
+
+        Omitted settings take the values of the preset.
+        """
         own = (self.hurst, self.rms_slope, self.crater_density)
         hurst, slope, density = (
             preset if mine is None else mine

@@ -8,7 +8,7 @@ from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation
 from tests.worlds import SCENARIOS
 
-QUICK = {"kind": "information-seeking", "candidates": 600, "squares": 4}
+QUICK = {"kind": "information-seeking", "candidates": 600, "nodes_per_side": 4}
 
 
 @pytest.fixture(scope="package")
@@ -25,5 +25,5 @@ def at_start(computer, **settings):
     """Return a law of its own as the flight begins, and what it is asked with."""
     law = computer.briefing.software.guidance
     guidance = replace(law, **settings).build(computer.briefing, 0.3)
-    guidance.belief = computer.guidance.belief
+    guidance.hazard_map_source = computer.guidance.hazard_map_source
     return guidance, (computer.estimate, computer.approach.end(computer.site, computer.lander))

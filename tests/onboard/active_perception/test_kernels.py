@@ -73,26 +73,28 @@ def some_plans(rng, count=40):
     ))  # fmt: skip
 
 
-def scored(eyes, plans, nodes, vehicle, *, end_tilt=0.9, least=45.0):
+def scored(eyes, plans, nodes, vehicle, *, max_final_tilt=0.9, least=45.0):
     tables, figures, stations = as_arrays(eyes)
     out = np.empty((len(plans), 2))
     rows = np.array([[*n["at"], n["weight"], n["known"], n["needs"]] for n in nodes])
     kernels.score(
         np.array([R, V]), TARGET, SPEED, plans, table(FINE), table(COARSE), POWERS,
-        np.array(vehicle), np.tan(end_tilt), np.array([*SITE, SITE[2] + STANDING, least]), rows,
+        np.array(vehicle), np.tan(max_final_tilt), np.array([*SITE, SITE[2] + STANDING, least]),
+        rows,
         *tables, figures, stations, out,
     )  # fmt: skip
     return out
 
 
-def both(rng, eyes, plans, *, limits=(60.0, 900.0, 2.7, 0.1), end_tilt=0.9, least=45.0):
+def both(rng, eyes, plans, *, limits=(60.0, 900.0, 2.7, 0.1), max_final_tilt=0.9, least=45.0):
     nodes = some_nodes(rng)
     vehicle = (G, 200.0, 3050.0, *limits)
     wanted = plain.score(
-        R, V, TARGET, SPEED, plans, (FINE, COARSE), vehicle, end_tilt, (SITE, STANDING, least),
+        R, V, TARGET, SPEED, plans, (FINE, COARSE), vehicle, max_final_tilt, (SITE, STANDING,
+        least),
         nodes, eyes,
     )  # fmt: skip
-    return scored(eyes, plans, nodes, vehicle, end_tilt=end_tilt, least=least), wanted
+    return scored(eyes, plans, nodes, vehicle, max_final_tilt=max_final_tilt, least=least), wanted
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -115,11 +117,11 @@ def test_what_paths_let_a_lander_know(seed):
     assert (found[~good, 0] == 0.0).all()
 
 
-@pytest.mark.parametrize("end_tilt", [0.2, 0.3])
-def test_what_leans_at_the_end_is_refused(end_tilt):
+@pytest.mark.parametrize("max_final_tilt", [0.2, 0.3])
+def test_what_leans_at_the_end_is_refused(max_final_tilt):
     rng = np.random.default_rng(8)
     plans = some_plans(rng, 90)
-    found, wanted = both(rng, [an_eye(rng)], plans, end_tilt=end_tilt)
+    found, wanted = both(rng, [an_eye(rng)], plans, max_final_tilt=max_final_tilt)
     loose, _ = both(np.random.default_rng(8), [an_eye(rng)], plans)
     np.testing.assert_array_equal(np.isfinite(found[:, 1]), np.isfinite(wanted[:, 1]))
     assert 0 < np.isfinite(found[:, 1]).sum() < np.isfinite(loose[:, 1]).sum()
@@ -128,7 +130,7 @@ def test_what_leans_at_the_end_is_refused(end_tilt):
 def test_what_leans_where_the_path_ends_is_refused_though_looks_count_down_to_there():
     plans = some_plans(np.random.default_rng(9), 90)
     found, wanted = both(np.random.default_rng(8), [an_eye(np.random.default_rng(1))], plans,
-                         end_tilt=0.2, least=0.0)  # fmt: skip
+                         max_final_tilt=0.2, least=0.0)  # fmt: skip
     np.testing.assert_array_equal(np.isfinite(found), np.isfinite(wanted))
     assert np.isfinite(found[:, 1]).any()
 

@@ -25,7 +25,7 @@ def seeing(**tables) -> Scenario:
 
 def test_it_plans_over_the_site_and_pays_for_it(paper):
     free, asked = at_start(paper)
-    cheap, _ = at_start(paper, allowance=0.0)
+    cheap, _ = at_start(paper, propellant_allowance=0.0)
     for law in (free, cheap):
         assert isinstance(law, PlansArrival)
         assert isinstance(law, UsesHazardMap)
@@ -37,8 +37,8 @@ def test_it_plans_over_the_site_and_pays_for_it(paper):
 
 
 def test_knowledge_that_costs_too_much_is_not_bought(paper):
-    dear, asked = at_start(paper, price=0.5)
-    free, _ = at_start(paper, price=0.0)
+    dear, asked = at_start(paper, propellant_weight=0.5)
+    free, _ = at_start(paper, propellant_weight=0.0)
     for law in (dear, free):
         law.command(*asked, 0.0, 47.0)
     assert dear.plan.propellant < free.plan.propellant - 0.2
@@ -50,7 +50,7 @@ def test_ground_that_is_known_is_not_looked_at_again(paper):
     unknown, _ = at_start(paper)
     grid = Grid.centred(np.zeros(2), 60.0, 1.0)
     sure = np.full(grid.shape, 1.0 - 1e-9, np.float32)
-    law.belief = lambda: HazardMap(grid, sure, np.ones(grid.shape, bool))
+    law.hazard_map_source = lambda: HazardMap(grid, sure, np.ones(grid.shape, bool))
     for one in (law, unknown):
         one.command(*asked, 0.0, 47.0)
     assert law.plan.known > 0.99
@@ -59,7 +59,10 @@ def test_ground_that_is_known_is_not_looked_at_again(paper):
 
 
 def test_without_a_map_or_a_path_it_flies_as_the_computer_wants(paper):
-    for change, why in (({"belief": lambda: None}, "no map"), ({}, "no admissible path")):
+    for change, why in (
+        ({"hazard_map_source": lambda: None}, "no map"),
+        ({}, "no admissible path"),
+    ):
         law, asked = at_start(paper)
         for name, value in change.items():
             setattr(law, name, value)
@@ -92,7 +95,7 @@ def test_below_the_last_decision_it_goes_down_upright(paper):
     )  # fmt: skip
     law.command(low, end, 0.0, 9.0)
     assert law.plan is None
-    assert [e[1] for e in law.events] == ["seeking-over"]
+    assert [e[1] for e in law.events] == ["observation-phase-ended"]
     wanted = law.command(low, end, 0.1, 9.0)
     assert np.hypot(*wanted[:2]) < np.tan(np.radians(26.0)) * wanted[2]
 
@@ -106,7 +109,7 @@ def test_what_hovering_down_upright_would_cost_is_not_paid(paper):
         mass=193.6,
     )  # fmt: skip
     law.command(low, end, 42.8, 9.6)
-    assert [e[1] for e in law.events] == ["seeking-over"]
+    assert [e[1] for e in law.events] == ["observation-phase-ended"]
     assert law.events[0][2]["time_to_go"] < 25.0
 
 
@@ -130,7 +133,7 @@ def test_a_divert_without_an_admissible_path_is_flown_as_the_computer_wants(pape
     law.command(here, end, 0.0, 47.0)
     assert law.plan is not None
     assert np.linalg.norm(law.plan.acceleration) > 0.1
-    law.belief = lambda: None
+    law.hazard_map_source = lambda: None
     law.command(here, replace(end, position=end.position + [15.0, 5.0, 0.0]), 0.1, 44.0)
     assert law.plan is None
     assert law.arrival == pytest.approx(44.1)
@@ -152,8 +155,11 @@ def test_what_is_not_finite_is_refused(paper, which):
 
 @pytest.mark.parametrize(
     "key, value",
-    [("interval_s", 0.0), ("candidates", 3), ("squares", 1), ("allowance_kg", -1.0),
-     ("price", -0.1), ("least_diameter_m", 0.0), ("end_tilt_deg", 90.0), ("interval_s", np.nan)],
+    [("interval_s", 0.0), ("candidates", 3), ("nodes_per_side", 1), ("propellant_allowance_kg",
+    -1.0),
+     ("propellant_weight", -0.1), ("min_rock_diameter_m", 0.0), ("max_final_tilt_deg", 90.0),
+     ("interval_s",
+     np.nan)],
 )  # fmt: skip
 def test_settings_that_cannot_be_are_refused(key, value):
     with pytest.raises(InputError, match=f"guidance.{key}"):
@@ -171,9 +177,13 @@ def test_a_lander_that_sees_nothing_is_refused():
 
 
 def test_schedules_tell_where_they_measure():
-    assert Periodic(first_altitude=250.0).looks == MeasurementAltitudes(highest=250.0)
-    assert AtAltitudes((300.0, 90.0)).looks == MeasurementAltitudes(at=(300.0, 90.0))
-    assert Sweep(last_altitude=20.0).looks == MeasurementAltitudes(lowest=20.0)
+    assert Periodic(first_altitude=250.0).measurement_altitudes == MeasurementAltitudes(
+        highest=250.0
+    )
+    assert AtAltitudes((300.0, 90.0)).measurement_altitudes == MeasurementAltitudes(
+        at=(300.0, 90.0)
+    )
+    assert Sweep(last_altitude=20.0).measurement_altitudes == MeasurementAltitudes(lowest=20.0)
 
 
 def test_a_flight_lands_and_repeats_bit_for_bit():
@@ -182,8 +192,8 @@ def test_a_flight_lands_and_repeats_bit_for_bit():
         simulation = Simulation(seeing(), 5, policy="safest")
         while not simulation.done:
             simulation.step()
-        assert simulation.verdict.touchdown is not None
-        assert simulation.verdict.safe
+        assert simulation.outcome.touchdown is not None
+        assert simulation.outcome.safe
         planned = [e for e in simulation.computer.telemetry if e[1] == "guidance-planned"]
         assert len(planned) > 5
         ends.append(simulation.state.position)

@@ -27,8 +27,10 @@ def asked(paper):
     return law, law.problem(here, end, paper.site), eye
 
 
-def planner(eye, looks=None, candidates=600, end_tilt=0.9):
-    return SeekingPlanner([eye], [looks or MeasurementAltitudes()], candidates, PRICE, end_tilt)
+def planner(eye, looks=None, candidates=600, max_final_tilt=0.9):
+    return SeekingPlanner(
+        [eye], [looks or MeasurementAltitudes()], candidates, PRICE, max_final_tilt
+    )
 
 
 def worth(one, problem, plans):
@@ -65,10 +67,10 @@ def plain_eye(eye, looks, stations=()):
 def test_the_kernel_is_given_what_the_lander_and_its_eyes_are(asked, change):
     """Scores of the paper's lander and camera are those of looks taken one by one."""
     _, problem, eye = asked
-    looks, end_tilt = MeasurementAltitudes(highest=300.0, lowest=60.0), 0.4
+    looks, max_final_tilt = MeasurementAltitudes(highest=300.0, lowest=60.0), 0.4
     eye = replace(eye, **change)
-    one = planner(eye, looks, end_tilt=end_tilt)
-    plans = one.drawn(problem, 47.0, 60)
+    one = planner(eye, looks, max_final_tilt=max_final_tilt)
+    plans = one.sample_plans(problem, 47.0, 60)
     lander, limits = problem.lander, problem.limits
     margin = limits.throttle_margin * (lander.thrust_max - lander.thrust_min)
     assert margin > 0.0
@@ -86,7 +88,7 @@ def test_the_kernel_is_given_what_the_lander_and_its_eyes_are(asked, change):
     ]  # fmt: skip
     wanted = plain.score(
         problem.estimate.position, problem.estimate.velocity, problem.end.position,
-        problem.end.velocity, plans, (24, 24), vehicle, end_tilt,
+        problem.end.velocity, plans, (24, 24), vehicle, max_final_tilt,
         (problem.site, problem.com_height, problem.min_altitude), nodes, [plain_eye(eye, looks)],
     )  # fmt: skip
     found = one.score(problem, plans)
@@ -106,7 +108,7 @@ def test_paths_turn_with_the_way_there(asked):
         problem, estimate=replace(here, position=turn @ here.position),
         end=replace(problem.end, position=turn @ problem.end.position),
     )  # fmt: skip
-    before, after = one.drawn(problem, 47.0, 50), one.drawn(turned, 47.0, 50)
+    before, after = one.sample_plans(problem, 47.0, 50), one.sample_plans(turned, 47.0, 50)
     np.testing.assert_allclose(after[:, 0], before[:, 0])
     np.testing.assert_allclose(after[:, 1:], before[:, 1:] @ turn.T, atol=1e-9)
 
@@ -114,7 +116,7 @@ def test_paths_turn_with_the_way_there(asked):
 def test_the_second_search_finds_what_is_better_than_the_best_of_the_first(asked):
     _, problem, eye = asked
     one = planner(eye)
-    first = worth(one, problem, one.drawn(problem, 47.0, 400)).max()
+    first = worth(one, problem, one.sample_plans(problem, 47.0, 400)).max()
     plan = one.best(problem, 47.0, MOST, None)
     assert plan.known - PRICE * plan.propellant > first + 1e-3
 
@@ -134,7 +136,7 @@ def test_what_is_flown_stays_unless_another_is_better(asked):
 def test_looks_that_are_past_count_no_more(asked):
     _, problem, eye = asked
     one = planner(eye, MeasurementAltitudes(at=(300.0, 120.0)))
-    plans = one.drawn(problem, 47.0, 400)
+    plans = one.sample_plans(problem, 47.0, 400)
     known = {}
     for passed in (np.inf, 200.0, 100.0):
         scored = one.score(replace(problem, lowest_altitude=passed), plans)
@@ -161,7 +163,7 @@ def test_ground_far_off_needs_time_to_be_flown_to(asked, paper, mass, by_tilt):
 
 def test_what_has_been_burnt_is_not_allowed_again(paper, asked):
     """The first plan fixes the budget: what was spent since comes off it."""
-    law, _ = at_start(paper, price=0.0, allowance=0.4)
+    law, _ = at_start(paper, propellant_weight=0.0, propellant_allowance=0.4)
     _, problem, _ = asked
     law.command(problem.estimate, problem.end, 0.0, 47.0)
     first = law.plan.propellant
@@ -186,9 +188,9 @@ def test_what_was_passed_stays_passed_and_the_way_down_is_chosen_once(paper, ask
     )  # fmt: skip
     for k in range(40):
         law.command(near, end, 30.0 + 0.1 * k, 9.0)
-    over = [e for e in law.events if e[1] == "seeking-over"]
+    over = [e for e in law.events if e[1] == "observation-phase-ended"]
     assert len(over) == 1
-    limits = replace(law.limits, max_tilt=over[0][2]["lean"])
+    limits = replace(law.limits, max_tilt=over[0][2]["tilt"])
     one = replace(end, position=end.position[None, :])
     hasty = divert_cost(near, one, problem.lander, problem.gravity, limits=limits).time_to_go[0]
     assert over[0][2]["time_to_go"] > 1.2 * hasty
@@ -208,4 +210,4 @@ def test_in_the_last_seconds_no_plan_is_made(paper, asked):
 def test_the_footprint_is_that_of_the_pads(paper):
     lander = paper.lander
     assert footprint_radius(paper.briefing) == lander.leg_radius + 0.5 * lander.pad_diameter
-    assert InformationSeekingLaw().least_diameter == 0.5
+    assert InformationSeekingLaw().min_rock_diameter == 0.5

@@ -55,8 +55,8 @@ def test_long_firings_give_the_torque_that_was_asked_for(layout):
         assert on.max() <= period
         error = np.abs(allocation.impulse(on) - torque * period)
         # Each of three groups errs by at most half of a shortest pulse.
-        assert np.all(error <= 3 * 0.5 * layout.minimum_on * np.abs(layout.torques).max() + 1e-9)
-        assert np.all((on == 0.0) | (on >= layout.minimum_on - 1e-12))
+        assert np.all(error <= 3 * 0.5 * layout.min_on_time * np.abs(layout.torques).max() + 1e-9)
+        assert np.all((on == 0.0) | (on >= layout.min_on_time - 1e-12))
 
 
 def test_too_much_is_made_less_in_the_same_direction():
@@ -104,7 +104,7 @@ ONE_SIDED = [(odd_layout(1), ()), (odd_layout(1), (2,)), (odd_layout(2), (1,)), 
 def test_authority_and_least_impulse_hold_in_both_senses(layout, out):
     """What is held either way, and the shortest pulses that make a clean turn either way."""
     allocation, period = ThrusterAllocation(layout, out), 1.0
-    assert allocation.complete
+    assert allocation.spans_all_torques
     exact = np.zeros((3, 2), bool)
     clean = np.zeros((3, 2), bool)
     for axis in range(3):
@@ -127,7 +127,7 @@ def test_authority_and_least_impulse_hold_in_both_senses(layout, out):
 
 def test_no_valve_is_open_for_longer_than_the_period():
     """Two of 60 ms share 0.11 s where each could be open for 0.1: one may not take it all."""
-    allocation = ThrusterAllocation(Thrusters(minimum_on=0.06))
+    allocation = ThrusterAllocation(Thrusters(min_on_time=0.06))
     rng = np.random.default_rng(5)
     for torque in rng.normal(0.0, 150.0, (200, 3)):
         assert allocation.on_times(torque, 0.1).max() <= 0.1

@@ -33,7 +33,7 @@ LAWS = (ProportionalDerivative, InPython)
 
 def begun(law, target, lander=LANDER, attitude=UP) -> AttitudeLoop:
     loop = AttitudeLoop(law, lander, STEP)
-    loop.begin(Command(2500.0, target), attitude, lander.wet_mass)
+    loop.start_cycle(Command(2500.0, target), attitude, lander.wet_mass)
     return loop
 
 
@@ -45,7 +45,7 @@ def held(loop: AttitudeLoop, steps: int, lander=LANDER) -> tuple[list[State], np
     for n in range(steps):
         torques[n] = loop.torque()
         state = dynamics.advance(state, 2500.0, torques[n])
-        loop.take(
+        loop.propagate(
             quat_to_rotation_vector(
                 quat_multiply(quat_conjugate(states[-1].attitude), state.attitude)
             )
@@ -113,12 +113,12 @@ def test_replay_gives_the_torques_as_flown(law):
         command = Command(2500.0, attitude_from_thrust([*rng.normal(0.0, 0.3, 2), 1.0], 0.4))
         attitude, mass = quat_from_rotation_vector(0.1 * rng.standard_normal(3)), 1400.0
         for loop in (flown, replayed):
-            loop.begin(command, attitude, mass)
+            loop.start_cycle(command, attitude, mass)
         increments = 1e-3 * rng.standard_normal((10, 3))
         torques = np.empty((10, 3))
         for n in range(10):
             torques[n] = flown.torque()
-            flown.take(increments[n])
+            flown.propagate(increments[n])
         assert replayed.replay(increments).tobytes() == torques.tobytes()
         assert replayed.state.tobytes() == flown.state.tobytes()
 
@@ -128,7 +128,7 @@ def test_inertia_is_that_of_the_mass_it_is_told():
     torques = []
     for mass in (LANDER.wet_mass, LANDER.dry_mass):
         loop = AttitudeLoop(ProportionalDerivative(), LANDER, STEP)
-        loop.begin(Command(2500.0, target), UP, mass)
+        loop.start_cycle(Command(2500.0, target), UP, mass)
         torques.append(loop.torque())
     ratio = np.array(LANDER.inertia_full) / LANDER.inertia_dry
     assert torques[0] / torques[1] == pytest.approx(ratio)
@@ -140,5 +140,5 @@ def test_a_command_begins_from_the_attitude_that_navigation_tells(law):
     target = attitude_from_thrust([0.4, -0.3, 1.0], 0.8)
     loop = begun(law(), target)
     assert np.abs(loop.torque()).max() > 1.0
-    loop.begin(Command(2500.0, target), target, LANDER.wet_mass)
+    loop.start_cycle(Command(2500.0, target), target, LANDER.wet_mass)
     assert loop.torque() == pytest.approx(np.zeros(3), abs=1e-9)

@@ -77,7 +77,7 @@ def test_what_the_engine_turns_is_not_blamed_on_thrusters():
 def test_torques_are_made_without_the_dead(out):
     rng, jets = np.random.default_rng(2), Thrusters()
     left = ThrusterAllocation(jets, out)
-    assert left.complete
+    assert left.spans_all_torques
     for _ in range(50):
         torque = rng.normal(0.0, 15.0, 3)
         times = left.on_times(torque, 1.0)
@@ -88,8 +88,8 @@ def test_torques_are_made_without_the_dead(out):
 
 def test_what_cannot_turn_every_way_is_told():
     up = [0, 4, 8, 12, 1, 5, 9, 13]  # all that push along body z
-    assert not ThrusterAllocation(Thrusters(), up).complete
-    assert ThrusterAllocation(Thrusters()).complete
+    assert not ThrusterAllocation(Thrusters(), up).spans_all_torques
+    assert ThrusterAllocation(Thrusters()).spans_all_torques
 
 
 def test_a_guess_is_no_verdict_and_what_is_not_seen_is_not_forgotten():

@@ -23,7 +23,7 @@ from lunarsim.onboard.guidance.vertical import VerticalDescent
 from lunarsim.onboard.navigation.estimate import Estimate
 
 G = 1.622
-BRIEFING = SimpleNamespace(weight=G, field=None)
+BRIEFING = SimpleNamespace(surface_gravity=G, nonuniform_gravity=None)
 GROUND = PhaseEnd(np.zeros(3), np.array([0.0, 0.0, -1.5]))
 
 
@@ -78,14 +78,14 @@ def test_a_vertical_gravity_turn_needs_one_plus_half_v2_over_gh():
 
 
 def test_the_turn_goes_over_into_a_straight_descent():
-    law = GravityTurn(last_speed=1.5, stop_height=5.0).build(BRIEFING, 0.0)
-    assert law.lean == pytest.approx(np.deg2rad(60.0))
+    law = GravityTurn(final_speed=1.5, stop_height=5.0).build(BRIEFING, 0.0)
+    assert law.max_tilt == pytest.approx(np.deg2rad(60.0))
     rows = closed_loop(law, (0.0, 0.0, 300.0), (12.0, -5.0, -14.0), 200.0)
     r, v = rows[-1]
     assert r[2] <= 0.0
     assert v[2] == pytest.approx(-1.5, abs=0.05)
     assert np.hypot(*v[:2]) < 0.05
-    assert law.lean == VerticalDescent(G).lean
+    assert law.max_tilt == VerticalDescent(G).max_tilt
     # By then upright: at 1.6 m/s the rest of the way is v^2 / (2 g (N - 1)), N that of the start.
     n = gravity_turn_thrust(295.0, np.array([12.0, -5.0, -14.0]), G)
     slow = rows[np.linalg.norm(rows[:, 1], axis=1) > 1.6]
@@ -98,7 +98,7 @@ def test_p66_follows_a_click_as_a_first_order_lag():
     law = pilot.build(BRIEFING, 0.0)
     law.command(estimate([0, 0, 40.0], [0, 0, -2.0]), GROUND, 0.0)
     assert law.clicks == 1
-    assert law.wanted == pytest.approx(2.0 + 0.3048)
+    assert law.commanded_rate == pytest.approx(2.0 + 0.3048)
     rows = closed_loop(law, (0.0, 0.0, 40.0), (0.0, 0.0, -2.0), 6.0, dt=0.005)
     t = 0.005 * np.arange(1, len(rows) + 1)
     assert -rows[:, 1, 2] - 2.0 == pytest.approx(0.3048 * (1.0 - np.exp(-t / 1.5)), abs=1e-3)
@@ -114,26 +114,26 @@ def test_the_pilot_lands_at_the_site_click_by_click():
     assert np.hypot(*v[:2]) < 0.4
     assert 4 <= law.clicks <= 20
     sideways = [law.command(estimate([9e3, 0, 50.0], [50.0, 0, 0]), GROUND, 1e6)[:2]]
-    assert np.hypot(*sideways[0]) <= G * np.tan(law.lean) + 1e-9
+    assert np.hypot(*sideways[0]) <= G * np.tan(law.max_tilt) + 1e-9
 
 
 def test_the_pilot_flies_on_beyond_the_site_the_way_that_he_came():
-    pilot = RateOfDescent(beyond=50.0, speed_time=8.0, max_lean=np.deg2rad(15.0))
+    pilot = RateOfDescent(overshoot=50.0, velocity_time=8.0, max_tilt=np.deg2rad(15.0))
     law = pilot.build(BRIEFING, 0.0)
     end = PhaseEnd(np.zeros(3), np.array([0.0, 0.0, -1.0]))
     still = law.command(estimate([0.0, 0.0, 60.0], [-6.25, 0.0, -1.0]), end, 0.0)
     # 50 m ahead in 8 s is the speed that it has: nothing to take out.
     assert still[:2] == pytest.approx([0.0, 0.0], abs=1e-12)
     back = law.command(estimate([-50.0, 0.0, 60.0], [-1.0, 0.0, -1.0]), end, 1.0)
-    assert back[0] == pytest.approx(1.0 / pilot.lean_time)
-    plain = RateOfDescent(speed_time=8.0).build(BRIEFING, 0.0)
+    assert back[0] == pytest.approx(1.0 / pilot.correction_time)
+    plain = RateOfDescent(velocity_time=8.0).build(BRIEFING, 0.0)
     assert plain.command(estimate([0.0, 0.0, 60.0], [-6.25, 0.0, -1.0]), end, 0.0)[0] > 0.1
 
 
 def last_laws():
     return [
         RateOfDescent().build(BRIEFING, 0.5), GravityTurn().build(BRIEFING, 0.5),
-        VelocityNull().build(BRIEFING, 0.5), VerticalDescent.behind(0.5, G),
+        VelocityNull().build(BRIEFING, 0.5), VerticalDescent.for_lag(0.5, G),
     ]  # fmt: skip
 
 
@@ -189,7 +189,7 @@ def test_time_to_go_of_braking_is_that_of_the_jerk():
     ("changes", "field"),
     [
         ({"law": "apolo"}, "braking.law"),
-        ({"ends_at": 60.0}, "braking.ends_at"),
+        ({"end_time_to_go": 60.0}, "braking.end_time_to_go"),
         ({"max_tilt": 3.2}, "braking.max_tilt"),
     ],
 )

@@ -28,7 +28,7 @@ def test_closed_loop_arrives_at_machine_precision():
     while t < 40.0 - 1e-9:
         command = law.command(estimate(r, v), end, t, 40.0 - t)
         # Solved afresh until 1.5 s are left, then flown out.
-        if 40.0 - t >= law.least_time_to_go:
+        if 40.0 - t >= law.min_time_to_go:
             since, trajectory = t, APOLLO.path(r, v, end, 40.0 - t)
         r, v, _ = trajectory.at(t - since + dt)
         assert np.allclose(command, trajectory.at(t - since)[2] + [0.0, 0.0, G], atol=1e-12)

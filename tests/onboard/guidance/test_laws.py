@@ -38,7 +38,7 @@ LAWS = [
     AugmentedApolloLaw(gain=14.0), FractionalPolynomialLaw(),
     FractionalPolynomialLaw(gamma=0.2, gain=5.0),
 ]  # fmt: skip
-BRIEFING = SimpleNamespace(weight=G, field=None)
+BRIEFING = SimpleNamespace(surface_gravity=G, nonuniform_gravity=None)
 R, V = np.array([-600.0, 50.0, 500.0]), np.array([28.0, 1.0, -18.0])
 END = PhaseEnd(
     np.array([0.0, 0.0, 10.0]), np.array([0.0, 0.5, -2.0]), np.array([0.05, 0.0, 0.1])
@@ -138,7 +138,7 @@ def test_fed_continuously_the_end_is_met(law):
 
     def motion(t, y):
         fresh = law.build(BRIEFING, 0.0)
-        fresh.least_time_to_go = 0.0
+        fresh.min_time_to_go = 0.0
         wanted = fresh.command(estimate(y[:3], y[3:]), END, t, total - t)
         return np.concatenate((y[3:], wanted - UP))
 
@@ -157,7 +157,7 @@ def test_fed_continuously_the_end_is_met(law):
 def test_with_held_commands_the_error_falls_with_the_cycle(law):
     """Held commands err by order one in the cycle; the loop takes most of it out.
 
-    Where the loop opens, `least_time_to_go` before the end, what is left is of second order.
+    Where the loop opens, `min_time_to_go` before the end, what is left is of second order.
     """
 
     def miss(cycle):

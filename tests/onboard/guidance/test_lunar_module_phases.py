@@ -92,9 +92,9 @@ def test_a_tilt_beyond_the_limit_is_turned_to_it(limit):
 
 
 def test_braking_trims_at_the_least_thrust_first():
-    part = Braking(direction_first=True, trim=26.0, max_tilt=2.0)
+    part = Braking(keeps_thrust_direction=True, min_thrust_time=26.0, max_tilt=2.0)
     lander, a = Lander(), np.array([3.0, 0.0, 1.0])
-    early, late = (part.ask(a, 1500.0, lander, 0.0, t) for t in (25.9, 26.0))
+    early, late = (part.build_command(a, 1500.0, lander, 0.0, t) for t in (25.9, 26.0))
     assert early.thrust == lander.thrust_min
     assert late.thrust == pytest.approx(1500.0 * np.sqrt(10.0))
     assert early.attitude == pytest.approx(late.attitude)
@@ -105,9 +105,9 @@ def test_braking_keeps_the_lift_unless_told_to_keep_the_direction():
     for changed, give in (
         ({"max_tilt": 2.0}, thrust_lift_first),
         ({"max_tilt": 1.5}, thrust_to_command),
-        ({"max_tilt": 2.0, "direction_first": True}, thrust_along),
+        ({"max_tilt": 2.0, "keeps_thrust_direction": True}, thrust_along),
     ):
-        asked = Braking(**changed).ask(a, 1500.0, lander, 0.0, 0.0)
+        asked = Braking(**changed).build_command(a, 1500.0, lander, 0.0, 0.0)
         same = give(a, 1500.0, lander, 0.0, changed["max_tilt"])
         assert asked.thrust == same.thrust
         assert asked.attitude == pytest.approx(same.attitude)
@@ -120,7 +120,7 @@ def test_time_to_go_of_braking_follows_the_jerk_until_its_end():
     followed = time_to_go_for_jerk(here, end, 0.002, 45.0)
     assert followed == pytest.approx(52.4439, abs=1e-3)
     for ends_at, left in ((20.0, followed), (45.0, 45.0), (46.0, 45.0)):
-        braking = Braking(jerk=0.002, time_to_go=60.0, ends_at=ends_at)
+        braking = Braking(jerk=0.002, time_to_go=60.0, end_time_to_go=ends_at)
         assert braking.time_left(here, end, 45.0) == left
 
 
@@ -152,9 +152,13 @@ def test_the_time_of_a_jerk_is_that_of_the_path(jerk):
 
 
 def test_where_an_approach_is_over():
-    plain, lem = Approach(), Approach(ends_at=10.0, takeover_altitude=150.0)
-    assert [plain.over(*s) for s in ((10.1, 5.0), (10.0, 5.0), (50.0, 0.0))] == [False, True, True]
-    assert [lem.over(*s) for s in ((151.0, 11.0), (150.0, 60.0), (400.0, 10.0))] == [
+    plain, lem = Approach(), Approach(end_time_to_go=10.0, takeover_altitude=150.0)
+    assert [plain.is_finished(*s) for s in ((10.1, 5.0), (10.0, 5.0), (50.0, 0.0))] == [
+        False,
+        True,
+        True,
+    ]
+    assert [lem.is_finished(*s) for s in ((151.0, 11.0), (150.0, 60.0), (400.0, 10.0))] == [
         False, True, True,
     ]  # fmt: skip
     end = Approach(arrival_offset=(3.0, -1.0), arrival_velocity=(-0.4, 0.2)).end(
@@ -164,12 +168,12 @@ def test_where_an_approach_is_over():
     assert end.velocity == pytest.approx([-0.4, 0.2, -2.0])
     with pytest.raises(InputError, match="arrival_velocity"):
         Approach(jerk=0.01)
-    assert Approach().free
-    assert not Approach(jerk=0.01, arrival_velocity=(1.0, 0.0)).free
+    assert Approach().has_free_time_to_go
+    assert not Approach(jerk=0.01, arrival_velocity=(1.0, 0.0)).has_free_time_to_go
 
 
 def test_velocities_fall_exponentially():
-    law = VelocityNull(time_constant=4.0).build(SimpleNamespace(weight=G), 0.0)
+    law = VelocityNull(time_constant=4.0).build(SimpleNamespace(surface_gravity=G), 0.0)
     end = PhaseEnd(np.zeros(3), np.array([0.0, 0.0, -0.9]))
     v, dt = np.array([1.5, -0.7, -3.0]), 1e-3
     for n in range(8_000):
@@ -180,26 +184,26 @@ def test_velocities_fall_exponentially():
 
 
 def test_velocities_are_nulled_within_the_lean():
-    law = VelocityNull(max_lean=0.2).build(SimpleNamespace(weight=G), 0.0)
+    law = VelocityNull(max_tilt=0.2).build(SimpleNamespace(surface_gravity=G), 0.0)
     end = PhaseEnd(np.zeros(3), np.array([0.0, 0.0, -0.9]))
     a = law.command(estimate(velocity=(40.0, 30.0, 20.0)), end, 0.0)
     assert np.hypot(*a[:2]) == pytest.approx(G * np.tan(0.2))
     assert a[0] / a[1] == pytest.approx(4.0 / 3.0)
     assert a[2] == pytest.approx(0.3 * G)
-    assert law.lean == 0.2
+    assert law.max_tilt == 0.2
 
 
 @pytest.mark.parametrize(("speed", "falls"), [(6.0, False), (4.0, True)])
 def test_a_pilot_who_is_too_fast_keeps_his_height(speed, falls):
-    law = RateOfDescent(hold_speed=5.0).build(SimpleNamespace(weight=G), 0.0)
+    law = RateOfDescent(hold_height_speed=5.0).build(SimpleNamespace(surface_gravity=G), 0.0)
     end = PhaseEnd(np.zeros(3), np.array([0.0, 0.0, -1.0]))
     for n in range(400):
         law.command(estimate(velocity=(speed, 0.0, -2.0)), end, 0.1 * n)
-    assert law.wanted == pytest.approx(4.5 if falls else 0.0, abs=0.16)
+    assert law.commanded_rate == pytest.approx(4.5 if falls else 0.0, abs=0.16)
 
 
 def test_look_angles_are_those_of_the_body():
-    window = CrewWindow(forward=np.pi / 2)
+    window = CrewWindow(azimuth=np.pi / 2)
     # Upright, body x north: forward (body y) is west.
     upright = attitude_from_thrust(UP, 0.0)
     here = estimate((0.0, 0.0, 100.0), attitude=upright)
@@ -219,18 +223,20 @@ def test_look_angles_are_those_of_the_body():
 
 
 def test_a_window_needs_an_opening():
-    with pytest.raises(InputError, match="highest"):
-        CrewWindow(highest=1.2, lowest=1.0)
+    with pytest.raises(InputError, match="upper_edge_deg"):
+        CrewWindow(upper_edge=1.2, lower_edge=1.0)
 
 
 def test_laws_make_up_for_gravity_by_place():
     from lunarsim.models.gravity import RoundMoon
 
     field = RoundMoon().gravity(G)
-    flat = ApolloLaw().build(SimpleNamespace(weight=G, field=None), 0.0)
-    curved = ApolloLaw().build(SimpleNamespace(weight=G, field=field), 0.0)
+    flat = ApolloLaw().build(SimpleNamespace(surface_gravity=G, nonuniform_gravity=None), 0.0)
+    curved = ApolloLaw().build(SimpleNamespace(surface_gravity=G, nonuniform_gravity=field), 0.0)
     here = estimate((-300_000.0, 0.0, 9_000.0), (1_200.0, 0.0, 100.0))
     end = PhaseEnd(np.array([0.0, 0.0, 500.0]), np.array([50.0, 0.0, -10.0]))
     off = curved.command(here, end, 0.0, 300.0) - flat.command(here, end, 0.0, 300.0)
-    assert off == pytest.approx([0, 0, -G] - field.felt(here.position, here.velocity))
+    assert off == pytest.approx(
+        [0, 0, -G] - field.free_fall_acceleration(here.position, here.velocity)
+    )
     assert np.linalg.norm(off) > 0.2

@@ -32,8 +32,8 @@ from tests.worlds import SMALL_FLIGHT
 UP = np.array([0.0, 0.0, MOON])
 LANDER = Lander()
 BRIEFING = SimpleNamespace(
-    weight=MOON,
-    field=None,
+    surface_gravity=MOON,
+    nonuniform_gravity=None,
     lander=LANDER,
     software=SimpleNamespace(approach=Approach().__class__(max_tilt=0.7)),
 )
@@ -126,9 +126,11 @@ def test_what_cannot_be_reached_falls_back_once_and_plans_again_when_it_can():
 def test_on_a_round_moon_that_turns_it_makes_up_for_what_it_feels(nominal):
     """Turned a hundred times too fast, so that it shows within half a minute."""
     field = RoundMoon(spin=3e-4, latitude=0.4).gravity(MOON)
-    told = SimpleNamespace(**{**vars(BRIEFING), "field": field})
-    r, v, mass, flight = flown(OptimalLaw(intervals=20), briefing=told, pull=field.felt)
-    untold = flown(OptimalLaw(intervals=20), pull=field.felt)
+    told = SimpleNamespace(**{**vars(BRIEFING), "nonuniform_gravity": field})
+    r, v, mass, flight = flown(
+        OptimalLaw(intervals=20), briefing=told, pull=field.free_fall_acceleration
+    )
+    untold = flown(OptimalLaw(intervals=20), pull=field.free_fall_acceleration)
     plain = flown(OptimalLaw(intervals=20))
     off = [np.linalg.norm(end[0] - plain[0]) for end in ((r, v), untold)]
     assert off[0] < 0.1
@@ -220,7 +222,7 @@ def test_plans_are_made_under_the_limits_of_the_approach(searches):
     assert d.thrust_min == LANDER.thrust_min + 0.1 * throttle
     assert d.thrust_max == LANDER.thrust_max - 0.1 * throttle
     assert d.thrust_slack == 0.1 * throttle
-    assert (d.end_tilt, d.tilt_rate) == (OptimalLaw().end_tilt, OptimalLaw().tilt_rate)
+    assert (d.max_final_tilt, d.tilt_rate) == (OptimalLaw().max_final_tilt, OptimalLaw().tilt_rate)
 
 
 @pytest.mark.parametrize("margin", [0.0, 0.01])

@@ -21,7 +21,7 @@ def estimate(time: float, step: float = 0.0) -> Estimate:
 def flown(left: float, step: float, until: float = 4.0, cycle: float = 0.1) -> np.ndarray:
     steady = PositionCorrectionLimiter()
     times = np.arange(0.0, until, cycle)
-    return np.array([steady.of(estimate(t, step), left).position - t * SPEED for t in times])
+    return np.array([steady.limit(estimate(t, step), left).position - t * SPEED for t in times])
 
 
 def test_a_step_of_the_place_is_taken_up_slowly_near_the_end():
@@ -42,12 +42,12 @@ def test_far_from_the_end_the_place_is_taken_as_it_is():
 
 def test_height_and_velocity_are_taken_as_they_are():
     steady = PositionCorrectionLimiter()
-    steady.of(estimate(0.0), 1.0)
+    steady.limit(estimate(0.0), 1.0)
     later = Estimate(
         0.1, np.array([9.0, 9.0, 7.0]), np.array([1.0, 2.0, 3.0]),
         np.array([0.0, 0.0, 0.0, 1.0]), np.ones(3), 1400.0, np.eye(9),
     )  # fmt: skip
-    found = steady.of(later, 1.0)
+    found = steady.limit(later, 1.0)
     assert found.position[2] == 7.0
     np.testing.assert_array_equal(found.velocity, later.velocity)
     np.testing.assert_array_equal(found.rate, later.rate)
@@ -59,7 +59,7 @@ def test_small_corrections_pass_unchanged():
     for n in range(20):
         given = estimate(0.1 * n)
         given.position[0] += 0.001 * (-1) ** n
-        np.testing.assert_array_equal(steady.of(given, 2.0).position, given.position)
+        np.testing.assert_array_equal(steady.limit(given, 2.0).position, given.position)
 
 
 def test_a_step_is_taken_up_as_fast_in_shorter_cycles():
@@ -77,7 +77,7 @@ def test_a_step_aside_is_taken_up_along_itself():
     for n in range(3):
         given = estimate(0.1 * n)
         given.position[:2] += 3.0 * (n > 1), 4.0 * (n > 1)
-        found = steady.of(given, 1.0).position - 0.1 * n * SPEED
+        found = steady.limit(given, 1.0).position - 0.1 * n * SPEED
     np.testing.assert_allclose(found[:2], 0.015 * np.array([0.6, 0.8]), atol=1e-12)
 
 

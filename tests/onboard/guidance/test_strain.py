@@ -17,7 +17,7 @@ def first(commands: list[np.ndarray], mass: float = 1000.0, start: float = 0.0) 
     """Return when it is told first, commands coming ten times a second."""
     strain = LimitViolationMonitor()
     for n, wanted in enumerate(commands):
-        if strain.lasts(wanted, mass, MOST, start + 0.1 * n):
+        if strain.exceeds_duration(wanted, mass, MOST, start + 0.1 * n):
             return round(0.1 * n, 6)
     return None
 
@@ -42,7 +42,7 @@ def test_what_comes_and_goes_is_nothing():
 
 def test_it_begins_anew_once_told():
     strain = LimitViolationMonitor()
-    told = [n for n in range(30) if strain.lasts(leaning(60.0), 1000.0, MOST, 0.1 * n)]
+    told = [n for n in range(30) if strain.exceeds_duration(leaning(60.0), 1000.0, MOST, 0.1 * n)]
     assert told == [5, 11, 17, 23, 29]
 
 

@@ -38,7 +38,7 @@ def test_vertical_descent_stays_upright_near_the_ground():
     law = VerticalDescent(G)
     command = law.command(estimate([5.0, 0.0, 0.1], [0.0, 0.0, -2.0]), GROUND, 0.0)
     lean = np.arctan2(np.hypot(command[0], command[1]), command[2])
-    assert lean <= law.lean_low + 0.2 * (law.lean - law.lean_low)
+    assert lean <= law.max_tilt_at_touchdown + 0.2 * (law.max_tilt - law.max_tilt_at_touchdown)
 
 
 def descend(law: VerticalDescent, sideways: float, height: float) -> tuple[float, float]:
@@ -94,7 +94,7 @@ def test_the_position_loop_leaves_a_slow_attitude_time_to_turn():
     """Frequency times all of the lag is 0.33; 12 deg at 5 deg/s are 2.4 s of it."""
 
     def frequency(control, lag):
-        briefing = SimpleNamespace(software=SimpleNamespace(control=control), weight=G)
+        briefing = SimpleNamespace(software=SimpleNamespace(control=control), surface_gravity=G)
         return descent_law(None, briefing, lag).frequency
 
     assert frequency(ProportionalDerivative(), 0.45) == 0.6

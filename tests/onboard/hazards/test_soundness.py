@@ -246,7 +246,7 @@ def site_among(
 ) -> SiteEvidence:
     own = {k: np.array([v]) for k, v in (SITE | changes).items()}
     own = {"density": np.array([30.0]), "min_density": np.array([30.0])} | own
-    own["doomed"] = np.maximum(own["slope"], own["roughness"]) >= 1.0
+    own["may_be_unsafe"] = np.maximum(own["slope"], own["roughness"]) >= 1.0
     return SiteEvidence(**own, curve=curve, holes=holes, lander=Lander(), noise=noise)
 
 
@@ -314,7 +314,7 @@ def test_where_fits_differ_on_a_site_the_lowest_counts_and_is_no_frequency():
 
 def test_a_site_is_surely_unsafe_only_where_it_is_so_without_its_holes():
     for odds, doomed, claims in ((-6.0, True, True), (-6.0, False, False), (-3.0, True, False)):
-        bad = replace(site(0.02, slope=1.2), doomed=np.array([doomed]))
+        bad = replace(site(0.02, slope=1.2), may_be_unsafe=np.array([doomed]))
         p, known = site_safety(bad, fits_of(odds, odds))
         assert p[0] <= 0.95 * expit(odds)
         assert known[0] == claims
@@ -410,7 +410,7 @@ def test_the_noise_of_a_quadtree_is_that_of_its_noisiest_scan():
     for scan, estimate in scans:
         mapper.update(scan, estimate)
     evidence = quadtree_site_evidence(
-        mapper.map, mapper.select(), mapper.selector.settings.zone, 0.01, Lander(),
+        mapper.map, mapper.select(), mapper.selector.settings.zone_half_side, 0.01, Lander(),
         RockExpectation(),
     )  # fmt: skip
     assert mapper.noise == max(sigma)
@@ -427,7 +427,7 @@ def test_noise_that_the_points_do_not_have_excuses_nothing():
     for scan, estimate in flashes(tilted(0.0, 60)):
         mapper.update(scan, estimate)
     stated = mapper.noise
-    told = (mapper.map, mapper.select(), mapper.selector.settings.zone)
+    told = (mapper.map, mapper.select(), mapper.selector.settings.zone_half_side)
     true, more = (
         quadtree_site_evidence(*told, noise, Lander(), RockExpectation())
         for noise in (stated, 8.0 * stated)

@@ -79,8 +79,8 @@ def test_a_range_is_along_its_own_beam():
         state, aiding, _ = made()
         aiding.take(sensor, AltimeterReading(0.0, distance, 0.1), 0.0)
         watch = aiding.watches[f"{sensor} range"]
-        assert watch.refused == 0
-        assert watch.total == pytest.approx(0.0, abs=1e-12)
+        assert watch.rejected_count == 0
+        assert watch.nis_sum == pytest.approx(0.0, abs=1e-12)
         assert state.inertial.position[2] == pytest.approx(100.0)
 
 
@@ -106,7 +106,7 @@ def test_uncalibrated_beam_gives_less_information_when_tilted():
         state = ErrorState(inertial, StartSigmas(1.0, 0.1, 1e-3), blocks=aiding_blocks({}, ground))
         aiding = AidingMeasurements(state, {}, ground, [])
         aiding.take("new", AltimeterReading(0.0, 100.0 / np.cos(0.6), 0.1), 0.0)
-        assert aiding.watches["new range"].degrees == 1
+        assert aiding.watches["new range"].dof == 1
         at = np.array([2, state.block(TERRAIN).start])
         over = np.array([1.0, -1.0])
         sigma.append(np.sqrt(over @ state.covariance[np.ix_(at, at)] @ over))
@@ -122,12 +122,12 @@ def test_rejections_inflate_height_and_terrain_until_accepted():
         aiding.take("down", AltimeterReading(0.0, 160.0, 0.1), 0.1 * k)
     after = np.diag(state.covariance)
     place = state.block(TERRAIN).start
-    assert [e.name for e in events] == ["doubted"]
+    assert [e.name for e in events] == ["covariance-inflated"]
     assert after[2] >= 4.0 * before[2]
     assert after[place] >= 4.0 * before[place]
     assert after[:2] == pytest.approx(before[:2])
     aiding.take("down", AltimeterReading(0.0, 160.0, 0.1), 0.7)
-    assert aiding.watches["down range"].degrees == 1, "accepted in the end"
+    assert aiding.watches["down range"].dof == 1, "accepted in the end"
 
 
 def test_recovery_is_reported():
@@ -138,7 +138,7 @@ def test_recovery_is_reported():
     for k in range(200):
         aiding.take("down", AltimeterReading(0.0, 100.0, 0.1), 6.0 + 0.1 * k)
     assert not aiding.lost
-    assert [e.name for e in events][-1] == "believed"
+    assert [e.name for e in events][-1] == "recovered"
 
 
 def test_estimate_below_terrain_is_corrected():
@@ -146,7 +146,7 @@ def test_estimate_below_terrain_is_corrected():
     state.inertial.correct(np.array([0.0, 0.0, -103.0, *np.zeros(12)]))
     for k in range(100):
         aiding.take("down", AltimeterReading(0.0, 120.0, 0.1), 0.1 * k)
-    assert aiding.watches["down range"].refused > 0
+    assert aiding.watches["down range"].rejected_count > 0
     assert aiding.lost or abs(state.inertial.position[2] - 120.0) < 10.0
 
 
@@ -196,7 +196,7 @@ def test_single_faulty_beam_is_excluded(beam, off):
     lie[beam] = off
     fly_beams(aiding, state, lie, start=8.0, seed=4)
     assert [(e.name, e.details["measurement"]) for e in events] == [
-        ("shut-off", f"speed of beam {beam + 1}")
+        ("beam-excluded", f"speed of beam {beam + 1}")
     ]
     assert not aiding.lost
     after = state.covariance[3:6, 3:6]
@@ -222,7 +222,7 @@ def test_faults_in_all_or_too_few_beams_lose_navigation(off):
     fly_beams(aiding, state, 0.0 * np.array(off))
     fly_beams(aiding, state, np.array(off), start=8.0, seed=4)
     assert aiding.lost
-    assert "shut-off" not in {e.name for e in events}
+    assert "beam-excluded" not in {e.name for e in events}
 
 
 def test_new_contradicting_beam_loses_navigation():
@@ -231,7 +231,7 @@ def test_new_contradicting_beam_loses_navigation():
     fly_beams(aiding, state, np.array([0.0, 0.0, np.nan]))
     fly_beams(aiding, state, np.array([0.0, 0.0, 2.0]), start=8.0, seed=4)
     assert aiding.lost
-    assert "shut-off" not in {e.name for e in events}
+    assert "beam-excluded" not in {e.name for e in events}
 
 
 def test_second_faulty_beam_loses_navigation():
@@ -337,7 +337,7 @@ def test_implausible_reading_is_rejected(kind):
     else:
         seen = quat_from_rotation_vector([0.01, 0.0, 0.0])
         aiding.take("stars", AttitudeReading(0.0, seen, 4e-8 * np.eye(3)), 0.0)
-    refused = [watch.refused for watch in aiding.watches.values() if watch.refused]
+    refused = [watch.rejected_count for watch in aiding.watches.values() if watch.rejected_count]
     assert refused == [1] * (3 if kind == "speed" else 1)
     # The footprint of a beam has moved, independent of the measured range.
     keep = np.r_[0 : state.block("ground").stop]
@@ -489,6 +489,6 @@ def test_excluded_beam_inflates_accelerometer_bias():
     state.covariance[ACCELEROMETER, :] *= 1e-3
     state.covariance[:, ACCELEROMETER] *= 1e-3
     fly_beams(aiding, state, np.array([0.0, 2.0, 0.0]), start=8.0, seed=4)
-    assert [e.name for e in events] == ["shut-off"]
+    assert [e.name for e in events] == ["beam-excluded"]
     stated = state.inertial.bias_sigma[0]
     assert (np.sqrt(np.diag(state.covariance)[ACCELEROMETER]) > 0.9 * stated).all()

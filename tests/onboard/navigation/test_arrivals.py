@@ -149,19 +149,19 @@ def test_measurements_during_gap_correct_propagated_state():
     assert names == ["samples-missing"] * 10
     assert with_gap.inertial.rate == pytest.approx(whole.inertial.rate, abs=2e-4)
     assert with_gap.inertial.position == pytest.approx(whole.inertial.position, abs=0.01)
-    assert with_gap.watches["stars attitude"].refused == 0
+    assert with_gap.monitors["stars attitude"].rejected_count == 0
     assert not with_gap.estimate(2.0, 1.0).lost
 
 
 def test_late_samples_are_reported():
     arrivals, told = made()
     arrivals.admit("imu", samples(0.1), 0.1)
-    unit, filled = arrivals.overdue(0.2)
+    unit, filled = arrivals.overdue_samples(0.2)
     assert (unit, len(filled.angle), filled.time) == ("imu", 10, 0.2)
     assert np.isnan(filled.angle).all()
     assert np.isnan(filled.velocity).all()
-    assert arrivals.overdue(0.2) is None
-    assert arrivals.overdue(np.nan) is None
+    assert arrivals.overdue_samples(0.2) is None
+    assert arrivals.overdue_samples(np.nan) is None
     assert arrivals.admit("imu", samples(0.2), 0.2) is None
     assert len(arrivals.admit("imu", samples(0.3), 0.3).angle) == 10
     assert [name for _, name, _ in told] == ["samples-missing", "out-of-order"]
@@ -169,14 +169,14 @@ def test_late_samples_are_reported():
 
 def test_nothing_is_overdue_before_the_first_samples():
     arrivals, told = made()
-    assert arrivals.overdue(5.0) is None
+    assert arrivals.overdue_samples(5.0) is None
     assert told == []
 
 
 def test_samples_before_late_start_are_missing():
     told = []
     arrivals = MeasurementSequencer(0.01, lambda *event: told.append(event), begin=0.0, unit="imu")
-    unit, filled = arrivals.overdue(0.2)
+    unit, filled = arrivals.overdue_samples(0.2)
     assert (unit, len(filled.angle)) == ("imu", 20)
     assert len(arrivals.admit("imu", samples(0.5), 0.5).angle) == 30
     assert [details["count"] for _, _, details in told] == [20, 20]

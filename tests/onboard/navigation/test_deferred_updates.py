@@ -96,7 +96,7 @@ def test_time_of_reading_covariance_has_no_effect(seed):
         alike((put, asked), steps, rng)
         asked.covariance.sum()
     head, wanted = np.arange(put.head), asked.covariance
-    assert put.own(head) == pytest.approx(wanted[np.ix_(head, head)], rel=1e-7, abs=1e-9)
+    assert put.covariance_of(head) == pytest.approx(wanted[np.ix_(head, head)], rel=1e-7, abs=1e-9)
     assert put.covariance == pytest.approx(wanted, rel=1e-7, abs=1e-9)
     assert put.inertial.position == pytest.approx(asked.inertial.position, abs=1e-9)
 

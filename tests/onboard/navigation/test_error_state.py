@@ -38,7 +38,7 @@ def test_measurement_equals_joseph_form(seed, tail, m):
     state.listeners.append(corrections.append)
     before = state.inertial.position.copy()
     outcome = state.measure(jacobian, columns, innovation, noise)
-    assert outcome.taken
+    assert outcome.is_accepted
     assert outcome.nis == pytest.approx(innovation @ np.linalg.solve(s, innovation))
     assert state.covariance == pytest.approx(expected, rel=1e-8, abs=1e-10)
     assert corrections[0] == pytest.approx(gain @ innovation, abs=1e-12)
@@ -112,7 +112,7 @@ def test_gated_and_non_finite_innovations_change_nothing():
         ([100.0], [0.1], 16.0), ([np.nan], [0.1], 16.0), ([np.inf], [0.1], np.inf),
         ([0.1], [np.nan], 16.0),
     ):  # fmt: skip
-        assert not state.measure([[1.0]], [2], innovation, noise, gate).taken
+        assert not state.measure([[1.0]], [2], innovation, noise, gate).is_accepted
     assert np.array_equal(state.covariance, p)
     assert np.array_equal(state.inertial.position, x)
 
@@ -163,7 +163,7 @@ def test_indefinite_covariance_is_reported_and_not_used():
     state.covariance[2, 2] = -10.0
     x = state.inertial.position.copy()
     outcome = state.measure([[1.0]], [2], [0.1], [0.1])
-    assert not outcome.taken
+    assert not outcome.is_accepted
     assert outcome.nis == np.inf
     assert np.array_equal(state.inertial.position, x)
 
@@ -206,7 +206,7 @@ def test_precise_comparisons_keep_covariance_valid():
     jacobian = np.hstack((own, -own + 1e-3 * rng.normal(size=(50, 6))))
     for _ in range(5):
         found = state.update_with_information(part, 1e8 * jacobian.T @ jacobian, np.zeros(12))
-        assert found.taken
+        assert found.is_accepted
     sigma = np.sqrt(state.covariance.diagonal())
     assert np.linalg.eigvalsh(state.covariance / np.outer(sigma, sigma)).min() > -1e-12
     moved = jacobian @ state.covariance[np.ix_(part, part)] @ jacobian.T
@@ -229,7 +229,7 @@ def test_information_on_invalid_covariance_is_rejected():
     state = ErrorState(still())
     state.p[0, 0] = -1.0
     found = state.update_with_information(POSE, np.eye(6), np.zeros(6))
-    assert (found.nis, found.taken) == (np.inf, False)
+    assert (found.nis, found.is_accepted) == (np.inf, False)
     state.inflate(POSE, 4.0, np.full(6, 10.0))
     assert np.isfinite(state.covariance).all()
     state.p[3, 3] = np.nan
@@ -245,8 +245,8 @@ def test_information_is_gated_like_measurement():
     found = other.update_with_information(
         POSE, jacobian.T @ jacobian / 0.2, jacobian.T @ innovation / 0.2
     )
-    assert (found.nis, found.degrees) == (pytest.approx(expected.nis, rel=1e-6), 6)
-    assert found.white @ found.white == pytest.approx(found.nis)
+    assert (found.nis, found.dof) == (pytest.approx(expected.nis, rel=1e-6), 6)
+    assert found.whitened @ found.whitened == pytest.approx(found.nis)
 
 
 def test_directions_without_information_do_not_count():
@@ -255,7 +255,7 @@ def test_directions_without_information_do_not_count():
     information, vector = np.diag([4.0, 4.0, 1e-4, 0.0, 0.0, 0.0]), np.zeros(6)
     vector[2] = 1.0
     found = state.update_with_information(POSE, information, vector, min_probability=1e-3)
-    assert (found.nis, found.degrees, found.taken) == (0.0, 2, True)
+    assert (found.nis, found.dof, found.is_accepted) == (0.0, 2, True)
     # They move nothing either: repeated a thousand times, the steps would add up.
     assert not state.inertial.position.any()
     assert state.covariance[2, 2] == 1.0
@@ -271,7 +271,7 @@ def test_improbable_correction_is_rejected(deviations, taken):
     information, vector = np.diag([4.0, 0, 0, 0, 0, 0]), np.array([4.0 * innovation, 0, 0, 0, 0, 0])
     found = state.update_with_information(POSE, information, vector, min_probability=1e-3)
     assert found.nis == pytest.approx(deviations**2, rel=1e-6)
-    assert found.taken == taken
+    assert found.is_accepted == taken
     assert np.array_equal(state.covariance, before) != taken
     assert bool(state.inertial.position.any()) == taken
 
@@ -310,7 +310,7 @@ def test_invalid_covariance_elsewhere_rejects_updates(way):
         found = state.update_with_information(np.arange(3), np.eye(3), np.ones(3))
     else:
         found = state.measure(np.eye(3), np.arange(3), np.ones(3), np.ones(3))
-    assert not found.taken
+    assert not found.is_accepted
     assert found.nis == np.inf
     assert np.array_equal(state.covariance, before, equal_nan=True)
     assert np.array_equal(state.inertial.position, np.zeros(3))

@@ -113,5 +113,5 @@ def test_samples_that_are_missing_leave_the_rate():
 
 
 def test_fixes_do_not_move_the_place_in_steps():
-    assert not FixNavigation.steps
-    assert Navigator.steps
+    assert not FixNavigation.has_position_steps
+    assert Navigator.has_position_steps

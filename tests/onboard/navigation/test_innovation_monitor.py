@@ -105,7 +105,7 @@ def test_drift_is_reported_above_threshold():
     outcomes = list(whitened(np.random.default_rng(4), 120, np.array([0.9, 0.0, 0.0])))
     found = verdicts(InnovationMonitor(SPEEDS), outcomes)
     first = found.index(MonitorResult.DRIFT)
-    times, whites = 0.1 * np.arange(120), np.array([o.white for o in outcomes])
+    times, whites = 0.1 * np.arange(120), np.array([o.whitened for o in outcomes])
     levels = []
     for k in range(120):
         weight = np.exp(-(times[k] - times[: k + 1]) / 8.0)

@@ -103,7 +103,7 @@ def test_both_frames_agree_after_flight(off, close):
     # With innovations, the linearisation points differ slightly.
     assert p / scale == pytest.approx(expected / scale, abs=close)
     for one, other in zip(*outcomes, strict=True):
-        assert one.taken
+        assert one.is_accepted
         assert other.nis == pytest.approx(one.nis, rel=0.1, abs=1e-3)
     sigma = np.sqrt(np.diag(expected))
     found = frame.to_site(state.inertial.position)

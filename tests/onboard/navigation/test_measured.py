@@ -107,8 +107,8 @@ def test_errors_match_covariance_after_update(kind):
         before += e @ np.linalg.solve(p, e)
         for _ in range(3):
             outcome = TAKE[kind](t, SIGMA[kind])
-            assert outcome.taken
-            nis, degrees = nis + outcome.nis, degrees + outcome.degrees
+            assert outcome.is_accepted
+            nis, degrees = nis + outcome.nis, degrees + outcome.dof
         e, p = t.error()
         nees += e @ np.linalg.solve(p, e)
     for total, count in ((before, 16 * flights), (nees, 16 * flights), (nis, degrees)):
@@ -178,7 +178,7 @@ BAD = [
 def test_invalid_reading_changes_nothing(call):
     state = Truth(5).state
     p, x = state.covariance.copy(), state.inertial.position.copy()
-    assert not call(state).taken
+    assert not call(state).is_accepted
     assert np.array_equal(state.covariance, p)
     assert np.array_equal(state.inertial.position, x)
 
@@ -188,14 +188,14 @@ def test_asymmetric_attitude_covariance_is_ignored():
     lopsided = np.array([[1.0, 1e6, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
     found = update_with_attitude(Truth(5).state, [0.0, 0.0, 0.0, 1.0], lopsided)
     assert np.isnan(found.nis)
-    assert not found.taken
+    assert not found.is_accepted
 
 
 def test_a_beam_without_a_return_leaves_the_others():
     t = Truth(6)
     speed = t.speeds()
     speed[1] = np.nan
-    assert update_with_speeds(t.state, speed, np.full(3, 0.1), BEAMS).degrees == 2
+    assert update_with_speeds(t.state, speed, np.full(3, 0.1), BEAMS).dof == 2
 
 
 def test_whitened_speeds_keep_the_places_of_their_beams():
@@ -203,9 +203,9 @@ def test_whitened_speeds_keep_the_places_of_their_beams():
     speed = truth.speeds(0.03)
     speed[1] = np.nan
     found = update_with_speeds(truth.state, speed, np.full(3, 0.03), BEAMS)
-    assert found.degrees == 2
-    assert np.isfinite(found.white).tolist() == [True, False, True]
-    assert np.nansum(found.white**2) == pytest.approx(found.nis)
+    assert found.dof == 2
+    assert np.isfinite(found.whitened).tolist() == [True, False, True]
+    assert np.nansum(found.whitened**2) == pytest.approx(found.nis)
 
 
 def test_successive_velocity_updates_do_not_inform_on_tilt():

@@ -37,7 +37,7 @@ def rocks_seen(xyz, ground=None, seed=0, attitude=(0.02, -0.05, 0.3), sigma=3.0)
     level = quat_from_rotation_vector(np.array(attitude))
     inertial = StrapdownState(EYE, np.zeros(3), level, 1.622)
     rocks = RockFilter.of(inertial, STARTS, terrain_prior=TerrainPrior(0.0, sigma))
-    rocks.measured = ground
+    rocks.measured_terrain = ground
     camera = replace(Camera.with_field_of_view(640, 480, 20.0), mount=gimbal_mount(level, -EYE))
     n = len(xyz)
     rocks.add(camera, xyz, np.tile(0.1 * np.eye(2), (n, 1, 1)), np.full(n, 0.4), np.full(n, 0.01))
@@ -57,10 +57,10 @@ def test_height_correction_equals_plain_update(gradient, off):
     before = rocks.covariance.copy()
     xyz, lander = rocks.xyz.copy(), rocks.inertial
     at = lander.position.copy(), lander.attitude.copy()
-    rocks.measured = ground
-    outcome = rocks.lay_on_measured()
-    assert outcome.taken and outcome.degrees == 9
-    columns = rocks.places()
+    rocks.measured_terrain = ground
+    outcome = rocks.correct_heights_by_terrain()
+    assert outcome.is_accepted and outcome.dof == 9
+    columns = rocks.state_indices()
     error, after = laid.laid(
         before, xyz, *at, gradient, off, columns, INDIVIDUAL_SIGMA_M, COMMON_SIGMA_M
     )
@@ -78,8 +78,8 @@ def test_rocks_begun_at_a_wrong_height_stand_where_lines_of_sight_meet_measured_
     rocks, _ = rocks_seen(taken)
     beside = np.linalg.norm((rocks.xyz - true)[:, :2], axis=1)
     assert beside.min() > 1.5
-    rocks.measured = Plane()
-    assert rocks.lay_on_measured().taken
+    rocks.measured_terrain = Plane()
+    assert rocks.correct_heights_by_terrain().is_accepted
     off = rocks.xyz - rocks.inertial.position - (true - EYE)
     assert np.abs(off).max() < 0.15
     assert np.sqrt(rocks.relative_covariance()[:, 2, 2]).max() < 0.25
@@ -87,12 +87,12 @@ def test_rocks_begun_at_a_wrong_height_stand_where_lines_of_sight_meet_measured_
 
 def test_well_known_rocks_are_not_corrected():
     rocks, _ = rocks_seen(places(6))
-    rocks.measured = Plane()
-    assert rocks.lay_on_measured().taken
+    rocks.measured_terrain = Plane()
+    assert rocks.correct_heights_by_terrain().is_accepted
     before = rocks.covariance.copy()
-    rocks.measured = Plane(height=0.3)
-    outcome = rocks.lay_on_measured()
-    assert not outcome.taken and outcome.degrees == 0
+    rocks.measured_terrain = Plane(height=0.3)
+    outcome = rocks.correct_heights_by_terrain()
+    assert not outcome.is_accepted and outcome.dof == 0
     np.testing.assert_array_equal(rocks.covariance, before)
 
 
@@ -107,11 +107,11 @@ def test_curvature_reduces_information():
     """A horizontal error causes a height error: two steps of 4 m down, 1.6 m."""
     xyz = np.array([[0.0, -3.0, 0.0], [0.0, 4.0, 0.0], [20.0, 1.0, -8.0]])
     rocks, _ = rocks_seen(xyz)
-    rocks.measured = Crest()
+    rocks.measured_terrain = Crest()
     before = rocks.covariance.copy()
-    lander, columns = rocks.inertial, rocks.places()
+    lander, columns = rocks.inertial, rocks.state_indices()
     at = lander.position.copy(), lander.attitude.copy()
-    assert rocks.lay_on_measured().taken
+    assert rocks.correct_heights_by_terrain().is_accepted
     h = np.vstack([
         laid.jacobian(xyz[k : k + 1], *at, (g, 0.0), xyz[k, 2] - g * xyz[k, 0],
                       columns[k : k + 1], len(before))
@@ -124,17 +124,17 @@ def test_curvature_reduces_information():
 
 def test_inconsistent_terrain_is_rejected():
     rocks, _ = rocks_seen(places(6))
-    rocks.measured = Plane(height=60.0)
+    rocks.measured_terrain = Plane(height=60.0)
     before = rocks.xyz.copy()
-    assert not rocks.lay_on_measured().taken
+    assert not rocks.correct_heights_by_terrain().is_accepted
     np.testing.assert_array_equal(rocks.xyz, before)
 
 
 @pytest.mark.parametrize("ground", [None, Plane(west=1e3)])
 def test_no_correction_without_measured_terrain(ground):
     rocks, _ = rocks_seen(places(6))
-    rocks.measured = ground
-    assert not rocks.lay_on_measured().taken
+    rocks.measured_terrain = ground
+    assert not rocks.correct_heights_by_terrain().is_accepted
 
 
 @pytest.mark.parametrize("gradient", [(0.0, 0.0), (0.3, -0.1)])
@@ -147,7 +147,7 @@ def test_new_rock_on_measured_terrain_has_its_error(gradient):
     xyz = places(7, seed=5)
     xyz[:, 2] = ground.heights(xyz[:, :2])
     rocks, _ = rocks_seen(xyz, ground)
-    lander, columns = rocks.inertial, rocks.places()
+    lander, columns = rocks.inertial, rocks.state_indices()
     jacobian = np.vstack([
         laid.jacobian(xyz[k : k + 1], lander.position, lander.attitude, (0.0, 0.0), xyz[k, 2],
                       columns[k : k + 1], rocks.state.size)
@@ -175,16 +175,18 @@ def test_height_corrections_are_consistent():
         size = rocks.state.size
         drawn = rng.multivariate_normal(np.zeros(size), rocks.covariance, method="cholesky",
                                         check_valid="ignore")  # fmt: skip
-        lander, columns = rocks.inertial, rocks.places()
+        lander, columns = rocks.inertial, rocks.state_indices()
         jacobian = laid.jacobian(
             rocks.xyz, lander.position, lander.attitude, (0.0, 0.0), 0.0, columns, size
         )
         scatter = (
             INDIVIDUAL_SIGMA_M * rng.standard_normal(8) + COMMON_SIGMA_M * rng.standard_normal()
         )
-        rocks.measured = Scattered(rocks.xy.copy(), rocks.xyz[:, 2] + jacobian @ drawn + scatter)
+        rocks.measured_terrain = Scattered(
+            rocks.xy.copy(), rocks.xyz[:, 2] + jacobian @ drawn + scatter
+        )
         true = rocks.xyz + drawn[columns] - (lander.position + drawn[:3])
-        rocks.lay_on_measured()
+        rocks.correct_heights_by_terrain()
         error = rocks.xyz - rocks.inertial.position - true
         covariance = rocks.relative_covariance()
         squares += [e @ np.linalg.solve(c, e) for e, c in zip(error, covariance, strict=True)]
@@ -215,12 +217,12 @@ def test_a_new_rocks_height_errs_as_the_five_nearest_and_the_ground_below(spacin
     away = np.hypot(*(xyz[:, :2] - new[0, :2]).T)
     near = np.argsort(away, kind="stable")[:5]
     at = np.vstack((rocks.inertial.position[:2], xyz[near, :2]))
-    weights = kriging_weights(at[None], new[:, :2], rocks.expected_growth)[0][0]
-    heights = rocks.places()[:, 2]
+    weights = kriging_weights(at[None], new[:, :2], rocks.prior_variance_growth)[0][0]
+    heights = rocks.state_indices()[:, 2]
     ground = rocks.state.block(TERRAIN).start
     expected = weights[0] * told[ground] + weights[1:] @ told[heights[near]]
     rocks.add(camera, new, 0.1 * np.eye(2)[None], np.array([0.4]), np.array([0.01]))
-    found = rocks.covariance[rocks.places()[30, 2]]
+    found = rocks.covariance[rocks.state_indices()[30, 2]]
     np.testing.assert_allclose(found[heights], expected[heights], rtol=1e-9)
 
 
@@ -241,7 +243,7 @@ def test_lines_of_sight_meet_ground_that_rocks_tell_pass_by_pass(rocks_told):
     pixel = rng.uniform(-200.0, [840.0, 680.0], (300, 2))
     pixel[7] = np.nan
     found = rocks.terrain_points(camera, pixel)
-    rocks.measured = Unknown()
+    rocks.measured_terrain = Unknown()
     assert np.isfinite(found).all(1).sum() > 100
     assert not np.isfinite(found).all()
     np.testing.assert_array_equal(found, rocks.terrain_points(camera, pixel))
@@ -287,7 +289,7 @@ def sight_lines(ground, depression, count=300):
     rocks = RockFilter.of(
         StrapdownState(eye, np.zeros(3), level, 1.622), STARTS, terrain_prior=TerrainPrior(0.0, 3.0)
     )
-    rocks.measured = ground
+    rocks.measured_terrain = ground
     camera = replace(Camera.with_field_of_view(640, 480, 10.0), mount=gimbal_mount(level, -eye))
     xy = np.random.default_rng(0).uniform(-40.0, 40.0, (count, 2))
     return rocks, camera, eye, np.column_stack((xy, ground.heights(xy)))
@@ -297,7 +299,7 @@ def sight_lines(ground, depression, count=300):
 def test_lines_of_sight_meet_ground_that_is_steeper_than_they_are_long_to_find(slope):
     """Fixed-point iteration would leave decimetres after eight iterations."""
     rocks, camera, _, true = sight_lines(Plane((slope, 0.0)), 40.0)
-    found = rocks.terrain_points(camera, rocks.sight(camera, true).pixel)
+    found = rocks.terrain_points(camera, rocks.project_rocks(camera, true).pixel)
     # Heights are correct to 1 cm along lines at 9 deg to the terrain.
     assert np.abs(found - true).max() < 0.05
 
@@ -308,7 +310,7 @@ def test_lines_that_no_pass_brings_onto_steps_end_on_the_ground_at_most_a_step_o
     rocks, camera, eye, true = sight_lines(ground, 40.0, 2000)
     # Lines through points above the slope also pass between the steps.
     above = true + [0.0, 0.0, 1.0] * np.random.default_rng(1).uniform(0.0, 3.0, (2000, 1))
-    found = rocks.terrain_points(camera, rocks.sight(camera, above).pixel)
+    found = rocks.terrain_points(camera, rocks.project_rocks(camera, above).pixel)
     np.testing.assert_array_equal(found[:, 2], ground.heights(found[:, :2]))
     way = (above - eye) / (eye[2] - above[:, 2:])
     along = np.linalg.norm(found[:, :2] - eye[:2], axis=1) / np.linalg.norm(way[:, :2], axis=1)
@@ -323,6 +325,6 @@ def test_lines_that_no_pass_brings_onto_steps_end_on_the_ground_at_most_a_step_o
 def test_lines_of_sight_meet_slopes_where_they_are(slope, depression):
     """No intersection within a region is missed, even in steep or low views."""
     rocks, camera, _, true = sight_lines(Plane((slope, 0.0)), depression)
-    pixel = rocks.sight(camera, true).pixel
+    pixel = rocks.project_rocks(camera, true).pixel
     found = rocks.terrain_points(camera, pixel, (-43.0, 43.0, -43.0, 43.0))
     assert np.abs(found - true).max() < 0.03

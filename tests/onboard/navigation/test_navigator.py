@@ -39,7 +39,7 @@ def test_filter_is_consistent_after_lock(world):
         descent = Descent(world, seed).fly(6.0)
         assert names(descent) in (["lock"], [])
         # A lock bounds the position error: velocity errors no longer accumulate.
-        assert descent.filter.adrift == (not descent.filter.locked)
+        assert descent.filter.is_drifting == (not descent.filter.locked)
         if descent.filter.locked:
             nees = nees.plus(descent.nees(), 6)
             errors.append(descent.error())
@@ -73,11 +73,11 @@ def test_map_level_is_used_once(world):
 
 def test_tracked_rocks_bound_the_position_error(world):
     f = Navigator(Descent(world, 8).inertial, StartSigmas(), rocks=True)
-    assert f.adrift
+    assert f.is_drifting
     f.rocks.add_known(np.array([[5.0, 2.0]]), np.array([0.3]), np.array([0.5]), np.array([0.01]))
-    assert not f.adrift
+    assert not f.is_drifting
     f.rocks.remove(np.array([0]))
-    assert f.adrift
+    assert f.is_drifting
 
 
 def test_rocks_hang_on_the_ground_of_the_first_scan_with_the_lander(world):
@@ -104,7 +104,7 @@ def test_wrong_shadow_direction_loses_navigation(world):
     f = Navigator(Descent(world, 8).inertial, StartSigmas(), rocks=True)
     for k in range(60):
         assert f.lost == f.rocks.image_monitor.lost
-        f.rocks.judge("shadows", 0.1 * k, UpdateOutcome(900.0, 1, False))
+        f.rocks.monitor_image("shadows", 0.1 * k, UpdateOutcome(900.0, 1, False))
     assert f.lost
 
 
@@ -115,11 +115,11 @@ def test_an_azimuth_that_is_corrected_turns_no_ground(world):
     up = np.zeros(f.state.size)
     up[9:12] = quat_rotate(quat_conjugate(f.inertial.attitude), [0.0, 0.0, 1e-2])
     f.state.correct(up)
-    assert f.ground_turn.rotation == pytest.approx(np.eye(3), abs=1e-12)
+    assert f.map_rotation.rotation == pytest.approx(np.eye(3), abs=1e-12)
     tilt = np.zeros(f.state.size)
     tilt[9] = 1e-2
     f.state.correct(tilt)
-    assert np.abs(f.ground_turn.rotation - np.eye(3)).max() > 0.009
+    assert np.abs(f.map_rotation.rotation - np.eye(3)).max() > 0.009
 
 
 @pytest.mark.statistical
@@ -140,7 +140,7 @@ def test_odometry_slows_the_drift(world):
                 assert names(descent) == []
             else:
                 assert {(e.name, e.details["measurement"]) for e in descent.filter.events} <= {
-                    ("doubted", "scans")
+                    ("covariance-inflated", "scans")
                 }
                 inflated += len(descent.filter.events)
                 found = descent.estimate()
@@ -217,9 +217,9 @@ def test_reference_scan_follows_corrections(step):
         error = np.zeros(f.state.size)
         error[:2] = error[f.state.block(REFERENCE_POSE).start :][:2] = step
         f.state.correct(error)
-    taken = f.watches["flash scans"].degrees
+    taken = f.monitors["flash scans"].dof
     descent.fly(0.1, aim=np.append(25.0 * np.array(step), 0.0))
-    assert f.watches["flash scans"].degrees > taken
+    assert f.monitors["flash scans"].dof > taken
 
 
 def test_lost_and_found_again_are_events(world):
@@ -293,7 +293,7 @@ def test_patches_out_of_date_do_not_mislead(world, share, least):
     errors = []
     for seed in range(6):
         rng = np.random.default_rng(100 + seed)
-        descent = Descent(world, seed, mapped(world, rng, stale_share=share)).fly(7.0)
+        descent = Descent(world, seed, mapped(world, rng, outdated_fraction=share)).fly(7.0)
         if descent.filter.locked:
             errors.append(np.abs(descent.error()[:3]).max())
     # No match is better than a wrong one.
@@ -358,7 +358,7 @@ def test_without_a_map_scans_tell_nothing_of_position_and_azimuth(world):
     block = state.covariance[state.block(MAP), state.block(MAP)].copy()
     for _ in range(6):
         descent.fly(0.5)
-        taken = descent.filter.watches["flash scans"].degrees
+        taken = descent.filter.monitors["flash scans"].dof
         p = descent.estimate().covariance
         # Azimuth and position of the site: as uncertain as the briefing.
         assert p[8, 8] >= (1.0 - 2e-3) * told[8, 8]
@@ -384,7 +384,7 @@ def test_from_a_start_that_is_far_off_scans_tell_nothing_of_place_and_yaw(world,
         now = np.diag(descent.estimate().covariance)
         assert (now[:2] > 0.998 * told[:2]).all()
         assert now[8] > 0.998 * told[8] / (1.0 + way**2)
-    assert descent.filter.watches["flash scans"].degrees > 100
+    assert descent.filter.monitors["flash scans"].dof > 100
     assert now[3:6].max() < 0.3**2
     assert now[6:8].max() < 1.02 * told[6:8].max()
 
@@ -395,18 +395,18 @@ def test_map_rotates_when_tilt_is_corrected(world):
     descent = Descent(world, 2, errors=StartSigmas(5.0, 0.05, np.deg2rad(0.5)))
     seen = []
     for _ in range(3):
-        before = descent.filter.ground_turn
+        before = descent.filter.map_rotation
         scan = descent.scan(np.array([25.0, 10.0 * len(seen), 0.0]))
         descent.filter.take("flash", scan, descent.time)
         now = descent.filter.estimate(descent.time, 1.0)
         seen.append(scan.points(now.position, now.attitude)[::37])
         descent.fly(0.1, scans=False)
     assert before is not None
-    turn = descent.filter.ground_turn.rotation
+    turn = descent.filter.map_rotation.rotation
     descent.fly(5.0)
     assert descent.filter.locked
-    after = descent.filter.ground_turn
-    learnt, angle = after.since(turn)
+    after = descent.filter.map_rotation
+    learnt, angle = after.rotation_since(turn)
     assert angle > np.deg2rad(0.2)
     points = np.vstack(seen)
     for name, local in (
@@ -432,7 +432,7 @@ def test_scanner_errors_are_estimated(world):
         off = true - state.value("lidar flash")
         values = values.plus(normalised_squared_error(off, state.covariance[block, block]), 5)
         assert np.sqrt(state.covariance[block, block][1, 1]) < 0.6 * STATED.boresight_sigma
-        assert "doubted" not in names(descent)
+        assert "covariance-inflated" not in names(descent)
     assert nees.degrees >= 30
     assert 0.2 < nees.ratio < ratio_bounds(nees.degrees)[1]
     assert 0.2 < values.ratio < ratio_bounds(values.degrees)[1]
@@ -440,7 +440,7 @@ def test_scanner_errors_are_estimated(world):
 
 @pytest.mark.parametrize(
     "fault",
-    [{"range_bias": 0.3}, {"boresight_off": np.deg2rad(0.5)}, {"late": 0.02}],
+    [{"range_bias": 0.3}, {"boresight_bias": np.deg2rad(0.5)}, {"latency_bias": 0.02}],
     ids=lambda fault: next(iter(fault)),
 )
 def test_unspecified_scanner_error_is_detected(world, fault):

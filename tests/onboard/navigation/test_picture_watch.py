@@ -28,17 +28,17 @@ def test_good_images_need_no_correction():
 
 def test_rejections_inflate_reset_lose_and_recover():
     pictures, remedies, events = watch([REFUSED] * 22)
-    assert remedies == [RockCorrection.DOUBT, RockCorrection.RENEW, RockCorrection.RENEW]
-    assert events == ["doubted", "renewed", "lost"]
+    assert remedies == [RockCorrection.INFLATE, RockCorrection.RESET, RockCorrection.RESET]
+    assert events == ["covariance-inflated", "rocks-reset", "lost"]
     assert pictures.lost
     back, _, events = watch([REFUSED] * 22 + [GOOD] * 60)
-    assert events == ["doubted", "renewed", "lost", "believed"]
+    assert events == ["covariance-inflated", "rocks-reset", "lost", "recovered"]
     assert not back.lost
 
 
 def test_innovations_that_are_too_large_are_doubted_though_they_are_taken():
     _, remedies, _ = watch([UpdateOutcome(500.0, 200, True, np.zeros(200))] * 10)
-    assert remedies[0] is RockCorrection.DOUBT
+    assert remedies[0] is RockCorrection.INFLATE
     _, remedies, _ = watch([UpdateOutcome(250.0, 200, True, np.zeros(200))] * 10)
     assert remedies == []
 
@@ -47,7 +47,7 @@ def test_shadows_that_fall_elsewhere_are_lost_for_good():
     wrong = UpdateOutcome(400.0, 1, False)
     right = UpdateOutcome(0.5, 1, True, np.zeros(1))
     pictures, remedies, events = watch([wrong] * 6 + [right] * 60, "shadows", 0.5)
-    assert events == ["lost"] and remedies == [RockCorrection.RENEW]
+    assert events == ["lost"] and remedies == [RockCorrection.RESET]
     assert pictures.lost
 
 

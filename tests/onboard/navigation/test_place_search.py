@@ -168,7 +168,7 @@ def found_on(prior, points, sigma=8.0):
     [
         {"sigma": 0.1},
         {"sigma": 0.2},
-        {"sigma": 0.1, "void_share": 0.05},
+        {"sigma": 0.1, "void_fraction": 0.05},
         {"sigma": 0.1, "correlation": 0.4},
     ],
     ids=str,
@@ -181,7 +181,7 @@ def test_it_finds_the_place(options):
     gap = match.shift - SHIFT
     assert (np.abs(gap[:2]) < 4.0 * np.sqrt(np.diag(match.covariance))[:2]).all()
     assert abs(gap[2]) < 0.25
-    assert match.up == pytest.approx(SHIFT[2], abs=0.25)
+    assert match.vertical_shift == pytest.approx(SHIFT[2], abs=0.25)
 
 
 def test_ten_voids_change_nothing_much():
@@ -368,15 +368,15 @@ def test_level_ground_is_not_found_but_its_height_is():
     for n in range(3):
         match = search.search(float(n), np.zeros(2), np.eye(2) * 8.0**2)
     assert match.certainty < 0.5
-    assert match.up == pytest.approx(12.0, abs=0.1)
-    assert match.up_variance < 0.05
+    assert match.vertical_shift == pytest.approx(12.0, abs=0.1)
+    assert match.vertical_shift_variance < 0.05
     # On a slope the height is no more certain than the position.
     ramp = 0.1 * np.arange(90.0) + np.zeros((90, 90))
     search = PlaceSearch(MapFeatures(small_map(rng, ramp, sigma=0.1)))
     search.add(points_of(ramp, (25, 60), (25, 60)))
     for n in range(3):
         match = search.search(float(n), np.zeros(2), np.eye(2) * 8.0**2)
-    assert 0.2 < match.up_variance < 1.0
+    assert 0.2 < match.vertical_shift_variance < 1.0
 
 
 def test_scans_off_the_map_and_empty_ones_tell_nothing():
@@ -391,7 +391,7 @@ def test_scans_off_the_map_and_empty_ones_tell_nothing():
     match = search.search(3.0, np.zeros(2), np.eye(2) * 9.0)
     assert not search.evidence[0].any()
     assert match.certainty < 0.9
-    assert np.isinf(match.up_variance)
+    assert np.isinf(match.vertical_shift_variance)
 
 
 def test_gathered_scans_are_one_scan():
@@ -464,8 +464,10 @@ def test_errors_that_are_alike_count_together():
     prior = PriorMap(Grid(0.0, 0.0, 0.5, 4, 4), np.zeros((4, 4)), 0.1, 1.2)
     n = 0.5 * np.arange(-60, 61)
     distance = np.hypot(*np.meshgrid(n, n))
-    assert prior.together == pytest.approx(np.exp(-0.5 * (distance / 1.2) ** 2).sum(), rel=1e-6)
-    assert PriorMap(prior.grid, prior.elevation, 0.1).together == 1.0
+    assert prior.equivalent_correlated_posts == pytest.approx(
+        np.exp(-0.5 * (distance / 1.2) ** 2).sum(), rel=1e-6
+    )
+    assert PriorMap(prior.grid, prior.elevation, 0.1).equivalent_correlated_posts == 1.0
     for wrong in (-1.0, np.nan):
         with pytest.raises(InputError, match="correlation_m"):
             PriorMap(prior.grid, prior.elevation, 0.1, wrong)
@@ -476,7 +478,7 @@ def test_a_survey_has_the_errors_and_the_voids_that_it_is_told_to():
     grid = Grid.centred((0.0, 0.0), 200.0, 1.0)
     exact = simulate_survey(terrain, grid, np.random.default_rng(1), sigma=1e-9).elevation
     made = simulate_survey(
-        terrain, grid, np.random.default_rng(1), sigma=0.2, correlation=3.0, void_share=0.1
+        terrain, grid, np.random.default_rng(1), sigma=0.2, correlation=3.0, void_fraction=0.1
     )
     error = made.elevation - exact
     known = np.isfinite(error)
@@ -486,5 +488,5 @@ def test_a_survey_has_the_errors_and_the_voids_that_it_is_told_to():
         pair = known[:, lag:] & known[:, :-lag]
         alike = np.mean(error[:, lag:][pair] * error[:, :-lag][pair]) / 0.04
         assert alike == pytest.approx(expected, abs=0.12)
-    with pytest.raises(InputError, match=r"prior\.void_share"):
-        simulate_survey(terrain, grid, np.random.default_rng(0), void_share=1.0)
+    with pytest.raises(InputError, match=r"prior_map\.void_fraction"):
+        simulate_survey(terrain, grid, np.random.default_rng(0), void_fraction=1.0)

@@ -154,7 +154,7 @@ def registered(world, seed, stale=0.0):
     """Return the error's estimate, its covariance and the error of one registration."""
     rng = np.random.default_rng(seed)
     prior = simulate_survey(
-        world.terrain, Grid.centred((0.0, 0.0), 120.0, 0.5), rng, sigma=0.1, stale_share=stale
+        world.terrain, Grid.centred((0.0, 0.0), 120.0, 0.5), rng, sigma=0.1, outdated_fraction=stale
     )
     before = np.diag(np.square([0.3, 0.3, 0.3, 1e-3, 1e-3, 1e-3]))
     error = np.sqrt(np.diag(before)) * rng.standard_normal(6)
@@ -195,7 +195,7 @@ def test_a_fit_begun_far_off_is_right_or_tells_the_level_alone(world, stale):
     for seed in range(40):
         rng = np.random.default_rng([seed, 7])
         grid = Grid.centred((0.0, 0.0), 120.0, 0.5)
-        prior = simulate_survey(world.terrain, grid, rng, sigma=0.1, stale_share=stale)
+        prior = simulate_survey(world.terrain, grid, rng, sigma=0.1, outdated_fraction=stale)
         before = np.diag(np.square([1.0, 1.0, 1.0, 1e-3, 1e-3, 1e-3]))
         error = np.sqrt(np.diag(before)) * rng.standard_normal(6)
         scan = scanned(world, rng, [*rng.uniform(-40.0, 40.0, 2), 0.0])
@@ -242,9 +242,9 @@ def test_errors_that_a_map_tells_to_be_alike_count_as_fewer(world):
     before = np.diag(np.square([0.05, 0.05, 0.3, 1e-3, 1e-3, 1e-3]))
     scan = scanned(world, rng)
     told = [fitted(scan, p, before, np.zeros(6), 0.1**2 + 0.03**2)[2] for p in (alone, alike)]
-    assert alike.together > 20.0
+    assert alike.equivalent_correlated_posts > 20.0
     ratio = told[0].information[2, 2] / told[1].information[2, 2]
-    assert 0.5 * alike.together < ratio < 1.1 * alike.together
+    assert 0.5 * alike.equivalent_correlated_posts < ratio < 1.1 * alike.equivalent_correlated_posts
 
 
 def test_where_the_place_is_open_slopes_make_the_level_uncertain(world):
@@ -279,7 +279,9 @@ def test_a_survey_is_the_mean_of_the_ground_with_its_noise():
     assert exact.elevation[20, 31] == pytest.approx(fine.mean(), abs=0.02)
     noisy = simulate_survey(terrain, grid, np.random.default_rng(2), sigma=0.2)
     assert np.std(noisy.elevation - exact.elevation) == pytest.approx(0.2, rel=0.05)
-    stale = simulate_survey(terrain, grid, np.random.default_rng(2), sigma=1e-9, stale_share=0.3)
+    stale = simulate_survey(
+        terrain, grid, np.random.default_rng(2), sigma=1e-9, outdated_fraction=0.3
+    )
     changed = np.abs(stale.elevation - exact.elevation) > 1e-6
     assert 0.1 < changed.mean() < 0.35
 
@@ -293,8 +295,8 @@ def test_impossible_maps_are_refused():
     with pytest.raises(InputError, match=r"prior\.sigma_m"):
         PriorMap(grid, flat, 0.0)
     terrain = Terrain(hazard_field(np.random.default_rng(0), boulders=0, craters=0).relief)
-    with pytest.raises(InputError, match=r"prior\.stale_share"):
-        simulate_survey(terrain, grid, np.random.default_rng(0), stale_share=1.0)
+    with pytest.raises(InputError, match=r"prior_map\.outdated_fraction"):
+        simulate_survey(terrain, grid, np.random.default_rng(0), outdated_fraction=1.0)
 
 
 @pytest.mark.parametrize(

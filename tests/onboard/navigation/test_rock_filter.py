@@ -58,7 +58,7 @@ def test_reset_rocks_equal_new_rocks():
         camera = flight.camera()
         pixel, covariance, radius, variance = flight.look(camera)
         if early:
-            f.begin_anew(np.arange(len(radius)), camera, pixel, covariance, radius, variance)
+            f.reset_positions(np.arange(len(radius)), camera, pixel, covariance, radius, variance)
         else:
             f.add(camera, flight.ground_of(pixel, camera), covariance, radius, variance)
         filters.append(f)
@@ -79,17 +79,17 @@ def test_reset_rocks_keep_height_errors_only():
     flight.advance()
     f, camera = flight.filter, flight.camera()
     pixel, covariance, radius, variance = flight.look(camera)
-    index, level = np.arange(f.count), f.places()[:, :2].ravel()
+    index, level = np.arange(f.count), f.state_indices()[:, :2].ravel()
     p, places, interpolate_heights = f.covariance.copy(), f.xyz.copy(), f.xyz[:, 2].copy()
-    assert p[f.places()[:, 2], f.places()[:, 2]].min() > 0.01
-    f.begin_anew(index, camera, pixel, covariance, radius, variance)
+    assert p[f.state_indices()[:, 2], f.state_indices()[:, 2]].min() > 0.01
+    f.reset_positions(index, camera, pixel, covariance, radius, variance)
     anew, anew_xyz = f.covariance.copy(), f.xyz.copy()
     assert np.array_equal(anew_xyz[:, 2], interpolate_heights)
     f.covariance[:] = p
     f.covariance[level], f.covariance[:, level] = 0.0, 0.0
     f.covariance[level, level] = 1e7
     f.xyz[:] = np.column_stack((anew_xyz[:, :2], places[:, 2]))
-    f.update_rocks(index, f.sight(camera), pixel, covariance, radius, variance)
+    f.update_rocks(index, f.project_rocks(camera), pixel, covariance, radius, variance)
     assert f.xyz == pytest.approx(anew_xyz, abs=1e-6)
     scale = np.sqrt(np.outer(anew.diagonal(), anew.diagonal())) + 1e-12
     assert np.abs(f.covariance - anew).max() < 1e-3 * scale.max()
@@ -104,7 +104,7 @@ def test_reset_without_terrain_is_rejected():
     before, places = f.covariance.copy(), f.xyz.copy()
     sky = np.array([[320.0, -1e6]])
     with pytest.raises(InputError, match="in front of the camera"):
-        f.begin_anew(np.array([0]), camera, sky, np.eye(2)[None], np.ones(1), np.ones(1))
+        f.reset_positions(np.array([0]), camera, sky, np.eye(2)[None], np.ones(1), np.ones(1))
     assert np.array_equal(f.covariance, before) and np.array_equal(f.xyz, places)
 
 
@@ -113,19 +113,22 @@ def test_jacobians_equal_finite_differences():
     flight.advance()
     flight.image()
     f, camera = flight.filter, flight.camera()
-    sight = f.sight(camera)
+    sight = f.project_rocks(camera)
     step = 1e-5
     for column, k in enumerate([0, 1, 2, 9, 10, 11]):
         error = np.zeros(15)
         error[k] = step
-        ahead, behind = (shifted(f, e).sight(camera, f.xyz).pixel for e in (error, -error))
+        ahead, behind = (shifted(f, e).project_rocks(camera, f.xyz).pixel for e in (error, -error))
         slope = (ahead - behind) / (2 * step)
-        assert sight.by_pose[:, :, column] == pytest.approx(slope, rel=1e-5, abs=1e-4)
+        assert sight.jacobian_by_pose[:, :, column] == pytest.approx(slope, rel=1e-5, abs=1e-4)
     for axis in range(3):
         move = np.zeros(3)
         move[axis] = 1e-4
-        slope = (f.sight(camera, f.xyz + move).pixel - f.sight(camera, f.xyz - move).pixel) / 2e-4
-        assert sight.by_rock[:, :, axis] == pytest.approx(slope, rel=1e-5, abs=1e-6)
+        slope = (
+            f.project_rocks(camera, f.xyz + move).pixel
+            - f.project_rocks(camera, f.xyz - move).pixel
+        ) / 2e-4
+        assert sight.jacobian_by_rock[:, :, axis] == pytest.approx(slope, rel=1e-5, abs=1e-6)
 
 
 def test_updates_equal_a_dense_filter():
@@ -144,15 +147,15 @@ def test_updates_equal_a_dense_filter():
     dense.P = np.zeros((size, size))
     dense.P[np.ix_(place, place)] = f.covariance
     dense.P[19::4, 19::4] = np.diag(f.radius_variance)
-    sight = f.sight(camera)
+    sight = f.project_rocks(camera)
     pixel, covariance, radius, variance = flight.look(camera)
     before = (f.inertial.position.copy(), f.xyz.copy(), f.radius.copy())
     rows, values, noises = [], [], []
     for j in range(n):
         for axis in range(2):
             h = np.zeros(size)
-            h[[0, 1, 2, 9, 10, 11]] = sight.by_pose[j, axis]
-            h[16 + 4 * j : 19 + 4 * j] = sight.by_rock[j, axis]
+            h[[0, 1, 2, 9, 10, 11]] = sight.jacobian_by_pose[j, axis]
+            h[16 + 4 * j : 19 + 4 * j] = sight.jacobian_by_rock[j, axis]
             rows.append(h)
             values.append(pixel[j, axis] - sight.pixel[j, axis])
             noises.append(covariance[j, axis, axis])
@@ -213,15 +216,15 @@ def test_frozen_rocks_follow_schmidt_filter(seed):
     for _ in range(3):
         flight.advance()
         is_frozen = rng.permutation(9) < rng.integers(5, 9)
-        f.rest(is_frozen)
+        f.freeze(is_frozen)
         camera = flight.camera()
-        sight = f.sight(camera)
+        sight = f.project_rocks(camera)
         pixel, covariance, radius, variance = flight.look(camera)
         index = np.flatnonzero(~is_frozen)
         h = np.zeros((2 * len(index), 42))
         for k, j in enumerate(index):
-            h[2 * k : 2 * k + 2, [0, 1, 2, 9, 10, 11]] = sight.by_pose[j]
-            h[2 * k : 2 * k + 2, 15 + 3 * j : 18 + 3 * j] = sight.by_rock[j]
+            h[2 * k : 2 * k + 2, [0, 1, 2, 9, 10, 11]] = sight.jacobian_by_pose[j]
+            h[2 * k : 2 * k + 2, 15 + 3 * j : 18 + 3 * j] = sight.jacobian_by_rock[j]
         r = flight.pixel_sigma**2 * np.eye(len(h))
         states = np.concatenate((np.arange(15), (15 + 3 * index[:, None] + [0, 1, 2]).ravel()))
         gain, expected = consider_update(f.covariance, h, r, states)
@@ -272,9 +275,9 @@ def test_covariance_stays_sound_over_ten_thousand_updates(resting):
     f = flight.filter
     for k in range(5000):
         if resting:
-            f.rest(np.roll([True, True, True, True, False, False], k // 7))
+            f.freeze(np.roll([True, True, True, True, False, False], k // 7))
         pixel, covariance, radius, variance = flight.look(camera)
-        f.update_rocks(np.arange(6), f.sight(camera), pixel, covariance, radius, variance)
+        f.update_rocks(np.arange(6), f.project_rocks(camera), pixel, covariance, radius, variance)
         flight.range()
     p = f.covariance
     assert np.abs(p - p.T).max() <= 1e-12 * np.abs(p).max()
@@ -334,9 +337,11 @@ def test_closed_forms_of_two_rows():
     root = rng.standard_normal((500, 2, 2))
     square, offset = root @ np.swapaxes(root, 1, 2) + 0.01 * np.eye(2), rng.normal(size=(500, 2))
     assert matrix_2x2.invert_2x2(root) == pytest.approx(np.linalg.inv(root), rel=1e-9, abs=1e-9)
-    assert matrix_2x2.largest_eigenvalue(square) == pytest.approx(np.linalg.eigvalsh(square)[:, 1])
+    assert matrix_2x2.largest_eigenvalue_2x2(square) == pytest.approx(
+        np.linalg.eigvalsh(square)[:, 1]
+    )
     distance = [v @ np.linalg.solve(a, v) for v, a in zip(offset, square, strict=True)]
-    assert matrix_2x2.squared_distance(offset, square) == pytest.approx(distance)
+    assert matrix_2x2.squared_mahalanobis_2x2(offset, square) == pytest.approx(distance)
 
 
 @pytest.fixture

@@ -28,7 +28,7 @@ def test_rock_with_non_finite_pixel_is_ignored(bad):
     pixel, covariance, radius, variance = one.look(camera)
     left = np.array([0, 1, 3, 4])
     other.filter.update_rocks(
-        left, other.filter.sight(camera), pixel[left], covariance[left], radius[left],
+        left, other.filter.project_rocks(camera), pixel[left], covariance[left], radius[left],
         variance[left],
     )  # fmt: skip
     if bad == "pixel":
@@ -38,9 +38,9 @@ def test_rock_with_non_finite_pixel_is_ignored(bad):
     else:
         covariance[2] = 0.0
     found = one.filter.update_rocks(
-        np.arange(5), one.filter.sight(camera), pixel, covariance, radius, variance
+        np.arange(5), one.filter.project_rocks(camera), pixel, covariance, radius, variance
     )
-    assert found.degrees == 8
+    assert found.dof == 8
     assert np.array_equal(one.filter.covariance, other.filter.covariance)
     assert np.array_equal(one.filter.xyz, other.filter.xyz)
 
@@ -63,10 +63,11 @@ def test_an_image_of_nothing_changes_nothing():
     f, p = flight.filter, flight.filter.covariance.copy()
     none = np.empty(0)
     found = f.update_rocks(
-        np.empty(0, int), f.sight(flight.camera()), np.empty((0, 2)), np.empty((0, 2, 2)), none,
+        np.empty(0, int), f.project_rocks(flight.camera()), np.empty((0, 2)), np.empty((0, 2,
+        2)), none,
         none,
     )  # fmt: skip
-    assert (found.nis, found.degrees, found.taken) == (0.0, 0, False)
+    assert (found.nis, found.dof, found.is_accepted) == (0.0, 0, False)
     assert np.array_equal(f.covariance, p)
 
 
@@ -82,9 +83,9 @@ def test_shifted_image_is_rejected():
     rng = np.random.default_rng(0)
     wrong = pixel + 40.0 * rng.standard_normal(pixel.shape)
     found = f.update_rocks(
-        np.arange(9), f.sight(camera), wrong, covariance, radius, variance, gate=3.0
+        np.arange(9), f.project_rocks(camera), wrong, covariance, radius, variance, gate=3.0
     )
-    assert not found.taken and found.nis > 54.0
+    assert not found.is_accepted and found.nis > 54.0
     assert np.array_equal(f.covariance, p) and np.array_equal(f.xyz, xyz)
 
 
@@ -93,14 +94,14 @@ def test_centres_wander_along_the_sun_as_the_view_turns():
     flight.image()
     f = flight.filter
     sun = np.array([0.6, 0.0, 0.8])
-    f.turn(sun, 0.3, 0.1, 0.2)
+    f.add_view_noise(sun, 0.3, 0.1, 0.2)
     p = f.covariance.copy()
     before = f.inertial.position.copy()
     # Small rotations accumulate until the threshold.
     for move in ([0.5, 0.0, -1.0], [39.5, -25.0, -39.0]):
         assert np.array_equal(p, f.covariance)
         f.inertial.correct(np.concatenate((move, np.zeros(12))))
-        f.turn(sun, 0.3, 0.1, 0.2)
+        f.add_view_noise(sun, 0.3, 0.1, 0.2)
     grown = f.covariance - p
     angles = []
     for rock in f.xyz:
@@ -123,10 +124,10 @@ def test_a_camera_of_other_pixels_shows_rocks_off_by_what_the_coarser_ones_span(
     flight.image()
     f, sun = flight.filter, np.array([0.6, 0.0, 0.8])
     wide, narrow = 2e-3, 0.5e-3
-    f.turn(sun, 0.0, 0.0, 0.0, closing=0.9, pixel=wide)
+    f.add_view_noise(sun, 0.0, 0.0, 0.0, closing=0.9, pixel=wide)
     p = f.covariance.copy()
     for pixel, times in ((wide, 0), (narrow, 1), (narrow, 1), (wide, 2)):
-        f.turn(sun, 0.0, 0.0, 0.0, closing=0.9, pixel=pixel)
+        f.add_view_noise(sun, 0.0, 0.0, 0.0, closing=0.9, pixel=pixel)
         grown = f.covariance - p
         span = wide * np.linalg.norm(f.xyz - f.inertial.position, axis=1)
         expected = times * 0.9**2 * np.log(4.0) * span**2
@@ -164,7 +165,7 @@ def test_rock_alarm_inflates_reference_pose():
     key = f.state.block(REFERENCE_POSE)
     before, between = f.covariance.copy(), np.s_[key, POSE]
     for k in range(6):
-        f.judge("places", 0.2 * k, UpdateOutcome(900.0, 10, False))
+        f.monitor_image("places", 0.2 * k, UpdateOutcome(900.0, 10, False))
     growth = np.diag(f.covariance)[key] / np.diag(before)[key]
     assert growth == pytest.approx(np.diag(f.covariance)[POSE] / np.diag(before)[POSE])
     assert (growth[:3] > 3.0).all()
@@ -179,8 +180,10 @@ def test_alarm_inflates_lander_and_rocks():
     f = flight.filter
     before = np.diag(f.covariance).copy()
     wrong = UpdateOutcome(900.0, 200, False)
-    remedies = [f.judge("places", 0.2 * k, wrong) for k in range(6)]
-    assert remedies[-1] is RockCorrection.DOUBT and [e.name for e in f.events] == ["doubted"]
+    remedies = [f.monitor_image("places", 0.2 * k, wrong) for k in range(6)]
+    assert remedies[-1] is RockCorrection.INFLATE and [e.name for e in f.events] == [
+        "covariance-inflated"
+    ]
     after = np.diag(f.covariance)
     assert after[3:6] == pytest.approx(4.5 * before[3:6], rel=1e-4)
     assert after[15:17] == pytest.approx(4.5 * before[15:17])

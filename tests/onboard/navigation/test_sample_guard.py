@@ -26,10 +26,10 @@ SCENARIO = Path(__file__).parents[3] / "scenarios" / "instruments.toml"
 
 def test_limits_are_those_of_thrusters_and_engine():
     # 600 N m on 1100 kg m^2; 6000 N on 1100 kg, of which a tenth of the lag lets 9.5 % through.
-    assert LIMITS.step[0] >= 600.0 / 1100.0 * STEP
-    assert LIMITS.step[0] <= 1.5 * 600.0 / 1100.0 * STEP
-    assert LIMITS.step[5] >= 6000.0 / 1100.0 * 0.0951
-    assert LIMITS.step[5] <= 1.5 * 6000.0 / 1100.0 * 0.0952
+    assert LIMITS.max_change[0] >= 600.0 / 1100.0 * STEP
+    assert LIMITS.max_change[0] <= 1.5 * 600.0 / 1100.0 * STEP
+    assert LIMITS.max_change[5] >= 6000.0 / 1100.0 * 0.0951
+    assert LIMITS.max_change[5] <= 1.5 * 6000.0 / 1100.0 * 0.0952
     at_once = ImuSampleLimits.of(
         replace(LANDER, thrust_lag=0.0),
         STEP,
@@ -37,8 +37,8 @@ def test_limits_are_those_of_thrusters_and_engine():
         TACTICAL_ACCELEROMETERS,
         slew=0.25,
     )
-    assert at_once.step[5] >= 6000.0 / 1100.0
-    assert at_once.step[0] >= 0.5
+    assert at_once.max_change[5] >= 6000.0 / 1100.0
+    assert at_once.max_change[0] >= 0.5
 
 
 def manoeuvres(rng, n=4000):
@@ -78,7 +78,9 @@ def test_a_spike_is_refused_and_nothing_else(at, axis):
     guard = ImuOutlierDetector(LIMITS, STEP)
     angle, velocity = manoeuvres(rng, 100)
     both = np.hstack((angle, velocity))
-    both[at, axis] += 2.5 * (LIMITS.step + LIMITS.noise)[axis] * STEP * (1 + 9 * (at == 0))
+    both[at, axis] += (
+        2.5 * (LIMITS.max_change + LIMITS.max_noise)[axis] * STEP * (1 + 9 * (at == 0))
+    )
     found = [guard.screen(both[k : k + 10, :3], both[k : k + 10, 3:]) for k in range(0, 100, 10)]
     is_missing = np.concatenate([f.is_missing for f in found])
     assert np.flatnonzero(is_missing).tolist() == [at]
@@ -96,8 +98,8 @@ def test_persistent_jump_is_accepted_and_bias_inflated():
     assert before[7, 7] < 1e-6
     assert np.sqrt(after[7, 7]) == pytest.approx(3.0, abs=0.1)
     told = dict(state.pop_events())
-    assert told["samples-refused"] == {"count": 2}
-    assert told["samples-jumped"]["force"] == pytest.approx(3.0, abs=0.1)
+    assert told["samples-rejected"] == {"count": 2}
+    assert told["samples-jump"]["force"] == pytest.approx(3.0, abs=0.1)
     assert state.pop_events() == []
 
 
@@ -124,7 +126,7 @@ def test_rate_jump_inflates_bias_and_attitude():
 def test_spikes_that_agree_but_do_not_follow_each_other_are_refused():
     guard = ImuOutlierDetector(LIMITS, STEP)
     angle, velocity = np.zeros((60, 3)), np.zeros((60, 3))
-    angle[5::4, 0] = 3.0 * LIMITS.step[0] * STEP * 4.0
+    angle[5::4, 0] = 3.0 * LIMITS.max_change[0] * STEP * 4.0
     found = guard.screen(angle, velocity)
     assert found.is_missing.tolist() == (angle[:, 0] > 0.0).tolist()
     assert not found.jump.any()
@@ -144,7 +146,7 @@ def test_impossible_slews_are_refused(slew):
         ImuSampleLimits.of(LANDER, STEP, TACTICAL_GYROSCOPES, TACTICAL_ACCELEROMETERS, slew=slew)
 
 
-@pytest.mark.parametrize("name", ["step", "noise", "maximum"])
+@pytest.mark.parametrize("name", ["max_change", "max_noise", "maximum"])
 @pytest.mark.parametrize("wrong", [np.nan, -1.0])
 def test_impossible_limits_are_refused(name, wrong):
     with pytest.raises(InputError, match=f"limits.{name}"):
@@ -196,7 +198,7 @@ def flown(which: str, axis: int, size: float, when: float) -> tuple[float, list[
             done.append(time)
             array = getattr(m, which).copy()
             place = axis + (0 if which == "angle" else 3)
-            limit = (LIMITS.step + LIMITS.noise)[place] * STEP
+            limit = (LIMITS.max_change + LIMITS.max_noise)[place] * STEP
             array[4, axis] = array[3, axis] + size * limit
             m = replace(m, **{which: array})
         honest(sensor, m, time)
@@ -230,7 +232,7 @@ def test_the_worst_spike_under_the_limit_is_no_silent_error(which, axis, size, w
     assert worst < 5.0
     assert "lost" not in told
     if abs(size) > 1.0:
-        assert "samples-refused" in told
+        assert "samples-rejected" in told
 
 
 def test_steps_of_the_converter_are_noise_too():
@@ -240,5 +242,5 @@ def test_steps_of_the_converter_are_noise_too():
         )
         for q in (0.0, 1e-4)
     )
-    assert coarse.noise[:3] - fine.noise[:3] == pytest.approx(np.full(3, 2e-4 / STEP))
-    assert coarse.noise[3:] == pytest.approx(fine.noise[3:])
+    assert coarse.max_noise[:3] - fine.max_noise[:3] == pytest.approx(np.full(3, 2e-4 / STEP))
+    assert coarse.max_noise[3:] == pytest.approx(fine.max_noise[3:])

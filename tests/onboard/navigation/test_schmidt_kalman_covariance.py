@@ -40,7 +40,7 @@ def step(state, rng):
         add(state, rng)
     elif what == 5:
         at = head + rng.permutation(state.tail)[:2]
-        rows = state.for_rows(at)[at, :size] * 0.5
+        rows = state.covariance_for_rows(at)[at, :size] * 0.5
         state.set_rows(at, rows)
         state.widen(at, 10.0 * np.eye(2))
     else:
@@ -53,7 +53,7 @@ def add(state, rng):
     """Add new errors that are not frozen."""
     old, is_frozen = state.size, state.is_frozen
     state.reserve(state.tail + 2)
-    p = state.for_rows()
+    p = state.covariance_for_rows()
     p[old : old + 2], p[:, old : old + 2] = 0.0, 0.0
     p[old, old], p[old + 1, old + 1] = rng.uniform(0.5, 2.0, 2)
     state.tail += 2
@@ -73,11 +73,11 @@ def test_columns_that_lag_are_brought_up_to_date_bit_for_bit(seed):
         alike((lags, whole), step, rng)
         p = whole.covariance
         assert np.array_equal(p, p.T)
-        lags.for_rows()
+        lags.covariance_for_rows()
         one, other = rng.integers(0, lags.size, (2, 5, 3))
-        assert np.array_equal(lags.between(one, other), p[one, other])
+        assert np.array_equal(lags.pair_covariances(one, other), p[one, other])
         active = np.flatnonzero(~np.append(np.zeros(lags.head, bool), lags.is_frozen))
-        assert np.array_equal(lags.for_rows(active)[active, : lags.size], p[active])
+        assert np.array_equal(lags.covariance_for_rows(active)[active, : lags.size], p[active])
     assert np.array_equal(lags.covariance, whole.covariance)
     assert lags.inertial.position == pytest.approx(whole.inertial.position, abs=0.0)
 
@@ -89,9 +89,11 @@ def test_rows_of_errors_that_rest_are_brought_up_to_date_when_asked_for():
     for each in (state, whole):
         each.measure(np.eye(1, 3), np.arange(3), np.array([0.1]), np.ones(1))
     resting = np.array([state.head + 12])
-    behind = state.for_rows()[resting, : state.size].copy()
+    behind = state.covariance_for_rows()[resting, : state.size].copy()
     assert not np.array_equal(behind, whole.covariance[resting])
-    assert np.array_equal(state.for_rows(resting)[resting, : state.size], whole.covariance[resting])
+    assert np.array_equal(
+        state.covariance_for_rows(resting)[resting, : state.size], whole.covariance[resting]
+    )
 
 
 def test_errors_that_take_others_places_keep_what_they_are():
@@ -100,7 +102,7 @@ def test_errors_that_take_others_places_keep_what_they_are():
     is_frozen = rng.random(TAIL) < 0.7
     state.rest(is_frozen)
     state.measure(np.eye(1, 3), np.arange(3), np.array([0.1]), np.ones(1))
-    state.for_rows()
+    state.covariance_for_rows()
     before = copy.deepcopy(state).covariance.copy()
     to, source = np.array([2, 5]), np.array([38, 39])
     state.move_and_truncate(38, state.head + to, state.head + source)
@@ -153,11 +155,11 @@ def test_all_errors_may_go_while_columns_lag():
     state = made(np.random.default_rng(12), TAIL)
     state.rest(np.arange(TAIL) >= 10)
     state.measure(np.eye(1, 3), np.arange(3), np.array([0.1]), np.ones(1))
-    state.for_rows()
+    state.covariance_for_rows()
     head, none = copy.deepcopy(state).covariance[: state.head, : state.head], np.zeros(0, np.int64)
     state.move_and_truncate(0, none, none)
-    assert np.array_equal(state.for_rows(POSE)[POSE, : state.size], head[POSE])
-    assert np.array_equal(state.between(POSE, POSE), head[POSE, POSE])
+    assert np.array_equal(state.covariance_for_rows(POSE)[POSE, : state.size], head[POSE])
+    assert np.array_equal(state.pair_covariances(POSE, POSE), head[POSE, POSE])
     assert np.array_equal(state.covariance, head)
 
 
@@ -167,17 +169,17 @@ def test_errors_that_have_just_come_do_not_rest_while_columns_lag():
     state.measure(np.eye(1, 3), np.arange(3), np.array([0.1]), np.ones(1))
     state.reserve(TAIL + 2)
     state.measure(np.eye(1, 3), np.arange(3), np.array([0.1]), np.ones(1))
-    state.for_rows()
+    state.covariance_for_rows()
     new = state.size + np.arange(2)
     state.tail += 2
-    assert not state.for_rows(new)[new].any()
+    assert not state.covariance_for_rows(new)[new].any()
 
 
 def test_empty_information_defers_nothing():
     """Deferred updates have the old number of errors, later ones more."""
     state = made(np.random.default_rng(13), TAIL)
     before = state.covariance.copy()
-    assert state.update_with_information(POSE, 1e-9 * np.eye(6), np.zeros(6)).degrees == 0
+    assert state.update_with_information(POSE, 1e-9 * np.eye(6), np.zeros(6)).dof == 0
     add(state, np.random.default_rng(14))
     for innovation in (0.1, -0.1):
         state.measure(np.eye(1, 3), np.arange(3), np.array([innovation]), np.ones(1))
@@ -193,7 +195,7 @@ def test_full_update_uses_current_columns():
     whole = copy.deepcopy(lags)
     for state in (lags, whole):
         state.measure(np.eye(1, 3), np.arange(3), np.array([0.1]), np.ones(1))
-    lags.for_rows()
+    lags.covariance_for_rows()
     assert np.array_equal(whole.covariance, whole.covariance.T)
     for state in (lags, whole):
         state.update_with_information(POSE, np.eye(6), np.full(6, 1e-3))

@@ -111,7 +111,7 @@ def test_where_the_model_is_linear_it_is_the_kalman_filter():
         distance = (plain.x[2] - GROUND) / plain.r[2, 2] + 2.0 * rng.normal()
         own.take("down", AltimeterReading(0.1 * k, distance, 2.0), 0.1 * k)
         plain.range(distance, 2.0, 3.0)
-        refused += sum(w.refused for w in own.watches.values())
+        refused += sum(w.rejected_count for w in own.monitors.values())
     assert refused == 0
     assert own.kalman.x[:9] == pytest.approx(plain.x, abs=1e-6)
     scale = np.sqrt(np.outer(np.diag(plain.p), np.diag(plain.p)))
@@ -133,7 +133,7 @@ def flown(own: UnscentedFilter, thrust, mass: float, seconds: float, lag=0.0, rn
             given = asked + (given - asked) * keep
             mass -= STEP * gain * mean / 3000.0
             pushes[i, 2] = STEP * gain * mean / mass
-        own.commanded(asked, 0.1)
+        own.record_thrust(asked, 0.1)
         own.take("imu", InertialSamples(0.1 * k, np.zeros((10, 3)), pushes), 0.1 * k)
     return mass
 
@@ -189,7 +189,7 @@ def test_attitude_is_what_the_tracker_gives_and_what_turns_do_since():
     held = own.inertial.attitude.copy()
     own.take("stars", AttitudeReading(10.0, wrong, 1e-8 * np.eye(3)), 10.0)
     assert np.array_equal(own.inertial.attitude, held)
-    assert own.watches["stars attitude"].refused == 1
+    assert own.monitors["stars attitude"].rejected_count == 1
 
 
 def test_unexplained_measurements_lose_navigation():
@@ -254,14 +254,14 @@ def test_implausible_parameters_are_rejected(value):
         made(mass=value)
     with pytest.raises(InputError, match="exhaust"):
         made(exhaust_velocity=value)
-    for key in ("mass_sigma", "thrust_error"):
+    for key in ("mass_sigma", "thrust_sigma"):
         with pytest.raises(InputError, match=key):
             UnscentedNavigation(**{key: value})
     own = made()
     with pytest.raises(InputError, match="thrust"):
-        own.commanded(value if value else -1.0, 0.1)
+        own.record_thrust(value if value else -1.0, 0.1)
     with pytest.raises(InputError, match="seconds"):
-        own.commanded(100.0, value if value else -1.0)
+        own.record_thrust(100.0, value if value else -1.0)
 
 
 def test_measurements_move_site_not_lander_in_local_frame():

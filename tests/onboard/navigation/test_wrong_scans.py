@@ -59,7 +59,7 @@ def velocity_off(descent):
 def test_range_bias_is_attributed_to_scanner(ground, seed, off):
     """With a bias above six specified sigmas, the scanner is out of specification."""
     descent, worst = flown(ground, seed, lambda s: replace(s, range=s.range + off), 8)
-    assert names(descent)[:2] == ["lock", "doubted"]
+    assert names(descent)[:2] == ["lock", "covariance-inflated"]
     assert descent.filter.lost is (off > 0.6)
     assert descent.filter.locked
     assert worst < 4.0 and descent_off(descent) < 4.0 and velocity_off(descent) < 4.0
@@ -110,7 +110,7 @@ def test_excessive_noise_is_ignored(ground):
         return replace(scan, range=scan.range + 0.5 * rng.standard_normal(len(scan.range)))
 
     descent, worst = flown(ground, 11, noise, 7)
-    assert names(descent) == ["lock", "scans-refused"]
+    assert names(descent) == ["lock", "scans-rejected"]
     assert worst < 4.0 and velocity_off(descent) < 4.0
     told = descent.filter.events[-1].details
     assert told["noise"] == pytest.approx(0.5, rel=0.1)
@@ -123,5 +123,5 @@ def test_excessive_specified_noise_is_ignored(ground):
     """Noise of 0.3 m from the start: noise slopes once biased the velocity by 12 sigmas."""
     noisy = replace(LIDAR, noise_ratio=1.2e-3)
     descent, worst = flown(ground, 11, lambda scan: scan, 6, noisy)
-    assert names(descent) == ["scans-refused"]
+    assert names(descent) == ["scans-rejected"]
     assert worst < 4.0 and velocity_off(descent) < 4.0

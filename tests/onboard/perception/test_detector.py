@@ -162,10 +162,10 @@ def test_from_look_to_look_centres_differ_by_what_is_said(height):
         true = np.column_stack((rocks.x, rocks.y, np.zeros(len(rocks))))[nearest[ok]]
         centre = view.pinhole.project((true - view.position) @ view.axes)
         look[nearest[ok]] = seen.pixel[ok] - centre
-        own[nearest[ok]] = seen.look_covariance[ok]
+        own[nearest[ok]] = seen.independent_covariance[ok]
         looks.append(look)
         said.append(own)
-        left = seen.pixel_covariance - seen.look_covariance
+        left = seen.pixel_covariance - seen.independent_covariance
         assert (np.linalg.eigvalsh(left) > -1e-12).all()
     change = np.diff(looks, axis=0).reshape(-1, 2)
     expected = (np.array(said)[1:] + np.array(said)[:-1]).reshape(-1, 2, 2)
@@ -202,10 +202,10 @@ def test_shadow_of_terrain_is_no_rock():
     state, camera, counts = picture(crater, (0.0, 0.0, 70.0), sun=(1.2, 15.0))
     sun = direction_from_angles(1.2, np.radians(15.0))
     seen = detect_rocks(counts, camera, state, sun)
-    assert len(seen.extended) >= 1
+    assert len(seen.excluded_labels) >= 1
     assert (seen.radius < 5.0).all()
     largest = np.bincount(seen.labels[seen.labels > 0]).argmax()
-    assert largest in seen.extended
+    assert largest in seen.excluded_labels
 
 
 def plain_image(value=120, spread=2.0, seed=0):
@@ -243,7 +243,7 @@ def test_a_sun_that_throws_no_useful_shadows_gives_no_rocks(elevation):
     image[200:206, 300:320] = 2.0
     seen = detect_rocks(image, camera, state, direction_from_angles(0.3, np.radians(elevation)))
     assert len(seen) == 0
-    assert len(seen.extended) == 1
+    assert len(seen.excluded_labels) == 1
 
 
 def test_nan_pixels_are_left_out():
@@ -307,8 +307,8 @@ def test_wrong_sun_is_refused(sun):
 
 
 def test_wrong_settings_are_refused():
-    with pytest.raises(InputError, match="least_pixels"):
-        DetectorSettings(least_pixels=0)
+    with pytest.raises(InputError, match="min_pixels"):
+        DetectorSettings(min_pixels=0)
     with pytest.raises(InputError, match="gamma"):
         segment(np.zeros((4, 4)), gamma=-1.0)
 
@@ -386,12 +386,15 @@ def test_contours_run_round_the_patches():
 @pytest.mark.parametrize(
     ("name", "value"),
     [
-        ("gamma", -1.0), ("gamma", np.nan), ("window", 0.0), ("window", 2.0), ("edge_share", -0.1),
-        ("canny", (100.0, 40.0)), ("largest_radius", -5.0), ("least_fill", 0.0),
-        ("pixel_sigma", np.inf), ("least_pixels", 0), ("look_sigma", (0.2, 0.0)),
-        ("look_sigma", (0.2,)), ("look_sigma", 0.2), ("look_sigma", (np.nan, 0.1)),
-        ("look_small", -0.1), ("look_small", np.nan), ("look_small", (0.3, -0.1)),
-        ("look_small", (np.nan, 0.1)), ("look_small", (0.3,)),
+        ("gamma", -1.0), ("gamma", np.nan), ("window", 0.0), ("window", 2.0),
+        ("min_edge_fraction", -0.1),
+        ("canny", (100.0, 40.0)), ("max_radius", -5.0), ("min_fill_fraction", 0.0),
+        ("pixel_sigma", np.inf), ("min_pixels", 0), ("observation_sigma", (0.2, 0.0)),
+        ("observation_sigma", (0.2,)), ("observation_sigma", 0.2), ("observation_sigma", (np.nan,
+        0.1)),
+        ("small_patch_sigma", -0.1), ("small_patch_sigma", np.nan), ("small_patch_sigma", (0.3,
+        -0.1)),
+        ("small_patch_sigma", (np.nan, 0.1)), ("small_patch_sigma", (0.3,)),
     ],
 )  # fmt: skip
 def test_settings_that_cannot_be_are_refused_when_they_are_made(name, value):
@@ -427,7 +430,7 @@ def test_under_a_sun_at_the_zenith_or_below_the_horizon_no_rock_is_seen(elevatio
     seen = detect_rocks(counts, camera, state, sun)
     assert len(seen) == 0
     # All that is dark is no rock's.
-    assert set(seen.extended) == set(range(1, seen.labels.max() + 1))
+    assert set(seen.excluded_labels) == set(range(1, seen.labels.max() + 1))
 
 
 def test_pixels_that_are_no_numbers_are_neither_lit_nor_a_rocks():
@@ -436,7 +439,7 @@ def test_pixels_that_are_no_numbers_are_neither_lit_nor_a_rocks():
     gap[100:140, 200:260] = np.nan
     seen = detect_rocks(gap, camera, state, SUN)
     hole = np.unique(seen.labels[100:140, 200:260])
-    assert len(hole) == 1 and hole[0] in seen.extended and hole[0] not in seen.label
+    assert len(hole) == 1 and hole[0] in seen.excluded_labels and hole[0] not in seen.label
     assert len(seen) > 10
     blank = detect_rocks(np.full((480, 640), np.nan), camera, state, SUN)
     assert len(blank) == 0 and (blank.labels > 0).all()
@@ -449,7 +452,7 @@ def test_small_patches_differ_more_from_look_to_look_along_the_sun_and_across(sm
     state, camera, counts = picture(terrain, (-54.0, 0.0, 90.0))
 
     def looks(*given):
-        settings = DetectorSettings(look_small=given[0]) if given else DetectorSettings()
+        settings = DetectorSettings(small_patch_sigma=given[0]) if given else DetectorSettings()
         seen = detect_rocks(counts, camera, state, SUN, model=model, settings=settings)
         point = seen.terrain_xy - state.position[:2]
         by_place = camera.view(state).pinhole.jacobian(
@@ -459,7 +462,7 @@ def test_small_patches_differ_more_from_look_to_look_along_the_sun_and_across(sm
         level = SUN[:2] / np.hypot(*SUN[:2])
         axes = np.array([level, [-level[1], level[0]]]).T
         back = np.linalg.inv(by_place @ axes)
-        own = back @ seen.look_covariance @ np.swapaxes(back, 1, 2)
+        own = back @ seen.independent_covariance @ np.swapaxes(back, 1, 2)
         return np.sqrt(np.diagonal(own, axis1=1, axis2=2)), seen.radius
 
     (plain, radius), (told, _), (default, _) = looks((0.0, 0.0)), looks(small), looks()
@@ -478,13 +481,13 @@ def test_looks_differ_more_along_the_sun_than_shadows_are_longer(elevation):
     angle = np.radians(elevation)
     terrain = rocks_on_a_plane("hemisphere", count=60, seed=4)
     state, camera, counts = picture(terrain, (0.0, 0.0, 60.0), (1.2, elevation))
-    settings = DetectorSettings(look_small=(0.0, 0.0))
+    settings = DetectorSettings(small_patch_sigma=(0.0, 0.0))
     sun = direction_from_angles(1.2, angle)
     seen = detect_rocks(counts, camera, state, sun, model=ShadowModel(angle), settings=settings)
     assert len(seen) > 10
-    along, across = settings.look_sigma
+    along, across = settings.observation_sigma
     longer = max(np.tan(np.radians(20.0)) / np.tan(angle), 1.0) ** 1.5
-    found = np.sqrt(np.linalg.eigvalsh(seen.look_covariance))
+    found = np.sqrt(np.linalg.eigvalsh(seen.independent_covariance))
     # Straight below a pixel spans the same both ways; that of a patch is its middle's.
     assert np.median(found[:, 0]) == pytest.approx(across, rel=0.1)
     assert np.median(found[:, 1]) == pytest.approx(longer * along, rel=0.1)

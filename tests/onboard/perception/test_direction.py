@@ -49,7 +49,7 @@ def looked_at(scene, off):
     assert first.good
     seen = detect_rocks(counts, camera, state, sun, terrain=level, model=model)
     points = np.column_stack((seen.terrain_xy, np.full(len(seen), level)))
-    noise = first.figures["noise"]
+    noise = first.metrics["noise"]
     turn = measure_shadow_angle(seen, camera.view(state), points, sun, model, noise)
     return turn, health.after_detection(seen, turn, noise).fault
 

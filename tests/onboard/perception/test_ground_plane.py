@@ -84,7 +84,7 @@ def turn(scene, plane, sun):
     return measure_shadow_angle(
         seen, plane.view(scene.camera.view(scene.state)),
         np.column_stack((seen.terrain_xy, np.zeros(len(seen)))), onto,
-        scene.model.under(float(np.arcsin(onto[2]))), before.figures["noise"],
+        scene.model.under(float(np.arcsin(onto[2]))), before.metrics["noise"],
     )  # fmt: skip
 
 
@@ -197,7 +197,9 @@ def test_coordinates_in_which_a_plane_is_level():
     view = View(np.array([1.0, 2.0, 90.0]), axes, 500.0, 500.0, 0.0, 0.0, 640, 480)
     other = plane.view(view)
     np.testing.assert_allclose(
-        (plane.points(on) - other.position) @ other.into.T, (on - view.position) @ axes, atol=1e-9
+        (plane.points(on) - other.position) @ other.enu_to_sensor.T,
+        (on - view.position) @ axes,
+        atol=1e-9,
     )
     assert plane.direction(np.array([0.0, 0.0, 1.0])) == pytest.approx([0.0, 0.0, 1.0])
     assert LEVEL.view(view).axes is view.axes

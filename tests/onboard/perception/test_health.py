@@ -53,7 +53,7 @@ def judge(scene, counts, sun=None, health=None):
     model = ShadowModel(float(np.arcsin(sun[2])))
     seen = detect_rocks(counts, camera, state, sun, terrain=level, model=model)
     points = np.column_stack((seen.terrain_xy, np.full(len(seen), level)))
-    noise = verdict.figures["noise"]
+    noise = verdict.metrics["noise"]
     turn = measure_shadow_angle(seen, camera.view(state), points, sun, model, noise)
     return health.after_detection(seen, turn, noise)
 
@@ -161,7 +161,7 @@ def test_noise_is_measured(scene):
     ramp = 90.0 + 0.05 * np.arange(640) + np.zeros((480, 1))
     for sigma in (1.5, 4.0):
         counts = np.rint(ramp + sigma * rng.standard_normal(ramp.shape)).astype(np.uint8)
-        found = ImageQualityCheck().before_detection(counts, camera, state).figures
+        found = ImageQualityCheck().before_detection(counts, camera, state).metrics
         # That of the noisiest of sixteen parts.
         assert found["noise"] * found["lit"] == pytest.approx(sigma, rel=0.15)
 
@@ -191,9 +191,9 @@ def test_craters_do_not_tell_that_the_sun_is_elsewhere(scene):
     assert craters.agreement == pytest.approx(0.529, abs=1e-3)
     health = ImageQualityCheck()
     assert health.after_detection(seen, craters, 0.02).fault is ImageRejection.SUN_UNPROVEN
-    assert not health.judges(craters)
+    assert not health.is_conclusive(craters)
     assert health.after_detection(seen, rocks, 0.02).fault is ImageRejection.SUN_ELSEWHERE
-    assert health.judges(rocks)
+    assert health.is_conclusive(rocks)
     # Nor do axes tell it that lit faces deny.
     for faces, fault in (
         (-14.0, ImageRejection.SUN_UNPROVEN),
@@ -204,14 +204,14 @@ def test_craters_do_not_tell_that_the_sun_is_elsewhere(scene):
     # Under a high Sun the side is told by other means, which agreement does not measure.
     high = replace(craters, high_sun=True)
     assert health.after_detection(seen, high, 0.02).fault is ImageRejection.SUN_ELSEWHERE
-    assert health.judges(high)
+    assert health.is_conclusive(high)
     # Bright boulders turn it there.
     turned = replace(high, angle=np.radians(20.0))
     assert health.after_detection(seen, turned, 0.02).fault is ImageRejection.SUN_UNPROVEN
-    assert not health.judges(turned)
+    assert not health.is_conclusive(turned)
     # Directions that agree less may show the Sun in its place, and what tells nothing judges not.
-    assert health.judges(replace(craters, angle=np.radians(14.0)))
-    assert not health.judges(SunAngle(np.nan, np.inf, 0.0, 0))
+    assert health.is_conclusive(replace(craters, angle=np.radians(14.0)))
+    assert not health.is_conclusive(SunAngle(np.nan, np.inf, 0.0, 0))
     assert SunAngle(np.nan, np.inf, 0.0, 0).agreement == 0.0
 
 
@@ -247,7 +247,7 @@ def test_dust_or_stray_light_over_all_of_a_picture_is_noticed(scene, veil, fault
     noisy = counts + 0.4 * np.random.default_rng(0).standard_normal(counts.shape)
     found = judge(scene, np.rint(noisy).clip(0, 255).astype(np.uint8))
     if fault is None:
-        assert found.fault is None and found.figures["shade"] < 0.3
+        assert found.fault is None and found.metrics["shade"] < 0.3
     else:
         assert found.fault in {
             fault,
@@ -255,7 +255,7 @@ def test_dust_or_stray_light_over_all_of_a_picture_is_noticed(scene, veil, fault
             ImageRejection.BLURRED,
             ImageRejection.SUN_UNPROVEN,
         }
-        assert found.figures.get("shade", 1.0) > 0.35
+        assert found.metrics.get("shade", 1.0) > 0.35
 
 
 def test_mild_defocus_is_told_by_the_cameras_own_point_spread(scene):
@@ -281,7 +281,12 @@ def test_half_a_picture_from_before_the_shutter_is_noticed(scene):
 
 @pytest.mark.parametrize(
     ("name", "value"),
-    [("blur_sigma", -1.0), ("most_dark", 1.5), ("least_lit", 0.0), ("most_turn", np.nan)],
+    [
+        ("blur_sigma", -1.0),
+        ("max_dark_fraction", 1.5),
+        ("min_lit_counts", 0.0),
+        ("confirm_angle", np.nan),
+    ],
 )
 def test_settings_must_make_sense(name, value):
     with pytest.raises(InputError, match=rf"health\.{name}"):
@@ -293,10 +298,14 @@ def test_limits_are_those_of_the_page():
     rows = dict(re.findall(r"^\| (\w+) \| [^|]+\| ([^|]*?) \|$", page, re.MULTILINE))
     s = ImageQualitySettings()
     told = {
-        "numbers": [100 * s.most_gaps], "exposure": [s.least_lit, 100 * s.most_saturated],
-        "gaps": [100 * s.most_gaps], "stuck": [100 * s.most_same], "noise": [100 * s.most_noise],
-        "dark": [100 * s.most_dark], "shadows": [s.least_shadows], "focus": [s.most_width],
-        "smear": [s.most_smear], "veil": [s.most_shade], "Sun": [np.degrees(s.most_turn)],
+        "numbers": [100 * s.max_missing_fraction], "exposure": [s.min_lit_counts,
+        100 * s.max_saturated_fraction],
+        "gaps": [100 * s.max_missing_fraction], "stuck": [100 * s.max_repeated_fraction],
+        "noise": [100 * s.max_noise],
+        "dark": [100 * s.max_dark_fraction], "shadows": [s.min_shadows],
+        "focus": [s.max_edge_width_ratio],
+        "smear": [s.max_smear_ratio], "veil": [s.max_shadow_brightness],
+        "Sun": [np.degrees(s.confirm_angle)],
     }  # fmt: skip
     for name, limits in told.items():
         assert [float(n) for n in re.findall(r"[\d.]+", rows[name])] == pytest.approx(limits), name

@@ -55,7 +55,7 @@ def looked_at(scene, off):
     first = health.before_detection(counts, camera, state)
     seen = detect_rocks(counts, camera, state, sun, model=model)
     points = np.column_stack((seen.terrain_xy, np.zeros(len(seen))))
-    noise = first.figures["noise"]
+    noise = first.metrics["noise"]
     turn = measure_shadow_angle(seen, camera.view(state), points, sun, model, noise)
     return turn, health.after_detection(seen, turn, noise).fault
 
@@ -98,13 +98,13 @@ def test_a_high_sun_that_is_elsewhere_is_not_believed(scene, off):
 
 def test_an_angle_known_less_well_proves_the_sun_only_far_from_what_it_may_be_wrong_by():
     health = ImageQualityCheck()
-    limit = np.degrees(health.settings.wrong_turn) / health.settings.wrong_by
+    limit = np.degrees(health.settings.max_confirmed_error) / health.settings.confirm_sigmas
 
     def proven(angle, sigma, side=6.0, high=True):
         scene = ImageQualityCheck(sun=SunConfirmation())
         told = SunAngle(np.radians(angle), np.radians(sigma), side, 50, high_sun=high)
         scene.after_detection(_seen(), told, 0.01)
-        return scene.sun.seen
+        return scene.sun.confirmed
 
     assert proven(0.0, 0.95 * limit) and not proven(0.0, 1.05 * limit)
     assert proven(9.0, 5.0) and not proven(9.0, 0.95 * limit)

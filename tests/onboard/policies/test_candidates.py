@@ -137,13 +137,13 @@ def test_a_site_that_takes_longer_to_reach_is_missed_by_more():
         return divert_cost(estimate(), Approach().end(sites, LANDER), LANDER, G)
 
     found = candidate_sites(
-        hazard_map, hazard_map.dispersed(1.0), np.zeros(3), cost_of,
+        hazard_map, hazard_map.dispersed_p_safe(1.0), np.zeros(3), cost_of,
         count=12, separation=3.0, miss_of=lambda seconds: rate * seconds,
     )  # fmt: skip
     miss = rate * cost_of(found.position).time_to_go
     assert np.ptp(miss) > 0.1
     row, col = grid.cell(found.position[:, :2])
-    plain = [hazard_map.dispersed(s)[r, c] for s, r, c in zip(miss, row, col, strict=True)]
+    plain = [hazard_map.dispersed_p_safe(s)[r, c] for s, r, c in zip(miss, row, col, strict=True)]
     assert found.p_safe == pytest.approx(plain, abs=1e-6)
     assert np.ptp(found.propellant) > 0.1
     assert np.array_equal(found.propellant, cost_of(found.position).propellant)

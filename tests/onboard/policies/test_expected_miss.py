@@ -66,17 +66,17 @@ def test_a_map_spread_at_points_is_the_map_spread():
     col = np.r_[0, 0, 69, 69, rng.integers(0, 70, 40)]
     xy = grid.centre_of(row, col)
     for sigma in (0.0, 0.05, 0.3, 1.7, 6.0):
-        got = hazard_map.dispersed_at(xy, np.full(len(xy), sigma))
-        assert got == pytest.approx(hazard_map.dispersed(sigma)[row, col], abs=2e-6)
+        got = hazard_map.dispersed_p_safe_at(xy, np.full(len(xy), sigma))
+        assert got == pytest.approx(hazard_map.dispersed_p_safe(sigma)[row, col], abs=2e-6)
     for wrong in (np.nan, -0.1, np.inf):
         with pytest.raises(InputError, match="sigma"):
-            hazard_map.dispersed_at(xy[:2], np.array([0.1, wrong]))
+            hazard_map.dispersed_p_safe_at(xy[:2], np.array([0.1, wrong]))
 
 
 def first_mapped(changes):
     """Return a flight in the cycle of its first scan, and what its policy is shown then."""
     simulation = Simulation(Scenario.from_dict(TINY_FLIGHT).changed(**changes), flight_seed(4, 0))
-    while not simulation.computer.mapped:
+    while not simulation.computer.updated_mappers:
         simulation.step()
     return simulation, simulation.computer.observe()
 
@@ -96,13 +96,13 @@ def test_a_lander_held_by_fixes_expects_what_is_stated_and_another_its_drift():
     times = computer.cost_of(sites).time_to_go
     seconds = np.where(np.isfinite(times), times, adrift.time_to_go)
     seconds += computer.approach.vertical_altitude / 2.0
-    own = adrift.hazard_map.dispersed_at(sites[:, :2], np.hypot(0.3, rate * seconds))
+    own = adrift.hazard_map.dispersed_p_safe_at(sites[:, :2], np.hypot(0.3, rate * seconds))
     assert adrift.candidates.p_safe == pytest.approx(own, abs=1e-9)
     assert np.ptp(seconds) > 0.2
     # What was mapped gets older.
     for _ in range(20):
         simulation.step()
-    assert not computer.mapped
+    assert not computer.updated_mappers
     later = computer.observe()
     rate = np.sqrt(0.5 * np.trace(later.estimate.covariance[3:5, 3:5]))
     until = later.time_to_go + computer.approach.vertical_altitude / 2.0
@@ -143,10 +143,10 @@ def test_the_map_is_spread_afresh_by_a_new_miss():
     computer = simulation.computer
     for _ in range(20):
         simulation.step()
-    assert not computer.mapped
+    assert not computer.updated_mappers
     later = computer.observe()
     cell = tuple(int(v) for v in later.hazard_map.grid.cell(later.site[:2]))
-    expected = later.hazard_map.dispersed(later.expected_miss)[cell]
+    expected = later.hazard_map.dispersed_p_safe(later.expected_miss)[cell]
     assert later.site_p_safe == pytest.approx(float(expected), abs=1e-7)
 
 
@@ -157,7 +157,7 @@ def test_a_variance_that_rounding_has_eaten_gives_the_stated_miss():
 
 
 def test_navigation_that_says_nothing_of_it_is_adrift():
-    assert Navigation.adrift.fget(None) is True
+    assert Navigation.is_drifting.fget(None) is True
 
 
 def test_a_miss_that_is_no_number_or_beyond_all_sites_is_the_greatest():
@@ -173,4 +173,4 @@ def test_beyond_the_map_nothing_is_safe():
     ones = np.ones(grid.shape, np.float32)
     hazard_map = HazardMap(grid, ones, ones > 0.0)
     beyond = np.array([[500.0, 0.0], [-60.0, -60.0], [-3.0, 0.5]])
-    assert hazard_map.dispersed_at(beyond, np.full(3, 0.5)).tolist() == [0.0] * 3
+    assert hazard_map.dispersed_p_safe_at(beyond, np.full(3, 0.5)).tolist() == [0.0] * 3

@@ -78,8 +78,8 @@ def test_nearest_safe():
 
 def test_fuel_aware_trades():
     o = observation([0.99, 0.95], [60.0, 10.0], [40.0, 21.0], here=0.2)
-    assert FuelAware(price=0.0).decide(o).site[0] == 60.0
-    assert FuelAware(price=0.25).decide(o).site[0] == 10.0
+    assert FuelAware(propellant_weight=0.0).decide(o).site[0] == 60.0
+    assert FuelAware(propellant_weight=0.25).decide(o).site[0] == 10.0
 
 
 @pytest.mark.parametrize("policy", [Safest(), NearestSafe(), FuelAware()], ids=lambda p: p.name)
@@ -102,7 +102,7 @@ def test_value_decides_between_sites_equally_safe_and_sends_nobody_on():
         assert policy.decide(observation(*two, here=0.2)).site[0] == 9.0
         assert policy.decide(observation(*two, here=0.2, more=value)).site[0] == 10.0
     # Value alone is no gain that is worth a divert, and safety goes first.
-    for policy in (Safest(), FuelAware(price=0.0)):
+    for policy in (Safest(), FuelAware(propellant_weight=0.0)):
         assert policy.decide(observation(*two, here=0.999, more=value, site_value=0.1)).site is None
         risky = observation([0.97, 0.9], *two[1:], here=0.2, more=value)
         assert policy.decide(risky).site[0] == 9.0
@@ -146,8 +146,8 @@ def test_the_scoreboard_flies_to_the_best_ranked_site_in_reach():
 def test_the_scoreboard_weighs_fuel_if_told_to():
     o = board([2.0, 2.5], propellant=[30.0, 20.0])
     assert ScoreboardChoice().decide(o).site[0] == 10.0
-    assert ScoreboardChoice(weight_fuel=0.1).decide(o).site[0] == 20.0
-    assert ScoreboardChoice(weight_fuel=0.1).decide(
+    assert ScoreboardChoice(propellant_weight=0.1).decide(o).site[0] == 20.0
+    assert ScoreboardChoice(propellant_weight=0.1).decide(
         board([2.0], here=2.5, propellant=[30.0], here_propellant=20.0)
     ).site is None  # fmt: skip
 

@@ -53,7 +53,7 @@ def ground(rows=130, cols=111, posting=1.3, centre=(40.0, -20.0)) -> HazardMap:
 
 def test_a_map_of_reach_says_of_each_cell_what_is_said_of_a_site_there():
     hazard_map, costs = ground(), Costs()
-    reach = ReachabilityMap.under(hazard_map, np.array([0.0, 0.0, 7.0]), costs)
+    reach = ReachabilityMap.over_map(hazard_map, np.array([0.0, 0.0, 7.0]), costs)
     assert costs.asked == []  # nobody has looked yet
     assert max(reach.grid.shape) == 100
     assert 0.05 < reach.reachable.mean() < 0.95
@@ -77,14 +77,14 @@ def test_a_map_of_reach_says_of_each_cell_what_is_said_of_a_site_there():
 
 
 def test_a_small_map_keeps_its_cells():
-    reach = ReachabilityMap.under(ground(20, 30, 0.5), np.zeros(3), Costs())
+    reach = ReachabilityMap.over_map(ground(20, 30, 0.5), np.zeros(3), Costs())
     assert reach.grid == ground(20, 30, 0.5).grid
 
 
 def test_a_survey_of_cells_that_do_not_come_out_even_leaves_none_out():
     """302 columns in fifths are 60.4: rounded down, the outermost cells would lie beyond it."""
     hazard_map = ground(500, 302, 0.5)
-    reach = ReachabilityMap.under(hazard_map, np.zeros(3), Costs())
+    reach = ReachabilityMap.over_map(hazard_map, np.zeros(3), Costs())
     assert reach.grid.shape == (100, 61)
     assert reach.grid.contains(hazard_map.grid.centres()).all()
 
@@ -102,7 +102,7 @@ def test_one_poor_site_in_reach_does_not_hide_better_ones():
         grid, p, np.ones(grid.shape, bool), np.zeros(grid.shape, np.float32)
     )  # fmt: skip
     costs = Costs()
-    reach = ReachabilityMap.under(hazard_map, site, costs)
+    reach = ReachabilityMap.over_map(hazard_map, site, costs)
 
     def asked(given, count=4, board=None):
         return candidate_sites(
@@ -145,7 +145,7 @@ def test_where_no_site_will_do_others_are_looked_for_within_reach():
         grid, p, np.ones(grid.shape, bool), np.zeros(grid.shape, np.float32)
     )  # fmt: skip
     costs = Costs()
-    reach = ReachabilityMap.under(hazard_map, site, costs)
+    reach = ReachabilityMap.over_map(hazard_map, site, costs)
     blind = candidate_sites(hazard_map, p, site, costs, count=4, separation=3.0)
     # The nearest at 0.95 is as far.
     assert len(blind) > 0
@@ -158,18 +158,18 @@ def test_where_no_site_will_do_others_are_looked_for_within_reach():
         return Observation(
             time=0.0, estimate=HERE, hazard_map=hazard_map, candidates=candidates, site=site,
             site_p_safe=p_here, site_propellant=np.inf, time_to_go=10.0, propellant=100.0,
-            reach=reach,
+            reachability=reach,
         )  # fmt: skip
 
     for policy in (Safest(), NearestSafe(), SafestOrAbort()):
         decision = policy.decide(told(seen, 0.02))
         assert decision.site is not None
-        assert told(seen, 0.02).reach.at(decision.site[:2])
+        assert told(seen, 0.02).reachability.at(decision.site[:2])
         assert policy.decide(told(blind, 0.02)).site is None
     # Nothing safe within reach is answered by climbing away, however safe the site out of reach is.
     assert SafestOrAbort().decide(told(blind, 0.02)).abort
     assert SafestOrAbort().decide(told(blind, 0.999)).abort
-    assert not SafestOrAbort(altitude=60.0).decide(told(blind, 0.999)).abort
+    assert not SafestOrAbort(abort_altitude=60.0).decide(told(blind, 0.999)).abort
     assert not SafestOrAbort().decide(replace(told(blind, 0.999), site_propellant=9.0)).abort
     assert SafestOrAbort().decide(told(seen, 0.999)).site is not None
     nowhere = np.where(p == np.float32(0.97), np.float32(0.1), p)
@@ -179,7 +179,7 @@ def test_where_no_site_will_do_others_are_looked_for_within_reach():
     assert not Safest().decide(told(poor, 0.02)).abort
 
 
-@pytest.mark.parametrize("window", [None, {"forward_deg": 180.0, "highest_deg": 60.0}])
+@pytest.mark.parametrize("window", [None, {"azimuth_deg": 180.0, "upper_edge_deg": 60.0}])
 def test_the_computer_hands_its_reach_to_policy_and_candidates(monkeypatch, window):
     """What no window shows is out of reach, though law and engine could fly there."""
     asked = []
@@ -192,15 +192,20 @@ def test_the_computer_hands_its_reach_to_policy_and_candidates(monkeypatch, wind
     monkeypatch.setattr(site_evaluator, "candidate_sites", spied)
     tables = {} if window is None else {"window": window}
     simulation = Simulation(Scenario.from_dict(TINY_FLIGHT | tables), 4, "no-divert")
-    while not simulation.computer.mapped:
+    while not simulation.computer.updated_mappers:
         simulation.step()
     asked.clear()
     seen = simulation.computer.observe()
-    assert asked == [seen.reach]
-    ground_seen = seen.reach.grid.contains(seen.hazard_map.grid.centres())
+    assert asked == [seen.reachability]
+    ground_seen = seen.reachability.grid.contains(seen.hazard_map.grid.centres())
     assert ground_seen.all()
-    centres = np.column_stack((seen.reach.grid.centres().reshape(-1, 2),
-                               np.full(seen.reach.reachable.size, seen.site[2])))  # fmt: skip
+    centres = np.column_stack((seen.reachability.grid.centres().reshape(-1, 2),
+                               np.full(seen.reachability.reachable.size,
+                               seen.site[2])))  # fmt: skip
     assert simulation.computer.cost_of(centres).feasible.mean() > 0.9
-    assert seen.reach.reachable.mean() > 0.9 if window is None else not seen.reach.reachable.any()
-    assert seen.reach.at(seen.site[:2]) == (window is None)
+    assert (
+        seen.reachability.reachable.mean() > 0.9
+        if window is None
+        else not seen.reachability.reachable.any()
+    )
+    assert seen.reachability.at(seen.site[:2]) == (window is None)

@@ -96,9 +96,9 @@ def test_one_camera_hands_over_to_another_at_an_altitude():
     ]  # fmt: skip
     assert [one[1] for one in looks] == [False, True, True, False, False]
     assert [one[2] for one in looks] == [False, False, False, True, True]
-    assert Periodic(first_altitude=900.0, last_altitude=400.0).looks == MeasurementAltitudes(
-        900.0, 400.0
-    )
+    assert Periodic(
+        first_altitude=900.0, last_altitude=400.0
+    ).measurement_altitudes == MeasurementAltitudes(900.0, 400.0)
     with pytest.raises(InputError, match="last_altitude_m: must be less than"):
         Periodic(first_altitude=900.0, last_altitude=900.0)
 

@@ -164,7 +164,7 @@ def test_shadows_of_a_valley_are_lit_by_its_other_side():
     z = 12.0 * np.abs(east / 20.0) ** 2
     z = np.where(np.abs(east) < 25.0, z, 12.0 * 1.25**2)
     terrain = Terrain(Heightfield(grid, z.astype(np.float32)))
-    light = Light(0.5 * np.pi, np.radians(25.0), photometry="lambert", scattered=True)
+    light = Light(0.5 * np.pi, np.radians(25.0), photometry="lambert", scattered_light=True)
     places = np.array([[8.2, 0.3], [12.4, 3.3], [18.4, -7.2], [22.3, 11.2]])  # in the shade
     drawn, told = [], []
     for k, (x, y) in enumerate(places):
@@ -177,7 +177,7 @@ def test_shadows_of_a_valley_are_lit_by_its_other_side():
         told.append(scattered_light(terrain, (x, y), light.direction, light.albedo, k))
     assert min(told) > 2e-4
     assert np.allclose(drawn, told, rtol=0.2)
-    dark = renderer_of(terrain).render(view, replace(light, scattered=False)).radiance
+    dark = renderer_of(terrain).render(view, replace(light, scattered_light=False)).radiance
     assert dark[4, 4] == 0.0
 
 
@@ -189,7 +189,7 @@ def test_shaded_sides_of_rocks_see_the_ground():
     one = np.ones(1)
     rock = RockField(0 * one, 0 * one, 0 * one, one, one, 2.0 * one, 0 * one, np.array([CUBE]))
     terrain = Terrain(_PLANE.relief, rock)
-    light = Light(1.5 * np.pi, np.radians(40.0), photometry="lambert", scattered=True)
+    light = Light(1.5 * np.pi, np.radians(40.0), photometry="lambert", scattered_light=True)
     boresight = np.array([-np.cos(0.3), 0.0, -np.sin(0.3)])
     view = View(-20.0 * boresight + [1.0, 0.0, 1.5], sensor_axes(boresight), 300.0, 300.0, 19.5,
                 14.5, 40, 30)  # fmt: skip
@@ -208,7 +208,7 @@ def test_level_ground_throws_no_light_on_itself():
     view = above((0.0, 0.0), 30.0, 0.5, (16, 12))
     plain, more = (
         renderer_of(_PLANE).render(view, one).radiance
-        for one in (light, replace(light, scattered=True))
+        for one in (light, replace(light, scattered_light=True))
     )
     assert np.allclose(plain, more, rtol=1e-6)
 
@@ -228,7 +228,14 @@ def test_earthshine_is_the_only_light_of_the_night():
 
 def test_the_darkest_mottles_still_reflect_light():
     """Of a spread of 0.3 one in some 2000 places would have less than nothing."""
-    light = Light(1.0, 0.6, photometry="lambert", mottle=0.3, mottle_length=0.5, mottle_seed=3)
+    light = Light(
+        1.0,
+        0.6,
+        photometry="lambert",
+        albedo_variation=0.3,
+        albedo_correlation_length=0.5,
+        albedo_seed=3,
+    )
     field = renderer_of(_PLANE).render(above((13.0, 7.0), 40.0, 0.1, (512, 512)), light).radiance
     even = 0.12 * np.sin(0.6)
     assert 0.0 < field.min() < 0.03 * even
@@ -236,7 +243,14 @@ def test_the_darkest_mottles_still_reflect_light():
 
 
 def test_mottles_have_the_spread_and_the_correlation_they_are_told():
-    light = Light(1.0, 0.6, photometry="lambert", mottle=0.06, mottle_length=4.0, mottle_seed=3)
+    light = Light(
+        1.0,
+        0.6,
+        photometry="lambert",
+        albedo_variation=0.06,
+        albedo_correlation_length=4.0,
+        albedo_seed=3,
+    )
     view = above((13.0, 7.0), 200.0, 0.5, (512, 512))
     even = 0.12 * np.sin(0.6)
     field = renderer_of(_PLANE).render(view, light).radiance / even - 1.0
@@ -247,7 +261,7 @@ def test_mottles_have_the_spread_and_the_correlation_they_are_told():
     assert along == pytest.approx(np.exp(-1.0), abs=0.1)
     again = Renderer(_PLANE).render(view, light).radiance
     assert np.array_equal(again, renderer_of(_PLANE).render(view, light).radiance)
-    other = renderer_of(_PLANE).render(view, replace(light, mottle_seed=4)).radiance / even - 1.0
+    other = renderer_of(_PLANE).render(view, replace(light, albedo_seed=4)).radiance / even - 1.0
     assert abs(np.mean(other * field)) / field.var() < 0.3
     # They lie on the ground: another camera sees the same place alike.
     near = renderer_of(_PLANE).render(above((13.0, 7.0), 100.0, 0.5, (512, 512)), light).radiance
@@ -260,7 +274,7 @@ def test_boulders_are_as_bright_as_told_each_in_its_own_way(rocky):
     renderer = renderer_of(rocky)
     plain = renderer.render(view, light, truth=True)
     bright = renderer.render(
-        view, replace(light, boulder_albedo=1.5, boulder_mottle=0.2), truth=True
+        view, replace(light, boulder_albedo=1.5, boulder_albedo_variation=0.2), truth=True
     )
     lit = (plain.radiance > 0.0) & (plain.identity >= 0)
     gain = bright.radiance[lit] / plain.radiance[lit]
@@ -284,9 +298,9 @@ def test_boulders_are_as_bright_as_told_each_in_its_own_way(rocky):
 def test_lights_do_not_leave_traces_in_one_another(rocky):
     view = above((0.0, 0.0), 60.0, 0.3, (120, 90))
     full = Light(
-        1.0, 0.2, photometry="hapke", diameter=SUN, scattered=True,
+        1.0, 0.2, photometry="hapke", diameter=SUN, scattered_light=True,
         earthshine=FULL_EARTH_IRRADIANCE_RATIO,
-        mottle=0.05, boulder_albedo=1.3, boulder_mottle=0.1,
+        albedo_variation=0.05, boulder_albedo=1.3, boulder_albedo_variation=0.1,
     )  # fmt: skip
     lights = [Light(1.0, 0.2), full, Light(1.0, 0.05, diameter=SUN)]
     fresh = [Renderer(rocky).render(view, one).radiance for one in lights]
@@ -297,7 +311,14 @@ def test_lights_do_not_leave_traces_in_one_another(rocky):
 
 @pytest.mark.parametrize("elevation", [np.radians(90.0), np.radians(0.1), 0.0, -0.3])
 def test_sun_at_zenith_and_at_the_horizon_is_defined(rocky, elevation):
-    full = Light(1.0, elevation, photometry="hapke", diameter=SUN, scattered=True, mottle=0.05)
+    full = Light(
+        1.0,
+        elevation,
+        photometry="hapke",
+        diameter=SUN,
+        scattered_light=True,
+        albedo_variation=0.05,
+    )
     image = renderer_of(rocky).render(above((0.0, 0.0), 60.0, 0.5, (64, 48)), full).radiance
     assert np.isfinite(image).all() and image.min() >= 0.0
     if elevation <= 0.0:

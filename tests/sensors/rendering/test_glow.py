@@ -66,15 +66,15 @@ def test_straight_above_and_below_the_horizon():
     z = np.random.default_rng(0).normal(size=grid.shape).astype(np.float32)
     z[3, 4] = np.nan
     relief = Heightfield(grid, z)
-    assert np.all(scattered_light_map(relief, Light(0.0, -0.1, scattered=True)).values == 0.0)
-    noon = scattered_light_map(relief, Light(0.0, 0.5 * np.pi, scattered=True)).values
+    assert np.all(scattered_light_map(relief, Light(0.0, -0.1, scattered_light=True)).values == 0.0)
+    noon = scattered_light_map(relief, Light(0.0, 0.5 * np.pi, scattered_light=True)).values
     assert np.isfinite(noon).all() and (noon[..., 0] >= 0.0).all() and noon[..., 0].max() > 0.0
 
 
 def test_map_lies_over_its_ground():
     grid = Grid(100.0, -40.0, 2.0, 30, 20)
     relief = Heightfield(grid, np.zeros(grid.shape, np.float32))
-    found = scattered_light_map(relief, Light(scattered=True))
+    found = scattered_light_map(relief, Light(scattered_light=True))
     scale = found.from_camera(np.array([110.0, -20.0, 50.0]))
     # The camera is over post (5, 10): the middle of that texel.
     rows, cols = found.values.shape[:2]

@@ -22,7 +22,7 @@ ROUGH = {
 
 def check_scene(scene: dict, elevations, altitudes):
     for elevation in elevations:
-        sun = scene.get("sun", {}) | {"elevation_deg": elevation, "scattered": True}
+        sun = scene.get("sun", {}) | {"elevation_deg": elevation, "scattered_light": True}
         scenario = Scenario.from_dict(scene | {"sun": sun})
         world = build_world(scenario, RandomStreams(flight_seed(1, 0)))
         camera = replace(first_camera(scenario), width=160, height=120)

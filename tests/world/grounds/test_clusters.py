@@ -38,9 +38,10 @@ def scenario(**changes: dict) -> Scenario:
         "name": "blocks",
         "terrain": {
             "size_m": 200.0, "posting_m": 1.0, "detail_m": 0.0, "preset": "mare",
-            "crater_ageing": "diffusion",
+            "crater_degradation": "diffusion",
         },
-        "rocks": {"min_diameter_m": 0.5, "clustered": 0.8, "block_crater_m": 12.0},
+        "rocks": {"min_diameter_m": 0.5, "cluster_fraction": 0.8,
+        "min_block_crater_diameter_m": 12.0},
     }  # fmt: skip
     for name, values in changes.items():
         table[name] = {**table.get(name, {}), **values}
@@ -50,7 +51,7 @@ def scenario(**changes: dict) -> Scenario:
 def test_a_scenario_has_them_about_its_own_craters():
     near = {}
     for share in (0.0, 0.8):
-        made = scenario(rocks={"clustered": share, "block_crater_m": 30.0})
+        made = scenario(rocks={"cluster_fraction": share, "min_block_crater_diameter_m": 30.0})
         ground = made.terrain.make()
         rocks = ground.build(made.rocks.make(), RandomStreams(5)).rocks
         craters = ground.craters(ground.relief())
@@ -65,10 +66,10 @@ def test_a_scenario_has_them_about_its_own_craters():
 @pytest.mark.parametrize(
     ("changes", "field"),
     [
-        ({"terrain": {"crater_ageing": "even"}}, "rocks.clustered"),
-        ({"terrain": {"crater_density": 0.0}}, "rocks.clustered"),
-        ({"rocks": {"block_crater_m": 500.0}}, "rocks.clustered"),
-        ({"rocks": {"clustered": 1.5}}, "rocks.clustered"),
+        ({"terrain": {"crater_degradation": "uniform"}}, "rocks.cluster_fraction"),
+        ({"terrain": {"crater_density": 0.0}}, "rocks.cluster_fraction"),
+        ({"rocks": {"min_block_crater_diameter_m": 500.0}}, "rocks.cluster_fraction"),
+        ({"rocks": {"cluster_fraction": 1.5}}, "rocks.cluster_fraction"),
     ],
 )
 def test_blocks_need_craters(changes, field):

@@ -35,7 +35,7 @@ def test_ground_between_measured_posts_is_rough_unless_it_is_asked_not_to_be():
 def test_ground_is_carried_on_beyond_its_raster_by_mirrors():
     """The middle is what was measured; beyond it lies what lies as far within its edges."""
     own = RasterTerrain(path=DTM, relief_scale=0.2, detail=False, posting=2.0)
-    wide, narrow = replace(own, mirrored_to=300.0).relief(), own.relief()
+    wide, narrow = replace(own, mirrored_size=300.0).relief(), own.relief()
     west, east, south, north = wide.grid.extent
     assert 300.0 <= min(east - west, north - south) < 306.0
     col, row = (
@@ -50,6 +50,6 @@ def test_ground_is_carried_on_beyond_its_raster_by_mirrors():
         assert np.array_equal(wide.z[:, last + off], wide.z[:, last - off])
         assert np.array_equal(wide.z[:, col - off], wide.z[:, col + off])
     assert np.array_equal(wide.z[row - 5], wide.z[row + 5])
-    assert replace(own, mirrored_to=10.0).relief().grid == narrow.grid
+    assert replace(own, mirrored_size=10.0).relief().grid == narrow.grid
     with pytest.raises(InputError, match=r"terrain\.posting_m: must be at least"):
-        replace(own, mirrored_to=1e6).relief()
+        replace(own, mirrored_size=1e6).relief()

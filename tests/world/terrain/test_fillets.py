@@ -35,7 +35,7 @@ def test_no_soil_is_asked_for_by_default():
     rocks = RockField.hemispheres([0.0], [0.0], 0.0, 1.0)
     assert add_fillets(relief, rocks, 0.0) is relief
     assert add_fillets(relief, RockField.empty(), 0.3) is relief
-    assert Scenario.from_dict({}).rocks.fillet == 0.0
+    assert Scenario.from_dict({}).rocks.fillet_height_ratio == 0.0
 
 
 @pytest.mark.parametrize("share", [-0.1, 0.6, float("nan")])
@@ -47,7 +47,7 @@ def test_a_share_that_is_none_is_refused(share):
 
 def test_a_scenarios_soil_is_a_part_of_the_ground_that_all_see():
     plain = {"terrain": {"size_m": 40.0, "posting_m": 0.1}, "rocks": {"cover": 0.05}}
-    banked = Scenario.from_dict(plain).changed(rocks={"fillet": 0.3})
+    banked = Scenario.from_dict(plain).changed(rocks={"fillet_height_ratio": 0.3})
     bare = Scenario.from_dict(plain)
     grounds = [
         s.terrain.make().build(s.rocks.make(), RandomStreams(3)) for s in (bare, banked)

@@ -251,7 +251,7 @@ def test_several_undeclared_no_data_values_are_refused_together(tmp_path, marker
     z = 10.0 * HILL + 900.0
     z[10, 20:22] = markers
     path = write(tmp_path / "z.tif", z, dtype="int16")
-    with pytest.raises(InputError, match=r"2 posts.*dtm_nodata = \[.*,.*\]"):
+    with pytest.raises(InputError, match=r"2 points.*dtm_nodata = \[.*,.*\]"):
         load_terrain(path)
     assert np.isnan(load_terrain(path, nodata=markers).z).sum() == 2
 
@@ -259,7 +259,7 @@ def test_several_undeclared_no_data_values_are_refused_together(tmp_path, marker
 def test_a_margin_of_zeros_is_refused(tmp_path):
     z = HILL + 300.0
     z[:4] = 0.0
-    with pytest.raises(InputError, match=r"800 posts of value 0, .*dtm_nodata = 0,"):
+    with pytest.raises(InputError, match=r"800 points of value 0, .*dtm_nodata = 0,"):
         load_terrain(write(tmp_path / "z.tif", z))
 
 
@@ -482,9 +482,9 @@ def test_keys_of_the_surroundings(tmp_path):
         moon = CentralGravity(1.622, 1_737_400.0, np.zeros(3))
         return around.build(flat, moon, RandomStreams(1)).level(0)
 
-    with pytest.raises(InputError, match=r"surroundings\.path.*surroundings\.dtm_unit"):
+    with pytest.raises(InputError, match=r"far_terrain\.path.*far_terrain\.dtm_unit"):
         first()
-    with pytest.raises(InputError, match=r"surroundings\.dtm_nodata"):
+    with pytest.raises(InputError, match=r"far_terrain\.dtm_nodata"):
         first(dtm_unit="m")
     with pytest.raises(InputError, match="without gaps"):
         first(dtm_unit="m", dtm_nodata=-9999.0)

@@ -12,10 +12,12 @@ from lunarsim._jit import kernel
 
 @kernel()
 def highest_residual(residual_heights, x0, y0, posting, xy, reach):
-    """Return the maximum residual height near points (n,); 0 without a sample.
+    """Return the maximum residual height near each of n positions (n,), m.
 
-    `residual_heights` (rows, cols) holds the residual height of the sample of each cell, NaN
-    without one.
+    The residual height of an elevation sample is its height above a plane fitted to the terrain.
+    `residual_heights` (rows, cols) holds that of each cell, m, NaN without a sample. (`x0`, `y0`)
+    is the centre of cell (0, 0) and `posting` the cell size, m. `xy` (n, 2) are the positions and
+    `reach` (n,) the search radii, m. The result is 0 where there is no sample.
     """
     rows, cols = residual_heights.shape
     out = np.zeros(xy.shape[0])

@@ -34,14 +34,17 @@ _KEYS = ("intercept", "slope", "other")
 
 @dataclass(frozen=True)
 class FusedCalibration:
-    """Weights of the calibration C.
+    """Weights of the calibration C of the fused landing probability.
+
+    The calibrated log odds are logit p + clip(a + (b - 1) logit p + c logit q), where p is the
+    fused probability and q the probability of a second elevation map.
 
     Attributes
     ----------
     intercept, slope
         Weights a and b; the defaults leave the log odds unchanged.
     other
-        Weight c of the log odds of the second map.
+        Weight c of the log odds of the second elevation map.
 
     Raises
     ------
@@ -64,16 +67,18 @@ class FusedCalibration:
             if getattr(self, name) < 0.0:
                 raise InputError(
                     f"calibration.{name}", getattr(self, name),
-                    "must be 0 or more; better evidence must not make a site less safe",
+                    "must be 0 or more, so that a safer input map never makes a site less safe",
                 )  # fmt: skip
 
     def probability(self, p: ArrayLike, other: ArrayLike, seen: ArrayLike) -> NDArray[np.float32]:
-        """Return the calibrated probability C (...); where `p` is 0, it remains 0.
+        """Return the calibrated probability C of a safe landing (...).
+
+        Where `p` is 0, the result is 0.
 
         Parameters
         ----------
         p, other
-            Probabilities of the fused map and of the second map (...).
+            Probabilities of a safe landing in the fused map and in the second elevation map (...).
         seen
             Where the second map has observed the terrain (...).
         """
@@ -96,18 +101,20 @@ class FusedCalibration:
         *,
         worth: float = 1.0,
     ) -> FusedCalibration:
-        """Fit the weights to groups of sites by maximum likelihood.
+        """Fit the weights to groups of sites with known safety by maximum likelihood.
 
-        A prior with the weight of one site pulls the weights towards the identity.
+        A prior with the weight of one site pulls the weights towards the identity (C = p).
 
         Parameters
         ----------
         p, other, seen
-            Probabilities and observation flag of each group (n,), as in `probability`.
+            Probability in the fused map, probability in the second map and whether the second map
+            has observed the site, for each group (n,).
         safe, unsafe
             Numbers of safe and unsafe sites in each group (n,).
         worth
-            Weight of a site, less than 1 because neighbouring sites share their terrain.
+            Weight of one site in the likelihood, less than 1 because neighbouring sites share their
+            terrain.
 
         Raises
         ------
@@ -126,6 +133,7 @@ class FusedCalibration:
         columns = np.column_stack((np.ones_like(x), x, y))
 
         def loss(w: Array) -> tuple[float, Array]:
+            """Return the negative log posterior of the weights `w` (3,) and its gradient (3,)."""
             odds = columns @ w
             chance = expit(odds)
             value = good @ np.logaddexp(0.0, -odds) + bad @ np.logaddexp(0.0, odds)
@@ -158,6 +166,7 @@ class FusedCalibration:
 
 
 def _log_odds(p: ArrayLike) -> Array:
+    """Return the log odds of probabilities (...), limited to +-10."""
     with np.errstate(divide="ignore"):
         return np.asarray(
             np.clip(logit(np.asarray(p, dtype=np.float64)), -_MAX_LOG_ODDS, _MAX_LOG_ODDS)

@@ -30,16 +30,20 @@ _MIN_FALSE_ALARM = 1e-3
 
 @dataclass(frozen=True)
 class RockDetectability:
-    """Detectability of individual rocks.
+    """Probabilities that elevation samples show individual rocks or resemble them.
+
+    A sample shows a rock if its residual height (above a plane fitted to the terrain) reaches
+    `min_residual` near the rock.
 
     Attributes
     ----------
     min_residual
-        Minimum residual height that shows each rock (n,), m.
+        Minimum residual height that counts as a sign of each rock (n,), m.
     detection_probability
-        Probability that the samples show each, if it is a rock (n,).
+        Probability that the samples show the rock, if there is a rock (n,).
     false_alarm_probability
-        False-alarm probability of such a residual height at any place (n,).
+        Probability that a residual height of at least `min_residual` occurs near an arbitrary place
+        (n,).
     """
 
     min_residual: Array
@@ -48,7 +52,10 @@ class RockDetectability:
 
     @property
     def rise_probability(self) -> Array:
-        """Probability of a sufficient residual height at a rock, true or by chance (n,)."""
+        """Probability of a residual height of at least `min_residual` at a true rock (n,).
+
+        It counts residual heights caused by the rock and by chance.
+        """
         return np.asarray(
             self.detection_probability
             + (1.0 - self.detection_probability) * self.false_alarm_probability
@@ -57,19 +64,19 @@ class RockDetectability:
 
 @dataclass(frozen=True)
 class ElevationSamples:
-    """Elevation samples at the places of rocks.
+    """Residual heights and density of elevation samples, to test for tracked rocks.
 
     Attributes
     ----------
     residual_heights
-        Residual height of the sample of each cell above the local plane (rows, cols), m; NaN
-        without a sample.
+        Height of the sample of each cell above a plane fitted to the terrain around it (rows,
+        cols), m; NaN without a sample.
     density
         Samples per square metre (rows, cols).
     grid
-        Cells of both.
+        Cells of both rasters.
     height_ratio
-        Height over diameter of the rocks expected by the mission.
+        Ratio of height to diameter of the rocks expected by the mission.
     """
 
     residual_heights: NDArray[np.float32]
@@ -79,7 +86,10 @@ class ElevationSamples:
 
     @cached_property
     def max_residual(self) -> NDArray[np.float32]:
-        """Maximum residual height near each cell (rows, cols), m; -1e6 without a sample."""
+        """Maximum residual height within 0.35 m of each cell (rows, cols), m.
+
+        It is -1e6 without a sample.
+        """
         half = max(round(_SEARCH_DISTANCE_M / self.grid.posting), 1)
         y, x = np.mgrid[-half : half + 1, -half : half + 1]
         near = np.hypot(x, y) * self.grid.posting <= _SEARCH_DISTANCE_M
@@ -90,17 +100,18 @@ class ElevationSamples:
 
     @cached_property
     def _sorted_max_residual(self) -> NDArray[np.float32]:
+        """All values of `max_residual`, ascending (rows * cols,), m."""
         return np.sort(self.max_residual, axis=None)
 
     def detectability(self, height: Array, density: Array) -> RockDetectability:
-        """Return the detection and false-alarm probabilities of rocks.
+        """Return detection and false-alarm probabilities for rocks of given heights.
 
         Parameters
         ----------
         height
             Heights of the rocks (n,), m.
         density
-            Samples per square metre near each (n,).
+            Samples per square metre near each rock (n,).
         """
         min_residual = _VISIBLE_SHARE * height
         false_alarm_probability = (

@@ -55,16 +55,20 @@ _UNDETECTED_ROCK_FACTOR = 10.0
 def flat_terrain_probability(
     site_evidence: MapEvidence, prior: float, free_of_unseen: Array
 ) -> Array:
-    """Return the probability of safe terrain, ignoring tracked rocks (rows, cols).
+    """Return the probability of safe terrain from a formula, without tracked rocks.
 
-    It is meaningless where nothing was measured; see `apply_ceiling`.
+    The result (rows, cols) is the product of the prior, a factor for the margins of slope and
+    roughness, and the probability of no undetected rock. It is meaningless where nothing was
+    measured; `apply_ceiling` sets it to 0 there.
 
     Parameters
     ----------
     site_evidence
-        Site evidence from elevations, with undetected rocks thinned by the rock sensor.
+        Slope, roughness and expected undetected rocks of each site, measured by the elevation
+        mapper; the number of undetected rocks is already reduced by the rock sensor.
     prior
-        Probability that slope and relief are within the limits, as expected by the mission.
+        Probability that slope and roughness of the terrain are within the limits, as expected by
+        the mission before any measurement.
     free_of_unseen
         Probability of no undetected rock, from `no_undetected_rock_probability` (rows, cols).
     """
@@ -75,9 +79,11 @@ def flat_terrain_probability(
 
 
 def apply_ceiling(site_evidence: MapEvidence, p: Array) -> NDArray[np.float32]:
-    """Limit probabilities (rows, cols) to what the measurements permit.
+    """Limit probabilities of safe terrain to what the measurements permit.
 
-    The result is 0 where the terrain was not measured and where the evidence is not a number.
+    `p` (rows, cols) are the probabilities. `site_evidence` holds the elevation measurements of each
+    site, from which `observed_terrain_bound` computes the limit. The result (rows, cols) is 0 where
+    the terrain was not measured and where `p` or the limit is NaN.
     """
     p = np.minimum(p, observed_terrain_bound(site_evidence))
     return np.where(site_evidence.observed & np.isfinite(p), p, 0.0).astype(np.float32)
@@ -86,16 +92,18 @@ def apply_ceiling(site_evidence: MapEvidence, p: Array) -> NDArray[np.float32]:
 def no_undetected_rock_probability(
     site_evidence: MapEvidence, none_missed: Array | float = 0.0
 ) -> Array:
-    """Return the probability of no undetected rock, regardless of the terrain.
+    """Return the probability of no undetected hazardous rock at each site.
 
-    The result (rows, cols) is 0 for samples noisier or sparser than those of the calibration.
+    The result (rows, cols) does not depend on slope and roughness. It is 0 if the samples are
+    noisier or sparser than those of the calibration.
 
     Parameters
     ----------
     site_evidence
-        Site evidence, as in `flat_terrain_probability`.
+        Expected number of undetected rocks and sampling statistics from the elevation mapper.
     none_missed
-        Result of `no_missed_rock_probability` (rows, cols).
+        Probability that the rock sensor misses no rock, from `no_missed_rock_probability` (rows,
+        cols). The larger of this and the probability from the samples is returned.
     """
     if (
         site_evidence.noise_ratio > NOISE_RATIO_RANGE[1]
@@ -103,7 +111,7 @@ def no_undetected_rock_probability(
     ):
         return np.zeros(site_evidence.level.grid.shape)
     return np.asarray(
-        np.maximum(np.exp(-_UNDETECTED_ROCK_FACTOR * site_evidence.hazards()), none_missed)
+        np.maximum(np.exp(-_UNDETECTED_ROCK_FACTOR * site_evidence.expected_hazards()), none_missed)
     )
 
 
@@ -112,39 +120,44 @@ def no_missed_rock_probability(
 ) -> Array:
     """Return the probability that the rock sensor misses no rock under the lander.
 
-    The result (rows, cols) is 0 where the sensor has no observation, does not provide the
-    probability, or is rejected.
+    The result (rows, cols) is 0 where the sensor has no observation. It is 0 everywhere if the
+    sensor does not provide the probability or has found too few rocks to be plausible.
 
     Parameters
     ----------
     rocks
-        Evidence of the rock sensor.
+        Detections and detection limits of the rock sensor.
     placed, heights
-        Its tracks after registration, and their height estimates.
+        Rock tracks after registration to the elevations, and their height estimates.
     grid
-        Sites.
+        Cells of the result.
     limit
         Height above which a rock is hazardous, m.
     """
-    if rocks.unseen is None or not is_detection_count_plausible(rocks, placed, heights, limit):
+    if rocks.undetected_probability is None or not is_detection_count_plausible(
+        rocks, placed, heights, limit
+    ):
         return np.zeros(grid.shape)
     own = rocks.hazard_map
     seen = resample_to_grid(own.observed, own.grid, grid, False, "minimum")
-    unseen = resample_to_grid(rocks.unseen, own.grid, grid, 1.0, "maximum")
+    unseen = resample_to_grid(rocks.undetected_probability, own.grid, grid, 1.0, "maximum")
     return np.where(seen, 1.0 - unseen, 0.0)
 
 
 def is_detection_count_plausible(
     rocks: RockEvidence, placed: RockTracks, heights: RockHeights, limit: float
 ) -> bool:
-    """Return whether the rock sensor finds a plausible number of rocks.
+    """Return whether the rock sensor has found enough rocks to be trusted.
+
+    Few rocks compared with the expected population indicate a sensor that does not see rocks. If
+    the rock map is calibrated in any cell, the function returns True without counting.
 
     Parameters
     ----------
     rocks
-        Evidence of the rock sensor.
+        Detections and detection limits of the rock sensor.
     placed, heights
-        Its tracks after registration, and their height estimates.
+        Rock tracks after registration to the elevations, and their height estimates.
     limit
         Height above which a rock is hazardous, m.
     """
@@ -153,4 +166,6 @@ def is_detection_count_plausible(
         return True
     inside = np.asarray(rocks.hazard_map.grid.contains(placed.xy)) & (placed.existence > 0.5)
     high = heights.scale * placed.radius >= limit
-    return not is_rock_count_too_low(int(np.count_nonzero(inside & high)), rocks.expected)
+    return not is_rock_count_too_low(
+        int(np.count_nonzero(inside & high)), rocks.expected_detections
+    )

@@ -62,17 +62,18 @@ _ROUNDING = np.float32(1e-5)
 def fuse_evidence(
     relief: TerrainEvidence | None, rocks: RockEvidence | None, terms: FusionPriors
 ) -> HazardMap:
-    """Return the map of two sensors, of which either may have no evidence yet.
+    """Fuse the measurements of an elevation and a rock mapper into one hazard map.
 
-    If there are elevations, the map has their cells.
+    If there are elevations, the map has the cells of the elevation map, otherwise those of the rock
+    map.
 
     Parameters
     ----------
     relief, rocks
-        Evidence of a mapper of elevations and of a mapper of rocks; None without evidence. At least
-        one is required.
+        Data of the elevation mapper and of the rock mapper; None if there are no measurements yet.
+        At least one is required.
     terms
-        Prior knowledge.
+        Lander, expected rocks and terrain prior, known before any observation.
 
     Raises
     ------
@@ -81,8 +82,8 @@ def fuse_evidence(
     """
     if relief is None:
         if rocks is None:
-            raise InputError("evidence", None, "must have evidence of at least one mapper")
-        return _rock_map(rocks, rocks.hazard_map.grid, terms.relief_prior)
+            raise InputError("evidence", None, "must be given for at least one mapper")
+        return _rock_map(rocks, rocks.hazard_map.grid, terms.terrain_prior)
     if rocks is None:
         return _elevation_map(relief, terms)
     terrain = relief.surface
@@ -95,14 +96,14 @@ def fuse_evidence(
     free_of_tracks, free_of_unseen = p, np.ones(terrain.grid.shape)
     if site_evidence is not None:
         free_of_unseen = no_undetected_rock_probability(site_evidence, none_missed)
-        untracked = flat_terrain_probability(site_evidence, terms.relief_prior, free_of_unseen)
+        untracked = flat_terrain_probability(site_evidence, terms.terrain_prior, free_of_unseen)
         flat = apply_ceiling(site_evidence, untracked * clear)
         free_of_tracks = np.maximum(p, apply_ceiling(site_evidence, untracked))
     prior = unobserved_safety_prior(
         free_of_tracks[measured], free_of_unseen[measured], terrain.grid.posting, terms
     )
     # Where the rock sensor has no observation, the claim of the elevations remains valid.
-    is_unaffected = ~thinning.touched & (clear == 1.0)
+    is_unaffected = ~thinning.is_changed & (clear == 1.0)
     is_claimed_unsafe = known & (p <= HOPELESS)
     p = (p * clear).astype(np.float32)
     # Rocks on unmeasured terrain have the height scale of the rocks seen by both sensors.
@@ -119,13 +120,18 @@ def fuse_evidence(
 
 
 def _elevation_map(relief: TerrainEvidence, terms: FusionPriors) -> HazardMap:
-    """Return the map of the elevations without rock evidence."""
+    """Return the hazard map of the elevation mapper alone.
+
+    Where the result of `flat_terrain_probability` is larger than the calibrated probability, it
+    replaces the calibrated probability. `relief` is the data of the elevation mapper; `terms` are
+    the priors of the fusion.
+    """
     if relief.site_evidence is None:
         return relief.hazard_map
     p, known = _elevation_probability(relief, relief.site_evidence)
     untracked = flat_terrain_probability(
         relief.site_evidence,
-        terms.relief_prior,
+        terms.terrain_prior,
         no_undetected_rock_probability(relief.site_evidence),
     )
     level = apply_ceiling(relief.site_evidence, untracked)
@@ -137,15 +143,18 @@ def _rock_free_probabilities(
 ) -> tuple[Array, Array]:
     """Return the probabilities of no hazardous tracked rock and of no missed rock.
 
-    Both (rows, cols). With known samples, rocks are registered to the elevations
-    (`register_tracks`) and get the height that both sensors support (`estimate_rock_heights`).
-    Otherwise they keep the outlines of the rock sensor, and their existence depends on the rises in
-    the elevations.
+    Both have the shape (rows, cols) of the elevation map. If the elevation samples are available,
+    the rock tracks are registered to them (`register_tracks`) and their heights are estimated from
+    both sensors (`estimate_rock_heights`). Otherwise the tracks keep the size from the rock sensor,
+    only their existence is updated from the elevations, and the second probability is 0. `relief`
+    and `rocks` are the data of the two mappers; `terms` are the priors of the fusion.
     """
     tracks, grid, lander = rocks.tracks, relief.surface.grid, terms.lander
     if relief.residual_heights is None or relief.site_evidence is None:
         updated = replace(tracks, existence=existence_given_elevations(tracks, relief, lander))
-        clear = resample_to_grid(rocks.clear(updated), rocks.hazard_map.grid, grid, 1.0, "minimum")
+        clear = resample_to_grid(
+            rocks.clear_probability(updated), rocks.hazard_map.grid, grid, 1.0, "minimum"
+        )
         return clear, np.zeros(grid.shape)
     ratio = terms.height_ratio
     samples = ElevationSamples(relief.residual_heights, relief.site_evidence.density, grid, ratio)
@@ -158,26 +167,27 @@ def _rock_free_probabilities(
 def footprint_undetected_ratio(
     rocks: RockEvidence, grid: Grid, terms: FusionPriors
 ) -> UndetectedRockRatio:
-    """Return the ratio of rocks that remain undetected by the rock sensor, per site.
+    """Return the fraction of rocks that the rock sensor misses at each site.
 
-    Both sensors may miss a rock for the same reason, so no observation reduces the ratio below
-    `COMMON_MISS_PROBABILITY`. Off the map of the rock sensor the ratio is 1. The ratio under a
-    footprint is the mean over the possible rock centres.
+    The fraction is relative to the number expected before any observation and refers to rocks that
+    reach under the lander: it is the mean over the possible rock centres. Both sensors may miss a
+    rock for the same reason, so no observation reduces it below `COMMON_MISS_PROBABILITY`. Off the
+    map of the rock sensor it is 1.
 
     Parameters
     ----------
     rocks
-        Evidence of the rock sensor.
+        Detections and detection limits of the rock sensor.
     grid
-        Sites.
+        Cells of the result; each is a possible landing site.
     terms
-        Prior knowledge.
+        Priors of the fusion, which give the size of the lander and the expected rocks.
     """
     lander = terms.lander
     footprint = lander.leg_radius + 0.5 * lander.pad_diameter
     ratio = np.empty((len(rocks.diameter), *grid.shape), np.float32)
     for n, diameter in enumerate(rocks.diameter):
-        remaining = np.maximum(rocks.ratio[n], np.float32(COMMON_MISS_PROBABILITY))
+        remaining = np.maximum(rocks.undetected_ratio[n], np.float32(COMMON_MISS_PROBABILITY))
         if (remaining == 1.0).all():
             ratio[n] = 1.0
             continue
@@ -191,34 +201,37 @@ def footprint_undetected_ratio(
 def _reduce_undetected(
     relief: TerrainEvidence, thinning: UndetectedRockRatio
 ) -> MapEvidence | None:
-    """Return the site evidence with undetected rocks reduced by the rock sensor.
+    """Return the site data of the elevation map with fewer expected undetected rocks.
 
-    The original if no rocks are reduced; None if the elevations provide no site evidence.
+    `thinning` is the fraction of rocks that the rock sensor leaves undetected. If it is 1 on all
+    observed terrain, the site data of `relief` are returned unchanged. None if the elevation mapper
+    provides no site data.
     """
-    if relief.site_evidence is None or not (thinning.touched & relief.surface.observed).any():
+    if relief.site_evidence is None or not (thinning.is_changed & relief.surface.observed).any():
         return relief.site_evidence
-    return replace(relief.site_evidence, thinning=thinning)
+    return replace(relief.site_evidence, undetected_rock_ratio=thinning)
 
 
 def _elevation_probability(
     relief: TerrainEvidence, site_evidence: MapEvidence | None
 ) -> tuple[FloatMap, BoolMap]:
-    """Return the probability from elevations, and where it is a frequency.
+    """Return p_safe from the elevations and where it is a calibrated frequency.
 
-    Both (rows, cols). With the original evidence it is the mapper's own map, bit for bit, which is
-    computed only then.
+    Both have shape (rows, cols). If `site_evidence` is the unchanged object of `relief`, they are
+    taken from the hazard map of the elevation mapper, which is computed only in this case.
     """
     if site_evidence is not None and site_evidence is not relief.site_evidence:
-        return calibrated_safety(site_evidence, refit=relief.refit)
+        return calibrated_safety(site_evidence, refit=relief.scenario_calibration)
     drawn = relief.hazard_map
     known = np.zeros_like(drawn.observed) if drawn.in_domain is None else drawn.in_domain
     return drawn.p_safe, known
 
 
 def _rock_map(rocks: RockEvidence, grid: Grid, prior: float) -> HazardMap:
-    """Return the rock map on other cells, multiplied by a prior for the terrain.
+    """Return the rock map resampled to `grid`, multiplied by a prior for the terrain.
 
-    It is nowhere a calibrated frequency, because the terrain was not measured.
+    `rocks` is the data of the rock mapper; `prior` is the probability that the terrain itself is
+    safe. The result is nowhere a calibrated frequency, because the terrain was not measured.
     """
     drawn, own = rocks.hazard_map, rocks.hazard_map.grid
     observed = resample_to_grid(drawn.observed, own, grid, False, "minimum")

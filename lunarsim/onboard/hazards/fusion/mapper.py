@@ -32,49 +32,62 @@ _EVIDENCE_NAMES = {TerrainEvidence: "elevations", RockEvidence: "rocks"}
 
 @dataclass(frozen=True)
 class FusedMapperSettings:
-    """Settings of a mapper that fuses the evidence of other mappers.
+    """Settings of a mapper that fuses an elevation mapper and a rock mapper.
 
-    It has no sensor. Its cells are those of the mapper of elevations.
+    The mapper has no sensor. Its map has the cells of the elevation map.
 
     Attributes
     ----------
-    of
-        Names of the fused mappers: one of elevations, one of rocks, or both. Default: all mappers.
-    relief_prior
-        Terrain prior, as in `FusionPriors`.
+    inputs
+        Names of the fused mappers: one elevation mapper, one rock mapper, or both. Default: all
+        other mappers.
+    terrain_prior
+        Probability that slope and roughness of unmeasured terrain are within the limits of the
+        lander.
     calibration_path
-        File of a `FusedCalibration`, the last stage of the probability; None: no such stage.
-    feature
-        Name of a second mapper of elevations, used as a feature of the calibration; empty: none.
+        File of a `FusedCalibration`, which is applied last to the fused probability; None: it is
+        not recalibrated.
+    calibration_mapper
+        Name of another elevation mapper, whose probability is an input of the calibration; empty:
+        none.
     interval
         Minimum time between two updates of the map, s.
     """
 
-    of: tuple[str, ...] = quantity((), help="names of the fused mappers; omitted: all")
-    relief_prior: float = quantity(
-        0.9, ge=0, lt=1, help="probability that unmeasured terrain is within the limits"
+    inputs: tuple[str, ...] = quantity(
+        (), help="names of the fused mappers; omitted: all other mappers"
+    )
+    terrain_prior: float = quantity(
+        0.9, ge=0, lt=1, help="probability that unmeasured terrain is within the lander's limits"
     )
 
     calibration_path: Path | None = quantity(
         None, help="calibration file of the fused map, relative to the scenario file"
     )
-    feature: str = quantity("", help="second mapper of elevations for the calibration")
+    calibration_mapper: str = quantity(
+        "", help="another elevation mapper whose probability enters the calibration; empty: none"
+    )
     interval: float = quantity(
         1.0, "s", ge=0, le=10, help="minimum time between two updates of the map"
     )
 
-    takes: ClassVar[type] = NoneType
+    accepts: ClassVar[type] = NoneType
     sensor: ClassVar[str] = ""
 
     def __post_init__(self) -> None:
         check_bounds(self, "mappers")
         found = self.calibration()
-        if self.feature and found is None:
-            raise InputError("feature", self.feature, "must be omitted without calibration_path")
-        if found is not None and found.other > 0.0 and not self.feature:
+        if self.calibration_mapper and found is None:
+            raise InputError(
+                "calibration_mapper",
+                self.calibration_mapper,
+                "must be omitted without calibration_path",
+            )
+        if found is not None and found.other > 0.0 and not self.calibration_mapper:
             raise InputError(
                 "calibration_path", str(self.calibration_path),
-                f"must not weight a second map ({found.other:g}) without feature", "Set feature.",
+                f"must not weight a second map ({found.other:g}) without calibration_mapper",
+                "Set calibration_mapper.",
             )  # fmt: skip
 
     def calibration(self) -> FusedCalibration | None:
@@ -90,59 +103,70 @@ class FusedMapperSettings:
                 f"must be a valid calibration ({error})",
             ) from None
 
-    def chosen(self, parts: Mapping[str, Any]) -> dict[str, type]:
-        """Return the fused mappers by name with the types of their evidence.
+    def fused_mappers(self, parts: Mapping[str, Any]) -> dict[str, type]:
+        """Return the names of the fused mappers with the types of their fusion data.
 
         Parameters
         ----------
         parts
-            Settings of all mappers by name, including this one.
+            Settings of all mappers by name, including these settings.
 
         Raises
         ------
         InputError
-            If a mapper is unknown, provides no evidence (as a fused one), is named twice, or
-            provides the same evidence as another, or if there is none.
+            If a mapper is unknown, provides no data for fusion, is named twice, or provides the
+            same kind of data as another, or if there is no mapper.
         """
         others = {n: p for n, p in parts.items() if not isinstance(p, FusedMapperSettings)}
-        names = self.of or tuple(n for n in others if n != self.feature)
+        names = self.inputs or tuple(n for n in others if n != self.calibration_mapper)
         if not names:
             raise InputError(
-                "of", self.of, "must name at least one other mapper", "Add a table [mappers.NAME]."
+                "inputs",
+                self.inputs,
+                "must name at least one other mapper",
+                "Add a table [mappers.NAME].",
             )
         found: dict[str, type] = {}
         for name in names:
             if name not in parts:
-                raise InputError("of", name, "is unknown", suggestion(name, others))
+                raise InputError("inputs", name, "is unknown", suggestion(name, others))
             published = getattr(parts[name], "publishes", None)
             if published not in _EVIDENCE_NAMES:
-                raise InputError("of", name, "must be a mapper that publishes evidence")
+                raise InputError(
+                    "inputs", name, "must be a mapper that publishes evidence (elevations or rocks)"
+                )
             if name in found:
-                raise InputError("of", names, f"must name each mapper once, not {name!r} twice")
+                raise InputError("inputs", names, f"must name each mapper once, not {name!r} twice")
             if published in found.values():
                 raise InputError(
-                    "of", names,
-                    f"must name one mapper of {_EVIDENCE_NAMES[published]} only, "
-                    "because two maps of the same returns are not independent",
+                    "inputs", names,
+                    f"must name at most one mapper of {_EVIDENCE_NAMES[published]}, "
+                    "because two maps of the same data are not independent",
                 )  # fmt: skip
             found[name] = published
         self._check_feature(parts, found)
         return found
 
     def _check_feature(self, parts: Mapping[str, Any], of: Mapping[str, type]) -> None:
-        """Reject a feature that is not a second mapper of elevations."""
-        if not self.feature:
+        """Raise InputError if `calibration_mapper` is not another elevation mapper.
+
+        `parts` are the settings of all mappers by name; `of` are the fused mappers by name.
+        """
+        if not self.calibration_mapper:
             return
-        if self.feature not in parts:
+        if self.calibration_mapper not in parts:
             others = {n: p for n, p in parts.items() if n not in of}
             raise InputError(
-                "feature", self.feature, "is unknown", suggestion(self.feature, others)
+                "calibration_mapper",
+                self.calibration_mapper,
+                "is unknown",
+                suggestion(self.calibration_mapper, others),
             )
-        published = getattr(parts[self.feature], "publishes", None)
-        if self.feature in of or published is not TerrainEvidence:
+        published = getattr(parts[self.calibration_mapper], "publishes", None)
+        if self.calibration_mapper in of or published is not TerrainEvidence:
             raise InputError(
-                "feature", self.feature,
-                "must be a mapper of elevations that is not fused",
+                "calibration_mapper", self.calibration_mapper,
+                "must be an elevation mapper that is not one of the fused inputs",
             )  # fmt: skip
 
     def build(
@@ -151,41 +175,43 @@ class FusedMapperSettings:
         navigation: Navigation,
         mappers: Mapping[str, HazardMapper] | None = None,
     ) -> FusedMapper:
-        """Return the mapper of one flight.
+        """Build the fused mapper of one flight.
 
         Parameters
         ----------
         briefing, navigation
-            As for all mappers.
+            Data known before the flight, and the navigation filter.
         mappers
-            Mappers built before this one, by name.
+            Mappers that were built before, by name; the fused ones must be among them.
         """
-        chosen = self.chosen(briefing.software.mappers)
-        terms = FusionPriors(briefing.lander, briefing.rocks, self.relief_prior)
+        chosen = self.fused_mappers(briefing.software.mappers)
+        terms = FusionPriors(briefing.lander, briefing.rocks, self.terrain_prior)
         built = mappers or {}
         return FusedMapper(
             {name: built[name] for name in chosen}, terms, self.calibration(),
-            {self.feature: built[self.feature]} if self.feature else None,
+            {n: built[n] for n in (self.calibration_mapper,) if n} or None,
             interval=self.interval,
         )  # fmt: skip
 
 
 class FusedMapper(HazardMapper):
-    """Fuse the maps of other mappers whenever one of them has an update.
+    """Hazard mapper that fuses the maps of other mappers when one of them changes.
 
     Parameters
     ----------
     mappers
-        Fused mappers by name; their owner passes them the measurements.
+        Fused mappers by name; their owner passes the measurements to them.
     terms
-        Prior knowledge.
+        Lander, expected rocks and terrain prior, known before any observation.
     calibration
-        Last stage of the probability; None: no such stage.
+        Calibration that is applied last to the fused probability; None: no calibration.
     feature
-        Second mapper used by the calibration, by its name.
+        Mapping from its name to the other elevation mapper whose probability is an input of the
+        calibration; None: no such mapper.
     interval
-        Minimum time between two updates of the map, s. Without a known time, each update of another
-        mapper causes an update. Retracted observations cause an update at once.
+        Minimum time between two updates of the map, s. Before `refresh` has set a time, each update
+        of a fused mapper causes an update. If a mapper withdraws its observations, the map is
+        updated immediately.
 
     Raises
     ------
@@ -203,7 +229,7 @@ class FusedMapper(HazardMapper):
         interval: float = 0.0,
     ) -> None:
         if not mappers:
-            raise InputError("of", (), "must name at least one other mapper")
+            raise InputError("inputs", (), "must name at least one other mapper")
         self._mappers = dict(mappers)
         self._feature = dict(feature or {})
         self.terms = terms
@@ -213,8 +239,8 @@ class FusedMapper(HazardMapper):
         self._timer = MapUpdateTimer(interval)
 
     @property
-    def sources(self) -> frozenset[str]:
-        """Names of the fused mappers and of the feature."""
+    def source_mappers(self) -> frozenset[str]:
+        """Names of the fused mappers and of the elevation mapper used for calibration."""
         return frozenset((*self._mappers, *self._feature))
 
     @property
@@ -237,17 +263,17 @@ class FusedMapper(HazardMapper):
         )
 
     def hazard_map(self) -> HazardMap:
-        """Return the fused map, after an update if one is due.
+        """Update the fused map if an update is due, and return it.
 
-        An update is due at once if another mapper has retracted its observations or has moved its
-        grid.
+        An update is due immediately if a fused mapper has withdrawn its observations or has moved
+        its grid.
         """
         sources = (*self._mappers.values(), *self._feature.values())
-        surfaces = tuple(mapper.surface() for mapper in sources)
+        surfaces = tuple(mapper.terrain_surface() for mapper in sources)
         if self._map is None or self._is_update_due(surfaces):
             self._map = self._compute(surfaces[0].grid)
             self._source_surfaces = surfaces
-            if self.blank:
+            if self.is_empty:
                 # An empty map is updated as soon as there is an observation.
                 self._timer.force_update()
             else:
@@ -255,6 +281,7 @@ class FusedMapper(HazardMapper):
         return self._map
 
     def _is_update_due(self, surfaces: tuple[TerrainSurface, ...]) -> bool:
+        """Return whether the map must be recomputed for the current source surfaces."""
         changed = [
             (n, o)
             for n, o in zip(surfaces, self._source_surfaces, strict=True)
@@ -272,7 +299,7 @@ class FusedMapper(HazardMapper):
         self._timer.set_time(time)
 
     def _compute(self, grid: Grid) -> HazardMap:
-        """Return the map; without evidence, an empty one on the given cells."""
+        """Return the fused and calibrated map; without data, an empty map on `grid`."""
         published = [mapper.evidence() for mapper in self._mappers.values()]
         relief = next((e for e in published if isinstance(e, TerrainEvidence)), None)
         rocks = next((e for e in published if isinstance(e, RockEvidence)), None)
@@ -285,7 +312,10 @@ class FusedMapper(HazardMapper):
         return self._calibrated(fused, second)
 
     def _calibrated(self, fused: HazardMap, second: HazardMap | None) -> HazardMap:
-        """Return the map after the calibration C with the second map as a feature."""
+        """Return the fused map after its calibration with a second elevation map.
+
+        `second` is the other elevation map; None if there is none.
+        """
         assert self.calibration is not None
         other, seen = np.zeros_like(fused.p_safe), np.zeros_like(fused.observed)
         if second is not None:
@@ -298,23 +328,27 @@ class FusedMapper(HazardMapper):
     def terrain_height(self, xy: Array) -> float | None:
         """Return the terrain height at a point (2,), local frame, m; None if unknown.
 
-        A measured elevation is preferred to the assumption of a mapper of rocks.
+        A measured elevation is preferred to the height that a rock mapper assumes.
         """
         for mapper in self._mappers.values():
-            height = lookup_elevation(mapper.surface(), xy)
-            if mapper.terrain_height(xy) is None and not mapper.blank and np.isfinite(height):
+            height = lookup_elevation(mapper.terrain_surface(), xy)
+            if mapper.terrain_height(xy) is None and not mapper.is_empty and np.isfinite(height):
                 return height
-        known = [m.terrain_height(xy) for m in self._mappers.values() if not m.blank]
+        known = [m.terrain_height(xy) for m in self._mappers.values() if not m.is_empty]
         return next((height for height in known if height is not None), None)
 
     @property
-    def blank(self) -> bool:
-        """Whether none of the other mappers has mapped anything yet."""
-        return all(mapper.blank for mapper in self._mappers.values())
+    def is_empty(self) -> bool:
+        """Whether none of the fused mappers has mapped anything yet."""
+        return all(mapper.is_empty for mapper in self._mappers.values())
 
 
 def _is_same_update(new: TerrainSurface, old: TerrainSurface) -> bool:
-    """Return whether two surfaces belong to one update; heights may still differ."""
+    """Return whether two surfaces were computed in the same map update.
+
+    Their heights may still differ. A hazard map is identified by its array of p_safe, another
+    surface by the object.
+    """
     if isinstance(new, HazardMap) and isinstance(old, HazardMap):
         return new.p_safe is old.p_safe
     return new is old

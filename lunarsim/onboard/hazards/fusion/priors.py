@@ -11,14 +11,15 @@ from lunarsim.rocks.population import RockExpectation
 
 @dataclass(frozen=True)
 class FusionPriors:
-    """Prior knowledge for the fusion, before any observation.
+    """Data known before any observation that the fusion of hazard maps uses.
 
     Attributes
     ----------
     lander, rocks
         Geometry and limits of the lander; rock population expected by the mission.
-    relief_prior
-        Probability that slope and relief of unmeasured terrain are within the limits of the lander.
+    terrain_prior
+        Probability that slope and roughness of unmeasured terrain are within the limits of the
+        lander.
 
     Raises
     ------
@@ -28,16 +29,16 @@ class FusionPriors:
 
     lander: Lander
     rocks: RockExpectation
-    relief_prior: float = 0.9
+    terrain_prior: float = 0.9
 
     def __post_init__(self) -> None:
-        if not 0.0 <= self.relief_prior < 1.0:
+        if not 0.0 <= self.terrain_prior < 1.0:
             raise InputError(
-                "relief_prior", self.relief_prior, "must be at least 0 and less than 1"
+                "terrain_prior", self.terrain_prior, "must be at least 0 and less than 1"
             )
 
     @property
     def height_ratio(self) -> float:
-        """Height over diameter of the expected rocks."""
+        """Ratio of height to diameter of the expected rocks."""
         fixed = {"hemisphere": 0.5, "cube": 1.0}
         return fixed.get(self.rocks.shape, self.rocks.height_ratio[0])

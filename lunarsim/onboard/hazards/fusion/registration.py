@@ -33,16 +33,16 @@ _MIN_ROCKS = 3
 
 @dataclass(frozen=True)
 class RockShift:
-    """Estimated common position error of rocks.
+    """Position error common to all tracked rocks, estimated from elevation samples.
 
     Attributes
     ----------
     correction
-        Correction to the east and north (2,), m.
+        Shift to be added to the rock positions, east and north (2,), m.
     sigma
-        Its standard deviation after the estimate, m, per axis.
+        Standard deviation of the shift after the estimate, m, per axis.
     prior_sigma
-        Its standard deviation before the estimate, m, per axis.
+        Standard deviation of the shift before the estimate, m, per axis.
     """
 
     correction: Array
@@ -51,7 +51,9 @@ class RockShift:
 
 
 def register_tracks(tracks: RockTracks, samples: ElevationSamples, scale: float) -> RockTracks:
-    """Return the rocks moved to the elevations; unchanged if there are too few.
+    """Return the rock tracks moved by their common shift relative to the elevations.
+
+    The tracks are unchanged if there are too few for an estimate.
 
     Parameters
     ----------
@@ -60,7 +62,7 @@ def register_tracks(tracks: RockTracks, samples: ElevationSamples, scale: float)
     samples
         Elevation samples.
     scale
-        Height of the rocks over their radius.
+        Ratio of height to radius of the rocks.
     """
     shift = estimate_shift(tracks, samples, scale)
     if shift is None:
@@ -71,7 +73,9 @@ def register_tracks(tracks: RockTracks, samples: ElevationSamples, scale: float)
 
 
 def estimate_shift(tracks: RockTracks, samples: ElevationSamples, scale: float) -> RockShift | None:
-    """Estimate the common shift of the rocks; None if there are too few on the map.
+    """Estimate the common position error of tracked rocks from elevation samples.
+
+    The result is None if there are too few rocks on the map.
 
     Parameters
     ----------
@@ -80,7 +84,7 @@ def estimate_shift(tracks: RockTracks, samples: ElevationSamples, scale: float) 
     samples
         Elevation samples.
     scale
-        Height of the rocks over their radius.
+        Ratio of height to radius of the rocks.
     """
     grid = samples.grid
     inside = np.asarray(grid.contains(tracks.xy)) & (tracks.existence > 0.5)
@@ -117,6 +121,9 @@ def estimate_shift(tracks: RockTracks, samples: ElevationSamples, scale: float) 
 
 
 def _cell_offsets(far: float, posting: float) -> NDArray[np.int64]:
-    """Return the integer cell offsets up to a distance in both directions (n,)."""
+    """Return all integer offsets of up to a distance in both directions (n,).
+
+    `far` is the distance and `posting` the cell size, m.
+    """
     most = round(far / posting)
     return np.arange(-most, most + 1)

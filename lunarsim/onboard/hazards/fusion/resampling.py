@@ -17,21 +17,21 @@ _WORST = {"minimum": ndimage.minimum_filter, "maximum": ndimage.maximum_filter}
 def resample_to_grid(
     layer: NDArray[Any], of: Grid, to: Grid, outside: Any, worst: Literal["minimum", "maximum"]
 ) -> NDArray[Any]:
-    """Return a layer (rows, cols) on the cells of another grid.
+    """Resample a map layer (rows, cols) to the cells of another grid, conservatively.
 
-    On the same grid the layer is returned unchanged. Otherwise each cell takes the worst value
-    within one cell of its centre, for the larger of both cell sizes.
+    If both grids are equal, the layer is returned unchanged. Otherwise each cell takes the worst
+    value within one cell of its centre, for the larger of both cell sizes.
 
     Parameters
     ----------
     layer, of
-        Values and their grid.
+        Values (rows, cols) and the grid of their cells.
     to
-        Target grid.
+        Grid of the result.
     outside
-        Value off the layer.
+        Value of cells that are off the layer.
     worst
-        Which extreme of several values is the worst.
+        Whether the minimum or the maximum of several values is the worst.
     """
     if of == to:
         return layer
@@ -45,7 +45,11 @@ def resample_to_grid(
 def _cell_indices(
     of: Grid, to: Grid
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.bool_]]:
-    """Return rows, columns of one grid at the cells of another, and which are on it."""
+    """Return rows and columns of grid `of` at the cell centres of grid `to`.
+
+    The third array is True where a cell of `to` lies on `of`; elsewhere the indices are clipped.
+    All have the shape of `to`.
+    """
     xy = to.centres()
     row, col = of.cell(xy)
     found = np.clip(row, 0, of.rows - 1), np.clip(col, 0, of.cols - 1), of.contains(xy)

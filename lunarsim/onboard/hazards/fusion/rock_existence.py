@@ -39,10 +39,10 @@ _WINDOW_LEG_RADII = 3.0
 def existence_given_elevations(
     tracks: RockTracks, relief: TerrainEvidence, lander: Lander
 ) -> Array:
-    """Return the probability that each track is a hazardous rock, given elevations.
+    """Update the probability that each track is a hazardous rock with elevations (n,).
 
-    The probability never increases. It is unchanged if a rise is visible, if the terrain about the
-    rock was not measured completely, or if the sampling is unknown.
+    The probability never increases. It is unchanged if a rise of the terrain is visible, if the
+    terrain around the rock was not measured completely, or if the sampling density is unknown.
 
     Parameters
     ----------
@@ -78,7 +78,11 @@ def existence_given_elevations(
 
 
 def _height_above_mean(z: Array, grid: Grid, lander: Lander) -> Array:
-    """Return heights above the local mean (rows, cols), m; NaN where unknown."""
+    """Return heights above the mean of a window around each cell (rows, cols), m.
+
+    `z` (rows, cols) are elevations, m, NaN where unknown. `lander` gives the size of the window.
+    The result is NaN where the elevation is unknown.
+    """
     width = 2 * round(0.5 * _WINDOW_LEG_RADII * lander.leg_radius / grid.posting) + 1
     known = np.isfinite(z)
     share = ndimage.uniform_filter(known.astype(np.float64), width, mode="constant")
@@ -88,7 +92,10 @@ def _height_above_mean(z: Array, grid: Grid, lander: Lander) -> Array:
 
 
 def _cells_in_disc(grid: Grid, xy: Array, radius: float) -> tuple[NDArray[np.int64], ...] | None:
-    """Return rows and columns (k,) of the cells in a disc; None if it leaves the grid."""
+    """Return rows and columns (k,) of the cells in a disc; None if it leaves the grid.
+
+    `xy` (2,) is the centre of the disc and `radius` its radius, m.
+    """
     west, east, south, north = grid.extent
     if not (
         west <= xy[0] - radius

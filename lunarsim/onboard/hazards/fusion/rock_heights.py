@@ -66,17 +66,17 @@ _TAPERED_SHAPES = ("hemisphere", "ellipsoid")
 
 @dataclass(frozen=True)
 class RockHeights:
-    """Height scale and hazard of rocks from two sensors.
+    """Heights of tracked rocks, estimated from the rock sensor and elevation samples.
 
     Attributes
     ----------
     scale
-        Height over the radius from the first sensor.
+        Ratio of the true height of the rocks to their radius as estimated by the rock sensor.
     hazard
-        Probability that each track is a rock higher than the limit of the lander (n,).
+        Probability that each track is a rock higher than the roughness limit of the lander (n,).
     reach
-        Distance to which the part above the limit reaches from the rock centre, given a hazard
-        (n,), m.
+        Horizontal distance from the rock centre within which the rock is higher than the limit, if
+        it is a hazard (n,), m.
     """
 
     scale: float
@@ -87,14 +87,14 @@ class RockHeights:
 def estimate_rock_heights(
     tracks: RockTracks, samples: ElevationSamples, lander: Lander, shape: str = "hemisphere"
 ) -> RockHeights:
-    """Estimate heights and hazard of tracked rocks from the samples about them.
+    """Estimate heights of tracked rocks and whether they are hazards, from samples.
 
     Parameters
     ----------
     tracks
         Tracked rocks.
     samples
-        Elevation samples.
+        Elevation samples around the rocks.
     lander
         Limits of the lander.
     shape
@@ -148,18 +148,21 @@ def estimate_rock_heights(
 def estimate_height_scale(
     radius: Array, existence: Array, top: Array, density: Array, height_ratio: float
 ) -> tuple[float, float]:
-    """Estimate height over radius from sufficiently sampled rocks.
+    """Estimate the ratio of height to radius from rocks with enough elevation samples.
+
+    The median of the rocks is combined with a prior; the ratio is at least that expected by the
+    mission.
 
     Parameters
     ----------
     radius, existence
         Radius (n,), m, and probability of existence (n,) of the rocks.
     top
-        Maximum residual height near each rock (n,), m.
+        Maximum residual height (above a plane fitted to the terrain) near each rock (n,), m.
     density
         Samples per square metre near each rock (n,).
     height_ratio
-        Height over diameter expected by the mission.
+        Ratio of height to diameter expected by the mission.
 
     Returns
     -------
@@ -181,14 +184,18 @@ def estimate_height_scale(
 def highest_residual(
     tracks: RockTracks, residual_heights: NDArray[np.float32], grid: Grid
 ) -> Array:
-    """Return the maximum residual height near each rock (n,), m; 0 without a sample.
+    """Return the maximum height of the samples near each rock (n,), m.
+
+    Heights are above a plane fitted to the terrain (residual heights). The result is 0 without a
+    sample.
 
     Parameters
     ----------
     tracks
         Tracked rocks.
     residual_heights, grid
-        Residual heights (rows, cols), m, and their cells, as in `ElevationSamples`.
+        Residual height of the sample in each cell (rows, cols), m, NaN without a sample, and the
+        cells.
     """
     reach = (
         _SEARCH_RADII * tracks.radius
@@ -209,17 +216,17 @@ def highest_residual(
 def rock_free_probability(
     tracks: RockTracks, heights: RockHeights, grid: Grid, lander: Lander
 ) -> Array:
-    """Return the probability that no rock above the limit is under the lander.
+    """Return the probability that no tracked rock above the limit is under the lander.
 
-    The result has shape (rows, cols). Body and legs lie within the circle through the leg centres
-    at any heading.
+    The result (rows, cols) is for a lander centred on each cell. Body and legs are taken as the
+    disc within the circle through the leg centres, so the heading does not matter.
 
     Parameters
     ----------
     tracks, heights
         Tracked rocks and their height estimates.
     grid
-        Sites.
+        Cells of the result; each is a possible landing site.
     lander
         Geometry of the lander.
     """
@@ -240,12 +247,19 @@ def rock_free_probability(
 
 
 def _scaled_radius_at_limit(height: Array, limit: float) -> Array:
-    """Return 2 height_ratio times the radius at which half ellipsoids meet the limit."""
+    """Return 2 height_ratio times the radius of half ellipsoids at the limit height.
+
+    `height` (n,) are the heights of the half ellipsoids and `limit` the height of the horizontal
+    cut, m. The result (n,), m, is 0 for lower rocks.
+    """
     return np.asarray(np.sqrt(np.maximum(height**2 - limit**2, 0.0)))
 
 
 def _layer_at(layer: Array, grid: Grid, xy: Array) -> Array:
-    """Return a layer (rows, cols) at points (n, 2); 0 off the grid."""
+    """Return the values of a layer (rows, cols) in the cells at points `xy` (n, 2).
+
+    The result (n,) is 0 off the grid.
+    """
     row, col = grid.cell(xy)
     found = layer[np.clip(row, 0, grid.rows - 1), np.clip(col, 0, grid.cols - 1)]
     return np.asarray(np.where(grid.contains(xy), found, 0.0), np.float64)

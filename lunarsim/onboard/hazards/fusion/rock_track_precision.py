@@ -32,16 +32,18 @@ _PRIOR_MEAN = float(_SHARE_PRIOR @ _SHARE_GRID / _SHARE_PRIOR.sum())
 def rock_track_precision(
     xy: Array, height: Array, is_large: NDArray[np.bool_], samples: ElevationSamples
 ) -> Array:
-    """Return the share of rocks among the other tracks over its prior mean (n,).
+    """Estimate what fraction of large tracks are rocks, relative to its prior mean.
 
-    It is at most 1.
+    The result (n,) is at most 1. The estimate for each track uses the samples at all other tracks
+    only.
 
     Parameters
     ----------
     xy, height
         Positions (n, 2), local frame, m, and heights (n,), m, of the tracks.
     is_large
-        Which tracks are used (n,); tracks off the map are not.
+        Which tracks are higher than the limit of the lander and enter the estimate (n,); tracks off
+        the map are ignored.
     samples
         Elevation samples.
     """

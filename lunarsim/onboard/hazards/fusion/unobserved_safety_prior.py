@@ -19,29 +19,30 @@ _MIN_PROBABILITY = 1e-12
 def unobserved_safety_prior(
     free_of_tracks: FloatMap, free_of_unseen: Array, posting: float, terms: FusionPriors
 ) -> float:
-    """Return the prior that unmeasured terrain is safe, ignoring tracked rocks.
+    """Estimate the probability that unmeasured terrain is safe, from measured terrain.
 
-    The prior is the mean probability of the measured terrain in the same map. With any other
-    measure, samples so sparse that all measured terrain remains uncertain would direct the lander
-    to where no sample fell. The expectation of the mission is added on log odds as one more site
-    and is never exceeded. Sites with overlapping footprints do not count as several, so its weight
-    is small beside many sites. This additional site is also limited by what the map can measure: if
-    undetected rocks may stand on all measured terrain, they may stand on unmeasured terrain too.
-    This limit tightens with the number of measured sites.
+    Tracked rocks are not included. The estimate is the mean probability of the measured terrain in
+    the same map. With any other measure, samples so sparse that all measured terrain remains
+    uncertain would direct the lander to where no sample fell. The expectation of the mission is
+    averaged in on log odds like one more site, and the result never exceeds it. Sites with
+    overlapping footprints do not count as several, so the mission's site has a small weight beside
+    many sites. The mission's site is also limited by what the map can measure: if undetected rocks
+    may stand on all measured terrain, they may stand on unmeasured terrain too. This limit tightens
+    with the number of measured sites.
 
     Parameters
     ----------
     free_of_tracks
-        Probability that measured terrain is safe, ignoring tracked rocks (n,); NaN counts as 0.
+        Probability that each measured cell is safe, ignoring tracked rocks (n,); NaN counts as 0.
     free_of_unseen
-        Its factor that is independent of slope and roughness: no undetected rock (n,); NaN counts
-        as 0.
+        Probability of no undetected rock in each measured cell, a factor of `free_of_tracks` (n,);
+        NaN counts as 0.
     posting
         Cell size, m.
     terms
-        Prior knowledge.
+        Lander and terrain prior expected by the mission.
     """
-    lander, expected = terms.lander, terms.relief_prior
+    lander, expected = terms.lander, terms.terrain_prior
     number = len(free_of_tracks)
     if number == 0 or expected <= _MIN_PROBABILITY:
         return expected

@@ -10,9 +10,11 @@ from lunarsim._jit import kernel
 
 @kernel()
 def splat(points, base, x0, y0, p, rows, cols):
-    """Spread points (n, 3) over the four nearest cell centres (Eq. 1).
+    """Distribute points (n, 3) over the four nearest cell centres of a raster.
 
-    Returns the sums of weighted heights above `base` and of weights (rows, cols).
+    The weights are bilinear (Eq. 1 of the Gaussian DEM paper). `base` is the reference of the
+    heights, m; (`x0`, `y0`) is the centre of cell (0, 0) and `p` the cell size, m. The function
+    returns the sums of weighted heights above `base` and of weights, both (rows, cols).
     """
     height = np.zeros((rows, cols), np.float32)
     weight = np.zeros((rows, cols), np.float32)
@@ -40,7 +42,14 @@ def splat(points, base, x0, y0, p, rows, cols):
 
 @kernel(shared=True, allocates=False)
 def measured_cells(share, height, weight, base, min_weight, noise, prior, mean, variance, observed):
-    """Write mean, variance and observed: the measurement if it suffices, or the prior."""
+    """Write mean, variance and observation flag of the cells with enough samples.
+
+    Cells with a weight of at most `min_weight` get a NaN mean, the variance `prior` and the flag
+    False. `height` and `weight` (rows, cols) are the results of `splat` with the reference height
+    `base`, m. `noise` is the variance of a sample and `prior` that of unmeasured terrain, m^2.
+    `mean`, `variance` and `observed` (rows, cols) receive the results. `share` is (thread, number
+    of threads).
+    """
     rows, cols = height.shape
     for i in range(share[0], rows, share[1]):
         for j in range(cols):
@@ -56,7 +65,10 @@ def measured_cells(share, height, weight, base, min_weight, noise, prior, mean, 
 
 @kernel()
 def fill_holes(z):
-    """Fill NaN cells in place with the mean of their known neighbours, repeatedly."""
+    """Fill NaN cells of a raster in place with the mean of their known neighbours.
+
+    `z` (rows, cols) are elevations, m. The step is repeated until no cell can be filled.
+    """
     rows, cols = z.shape
     holes = np.empty((rows * cols, 2), np.int64)
     count = 0
@@ -103,9 +115,13 @@ _OCCLUSION_RATIO = 3.0
 
 @kernel(shared=True, allocates=False)
 def edges(share, points, triangles, row, col, spacing, longest, usable):
-    """Write the longest edge of each triangle (m,), and which are usable (m,).
+    """Compute the longest edge of each triangle and whether it spans no occlusion.
 
-    `row` and `col` are the detector positions of the points. See `gaussian.triangle_edges`.
+    `points` (n, 3), m, are the vertices with detector positions `row` and `col` (n,), which may be
+    empty, and sample spacings `spacing` (n,), m. `triangles` (m, 3) are indices of vertices.
+    `longest` (m,), m, and `usable` (m,) receive the results. A triangle over missing returns gets
+    the length inf. A triangle is usable if no edge exceeds three times the sample spacing. `share`
+    is (thread, number of threads).
     """
     for t in range(share[0], triangles.shape[0], share[1]):
         max_square = 0.0
@@ -139,16 +155,21 @@ def _decay(x):
 
 @kernel(fast=True)
 def _correlation(x, y, u, v, per_length):
-    """Return the exponential kernel of Eq. 4 between two points, for unit variance."""
+    """Return the exponential correlation of the heights at points (x, y) and (u, v).
+
+    It is the kernel of Eq. 4 of the Gaussian DEM paper for unit variance; `per_length` is the
+    inverse of the length scale, 1/m.
+    """
     return _decay(np.sqrt((x - u) * (x - u) + (y - v) * (y - v)) * per_length)
 
 
 @kernel()
 def _edge(points, u, v):
-    """Return start, direction and orientation of the edge from u to v.
+    """Return start, direction and orientation of the edge from vertex u to vertex v.
 
-    Both triangles of an edge get the same start and direction, the lower index first. Rounding can
-    then not assign a cell to two triangles or to none.
+    `points` (n, 3) are all vertices, and the result is (x, y, dx, dy, whether u < v). Both
+    triangles at an edge get the same start and direction, from the lower index to the higher.
+    Rounding then assigns each cell on the edge to exactly one triangle.
     """
     first, last = min(u, v), max(u, v)
     x, y = points[first, 0], points[first, 1]
@@ -157,10 +178,11 @@ def _edge(points, u, v):
 
 @kernel()
 def _inside(edge, x, across):
-    """Return whether a point lies on the inner side of an edge.
+    """Return whether a point lies on the inner side of a triangle edge.
 
-    `across` is the part of the cross product that depends on the y of the point only. A point on
-    the edge belongs to the triangle that traverses it from the lower index.
+    `edge` is the result of `_edge`, `x` the east coordinate of the point, and `across` the part of
+    the cross product that depends on its north coordinate only. A point on the edge belongs to the
+    triangle that traverses the edge from the lower index.
     """
     return (across - edge[3] * (x - edge[0]) >= 0.0) == edge[4]
 
@@ -170,6 +192,12 @@ def _regress_triangle(
     points, noise, a, b, c, use, gradient, x0, y0, p, prior, length_scale, weight, min_weight, mean,
     variance, observed,
 ):  # fmt: skip
+    """Write the regressed height and variance of the unmeasured cells in one triangle.
+
+    `a`, `b`, `c` are its vertices among `points` (n, 3) with variances `noise` (n,), m^2. `use` is
+    False if the triangle spans an occlusion. The other arguments are those of `regress`, for one
+    triangle.
+    """
     rows, cols = mean.shape
     ax, ay = points[a, 0], points[a, 1]
     bx, by = points[b, 0], points[b, 1]
@@ -233,7 +261,13 @@ def regress(
     share, points, noise, triangles, usable, gradient, x0, y0, p, prior, length, weight, min_weight,
     mean, variance, observed,
 ):  # fmt: skip
-    """Write mean and variance (Eqs. 4 to 6) of the unmeasured cells, per triangle.
+    """Interpolate unmeasured cells within triangles by Gaussian process regression.
+
+    Writes mean and variance (Eqs. 4 to 6 of the Gaussian DEM paper) into `mean`, `variance` and
+    `observed` (rows, cols), from the three vertices of the triangle that contains the cell.
+    `points` (n, 3), m, are the vertices, `triangles` (m, 3) their indices. (`x0`, `y0`) is the
+    centre of cell (0, 0), `p` the cell size, m. Cells with a `weight` (rows, cols) above
+    `min_weight` are measured and stay unchanged. `share` is (thread, number of threads).
 
     Parameters
     ----------

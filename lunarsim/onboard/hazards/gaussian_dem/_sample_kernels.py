@@ -10,9 +10,12 @@ from lunarsim._jit import kernel
 
 @kernel()
 def pool(points, base, sigma, spacing, frame, centroid, splat, call_weight, min_spacing):
-    """Add points (n, 3) to the sums of `SamplePool`; return how many fell on the grid.
+    """Add points (n, 3) to the sums of a `SamplePool`; return how many hit the grid.
 
-    `call_weight` (rows, cols) receives the bilinear weights of these points only.
+    `base` is the reference height, m; `sigma` (n,) and `spacing` (n,) are standard deviation and
+    spacing of each sample, m. `frame` is (x0, y0, cell size), m. `centroid` and `splat` (rows,
+    cols, 4) are the sums, `min_spacing` (rows, cols) the minimum spacings. `call_weight` (rows,
+    cols) receives the bilinear weights of the given points only.
     """
     x0, y0, p = frame
     rows, cols = min_spacing.shape
@@ -51,10 +54,13 @@ def pool(points, base, sigma, spacing, frame, centroid, splat, call_weight, min_
 
 @kernel(shared=True, allocates=False)
 def triangle_growth(share, points, variance, triangles, gradient, out):
-    """Write the variogram increment and twice the edge length of triangles (m, 2).
+    """Sum squared height differences and lengths over the edges of each triangle.
 
-    The increment is the sum over the edges of the squared height difference relative to the
-    gradient (m, 2), minus the noise variance of both ends.
+    `out` (m, 2) receives the sum of the squared height differences minus the noise variance of both
+    ends, m^2, and twice the sum of the edge lengths, m. Their ratio is the slope of the variogram
+    at the origin. `points` (n, 3), m, are vertices with variances `variance` (n,), m^2; `triangles`
+    (m, 3) are their indices. Height differences are relative to the terrain slope `gradient` (m,
+    2). `share` is (thread, number of threads).
     """
     for t in range(share[0], triangles.shape[0], share[1]):
         grown = 0.0
@@ -75,10 +81,14 @@ def triangle_growth(share, points, variance, triangles, gradient, out):
 def measured_pool(
     share, splat, base, min_weight, growth, square, sub, prior, mean, variance, observed
 ):
-    """Write mean, variance and observed: the measurement, or the prior without one.
+    """Write mean, variance and observation flag of cells with enough pooled samples.
 
-    `growth`, m, is the variogram growth in squares of `square` cells. `sub` times `growth` is the
-    variance between a single sample and the cell centre, m^2; it falls with the number of samples.
+    `splat` (rows, cols, 4) are the sums of `SamplePool`, with heights above `base`, m. Cells with a
+    weight of at most `min_weight` get a NaN mean, the variance `prior`, m^2, and the flag False.
+    `growth`, m, is the slope of the variogram at the origin, in squares of `square` cells. `sub` is
+    the effective distance of a sample from the cell centre, m: `sub` times `growth` is the variance
+    of their height difference, m^2, which falls with the number of samples. `mean`, `variance` and
+    `observed` (rows, cols) receive the results. `share` is (thread, number of threads).
     """
     rows, cols = mean.shape
     for i in range(share[0], rows, share[1]):
@@ -100,8 +110,10 @@ def add_kinks(share, mean, measured, noise, part, variance):
     """Add the terrain curvature to the variance of measured cells.
 
     On the edge of a rock the samples of a cell lie above or below its centre. The curvature is the
-    second difference of the mean, the maximum of four directions. It is ignored below three times
-    its noise.
+    second difference of `mean` (rows, cols), m, the maximum of four directions. Its square minus
+    nine times its variance, times `part`, is added to `variance` (rows, cols), m^2, if it is
+    positive. `noise` (rows, cols), m^2, is the variance of the mean. `measured` (rows, cols)
+    selects the cells. `share` is (thread, number of threads).
     """
     rows, cols = mean.shape
     for i in range(share[0], rows, share[1]):

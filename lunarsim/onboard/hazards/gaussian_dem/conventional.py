@@ -14,7 +14,7 @@ from lunarsim.onboard.hazards.gaussian_dem import _kernels as k
 
 @dataclass(frozen=True)
 class ConventionalDem:
-    """Elevations on a grid.
+    """Elevation raster from splatted samples, with holes filled from neighbours.
 
     Attributes
     ----------
@@ -32,7 +32,9 @@ class ConventionalDem:
 
 
 def check_points(points: ArrayLike) -> NDArray[np.float64]:
-    """Return the finite points (n, 3); masked points are dropped.
+    """Check a point cloud and return its finite points (n, 3).
+
+    Points that are masked or contain NaN are dropped.
 
     Raises
     ------
@@ -51,7 +53,7 @@ def check_points(points: ArrayLike) -> NDArray[np.float64]:
 
 
 def as_real_array(values: ArrayLike) -> NDArray[np.float64]:
-    """Return an array of real numbers, with NaN for masked values.
+    """Convert values to an array of float64, with NaN for masked values.
 
     Raises
     ------
@@ -110,7 +112,7 @@ _MAX_HEIGHT_M = 8192.0
 
 
 def check_heights(cloud: NDArray[np.float64]) -> None:
-    """Reject points (n, 3) whose heights exceed the resolution of float32.
+    """Raise InputError if heights of points (n, 3) exceed the resolution of float32.
 
     Raises
     ------
@@ -129,5 +131,9 @@ def check_heights(cloud: NDArray[np.float64]) -> None:
 
 
 def base_height(cloud: NDArray[np.float64]) -> float:
-    """Return a reference height (m) close to the cloud, to keep sums small."""
+    """Return the height of a point in the middle of the list, m, as reference height.
+
+    Sums of heights relative to it stay small. `cloud` (n, 3) are the points; the result is 0 for
+    none.
+    """
     return float(cloud[len(cloud) // 2, 2]) if len(cloud) else 0.0

@@ -21,22 +21,23 @@ from lunarsim.safety.unseen_rocks import depth_curve, height_curve
 
 @dataclass(frozen=True)
 class DemSnapshot:
-    """Elevations, site evidence and landing safety of a DEM, computed on demand.
+    """Elevation map at one time, with its landing safety computed on demand.
 
     Attributes
     ----------
     dem
-        Elevations.
+        Mean and variance of the elevations.
     lander, rocks
         Geometry and limits of the lander; rock population expected by the mission.
-    refit
-        Last stage of the calibration; None: that of the package.
+    scenario_calibration
+        Last stage of the safety calibration, fitted to the scenario; None: the calibration supplied
+        with lunarsim.
     """
 
     dem: PooledDem
     lander: Lander
     rocks: RockExpectation
-    refit: ScenarioCalibration | None = None
+    scenario_calibration: ScenarioCalibration | None = None
 
     @property
     def grid(self) -> Grid:
@@ -55,37 +56,43 @@ class DemSnapshot:
 
     @property
     def observed(self) -> BoolMap:
-        """Where the complete footprint has been observed (rows, cols)."""
+        """Where the complete footprint of the lander has been observed (rows, cols)."""
         return self.site_evidence.observed
 
     @property
     def residual_heights(self) -> NDArray[np.float32]:
-        """Height of the samples above the local plane, per cell (rows, cols), m."""
+        """Height of the sample in each cell above the local terrain plane (rows, cols), m.
+
+        NaN without a sample.
+        """
         return self.dem.sampling.residual_raster
 
     @cached_property
     def site_evidence(self) -> MapEvidence:
-        """Evidence for the safety of each site."""
+        """Inputs of the safety calibration for each site, such as slope and roughness."""
         return dem_site_evidence(self.dem, self.lander, self.rocks)
 
     @cached_property
     def hazard_map(self) -> HazardMap:
-        """Calibrated probability of a safe landing."""
-        p, known = calibrated_safety(self.site_evidence, refit=self.refit)
+        """Hazard map with the calibrated probability of a safe landing."""
+        p, known = calibrated_safety(self.site_evidence, refit=self.scenario_calibration)
         return HazardMap(
             self.grid, p, self.observed, self.elevation, self.variance, in_domain=known
         )
 
 
 def dem_site_evidence(dem: PooledDem, lander: Lander, rocks: RockExpectation) -> MapEvidence:
-    """Return the evidence of a DEM for the safety of each site.
+    """Compute the inputs of the safety calibration for each site from elevations.
+
+    They are slope, roughness and their uncertainty, the distribution of heights and depths between
+    the samples, and the sampling statistics.
 
     Parameters
     ----------
     dem
-        Elevations.
+        Mean and variance of the elevations.
     lander
-        Geometry and limits.
+        Geometry and limits of the lander.
     rocks
         Rock population expected by the mission.
     """

@@ -17,21 +17,26 @@ Array = NDArray[np.float64]
 def full_regression(
     points: ArrayLike, xy: ArrayLike, *, sigma_f: float, length_scale: float, sigma_eps: float
 ) -> tuple[Array, Array]:
-    """Regress the elevation on all points (Eqs. 4 to 6 of the Gaussian DEM paper).
+    """Interpolate elevations by Gaussian process regression on all points.
+
+    Implements Eqs. 4 to 6 of the Gaussian DEM paper without the local approximation, as a
+    reference.
 
     Parameters
     ----------
     points
         East, north, up (n, 3), m; at most 5,000.
     xy
-        Points of prediction (m, 2), m.
+        Points at which the elevation is predicted (m, 2), m.
     sigma_f, length_scale, sigma_eps
-        Prior standard deviation, length scale of the kernel and noise of a sample, m.
+        Prior standard deviation of the terrain, length scale of the kernel and standard deviation
+        of a sample, m.
 
     Returns
     -------
     mean, variance
-        Of the elevation (m,), m and m^2. The prior mean is the mean of the points.
+        Mean (m,), m, and variance (m,), m^2, of the elevation. The prior mean is the mean of the
+        points.
 
     Raises
     ------

@@ -35,7 +35,7 @@ _NEIGHBOUR_COUNT = 6
 
 @dataclass(frozen=True)
 class GaussianDem:
-    """Mean and variance of the elevation.
+    """Elevation raster with mean and variance of each cell.
 
     Attributes
     ----------
@@ -44,7 +44,7 @@ class GaussianDem:
     mean
         Mean elevation (rows, cols), m; NaN where unknown.
     variance
-        Variance (rows, cols), m^2; the prior variance where unknown.
+        Variance of the elevation (rows, cols), m^2; the prior variance where unknown.
     observed
         False outside the hull of the samples and across occlusions (rows, cols).
     """
@@ -65,12 +65,13 @@ def gaussian_dem(
     image_shape: tuple[int, int] | None = None,
     spacing: ArrayLike | None = None,
 ) -> GaussianDem:
-    """Build a Gaussian DEM from a point cloud (section II of the Gaussian DEM paper).
+    """Build a raster with mean and variance of the elevation from a point cloud.
 
-    Cells with enough samples take the value of the conventional DEM and the variance of the sensor.
-    The others take the regression of Eqs. 5 and 6, with the kernel of Eq. 4, from the vertices of
-    the Delaunay triangle that contains them. The prior mean is the mean of these vertices, because
-    a prior mean of zero would pull the terrain towards z = 0.
+    Implements section II of the Gaussian DEM paper. Cells with enough samples take the value of the
+    conventional DEM and the variance of the sensor. The others take the regression of Eqs. 5 and 6,
+    with the kernel of Eq. 4, from the vertices of the Delaunay triangle that contains them. The
+    prior mean is the mean of these vertices, because a prior mean of zero would pull the terrain
+    towards z = 0.
 
     Parameters
     ----------
@@ -98,6 +99,14 @@ def gaussian_dem(
     ValueError
         If the array is not (n, 3), contains infinities, a parameter is not positive, or a height
         exceeds 8 km.
+
+    Examples
+    --------
+    >>> grid = Grid.centred((0.0, 0.0), 4.0, 1.0)
+    >>> x, y = np.meshgrid(grid.x, grid.y)
+    >>> dem = gaussian_dem(np.column_stack((x.ravel(), y.ravel(), 0.1 * x.ravel())), grid)
+    >>> np.allclose(dem.mean, 0.1 * x), bool(dem.observed.all())
+    (True, True)
     """
     _check_parameters(sigma_f, length_scale, sigma_eps)
     raw = as_real_array(points)
@@ -121,9 +130,11 @@ def gaussian_dem(
 def _regress(
     dem: GaussianDem, mesh: _Mesh, weight: FloatMap, field: tuple[float, float, float]
 ) -> None:
-    """Fill the unmeasured cells of a DEM with one random field.
+    """Interpolate the unmeasured cells of `dem` in place, with one random field.
 
-    `field` holds the variance and the length scale of the field and the variance of a sample.
+    `mesh` is the triangulation of the samples and `weight` (rows, cols) their bilinear weights.
+    `field` holds the variance of the field, m^2, its length scale, m, and the variance of a sample,
+    m^2.
     """
     prior, length, noise = field
     count, grid = len(mesh.triangles), dem.grid
@@ -137,6 +148,11 @@ def _regress(
 
 
 def _check_parameters(sigma_f: float, length_scale: float, sigma_eps: float) -> None:
+    """Raise InputError if a parameter of the random field is out of range.
+
+    `sigma_f` is the prior standard deviation, `length_scale` that of the kernel and `sigma_eps` the
+    standard deviation of a sample, m.
+    """
     for name, value in (("sigma_f", sigma_f), ("length_scale", length_scale)):
         if not 0.0 < value <= _MAX_LENGTH_M:
             raise InputError(name, value, f"must be positive and at most {_MAX_LENGTH_M:g} m")
@@ -151,10 +167,10 @@ def triangle_edges(
     cols: int,
     spacing: NDArray[np.float64],
 ) -> tuple[NDArray[np.float64], BoolMap]:
-    """Return the longest edge of each triangle (m,), and which are usable (m,).
+    """Return the longest edge of each triangle (m,), m, and which are usable (m,).
 
-    A triangle is not usable if it covers missing returns (its longest edge is then inf) or if an
-    edge exceeds three times the sample spacing.
+    A triangle is not usable for interpolation if it covers missing returns (its longest edge is
+    then inf) or if an edge exceeds three times the sample spacing.
 
     Parameters
     ----------
@@ -167,7 +183,8 @@ def triangle_edges(
     cols
         Columns of the detector.
     spacing
-        Sample spacing (n,), m; the maximum over the corners of a triangle counts.
+        Sample spacing at each vertex (n,), m; the limit of a triangle uses the maximum over its
+        corners.
     """
     longest, usable = np.empty(len(triangles)), np.empty(len(triangles), np.bool_)
     # Integer division is slow: divide once per pixel, not once per edge.
@@ -202,7 +219,11 @@ class _Mesh:
         image_shape: tuple[int, int] | None,
         spacing: ArrayLike | None,
     ) -> _Mesh:
-        """Triangulate all points of an image, or the finite points of a cloud."""
+        """Triangulate all points of a detector image, or the finite points of a cloud.
+
+        `raw` (n, 3) are all points and `cloud` the finite ones, m. `image_shape` is the size of the
+        detector, or None for a cloud. `spacing` is the sample spacing, scalar or (n,), m, or None.
+        """
         if image_shape is None:
             return cls._of_cloud(raw, cloud, spacing)
         if len(raw) != image_shape[0] * image_shape[1]:
@@ -221,6 +242,11 @@ class _Mesh:
     def _of_cloud(
         cls, raw: NDArray[np.float64], cloud: NDArray[np.float64], spacing: ArrayLike | None
     ) -> _Mesh:
+        """Triangulate the finite points of a cloud after merging coincident points.
+
+        `raw` (n, 3) are all points and `cloud` the finite ones, m. `spacing` is the sample spacing,
+        scalar or (n,), m; None: the mean distance to the six nearest points.
+        """
         vertices, group = _merge_coincident(cloud)
         triangles = delaunay(vertices[:, :2])
         if spacing is None:
@@ -237,9 +263,10 @@ class _Mesh:
 
 
 def _pixel_spacing(raw: NDArray[np.float64], shape: tuple[int, int]) -> float:
-    """Return the median horizontal distance of neighbouring pixels, m.
+    """Return the median horizontal distance of points in neighbouring pixels, m.
 
-    The larger of the medians along the two axes of the detector. 0 if no two neighbours have a
+    `raw` (n, 3) are the points of a detector with rows and columns `shape`. The result is the
+    larger of the medians along the two axes of the detector. It is 0 if no two neighbours have a
     return: gaps and sparse samples then cannot be distinguished.
     """
     image = raw[:, :2].reshape(*shape, 2)
@@ -254,7 +281,10 @@ def _pixel_spacing(raw: NDArray[np.float64], shape: tuple[int, int]) -> float:
 
 
 def sample_spacing(points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the mean distance (n,) of points (n, 2 or more) to their six nearest, m."""
+    """Return the mean horizontal distance of each point to its six nearest points, m.
+
+    `points` has shape (n, 2 or more), the result (n,).
+    """
     nearest = min(_NEIGHBOUR_COUNT, len(points) - 1)
     if nearest < 1:
         return np.full(len(points), np.inf)
@@ -272,9 +302,10 @@ def _blank(points: NDArray[np.float64]) -> NDArray[np.float64]:
 def _merge_coincident(
     cloud: NDArray[np.float64],
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Replace samples at the same (x, y) by one with their mean height.
+    """Merge points at the same (x, y) into one point with their mean height.
 
-    The second array (n,) gives the row of each sample in the result.
+    `cloud` (n, 3) are the points, m. Returns the merged points (m, 3) and the index (n,) of the
+    merged point of each given point.
     """
     order = np.lexsort((cloud[:, 1], cloud[:, 0]))
     same = (np.diff(cloud[order, :2], axis=0) == 0.0).all(axis=1)

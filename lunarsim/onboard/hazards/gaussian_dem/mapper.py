@@ -38,7 +38,7 @@ Judgement = Literal["calibrated", "level", "planes"]
 
 @dataclass(frozen=True)
 class GaussianDemMapperSettings:
-    """Settings of a Gaussian DEM of LiDAR returns with a stochastic safety test.
+    """Settings of a hazard mapper that builds a Gaussian DEM from LiDAR scans.
 
     Attributes
     ----------
@@ -47,11 +47,12 @@ class GaussianDemMapperSettings:
     posting, size
         Sides of a cell and of the map, m.
     safety
-        Safety test, as in `GaussianDemMapper`.
+        Test of landing safety: ``"calibrated"``, ``"level"`` or ``"planes"``, as explained for
+        `GaussianDemMapper`.
     interval
         Minimum time between two updates of the map, s.
     calibration_path
-        File for `ScenarioCalibration.load`; None: the packaged calibration.
+        File for `ScenarioCalibration.load`; None: the calibration supplied with lunarsim.
 
     Raises
     ------
@@ -64,7 +65,8 @@ class GaussianDemMapperSettings:
     size: float = quantity(100.0, "m", gt=0, help="side of the square map centred on the target")
     safety: Judgement = quantity(
         "calibrated",
-        help="safety test: calibrated probability, Eqs. 15 to 17, or these with support planes",
+        help="safety test: 'calibrated' (probability), 'level' (Eqs. 15 to 17 of the Gaussian DEM "
+        "paper) or 'planes' (the same with the support planes of the legs)",
     )
     interval: float = quantity(
         1.0, "s", ge=0, le=10, help="minimum time between two updates of the map"
@@ -74,7 +76,7 @@ class GaussianDemMapperSettings:
         help="calibration file from `lunarsim calibrate`, relative to the scenario file",
     )
 
-    takes: ClassVar[type] = LidarScan
+    accepts: ClassVar[type] = LidarScan
     publishes: ClassVar[type] = TerrainEvidence
 
     def __post_init__(self) -> None:
@@ -102,7 +104,7 @@ class GaussianDemMapperSettings:
         return found
 
     def build(self, briefing: Briefing, navigation: Navigation) -> GaussianDemMapper:
-        """Return the mapper of one flight."""
+        """Build the mapper of one flight from the data known before it."""
         return GaussianDemMapper(
             map_grid(briefing.target, self.size, self.posting, briefing.lander),
             briefing.lander,
@@ -114,26 +116,27 @@ class GaussianDemMapperSettings:
 
 
 class GaussianDemMapper(HazardMapper):
-    """Pool LiDAR scans into a Gaussian DEM and evaluate landing safety on it.
+    """Hazard mapper that builds a Gaussian DEM from scans and evaluates its safety.
 
     Parameters
     ----------
     grid
         Cells of the map, estimated ENU frame.
     lander
-        Geometry and limits.
+        Geometry and limits of the lander.
     safety
         ``"calibrated"``: calibrated probability, and a bound outside the calibrated domain (see
-        `lunarsim.safety.calibration`). ``"level"``: conservative test of Eqs. 15 to 17.
-        ``"planes"``: the same test with the actual support planes, which keeps safe sites on
-        relief.
+        `lunarsim.safety.calibration`). ``"level"``: conservative test of Eqs. 15 to 17 of the
+        Gaussian DEM paper, which compares highest and lowest terrain. ``"planes"``: the same test
+        with the actual support planes of the legs, which keeps safe sites on sloping terrain.
     rocks
-        Rock population expected by the mission; default: that of `RockExpectation`.
+        Rock population expected by the mission; default: the defaults of `RockExpectation`.
     refit
-        Last stage of the calibration for the scenario; default: that of the package.
+        Last stage of the safety calibration, fitted to the scenario; default: the calibration
+        supplied with lunarsim.
     interval
-        Minimum time between two updates of the map, s. Without a known time, each new scan causes
-        an update.
+        Minimum time between two updates of the map, s. Until `refresh` has set a time, each new
+        scan causes an update.
 
     Raises
     ------
@@ -163,7 +166,7 @@ class GaussianDemMapper(HazardMapper):
         self.lander = lander
         self.refit = refit
         self.safety = safety
-        self.rocks = RockExpectation.given(rocks)
+        self.rocks = RockExpectation.or_default(rocks)
         self._samples, self._provisional = SamplePool(grid), SamplePool(grid)
         self._unleveled = UnleveledScans()
         self._map: HazardMap | DemSnapshot = HazardMap.unobserved(grid)
@@ -189,11 +192,12 @@ class GaussianDemMapper(HazardMapper):
         self._is_outdated |= taken > 0
 
     def _align_heights_to(self, points: Array) -> None:
-        """Shift all samples to the height of a new scan if the offset is significant.
+        """Shift all stored samples to the height of a new scan if the offset is large.
 
-        The estimated height of the lander drifts by decimetres between scans. Samples at two
-        heights would look like steps all over the map. The newest scan defines the height, because
-        guidance uses it.
+        `points` (n, 3) are the new scan, local frame, m. The offset must be statistically
+        significant. The estimated height of the lander drifts by decimetres between scans. Samples
+        at two heights would look like steps all over the map. The newest scan defines the height,
+        because guidance uses it.
         """
         found = self.pool.height_offset(points)
         if found is None or abs(found[0]) < max(_MIN_OFFSET_SIGMAS * found[1], _MIN_OFFSET_M):
@@ -204,18 +208,19 @@ class GaussianDemMapper(HazardMapper):
 
     @property
     def pool(self) -> SamplePool:
-        """All samples, those with a provisional tilt at their present position."""
+        """All samples, including those that are rotated again when the tilt is known."""
         return self._samples.union(self._provisional)
 
-    def level(self, turn: Array, pivot: Array, tilt_sigma: float) -> None:
-        """Rotate the samples that came before the tilt was known.
+    def correct_tilt(self, turn: Array, pivot: Array, tilt_sigma: float) -> None:
+        """Rotate the samples that were measured before the tilt of the lander was known.
 
         Parameters
         ----------
         turn, pivot
-            Rotation (3, 3) about a point (3,), local frame, m.
+            Rotation matrix (3, 3) and the point (3,) about which the samples are rotated, local
+            frame, m.
         tilt_sigma
-            Present standard deviation of the tilt, rad.
+            Current standard deviation of the tilt, rad.
         """
         if self._provisional.base is None:
             return
@@ -225,31 +230,33 @@ class GaussianDemMapper(HazardMapper):
             self._samples, self._provisional = self.pool, SamplePool(self.grid)
 
     def dem(self) -> PooledDem:
-        """Return mean and variance of the elevation."""
+        """Compute mean and variance of the elevation from all samples."""
         return pooled_dem(self.pool)
 
-    def surface(self) -> TerrainSurface:
-        """Return the elevations as last computed, after an update if one is due."""
+    def terrain_surface(self) -> TerrainSurface:
+        """Update the elevations if an update is due, and return them."""
         return self._updated()
 
     def _updated(self) -> HazardMap | DemSnapshot:
+        """Recompute the map if an update is due, and return the current map."""
         if self._is_outdated and self._timer.is_due:
             self._map, self._is_outdated = self._compute(self.dem()), False
             self._timer.mark_updated()
         return self._map
 
     def hazard_map(self) -> HazardMap:
-        """Return the hazard map as last computed, after an update if one is due."""
+        """Update the hazard map if an update is due, and return it."""
         snapshot = self._updated()
         return snapshot.hazard_map if isinstance(snapshot, DemSnapshot) else snapshot
 
     def evidence(self) -> TerrainEvidence | None:
-        """Return the last computed elevations and their evidence; None before any return.
+        """Return the elevations and the inputs of their safety calibration, for fusion.
 
-        Uncalibrated safety tests provide the map only.
+        None before the first return. With an uncalibrated safety test, the result contains the
+        hazard map only.
         """
         snapshot = self._updated()
-        if self.blank:
+        if self.is_empty:
             return None
         if isinstance(snapshot, HazardMap):
             return TerrainEvidence(snapshot)
@@ -262,10 +269,11 @@ class GaussianDemMapper(HazardMapper):
         )
 
     def refresh(self, time: float) -> None:
-        """Set the current time (s)."""
+        """Set the current time (s), on which the update interval depends."""
         self._timer.set_time(time)
 
     def _compute(self, dem: PooledDem) -> HazardMap | DemSnapshot:
+        """Evaluate the landing safety of elevations; return an empty map without samples."""
         if not len(dem.sampling.residual_heights):
             return HazardMap.unobserved(self.grid)
         if self.safety == "calibrated":
@@ -276,21 +284,24 @@ class GaussianDemMapper(HazardMapper):
         return HazardMap(self.grid, safety.p_safe, safety.observed, dem.mean, dem.variance)
 
     @property
-    def blank(self) -> bool:
-        """Whether no return has fallen on the map yet."""
+    def is_empty(self) -> bool:
+        """Whether no LiDAR return has fallen on the map yet."""
         return self._samples.base is None and self._provisional.base is None
 
     def recentre(self, centre: Array) -> None:
-        """Move the map to another centre (3,), local frame, m, if it is too far away."""
-        if not (self.blank or is_off_centre(self.grid, centre)):
+        """Move the map to another centre (3,), local frame, m, if it is too far from it."""
+        if not (self.is_empty or is_off_centre(self.grid, centre)):
             return
         self._samples, self._provisional = self._pools_about(centre)
         self.grid = self._samples.grid
-        self._map, self._is_outdated = HazardMap.unobserved(self.grid), not self.blank
+        self._map, self._is_outdated = HazardMap.unobserved(self.grid), not self.is_empty
         self._timer.force_update()
 
     def _pools_about(self, centre: Array) -> tuple[SamplePool, SamplePool]:
-        """Return both pools on one grid about another point (3,)."""
+        """Return the final and the provisional samples on one grid about a point (3,), m.
+
+        Provisional samples were measured before the tilt of the lander was known.
+        """
         both = self.pool.about(centre)
         if both.base is None:
             return both, SamplePool(both.grid)

@@ -46,20 +46,21 @@ _SIGNIFICANCE_RATIO, _SIGNIFICANT_GROWTH_FACTOR = 6.0, 2.2
 
 @dataclass(frozen=True)
 class SamplingStatistics:
-    """Statistics of the samples of a DEM and of the terrain between them.
+    """Density, noise and residual heights of the samples of an elevation map.
 
     Attributes
     ----------
     density
-        Samples at different places per square metre (rows, cols).
+        Samples per square metre around each cell (rows, cols); repeated samples of a cell count
+        once.
     spacing
         Median distance of neighbouring samples within their scans, m.
     noise
         Median standard deviation of the samples, m.
     residual_heights
-        Heights of the samples above the local terrain plane (n,), m.
+        Heights of the samples above a plane fitted to the terrain around them (n,), m.
     residual_raster
-        The same at the cell of each sample (rows, cols), m; NaN without a sample.
+        The residual heights in the cells of their samples (rows, cols), m; NaN without a sample.
     """
 
     density: Array
@@ -71,21 +72,28 @@ class SamplingStatistics:
 
 @dataclass(frozen=True)
 class PooledDem(GaussianDem):
-    """Gaussian DEM with the statistics of its samples; see `GaussianDem`."""
+    """Elevation raster with mean, variance and the statistics of its samples.
+
+    Attributes
+    ----------
+    sampling
+        Density, noise and residual heights of the samples.
+    """
 
     sampling: SamplingStatistics
 
 
 def pooled_dem(pool: SamplePool) -> PooledDem:
-    """Return mean and variance of the elevation between all samples of a pool.
+    """Interpolate mean and variance of the elevation between all samples of a pool.
 
     The method is that of `gaussian_dem`, but mean and variance of the random field are estimated.
-    Between close samples only the slope of the variogram of Eq. 4 at the origin matters:
-    ``sigma_f^2 / length_scale``. It is estimated as the mean squared height difference along
-    triangle edges, relative to the terrain slope and minus the noise, divided by twice their
-    length. The estimate is made in squares of a few samples, and in a single triangle if that is
-    significantly larger. Rocky and smooth terrain thus each get their own variance. The mean of the
-    field has the local terrain slope, so that noise larger than the relief does not flatten it.
+    Between close samples only the slope of the variogram of Eq. 4 of the Gaussian DEM paper at the
+    origin matters: ``sigma_f^2 / length_scale``. It is estimated as the mean squared height
+    difference along triangle edges, relative to the terrain slope and minus the noise, divided by
+    twice their length. The estimate is made in squares of a few samples, and in a single triangle
+    if its own estimate is significantly larger. Rocky and smooth terrain thus each get a separate
+    variance. The mean of the field has the local terrain slope, so that noise larger than the
+    height differences does not flatten it.
     """
     grid = pool.grid
     mean, variance = np.empty(grid.shape, np.float32), np.empty(grid.shape, np.float32)
@@ -144,6 +152,11 @@ def _sampling_statistics(
     squares: LocalPlaneGrid,
     planes: Array,
 ) -> SamplingStatistics:
+    """Compute density, noise and residual heights of the samples of a pool.
+
+    `vertices` (n, 3), m, `noise` (n,), m^2, and `spacing` (n,), m, are the samples, their variances
+    and spacings. `planes` are the terrain planes fitted in `squares`.
+    """
     if not len(vertices):
         nothing = np.zeros(pool.grid.shape)
         unknown = np.full(pool.grid.shape, np.nan, np.float32)
@@ -166,21 +179,26 @@ def _sampling_statistics(
 
 
 def _corners(values: Array, triangles: IntArray) -> list[Array]:
-    """Return values (n, ...) at the three corners of triangles, each (m, ...)."""
+    """Look up values (n, ...) at the three corners of triangles (m, 3).
+
+    Returns three arrays (m, ...), one per corner.
+    """
     return [values[corner] for corner in triangles.T]
 
 
 def _variogram_growth(squares: LocalPlaneGrid, points: Array, increments: Array) -> Array:
-    """Return the slope of the variogram at the origin, per square (rows, cols), m.
+    """Estimate the slope of the variogram at the origin, m, in each square.
+
+    The result has shape (square rows, square columns).
 
     Parameters
     ----------
     squares
-        Squares of the estimate.
+        Squares in which the slope is estimated.
     points
         Centres of triangles (m, 2).
     increments
-        Output of `triangle_growth` (m, 2).
+        Squared height differences and lengths of each triangle, from `triangle_growth` (m, 2).
     """
     row, col = squares.grid.cell(points[:, :2])
     rows, cols = squares.shape
@@ -199,5 +217,5 @@ def _variogram_growth(squares: LocalPlaneGrid, points: Array, increments: Array)
 
 
 def _sum_3x3(values: NDArray[Any]) -> Array:
-    """Return sums over 3 x 3 squares."""
+    """Return the sum over the 3 x 3 neighbourhood of each entry (rows, cols)."""
     return np.asarray(9.0 * ndimage.uniform_filter(values, 3, mode="constant"))

@@ -38,7 +38,9 @@ _MAD_TO_SIGMA, _MEDIAN_TO_MEAN_ERROR = 1.4826, 1.2533
 
 
 class SamplePool:
-    """Sums over the samples in each cell of a grid; memory does not grow with scans.
+    """Elevation samples of all scans, summed per cell of a grid.
+
+    The memory does not grow with the number of scans.
 
     Parameters
     ----------
@@ -48,15 +50,17 @@ class SamplePool:
     Attributes
     ----------
     base
-        Reference of the heights, m; None before the first sample.
+        Reference height, m, above which the heights in the sums are measured; None before the first
+        sample.
     centroid
-        Sums of precision, and of precision times east, north (from the cell centre) and height
-        (above `base`), over the samples in each cell (rows, cols, 4).
+        Sums of precision (1 / variance, 1/m^2), and of precision times east, north (from the cell
+        centre) and height (above `base`), over the samples in each cell (rows, cols, 4).
     splat
-        Sums over the samples about each cell (rows, cols, 4): the maximum sum of bilinear weights
-        (Eq. 1) in one call of `add`, then the sums of weight over variance, of the same times
-        height, and of squared weight over variance. The maximum prevents that repeated hits of a
-        far corner make a cell count as measured.
+        Sums over the samples around each cell, with bilinear weights (Eq. 1 of the Gaussian DEM
+        paper) (rows, cols, 4). The first entry is the sum of weights in one call of `add`, the
+        maximum over all calls. The others are the sums of weight over variance, of weight times
+        height over variance, and of squared weight over variance. The maximum prevents that
+        repeated hits of a far corner make a cell count as measured.
     spacing
         Minimum distance of neighbouring samples within their scans (rows, cols), m; inf without
         samples.
@@ -71,11 +75,11 @@ class SamplePool:
 
     @property
     def nbytes(self) -> int:
-        """Memory of the sums, bytes."""
+        """Memory used by the sums, bytes."""
         return self.centroid.nbytes + self.splat.nbytes + self.spacing.nbytes
 
     def add(self, points: ArrayLike, sigma: ArrayLike, spacing: ArrayLike) -> int:
-        """Add samples and return how many fell on the grid.
+        """Add the samples of one scan and return how many fell on the grid.
 
         Parameters
         ----------
@@ -118,10 +122,11 @@ class SamplePool:
         return int(count)
 
     def height_offset(self, points: ArrayLike) -> tuple[float, float] | None:
-        """Return the height offset of points from the samples in the same cells.
+        """Estimate the height offset of new points from the stored samples in their cells.
 
-        The result is the median difference and its standard error, m; None if too few cells contain
-        both. The position of the points within a cell contributes differences of either sign.
+        The result is the median difference (new minus stored) and its standard error, m; None if
+        too few cells contain both. The position of the points within a cell contributes differences
+        of either sign.
 
         Parameters
         ----------
@@ -141,17 +146,17 @@ class SamplePool:
         return median, _MEDIAN_TO_MEAN_ERROR * spread / float(np.sqrt(len(difference)))
 
     def shifted_up(self, by: float) -> SamplePool:
-        """Return the same samples shifted up by a height, m."""
+        """Return the same samples shifted up by the height `by`, m."""
         out = SamplePool(self.grid)
         out.base = None if self.base is None else self.base + by
         out.centroid, out.splat, out.spacing = self.centroid, self.splat, self.spacing
         return out
 
     def about(self, centre: ArrayLike) -> SamplePool:
-        """Return the same samples on a grid about another point (2,) or (3,), m.
+        """Return the same samples on a grid centred near another point (2,) or (3,), m.
 
         The grid moves by an integer number of cells and drops samples that leave it. An empty pool
-        moves exactly.
+        is centred exactly.
         """
         g = self.grid
         if self.base is None:
@@ -162,9 +167,9 @@ class SamplePool:
         return SamplePool(g.about(centre)) if out.base is None else out
 
     def on_shifted_grid(self, grid: Grid) -> SamplePool:
-        """Return the same samples on a grid shifted by an integer number of cells.
+        """Return the same samples on `grid`, shifted by an integer number of cells.
 
-        Samples that leave the grid are dropped.
+        Samples off the new grid are dropped.
         """
         out, g = SamplePool(grid), self.grid
         by = np.rint((np.asarray(grid.centre) - g.centre) / g.posting)
@@ -176,7 +181,7 @@ class SamplePool:
         return out
 
     def rotated(self, turn: ArrayLike, pivot: ArrayLike) -> SamplePool:
-        """Return the samples rotated about a pivot, without those that leave the grid.
+        """Return the samples rotated about a point, without those that leave the grid.
 
         The mean point of each cell is rotated. This is exact except for samples that would move to
         another cell than their mean. The splatted sums of a cell move by an integer number of cells
@@ -185,7 +190,7 @@ class SamplePool:
         Parameters
         ----------
         turn, pivot
-            Rotation (3, 3) about a point (3,), m.
+            Rotation matrix (3, 3) and the point (3,) about which the samples are rotated, m.
 
         Raises
         ------
@@ -225,7 +230,7 @@ class SamplePool:
         return out
 
     def union(self, other: SamplePool) -> SamplePool:
-        """Return the union of these samples and those of another pool on the same grid."""
+        """Return a pool with the samples of this pool and of another on the same grid."""
         if other.base is None or self.base is None:
             return self if other.base is None else other
         out = SamplePool(self.grid)
@@ -240,7 +245,11 @@ class SamplePool:
         return out
 
     def vertices(self) -> tuple[Array, Array, Array]:
-        """Return a point per cell (n, 3), m, its variance (n,), m^2, and spacing (n,), m."""
+        """Return the mean sample of each occupied cell with its variance and spacing.
+
+        Mean points (n, 3), m, their height variances (n,), m^2, and the minimum spacing of the
+        samples (n,), m.
+        """
         rows, cols = np.nonzero(self.centroid[..., 0])
         total = self.centroid[rows, cols]
         mean = total[:, 1:] / total[:, :1]
@@ -250,19 +259,26 @@ class SamplePool:
 
 
 def _cells(grid: Grid, points: Array) -> tuple[tuple[Index, Index], NDArray[np.bool_]]:
-    """Return rows and columns of points (n, 3) on a grid, and which are on it (n,)."""
+    """Return rows and columns of the points (n, 3) that are on a grid.
+
+    The second result (n,) is True for these points.
+    """
     keep = np.asarray(grid.contains(points[:, :2]))
     row, col = grid.cell(points[keep, :2])
     return (np.asarray(row), np.asarray(col)), keep
 
 
 def _overlap(count: int, by: int) -> tuple[slice, slice]:
-    """Return the slices of a shifted axis and of the original axis that overlap."""
+    """Return the slices of a shifted axis and of the original axis that overlap.
+
+    The axis has `count` cells and is shifted by `by` cells.
+    """
     kept = max(count - abs(by), 0)
     return slice(max(-by, 0), max(-by, 0) + kept), slice(max(by, 0), max(by, 0) + kept)
 
 
 def _check_positive(name: str, values: Array) -> Array:
+    """Return `values` as float64; raise InputError for `name` if one is not positive."""
     out = np.ascontiguousarray(values, dtype=np.float64)
     is_invalid = ~((out > 0.0) & (out <= _MAX_LENGTH_M))
     if is_invalid.any():

@@ -20,7 +20,7 @@ _BIN_COUNT = 24
 
 @dataclass(frozen=True)
 class FieldFit:
-    """Fitted hyperparameters.
+    """Hyperparameters of a Gaussian random field, fitted to the variogram of terrain.
 
     Attributes
     ----------
@@ -28,9 +28,10 @@ class FieldFit:
         Standard deviation and length scale of the field, m. Lags much shorter than the length scale
         determine only their combination `growth`.
     growth
-        sigma_f^2 / length_scale, m: slope of the variogram at the origin.
+        Slope of the variogram at the origin, sigma_f^2 / length_scale, m.
     lag, variogram
-        Centres of the lag bins (n,), m, and half the mean squared difference in each (n,), m^2.
+        Centres of the distance bins (n,), m, and half the mean squared height difference of the
+        pairs of points in each bin (n,), m^2.
     seconds
         Wall-clock time of the fit, s.
     """
@@ -51,11 +52,11 @@ def fit_hyperparameters(
     largest_lag: float = 10.0,
     pairs: int = 200_000,
 ) -> FieldFit:
-    """Fit the absolute exponential kernel to the variogram of a point cloud.
+    """Fit the exponential kernel of a random field to the variogram of a point cloud.
 
     The model variogram is ``sigma_f^2 (1 - exp(-d / length)) + sigma_eps^2``. Pairs of points are
-    drawn at random and their squared differences are averaged in lag bins. The model is fitted to
-    the bins, each weighted by its relative error.
+    sampled at random and their squared height differences are averaged in bins of their distance
+    (lag). The model is fitted to the bins, each weighted by its relative error.
 
     Parameters
     ----------
@@ -66,9 +67,9 @@ def fit_hyperparameters(
     rng
         Random generator for the pairs.
     largest_lag
-        Maximum lag, m.
+        Maximum distance of the points of a pair, m.
     pairs
-        Number of pairs drawn.
+        Number of pairs sampled.
 
     Raises
     ------
@@ -92,7 +93,11 @@ def fit_hyperparameters(
 def _sample_pairs(
     cloud: Array, rng: np.random.Generator, pairs: int, largest_lag: float
 ) -> tuple[Array, Array]:
-    """Return distance and half the squared height difference of random point pairs."""
+    """Sample point pairs; return their distances and half squared height differences.
+
+    `cloud` (n, 3) are the points, m. At most `pairs` pairs up to the distance `largest_lag`, m, are
+    returned: distances (m,), m, and half squared differences (m,), m^2.
+    """
     # Random direction and log-uniform lag, so that every bin gets its share.
     first = rng.integers(0, len(cloud), pairs)
     low = 0.02 * largest_lag
@@ -106,7 +111,11 @@ def _sample_pairs(
 
 
 def _bin_pairs(distance: Array, square: Array, largest_lag: float) -> tuple[Array, Array, Index]:
-    """Return lag, variogram and number of pairs of the bins with at least 30 pairs."""
+    """Average point pairs in logarithmic distance bins with at least 30 pairs.
+
+    `distance` (m,), m, and `square` (m,), m^2, are the result of `_sample_pairs`. Returns mean
+    distance, mean of `square` and number of pairs of each bin.
+    """
     edges = np.geomspace(distance.min(), largest_lag, _BIN_COUNT + 1)
     index = np.clip(np.searchsorted(edges, distance) - 1, 0, _BIN_COUNT - 1)
     count = np.bincount(index, minlength=_BIN_COUNT)
@@ -119,9 +128,14 @@ def _bin_pairs(distance: Array, square: Array, largest_lag: float) -> tuple[Arra
 def _fit_model(
     lag: Array, variogram: Array, count: Index, sigma_eps: float, largest_lag: float
 ) -> tuple[float, float]:
-    """Return sigma_f and length scale of the best model."""
+    """Fit the exponential variogram to its bins; return sigma_f and length scale, m.
+
+    `lag`, `variogram` and `count` are the result of `_bin_pairs`; `sigma_eps` is the standard
+    deviation of a sample, m.
+    """
 
     def model(d: Array, log_sigma: float, log_length: float) -> Array:
+        """Return the model variogram, m^2, at distances `d`, m."""
         rise = np.exp(2.0 * log_sigma) * -np.expm1(-d / np.exp(log_length))
         return np.asarray(rise + sigma_eps**2)
 

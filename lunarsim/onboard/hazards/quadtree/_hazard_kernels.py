@@ -28,10 +28,12 @@ NEIGHBOUR_SQUARES = 1 << SQUARE_LEVELS
 
 @kernel()
 def _distances(tree, node, plane, squares, stack, distance, square):
-    """Write the distances (n,) of a cell's points to a plane, and their squares (n,).
+    """Compute the distances of a cell's points to a plane, without outliers in height.
 
-    Outliers in height are omitted. `plane` is a point and a normal (6,); `squares` is the number of
-    squares along a side of the cell. Returns the number of points.
+    `node` is the cell of `tree`. `plane` (6,) is a point on the plane, m, and its unit normal.
+    `squares` is the number of squares along a side of the cell, and `stack` a work array.
+    `distance` (n,), m, and `square` (n,) receive the signed distance of each point and the index of
+    its square. Returns the number of points.
     """
     x, y, z, a, b, c = plane
     reach = tree.half / (1 << tree.depth[node])
@@ -67,9 +69,12 @@ def _distances(tree, node, plane, squares, stack, distance, square):
 
 @kernel()
 def _count_exceptions(distance, square, middle, tolerance, share, max_distance):
-    """Write share of exceptions and maximum distance per square (w, w) of a cell.
+    """Compute the fraction of outliers and the maximum distance per square of a cell.
 
-    Distances (n,) are measured from a plane and from its parallel at distance `middle`.
+    An outlier (exception) is a point farther than `tolerance` from a plane or from the parallel
+    plane offset by `middle`, m. `distance` (n,), m, and `square` (n,) are the results of
+    `_distances`. `share` (w, w) receives the fraction of outliers. `max_distance` (w, w), m,
+    receives the maximum distance from the parallel plane, or of an outlier from either plane.
     """
     squares = share.shape[0]
     number = np.zeros((squares, squares))
@@ -90,10 +95,10 @@ def _count_exceptions(distance, square, middle, tolerance, share, max_distance):
 
 @kernel()
 def _count_in_square(tree, depth, row, col):
-    """Return the number of points in a square of a depth; 0 off the map.
+    """Return the number of points in one square of a quadtree; 0 off the map.
 
-    Row and column are counted from the south-west. A leaf larger than the square contributes its
-    share.
+    `depth` gives the size of the square; `row` and `col` are counted from the south-west. If the
+    square is part of a larger leaf, its points are assumed to be spread evenly.
     """
     wide = 1 << depth
     if not (0 <= row < wide and 0 <= col < wide):
@@ -107,9 +112,11 @@ def _count_in_square(tree, depth, row, col):
 
 @kernel()
 def _neighbour_count(tree, depth, row, col, up, right):
-    """Return the points in the next occupied squares in a direction; -1 if none.
+    """Return the number of points in the next occupied square in a direction.
 
-    The larger number of two squares, because half of the first may be hidden too.
+    The search starts at the square (`row`, `col`) of a depth and moves by (`up`, `right`) per step.
+    The result is the larger number of this and the following square, because half of the first may
+    be hidden too; -1 if all squares within reach are empty.
     """
     for n in range(1, NEIGHBOUR_SQUARES + 1):
         number = _count_in_square(tree, depth, row + n * up, col + n * right)
@@ -121,11 +128,12 @@ def _neighbour_count(tree, depth, row, col, up, right):
 
 @kernel()
 def _expected_count(tree, depth, row, col):
-    """Return the expected number of points in a square from its neighbours.
+    """Predict the number of points in a square from its occupied neighbours.
 
-    The coverage of a scan has no concave edges: between two observed squares the density is the
-    same. Next to a scan, only coarser scans may have measured. With one occupied side, that side is
-    used; without any, no scan covers the square and the result is inf.
+    `depth`, `row` and `col` locate the square. The coverage of a scan has no concave edges: between
+    two observed squares the density is the same. Next to a scan, only coarser scans may have
+    measured, so the smaller number of both sides is used. With one occupied side, its number is
+    used. If no side is occupied, no scan covers the square and the result is inf.
     """
     most = -1.0
     for up in range(2):
@@ -138,9 +146,10 @@ def _expected_count(tree, depth, row, col):
 
 @kernel()
 def _blank_unobserved(tree, node, ratio, relief):
-    """Set empty squares (w, w) of a cell to NaN if chance does not explain them.
+    """Set the empty squares of a cell to NaN unless they may be empty by chance.
 
-    An unobserved square may be hidden behind a boulder or lie beyond the edge of a scan.
+    `ratio` and `relief` (w, w) are the values of the squares of cell `node`. An unobserved square
+    may be hidden behind a boulder or lie beyond the edge of a scan.
     """
     wide = ratio.shape[0]
     depth = np.int64(tree.depth[node])
@@ -159,12 +168,14 @@ def _blank_unobserved(tree, node, ratio, relief):
 
 @kernel()
 def _evaluate_cell(tree, node, plane, tolerance, ratio, relief):
-    """Write share of exceptions and maximum distance per square (w, w) of a cell.
+    """Compute the fraction of outliers and the maximum distance per square of a cell.
 
-    A point is an exception if it is farther than `tolerance` from the mesh, or from the parallel
-    plane at the median of the points of the cell. The floor of a crater agrees with the latter, a
-    boulder in a hollow with the former. A boulder on less than half the cell hardly raises the
-    median.
+    `plane` (6,) is a point on the terrain mesh, m, and its normal. A point is an outlier
+    (exception) if it is farther than `tolerance`, m, from this plane, or from the parallel plane at
+    the median of the points of the cell. The mesh plane alone would miss a boulder in a hollow, and
+    the floor of a crater is an outlier only relative to one of them. A boulder on less than half
+    the cell hardly raises the median. `ratio` and `relief` (w, w) receive the results, NaN where
+    unobserved.
     """
     stack = np.empty(STACK, np.int32)
     off, square = np.empty(tree.count[node]), np.empty(tree.count[node], np.int32)
@@ -186,7 +197,11 @@ def _equal_or_nan(a, b):
 
 @kernel()
 def _write_squares(ratio, relief, row0, col0, ratios, reliefs):
-    """Write the squares (w, w) of a cell into the rasters; return whether one changed."""
+    """Copy the squares of one cell into the rasters; return whether a value changed.
+
+    `ratio` and `relief` (w, w) are copied to `ratios` and `reliefs` at row `row0` and column
+    `col0`.
+    """
     changed = False
     wide = ratio.shape[0]
     for row in range(wide):
@@ -201,22 +216,23 @@ def _write_squares(ratio, relief, row0, col0, ratios, reliefs):
 
 @kernel(parallel=True)
 def evaluate_cells(tree, nodes, mesh, tolerance, per_area, ratios, reliefs):
-    """Search cells for exceptions and write their squares into rasters of the map.
+    """Search cells for points off the terrain planes (exceptions), square by square.
 
     Parameters
     ----------
     nodes
-        Cells (n,) that do not overlap.
+        Indices of the cells (n,), which do not overlap.
     mesh
-        Terrain planes.
+        Triangular mesh of terrain planes, as in `TerrainMesh.arrays`.
     tolerance
         Distance from the plane above which a point is an exception, m.
     per_area
         Minimum number of points per square metre in each quarter of a cell.
     ratios, reliefs
-        Share of exceptions among the points of a square, and maximum distance of a point from the
-        median plane of its cell, or of an exception from the mesh if that is larger, m. NaN where
-        points are too few or there is no plane.
+        Rasters of the squares, which receive two values. First, the fraction of exceptions among
+        the points of a square. Second, the maximum distance of a point from the median plane of its
+        cell, or of an exception from the mesh if that is larger, m. NaN where points are too few or
+        there is no plane.
 
     Returns
     -------
@@ -248,7 +264,10 @@ def evaluate_cells(tree, nodes, mesh, tolerance, per_area, ratios, reliefs):
 
 @kernel()
 def blank_squares(outlines, square, ratios, reliefs):
-    """Set the squares (side: `square` half steps) within outlines (n, 4) to NaN.
+    """Set the squares of the hazard rasters within given rectangles to NaN.
+
+    `outlines` (n, 4) are west, east, south and north, and `square` is the side of a square, in half
+    steps (half sides of the smallest cells). `ratios` and `reliefs` (rows, cols) are the rasters.
 
     Returns
     -------

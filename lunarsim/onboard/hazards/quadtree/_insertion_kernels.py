@@ -21,7 +21,7 @@ RADIX_BITS = 11  # bits per pass of the radix sort
 
 @kernel(inline=True)
 def _spread(v):
-    """Insert a zero bit between the 16 bits of v."""
+    """Insert a zero bit between the 16 bits of `v`, to interleave two coordinates."""
     v = (v | (v << 8)) & 0x00FF00FF
     v = (v | (v << 4)) & 0x0F0F0F0F
     v = (v | (v << 2)) & 0x33333333
@@ -30,13 +30,20 @@ def _spread(v):
 
 @kernel(inline=True)
 def _column_of(v, half, per_metre):
-    """Return the column (or row) of smallest cells that contains the coordinate v."""
+    """Return the column (or row) of smallest cells that contains a coordinate.
+
+    `v` is the coordinate, m. `half` is half the side of the map, m, and `per_metre` the number of
+    cells per metre.
+    """
     return np.int64(np.floor((np.float64(v) + half) * per_metre))
 
 
 @kernel()
 def _order_of(key, bits):
-    """Return the order (n,) that sorts keys with `bits` bits (stable radix sort)."""
+    """Return the indices (n,) that sort integer keys (stable radix sort).
+
+    `key` (n,) has `bits` significant bits.
+    """
     n = key.size
     order = np.arange(n).astype(np.int32)
     spare = np.empty(n, np.int32)
@@ -61,13 +68,16 @@ def _order_of(key, bits):
 def sort_points(points, centre, half, depths, highest):
     """Sort points (n, 3) along the Z-order curve of the smallest cells.
 
+    `centre` (3,) and `half` are centre and half side of the map, m. `depths` is the depth of the
+    smallest cells, and `highest` the maximum height above or below the centre, m.
+
     Returns
     -------
     xyz, key
-        Points on the map (m, 3), relative to its centre, m, and their keys (m,).
+        Points on the map (m, 3), relative to its centre, m, and their Z-order keys (m,).
     outside, missing, high
-        Number of points off the map, with NaN, and on the map but farther than `highest` from its
-        elevation.
+        Number of points off the map, of points with NaN, and of points on the map but farther than
+        `highest` from its elevation.
     """
     n = points.shape[0]
     side = 1 << depths
@@ -115,7 +125,12 @@ def sort_points(points, centre, half, depths, highest):
 
 @kernel()
 def _split(tree, node, used, version):
-    """Split a leaf and divide its runs; return nodes, runs and sums in use."""
+    """Split a leaf into four children and divide its points among them.
+
+    `node` is the index of the leaf. Its points are stored as runs, sections of the list of all
+    points. `used` is the number of nodes, runs and sums in use; the function returns their new
+    numbers. `version` is the number of the current batch.
+    """
     nodes, runs, slots = used
     first = nodes
     depth = tree.depth[node] + 1
@@ -171,13 +186,13 @@ def _split(tree, node, used, version):
 
 @kernel(inline=True)
 def _child_towards(tree, node, depth, key):
-    """Return the child of a node at `depth` whose cell contains a key."""
+    """Return the child of a node at `depth` whose cell contains a Z-order key."""
     return tree.child[node] + ((key >> (2 * (tree.depths - depth - 1))) & 3)
 
 
 @kernel(inline=True)
 def _leaf_of(tree, key):
-    """Return the leaf whose cell contains a key, and its depth."""
+    """Return the leaf whose cell contains a Z-order key, and the depth of the leaf."""
     node = 0
     depth = 0
     while tree.child[node] >= 0:
@@ -188,9 +203,9 @@ def _leaf_of(tree, key):
 
 @kernel(inline=True)
 def _end_of_cell(key, i, shift):
-    """Return the first index after `i` whose key is outside the cell.
+    """Return the first index after `i` whose sorted Z-order key is outside the cell.
 
-    Keys are sorted, and a cell is a common prefix.
+    The keys in a cell have the same leading bits: all but the last `shift`.
     """
     prefix = key[i] >> shift
     j = i + 1
@@ -201,7 +216,11 @@ def _end_of_cell(key, i, shift):
 
 @kernel(inline=True)
 def _count_along_path(tree, leaf, key, more, version, touched, count):
-    """Add `more` points to a leaf and its ancestors; list cells first touched."""
+    """Add `more` points to the counts of a leaf and its ancestors.
+
+    `key` is a Z-order key in the leaf. Cells that the batch `version` has not reached before are
+    appended to `touched`, which has `count` entries. Returns the new number of entries.
+    """
     node = 0
     depth = 0
     while True:
@@ -218,12 +237,17 @@ def _count_along_path(tree, leaf, key, more, version, touched, count):
 
 @kernel()
 def _split_if_needed(tree, leaf, run, split_count, used, version, touched, count, found):
-    """Split a leaf that got a run if needed, and update the sums of smallest cells.
+    """Split a leaf that has too many points, and update the sums of smallest cells.
+
+    `run` is the new run of points in `leaf`, and `split_count` the number of points at which a cell
+    splits. `used` is the number of nodes, runs and sums in use, `version` the number of the batch.
+    `touched` lists the cells that the batch has reached, with `count` entries; `found` is a work
+    array.
 
     Returns
     -------
     used, count, found
-        Nodes, runs and sums in use, number of cells listed in `touched`, and `found`, possibly
+        Nodes, runs and sums in use, number of cells in `touched`, and the work array, possibly
         enlarged.
     """
     nodes, runs, slots = used
@@ -259,14 +283,17 @@ def _split_if_needed(tree, leaf, run, split_count, used, version, touched, count
 
 @kernel()
 def insert(tree, key, base, begin, used, split_count, version):
-    """Insert a sorted batch that is stored in the pool from index `base`.
+    """Insert a sorted batch of points, stored from index `base`, into the quadtree.
 
-    Continues at point `begin` of the batch until all are inserted or an array might be too small.
+    The function continues at point `begin` of the batch and stops when all points are inserted or
+    an array of the tree might be too small. `key` (n,) are the Z-order keys of the batch. `used` is
+    the number of nodes, runs and sums in use. `split_count` is the number of points at which a cell
+    splits, and `version` the number of the batch.
 
     Returns
     -------
     at, nodes, runs, slots
-        First point not inserted; nodes, runs and sums in use.
+        Index of the first point that was not inserted; number of nodes, runs and sums in use.
     """
     nodes, runs, slots = used
     touched = np.empty(tree.child.size, np.int32)

@@ -45,14 +45,21 @@ ELIGIBLE, NO_PLANE, OFF_MAP, NO_INTEREST, STEEP, SPARSE, HAZARD = range(7)
 
 @kernel(inline=True, inner=True)
 def half_steps(tree, node):
-    """Return the centre of a node in half steps."""
+    """Return the centre of a cell as integers, in half sides of the smallest cells.
+
+    `node` is the index of the cell; the origin is the south-west corner of the map.
+    """
     size = 1 << (tree.depths - tree.depth[node])
     return (2 * tree.column[node] + 1) * size, (2 * tree.row[node] + 1) * size
 
 
 @kernel()
 def is_mesh_node(tree, nodes, per_area):
-    """Return which cells (n,) have enough points per square metre in each quarter."""
+    """Return which cells (n,) have enough points in each quarter to be mesh nodes.
+
+    `nodes` (n,) are the indices of the cells; `per_area` is the minimum number of points per square
+    metre.
+    """
     good = np.zeros(nodes.size, np.bool_)
     for i in range(nodes.size):
         good[i] = is_evenly_sampled(tree, nodes[i], per_area)
@@ -61,7 +68,11 @@ def is_mesh_node(tree, nodes, per_area):
 
 @kernel(inner=True)
 def is_evenly_sampled(tree, node, per_area):
-    """Return whether each quarter of a cell, or the leaf itself, is dense enough."""
+    """Return whether each quarter of a cell has enough points per square metre.
+
+    `node` is the index of the cell and `per_area` the minimum density, 1/m^2. A leaf has no
+    quarters and is tested as one area.
+    """
     size = 2.0 * tree.half / (1 << tree.depth[node])
     if tree.child[node] < 0:
         return tree.count[node] >= per_area * size * size
@@ -73,7 +84,11 @@ def is_evenly_sampled(tree, node, per_area):
 
 @kernel()
 def normals(x, y, z, triangles):
-    """Return the upward unit normals (t, 3) of counter-clockwise triangles (Eq. 2)."""
+    """Return the upward unit normals (t, 3) of counter-clockwise triangles (Eq. 2).
+
+    `x`, `y`, `z` (n,) are the vertices, m, and `triangles` (t, 3) their indices. Eq. 2 is that of
+    the quadtree paper.
+    """
     out = np.empty((triangles.shape[0], 3))
     for t in range(triangles.shape[0]):
         a, b, c = triangles[t]
@@ -91,12 +106,16 @@ def normals(x, y, z, triangles):
 
 @kernel()
 def list_triangles(px, py, triangles, bucket, wide):
-    """List the triangles that touch each square of side `bucket` (half steps).
+    """List the triangles that touch each square of a raster, as a spatial index.
+
+    `px` and `py` (n,) are the vertices and `bucket` the side of a square, all in half steps (half
+    sides of the smallest cells). `triangles` (t, 3) are indices of vertices. The raster has `wide`
+    x `wide` squares.
 
     Returns
     -------
     start, index
-        Triangles of square s are index[start[s] : start[s + 1]].
+        The triangles of square s are index[start[s] : start[s + 1]].
     """
     start = np.zeros(wide * wide + 1, np.int32)
     for stage in range(2):
@@ -124,7 +143,10 @@ def list_triangles(px, py, triangles, bucket, wide):
 
 @kernel(inline=True)
 def _holds(px, py, a, b, c, x, y):
-    """Return whether (x, y) lies in the closed counter-clockwise triangle abc; exact."""
+    """Return whether (x, y) lies in the closed counter-clockwise triangle abc; exact.
+
+    `px` and `py` (n,) are integer coordinates of the vertices; `a`, `b`, `c` are their indices.
+    """
     return (
         (px[b] - px[a]) * (y - py[a]) - (py[b] - py[a]) * (x - px[a]) >= 0
         and (px[c] - px[b]) * (y - py[b]) - (py[c] - py[b]) * (x - px[b]) >= 0
@@ -134,9 +156,11 @@ def _holds(px, py, a, b, c, x, y):
 
 @kernel()
 def steepest_normal(x, y, mesh, out):
-    """Write the normal (3,) of the steepest triangle at a point; return its index.
+    """Find the steepest triangle of a mesh that contains a point; write its normal.
 
-    The index is -1 off the mesh. Several triangles contain a point on an edge or a vertex.
+    `x` and `y` are in half steps (half sides of the smallest cells); `mesh` is
+    `TerrainMesh.arrays`. `out` (3,) receives the normal. Returns the index of the triangle, -1 off
+    the mesh. Several triangles contain a point on an edge or a vertex.
     """
     px, py, _, triangles, normal, bucket, wide, start, index = mesh
     s = (y // bucket) * wide + x // bucket
@@ -153,7 +177,11 @@ def steepest_normal(x, y, mesh, out):
 
 @kernel()
 def mesh_height(x, y, mesh, t, metre):
-    """Return the height of triangle t at a point in half steps of `metre` m."""
+    """Return the height (m) of triangle `t` of a mesh at a point.
+
+    `x` and `y` are in half steps (half sides of the smallest cells) of `metre` m; `mesh` is
+    `TerrainMesh.arrays`.
+    """
     px, py, z, triangles, normal = mesh[0], mesh[1], mesh[2], mesh[3], mesh[4]
     a = triangles[t, 0]
     east, north = (x - px[a]) * metre, (y - py[a]) * metre
@@ -162,7 +190,11 @@ def mesh_height(x, y, mesh, t, metre):
 
 @kernel()
 def normals_at(x, y, mesh):
-    """Return the steepest normals (n, 3) at points in half steps; NaN off the mesh."""
+    """Return the unit normals (n, 3) of a mesh at points; NaN off the mesh.
+
+    `x` and `y` (n,) are in half steps (half sides of the smallest cells); `mesh` is
+    `TerrainMesh.arrays`. On an edge or a vertex, the steepest triangle is used.
+    """
     out = np.full((x.size, 3), np.nan)
     normal = np.empty(3)
     for i in range(x.size):
@@ -173,9 +205,11 @@ def normals_at(x, y, mesh):
 
 @kernel()
 def mark(rectangles, reach, square, wide, marked):
-    """Mark the squares of a raster that rectangles (n, 4), grown by `reach`, touch.
+    """Mark the squares of a raster that are touched by enlarged rectangles.
 
-    Rectangles are west, east, south, north, in half steps.
+    `rectangles` (n, 4) are west, east, south and north, enlarged by `reach` on all sides. They and
+    the side `square` of a square are in half steps (half sides of the smallest cells). `marked`
+    (wide, wide) receives True.
     """
     for i in range(rectangles.shape[0]):
         west = max((rectangles[i, 0] - reach) // square, 0)
@@ -188,10 +222,13 @@ def mark(rectangles, reach, square, wide, marked):
 
 @kernel()
 def marked_nodes(tree, marked, smallest, largest, seen, version):
-    """Return the cells of a band in marked squares, and outlines of empty squares.
+    """Return the cells of a size band in marked squares, and the empty squares.
 
-    One square is one cell of the smallest size. Outlines (m, 4) are in half steps, for marked
-    squares without a cell.
+    `marked` (rows, cols) is a raster whose squares have the smallest size of the band. `smallest`
+    and `largest` are the depths of the smallest and largest cells. `seen` holds the number of the
+    last visit of each square; `version` is the number of this visit, so that no cell is listed
+    twice. Squares without a cell are returned as west, east, south and north (m, 4), in half steps
+    (half sides of the smallest cells).
     """
     wide = marked.shape[1]
     step = 2.0 * tree.half / wide
@@ -228,7 +265,11 @@ def marked_nodes(tree, marked, smallest, largest, seen, version):
 
 @kernel(inline=True, inner=True)
 def raster_index(tree, node, smallest):
-    """Return the index of a cell in the raster of a depth, by its south-west corner."""
+    """Return the index of a cell in the flattened raster of all cells of one depth.
+
+    `node` is the cell and `smallest` the depth of the raster. A larger cell gets the index of its
+    south-west corner.
+    """
     more = smallest - tree.depth[node]
     row, column = np.int64(tree.row[node]) << more, np.int64(tree.column[node]) << more
     return (row << smallest) + column
@@ -236,7 +277,11 @@ def raster_index(tree, node, smallest):
 
 @kernel()
 def raster_indices(tree, nodes, smallest):
-    """Return the indices (n,) of cells in the raster of a depth."""
+    """Return the indices (n,) of cells in the flattened raster of one depth.
+
+    `nodes` (n,) are the cells and `smallest` the depth of the raster. A larger cell gets the index
+    of its south-west corner.
+    """
     out = np.empty(nodes.size, np.int64)
     for i in range(nodes.size):
         out[i] = raster_index(tree, nodes[i], smallest)
@@ -245,7 +290,11 @@ def raster_indices(tree, nodes, smallest):
 
 @kernel()
 def rectangles_of(tree, nodes):
-    """Return the outlines (n, 4) of cells in half steps: west, east, south, north."""
+    """Return west, east, south and north of cells (n, 4).
+
+    `nodes` (n,) are the indices of the cells. The result is in half steps (half sides of the
+    smallest cells).
+    """
     out = np.empty((nodes.size, 4), np.int64)
     for i in range(nodes.size):
         x, y = half_steps(tree, nodes[i])
@@ -259,9 +308,11 @@ def rectangles_of(tree, nodes):
 
 @kernel()
 def zone_sums(tree, west, east, south, north, cx, cy, stack, s):
-    """Write the sums over the points in a rectangle, relative to (cx, cy).
+    """Sum the moments of all points in a rectangle about the centre (cx, cy).
 
-    Cells that only touch the rectangle are ignored.
+    All coordinates are relative to the centre of the map, m. `stack` is a work array; `s` (12,)
+    receives the sums. Outliers in height and cells that only touch the rectangle are ignored.
+    `west`, `east`, `south` and `north` are the sides of the rectangle.
     """
     empty_sums(s)
     # Tolerance, m: edges of cells and zones often coincide except for rounding.
@@ -303,7 +354,11 @@ def zone_sums(tree, west, east, south, north, cx, cy, stack, s):
 
 @kernel(inline=True)
 def _mean_square(s, z0, normal):
-    """Return the mean squared distance of points to the plane through (0, 0, z0)."""
+    """Return the mean squared distance (m^2) of summed points to a plane.
+
+    `s` (12,) are the moment sums of the points. The plane passes through (0, 0, `z0`) and has the
+    unit `normal` (3,).
+    """
     a, b, c = normal
     n = s[NUMBER]
     sxz = s[5] - z0 * s[0]
@@ -317,10 +372,10 @@ def _mean_square(s, z0, normal):
 
 @kernel(inline=True)
 def _fitted_slope(s):
-    """Return slope and standard error (rad) of the plane through summed points.
+    """Return slope and standard error (rad) of the least-squares plane of points.
 
-    The plane is a least-squares fit. Both are NaN if the points do not span a plane. The error is
-    that of the gradient magnitude with independent residuals.
+    `s` (12,) are the moment sums of the points. Both results are NaN if the points do not span a
+    plane. The error is the standard error of the gradient magnitude, for independent residuals.
     """
     n = s[NUMBER]
     mx, my, mz = s[0] / n, s[1] / n, s[2] / n
@@ -336,7 +391,12 @@ def _fitted_slope(s):
 
 @kernel()
 def _abs_distance_sum(tree, west, east, south, north, x, y, z, normal):
-    """Return sum |d| and number of points in a rectangle, for Eq. 8 as printed."""
+    """Sum the absolute distances of the points in a rectangle to a plane.
+
+    The plane passes through (`x`, `y`, `z`), m, with the unit `normal` (3,). Returns the sum, m,
+    and the number of points, without outliers in height. They are needed for Eq. 8 of the quadtree
+    paper as printed. The sides of the rectangle are relative to the centre of the map, m.
+    """
     index = points_in(tree, west, east, south, north)
     total = 0.0
     n = 0
@@ -354,10 +414,10 @@ def _abs_distance_sum(tree, west, east, south, north, x, y, z, normal):
 
 @kernel()
 def _max_over_zone(raster, x, y, reach):
-    """Return the maximum of the squares that overlap a zone; NaN if one is NaN.
+    """Return the maximum of a raster over a square zone; NaN if one value is NaN.
 
-    Centre and half side of the zone are in squares of the raster. Squares that only touch it are
-    ignored.
+    `x` and `y` are the centre of the zone and `reach` its half side, in squares of the raster.
+    Squares that only touch the zone are ignored.
     """
     worst = np.float32(0.0)
     reach = reach - 1e-6
@@ -372,7 +432,11 @@ def _max_over_zone(raster, x, y, reach):
 
 @kernel()
 def _max_known_over_zone(raster, x, y, reach):
-    """Return the maximum of the squares that overlap a zone, ignoring NaN; or 0."""
+    """Return the maximum of a raster over a square zone, ignoring NaN; at least 0.
+
+    `x` and `y` are the centre of the zone and `reach` its half side, in squares of the raster.
+    Squares that only touch the zone are ignored.
+    """
     worst = np.float32(0.0)
     reach = reach - 1e-6
     wide = raster.shape[0]
@@ -385,7 +449,12 @@ def _max_known_over_zone(raster, x, y, reach):
 
 @kernel()
 def _site_status(cosine, max_ratio, min_cosine, max_exceptions):
-    """Return the status of a site from slope and exception ratio."""
+    """Classify a site by its slope and its fraction of points off the terrain plane.
+
+    `cosine` is the cosine of the slope and `min_cosine` its minimum. `max_ratio` is the maximum
+    fraction of such points (exceptions) in a square of the zone, NaN with too few points;
+    `max_exceptions` is its limit. Returns a status code such as `ELIGIBLE` or `STEEP`.
+    """
     if cosine < min_cosine:
         return STEEP
     if np.isnan(max_ratio):
@@ -395,7 +464,13 @@ def _site_status(cosine, max_ratio, min_cosine, max_exceptions):
 
 @kernel()
 def _measure_zone(tree, node, zone, normal, printed, stack, s, out):
-    """Write number, fitted slope and roughness of the points in the zone about a cell."""
+    """Measure number, fitted slope and roughness of the points in a landing zone.
+
+    The zone is a square about the centre of cell `node` with the half side `zone`, m. `normal` (3,)
+    is the normal of the terrain plane. If `printed`, the roughness follows Eq. 8 of the quadtree
+    paper as printed, otherwise it is the root mean square distance to the plane. `stack` and `s`
+    are work arrays; `out` (9,) receives the results.
+    """
     x, y = cell_centre(tree, node)
     west, east, south, north = x - zone, x + zone, y - zone, y + zone
     sums_of(tree, node, s)
@@ -412,26 +487,26 @@ def _measure_zone(tree, node, zone, normal, printed, stack, s, out):
 
 @kernel(parallel=True)
 def evaluate_sites(tree, nodes, smallest, mesh, rasters, limits, printed, thorough, found, status):
-    """Evaluate the terrain of sites at the centres of cells.
+    """Evaluate slope, roughness and hazards of landing sites at the centres of cells.
 
     Parameters
     ----------
     nodes, smallest
-        Cells (n,), and the depth of the smallest cells that are sites.
+        Indices of the cells (n,), and the depth of the smallest cells that are sites.
     mesh
-        Terrain planes.
+        Triangular mesh of terrain planes, as in `TerrainMesh.arrays`.
     rasters
-        Exception ratios and maximum distances of squares over the map; NaN counts as too few
-        points.
+        Two rasters of squares: the fraction of exceptions (points off the terrain plane) and the
+        maximum distance of points, m. NaN: too few points.
     limits
-        Minimum cosine of the slope, maximum exception ratio, half sides of the zone and of the
-        footprint of the lander, and margin around hazards, m.
+        Minimum cosine of the slope, maximum fraction of exceptions, half sides of the landing zone
+        and of the footprint of the lander, and margin around hazards, m.
     printed
-        Compute the roughness by Eq. 8 as printed, not as root mean square.
+        Compute the roughness by Eq. 8 of the quadtree paper as printed, not as root mean square.
     thorough
         Compute the roughness of rejected sites too, if there are enough points.
     found, status
-        Results (N, 9) and status (N,), one row per square of the smallest cells.
+        Receive the results (N, 9) and status codes (N,), one row per square of the smallest cells.
     """
     ratios, reliefs = rasters
     min_cosine, exception, zone, footprint, margin = limits

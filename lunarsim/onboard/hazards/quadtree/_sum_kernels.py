@@ -29,7 +29,11 @@ MIN_POINTS_FOR_OUTLIERS, MAX_OUTLIER_SHARE = 5, 0.25
 
 @kernel(inline=True, inner=True)
 def add_point(s, x, y, z):
-    """Add a point, relative to the centre of the sums."""
+    """Add a point to the moment sums of a cell.
+
+    `s` (12,) are the sums of x, y, z and their products, the number of points, and minimum and
+    maximum z. `x`, `y`, `z` are the coordinates of the point relative to the centre of the sums, m.
+    """
     s[0] += x
     s[1] += y
     s[2] += z
@@ -46,7 +50,7 @@ def add_point(s, x, y, z):
 
 @kernel(inline=True, inner=True)
 def empty_sums(s):
-    """Set sums to those of no points."""
+    """Set the moment sums `s` (12,) of a cell to the values for no points."""
     for k in range(MIN_Z):
         s[k] = 0.0
     s[MIN_Z] = np.inf
@@ -55,7 +59,11 @@ def empty_sums(s):
 
 @kernel(inline=True, inner=True)
 def add_shifted(out, s, dx, dy):
-    """Add sums s to `out`, whose centre is at (-dx, -dy) from that of s."""
+    """Add moment sums about one centre to sums about another centre.
+
+    `s` (12,) is added to `out` (12,). (`dx`, `dy`) is the centre of `s` relative to that of `out`,
+    m.
+    """
     n = s[NUMBER]
     out[0] += s[0] + n * dx
     out[1] += s[1] + n * dy
@@ -73,7 +81,10 @@ def add_shifted(out, s, dx, dy):
 
 @kernel(inner=True)
 def add_leaf(tree, leaf, cx, cy, out):
-    """Add the points of a leaf without outliers to sums relative to (cx, cy)."""
+    """Add the points of a leaf, without outliers, to moment sums about (cx, cy).
+
+    `leaf` is the index of the cell, (`cx`, `cy`) is in m, and `out` (12,) are the sums.
+    """
     run = tree.head[leaf]
     while run >= 0:
         begin = tree.start[run]
@@ -86,7 +97,10 @@ def add_leaf(tree, leaf, cx, cy, out):
 
 @kernel(inner=True)
 def sums_of(tree, node, out):
-    """Write the sums of a node relative to its centre."""
+    """Write the moment sums of a cell about its centre into `out` (12,).
+
+    `node` is the index of the cell. Stored sums are used if they exist.
+    """
     if tree.slot[node] >= 0:
         out[:] = tree.sums[tree.slot[node]]
         return
@@ -97,7 +111,10 @@ def sums_of(tree, node, out):
 
 @kernel()
 def moments(tree, nodes):
-    """Return number, mean and variance of heights (n, 3) of cells; NaN without points."""
+    """Return number, mean and variance of the heights in cells (n, 3), m and m^2.
+
+    `nodes` (n,) are the indices of the cells. Mean and variance are NaN without points.
+    """
     out = np.empty((nodes.size, 3))
     s = np.empty(SUMS)
     for i in range(nodes.size):
@@ -111,15 +128,19 @@ def moments(tree, nodes):
 
 @kernel(inline=True)
 def _tolerance(tree, node):
-    """Return the minimum height gap of an outlier to all other points of a cell, m."""
+    """Return the height gap, m, beyond which a point of a cell is an outlier.
+
+    The gap is measured to the nearest other point of the cell and grows with the cell size.
+    """
     return OUTLIER_GAP_M + OUTLIER_GAP_PER_M * 2.0 * tree.half / (1 << tree.depth[node])
 
 
 @kernel()
 def _unsummed_points(tree, node, found):
-    """List the points of a cell that are in no sums below it; return list and number.
+    """List the points of a cell that are not contained in the sums of its children.
 
-    These are the points of a leaf, or of those children of a node that have no sums.
+    These are the points of a leaf, or of those children of a node that have no sums. `found` is a
+    work array for the indices. Returns the list, possibly enlarged, and the number of points.
     """
     n = np.int64(0)  # a typed zero, so that functions compile once
     own = tree.child[node] < 0
@@ -140,7 +161,12 @@ def _unsummed_points(tree, node, found):
 
 @kernel()
 def _mark_outliers(tree, node, index, tolerance):
-    """Mark which of the loose points of a cell are outliers."""
+    """Mark as outliers the points of a cell that are isolated in height.
+
+    `index` (n,) are the points of cell `node` that are not in the sums of its children. A point is
+    isolated if no other point is within `tolerance`, m. If the outliers are too many or the points
+    too few, none is marked.
+    """
     summed_count = 0.0
     if tree.child[node] >= 0:
         for q in range(4):
@@ -170,9 +196,10 @@ def _mark_outliers(tree, node, index, tolerance):
 
 @kernel(inner=True)
 def update_outliers_and_sums(tree, node, found):
-    """Recompute the outliers and the sums of a touched cell; return the list.
+    """Recompute the outliers in height and the moment sums of one cell.
 
-    A cell with children that have separate sums adds those.
+    Children with stored sums contribute these. `found` is a work array for point indices, which is
+    returned, possibly enlarged.
     """
     found, n = _unsummed_points(tree, node, found)
     low, high = np.inf, -np.inf
@@ -214,9 +241,10 @@ def update_outliers_and_sums(tree, node, found):
 
 @kernel(inner=True)
 def add_to_summed_cell(tree, leaf, first, last, found):
-    """Add points `first` to `last` to a smallest cell with sums; return `found`.
+    """Add points `first` to `last` (excluded) to a smallest cell that has moment sums.
 
-    If the points could change which points are outliers, the complete cell is recomputed.
+    If the points could change which points are outliers, the complete cell is recomputed. `found`
+    is a work array for point indices, which is returned, possibly enlarged.
     """
     s = tree.sums[tree.slot[leaf]]
     tolerance = _tolerance(tree, leaf)
@@ -239,10 +267,10 @@ def add_to_summed_cell(tree, leaf, first, last, found):
 
 @kernel()
 def count_in_squares(xyz, half, side, count):
-    """Add the points in each square of a map centred on (0, 0) to `count` (n, n).
+    """Count the points in each square of a map and add them to `count` (n, n).
 
-    The map extends to `half` in each direction; points beyond it, due to rounding, count at its
-    edge.
+    `xyz` (m, 3) are relative to the centre of the map, m. `half` is half the side of the map and
+    `side` the side of a square, m. Points beyond the map, due to rounding, count at its edge.
     """
     last = count.shape[0] - 1
     for k in range(xyz.shape[0]):

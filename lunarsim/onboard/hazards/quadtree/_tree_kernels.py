@@ -22,7 +22,7 @@ STACK = 64
 
 
 class Tree(NamedTuple):
-    """Quadtree data for kernels."""
+    """Arrays of a quadtree of points, in a form that compiled kernels accept."""
 
     half: float  # half the side of the root, m
     depths: int  # depth of the smallest cells
@@ -44,7 +44,10 @@ class Tree(NamedTuple):
 
 @kernel(inner=True)
 def with_capacity(array, n):
-    """Return an array with n used entries, enlarged if it has no space for another."""
+    """Return an array with space for entry `n`, enlarged if necessary.
+
+    The first `n` entries of `array` are kept.
+    """
     if n < array.size:
         return array
     grown = np.empty(2 * n + 64, array.dtype)
@@ -54,7 +57,10 @@ def with_capacity(array, n):
 
 @kernel(inline=True, inner=True)
 def cell_centre(tree, node):
-    """Return the centre of a node relative to that of the root, m."""
+    """Return the centre (x, y) of a cell relative to the centre of the map, m.
+
+    `node` is the index of the cell.
+    """
     size = 2.0 * tree.half / (1 << tree.depth[node])
     return (
         (tree.column[node] + 0.5) * size - tree.half,
@@ -64,9 +70,10 @@ def cell_centre(tree, node):
 
 @kernel()
 def node_at(tree, x, y, smallest, largest):
-    """Return the smallest cell at a point between two depths (the band); -1 for none.
+    """Return the smallest cell at a point, within a band of cell sizes; -1 for none.
 
-    `smallest` is the greater depth. Coordinates are relative to the centre of the root.
+    `x` and `y` are relative to the centre of the map, m. `smallest` and `largest` are the depths of
+    the smallest and largest cells in the band, so `smallest` is the greater number.
     """
     if not (-tree.half <= x < tree.half and -tree.half <= y < tree.half):
         return -1
@@ -79,7 +86,12 @@ def node_at(tree, x, y, smallest, largest):
 
 @kernel()
 def band(tree, smallest, largest, since):
-    """Return the smallest cells between two depths with points after batch `since`."""
+    """Return the smallest cells within a band of sizes that got points since a batch.
+
+    `smallest` and `largest` are the depths of the smallest and largest cells in the band. `since`
+    is the number of a batch; only cells with points from later batches are returned, as indices
+    (n,).
+    """
     found = np.empty(tree.child.size, np.int32)
     n = 0
     stack = np.empty(STACK, np.int32)
@@ -102,7 +114,10 @@ def band(tree, smallest, largest, since):
 
 @kernel()
 def points_in(tree, west, east, south, north):
-    """Return the pool indices of points in a closed rectangle relative to the centre."""
+    """Return the indices of all points in a closed rectangle (n,).
+
+    The sides of the rectangle are relative to the centre of the map, m.
+    """
     found = np.empty(1024, np.int64)
     n = np.int64(0)  # a typed zero, so that functions compile once
     stack = np.empty(STACK, np.int32)

@@ -33,20 +33,22 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class QuadtreeMapperSettings:
-    """Settings of a quadtree of LiDAR points with a ranking of sites.
+    """Settings of a hazard mapper that stores LiDAR points in a quadtree.
+
+    The mapper ranks landing sites as in the quadtree paper.
 
     Attributes
     ----------
     sensor
         Name of the LiDAR.
     posting, size
-        Sides of a cell and of the map, m.
-    least, split_count
+        Sides of a cell and of the hazard map, m.
+    min_cell_size, split_count
         Minimum cell side of the quadtree, m, and number of points at which a cell splits.
     interval
         Time between two site selections, s.
     interest_path
-        File for `InterestMap.load`; None: interest 1 everywhere.
+        File for `InterestMap.load`; None: all places have the same value to the mission.
     sites
         Criteria for landing sites.
     """
@@ -54,25 +56,26 @@ class QuadtreeMapperSettings:
     sensor: str = quantity("flash", help="name of the LiDAR whose scans are mapped")
     posting: float = quantity(0.2, "m", gt=0, help="side of a map cell")
     size: float = quantity(100.0, "m", gt=0, help="side of the square map centred on the target")
-    least: float = quantity(0.1, "m", gt=0, help="minimum cell side of the quadtree")
+    min_cell_size: float = quantity(0.1, "m", gt=0, help="minimum cell side of the quadtree")
     split_count: int = quantity(8, ge=2, help="number of points at which a cell splits")
     interval: float = quantity(1.0, "s", gt=0, help="time between two site selections")
     interest_path: Path | None = quantity(
         None,
-        help="interest map (.npz of value, x0, y0, posting), relative to the scenario file",
+        help="map of the value of landing places to the mission (.npz of value, x0, y0, posting), "
+        "relative to the scenario file; omitted: 1 everywhere",
     )
     sites: SiteSettings = quantity(SiteSettings(), help="criteria for landing sites")
 
-    takes: ClassVar[type] = LidarScan
+    accepts: ClassVar[type] = LidarScan
     publishes: ClassVar[type] = TerrainEvidence
 
     def build(self, briefing: Briefing, navigation: Navigation) -> QuadtreeMapper:
-        """Return the mapper of one flight."""
+        """Build the mapper of one flight from the data known before it."""
         return QuadtreeMapper(
             map_grid(briefing.target, self.size, self.posting, briefing.lander),
             self.sites,
             elevation=float(briefing.target[2]),
-            least=self.least,
+            least=self.min_cell_size,
             split_count=self.split_count,
             interest=None if self.interest_path is None else InterestMap.load(self.interest_path),
             interval=self.interval,
@@ -82,27 +85,27 @@ class QuadtreeMapperSettings:
 
 
 class QuadtreeMapper(HazardMapper):
-    """Keep a quadtree of scans and evaluate landing sites on it.
+    """Hazard mapper that stores LiDAR points in a quadtree and ranks landing sites.
 
     Parameters
     ----------
     grid
         Cells of the hazard map, estimated ENU frame; the quadtree covers them.
     settings
-        Tolerances, weights and cell sizes.
+        Limits, weights and cell sizes of the site selection.
     elevation
-        Reference of the heights in the quadtree, m.
+        Reference height of the quadtree, m.
     least, split_count
         Minimum cell side of the quadtree, m, and number of points at which a cell splits.
     interest
-        Interest of the mission; default: 1 everywhere.
+        Value of a landing at each place to the mission; default: 1 everywhere.
     model
-        Weights of `site_safety`; default: the packaged ones.
+        Regression weights for `site_safety`; default: the weights supplied with lunarsim.
     interval
         Minimum time between two site selections in flight, s.
     lander, rocks
-        Lander to evaluate, and rock population expected by the mission; default: those of `Lander`
-        and `RockExpectation`.
+        Lander for which safety is evaluated, and rock population expected by the mission; default:
+        the defaults of `Lander` and `RockExpectation`.
 
     Raises
     ------
@@ -140,7 +143,7 @@ class QuadtreeMapper(HazardMapper):
         self._lander = lander or Lander()
         self._create_tree(grid, elevation)
         self._target = np.array(grid.centre)
-        self._rocks = RockExpectation.given(rocks)
+        self._rocks = RockExpectation.or_default(rocks)
         self._interval = interval
         self._unleveled, self._provisional_count = UnleveledScans(), 0
         self._last_selection_s = -np.inf
@@ -148,7 +151,10 @@ class QuadtreeMapper(HazardMapper):
         self._hazard_map: HazardMap | None = self._empty_map(grid)
 
     def _create_tree(self, grid: Grid, elevation: float) -> None:
-        """Create an empty quadtree on a grid."""
+        """Create an empty quadtree and site selector for a grid.
+
+        `elevation` is the reference height, m.
+        """
         least, split_count = self._quadtree
         self.grid = grid
         west, east, south, north = grid.extent
@@ -168,7 +174,7 @@ class QuadtreeMapper(HazardMapper):
         self.noise = 0.0
 
     def recentre(self, centre: Array) -> None:
-        """Move the map to another centre (3,), local frame, m, if it is too far away.
+        """Move the map to another centre (3,), local frame, m, if it is too far from it.
 
         The interest map, which is centred on the target, moves too.
         """
@@ -177,7 +183,7 @@ class QuadtreeMapper(HazardMapper):
         interest_moves = (
             self._interest is not None and np.abs(by).max() > self._interest.grid.posting
         )
-        if not (self.blank or interest_moves or is_off_centre(self.grid, centre)):
+        if not (self.is_empty or interest_moves or is_off_centre(self.grid, centre)):
             return
         self._target = self._target + by
         if self._interest is not None:
@@ -185,7 +191,11 @@ class QuadtreeMapper(HazardMapper):
         self._rebuild(self.grid.about(centre), float(centre[2]), self.map.points)
 
     def _rebuild(self, grid: Grid, elevation: float, points: Array) -> None:
-        """Rebuild the quadtree from points (n, 3); the first have a provisional tilt."""
+        """Create a new quadtree on a grid and insert all points (n, 3) into it.
+
+        `elevation` is the reference height, m. The points measured before the tilt was known come
+        first.
+        """
         noise = self.noise
         self._create_tree(grid, elevation)
         if len(points):
@@ -198,15 +208,16 @@ class QuadtreeMapper(HazardMapper):
         self.selection, self._selected_version = None, -1
         self._hazard_map = self._empty_map(grid)
 
-    def level(self, turn: Array, pivot: Array, tilt_sigma: float) -> None:
-        """Rotate the points that came before the tilt was known.
+    def correct_tilt(self, turn: Array, pivot: Array, tilt_sigma: float) -> None:
+        """Rotate the points that were measured before the tilt of the lander was known.
 
         Parameters
         ----------
         turn, pivot
-            Rotation (3, 3) about a point (3,), local frame, m.
+            Rotation matrix (3, 3) and the point (3,) about which the points are rotated, local
+            frame, m.
         tilt_sigma
-            Present standard deviation of the tilt, rad.
+            Current standard deviation of the tilt, rad.
         """
         points, first = self.map.points, self._provisional_count
         if first == 0:
@@ -232,12 +243,16 @@ class QuadtreeMapper(HazardMapper):
             self._provisional_count = self.map.count
 
     def _insert(self, scan: LidarScan, position: Array, attitude: Array) -> None:
+        """Add the returns of a scan to the quadtree.
+
+        `position` (3,), m, and `attitude` are the estimated pose of the lander.
+        """
         self.map.insert(_return_points(scan, position, attitude))
         # The noisiest scan counts, because the points of all scans are on the map.
         self.noise = max(self.noise, float(np.nanmedian(scan.height_sigma(attitude))))
 
     def select(self) -> SiteSelection:
-        """Return the current site selection."""
+        """Select landing sites if the map has changed, and return the selection."""
         if self.selection is None or self._selected_version != self.map.version:
             self._selected_version = self.map.version
             self.selection = self.selector.update()
@@ -245,29 +260,36 @@ class QuadtreeMapper(HazardMapper):
         return self.selection
 
     def refresh(self, time: float) -> None:
-        """Select sites if the interval since the last selection has passed."""
+        """Select landing sites if the interval since the last selection has passed.
+
+        `time` is the current time, s.
+        """
         if time >= self._last_selection_s + self._interval - 1e-9:
             self._last_selection_s = time
             self.select()
 
     @property
-    def blank(self) -> bool:
+    def is_empty(self) -> bool:
         """Whether no scan has been mapped yet."""
         return self.map.count == 0
 
     def hazard_map(self) -> HazardMap:
-        """Return the map of the last site selection, computed when first needed."""
+        """Return the hazard map of the last site selection, computed when first needed."""
         if self._hazard_map is None or self.selection is None:
             # The site evidence must use the same points as the site selection.
             self._hazard_map = self._compute_map(self.select())
         return self._hazard_map
 
     def evidence(self) -> TerrainEvidence | None:
-        """Return the map only, because its evidence refers to sites and not to cells."""
-        return None if self.blank else TerrainEvidence(self.hazard_map())
+        """Return the hazard map for fusion; None while it is empty.
+
+        The inputs of its safety calibration are not included, because they refer to quadtree sites
+        and not to cells of the map.
+        """
+        return None if self.is_empty else TerrainEvidence(self.hazard_map())
 
     def scoreboard(self, site: Array) -> Scoreboard:
-        """Return the ranked sites of the last selection, scored by Eq. 9.
+        """Return the ranked sites of the last selection, scored by Eq. 9 of the paper.
 
         Parameters
         ----------
@@ -287,16 +309,21 @@ class QuadtreeMapper(HazardMapper):
         )
 
     def _compute_map(self, selection: SiteSelection) -> HazardMap:
-        """Return a map in which each cell has the values of the site at its centre.
+        """Build a hazard map in which each cell has the values of the site at its centre.
 
-        The probability depends on the terrain only. The limits of the mission and its interest form
-        the layer `eligible`.
+        The probability depends on the terrain only. The limits of the mission on slope and hazards,
+        and places without value to it, are in the layer `eligible`.
         """
         g = self.grid
         if len(selection.nodes) == 0:
             return self._empty_map(g)
         evidence = quadtree_site_evidence(
-            self.map, selection, self.selector.settings.zone, self.noise, self._lander, self._rocks
+            self.map,
+            selection,
+            self.selector.settings.zone_half_side,
+            self.noise,
+            self._lander,
+            self._rocks,
         )
         p, known = site_safety(evidence, self._model)
         xy, size = selection.position[:, :2], self.map.sizes(selection.nodes)
@@ -316,14 +343,14 @@ class QuadtreeMapper(HazardMapper):
         )
 
     def _empty_map(self, grid: Grid) -> HazardMap:
-        """Return a map without observations but with the interest of the mission."""
+        """Return a hazard map without observations, with the mission value of each cell."""
         value = self._value(grid)
         return replace(
             HazardMap.unobserved(grid), eligible=np.zeros(grid.shape, np.bool_), value=value
         )
 
     def _value(self, grid: Grid) -> FloatMap | None:
-        """Return the interest of the mission (rows, cols); None: 1 everywhere."""
+        """Return the value of each cell to the mission (rows, cols); None: 1 everywhere."""
         if self._interest is None:
             return None
         return (
@@ -332,7 +359,7 @@ class QuadtreeMapper(HazardMapper):
 
 
 def rasterize_cells(grid: Grid, xy: Array, size: Array, value: ArrayLike, fill: float) -> Array:
-    """Return the value of the quadtree cell at each centre of a grid (rows, cols).
+    """Sample a quantity of quadtree cells at the cell centres of a grid (rows, cols).
 
     Parameters
     ----------
@@ -364,6 +391,10 @@ def rasterize_cells(grid: Grid, xy: Array, size: Array, value: ArrayLike, fill: 
 
 
 def _return_points(scan: LidarScan, position: Array, attitude: Array) -> Array:
-    """Return the points (n, 3) of the pixels that got a return, taken at a pose."""
+    """Return the points (n, 3) of the pixels of a scan that got a return.
+
+    `position` (3,), m, and `attitude` are the pose of the lander; the points are in its frame of
+    reference (local frame, m).
+    """
     points = np.asarray(scan.points(position, attitude)).reshape(-1, 3)
     return points[np.isfinite(scan.range).ravel()]

@@ -15,20 +15,21 @@ IntArray = NDArray[np.int64]
 
 
 class TerrainMesh:
-    """Delaunay triangulation of the centres of the smallest cells within a size band.
+    """Triangular mesh of the terrain through the mean points of coarse quadtree cells.
 
-    A cell is a node if each of its quarters has enough points. The mean elevation of a cell
-    observed on one side only would be that of its edge. For cocircular nodes, the triangulation
-    depends on the nodes only, not on the order in which they were found.
+    The vertices are the centres of the smallest cells within a band of sizes. A cell is a vertex if
+    each of its quarters has enough points, because the mean elevation of a cell observed on one
+    side only would be the elevation of its edge. For cocircular vertices, the triangulation depends
+    on the vertices only, not on the order in which they were found.
 
     Parameters
     ----------
     quadtree
         Map of the points.
     smallest, largest
-        Band of cell sizes, m.
+        Sides of the smallest and largest cells that may be vertices, m.
     density
-        Minimum number of points per square metre.
+        Minimum number of points per square metre in each quarter of a cell.
     """
 
     def __init__(
@@ -49,11 +50,11 @@ class TerrainMesh:
         self._index()
 
     def update(self, since: int) -> IntArray:
-        """Update the mesh and return the outlines (n, 4) of changed triangles.
+        """Update the mesh with new points; return outlines (n, 4) of changed triangles.
 
-        These are triangles that were added, removed or moved.
-
-        Outlines are west, east, south and north, in half sides of the smallest cells.
+        `since` is the version of the map at the last update. Changed triangles are those that were
+        added, removed or moved. Outlines are west, east, south and north, in half sides of the
+        smallest cells.
         """
         if not len(self._map.band(*self._band, since=since)):
             return np.zeros((0, 4), np.int64)
@@ -76,25 +77,29 @@ class TerrainMesh:
         return self._changed_outlines(*before)
 
     def normals_of(self, nodes: Nodes) -> Array:
-        """Return the unit normals (n, 3) of the terrain at cell centres; NaN off the mesh."""
+        """Return the unit normals (n, 3) of the terrain at cell centres; NaN off the mesh.
+
+        `nodes` (n,) are the indices of the cells.
+        """
         x, y = np.ascontiguousarray(self._half_steps(nodes).T)
         return np.asarray(k.normals_at(x, y, self.arrays))
 
     def _half_steps(self, nodes: Nodes) -> IntArray:
-        """Return cell centres (n, 2) in half sides of the smallest cells."""
+        """Return the centres (n, 2) of cells `nodes` in half sides of the smallest cells."""
         tree = self._map.tree
         size = 1 << (tree.depths - tree.depth[nodes].astype(np.int64))
         place = np.stack((tree.column[nodes], tree.row[nodes]), axis=-1).astype(np.int64)
         return np.asarray((2 * place + 1) * size[:, None])
 
     def _triangulate(self) -> IntArray:
-        """Triangulate the nodes in an order that depends on their positions only."""
+        """Triangulate the vertices in an order that depends on their positions only."""
         if len(self.xy) < 3:
             return np.zeros((0, 3), np.int64)
         order = np.argsort(hilbert_keys(self.xy, self._bits), kind="stable")
         return np.asarray(insert_all(self.xy, order), dtype=np.int64)
 
     def _index(self) -> None:
+        """Build the spatial index of the triangles and collect the arrays for kernels."""
         px, py = np.ascontiguousarray(self.xy.T)
         start, index = k.list_triangles(px, py, self.triangles, self._bucket, self._wide)
         self.arrays = (
@@ -104,7 +109,10 @@ class TerrainMesh:
     def _changed_outlines(
         self, nodes: Nodes, xy: IntArray, z: Array, triangles: IntArray
     ) -> IntArray:
-        """Return the outlines of triangles, old or new, that are not in both meshes."""
+        """Return the outlines of triangles that are not in both the old and the new mesh.
+
+        `nodes`, `xy`, `z` and `triangles` describe the old mesh.
+        """
         all_nodes = np.union1d(nodes, self.nodes)
         old = _triangle_keys(np.searchsorted(all_nodes, nodes), triangles, len(all_nodes))
         new = _triangle_keys(np.searchsorted(all_nodes, self.nodes), self.triangles, len(all_nodes))
@@ -120,12 +128,19 @@ class TerrainMesh:
 
 
 def _triangle_keys(index: IntArray, triangles: IntArray, count: int) -> IntArray:
-    """Return a number per triangle that does not depend on the order of its corners."""
+    """Return an integer per triangle that does not depend on the order of its corners.
+
+    `index` (n,) maps vertices to numbers below `count`; `triangles` (m, 3) are indices of vertices.
+    """
     corners = np.sort(index[triangles], axis=1)
     return np.asarray((corners[:, 0] * count + corners[:, 1]) * count + corners[:, 2])
 
 
 def _outlines(xy: IntArray, triangles: IntArray) -> IntArray:
+    """Return west, east, south and north limits of triangles (m, 4).
+
+    `xy` (n, 2) are the vertices and `triangles` (m, 3) their indices.
+    """
     corners = xy[triangles]
     low, high = corners.min(axis=1, initial=2**40), corners.max(axis=1, initial=-1)
     return np.stack((low[:, 0], high[:, 0], low[:, 1], high[:, 1]), axis=-1).reshape(-1, 4)

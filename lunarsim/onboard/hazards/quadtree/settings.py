@@ -19,71 +19,83 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class SiteSettings:
-    """Tolerances, weights and cell sizes; the defaults are those of Table 1.
+    """Limits, score weights and cell sizes of the site selection on a quadtree.
 
-    The paper states no cell sizes, number of sites or separation; these are choices of lunarsim.
+    The defaults are those of Table 1 of the quadtree paper. The paper states no cell sizes, number
+    of sites or separation; these are choices of lunarsim. An exception is a point that is too far
+    from the terrain plane.
 
     Attributes
     ----------
     slope_limit
         lambda_theta: maximum slope, rad.
     roughness_limit
-        lambda_d: distance from the terrain plane above which a point is an exception, m.
-    density
+        lambda_d: distance from the terrain plane above which a point is an exception (hazard), m.
+    min_density
         lambda_rho: minimum number of points per square metre.
     exception_limit
-        lambda_e: maximum share of exceptions among the points of a cell.
-    zone
+        lambda_e: maximum fraction of exceptions among the points of a cell.
+    zone_half_side
         lambda_z: half side of the landing zone, m.
-    weight_interest, weight_slope, weight_roughness
-        alpha of Eq. 9 for (1 - interest), (1 - cosine of the slope) and the roughness in m.
+    interest_weight, slope_weight, roughness_weight
+        Weights alpha of Eq. 9 for (1 - value to the mission), (1 - cosine of the slope) and the
+        roughness in m.
     margin
         Margin around observed hazards, m, for the position error of scans.
     mesh_band, hazard_band, site_band
-        Smallest and largest cells, m, that become mesh nodes, are searched for exceptions, and
-        become sites.
+        Sides of the smallest and largest cells, m, that become vertices of the terrain mesh, that
+        are searched for exceptions, and that become sites.
     count
         Number of ranked sites.
     separation
         Minimum distance between ranked sites, m.
     roughness
-        ``"rms"``: root mean square distance to the plane. ``"printed"``: Eq. 8 as printed, sum |d|
-        / sqrt(N), which grows with the square root of the number of points and thus penalizes well
-        observed terrain.
+        Measure of roughness. ``"rms"``: root mean square distance to the plane. ``"printed"``: Eq.
+        8 as printed, sum |d| / sqrt(N), which grows with the square root of the number of points
+        and thus penalizes well observed terrain.
     """
 
     slope_limit: float = quantity(5.0, "deg", gt=0, lt=45, help="maximum slope (lambda_theta)")
     roughness_limit: float = quantity(
-        0.3, "m", gt=0, help="distance from the plane that makes an exception (lambda_d)"
+        0.3,
+        "m",
+        gt=0,
+        help="distance from the terrain plane above which a point is a hazard "
+        "(exception; lambda_d)",
     )
-    density: float = quantity(5.0, "1/m^2", ge=0, help="minimum point density (lambda_rho)")
+    min_density: float = quantity(5.0, "1/m^2", ge=0, help="minimum point density (lambda_rho)")
     exception_limit: float = quantity(
-        0.015, ge=0, lt=1, help="maximum share of exceptions (lambda_e)"
+        0.015,
+        ge=0,
+        lt=1,
+        help="maximum fraction of hazard points (exceptions) in a cell (lambda_e)",
     )
-    zone: float = quantity(2.5, "m", gt=0, help="half side of the landing zone (lambda_z)")
-    weight_interest: float = quantity(
-        1.0, ge=0, help="score weight of 1 - interest (alpha of Eq. 9)"
+    zone_half_side: float = quantity(
+        2.5, "m", gt=0, help="half side of the landing zone (lambda_z)"
     )
-    weight_slope: float = quantity(
+    interest_weight: float = quantity(
+        1.0, ge=0, help="score weight of 1 - value to the mission (alpha of Eq. 9)"
+    )
+    slope_weight: float = quantity(
         1000.0, ge=0, help="score weight of 1 - cos(slope) (alpha of Eq. 9)"
     )
-    weight_roughness: float = quantity(
+    roughness_weight: float = quantity(
         100.0, ge=0, help="score weight of the roughness in m (alpha of Eq. 9)"
     )
     mesh_band: tuple[float, float] = quantity(
-        (6.4, 12.8), "m", gt=0, help="smallest and largest cells of the terrain mesh"
+        (6.4, 12.8), "m", gt=0, help="sides of the smallest and largest cells of the terrain mesh"
     )
     margin: float = quantity(0.3, "m", ge=0, help="margin around observed hazards")
     hazard_band: tuple[float, float] = quantity(
-        (1.6, 1.6), "m", gt=0, help="smallest and largest cells searched for exceptions"
+        (1.6, 1.6), "m", gt=0, help="sides of the smallest and largest cells searched for hazards"
     )
     site_band: tuple[float, float] = quantity(
-        (0.8, 1.6), "m", gt=0, help="smallest and largest cells of sites"
+        (0.8, 1.6), "m", gt=0, help="sides of the smallest and largest cells that become sites"
     )
     count: int = quantity(5, ge=1, help="number of ranked sites")
     separation: float = quantity(5.0, "m", ge=0, help="minimum distance between ranked sites")
     roughness: Literal["rms", "printed"] = quantity(
-        "rms", help="roughness measure: rms, or Eq. 8 as printed"
+        "rms", help="roughness measure: rms (root mean square distance), or Eq. 8 as printed"
     )
 
     def __post_init__(self) -> None:
@@ -100,14 +112,14 @@ class SiteSettings:
 
 @dataclass(frozen=True)
 class InterestMap:
-    """Interest of the mission in landing at each place.
+    """Value of a landing at each place to the mission (interest).
 
     Attributes
     ----------
     grid
         Positions of the cells, ENU.
     value
-        Interest (rows, cols) in [0, 1]; 0 excludes a landing, as does any place off the map.
+        Value (rows, cols) in [0, 1]; 0 excludes a landing, as does any place off the map.
     """
 
     grid: Grid
@@ -156,7 +168,7 @@ class InterestMap:
         return cls(Grid(x0, y0, posting, *value.shape), value)
 
     def at(self, xy: Array) -> Array:
-        """Return the interest (n,) at points (n, 2); 0 off the map."""
+        """Return the value to the mission (n,) of points (n, 2), ENU, m; 0 off the map."""
         row, col = self.grid.cell(xy)
         inside = self.grid.contains(xy)
         g = self.grid

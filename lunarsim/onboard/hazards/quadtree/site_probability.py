@@ -122,31 +122,34 @@ COUNT = UNCONSTRAINED_FEATURES + MONOTONE_FEATURES
 
 @dataclass(frozen=True)
 class SiteEvidence:
-    """Features of sites (n,) on the quadtree; NaN where not evaluated.
+    """Inputs of the regression for the safety of quadtree sites (n,).
+
+    All are NaN where not evaluated. An exception is a point that is too far from the terrain plane.
 
     Attributes
     ----------
     slope, roughness
-        Slope (tangent) and roughness of the lander on the mean terrain at the worst heading,
+        Slope (tangent) and roughness under the lander on the mean terrain, at the worst heading,
         relative to its limits.
     mesh_slope, fitted_slope
-        Slopes (tangent) of the mesh and of the least-squares plane of the zone, relative to the
-        limit.
+        Slopes (tangent) of the terrain mesh and of the least-squares plane of the zone, relative to
+        the limit.
     mesh_spread, fitted_spread
-        Root mean square distance of the points of the zone from these planes, relative to the
-        limit.
+        Root mean square distance of the points of the zone from these two planes, relative to the
+        roughness limit.
     ratio, footprint_ratio
-        Maximum exception ratio in the zone and in the footprint.
+        Maximum fraction of exceptions in the landing zone and in the footprint of the lander.
     relief, footprint_relief
         Maximum distance of a point from its plane in the zone and in the footprint, relative to the
-        limit.
+        roughness limit.
     density, min_density
         Points per square metre in the zone, and their minimum density in the footprint.
     curve
-        Distribution of terrain heights, from the points and the rock law of the mission.
+        Distribution of heights above the terrain, from the points and the size distribution of
+        rocks expected by the mission.
     holes
-        Distribution of terrain depths.
-    doomed
+        Distribution of depths below the terrain.
+    may_be_unsafe
         True where the mean terrain exceeds a limit even with its holes filled. The filled terrain
         is used because a decimetre decides whether a leg stands in, beside or over a hole.
     lander
@@ -169,13 +172,13 @@ class SiteEvidence:
     min_density: Array
     curve: ExceedanceCurve
     holes: ExceedanceCurve
-    doomed: BoolArray
+    may_be_unsafe: BoolArray
     lander: Lander
     noise: float
 
     @property
     def is_evaluated(self) -> BoolArray:
-        """Where the complete zone and footprint were observed (n,)."""
+        """Whether the complete landing zone and footprint were observed (n,)."""
         needed = (
             self.slope,
             self.roughness,
@@ -194,21 +197,27 @@ class SiteEvidence:
 
     @property
     def in_domain(self) -> BoolArray:
-        """Where the regression is calibrated: few rocks and holes can be undetected (n,).
+        """Whether the regression is calibrated for each site (n,).
 
-        Noise, holes in the terrain and the slope limit of the lander must also be within the range
-        of the fit.
+        It is calibrated where few rocks and holes can be undetected, and where noise, holes in the
+        terrain and the slope limit of the lander are within the range of the fitted data.
         """
         return self._within(MAX_EXPECTED_HAZARDS, MAX_EXPECTED_TILTING_ROCKS, MAX_EXPECTED_HOLES)
 
     @property
     def near_domain(self) -> BoolArray:
-        """Where undetected rocks are so few that the regression is conservative (n,)."""
+        """Whether so few rocks may be undetected that the regression is conservative (n,)."""
         return self._within(*_NEAR_DOMAIN_LIMITS)
 
     def _within(
         self, hazards: float, expected_tilt_violations: float, expected_hole_violations: float
     ) -> BoolArray:
+        """Return whether the expected numbers of undetected dangers are below limits (n,).
+
+        `hazards` limits the expected rocks above the roughness limit. `expected_tilt_violations`
+        and `expected_hole_violations` limit the rocks and holes that tilt the lander too far.
+        Noise, deep terrain and the slope limit must also be within the range of the fitted data.
+        """
         noise = self.noise / self.lander.roughness_limit
         sunk = self.holes.at(_RELATIVE_DEPTHS[0] * self.lander.roughness_limit)
         steep = self.lander.slope_limit
@@ -226,73 +235,93 @@ class SiteEvidence:
         return np.asarray(self.is_evaluated & few)
 
     def max_roughness(self) -> Array:
-        """Return the larger of roughness and highest point over the limit (n,)."""
+        """Return the larger of roughness and highest point, relative to the limit (n,)."""
         return np.maximum(self.roughness, self.footprint_relief)
 
     def denoised_relief(self) -> tuple[Array, Array]:
-        """Return highest point and spread without noise, over the limit (n,)."""
+        """Return highest point and spread of points without noise, relative to the limit.
+
+        Both (n,). Three standard deviations of noise are subtracted from the highest point, and the
+        noise variance from that of the spread.
+        """
         noise = self.noise / self.lander.roughness_limit
         spread = np.sqrt(np.maximum(self.fitted_spread**2 - noise**2, 0.0))
         return np.maximum(self.footprint_relief - 3.0 * noise, 0.0), spread
 
     def relative_tilt(self, height: Array) -> Array:
-        """Return the tilt due to a raised pad over the remaining slope (n,), as tangents.
+        """Return the tilt due to a raised pad, relative to the slope margin (n,).
+
+        The margin is the slope limit minus the terrain slope. Both are tangents.
 
         Parameters
         ----------
         height
-            Height of the pad (n,), relative to the roughness limit.
+            Height of the object under the pad (n,), relative to the roughness limit.
         """
         left = np.maximum(1.0 - self.slope, 0.02) * np.tan(self.lander.slope_limit)
         tilt = tilt_of(height * self.lander.roughness_limit, self.lander)
         return np.asarray((tilt + 2e-4) / left)
 
     def expected_tilt_violations(self) -> Array:
-        """Return the expected undetected rocks under the pads that tilt too far (n,).
+        """Return the expected number of undetected rocks that tilt the lander too far.
 
-        The pads may be at any heading.
+        The result (n,) counts rocks where the pads may stand at any heading.
         """
         height = tilt_limit_rock_height(self.fitted_slope, self.lander)
-        return np.asarray(pad_ring_area(self.lander) * self.curve.missed(height, self.min_density))
+        return np.asarray(
+            pad_ring_area(self.lander) * self.curve.missed_rocks(height, self.min_density)
+        )
 
     def clear_of_pads(self) -> Array:
         """Return the probability that no undetected gravel tilts the lander too far (n,).
 
-        The gravel count is conservative, as in `lunarsim.safety.calibration.p_no_rock_under_pads`.
-        The result is 1 where only rocks higher than `_COUNTED_HEIGHT_FACTOR` times the minimum
-        counted height could tilt the lander.
+        Gravel is counted conservatively, as for the Gaussian DEM
+        (`lunarsim.safety.calibration.p_no_rock_under_pads`). The result is 1 where only rocks
+        higher than `_COUNTED_HEIGHT_FACTOR` times the minimum counted height could tilt the lander.
         """
         height = min_tilt_limit_rock_height(self.fitted_slope, self.lander)
-        found = pad_ring_area(self.lander) * self.curve.careful.missed(height, self.min_density)
-        left = np.where(height < self.curve.gravel_counted, MAX_P_UNCOUNTED_ROCKS, 1.0)
+        found = pad_ring_area(self.lander) * self.curve.with_gravel.missed_rocks(
+            height, self.min_density
+        )
+        left = np.where(height < self.curve.min_counted_gravel_height, MAX_P_UNCOUNTED_ROCKS, 1.0)
         return np.where(
-            height < _COUNTED_HEIGHT_FACTOR * self.curve.counted, left * np.exp(-found), 1.0
+            height < _COUNTED_HEIGHT_FACTOR * self.curve.min_counted_height,
+            left * np.exp(-found),
+            1.0,
         )
 
     def expected_hole_violations(self) -> Array:
-        """Return the expected undetected holes under the pads that tilt too far (n,)."""
+        """Return the expected number of undetected holes that tilt the lander too far.
+
+        The result (n,) counts holes where the pads may stand at any heading.
+        """
         height, width = (
             tilt_limit_rock_height(self.fitted_slope, self.lander),
             self.lander.pad_diameter,
         )
-        found = self.holes.sunk(height, self.min_density, width)
+        found = self.holes.missed_holes(height, self.min_density, width)
         return np.asarray(pad_ring_area(self.lander) * found)
 
     def expected_roughness_violations(self) -> Array:
-        """Return the expected undetected rocks above the remaining roughness (n,).
+        """Return the expected number of undetected rocks above the roughness margin (n,).
 
-        The rocks are counted in the footprint.
+        The margin is the roughness limit minus the height of the highest point. The rocks are
+        counted in the footprint of the lander.
         """
         height = (1.0 - self.denoised_relief()[0]) * self.lander.roughness_limit
-        return np.asarray(footprint_area(self.lander) * self.curve.missed(height, self.min_density))
+        return np.asarray(
+            footprint_area(self.lander) * self.curve.missed_rocks(height, self.min_density)
+        )
 
     def hazards(self) -> Array:
-        """Return the expected undetected rocks above the roughness limit (n,).
+        """Return the expected number of undetected rocks above the roughness limit (n,).
 
-        The rocks are counted in the footprint.
+        The rocks are counted in the footprint of the lander.
         """
         limit = self.lander.roughness_limit
-        return np.asarray(footprint_area(self.lander) * self.curve.missed(limit, self.min_density))
+        return np.asarray(
+            footprint_area(self.lander) * self.curve.missed_rocks(limit, self.min_density)
+        )
 
 
 def quadtree_site_evidence(
@@ -303,12 +332,12 @@ def quadtree_site_evidence(
     lander: Lander,
     rocks: RockExpectation,
 ) -> SiteEvidence:
-    """Return the features of the sites of a map.
+    """Compute the inputs of the safety regression for all sites of a quadtree map.
 
     Parameters
     ----------
     quadtree, selection
-        Map, and its sites by a thorough selector with the footprint of the lander.
+        Map, and its sites from a `SiteSelector` with `thorough` and the footprint of the lander.
     zone
         Half side of the landing zones, m.
     noise
@@ -354,13 +383,20 @@ def quadtree_site_evidence(
 
 
 def _min_spread(spread: Array) -> float:
-    """Return the spread of points about their planes in the smoothest zones, m."""
+    """Return the spread of points around their planes in the smoothest zones, m.
+
+    `spread` (n,) is the root mean square distance of each zone, m. The result is a low quantile, as
+    an upper limit of the noise; inf without data.
+    """
     spread = spread[np.isfinite(spread)]
     return float(np.quantile(spread, _SMOOTHEST_QUANTILE)) if len(spread) else np.inf
 
 
 def _min_footprint_density(seen: SamplingCoverage, xy: Array, lander: Lander) -> Array:
-    """Return the minimum point density in the footprint at places (n, 2), 1/m^2."""
+    """Return the minimum point density in the footprint at sites `xy` (n, 2), 1/m^2.
+
+    `seen` is the point density of the map.
+    """
     g = seen.grid
     # A round footprint does not include the corners of the zone.
     reach = max(1, round(lander.leg_radius / g.posting))
@@ -370,7 +406,10 @@ def _min_footprint_density(seen: SamplingCoverage, xy: Array, lander: Lander) ->
 
 
 def _max_about(safety: SafetyMap, xy: Array) -> tuple[Array, Array]:
-    """Return the maximum slope and roughness of the four cells at places (n, 2)."""
+    """Return the maximum slope and roughness of the four cells around sites (n,).
+
+    `xy` (n, 2) are the sites, m; the results are in the units of `safety`.
+    """
     g = safety.grid
     row, col = g.cell(xy - 0.5 * g.posting)
     slope, rough = np.full(len(xy), -np.inf), np.full(len(xy), -np.inf)
@@ -383,13 +422,20 @@ def _max_about(safety: SafetyMap, xy: Array) -> tuple[Array, Array]:
 
 
 def features(evidence: SiteEvidence, where: BoolArray) -> Array:
-    """Return the regression features of sites selected by a mask (m, `COUNT`)."""
+    """Return the regression inputs of the sites that a mask selects (m, `COUNT`).
+
+    `where` (n,) is the mask. `evidence` holds the measurements of all sites.
+    """
     n = int(np.count_nonzero(where))
     return np.column_stack((_free(evidence, where), spline_features(_terms(evidence, where), n)))
 
 
 def _terms(e: SiteEvidence, where: BoolArray) -> list[MonotoneSplineTerm]:
-    """Return the features with non-negative weights, which indicate danger (n,)."""
+    """Return the regression inputs that indicate danger, for sites selected by a mask.
+
+    Their weights are non-negative, so the probability of safety never increases with them. `e`
+    holds the measurements of the sites, and `where` (n,) is the mask.
+    """
     point, spread = e.denoised_relief()
     values = (
         e.slope,
@@ -417,7 +463,11 @@ def _terms(e: SiteEvidence, where: BoolArray) -> list[MonotoneSplineTerm]:
 
 
 def _free(e: SiteEvidence, where: BoolArray) -> Array:
-    """Return the features with unconstrained weights (m, `UNCONSTRAINED_FEATURES`)."""
+    """Return the regression inputs whose weights may have either sign.
+
+    `e` holds the measurements of the sites and `where` (n,) selects some. The result (m,
+    `UNCONSTRAINED_FEATURES`) holds a constant, the noise, and the point density with its square.
+    """
     density = np.log(np.maximum(e.density[where], 0.1) * e.lander.leg_radius**2)
     noise = np.full(len(density), np.log(e.noise / e.lander.roughness_limit + 1e-3))
     return np.column_stack([np.ones(len(density)), noise, density, density**2])
@@ -425,45 +475,51 @@ def _free(e: SiteEvidence, where: BoolArray) -> Array:
 
 @lru_cache(maxsize=1)
 def packaged_ensemble() -> Ensemble:
-    """Return the packaged weights from `scenarios/lidar_maps/quadtree_calibration.py`."""
+    """Load the regression weights that are supplied with lunarsim.
+
+    They were fitted by `scenarios/lidar_maps/quadtree_calibration.py`.
+    """
     return Ensemble.packaged(
         "lunarsim.onboard.hazards.quadtree", "calibration.json", COUNT, MONOTONE_FEATURES
     )
 
 
 def site_safety(evidence: SiteEvidence, model: Ensemble | None = None) -> tuple[Array, BoolArray]:
-    """Return the probability that sites are safe, and where it is calibrated (n,).
+    """Return the probability that quadtree sites are safe, and where it is calibrated.
 
-    Where the regression is not calibrated, or the site is not claimed safe, the probability is at
-    most `bound`. It is 0 where the site was not evaluated.
+    Both (n,). Where the regression is not calibrated, or the site is not claimed safe, the
+    probability is at most `bound`. It is 0 where the site was not evaluated.
 
     Parameters
     ----------
     evidence
-        Features of the sites.
+        Inputs of the regression, from `quadtree_site_evidence`.
     model
-        Weights; default: the packaged ones.
+        Regression weights; default: the weights supplied with lunarsim.
     """
     e, in_domain = evidence, evidence.in_domain
     p, is_calibrated = np.zeros(len(e.slope)), in_domain.copy()
     if e.is_evaluated.any():
         evaluated, upper = e.is_evaluated, ceiling(e)[e.is_evaluated]
-        odds = (model or packaged_ensemble()).judge(_free(e, evaluated), _terms(e, evaluated))
+        odds = (model or packaged_ensemble()).evaluate_log_odds(
+            _free(e, evaluated), _terms(e, evaluated)
+        )
         p[evaluated] = conservative_probability(
             odds.low, upper, bound(e)[evaluated], in_domain[evaluated]
         )
         is_calibrated[evaluated] &= odds.estimate(
-            upper, MAX_CLAIMED_UNSAFE, e.doomed[evaluated]
+            upper, MAX_CLAIMED_UNSAFE, e.may_be_unsafe[evaluated]
         ).agreed
     return p, is_calibrated
 
 
 def ceiling(evidence: SiteEvidence) -> Array:
-    """Return the upper bound of the probability from single features (n,).
+    """Return an upper limit of the probability of safety from single inputs (n,).
 
-    In a sum of features, many favourable ones can outweigh one that is fatal. The bounds are the
-    share of safe sites in the fitted worlds for slopes or roughness near or beyond the limit, at
-    most `MAX_PROBABILITY`.
+    In a weighted sum, many favourable inputs can outweigh one that is fatal. For slopes or
+    roughness near or beyond the limit of the lander, the upper limits are the fraction of safe
+    sites in the simulated terrain used for the fit, at most `MAX_PROBABILITY`. `evidence` holds the
+    measurements of the sites.
     """
     e = evidence
     factors = (
@@ -477,10 +533,10 @@ def ceiling(evidence: SiteEvidence) -> Array:
 
 
 def bound(evidence: SiteEvidence) -> Array:
-    """Return the upper bound of the probability outside the domain (n,).
+    """Return an upper limit of the probability outside the calibrated domain (n,).
 
-    It is the probability of no undetected rock. Near the domain, where the regression is still
-    informative, it is 1.
+    The limit is the probability of no undetected rock. Near the domain, where the regression is
+    still informative, it is 1. `evidence` holds the measurements of the sites.
     """
     none = np.nan_to_num(
         np.exp(-evidence.expected_roughness_violations() - evidence.expected_tilt_violations()),

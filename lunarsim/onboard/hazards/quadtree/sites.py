@@ -35,20 +35,20 @@ SITE_STATUS = (
 
 @dataclass(frozen=True)
 class Site:
-    """One ranked landing site.
+    """One ranked landing site of the quadtree.
 
     Attributes
     ----------
     position
-        Centre of its cell at the mean elevation (3,), ENU, m.
+        Centre of the site's cell at its mean elevation (3,), ENU, m.
     score
-        Score by Eq. 9; 0 is the best.
+        Score by Eq. 9 of the quadtree paper; 0 is the best.
     interest
-        Interest of the mission, in [0, 1].
+        Value of the site to the mission, in [0, 1].
     slope
-        Slope, rad.
+        Slope of the terrain plane, rad.
     roughness
-        Roughness by Eq. 8, m.
+        Roughness by Eq. 8 of the quadtree paper, m.
     """
 
     position: Array
@@ -60,30 +60,33 @@ class Site:
 
 @dataclass(frozen=True)
 class SiteSelection:
-    """All evaluated sites; its arrays are read-only.
+    """Results of the site selection: all evaluated sites and the best of them.
+
+    The arrays are read-only. An exception is a point that is too far from the terrain plane.
 
     Attributes
     ----------
     nodes
-        Cells (n,).
+        Indices of the quadtree cells that are sites (n,).
     position
         Centres at the mean elevation (n, 3), ENU, m.
     interest
-        Interest of the mission (n,), in [0, 1].
+        Value of the site to the mission (n,), in [0, 1].
     slope
         Slope (n,), rad; NaN without a terrain plane.
     ratio
-        Maximum exception ratio in the zone and `margin` around it (n,); NaN if a cell of the zone
-        has too few points.
+        Maximum fraction of exceptions in the landing zone and `margin` around it (n,); NaN if a
+        cell of the zone has too few points.
     footprint_ratio
-        The same in the footprint of the lander (n,).
+        Maximum fraction of exceptions in the footprint of the lander (n,).
     roughness
         Roughness (n,), m; NaN where not evaluated.
     relief
         Maximum distance of a point in the zone and `margin` around it from the median plane of its
-        cell, or of an exception from the terrain plane (n,), m; NaN as for `ratio`.
+        cell, or of an exception from the terrain plane (n,), m; NaN if a cell of the zone has too
+        few points.
     footprint_relief
-        The same in the footprint of the lander (n,), m.
+        Maximum such distance in the footprint of the lander (n,), m.
     points
         Number of points in the zone (n,), without outliers in height; NaN where not evaluated.
     fitted_slope, slope_sigma
@@ -92,7 +95,7 @@ class SiteSelection:
     status
         Index into `SITE_STATUS` (n,).
     score
-        Score by Eq. 9 (n,); inf for sites that are not eligible.
+        Score by Eq. 9 of the quadtree paper (n,); inf for sites that are not eligible.
     ranked
         The best sites, best first; empty if no site is eligible.
     """
@@ -120,23 +123,23 @@ class SiteSelection:
 
 
 class SiteSelector:
-    """Incrementally update planes, hazards and scores of a quadtree.
+    """Select landing sites on a quadtree, incrementally as new points arrive.
 
-    Only the parts that new points can have changed are evaluated again. The result equals that of a
-    new selector on the same map, bit for bit.
+    Terrain planes, hazards and scores are evaluated again only where new points can have changed
+    them. The result equals that of a new selector on the same map, bit for bit.
 
     Parameters
     ----------
     quadtree
         Map of the points.
     settings
-        Tolerances, weights and cell sizes.
+        Limits, weights and cell sizes.
     interest
-        Interest of the mission; default: 1 everywhere.
+        Value of a landing at each place to the mission; default: 1 everywhere.
     thorough
         Evaluate the roughness of rejected sites too, as needed for a probability of a safe landing.
     footprint
-        Half side of the footprint of the lander, m; default: 0.6 of that of the zone.
+        Half side of the footprint of the lander, m; default: 0.6 times that of the zone.
     """
 
     def __init__(
@@ -153,10 +156,10 @@ class SiteSelector:
         self._interest = interest
         self._thorough = thorough
         self.footprint = (
-            _FOOTPRINT_ZONE_RATIO * self.settings.zone if footprint is None else footprint
+            _FOOTPRINT_ZONE_RATIO * self.settings.zone_half_side if footprint is None else footprint
         )
         s = self.settings
-        self.mesh = TerrainMesh(quadtree, *s.mesh_band, s.density)
+        self.mesh = TerrainMesh(quadtree, *s.mesh_band, s.min_density)
         self._hazard = tuple(quadtree.depth_of(size) for size in s.hazard_band)
         self._site = tuple(quadtree.depth_of(size) for size in s.site_band)
         squares = 1 << min(self._hazard[0] + h.SQUARE_LEVELS, quadtree.depths)
@@ -173,27 +176,30 @@ class SiteSelector:
 
     @property
     def interest(self) -> InterestMap | None:
-        """Interest of the mission; fixed for one selector."""
+        """Value of a landing at each place to the mission; fixed for one selector."""
         return self._interest
 
     @property
     def ratios(self) -> NDArray[np.float32]:
-        """Share of exceptions per square (rows, cols), from the south-west; read-only.
+        """Fraction of points off the terrain plane in each square of the map; read-only.
 
-        NaN where a cell has too few points or no plane.
+        Shape (rows, cols), from the south-west. NaN where a cell has too few points or no plane.
         """
         return _read_only(self._ratios)
 
     @property
     def reliefs(self) -> NDArray[np.float32]:
-        """Maximum distance of points per square, m, as `SiteSelection.relief`; read-only."""
+        """Maximum distance of points from their plane in each square, m; read-only.
+
+        The distance is defined as for `SiteSelection.relief`; shape (rows, cols).
+        """
         return _read_only(self._reliefs)
 
     @property
     def hazards(self) -> NDArray[np.float32]:
-        """Hazards with `margin` around them (rows, cols): 1, else 0.
+        """Raster of hazards with a margin around them: 1 for a hazard, otherwise 0.
 
-        Squares as in `ratios`, with NaN where that is NaN.
+        The result (rows, cols) has the squares of `ratios`. It is NaN where `ratios` is NaN.
         """
         reach = int(np.ceil(self.settings.margin * len(self._ratios) / self.map.side - 1e-6))
         hazard = (self._ratios > self.settings.exception_limit).astype(np.float32)
@@ -202,13 +208,13 @@ class SiteSelector:
 
     @property
     def nbytes(self) -> int:
-        """Maximum memory, bytes; rows without a site are never written."""
+        """Maximum memory, bytes; entries without a site are never written."""
         rasters = self._ratios.nbytes + self._reliefs.nbytes
         seen = sum(a.nbytes for a in self._visited)
         return rasters + seen + self._results.nbytes + self._status.nbytes
 
     def update(self) -> SiteSelection:
-        """Process the changes of the map and return all sites."""
+        """Evaluate what new points of the map have changed, and return all sites."""
         if self.map.version > self._version:
             outlines = self.mesh.update(self._version)
             changed = self._update_hazards(outlines)
@@ -219,26 +225,36 @@ class SiteSelector:
     # --- changes --------------------------------------------------------------------------
 
     def _updated_outlines(self, depth: int) -> IntArray:
-        """Return the outlines of cells of a depth, or leaves above it, that got points."""
+        """Return the outlines of cells that got points since the last update (n, 4).
+
+        The cells have the given depth or are larger leaves. The outlines are in half sides of the
+        smallest cells.
+        """
         tree = self.map.tree
         nodes = band(tree, depth, 0, self._version)
         return np.asarray(k.rectangles_of(tree, nodes))
 
     def _half_steps(self, depth: int) -> int:
-        """Return the side of cells of a depth in half sides of the smallest cells."""
+        """Return the side of the cells of a depth, in half sides of the smallest cells."""
         return 2 << (self.map.depths - depth)
 
     def _nodes_in(
         self, marked: NDArray[np.bool_], band: tuple[int, ...], seen: NDArray[np.int32]
     ) -> tuple[Nodes, IntArray]:
-        """Return the cells of a band in marked squares, and outlines of empty squares."""
+        """Return the cells of a size band in marked squares, and the empty squares.
+
+        `marked` (rows, cols) is a raster of the smallest cells of the `band`. `seen` records which
+        squares were visited. Empty squares are returned as outlines (m, 4), in half sides of the
+        smallest cells.
+        """
         self._visit += 1
         return k.marked_nodes(self.map.tree, marked, band[0], band[1], seen, self._visit)  # type: ignore[no-any-return]
 
     def _update_hazards(self, outlines: IntArray) -> IntArray:
-        """Search for hazards where points or planes changed.
+        """Search for hazards where points or terrain planes changed.
 
-        Returns the outlines (n, 4), in half steps, of cells whose result changed.
+        `outlines` (n, 4) are the outlines of changed triangles of the terrain mesh. Returns the
+        outlines (m, 4) of cells whose result changed. Both are in half sides of the smallest cells.
         """
         s, tree = self.settings, self.map.tree
         wide = 1 << self._hazard[0]
@@ -259,15 +275,20 @@ class SiteSelector:
         rasters = (self._ratios, self._reliefs)
         cleared = h.blank_squares(empty, square_side, *rasters)
         changed = h.evaluate_cells(
-            tree, nodes, self.mesh.arrays, s.roughness_limit, s.density, *rasters
+            tree, nodes, self.mesh.arrays, s.roughness_limit, s.min_density, *rasters
         )
         return np.concatenate((empty[cleared], k.rectangles_of(tree, nodes[changed])))
 
     def _update_sites(self, outlines: IntArray, changed: IntArray) -> None:
+        """Evaluate the sites that changed triangles, points or hazard cells can affect.
+
+        `outlines` (n, 4) are changed triangles of the mesh and `changed` (m, 4) changed hazard
+        cells, in half sides of the smallest cells.
+        """
         s, tree = self.settings, self.map.tree
         square = self._half_steps(self._site[0])
         wide = 1 << self._site[0]
-        zone = int(np.ceil((s.zone + s.margin) / (0.5 * self.map.least)))
+        zone = int(np.ceil((s.zone_half_side + s.margin) / (0.5 * self.map.least)))
         marked = np.zeros((wide, wide), np.bool_)
         k.mark(outlines, 0, square, wide, marked)
         for rectangles in (self._updated_outlines(self._site[1]), changed):
@@ -279,7 +300,7 @@ class SiteSelector:
             self._site[0],
             self.mesh.arrays,
             (self._ratios, self._reliefs),
-            (np.cos(s.slope_limit), s.exception_limit, s.zone, self.footprint, s.margin),
+            (np.cos(s.slope_limit), s.exception_limit, s.zone_half_side, self.footprint, s.margin),
             s.roughness == "printed",
             self._thorough,
             self._results,
@@ -287,6 +308,7 @@ class SiteSelector:
         )
 
     def _interest_of(self, nodes: Nodes) -> Array:
+        """Return the value to the mission of cells (n,)."""
         if self._interest is None:
             return np.ones(len(nodes))
         return self._interest.at(self.map.centres(nodes))
@@ -294,6 +316,7 @@ class SiteSelector:
     # --- scores ---------------------------------------------------------------------------
 
     def _select(self) -> SiteSelection:
+        """Score all sites by Eq. 9 of the quadtree paper and rank the best of them."""
         s = self.settings
         nodes = self.map.band(*s.site_band)
         place = k.raster_indices(self.map.tree, nodes, self._site[0])
@@ -304,9 +327,9 @@ class SiteSelector:
         planned = (status != k.NO_PLANE) & (status != k.OFF_MAP)
         status = np.where(planned & (interest <= 0.0), np.int8(k.NO_INTEREST), status)
         score = (
-            s.weight_interest * (1.0 - interest)
-            + s.weight_slope * (1.0 - cosine)
-            + s.weight_roughness * roughness
+            s.interest_weight * (1.0 - interest)
+            + s.slope_weight * (1.0 - cosine)
+            + s.roughness_weight * roughness
         )
         score = np.where(status == k.ELIGIBLE, score, np.inf)
         position = np.column_stack((self.map.centres(nodes), self.map.elevation(nodes)))
@@ -353,6 +376,7 @@ class SiteSelector:
 
 
 def _read_only(array: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return a read-only view of an array."""
     view = array.view()
     view.flags.writeable = False
     return view
@@ -360,6 +384,9 @@ def _read_only(array: NDArray[np.float32]) -> NDArray[np.float32]:
 
 def select_separated(score: Array, xy: Array, count: int, separation: float) -> list[int]:
     """Return the indices of the lowest finite scores with a minimum separation.
+
+    Positions are chosen in the order of their score. A position closer than `separation` to one
+    chosen before is skipped.
 
     Parameters
     ----------

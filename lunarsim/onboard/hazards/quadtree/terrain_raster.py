@@ -46,19 +46,21 @@ _MIN_SQUARE_M = 0.4
 def terrain_raster(
     quadtree: QuadtreeMap, smallest: float, largest: float, seen: SamplingCoverage | None = None
 ) -> tuple[Array, Grid]:
-    """Return mean elevations (rows, cols), m, and their grid; NaN where not observed.
+    """Compute a raster of mean elevations from a quadtree; NaN where not observed.
 
-    Where points are so sparse that quadtree cells are larger than the raster, the mean elevation
-    applies to the cell centre, and the slope of the surrounding terrain is added.
+    Returns the elevations (rows, cols), m, and their grid. Where points are so sparse that quadtree
+    cells are larger than the raster, the mean elevation applies to the cell centre, and the slope
+    of the surrounding terrain is added.
 
     Parameters
     ----------
     quadtree
         Map of the points.
     smallest, largest
-        Band of cell sizes, m; the raster has the smallest.
+        Sides of the smallest and largest cells that count as observed, m; the raster has the
+        smallest.
     seen
-        Sampling whose gaps are set to NaN; default: no gaps.
+        Sampling coverage whose gaps are set to NaN; default: no gaps.
     """
     finest = quadtree.depth_of(smallest)
     wide = 1 << finest
@@ -89,10 +91,11 @@ def terrain_raster(
 
 
 def close_holes(height: Array, posting: float, width: float) -> Array:
-    """Return terrain (rows, cols) with its holes filled by a grey closing.
+    """Fill the holes of a terrain raster by a grey closing.
 
-    The closing fills holes no wider than `width`, m, along rows or columns. It leaves planes and
-    peaks unchanged and raises nothing above the highest terrain nearby. NaN remains.
+    `height` (rows, cols) are elevations, m, and `posting` is the cell size, m. The closing fills
+    holes no wider than `width`, m, along rows or columns. It leaves planes and peaks unchanged and
+    raises nothing above the highest terrain nearby. NaN remains.
     """
     cells = 2 * int(np.ceil(0.5 * width / posting)) + 1
     known = ~np.isnan(height)
@@ -102,16 +105,16 @@ def close_holes(height: Array, posting: float, width: float) -> Array:
 
 @dataclass(frozen=True)
 class SamplingCoverage:
-    """Sampling density of a quadtree map.
+    """Density of the points of a quadtree map, and the gaps between them.
 
     Attributes
     ----------
     grid
         Cells of about `_CELL_M`: the map side divided by a power of two.
     gap
-        True where points are missing that chance would not have omitted (rows, cols).
+        True where points are missing and chance does not explain it (rows, cols).
     density
-        Points per square metre about each cell, over `_DENSITY_WINDOW_M` (rows, cols).
+        Points per square metre in a window of `_DENSITY_WINDOW_M` around each cell (rows, cols).
     """
 
     grid: Grid
@@ -120,11 +123,7 @@ class SamplingCoverage:
 
 
 def sampling_coverage(quadtree: QuadtreeMap) -> SamplingCoverage:
-    """Return the sampling density of a map and its gaps.
-
-    A gap is an empty rectangle in which the density around it predicts at least
-    `_MIN_EXPECTED_POINTS` points.
-    """
+    """Compute the point density of a quadtree map and find its gaps."""
     wide = 1 << quadtree.depth_of(_CELL_M)
     posting = quadtree.side / wide
     grid = Grid.centred(quadtree.centre[:2], quadtree.side, posting)
@@ -164,7 +163,10 @@ def sampling_coverage(quadtree: QuadtreeMap) -> SamplingCoverage:
 
 
 def _density_on_both_sides(density: Array, near: int, far: int, axis: int) -> Array:
-    """Return the smaller of the maximum densities `near` to `far` cells either side."""
+    """Return the smaller of the maximum densities on both sides of each cell.
+
+    `density` (rows, cols) is in 1/m^2. Each side extends from `near` to `far` cells along `axis`.
+    """
     lines = np.pad(np.moveaxis(density, axis, -1), ((0, 0), (far, far)))
     wide, length = far - near + 1, density.shape[axis]
     maxima = np.lib.stride_tricks.sliding_window_view(lines, wide, axis=-1).max(axis=-1)
@@ -173,7 +175,12 @@ def _density_on_both_sides(density: Array, near: int, far: int, axis: int) -> Ar
 
 
 def _mean_terrain(row: IntArray, col: IntArray, finer: IntArray, height: Array, wide: int) -> Array:
-    """Return the mean terrain about each cell (wide, wide); NaN far from points."""
+    """Return the Gaussian-weighted mean elevation around each cell of a raster.
+
+    The raster (wide, wide) is computed from quadtree cells with `height` (n,), m. `row` and `col`
+    (n,) locate them at their depth, which is `finer` (n,) levels above that of the raster. The
+    result is NaN far from points.
+    """
     sums, count = np.zeros((wide, wide)), np.zeros((wide, wide))
     at = (row << finer) + (1 << finer >> 1), (col << finer) + (1 << finer >> 1)
     sums[at], count[at] = height, 1.0
@@ -184,7 +191,7 @@ def _mean_terrain(row: IntArray, col: IntArray, finer: IntArray, height: Array, 
 
 
 def residual_heights(quadtree: QuadtreeMap) -> Array:
-    """Return the residual heights of some points above the local plane (n,), m.
+    """Return the heights of a sample of points above the local terrain plane (n,), m.
 
     The plane is fitted to about a hundred points without outliers. Outliers less than
     `_MAX_ROCK_OUTLIER_M` from the plane are included, because a single return from a small rock

@@ -26,7 +26,7 @@ _MAX_SORT_PARTS, _MIN_SORT_PART_POINTS = 8, 1 << 18
 
 @dataclass(frozen=True)
 class InsertionCounts:
-    """Counts of the points of a batch.
+    """Numbers of points of a batch that were added to or rejected by the quadtree.
 
     Attributes
     ----------
@@ -41,13 +41,13 @@ class InsertionCounts:
 
 
 class QuadtreeMap:
-    """Square map that is refined where measurements are dense.
+    """Square quadtree map of measured points, refined where measurements are dense.
 
     A cell with `split_count` points or more has four children, down to the minimum cell size. Sums
     for mean and variance of the elevation are kept at every level. Every cell records the last
     batch that reached it, so that users of the map can query changes. Outliers, which are separated
     in height from all other points of their cell (a return from a bird), remain on the map and are
-    counted, but are in no sum.
+    counted, but are excluded from all sums.
 
     Parameters
     ----------
@@ -66,7 +66,7 @@ class QuadtreeMap:
         self, centre: ArrayLike, side: float, least: float = 0.1, *, split_count: int = 8
     ) -> None:
         if not (np.isfinite(least) and least > 0.0):
-            raise InputError("quadtree.least_m", least, "must be positive, in metres")
+            raise InputError("quadtree.min_cell_size_m", least, "must be positive, in metres")
         if not (np.isfinite(side) and side >= least):
             raise InputError("quadtree.side_m", side, f"must be at least one cell of {least} m")
         if split_count < 2:
@@ -74,7 +74,7 @@ class QuadtreeMap:
         depths = max(1, int(np.ceil(np.log2(side / least) - 1e-9)))
         if depths > _MAX_DEPTH:
             raise InputError(
-                "quadtree.least_m",
+                "quadtree.min_cell_size_m",
                 least,
                 f"must be at least {side / 2**_MAX_DEPTH:g} m for a side of {side:g} m",
             )
@@ -112,7 +112,9 @@ class QuadtreeMap:
     # --- insertion ------------------------------------------------------------------------
 
     def insert(self, points: ArrayLike) -> InsertionCounts:
-        """Add points (n, 3), ENU, m; ignore and count those off the map or with NaN.
+        """Add points (n, 3), ENU, m; return how many were added and rejected.
+
+        Points off the map or with NaN are rejected.
 
         Raises
         ------
@@ -145,7 +147,7 @@ class QuadtreeMap:
         return InsertionCounts(added, int(outside + high), int(missing))
 
     def _insert_sorted(self, xyz: NDArray[np.float32], key: NDArray[np.uint32]) -> None:
-        """Insert points (n, 3) sorted by their keys (n,)."""
+        """Insert points (n, 3) sorted by their Z-order keys (n,)."""
         base = self._points
         if not len(xyz):
             return
@@ -168,7 +170,10 @@ class QuadtreeMap:
             )
 
     def _reserve(self, *, points: int = 0, nodes: int = 0, runs: int = 0, sums: int = 0) -> None:
-        """Enlarge arrays if needed; the point arrays grow by half to limit copying."""
+        """Enlarge the arrays of the tree to hold the given numbers of entries.
+
+        The point arrays grow by at least half to limit copying.
+        """
         t = self.tree
         if points > len(t.xyz):
             t = _enlarge_arrays(t, _POINT_ARRAYS, max(points, len(t.xyz) * 3 // 2), self._points)
@@ -189,7 +194,7 @@ class QuadtreeMap:
 
     @property
     def cells(self) -> int:
-        """Number of cells of all sizes."""
+        """Number of cells of all sizes in the tree."""
         return self._used[0]
 
     @property
@@ -212,16 +217,18 @@ class QuadtreeMap:
     # --- cells ----------------------------------------------------------------------------
 
     def depth_of(self, size: float) -> int:
-        """Return the depth of the largest cells that are no larger than `size` (m)."""
+        """Return the depth in the tree of the largest cells not larger than `size` (m)."""
         return int(np.clip(np.ceil(np.log2(self.side / size) - 1e-9), 0, self.depths))
 
     def band(self, smallest: float, largest: float, *, since: int = 0) -> Nodes:
-        """Return the smallest cells within a size band (Figure 3), in Z-order.
+        """Return the smallest cells within a band of sizes (Figure 3 of the paper).
+
+        The cells are returned as indices (n,) in Z-order.
 
         Parameters
         ----------
         smallest, largest
-            Sides of the cells, m.
+            Sides of the smallest and largest cells, m.
         since
             Return only cells that got points after this version of the map.
         """
@@ -229,7 +236,11 @@ class QuadtreeMap:
         return np.asarray(k.band(self.tree, low, high, since))
 
     def cell_at(self, xy: ArrayLike, smallest: float = 0.0, largest: float = np.inf) -> int:
-        """Return the smallest cell within a size band at a point (2,); -1 for none."""
+        """Return the index of the smallest cell at a point (2,), m, within a size band.
+
+        `smallest` and `largest` are the limits of the cell side, m. The result is -1 if there is
+        none. `xy` is in ENU.
+        """
         low = self.depth_of(smallest) if smallest > 0.0 else self.depths
         high = self.depth_of(largest) if np.isfinite(largest) else 0
         x, y = np.asarray(xy, dtype=np.float64)[:2] - self.centre[:2]
@@ -242,7 +253,7 @@ class QuadtreeMap:
         return np.asarray(self.tree.xyz[index] + self.centre)
 
     def centres(self, nodes: Nodes) -> Array:
-        """Return the centres (n, 2) of cells, ENU, m."""
+        """Return the centres (n, 2) of cells, ENU, m, from their indices `nodes` (n,)."""
         size = self.sizes(nodes)
         t = self.tree
         east = (t.column[nodes] + 0.5) * size - t.half
@@ -250,25 +261,29 @@ class QuadtreeMap:
         return np.stack((east, north), axis=-1) + self.centre[:2]
 
     def sizes(self, nodes: Nodes) -> Array:
-        """Return the sides of cells (n,), m."""
+        """Return the sides of cells (n,), m, from their indices `nodes` (n,)."""
         return np.asarray(self.side / 2.0 ** self.tree.depth[nodes])
 
     def number(self, nodes: Nodes) -> NDArray[np.int32]:
-        """Return the number of points in cells (n,)."""
+        """Return the number of points in cells (n,), from their indices `nodes` (n,)."""
         return np.asarray(self.tree.count[nodes])
 
     def elevation(self, nodes: Nodes) -> Array:
-        """Return the mean elevation of cells (n,), m, without outliers; NaN if empty."""
+        """Return the mean elevation of cells (n,), m, without outliers; NaN if empty.
+
+        `nodes` (n,) are the indices of the cells.
+        """
         return np.asarray(self._moments(nodes)[:, 1] + self.centre[2])
 
     def variance(self, nodes: Nodes) -> Array:
-        """Return the variance of elevations in cells (n,), m^2; NaN if empty.
+        """Return the variance of the elevations in cells (n,), m^2; NaN if empty.
 
-        Outliers are excluded.
+        `nodes` (n,) are the indices of the cells. Outliers are excluded.
         """
         return np.asarray(self._moments(nodes)[:, 2])
 
     def _moments(self, nodes: Nodes) -> Array:
+        """Return number, mean and variance of the heights in cells (n, 3), m and m^2."""
         return np.asarray(_sum_kernels.moments(self.tree, np.asarray(nodes, np.int64)))
 
     @property
@@ -305,11 +320,16 @@ def _check_points(points: ArrayLike) -> Array:
 
 
 def _enlarge_arrays(tree: k.Tree, names: tuple[str, ...], size: int, used: int) -> k.Tree:
+    """Return the tree with the arrays `names` enlarged to `size` entries.
+
+    The first `used` entries are kept.
+    """
     arrays: dict[str, Any] = {name: _enlarge(getattr(tree, name), size, used) for name in names}
     return tree._replace(**arrays)
 
 
 def _enlarge(array: NDArray[np.generic], size: int, used: int) -> NDArray[np.generic]:
+    """Return an array with `size` entries, of which the first `used` are copied."""
     out = np.empty((size, *array.shape[1:]), array.dtype)
     out[:used] = array[:used]
     return out

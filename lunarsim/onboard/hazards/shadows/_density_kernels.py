@@ -15,10 +15,12 @@ _SURER, _PLAIN, _PLAIN_SURER = np.float32(1.5), np.float32(5.0), np.float32(1.15
 
 @kernel(parallel=True)
 def mark_possible(possible, lit, dark, radius):
-    """Write where the sharpest observations do not exclude a rock (rows, cols).
+    """Mark the positions at which the sharpest observations allow a rock of a size.
 
-    `lit` and `dark` are the sharpness of the sharpest observation on lit and on dark terrain, q in
-    pixels per metre of radius (rows, cols); 0: none.
+    `lit` and `dark` (rows, cols) are the sharpness of the sharpest observation in which the shadow
+    of the rock would fall on lit and on dark terrain: q (the square root of the number of dark
+    pixels) per metre of radius; 0 for no observation. `radius` is that of the rock, m. `possible`
+    (rows, cols) receives the result.
     """
     rows, cols = lit.shape
     plain = _PLAIN / np.float32(radius)
@@ -30,7 +32,12 @@ def mark_possible(possible, lit, dark, radius):
 
 @kernel()
 def count_crowded(lit, possible, explained):
-    """Return the numbers of cells with a possible untracked rock and observed."""
+    """Count the positions with a possible untracked rock, and the observed positions.
+
+    `lit` (rows, cols) is the sharpness of the sharpest observation on lit terrain, 0 for none.
+    `possible` marks where a rock may be in the dark, and `explained` where a tracked rock explains
+    the darkness (rows, cols).
+    """
     crowded = looked = 0
     for i in range(lit.shape[0]):
         for j in range(lit.shape[1]):
@@ -41,7 +48,12 @@ def count_crowded(lit, possible, explained):
 
 @kernel()
 def _missed(sharpness, radius, number, line, min_rate):
-    """Return the density of rocks missed by an observation of lit terrain, 1/m^2."""
+    """Return the density of rocks missed by an observation of lit terrain, 1/m^2.
+
+    `sharpness` is q in pixels per metre of radius. `radius` (n,), m, and `number` (n,), 1/m^2, are
+    the sizes of rocks and their expected densities. `line` holds the miss rate at q = 0, its slope
+    and its minimum; `min_rate` is a further minimum.
+    """
     start, slope, floor = line
     total = 0.0
     for k in range(len(radius)):
@@ -52,16 +64,18 @@ def _missed(sharpness, radius, number, line, min_rate):
 
 @kernel(parallel=True)
 def fill(density, lit, possible, explained, radius, number, line, min_rate, hidden, crowded):
-    """Write the density of possible untracked rocks (rows, cols), 1/m^2.
+    """Compute the expected density of untracked rocks at each position, 1/m^2.
 
     Parameters
     ----------
     density
-        Result (rows, cols).
+        Receives the result (rows, cols).
     lit
-        Sharpness of the sharpest observation on lit terrain, q in pixels per metre of radius.
+        Sharpness of the sharpest observation on lit terrain, q in pixels per metre of radius (rows,
+        cols).
     possible, explained
-        Where a rock may be in the dark, and where a tracked rock explains that (rows, cols).
+        Where a rock may be in the dark, and where a tracked rock explains the darkness (rows,
+        cols).
     radius, number
         Radii of the rocks (n,), m, and their expected number per area (n,), 1/m^2.
     line
@@ -69,7 +83,7 @@ def fill(density, lit, possible, explained, radius, number, line, min_rate, hidd
     min_rate
         Further lower bound of the miss rate.
     hidden, crowded
-        Density where dark terrain is explained, and on other dark terrain.
+        Density where a tracked rock explains the darkness, and on other dark terrain, 1/m^2.
     """
     rows, cols = lit.shape
     for i in prange(rows):

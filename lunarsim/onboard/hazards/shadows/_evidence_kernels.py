@@ -36,7 +36,11 @@ _FEW_STEPS = 4
 
 @kernel()
 def _along_sensor(coarse, position, axes):
-    """Return the coarse nodes in sensor axes (rows, cols, columns)."""
+    """Transform the nodes of a coarse grid to sensor axes (rows, cols, columns).
+
+    `coarse` are the nodes as described for `look`. `position` (3,) is the camera, m, and `axes` (3,
+    3) its axes.
+    """
     rows, cols, width = coarse.shape
     points = (width - POINTS) // 2
     out = np.empty((rows, cols, CORE + 3 * points))
@@ -58,7 +62,10 @@ def _along_sensor(coarse, position, axes):
 
 @kernel()
 def _row_of_nodes(nodes, i, every):
-    """Return the nodes interpolated to row i of the positions (cols, columns)."""
+    """Interpolate the nodes of a coarse grid to row `i` of the positions.
+
+    There are `every` positions between two nodes. The result has shape (node cols, columns).
+    """
     first = min(i // every, nodes.shape[0] - 2)
     share = i / every - first
     out = np.empty(nodes.shape[1:])
@@ -71,16 +78,23 @@ def _row_of_nodes(nodes, i, every):
 
 @kernel(allocates=False)
 def _between(out, nodes, first, share):
-    """Write the values interpolated between two nodes of a row."""
+    """Interpolate between nodes `first` and `first + 1` of a row, at fraction `share`.
+
+    `out` (columns,) receives the result.
+    """
     for k in range(len(out)):
         out[k] = nodes[first, k] + share * (nodes[first + 1, k] - nodes[first, k])
 
 
 @kernel(exact=True)
 def _pixels_of_core(at, here, by, up, radius, lens, high, wide):
-    """Write the pixels of all core points; return whether all are in view.
+    """Compute the pixels of a shadow's test points; return whether all are in view.
 
-    The loop has no branch before the end, so that it can be vectorised.
+    The test points lie in the core of the shadow, the part that is dark for every rock shape. `at`
+    (points,) receives the pixel indices, row by row. `here` is the interpolated node of the rock's
+    position, `by` a rise of the terrain, m, `up` (3,) the vertical in sensor axes, and `radius` the
+    radius of the rock, m. `lens` is (fx, fy, cx, cy); `high` and `wide` are the size of the image,
+    pixels. The loop has no branch before the end, so that it can be vectorised.
     """
     fx, fy, cx, cy = lens
     points = len(at)
@@ -99,10 +113,14 @@ def _pixels_of_core(at, here, by, up, radius, lens, high, wide):
 
 @kernel(allocates=False)
 def _dark_points(at, here, by, up, cores, radius, lens, high, wide, shadow_of):
-    """Return the number of dark points of the darkest core, and of explained ones.
+    """Count the dark test points of a rock's expected shadow.
 
-    -1 if a point of any core is out of view. A point is dark if it may be in the shadow of a rock
-    of this size. The terrain is raised by `by`; `up` is the vertical in sensor axes.
+    Returns the number for the darkest of the `cores` possible shadows, and how many of these points
+    belong to shadows of tracked rocks; -1 if a point is out of view. A point is dark if it may be
+    in the shadow of a rock of this `radius`, m, according to `shadow_of` (the largest radius for
+    each pixel, negative for tracked rocks). The terrain at the position `here` is raised by `by`,
+    m; `up` is the vertical in sensor axes. `lens`, `high` and `wide` are the projection and size of
+    the image.
     """
     if not _pixels_of_core(at, here, by, up, radius, lens, high, wide):
         return -1, 0
@@ -122,11 +140,11 @@ def _dark_points(at, here, by, up, cores, radius, lens, high, wide, shadow_of):
 
 @kernel(allocates=False)
 def _dark_elsewhere(at, here, extent, up, cores, radius, lens, high, wide, shadow_of, blocks):
-    """Return whether a part of the core may be dark if the terrain is higher or lower.
+    """Return whether a shadow may fall on dark terrain at another terrain height.
 
-    The height varies by up to the reach of the position, which displaces it laterally on horizontal
-    terrain, in steps of about a rock's radius. The shadow of a tracked rock belongs to no rock
-    here.
+    The height varies by the possible error at the position `here`, which displaces the terrain
+    laterally in the image, in steps of about the radius of the rock. The shadow of a tracked rock
+    does not count as dark. The other arguments are those of `_dark_points` and `lit_within`.
     """
     reach, e, n, h = here[FAR], here[E], here[N], here[H]
     lateral = reach * np.sqrt(e * e + n * n) / max(-h, 1e-9)
@@ -160,7 +178,11 @@ def _dark_elsewhere(at, here, extent, up, cores, radius, lens, high, wide, shado
 
 @kernel()
 def _middle_may_show(coarse, i, j, radius, position, axes, fx, fy, cx, cy, wide, high):
-    """Return whether the centre of a shadow's core may be in view from a node square."""
+    """Return whether the centre of a shadow may be in view within a square of nodes.
+
+    `i` and `j` locate the square in the grid of nodes `coarse`, and `radius` is that of the rock,
+    m. The other arguments are the camera parameters of `View`.
+    """
     behind = left = right = above = below = 0
     for a in range(i, i + 2):
         for b in range(j, j + 2):
@@ -183,7 +205,11 @@ def _middle_may_show(coarse, i, j, radius, position, axes, fx, fy, cx, cy, wide,
 
 @kernel(parallel=True)
 def _squares_in_view(coarse, radii, position, axes, fx, fy, cx, cy, wide, high):
-    """Return which node squares and sizes need evaluation."""
+    """Return in which squares of nodes a shadow may be in view (rows, cols, sizes).
+
+    `coarse` are the nodes and `radii` (sizes,), m, the radii of the rocks. The other arguments are
+    the camera parameters of `View`.
+    """
     rows, cols = coarse.shape[0] - 1, coarse.shape[1] - 1
     out = np.empty((rows, cols, len(radii)), np.bool_)
     for i in prange(rows):
@@ -197,7 +223,11 @@ def _squares_in_view(coarse, radii, position, axes, fx, fy, cx, cy, wide, high):
 
 @kernel(parallel=True)
 def _shadow_of(labels, largest):
-    """Return the value of `largest` for each pixel, row by row."""
+    """Return the largest possible rock radius for each pixel, row by row, m.
+
+    `labels` (height, width) is the dark patch of each pixel, and `largest` the radius for each
+    patch.
+    """
     high, wide = labels.shape
     out = np.empty(high * wide, largest.dtype)
     for row in prange(high):
@@ -211,7 +241,11 @@ def _look_along(
     i, lit, dark, explained, radii, nodes, in_view, clear, every, up, lens, shape, shadow_of,
     blocks, min_count, gain, cores,
 ):  # fmt: skip
-    """Record row i of the positions, see `look`."""
+    """Record whether shadows of rocks in grid row `i` would fall on dark pixels.
+
+    For each rock size, `lit` and `dark` (sizes, rows, cols) receive whether the predicted shadow
+    falls on lit or on dark pixels. The other arguments are those of `look`, which calls this.
+    """
     sizes, _, cols = lit.shape
     high, wide = np.int32(shape[0]), np.int32(shape[1])
     row = _row_of_nodes(nodes, i, every)
@@ -260,26 +294,29 @@ def look(
     lit, dark, explained, radii, coarse, every, position, axes, fx, fy, cx, cy, labels, largest,
     min_count, gain, cores,
 ):  # fmt: skip
-    """Record where the shadow of a rock of each size would fall on lit terrain.
+    """Record at which positions the shadow of a rock would fall on lit terrain.
 
-    It falls on lit terrain if it does so at all possible terrain heights. Terrain that is dark only
-    at another height is recorded neither as lit nor as dark.
+    This excludes an undetected rock of that size there. The shadow counts as falling on lit terrain
+    only if it does so at all possible terrain heights. Terrain that is dark only at another height
+    is recorded neither as lit nor as dark.
 
     Parameters
     ----------
     lit, dark
-        Sharpness of the sharpest observation on lit and on dark terrain (sizes, rows, cols);
-        updated.
+        Sharpness of the sharpest observation in which the shadow falls on lit and on dark terrain
+        (sizes, rows, cols); updated. Sharpness is the square root of the number of dark pixels of a
+        rock of radius 1 m.
     explained
-        Whether that dark terrain was the shadow of a tracked rock (sizes, rows, cols); updated.
+        Whether the dark terrain was the shadow of a tracked rock (sizes, rows, cols); updated.
     radii
         Radii of the rocks (sizes,), m.
     coarse
-        Nodes at every `every`-th position, linear in between: sharpness of this observation, east
-        and north, terrain height and its possible error, and east and north of the points of the
-        cores for a half axis of 1, core by core.
+        Nodes at every `every`-th position, linear in between. Each contains the sharpness of this
+        observation, east and north, terrain height and its possible error, m, and east and north of
+        the test points of the possible shadows of a rock with a half axis of 1, shadow by shadow.
     position, axes, fx, fy, cx, cy
-        Camera parameters as in `View`.
+        Camera parameters of `View`: position (3,), m, axes (3, 3), focal lengths and principal
+        point, pixels.
     labels
         Dark patch of each pixel (height, width), 0 where the image is lit.
     largest
@@ -287,9 +324,10 @@ def look(
     min_count
         Minimum number of dark points for a rock to be possible.
     gain
-        Minimum ratio of sharpness to that of earlier observations.
+        Minimum ratio of the sharpness to that of earlier observations for an update.
     cores
-        Number of cores, which are possible shadows of a rock of the size with equally many points.
+        Number of possible shadows of a rock of one size (of different shape), with equally many
+        test points.
     """
     high, wide = labels.shape
     in_view = _squares_in_view(coarse, radii, position, axes, fx, fy, cx, cy, wide, high)

@@ -29,7 +29,7 @@ _SPREAD = 16
 
 @kernel()
 def spread(rows):
-    """Return row numbers in an order that balances the work of the threads.
+    """Return the row numbers in an order that balances the work of parallel threads.
 
     Terrain in view lies in some of the rows only, so each part gets rows from everywhere.
     """
@@ -46,7 +46,8 @@ def spread(rows):
 def largest_of_blocks(shadow_of, high, wide):
     """Return the largest rock whose shadow each pixel block may be (rows, cols), m.
 
-    `shadow_of` is the radius for each pixel, row by row, see `look`.
+    `shadow_of` is the radius of that rock for each pixel, row by row, m, negative for tracked
+    rocks. `high` and `wide` are the size of the image, pixels.
     """
     rows, cols = (high + _BLOCK - 1) // _BLOCK, (wide + _BLOCK - 1) // _BLOCK
     out = np.empty((rows, cols), np.float32)
@@ -62,20 +63,33 @@ def largest_of_blocks(shadow_of, high, wide):
 
 @kernel(exact=True)
 def tiles_of(every):
-    """Return the number of tiles along a node square of `every` positions."""
+    """Return the number of tiles along one side of a square of nodes.
+
+    `every` is the number of positions between two nodes.
+    """
     return max(1, every // _TILE)
 
 
 @kernel(exact=True)
 def tile_at(place, node, every):
-    """Return the tile, along one side of all squares, that contains a position."""
+    """Return the index of the tile that contains a position, along one axis.
+
+    `place` is the index of the position, `node` that of the node before it, and `every` the number
+    of positions between two nodes.
+    """
     tiles = tiles_of(every)
     return node * tiles + min((place - node * every) * tiles // every, tiles - 1)
 
 
 @kernel(allocates=False)
 def _corners(low, high, nodes, i, j, every, tile_row, tile_col):
-    """Write minimum and maximum of all columns in a tile of the square at node (i, j)."""
+    """Compute minimum and maximum of all node columns over the corners of a tile.
+
+    `low` and `high` (columns,) receive the results; False is returned if a value is not finite. The
+    tile (`tile_row`, `tile_col`) is part of the square at node (`i`, `j`), which has `every`
+    positions along a side. `nodes` are those of the coarse grid in sensor axes (rows, cols,
+    columns).
+    """
     tiles = tiles_of(every)
     low[:], high[:] = np.inf, -np.inf
     for a in range(2):
@@ -95,7 +109,11 @@ def _corners(low, high, nodes, i, j, every, tile_row, tile_col):
 
 @kernel(exact=True)
 def _extent(low, high, first, points):
-    """Return the range of all points of a tile's cores along one axis."""
+    """Return the range of all test points of a tile's shadows along one axis.
+
+    `low` and `high` (columns,) are the limits from `_corners`. `first` is the column of the first
+    point and `points` their number.
+    """
     least, most, none = np.inf, -np.inf, 0.0
     for k in range(first, first + points):
         least, most = min(least, low[k]), max(most, high[k])
@@ -106,9 +124,10 @@ def _extent(low, high, first, points):
 
 @kernel(exact=True)
 def extents(low, high):
-    """Return the ranges of all core points of a tile: x, y and z in sensor axes.
+    """Return the ranges of all test points of a tile's shadows in sensor axes.
 
-    They hold for a half axis of 1, relative to the position.
+    The result is x, y and z, each minimum and maximum, for rocks with a half axis of 1, relative to
+    their position. `low` and `high` (columns,) are the limits of the tile.
     """
     points = (len(low) - CORE) // 3
     x0, x1 = _extent(low, high, CORE, points)
@@ -119,7 +138,13 @@ def extents(low, high):
 
 @kernel(exact=True)
 def _axis(low, high, at, extent_low, extent_high, radius, least, most, up):
-    """Return the range of all points along an axis for a range of heights."""
+    """Return the range of test points along a sensor axis for a range of heights.
+
+    `low` and `high` (columns,) are the limits of the tile, `at` is the column of the axis.
+    `extent_low` and `extent_high` are the range of the points for a half axis of 1, `radius` is the
+    half axis, m. `least` and `most` are the limits of the terrain rise, m, and `up` is the
+    component of the vertical along the axis.
+    """
     one, other = least * up, most * up
     first = low[at] + radius * extent_low + min(one, other)
     return first, high[at] + radius * extent_high + max(one, other)
@@ -127,7 +152,11 @@ def _axis(low, high, at, extent_low, extent_high, radius, least, most, up):
 
 @kernel(exact=True)
 def _pixels(low, high, near, far, focal, centre):
-    """Return the pixel range for a range of coordinates and depths."""
+    """Return the range of pixels for a range of coordinates and depths.
+
+    `low` and `high` limit the coordinate, `near` and `far` the depth, m; `focal` and `centre` are
+    focal length and principal point, pixels.
+    """
     least = focal * (low / near if low < 0.0 else low / far) + centre - ROUNDING
     most = focal * (high / near if high > 0.0 else high / far) + centre + ROUNDING
     return least, most
@@ -135,9 +164,12 @@ def _pixels(low, high, near, far, focal, centre):
 
 @kernel(exact=True)
 def _nothing_dark(first_row, last_row, first_col, last_col, radius, wide, shadow_of, blocks):
-    """Return whether no pixel of a box may be in the shadow of a rock of this size.
+    """Return whether no pixel of a box may be in the shadow of a rock of a radius.
 
-    Large boxes are tested by blocks, which is conservative.
+    `radius` is in m. `shadow_of` is the radius of the largest possible rock for each pixel, row by
+    row, and `blocks` its maximum over blocks of pixels, m. Large boxes are tested by blocks, which
+    is conservative. The box extends from `first_row` to `last_row` and from `first_col` to
+    `last_col`; `wide` is the width of the image, pixels.
     """
     if (last_row - first_row + 1) * (last_col - first_col + 1) <= _FEW:
         for row in range(first_row, last_row + 1):
@@ -154,7 +186,14 @@ def _nothing_dark(first_row, last_row, first_col, last_col, radius, wide, shadow
 
 @kernel(exact=True)
 def lit_within(low, high, extent, least, most, up, radius, lens, high_px, wide, shadow_of, blocks):
-    """Return whether cores between two heights are in view and on lit pixels."""
+    """Return whether shadows between two terrain heights fall on lit pixels in view.
+
+    `low` and `high` (columns,) are the limits of the tile's nodes and `extent` the result of
+    `extents`. `least` and `most` are the limits of the terrain rise, m, `up` (3,) the vertical in
+    sensor axes, and `radius` the radius of the rock, m. `lens` is (fx, fy, cx, cy); `high_px` and
+    `wide` are the size of the image. `shadow_of` and `blocks` are the largest rocks for pixels and
+    blocks.
+    """
     fx, fy, cx, cy = lens
     near, far = _axis(low, high, Z, extent[4], extent[5], radius, least, most, up[2])
     if not near > 0.0:
@@ -173,9 +212,10 @@ def lit_within(low, high, extent, least, most, up, radius, lens, high_px, wide, 
 
 @kernel(allocates=False, inner=True)
 def all_lit(low, high, extent, up, radius, lens, high_px, wide, shadow_of, blocks):
-    """Return whether all shadows of a tile's positions are in view and on lit pixels.
+    """Return whether all shadows of rocks in a tile fall on lit pixels in view.
 
-    This holds for all possible terrain heights, within the search limit of `_dark_elsewhere`.
+    This holds for all possible terrain heights, within the search limit of `_dark_elsewhere`. The
+    arguments are those of `lit_within`.
     """
     by = max(abs(low[FAR]), abs(high[FAR]))
     east, north = max(abs(low[E]), abs(high[E])), max(abs(low[N]), abs(high[N]))
@@ -189,14 +229,14 @@ def all_lit(low, high, extent, up, radius, lens, high_px, wide, shadow_of, block
 
 @kernel(parallel=True)
 def lit_tiles(nodes, every, radii, up, lens, height, width, shadow_of, blocks):
-    """Return the tiles and rock sizes whose shadows would all fall on lit terrain.
+    """Find the tiles of terrain in which all shadows of a rock size are on lit pixels.
 
     Parameters
     ----------
     nodes
-        Nodes in sensor axes (rows, cols, columns).
+        Nodes of the coarse grid in sensor axes (rows, cols, columns).
     every
-        Positions between nodes.
+        Number of positions between two nodes.
     radii
         Radii of the rocks (sizes,), m.
     up
@@ -204,12 +244,13 @@ def lit_tiles(nodes, every, radii, up, lens, height, width, shadow_of, blocks):
     lens, height, width
         fx, fy, cx, cy, and size of the image, pixels.
     shadow_of, blocks
-        See `largest_of_blocks`, which returns the latter.
+        Radius of the largest rock whose shadow each pixel may be, row by row, m, and its maximum
+        over blocks of pixels, from `largest_of_blocks`.
 
     Returns
     -------
     lit
-        Whether all is lit (tile rows, tile cols, sizes); see `tile_at`.
+        Whether all shadows fall on lit pixels (tile rows, tile cols, sizes).
     """
     tiles = tiles_of(every)
     rows, cols = (nodes.shape[0] - 1) * tiles, (nodes.shape[1] - 1) * tiles

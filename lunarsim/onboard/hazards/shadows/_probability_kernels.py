@@ -32,12 +32,19 @@ def i0e(x):
 
 @kernel()
 def _normal(x):
+    """Return the cumulative standard normal distribution at x."""
     return 0.5 * math.erfc(-x * 0.7071067811865476)
 
 
 @kernel()
 def _rice(d, sigma, mean, spread, node, weight):
-    """Return P(distance <= radius): Rice(d, sigma) against N(mean, spread)."""
+    """Return the probability that a rock covers a point near its estimated centre.
+
+    `d` is the distance of the point from the estimated centre, m. Its distance from the true centre
+    has a Rice distribution with `d` and the standard deviation `sigma` per axis, m. The radius is
+    normal with `mean` and standard deviation `spread`, m. `node` and `weight` are those of
+    Gauss-Legendre quadrature.
+    """
     if d > _FAR * sigma:
         # The distance is nearly normal: its first two moments to the fourth order of sigma / d.
         share = (sigma / d) ** 2
@@ -74,7 +81,12 @@ def _rice(d, sigma, mean, spread, node, weight):
 
 @kernel(parallel=True)
 def rice_profiles(distance, sigma, mean, spread, node, weight):
-    """Return the probabilities that rocks (n,) cover points at distances (n, m)."""
+    """Return the probabilities that rocks (n,) cover points at distances (n, k).
+
+    `distance` (n, k), m, is measured from the estimated centres. `sigma` (n,) is the standard
+    deviation of the centre per axis, and `mean` and `spread` (n,) are radius and its standard
+    deviation, m. `node` and `weight` are those of Gauss-Legendre quadrature.
+    """
     out = np.empty(distance.shape)
     for j in prange(distance.shape[0]):
         for k in range(distance.shape[1]):
@@ -86,7 +98,9 @@ def rice_profiles(distance, sigma, mean, spread, node, weight):
 def paint(clear, x0, y0, posting, xy, reach, profile, weight):
     """Multiply the probabilities of clear cells (rows, cols) by those of each rock.
 
-    `profile` (n, m) is tabulated at equal steps from 0 to `reach` (n,), where it ends at 0.
+    (`x0`, `y0`) is the centre of cell (0, 0) and `posting` the cell size, m. Rock i is at `xy` (n,
+    2), m, and exists with the probability `weight` (n,). `profile` (n, k) is the probability that
+    it covers a point, at equal steps of distance from 0 to `reach` (n,), m, where it ends at 0.
     """
     rows, cols = clear.shape
     last = profile.shape[1] - 1

@@ -32,16 +32,19 @@ def associate(
     tracked_variance: Array,
     gate: float = GATE,
 ) -> tuple[Index, Index, NDArray[np.bool_], NDArray[np.bool_]]:
-    """Pair detections with rocks at the minimum sum of squared Mahalanobis distances.
+    """Assign detections to tracked rocks by minimum Mahalanobis distance.
 
-    An unpaired detection costs `gate`, so no pair has a larger distance.
+    The sum of the squared distances of all pairs is minimized. An unpaired detection costs `gate`,
+    so no pair has a larger distance.
 
     Parameters
     ----------
     pixel, pixel_covariance, radius, radius_variance
-        Detections (d, 2), (d, 2, 2), (d,), (d,); pixels and m.
+        Detected positions (d, 2), pixels, their covariances (d, 2, 2), radii (d,), m, and radius
+        variances (d,), m^2.
     predicted, predicted_covariance, tracked_radius, tracked_variance
-        Rocks (t, 2), (t, 2, 2), (t,), (t,); pixels and m.
+        Predicted positions of the rocks (t, 2), pixels, their covariances (t, 2, 2), radii (t,), m,
+        and radius variances (t,), m^2.
     gate
         Maximum squared distance of a pair.
 
@@ -50,10 +53,10 @@ def associate(
     detection, rock
         Indices of the pairs (p,), ascending by detection.
     is_unambiguous
-        Whether each pair has no rival (p,): no other detection in the rock's gate at nearly the
-        same distance, nor another rock in the detection's.
+        Whether each pair has no rival at nearly the same distance (p,): neither another detection
+        for the rock nor another rock for the detection.
     is_gated
-        Whether a detection lies in the gate of any rock (d,).
+        Whether each detection is within the gate of any rock (d,).
     """
     none = np.empty(0, np.int64)
     d, t = len(pixel), len(predicted)
@@ -82,7 +85,11 @@ def associate(
 
 
 def _neighbours(points: Array, others: Array, reach: Array) -> tuple[Index, Index]:
-    """Return all pairs of a point (d, 2) and another (t, 2) within its reach (d,)."""
+    """Return the indices (i, j) of all pairs of points closer than a reach.
+
+    `points` (d, 2) and `others` (t, 2) are the points; `reach` (d,) is the maximum distance from
+    each of `points`.
+    """
     near = cKDTree(others).query_ball_point(points, reach)
     i = np.repeat(np.arange(len(points)), [len(n) for n in near])
     return i, np.fromiter(chain.from_iterable(near), np.int64, i.size)
@@ -91,7 +98,11 @@ def _neighbours(points: Array, others: Array, reach: Array) -> tuple[Index, Inde
 def _optimal_pairs(
     i: Index, j: Index, distance: Array, d: int, t: int, unpaired_cost: float
 ) -> tuple[Index, Index]:
-    """Return the pairs of minimum total cost, including unpaired detections."""
+    """Return the pairs (detection, rock) of minimum total cost.
+
+    `i`, `j` and `distance` are detection, rock and squared distance of the candidate pairs. There
+    are `d` detections and `t` rocks. Each unpaired detection adds `unpaired_cost`.
+    """
     # One column per detection stands for "unpaired"; weights must not be 0, which means absent.
     each = np.arange(d)
     cost = csr_array(
@@ -111,8 +122,8 @@ def _is_unambiguous(
 ) -> NDArray[np.bool_]:
     """Return which detections (d,) are much closer to their rock than any rival.
 
-    `own` is the rock of each detection (d,) and `mate` the detection of each rock (t,), -1 for
-    none.
+    `i`, `j` and `distance` are detection, rock and squared distance of the candidate pairs. `own`
+    is the rock of each detection (d,) and `mate` the detection of each rock (t,), -1 for none.
     """
     cost = np.full(len(own), np.inf)
     is_pair = own[i] == j

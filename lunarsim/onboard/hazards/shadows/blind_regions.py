@@ -41,7 +41,10 @@ _GLARE_PX = 5
 
 
 def cell_centres(width: int, height: int) -> Array:
-    """Return the pixels at the centres of image cells, row by row (cells, 2)."""
+    """Return the pixels at the centres of 12 x 16 image cells, row by row (cells, 2).
+
+    `width` and `height` are the size of the image, pixels.
+    """
     u = (np.arange(COLS) + 0.5) * width / COLS - 0.5
     v = (np.arange(ROWS) + 0.5) * height / ROWS - 0.5
     return np.stack(np.meshgrid(u, v), -1).reshape(-1, 2)
@@ -55,7 +58,10 @@ def sharpness_and_area_of_cells(
     plane: GroundPlane,
     model: ShadowModel | ShapeMixture,
 ) -> tuple[Array, Array]:
-    """Return sharpness and terrain area of cells (cells,), for `expected_shares`.
+    """Return shadow sharpness and terrain area of image cells, both (cells,).
+
+    Sharpness is the square root of the number of dark pixels of a rock of radius 1 m; the area is
+    in m^2. `expected_shares` uses both.
 
     Parameters
     ----------
@@ -68,7 +74,7 @@ def sharpness_and_area_of_cells(
     sun, plane
         Direction towards the Sun (3,), ENU, and the plane on which shadows fall.
     model
-        Shadow model.
+        Model of the shadows of rocks.
     """
     focal = float(np.sqrt(camera.fx * camera.fy))
     azimuth, depression, pixel = viewing_geometry(points, camera_position, focal, sun, plane)
@@ -81,10 +87,11 @@ def sharpness_and_area_of_cells(
 
 
 def expected_shares(sharpness: Array, area: Array, cover: float) -> Array:
-    """Return the expected number of shadows in cells, up to a factor (2, cells).
+    """Return the expected number of shadows in image cells, up to a factor (2, cells).
 
-    The first row follows the size law for the smallest visible rock, the second assumes that all
-    rocks are visible everywhere, because the law does not hold for arbitrarily small rocks.
+    The first row follows the size distribution for the smallest visible rock. The second assumes
+    that all rocks are visible everywhere, because the distribution does not hold for arbitrarily
+    small rocks.
 
     Parameters
     ----------
@@ -93,7 +100,7 @@ def expected_shares(sharpness: Array, area: Array, cover: float) -> Array:
     area
         Terrain area in the cells (cells,), m^2.
     cover
-        Fraction of the terrain covered by rocks (Golombek).
+        Fraction of the terrain covered by rocks (Golombek size distribution).
     """
     shown = np.isfinite(area) & (sharpness > 0.0)
     least = 2.0 * _MIN_Q / np.where(shown, sharpness, 1.0)
@@ -102,15 +109,15 @@ def expected_shares(sharpness: Array, area: Array, cover: float) -> Array:
 
 
 def empty_cells(found: NDArray[np.int64], expected: Array) -> NDArray[np.bool_]:
-    """Return the cells in a window with far fewer shadows than the rest of the image.
+    """Return the image cells in windows with far fewer shadows than the rest.
 
     Parameters
     ----------
     found
         Number of shadows in each cell (ROWS, COLS).
     expected
-        Expected number by each law, up to a factor (laws, ROWS, COLS); a window must have too few
-        by all laws.
+        Expected number by each assumption about sizes, up to a factor (laws, ROWS, COLS); a window
+        must have too few shadows by all of them.
     """
     out = np.zeros(found.shape, np.bool_)
     count = _corner_sums(found[None].astype(np.float64))[0]
@@ -128,20 +135,29 @@ def empty_cells(found: NDArray[np.int64], expected: Array) -> NDArray[np.bool_]:
 
 
 def _corner_sums(values: Array) -> Array:
-    """Return cumulative sums above and to the left of corners (n, rows + 1, cols + 1)."""
+    """Return sums from the first cell to each corner (n, rows + 1, cols + 1).
+
+    `values` (n, rows, cols) are summed for fast sums over windows.
+    """
     out = np.zeros((len(values), values.shape[1] + 1, values.shape[2] + 1))
     out[:, 1:, 1:] = values.cumsum(1).cumsum(2)
     return out
 
 
 def _in_windows(sums: Array, high: int, wide: int) -> Array:
-    """Return the sums over windows by their first cell (..., rows, cols)."""
+    """Return the sums over all windows of `high` x `wide` cells (..., rows, cols).
+
+    `sums` is the result of `_corner_sums`; the result is indexed by the first cell of the window.
+    """
     low, top = sums[..., high:, :], sums[..., :-high, :]
     return np.asarray(low[..., wide:] - low[..., :-wide] - top[..., wide:] + top[..., :-wide])
 
 
 def glare(counts: NDArray[Any]) -> NDArray[np.bool_]:
-    """Return which pixels (height, width) lie in or near large saturated patches."""
+    """Return which pixels are in or near large saturated patches (height, width).
+
+    `counts` (height, width) is the image.
+    """
     most = (counts >= np.nanmax(counts)).astype(np.uint8)
     inner = cv2.erode(most, np.ones((_GLARE_PX, _GLARE_PX), np.uint8))
     side = 3 * _GLARE_PX
@@ -151,16 +167,17 @@ def glare(counts: NDArray[Any]) -> NDArray[np.bool_]:
 def blind_regions(
     counts: NDArray[Any], seen: Detections, sharpness: Array, area: Array, cover: float
 ) -> NDArray[np.bool_]:
-    """Return the pixels (height, width) in which shadows would not be visible.
+    """Return the pixels in which rock shadows would not be visible (height, width).
 
     Parameters
     ----------
     counts
         Image (height, width).
     seen
-        Detections in the image.
+        Rocks detected in the image.
     sharpness, area, cover
-        See `expected_shares`; for the cells about `cell_centres`.
+        Sharpness and terrain area of the image cells, from `sharpness_and_area_of_cells` (cells,),
+        and the fraction of the terrain covered by rocks.
     """
     height, width = counts.shape
     found = np.histogram2d(

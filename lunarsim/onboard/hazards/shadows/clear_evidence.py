@@ -65,28 +65,32 @@ _SIZE_CLASS_RATIO, _MAX_SIZE_CLASSES = 1.4, 4
 
 
 class ClearEvidence:
-    """Sharpest observations of the shadow position of a rock at each position.
+    """Record of where camera images exclude undetected rocks of several sizes.
+
+    For each position and size class, the class stores the sharpest observation of the place where
+    the shadow of such a rock would fall. Sharpness is q (the square root of the number of dark
+    pixels) per metre of radius.
 
     Parameters
     ----------
     grid
         Grid of the stored positions.
     model
-        Shadow model, which gives the number of pixels of a shadow.
+        Shadow model, which predicts the number of dark pixels of a rock.
     diameters
         Diameters of the rocks (n,), ascending, m.
     number
         Expected number of rocks of these sizes per area (n,), 1/m^2.
     rates
-        Detection rates, including that of positions falsely declared free.
+        Detection rates, including the rate at which positions with a rock are declared free.
 
     Attributes
     ----------
     lit, dark
-        Sharpness (q in pixels per metre of radius) of the sharpest observation in which the shadow
-        would fall on lit terrain, and on dark terrain (sizes, rows, cols); 0: none.
+        Sharpness of the sharpest observation in which the shadow would fall on lit terrain, and on
+        dark terrain (sizes, rows, cols); 0: none.
     explained
-        Whether that dark terrain was the shadow of a tracked rock (sizes, rows, cols).
+        Whether the dark terrain was the shadow of a tracked rock (sizes, rows, cols).
     motion
         Motion of the stored positions in the local frame.
     """
@@ -118,13 +122,15 @@ class ClearEvidence:
         self.explained = np.zeros(self.lit.shape, np.bool_)
 
     def forget(self) -> None:
-        """Discard all evidence."""
+        """Discard all observations."""
         self.lit[:] = 0.0
         self.dark[:] = 0.0
         self.motion.forget()
 
     def recentre(self, off: Array) -> Array:
-        """Shift the grid by an offset (2,), m, rounded to cells; evidence is kept.
+        """Shift the grid by an offset (2,), m, rounded to cells; observations are kept.
+
+        The offset `off` is east and north.
 
         Returns
         -------
@@ -156,33 +162,34 @@ class ClearEvidence:
         height_sigma: Heights | None = None,
         blur: float = 0.0,
     ) -> None:
-        """Add the evidence of an image.
+        """Add the observations of one image.
 
         An image without rock shadows has not proven that they are visible, so it is ignored.
 
         Parameters
         ----------
         view
-            View of the image.
+            Pose and projection of the camera for the image.
         sun
             Direction towards the Sun (3,), ENU.
         seen
-            Dark patches, and the rocks that may cast them.
+            Dark patches of the image, and the rocks that may cast them.
         heights
-            Returns the terrain height (n,) at points (n, 2), m.
+            Function that returns the terrain height (n,) at points (n, 2), m.
         explained
             Which detections are tracked rocks (rocks,); default: none.
         position_sigma
-            Returns the error of points (n, 2) relative to the camera, 1 sigma per axis (n,), m.
-            Where it exceeds the radius of the smallest hazard, nothing is recorded. Default: no
-            error.
+            Function that returns the error of points (n, 2) relative to the camera, 1 sigma per
+            axis (n,), m. Where it exceeds the radius of the smallest hazard, nothing is recorded.
+            Default: no error.
         plane
             Plane on which shadows fall; default: horizontal.
         height_sigma
-            Returns the error of `heights` (n,), m; lit terrain must be lit within two sigma above
-            and below. Default: 0.
+            Function that returns the error of `heights` (n,), 1 sigma, m; lit terrain must be lit
+            within two sigma above and below. Default: 0.
         blur
-            Point spread of the camera, 1 sigma, pixels; default: at most that of the rates.
+            Point spread of the camera, 1 sigma, pixels; default: not wider than that of the
+            detection rates.
         """
         if len(seen) == 0:
             return
@@ -209,18 +216,25 @@ class ClearEvidence:
         )
         kernels.look(
             self.lit, self.dark, self.explained, self._tested, coarse, every, view.position,
-            np.ascontiguousarray(view.into.T), view.fx, view.fy, view.cx, view.cy, seen.labels,
+            np.ascontiguousarray(view.enu_to_sensor.T), view.fx, view.fy, view.cx, view.cy,
+            seen.labels,
             largest, _MIN_DARK_POINTS, _MIN_SHARPNESS_GAIN, len(_RADIUS_RATIOS),
         )  # fmt: skip
 
     def _is_position_known(self, xy: Array, position_sigma: Heights | None) -> NDArray[np.bool_]:
-        """Return where positions (rows, cols, 2) are accurate to the smallest radius."""
+        """Return where positions (rows, cols, 2) are accurate to the smallest rock radius.
+
+        `position_sigma` returns the error of points (n, 2), m; None: no error.
+        """
         if position_sigma is None:
             return np.ones(xy.shape[:2], np.bool_)
         return np.asarray(_evaluate(position_sigma, xy) <= self._radius[0])
 
     def _nodes(self) -> tuple[int, Array]:
-        """Return the spacing of nodes in cells, and their positions (rows, cols, 2), m."""
+        """Return the spacing of coarse grid points in cells, and their positions, m.
+
+        The positions have shape (rows, cols, 2), in the local frame.
+        """
         g = self.grid
         every = max(1, round(_NODE_SPACING_M / g.posting))
         x = g.x0 + every * g.posting * np.arange(-(-g.cols // every) + 1)
@@ -228,13 +242,19 @@ class ClearEvidence:
         return every, self.motion.now(np.stack(np.meshgrid(x, y), -1))
 
     def _possible(self, test: int) -> NDArray[np.bool_]:
-        """Return where the sharpest observation does not exclude a rock (rows, cols)."""
+        """Return where the sharpest observation does not exclude a rock (rows, cols).
+
+        `test` is the index of the size class.
+        """
         possible = np.empty(self.grid.shape, np.bool_)
         density.mark_possible(possible, self.lit[test], self.dark[test], self._tested[test])
         return possible
 
     def _density(self, test: int) -> NDArray[np.float32]:
-        """Return the density of untracked rocks (rows, cols), 1/m^2."""
+        """Return the expected density of untracked rocks (rows, cols), 1/m^2.
+
+        `test` is the index of the size class.
+        """
         mine = self._class == test
         radius, number = self._radius[mine], self._number[mine]
         possible, explained = self._possible(test), self.explained[test]
@@ -245,7 +265,7 @@ class ClearEvidence:
         hidden = float(number.sum())
         out = np.empty(self.grid.shape, np.float32)
         density.fill(
-            out, self.lit[test], possible, explained, radius, number, self.rates.cleared,
+            out, self.lit[test], possible, explained, radius, number, self.rates.false_clear_line,
             self.model.shadowless_fraction, hidden, hidden / max(crowded / max(looked, 1), least),
         )  # fmt: skip
         return out
@@ -258,9 +278,10 @@ class ClearEvidence:
     def ratios(self) -> NDArray[np.float32]:
         """Return the ratio of untracked rocks to those expected without observation.
 
-        It is below 1 where the terrain was observed lit, and 1 without an observation or where the
-        shadow of a tracked rock may hide a rock. On other dark terrain the untracked rocks are
-        concentrated: all expected rocks times the miss rate at this sharpness; never below 1.
+        The ratio is below 1 where the terrain was observed lit. It is 1 without an observation and
+        where the shadow of a tracked rock may hide a rock. On other dark terrain the untracked
+        rocks are concentrated: the ratio is that of all expected rocks times the miss rate at this
+        sharpness, and never below 1.
 
         Returns
         -------
@@ -277,7 +298,10 @@ class ClearEvidence:
         return out
 
     def _miss_fraction(self, test: int) -> NDArray[np.float32]:
-        """Return the miss rate of the sharpest dark observation (rows, cols)."""
+        """Return the miss rate of the sharpest observation on dark terrain (rows, cols).
+
+        `test` is the index of the size class.
+        """
         mine = self._class == test
         dark = self.dark[test]
         table = np.linspace(0.0, max(float(dark.max()), 1e-6), 257)
@@ -293,7 +317,7 @@ class ClearEvidence:
         Parameters
         ----------
         footprint
-            Radius of the disc, m; 0: rocks that cover the position.
+            Radius of the disc, m; 0: rocks that cover the position itself.
 
         Returns
         -------
@@ -313,13 +337,18 @@ class ClearEvidence:
         return total
 
     def unseen(self, footprint: float = 0.0) -> float:
-        """Return the value of `expected` without any observation."""
+        """Return the expected number of rocks that reach into a disc, unobserved.
+
+        This is the value of `expected` before any observation. `footprint` is the radius of the
+        disc, m; 0: rocks that cover a position.
+        """
         return float(np.pi * self._number @ (footprint + self._radius) ** 2)
 
     def expected_found(self, beyond: int = 0) -> float:
-        """Return the number of rocks that should have been detected where observed.
+        """Return the number of rocks that should have been detected on observed terrain.
 
-        `beyond` cells along each edge are excluded.
+        It follows from the expected rocks and the detection rates. `beyond` cells along each edge
+        are excluded.
         """
         total = 0.0
         inner = slice(beyond, -beyond or None)
@@ -335,7 +364,7 @@ class ClearEvidence:
         return total * self.grid.posting**2
 
     def seen(self) -> NDArray[np.bool_]:
-        """Return whether a rock of the smallest size would have been visible (rows, cols)."""
+        """Return where a rock of the smallest size would have been detected (rows, cols)."""
         if self.model.shadowless_fraction > _MAX_SHADOWLESS_FRACTION:
             return np.zeros(self.grid.shape, np.bool_)
         missed = self.rates.false_clear(self._radius[0] * self.lit[0])
@@ -343,7 +372,10 @@ class ClearEvidence:
 
 
 def _evaluate(given: Heights, xy: Array) -> Array:
-    """Return the values of a function at points (rows, cols, 2)."""
+    """Evaluate a function of points (n, 2) at points (rows, cols, 2).
+
+    `given` is the function; the result has shape (rows, cols).
+    """
     return given(xy.reshape(-1, 2)).reshape(xy.shape[:2])
 
 
@@ -354,11 +386,14 @@ def _cores(
     depression: Array,
     sun: Array,
 ) -> list[Array]:
-    """Return east and north of five test points of the shadow's core, for each core.
+    """Return east and north of test points in the shadow that every rock shape casts.
 
-    The unit is the longer half axis; the first core is of round rocks, the second of elongated
-    ones, whose discs are smaller. Terrain that rises away from the Sun shortens the shadow. The
-    core is that on terrain as steep as the slopes here; it is also dark on flatter terrain.
+    There are five points for round rocks and five for elongated rocks, whose discs are smaller.
+    Each is an array over the viewing directions (`azimuth` and `depression`, rad), relative to the
+    position of a rock with a longer half axis of 1. `sun` (3,) is the direction towards the Sun.
+    Terrain that rises away from the Sun shortens the shadow. The points are therefore computed for
+    terrain with the slopes of `model`; they are also dark on flatter terrain. `low_rocks` is the
+    shadow model of low rocks, whose shadow lies within that of a higher rock.
     """
     unit = low_rocks.patch(azimuth, depression)
     s = sun[:2] / np.hypot(sun[0], sun[1])
@@ -380,7 +415,11 @@ def _cores(
 
 
 def _mark_explained(seen: Detections, explained: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """Return `Detections.largest`, negative for the patches of tracked rocks."""
+    """Return the largest rock of each dark patch, negative for patches of known rocks.
+
+    Known rocks are tracked. `seen` are the detections and `explained` (rocks,) those that are
+    tracked rocks; radii are in m.
+    """
     # A patch of several merged shadows is not explained by one rock.
     label = seen.label[explained]
     label = label[np.isfinite(seen.largest[label])]
@@ -390,5 +429,8 @@ def _mark_explained(seen: Detections, explained: NDArray[np.bool_]) -> NDArray[n
 
 
 def _overlap(by: int, count: int) -> slice:
-    """Return the slice of cells that remain within the grid after a shift."""
+    """Return the slice of cells that remain on an axis after a shift.
+
+    The axis has `count` cells and is shifted by `by` cells.
+    """
     return slice(max(-by, 0), max(min(count, count - by), 0))

@@ -18,7 +18,7 @@ _SUBDIVISIONS = 8
 
 
 def disc_mean(layer: NDArray[Any], radius: float, outside: float) -> NDArray[np.float32]:
-    """Return the mean of a layer over the disc about each cell (rows, cols).
+    """Return the mean of a map layer over a disc centred on each cell (rows, cols).
 
     Cells at the rim count with their fraction within the disc.
 
@@ -47,7 +47,7 @@ def disc_mean(layer: NDArray[Any], radius: float, outside: float) -> NDArray[np.
 
 
 def footprint_seen(seen: NDArray[np.bool_], radius: float) -> NDArray[np.bool_]:
-    """Return the cells about which a complete footprint was observed (rows, cols).
+    """Return the cells around which a complete footprint was observed (rows, cols).
 
     Parameters
     ----------

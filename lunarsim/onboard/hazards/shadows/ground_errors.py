@@ -15,19 +15,25 @@ Array = NDArray[np.float64]
 def terrain_position_covariance(
     points: Array, pixel_covariance: Array, rocks: RockFilter, camera: CameraModel
 ) -> Array:
-    """Return pixel covariances (n, 2, 2) as covariances at terrain points (n, 3), m^2."""
+    """Convert image covariances to covariances on the terrain (n, 2, 2), m^2.
+
+    `points` (n, 3) are on the terrain, m, and `pixel_covariance` (n, 2, 2) is in pixels^2. `rocks`
+    is the filter of the rocks, which contains the pose.
+    """
     if len(points) == 0:
         return np.empty((0, 2, 2))
-    back = invert_2x2(rocks.sight(camera, points).by_rock[:, :, :2])
+    back = invert_2x2(rocks.project_rocks(camera, points).jacobian_by_rock[:, :, :2])
     return np.asarray(back @ pixel_covariance @ np.swapaxes(back, 1, 2))
 
 
 def terrain_position_sigma(
     points: Array, look: Array, rocks: RockFilter, camera: CameraModel
 ) -> Array:
-    """Return the error at points (n, 3), 1 sigma along the worst axis (n,), m.
+    """Convert image covariances to standard deviations of terrain points (n,), m.
 
-    NaN where a point is not visible.
+    The result is 1 sigma along the worst axis; NaN where a point is not visible. `points` (n, 3)
+    are on the terrain, m, and `look` (n, 2, 2) is the covariance in the image, pixels^2. `rocks` is
+    the filter of the rocks, which contains the pose.
     """
     with np.errstate(invalid="ignore"):
         return np.asarray(

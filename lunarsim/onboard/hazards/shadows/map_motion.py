@@ -22,7 +22,9 @@ _MIN_DEVIATION_M = 0.005
 
 
 class MapMotion:
-    """Motion of stored positions as an affine map of the plane.
+    """Motion of stored map positions in the local frame, as an affine transformation.
+
+    The positions follow the tracked rocks, which navigation corrections move.
 
     Parameters
     ----------
@@ -36,24 +38,24 @@ class MapMotion:
         self._turn = np.eye(2)
 
     def forget(self) -> None:
-        """Reset the motion."""
+        """Reset the motion, so that stored and current positions are equal."""
         self._shift = np.zeros(2)
         self._turn = np.eye(2)
 
     @property
     def still(self) -> bool:
-        """Whether positions have not moved."""
+        """Whether stored and current positions are equal."""
         return not self._shift.any() and np.array_equal(self._turn, np.eye(2))
 
     def follow(self, xy: Array, by: Array) -> None:
-        """Move positions with the rocks.
+        """Move the stored positions with the tracked rocks.
 
         Parameters
         ----------
         xy
             Current positions of the rocks (n, 2), m.
         by
-            Motion of the rocks (n, 2), m; NaN if unknown.
+            Motion of the rocks since the last call (n, 2), m; NaN if unknown.
         """
         known = np.isfinite(by).all(1) & np.isfinite(xy).all(1)
         xy, by = xy[known], by[known]
@@ -71,11 +73,17 @@ class MapMotion:
         self._turn = self._turn + turn @ self._turn
 
     def now(self, noted: Array) -> Array:
-        """Return the current positions of stored positions (..., 2), m."""
+        """Convert stored positions (..., 2), m, to current positions in the local frame.
+
+        `noted` are the stored positions.
+        """
         away = np.asarray(noted, dtype=np.float64) - self._centre
         return np.asarray(self._centre + self._shift + away @ self._turn.T)
 
     def noted(self, now: Array) -> Array:
-        """Return the stored positions of current positions (..., 2), m."""
+        """Convert current positions (..., 2), m, in the local frame to stored positions.
+
+        `now` are the current positions.
+        """
         away = np.asarray(now, dtype=np.float64) - self._centre - self._shift
         return np.asarray(self._centre + away @ np.linalg.inv(self._turn).T)

@@ -69,7 +69,17 @@ _MAX_SUN_ELEVATION_ERROR_RAD = float(np.deg2rad(1.0))
 
 @dataclass
 class _CameraState:
-    """Quality check of a camera, its last fault, and last recorded image."""
+    """Image quality check of one camera, its last fault and its last recorded image.
+
+    Attributes
+    ----------
+    health
+        Quality check of the images.
+    fault
+        Reason for rejecting the last image; None: it was accepted.
+    recorded_at
+        Time of the last image from which clear terrain was recorded, s.
+    """
 
     health: ImageQualityCheck
     fault: ImageRejection | None = None
@@ -77,34 +87,35 @@ class _CameraState:
 
 
 class ShadowMapper(HazardMapper):
-    """Detects rocks by their shadows, tracks them, and maps the probability of hazard.
+    """Hazard mapper that detects and tracks rocks by their shadows in camera images.
 
     Parameters
     ----------
     tracker
         Rock tracker; its filter is part of the navigation filter.
     probability
-        Probability map.
+        Map of the hazard probability from tracked and undetected rocks.
     sun
         Assumed direction towards the Sun (3,), ENU of the site frame.
     footprint
         Radius of the disc under the lander that must be free of rocks, m.
     detector
-        Criteria for shadows.
+        Criteria for dark patches to be shadows of rocks.
     interval
         Minimum time between two evaluations of the map, s.
     look_interval
-        Minimum time between two images of a camera whose lit terrain is recorded, s. Images in
-        between show nearly the same.
+        Minimum time between two images of a camera from which clear terrain is recorded, s. Images
+        in between show nearly the same.
     health
-        Quality checks by sensor name, or one for all cameras; default: default settings.
+        Image quality checks by sensor name, or one for all cameras; default: one with default
+        settings.
     relief
         Elevation mapper whose terrain is used: rocks stand at its heights and shadows fall on its
         plane. None: horizontal terrain.
 
     Attributes
     ----------
-    refused
+    rejected_images
         Number of rejected images by fault.
 
     Raises
@@ -134,14 +145,14 @@ class ShadowMapper(HazardMapper):
         self.footprint = footprint
         self.interval, self.look_interval = interval, look_interval
         self._terrain = MeasuredTerrain(relief)
-        tracker.filter.measured = None if relief is None else self._terrain
+        tracker.filter.measured_terrain = None if relief is None else self._terrain
         self.detector = detector or DetectorSettings()
         checks = (
             dict(health) if isinstance(health, Mapping) else {"": health or ImageQualityCheck()}
         )
         self._cameras = {name: _CameraState(one) for name, one in checks.items()}
         self._camera = next(iter(self._cameras))
-        self.refused: Counter[ImageRejection] = Counter()
+        self.rejected_images: Counter[ImageRejection] = Counter()
         self.seen: Detections | None = None
         self._map = HazardMap.unobserved(self.grid)
         # Probability of untracked rocks; None if it must be computed again.
@@ -156,11 +167,11 @@ class ShadowMapper(HazardMapper):
 
     @property
     def health(self) -> ImageQualityCheck:
-        """Quality check of the camera of the last image."""
+        """Image quality check of the camera that took the last image."""
         return self._cameras[self._camera].health
 
-    def take(self, sensor: str, measurement: CameraImage, estimate: Estimate) -> None:
-        """Process one image of a named camera, see `update`.
+    def update_from_sensor(self, sensor: str, measurement: CameraImage, estimate: Estimate) -> None:
+        """Process one image of a named camera.
 
         With several cameras, an image taken before the last one of another camera is dropped and
         reported as the event "out-of-order".
@@ -176,9 +187,8 @@ class ShadowMapper(HazardMapper):
     def update(self, measurement: CameraImage, estimate: Estimate) -> None:
         """Process one image taken at the estimated pose, if it passes the quality check.
 
-        A rejected image, see `ImageQualityCheck`, changes only `refused`. The event
-        "picture-refused" is recorded when images start to fail for a reason, "picture-accepted"
-        when they pass again.
+        A rejected image changes only the count `rejected_images`. The event "image-rejected" is
+        recorded when images start to fail for a reason, "image-accepted" when they pass again.
 
         Raises
         ------
@@ -188,47 +198,50 @@ class ShadowMapper(HazardMapper):
         image, rocks = measurement, self.tracker.filter
         if not image.time >= self._time:
             raise InputError(
-                "picture.time", image.time,
+                "image.time", image.time,
                 f"must not be before the last image at {self._time} s",
             )  # fmt: skip
         self._time = image.time
         self.refresh(image.time)
         health = self.health.before_detection(image.counts, image.camera, estimate)
         if health.good:
-            sun = rocks.in_frame(self.sun)
+            sun = rocks.rotate_to_local(self.sun)
             seen = detect_rocks(
                 image.counts, image.camera, estimate, sun,
                 terrain=self._detection_plane(image.camera), model=self.tracker.model,
                 settings=self.detector,
             )  # fmt: skip
-            was_confirmed = self.health.sun.seen
+            was_confirmed = self.health.sun.confirmed
             health = self._check_shadows(seen, image, estimate, sun, health)
-            if was_confirmed and not self.health.sun.seen:
+            if was_confirmed and not self.health.sun.confirmed:
                 # Terrain evaluated with a wrong Sun direction cannot be trusted.
                 self.probability.forget()
                 self._residual = None
         if health.good and not self._process_image(seen, image, sun):
-            health = ImageQuality(ImageRejection.MISPLACED, health.figures)
+            health = ImageQuality(ImageRejection.MISPLACED, health.metrics)
         self._report(image.time, health)
 
     def refresh(self, time: float) -> None:
         """Move rocks to the measured terrain if it has changed since the last call.
 
-        Terrain that does not fit the rocks is reported: "measured-ground-refused".
+        `time` is the current time, s. Terrain that does not fit the rocks is reported as the event
+        "measured-terrain-rejected".
         """
         if not self._terrain.has_changed():
             return
         rocks = self.tracker.filter
-        outcome = rocks.lay_on_measured()
-        if outcome.degrees and not outcome.taken:
-            details = {"rocks": outcome.degrees, "nis": outcome.nis}
-            rocks.events.append(NavigationEvent(time, "measured-ground-refused", details))
+        outcome = rocks.correct_heights_by_terrain()
+        if outcome.dof and not outcome.is_accepted:
+            details = {"rocks": outcome.dof, "nis": outcome.nis}
+            rocks.events.append(NavigationEvent(time, "measured-terrain-rejected", details))
 
     def _process_image(self, seen: Detections, image: CameraImage, sun: Array) -> bool:
-        """Process an accepted image; return whether it shows the tracked rocks.
+        """Update tracker and map with an accepted image; return whether its rocks fit.
 
-        If not, it belongs to another place or time, or rocks and lander are not where they are
-        estimated. The tracker is updated, but no terrain is recorded as clear.
+        If the image does not show the tracked rocks, it belongs to another place or time, or rocks
+        and lander are not where they are estimated. The tracker is then updated, but no terrain is
+        recorded as clear. `seen` are the detections and `sun` (3,) is the direction towards the
+        Sun, ENU.
         """
         self.seen, self._residual = seen, None
         if isinstance(self.tracker.model, ShapeMixture):
@@ -251,12 +264,16 @@ class ShadowMapper(HazardMapper):
     def _record_visible_terrain(
         self, seen: Detections, image: CameraImage, sun: Array, plane: GroundPlane
     ) -> None:
-        """Record the terrain that an image shows lit."""
+        """Record the terrain that an image shows lit and therefore without rocks.
+
+        `seen` are the detections, `sun` (3,) is the direction towards the Sun, ENU, and `plane` the
+        plane on which shadows fall.
+        """
         self._cameras[self._camera].recorded_at = image.time
         # The pose is the one corrected by the rocks, which moved with it.
         rocks = self.tracker.filter
         self.probability.see(
-            image.camera.view(rocks.inertial), sun, seen, rocks.ground_at,
+            image.camera.view(rocks.inertial), sun, seen, rocks.terrain_height_at,
             self.tracker.explained, self._place_sigma, plane, self._height_sigma,
             self.health.settings.blur_sigma,
         )  # fmt: skip
@@ -264,7 +281,10 @@ class ShadowMapper(HazardMapper):
     def _blind_pixels(
         self, seen: Detections, image: CameraImage, sun: Array, plane: GroundPlane
     ) -> NDArray[np.bool_]:
-        """Return the pixels (height, width) in which rocks would not be visible."""
+        """Return the pixels in which rocks would not be visible (height, width).
+
+        `seen` are the detections in the image.
+        """
         camera, rocks = image.camera, self.tracker.filter
         points = rocks.terrain_points(camera, cell_centres(camera.width, camera.height))
         sharpness, area = sharpness_and_area_of_cells(
@@ -274,13 +294,16 @@ class ShadowMapper(HazardMapper):
         return blind_regions(counts, seen, sharpness, area, self.probability.prior.cover)
 
     def _place_sigma(self, xy: Array) -> Array:
-        """Return the error of positions (n, 2) from the lander, 1 sigma per axis (n,), m."""
-        return position_sigma(self.tracker.filter, xy, self.tracker.settings.least_radius)
+        """Return the error of positions (n, 2) relative to the lander (n,), m.
+
+        The error is 1 sigma per axis.
+        """
+        return position_sigma(self.tracker.filter, xy, self.tracker.settings.min_radius)
 
     def _height_sigma(self, xy: Array) -> Array:
         """Return the error of the terrain height at points (n, 2), 1 sigma (n,), m.
 
-        Where the terrain is measured it is 0, elsewhere it follows from the tracked rocks.
+        Where the terrain is measured, the error is 0; elsewhere it follows from the tracked rocks.
         """
         sigma = np.zeros(len(xy))
         unknown = np.isnan(self._terrain.heights(xy))
@@ -289,7 +312,7 @@ class ShadowMapper(HazardMapper):
         return sigma
 
     def _forget_lost_rocks(self) -> None:
-        """Discard recorded terrain after the tracker has dropped all rocks."""
+        """Discard recorded clear terrain after the tracker has dropped all rocks."""
         if self.tracker.renewals > self._renewals:
             self._renewals = self.tracker.renewals
             self.probability.forget()
@@ -298,22 +321,33 @@ class ShadowMapper(HazardMapper):
     def _check_shadows(
         self, seen: Detections, image: CameraImage, pose: Pose, sun: Array, previous: ImageQuality
     ) -> ImageQuality:
-        """Check an image by its shadows, and the Sun direction by their directions."""
+        """Check an image by its shadows, and the Sun direction by the shadow directions.
+
+        `seen` are the detections, `sun` (3,) is the assumed direction towards the Sun, ENU, and
+        `previous` the result of the check before detection.
+        """
         rocks = self.tracker.filter
-        noise = previous.figures["noise"]
+        noise = previous.metrics["noise"]
         turn = self._shadow_direction_error(seen, image.camera, pose, sun, noise)
         after = self.health.after_detection(seen, turn, noise)
-        if self.health.judges(turn) and image.time >= self._sun_check_time + _SUN_CHECK_INTERVAL_S:
+        if (
+            self.health.is_conclusive(turn)
+            and image.time >= self._sun_check_time + _SUN_CHECK_INTERVAL_S
+        ):
             self._sun_check_time = image.time
             nis = turn.angle**2 / (turn.sigma**2 + _SHADOW_DIRECTION_SIGMA_RAD**2)
             is_sun_in_place = after.fault is not ImageRejection.SUN_ELSEWHERE
-            rocks.judge("shadows", image.time, UpdateOutcome(nis, 1, is_sun_in_place))
-        return ImageQuality(after.fault, previous.figures | after.figures)
+            rocks.monitor_image("shadows", image.time, UpdateOutcome(nis, 1, is_sun_in_place))
+        return ImageQuality(after.fault, previous.metrics | after.metrics)
 
     def _shadow_direction_error(
         self, seen: Detections, camera: CameraModel, pose: Pose, sun: Array, noise: float
     ) -> SunAngle:
-        """Measure the angle between shadows and their expected direction."""
+        """Measure the angle between shadows and their direction under the assumed Sun.
+
+        `sun` (3,) is the direction towards the Sun, ENU; `noise` is that of a pixel relative to lit
+        terrain.
+        """
         view, model, plane = camera.view(pose), self.tracker.model, self._terrain.plane()
         if plane is None:
             points = self.tracker.filter.terrain_points(camera, seen.pixel)
@@ -329,44 +363,48 @@ class ShadowMapper(HazardMapper):
         )
 
     def _detection_plane(self, camera: CameraModel) -> float | GroundPlane:
-        """Return the terrain plane for detection: the measured or a horizontal one."""
+        """Return the terrain for detection: the measured plane or a horizontal height, m."""
         plane = self._terrain.plane()
         return self._height_in_view(camera) if plane is None else plane
 
     def _report(self, time: float, health: ImageQuality) -> None:
-        """Count rejected images, and record an event when the fault changes."""
+        """Count a rejected image, and record an event when the reason changes.
+
+        `health` is the result of the quality check and `time` that of the image, s. An event is
+        also recorded when images are accepted again.
+        """
         state = self._cameras[self._camera]
         fault, previous, state.fault = health.fault, state.fault, health.fault
         if fault is not None:
-            self.refused[fault] += 1
+            self.rejected_images[fault] += 1
         if fault is previous:
             return
-        details: dict[str, Any] = {"refused": self.refused.total()}
+        details: dict[str, Any] = {"rejected_images": self.rejected_images.total()}
         if len(self._cameras) > 1:
             details["camera"] = self._camera
-        name = "picture-accepted"
+        name = "image-accepted"
         if fault is not None:
-            name = "picture-refused"
-            details |= {"why": fault.value, "alarm": health.alarm}
-            details |= {k: v for k, v in health.figures.items() if np.isfinite(v)}
+            name = "image-rejected"
+            details |= {"reason": fault.value, "alarm": health.alarm}
+            details |= {k: v for k, v in health.metrics.items() if np.isfinite(v)}
         self.tracker.filter.events.append(NavigationEvent(time, name, details))
 
     def _height_in_view(self, camera: CameraModel) -> float:
-        """Return the terrain height at the centre of the image, m."""
+        """Return the terrain height at the centre of the image, local frame, m."""
         rocks = self.tracker.filter
         middle = np.array([[0.5 * (camera.width - 1), 0.5 * (camera.height - 1)]])
         height = float(rocks.terrain_points(camera, middle)[0, 2])
         return height if np.isfinite(height) else rocks.terrain_height_below
 
     def hazard_map(self) -> HazardMap:
-        """Return the map, at most `interval` seconds old.
+        """Return the hazard map, recomputed if it is older than `interval`.
 
         While shadows contradict the Sun direction, the map is unobserved.
         """
         if self.tracker.filter.image_monitor.watches["shadows"].lost:
             return self._with_flat_elevation(HazardMap.unobserved(self.grid))
         self._forget_lost_rocks()
-        if not self.blank and self._time >= self._map_time + self.interval - 1e-9:
+        if not self.is_empty and self._time >= self._map_time + self.interval - 1e-9:
             self.probability.follow(*self.tracker.moved())
             self._residual = self.probability.residual(self.footprint)
             drawn = self.probability.hazard_map(self.tracker, self.footprint, self._residual)
@@ -374,12 +412,12 @@ class ShadowMapper(HazardMapper):
         return self._with_flat_elevation(self._map)
 
     def evidence(self) -> RockEvidence | None:
-        """Return the evidence about rocks from images; None without any.
+        """Return tracked and expected undetected rocks, for fusion; None without images.
 
-        If the map is implausible, see `_with_plausibility`, rocks count and clear terrain does not.
+        If the map has implausibly few rocks, tracked rocks still count but clear terrain does not.
         """
         drawn = self.hazard_map()
-        if self.blank or self.tracker.filter.image_monitor.watches["shadows"].lost:
+        if self.is_empty or self.tracker.filter.image_monitor.watches["shadows"].lost:
             return None
         ratio = self.probability.ratios()
         if drawn.in_domain is not None and not drawn.in_domain.any():
@@ -393,18 +431,18 @@ class ShadowMapper(HazardMapper):
         )  # fmt: skip
 
     def _with_plausibility(self, drawn: HazardMap) -> HazardMap:
-        """Return the map with `in_domain`, and report maps with few or no hazards.
+        """Mark a map with too few rocks as uncalibrated, and report maps without hazards.
 
         If far fewer rocks were found than the prior predicts, either the terrain has fewer, or they
-        are not detected. `in_domain` is then false everywhere.
+        are not detected. `in_domain` is then false everywhere. `drawn` is the map.
         """
         prior = self.probability.prior
         expected = self.probability.expected_rocks()
-        found = int(self.tracker.large_rocks(prior.least_diameter, self.grid))
+        found = int(self.tracker.count_large_rocks(prior.least_diameter, self.grid))
         is_too_few = is_rock_count_too_low(found, expected)
         unsafe = drawn.observed & (drawn.p_safe < _MIN_P_SAFE_WITHOUT_HAZARD)
         all_safe = bool(drawn.observed.any() and not unsafe.any())
-        name = "few-rocks" if is_too_few else "all-safe" if all_safe else ""
+        name = "too-few-rocks" if is_too_few else "no-hazard-found" if all_safe else ""
         if name and name != self._reported_event:
             area = float(np.count_nonzero(drawn.observed)) * self.grid.posting**2
             details = {"observed_m2": area, "rocks": found, "expected": expected}
@@ -413,15 +451,18 @@ class ShadowMapper(HazardMapper):
         return replace(drawn, in_domain=np.zeros_like(drawn.observed)) if is_too_few else drawn
 
     def terrain_height(self, xy: Array) -> float:
-        """Return the terrain height at a point (2,), measured or from the rocks, m."""
-        return float(self.tracker.filter.ground_at(xy)[0])
+        """Return the terrain height at a point (2,), local frame, m.
+
+        The height is measured by the elevation mapper or interpolated between tracked rocks.
+        """
+        return float(self.tracker.filter.terrain_height_at(xy)[0])
 
     def recentre(self, centre: Array) -> None:
-        """Centre the map at another point (3,), local frame, m.
+        """Move the map to another centre (3,), local frame, m, if it is too far from it.
 
         Rocks outside remain tracked, but no more of them are added.
         """
-        if not (self.blank or is_off_centre(self.grid, centre)):
+        if not (self.is_empty or is_off_centre(self.grid, centre)):
             return
         self.probability.recentre(centre)
         self.grid, self._residual = self.probability.grid, None
@@ -430,7 +471,10 @@ class ShadowMapper(HazardMapper):
         self._map, self._map_time = HazardMap.unobserved(self.grid), -np.inf
 
     def _with_flat_elevation(self, drawn: HazardMap) -> HazardMap:
-        """Return the map with the current terrain height at its centre as elevation."""
+        """Return a map with the terrain height at its centre as elevation everywhere.
+
+        `drawn` is the map.
+        """
         middle = np.array([np.mean(self.grid.x), np.mean(self.grid.y)])
         height = np.float32(self.terrain_height(middle))
         if (
@@ -443,12 +487,12 @@ class ShadowMapper(HazardMapper):
         return self._displayed[2]
 
     @property
-    def blank(self) -> bool:
+    def is_empty(self) -> bool:
         """Whether no image has been accepted yet."""
         return self.seen is None
 
-    def tables(self) -> dict[str, dict[str, Array]]:
-        """Return the tracked rocks: centres, radii (m) and existence."""
+    def record_tables(self) -> dict[str, dict[str, Array]]:
+        """Return the tracked rocks as a table: centres and radii, m, and existence."""
         f = self.tracker.filter
         return {
             "rocks": {
@@ -459,7 +503,10 @@ class ShadowMapper(HazardMapper):
 
 
 def tracked_region(grid: Grid) -> MapRegion:
-    """Return west, east, south and north limits of the tracked area of a map, m."""
+    """Return the area in which rocks are tracked: the map with a margin.
+
+    The result is west, east, south and north, m.
+    """
     west, east, south, north = grid.extent
     return (
         west - _TRACKING_MARGIN_M,
@@ -470,9 +517,14 @@ def tracked_region(grid: Grid) -> MapRegion:
 
 
 def _check_sun(sun: ArrayLike, elevation: float) -> None:
-    """Raise an error if the Sun elevation differs from that of the shadow model."""
+    """Raise InputError if the Sun elevation differs from that of the shadow model.
+
+    `sun` (3,) is the direction towards the Sun, and `elevation` that of the model, rad.
+    """
     direction = unit_vector(sun)
     if not abs(float(np.arcsin(direction[2])) - elevation) < _MAX_SUN_ELEVATION_ERROR_RAD:
         raise InputError(
-            "sun", sun, f"must be {np.rad2deg(elevation):.1f} deg high, as in the shadow model"
+            "sun",
+            sun,
+            f"must have an elevation of {np.rad2deg(elevation):.1f} deg, as in the shadow model",
         )

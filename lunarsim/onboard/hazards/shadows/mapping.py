@@ -1,4 +1,4 @@
-"""Shadow mapper as a part of a scenario."""
+"""Settings of the shadow mapper, which a scenario selects by its kind."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ _BLUR = ImageQualitySettings().blur_sigma
 
 @dataclass(frozen=True)
 class ShadowMapping:
-    """Settings of the shadow mapper.
+    """Settings of a hazard mapper that detects rocks by their shadows.
 
     Attributes
     ----------
@@ -47,21 +47,22 @@ class ShadowMapping:
         Several cameras whose images are mapped, instead of `sensor`.
     posting, size
         Cell size and side of the map, m.
-    hazard_diameter
+    min_hazard_diameter
         Minimum diameter of a hazard, m.
     interval
         Time between two evaluations of the map, s.
-    look_interval
-        Minimum time between two images of a camera whose lit terrain is recorded, s; every image
-        corrects the rocks.
+    clear_terrain_interval
+        Minimum time between two images of a camera from which clear terrain is recorded, s. Every
+        image updates the tracked rocks.
     shapes
-        Shapes of the shadow model: inferred from the shadows, as the mission expects ("told"), or
-        the paper's half spheres.
-    ground
-        Elevation mapper: rocks stand on its terrain, and shadows fall on its plane; empty:
-        horizontal terrain.
-    form
-        Form of the probability that a rock covers a point, see `cover_probability`.
+        Rock shapes of the shadow model: ``"inferred"`` from the shadows, ``"expected"`` by the
+        mission, or ``"hemisphere"`` as in the paper.
+    terrain_mapper
+        Name of an elevation mapper: rocks stand on its terrain, and shadows fall on its plane;
+        empty: horizontal terrain.
+    cover_model
+        Model of the probability that a rock covers a point, as in `cover_probability`: ``"rice"``
+        or ``"gaussian"``.
 
     Raises
     ------
@@ -69,24 +70,36 @@ class ShadowMapping:
         If a camera is named twice, or `sensor` is not one of `sensors`.
     """
 
-    sensor: str = quantity("camera", help="Camera whose images are mapped")
-    sensors: tuple[str, ...] = quantity((), help="Several cameras, instead of sensor")
+    sensor: str = quantity("camera", help="Name of the camera whose images are mapped")
+    sensors: tuple[str, ...] = quantity(
+        (), help="Names of several cameras whose images are mapped, instead of one sensor"
+    )
     posting: float = quantity(0.2, "m", gt=0, help="Cell size of the map")
-    size: float = quantity(100.0, "m", gt=0, help="Side of the square map about the target")
-    hazard_diameter: float = quantity(0.5, "m", gt=0, lt=4, help="Minimum diameter of a hazard")
+    size: float = quantity(100.0, "m", gt=0, help="Side of the square map around the target")
+    min_hazard_diameter: float = quantity(
+        0.5, "m", gt=0, lt=4, help="Minimum diameter of a rock that is a hazard"
+    )
     interval: float = quantity(1.0, "s", gt=0, help="Time between two evaluations of the map")
-    look_interval: float = quantity(
-        0.4, "s", ge=0, le=10, help="Minimum time between images recorded as clear terrain"
+    clear_terrain_interval: float = quantity(
+        0.4,
+        "s",
+        ge=0,
+        le=10,
+        help="Minimum time between images from which terrain without rocks is recorded",
     )
-    shapes: Literal["inferred", "told", "hemisphere"] = quantity(
-        "inferred", help="Rock shapes of the shadow model (paper: hemisphere)"
+    shapes: Literal["inferred", "expected", "hemisphere"] = quantity(
+        "inferred",
+        help="Rock shapes of the shadow model: inferred from shadows, expected by the mission, or "
+        "hemisphere (paper)",
     )
-    ground: str = quantity("", help="Elevation mapper of the terrain; omitted: horizontal terrain")
-    form: Literal["rice", "gaussian"] = quantity(
-        "rice", help="Form of the cover probability (paper: gaussian)"
+    terrain_mapper: str = quantity(
+        "", help="Name of the mapper that measures the terrain; omitted: horizontal terrain"
+    )
+    cover_model: Literal["rice", "gaussian"] = quantity(
+        "rice", help="Distribution for the probability that a rock covers a point (paper: gaussian)"
     )
 
-    takes: ClassVar[type] = CameraImage
+    accepts: ClassVar[type] = CameraImage
     publishes: ClassVar[type] = RockEvidence
     navigation: ClassVar[type | None] = RockNavigation
 
@@ -99,23 +112,28 @@ class ShadowMapping:
             )
 
     def check_terrain_mapper(self, parts: Mapping[str, Any]) -> None:
-        """Check that `ground` names a mapper that publishes elevations.
+        """Raise InputError if `terrain_mapper` is not a mapper that provides elevations.
 
         Parameters
         ----------
         parts
-            All mapper parts by name.
+            Settings of all mappers by name.
 
         Raises
         ------
         InputError
             If it does not.
         """
-        if not self.ground:
+        if not self.terrain_mapper:
             return
         able = [n for n, p in parts.items() if getattr(p, "publishes", None) is TerrainEvidence]
-        if self.ground not in able:
-            raise InputError("ground", self.ground, "is unknown", suggestion(self.ground, able))
+        if self.terrain_mapper not in able:
+            raise InputError(
+                "terrain_mapper",
+                self.terrain_mapper,
+                "is unknown",
+                suggestion(self.terrain_mapper, able),
+            )
 
     def build(
         self,
@@ -123,14 +141,14 @@ class ShadowMapping:
         navigation: Navigation,
         mappers: Mapping[str, HazardMapper] | None = None,
     ) -> ShadowMapper:
-        """Return the mapper of one flight.
+        """Build the shadow mapper of one flight.
 
         Parameters
         ----------
         briefing, navigation
-            As for all mappers.
+            Data known before the flight, and the navigation filter, which must estimate rocks.
         mappers
-            Mappers built before.
+            Mappers that were built before, by name; `terrain_mapper` must be among them.
 
         Raises
         ------
@@ -138,40 +156,46 @@ class ShadowMapping:
             If the Sun is too low or too high for shadows, or the map is too small or too coarse.
         """
         if not isinstance(navigation, Navigator) or navigation.rocks is None:
-            raise InputError("navigation.kind", type(navigation).__name__, 'must be "rocks"')
+            raise InputError(
+                "navigation.kind", type(navigation).__name__, 'must be "rocks" for a shadow mapper'
+            )
         lander = briefing.lander
         grid = map_grid(briefing.target, self.size, self.posting, lander)
         elevation = float(np.arcsin(np.clip(briefing.sun[2], -1.0, 1.0)))
         model = self._model(elevation, briefing.rocks)
         settings = TrackerSettings(
-            least_radius=0.42 * self.hazard_diameter,
-            landmark_radius=0.2 * self.hazard_diameter,
+            min_radius=0.42 * self.min_hazard_diameter,
+            min_landmark_radius=0.2 * self.min_hazard_diameter,
             region=tracked_region(grid),
         )
         rocks = navigation.rocks
         tracker = RockTracker(rocks, model, settings=settings)
-        prior = HazardPrior(briefing.rocks.cover, self.hazard_diameter)
+        prior = HazardPrior(briefing.rocks.cover, self.min_hazard_diameter)
         probability = ProbabilityMap(
-            grid, model, prior, terrain_height=rocks.terrain_height_below, form=self.form
+            grid, model, prior, terrain_height=rocks.terrain_height_below, form=self.cover_model
         )
         reach = lander.leg_radius + 0.5 * lander.pad_diameter
         proof = SunConfirmation()
         return ShadowMapper(
             tracker, probability, briefing.sun, reach, interval=self.interval,
-            look_interval=self.look_interval,
+            look_interval=self.clear_terrain_interval,
             health={name: _health_of(briefing, name, proof) for name in sensor_names(self)},
-            relief=(mappers or {})[self.ground] if self.ground else None,
+            relief=(mappers or {})[self.terrain_mapper] if self.terrain_mapper else None,
         )  # fmt: skip
 
     def _model(self, elevation: float, rocks: RockExpectation) -> ShadowModel | ShapeMixture:
-        """Return the shadow model for a Sun elevation, rad."""
+        """Return the shadow model for a Sun elevation (rad) and the expected rocks."""
         if self.shapes == "inferred":
             return ShapeMixture(elevation, rocks.shape)
-        return ShadowModel(elevation, rocks.model() if self.shapes == "told" else None)
+        return ShadowModel(elevation, rocks.model() if self.shapes == "expected" else None)
 
 
 def _health_of(briefing: Briefing, camera: str, sun: SunConfirmation) -> ImageQualityCheck:
-    """Return the quality check of a camera, with its own point spread."""
+    """Return the image quality check of a camera, with its point spread.
+
+    `camera` is the name of the sensor; `sun` is the confirmation of the Sun direction, shared by
+    all cameras.
+    """
     known = briefing.instruments.get(camera)
     blur = known.blur_sigma if isinstance(known, CameraInstrument) else _BLUR
     return ImageQualityCheck(ImageQualitySettings(blur_sigma=blur), sun)

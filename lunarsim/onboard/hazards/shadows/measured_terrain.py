@@ -19,7 +19,7 @@ _HALF_WIDTH_M = 1.0
 
 
 class MeasuredTerrain:
-    """Current terrain of an elevation mapper.
+    """Plane and smoothed heights of the terrain that an elevation mapper has measured.
 
     Parameters
     ----------
@@ -35,20 +35,20 @@ class MeasuredTerrain:
         self._changed = False
 
     def has_changed(self) -> bool:
-        """Return whether the surface has changed since the last call."""
+        """Return whether the measured terrain has changed since the last call."""
         self._current_surface()
         has_changed, self._changed = self._changed, False
         return has_changed
 
     def plane(self) -> GroundPlane | None:
-        """Return the plane of the terrain; None if unknown, see `fit_terrain_plane`."""
+        """Return the plane fitted to the terrain; None if it cannot be determined."""
         self._current_surface()
         return self._plane
 
     def heights(self, xy: Array) -> Array:
-        """Return heights (n,) at points (n, 2), local frame, m; NaN where not measured.
+        """Return terrain heights (n,) at points (n, 2), local frame, m; NaN if unmeasured.
 
-        Each is the mean of the known heights in a square of 2 m about the cell of the point.
+        Each is the mean of the known heights in a square of 2 m around the cell of the point.
         """
         out = np.full(len(xy), np.nan)
         surface = self._current_surface()
@@ -60,10 +60,10 @@ class MeasuredTerrain:
         return out
 
     def _current_surface(self) -> TerrainSurface | None:
-        """Return the mapper's surface; update the derived values if it is new."""
+        """Return the elevations of the mapper; update plane and heights if they are new."""
         if self._mapper is None:
             return None
-        surface = self._mapper.surface()
+        surface = self._mapper.terrain_surface()
         if surface is not self._last_surface:
             self._last_surface, self._plane, self._heights = (
                 surface,
@@ -75,9 +75,9 @@ class MeasuredTerrain:
 
 
 def _smoothed_elevation(surface: TerrainSurface) -> Array | None:
-    """Return the mean known elevation about each known cell (rows, cols), m.
+    """Return the mean of the known elevations around each known cell (rows, cols), m.
 
-    NaN elsewhere; None if no elevation is known.
+    NaN in unknown cells; None if no elevation is known.
     """
     if surface.elevation is None:
         return None

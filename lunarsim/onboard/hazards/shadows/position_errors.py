@@ -23,19 +23,20 @@ _NEIGHBOUR_COUNT = 8
 
 
 def position_sigma(rocks: RockFilter, xy: Array, enough: float = 0.0) -> Array:
-    """Return the error of positions (n, 2) from the lander, 1 sigma per axis (n,), m.
+    """Return the error of positions between rocks relative to the lander (n,), m.
 
-    It is infinite without tracked rocks, because the navigation error between images then exceeds
-    the size of a rock.
+    The result is 1 sigma per axis. It is infinite without tracked rocks, because the navigation
+    error between images then exceeds the size of a rock.
 
     Parameters
     ----------
     rocks
-        Filter of the rocks.
+        Filter of the tracked rocks.
     xy
         Positions (n, 2), east and north, m.
     enough
-        If the median is at most this value, m, it is returned without computing the mean.
+        Sufficient accuracy, m: if the median error of the nearby rocks is at most this value, it is
+        returned without computing the error of their mean.
     """
     if rocks.count == 0:
         return np.full(len(xy), np.inf)
@@ -48,11 +49,14 @@ def position_sigma(rocks: RockFilter, xy: Array, enough: float = 0.0) -> Array:
 
 
 def _mean_sigma(rocks: RockFilter, near: Index) -> Array:
-    """Return the error of the mean position of rocks (n, k), 1 sigma (n,), m."""
-    p, places = rocks.state.for_rows(), rocks.places()
+    """Return the error of the mean position of groups of rocks (n,), 1 sigma, m.
+
+    `near` (n, k) are the indices of the rocks in each group.
+    """
+    p, places = rocks.state.covariance_for_rows(), rocks.state_indices()
     variance = np.zeros(len(near))
     for axis in range(2):
         at = places[near, axis]
-        between = rocks.state.between(at[:, :, None], at[:, None, :]).mean((1, 2))
+        between = rocks.state.pair_covariances(at[:, :, None], at[:, None, :]).mean((1, 2))
         variance += 0.5 * (between - 2.0 * p[axis, at].mean(1) + p[axis, axis])
     return np.sqrt(np.maximum(variance, 0.0))

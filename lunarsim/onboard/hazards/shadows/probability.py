@@ -19,7 +19,7 @@ _RAYLEIGH_VARIANCE = 2.0 - 0.5 * np.pi
 
 
 def checked_form(form: str) -> Form:
-    """Return the name of a form after checking it.
+    """Check the name of a cover probability model ("rice" or "gaussian"); return it.
 
     Raises
     ------
@@ -29,7 +29,7 @@ def checked_form(form: str) -> Form:
     for known in get_args(Form):
         if form == known:
             return known  # type: ignore[no-any-return]
-    raise InputError("form", form, f"must be {' or '.join(get_args(Form))}")
+    raise InputError("cover_model", form, f"must be {' or '.join(get_args(Form))}")
 
 
 def cover_probability(

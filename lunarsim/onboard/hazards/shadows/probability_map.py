@@ -40,7 +40,7 @@ _TAIL_SIGMAS = 3.9
 
 @dataclass(frozen=True)
 class HazardPrior:
-    """Rocks expected before any observation.
+    """Abundance and size of rocks expected before any observation.
 
     Attributes
     ----------
@@ -61,30 +61,31 @@ class HazardPrior:
         golombek_cover(1.0, self.cover)  # raises for a cover that is not a fraction
         if not 0.0 < self.least_diameter < self.largest_diameter < np.inf:
             raise InputError(
-                "prior.least_diameter", self.least_diameter,
+                "prior.min_diameter", self.least_diameter,
                 f"must be between 0 and {self.largest_diameter} m",
             )  # fmt: skip
 
 
 class ProbabilityMap:
-    """Probability of hazard on a grid, from tracked rocks and clear terrain.
+    """Map of the hazard probability, from tracked rocks and from terrain seen clear.
 
-    Eq. 23 adds three probabilities, and a sum over rocks can exceed 1. Here the events are
-    independent, and the probabilities that none occurs are multiplied. The result is a proper
-    probability, never above the sum, and equal to it where both are small.
+    Eq. 23 of the shadow EKF paper adds three probabilities, and a sum over rocks can exceed 1. Here
+    the events are independent, and the probabilities that none occurs are multiplied. The result is
+    a proper probability, never above the sum, and equal to it where both are small.
 
     Parameters
     ----------
     grid
         Grid of the map.
     model, rates
-        Shadow model, and rates of missed and false detections.
+        Model of the shadows, and rates of missed and false detections.
     prior
-        Expected rocks.
+        Rocks expected before any observation.
     terrain_height
-        Terrain height for the next image, m.
+        Height of the terrain for the next image, m.
     form
-        See `cover_probability`.
+        Model of the probability that a rock covers a point, "rice" or "gaussian", as in
+        `cover_probability`.
     """
 
     def __init__(
@@ -123,13 +124,13 @@ class ProbabilityMap:
     # --- Evidence -------------------------------------------------------------------------
 
     def forget(self) -> None:
-        """Discard all evidence, because rocks mapped there are no longer tracked."""
+        """Discard all recorded clear terrain, because its rocks are no longer tracked."""
         self.evidence.forget()
 
     def recentre(self, centre: Array) -> None:
-        """Centre the map at another point (2,) or (3,), m; evidence keeps its position.
+        """Move the map to another centre (2,) or (3,), m; recorded terrain does not move.
 
-        The shift is rounded to evidence cells.
+        The shift is rounded to the cells in which clear terrain is recorded.
         """
         self.grid = self.grid.moved(self.evidence.recentre(centre[:2] - self.grid.centre))
 
@@ -145,10 +146,11 @@ class ProbabilityMap:
         height_sigma: Heights | None = None,
         blur: float = 0.0,
     ) -> None:
-        """Record where an image excludes rocks, see `ClearEvidence.see`.
+        """Record where an image excludes undetected rocks.
 
-        The default of `heights` is `terrain_height` everywhere. If the Sun casts no usable shadows
-        (`has_usable_shadows`), nothing is recorded.
+        The arguments are those of `ClearEvidence.see`. The default of `heights` is `terrain_height`
+        everywhere. If the Sun casts no usable shadows (elevation outside 2 to 80 deg), nothing is
+        recorded.
 
         Raises
         ------
@@ -163,15 +165,15 @@ class ProbabilityMap:
         )
 
     def residual(self, footprint: float) -> Array:
-        """Return the probability that an untracked rock reaches in (rows, cols).
+        """Return the probability that an untracked rock is under the lander (rows, cols).
 
-        Combines Eqs. 13-15: each size has its expected number and its miss rate, which is 1 below
-        the resolution. Rocks whose outline reaches into the footprint count.
+        Combines Eqs. 13-15 of the shadow EKF paper: each size has its expected number and its miss
+        rate, which is 1 below the resolution. Rocks whose outline reaches into the footprint count.
 
         Parameters
         ----------
         footprint
-            Radius of the footprint, m; see `probability`.
+            Radius of the footprint, m; 0: rocks that cover the point itself.
         """
         unseen = self.evidence.unseen(footprint)
         expected = self._fine(self.evidence.expected(footprint), unseen).astype(np.float64)
@@ -179,7 +181,7 @@ class ProbabilityMap:
         return np.minimum(expected, 1.0) if footprint == 0.0 else -np.expm1(-expected)
 
     def follow(self, xy: Array, by: Array) -> None:
-        """Move the evidence with the rocks, see `MapMotion.follow`.
+        """Move the recorded clear terrain with the tracked rocks.
 
         Parameters
         ----------
@@ -189,7 +191,10 @@ class ProbabilityMap:
         self.evidence.motion.follow(xy, by)
 
     def _fine(self, blocks: NDArray[Any], outside: float) -> NDArray[Any]:
-        """Return evidence cells resampled to the map (rows, cols); `outside` elsewhere."""
+        """Resample a layer of recorded clear terrain to the cells of the map (rows, cols).
+
+        `blocks` is the layer on its coarser grid, and `outside` the value beyond it.
+        """
         if self.evidence.motion.still:
             inner = slice(self._margin_blocks, -self._margin_blocks or None)
             fine = np.repeat(np.repeat(blocks[inner, inner], self._every, 0), self._every, 1)
@@ -219,41 +224,46 @@ class ProbabilityMap:
     def probability(
         self, tracker: RockTracker, footprint: float = 0.0, residual: Array | None = None
     ) -> NDArray[np.float32]:
-        """Return the probability of hazard (rows, cols).
+        """Return the probability that a rock is under the lander (rows, cols).
 
-        Unobserved cells have the probability of the size law. A cell is clear only if the
-        probability is small and the cell is `observed`.
+        Unobserved cells have the probability of the rock size distribution. A cell is clear only if
+        the probability is small and the cell is `observed`.
 
         Parameters
         ----------
         tracker
-            Tracked rocks.
+            Tracker with the tracked rocks.
         footprint
-            0: probability that a rock covers the point (the paper's). Else: radius of the disc that
-            must be free of rocks, m.
+            Radius of the disc that must be free of rocks, m; 0: probability that a rock covers the
+            point, as in the paper.
         residual
-            Result of `residual` for this footprint (rows, cols); default: computed.
+            Probability of an untracked rock, from `residual` for this footprint (rows, cols);
+            default: computed.
         """
         clear = 1.0 - (self.residual(footprint) if residual is None else residual)
         self._paint(clear, footprint, rock_tracks(tracker))
         return (1.0 - clear).astype(np.float32)
 
     def clear_of(self, rocks: RockTracks, footprint: float) -> Array:
-        """Return the probability that no tracked rock reaches in (rows, cols).
+        """Return the probability that no tracked rock is under the lander (rows, cols).
 
         Parameters
         ----------
         rocks
             Tracked rocks.
         footprint
-            See `probability`.
+            Radius of the disc that must be free of rocks, m; 0: the point itself.
         """
         clear = np.ones(self.grid.shape)
         self._paint(clear, footprint, rocks)
         return clear
 
     def _paint(self, clear: Array, footprint: float, rocks: RockTracks) -> None:
-        """Multiply the probability that cells are clear (rows, cols) by that of each rock."""
+        """Multiply the probability that cells are clear by that of each tracked rock.
+
+        `clear` (rows, cols) is updated. `footprint` is the radius of the disc that must be free of
+        rocks, m.
+        """
         model, radius = self.model, rocks.radius
         # The filter treats the shape error of each observation as independent. The part that does
         # not average out is added here.
@@ -283,13 +293,21 @@ class ProbabilityMap:
         )  # fmt: skip
 
     def ratios(self) -> NDArray[np.float32]:
-        """Return `ClearEvidence.ratios` on the map's cells (sizes, rows, cols)."""
+        """Return the ratio of untracked rocks to those expected without observation.
+
+        The result (sizes, rows, cols) has the cells of the map; it is below 1 where terrain was
+        seen clear.
+        """
         return np.stack([self._fine(of_size, 1.0) for of_size in self.evidence.ratios()])
 
     def hazard_map(
         self, tracker: RockTracker, footprint: float, residual: Array | None = None
     ) -> HazardMap:
-        """Return the hazard map for a footprint radius (m), see `probability`."""
+        """Compute the hazard map for a lander with a footprint radius (m).
+
+        `tracker` holds the tracked rocks. `residual` (rows, cols) is the probability of an
+        untracked rock; default: computed.
+        """
         p = self.probability(tracker, footprint, residual)
         observed = footprint_seen(self.observed, footprint / self.grid.posting)
         return HazardMap(
@@ -300,12 +318,12 @@ class ProbabilityMap:
         )
 
     def expected_rocks(self) -> float:
-        """Return the number of hazardous rocks that should have been found on the map."""
+        """Return the number of hazardous rocks that should have been detected on the map."""
         return self.evidence.expected_found(self._margin_blocks)
 
 
 def rock_tracks(tracker: RockTracker) -> RockTracks:
-    """Return the tracked rocks, followed by the tentative ones."""
+    """Return the tracked rocks, followed by detections that are not yet tracked."""
     f, tentative = tracker.filter, tracker.tentative
     own = np.sqrt(0.5 * np.trace(f.relative_covariance()[:, :2, :2], axis1=1, axis2=2))
     return RockTracks(

@@ -17,6 +17,6 @@ def is_rock_count_too_low(found: int, expected: float) -> bool:
     Parameters
     ----------
     found, expected
-        Numbers of rocks.
+        Number of rocks found, and number expected from the size distribution and detection rates.
     """
     return bool(found < _MIN_FOUND_FRACTION * expected and pdtr(found, expected) < _MAX_CHANCE)

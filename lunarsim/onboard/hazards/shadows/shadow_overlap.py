@@ -24,14 +24,14 @@ def is_dark_at_patch(
     sun: Array,
     plane: GroundPlane,
 ) -> NDArray[np.bool_]:
-    """Return whether an image is dark where the patch of each rock (n,) is expected.
+    """Return whether an image is dark where the shadow of each rock is expected (n,).
 
     Parameters
     ----------
     rocks, index
-        Filter of the rocks, and indices (n,).
+        Filter of the tracked rocks, and the indices of the rocks to test (n,).
     unit
-        Patches of rocks of radius 1 there.
+        Expected dark patches for rocks of radius 1 at these positions.
     seen, camera
         Detections in the image, and the camera model.
     sun, plane
@@ -42,7 +42,7 @@ def is_dark_at_patch(
     middle = rocks.xyz[index]
     offset *= rocks.radius[index, None]
     middle += np.column_stack((offset, offset @ np.array(plane.gradient)))
-    u, v = np.rint(rocks.sight(camera, middle).pixel).T
+    u, v = np.rint(rocks.project_rocks(camera, middle).pixel).T
     u = np.clip(u, 0, camera.width - 1).astype(int)
     v = np.clip(v, 0, camera.height - 1).astype(int)
     return np.asarray(seen.labels[v, u] > 0)

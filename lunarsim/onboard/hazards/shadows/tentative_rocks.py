@@ -12,7 +12,9 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class TentativeRocks:
-    """Untracked detections of the last image that are too inaccurate to start a track.
+    """Detections of the last image that are not tracked but may be rocks.
+
+    They are too inaccurate to start a track.
 
     Attributes
     ----------
@@ -34,6 +36,6 @@ class TentativeRocks:
 
     @classmethod
     def none(cls) -> TentativeRocks:
-        """Return no detections."""
+        """Return an object without any detection."""
         empty = np.empty(0)
         return cls(np.empty((0, 2)), empty, empty, empty, empty)

@@ -23,26 +23,27 @@ _PRIOR_WEIGHT_M = 10.0
 
 
 def height_variance_growth(rocks: RockFilter) -> float:
-    """Return the growth of the height variance per metre of distance, m^2/m.
+    """Estimate the growth of the terrain height variance per metre of distance, m^2/m.
 
-    It is the mean squared height difference of neighbours per distance, including the height errors
-    of the rocks; without measured heights these represent the prior. With fewer than two rocks the
-    prior is returned.
+    The estimate is the mean squared height difference of neighbouring rocks per distance, including
+    the height errors of the rocks; without measured heights these represent the prior. With fewer
+    than two rocks the prior is returned. `rocks` is the filter of the tracked rocks.
     """
-    prior = rocks.expected_growth
+    prior = rocks.prior_variance_growth
     if rocks.count < 2:
         return prior
     others = np.arange(2, min(_NEIGHBOUR_PAIRS, rocks.count - 1) + 2)
     distance, near = cKDTree(rocks.xy).query(rocks.xy, k=others)
     height = rocks.xyz[:, 2]
-    rise = np.square(height[:, None] - height[near]) + rocks.rise_variance(near)
+    rise = np.square(height[:, None] - height[near]) + rocks.height_difference_variance(near)
     return float((prior * _PRIOR_WEIGHT_M + rise.sum()) / (_PRIOR_WEIGHT_M + distance.sum()))
 
 
 def height_sigma(rocks: RockFilter, xy: Array) -> Array:
-    """Return the error of the terrain height relative to the lander at points (n, 2).
+    """Return the error of the terrain height between tracked rocks at points (n, 2).
 
-    It is that of the best of the nearest rocks: its own height error plus the growth with distance.
+    The error is relative to the lander. It is the smallest over the nearest rocks of the height
+    error of the rock plus the growth with distance.
 
     Returns
     -------

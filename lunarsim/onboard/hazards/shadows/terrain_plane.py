@@ -21,10 +21,10 @@ _SQUARES_PER_SIDE, _MIN_SIGNIFICANCE, _MAX_SLOPE_SIGMA = 6, 2.5, 0.02
 
 
 def fit_terrain_plane(surface: TerrainSurface) -> GroundPlane | None:
-    """Return the least-squares plane through the elevations of a map.
+    """Fit a least-squares plane to the elevations of a map.
 
-    None if too little is observed, the slope exceeds that of landing terrain, or the slope is
-    inconsistent by the delete-a-group jackknife over squares of the map.
+    The result is None if too little is observed, if the slope exceeds that of landing terrain, or
+    if the slope is inconsistent by the delete-a-group jackknife over squares of the map.
     """
     if surface.elevation is None:
         return None
@@ -48,15 +48,19 @@ def fit_terrain_plane(surface: TerrainSurface) -> GroundPlane | None:
 
 
 def _square_index(is_observed: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """Return the square of each observed cell (n,) of the map (rows, cols)."""
+    """Return the index of the jackknife square of each observed cell (n,).
+
+    `is_observed` (rows, cols) marks the observed cells.
+    """
     row, col = (np.arange(n) * _SQUARES_PER_SIDE // n for n in is_observed.shape)
     return np.asarray((_SQUARES_PER_SIDE * row[:, None] + col)[is_observed])
 
 
 def _fit(terms: Array, height: Array, square: NDArray[np.int64]) -> tuple[Array, float]:
-    """Return the least-squares coefficients of heights (n,) in three terms (n, 3).
+    """Fit heights (n,) by least squares in three terms (n, 3).
 
-    The second result is the jackknife error of the slope over squares (n,), 1 sigma.
+    `square` (n,) is the jackknife square of each height. Returns the coefficients (3,) and the
+    jackknife error of the slope, 1 sigma.
     """
     every = _SQUARES_PER_SIDE**2
     left, right = np.zeros((every, 3, 3)), np.zeros((every, 3))

@@ -57,31 +57,34 @@ _CHI2_2DOF_997 = 11.6
 
 
 class RockTracker:
-    """Tracks the rocks of one filter, with the probability that each exists.
+    """Tracker that associates detected shadows with rocks and adds or removes rocks.
+
+    The positions of the rocks are estimated by a filter; the tracker estimates the probability that
+    each rock exists.
 
     Parameters
     ----------
     rocks
-        Filter; only the tracker adds and removes its rocks.
+        Filter of the rocks; only the tracker adds and removes its rocks.
     model, rates
-        Shadow model, and rates of missed and false detections.
+        Model of the shadows, and rates of missed and false detections.
     settings
-        See `TrackerSettings`.
+        Criteria for adding, deleting, merging and splitting rocks.
 
     Attributes
     ----------
     existence
         Probability that each rock exists (n,).
     hits
-        Number of images in which each was found (n,).
+        Number of images in which each rock was found (n,).
     corrected
-        Time of the last position update of each (n,), s; -inf: never.
+        Time of the last position update of each rock (n,), s; -inf: never.
     tentative
         Detections of the last image that are not tracked.
     explained
-        Detections of the last image that are confirmed rocks (d,).
+        Whether each detection of the last image is a confirmed rock (d,).
     as_expected
-        Whether the last image with enough expected rocks showed enough of them.
+        Whether the last image in which enough rocks were expected showed enough of them.
     renewals
         Number of times that all rocks were dropped because images contradicted them.
     """
@@ -114,12 +117,13 @@ class RockTracker:
 
     @property
     def _last_time(self) -> float:
+        """Time of the last image, s; -inf before the first image."""
         return -np.inf if self._time is None else self._time
 
     def add_known(
         self, xy: ArrayLike, sigma: ArrayLike, radius: ArrayLike, radius_sigma: ArrayLike
     ) -> None:
-        """Add rocks known in advance.
+        """Add rocks whose positions are known in advance, with an existence of 0.99.
 
         Parameters
         ----------
@@ -145,12 +149,14 @@ class RockTracker:
         self, seen: Detections, camera: CameraModel, sun: Array, time: float,
         plane: GroundPlane = LEVEL,
     ) -> UpdateOutcome:  # fmt: skip
-        """Process the detections of one image; return the outcome of the position update.
+        """Update the tracked rocks with the detections of one image.
+
+        The result is the outcome of the position update in the filter.
 
         Parameters
         ----------
         seen
-            Detections.
+            Rocks detected in the image.
         camera
             Camera model.
         sun
@@ -170,12 +176,12 @@ class RockTracker:
         radius_variance = seen.radius_sigma**2 + (s.relative_radius_sigma * seen.radius) ** 2
         points = self.filter.terrain_points(camera, seen.pixel, s.region)
         split_count = self._split(seen, points, camera, radius_variance)
-        sight = self.filter.sight(camera)
+        sight = self.filter.project_rocks(camera)
         view = _in_view(sight, camera)
         at = np.flatnonzero(view)
         in_view = len(at)
         large = self.filter.count > s.large
-        self.filter.rest(~view & large)
+        self.filter.freeze(~view & large)
         # Resting rocks do not move until they are seen again.
         self._last_positions[~view & large] = np.nan
         d, rock, is_unambiguous, close = self._associate(seen, sight, at, radius_variance)
@@ -190,7 +196,7 @@ class RockTracker:
         second, use = use[is_seen_once], use[~is_seen_once]
         order = use[np.argsort(self.corrected[rock[use]], kind="stable")]
         position_update, radius_only = np.split(
-            order, [s.most_updates // 2 if large else s.most_updates]
+            order, [s.max_position_updates // 2 if large else s.max_position_updates]
         )
         self.filter.update_radii(
             rock[radius_only],
@@ -201,8 +207,9 @@ class RockTracker:
         a, b = d[position_update], rock[position_update]
         self.corrected[b] = time
         found = self.filter.update_rocks(
-            b, sight, seen.pixel[a], seen.look_covariance[a], seen.radius[a], radius_variance[a],
-            s.common_pixels, s.radius_floor, s.most_off,
+            b, sight, seen.pixel[a], seen.independent_covariance[a], seen.radius[a],
+            radius_variance[a],
+            s.common_pixels, s.radius_floor, s.max_normalised_innovation,
         )  # fmt: skip
         self._reinitialize(rock[second], d[second], seen, camera, radius_variance)
         expected = self._update_existence(rock, at, seen, d, camera, sun, plane)
@@ -212,7 +219,7 @@ class RockTracker:
             self.renew()
             self.explained[:] = False
         points = self.filter.terrain_points(camera, seen.pixel, s.region)
-        begins = seen.radius >= (s.landmark_radius if in_view < s.few else s.least_radius)
+        begins = seen.radius >= (s.min_landmark_radius if in_view < s.few else s.min_radius)
         born = self._birth(~close & begins, seen, points, camera, radius_variance)
         on_terrain = terrain_position_covariance(points, seen.pixel_covariance, self.filter, camera)
         self._store_tentative(~close & ~born, seen, points, on_terrain, radius_variance)
@@ -221,27 +228,32 @@ class RockTracker:
         return found
 
     def _is_confirmed(self, rock: Index, in_view: int) -> NDArray[np.bool_]:
-        """Return which rocks (n,) explain dark patches, given the number in view.
+        """Return which of the given rocks (n,) are certain and large enough.
 
-        The patch of a rock below the minimum radius may be the shadow of a hazard with a wrong
-        radius.
+        `rock` (n,) are indices and `in_view` is the number of rocks in view. The dark patch of a
+        rock below the minimum radius may be the shadow of a hazard with a wrong radius.
         """
         s = self.settings
-        least = s.least_radius * (1.0 if in_view < s.few else _DROP_RADIUS_RATIO)
+        least = s.min_radius * (1.0 if in_view < s.few else _DROP_RADIUS_RATIO)
         return (self.existence[rock] > _ESTABLISHED_EXISTENCE) & (self.filter.radius[rock] >= least)
 
     def _too_small(self, in_view: int) -> NDArray[np.bool_]:
-        """Return which rocks (n,) need not be tracked, given the number in view."""
+        """Return which rocks (n,) are too small to be tracked.
+
+        `in_view` is the number of rocks in view; with few, smaller rocks are kept as landmarks.
+        """
         s = self.settings
-        least = s.landmark_radius if in_view < 2 * s.few else s.least_radius
+        least = s.min_landmark_radius if in_view < 2 * s.few else s.min_radius
         return self.filter.radius < _DROP_RADIUS_RATIO * least
 
     def _associate(
         self, seen: Detections, sight: RockProjection, at: Index, radius_variance: Array
     ) -> tuple[Index, Index, NDArray[np.bool_], NDArray[np.bool_]]:
-        """Return pairs of detections and rocks, and whether they are unambiguous.
+        """Assign detections to the rocks with indices `at`.
 
-        The last result states which detections (d,) lie in the gate of a rock.
+        `sight` is the projection of the rocks into the image, and `radius_variance` (d,), m^2, that
+        of the detected radii. Returns the detections and the rocks of the pairs, whether each pair
+        is unambiguous, and which detections (d,) are within the gate of a rock.
         """
         covariance = self.filter.innovation_covariance(sight)[at]
         d, j, is_unambiguous, close = associate(
@@ -252,11 +264,15 @@ class RockTracker:
         return d, at[j], is_unambiguous, close
 
     def _propagate(self, camera: CameraModel, sun: Array, time: float) -> None:
-        """Add process noise since the last image; `sun` (3,) is relative to the plane."""
+        """Add the process noise since the last image to the filter.
+
+        `sun` (3,) is the direction towards the Sun relative to the terrain plane; `time` is that of
+        the image, s.
+        """
         s = self.settings
         if not self._last_time <= time < np.inf:
             raise InputError(
-                "picture.time", time, f"must not be before the last image at {self._time} s"
+                "image.time", time, f"must not be before the last image at {self._time} s"
             )
         if not np.hypot(*sun[:2]) > 0.0:
             raise InputError(
@@ -267,24 +283,24 @@ class RockTracker:
         # length.
         self._scatter_factor, longer = observation_scatter_factor(sun), shadow_length_ratio(sun)
         if self._time is not None:
-            self.filter.widen(s.radius_wander, time - self._time)
+            self.filter.add_process_noise(s.radius_wander, time - self._time)
         self._time = time
         along, across, shared = s.view_wander
-        self.filter.turn(
+        self.filter.add_view_noise(
             sun, longer * along, across, longer * shared,
             closing=longer * s.range_wander, pixel=1.0 / np.sqrt(camera.fx * camera.fy),
         )  # fmt: skip
 
-    def large_rocks(self, diameter: float, grid: Grid) -> int:
-        """Return the number of probable rocks on a grid with at least a diameter (m)."""
+    def count_large_rocks(self, diameter: float, grid: Grid) -> int:
+        """Count the probable rocks on a grid with at least a given diameter (m)."""
         f = self.filter
         there = (self.existence > 0.5) & (2.0 * f.radius >= diameter)
         return int(np.count_nonzero(there & grid.contains(f.xy)))
 
     def moved(self) -> tuple[Array, Array]:
-        """Return positions of rocks and their motion since the last call (n, 2), m.
+        """Return the positions of rocks and their motion since the last call, (n, 2), m.
 
-        The motion is NaN for rocks added since.
+        The motion is NaN for rocks that were added since.
         """
         stand = self.filter.xy.copy()
         by, self._last_positions = stand - self._last_positions, stand
@@ -298,30 +314,35 @@ class RockTracker:
         self.renewals += 1
 
     def _passes_monitors(self, found: UpdateOutcome, expected: UpdateOutcome, time: float) -> bool:
-        """Update the innovation monitors; return whether the rocks can be kept."""
+        """Update the innovation monitors; return whether the rocks can be kept.
+
+        `found` is the outcome of the position update, and `expected` whether enough rocks were
+        found. `time` is that of the image, s.
+        """
         remedies = [
-            self.filter.judge("places", time, found),
-            self.filter.judge("expected", time, expected),
+            self.filter.monitor_image("places", time, found),
+            self.filter.monitor_image("expected", time, expected),
         ]
-        return RockCorrection.RENEW not in remedies
+        return RockCorrection.RESET not in remedies
 
     def _consistent_pairs(
         self, seen: Detections, sight: RockProjection, d: Index, rock: Index
     ) -> NDArray[np.bool_]:
-        """Return which pairs (p,) have the offset that most pairs have in common.
+        """Return which pairs (p,) have the image offset that most pairs have in common.
 
-        A pose error moves all rocks of an image together, so a wrong pair differs from the others
-        even if its own gate is wide.
+        `d` and `rock` (p,) are the detections and rocks of the pairs; `sight` is the projection of
+        the rocks. A pose error moves all rocks of an image together, so a wrong pair differs from
+        the others even if its gate is wide.
         """
         if len(d) < 4:
             return np.ones(len(d), bool)
         off = seen.pixel[d] - sight.pixel[rock]
         off = off - np.median(off, axis=0)
-        own = sight.by_rock[rock]
+        own = sight.jacobian_by_rock[rock]
         # Errors of the rocks minus the part common with the lander's position.
-        s = seen.look_covariance[d] + own @ self.filter.relative_covariance()[rock] @ np.swapaxes(
-            own, 1, 2
-        )
+        s = seen.independent_covariance[d] + own @ self.filter.relative_covariance()[
+            rock
+        ] @ np.swapaxes(own, 1, 2)
         s = s + self.settings.common_pixels**2 * np.eye(2)
         return np.asarray(squared_mahalanobis_2x2(off, s) < _CHI2_2DOF_997)
 
@@ -335,13 +356,17 @@ class RockTracker:
         sun: Array,
         plane: GroundPlane,
     ) -> UpdateOutcome:
-        """Update the existence of each rock in view by Bayes' rule.
+        """Update the existence probability of each rock in view by Bayes' rule.
+
+        `hit` are the rocks that were found by the detections `d`, and `view` all rocks in view
+        (indices). `seen` are the detections, `sun` (3,) is the direction towards the Sun, ENU, and
+        `plane` the plane on which shadows fall.
 
         Returns
         -------
         expected
-            Outcome whether enough of the established rocks were found; zero degrees of freedom if
-            too few were expected.
+            Outcome of the test whether enough of the established rocks were found; zero degrees of
+            freedom if too few were expected.
         """
         odds = self.existence / (1.0 - self.existence)
         false = self.rates.false_positive(seen.q[d])
@@ -374,16 +399,18 @@ class RockTracker:
         missed = float(((1.0 - miss) * self._established[lost]).sum())
         odds[lost] *= np.clip(miss, _MIN_MISS_FACTOR, 1.0)
         self.existence = np.clip(odds / (1.0 + odds), 1e-6, 1.0 - 1e-4)
-        if found + missed < self.settings.least_expected:
+        if found + missed < self.settings.min_expected_rocks:
             return UpdateOutcome(np.nan, 0, False)
-        return UpdateOutcome(1.0, 1, found > self.settings.least_found * (found + missed))
+        return UpdateOutcome(1.0, 1, found > self.settings.min_found_fraction * (found + missed))
 
     def _store_tentative(
         self, vague: NDArray[np.bool_], seen: Detections, points: Array, covariance: Array,
         variance: Array,
     ) -> None:  # fmt: skip
-        """Store untracked detections, so that the map does not declare them clear.
+        """Store untracked detections, so that the map does not declare their places clear.
 
+        `vague` (d,) marks the detections, `points` (d, 3) are their positions on the terrain, m,
+        with `covariance` (d, 2, 2), m^2, and `variance` (d,), m^2, is that of the radius.
         Detections that do not lie on the terrain, such as above the horizon, are dropped.
         """
         sigma = np.sqrt(0.5 * np.trace(covariance, axis1=1, axis2=2))
@@ -400,28 +427,29 @@ class RockTracker:
         self, fresh: NDArray[np.bool_], seen: Detections, points: Array, camera: CameraModel,
         variance: Array,
     ) -> NDArray[np.bool_]:  # fmt: skip
-        """Add detections that belong to no rock; return which were added (d,).
+        """Start tracks from detections that belong to no rock; return which (d,).
 
-        `points` (d, 3) are their positions on the terrain, m.
+        `fresh` (d,) marks the detections, `points` (d, 3) are their positions on the terrain, m,
+        and `variance` (d,), m^2, is that of the radius.
         """
         s = self.settings
         # The position error must be a fraction of the distance between rocks.
-        spread = terrain_position_sigma(points, seen.look_covariance, self.filter, camera)
+        spread = terrain_position_sigma(points, seen.independent_covariance, self.filter, camera)
         sharp = spread < self._max_birth_sigma(seen.radius)
-        fresh = fresh & (seen.q >= s.birth_q) & sharp
+        fresh = fresh & (seen.q >= s.min_birth_q) & sharp
         fresh &= np.isfinite(points).all(1) & np.isfinite(variance)
-        fresh &= is_positive_definite_2x2(seen.look_covariance)
+        fresh &= is_positive_definite_2x2(seen.independent_covariance)
         if s.region is not None:
             west, east, south, north = s.region
             x, y = points[:, :2].T
             fresh = fresh & (x >= west) & (x <= east) & (y >= south) & (y <= north)
-        new = np.flatnonzero(fresh)[: max(s.most_rocks - self.filter.count, 0)]
+        new = np.flatnonzero(fresh)[: max(s.max_rocks - self.filter.count, 0)]
         born = np.zeros(len(seen), bool)
         born[new] = True
         if new.size == 0:
             return born
         self.filter.add(
-            camera, points[new], seen.look_covariance[new], seen.radius[new], variance[new]
+            camera, points[new], seen.independent_covariance[new], seen.radius[new], variance[new]
         )
         real = 1.0 - self.rates.false_positive(seen.q[new])
         self.existence = np.concatenate((self.existence, np.clip(real, 0.1, 0.99)))
@@ -435,19 +463,25 @@ class RockTracker:
         return born
 
     def _max_birth_sigma(self, radius: Array) -> Array:
-        """Return the maximum position error of detections that start a track (n,), m."""
-        return np.asarray(self._scatter_factor * np.maximum(self.settings.birth_sigma, radius / 3))
+        """Return the maximum position error of detections that start a track (n,), m.
+
+        `radius` (n,) is the detected radius, m.
+        """
+        return np.asarray(
+            self._scatter_factor * np.maximum(self.settings.max_birth_sigma, radius / 3)
+        )
 
     def _reinitialize(
         self, rock: Index, d: Index, seen: Detections, camera: CameraModel, variance: Array
     ) -> None:
-        """Move rocks seen once to their positions in the second observation (m,).
+        """Replace the position of rocks seen once by that of the second observation.
 
-        A track starts with a patch that is large enough, and an error that enlarges a patch moves
-        its centre towards the Sun, by a third of a pixel on rendered cubes. The next observation
-        has no such selection bias. Using both would appear as a motion of the lander.
+        `rock` and `d` (m,) are the rocks and their detections; `variance` (d,), m^2, is that of the
+        detected radii. A track starts with a patch that is large enough, and an error that enlarges
+        a patch moves its centre towards the Sun, by a third of a pixel on rendered cubes. The next
+        observation has no such selection bias. Using both would appear as a motion of the lander.
         """
-        look = seen.look_covariance[d]
+        look = seen.independent_covariance[d]
         points = self.filter.terrain_points(camera, seen.pixel[d])
         good = np.isfinite(points).all(1) & is_positive_definite_2x2(look)
         good &= np.isfinite(variance[d]) & (variance[d] > 0.0)
@@ -455,15 +489,18 @@ class RockTracker:
         vague = terrain_position_sigma(points, look, self.filter, camera)
         good &= vague <= _MAX_SIGMA_RATIO * self._max_birth_sigma(seen.radius[d])
         rock, d = rock[good], d[good]
-        self.filter.begin_anew(
-            rock, camera, seen.pixel[d], seen.look_covariance[d], seen.radius[d], variance[d]
+        self.filter.reset_positions(
+            rock, camera, seen.pixel[d], seen.independent_covariance[d], seen.radius[d], variance[d]
         )
         self._seen_once[rock] = False
         self._last_positions[rock] = np.nan
         self.corrected[rock] = self._last_time
 
     def _merge(self) -> None:
-        """Delete the rock with fewer hits if the centre of one lies within the other."""
+        """Merge overlapping rocks: delete the rock that was found in fewer images.
+
+        Rocks overlap if the centre of one is well within the other.
+        """
         f = self.filter
         if f.count < 2:
             return
@@ -484,6 +521,9 @@ class RockTracker:
 
     def _split(self, seen: Detections, points: Array, camera: CameraModel, variance: Array) -> int:
         """Replace a rock by the smaller ones that a sharper image resolves.
+
+        `points` (d, 3) are the positions of the detections on the terrain, m, and `variance` (d,),
+        m^2, is that of their radii.
 
         Returns
         -------
@@ -508,6 +548,7 @@ class RockTracker:
         return int(self._birth(fresh, seen, points, camera, variance).sum())
 
     def _drop(self, index: Index) -> None:
+        """Remove the rocks with the given indices from filter and tracker."""
         if len(index):
             keep = self.filter.remove(index)
             self.existence = self.existence[keep]
@@ -519,6 +560,10 @@ class RockTracker:
 
 
 def _in_view(sight: RockProjection, camera: CameraModel, margin: float = 4.0) -> NDArray[np.bool_]:
+    """Return which rocks are in the image, at least `margin` pixels from its edge.
+
+    `sight` is the projection of the rocks into the image.
+    """
     u, v = sight.pixel.T
     with np.errstate(invalid="ignore"):
         return np.asarray(

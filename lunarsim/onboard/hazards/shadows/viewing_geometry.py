@@ -16,9 +16,10 @@ _MIN_HEIGHT_M = 1e-3
 def viewing_geometry(
     xyz: Array, camera_position: Array, focal: float, sun: Array, plane: GroundPlane
 ) -> tuple[Array, Array, Array]:
-    """Return azimuth from the Sun, depression (rad) and pixel size (m) of rocks (...).
+    """Return the camera's azimuth from the Sun, depression and pixel size at rocks.
 
-    On a slope these are the values at which horizontal terrain shows the same.
+    Angles (...) are in rad and pixel sizes (...) in m. On a slope they are the values at which
+    horizontal terrain would look the same.
 
     Parameters
     ----------

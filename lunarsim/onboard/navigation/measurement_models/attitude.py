@@ -30,7 +30,7 @@ def update_with_attitude(
     block: str | None = None,
     gate: float = np.inf,
 ) -> UpdateOutcome:
-    """Update the error state with a measured attitude.
+    """Update the error state with an attitude measured by a star tracker.
 
     Parameters
     ----------
@@ -40,12 +40,13 @@ def update_with_attitude(
         Quaternion, body to ENU of the site frame (4,); ignored if it is not a unit quaternion.
     covariance
         Noise covariance of the small rotation in body axes (3, 3), rad^2; a reading with an
-        asymmetric one is ignored.
+        asymmetric covariance is ignored.
     block
-        Name of the block with the tracker's misalignment (small rotation, body axes); default: no
-        misalignment. Without this block, repeated readings would average away their common error.
+        Name of the block (group of errors) with the tracker's misalignment (small rotation, body
+        axes); default: no misalignment. Without this block, repeated readings would average away
+        their common error.
     gate
-        Maximum normalised innovation squared, as for `ErrorState.measure`.
+        Maximum normalised innovation squared; a larger one is rejected.
 
     Raises
     ------
@@ -90,10 +91,12 @@ def is_symmetric(covariance: np.ndarray) -> bool:
 def _second_order_covariance(state: ErrorState, noise: np.ndarray) -> np.ndarray:
     """Return the covariance (3, 3) of the second-order attitude error, rad^2.
 
-    The update adds both corrections linearly. Half of their cross product remains as an error,
-    which exceeds the star-tracker noise if the initial attitude is known to a degree or two only.
+    The update adds the corrections of attitude and azimuth linearly. Half of their cross product
+    remains as an error, which exceeds the star-tracker noise if the initial attitude is known to a
+    degree or two only. The result is zero if the error is small relative to the measurement `noise`
+    (3, 3), rad^2.
     """
-    p, azimuth = state.for_rows(), state.block(MAP).start + 3
+    p, azimuth = state.covariance_for_rows(), state.block(MAP).start + 3
     variance = 0.25 * float(p[azimuth, azimuth]) * float(np.trace(p[ATTITUDE, ATTITUDE]))
     is_significant = variance > _MIN_SECOND_ORDER_SHARE * float(np.diag(noise).min())
     return variance * np.eye(3) if is_significant else np.zeros((3, 3))

@@ -28,7 +28,9 @@ def update_with_range(
     terrain_variance: float = 0.0,
     gate: float = np.inf,
 ) -> UpdateOutcome:
-    """Update the error state with a slant range along any boresight.
+    """Update the error state with a slant range to the terrain along a beam.
+
+    The terrain is assumed flat (shadow EKF paper, Eq. 9).
 
     Parameters
     ----------
@@ -42,13 +44,14 @@ def update_with_range(
     elevation
         Elevation of the terrain in the site frame, m.
     block
-        Name of the block with the correction of this elevation; default: no correction.
+        Name of the block (group of errors) with the correction of this elevation; default: no
+        correction.
     part
         Index of the correction in that block.
     terrain_variance
         Variance of the terrain height at the footprint, along the beam, m^2.
     gate
-        Maximum normalised innovation squared, as for `ErrorState.measure`.
+        Maximum normalised innovation squared; a larger one is rejected.
     """
     nothing = UpdateOutcome(np.nan, 1, False)
     if not (0.0 < distance < np.inf and 0.0 < sigma < MAX_SIGMA_M):

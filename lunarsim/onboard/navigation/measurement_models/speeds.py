@@ -20,13 +20,13 @@ _MIN_SPEED_WALK_M_S = 0.005
 
 
 def speed_bias_model(velocimeter: VelocimeterInstrument) -> tuple[float, float]:
-    """Return the initial speed bias of a beam, and its random walk in 1 s.
+    """Return a velocimeter beam's initial speed bias, and its random walk in 1 s.
 
-    Both are standard deviations, m/s: the specified ones, but not less than realistic minima.
+    Both are standard deviations, m/s: the specified values, but not less than realistic minima.
     """
     return (
         max(velocimeter.speed_bias, _MIN_SPEED_BIAS_M_S),
-        max(velocimeter.speed_wander, _MIN_SPEED_WALK_M_S),
+        max(velocimeter.speed_bias_walk, _MIN_SPEED_WALK_M_S),
     )
 
 
@@ -40,7 +40,7 @@ def update_with_speeds(
     biases: ArrayLike | None = None,
     known: ArrayLike | float = 0.0,
 ) -> UpdateOutcome:
-    """Update the error state with speeds along beams.
+    """Update the error state with Doppler speeds along velocimeter beams.
 
     A beam b (body axes) measures ``b' R' v``; a small rotation of the body changes this by the
     product of ``(b x R' v)'`` and the rotation.
@@ -55,7 +55,7 @@ def update_with_speeds(
     beams
         Unit vectors of the beams (n, 3), body axes.
     gate
-        Maximum normalised innovation squared, as for `ErrorState.measure`.
+        Maximum normalised innovation squared; a larger one is rejected.
     biases
         Indices of the beam biases in the error state (n,); default: no biases.
     known
@@ -63,8 +63,8 @@ def update_with_speeds(
 
     Returns
     -------
-    Outcome
-        Outcome of the update; `white` has one element per beam.
+    UpdateOutcome
+        Outcome of the update; `whitened` has one element per beam.
     """
     measured, noise = np.asarray(speed, np.float64), np.asarray(sigma, np.float64)
     has_return = np.isfinite(measured) & np.isfinite(noise) & (noise > 0.0)
@@ -80,8 +80,8 @@ def update_with_speeds(
         columns = np.append(columns, np.asarray(biases)[has_return])
         innovation = innovation - np.broadcast_to(known, len(has_return))[has_return]
     outcome = state.measure(jacobian, columns, innovation, noise[has_return] ** 2, gate)
-    if not outcome.taken:
+    if not outcome.is_accepted:
         return outcome
     white = np.full(len(has_return), np.nan)
-    white[has_return] = outcome.white
-    return replace(outcome, white=white)
+    white[has_return] = outcome.whitened
+    return replace(outcome, whitened=white)

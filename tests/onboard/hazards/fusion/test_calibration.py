@@ -80,7 +80,7 @@ def test_the_mapper_looks_at_the_second_map_without_being_made_of_it(tmp_path):
     assert FusedCalibration.load(tmp_path / "c.json") == c
     own, second = Made(), Made()
     fused = FusedMapper({"own": own}, TERMS, c, {"second": second})
-    assert fused.sources == {"own", "second"}
+    assert fused.source_mappers == {"own", "second"}
     own.update(0.7, None)
     expected = c.probability(np.float32([0.7]), [0.0], [False])
     assert (fused.hazard_map().p_safe == expected).all()
@@ -96,15 +96,15 @@ def test_the_mapper_looks_at_the_second_map_without_being_made_of_it(tmp_path):
 def test_a_feature_is_a_second_map_of_elevations_with_a_weight(tmp_path):
     FusedCalibration(other=0.4).save(tmp_path / "c.json")
     file = tmp_path / "c.json"
-    with pytest.raises(InputError, match=r"feature: .* got 'tree'"):
-        FusedMapperSettings(feature="tree")
-    with pytest.raises(InputError, match="without feature"):
+    with pytest.raises(InputError, match=r"calibration_mapper: .* got 'tree'"):
+        FusedMapperSettings(calibration_mapper="tree")
+    with pytest.raises(InputError, match="without calibration_mapper"):
         FusedMapperSettings(calibration_path=file)
-    part = FusedMapperSettings(calibration_path=file, feature="tree")
+    part = FusedMapperSettings(calibration_path=file, calibration_mapper="tree")
     parts = {"dem": GaussianDemMapperSettings(), "tree": QuadtreeMapperSettings(), "all": part}
-    assert list(part.chosen(parts)) == ["dem"]
+    assert list(part.fused_mappers(parts)) == ["dem"]
     for wrong in ("trea", "all", "dem"):
-        other = FusedMapperSettings(("dem",), calibration_path=file, feature=wrong)
+        other = FusedMapperSettings(("dem",), calibration_path=file, calibration_mapper=wrong)
         with pytest.raises(InputError) as error:
-            other.chosen(parts)
-        assert error.value.field == "feature"
+            other.fused_mappers(parts)
+        assert error.value.field == "calibration_mapper"

@@ -10,8 +10,8 @@ import pytest
 from lunarsim.grid import Grid
 from lunarsim.onboard.hazards.fusion.flat_terrain import no_missed_rock_probability
 from lunarsim.onboard.hazards.fusion.rock_heights import RockHeights
+from tests.camera_and_lidar import GRID, eyes, level_map, tracks
 from tests.map_evidence import LANDER, SIDE, evidence
-from tests.two_eyes import GRID, eyes, level_map, tracks
 
 LEVEL = {"slope": 0.5, "rough": 0.2, "density": 300.0}
 
@@ -59,14 +59,17 @@ def test_an_eye_misses_none_only_where_all_about_a_site_was_looked_at():
     looked = np.ones(fine.shape, bool)
     # Between two cells of the sites.
     looked[8, 9] = False
-    told = eyes(1.0, of=fine, unseen=np.full(fine.shape, 0.1, np.float32))
+    told = eyes(1.0, of=fine, undetected_probability=np.full(fine.shape, 0.1, np.float32))
     told = replace(told, hazard_map=replace(told.hazard_map, observed=looked))
     heights = RockHeights(1.0, np.empty(0), np.empty(0))
     none = no_missed_rock_probability(told, tracks(), heights, GRID, LANDER.roughness_limit)
     assert none[4, 4] == none[4, 5] == 0.0
     assert np.count_nonzero(none == 0.0) <= 6
     assert none[4, 7] == pytest.approx(0.9)
-    untold, doubted = replace(told, unseen=None), replace(told, expected=40.0)
+    untold, doubted = (
+        replace(told, undetected_probability=None),
+        replace(told, expected_detections=40.0),
+    )
     nowhere = replace(doubted.hazard_map, in_domain=np.zeros(fine.shape, bool))
     for silent in (untold, replace(doubted, hazard_map=nowhere)):
         assert not no_missed_rock_probability(

@@ -34,9 +34,7 @@ from lunarsim.safety.scenario_calibration import (
     ScenarioCalibration,
     lander_safety_params,
 )
-from tests.map_evidence import LANDER, SIDE, evidence, rocky
-from tests.reference import fusion as plain
-from tests.two_eyes import (
+from tests.camera_and_lidar import (
     DIAMETERS,
     DOUBTED,
     FOOTPRINT,
@@ -50,6 +48,8 @@ from tests.two_eyes import (
     samples,
     tracks,
 )
+from tests.map_evidence import LANDER, SIDE, evidence, rocky
+from tests.reference import fusion as plain
 
 # --- one sensor, or one without observations ---------------------------------------------------
 
@@ -62,7 +62,7 @@ def test_a_map_of_elevations_alone_is_its_own_or_that_of_level_ground_if_that_is
     alone = fuse_evidence(own, None, TERMS)
     level = [
         [plain.level_ground(0.5, share, unseen, 1.0, 1.0, 0.9) for share, unseen in pairs]
-        for pairs in map(zip, rough, own.site_evidence.hazards())
+        for pairs in map(zip, rough, own.site_evidence.expected_hazards())
     ]
     assert alone.p_safe == pytest.approx(np.maximum(own.hazard_map.p_safe, level), rel=1e-5)
     raised = alone.p_safe > own.hazard_map.p_safe
@@ -111,8 +111,8 @@ def test_a_map_of_rocks_alone_is_its_own_times_what_is_expected_of_the_ground():
     with pytest.raises(InputError, match="evidence"):
         fuse_evidence(None, None, TERMS)
     for prior in (1.0, -0.1, np.nan):
-        with pytest.raises(InputError, match="relief_prior"):
-            replace(TERMS, relief_prior=prior)
+        with pytest.raises(InputError, match="terrain_prior"):
+            replace(TERMS, terrain_prior=prior)
 
 
 def test_a_map_that_does_not_tell_what_it_was_drawn_from_is_only_multiplied():
@@ -142,7 +142,8 @@ def test_the_map_is_the_thinned_one_times_the_rocks_that_are_tracked():
     known = tracks((0.1, 0.2, 0.4, 0.7), (4.0, 3.9, 0.3, 0.2))
     both = fuse_evidence(own, eyes(ratio, known), TERMS)
     thinned = replace(
-        own.site_evidence, thinning=footprint_undetected_ratio(eyes(ratio), GRID, TERMS)
+        own.site_evidence,
+        undetected_rock_ratio=footprint_undetected_ratio(eyes(ratio), GRID, TERMS),
     )
     p, _ = calibrated_safety(thinned)
     for row, col in product(range(SIDE), repeat=2):
@@ -159,7 +160,7 @@ def test_where_samples_are_told_rocks_count_as_high_as_both_eyes_have_them():
     known = tracks((0.1, 0.2, 0.4, 0.7), (4.0, 3.9, 0.3, 0.2))
     both = fuse_evidence(own, eyes(0.3, known), TERMS)
     thinned = replace(
-        own.site_evidence, thinning=footprint_undetected_ratio(eyes(0.3), GRID, TERMS)
+        own.site_evidence, undetected_rock_ratio=footprint_undetected_ratio(eyes(0.3), GRID, TERMS)
     )
     p, _ = calibrated_safety(thinned)
     heights = estimate_rock_heights(known, samples(own), LANDER)
@@ -197,19 +198,25 @@ def test_ground_that_is_level_and_clear_is_no_less_safe_than_that(slope, rough, 
     own = relief(slope=slope, rough=rough, **DOUBTED | {"curve": rocky(rocks)})
     own = replace(own, residual_heights=SAMPLED)
     rock = tracks((0.1, 0.2, 0.5, 0.7))
-    told = eyes(0.5, rock, unseen=raster(0.2))
-    judged = replace(own.site_evidence, thinning=footprint_undetected_ratio(told, GRID, TERMS))
+    told = eyes(0.5, rock, undetected_probability=raster(0.2))
+    judged = replace(
+        own.site_evidence, undetected_rock_ratio=footprint_undetected_ratio(told, GRID, TERMS)
+    )
     heights = estimate_rock_heights(rock, samples(own), LANDER)
     clear = rock_free_probability(rock, heights, GRID, LANDER)
     p = calibrated_safety(judged)[0] * clear
     # Where the camera has no observation, or is rejected, only the expectation from samples counts.
     blind = replace(told, hazard_map=replace(told.hazard_map, observed=np.zeros(GRID.shape, bool)))
     raised = 0
-    for eye, missed in ((told, 0.2), (replace(told, unseen=None), 1.0), (blind, 1.0)):
+    for eye, missed in (
+        (told, 0.2),
+        (replace(told, undetected_probability=None), 1.0),
+        (blind, 1.0),
+    ):
         both = fuse_evidence(own, eye, TERMS)
         level = np.array([
             [plain.level_ground(slope, rough, unseen, missed, c, 0.9) for unseen, c in cells]
-            for cells in map(zip, judged.hazards(), clear)
+            for cells in map(zip, judged.expected_hazards(), clear)
         ])  # fmt: skip
         assert both.p_safe == pytest.approx(np.maximum(level, p), rel=1e-5, abs=1e-9)
         assert not both.in_domain[level > p * (1.0 + 1e-5)].any()
@@ -222,7 +229,7 @@ def test_where_nothing_is_thinned_out_the_elevations_count_as_they_are_bit_for_b
     left = np.arange(SIDE) == 0
     ratio = np.where(left, np.float32(0.01), np.float32(1.0)) * np.ones((2, *GRID.shape))
     rocks = eyes(ratio)
-    touched = footprint_undetected_ratio(rocks, GRID, TERMS).touched & own.hazard_map.observed
+    touched = footprint_undetected_ratio(rocks, GRID, TERMS).is_changed & own.hazard_map.observed
     assert touched.any() and (own.hazard_map.observed & ~touched).any()
     both = fuse_evidence(own, rocks, TERMS)
     rest = own.hazard_map.observed & ~touched
@@ -238,8 +245,14 @@ def test_an_eye_that_finds_far_too_few_rocks_is_not_believed():
     unlikely = replace(eyes().hazard_map, in_domain=np.zeros(GRID.shape, bool))
     for radius, counts in ((0.2, False), (0.3, True)):
         rocks = tracks(*((0.3 * k, 3.9, radius, 0.9) for k in range(12)))
-        found = replace(eyes(1.0, rocks, unseen=raster(0.2), expected=40.0), hazard_map=unlikely)
-        both, without = (fuse_evidence(own, e, TERMS) for e in (found, replace(found, unseen=None)))
+        found = replace(
+            eyes(1.0, rocks, undetected_probability=raster(0.2), expected_detections=40.0),
+            hazard_map=unlikely,
+        )
+        both, without = (
+            fuse_evidence(own, e, TERMS)
+            for e in (found, replace(found, undetected_probability=None))
+        )
         assert (both.p_safe > without.p_safe).any() == counts, radius
 
 
@@ -251,7 +264,7 @@ def test_rocks_that_it_reads_too_small_count_by_the_heights_that_samples_have():
         own = replace(own, site_evidence=judged, residual_heights=raster(rise))
         placed = register_tracks(rocks, samples(own), 1.2)
         heights = estimate_rock_heights(placed, samples(own), LANDER)
-        found = replace(eyes(1.0, rocks, expected=40.0))
+        found = replace(eyes(1.0, rocks, expected_detections=40.0))
         found = replace(
             found, hazard_map=replace(found.hazard_map, in_domain=np.zeros(GRID.shape, bool))
         )
@@ -262,7 +275,7 @@ def test_no_frequency_is_claimed_where_what_both_have_seen_of_the_ground_counts(
     own = relief(slope=0.5, rough=0.3, density=0.5, curve=rocky(20.0))
     low = replace(own.hazard_map, p_safe=raster(0.02), in_domain=np.ones(GRID.shape, bool))
     own = replace(own, surface=low, residual_heights=SAMPLED)
-    both = fuse_evidence(own, eyes(1.0, unseen=raster(0.2)), TERMS)
+    both = fuse_evidence(own, eyes(1.0, undetected_probability=raster(0.2)), TERMS)
     assert both.p_safe == pytest.approx(0.72)
     assert not both.in_domain.any()
     assert fuse_evidence(own, eyes(1.0), TERMS).in_domain.all()
@@ -287,7 +300,9 @@ def test_less_level_or_clear_ground_is_never_safer(slope, rough, unseen, there, 
             relief(slope=e["slope"], rough=e["rough"], **DOUBTED), residual_heights=SAMPLED
         )
         rock = tracks((2.0, 2.0, 0.4, e["there"]))
-        return fuse_evidence(own, eyes(1.0, rock, unseen=raster(e["unseen"])), TERMS).p_safe
+        return fuse_evidence(
+            own, eyes(1.0, rock, undetected_probability=raster(e["unseen"])), TERMS
+        ).p_safe
 
     before = p()
     for change in (
@@ -447,10 +462,10 @@ def test_on_other_cells_the_worst_nearby_counts_and_nothing_beyond_the_edge():
 
 def test_evidence_of_other_cells_than_the_map_is_refused():
     good = eyes()
-    with pytest.raises(InputError, match=r"evidence\.ratio"):
-        replace(good, ratio=good.ratio[:, :4])
+    with pytest.raises(InputError, match=r"evidence\.undetected_ratio"):
+        replace(good, undetected_ratio=good.undetected_ratio[:, :4])
     for unseen in (np.zeros((2, 2), np.float32), raster(1.01), raster(-0.01), raster(np.nan)):
-        with pytest.raises(InputError, match=r"evidence\.unseen"):
-            replace(good, unseen=unseen)
+        with pytest.raises(InputError, match=r"evidence\.undetected_probability"):
+            replace(good, undetected_probability=unseen)
     with pytest.raises(InputError, match=r"rocks\.sigma"):
         replace(tracks(ROCK), sigma=np.zeros(2))

@@ -23,8 +23,8 @@ from tests.made_mapper import GRID, TERMS, Made
 def test_it_draws_when_another_has_drawn_and_only_then():
     own = Made()
     fused = FusedMapper({"own": own}, TERMS)
-    assert fused.blank
-    assert fused.sources == {"own"}
+    assert fused.is_empty
+    assert fused.source_mappers == {"own"}
     assert not fused.hazard_map().observed.any()
     assert fused.terrain_height(np.zeros(2)) is None
     own.update(0.7, None)
@@ -33,7 +33,7 @@ def test_it_draws_when_another_has_drawn_and_only_then():
     assert own.asked == 2
     own.update(0.4, None)
     assert (fused.hazard_map().p_safe == np.float32(0.4)).all()
-    assert not fused.blank
+    assert not fused.is_empty
     assert fused.terrain_height(np.zeros(2)) == 3.0
     assert fused.grid == GRID
 
@@ -75,13 +75,15 @@ def test_where_nobody_tells_the_time_it_draws_whenever_another_has():
 def test_what_its_part_says_of_drawing_counts(tmp_path):
     c = FusedCalibration(0.2, 1.1, 0.4)
     c.save(tmp_path / "c.json")
-    part = FusedMapperSettings(calibration_path=tmp_path / "c.json", feature="tree", interval=3.0)
+    part = FusedMapperSettings(
+        calibration_path=tmp_path / "c.json", calibration_mapper="tree", interval=3.0
+    )
     parts = {"dem": GaussianDemMapperSettings(), "tree": QuadtreeMapperSettings(), "all": part}
     given = {"lander": Lander(), "rocks": RockExpectation()}
     briefing: Briefing = SimpleNamespace(software=SimpleNamespace(mappers=parts), **given)
     own = Made()
     made = part.build(briefing, None, {"dem": own, "tree": Made()})
-    assert made.sources == {"dem", "tree"}
+    assert made.source_mappers == {"dem", "tree"}
     assert made.calibration == c
     own.update(0.7, None)
     made.refresh(0.0)
@@ -138,7 +140,7 @@ class Lazy(Made):
             grid=GRID, observed=own.observed, elevation=own.elevation, variance=None
         )
 
-    def surface(self):
+    def terrain_surface(self):
         return self.drawn or super().surface()
 
 
@@ -156,7 +158,7 @@ def test_ground_that_was_drawn_before_it_was_judged_is_another_when_it_is_drawn_
 def test_it_takes_no_measurement_and_is_made_of_something():
     with pytest.raises(InputError, match="measurement"):
         FusedMapper({"own": Made()}, TERMS).update(1.0, None)
-    with pytest.raises(InputError, match="of"):
+    with pytest.raises(InputError, match="inputs"):
         FusedMapper({}, TERMS)
 
 
@@ -166,20 +168,20 @@ def test_left_out_it_is_made_of_all_that_publish():
         "eye": ShadowMapping(),
         "all": FusedMapperSettings(),
     }
-    assert list(parts["all"].chosen(parts)) == ["dem", "eye"]
-    assert list(FusedMapperSettings(("eye",)).chosen(parts)) == ["eye"]
+    assert list(parts["all"].fused_mappers(parts)) == ["dem", "eye"]
+    assert list(FusedMapperSettings(("eye",)).fused_mappers(parts)) == ["eye"]
     parts["mine"] = SimpleNamespace(sensor="flash")
     with pytest.raises(InputError, match="publishes evidence"):
-        FusedMapperSettings(("mine",)).chosen(parts)
+        FusedMapperSettings(("mine",)).fused_mappers(parts)
 
 
 def test_it_is_built_of_those_that_were_built_before():
-    parts = {"dem": GaussianDemMapperSettings(), "all": FusedMapperSettings(relief_prior=0.7)}
+    parts = {"dem": GaussianDemMapperSettings(), "all": FusedMapperSettings(terrain_prior=0.7)}
     given = {"lander": Lander(), "rocks": RockExpectation()}
     briefing: Briefing = SimpleNamespace(software=SimpleNamespace(mappers=parts), **given)
     made = parts["all"].build(briefing, None, {"dem": Made(), "other": Made()})
-    assert made.sources == {"dem"}
-    assert made.terms.relief_prior == 0.7
+    assert made.source_mappers == {"dem"}
+    assert made.terms.terrain_prior == 0.7
     assert made.calibration is None
-    with pytest.raises(InputError, match="relief_prior"):
-        FusedMapperSettings(relief_prior=1.0)
+    with pytest.raises(InputError, match="terrain_prior"):
+        FusedMapperSettings(terrain_prior=1.0)

@@ -9,8 +9,8 @@ from lunarsim.grid import Grid
 from lunarsim.onboard.hazards.fusion.elevation_samples import ElevationSamples
 from lunarsim.onboard.hazards.fusion.registration import estimate_shift, register_tracks
 from lunarsim.onboard.hazards.map_evidence import RockTracks
+from tests.camera_and_lidar import bumps
 from tests.reference import fusion as plain
-from tests.two_eyes import bumps
 
 SMALL = Grid(1.0, -2.0, 0.25, 16, 15)
 WIDE = Grid.centred((0.0, 0.0), 30.0, 0.25)

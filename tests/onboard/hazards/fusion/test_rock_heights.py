@@ -210,7 +210,7 @@ def test_rocks_of_flat_tops_are_too_high_as_far_as_they_reach():
 
 def test_rises_of_other_cells_than_the_map_are_refused():
     unseen = HazardMap.unobserved(GRID)
-    with pytest.raises(InputError, match=r"evidence\.rises"):
+    with pytest.raises(InputError, match=r"evidence\.residual_heights"):
         TerrainEvidence(unseen, residual_heights=np.zeros((2, 2), np.float32))
 
 

@@ -32,8 +32,7 @@ from lunarsim.safety.scenario_calibration import (
     ScenarioCalibration,
     lander_safety_params,
 )
-from tests.map_evidence import LANDER, evidence
-from tests.two_eyes import (
+from tests.camera_and_lidar import (
     DOUBTED,
     GRID,
     SAMPLED,
@@ -45,13 +44,14 @@ from tests.two_eyes import (
     samples,
     tracks,
 )
+from tests.map_evidence import LANDER, evidence
 
 
 def test_ground_measured_to_be_level_counts_as_the_mission_expects_beside_steep_ground():
     slope = np.full(GRID.shape, 0.4, np.float32)
     slope[:6] = 1.3
     own = replace(relief(slope=slope, rough=0.3, **DOUBTED), residual_heights=SAMPLED)
-    both = fuse_evidence(own, eyes(1.0, unseen=raster(0.2)), TERMS)
+    both = fuse_evidence(own, eyes(1.0, undetected_probability=raster(0.2)), TERMS)
     assert both.p_safe[6:] == pytest.approx(0.9 * 0.8)
     assert (both.p_safe[:6] < 0.01).all()
 
@@ -103,7 +103,9 @@ def test_of_untracked_rocks_on_other_cells_the_most_nearby_count():
     unseen = np.full(fine.shape, 0.1, np.float32)
     # Between two cells of the elevation map.
     unseen[8, 9] = 0.7
-    both = fuse_evidence(own, eyes(1.0, of=fine, unseen=unseen), replace(TERMS, relief_prior=0.8))
+    both = fuse_evidence(
+        own, eyes(1.0, of=fine, undetected_probability=unseen), replace(TERMS, terrain_prior=0.8)
+    )
     assert both.p_safe[4, 4] == pytest.approx(0.8 * 0.3)
     assert both.p_safe[4, 5] == pytest.approx(0.8 * 0.3)
     assert both.p_safe[4, 7] == pytest.approx(0.8 * 0.9)
@@ -112,7 +114,7 @@ def test_of_untracked_rocks_on_other_cells_the_most_nearby_count():
 @pytest.mark.parametrize(("there", "x", "counts"), [(0.9, 2.0, 1), (0.4, 2.0, 0), (0.9, 99.0, 0)])
 def test_rocks_that_hardly_are_any_or_lie_off_the_map_do_not_speak_for_an_eye(there, x, counts):
     rocks = tracks(*((x, 0.3 * k, 0.4, there) for k in range(12)))
-    found = replace(eyes(1.0, rocks, expected=40.0))
+    found = replace(eyes(1.0, rocks, expected_detections=40.0))
     found = replace(
         found, hazard_map=replace(found.hazard_map, in_domain=np.zeros(GRID.shape, bool))
     )
@@ -174,7 +176,7 @@ def test_what_is_left_of_rocks_is_judged_by_the_calibration_of_the_elevations():
     drawn = HazardMap(GRID, p, judged.observed, SAMPLED, in_domain=known)
     rocks = eyes(0.3)
     both = fuse_evidence(TerrainEvidence(drawn, judged, refit), rocks, TERMS)
-    thinned = replace(judged, thinning=footprint_undetected_ratio(rocks, GRID, TERMS))
+    thinned = replace(judged, undetected_rock_ratio=footprint_undetected_ratio(rocks, GRID, TERMS))
     expected, _ = calibrated_safety(thinned, refit=refit)
     assert np.array_equal(both.p_safe, expected)
     assert (both.p_safe != calibrated_safety(thinned)[0]).all()
@@ -185,11 +187,11 @@ def test_elevations_are_judged_by_the_calibration_they_were_drawn_with():
     xy = np.random.default_rng(1).uniform(-3.9, 3.9, (1200, 2))
     pool.add(np.column_stack((xy, np.zeros(1200))), 0.01, 0.2)
     plain = DemSnapshot(pooled_dem(pool), LANDER, RockExpectation())
-    own = replace(plain, refit=own_calibration())
+    own = replace(plain, scenario_calibration=own_calibration())
     assert plain.hazard_map.observed.any()
     assert not plain.hazard_map.observed.all(), "the footprint leaves the map at its edge"
     for one in (plain, own):
-        p, known = calibrated_safety(one.site_evidence, refit=one.refit)
+        p, known = calibrated_safety(one.site_evidence, refit=one.scenario_calibration)
         assert np.array_equal(one.hazard_map.p_safe, p)
         assert np.array_equal(one.hazard_map.in_domain, known)
         assert np.array_equal(one.observed, one.site_evidence.observed)

@@ -16,9 +16,7 @@ from lunarsim.onboard.hazards.fusion.rock_heights import (
 )
 from lunarsim.onboard.hazards.fusion.unobserved_safety_prior import unobserved_safety_prior
 from lunarsim.safety.calibration import calibrated_safety
-from tests.map_evidence import LANDER, SIDE, evidence, rocky
-from tests.reference import fusion as plain
-from tests.two_eyes import (
+from tests.camera_and_lidar import (
     DOUBTED,
     FOOTPRINT,
     GRID,
@@ -30,6 +28,8 @@ from tests.two_eyes import (
     samples,
     tracks,
 )
+from tests.map_evidence import LANDER, SIDE, evidence, rocky
+from tests.reference import fusion as plain
 
 # No elevation was measured beyond this column.
 MEASURED = np.ones(GRID.shape, bool)
@@ -43,14 +43,16 @@ def beside(cells, expected=0.9, posting=GRID.posting):
 
 def thinned_by(own, rocks):
     """Return the site evidence of elevations after thinning by a rock sensor."""
-    return replace(own.site_evidence, thinning=footprint_undetected_ratio(rocks, GRID, TERMS))
+    return replace(
+        own.site_evidence, undetected_rock_ratio=footprint_undetected_ratio(rocks, GRID, TERMS)
+    )
 
 
 def test_where_no_elevation_was_measured_the_other_eye_tells_and_never_surely():
     own = relief(seen=MEASURED)
     both = fuse_evidence(own, eyes(0.1), TERMS)
     assert both.observed.all()
-    free = np.exp(-10.0 * thinned_by(own, eyes(0.1)).hazards())
+    free = np.exp(-10.0 * thinned_by(own, eyes(0.1)).expected_hazards())
     prior = beside(zip(both.p_safe[MEASURED].tolist(), free[MEASURED].tolist(), strict=True))
     assert 0.8999 < prior < 0.9
     assert both.p_safe[:, 6:] == pytest.approx(prior * 0.97)
@@ -67,7 +69,7 @@ def test_ground_that_was_not_measured_is_as_likely_fit_as_what_was(steep, what):
     share[:steep] = 1.3
     own = relief(seen=MEASURED, **{what: share})
     both = fuse_evidence(own, eyes(0.1), TERMS)
-    free = np.exp(-10.0 * thinned_by(own, eyes(0.1)).hazards())
+    free = np.exp(-10.0 * thinned_by(own, eyes(0.1)).expected_hazards())
     prior = beside(zip(both.p_safe[MEASURED].tolist(), free[MEASURED].tolist(), strict=True))
     assert both.p_safe[:, 6:] == pytest.approx(prior * 0.97, rel=1e-5)
 
@@ -79,13 +81,13 @@ def test_level_ground_counts_for_what_was_not_measured_and_tracked_rocks_do_not(
     level = {"slope": 0.5, "rough": 0.2} | DOUBTED | {"density": density}
     own = replace(relief(seen=MEASURED, **level), residual_heights=SAMPLED)
     missed = np.full(GRID.shape, 0.2, np.float32)
-    told = eyes(0.1, found, unseen=missed)
+    told = eyes(0.1, found, undetected_probability=missed)
     both = fuse_evidence(own, told, TERMS)
     thinned = thinned_by(own, told)
     p, _ = calibrated_safety(thinned)
     flat = level_map(thinned, 0.9, 0.8)
     assert (flat > p)[MEASURED].all()
-    free = np.maximum(np.exp(-10.0 * thinned.hazards()), 0.8)
+    free = np.maximum(np.exp(-10.0 * thinned.expected_hazards()), 0.8)
     assert (free[MEASURED] == 0.8).any()
     assert (free[MEASURED] > 0.8).any()
     prior = beside(zip(flat[MEASURED].tolist(), free[MEASURED].tolist(), strict=True))
@@ -142,7 +144,7 @@ def test_ground_that_was_not_measured_is_no_safer_than_its_like_that_was():
 @pytest.mark.parametrize("expected", [0.0, 0.3, 0.9])
 @pytest.mark.parametrize("posting", [0.25, 9.0])
 def test_ground_that_was_not_measured_is_never_likelier_than_expected(expected, posting):
-    terms = replace(TERMS, relief_prior=expected)
+    terms = replace(TERMS, terrain_prior=expected)
     rng = np.random.default_rng(5)
     for n, most in ((0, 1.0), (1, 1.0), (7, 1.0), (200, 1.0), (7, 0.0), (200, 0.0)):
         p, free = rng.random(n).astype(np.float32), most * rng.random(n)

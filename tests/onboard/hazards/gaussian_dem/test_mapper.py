@@ -91,9 +91,9 @@ def test_a_map_that_is_laid_off_all_samples_is_blank_again():
     assert mapper.hazard_map().observed.any()
     assert mapper.evidence() is not None
     mapper.recentre(np.array([100.0, 0.0, 0.0]))
-    assert mapper.blank
+    assert mapper.is_empty
     assert mapper.evidence() is None
-    for drawn in (mapper.hazard_map(), mapper.surface()):
+    for drawn in (mapper.hazard_map(), mapper.terrain_surface()):
         assert drawn.grid == mapper.grid != GRID
         assert not drawn.observed.any()
 
@@ -106,11 +106,11 @@ def test_it_publishes_what_its_map_follows_from():
     mapper = GaussianDemMapper(GRID, Lander(), refit=refit)
     flash(mapper)
     told = mapper.evidence()
-    assert told.refit is refit
+    assert told.scenario_calibration is refit
     assert np.array_equal(
         told.residual_heights, mapper.dem().sampling.residual_raster, equal_nan=True
     )
-    assert told.surface is mapper.surface()
+    assert told.surface is mapper.terrain_surface()
     assert told.hazard_map is mapper.hazard_map()
     p, known = calibrated_safety(told.site_evidence, refit=refit)
     assert np.array_equal(told.hazard_map.p_safe, p)
@@ -146,12 +146,12 @@ def test_a_map_whose_returns_all_fell_beside_it_has_seen_nothing(beside, safety)
     east = GRID.extent[1] + beside - 50.0 * (down[:, 0] / down[:, 2]).min()
     flash(mapper, east, tilt_sigma=np.deg2rad(1.0))
     assert not mapper.hazard_map().observed.any()
-    mapper.level(np.eye(3), np.zeros(3), np.deg2rad(1.0))
+    mapper.correct_tilt(np.eye(3), np.zeros(3), np.deg2rad(1.0))
     after = mapper.hazard_map()
     assert not after.observed.any()
     assert (after.p_safe == 0.0).all()
     assert len(mapper.pool.vertices()[0]) == 0
-    assert mapper.blank == (beside > 1.0)
+    assert mapper.is_empty == (beside > 1.0)
 
 
 @pytest.mark.parametrize("interval", [-1.0, np.nan, np.inf])
@@ -219,7 +219,7 @@ def test_ground_seen_with_a_wrong_tilt_is_turned_and_what_came_later_stays(tilt,
     drawn = mapper.hazard_map()
     off = np.abs(drawn.elevation - expected)
     assert np.nanmax(off) > 0.2 * wrong
-    mapper.level(turn, np.zeros(3), sure)
+    mapper.correct_tilt(turn, np.zeros(3), sure)
     assert mapper.hazard_map() is not drawn
     off = np.abs(mapper.dem().mean - expected)
     assert np.nanmedian(off) < 0.003
@@ -229,11 +229,11 @@ def test_ground_seen_with_a_wrong_tilt_is_turned_and_what_came_later_stays(tilt,
     assert 1.9 < ratio < 2.05
     # The tilt is then known: another rotation moves neither earlier nor later samples.
     before = mapper.pool.centroid.copy()
-    mapper.level(turn, np.zeros(3), sure)
+    mapper.correct_tilt(turn, np.zeros(3), sure)
     assert np.array_equal(mapper.pool.centroid, before)
     seen(mapper, ground, tilt, doubtful, 0.0)
     before = mapper.pool.centroid.copy()
-    mapper.level(turn, np.zeros(3), sure)
+    mapper.correct_tilt(turn, np.zeros(3), sure)
     assert np.array_equal(mapper.pool.centroid, before)
     assert mapper.hazard_map().elevation is not None
 

@@ -23,7 +23,7 @@ from lunarsim.onboard.hazards.quadtree.sites import select_separated
 from lunarsim.onboard.navigation.estimate import Estimate
 
 SMALL = SiteSettings(
-    mesh_band=(1.6, 3.2), hazard_band=(0.8, 0.8), site_band=(0.4, 0.8), zone=1.1, count=4,
+    mesh_band=(1.6, 3.2), hazard_band=(0.8, 0.8), site_band=(0.4, 0.8), zone_half_side=1.1, count=4,
     separation=2.0,
 )  # fmt: skip
 GRID = Grid.centred((0.0, 0.0), 20.0, 0.2)
@@ -88,7 +88,7 @@ def test_the_ground_makes_the_probability_and_the_mission_the_layers():
 
 def test_where_no_site_is_eligible_the_ground_is_as_safe_as_before():
     strict = QuadtreeMapper(GRID, SiteSettings(
-        mesh_band=(1.6, 3.2), hazard_band=(0.8, 0.8), site_band=(0.4, 0.8), zone=1.1,
+        mesh_band=(1.6, 3.2), hazard_band=(0.8, 0.8), site_band=(0.4, 0.8), zone_half_side=1.1,
         exception_limit=0.0, slope_limit=SMALL.slope_limit,
     ), interest=InterestMap(GRID, np.zeros(GRID.shape)))  # fmt: skip
     plain = mapper()
@@ -123,11 +123,11 @@ def test_the_board_tells_the_score_of_the_site_flown_to():
     selection = m.select()
     good = int(np.argmax(selection.status == 0))
     board = m.scoreboard(selection.position[good])
-    assert board.here == selection.score[good]
+    assert board.current_site_score == selection.score[good]
     assert np.array_equal(board.score, [s.score for s in selection.ranked])
     assert np.array_equal(board.position, [s.position for s in selection.ranked])
-    assert m.scoreboard(np.array([4.0, 0.0, 0.0])).here == np.inf
-    assert m.scoreboard(np.array([400.0, 0.0, 0.0])).here == np.inf
+    assert m.scoreboard(np.array([4.0, 0.0, 0.0])).current_site_score == np.inf
+    assert m.scoreboard(np.array([400.0, 0.0, 0.0])).current_site_score == np.inf
 
 
 def test_what_is_mapped_stays_where_it_is_when_the_map_is_laid_anew():
@@ -226,12 +226,12 @@ def test_eq_9_counts_interest():
     good = given.status == 0
     assert good.sum() > 50
     more = given.score[good] - plain.score[good]
-    assert more == pytest.approx(np.full(good.sum(), SMALL.weight_interest * 0.75), abs=1e-9)
+    assert more == pytest.approx(np.full(good.sum(), SMALL.interest_weight * 0.75), abs=1e-9)
     # All three terms, computed by hand.
     score = (
-        SMALL.weight_interest * (1.0 - given.interest[good])
-        + SMALL.weight_slope * (1.0 - np.cos(given.slope[good]))
-        + SMALL.weight_roughness * given.roughness[good]
+        SMALL.interest_weight * (1.0 - given.interest[good])
+        + SMALL.slope_weight * (1.0 - np.cos(given.slope[good]))
+        + SMALL.roughness_weight * given.roughness[good]
     )
     assert given.score[good] == pytest.approx(score, abs=1e-6)
     assert [s.interest for s in given.ranked] == [0.25] * len(given.ranked)
@@ -258,7 +258,7 @@ def test_ground_seen_with_a_wrong_tilt_is_turned_and_what_came_later_stays():
     assert np.ptp(first[:, 2]) > 0.3
     found.update(flat, estimate(sigma=np.deg2rad(0.01)))
     count = found.map.count
-    found.level(turn, pivot, np.deg2rad(0.01))
+    found.correct_tilt(turn, pivot, np.deg2rad(0.01))
     assert np.abs(found.map.points[:, 2]).max() < 0.01
     # Only points that moved over the edge of the map are lost.
     assert count - 600 < found.map.count <= count
@@ -266,12 +266,12 @@ def test_ground_seen_with_a_wrong_tilt_is_turned_and_what_came_later_stays():
     assert not found.select().ranked or found.select().ranked[0].slope < np.deg2rad(0.5)
     # The tilt is then known: another rotation moves nothing.
     before = found.map.points
-    found.level(turn, pivot, np.deg2rad(0.01))
+    found.correct_tilt(turn, pivot, np.deg2rad(0.01))
     assert np.array_equal(found.map.points, before)
     # A later scan with an uncertain tilt does not move the other points.
     found.update(flat, estimate(sigma=np.deg2rad(1.0)))
     before = found.map.points
-    found.level(turn, pivot, np.deg2rad(1.0))
+    found.correct_tilt(turn, pivot, np.deg2rad(1.0))
     assert np.array_equal(found.map.points, before)
 
 
@@ -289,7 +289,7 @@ def test_impossible_scans_are_refused_and_change_nothing(field, value, name):
     bad[5] = value
     with pytest.raises(InputError, match=name):
         tree.update(replace(good, **{field: bad}), estimate())
-    assert tree.blank
+    assert tree.is_empty
     assert tree.noise == 0.0
 
 

@@ -23,7 +23,7 @@ from lunarsim.onboard.hazards.quadtree.sites import select_separated
 from tests.reference import quadtree as reference
 
 SMALL = SiteSettings(
-    mesh_band=(1.6, 3.2), hazard_band=(0.8, 0.8), site_band=(0.4, 0.8), zone=1.1, count=4,
+    mesh_band=(1.6, 3.2), hazard_band=(0.8, 0.8), site_band=(0.4, 0.8), zone_half_side=1.1, count=4,
     separation=2.0,
 )  # fmt: skip
 
@@ -140,7 +140,7 @@ def test_sites_follow_the_equations(form):
         ]
         col, row = np.rint((low - corner) / 0.2).astype(int)
         squares = [a[row : row + 4, col : col + 4] for a in (selector.ratios, selector.reliefs)]
-        if min(quarters) < s.density * size**2 / 4.0 or normal is None:
+        if min(quarters) < s.min_density * size**2 / 4.0 or normal is None:
             assert np.isnan(squares).all()
             continue
         z = mesh.z[mesh.triangles] + quadtree.centre[2]
@@ -161,11 +161,11 @@ def test_sites_follow_the_equations(form):
             assert status == "no ground plane"
             continue
         assert np.cos(selection.slope[i]) == pytest.approx(normal[2], abs=1e-9)
-        if np.any(np.abs(r[:2] - quadtree.centre[:2]) + s.zone > 0.5 * quadtree.side):
+        if np.any(np.abs(r[:2] - quadtree.centre[:2]) + s.zone_half_side > 0.5 * quadtree.side):
             assert status == "zone leaves the map"
             continue
-        zone = squares_within(selector.ratios, r[:2] - corner, s.zone)
-        wider = squares_within(selector.ratios, r[:2] - corner, s.zone + s.margin)
+        zone = squares_within(selector.ratios, r[:2] - corner, s.zone_half_side)
+        wider = squares_within(selector.ratios, r[:2] - corner, s.zone_half_side + s.margin)
         expected = (
             "too steep" if normal[2] < np.cos(s.slope_limit)
             else "too few points" if np.isnan(zone).any()
@@ -174,16 +174,16 @@ def test_sites_follow_the_equations(form):
         )  # fmt: skip
         assert status == expected
         if not np.isnan(zone).any():
-            rough = reference.roughness(points, r, normal, s.zone, form == "printed")
+            rough = reference.roughness(points, r, normal, s.zone_half_side, form == "printed")
             assert selection.roughness[i] == pytest.approx(rough, rel=1e-3, abs=1e-5)
             assert selection.ratio[i] == np.nanmax(wider)
-            tall = squares_within(selector.reliefs, r[:2] - corner, s.zone + s.margin)
+            tall = squares_within(selector.reliefs, r[:2] - corner, s.zone_half_side + s.margin)
             assert selection.relief[i] == np.nanmax(tall)
-            middle = squares_within(selector.ratios, r[:2] - corner, 0.6 * s.zone)
+            middle = squares_within(selector.ratios, r[:2] - corner, 0.6 * s.zone_half_side)
             assert selection.footprint_ratio[i] == middle.max()
-            top = squares_within(selector.reliefs, r[:2] - corner, 0.6 * s.zone)
+            top = squares_within(selector.reliefs, r[:2] - corner, 0.6 * s.zone_half_side)
             assert selection.footprint_relief[i] == np.nanmax(top)
-            inside = points[(np.abs(points[:, :2] - r[:2]) <= s.zone).all(1)]
+            inside = points[(np.abs(points[:, :2] - r[:2]) <= s.zone_half_side).all(1)]
             assert selection.points[i] == pytest.approx(len(inside), abs=2)
             slope, sigma = reference.fitted_slope(inside)
             assert selection.fitted_slope[i] == pytest.approx(slope, rel=1e-2, abs=1e-5)
@@ -202,7 +202,7 @@ def test_sites_too_near_to_any_edge_of_the_map_are_rejected(footprint):
     s = replace(SMALL, mesh_band=(0.8, 0.8), site_band=(0.4, 0.4))
     selection = SiteSelector(quadtree, s, footprint=footprint).update()
     offset = selection.position[:, :2] - [3.0, -2.0]
-    wanted = (np.abs(offset) + max(s.zone, footprint or 0.0) > 3.2).any(axis=1)
+    wanted = (np.abs(offset) + max(s.zone_half_side, footprint or 0.0) > 3.2).any(axis=1)
     planned = selection.status != k.NO_PLANE
     assert np.array_equal(selection.status[planned] == k.OFF_MAP, wanted[planned])
     for axis, sign in ((0, 1), (0, -1), (1, 1), (1, -1)):
@@ -331,7 +331,7 @@ def test_interest_decides_and_its_mistakes_are_named():
 
 
 def test_weights_of_nought_rank_by_nothing_and_still_rank():
-    s = replace(SMALL, weight_interest=0.0, weight_slope=0.0, weight_roughness=0.0)
+    s = replace(SMALL, interest_weight=0.0, slope_weight=0.0, roughness_weight=0.0)
     found = SiteSelector(swept(7), s).update()
     assert len(found.ranked) == s.count
     assert {site.score for site in found.ranked} == {0.0}
@@ -352,11 +352,11 @@ def test_a_map_without_points_has_no_sites():
     [
         ("slope_limit", 0.0),
         ("roughness_limit", -1.0),
-        ("zone", np.nan),
-        ("density", -1.0),
+        ("zone_half_side", np.nan),
+        ("min_density", -1.0),
         ("exception_limit", 1.0),
-        ("weight_slope", -1.0),
-        ("weight_interest", np.nan),
+        ("slope_weight", -1.0),
+        ("interest_weight", np.nan),
         ("mesh_band", (3.2, 1.6)),
         ("site_band", (0.0, 1.0)),
         ("count", 0),

@@ -181,7 +181,7 @@ def evidence(points: np.ndarray, side: float = 12.8):
     lander = replace(Lander(), leg_radius=1.0, pad_diameter=0.2)
     quadtree = QuadtreeMap((0.0, 0.0, 100.0), side, 0.1)
     quadtree.insert(points)
-    settings = SiteSettings(zone=1.5, mesh_band=(1.6, 3.2))
+    settings = SiteSettings(zone_half_side=1.5, mesh_band=(1.6, 3.2))
     selection = SiteSelector(quadtree, settings, thorough=True, footprint=1.1).update()
     found = quadtree_site_evidence(quadtree, selection, 1.5, 0.01, lander, RockExpectation())
     return found, selection.position[:, :2]
@@ -249,7 +249,7 @@ def test_a_rock_and_a_slope_doom_a_site_and_a_hole_does_not():
         assert found.is_evaluated[middle]
         over = max(found.slope[middle], found.roughness[middle]) > 1.0
         assert over == (name != "level"), name
-        assert found.doomed[middle] == doomed, name
+        assert found.may_be_unsafe[middle] == doomed, name
 
 
 def test_one_return_low_above_the_ground_may_be_a_rock_and_a_high_one_is_not():

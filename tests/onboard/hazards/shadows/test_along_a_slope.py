@@ -78,12 +78,12 @@ def test_rocks_are_found_tracked_and_ruled_out_along_the_measured_ground(scene):
     seen = detect_rocks(counts, camera.model, state, SUN, terrain=plane, model=MODEL)
     np.testing.assert_array_equal(mapper.seen.terrain_xy, seen.terrain_xy)
     tracker, probability = parts_of_a_map()
-    tracker.filter.measured = MeasuredTerrain(Slope(GRADIENT))
+    tracker.filter.measured_terrain = MeasuredTerrain(Slope(GRADIENT))
     tracker.update(seen, camera.model, SUN, 0.0, plane)
     np.testing.assert_array_equal(mapper.tracker.filter.xyz, tracker.filter.xyz)
     assert mapper.tracker.filter.count > 0
     probability.see(
-        camera.model.view(tracker.filter.inertial), SUN, seen, tracker.filter.ground_at,
+        camera.model.view(tracker.filter.inertial), SUN, seen, tracker.filter.terrain_height_at,
         tracker.explained, partial(position_sigma, tracker.filter), plane,
     )  # fmt: skip
     np.testing.assert_array_equal(mapper.probability.evidence.lit, probability.evidence.lit)
@@ -92,8 +92,8 @@ def test_rocks_are_found_tracked_and_ruled_out_along_the_measured_ground(scene):
 
 def test_the_sun_is_judged_along_the_measured_ground(scene):
     """This picture does not tell where the Sun is if the ground is taken to be level."""
-    assert not look(scene, Slope(GRADIENT)).refused
-    assert look(scene, None).refused
+    assert not look(scene, Slope(GRADIENT)).rejected_images
+    assert look(scene, None).rejected_images
     mapper = look(scene, Slope(GRADIENT), 30.0)
     state, camera, counts = scene
     sun = direction_from_angles(AZIMUTH + np.radians(30.0), ELEVATION)
@@ -104,9 +104,9 @@ def test_the_sun_is_judged_along_the_measured_ground(scene):
         seen, plane.view(camera.model.view(state)),
         np.column_stack((seen.terrain_xy, np.zeros(len(seen)))), onto,
         MODEL.under(float(np.arcsin(onto[2]))),
-        ImageQualityCheck().before_detection(counts, camera.model, state).figures["noise"],
+        ImageQualityCheck().before_detection(counts, camera.model, state).metrics["noise"],
     )  # fmt: skip
-    (event,) = [e for e in mapper.tracker.filter.events if e.name == "picture-refused"]
+    (event,) = [e for e in mapper.tracker.filter.events if e.name == "image-rejected"]
     assert event.details["turn"] == pytest.approx(told.angle)
 
 
@@ -114,7 +114,7 @@ def test_the_sun_is_judged_along_the_measured_ground(scene):
 @pytest.mark.parametrize("relief", [None, Slope(GRADIENT)])
 def test_under_a_sun_that_is_elsewhere_no_ground_is_seen(scene, relief, turned):
     mapper = look(scene, relief, turned)
-    assert mapper.refused.total() == 1
+    assert mapper.rejected_images.total() == 1
     assert not mapper.hazard_map().observed.any()
 
 
@@ -122,7 +122,7 @@ def test_ground_that_nobody_has_measured_yet_is_level(scene):
     blind = Slope(GRADIENT)
     blind.drawn = blind.unobserved()
     one, other = look(scene, blind), look(scene, None)
-    assert one.refused == other.refused
+    assert one.rejected_images == other.rejected_images
     np.testing.assert_array_equal(one.tracker.filter.xyz, other.tracker.filter.xyz)
 
 
@@ -191,8 +191,8 @@ def test_a_mapper_is_built_after_the_one_whose_ground_it_asks_for(scene):
         return Slope((0.0, 0.0))
 
     parts = {
-        "all": SimpleNamespace(of=(), build=fused),
-        "eye": ShadowMapping(shapes="hemisphere", size=40.0, ground="dem"),
+        "all": SimpleNamespace(inputs=(), build=fused),
+        "eye": ShadowMapping(shapes="hemisphere", size=40.0, terrain_mapper="dem"),
         "dem": SimpleNamespace(build=lambda briefing, navigation: relief),
     }
     briefing = SimpleNamespace(
@@ -203,7 +203,7 @@ def test_a_mapper_is_built_after_the_one_whose_ground_it_asks_for(scene):
     assert list(built) == list(parts)
     assert set(told) == {"eye", "dem"}
     tracked = built["eye"].tracker.settings
-    assert tracked.landmark_radius < 0.5 * tracked.least_radius
+    assert tracked.min_landmark_radius < 0.5 * tracked.min_radius
     assert not relief.asked
     update(built["eye"], scene)
     assert relief.asked

@@ -126,11 +126,11 @@ def test_ground_behind_a_part_that_shows_nothing_is_not_seen(spoil):
         frame = (counts + rng.integers(-1, 2, counts.shape)).clip(0, 255).astype(np.uint8)
         estimate = rocks.inertial.estimate(rocks.covariance, 0.1 * k, 1.0)
         mapper.update(CameraImage(0.1 * k, spoil(frame, rng), camera.model), estimate)
-    assert mapper.refused.total() == 0
+    assert mapper.rejected_images.total() == 0
     observed = mapper.probability.observed
     xy = np.stack(np.meshgrid(place.grid.x, place.grid.y), -1).reshape(-1, 2)
     view = camera.model.view(state)
-    x, y, z = view.into @ (np.column_stack((xy, np.zeros(len(xy)))) - view.position).T
+    x, y, z = view.enu_to_sensor @ (np.column_stack((xy, np.zeros(len(xy)))) - view.position).T
     u, v = view.fx * x / z + view.cx, view.fy * y / z + view.cy
     behind = {
         good: np.zeros(len(xy), bool), flat_half: v < 225, veiled_half: u < 290,

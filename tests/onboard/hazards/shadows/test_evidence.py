@@ -177,7 +177,7 @@ def test_unseen_rocks_are_integrated_over_the_disc():
     evidence = ClearEvidence(GRID, MODEL, DIAMETERS, NUMBER, DetectionRates())
     # The western half was seen so sharply that only the least rate of misses is left.
     evidence.lit[:, :, : GRID.cols // 2] = 1e3
-    least = DetectionRates().cleared[2]
+    least = DetectionRates().false_clear_line[2]
     for footprint in (0.0, 1.5):
         whole = float(NUMBER @ (np.pi * (footprint + 0.5 * DIAMETERS) ** 2))
         expected = evidence.expected(footprint)
@@ -191,7 +191,7 @@ def test_unseen_rocks_are_integrated_over_the_disc():
 def test_rocks_that_must_be_somewhere_are_where_they_may_be():
     """Over ground of which only a part may hide a rock the expected number is still the law's."""
     evidence = ClearEvidence(
-        GRID, MODEL, DIAMETERS, NUMBER, DetectionRates(cleared=(1.0, -9.0, 1e-9))
+        GRID, MODEL, DIAMETERS, NUMBER, DetectionRates(false_clear_line=(1.0, -9.0, 1e-9))
     )
     evidence.lit[:] = 1e3
     evidence.dark[:, 40:50, 70:90] = 1e3
@@ -204,7 +204,7 @@ def test_rocks_that_must_be_somewhere_are_where_they_may_be():
 def test_rocks_are_as_crowded_as_ground_that_was_looked_at_leaves_room_for():
     """Ground that is dark to the only look was looked at too."""
     evidence = ClearEvidence(
-        GRID, MODEL, DIAMETERS, NUMBER, DetectionRates(cleared=(1.0, -9.0, 1e-9))
+        GRID, MODEL, DIAMETERS, NUMBER, DetectionRates(false_clear_line=(1.0, -9.0, 1e-9))
     )
     evidence.lit[:, :60] = 1e3
     evidence.dark[:, 60:90] = 1e3
@@ -351,7 +351,7 @@ def test_ratios_are_what_looks_say_of_rocks_that_are_expected():
     ratio = evidence.ratios()
     assert ratio.shape == (len(evidence.tested), *GRID.shape)
     assert (np.diff(evidence.tested) > 0.0).all()
-    assert ratio[:, 20, 20] == pytest.approx(DetectionRates().cleared[2])
+    assert ratio[:, 20, 20] == pytest.approx(DetectionRates().false_clear_line[2])
     # Rocks that are not tracked stand in the dark: as many as the sharpest look misses.
     share = 100 / (90 * 90 - 100)
     assert ratio[:, 45, 45] == pytest.approx(DetectionRates().missed[2] / share, rel=0.02)

@@ -44,7 +44,7 @@ def test_a_footprint_is_seen_where_its_whole_disc_is():
 
 
 LINE = (1001.0, -1000.0, 1e-9)
-PERFECT = DetectionRates(missed=LINE, cleared=LINE)
+PERFECT = DetectionRates(missed=LINE, false_clear_line=LINE)
 
 
 def half_seen(prior=None):
@@ -134,5 +134,5 @@ def test_rocks_that_should_be_found_are_those_expected_where_it_was_seen():
 
 @pytest.mark.parametrize("form", ["exact", "Rice", "", None])
 def test_a_form_that_there_is_not_is_refused(form):
-    with pytest.raises(InputError, match="form"):
+    with pytest.raises(InputError, match="cover_model"):
         ProbabilityMap(GRID, MODEL, form=form)

@@ -38,7 +38,7 @@ def plain_growth(rocks):
         others = sorted(range(rocks.count), key=lambda j: np.hypot(*(rocks.xy[j] - rocks.xy[i])))
         for j in others[1:4]:
             step = np.zeros(len(rocks.state.p))
-            step[rocks.places()[i, 2]], step[rocks.places()[j, 2]] = 1.0, -1.0
+            step[rocks.state_indices()[i, 2]], step[rocks.state_indices()[j, 2]] = 1.0, -1.0
             dx, dy, dz = rocks.xyz[i] - rocks.xyz[j]
             rise += dz**2 + step @ rocks.state.p @ step
             way += np.hypot(dx, dy)
@@ -69,7 +69,7 @@ def test_ground_is_as_well_known_as_the_best_rock_near_by_tells(count):
         away = np.hypot(*(rocks.xy - point).T)
         told = []
         for j in np.argsort(away)[:5]:
-            h = rocks.places()[j, 2]
+            h = rocks.state_indices()[j, 2]
             told.append(p[h, h] + p[2, 2] - 2.0 * p[2, h] + growth * away[j])
         assert sigma == pytest.approx(np.sqrt(min(told)))
 
@@ -78,7 +78,7 @@ def test_no_more_than_the_five_nearest_rocks_tell():
     rocks = tracked(6)
     rocks.xyz[:] = np.column_stack((0.5 + 0.01 * np.arange(6), np.zeros(6), np.zeros(6)))
     rocks.state.p[:] = 0.0
-    h = rocks.places()[:, 2]
+    h = rocks.state_indices()[:, 2]
     for best in (5, 4):
         rocks.state.p[h, h] = 9.0
         rocks.state.p[h[best], h[best]] = 0.01
@@ -93,4 +93,6 @@ def test_ground_at_one_height_everywhere_rises_nowhere():
     inertial = StrapdownState(
         np.array([0.0, 0.0, 80.0]), np.zeros(3), np.array([0, 0, 0, 1.0]), 1.6
     )
-    assert RockFilter.of(inertial, terrain_prior=TerrainPrior(2.0, None)).expected_growth == 0.0
+    assert (
+        RockFilter.of(inertial, terrain_prior=TerrainPrior(2.0, None)).prior_variance_growth == 0.0
+    )

@@ -43,7 +43,9 @@ def looks(frames, shots, interval):
     mapping.see = lambda *a, **k: (found.append(now), see(*a, **k))
     for n, (name, time) in enumerate(shots):
         now = (name, time)
-        mapper.take(name, CameraImage(time, counts[n], camera), mapper.tracker.filter.inertial)
+        mapper.update_from_sensor(
+            name, CameraImage(time, counts[n], camera), mapper.tracker.filter.inertial
+        )
     return found, mapper
 
 
@@ -52,7 +54,7 @@ def test_looks_are_as_far_apart_as_told_and_every_picture_corrects_the_rocks(fra
     every, first = looks(frames, shots, 0.0)
     some, second = looks(frames, shots, 0.2)
     assert every == shots and some == shots[::2]
-    assert not first.refused and not second.refused
+    assert not first.rejected_images and not second.rejected_images
     assert np.array_equal(first.tracker.hits, second.tracker.hits)
     assert np.array_equal(first.tracker.filter.xy, second.tracker.filter.xy)
     assert second.hazard_map().observed.any()
@@ -67,6 +69,6 @@ def test_each_camera_looks_by_itself(frames):
 def test_a_scenario_says_how_far_apart_looks_are():
     root = Path(__file__).parents[4] / "scenarios"
     scenario = Scenario.load(root / "shadow_modified.toml")
-    assert scenario.mappers["rocks"].look_interval_s == 0.4
-    other = scenario.changed(mappers={"rocks": {"look_interval_s": 0.0}})
-    assert other.mappers["rocks"].look_interval_s == 0.0
+    assert scenario.mappers["rocks"].clear_terrain_interval_s == 0.4
+    other = scenario.changed(mappers={"rocks": {"clear_terrain_interval_s": 0.0}})
+    assert other.mappers["rocks"].clear_terrain_interval_s == 0.0

@@ -40,12 +40,12 @@ def test_what_lasts_from_look_to_look_is_no_noise_of_the_filter():
         return replace(seen, pixel_covariance=1.1 * seen.pixel_covariance)
 
     (one, found), (other, same) = twice(more)
-    assert one.filter.count > 10 and found[-1].degrees > 20
+    assert one.filter.count > 10 and found[-1].dof > 20
     assert [o.nis for o in found] == [o.nis for o in same]
     assert np.array_equal(one.filter.covariance, other.filter.covariance)
 
     def noisier(seen, _):
-        return replace(seen, look_covariance=1.1 * seen.look_covariance)
+        return replace(seen, independent_covariance=1.1 * seen.independent_covariance)
 
     (one, found), (other, same) = twice(noisier)
     assert same[-1].nis < found[-1].nis
@@ -71,36 +71,36 @@ def test_a_rock_stands_where_its_second_look_shows_it():
             assert rocks.count == first > 10
             assert off.min(axis=1).max() < 1e-9
             assert rocks.radius == pytest.approx(seen.radius[off.argmin(axis=1)])
-            assert outcome.degrees == 0, "it tells nothing of the lander"
+            assert outcome.dof == 0, "it tells nothing of the lander"
             sigma = rocks.rock_covariance()
         if k == 2:
-            assert outcome.degrees == 2 * rocks.count
+            assert outcome.dof == 2 * rocks.count
             assert (np.diagonal(rocks.rock_covariance() - sigma, 0, 1, 2)[:, :2] < 0.0).all()
 
 
 @pytest.mark.parametrize("share", [np.nan, np.inf, 0.0, -1.0, 1e12])
 def test_a_second_look_that_errs_by_no_covariance_or_all_changes_nothing(share):
     def broken(seen, k):
-        look = seen.look_covariance.copy()
+        look = seen.independent_covariance.copy()
         if k == 1:
             look[::2] *= share
-        return replace(seen, look_covariance=look)
+        return replace(seen, independent_covariance=look)
 
     (one, _), (other, found) = twice(broken)
     assert np.isfinite(other.filter.covariance).all() and np.isfinite(other.filter.xyz).all()
     # Half of the rocks are begun anew an image later.
     assert other.filter.count == one.filter.count
-    assert 0 < found[-1].degrees < 0.6 * 2 * one.filter.count
-    assert found[-1].taken
+    assert 0 < found[-1].dof < 0.6 * 2 * one.filter.count
+    assert found[-1].is_accepted
 
 
 @pytest.mark.parametrize("broken", [np.diag([1.0, -1.0]), np.diag([-1.0, -1.0]), np.zeros((2, 2))])
 def test_a_first_look_that_errs_by_no_covariance_begins_no_rock(broken):
     def change(seen, k):
-        look = seen.look_covariance.copy()
+        look = seen.independent_covariance.copy()
         if k == 0:
             look[::2] = 0.02 * broken
-        return replace(seen, look_covariance=look)
+        return replace(seen, independent_covariance=look)
 
     terrain = rocks_on_a_plane("hemisphere", seed=5, count=40)
     state, camera, counts = picture(terrain, (-30.0, 0.0, 60.0))
@@ -126,7 +126,7 @@ def test_whoever_was_seen_once_is_remembered_when_rocks_go():
     tracker.update(seen, camera, SUN, 0.1)
     assert tracker.filter.count > old
     outcome = tracker.update(seen, camera, SUN, 0.2)
-    assert outcome.degrees == 2 * (old - 1)
+    assert outcome.dof == 2 * (old - 1)
 
 
 def test_a_pair_that_is_off_beside_the_others_is_left_out():
@@ -137,8 +137,8 @@ def test_a_pair_that_is_off_beside_the_others_is_left_out():
         return replace(seen, pixel=pixel)
 
     (_, found), (_, shifted) = twice(shift)
-    assert shifted[-1].taken
-    assert shifted[-1].degrees == found[-1].degrees - 2
+    assert shifted[-1].is_accepted
+    assert shifted[-1].dof == found[-1].dof - 2
 
 
 def test_an_error_that_a_picture_shares_counts_as_much_as_it_is_told_to():
@@ -147,7 +147,7 @@ def test_an_error_that_a_picture_shares_counts_as_much_as_it_is_told_to():
 
     _, (_, alone) = twice(shift, common_pixels=0.0)
     _, (_, shared) = twice(shift, common_pixels=3.0)
-    assert shared[-1].degrees == alone[-1].degrees > 20
+    assert shared[-1].dof == alone[-1].dof > 20
     assert shared[-1].nis < 0.5 * alone[-1].nis
 
 
@@ -201,10 +201,12 @@ def test_centres_wander_together_along_the_sun_as_the_lander_draws_near():
 @pytest.mark.parametrize(
     "given", [{"view_wander": 0.2}, {"view_wander": (0.2, 0.1, np.nan)},
               {"view_wander": (0.2, -0.1, 0.2)}, {"common_pixels": np.nan},
-              {"range_wander": -0.1}, {"range_wander": np.nan}, {"birth_q": np.nan},
-              {"birth_sigma": -1.0}, {"radius_floor": np.nan}, {"most_off": np.nan},
-              {"least_expected": np.nan}, {"least_found": 1.5}, {"large": -1}, {"most_rocks": -1},
-              {"most_updates": -1}, {"region": (1.0, -1.0, 0.0, 2.0)},
+              {"range_wander": -0.1}, {"range_wander": np.nan}, {"min_birth_q": np.nan},
+              {"max_birth_sigma": -1.0}, {"radius_floor": np.nan},
+              {"max_normalised_innovation": np.nan},
+              {"min_expected_rocks": np.nan}, {"min_found_fraction": 1.5}, {"large": -1},
+              {"max_rocks": -1},
+              {"max_position_updates": -1}, {"region": (1.0, -1.0, 0.0, 2.0)},
               {"region": (0.0, 1.0, 0.0, np.nan)}, {"region": (0.0, 1.0)}, {"region": 3.0}],
 )  # fmt: skip
 def test_shares_that_cannot_be_are_refused(given):
@@ -220,7 +222,7 @@ def test_a_rock_is_begun_where_its_place_shows_well_though_its_shape_is_not_know
     assert other.filter.count == one.filter.count > 10
 
     def blurred(seen, _):
-        return replace(seen, look_covariance=seen.look_covariance + 25.0 * np.eye(2))
+        return replace(seen, independent_covariance=seen.independent_covariance + 25.0 * np.eye(2))
 
     (_, _), (none, _) = twice(blurred)
     assert none.filter.count == 0
@@ -250,14 +252,14 @@ def test_a_pair_that_is_off_by_other_than_the_rest_corrects_nothing():
         tracker.filter.state.widen(np.arange(9, 12), 0.02**2 * np.eye(3))
         pixel = seen.pixel + [3.0, 2.0]
         pixel[:3] += [off, -off]
-        degrees.append(tracker.update(replace(seen, pixel=pixel), camera, SUN, 0.2).degrees)
+        degrees.append(tracker.update(replace(seen, pixel=pixel), camera, SUN, 0.2).dof)
     assert degrees[0] > 40
     assert degrees[1] == degrees[0] - 6
 
 
 def test_rocks_that_have_waited_longest_are_corrected_first():
-    (tracker, found), _ = twice(lambda seen, k: seen, most_updates=12, pictures=6)
-    assert [outcome.degrees for outcome in found[2:]] == [24] * 4
+    (tracker, found), _ = twice(lambda seen, k: seen, max_position_updates=12, pictures=6)
+    assert [outcome.dof for outcome in found[2:]] == [24] * 4
     # Some 30 rocks in turn, 12 a picture: nobody waits for more than three.
     seen = tracker.hits >= 6
     assert seen.sum() > 24

@@ -52,7 +52,7 @@ def look(scene, times, sun=SUN, counts=None):
 def test_where_no_rock_is_tracked_pictures_show_no_clear_ground(scene):
     """From picture to picture the lander errs by more than a rock: lit ground is anywhere."""
     camera, honest = scene
-    tracker = tracker_at(PLACE, birth_sigma=1e-6, least_radius=5.0, few=0)
+    tracker = tracker_at(PLACE, max_birth_sigma=1e-6, min_radius=5.0, few=0)
     mapping = ProbabilityMap(Grid.centred((0.0, 0.0), 40.0, 0.5), MODEL, HazardPrior(0.05, 0.5))
     mapper = ShadowMapper(tracker, mapping, SUN, 1.0)
     for k in range(5):
@@ -81,13 +81,13 @@ def test_black_and_white_pictures_clear_nothing(scene, level):
         see(mapper, scene[0], np.full((480, 640), level, np.uint8), 1.0 + 0.1 * k)
     assert mapper.tracker.filter.count == count > 20
     assert np.array_equal(mapper.tracker.existence, exists)
-    assert [e.name for e in mapper.tracker.filter.events] == ["picture-refused"]
+    assert [e.name for e in mapper.tracker.filter.events] == ["image-rejected"]
 
 
 def test_pictures_do_not_run_backwards(scene):
     mapper = look(scene, [0.0, 1.0])
     for time in (0.9, np.nan):
-        with pytest.raises(InputError, match=r"picture\.time"):
+        with pytest.raises(InputError, match=r"image\.time"):
             see(mapper, scene[0], scene[1][4], time)
 
 
@@ -107,7 +107,7 @@ def test_a_sun_that_stands_elsewhere_is_noticed_and_the_map_claims_nothing(scene
 def test_the_sun_where_it_is_raises_no_doubt(scene):
     mapper = look(scene, 0.5 * np.arange(12))
     assert not mapper.tracker.filter.lost
-    assert mapper.tracker.filter.image_monitor.watches["shadows"].degrees >= 10
+    assert mapper.tracker.filter.image_monitor.watches["shadows"].dof >= 10
     assert mapper.hazard_map().observed.mean() > 0.5
 
 
@@ -141,8 +141,8 @@ def test_pictures_that_fail_add_nothing_seen_no_rock_and_no_measurement(scene):
         assert not fresh.probability.observed.any(), name
         assert not fresh.hazard_map().observed.any(), name
         assert fresh.tracker.filter.count == 0, name
-        assert fresh.blank and fresh.refused.total() == 3, name
-        assert fresh.tracker.filter.events[0].name == "picture-refused", name
+        assert fresh.is_empty and fresh.rejected_images.total() == 3, name
+        assert fresh.tracker.filter.events[0].name == "image-rejected", name
     mapper = look(scene, [0.0, 0.1, 0.2])
     before = [value.copy() for value in evidence(mapper)]
     for k, counts in enumerate(all_faults(scene[1][0], rng).values()):
@@ -150,7 +150,10 @@ def test_pictures_that_fail_add_nothing_seen_no_rock_and_no_measurement(scene):
     assert all(np.array_equal(a, b) for a, b in zip(before, evidence(mapper), strict=True))
     see(mapper, scene[0], scene[1][3], 9.0)
     last = mapper.tracker.filter.events[-1]
-    assert (last.name, last.details["refused"]) == ("picture-accepted", mapper.refused.total())
+    assert (last.name, last.details["rejected_images"]) == (
+        "image-accepted",
+        mapper.rejected_images.total(),
+    )
 
 
 @pytest.mark.parametrize("turn", [30.0, -30.0, 180.0])
@@ -168,7 +171,7 @@ def test_frames_that_are_stuck_add_nothing_though_the_lander_moves_on(scene):
         mapper.tracker.filter.inertial.position[:2] += 8.0
         see(mapper, scene[0], scene[1][0], 0.1 + 0.1 * k)
     assert np.array_equal(mapper.probability.observed, seen)
-    assert mapper.refused.total() == 4
+    assert mapper.rejected_images.total() == 4
 
 
 @pytest.mark.parametrize("honest_looks", [4, 9])
@@ -181,9 +184,9 @@ def test_pictures_of_elsewhere_add_nothing_though_no_two_are_alike(scene, honest
         again = scene[1][k] + rng.integers(-2, 3, scene[1][k].shape)
         mapper.tracker.filter.inertial.position[:2] += (3.0, -2.0)
         see(mapper, scene[0], again.clip(0, 255).astype(np.uint8), 2.0 + 0.3 * k)
-    assert mapper.refused[ImageRejection.MISPLACED] == 3
+    assert mapper.rejected_images[ImageRejection.MISPLACED] == 3
     assert not (mapper.probability.observed & ~before).any()
-    assert mapper.tracker.filter.events[-1].details["why"] == ImageRejection.MISPLACED.value
+    assert mapper.tracker.filter.events[-1].details["reason"] == ImageRejection.MISPLACED.value
 
 
 def test_what_was_looked_at_under_a_sun_that_is_no_longer_believed_is_not_seen(scene):
@@ -191,7 +194,7 @@ def test_what_was_looked_at_under_a_sun_that_is_no_longer_believed_is_not_seen(s
     assert mapper.probability.observed.any()
     mapper.sun = turned(180.0)
     see(mapper, scene[0], scene[1][4], 0.5)
-    assert mapper.refused[ImageRejection.SUN_ELSEWHERE] == 1
+    assert mapper.rejected_images[ImageRejection.SUN_ELSEWHERE] == 1
     assert not mapper.probability.observed.any()
 
 
@@ -204,7 +207,7 @@ def test_a_pose_that_is_none_adds_nothing(scene):
         replace(good, attitude=1.5 * good.attitude),
     )):  # fmt: skip
         mapper.update(CameraImage(0.1 * k, scene[1][k], scene[0]), bad)
-    assert mapper.refused.total() == 2
+    assert mapper.rejected_images.total() == 2
     assert not mapper.probability.observed.any()
     assert mapper.tracker.filter.count == 0
 
@@ -220,14 +223,14 @@ def test_a_sun_at_another_height_than_the_models_is_refused(elevation):
 def test_a_map_on_which_no_rock_is_found_says_so(scene):
     mapper = look(scene, 0.1 * np.arange(4))
     assert mapper.hazard_map().in_domain is None
-    assert not {"few-rocks", "all-safe"} & {e.name for e in mapper.tracker.filter.events}
+    assert not {"too-few-rocks", "no-hazard-found"} & {e.name for e in mapper.tracker.filter.events}
     mapper.tracker.existence[:] = 1e-3
     see(mapper, scene[0], scene[1][4], 2.0)
     mapper.tracker.existence[:] = 1e-3
     drawn = mapper.hazard_map()
     assert drawn.observed.any() and not drawn.in_domain.any()
     told = mapper.tracker.filter.events[-1]
-    assert told.name == "few-rocks"
+    assert told.name == "too-few-rocks"
     assert told.details["rocks"] == 0 and told.details["expected"] > 10.0
 
 
@@ -252,8 +255,19 @@ def test_a_map_that_calls_all_safe_says_so_and_what_follows_too(scene, monkeypat
         if k == 2:
             few.append(True)
         mapper.hazard_map()
-        names = [e.name for e in mapper.tracker.filter.events if e.name.endswith(("safe", "rocks"))]
-        assert names == [["all-safe"], ["all-safe"], *2 * [["all-safe", "few-rocks"]]][k]
+        names = [
+            e.name
+            for e in mapper.tracker.filter.events
+            if e.name.endswith(("hazard-found", "rocks"))
+        ]
+        assert (
+            names
+            == [
+                ["no-hazard-found"],
+                ["no-hazard-found"],
+                *2 * [["no-hazard-found", "too-few-rocks"]],
+            ][k]
+        )
 
 
 @pytest.mark.parametrize("forgotten", [False, True])
@@ -303,16 +317,16 @@ def test_a_plane_in_its_own_shadow_shows_nothing():
     rise = 0.27 * sun[:2] / np.hypot(*sun[:2])
     mapper = ShadowMapper(tracker, mapping, sun, 1.0, relief=Slope(rise))
     see(mapper, camera.model, counts, 0.0)
-    assert mapper.refused == {ImageRejection.NO_SHADOWS: 1}
+    assert mapper.rejected_images == {ImageRejection.NO_SHADOWS: 1}
     assert not mapper.hazard_map().observed.any()
 
 
 def told(mapper):
     """Return `unseen` of what is published, which is what would be worked out anew."""
-    unseen = mapper.evidence().unseen
+    unseen = mapper.evidence().undetected_probability
     anew = mapper.probability.residual(mapper.footprint).astype(np.float32)
     np.testing.assert_array_equal(unseen, anew)
-    np.testing.assert_array_equal(unseen, mapper.evidence().unseen)
+    np.testing.assert_array_equal(unseen, mapper.evidence().undetected_probability)
     return unseen.copy()
 
 
@@ -370,7 +384,7 @@ def test_places_need_not_be_known_better_than_the_least_rock_is_large(scene, mon
 
     monkeypatch.setattr("lunarsim.onboard.hazards.shadows.mapper.position_sigma", told)
     mapper = look(scene, [0.0])
-    assert asked == [mapper.tracker.settings.least_radius]
+    assert asked == [mapper.tracker.settings.min_radius]
     assert mapper.probability.observed.any()
 
 
@@ -394,7 +408,7 @@ def test_cells_of_a_picture_are_as_large_on_the_ground_as_their_corners_say(monk
         [[-1, -1], [1, -1], [1, 1], [-1, 1]]
     )
     rays = np.dstack(((corners - [view.cx, view.cy]) / [view.fx, view.fy], np.ones((192, 4))))
-    rays = rays @ view.into
+    rays = rays @ view.enu_to_sensor
     ground = view.position[:2] - rays[..., :2] / rays[..., 2:] * view.position[2]
     after = np.roll(ground, -1, axis=1)
     cross = ground[..., 0] * after[..., 1] - ground[..., 1] * after[..., 0]
@@ -415,7 +429,7 @@ def test_a_map_counts_the_point_spread_that_its_camera_is_judged_by(scene):
         health = ImageQualityCheck(ImageQualitySettings(blur_sigma=blur))
         mapper = ShadowMapper(tracker_at(PLACE), mapping, SUN, 1.0, health=health)
         see(mapper, camera, honest[0], 0.0)
-        assert not mapper.refused
+        assert not mapper.rejected_images
         sharpest[blur] = mapping.evidence.lit.max()
     wider = np.hypot(0.7, 12.0**-0.5) / np.hypot(0.6, 12.0**-0.5)
     assert sharpest[0.6] / sharpest[0.7] == pytest.approx(wider, rel=1e-3)

@@ -31,7 +31,7 @@ class Maps:
     def __init__(self, drawn=None):
         self.drawn = HazardMap.unobserved(GRID) if drawn is None else drawn
 
-    def surface(self):
+    def terrain_surface(self):
         return self.drawn
 
 
@@ -203,7 +203,7 @@ def rocks_on(ground, xy):
     """Return a filter of rocks that stand on ground somebody has measured."""
     inertial = StrapdownState(np.array(PLACE), np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]), 1.622)
     rocks = RockFilter.of(inertial, terrain_prior=TerrainPrior(0.0, 2.0))
-    rocks.measured = MeasuredTerrain(Maps(ground))
+    rocks.measured_terrain = MeasuredTerrain(Maps(ground))
     n = len(xy)
     rocks.add_known(xy, np.full(n, 0.1), np.full(n, 0.5), np.full(n, 0.01))
     return rocks
@@ -213,13 +213,13 @@ def test_rocks_tell_the_height_where_nobody_has_measured_it():
     rocks = rocks_on(measured(np.full(GRID.shape, 5.0)), [[42.0, -30.0], [38.0, -28.0]])
     np.testing.assert_allclose(rocks.xyz[:, 2], 5.0)
     at = np.array([[43.0, -29.0], [37.0, -29.0]])
-    rocks.measured = None
-    by_rocks = rocks.ground_at(at)
+    rocks.measured_terrain = None
+    by_rocks = rocks.terrain_height_at(at)
     assert (by_rocks > 4.0).all()
     z = np.full(GRID.shape, 3.0)
     z[:, GRID.x < 40.0] = np.nan
-    rocks.measured = MeasuredTerrain(Maps(measured(z)))
-    np.testing.assert_allclose(rocks.ground_at(at), [3.0, by_rocks[1]])
+    rocks.measured_terrain = MeasuredTerrain(Maps(measured(z)))
+    np.testing.assert_allclose(rocks.terrain_height_at(at), [3.0, by_rocks[1]])
 
 
 @pytest.mark.parametrize(("count", "laid"), [(4, 0.0), (5, 1.2), (9, 1.2)])
@@ -231,25 +231,27 @@ def test_the_shape_of_measured_ground_is_laid_on_the_rocks(count, laid):
     places = np.array([40.0, -30.0]) + rng.uniform(-8.0, 8.0, (count - 1, 2))
     rocks = rocks_on(higher, [*places.tolist(), [41.0, -31.0]])
     error = np.zeros(rocks.state.size)
-    error[rocks.places(np.array([count - 1]))[0, 2]] = 30.0
+    error[rocks.state_indices(np.array([count - 1]))[0, 2]] = 30.0
     rocks.state.correct(error)
     assert rocks.xyz[-1, 2] == pytest.approx(7.0 + 4.1 + 1.2 + 30.0, abs=0.05)
-    rocks.measured = MeasuredTerrain(Maps(slope))
+    rocks.measured_terrain = MeasuredTerrain(Maps(slope))
     at = np.array([[36.0, -34.0], [44.0, -25.0]])
-    np.testing.assert_allclose(rocks.ground_at(at), 7.0 + 0.1 * at[:, 0] + laid, atol=0.03)
+    np.testing.assert_allclose(rocks.terrain_height_at(at), 7.0 + 0.1 * at[:, 0] + laid, atol=0.03)
     # Rocks beyond what was measured do not tell how high that lies.
     far = sloping((0.1, 0.0))
     far.elevation[:, GRID.x < 45.0] = np.nan
-    rocks.measured = MeasuredTerrain(Maps(far))
-    np.testing.assert_allclose(rocks.ground_at([[50.0, -25.0]]), 12.0, atol=0.03)
+    rocks.measured_terrain = MeasuredTerrain(Maps(far))
+    np.testing.assert_allclose(rocks.terrain_height_at([[50.0, -25.0]]), 12.0, atol=0.03)
 
 
 def test_rocks_are_laid_on_ground_once_each_time_that_it_is_measured(terrain, monkeypatch):
     """The error of one scan is the same however many pictures follow it."""
     calls = []
-    plain = RockFilter.lay_on_measured
+    plain = RockFilter.correct_heights_by_terrain
     monkeypatch.setattr(
-        RockFilter, "lay_on_measured", lambda rocks: (calls.append(rocks.count), plain(rocks))[1]
+        RockFilter,
+        "correct_heights_by_terrain",
+        lambda rocks: (calls.append(rocks.count), plain(rocks))[1],
     )
     seen = terrace(60.0, 0.5)
     maps = Maps(measured(seen.z, seen.grid))
@@ -277,11 +279,11 @@ def test_ground_that_cannot_be_under_the_rocks_is_told(terrain, monkeypatch):
     maps = Maps(measured(seen.z, seen.grid))
     _, mapper = tracked(terrain, maps)
     refused = UpdateOutcome(90.0, 4, False)
-    monkeypatch.setattr(RockFilter, "lay_on_measured", lambda _: refused)
+    monkeypatch.setattr(RockFilter, "correct_heights_by_terrain", lambda _: refused)
     mapper.refresh(2.0)
     assert not mapper.tracker.filter.events
     maps.drawn = measured(seen.z, seen.grid)
     mapper.refresh(2.5)
     (event,) = mapper.tracker.filter.events
-    assert (event.name, event.time) == ("measured-ground-refused", 2.5)
+    assert (event.name, event.time) == ("measured-terrain-rejected", 2.5)
     assert event.details == {"rocks": 4, "nis": 90.0}

@@ -60,5 +60,5 @@ def test_the_papers_form_never_says_less():
 
 @pytest.mark.parametrize("form", ["exact", "Gaussian", None])
 def test_a_form_that_there_is_not_is_refused(form):
-    with pytest.raises(InputError, match="form"):
+    with pytest.raises(InputError, match="cover_model"):
         cover_probability([[1.0]], [0.2], [0.5], [0.1], form)

@@ -37,7 +37,7 @@ def test_map_begins_with_the_prior_and_falls_by_eq_14():
     assert start == pytest.approx(float(golombek_cover(0.4, 0.07)), rel=1e-5)
     assert not mapping.observed.any()
     # A rate that is 1 below a resolution and 0 above is Eq. 14.
-    step = DetectionRates(cleared=(1001.0, -500.0, 1e-9))
+    step = DetectionRates(false_clear_line=(1001.0, -500.0, 1e-9))
     sharp = ProbabilityMap(GRID, MODEL, prior, step)
     state, camera, counts = picture(rocks_on_a_plane("hemisphere", count=1), (0.0, 0.0, 150.0))
     seen = detect_rocks(counts, camera, state, SUN, model=MODEL)
@@ -165,7 +165,7 @@ def test_a_camera_that_looks_at_the_sky_changes_nothing():
 
 
 def test_prior_must_make_sense():
-    with pytest.raises(InputError, match=r"prior\.least_diameter"):
+    with pytest.raises(InputError, match=r"prior\.min_diameter"):
         HazardPrior(0.05, 5.0)
     with pytest.raises(InputError, match="cover"):
         HazardPrior(0.9)

@@ -49,8 +49,8 @@ def test_a_cluster_seen_as_one_is_split_when_it_is_resolved():
     assert tracker.hits.tolist() == [1, 1]
     own = 1.0 - tracker.rates.false_positive(seen.q)
     assert np.sort(tracker.existence) == pytest.approx(np.sort(np.clip(own, 0.1, 0.99)))
-    assert tracker.update(seen, camera, SUN, 0.1).degrees == 0, "the second begins them anew"
-    assert tracker.update(seen, camera, SUN, 0.2).degrees == 4
+    assert tracker.update(seen, camera, SUN, 0.1).dof == 0, "the second begins them anew"
+    assert tracker.update(seen, camera, SUN, 0.2).dof == 4
 
 
 def test_doubles_are_merged_and_ghosts_pruned():
@@ -76,14 +76,14 @@ def test_known_rocks_must_be_numbers():
 
 def test_most_rocks_is_a_limit():
     terrain = rocks_on_a_plane("hemisphere", seed=11)
-    tracker = follow(terrain, [(0.0, 0.0, 60.0)] * 2, tracker_at((0.0, 0.0, 60.0), most_rocks=7))
+    tracker = follow(terrain, [(0.0, 0.0, 60.0)] * 2, tracker_at((0.0, 0.0, 60.0), max_rocks=7))
     assert tracker.filter.count <= 7
     assert len(tracker.tentative.xy) > 0
 
 
 def test_what_is_seen_above_the_horizon_has_no_place():
     terrain = rocks_on_a_plane("hemisphere", seed=11)
-    tracker = follow(terrain, [(0.0, 0.0, 60.0)] * 2, tracker_at((0.0, 0.0, 60.0), most_rocks=7))
+    tracker = follow(terrain, [(0.0, 0.0, 60.0)] * 2, tracker_at((0.0, 0.0, 60.0), max_rocks=7))
     state, camera, counts = picture(terrain, (0.0, 0.0, 60.0))
     seen = detect_rocks(counts, camera, state, SUN, model=MODEL)
     ahead = gimbal_mount(state.attitude, np.array([1.0, 0.0, 0.0]))
@@ -114,7 +114,7 @@ def test_radii_of_all_rocks_seen_are_corrected():
     terrain = rocks_on_a_plane("hemisphere", seed=11, count=60, size=60.0)
     path = [(0.0, 0.0, 60.0)] * 8
     few, all_of_them = (
-        follow(terrain, path, tracker_at(path[0], most_updates=n)) for n in (1, 1000)
+        follow(terrain, path, tracker_at(path[0], max_position_updates=n)) for n in (1, 1000)
     )
     assert few.filter.count == all_of_them.filter.count > 20
     assert few.filter.radius_variance == pytest.approx(all_of_them.filter.radius_variance, rel=0.05)
@@ -128,7 +128,7 @@ def test_pictures_do_not_run_backwards():
     _, camera, counts = picture(terrain, (0.0, 0.0, 50.0))
     seen = detect_rocks(counts, camera, at((0.0, 0.0, 50.0))[0], SUN, model=MODEL)
     for time in (0.1, np.nan):
-        with pytest.raises(InputError, match=r"picture\.time"):
+        with pytest.raises(InputError, match=r"image\.time"):
             tracker.update(seen, camera, SUN, time)
 
 
@@ -138,7 +138,8 @@ def nothing_like(seen):
     fields = {
         f.name: getattr(seen, f.name)[none]
         for f in dataclasses.fields(seen)
-        if f.name not in {"labels", "extended", "largest", "relative", "relative_to_lit_terrain"}
+        if f.name not in {"labels", "excluded_labels", "largest", "relative",
+        "relative_to_lit_terrain"}
     }  # fmt: skip
     return dataclasses.replace(seen, **fields, labels=np.zeros_like(seen.labels))
 
@@ -152,12 +153,15 @@ def test_an_image_without_rocks_moves_nothing_and_many_say_that_something_is_wro
     state, camera, counts = picture(terrain, place)
     empty = nothing_like(detect_rocks(counts, camera, state, SUN, model=MODEL))
     found = tracker.update(empty, camera, SUN, 0.5)
-    assert (found.degrees, f.count) == (0, count)
+    assert (found.dof, f.count) == (0, count)
     assert np.array_equal(f.xyz, xyz)
     for k in range(12):
         tracker.update(empty, camera, SUN, 0.7 + 0.2 * k)
     names = [e.name for e in f.events]
-    assert names[0] == "doubted" and "rocks' expected" in f.events[0].details["measurement"]
+    assert (
+        names[0] == "covariance-inflated"
+        and "rocks' expected" in f.events[0].details["measurement"]
+    )
 
 
 def test_rocks_that_cannot_be_explained_are_begun_anew():
@@ -175,7 +179,7 @@ def test_rocks_that_cannot_be_explained_are_begun_anew():
         seen = detect_rocks(counts, camera, believed, SUN, model=MODEL)
         tracker.update(seen, camera, SUN, 1.0 + 0.1 * k)
     assert tracker.renewals >= 1
-    assert "renewed" in [e.name for e in f.events]
+    assert "rocks-reset" in [e.name for e in f.events]
     true = np.column_stack((terrain.rocks.x, terrain.rocks.y))
     apart = cKDTree(true).query(f.xy + state.position[:2] - f.inertial.position[:2])[0]
     assert f.count > 20
@@ -188,7 +192,7 @@ def few_and_many(least, few):
     terrain = rocks_on_a_plane("hemisphere", seed=11, count=60, size=60.0)
     state, camera, counts = picture(terrain, place)
     seen = detect_rocks(counts, camera, state, SUN, model=MODEL)
-    tracker = tracker_at(place, least_radius=least, landmark_radius=0.3, few=few)
+    tracker = tracker_at(place, min_radius=least, min_landmark_radius=0.3, few=few)
     tracker.update(seen, camera, SUN, 0.0)
     begun = tracker.filter.radius.copy()
     for k in range(3):
@@ -239,7 +243,7 @@ def test_what_the_model_has_wrong_of_long_shadows_grows_with_them(elevation, lon
     given = []
     monkeypatch.setattr(
         tracker.filter,
-        "turn",
+        "add_view_noise",
         lambda sun, *wander, closing, pixel: given.append((*wander, closing)),
     )
     terrain, sun = flat_terrain(400.0, 10.0), direction_from_angles(1.2, np.radians(elevation))

@@ -79,7 +79,7 @@ def mapper_of(*names):
 def look(mapper, sensor, eye, counts, time):
     rocks = mapper.tracker.filter
     estimate = rocks.inertial.estimate(rocks.covariance, time, 1.0)
-    mapper.take(sensor, CameraImage(time, counts, eye), estimate)
+    mapper.update_from_sensor(sensor, CameraImage(time, counts, eye), estimate)
 
 
 @pytest.fixture(scope="module")
@@ -103,11 +103,11 @@ def test_each_camera_is_compared_with_its_own_last_pictures(frames):
         look(mapper, "wide", eye, pictures[0], 0.2 * k)
         for n in range(2):
             look(mapper, "narrow", eye, pictures[(2 * k + n) % 4 + 1], 0.2 * k + 0.05 * (n + 1))
-    assert mapper.refused[ImageRejection.STUCK] == 4
-    told = [e for e in mapper.tracker.filter.events if e.name == "picture-refused"]
+    assert mapper.rejected_images[ImageRejection.STUCK] == 4
+    told = [e for e in mapper.tracker.filter.events if e.name == "image-rejected"]
     assert [e.details["camera"] for e in told] == ["wide"]
     # Each by itself is told of once, not at every change from one to the other.
-    assert mapper.refused.total() == 4
+    assert mapper.rejected_images.total() == 4
 
 
 def test_both_cameras_see_rocks_where_they_are(frames):
@@ -117,7 +117,7 @@ def test_both_cameras_see_rocks_where_they_are(frames):
         for name in ("wide", "narrow"):
             look(mapper, name, frames[name][0], frames[name][1][k], 0.2 * k)
     f = mapper.tracker.filter
-    assert mapper.refused.total() == 0
+    assert mapper.rejected_images.total() == 0
     assert f.count > 15 and not f.lost
     terrain = rocks_on_a_plane("hemisphere", seed=11, count=60, size=60.0)
     off = np.linalg.norm(f.xy[:, None] - places_of(terrain), axis=2)

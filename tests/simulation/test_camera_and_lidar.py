@@ -16,7 +16,7 @@ from tests.navigation_errors import error_of
 
 def scenario(decides: str) -> Scenario:
     """The shipped scenario, made small."""
-    return Scenario.load(SCENARIOS / "two_eyes.toml").changed(
+    return Scenario.load(SCENARIOS / "camera_and_lidar.toml").changed(
         terrain={"size_m": 120.0, "rms_slope_deg": 0.0},
         rocks={"min_diameter_m": 0.4},
         target={"scatter_m": [8.0, 8.0]},
@@ -49,8 +49,8 @@ def test_each_mapper_gives_its_own_map(flown):
     for name, record in flight.maps.items():
         assert record.hazard_map.observed.mean() > 0.3, name
         quality = map_quality(record.hazard_map, simulation.truth, record.error)
-        share = (quality.hits + quality.missed) / (
-            quality.hits + quality.missed + quality.false_safe + quality.rejected
+        share = (quality.true_safe + quality.false_unsafe) / (
+            quality.true_safe + quality.false_unsafe + quality.false_safe + quality.rejected
         )
         # Each tells safe from unsafe ground better than calling all of it safe would.
         assert quality.precision > share + 0.2 * (1.0 - share), name
@@ -83,23 +83,23 @@ def test_the_fused_map_is_made_of_both(flown):
 
 
 def test_the_fused_map_decides_unless_another_is_named():
-    shipped = Scenario.load(SCENARIOS / "two_eyes.toml")
-    assert Simulation(scenario("fused"), 4).computer.decisions_map == "fused"
+    shipped = Scenario.load(SCENARIOS / "camera_and_lidar.toml")
+    assert Simulation(scenario("fused"), 4).computer.decision_map_name == "fused"
     assert shipped.decisions.map == "fused"
     left_out = Simulation(scenario(""), 4).computer
-    assert left_out.decisions_map == "fused"
+    assert left_out.decision_map_name == "fused"
     assert list(left_out.mappers) == ["dem", "rocks", "fused"]
     first = scenario("").changed(mappers={"fused": None})
-    assert Simulation(first, 4).computer.decisions_map == "dem"
+    assert Simulation(first, 4).computer.decision_map_name == "dem"
 
 
 def test_both_sensors_served_and_the_policy_flew_on_the_one_named(flown):
     _, flight = flown
     assert {e["sensor"] for e in flight.events if "sensor" in e} == {"camera", "flash"}
-    assert flight.decided_on == "dem"
+    assert flight.decision_mapper == "dem"
     assert flight.hazard_map is flight.maps["dem"].hazard_map
     assert flight.decisions
-    assert flight.verdict.touchdown is not None
+    assert flight.outcome.touchdown is not None
 
 
 def test_scans_lie_one_on_the_other_though_the_altimeter_moves_the_height(flown):
@@ -128,7 +128,7 @@ def test_the_site_keeps_the_height_that_is_mapped_there():
     while not simulation.done:
         simulation.step()
         mapper = computer.mapper
-        if mapper.blank or simulation.done:
+        if mapper.is_empty or simulation.done:
             continue
         height = mapper.hazard_map().elevation_at(computer.site[:2])
         if np.isfinite(height):
@@ -159,7 +159,7 @@ def test_rocks_and_scans_are_taken_into_one_filter(seed):
         nees = nees.plus(normalised_squared_error(error_of(simulation), p), 9)
         navigation = simulation.computer.navigation
         assert not navigation.lost
-        kinds = {key.split()[-1] for key, w in navigation.watches.items() if w.total > 0.0}
+        kinds = {key.split()[-1] for key, w in navigation.monitors.items() if w.nis_sum > 0.0}
         assert ("scans" in kinds) == ("flash" in eyes)
         assert ("places" in kinds) == ("camera" in eyes)
     assert sigma["camera", "flash"] < 0.9 * min(sigma[("camera",)], sigma[("flash",)])
@@ -182,7 +182,7 @@ def on_a_map():
                     terrain={"rms_slope_deg": 1.5}, rocks={"cover": 0.08},
                     sensors={"flash": {"rows": 64, "cols": 64}}, tasking=tasks,
                     prior_map={"posting_m": 0.5, "size_m": 100.0},
-                    start_knowledge={"velocity_m_s": 0.1, "attitude_deg": 0.2},
+                    initial_uncertainty={"velocity_m_s": 0.1, "attitude_deg": 0.2},
                 ), seed, "no-divert",
             )  # fmt: skip
             while simulation.time < 12.0:
@@ -194,7 +194,7 @@ def on_a_map():
 def test_rocks_scans_and_a_prior_map_are_in_one_state(on_a_map):
     for simulation in on_a_map["camera", "flash"]:
         navigation = simulation.computer.navigation
-        kinds = {key.split()[-1] for key, w in navigation.watches.items() if w.total > 0.0}
+        kinds = {key.split()[-1] for key, w in navigation.monitors.items() if w.nis_sum > 0.0}
         assert {"places", "map", "range"} <= kinds
         assert "lock" in {event.name for event in navigation.events}
         assert not navigation.lost
@@ -228,7 +228,7 @@ def test_from_a_start_that_is_far_off_nothing_is_told_of_place_and_yaw():
         scenario("dem").changed(
             sensors={"flash": {"rows": 64, "cols": 64}},
             tasking={"flash": {"kind": "periodic", "rate_hz": 5.0}},
-            start_knowledge={"position_m": 5.0, "velocity_m_s": 3.0, "attitude_deg": 0.5},
+            initial_uncertainty={"position_m": 5.0, "velocity_m_s": 3.0, "attitude_deg": 0.5},
         ), 2, "no-divert",
     )  # fmt: skip
     told = np.diag(simulation.estimate.covariance)
@@ -238,8 +238,8 @@ def test_from_a_start_that_is_far_off_nothing_is_told_of_place_and_yaw():
         now = np.diag(simulation.estimate.covariance)
         # East, north and yaw; the way that the start's velocity points tells of yaw, 11 m/s by 3.
         assert (now[[0, 1, 8]] > 0.998 * told[[0, 1, 8]]).all(), simulation.time
-        watches = simulation.computer.navigation.watches
-        taken |= {key.split()[-1] for key, w in watches.items() if w.degrees > 5}
+        watches = simulation.computer.navigation.monitors
+        taken |= {key.split()[-1] for key, w in watches.items() if w.dof > 5}
     assert {"places", "scans"} <= taken
     assert now[3:6].max() < 0.1**2, "speed is told"
 
@@ -248,11 +248,11 @@ def test_the_other_map_can_decide(flown):
     _, by_dem = flown
     simulation = Simulation(scenario("rocks"), 4, "safest")
     flight = simulation.run()
-    assert flight.decided_on == "rocks"
-    assert flight.verdict.touchdown is not None
+    assert flight.decision_mapper == "rocks"
+    assert flight.outcome.touchdown is not None
     # Until something was mapped both flew the same: what decides changes no measurement. After
     # it the height of the site is that of the map that decides.
-    first = min(e["time"] for e in flight.events if e["name"] in {"scan", "picture"})
+    first = min(e["time"] for e in flight.events if e["name"] in {"scan", "image"})
     rows = by_dem.trajectory["time"] < first
     for column in ("position_x", "estimated_x", "thrust"):
         a, b = (f.trajectory[column][: rows.sum()] for f in (by_dem, flight))

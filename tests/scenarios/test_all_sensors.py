@@ -201,7 +201,7 @@ def test_interrupted_study_resumes(study, flights, tmp_path, monkeypatch):
     assert len(flown) == 1 and not set(flown) & set(first)
     for words in (*flights.MAPS.values(), "objects", "Mean over rows", "15 % cover"):
         assert words in result.output
-    assert (tmp_path / "all_eyes.png").stat().st_size > 10_000
+    assert (tmp_path / "all_sensors.png").stat().st_size > 10_000
     other = CliRunner().invoke(study.main, [*options, "--seed", "7"])
     assert other.exit_code == 2
     assert "flights with another seed" in " ".join(other.output.split())
@@ -251,7 +251,7 @@ def test_calibration_stage_is_fitted_to_flights(study, script, flights, tmp_path
     assert both < none
     file.write_text(json.dumps({"settings": {}, "flights": {"a": made["a"]}}))
     alone = CliRunner().invoke(fit.main, [str(file)])
-    assert alone.exit_code == 2 and "two rows" in alone.output
+    assert alone.exit_code == 2 and "two study conditions" in alone.output
 
 
 @pytest.mark.slow

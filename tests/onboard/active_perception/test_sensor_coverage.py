@@ -121,9 +121,9 @@ def test_only_what_a_mapper_takes_and_something_points_is_an_eye():
 def test_instruments_tell_pixel_and_field():
     camera = FramingCamera(width=320, height=240, field_of_view=np.radians(60.0)).calibration()
     assert camera.pixel == pytest.approx(np.tan(np.radians(30.0)) / 160.0)
-    assert camera.half_field == pytest.approx(0.75 * np.tan(np.radians(30.0)))
-    flash = FlashLidar(rows=64, cols=128, half_width=0.2, max_range=700.0)
+    assert camera.tan_half_fov == pytest.approx(0.75 * np.tan(np.radians(30.0)))
+    flash = FlashLidar(rows=64, cols=128, half_fov_tangent=0.2, max_range=700.0)
     assert flash.calibration().pixel == pytest.approx(0.4 / 64)
     assert flash.calibration().max_range == 700.0
-    even = replace(flash, spacing="angle").calibration()
+    even = replace(flash, pixel_spacing="angle").calibration()
     assert even.pixel == pytest.approx(2.0 * np.arctan(0.2) / 64)
