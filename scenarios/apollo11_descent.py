@@ -37,8 +37,8 @@ PILOT = {"velocity_time_s": 40.0, "hold_height_speed_m_s": 5.0}
 # crew called out descent rates up to 6 1/2 ft/s below 330 ft. The pilot stops from 100 ft: at the
 # default height of the pilot model, 10 m, the vehicle is still too fast.
 FLY_PAST_CRATER = {
-    "beyond_m": 400.0,
-    "fastest_m_s": 6.5 * apollo11.FEET,
+    "overshoot_m": 400.0,
+    "max_rate_m_s": 6.5 * apollo11.FEET,
     "zero_speed_height_m": 100.0 * apollo11.FEET,
 }
 HERE = Path(__file__).resolve().parent

@@ -66,12 +66,14 @@ class Slosh:
                 raise InputError("slosh.tanks", place, "must be three finite numbers per tank")
         if self.propellant_fractions and len(self.propellant_fractions) != len(self.tanks):
             raise InputError(
-                "slosh.shares",
+                "slosh.propellant_fractions",
                 len(self.propellant_fractions),
                 f"must have {len(self.tanks)} values, one per tank",
             )
         if self.propellant_fractions and abs(sum(self.propellant_fractions) - 1.0) > 1e-6:
-            raise InputError("slosh.shares", self.propellant_fractions, "must add up to 1")
+            raise InputError(
+                "slosh.propellant_fractions", self.propellant_fractions, "must add up to 1"
+            )
 
     def table(self, propellant: float) -> Array:
         """Return the tanks as an array (n, 7) for the compiled equations of motion.

@@ -116,7 +116,7 @@ class FlashLidar:
     def __post_init__(self) -> None:
         check_bounds(self, "lidar")
         if self.pixel_spacing not in {"tangent", "angle"}:
-            raise InputError("lidar.spacing", self.pixel_spacing, "must be tangent or angle")
+            raise InputError("lidar.pixel_spacing", self.pixel_spacing, "must be tangent or angle")
         if self.rows * self.cols > _MAX_PIXELS:
             raise InputError(
                 "lidar.rows", self.rows,

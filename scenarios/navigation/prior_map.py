@@ -66,7 +66,7 @@ ROWS: dict[str, PriorMapFault] = {
     "the map's errors alike over 5 m": PriorMapFault({"correlation_m": 5.0}, {}),
     "ranges 0.3 m long": PriorMapFault({}, {"range_bias_m": 0.3}),
     "boresight 0.5 deg off": PriorMapFault({}, {"boresight_bias_deg": 0.5}),
-    "flashes 20 ms late": PriorMapFault({}, {"late_s": 0.02}),
+    "flashes 20 ms late": PriorMapFault({}, {"latency_bias_s": 0.02}),
     "half of the flashes lost": PriorMapFault({}, {}, lambda time, rng: rng.random() < 0.5),
     "no flashes for 4 s": PriorMapFault(
         {}, {}, lambda time, rng: not FAULT_START_S <= time < FAULT_END_S

@@ -35,7 +35,7 @@ SHAPES = ("hemisphere", "ellipsoid", "cube", "irregular", "mixed")
 METHODS: dict[str, dict[str, str]] = {
     "own": {},
     "told": {"shapes": "expected"},
-    "paper": {"shapes": "hemisphere", "form": "gaussian"},
+    "paper": {"shapes": "hemisphere", "cover_model": "gaussian"},
 }
 ALTITUDES = (300.0, 200.0, 100.0, 50.0)
 # Tables 1 and 2 and section V of the paper; rates at 50 m.

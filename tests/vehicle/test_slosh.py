@@ -294,9 +294,10 @@ def test_empty_tanks_swing_no_more():
     [
         (lambda: Slosh(tanks=((0.0, 0.0),)), "slosh.tanks"),
         (lambda: Slosh(tanks=((0.0, float("nan"), 0.0),)), "slosh.tanks"),
-        (lambda: Slosh(tanks=((0.0, 0.0, 0.0),), propellant_fractions=(0.5, 0.5)), "slosh.shares"),
+        (lambda: Slosh(tanks=((0.0, 0.0, 0.0),), propellant_fractions=(0.5, 0.5)),
+        "slosh.propellant_fractions"),
         (lambda: Slosh(tanks=((0.0, 0.0, 0.0),) * 2, propellant_fractions=(0.5, 0.6)),
-        "slosh.shares"),
+        "slosh.propellant_fractions"),
         (lambda: Slosh(radius=0.0), "slosh.radius"),
         (lambda: Slosh(damping=1.0), "slosh.damping"),
         (lambda: JetLander(slosh=Slosh(tanks=((0.0, 0.0, 9.0),))), "vehicle.slosh.tanks_m"),
