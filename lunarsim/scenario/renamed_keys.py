@@ -100,6 +100,12 @@ RENAMED_VALUES: dict[tuple[str, str], str] = {
     ("mappers.*.shapes", "told"): "expected",
     ("terrain.crater_degradation", "even"): "uniform",
 }
+# Names of supplied scenarios in earlier versions, and the names that replace them.
+RENAMED_SCENARIOS: dict[str, str] = {
+    "all_eyes": "all_sensors",
+    "all_eyes_hard": "all_sensors_hard",
+    "two_eyes": "camera_and_lidar",
+}
 # Tables of named parts: their second step is a name and never a key.
 _NAMED = ("sensors", "tasking", "mappers")
 
@@ -125,8 +131,7 @@ def current_steps(path: list[str]) -> list[str]:
     """
     out: list[str] = []
     for step in path:
-        new = step if "." in step else RENAMED.get(_pattern([*out, step]), step)
-        out.append(new)
+        out.append(step if "." in step else RENAMED.get(pattern_of([*out, step]), step))
     return out
 
 
@@ -143,26 +148,22 @@ def first_path(path: str) -> str:
     current, first = [], []
     for step in path.split("."):
         current.append(step)
-        first.append(_FIRST.get(_pattern(current), step))
+        first.append(_FIRST.get(pattern_of(current), step))
     return ".".join(first)
 
 
-def pattern_of(path: str) -> str:
-    """Replace the name of a sensor, schedule or mapper in a scenario key by "*".
+def pattern_of(path: list[str]) -> str:
+    """Replace the name of a sensor, schedule or mapper in a path by "*"; join it with dots.
 
     The result is a key of `RENAMED`, which does not depend on names that the user chooses.
 
     Examples
     --------
-    >>> pattern_of("sensors.flash.late_s")
+    >>> pattern_of(["sensors", "flash", "late_s"])
     'sensors.*.late_s'
     """
-    return _pattern(path.split("."))
-
-
-def _pattern(steps: list[str]) -> str:
-    named = len(steps) > 2 and steps[0] in _NAMED
-    return ".".join([steps[0], "*", *steps[2:]] if named else steps)
+    named = len(path) > 2 and path[0] in _NAMED
+    return ".".join([path[0], "*", *path[2:]] if named else path)
 
 
 # Of two keys that have one name now, the first in `RENAMED` counts.

@@ -12,14 +12,9 @@ from typing import Any
 
 from lunarsim.atomic_files import atomic_write
 from lunarsim.errors import InputError, suggestion
+from lunarsim.scenario.renamed_keys import RENAMED_SCENARIOS
 
 _PACKAGE = Path(__file__).parent.parent
-# Names of packaged scenarios in earlier versions, and the names that replace them.
-RENAMED_SCENARIOS: dict[str, str] = {
-    "all_eyes": "all_sensors",
-    "all_eyes_hard": "all_sensors_hard",
-    "two_eyes": "camera_and_lidar",
-}
 
 
 def folder() -> Path:
@@ -79,7 +74,7 @@ def found(given: Path, beside: Path | None = None) -> Path:
 
 def _hint(name: str, known: Iterable[str]) -> str:
     """Return a sentence with the new name of a renamed scenario or the closest name."""
-    new = RENAMED_SCENARIOS.get(name)
+    new = RENAMED_SCENARIOS.get(Path(name).stem)
     return f"It is now {new}." if new else suggestion(name, list(known))
 
 

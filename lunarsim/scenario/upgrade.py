@@ -17,8 +17,13 @@ from typing import Any, NamedTuple
 from lunarsim.atomic_files import atomic_write
 from lunarsim.errors import InputError
 from lunarsim.scenario.files import parsed_toml, read_toml
-from lunarsim.scenario.renamed_keys import RENAMED_VALUES, current_path, current_steps, pattern_of
-from lunarsim.scenario.shipped import RENAMED_SCENARIOS
+from lunarsim.scenario.renamed_keys import (
+    RENAMED_SCENARIOS,
+    RENAMED_VALUES,
+    current_path,
+    current_steps,
+    pattern_of,
+)
 
 _TOKEN = re.compile(
     r'"""(?:\\.|[^\\])*?"{3,5}' r"|'''.*?'{3,5}" r'|"(?:\\.|[^"\\\n])*"' r"|'[^'\n]*'"
@@ -209,7 +214,7 @@ class _Renamer:
         for table in _CAMPAIGN_TABLES if self._is_campaign else ():
             if where[: len(table)] == table:
                 where = where[len(table) :]
-        return RENAMED_VALUES.get((pattern_of(".".join(where)), value), value)
+        return RENAMED_VALUES.get((pattern_of(where), value), value)
 
 
 def _own_parts(table: Any, path: tuple[str, ...] = ()) -> list[list[str]]:

@@ -149,6 +149,11 @@ def read_record(folder: Path) -> dict[str, Any]:
     with reading(file):
         check_no_links(folder)
         tables: dict[str, Any] = read_json(file)
+        if "verdict" in tables:
+            raise InputError(
+                "flight", str(folder), "is a record of an earlier version",
+                "Rename its keys: `python scripts/migrate_stored.py FOLDER`.",
+            )  # fmt: skip
         checked = FlightRecord.model_validate(tables)
         parsed_toml(checked.scenario)
     for name, digest in checked.digests.items():

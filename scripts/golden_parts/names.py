@@ -36,18 +36,13 @@ KEYS = {
     "sure": "confident_sites",
     "verdict": "outcome",
 }
-SCENARIOS = {
-    "all_eyes": "all_sensors",
-    "all_eyes_hard": "all_sensors_hard",
-    "two_eyes": "camera_and_lidar",
-}
-
 _ROOT = Path(__file__).resolve().parent.parent.parent
 _FILE = _ROOT / "lunarsim" / "scenario" / "renamed_keys.py"
 _spec = importlib.util.spec_from_file_location("renamed_keys", _FILE)
 assert _spec is not None and _spec.loader is not None
 _renamed_keys = importlib.util.module_from_spec(_spec)
 _spec.loader.exec_module(_renamed_keys)
+SCENARIOS: dict[str, str] = _renamed_keys.RENAMED_SCENARIOS
 
 
 def current_json(value: Any) -> Any:
@@ -73,7 +68,7 @@ def current_values(tables: dict[str, Any], path: str = "") -> dict[str, Any]:
         if isinstance(value, dict):
             found |= current_values(value, own)
         elif isinstance(value, str):
-            pattern = _renamed_keys.pattern_of(own)
+            pattern = _renamed_keys.pattern_of(own.split("."))
             renamed = _renamed_keys.RENAMED_VALUES.get((pattern, value), value)
             found[own] = SCENARIOS.get(renamed, renamed)
         else:

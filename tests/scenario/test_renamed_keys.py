@@ -8,11 +8,19 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
+import lunarsim
 from lunarsim.cli import main
 from lunarsim.errors import InputError
 from lunarsim.rng import RandomStreams
-from lunarsim.scenario import Scenario
-from lunarsim.scenario.renamed_keys import RENAMED, RENAMED_VALUES, current_path, first_path
+from lunarsim.scenario import Scenario, layout
+from lunarsim.scenario.renamed_keys import (
+    RENAMED,
+    RENAMED_SCENARIOS,
+    RENAMED_VALUES,
+    current_path,
+    first_path,
+    pattern_of,
+)
 from lunarsim.scenario.upgrade import upgrade_file, upgrade_text
 
 OLD = """\
@@ -185,3 +193,15 @@ def test_a_link_is_followed(tmp_path):
     upgrade_file(tmp_path / "link.toml")
     assert (tmp_path / "link.toml").is_symlink()
     assert real.read_text() == "policy.p_safe_min = 0.9\n"
+
+
+def test_tables_of_named_parts_are_those_of_a_scenario():
+    for table in layout.NAMED:
+        assert pattern_of([table, "any", "key"]) == f"{table}.*.key"
+    assert pattern_of(["policy", "kind", "key"]) == "policy.kind.key"
+
+
+@pytest.mark.parametrize("given", ["two_eyes", "../all_eyes.toml"])
+def test_an_old_name_of_a_scenario_is_refused_with_the_new_one(given):
+    with pytest.raises(InputError, match=f"It is now {RENAMED_SCENARIOS[Path(given).stem]}"):
+        lunarsim.load_scenario(given)

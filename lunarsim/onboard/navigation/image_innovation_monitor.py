@@ -29,8 +29,8 @@ class RockCorrection(Enum):
     """Corrective action for the tracked rocks: none, inflate covariance, or reset."""
 
     NONE = "none"
-    INFLATE = "doubt"
-    RESET = "renew"
+    INFLATE = "inflate"
+    RESET = "reset"
 
 
 class ImageInnovationMonitor:

@@ -30,7 +30,7 @@ class MonitorResult(Enum):
     """Result of an innovation monitor: filter consistent, or how it must respond."""
 
     CONSISTENT = "well"
-    INFLATE = "widen"
+    INFLATE = "inflate"
     DRIFT = "drift"
     LOST = "lost"
 
