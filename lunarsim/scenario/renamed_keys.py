@@ -153,7 +153,7 @@ def first_path(path: str) -> str:
 
 
 def pattern_of(path: list[str]) -> str:
-    """Replace the name of a sensor, schedule or mapper in a path by "*"; join it with dots.
+    """Return a dotted path, with "*" for the name of a sensor or other part.
 
     The result is a key of `RENAMED`, which does not depend on names that the user chooses.
 
