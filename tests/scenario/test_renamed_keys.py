@@ -9,9 +9,10 @@ import pytest
 from click.testing import CliRunner
 
 import lunarsim
+from lunarsim.campaign.dispersions import Dispersions, Uniform
 from lunarsim.cli import main
 from lunarsim.errors import InputError
-from lunarsim.rng import RandomStreams
+from lunarsim.rng import RandomStreams, flight_seed
 from lunarsim.scenario import Scenario, layout
 from lunarsim.scenario.renamed_keys import (
     RENAMED,
@@ -151,7 +152,8 @@ def test_the_command_prints_each_change(tmp_path):
     path.write_bytes(b"\xef\xbb\xbf[policy]\r\nkind = 'nearest-safe'\r\nenough = 0.9\r\n")
     ran = CliRunner().invoke(main, ["scenario", "upgrade", str(path)])
     assert ran.output.splitlines() == ["enough -> p_safe_min"]
-    assert b"\r\np_safe_min = 0.9\r\n" in path.read_bytes()
+    upgraded = b"\xef\xbb\xbf[policy]\r\nkind = 'nearest-safe'\r\np_safe_min = 0.9\r\n"
+    assert path.read_bytes() == upgraded
     ran = CliRunner().invoke(main, ["scenario", "upgrade", str(path)])
     assert "no key to rename" in ran.output
 
@@ -161,8 +163,9 @@ def test_labels_of_random_streams_are_the_first_names_of_keys():
     assert first_path("sensors.flash.latency_bias_s") == "sensors.flash.late_s"
     assert first_path("rocks.cover") == "rocks.cover"
     # Frozen: these numbers are part of published results.
-    drawn = RandomStreams(1).get(f"dispersions.{first_path('sun.albedo_variation')}").random()
-    assert drawn == RandomStreams(1).get("dispersions.sun.mottle").random()
+    drawn = RandomStreams(flight_seed(1, 0)).get("dispersions.sun.mottle").random()
+    laws = Dispersions({"sun.albedo_variation": Uniform(0.0, 1.0)}, seed=1)
+    assert laws.uniforms(0) == pytest.approx([drawn], abs=0)
 
 
 @pytest.mark.parametrize(("key", "old"), list(RENAMED_VALUES))
@@ -186,13 +189,19 @@ def test_keys_of_a_part_of_ones_own_keep_their_names():
     assert changes == ["mottle -> albedo_variation"]
 
 
-def test_a_link_is_followed(tmp_path):
+def test_a_link_is_followed_and_permissions_are_kept(tmp_path):
     real = tmp_path / "real.toml"
     real.write_text("policy.enough = 0.9\n")
     (tmp_path / "link.toml").symlink_to(real)
+    real.chmod(0o640)
     upgrade_file(tmp_path / "link.toml")
+    assert real.stat().st_mode & 0o777 == 0o640
     assert (tmp_path / "link.toml").is_symlink()
     assert real.read_text() == "policy.p_safe_min = 0.9\n"
+
+
+def test_quoted_keys_with_escapes_are_read():
+    assert upgrade_text('"policy"."\\u0065nough" = 0.9\n')[0] == '"policy"."p_safe_min" = 0.9\n'
 
 
 def test_tables_of_named_parts_are_those_of_a_scenario():
