@@ -190,7 +190,7 @@ class MapFeatures:
             np.ascontiguousarray(part, np.float32)
             for part in (tile.height, tile.weight, 0.5 / tile.variance, level)
         )
-        ratio, covered = k.evidence(
+        ratio, covered = k.tile_log_likelihoods(
             self.shown, self._rarity, self.kept, height, weight, sharp, density,
             np.float32(np.log(s.outlier)), np.ascontiguousarray(row), np.ascontiguousarray(col),
         )  # fmt: skip

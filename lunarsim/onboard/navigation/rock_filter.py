@@ -18,7 +18,10 @@ from lunarsim._jit import threads_for
 from lunarsim.errors import InputError
 from lunarsim.frames import rotation_about_up
 from lunarsim.models.camera import CameraModel
-from lunarsim.onboard.navigation._rock_filter_kernels import add_outer_products, measured_rows
+from lunarsim.onboard.navigation._rock_filter_kernels import (
+    add_outer_products,
+    multiply_pixel_jacobians,
+)
 from lunarsim.onboard.navigation.aiding_measurements import AidingMeasurements, aiding_blocks
 from lunarsim.onboard.navigation.error_state import (
     MAP,
@@ -325,7 +328,7 @@ class RockFilter(RockStates):
         columns = self.state_indices(index)
         with threads_for(1e-2 * m * self.state.size):
             p = self.state.covariance_for_rows(POSE, columns)
-            hp = measured_rows(p, self.state.size, POSE, a, columns, b)
+            hp = multiply_pixel_jacobians(p, self.state.size, POSE, a, columns, b)
         s = hp[:, POSE] @ a.reshape(2 * m, 6).T
         own = hp[:, columns.ravel()].reshape(2 * m, m, ROCK_DIM)
         s += np.einsum("kmj,mij->kmi", own, b).reshape(2 * m, 2 * m)

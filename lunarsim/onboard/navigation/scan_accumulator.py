@@ -72,7 +72,7 @@ def count_posts_below(points: Array, posting: float, max_count: int = 1 << 40) -
 
     The squares have the side `posting`, m. NaN marks missing points.
     """
-    count = int(kernels.squares_under(np.ascontiguousarray(points), posting, max_count))
+    count = int(kernels.count_covered_squares(np.ascontiguousarray(points), posting, max_count))
     if count >= 0:
         return count
     xy = points[np.isfinite(points[:, :2]).all(axis=1), :2]

@@ -53,7 +53,7 @@ def test_squares_hold_the_mean_of_their_points():
     rng = np.random.default_rng(0)
     points = rng.uniform(-3.0, 3.0, (400, 3))
     points[::7] = np.nan
-    col, row, mean, count = k.average(points, 0.2, -0.1, 0.5, 2)
+    col, row, mean, count = k.average_points(points, 0.2, -0.1, 0.5, 2)
     seen = set()
     for c, r, m, n in zip(col, row, mean, count, strict=True):
         mine = (np.floor((points[:, 0] - 0.2) / 0.5 + 0.5) == c) & (
@@ -63,7 +63,7 @@ def test_squares_hold_the_mean_of_their_points():
         assert m == pytest.approx(points[mine].mean(0))
         seen.add((c, r))
     assert len(seen) == len(col)
-    nothing = k.average(np.full((5, 3), np.nan), 0.0, 0.0, 0.5, 2)
+    nothing = k.average_points(np.full((5, 3), np.nan), 0.0, 0.0, 0.5, 2)
     assert all(len(part) == 0 for part in nothing)
 
 
@@ -71,11 +71,11 @@ def test_squares_hold_the_mean_of_their_points():
 @pytest.mark.parametrize("far", [1e12, -1e20, 1e150])
 def test_points_too_far_for_a_number_of_a_square_are_not_averaged(axis, far):
     points = np.random.default_rng(0).uniform(0.0, 1.0, (40, 3))
-    assert len(k.average(points, 0.0, 0.0, 0.5, 2)[0]) > 0
+    assert len(k.average_points(points, 0.0, 0.0, 0.5, 2)[0]) > 0
     points[7, axis] = far
-    assert [len(part) for part in k.average(points, 0.0, 0.0, 0.5, 2)] == [0, 0, 0, 0]
+    assert [len(part) for part in k.average_points(points, 0.0, 0.0, 0.5, 2)] == [0, 0, 0, 0]
     points[7, axis] = np.nan
-    assert k.average(points, 0.0, 0.0, 0.5, 2)[3].sum() <= 39
+    assert k.average_points(points, 0.0, 0.0, 0.5, 2)[3].sum() <= 39
 
 
 def test_surface_of_a_plane_is_the_plane():
@@ -96,7 +96,7 @@ def test_surface_takes_the_slope_between_the_squares_on_either_side():
     row, col = row - 4, col - 6
     x, y = 0.3 + 0.5 * col, -0.2 + 0.5 * row
     mean = np.column_stack((x, y, np.zeros(len(x)))) + rng.normal(0.0, 0.1, (len(x), 3))
-    height, slope, good = k.surface(col, row, mean, 0.3, -0.2, 0.5, 0.2)
+    height, slope, good = k.centre_heights(col, row, mean, 0.3, -0.2, 0.5, 0.2)
     at = {(int(c), int(r)): m for c, r, m in zip(col, row, mean, strict=True)}
     for i, (c, r) in enumerate(zip(col.tolist(), row.tolist(), strict=True)):
         west, east, south, north = (
