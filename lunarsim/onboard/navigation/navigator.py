@@ -189,7 +189,7 @@ class Navigator(Navigation):
     @property
     def site_to_local(self) -> SiteToLocal:
         """Estimated transformation from the site frame to the local frame."""
-        return self.frame.shift
+        return self.frame.site_to_local
 
     def _add_event(self, time: float, name: str, details: dict[str, Any]) -> None:
         self.events.append(NavigationEvent(time, name, details))

@@ -23,7 +23,7 @@ from lunarsim.models.gimbal import gimbal_mount
 from lunarsim.onboard.navigation import _registration_kernels as k
 from lunarsim.onboard.navigation.corrected_scan import CorrectedScan
 from lunarsim.onboard.navigation.map_features import MapFeatures
-from lunarsim.onboard.navigation.registration import fit, register_scan
+from lunarsim.onboard.navigation.registration import fit_residuals, register_scan
 from lunarsim.onboard.navigation.registration_settings import RegistrationSettings
 from lunarsim.onboard.navigation.surface import average_scan
 from lunarsim.sensors.lidar import FlashLidar
@@ -170,7 +170,7 @@ def test_registration_errs_as_its_covariance_says(world):
     for seed in range(runs):
         found, covariance, error, result = registered(world, seed)
         nees = nees.plus(normalised_squared_error(found - error, covariance), 6)
-        assert result.share > 0.9
+        assert result.agreeing_fraction > 0.9
     low, high = ratio_bounds(nees.degrees)
     assert low < nees.ratio < high
 
@@ -181,9 +181,9 @@ def test_patches_out_of_date_are_left_out(world):
     for seed in range(12):
         found, _, error, result = registered(world, seed, stale=0.2)
         gaps[True].append(np.linalg.norm((found - error)[:3]))
-        shares[True].append(result.share)
+        shares[True].append(result.agreeing_fraction)
         found, _, error, result = registered(world, seed)
-        shares[False].append(result.share)
+        shares[False].append(result.agreeing_fraction)
         gaps[False].append(np.linalg.norm((found - error)[:3]))
     assert np.median(shares[True]) < np.median(shares[False]) - 0.02
     assert np.median(gaps[True]) < 2.0 * np.median(gaps[False]) + 0.05
@@ -202,7 +202,7 @@ def test_a_fit_begun_far_off_is_right_or_tells_the_level_alone(world, stale):
         found, covariance, result = fitted(
             scan, prior, before, error, 2.0 * prior.sigma**2 + 0.03**2
         )
-        if result.share < 0.7 or result.misfit > 1.6:
+        if result.agreeing_fraction < 0.7 or result.misfit > 1.6:
             continue
         accepted += 1
         gap = found - error
@@ -263,9 +263,9 @@ def test_where_the_place_is_open_slopes_make_the_level_uncertain(world):
 
 
 def test_fit_without_data_gives_no_information():
-    result = fit(np.zeros((0, 6)), np.zeros(0), np.zeros(0), np.eye(6))
+    result = fit_residuals(np.zeros((0, 6)), np.zeros(0), np.zeros(0), np.eye(6))
     assert result.used == result.compared == 0
-    assert result.share == 0.0
+    assert result.agreeing_fraction == 0.0
     assert not result.information.any()
 
 
