@@ -43,7 +43,7 @@ def subtract_square(p: Array, w: Array) -> None:
         p[start:stop, start:] -= w[:, start:stop].T @ w[:, start:]
         p[stop:, start:stop] = p[start:stop, stop:].T
 
-    _share(subtract, range(0, n, _BLOCK))
+    _run_in_threads(subtract, range(0, n, _BLOCK))
 
 
 def subtract_rows(p: Array, w: Array, states: Index) -> None:
@@ -63,12 +63,12 @@ def subtract_rows(p: Array, w: Array, states: Index) -> None:
         block = slice(start, start + _ROWS)
         subtract_product_from_rows(p, own[block] @ w, states[block])
 
-    _share(subtract, range(0, len(states), _ROWS))
+    _run_in_threads(subtract, range(0, len(states), _ROWS))
     with threads_for(1e-3 * len(states) ** 2):
         mirror_lower(p, states)
 
 
-def _share(job: Callable[[int], None], starts: range) -> None:
+def _run_in_threads(job: Callable[[int], None], starts: range) -> None:
     """Run a function for each start index, distributed over the kernels' threads."""
     threads = numba.get_num_threads()
     if threads == 1 or len(starts) == 1:

@@ -60,13 +60,9 @@ def _check_start(
 ) -> Array:
     """Check the initial state; return it as one array (10,).
 
-    The array contains position (ENU, m), velocity (m/s) and quaternion. `gravity` is in m/s^2 and
-    `step` in s.
-
-    Raises
-    ------
-    InputError
-        If a value is not finite or out of range.
+    The array contains position, velocity and quaternion. `position` (ENU) is in m, `velocity` in
+    m/s, `gravity` in m/s^2 and `step` in s. An `InputError` is raised if a value is not finite or
+    out of range.
     """
     start = np.concatenate((position, velocity, attitude)).astype(np.float64)
     if start.shape != (10,) or not np.isfinite(start).all():

@@ -94,7 +94,7 @@ class FilterContext:
             all_indices,
             max_sigmas,
             time,
-            drifting=(scanner_indices, DRIFTED_SCANNER_SIGMAS[: len(scanner_indices)]),
+            drift_cause=(scanner_indices, DRIFTED_SCANNER_SIGMAS[: len(scanner_indices)]),
         )
 
 

@@ -507,13 +507,7 @@ class PlaceSearch:
 
 
 def _check_prior(mean: Array, covariance: Array, speed_sigma: float) -> None:
-    """Check mean, covariance and drift velocity given to a search.
-
-    Raises
-    ------
-    InputError
-        If a shape is wrong, or a value is not finite or out of range.
-    """
+    """Raise an `InputError` if an argument of `PlaceSearch.search` is invalid."""
     if np.shape(mean) != (2,) or not np.isfinite(mean).all():
         raise InputError("mean", mean, "must be two finite numbers, m")
     p = np.asarray(covariance, dtype=np.float64)

@@ -437,22 +437,22 @@ class UnscentedFilter(Navigation):
     # --- correction -----------------------------------------------------------------------
 
     def _update(
-        self, z: Array, expected: Callable[[Array], Array], noise: Array, gate: float
+        self, measurement: Array, predict: Callable[[Array], Array], noise: Array, gate: float
     ) -> UpdateOutcome:
         """Update with a measurement (n,), unless its innovation exceeds the gate.
 
-        `z` is the measurement, `expected` the function that predicts it from a state (10,), `noise`
-        (n, n) its covariance, and `gate` the maximum normalised innovation squared.
+        `predict` is the function that predicts the measurement from a state (10,), `noise` (n, n)
+        the covariance of the measurement, and `gate` the maximum normalised innovation squared.
         """
         k = self.kalman
         # filterpy draws sigma points only in `predict`; each further update needs new ones.
         self._repair_covariance()
         k.sigmas_f = k.points_fn.sigma_points(k.x, k.P)
-        through = np.array([expected(x) for x in k.sigmas_f])
+        through = np.array([predict(x) for x in k.sigmas_f])
         mean, spread = unscented_transform(through, k.Wm, k.Wc, noise)
-        outcome, _ = gate_innovation(z - mean, spread, gate)
+        outcome, _ = gate_innovation(measurement - mean, spread, gate)
         if outcome.is_accepted:
-            k.update(z, R=noise, hx=expected)
+            k.update(measurement, R=noise, hx=predict)
             k.P = 0.5 * (k.P + k.P.T)
             self._copy_to_inertial()
         return outcome
