@@ -42,17 +42,11 @@ def _insert(i, squared_distance, count, indices, squared_distances):
 def sort_by_square(east, north):
     """Sort points by the square of a grid that they lie in.
 
-    The coordinates of the points are `east` and `north` (n,), m. There is only one square if there
-    are few points, they lie on a line east or north, or one is not finite.
-
-    Returns
-    -------
-    order
-        Indices of the points (n,), square by square, in their original order within each.
-    first
-        Start of each square in `order`, and the end (rows * cols + 1,).
-    grid
-        West and south edge and side of a square, m; rows and columns (5,).
+    The coordinates of the points are `east` and `north` (n,), m. The results are the indices of the
+    points (n,), square by square, in their original order within each; the start of each square in
+    this order, and the end (rows * cols + 1,); and the grid (5,): west and south edge and side of a
+    square, m, rows and columns. There is only one square if there are few points, they lie on a
+    line east or north, or one is not finite.
     """
     n = len(east)
     west, south = east.min(), north.min()

@@ -176,7 +176,10 @@ class StrapdownState:
         )
         if unit is None:
             raise InputError(
-                "sensors", sorted(briefing.instruments), "must include an inertial unit"
+                "sensors",
+                sorted(briefing.instruments),
+                "must include an inertial unit",
+                "Add an inertial unit or choose a navigation that needs none.",
             )
         s = briefing.start
         sigmas = StartSigmas(

@@ -509,13 +509,15 @@ class PlaceSearch:
 def _check_prior(mean: Array, covariance: Array, speed_sigma: float) -> None:
     """Raise an `InputError` if an argument of `PlaceSearch.search` is invalid."""
     if np.shape(mean) != (2,) or not np.isfinite(mean).all():
-        raise InputError("mean", mean, "must be two finite numbers, m")
+        raise InputError("mean", mean, "must be two finite numbers in m")
     p = np.asarray(covariance, dtype=np.float64)
     fits = p.shape == (2, 2) and np.isfinite(p).all() and np.allclose(p, p.T, rtol=1e-6)
     if not (fits and p[0, 0] > 0.0 and np.linalg.det(p) > 0.0):
-        raise InputError("covariance", covariance, "must be a positive definite matrix (2, 2), m^2")
+        raise InputError(
+            "covariance", covariance, "must be a positive definite matrix (2, 2) in m^2"
+        )
     if not 0.0 <= speed_sigma < np.inf:
-        raise InputError("speed_sigma", speed_sigma, "must be a non-negative number, m/s")
+        raise InputError("speed_sigma", speed_sigma, "must be a non-negative number in m/s")
 
 
 def _cut_square(raster: NDArray[Any], row: int, col: int, side: int) -> NDArray[Any]:

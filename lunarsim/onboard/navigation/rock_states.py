@@ -70,7 +70,7 @@ class RockStates:
             raise InputError(
                 "navigation.rocks",
                 state.tail,
-                "must be added before any other states that follow the blocks",
+                "must be 0: rocks are the only errors after the blocks",
             )
         self.state = state
         self.state.reserve(ROCK_DIM * capacity)
