@@ -88,7 +88,10 @@ class SiteEvaluator:
         return self._mappers.get(self.decision_map_name)
 
     def record_update(self, updated_mappers: set[str], time: float) -> None:
-        """Record the names of the mappers that received a measurement at `time`, s."""
+        """Record the time of a measurement that is mapped into the decision map.
+
+        `updated_mappers` are the names of the mappers that received a measurement at `time`, s.
+        """
         if self.decision_map_name in updated_mappers:
             self._dispersion.mapped_at = time
 

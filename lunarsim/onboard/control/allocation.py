@@ -30,7 +30,7 @@ class ThrusterAllocation:
     ----------
     thrusters
         Thruster layout.
-    without
+    excluded
         Indices of thrusters that must not be used.
 
     Attributes
@@ -43,11 +43,11 @@ class ThrusterAllocation:
         both directions of rotation.
     """
 
-    def __init__(self, thrusters: Thrusters, without: Sequence[int] = ()) -> None:
+    def __init__(self, thrusters: Thrusters, excluded: Sequence[int] = ()) -> None:
         self.thrusters = thrusters
         torques = thrusters.torques
         scale = float(np.abs(torques).max())
-        used = np.setdiff1d(np.arange(len(torques)), np.asarray(without, dtype=np.int64))
+        used = np.setdiff1d(np.arange(len(torques)), np.asarray(excluded, dtype=np.int64))
         _, first, group = np.unique(
             np.round(torques[used] / scale, 9), axis=0, return_index=True, return_inverse=True
         )

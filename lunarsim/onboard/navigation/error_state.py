@@ -81,7 +81,7 @@ class ErrorState(SchmidtKalmanCovariance):
     ----------
     inertial
         Initial state of the lander.
-    errors
+    start_sigmas
         Standard deviations of the initial state.
     blocks
         Initial covariances (k, k) of additional errors, by name of the block.
@@ -104,7 +104,7 @@ class ErrorState(SchmidtKalmanCovariance):
     def __init__(
         self,
         inertial: StrapdownState,
-        errors: StartSigmas | None = None,
+        start_sigmas: StartSigmas | None = None,
         *,
         blocks: Mapping[str, ArrayLike] | None = None,
         capacity: int = 0,
@@ -113,7 +113,7 @@ class ErrorState(SchmidtKalmanCovariance):
         self.listeners: list[Callable[[Array], None]] = []
         self._blocks: dict[str, slice] = {}
         self._values: dict[str, Array] = {}
-        parts, head = [inertial.covariance(errors or StartSigmas())], INERTIAL
+        parts, head = [inertial.covariance(start_sigmas or StartSigmas())], INERTIAL
         for name, given in (blocks or {}).items():
             own = _covariance(f"navigation.{name}", given)
             self._blocks[name] = slice(head, head + len(own))

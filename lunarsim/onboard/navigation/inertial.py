@@ -197,7 +197,10 @@ class StrapdownState:
         return state, sigmas
 
     def covariance(self, errors: StartSigmas) -> Array:
-        """Return the initial covariance (15, 15) of the errors for given deviations."""
+        """Return the initial error covariance (15, 15) for given standard deviations.
+
+        Those of the biases follow from the sensor specification.
+        """
         sigmas = (
             errors.position, errors.velocity, self._bias_sigma[0], errors.attitude,
             self._bias_sigma[1],

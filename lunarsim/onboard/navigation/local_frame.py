@@ -168,9 +168,9 @@ class LocalFrame:
 
 
 def _move_initial_errors(state: ErrorState, columns: Index) -> None:
-    """Move initial errors of position and azimuth from the lander to the map block.
+    """Move initial errors of position and azimuth from the lander to the map offset.
 
-    `columns` (4,) are the indices of the block in the error state. The initial errors z =
+    `columns` (4,) are the indices of the map offset in the error state. The initial errors z =
     (position, velocity, body rotation, ...) refer to the site frame. The local frame is rotated by
     the azimuth error. In the local frame, the position has no error, the attitude error is the
     tilt, and the velocity error includes the effect of the rotation.

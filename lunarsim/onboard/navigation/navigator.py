@@ -65,7 +65,7 @@ class Navigator(Navigation):
     ----------
     inertial
         Initial state estimate, site frame.
-    errors
+    start_sigmas
         Standard deviations of the initial state.
     prior
         Prior map; if None, scans are only registered on each other.
@@ -97,7 +97,7 @@ class Navigator(Navigation):
     def __init__(
         self,
         inertial: StrapdownState,
-        errors: StartSigmas,
+        start_sigmas: StartSigmas,
         prior: PriorMap | None = None,
         settings: RegistrationSettings | None = None,
         *,
@@ -113,7 +113,7 @@ class Navigator(Navigation):
             | empty_map_block()
             | scanner_blocks(calibrations)
         )
-        self.state = ErrorState(inertial, errors, blocks=blocks)
+        self.state = ErrorState(inertial, start_sigmas, blocks=blocks)
         self.frame = LocalFrame(self.state)
         self.events: list[NavigationEvent] = []
         self._aiding = AidingMeasurements(self.state, calibrations, terrain, self.events)

@@ -198,16 +198,16 @@ def _fit_normals(normals: Array, position_covariance: Array | None) -> tuple[Arr
 
 
 def residual_correlation(
-    posts: tuple[IntArray, IntArray], residual: Array, variance: Array
+    grid_points: tuple[IntArray, IntArray], residual: Array, variance: Array
 ) -> float:
     """Return the variance inflation that accounts for the correlation of residuals.
 
     Sums of residuals over blocks of a few grid points are compared with their variance for
     independent residuals. Map errors with a correlation length of some metres and small terrain
-    changes add up in these sums. The result is 1 if there are too few blocks. `posts` are rows and
-    columns (n,) of the residuals (n,), m, with variances (n,), m^2.
+    changes add up in these sums. The result is 1 if there are too few blocks. `grid_points` are
+    rows and columns (n,) of the residuals (n,), m, with variances (n,), m^2.
     """
-    row, col = (part // _BLOCK_POSTS for part in posts)
+    row, col = (part // _BLOCK_POSTS for part in grid_points)
     keep = residual**2 <= 9.0 * variance
     block = (row - row.min()) * (int(np.ptp(col)) + 1) + col - col.min()
     total = np.bincount(block[keep], residual[keep])

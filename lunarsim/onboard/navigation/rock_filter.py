@@ -99,7 +99,7 @@ class RockFilter(RockStates):
     def of(
         cls,
         inertial: StrapdownState,
-        errors: StartSigmas | None = None,
+        start_sigmas: StartSigmas | None = None,
         *,
         terrain_prior: TerrainPrior | None = None,
         capacity: int = 128,
@@ -110,7 +110,7 @@ class RockFilter(RockStates):
         ----------
         inertial
             Initial state of the lander.
-        errors
+        start_sigmas
             Standard deviations of the initial state.
         terrain_prior
             Prior knowledge of the terrain height; default: horizontal at 0 m, exact.
@@ -118,7 +118,7 @@ class RockFilter(RockStates):
             Initial number of rocks to allocate.
         """
         level = terrain_prior or TerrainPrior(0.0, None)
-        state = ErrorState(inertial, errors, blocks=aiding_blocks({}, level))
+        state = ErrorState(inertial, start_sigmas, blocks=aiding_blocks({}, level))
         return cls(state, AidingMeasurements(state, {}, level, []), capacity=capacity)
 
     @property
@@ -134,25 +134,25 @@ class RockFilter(RockStates):
         return self.state.covariance
 
     def terrain_points(
-        self, camera: CameraModel, pixel: Array, near: MapRegion | None = None
+        self, camera: CameraModel, pixel: Array, region: MapRegion | None = None
     ) -> Array:
         """Intersect lines of sight through undistorted pixels (n, 2) with the terrain.
 
-        `near` is an optional region of interest: west, east, south and north limits, m. Returns
+        `region` is an optional region of interest: west, east, south and north limits, m. Returns
         points (n, 3), m; NaN without an intersection, and for points far outside the region.
         """
         out = np.full((len(pixel), ROCK_DIM), np.nan)
         if len(pixel) == 0:
             return out
         origin, per_drop = self._sight_lines(camera, pixel)
-        middle = None if near is None else np.reshape(near, (2, 2)).mean(axis=1)
+        middle = None if region is None else np.reshape(region, (2, 2)).mean(axis=1)
         out[:, 2] = (
             self.terrain_height_below if middle is None else self.terrain_height_at(middle)[0]
         )
         out[:, :2] = origin[:2] + per_drop * (origin[2] - out[:, 2:])
         is_finite = np.isfinite(out[:, :2]).all(1)
-        if near is not None:
-            is_finite &= _is_near_region(out[:, :2], per_drop, near)
+        if region is not None:
+            is_finite &= _is_near_region(out[:, :2], per_drop, region)
             out[~is_finite] = np.nan
         out[is_finite] = self._intersect(origin, per_drop[is_finite], out[is_finite, 2])
         return out
@@ -533,14 +533,14 @@ class RockFilter(RockStates):
         p[np.ix_(level, level)] = 0.5 * (block + block.T)
 
 
-def _is_near_region(xy: Array, per_drop: Array, near: MapRegion) -> NDArray[np.bool_]:
+def _is_near_region(xy: Array, per_drop: Array, region: MapRegion) -> NDArray[np.bool_]:
     """Return which points (n, 2), m, can lie inside a region or its margin.
 
-    `near` are the west, east, south and north limits of the region, m. The points were found on
+    `region` are the west, east, south and north limits of the region, m. The points were found on
     horizontal terrain at the height of the region's centre, along lines with an advance of
     `per_drop` (n, 2) per metre of drop.
     """
-    west, east, south, north = near
+    west, east, south, north = region
     rise = _MAX_SLOPE * 0.5 * max(east - west, north - south)
     last_gap = _REGION_MARGIN_M + rise * np.linalg.norm(per_drop, axis=1)
     x, y = xy.T

@@ -64,20 +64,20 @@ class _ReferenceScan:
     corrected: CorrectedScan
     displacement: float = 0.0
 
-    def moved(self, change: Array) -> _ReferenceScan:
+    def moved(self, errors: Array) -> _ReferenceScan:
         """Return the reference scan with errors (11,) added to its pose and scanner.
 
         The heights are extrapolated along the slopes of the squares, without a new averaging.
         """
         centre = self.surface.position.mean(axis=0)
         displacement = self.displacement + float(
-            np.abs(self.corrected.point_jacobian(centre) @ change).max()
+            np.abs(self.corrected.point_jacobian(centre) @ errors).max()
         )
         position = self.surface.position.copy()
-        position[:, 2] += self.corrected.jacobian(position, self.surface.normal) @ change
+        position[:, 2] += self.corrected.jacobian(position, self.surface.normal) @ errors
         surface = replace(self.surface, position=position)
         return replace(
-            self, surface=surface, corrected=self.corrected.moved(change), displacement=displacement
+            self, surface=surface, corrected=self.corrected.moved(errors), displacement=displacement
         )
 
     def refresh(self) -> _ReferenceScan:

@@ -132,7 +132,7 @@ class UnscentedFilter(Navigation):
     ----------
     inertial
         Initial state of the lander.
-    errors
+    start_sigmas
         Standard deviations of the initial state.
     settings
         Standard deviations of the other errors.
@@ -151,7 +151,7 @@ class UnscentedFilter(Navigation):
     def __init__(
         self,
         inertial: StrapdownState,
-        errors: StartSigmas | None = None,
+        start_sigmas: StartSigmas | None = None,
         settings: UnscentedNavigation | None = None,
         *,
         terrain_prior: TerrainPrior | None = None,
@@ -185,7 +185,7 @@ class UnscentedFilter(Navigation):
             for n, i in calibrations.items()
             if isinstance(i, StarTrackerInstrument)
         }
-        start = inertial.covariance(errors or StartSigmas())
+        start = inertial.covariance(start_sigmas or StartSigmas())
         # Covariance of the attitude error (small rotation in body axes) and the gyroscope bias.
         self._attitude_covariance = start[_ROTATION, _ROTATION].copy()
         self._gyroscope_covariance = start[12:, 12:].copy()
