@@ -45,8 +45,9 @@ def _read_sample(angle, velocity, n, step, last_sample):
 def _write_transition(rotation, rotated_force, rate, step, phi):
     """Write the state-transition matrix of the errors over a step to `phi` (15, 15).
 
-    `phi` starts as the identity. `rotation` is the attitude R (3, 3) in the middle of the step,
-    `rotated_force` is R [a x] (3, 3) with specific force a, and `rate` (3,) the body rate.
+    `phi` starts as the identity. `rotation` is the attitude matrix (3, 3) in the middle of the
+    step, `rotated_force` (3, 3) its product with the cross-product matrix of the specific force,
+    and `rate` (3,) the body rate.
     """
     for i in range(3):
         phi[i, 3 + i] = step

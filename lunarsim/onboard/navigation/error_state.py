@@ -203,7 +203,7 @@ class ErrorState(SchmidtKalmanCovariance):
         InputError
             If the arrays are not (n, 3) or differ in length; the state is then unchanged.
         """
-        turns, pushes = _samples(angle, velocity)
+        turns, pushes = _checked_samples(angle, velocity)
         transition, noise = self.inertial.propagate(turns, pushes)
         p, n = self._current_covariance(INERTIAL - 1), INERTIAL
         with one_blas_thread():
@@ -408,10 +408,10 @@ def _as_measurements(
     return rows, measured, axes @ (measured / np.sqrt(1.0 + gain))
 
 
-def _samples(angle: ArrayLike, velocity: ArrayLike) -> tuple[Array, Array]:
-    """Return inertial samples as two arrays (n, 3).
+def _checked_samples(angle: ArrayLike, velocity: ArrayLike) -> tuple[Array, Array]:
+    """Return increments of angle, rad, and velocity, m/s, as two arrays (n, 3).
 
-    `angle` is in rad and `velocity` in m/s. Other shapes raise an `InputError`.
+    Other shapes raise an `InputError`.
     """
     out = []
     for name, values in (("angle", angle), ("velocity", velocity)):

@@ -224,9 +224,9 @@ class MapFeatures:
         return float(best + np.log(np.mean(np.exp(scaled - best))))
 
     def exact_fit_ratio(self, tile: FeatureTile) -> float:
-        """Return the log-likelihood ratio that a tile would have at a place where it fits.
+        """Return the log-likelihood ratio of a tile at a place that it would fit exactly.
 
-        A tile is a patch of scanned terrain; there, all its height residuals are zero.
+        A tile is a patch of scanned terrain. All its height residuals are zero at such a place.
         """
         fits = self._density.negative_log_density(tile.height) - 0.5 * np.log(
             2.0 * np.pi * tile.variance

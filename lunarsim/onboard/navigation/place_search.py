@@ -38,7 +38,7 @@ class SearchSettings:
     Attributes
     ----------
     tile
-        Side of a tile, m; limited to 4 to 16 grid points of the map.
+        Side of a tile (patch of scanned terrain), m; limited to 4 to 16 grid points of the map.
     idle_s
         Time without new grid points after which an incomplete tile is compared, s.
     drift_correlation_s

@@ -226,9 +226,9 @@ def _initial_error(
     Slopes give the correct position only within half the grid spacing on rough terrain. If the
     position of the scan is less certain, all shifts that its uncertainty allows are compared first.
     If several shifts are plausible, the fit must not choose between them and determines only
-    heights. The results are the initial error (11,), a flag, and the second moment (2, 2), m^2, of
-    the shift about the most probable one. `covariance` (11, 11) is the prior covariance of the
-    scan's errors.
+    heights. The results are the initial error (11,), whether to fit heights only, and the second
+    moment (2, 2), m^2, of the shift about the most probable one. `covariance` (11, 11) is the prior
+    covariance of the scan's errors.
     """
     surface = corrected.surface(features.prior.grid)
     error, none = np.zeros(len(covariance)), np.zeros((2, 2))
