@@ -55,7 +55,7 @@ class ImageInnovationMonitor:
         return any(monitor.lost for monitor in self.monitors.values())
 
     def record(self, kind: str, time: float, outcome: UpdateOutcome) -> RockCorrection:
-        """Add the outcome of an image; return the corrective action.
+        """Add the outcome of a filter update with an image; return the corrective action.
 
         Parameters
         ----------

@@ -440,9 +440,9 @@ class PlaceSearch:
         return (slice(a, None, 2), slice(b, None, 2)), r, c
 
     def _agreement(self, row: int, col: int) -> tuple[float, float | None, float]:
-        """Return fraction of agreeing points, height difference and variance at a place.
+        """Return fraction of agreeing points, height difference and its variance.
 
-        `row` and `col` are those of the place. The height difference is map minus scan, m, from the
+        They refer to the place `row`, `col`. The height difference is map minus scan, m, from the
         last six tiles; None without agreeing points.
         """
         agreed, compared, rises = 0, 0, []

@@ -413,7 +413,7 @@ class RockFilter(RockStates):
             )
 
     def monitor_image(self, kind: str, time: float, outcome: UpdateOutcome) -> RockCorrection:
-        """Monitor the outcome of an image, and inflate the covariance after an alarm.
+        """Monitor the outcome of an image update; inflate the covariance after an alarm.
 
         `kind` is the monitored quantity: "places", "expected" or "shadows". `time` is in s. The
         caller must reset the rocks if the returned action is `RockCorrection.RESET`.
