@@ -66,7 +66,7 @@ _WORKQUEUE = (
 import threading
 from threading import Barrier
 from lunarsim._work_partition import PartitionedKernel
-from lunarsim.onboard.navigation._rock_filter_kernels import subtract_few
+from lunarsim.onboard.navigation._rock_filter_kernels import subtract_square_from_rows
 from lunarsim.sensors.rendering import renderer_of
 from lunarsim.models.pinhole import View
 from lunarsim.frames import sensor_axes
@@ -75,14 +75,14 @@ from tests.worlds import flat_terrain
 import numpy as np
 
 p, w, rows = np.zeros((300, 300)), np.ones((2, 300)), np.arange(300)
-subtract_few(p.copy(), w, rows)
+subtract_square_from_rows(p.copy(), w, rows)
 start = Barrier(3)
 
 def subtract(_):
     own = p.copy()
     start.wait()
     for _ in range(40):
-        subtract_few(own, w, rows)
+        subtract_square_from_rows(own, w, rows)
     return float(own[0, 0])
 
 with cf.ThreadPoolExecutor(3) as pool:

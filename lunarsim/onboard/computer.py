@@ -160,7 +160,7 @@ class OnboardComputer:
     @property
     def decision_map_name(self) -> str:
         """Name of the mapper whose map is used for decisions; empty without a mapper."""
-        return self.site_evaluator.decisions_map
+        return self.site_evaluator.decision_map_name
 
     @property
     def mapper(self) -> HazardMapper | None:
@@ -202,8 +202,8 @@ class OnboardComputer:
 
     def observe(self) -> Observation:
         """Return the current observation of the policy, and store its candidate sites."""
-        course = DescentStatus(self.time, self.mass, self.estimate, self.site, self.time_to_go)
-        observation = self.site_evaluator.observe(course)
+        status = DescentStatus(self.time, self.mass, self.estimate, self.site, self.time_to_go)
+        observation = self.site_evaluator.observe(status)
         self.candidates, self.expected_miss = observation.candidates, observation.expected_miss
         return observation
 
@@ -270,18 +270,18 @@ class OnboardComputer:
             self._replan_time_to_go()
 
     def _report_overdue_samples(self) -> None:
-        """Pass inertial samples missing in this cycle to navigation, marked by NaN."""
+        """Pass NaN samples to navigation in place of inertial samples that are overdue."""
         overdue = self._arrivals.overdue_samples(self.time)
         if overdue is not None:
             self.navigation.take(*overdue, self.time)
             self._follow_navigation()
 
-    def _process(self, sensor: str, given: Any) -> None:
+    def _process(self, sensor: str, received: Any) -> None:
         """Update navigation, then the mappers that use `sensor`, with one measurement.
 
-        `given` is the measurement as received; it may be dropped if it is out of order.
+        `received` is the measurement; it is dropped if it is out of order.
         """
-        measurement = self._arrivals.admit(sensor, given, self.time)
+        measurement = self._arrivals.admit(sensor, received, self.time)
         if measurement is None:
             return
         if isinstance(measurement, InertialSamples):
@@ -341,7 +341,7 @@ class OnboardComputer:
         """Carry out a decision; return False if its new site is refused.
 
         A new site is refused if it is out of reach or out of sight, or while diverts are inhibited.
-        `Decision.time_scale` describes what happens with a time scale that cannot be flown.
+        `Decision.time_scale` describes what happens with a time scale that is out of limits.
 
         Raises
         ------
@@ -382,7 +382,8 @@ class OnboardComputer:
     def _record_refusal(self, site: Array, reason: str, time_scale: float | None = None) -> None:
         """Record the event that a divert to a site (3,) is refused, and the reason.
 
-        With `time_scale`, only the time scale is refused and the event is "time-scale-refused".
+        With `time_scale` (factor on the time-to-go), only the time scale is refused, and the event
+        is "time-scale-refused".
         """
         details = {"site": site.copy(), "reason": reason}
         if time_scale is None:
@@ -393,9 +394,10 @@ class OnboardComputer:
             )
 
     def _requested_time_scale(self, decision: Decision) -> float | None:
-        """Return the time scale that a decision asks for; None if it may not set one.
+        """Return the time scale that a decision requests; None if it may not set one.
 
-        A time scale that is not allowed now is recorded as refused.
+        A time scale is a factor on the time-to-go. One that is not allowed now is recorded as
+        refused.
         """
         if decision.time_scale is None:
             return None
@@ -411,11 +413,12 @@ class OnboardComputer:
         return None
 
     def _replan_time_to_go(self, time_scale: float | None = None) -> None:
-        """Choose the time-to-go to the current landing site again.
+        """Choose a new time-to-go to the current landing site.
 
-        Without `time_scale`, this is the minimum-propellant time-to-go. Diverts always choose their
-        time-to-go. Without this method, a lander that keeps its site would fly on the time-to-go
-        planned for the start, and diverts would appear to save propellant.
+        It is the minimum-propellant time-to-go, multiplied by `time_scale` if this is given and
+        within the limits. If no path exists, the time-to-go stays. Diverts always get a new
+        time-to-go; a lander that keeps its site gets one here, since otherwise diverts would appear
+        to save propellant.
         """
         time_to_go, why = self.site_evaluator.time_to(self.site, self.estimate, time_scale)
         if np.isfinite(time_to_go):
@@ -507,9 +510,10 @@ class OnboardComputer:
         return thrust_to_command(wanted, self.mass, self.lander, self.briefing.heading, tilt)
 
     def _position_limited_estimate(self) -> Estimate:
-        """Return the estimate for guidance, with limited position jumps before touchdown.
+        """Return the estimate for guidance, in which steps of the position are limited.
 
-        Jumps occur when a navigation update corrects the position.
+        The position steps when a navigation update corrects it. Steps are limited during approach
+        and terminal descent.
         """
         if not self.navigation.has_position_steps or self.phase not in {APPROACH, VERTICAL}:
             return self.estimate

@@ -20,16 +20,16 @@ class DivertInhibit:
         self.inhibited = False
         self._mapped_lost = False
 
-    def update(self, lost: bool, mapped: bool) -> bool:
+    def update(self, is_lost: bool, has_mapped: bool) -> bool:
         """Update the inhibit for one control cycle; return whether it changed.
 
         Parameters
         ----------
-        lost
+        is_lost
             Whether navigation is lost.
-        mapped
+        has_mapped
             Whether a mapper received a measurement in the cycle.
         """
-        self._mapped_lost |= lost and mapped
-        before, self.inhibited = self.inhibited, lost or self._mapped_lost
+        self._mapped_lost |= is_lost and has_mapped
+        before, self.inhibited = self.inhibited, is_lost or self._mapped_lost
         return self.inhibited != before

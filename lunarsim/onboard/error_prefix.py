@@ -12,9 +12,10 @@ _OTHER_TABLES = {"sun", "navigation", "vehicle", "sensors", "prior_map", "expect
 
 @contextmanager
 def prefix_input_errors(table: str) -> Iterator[None]:
-    """Prefix fields of `InputError`s raised in a `with` block by a scenario table.
+    """Name the scenario table in the fields of errors that a `with` block raises.
 
-    Fields that name a key of another table (for example a sensor) are left unchanged.
+    The field of each `InputError` becomes "TABLE.KEY", with `table` for TABLE. Fields that name a
+    key of another table (for example a sensor) are left unchanged.
     """
     try:
         yield

@@ -14,7 +14,7 @@ Array = NDArray[np.float64]
 
 
 def wrong_result_error(
-    table: str, part: object, method: str, value: Any, wanted: str, time: float | None = None
+    table: str, part: object, method: str, value: Any, expected: str, time: float | None = None
 ) -> InputError:
     """Return the error for a component whose method returned an invalid value.
 
@@ -28,7 +28,7 @@ def wrong_result_error(
         Name of the method that returned the value.
     value
         Value returned.
-    wanted
+    expected
         Description of a valid return value, a noun phrase.
     time
         Time of the call, s; None if unknown.
@@ -40,7 +40,7 @@ def wrong_result_error(
     kind = type(part)
     name = "external" if part is None else f"{kind.__module__}:{kind.__qualname__}"
     when = "" if time is None else f" (at {time:.1f} s)"
-    return InputError(table, shown, f"{name}.{method} must return {wanted}{when}")
+    return InputError(table, shown, f"{name}.{method} must return {expected}{when}")
 
 
 def checked_vector(

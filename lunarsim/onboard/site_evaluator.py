@@ -73,7 +73,7 @@ class SiteEvaluator:
         self._dispersion = LandingDispersion(self.decisions.touchdown_sigma, descent)
 
     @property
-    def decisions_map(self) -> str:
+    def decision_map_name(self) -> str:
         """Name of the mapper whose map is used for decisions; empty without a mapper.
 
         If the scenario does not name a mapper, this is the first mapper that combines other maps.
@@ -85,11 +85,14 @@ class SiteEvaluator:
     @property
     def mapper(self) -> HazardMapper | None:
         """Mapper whose map is used for decisions; None for a lander without one."""
-        return self._mappers.get(self.decisions_map)
+        return self._mappers.get(self.decision_map_name)
 
-    def record_update(self, names: set[str], time: float) -> None:
-        """Record which mappers (`names`) received a measurement at `time`, s."""
-        if self.decisions_map in names:
+    def record_update(self, updated_mappers: set[str], time: float) -> None:
+        """Record the time of a measurement that is mapped into the decision map.
+
+        `updated_mappers` are the names of the mappers that received a measurement at `time`, s.
+        """
+        if self.decision_map_name in updated_mappers:
             self._dispersion.mapped_at = time
 
     def cost_of(
@@ -118,10 +121,9 @@ class SiteEvaluator:
         """Return the time-to-go to a site (3,), s, and why a time scale was refused.
 
         Without `time_scale`, this is the time-to-go of the minimum-propellant path within all
-        limits, or NaN if no such path exists. With `time_scale`, that time is multiplied by
-        `time_scale` if the resulting path also keeps the limits; otherwise the time scale is
-        refused. The reason is an empty text if nothing was refused. The site is in the local frame,
-        m.
+        limits, or NaN if no such path exists. `time_scale` is a factor on it, which is refused if
+        the resulting path does not keep the limits. The reason is an empty text if nothing was
+        refused. The site is in the local frame, m.
         """
         one = np.asarray(site, dtype=np.float64)[None]
         cheapest = self.cost_of(one, estimate).time_to_go
@@ -156,8 +158,8 @@ class SiteEvaluator:
             time_to_go=np.where(seen, cost.time_to_go, np.nan),
         )
 
-    def observe(self, course: DescentStatus) -> Observation:
-        """Return the policy's observation for a state of the descent (`course`).
+    def observe(self, status: DescentStatus) -> Observation:
+        """Return the policy's observation for a state of the descent (`status`).
 
         Raises
         ------
@@ -167,10 +169,10 @@ class SiteEvaluator:
         mapper = self.mapper
         if mapper is None:
             raise RuntimeError("this lander has no mapper, so no map is available for decisions")
-        site, estimate = course.site, course.estimate
-        part = self.briefing.software.mappers[self.decisions_map]
-        hazard_map = checked_hazard_map(self.decisions_map, part, mapper, course.time)
-        miss = float(self._miss_of(np.array([course.time_to_go]), course)[0])
+        site, estimate = status.site, status.estimate
+        part = self.briefing.software.mappers[self.decision_map_name]
+        hazard_map = checked_hazard_map(self.decision_map_name, part, mapper, status.time)
+        miss = float(self._miss_of(np.array([status.time_to_go]), status)[0])
         aim = self._dispersion.spread(hazard_map, miss)
         scoreboard = mapper.scoreboard(site)
         cost_of_visible = partial(self._cost_of_visible, estimate=estimate)
@@ -182,8 +184,8 @@ class SiteEvaluator:
             cost_of_visible,
             count=self.decisions.candidates,
             separation=self.decisions.separation,
-            miss_of=partial(self._miss_of, course=course) if self._navigation.is_drifting else None,
-            mapper=self.decisions_map,
+            miss_of=partial(self._miss_of, status=status) if self._navigation.is_drifting else None,
+            mapper=self.decision_map_name,
             scoreboard=scoreboard,
             reach=reach,
         )
@@ -191,15 +193,15 @@ class SiteEvaluator:
         inside = bool(hazard_map.grid.contains(site[:2]))
         seen = inside and bool(hazard_map.observed[row, col])
         return Observation(
-            time=course.time,
+            time=status.time,
             estimate=estimate,
             hazard_map=hazard_map,
             candidates=candidates,
             site=site,
             site_p_safe=float(aim[row, col]) if seen else float("nan"),
             site_propellant=float(self.cost_of(site[None, :], estimate).propellant[0]),
-            time_to_go=course.time_to_go,
-            propellant=course.mass - self.lander.dry_mass,
+            time_to_go=status.time_to_go,
+            propellant=status.mass - self.lander.dry_mass,
             site_eligible=bool(hazard_map.eligible_at(site[:2])),
             site_value=float(hazard_map.value_at(site[:2])),
             scoreboard=scoreboard,
@@ -207,7 +209,7 @@ class SiteEvaluator:
             reachability=reach,
         )
 
-    def _miss_of(self, time_to_go: Array, course: DescentStatus) -> Array:
+    def _miss_of(self, time_to_go: Array, status: DescentStatus) -> Array:
         """Return the expected landing miss for times-to-go (n,), s: 1 sigma per axis, m."""
-        until = np.where(np.isfinite(time_to_go), time_to_go, course.time_to_go)
-        return self._dispersion.misses(course.estimate, self._navigation.is_drifting, until)
+        until = np.where(np.isfinite(time_to_go), time_to_go, status.time_to_go)
+        return self._dispersion.misses(status.estimate, self._navigation.is_drifting, until)

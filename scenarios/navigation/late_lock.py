@@ -102,11 +102,11 @@ def fly(task: LateLockTask) -> LateLockFlight:
     navigation = computer.navigation
     if not isinstance(navigation, Navigator) or navigation.matcher is None:
         raise click.UsageError(f"{task.scenario}: must contain a prior map for navigation")
-    matcher = navigation.parts.pop(navigation.parts.index(navigation.matcher))
+    matcher = navigation.processors.pop(navigation.processors.index(navigation.matcher))
     jumped, decisions, sigmas = 0.0, 0, np.nan
     while not simulation.done:
-        if matcher not in navigation.parts and simulation.time >= task.late:
-            navigation.parts.insert(0, matcher)
+        if matcher not in navigation.processors and simulation.time >= task.late:
+            navigation.processors.insert(0, matcher)
         before = simulation.estimate
         if simulation.decision_due and computer.mapper is not None:
             decisions += not computer.mapper.is_empty

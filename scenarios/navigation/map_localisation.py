@@ -223,7 +223,7 @@ def search(task: PlaceSearchTask) -> PlaceSearchResult:
 
 def is_lock(match: MapMatch) -> bool:
     """Return whether navigation would accept a match of scan and map as its position."""
-    return match.certainty >= 0.99999 and match.share >= 0.6
+    return match.certainty >= 0.99999 and match.agreeing_fraction >= 0.6
 
 
 def row_of(case: MapCase, found: list[PlaceSearchResult]) -> list[str]:

@@ -17,25 +17,25 @@ from lunarsim._jit import kernel
 
 
 @kernel(exact=True)
-def limited_torque(error, rate, inertia, frequency, damping, slew, max_torque):
+def limited_torque(error, rate, inertia, frequency, damping, slew_limit, max_torque):
     """Return the torque of the proportional-derivative law about one axis, N m.
 
     `error` (rad) is the commanded minus the estimated angle, `rate` (rad/s) the angular rate, and
-    `slew` (rad/s) the limit of the commanded rate. `frequency` (rad/s) and `damping` are those of
-    the closed loop.
+    `slew_limit` (rad/s) the limit of the commanded rate. `frequency` (rad/s) and `damping` (ratio)
+    are those of the closed loop.
     """
     # Large errors saturate the commanded rate as well as the torque.
-    wanted = min(max(frequency / (2.0 * damping) * error, -slew), slew)
-    torque = inertia * 2.0 * damping * frequency * (wanted - rate)
+    commanded_rate = min(max(frequency / (2.0 * damping) * error, -slew_limit), slew_limit)
+    torque = inertia * 2.0 * damping * frequency * (commanded_rate - rate)
     return min(max(torque, -max_torque), max_torque)
 
 
 @kernel()
 def compute_torque(state, target, gains, inertia, torque_max):
-    """Write the torque (3,) of the proportional-derivative law into `state[7:]`, N m.
+    """Write the torque (3,), N m, of the proportional-derivative law to `state[7:]`.
 
-    `state` (10,) is the state of the loop; `target` (4,) is the commanded attitude. `gains` is
-    natural frequency (rad/s), damping ratio, slew limit (rad/s).
+    `state` (10,) is estimated attitude (4), rate (3) and torque (3); `target` (4,) is the commanded
+    attitude. `gains` is natural frequency (rad/s), damping ratio, slew limit (rad/s).
     """
     error = np.empty(3)
     rotation_vector_between(state[:4], target, error)
@@ -46,14 +46,14 @@ def compute_torque(state, target, gains, inertia, torque_max):
 
 
 @kernel()
-def propagate_attitude(state, increment, step):
+def propagate_attitude(state, angle_increment, step):
     """Propagate attitude and rate in `state` by a gyroscope increment (3,), rad.
 
     `step` is the sample period, s.
     """
-    rotate_quaternion(state[:4], increment)
+    rotate_quaternion(state[:4], angle_increment)
     for k in range(3):
-        state[4 + k] = increment[k] / step
+        state[4 + k] = angle_increment[k] / step
 
 
 @kernel()

@@ -30,7 +30,7 @@ class ThrusterAllocation:
     ----------
     thrusters
         Thruster layout.
-    without
+    excluded
         Indices of thrusters that must not be used.
 
     Attributes
@@ -43,11 +43,11 @@ class ThrusterAllocation:
         both directions of rotation.
     """
 
-    def __init__(self, thrusters: Thrusters, without: Sequence[int] = ()) -> None:
+    def __init__(self, thrusters: Thrusters, excluded: Sequence[int] = ()) -> None:
         self.thrusters = thrusters
         torques = thrusters.torques
         scale = float(np.abs(torques).max())
-        used = np.setdiff1d(np.arange(len(torques)), np.asarray(without, dtype=np.int64))
+        used = np.setdiff1d(np.arange(len(torques)), np.asarray(excluded, dtype=np.int64))
         _, first, group = np.unique(
             np.round(torques[used] / scale, 9), axis=0, return_index=True, return_inverse=True
         )
@@ -86,7 +86,7 @@ class ThrusterAllocation:
         return np.array(bases, dtype=np.int64), np.array(inverses)
 
     def _limits(self, axis: Array) -> tuple[float, float]:
-        """Return maximum torque (N m) and minimum impulse (N m s) along a unit vector."""
+        """Return maximum torque (N m) and minimum impulse (N m s) about a unit vector."""
         thrust_per_torque = self.group_thrust(axis)
         used = thrust_per_torque > 1e-12
         if not used.any():
@@ -109,7 +109,9 @@ class ThrusterAllocation:
             If the torque is not finite.
         """
         if not np.isfinite(torque).all():
-            raise InputError("control.torque", np.asarray(torque).tolist(), "must be finite, N m")
+            raise InputError(
+                "control.torque", np.asarray(torque).tolist(), "must be three finite numbers in N m"
+            )
         thrust = self._inverses @ torque
         # First basis whose cone holds the torque; rounding may leave small negative thrusts.
         best = int(np.argmax(thrust.min(axis=1) >= -1e-9 * max(1.0, float(np.abs(torque).max()))))

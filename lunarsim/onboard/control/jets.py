@@ -93,12 +93,12 @@ class JetLoop(AttitudeLoop):
         self._thrust = command.thrust
         self._com = self.vehicle.com(mass)
         self._arm = self.vehicle.engine.pivot_depth + float(self._com[2])
-        swing = self._gimbal_through_com()
-        if swing.any():
+        gimbal_angles = self._gimbal_through_com()
+        if gimbal_angles.any():
             # The gimballed engine does not push along body z: tilt the body in return.
-            self.target = quat_multiply(self.target, _align_thrust(swing))
+            self.target = quat_multiply(self.target, _align_thrust(gimbal_angles))
             if not self._started:
-                self.gimbal = swing
+                self.gimbal = gimbal_angles
         self._started = True
 
     def torque(self) -> Array:
@@ -116,11 +116,11 @@ class JetLoop(AttitudeLoop):
         east, north = float(self._com[0]), float(self._com[1])
         if self.vehicle.engine.gimbal_limit == 0.0 or self._arm <= 0.0:
             return np.zeros(2)
-        swing = np.array(
+        gimbal_angles = np.array(
             [-np.arctan2(north, np.hypot(east, self._arm)), np.arctan2(east, self._arm)]
         )
         limit = self.vehicle.engine.gimbal_limit
-        return np.asarray(np.clip(swing, -limit, limit))
+        return np.asarray(np.clip(gimbal_angles, -limit, limit))
 
     def _detect_failures(self) -> None:
         """Update the failure detector with the last period; stop using failed thrusters.
@@ -181,12 +181,12 @@ class JetLoop(AttitudeLoop):
         self.gimbal = np.clip(self.gimbal + swing, -engine.gimbal_limit, engine.gimbal_limit)
 
 
-def _align_thrust(swing: Array) -> Array:
+def _align_thrust(gimbal_angles: Array) -> Array:
     """Return the quaternion (4,) that rotates a gimballed engine's thrust onto body z.
 
-    `swing` (2,) are the gimbal angles about body x and y, rad.
+    `gimbal_angles` (2,) are the gimbal angles about body x and y, rad.
     """
-    x, y = swing
+    x, y = gimbal_angles
     push = np.array([np.sin(y) * np.cos(x), -np.sin(x), np.cos(y) * np.cos(x)])
     turn = np.array([push[1], -push[0], 0.0, 1.0 + push[2]])  # axis push x z, half the angle
     return np.asarray(turn / np.linalg.norm(turn))

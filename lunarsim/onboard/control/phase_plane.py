@@ -92,17 +92,19 @@ class PhasePlane:
             ]
         )
 
-    def _axis_rate_change(self, angle: float, rate: float, a: float, min_change: float) -> float:
+    def _axis_rate_change(
+        self, angle: float, rate: float, max_acceleration: float, min_change: float
+    ) -> float:
         """Return the commanded rate change about one axis, rad/s.
 
         `angle` (rad) is the estimated minus the commanded attitude, `rate` (rad/s) the angular
-        rate, `a` (rad/s^2) the maximum angular acceleration, and `min_change` (rad/s) the rate
-        change of the shortest pulse.
+        rate, `max_acceleration` (rad/s^2) the maximum angular acceleration, and `min_change`
+        (rad/s) the rate change of the shortest pulse.
         """
         if angle < 0.0 or (angle == 0.0 and rate < 0.0):
-            return -self._axis_rate_change(-angle, -rate, a, min_change)
+            return -self._axis_rate_change(-angle, -rate, max_acceleration, min_change)
         band = self.dead_band
-        stopping_angle = angle + rate * abs(rate) / (2.0 * a)
+        stopping_angle = angle + rate * abs(rate) / (2.0 * max_acceleration)
         if angle <= band:
             if rate > 0.0 and stopping_angle > band and rate > 0.5 * min_change:
                 return -max(
@@ -113,7 +115,9 @@ class PhasePlane:
             return 0.0
         # Plan with half of the authority, to allow for model errors. Just outside the band one
         # shortest pulse suffices.
-        return_rate = min(self.slew_limit, float(np.sqrt(a * max(angle - 1.25 * band, 0.0))))
+        return_rate = min(
+            self.slew_limit, float(np.sqrt(max_acceleration * max(angle - 1.25 * band, 0.0)))
+        )
         if rate > -max(return_rate, 0.1 * min_change):
             return -max(rate + return_rate + 0.5 * min_change, min_change)
         if -rate > return_rate + self.rate_band:

@@ -30,13 +30,13 @@ class ThrottleRegions:
         self.engine = engine
         self.is_full = False
 
-    def select_thrust(self, wanted: float) -> float:
+    def select_thrust(self, desired_thrust: float) -> float:
         """Return the allowed thrust command for a desired thrust, both in N."""
         e = self.engine
         if not e.has_gap:
-            return wanted
-        if wanted > e.gap_lower * (1.0 + _HYSTERESIS):
+            return desired_thrust
+        if desired_thrust > e.gap_lower * (1.0 + _HYSTERESIS):
             self.is_full = True
-        elif wanted < e.gap_lower * (1.0 - _HYSTERESIS):
+        elif desired_thrust < e.gap_lower * (1.0 - _HYSTERESIS):
             self.is_full = False
-        return e.gap_upper if self.is_full else min(wanted, e.gap_lower)
+        return e.gap_upper if self.is_full else min(desired_thrust, e.gap_lower)

@@ -10,18 +10,18 @@ from lunarsim._jit import kernel
 
 
 @kernel()
-def _rotation(q, out):
+def _rotation(quaternion, matrix):
     """Write the rotation matrix (3, 3) of a unit quaternion, scalar last."""
-    x, y, z, w = q
-    out[0, 0] = 1.0 - 2.0 * (y * y + z * z)
-    out[0, 1] = 2.0 * (x * y - w * z)
-    out[0, 2] = 2.0 * (x * z + w * y)
-    out[1, 0] = 2.0 * (x * y + w * z)
-    out[1, 1] = 1.0 - 2.0 * (x * x + z * z)
-    out[1, 2] = 2.0 * (y * z - w * x)
-    out[2, 0] = 2.0 * (x * z - w * y)
-    out[2, 1] = 2.0 * (y * z + w * x)
-    out[2, 2] = 1.0 - 2.0 * (x * x + y * y)
+    x, y, z, w = quaternion
+    matrix[0, 0] = 1.0 - 2.0 * (y * y + z * z)
+    matrix[0, 1] = 2.0 * (x * y - w * z)
+    matrix[0, 2] = 2.0 * (x * z + w * y)
+    matrix[1, 0] = 2.0 * (x * y + w * z)
+    matrix[1, 1] = 1.0 - 2.0 * (x * x + z * z)
+    matrix[1, 2] = 2.0 * (y * z - w * x)
+    matrix[2, 0] = 2.0 * (x * z - w * y)
+    matrix[2, 1] = 2.0 * (y * z + w * x)
+    matrix[2, 2] = 1.0 - 2.0 * (x * x + y * y)
 
 
 @kernel(inline=True)
@@ -29,7 +29,7 @@ def _read_sample(angle, velocity, n, step, last_sample):
     """Write rate and specific force of sample n to `last_sample` (6,), unless missing.
 
     The return value states whether the sample is present. `angle` (n, 3), rad, and `velocity` (n,
-    3), m/s, are increments over `step`, s.
+    3), m/s, are increments over `step`, s; a sample with NaN is missing.
     """
     good = True
     for k in range(3):
@@ -42,32 +42,34 @@ def _read_sample(angle, velocity, n, step, last_sample):
 
 
 @kernel(inline=True)
-def _write_transition(r, ra, w, step, phi):
+def _write_transition(rotation, rotated_force, rate, step, phi):
     """Write the state-transition matrix of the errors over a step to `phi` (15, 15).
 
-    `phi` starts as the identity. `r` is the attitude R (3, 3) in the middle of the step, `ra` is R
-    [a x] with specific force a, and `w` the rate (3,).
+    `phi` starts as the identity. `rotation` is the attitude matrix (3, 3) in the middle of the
+    step, `rotated_force` (3, 3) its product with the cross-product matrix of the specific force,
+    and `rate` (3,) the body rate.
     """
     for i in range(3):
         phi[i, 3 + i] = step
         phi[9 + i, 12 + i] = -step
         for j in range(3):
-            phi[i, 6 + j] = -0.5 * step * step * r[i, j]
-            phi[3 + i, 6 + j] = -step * r[i, j]
-            phi[i, 9 + j] = -0.5 * step * step * ra[i, j]
-            phi[3 + i, 9 + j] = -step * ra[i, j]
-            phi[3 + i, 12 + j] = 0.5 * step * step * ra[i, j]
-    phi[9, 10], phi[9, 11] = step * w[2], -step * w[1]
-    phi[10, 9], phi[10, 11] = -step * w[2], step * w[0]
-    phi[11, 9], phi[11, 10] = step * w[1], -step * w[0]
+            phi[i, 6 + j] = -0.5 * step * step * rotation[i, j]
+            phi[3 + i, 6 + j] = -step * rotation[i, j]
+            phi[i, 9 + j] = -0.5 * step * step * rotated_force[i, j]
+            phi[3 + i, 9 + j] = -step * rotated_force[i, j]
+            phi[3 + i, 12 + j] = 0.5 * step * step * rotated_force[i, j]
+    phi[9, 10], phi[9, 11] = step * rate[2], -step * rate[1]
+    phi[10, 9], phi[10, 11] = -step * rate[2], step * rate[0]
+    phi[11, 9], phi[11, 10] = step * rate[1], -step * rate[0]
 
 
 @kernel()
 def _random_walks(step, velocity, angle, accelerometer, gyroscope):
     """Return the variances that random walks of given densities add in one step.
 
-    The elements are position; position with velocity; velocity; attitude; accelerometer bias;
-    gyroscope bias.
+    The densities are those of velocity, angle, accelerometer bias and gyroscope bias. The results
+    are the variance of position, covariance of position and velocity, and variances of velocity,
+    attitude, accelerometer bias and gyroscope bias.
     """
     return (
         velocity**2 * step**3 / 3.0,
@@ -80,45 +82,30 @@ def _random_walks(step, velocity, angle, accelerometer, gyroscope):
 
 
 @kernel(inline=True)
-def _add_noise(walks, noise):
-    """Add the variances from `_random_walks` (6,) to an error covariance (15, 15)."""
+def _add_noise(variances, covariance):
+    """Add the variances (6,) from `_random_walks` to an error covariance (15, 15)."""
     for i in range(3):
-        noise[i, i] += walks[0]
-        noise[i, 3 + i] += walks[1]
-        noise[3 + i, i] += walks[1]
-        noise[3 + i, 3 + i] += walks[2]
-        noise[9 + i, 9 + i] += walks[3]
-        noise[6 + i, 6 + i] += walks[4]
-        noise[12 + i, 12 + i] += walks[5]
+        covariance[i, i] += variances[0]
+        covariance[i, 3 + i] += variances[1]
+        covariance[3 + i, i] += variances[1]
+        covariance[3 + i, 3 + i] += variances[2]
+        covariance[9 + i, 9 + i] += variances[3]
+        covariance[6 + i, 6 + i] += variances[4]
+        covariance[12 + i, 12 + i] += variances[5]
 
 
 @kernel()
-def propagate(state, last_sample, angle, velocity, step, gravity, density, blind):
+def propagate(state, last_sample, angle, velocity, step, gravity, density, density_without_samples):
     """Propagate state and errors with inertial samples (shadow EKF paper, Eqs. 2-6).
 
-    Parameters
-    ----------
-    state
-        Position, velocity, accelerometer bias, quaternion, gyroscope bias (16,).
-    last_sample
-        Last valid rate (rad/s) and specific force (m/s^2) (6,), updated in place; they are used
-        while samples are NaN.
-    angle, velocity
-        Increments (n, 3), rad and m/s.
-    step
-        Time between samples, s.
-    gravity
-        ENU (3,), m/s^2.
-    density
-        Random-walk densities of velocity, angle, accelerometer bias and gyroscope bias (4,).
-    blind
-        Random-walk densities of velocity and angle while samples are missing (2,).
-
-    Returns
-    -------
-    state, transition, noise
-        New state (16,), and transition (15, 15) and noise (15, 15) over all samples. Errors are in
-        the order of Eq. 1 of the paper, attitude as a small rotation in body axes.
+    `state` (16,) is position, velocity, accelerometer bias, quaternion, gyroscope bias. `angle`,
+    rad, and `velocity`, m/s (n, 3), are increments, `step` (s) the time between samples, and
+    `gravity` (3,) is in ENU, m/s^2. `last_sample` (6,) is the last valid rate (rad/s) and specific
+    force (m/s^2); it is updated in place and used while samples are NaN. `density` (4,) are the
+    random-walk densities of velocity, angle, accelerometer bias and gyroscope bias, and
+    `density_without_samples` (2,) those of velocity and angle while samples are missing. The
+    results are the new state (16,), and transition (15, 15) and noise (15, 15) over all samples.
+    Errors are in the order of Eq. 1 of the paper, attitude as a small rotation in body axes.
     """
     x = state.copy()
     total = np.eye(15)
@@ -147,7 +134,7 @@ def propagate(state, last_sample, angle, velocity, step, gravity, density, blind
         _write_transition(r, ra, w, step, phi)
         total = phi @ total
         noise = phi @ noise @ phi.T
-        white_v = density[0] if good else blind[0]
-        white_a = density[1] if good else blind[1]
+        white_v = density[0] if good else density_without_samples[0]
+        white_a = density[1] if good else density_without_samples[1]
         _add_noise(_random_walks(step, white_v, white_a, density[2], density[3]), noise)
     return x, total, noise

@@ -14,52 +14,54 @@ _MAX_ROWS, _MIN_EXTENT_M = 256, 1e-6
 
 
 @kernel(allocates=False)
-def _insert(i, d, count, chosen, away):
-    """Insert place i into the sorted list of nearest neighbours; return their number.
+def _insert(i, squared_distance, count, indices, squared_distances):
+    """Insert point i into a sorted list of nearest points; return the list's length.
 
-    `d` is the squared distance of the place and `count` the number of neighbours so far. At most as
-    many are kept as fit into `chosen` (k,), their indices, and `away` (k,), their squared
-    distances; of places at the same distance those with lower indices come first.
+    `count` is the length before, and `squared_distance` that of point i. `indices` (k,) and
+    `squared_distances` (k,) are the list, nearest first; if it is full, the farthest point is
+    dropped. Of points at the same distance those with lower indices come first.
     """
-    k = chosen.size
-    if count == k and not (d < away[k - 1] or (d == away[k - 1] and i < chosen[k - 1])):
+    k = indices.size
+    if count == k and not (
+        squared_distance < squared_distances[k - 1]
+        or (squared_distance == squared_distances[k - 1] and i < indices[k - 1])
+    ):
         return count
     at = count if count < k else k - 1
-    while at > 0 and (d < away[at - 1] or (d == away[at - 1] and i < chosen[at - 1])):
-        away[at], chosen[at] = away[at - 1], chosen[at - 1]
+    while at > 0 and (
+        squared_distance < squared_distances[at - 1]
+        or (squared_distance == squared_distances[at - 1] and i < indices[at - 1])
+    ):
+        squared_distances[at], indices[at] = squared_distances[at - 1], indices[at - 1]
         at -= 1
-    away[at], chosen[at] = d, i
+    squared_distances[at], indices[at] = squared_distance, i
     return min(count + 1, k)
 
 
 @kernel()
 def sort_by_square(east, north):
-    """Sort places, with coordinates `east` and `north` (n,), by grid square.
+    """Sort points by the square of a grid that they lie in.
 
-    Returns
-    -------
-    order
-        Indices of the places (n,), square by square, in their original order within each.
-    first
-        Start of each square in `order`, and the end (rows * cols + 1,). There is only one square if
-        there are few places, they lie on a line east or north, or one is not finite.
-    box
-        West and south edge, side, rows and columns (5,).
+    The coordinates of the points are `east` and `north` (n,), m. The results are the indices of the
+    points (n,), square by square, in their original order within each; the start of each square in
+    this order, and the end (rows * cols + 1,); and the grid (5,): west and south edge and side of a
+    square, m, rows and columns. There is only one square if there are few points, they lie on a
+    line east or north, or one is not finite.
     """
     n = len(east)
     west, south = east.min(), north.min()
     wide, high = east.max() - west, north.max() - south
-    box = np.array([west, south, np.inf, 1.0, 1.0])
+    grid = np.array([west, south, np.inf, 1.0, 1.0])
     if n > _MAX_UNDIVIDED and _MIN_EXTENT_M < wide < np.inf and _MIN_EXTENT_M < high < np.inf:
         side = max(np.sqrt(wide * high * _PLACES_PER_SQUARE / n), max(wide, high) / _MAX_ROWS)
-        box[2], box[3], box[4] = side, np.floor(high / side) + 1.0, np.floor(wide / side) + 1.0
-    rows, cols = int(box[3]), int(box[4])
+        grid[2], grid[3], grid[4] = side, np.floor(high / side) + 1.0, np.floor(wide / side) + 1.0
+    rows, cols = int(grid[3]), int(grid[4])
     first = np.zeros(rows * cols + 1, np.int64)
     square = np.zeros(n, np.int64)
     if rows * cols > 1:
         for i in range(n):
-            row = min(int((north[i] - south) / box[2]), rows - 1)
-            square[i] = row * cols + min(int((east[i] - west) / box[2]), cols - 1)
+            row = min(int((north[i] - south) / grid[2]), rows - 1)
+            square[i] = row * cols + min(int((east[i] - west) / grid[2]), cols - 1)
     for i in range(n):
         first[square[i] + 1] += 1
     for s in range(rows * cols):
@@ -69,44 +71,46 @@ def sort_by_square(east, north):
     for i in range(n):
         order[to[square[i]]] = i
         to[square[i]] += 1
-    return order, first, box
+    return order, first, grid
 
 
 @kernel(allocates=False)
-def _search_square(row, col, cols, east, north, x, y, order, first, count, chosen, away):
-    """Insert the places of one grid square into the neighbours; return their number.
+def _search_square(
+    row, col, cols, east, north, x, y, order, first, count, indices, squared_distances
+):
+    """Insert the points of one grid square into the list of nearest points.
 
-    The square is given by `row` and `col` of `cols` columns, the point by `x` and `y`. The other
-    parameters are those of `sort_by_square` and `_insert`.
+    The return value is the list's length. The square is given by `row` and `col` of `cols` columns;
+    distances are from (`x`, `y`). The other parameters are those of `sort_by_square` and `_insert`.
     """
     square = row * cols + col
-    for at in range(first[square], first[square + 1]):
-        i = order[at]
+    for k in range(first[square], first[square + 1]):
+        i = order[k]
         dx, dy = east[i] - x, north[i] - y
-        count = _insert(i, dx * dx + dy * dy, count, chosen, away)
+        count = _insert(i, dx * dx + dy * dy, count, indices, squared_distances)
     return count
 
 
 @kernel(allocates=False)
-def nearest(east, north, x, y, squares, chosen, away):
-    """Write the places nearest to a finite point (x, y), nearest first.
+def find_nearest(east, north, x, y, squares, indices, squared_distances):
+    """Find the k points nearest to (x, y), nearest first, in a grid of squares.
 
-    Their indices are written to `chosen` (k,) and the squared distances to `away` (k,). If there
-    are fewer than k places, the remaining elements stay unchanged. Of places at the same distance
-    those with lower indices come first. `squares` is the result of `sort_by_square` for the
-    coordinates `east` and `north` (n,). Squares are searched in rings about the point's square, or
-    the square nearest to the point; places in ring n are at least n - 1 sides away.
+    Their indices are written to `indices` (k,) and the squared distances to `squared_distances`
+    (k,); the return value is their number. If there are fewer than k points, the remaining elements
+    stay unchanged. Of points at the same distance those with lower indices come first. `squares` is
+    the result of `sort_by_square` for the coordinates `east` and `north` (n,). Squares are searched
+    in rings about (x, y); points in ring n are at least n - 1 sides away.
     """
-    order, first, box = squares
-    side, rows, cols = box[2], int(box[3]), int(box[4])
+    order, first, grid = squares
+    side, rows, cols = grid[2], int(grid[3]), int(grid[4])
     row = col = count = 0
     if rows * cols > 1:
-        col = int(min(max((x - box[0]) / side, 0.0), cols - 1.0))
-        row = int(min(max((y - box[1]) / side, 0.0), rows - 1.0))
+        col = int(min(max((x - grid[0]) / side, 0.0), cols - 1.0))
+        row = int(min(max((y - grid[1]) / side, 0.0), rows - 1.0))
     for ring in range(max(rows, cols)):
-        if count == chosen.size and ring > 0:
-            least = (ring - 1) * side
-            if away[count - 1] < least * least:
+        if count == indices.size and ring > 0:
+            min_distance = (ring - 1) * side
+            if squared_distances[count - 1] < min_distance * min_distance:
                 break
         for i in range(max(row - ring, 0), min(row + ring, rows - 1) + 1):
             edge = i == row - ring or i == row + ring
@@ -114,6 +118,17 @@ def nearest(east, north, x, y, squares, chosen, away):
             for j in range(col - ring, col + ring + 1, step):
                 if 0 <= j < cols:
                     count = _search_square(
-                        i, j, cols, east, north, x, y, order, first, count, chosen, away
+                        i,
+                        j,
+                        cols,
+                        east,
+                        north,
+                        x,
+                        y,
+                        order,
+                        first,
+                        count,
+                        indices,
+                        squared_distances,
                     )
     return count

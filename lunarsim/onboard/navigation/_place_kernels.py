@@ -9,32 +9,32 @@ from lunarsim._jit import kernel
 
 
 @kernel(finite=True)
-def evidence(shown, negative_log_density, known, height, weight, sharpness, level, floor, row, col):
-    """Return the log-likelihood ratios of a scanned tile at places on a map.
+def tile_log_likelihoods(
+    map_height,
+    map_negative_log_density,
+    map_known,
+    tile_height,
+    tile_weight,
+    half_inverse_variance,
+    peak_log_density,
+    min_ratio,
+    row,
+    col,
+):
+    """Return the log-likelihood ratio of a scanned tile at each of n places on a map.
 
-    Parameters
-    ----------
-    shown, negative_log_density, known
-        Map (rows, cols): heights above the local planes, m; negative logarithm of the density of
-        such heights, density in 1/m; 1 where known, else 0.
-    height, weight, sharpness, level
-        Tile (r, c): heights above the local planes, m; 1 where known, else 0; inverse of twice the
-        variance of a residual, 1/m^2; logarithm of the residual's density at 0, density in 1/m.
-    floor
-        Minimum log-likelihood ratio of a grid point.
-    row, col
-        Row and column of the map grid point below the first grid point of the tile (n,); can be off
-        the map.
-
-    Returns
-    -------
-    ratio, covered
-        Sum of the log-likelihood ratios of the grid points, and number of compared grid points
-        (n,).
+    `map_height`, `map_negative_log_density` and `map_known` (rows, cols) are heights above the
+    local planes, m, the negative logarithm of their density over the map, and 1 where known, else
+    0. `tile_height`, `tile_weight`, `half_inverse_variance` and `peak_log_density` (r, c) describe
+    the tile: heights above the local planes, m; 1 where known, else 0; 1 / (2 variance) of the
+    height residual, 1/m^2; logarithm of the residual's density at 0. Densities are in 1/m.
+    `min_ratio` is the minimum log-likelihood ratio of a grid point. `row` and `col` (n,) locate the
+    map grid point below the tile's first grid point; they can lie off the map. The results are the
+    sum of the ratios over the grid points (n,), and the number of compared grid points (n,).
     """
     n = row.size
-    rows, cols = shown.shape
-    high, wide = height.shape
+    rows, cols = map_height.shape
+    high, wide = tile_height.shape
     ratio = np.zeros(n)
     covered = np.zeros(n)
     for i in range(n):
@@ -44,20 +44,20 @@ def evidence(shown, negative_log_density, known, height, weight, sharpness, leve
         for r in range(max(0, -row[i]), min(high, rows - row[i])):
             if last <= first:
                 break
-            here = slice(col[i] + first, col[i] + last)
+            shared = slice(col[i] + first, col[i] + last)
             # Row views with non-negative indices let the compiler vectorise the loop.
             s, b, k = (
-                shown[row[i] + r, here],
-                negative_log_density[row[i] + r, here],
-                known[row[i] + r, here],
+                map_height[row[i] + r, shared],
+                map_negative_log_density[row[i] + r, shared],
+                map_known[row[i] + r, shared],
             )
-            h, w = height[r, first:last], weight[r, first:last]
-            q, p = sharpness[r, first:last], level[r, first:last]
+            h, w = tile_height[r, first:last], tile_weight[r, first:last]
+            q, p = half_inverse_variance[r, first:last], peak_log_density[r, first:last]
             for c in range(last - first):
                 d = s[c] - h[c]
-                both = w[c] * k[c]
-                total += both * max(b[c] + p[c] - d * d * q[c], floor)
-                count += both
+                is_compared = w[c] * k[c]
+                total += is_compared * max(b[c] + p[c] - d * d * q[c], min_ratio)
+                count += is_compared
         ratio[i] = total
         covered[i] = count
     return ratio, covered

@@ -18,17 +18,13 @@ def _no_squares():
 
 
 @kernel()
-def average(points, x0, y0, posting, least):
+def average_points(points, x0, y0, posting, min_count):
     """Average scan points (n, 3) over the squares of a grid.
 
     The square (0, 0) is centred at `x0`, `y0`, and squares have the side `posting`, m. NaN points,
-    and squares with fewer than `least` points, are omitted.
-
-    Returns
-    -------
-    column, row, mean, count
-        Values per square (m,), (m,), (m, 3), (m,), row by row; columns and rows can be negative or
-        outside the map.
+    and squares with fewer than `min_count` points, are omitted. The results are the column (m,),
+    row (m,), mean point (m, 3) and number of points (m,) of each square, row by row; columns and
+    rows can be negative or outside the map.
     """
     n = points.shape[0]
     col = np.empty(n, np.int64)
@@ -62,7 +58,7 @@ def average(points, x0, y0, posting, least):
             sums[s, k] += points[i, k]
     m = 0
     for s in range(count.size):
-        if count[s] >= least:
+        if count[s] >= min_count:
             m += 1
     out_col = np.empty(m, np.int64)
     out_row = np.empty(m, np.int64)
@@ -70,7 +66,7 @@ def average(points, x0, y0, posting, least):
     number = np.empty(m, np.int64)
     m = 0
     for s in range(count.size):
-        if count[s] >= least:
+        if count[s] >= min_count:
             out_col[m] = west + s % wide
             out_row[m] = south + s // wide
             number[m] = count[s]
@@ -81,17 +77,13 @@ def average(points, x0, y0, posting, least):
 
 
 @kernel()
-def surface(col, row, mean, x0, y0, posting, centre_tolerance):
+def centre_heights(col, row, mean, x0, y0, posting, centre_tolerance):
     """Extrapolate mean heights to the square centres along slopes between neighbours.
 
-    `col`, `row` (n,) and `mean` (n, 3) are the result of `average`, for a grid with origin `x0`,
-    `y0` and squares with the side `posting`, m.
-
-    Returns
-    -------
-    height, slope, good
-        Height (n,) and slope (n, 2) at the centres; `good` (n,) marks squares with neighbours on
-        all four sides and evenly distributed points (mean within `centre_tolerance` of the centre).
+    `col`, `row` (n,) and `mean` (n, 3) are the result of `average_points`, for a grid with origin
+    `x0`, `y0` and squares with the side `posting`, m. The results are height (n,) and slope (n, 2)
+    at the centres, and `good` (n,): whether the square has neighbours on all four sides and its
+    mean point lies within `centre_tolerance` of the centre.
     """
     m = col.size
     height = np.empty(m)
@@ -128,21 +120,14 @@ def surface(col, row, mean, x0, y0, posting, centre_tolerance):
 
 
 @kernel()
-def scan_jacobian(points, normals, position, rotation, aim, velocity, rate):
-    """Return the Jacobian (n, 11) of scan points along vectors, for scan errors.
+def scan_jacobian(points, vectors, position, body_rotation, sensor_rotation, velocity, rate):
+    """Return the Jacobian (n, 11) of scan points by scan errors, along given vectors.
 
-    Errors: position, small rotation (body axes), range, boresight (sensor axes), latency.
-
-    Parameters
-    ----------
-    points, normals
-        Points and vectors (n, 3).
-    position, velocity
-        Position (3,), m, and velocity (3,), m/s, of the lander in the frame of the points.
-    rotation, aim
-        Rotation matrices from body and from sensor axes to that frame (3, 3).
-    rate
-        Body rate (3,), rad/s.
+    The errors are position, small rotation (body axes), range, boresight (sensor axes) and latency.
+    Row i is the displacement of `points` i by each error, projected on `vectors` i; both are (n,
+    3). `position` (3,), m, and `velocity` (3,), m/s, are those of the lander in the frame of the
+    points; `body_rotation` and `sensor_rotation` (3, 3) turn body and sensor axes into that frame;
+    `rate` (3,) is the body rate, rad/s.
     """
     out = np.empty((len(points), 11))
     away, turn = np.empty(3), np.empty(3)
@@ -151,17 +136,17 @@ def scan_jacobian(points, normals, position, rotation, aim, velocity, rate):
         for k in range(3):
             away[k] = points[i, k] - position[k]
             reach += away[k] * away[k]
-            along += away[k] * normals[i, k]
-            late += velocity[k] * normals[i, k]
-            out[i, k] = normals[i, k]
+            along += away[k] * vectors[i, k]
+            late += velocity[k] * vectors[i, k]
+            out[i, k] = vectors[i, k]
         for k in range(3):
             a, b = (k + 1) % 3, (k + 2) % 3
-            turn[k] = away[a] * normals[i, b] - away[b] * normals[i, a]
+            turn[k] = away[a] * vectors[i, b] - away[b] * vectors[i, a]
         for k in range(3):
             body = sensor = 0.0
             for j in range(3):
-                body += turn[j] * rotation[j, k]
-                sensor += turn[j] * aim[j, k]
+                body += turn[j] * body_rotation[j, k]
+                sensor += turn[j] * sensor_rotation[j, k]
             out[i, 3 + k], out[i, 7 + k] = body, sensor
             late += body * rate[k]
         out[i, 6] = along / max(np.sqrt(reach), 1e-9)

@@ -21,7 +21,7 @@ def add_outer_products(p, w):
 
 
 @kernel(parallel=True)
-def subtract_few(p, w, states):
+def subtract_square_from_rows(p, w, states):
     """Subtract w' w from the rows `states` (s,) of the covariance p (n, n), in place.
 
     `w` is (m, n). This is done row by row, which is limited by memory access for small m. The block
@@ -37,10 +37,10 @@ def subtract_few(p, w, states):
 
 
 @kernel()
-def subtract_from_rows(p, product, states):
-    """Subtract the rows of `product` (k, n) from rows `states` (k,) of p, in place.
+def subtract_product_from_rows(p, product, states):
+    """Subtract the matrix `product` (k, n) from rows of a covariance, in place.
 
-    `p` (n, n) is a covariance matrix.
+    `states` (k,) are the indices of the rows in the covariance p (n, n).
     """
     for k in range(states.size):
         row = p[states[k]]
@@ -80,24 +80,24 @@ def mirror_lower(p, states):
 
 
 @kernel(parallel=True)
-def measured_rows(p, size, pose, by_pose, columns, by_rock):
-    """Return the products (2 n, size) of rock-pixel Jacobians with a covariance.
+def multiply_pixel_jacobians(p, size, pose_indices, by_pose, rock_indices, by_rock):
+    """Multiply rock-pixel Jacobians H by a covariance P; return H P (2 n, size).
 
-    Each of the n rocks has two rows, for its two pixel coordinates. The only non-zero entries of
-    the Jacobians are the derivatives `by_pose` (n, 2, 6) with respect to the lander's pose and
-    `by_rock` (n, 2, 3) with respect to the rock's position. `pose` (6,) and `columns` (n, 3) are
-    the indices of these errors in the covariance `p`; `size` is the number of errors.
+    Each of the n rocks has two rows, for its two pixel coordinates. The only non-zero entries of H
+    are the derivatives `by_pose` (n, 2, 6) with respect to the lander's pose and `by_rock` (n, 2,
+    3) with respect to the rock's position. `pose_indices` (6,) and `rock_indices` (n, 3) locate
+    these errors in P (`p`); `size` is the number of errors.
     """
-    out = np.empty((2 * len(columns), size))
-    for k in prange(2 * len(columns)):
+    out = np.empty((2 * len(rock_indices), size))
+    for k in prange(2 * len(rock_indices)):
         rock = k // 2
         axis = k % 2
         a0, a1, a2 = by_pose[rock, axis, 0], by_pose[rock, axis, 1], by_pose[rock, axis, 2]
         a3, a4, a5 = by_pose[rock, axis, 3], by_pose[rock, axis, 4], by_pose[rock, axis, 5]
         b0, b1, b2 = by_rock[rock, axis, 0], by_rock[rock, axis, 1], by_rock[rock, axis, 2]
-        p0, p1, p2 = p[pose[0]], p[pose[1]], p[pose[2]]
-        p3, p4, p5 = p[pose[3]], p[pose[4]], p[pose[5]]
-        q0, q1, q2 = p[columns[rock, 0]], p[columns[rock, 1]], p[columns[rock, 2]]
+        p0, p1, p2 = p[pose_indices[0]], p[pose_indices[1]], p[pose_indices[2]]
+        p3, p4, p5 = p[pose_indices[3]], p[pose_indices[4]], p[pose_indices[5]]
+        q0, q1, q2 = p[rock_indices[rock, 0]], p[rock_indices[rock, 1]], p[rock_indices[rock, 2]]
         row = out[k]
         for j in range(size):
             row[j] = (

@@ -133,13 +133,7 @@ def _speed_block(sensor: str) -> str:
 
 
 def check_scalar_reading(sensor: str, reading: AltimeterReading) -> None:
-    """Check that an altimeter reading is one range and one standard deviation.
-
-    Raises
-    ------
-    InputError
-        If either is an array.
-    """
+    """Raise an `InputError` unless an altimeter reading has one range and one sigma."""
     for name in ("range", "sigma"):
         shape = np.shape(getattr(reading, name))
         if shape:
@@ -214,7 +208,7 @@ class AidingMeasurements:
         return self._has_contradiction or any(monitor.lost for monitor in self._monitors.values())
 
     @property
-    def watches(self) -> dict[str, InnovationMonitor]:
+    def monitors(self) -> dict[str, InnovationMonitor]:
         """Innovation monitors by "SENSOR KIND", for example "altimeter range"."""
         return {f"{sensor} {kind}": monitor for (sensor, kind), monitor in self._monitors.items()}
 
@@ -227,7 +221,7 @@ class AidingMeasurements:
         self._last_position = here.copy()
         if np.isfinite(moved):
             at = [self.state.block(TERRAIN).start]
-            self.state.widen(at, self.terrain_prior.growth * moved)
+            self.state.add_process_noise(at, self.terrain_prior.growth * moved)
 
     def check_sensor_biases(self) -> None:
         """Declare navigation lost if an estimated bias contradicts its specification.
@@ -326,14 +320,14 @@ class AidingMeasurements:
         if self.state.has(block):
             own = np.arange(self.state.block(block).start, self.state.block(block).stop)
             random_walk = self._speed_errors[sensor][1]
-            self.state.widen(own, random_walk**2 * (time - last) * np.eye(len(own)))
+            self.state.add_process_noise(own, random_walk**2 * (time - last) * np.eye(len(own)))
 
     def _speed(self, sensor: str, k: int, reading: DopplerReading, beams: Array) -> UpdateOutcome:
         one, block = slice(k, k + 1), _speed_block(sensor)
         own: dict[str, Any] = {}
         if self.state.has(block):
             place, value = self.state.block(block).start + k, self.state.value(block)[one]
-            own = {"biases": [place], "known": value}
+            own = {"bias_indices": [place], "bias_estimates": value}
         return update_with_speeds(
             self.state,
             reading.speed[one],
@@ -360,7 +354,7 @@ class AidingMeasurements:
                 )
         outcome = update_with_range(
             self.state, distance, sigma, beam, self.terrain_prior.elevation, block=block,
-            part=number, terrain_variance=terrain_variance, gate=innovation_gate(1),
+            index=number, terrain_variance=terrain_variance, gate=innovation_gate(1),
         )  # fmt: skip
         self.record_outcome(sensor, "range", outcome, columns, _MAX_HEIGHT_SIGMA_M, time)
 
@@ -380,13 +374,12 @@ class AidingMeasurements:
         """Move a beam's terrain-height state to its current footprint; return its index.
 
         `number` is the index of the beam among the beams of the sensor; `beam` (3,) is its
-        direction in body axes. A slanted beam meets the terrain beside the lander, at another
-        height than below the lander, and almost at the same point in the next reading. If this
-        height difference were white noise, some hundred readings would average it away, and terrain
-        slopes would be taken for a tilt of the lander. The new height is a weighted mean of the
-        last footprint's height and the height below the lander. The weight of the last footprint's
-        height decays with the distance between the footprints, relative to the distance from the
-        lander.
+        direction in body axes. The new height is a weighted mean of the height at the last
+        footprint and the height below the lander; the weight of the last one decays with the
+        distance between the footprints, relative to their distance from the lander. Without such a
+        state, the height difference between a slanted beam's footprint and the terrain below the
+        lander would be averaged away like white noise, and terrain slopes would be taken for a tilt
+        of the lander.
         """
         state, offset = self.state, self._footprint_offset(beam)
         footprint, distance = state.inertial.position[:2] + offset, float(np.hypot(*offset))
@@ -400,7 +393,7 @@ class AidingMeasurements:
         value = state.value(block)
         value[number] = weight * value[number] + (1.0 - weight) * float(state.value(TERRAIN)[0])
         weights = np.array([weight, 1.0 - weight])
-        state.follow(
+        state.replace_by_sum(
             at,
             np.array([at, below]),
             weights,
@@ -416,7 +409,7 @@ class AidingMeasurements:
         the estimate, that beam is excluded. The variances of velocity and accelerometer bias are
         increased by the effect that the fault may have had.
         """
-        monitors = {k: self._monitor(sensor, _of_beam(k)) for k in outcomes}
+        monitors = {k: self._monitor(sensor, _beam_kind(k)) for k in outcomes}
         before = {k: monitor.lost for k, monitor in monitors.items()}
         results = {k: monitor.record(time, outcomes[k]) for k, monitor in monitors.items()}
         alarms = [k for k, result in results.items() if result is not MonitorResult.CONSISTENT]
@@ -430,18 +423,18 @@ class AidingMeasurements:
         if is_single and has_history and len(outcomes) >= _MIN_BEAMS:
             self._excluded.add((sensor, alarms[0]))
             monitors[alarms[0]].lost = False
-            self.state.widen(
+            self.state.add_process_noise(
                 np.arange(VELOCITY.start, VELOCITY.stop), _FAULT_VELOCITY_M_S**2 * np.eye(3)
             )
             bias = np.arange(ACCELEROMETER.start, ACCELEROMETER.stop)
             self.state.raise_variances(bias, self.state.inertial.bias_sigma[0])
-            self._add_event(time, "beam-excluded", sensor, _of_beam(alarms[0]))
+            self._add_event(time, "beam-excluded", sensor, _beam_kind(alarms[0]))
             return
         columns = np.r_[VELOCITY.start : VELOCITY.stop, ATTITUDE.start : ATTITUDE.stop]
         max_sigma = np.repeat([_MAX_SPEED_SIGMA_M_S, _MAX_ATTITUDE_SIGMA_RAD], 3)
         for k in alarms:
             self._respond(
-                sensor, _of_beam(k), results[k], columns, max_sigma, time, before=before[k]
+                sensor, _beam_kind(k), results[k], columns, max_sigma, time, was_lost=before[k]
             )
 
     def _monitor(self, sensor: str, kind: str) -> InnovationMonitor:
@@ -458,7 +451,7 @@ class AidingMeasurements:
         max_sigma: Any,
         time: float,
         *,
-        drifting: tuple[NDArray[np.int64], Any] | None = None,
+        drift_cause: tuple[NDArray[np.int64], Any] | None = None,
     ) -> MonitorResult:
         """Monitor the outcome of a measurement, and inflate the covariance after an alarm.
 
@@ -469,7 +462,7 @@ class AidingMeasurements:
         columns, max_sigma
             Indices (k,) of the errors that the measurement depends on, and their maximum standard
             deviations after an inflation.
-        drifting
+        drift_cause
             Errors (j,) that can explain a drift, and the standard deviations (j,) that they are
             raised to; default: a bias of the inertial unit.
 
@@ -479,22 +472,36 @@ class AidingMeasurements:
             Result of the monitor; the method has already responded to it.
         """
         monitor = self._monitor(sensor, kind)
-        before = monitor.lost
+        was_lost = monitor.lost
         result = monitor.record(time, outcome)
         self._respond(
-            sensor, kind, result, columns, max_sigma, time, before=before, drifting=drifting
+            sensor,
+            kind,
+            result,
+            columns,
+            max_sigma,
+            time,
+            was_lost=was_lost,
+            drift_cause=drift_cause,
         )
         return result
 
     def _respond(
-        self, sensor: str, kind: str, result: MonitorResult, columns: NDArray[np.int64],
-        max_sigma: Any, time: float, *, before: bool,
-        drifting: tuple[NDArray[np.int64], Any] | None = None,
-    ) -> None:  # fmt: skip
+        self,
+        sensor: str,
+        kind: str,
+        result: MonitorResult,
+        columns: NDArray[np.int64],
+        max_sigma: Any,
+        time: float,
+        *,
+        was_lost: bool,
+        drift_cause: tuple[NDArray[np.int64], Any] | None = None,
+    ) -> None:
         """Inflate the covariance and record events according to the result of a monitor.
 
-        `before` states whether the monitor was `lost` before the measurement. The other parameters
-        are those of `record_outcome`.
+        `was_lost` states whether the monitor was `lost` before the measurement. The other
+        parameters are those of `record_outcome`.
         """
         monitor = self._monitor(sensor, kind)
         if result is MonitorResult.DRIFT:
@@ -502,23 +509,26 @@ class AidingMeasurements:
             # correct the other errors by their old correlations.
             place, sigma = _BIASES.get(kind.split(maxsplit=1)[0], (slice(0), 0.0))
             own = np.arange(place.start or 0, place.stop), sigma
-            self.state.raise_variances(*(own if drifting is None else drifting))
+            self.state.raise_variances(*(own if drift_cause is None else drift_cause))
             self._add_event(time, "drift", sensor, kind)
-            if monitor.lost and not before:
+            if monitor.lost and not was_lost:
                 self._add_event(time, "lost", sensor, kind)
         elif result is not MonitorResult.CONSISTENT:
             growth = float(np.clip(monitor.nis_ratio, _MIN_GROWTH, _MAX_GROWTH))
             self.state.inflate(columns, growth, max_sigma)
-            if result is MonitorResult.INFLATE or not before:
+            if result is MonitorResult.INFLATE or not was_lost:
                 name = "covariance-inflated" if result is MonitorResult.INFLATE else "lost"
                 self._add_event(time, name, sensor, kind)
-        elif before and not monitor.lost:
+        elif was_lost and not monitor.lost:
             self._add_event(time, "recovered", sensor, kind)
 
     def _add_event(self, time: float, name: str, sensor: str, kind: str) -> None:
         self._events.append(NavigationEvent(time, name, {"sensor": sensor, "measurement": kind}))
 
 
-def _of_beam(number: int) -> str:
-    """Return the monitor's name of a beam's speed; beams are counted from 1."""
+def _beam_kind(number: int) -> str:
+    """Return the name of a velocimeter beam's speed as a kind of measurement.
+
+    Beams are counted from 0 in `number`, from 1 in the name.
+    """
     return f"speed of beam {number + 1}"

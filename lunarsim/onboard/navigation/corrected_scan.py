@@ -67,28 +67,26 @@ class CorrectedScan:
     rate: Array
 
     @classmethod
-    def of(cls, scan: LidarScan, own: StrapdownState, scanner: Array) -> CorrectedScan:
-        """Return a scan at the estimated lander state, corrected by scanner errors.
+    def of(cls, scan: LidarScan, state: StrapdownState, scanner_errors: Array) -> CorrectedScan:
+        """Return a scan with the estimated pose, corrected for estimated scanner errors.
 
-        `own` is the state; `scanner` (5,) are the estimated errors of range (m), boresight (3, rad)
-        and latency (s).
+        `state` is the estimated state of the lander; `scanner_errors` (5,) are the errors of range
+        (m), boresight (3, rad) and latency (s).
         """
         corrected = cls(
-            scan, own.position.copy(), own.attitude.copy(), own.velocity.copy(), own.rate
+            scan, state.position.copy(), state.attitude.copy(), state.velocity.copy(), state.rate
         )
         return (
-            corrected.moved(np.concatenate((np.zeros(6), scanner))) if scanner.any() else corrected
+            corrected.moved(np.concatenate((np.zeros(6), scanner_errors)))
+            if scanner_errors.any()
+            else corrected
         )
 
-    def turned(self, rotation: Array, attitude: Array, position: Array) -> CorrectedScan:
-        """Return the scan transformed to another frame.
+    def transformed(self, rotation: Array, attitude: Array, position: Array) -> CorrectedScan:
+        """Return the scan in another frame.
 
-        Parameters
-        ----------
-        rotation
-            Rotation matrix from this frame to the other (3, 3).
-        attitude, position
-            Quaternion of the same rotation (4,), and origin of this frame in the other (3,).
+        `rotation` (3, 3) and `attitude` (4,) are the rotation from this frame to the other, as a
+        matrix and as a quaternion; `position` (3,), m, is the origin of this frame in the other.
         """
         return replace(
             self,
@@ -123,16 +121,17 @@ class CorrectedScan:
         """Return the Jacobian of a point (3,) with respect to the scan's errors (3, 11)."""
         return self.jacobian(np.broadcast_to(point, (3, 3)), np.eye(3))
 
-    def jacobian(self, points: Array, normals: Array) -> Array:
-        """Return the Jacobian (n, 11) of points along vectors, with respect to the errors.
+    def jacobian(self, points: Array, vectors: Array) -> Array:
+        """Return the Jacobian (n, 11) of points by the scan's errors, along given vectors.
 
-        Points and vectors (`normals`) are (n, 3). With normals (-dz/dx, -dz/dy, 1) this is the
-        Jacobian of the terrain height at fixed horizontal positions.
+        Row i is the displacement of `points` i by each error, projected on `vectors` i; both are
+        (n, 3). With vectors (-dz/dx, -dz/dy, 1) this is the Jacobian of the terrain height at fixed
+        horizontal positions.
         """
         rotation = quat_to_matrix(self.attitude)
         return np.asarray(
             kernels.scan_jacobian(
-                np.ascontiguousarray(points), np.ascontiguousarray(normals), self.position,
+                np.ascontiguousarray(points), np.ascontiguousarray(vectors), self.position,
                 rotation, rotation @ self.scan.mount, self.velocity, self.rate,
             )
         )  # fmt: skip

@@ -55,20 +55,20 @@ def inflate(p: Array, columns: ArrayLike, factor: float, max_sigma: ArrayLike) -
     p[np.ix_(at, at)] = covariance + (np.outer(scale, scale) - 1.0) * residual
 
 
-def _explained_covariance(p: Array, at: Index) -> Array:
+def _explained_covariance(p: Array, indices: Index) -> Array:
     """Return the covariance (k, k) of some errors explained by all other errors.
 
-    This is the covariance of the regression of the errors `at` (k,) on the others; `p` (n, n) is
-    the covariance of all errors.
+    This is the covariance of the regression of the errors `indices` (k,) on the others; `p` (n, n)
+    is the covariance of all errors.
     """
-    others = np.setdiff1d(np.arange(len(p)), at)
+    others = np.setdiff1d(np.arange(len(p)), indices)
     unit = np.sqrt(np.maximum(p.diagonal()[others], 1e-300))
-    cross = p[np.ix_(at, others)] / unit
+    cross = p[np.ix_(indices, others)] / unit
     correlation = p[np.ix_(others, others)] / np.outer(unit, unit)
     correlation.flat[:: len(others) + 1] += _REGULARISATION
     try:
         explained = cross @ cho_solve(cho_factor(correlation), cross.T)
     except (np.linalg.LinAlgError, ValueError):
         # Not positive definite or not finite: all later measurements are rejected in any case.
-        return np.zeros((len(at), len(at)))
+        return np.zeros((len(indices), len(indices)))
     return np.asarray(0.5 * (explained + explained.T))

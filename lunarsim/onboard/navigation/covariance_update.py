@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from lunarsim._jit import threads_for
 from lunarsim.onboard.navigation._rock_filter_kernels import (
     mirror_lower,
-    subtract_few,
-    subtract_from_rows,
+    subtract_product_from_rows,
+    subtract_square_from_rows,
 )
 
 Array = NDArray[np.float64]
@@ -43,7 +43,7 @@ def subtract_square(p: Array, w: Array) -> None:
         p[start:stop, start:] -= w[:, start:stop].T @ w[:, start:]
         p[stop:, start:stop] = p[start:stop, stop:].T
 
-    _share(subtract, range(0, n, _BLOCK))
+    _run_in_threads(subtract, range(0, n, _BLOCK))
 
 
 def subtract_rows(p: Array, w: Array, states: Index) -> None:
@@ -55,20 +55,20 @@ def subtract_rows(p: Array, w: Array, states: Index) -> None:
     """
     if len(w) <= _FEW:
         with threads_for(4e-4 * len(w) * len(states) * len(p)):
-            subtract_few(p, w, states)
+            subtract_square_from_rows(p, w, states)
         return
     own = np.ascontiguousarray(w[:, states].T)
 
     def subtract(start: int) -> None:
         block = slice(start, start + _ROWS)
-        subtract_from_rows(p, own[block] @ w, states[block])
+        subtract_product_from_rows(p, own[block] @ w, states[block])
 
-    _share(subtract, range(0, len(states), _ROWS))
+    _run_in_threads(subtract, range(0, len(states), _ROWS))
     with threads_for(1e-3 * len(states) ** 2):
         mirror_lower(p, states)
 
 
-def _share(job: Callable[[int], None], starts: range) -> None:
+def _run_in_threads(job: Callable[[int], None], starts: range) -> None:
     """Run a function for each start index, distributed over the kernels' threads."""
     threads = numba.get_num_threads()
     if threads == 1 or len(starts) == 1:

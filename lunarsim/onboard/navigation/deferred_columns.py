@@ -1,11 +1,11 @@
 """Deferred update of covariance columns until they are read.
 
 The covariance block of the frozen errors does not change, but their correlations with the other
-errors change with each measurement (`SchmidtKalmanCovariance.rest`). These correlations are stored
-twice: in the rows of the other errors, which are contiguous in memory, and in their columns, where
-each entry costs a cache line. Therefore only the rows are updated. The columns are copied when the
-rows of frozen errors are read. If an error is frozen or released, only a few columns must be
-copied.
+errors change with each measurement (`SchmidtKalmanCovariance.freeze_tail`). These correlations are
+stored twice: in the rows of the other errors, which are contiguous in memory, and in their columns,
+where each entry costs a cache line. Therefore only the rows are updated. The columns are copied
+when the rows of frozen errors are read. If an error is frozen or released, only a few columns must
+be copied.
 """
 
 from __future__ import annotations
@@ -44,26 +44,29 @@ class DeferredColumns:
         """
         if self.is_outdated:
             self.is_outdated = False
-            _take_over(p, np.flatnonzero(is_frozen), np.flatnonzero(~is_frozen))
+            _mirror(p, np.flatnonzero(is_frozen), np.flatnonzero(~is_frozen))
 
-    def change_frozen(self, p: Array, before: Flags, now: Flags) -> None:
+    def change_frozen(self, p: Array, was_frozen: Flags, is_frozen: Flags) -> None:
         """Update the entries of p (n, n) that a change of the frozen errors requires.
 
-        `before` and `now` (n,) mark the frozen errors before and after the change. `p` is the
-        symmetric covariance, changed in place.
+        `was_frozen` and `is_frozen` (n,) mark the frozen errors before and after the change. `p` is
+        the symmetric covariance, changed in place.
         """
         if not self.is_outdated:
             return
-        begin, cease = np.flatnonzero(~before & now), np.flatnonzero(before & ~now)
-        resting, active = np.flatnonzero(before), np.flatnonzero(~before)
+        begin, cease = (
+            np.flatnonzero(~was_frozen & is_frozen),
+            np.flatnonzero(was_frozen & ~is_frozen),
+        )
+        resting, active = np.flatnonzero(was_frozen), np.flatnonzero(~was_frozen)
         if len(begin) + len(cease) > len(active) // 2:
-            self.catch_up(p, before)
+            self.catch_up(p, was_frozen)
             return
-        _take_over(p, resting, begin)
-        _take_over(p, cease, active)
+        _mirror(p, resting, begin)
+        _mirror(p, cease, active)
 
 
-def _take_over(p: Array, rows: Index, columns: Index) -> None:
+def _mirror(p: Array, rows: Index, columns: Index) -> None:
     """Copy p[columns, rows]' to p[rows, columns] of a symmetric matrix, in place."""
     with threads_for(2e-3 * len(rows) * len(columns)):
         mirror_columns(p, rows, columns)

@@ -44,12 +44,8 @@ class DeferredUpdates:
     def add(self, w: Array, active: Index | None) -> None:
         """Queue the subtraction of w' w from the covariance, for w (m, n).
 
-        Parameters
-        ----------
-        w
-            One row for each scalar measurement, one column for each error.
-        active
-            Indices of the errors that are not frozen (k,), constant until `apply`; None for all.
+        `w` has a row for each scalar measurement and a column for each error. `active` (k,) are the
+        indices of the errors that are not frozen, constant until `apply`; None for all.
         """
         if len(w) == 0:
             return
@@ -70,12 +66,10 @@ class DeferredUpdates:
     def apply(self, p: Array) -> bool:
         """Subtract all queued products from the first n rows and columns of p, in place.
 
-        Returns
-        -------
-        lags
-            Whether the columns of active errors are out of date in the rows of frozen errors.
+        The return value states whether the columns of active errors are now out of date in the rows
+        of frozen errors.
         """
-        lags = False
+        is_outdated = False
         if self._full_rows:
             w = np.concatenate(self._full_rows)
             n = w.shape[1]
@@ -83,6 +77,6 @@ class DeferredUpdates:
         if self._active_rows and self._active is not None:
             w, n = np.concatenate(self._active_rows), self._active_rows[0].shape[1]
             subtract_rows(p[:n, :n], w, self._active)
-            lags = 0 < len(self._active) < n
+            is_outdated = 0 < len(self._active) < n
         self._full_rows, self._active_rows, self._active = [], [], None
-        return lags
+        return is_outdated

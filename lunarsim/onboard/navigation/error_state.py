@@ -81,7 +81,7 @@ class ErrorState(SchmidtKalmanCovariance):
     ----------
     inertial
         Initial state of the lander.
-    errors
+    start_sigmas
         Standard deviations of the initial state.
     blocks
         Initial covariances (k, k) of additional errors, by name of the block.
@@ -104,7 +104,7 @@ class ErrorState(SchmidtKalmanCovariance):
     def __init__(
         self,
         inertial: StrapdownState,
-        errors: StartSigmas | None = None,
+        start_sigmas: StartSigmas | None = None,
         *,
         blocks: Mapping[str, ArrayLike] | None = None,
         capacity: int = 0,
@@ -113,7 +113,7 @@ class ErrorState(SchmidtKalmanCovariance):
         self.listeners: list[Callable[[Array], None]] = []
         self._blocks: dict[str, slice] = {}
         self._values: dict[str, Array] = {}
-        parts, head = [inertial.covariance(errors or StartSigmas())], INERTIAL
+        parts, head = [inertial.covariance(start_sigmas or StartSigmas())], INERTIAL
         for name, given in (blocks or {}).items():
             own = _covariance(f"navigation.{name}", given)
             self._blocks[name] = slice(head, head + len(own))
@@ -148,44 +148,47 @@ class ErrorState(SchmidtKalmanCovariance):
         inflate(self.covariance, columns, factor, max_sigma)
 
     def raise_variances(self, columns: ArrayLike, sigma: ArrayLike) -> None:
-        """Raise the standard deviations of errors to at least given values.
+        """Raise the standard deviations of some errors to given minimum values.
 
         `columns` (k,) are the indices of the errors, and `sigma` (k,) the minimum standard
         deviations.
         """
         at = np.asarray(columns)
-        p = self._readable(at)
+        p = self._current_covariance(at)
         p[at, at] = np.maximum(p[at, at], np.square(sigma))
 
-    def widen(self, columns: ArrayLike, covariance: ArrayLike) -> None:
+    def add_process_noise(self, columns: ArrayLike, covariance: ArrayLike) -> None:
         """Add process noise of a given covariance (k, k) to some errors.
 
         `columns` (k,) are the indices of the errors.
         """
         at = np.asarray(columns)
-        self._readable(at)[np.ix_(at, at)] += np.atleast_2d(covariance)
+        self._current_covariance(at)[np.ix_(at, at)] += np.atleast_2d(covariance)
 
     def clone(self, name: str, source: Index) -> None:
-        """Set a block (group of errors) equal to other errors, as for a copy of the pose.
+        """Make the errors of a block equal to other errors, for example those of the pose.
 
-        `source` (k,) are the indices of the errors that are copied into the block `name`.
+        A block is a named group of errors; `source` (k,) are the indices of the errors that are
+        copied into the block `name`.
         """
         p = self._p if int(np.max(source)) < self.head else self.p
         into = self._blocks[name]
         p[into] = p[source]
         p[:, into] = p[:, source]
 
-    def follow(self, at: int, sources: Index, weights: Array, variance: float) -> None:
+    def replace_by_sum(
+        self, index: int, sources: Index, weights: Array, noise_variance: float
+    ) -> None:
         """Replace one error by a weighted sum of errors plus independent noise.
 
-        `at` is the index of the replaced error; `sources` (k,) and `weights` (k,) define the sum;
-        `variance` is that of the noise.
+        `index` is that of the replaced error; `sources` (k,) are the indices of the summed errors,
+        `weights` (k,) their weights, and `noise_variance` the variance of the noise.
         """
-        p = self._readable(at, sources)
+        p = self._current_covariance(index, sources)
         row = weights @ p[sources]
-        own = float(row[sources] @ weights) + variance
-        p[at], p[:, at] = row, row
-        p[at, at] = own
+        own = float(row[sources] @ weights) + noise_variance
+        p[index], p[:, index] = row, row
+        p[index, index] = own
 
     # --- time -----------------------------------------------------------------------------
 
@@ -200,9 +203,9 @@ class ErrorState(SchmidtKalmanCovariance):
         InputError
             If the arrays are not (n, 3) or differ in length; the state is then unchanged.
         """
-        turns, pushes = _samples(angle, velocity)
+        turns, pushes = _checked_samples(angle, velocity)
         transition, noise = self.inertial.propagate(turns, pushes)
-        p, n = self._readable(INERTIAL - 1), INERTIAL
+        p, n = self._current_covariance(INERTIAL - 1), INERTIAL
         with one_blas_thread():
             p[:n, :n] = transition @ p[:n, :n] @ transition.T + noise
             p[:n, n:] = transition @ p[:n, n:]
@@ -247,19 +250,25 @@ class ErrorState(SchmidtKalmanCovariance):
         return self.update_with_innovation(hp, hp[:, at] @ h.T + r, y, gate)
 
     def update_with_innovation(
-        self, hp: Array, expected: Array, innovation: Array, gate: float = np.inf
+        self,
+        jacobian_covariance: Array,
+        innovation_covariance: Array,
+        innovation: Array,
+        gate: float = np.inf,
     ) -> UpdateOutcome:
-        """Update state and covariance with an innovation (n,), H and P already multiplied.
+        """Update state and covariance with an innovation (n,) and its covariance.
 
-        `hp` (n, size) is the product of the measurement Jacobian H and the covariance P; the update
-        overwrites it. `expected` (n, n) is the innovation covariance. `gate` is the maximum
+        `jacobian_covariance` (n, size) is the product H P of measurement Jacobian and covariance;
+        the update overwrites it. `innovation_covariance` is (n, n). `gate` is the maximum
         normalised innovation squared; an innovation above it is rejected.
         """
-        outcome, lower = gate_innovation(innovation, expected, gate)
+        outcome, lower = gate_innovation(innovation, innovation_covariance, gate)
         if not outcome.is_accepted:
             return outcome
         # (L^-1 H P)' = (H P)' L^-T, in place: the transposed array is in Fortran order.
-        w = np.ascontiguousarray(dtrsm(1.0, lower.T, hp.T, side=1, lower=0, overwrite_b=1).T)
+        w = np.ascontiguousarray(
+            dtrsm(1.0, lower.T, jacobian_covariance.T, side=1, lower=0, overwrite_b=1).T
+        )
         error = outcome.whitened @ w
         active = self._active()
         if active is not None:
@@ -272,32 +281,31 @@ class ErrorState(SchmidtKalmanCovariance):
 
     def update_with_information(
         self,
-        part: Index,
+        indices: Index,
         information: Array,
         vector: Array,
         gate: float = np.inf,
         *,
         min_probability: float = 0.0,
     ) -> UpdateOutcome:
-        """Update state and covariance with an information matrix and vector.
+        """Update state and covariance with an information matrix (k, k) and vector (k,).
 
-        The matrix (k, k) and vector (k,) refer to the errors with indices `part` (k,). The update
-        avoids the inverse of the covariance, which is singular while two poses coincide. It treats
-        the information as independent measurements of unit variance along its principal axes; it
-        subtracts a matrix square, so that the covariance stays symmetric. `nis` of the outcome is
-        the squared Mahalanobis distance of the correction. A correction is rejected if `nis`
-        exceeds `gate`, or if its chi-squared tail probability is below `min_probability`.
-        Information that is not finite is ignored, and `nis` is NaN. If the covariance is no longer
-        positive definite, it is rejected with an infinite `nis`.
+        They refer to the errors with the given indices (k,). The update treats the information as
+        independent measurements along its principal axes, which works even if the covariance is
+        singular, as while two poses coincide. `nis` of the outcome is the squared Mahalanobis
+        distance of the correction. A correction is rejected if `nis` exceeds `gate`, or if its
+        chi-squared tail probability is below `min_probability`. Information that is not finite is
+        ignored, and `nis` is NaN. If the covariance is no longer positive definite, it is rejected
+        with an infinite `nis`.
         """
-        k = len(part)
+        k = len(indices)
         if not (np.isfinite(information).all() and np.isfinite(vector).all()):
             return UpdateOutcome(np.nan, k, False)
-        own = self.covariance_of(part)
+        own = self.covariance_of(indices)
         try:
             rows, measured, white = _as_measurements(own, information, vector)
-            hp = rows @ self._rows(part)
-            lower = np.linalg.cholesky(np.eye(len(rows)) + hp[:, part] @ rows.T)
+            hp = rows @ self._rows(indices)
+            lower = np.linalg.cholesky(np.eye(len(rows)) + hp[:, indices] @ rows.T)
         except np.linalg.LinAlgError:
             # Rounding errors have made the covariance indefinite: reject everything from now on.
             return UpdateOutcome(np.inf, k, False)
@@ -334,7 +342,7 @@ class ErrorState(SchmidtKalmanCovariance):
         change = error[VELOCITY]
         if np.abs(change).max() > _MIN_VELOCITY_CORRECTION_M_S:
             lever = np.cross(np.eye(3), change) @ quat_to_matrix(self.inertial.attitude)
-            p = self._readable(POSE)
+            p = self._current_covariance(POSE)
             p[VELOCITY] -= lever @ p[ATTITUDE]
             p[:, VELOCITY] -= p[:, ATTITUDE] @ lever.T
         self.inertial.correct(error[:INERTIAL])
@@ -344,24 +352,28 @@ class ErrorState(SchmidtKalmanCovariance):
             listener(error)
 
 
-def gate_innovation(innovation: Array, expected: Array, gate: float) -> tuple[UpdateOutcome, Array]:
+def gate_innovation(
+    innovation: Array, innovation_covariance: Array, gate: float
+) -> tuple[UpdateOutcome, Array]:
     """Test an innovation (n,); return the outcome and a Cholesky factor (n, n).
 
-    The factor is that of the innovation covariance `expected` (n, n). The innovation is accepted if
-    its normalised square is at most `gate`. If it is not finite, it is ignored (`nis` is NaN). If
-    the covariance is not positive definite, the innovation is rejected with an infinite `nis`; the
+    The factor is that of `innovation_covariance` (n, n). The innovation is accepted if its
+    normalised square is at most `gate`. If it is not finite, it is ignored (`nis` is NaN). If the
+    covariance is not positive definite, the innovation is rejected with an infinite `nis`; the
     second result is then not a factor.
     """
     m = len(innovation)
     if not np.isfinite(innovation).all():
-        return UpdateOutcome(np.nan, m, False), expected
-    if not np.isfinite(expected).all():
-        return UpdateOutcome(np.inf, m, False), expected
+        return UpdateOutcome(np.nan, m, False), innovation_covariance
+    if not np.isfinite(innovation_covariance).all():
+        return UpdateOutcome(np.inf, m, False), innovation_covariance
     try:
-        lower: Array = np.asarray(np.linalg.cholesky(0.5 * (expected + expected.T)))
+        lower: Array = np.asarray(
+            np.linalg.cholesky(0.5 * (innovation_covariance + innovation_covariance.T))
+        )
     except np.linalg.LinAlgError:
         # Rounding errors have made the covariance indefinite: reject everything from now on.
-        return UpdateOutcome(np.inf, m, False), expected
+        return UpdateOutcome(np.inf, m, False), innovation_covariance
     white = solve_triangular(lower, innovation, lower=True, check_finite=False)
     nis = float(white @ white)
     if not nis <= gate:
@@ -369,25 +381,24 @@ def gate_innovation(innovation: Array, expected: Array, gate: float) -> tuple[Up
     return UpdateOutcome(nis, m, True, white), lower
 
 
-def _as_measurements(own: Array, information: Array, vector: Array) -> tuple[Array, Array, Array]:
+def _as_measurements(
+    prior_covariance: Array, information: Array, vector: Array
+) -> tuple[Array, Array, Array]:
     """Convert information on errors to independent measurements of unit variance.
 
-    `own` (k, k) is the prior covariance of the errors. With its factorisation P = L L', the
-    information matrix I and vector v, M = L' I L and u = L' v, the covariance of u is M + M^2,
-    since I is the covariance of the noise of v. Directions with little information are dropped:
-    small unmodelled errors look like many standard deviations there, and would move the state again
-    with each update.
-
-    Returns
-    -------
-    rows, measured
-        Jacobian (n, k) and innovation (n,) of the measurements.
-    white
-        Whitened innovation (k,) along the axes of L, which are the same for every measurement.
+    `prior_covariance` P (k, k) is that of the errors; `information` I (k, k) and `vector` v (k,)
+    are information matrix and vector. With P = L L' and M = L' I L, the vector L' v has the
+    covariance M + M^2, so its components along the eigenvectors of M are independent. Directions
+    with little information are dropped: small unmodelled errors look like many standard deviations
+    there. The results are the Jacobian (n, k) and innovation (n,) of the measurements, and the
+    whitened innovation (k,) along the axes of L, which are the same for every measurement.
     """
-    unit = np.sqrt(np.maximum(own.diagonal(), 1e-300))
-    correlation = own / np.outer(unit, unit)
-    lower = np.linalg.cholesky(correlation + _REGULARISATION * np.eye(len(own))) * unit[:, None]
+    unit = np.sqrt(np.maximum(prior_covariance.diagonal(), 1e-300))
+    correlation = prior_covariance / np.outer(unit, unit)
+    lower = (
+        np.linalg.cholesky(correlation + _REGULARISATION * np.eye(len(prior_covariance)))
+        * unit[:, None]
+    )
     gain, axes = np.linalg.eigh(lower.T @ information @ lower)
     kept = gain > _MIN_RELATIVE_INFORMATION
     gain, axes = gain[kept], axes[:, kept]
@@ -397,15 +408,10 @@ def _as_measurements(own: Array, information: Array, vector: Array) -> tuple[Arr
     return rows, measured, axes @ (measured / np.sqrt(1.0 + gain))
 
 
-def _samples(angle: ArrayLike, velocity: ArrayLike) -> tuple[Array, Array]:
-    """Return inertial samples as two arrays (n, 3) after checking the shapes.
+def _checked_samples(angle: ArrayLike, velocity: ArrayLike) -> tuple[Array, Array]:
+    """Return increments of angle, rad, and velocity, m/s, as two arrays (n, 3).
 
-    `angle` is in rad and `velocity` in m/s.
-
-    Raises
-    ------
-    InputError
-        If the arrays are not (n, 3) or differ in length.
+    Other shapes raise an `InputError`.
     """
     out = []
     for name, values in (("angle", angle), ("velocity", velocity)):

@@ -81,12 +81,12 @@ class MapRotation:
     rotation: Array
     pivot: Array
 
-    def rotation_since(self, before: Array) -> tuple[Array, float]:
+    def rotation_since(self, earlier: Array) -> tuple[Array, float]:
         """Return the rotation (3, 3) since an earlier one, and its angle, rad.
 
-        `before` (3, 3) is the earlier value of `rotation`.
+        `earlier` (3, 3) is the earlier value of `rotation`.
         """
-        turn = self.rotation @ before.T
+        turn = self.rotation @ earlier.T
         return turn, float(np.linalg.norm(turn - turn.T) / np.sqrt(8.0))
 
 

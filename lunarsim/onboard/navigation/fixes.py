@@ -103,10 +103,7 @@ class FixNavigation(Navigation):
 def _is_valid(fix: NavigationFix) -> bool:
     """Return whether a fix is finite, with a unit quaternion and valid variances.
 
-    Raises
-    ------
-    InputError
-        If an array has a wrong shape.
+    An `InputError` is raised if an array has a wrong shape.
     """
     shapes = {"position": (3,), "velocity": (3,), "attitude": (4,), "covariance": (9, 9)}
     for name, shape in shapes.items():

@@ -44,7 +44,7 @@ class ImageInnovationMonitor:
 
     def __init__(self, events: list[NavigationEvent]) -> None:
         self._events = events
-        self.watches = {
+        self.monitors = {
             kind: InnovationMonitor(settings) for kind, settings in _MONITOR_SETTINGS.items()
         }
         self._last_alarm = {kind: -float("inf") for kind in _MONITOR_SETTINGS}
@@ -52,10 +52,10 @@ class ImageInnovationMonitor:
     @property
     def lost(self) -> bool:
         """Whether the rock observations contradict the navigation estimate."""
-        return any(monitor.lost for monitor in self.watches.values())
+        return any(monitor.lost for monitor in self.monitors.values())
 
     def record(self, kind: str, time: float, outcome: UpdateOutcome) -> RockCorrection:
-        """Add the outcome of an image; return the corrective action.
+        """Add the outcome of a filter update with an image; return the corrective action.
 
         Parameters
         ----------
@@ -67,7 +67,7 @@ class ImageInnovationMonitor:
         outcome
             Outcome of the update.
         """
-        monitor = self.watches[kind]
+        monitor = self.monitors[kind]
         before, result = monitor.lost, monitor.record(time, outcome)
         if result is MonitorResult.CONSISTENT:
             if before and not monitor.lost:

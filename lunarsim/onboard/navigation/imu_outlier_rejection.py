@@ -94,18 +94,22 @@ class ImuSampleLimits:
         acceleration = lander.thrust_max / lander.dry_mass
         response = 1.0 - np.exp(-step / lander.thrust_lag) if lander.thrust_lag > 0.0 else 1.0
         change = _DYNAMICS_MARGIN * np.concatenate((rotation, np.full(3, acceleration * response)))
-        noise = np.repeat([_noise(unit, step) for unit in (gyroscopes, accelerometers)], 3)
+        noise = np.repeat(
+            [_max_noise_change(unit, step) for unit in (gyroscopes, accelerometers)], 3
+        )
         maximum = np.repeat([_MAX_RATE_RAD_S, 2.0 * acceleration + noise[3]], 3)
         return cls(change, noise, np.minimum(maximum, cls.unknown().maximum))
 
 
-def _noise(unit: TriadErrors, step: float) -> float:
+def _max_noise_change(triad: TriadErrors, step: float) -> float:
     """Return the maximum difference of two samples by noise and quantisation.
 
-    The unit is rad/s for gyroscopes and m/s^2 for accelerometers (`unit`). `step` is the time
-    between samples, s.
+    The unit is rad/s if `triad` are gyroscopes and m/s^2 if they are accelerometers. `step` is the
+    time between samples, s.
     """
-    return _NOISE_SIGMAS * float(np.sqrt(2.0 / step)) * unit.random_walk + 2.0 * unit.quantum / step
+    return (
+        _NOISE_SIGMAS * float(np.sqrt(2.0 / step)) * triad.random_walk + 2.0 * triad.quantum / step
+    )
 
 
 @dataclass(frozen=True)

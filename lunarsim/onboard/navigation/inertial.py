@@ -60,13 +60,9 @@ def _check_start(
 ) -> Array:
     """Check the initial state; return it as one array (10,).
 
-    The array contains position (ENU, m), velocity (m/s) and quaternion. `gravity` is in m/s^2 and
-    `step` in s.
-
-    Raises
-    ------
-    InputError
-        If a value is not finite or out of range.
+    The array contains position, velocity and quaternion. `position` (ENU) is in m, `velocity` in
+    m/s, `gravity` in m/s^2 and `step` in s. An `InputError` is raised if a value is not finite or
+    out of range.
     """
     start = np.concatenate((position, velocity, attitude)).astype(np.float64)
     if start.shape != (10,) or not np.isfinite(start).all():
@@ -180,7 +176,10 @@ class StrapdownState:
         )
         if unit is None:
             raise InputError(
-                "sensors", sorted(briefing.instruments), "must include an inertial unit"
+                "sensors",
+                sorted(briefing.instruments),
+                "must include an inertial unit",
+                "Add an inertial unit or choose a navigation that needs none.",
             )
         s = briefing.start
         sigmas = StartSigmas(
@@ -198,7 +197,10 @@ class StrapdownState:
         return state, sigmas
 
     def covariance(self, errors: StartSigmas) -> Array:
-        """Return the initial covariance (15, 15) of the errors for given deviations."""
+        """Return the initial error covariance (15, 15) for given standard deviations.
+
+        Those of the biases follow from the sensor specification.
+        """
         sigmas = (
             errors.position, errors.velocity, self._bias_sigma[0], errors.attitude,
             self._bias_sigma[1],

@@ -69,7 +69,7 @@ def find_initial_shift(
         mean_log_ratio = features.mean_log_ratio(tile)
         if mean_log_ratio is not None:
             likelihood = features.likelihood(tile, row + along.ravel(), col + across.ravel())
-            log += features.factor(*likelihood, mean_log_ratio, log.size).reshape(log.shape)
+            log += features.log_factor(*likelihood, mean_log_ratio, log.size).reshape(log.shape)
     p = np.exp(log - log.max())
     p /= p.sum()
     best = int(np.argmax(p))

@@ -82,7 +82,7 @@ class LocalFrame:
         return rotation_about_up(self.azimuth)
 
     @property
-    def shift(self) -> SiteToLocal:
+    def site_to_local(self) -> SiteToLocal:
         """Transformation from the site frame to the local frame."""
         d = self.state.value(MAP)[:3]
         return SiteToLocal(self.pivot + d - self.rotation.T @ self.pivot, -self.azimuth)
@@ -96,7 +96,7 @@ class LocalFrame:
     def in_site(self, corrected: CorrectedScan) -> CorrectedScan:
         """Return a scan, given in the local frame, in the site frame."""
         turn = quat_from_rotation_vector(self.azimuth * _UP)
-        return corrected.turned(self.rotation, turn, self.to_site(np.zeros(3)))
+        return corrected.transformed(self.rotation, turn, self.to_site(np.zeros(3)))
 
     def estimate_in_site(self, estimate: Estimate) -> Estimate:
         """Return an estimate, given in the local frame, in the site frame."""
@@ -115,7 +115,7 @@ class LocalFrame:
         return np.concatenate((POSE, self.columns))
 
     def pose_jacobian(self) -> Array:
-        """Return the Jacobian (6, 10) of the pose in the site frame for state errors.
+        """Return the Jacobian (6, 10) of the site-frame pose with respect to state errors.
 
         Columns: the errors of `pose_columns`. Rows: position (ENU) and small rotation (body axes).
         """
@@ -141,7 +141,7 @@ class LocalFrame:
         out[3:6, 9] = np.cross(_UP, r @ own.velocity)
         return np.asarray(out @ self.state.covariance_of(at) @ out.T)
 
-    def anchor(self, jacobian: Array, columns: Index, places: list[slice]) -> None:
+    def anchor(self, jacobian: Array, columns: Index, other_positions: list[slice]) -> None:
         """Anchor the local frame to a terrain point instead of the initial position.
 
         A correction of the attitude then leaves the mapped terrain near this point in place, and
@@ -153,7 +153,7 @@ class LocalFrame:
         jacobian, columns
             Jacobian of the point (3, k) with respect to errors of the state, and their indices
             (k,).
-        places
+        other_positions
             Slices of all other positions in the local frame in the state, without the lander's
             position.
         """
@@ -161,16 +161,16 @@ class LocalFrame:
         row[:, columns] = jacobian
         change = np.eye(self.state.size)
         moved = slice(int(self.columns[0]), int(self.columns[0]) + 3)
-        for place in (POSITION, moved, *places):
+        for place in (POSITION, moved, *other_positions):
             change[place] -= row
         p = self.state.covariance
         p[:] = change @ p @ change.T
 
 
 def _move_initial_errors(state: ErrorState, columns: Index) -> None:
-    """Move initial errors of position and azimuth from the lander to the map block.
+    """Move initial errors of position and azimuth from the lander to the map offset.
 
-    `columns` (4,) are the indices of the block in the error state. The initial errors z =
+    `columns` (4,) are the indices of the map offset in the error state. The initial errors z =
     (position, velocity, body rotation, ...) refer to the site frame. The local frame is rotated by
     the azimuth error. In the local frame, the position has no error, the attitude error is the
     tilt, and the velocity error includes the effect of the rotation.

@@ -87,25 +87,26 @@ class FeatureTile:
 
 
 @dataclass(frozen=True)
-class _Density:
+class _HeightDensity:
     """Probability density of heights above the local planes of a map.
 
     Attributes
     ----------
     height
         Ascending heights (n,), m.
-    rare
+    negative_log
         Negative logarithm of the density at these heights (n,), for a density in 1/m.
     """
 
     height: Array
-    rare: Array
+    negative_log: Array
 
     @classmethod
-    def of(cls, values: Array, sigma: float) -> _Density:
-        """Estimate the density from heights (n,) by a smoothed histogram.
+    def of(cls, values: Array, sigma: float) -> _HeightDensity:
+        """Estimate the density of heights `values` (n,), m, by a smoothed histogram.
 
-        `sigma` is the standard error of a map height, m; it sets the width of the bins.
+        `sigma` is the standard deviation of the noise of a map height, m. The width of the bins is
+        a fifth of it.
         """
         width = 0.2 * sigma
         top = float(np.abs(values).max()) if len(values) else sigma
@@ -119,7 +120,7 @@ class _Density:
 
     def negative_log_density(self, height: Array) -> Array:
         """Return the negative logarithm of the density (1/m) at given heights, m."""
-        return np.asarray(np.interp(height, self.height, self.rare))
+        return np.asarray(np.interp(height, self.height, self.negative_log))
 
 
 class MapFeatures:
@@ -140,12 +141,12 @@ class MapFeatures:
 
     Attributes
     ----------
-    shown, kept
+    feature_height, known
         Heights above the planes fitted around each grid point, m, and 1 where they exist, else 0
         (rows, cols).
     reach
         Half width of the squares for the fitted planes, in grid points.
-    together
+    correlated_count
         Number of grid points whose agreement is correlated; they count as one.
     """
 
@@ -155,16 +156,18 @@ class MapFeatures:
         posting = prior.grid.posting
         half = 0.5 * self.settings.width / posting
         self.reach = 4 if posting <= _MAX_FINE_POSTING_M else int(np.clip(round(half), 4, 8))
-        self.together = max(
+        self.correlated_count = max(
             1.0,
             (self.settings.correlation_length / posting) ** 2,
             prior.equivalent_correlated_posts,
         )
         shown, kept = subtract_plane(prior.elevation, np.isfinite(prior.elevation), self.reach)
-        self.shown = np.ascontiguousarray(shown, np.float32)
-        self.kept = np.ascontiguousarray(kept, np.float32)
-        self._density = _Density.of(shown[kept], prior.sigma)
-        self._rarity = np.ascontiguousarray(self._density.negative_log_density(shown), np.float32)
+        self.feature_height = np.ascontiguousarray(shown, np.float32)
+        self.known = np.ascontiguousarray(kept, np.float32)
+        self._density = _HeightDensity.of(shown[kept], prior.sigma)
+        self._negative_log_density = np.ascontiguousarray(
+            self._density.negative_log_density(shown), np.float32
+        )
         row, col = np.nonzero(kept)
         some = slice(None, None, max(1, len(row) // _SAMPLE_PLACES))
         self._places = row[some], col[some]
@@ -190,11 +193,19 @@ class MapFeatures:
             np.ascontiguousarray(part, np.float32)
             for part in (tile.height, tile.weight, 0.5 / tile.variance, level)
         )
-        ratio, covered = k.evidence(
-            self.shown, self._rarity, self.kept, height, weight, sharp, density,
-            np.float32(np.log(s.outlier)), np.ascontiguousarray(row), np.ascontiguousarray(col),
-        )  # fmt: skip
-        return ratio / self.together, covered / total
+        ratio, covered = k.tile_log_likelihoods(
+            self.feature_height,
+            self._negative_log_density,
+            self.known,
+            height,
+            weight,
+            sharp,
+            density,
+            np.float32(np.log(s.outlier)),
+            np.ascontiguousarray(row),
+            np.ascontiguousarray(col),
+        )
+        return ratio / self.correlated_count, covered / total
 
     def mean_log_ratio(self, tile: FeatureTile) -> float | None:
         """Return the log of a tile's likelihood ratio averaged over the entire map.
@@ -212,17 +223,19 @@ class MapFeatures:
         best = scaled.max()
         return float(best + np.log(np.mean(np.exp(scaled - best))))
 
-    def exact(self, tile: FeatureTile) -> float:
-        """Return the log-likelihood ratio of a tile at a place where it fits exactly.
+    def exact_fit_ratio(self, tile: FeatureTile) -> float:
+        """Return the log-likelihood ratio of a tile at a place that it would fit exactly.
 
-        A tile is a patch of scanned terrain.
+        A tile is a patch of scanned terrain. All its height residuals are zero at such a place.
         """
         fits = self._density.negative_log_density(tile.height) - 0.5 * np.log(
             2.0 * np.pi * tile.variance
         )
-        return float((tile.weight * fits).sum()) / self.together
+        return float((tile.weight * fits).sum()) / self.correlated_count
 
-    def factor(self, ratio: Array, share: Array, mean_log_ratio: float, places: float) -> Array:
+    def log_factor(
+        self, ratio: Array, covered_fraction: Array, mean_log_ratio: float, place_count: float
+    ) -> Array:
         """Return the log of the factor by which a tile changes the probability of places.
 
         A tile is a patch of scanned terrain; the result is (n,). Unknown parts of the map give no
@@ -231,13 +244,15 @@ class MapFeatures:
 
         Parameters
         ----------
-        ratio, share
+        ratio, covered_fraction
             Log-likelihood ratios and covered fractions (n,), from `likelihood`.
         mean_log_ratio
             Logarithm of the mean likelihood ratio, from `mean_log_ratio`.
-        places
+        place_count
             Number of possible places.
         """
         changed = self.settings.changed_probability
-        top = max(mean_log_ratio, float(ratio.max(initial=-np.inf)) - float(np.log(places)))
-        return np.asarray(np.logaddexp(ratio - share * top + np.log1p(-changed), np.log(changed)))
+        top = max(mean_log_ratio, float(ratio.max(initial=-np.inf)) - float(np.log(place_count)))
+        return np.asarray(
+            np.logaddexp(ratio - covered_fraction * top + np.log1p(-changed), np.log(changed))
+        )

@@ -56,8 +56,8 @@ class LockForecast:
 
 def forecast_lock(
     prior: PriorMap,
-    middle: tuple[float, float],
-    swept: float,
+    centre: tuple[float, float],
+    side: float,
     place_sigma: float,
     *,
     certainty: float = 0.99999,
@@ -76,9 +76,9 @@ def forecast_lock(
     ----------
     prior
         Prior map.
-    middle
+    centre
         Centre of the square to be scanned (east, north), m.
-    swept
+    side
         Side of the square, m.
     place_sigma
         Prior standard deviation of the position, per axis, m.
@@ -87,20 +87,20 @@ def forecast_lock(
     settings
         Parameters of the comparison between terrain and map.
     """
-    _check(swept, place_sigma, certainty)
+    _check_arguments(side, place_sigma, certainty)
     features = MapFeatures(prior, settings)
     posting = prior.grid.posting
     reach = max(2, int(np.ceil(3.0 * place_sigma / posting)))
     features_window, added, shown = (
-        _window(of, prior, middle, swept, reach)
-        for of in (*_extract_features(features), features.shown * features.kept)
+        _cut_window(of, prior, centre, side, reach)
+        for of in (*_extract_features(features), features.feature_height * features.known)
     )
     inner = (slice(reach, features_window.shape[0] - reach),) * 2
     template = features_window[inner]
     alike = fftconvolve(shown, template[::-1, ::-1], mode="valid")
     # Noise that passes the threshold correlates with itself.
     mismatch = alike[reach, reach] - float(added[inner].sum()) - alike
-    log_ratio = 0.5 * np.maximum(mismatch, 0.0) / (features.variance * features.together)
+    log_ratio = 0.5 * np.maximum(mismatch, 0.0) / (features.variance * features.correlated_count)
     expected = (1.0 - features.settings.changed_probability) * log_ratio
     n = np.arange(-reach, reach + 1)
     is_far = np.hypot(*np.meshgrid(n, n)) > 3.0
@@ -115,43 +115,46 @@ def forecast_lock(
     )
 
 
-def _check(swept: float, place_sigma: float, certainty: float) -> None:
-    """Check the arguments of `forecast_lock`: lengths in m and a probability."""
-    if not (np.isfinite(swept) and swept > 0.0):
-        raise InputError("swept_m", swept, "must be a positive length in metres")
+def _check_arguments(side: float, place_sigma: float, certainty: float) -> None:
+    """Raise an `InputError` if an argument of `forecast_lock` is out of range.
+
+    `side` and `place_sigma` are in m; `certainty` is a probability.
+    """
+    if not (np.isfinite(side) and side > 0.0):
+        raise InputError("side_m", side, "must be a positive length in metres")
     if not (np.isfinite(place_sigma) and place_sigma > 0.0):
         raise InputError("place_sigma_m", place_sigma, "must be a positive length in metres")
     if not 0.0 < certainty < 1.0:
         raise InputError("certainty", certainty, "must be a probability between 0 and 1")
 
 
-def _window(
-    of: NDArray[Any], prior: PriorMap, middle: tuple[float, float], swept: float, reach: int
+def _cut_window(
+    raster: NDArray[Any], prior: PriorMap, centre: tuple[float, float], side: float, margin: int
 ) -> Array:
     """Cut a square with a margin out of a raster; the result is 0 outside the map.
 
-    `of` is the raster (rows, cols) on the grid of the map. The square has its centre at `middle`
-    (east, north), m, the side `swept`, m, and a margin of `reach` grid points.
+    `raster` (rows, cols) is on the grid of the map. The square has its centre at `centre` (east,
+    north), m, the side `side`, m, and a margin of `margin` grid points.
     """
-    row, col = (int(part) for part in prior.grid.cell(middle))
-    half = max(1, round(0.5 * swept / prior.grid.posting)) + reach
+    row, col = (int(part) for part in prior.grid.cell(centre))
+    half = max(1, round(0.5 * side / prior.grid.posting)) + margin
     out = np.zeros((2 * half + 1, 2 * half + 1))
-    r0, r1 = max(row - half, 0), min(row + half + 1, of.shape[0])
-    c0, c1 = max(col - half, 0), min(col + half + 1, of.shape[1])
+    r0, r1 = max(row - half, 0), min(row + half + 1, raster.shape[0])
+    c0, c1 = max(col - half, 0), min(col + half + 1, raster.shape[1])
     if r0 < r1 and c0 < c1:
         top, left = r0 - row + half, c0 - col + half
-        out[top : top + r1 - r0, left : left + c1 - c0] = of[r0:r1, c0:c1]
+        out[top : top + r1 - r0, left : left + c1 - c0] = raster[r0:r1, c0:c1]
     return out
 
 
 def _extract_features(features: MapFeatures) -> tuple[Array, Array]:
     """Return the terrain features of a map above the noise threshold (rows, cols), m.
 
-    The second array is the mean product of the retained noise with the map's noise (rows, cols),
-    m^2. The method is hard thresholding of undecimated wavelets, which are differences of binomial
-    smoothings (Donoho and Johnstone 1994).
+    The second array is the covariance of the noise left in these features with the noise of the map
+    (rows, cols), m^2. The method is hard thresholding of undecimated wavelets, which are
+    differences of binomial smoothings (Donoho and Johnstone 1994).
     """
-    left: Array = np.asarray(features.shown * features.kept, np.float64)
+    left: Array = np.asarray(features.feature_height * features.known, np.float64)
     impulse: Array = np.zeros((129, 129))
     impulse[64, 64] = 1.0
     alike = features.prior.correlation / features.prior.grid.posting / np.sqrt(2.0)
@@ -171,10 +174,10 @@ def _extract_features(features: MapFeatures) -> tuple[Array, Array]:
     return out, added
 
 
-def _smoothed(of: Array, step: int) -> Array:
-    """Smooth a raster with five binomial weights that are `step` grid points apart."""
+def _smoothed(raster: Array, step: int) -> Array:
+    """Smooth a raster by five binomial weights per axis, on grid points `step` apart."""
     kernel = np.zeros(4 * step + 1)
     kernel[::step] = np.array([1.0, 4.0, 6.0, 4.0, 1.0]) / 16.0
     for axis in (0, 1):
-        of = ndimage.convolve1d(of, kernel, axis=axis, mode="constant")
-    return np.asarray(of)
+        raster = ndimage.convolve1d(raster, kernel, axis=axis, mode="constant")
+    return np.asarray(raster)

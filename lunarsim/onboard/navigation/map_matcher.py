@@ -126,7 +126,7 @@ class MapMatcher:
         """
         if used or not isinstance(measurement, LidarScan):
             return False
-        self._before = self.frame.shift.offset
+        self._before = self.frame.site_to_local.offset
         if not self.locked and self._search(sensor, measurement, time):
             self._lock(time)
         agreed = self._register(sensor, measurement, time)
@@ -140,7 +140,7 @@ class MapMatcher:
         name = "relock" if self.found else "lock"
         self.locked = True
         self._last_agreement = time
-        moved = float(np.linalg.norm(self.frame.shift.offset - self._before))
+        moved = float(np.linalg.norm(self.frame.site_to_local.offset - self._before))
         self.context.events.append(NavigationEvent(time, name, {"moved": moved}))
 
     # --- fit ------------------------------------------------------------------------------
@@ -170,7 +170,7 @@ class MapMatcher:
             if self.locked:
                 self._check_other_place(sensor, corrected, time)
             return False
-        outcome = self._inform(
+        outcome = self._update_with_information(
             sensor, result.information, result.vector, s.map_rejection_probability
         )
         if self.locked:
@@ -207,7 +207,7 @@ class MapMatcher:
             return
         if self._monitor(sensor, outcome, time) is MonitorResult.CONSISTENT:
             return
-        scanner = self.context.scanner(sensor)
+        scanner = self.context.scanner_indices(sensor)
         middle = np.nanmean(in_site.points(), axis=0)
         offset = float(
             np.abs(in_site.point_jacobian(middle) @ solve_error(result, wide_covariance)).max()
@@ -223,24 +223,24 @@ class MapMatcher:
 
         `outcome` is the outcome of a registration at `time` (s).
         """
-        scanner = self.context.scanner(sensor)
+        scanner = self.context.scanner_indices(sensor)
         return self.context.aiding.record_outcome(
             sensor, "fits", outcome, scanner, DRIFTED_SCANNER_SIGMAS[: len(scanner)], time
         )
 
     def _site_jacobian(self, sensor: str) -> tuple[Index, Array]:
-        """Return state errors that a scan in the site frame depends on, and the Jacobian.
+        """Return which state errors a scan in the site frame depends on, and a Jacobian.
 
         The errors are given by their indices (k,). The Jacobian (11, k) converts them to the 11
         errors of a `CorrectedScan` in the site frame.
         """
-        own = self.context.scanner(sensor)
+        own = self.context.scanner_indices(sensor)
         out = np.zeros((11, 10 + len(own)))
         out[:6, :10] = self.frame.pose_jacobian()
         out[6:, 10:] = np.eye(5, len(own))
         return np.concatenate((self.frame.pose_columns(), own)), out
 
-    def _inform(
+    def _update_with_information(
         self, sensor: str, information: Array, vector: Array, min_probability: float
     ) -> UpdateOutcome:
         """Update the filter with information on a scan's errors in the site frame.
@@ -308,28 +308,34 @@ class MapMatcher:
         match = self._places.search(time, prior_shift[:2], p[:2, :2], speed)
         if match is None:
             return False
-        if match.certainty < s.certainty or match.share < s.min_agreement:
-            self._take_height(sensor, jacobian[2], match, float(prior_shift[2]), float(p[2, 2]))
+        if match.certainty < s.certainty or match.agreeing_fraction < s.min_agreement:
+            self._update_height(sensor, jacobian[2], match, float(prior_shift[2]), float(p[2, 2]))
             return False
         information = np.linalg.inv(match.covariance)
-        return self._inform(
+        return self._update_with_information(
             sensor, jacobian.T @ information @ jacobian,
             jacobian.T @ information @ (match.shift - prior_shift), s.rejection_probability,
         ).is_accepted  # fmt: skip
 
-    def _take_height(
-        self, sensor: str, row: Array, match: MapMatch, prior_shift: float, before: float
+    def _update_height(
+        self,
+        sensor: str,
+        height_jacobian: Array,
+        match: MapMatch,
+        prior_shift: float,
+        prior_variance: float,
     ) -> None:
         """Update only the height, if the search determines it much better than the prior.
 
-        `row` (11,) is the Jacobian of the height with respect to the scan's errors, `prior_shift`
-        the vertical shift of the prior, m, and `before` its variance, m^2.
+        `height_jacobian` (11,) is the Jacobian of the height with respect to the scan's errors;
+        `prior_shift`, m, and `prior_variance`, m^2, are mean and variance of the vertical shift
+        before.
         """
         # The height offset of the map is common to all searches: use it only once.
         variance = match.vertical_shift_variance + self.settings.height_sigma**2
-        if 9.0 * variance < before:
-            self._inform(
-                sensor, np.outer(row, row) / variance,
-                row * (match.vertical_shift - prior_shift) / variance,
+        if 9.0 * variance < prior_variance:
+            self._update_with_information(
+                sensor, np.outer(height_jacobian, height_jacobian) / variance,
+                height_jacobian * (match.vertical_shift - prior_shift) / variance,
                 self.settings.rejection_probability,
             )  # fmt: skip

@@ -49,7 +49,7 @@ class FilterContext:
     events: list[NavigationEvent]
     max_sigmas: Array
 
-    def scanner(self, sensor: str) -> Index:
+    def scanner_indices(self, sensor: str) -> Index:
         """Return the indices of a scanner's five calibration errors in the error state.
 
         The result is (5,), or (0,) if the state has no errors of this scanner.
@@ -67,12 +67,12 @@ class FilterContext:
         return CorrectedScan.of(scan, self.state.inertial, value)
 
     def local_jacobian(self, sensor: str) -> tuple[Index, Array]:
-        """Return which state errors a scan depends on, and the scan's Jacobian.
+        """Return which state errors a scan in the local frame depends on, and a Jacobian.
 
-        The indices are (k,). The Jacobian (11, k) converts these errors to the 11 errors of a
-        `CorrectedScan`.
+        The errors are given by their indices (k,). The Jacobian (11, k) converts them to the 11
+        errors of a `CorrectedScan`.
         """
-        scanner_indices = self.scanner(sensor)
+        scanner_indices = self.scanner_indices(sensor)
         return np.concatenate((POSE, scanner_indices)), np.eye(11, 6 + len(scanner_indices))
 
     def record_outcome(self, sensor: str, kind: str, outcome: Any, time: float) -> None:
@@ -83,7 +83,7 @@ class FilterContext:
         not inflated would pull the others back. After a drift the scanner's variances are
         increased. `kind` names the kind of scan update, and `time` is in s.
         """
-        scanner_indices, all_indices = self.scanner(sensor), np.arange(self.state.size)
+        scanner_indices, all_indices = self.scanner_indices(sensor), np.arange(self.state.size)
         max_sigmas = np.concatenate(
             (self.max_sigmas, np.full(self.state.tail, _MAX_POSITION_SIGMA_M))
         )
@@ -94,7 +94,7 @@ class FilterContext:
             all_indices,
             max_sigmas,
             time,
-            drifting=(scanner_indices, DRIFTED_SCANNER_SIGMAS[: len(scanner_indices)]),
+            drift_cause=(scanner_indices, DRIFTED_SCANNER_SIGMAS[: len(scanner_indices)]),
         )
 
 

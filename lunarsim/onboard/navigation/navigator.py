@@ -65,7 +65,7 @@ class Navigator(Navigation):
     ----------
     inertial
         Initial state estimate, site frame.
-    errors
+    start_sigmas
         Standard deviations of the initial state.
     prior
         Prior map; if None, scans are only registered on each other.
@@ -84,7 +84,7 @@ class Navigator(Navigation):
         The error state, and the transformation between site frame and local frame.
     events
         Events reported so far.
-    parts
+    processors
         Measurement processors, in the order in which they are offered measurements.
     matcher
         Processor that registers scans on the prior map; None without a map.
@@ -97,7 +97,7 @@ class Navigator(Navigation):
     def __init__(
         self,
         inertial: StrapdownState,
-        errors: StartSigmas,
+        start_sigmas: StartSigmas,
         prior: PriorMap | None = None,
         settings: RegistrationSettings | None = None,
         *,
@@ -113,15 +113,15 @@ class Navigator(Navigation):
             | empty_map_block()
             | scanner_blocks(calibrations)
         )
-        self.state = ErrorState(inertial, errors, blocks=blocks)
+        self.state = ErrorState(inertial, start_sigmas, blocks=blocks)
         self.frame = LocalFrame(self.state)
         self.events: list[NavigationEvent] = []
         self._aiding = AidingMeasurements(self.state, calibrations, terrain, self.events)
         self._arrivals = MeasurementSequencer(inertial.step, self._add_event)
         shared = FilterContext(self.state, self._aiding, self.events, maximum_sigmas(self.state))
         self.matcher = None if prior is None else MapMatcher(shared, self.frame, prior, limits)
-        self.parts: list[MeasurementProcessor] = [] if self.matcher is None else [self.matcher]
-        self.parts += [ScanOdometry(shared, limits), self._aiding]
+        self.processors: list[MeasurementProcessor] = [] if self.matcher is None else [self.matcher]
+        self.processors += [ScanOdometry(shared, limits), self._aiding]
         self.rocks = RockFilter(self.state, self._aiding) if rocks else None
         self._context = shared
         self._is_anchored = False
@@ -150,8 +150,8 @@ class Navigator(Navigation):
 
         KIND is the kind of measurement, for example "range".
         """
-        corrected = {} if self.rocks is None else self.rocks.image_monitor.watches
-        return {**self._aiding.watches, **{f"rocks' {kind}": w for kind, w in corrected.items()}}
+        corrected = {} if self.rocks is None else self.rocks.image_monitor.monitors
+        return {**self._aiding.monitors, **{f"rocks' {kind}": w for kind, w in corrected.items()}}
 
     @property
     def lost(self) -> bool:
@@ -189,7 +189,7 @@ class Navigator(Navigation):
     @property
     def site_to_local(self) -> SiteToLocal:
         """Estimated transformation from the site frame to the local frame."""
-        return self.frame.shift
+        return self.frame.site_to_local
 
     def _add_event(self, time: float, name: str, details: dict[str, Any]) -> None:
         self.events.append(NavigationEvent(time, name, details))
@@ -232,7 +232,7 @@ class Navigator(Navigation):
     def _offer_to_processors(self, sensor: str, measurement: Any, time: float) -> None:
         """Pass a measurement to all processors in order; later ones learn if it was used."""
         used = False
-        for part in self.parts:
+        for part in self.processors:
             used = part.take(sensor, measurement, time, used=used) or used
 
     def correct_measurement(

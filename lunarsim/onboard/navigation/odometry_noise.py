@@ -38,14 +38,14 @@ def comparison_normals(new: Array, old: Array) -> Array:
     return out
 
 
-def height_variances(normal: Array, left: Array, used: NDArray[np.bool_]) -> Array:
+def height_variances(normal: Array, residual: Array, used: NDArray[np.bool_]) -> Array:
     """Estimate the height variance of each square (n,), m^2, from fit residuals.
 
-    `left` (n,), m, are the residuals, `normal` (n, 3) the terrain normals, and `used` (n,) marks
-    the squares used in the fit. The variance grows with the squared slope: at the edges of rocks
-    the measured height depends on the viewpoint.
+    `residual` (n,), m, are the residuals, `normal` (n, 3) the terrain normals, and `used` (n,)
+    marks the squares used in the fit. The variance grows with the squared slope: at the edges of
+    rocks the measured height depends on the viewpoint.
     """
-    square = left**2
+    square = residual**2
     squared_slope = np.sum((normal[:, :2] - np.median(normal[:, :2], axis=0)) ** 2, axis=1)
     is_flat = used & (squared_slope <= np.median(squared_slope[used]))
     min_variance = max(float(np.mean(square[is_flat])), _MIN_SIGMA_M**2)

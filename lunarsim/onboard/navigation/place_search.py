@@ -38,7 +38,7 @@ class SearchSettings:
     Attributes
     ----------
     tile
-        Side of a tile, m; limited to 4 to 16 grid points of the map.
+        Side of a tile (patch of scanned terrain), m; limited to 4 to 16 grid points of the map.
     idle_s
         Time without new grid points after which an incomplete tile is compared, s.
     drift_correlation_s
@@ -73,7 +73,7 @@ class MapMatch:
         Covariance of the shift (3, 3), m^2.
     certainty
         Probability that the true shift lies within 1.5 times the grid spacing of the map.
-    share
+    agreeing_fraction
         Fraction of the grid points that agree at this place.
     vertical_shift, vertical_shift_variance
         Mean and variance of the vertical shift over all places, weighted by their probability, m
@@ -83,7 +83,7 @@ class MapMatch:
     shift: Array
     covariance: Array
     certainty: float
-    share: float
+    agreeing_fraction: float
     vertical_shift: float
     vertical_shift_variance: float
 
@@ -98,16 +98,16 @@ class _SampledTile:
         Row and column of the first sample, counted in half grid spacings from the first grid point
         of the map.
     samples
-        Heights, weights and variances at every half grid spacing (r, c).
-    level
-        Terrain heights (r, c), m.
+        Heights above the local planes, weights and variances at every half grid spacing (r, c).
+    terrain_height
+        Terrain heights, without a plane subtracted (r, c), m.
     """
 
     first: tuple[int, int]
     samples: FeatureTile
-    level: Array
+    terrain_height: Array
 
-    def lay(self, a: int, b: int) -> FeatureTile:
+    def every_second(self, a: int, b: int) -> FeatureTile:
         """Return every second sample of the tile, starting at row `a` and column `b`."""
         cut = (slice(a, None, 2), slice(b, None, 2))
         return FeatureTile(
@@ -154,7 +154,7 @@ class PlaceSearch:
         self._time: float | None = None
 
     @property
-    def evidence(self) -> tuple[Array, tuple[int, int]]:
+    def log_likelihood(self) -> tuple[Array, tuple[int, int]]:
         """Log-likelihood of every place (rows, cols), and the shift of the first place.
 
         The prior of the position is not included. The shift is (north, east) in units of `spacing`.
@@ -205,25 +205,27 @@ class PlaceSearch:
             raise InputError(
                 "time", time, f"must be finite and not before the last time ({self._time} s)"
             )
-        self._cover(mean, covariance)
+        self._extend_places(mean, covariance)
         self._blur(time, speed_sigma)
         prior_distance = self._prior_distance(mean, covariance)
         complete = self._complete_tiles(time)
-        mean_log_ratios = [self.features.mean_log_ratio(tile.lay(0, 0)) for tile in complete]
+        mean_log_ratios = [
+            self.features.mean_log_ratio(tile.every_second(0, 0)) for tile in complete
+        ]
         information = [
-            0.0 if mean is None else self.features.exact(tile.lay(0, 0)) - mean
+            0.0 if mean is None else self.features.exact_fit_ratio(tile.every_second(0, 0)) - mean
             for tile, mean in zip(complete, mean_log_ratios, strict=True)
         ]
         least = _MIN_TILE_INFORMATION * min(1.0, self._log.size / _MAX_HALF_POST_PLACES)
         # Tiles in order of decreasing information: the others need fewer places then.
         for n in np.argsort(np.negative(information), kind="stable"):
             if mean_log_ratios[n] is not None and information[n] >= least:
-                self._add_evidence(complete[n], prior_distance, mean_log_ratios[n])
+                self._apply_tile(complete[n], prior_distance, mean_log_ratios[n])
         self._tiles += complete
         return self._best_match(prior_distance, mean, covariance) if self._tiles else None
 
-    def _cover(self, mean: Array, covariance: Array) -> None:
-        """Extend the array of places to the reach of the prior.
+    def _extend_places(self, mean: Array, covariance: Array) -> None:
+        """Extend the array of places so that it covers the prior of the shift.
 
         `mean` (2,), m, and `covariance` (2, 2), m^2, are the prior of the shift. New places start
         with a log-likelihood of 0.
@@ -286,7 +288,7 @@ class PlaceSearch:
 
         `time` is the current time, s.
         """
-        height, known = self._submap.posts()
+        height, known = self._submap.block_means()
         if not known.any():
             return []
         first = self._submap.first
@@ -315,19 +317,21 @@ class PlaceSearch:
             if n >= 0.95 * full or (old and n >= 0.25 * full):
                 self._used.add(key)
                 complete.append(key)
-        return [self._cut(key, height, known) for key in complete]
+        return [self._cut_tile(key, height, known) for key in complete]
 
-    def _cut(self, key: tuple[int, int], height: Array, known: NDArray[np.bool_]) -> _SampledTile:
+    def _cut_tile(
+        self, tile_index: tuple[int, int], height: Array, known: NDArray[np.bool_]
+    ) -> _SampledTile:
         """Cut a tile, sampled at every half grid spacing, out of the scanned terrain.
 
-        `key` is the row and column of the tile; `height`, m, and `known` are the result of
-        `Submap.posts`.
+        `tile_index` is the row and column of the tile, counted in tiles; `height`, m, and `known`
+        (rows, cols) are the result of `Submap.block_means`.
         """
         # Margin of half a grid spacing for the four offsets, and of two spacings for slopes.
         side, margin = 2 * self._wide, 2 * self.features.reach + 2
-        south, west = (side * key[i] - margin - self._submap.first[i] for i in (0, 1))
+        south, west = (side * tile_index[i] - margin - self._submap.first[i] for i in (0, 1))
         many = side + 2 * margin
-        z, seen = _cut(height, south, west, many), _cut(known, south, west, many)
+        z, seen = _cut_square(height, south, west, many), _cut_square(known, south, west, many)
         above, kept = np.zeros(z.shape), np.zeros(z.shape, np.bool_)
         for a in (0, 1):
             for b in (0, 1):
@@ -343,31 +347,34 @@ class PlaceSearch:
         inner = (slice(margin, margin + side),) * 2
         weight, variance = kept.astype(np.float64), self.features.variance + spread
         samples = FeatureTile(above[inner], weight[inner], variance[inner])
-        return _SampledTile((side * key[0], side * key[1]), samples, z[inner])
+        return _SampledTile((side * tile_index[0], side * tile_index[1]), samples, z[inner])
 
     # --- evidence -------------------------------------------------------------------------
 
-    def _add_evidence(
-        self, tile: _SampledTile, prior_distance: Array, mean_log_ratios: float
-    ) -> None:
+    def _apply_tile(self, tile: _SampledTile, prior_distance: Array, mean_log_ratio: float) -> None:
         """Multiply the posterior of the places by the likelihood of a tile.
 
-        `prior_distance` is the result of `_prior_distance`; `mean_log_ratios` is the logarithm of
+        `prior_distance` is the result of `_prior_distance`; `mean_log_ratio` is the logarithm of
         the tile's mean likelihood ratio over the map.
         """
         log = self._log - prior_distance
         row, col = np.nonzero(log >= log.max() - _MAX_LOG_DEFICIT)
-        ratio, share = np.zeros(len(row)), np.zeros(len(row))
-        north, east, ways = row + self._origin[0], col + self._origin[1], self._offsets
-        for a in range(ways):
-            for b in range(ways):
+        ratio, covered_fraction = np.zeros(len(row)), np.zeros(len(row))
+        north, east, offset_count = row + self._origin[0], col + self._origin[1], self._offsets
+        for a in range(offset_count):
+            for b in range(offset_count):
                 # Shifts by an odd number of half spacings use samples offset by half a spacing.
-                selected = np.flatnonzero(((north + a) % ways == 0) & ((east + b) % ways == 0))
-                ratio[selected], share[selected] = self.features.likelihood(
-                    tile.lay(a, b), (north[selected] + a) // ways + tile.first[0] // 2,
-                    (east[selected] + b) // ways + tile.first[1] // 2,
-                )  # fmt: skip
-        self._log[row, col] += self.features.factor(ratio, share, mean_log_ratios, log.size)
+                selected = np.flatnonzero(
+                    ((north + a) % offset_count == 0) & ((east + b) % offset_count == 0)
+                )
+                ratio[selected], covered_fraction[selected] = self.features.likelihood(
+                    tile.every_second(a, b),
+                    (north[selected] + a) // offset_count + tile.first[0] // 2,
+                    (east[selected] + b) // offset_count + tile.first[1] // 2,
+                )
+        self._log[row, col] += self.features.log_factor(
+            ratio, covered_fraction, mean_log_ratio, log.size
+        )
 
     # --- outcome --------------------------------------------------------------------------
 
@@ -415,13 +422,14 @@ class PlaceSearch:
         past = ndtr((low - mean) / sigma) + ndtr((mean - high) / sigma)
         return min(float(past.sum()), 1.0)
 
-    def _posts_below(
+    def _map_points_below(
         self, tile: _SampledTile, row: IntArray, col: IntArray
     ) -> tuple[tuple[slice, slice], IntArray, IntArray]:
-        """Return slices of a tile's samples, and the map rows and columns below them.
+        """Return the map grid points that lie below a tile at given places.
 
-        `row` and `col` (n,) are places; the map rows are (n, r) and the columns (n, c). All places
-        must lie at the same offset from the grid points of the map, in half grid spacings.
+        `row` and `col` (n,) are the places. The results are the slices of the tile's samples that
+        lie on grid points, and the rows (n, r) and columns (n, c) of these points. All places must
+        lie at the same offset from the grid points of the map, in half grid spacings.
         """
         north, east = row + self._origin[0], col + self._origin[1]
         ways = self._offsets
@@ -432,23 +440,26 @@ class PlaceSearch:
         return (slice(a, None, 2), slice(b, None, 2)), r, c
 
     def _agreement(self, row: int, col: int) -> tuple[float, float | None, float]:
-        """Return fraction of agreeing points, height difference and variance at a place.
+        """Return fraction of agreeing points, height difference and its variance.
 
-        `row` and `col` are those of the place. The height difference is map minus scan, m, from the
+        They refer to the place `row`, `col`. The height difference is map minus scan, m, from the
         last six tiles; None without agreeing points.
         """
         agreed, compared, rises = 0, 0, []
         for n, tile in enumerate(reversed(self._tiles)):
-            cut, r, c = self._posts_below(tile, np.array([row]), np.array([col]))
+            cut, r, c = self._map_points_below(tile, np.array([row]), np.array([col]))
             shown, elevation = (
-                _at(of, r[0], c[0]) for of in (self.features.shown, self.prior.elevation)
+                _values_at(of, r[0], c[0])
+                for of in (self.features.feature_height, self.prior.elevation)
             )
-            both = (tile.samples.weight[cut] > 0.0) & (_at(self.features.kept, r[0], c[0]) > 0.0)
+            both = (tile.samples.weight[cut] > 0.0) & (
+                _values_at(self.features.known, r[0], c[0]) > 0.0
+            )
             gap = shown - tile.samples.height[cut]
             agree = both & (gap**2 <= 9.0 * tile.samples.variance[cut])
             agreed, compared = agreed + int(agree.sum()), compared + int(both.sum())
             if n < 6:
-                rises.append((elevation - tile.level[cut])[agree])
+                rises.append((elevation - tile.terrain_height[cut])[agree])
         rise = np.concatenate(rises)
         posting, sigma = self.prior.grid.posting, self.prior.sigma
         error = (
@@ -475,12 +486,15 @@ class PlaceSearch:
         keep = mass > 1e-6 * mass.max()
         row, col, mass = row[keep], col[keep], mass[keep]
         tile = self._tiles[-1]
-        cut, r, c = self._posts_below(tile, row, col)
+        cut, r, c = self._map_points_below(tile, row, col)
         ours = tile.samples.weight[cut] > 0.0
         i, j = np.nonzero(ours)
         some = slice(None, None, max(1, len(i) // 32))
         i, j = i[some], j[some]
-        rise = _at(self.prior.elevation, r[:, i], c[:, j], paired=True) - tile.level[cut][i, j]
+        rise = (
+            _values_at(self.prior.elevation, r[:, i], c[:, j], paired=True)
+            - tile.terrain_height[cut][i, j]
+        )
         known = np.isfinite(rise)
         count = known.sum(axis=1)
         mean = np.where(known, rise, 0.0).sum(axis=1) / np.maximum(count, 1)
@@ -493,45 +507,43 @@ class PlaceSearch:
 
 
 def _check_prior(mean: Array, covariance: Array, speed_sigma: float) -> None:
-    """Check mean, covariance and drift velocity given to a search.
-
-    Raises
-    ------
-    InputError
-        If a shape is wrong, or a value is not finite or out of range.
-    """
+    """Raise an `InputError` if an argument of `PlaceSearch.search` is invalid."""
     if np.shape(mean) != (2,) or not np.isfinite(mean).all():
-        raise InputError("mean", mean, "must be two finite numbers, m")
+        raise InputError("mean", mean, "must be two finite numbers in m")
     p = np.asarray(covariance, dtype=np.float64)
     fits = p.shape == (2, 2) and np.isfinite(p).all() and np.allclose(p, p.T, rtol=1e-6)
     if not (fits and p[0, 0] > 0.0 and np.linalg.det(p) > 0.0):
-        raise InputError("covariance", covariance, "must be a positive definite matrix (2, 2), m^2")
+        raise InputError(
+            "covariance", covariance, "must be a positive definite matrix (2, 2) in m^2"
+        )
     if not 0.0 <= speed_sigma < np.inf:
-        raise InputError("speed_sigma", speed_sigma, "must be a non-negative number, m/s")
+        raise InputError("speed_sigma", speed_sigma, "must be a non-negative number in m/s")
 
 
-def _cut(of: NDArray[Any], row: int, col: int, side: int) -> NDArray[Any]:
-    """Cut a square of `side` cells out of a raster `of`; 0 outside the raster.
+def _cut_square(raster: NDArray[Any], row: int, col: int, side: int) -> NDArray[Any]:
+    """Cut a square of `side` cells out of a raster; 0 outside the raster.
 
     `row` and `col` are the first row and column of the square; they can lie outside the raster.
     """
-    out = np.zeros((side, side), of.dtype)
-    r0, r1 = max(row, 0), min(row + side, of.shape[0])
-    c0, c1 = max(col, 0), min(col + side, of.shape[1])
+    out = np.zeros((side, side), raster.dtype)
+    r0, r1 = max(row, 0), min(row + side, raster.shape[0])
+    c0, c1 = max(col, 0), min(col + side, raster.shape[1])
     if r0 < r1 and c0 < c1:
-        out[r0 - row : r1 - row, c0 - col : c1 - col] = of[r0:r1, c0:c1]
+        out[r0 - row : r1 - row, c0 - col : c1 - col] = raster[r0:r1, c0:c1]
     return out
 
 
-def _at(of: NDArray[Any], row: IntArray, col: IntArray, *, paired: bool = False) -> Array:
-    """Return the values of a raster `of` at given rows and columns; NaN outside.
+def _values_at(
+    raster: NDArray[Any], row: IntArray, col: IntArray, *, paired: bool = False
+) -> Array:
+    """Return the values of a raster at given rows and columns; NaN outside.
 
     The result is (r, c) for rows (r,) and columns (c,). With `paired`, each row belongs to one
     column, and the result has the shape of `row`.
     """
     if not paired:
         row, col = np.broadcast_arrays(row[:, None], col[None, :])
-    inside = (row >= 0) & (row < of.shape[0]) & (col >= 0) & (col < of.shape[1])
+    inside = (row >= 0) & (row < raster.shape[0]) & (col >= 0) & (col < raster.shape[1])
     out = np.full(row.shape, np.nan)
-    out[inside] = of[row[inside], col[inside]]
+    out[inside] = raster[row[inside], col[inside]]
     return out

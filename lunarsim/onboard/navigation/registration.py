@@ -46,19 +46,19 @@ class MapFit:
     misfit: float
 
     @property
-    def share(self) -> float:
+    def agreeing_fraction(self) -> float:
         """Fraction of the compared squares that agree with the map."""
         return self.used / self.compared if self.compared else 0.0
 
 
-def fit(
+def fit_residuals(
     jacobian: Array,
     residual: Array,
     variance: Array,
     prior: Array,
     gate: float = 3.0,
     *,
-    expected: Array | None = None,
+    outlier_variance: Array | None = None,
 ) -> MapFit:
     """Estimate errors from height residuals by least squares without outliers.
 
@@ -67,10 +67,10 @@ def fit(
     jacobian, residual, variance
         Jacobian, residuals and variances of n scalar measurements (n, d), (n,), (n,).
     prior
-        Prior covariance of the error (d, d).
+        Prior covariance of the errors (d, d).
     gate
-        Maximum residual after the fit, in standard deviations.
-    expected
+        Maximum residual after the fit, in standard deviations; larger ones are outliers.
+    outlier_variance
         Variances for the outlier test (n,); default: `variance`. `variance` can be larger because a
         measurement was used before. If the test used it, changed terrain would pass after repeated
         views.
@@ -78,7 +78,7 @@ def fit(
     d = jacobian.shape[1]
     if len(residual) == 0:
         return MapFit(np.zeros((d, d)), np.zeros(d), 0, 0, np.nan)
-    test_variance = variance if expected is None else expected
+    test_variance = variance if outlier_variance is None else outlier_variance
     keep = np.ones(len(residual), np.bool_)
     # Start without the outliers from the median: a changed patch would bias a plain mean.
     middle = np.median(residual)
@@ -151,11 +151,13 @@ def register_scan(
         surface = average_scan(moved.points(), prior.grid)
         inside = _is_on_map(surface, prior)
         posts = surface.row[inside], surface.col[inside]
-        normal, added = _normals(surface.normal[inside], spread if level_only else None)
+        normal, added = _fit_normals(surface.normal[inside], spread if level_only else None)
         jacobian = moved.jacobian(surface.position[inside], normal)
         residual = prior.elevation[posts] - surface.position[inside, 2] + jacobian @ error
         expected = features.variance + added
-        result = fit(jacobian, residual, variance[posts] + added, covariance, expected=expected)
+        result = fit_residuals(
+            jacobian, residual, variance[posts] + added, covariance, outlier_variance=expected
+        )
         if result.used == 0:
             break
         step = solve_error(result, covariance) - error
@@ -172,40 +174,40 @@ def register_scan(
     return result, posts
 
 
-def solve_error(found: MapFit, covariance: Array) -> Array:
+def solve_error(map_fit: MapFit, covariance: Array) -> Array:
     """Return the maximum a posteriori error (d,) of a fit, given a prior covariance.
 
-    The prior covariance is (d, d); the prior mean is zero.
+    `map_fit` is the result of the fit; `covariance` (d, d) is that of the prior with mean zero.
     """
-    both = np.eye(len(covariance)) + found.information @ covariance
-    return np.asarray(covariance @ np.linalg.solve(both, found.vector))
+    both = np.eye(len(covariance)) + map_fit.information @ covariance
+    return np.asarray(covariance @ np.linalg.solve(both, map_fit.vector))
 
 
-def _normals(normal: Array, spread: Array | None) -> tuple[Array, Array]:
+def _fit_normals(normals: Array, position_covariance: Array | None) -> tuple[Array, Array]:
     """Return terrain normals (n, 3) for a fit, and added residual variances (n,), m^2.
 
-    `spread` (2, 2), m^2, is the covariance of an uncertain horizontal position, which the fit must
-    not determine. All normals are then replaced by their mean, and the deviation of each slope adds
+    `position_covariance` (2, 2), m^2, is that of a horizontal position that the fit must not
+    determine. All normals are then replaced by their mean, and the deviation of each slope adds
     variance. With None, the normals are returned unchanged.
     """
-    if spread is None or len(normal) == 0:
-        return normal, np.zeros(len(normal))
-    slope = normal[:, :2] - normal[:, :2].mean(axis=0)
-    added = np.asarray(np.einsum("ni,ij,nj->n", slope, spread, slope))
-    return np.broadcast_to(normal.mean(axis=0), normal.shape), added
+    if position_covariance is None or len(normals) == 0:
+        return normals, np.zeros(len(normals))
+    slope = normals[:, :2] - normals[:, :2].mean(axis=0)
+    added = np.asarray(np.einsum("ni,ij,nj->n", slope, position_covariance, slope))
+    return np.broadcast_to(normals.mean(axis=0), normals.shape), added
 
 
 def residual_correlation(
-    posts: tuple[IntArray, IntArray], residual: Array, variance: Array
+    grid_points: tuple[IntArray, IntArray], residual: Array, variance: Array
 ) -> float:
     """Return the variance inflation that accounts for the correlation of residuals.
 
     Sums of residuals over blocks of a few grid points are compared with their variance for
     independent residuals. Map errors with a correlation length of some metres and small terrain
-    changes add up in these sums. The result is 1 if there are too few blocks. `posts` are rows and
-    columns (n,) of the residuals (n,), m, with variances (n,), m^2.
+    changes add up in these sums. The result is 1 if there are too few blocks. `grid_points` are
+    rows and columns (n,) of the residuals (n,), m, with variances (n,), m^2.
     """
-    row, col = (part // _BLOCK_POSTS for part in posts)
+    row, col = (part // _BLOCK_POSTS for part in grid_points)
     keep = residual**2 <= 9.0 * variance
     block = (row - row.min()) * (int(np.ptp(col)) + 1) + col - col.min()
     total = np.bincount(block[keep], residual[keep])
@@ -219,13 +221,14 @@ def residual_correlation(
 def _initial_error(
     corrected: CorrectedScan, features: MapFeatures, covariance: Array
 ) -> tuple[Array, bool, Array]:
-    """Return initial error (11,), whether to fit heights only, and shift covariance.
+    """Choose the start of a fit: the initial error, and whether to fit heights only.
 
-    The covariance (2, 2), m^2, is the second moment of the horizontal shift about the most probable
-    one. Slopes give the correct position only within half the grid spacing on rough terrain. If the
+    Slopes give the correct position only within half the grid spacing on rough terrain. If the
     position of the scan is less certain, all shifts that its uncertainty allows are compared first.
     If several shifts are plausible, the fit must not choose between them and determines only
-    heights. `covariance` (11, 11) is the prior covariance of the scan's errors.
+    heights. The results are the initial error (11,), whether to fit heights only, and the second
+    moment (2, 2), m^2, of the shift about the most probable one. `covariance` (11, 11) is the prior
+    covariance of the scan's errors.
     """
     surface = corrected.surface(features.prior.grid)
     error, none = np.zeros(len(covariance)), np.zeros((2, 2))

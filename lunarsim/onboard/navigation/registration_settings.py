@@ -96,9 +96,9 @@ class RegistrationSettings:
                 raise InputError(f"navigation.{name}", value, "must be a positive number")
 
     def accepts_fit(self, fit: MapFit) -> bool:
-        """Return whether enough squares of a fit agree, with small enough residuals."""
+        """Return whether a fit is good: enough grid squares agree, with small residuals."""
         return (
             fit.used >= self.min_squares
-            and fit.share >= self.min_agreement
+            and fit.agreeing_fraction >= self.min_agreement
             and fit.misfit <= self.max_misfit
         )

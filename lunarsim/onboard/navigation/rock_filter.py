@@ -18,7 +18,10 @@ from lunarsim._jit import threads_for
 from lunarsim.errors import InputError
 from lunarsim.frames import rotation_about_up
 from lunarsim.models.camera import CameraModel
-from lunarsim.onboard.navigation._rock_filter_kernels import add_outer_products, measured_rows
+from lunarsim.onboard.navigation._rock_filter_kernels import (
+    add_outer_products,
+    multiply_pixel_jacobians,
+)
 from lunarsim.onboard.navigation.aiding_measurements import AidingMeasurements, aiding_blocks
 from lunarsim.onboard.navigation.error_state import (
     MAP,
@@ -96,7 +99,7 @@ class RockFilter(RockStates):
     def of(
         cls,
         inertial: StrapdownState,
-        errors: StartSigmas | None = None,
+        start_sigmas: StartSigmas | None = None,
         *,
         terrain_prior: TerrainPrior | None = None,
         capacity: int = 128,
@@ -107,7 +110,7 @@ class RockFilter(RockStates):
         ----------
         inertial
             Initial state of the lander.
-        errors
+        start_sigmas
             Standard deviations of the initial state.
         terrain_prior
             Prior knowledge of the terrain height; default: horizontal at 0 m, exact.
@@ -115,7 +118,7 @@ class RockFilter(RockStates):
             Initial number of rocks to allocate.
         """
         level = terrain_prior or TerrainPrior(0.0, None)
-        state = ErrorState(inertial, errors, blocks=aiding_blocks({}, level))
+        state = ErrorState(inertial, start_sigmas, blocks=aiding_blocks({}, level))
         return cls(state, AidingMeasurements(state, {}, level, []), capacity=capacity)
 
     @property
@@ -131,25 +134,25 @@ class RockFilter(RockStates):
         return self.state.covariance
 
     def terrain_points(
-        self, camera: CameraModel, pixel: Array, near: MapRegion | None = None
+        self, camera: CameraModel, pixel: Array, region: MapRegion | None = None
     ) -> Array:
         """Intersect lines of sight through undistorted pixels (n, 2) with the terrain.
 
-        `near` is an optional region of interest: west, east, south and north limits, m. Returns
+        `region` is an optional region of interest: west, east, south and north limits, m. Returns
         points (n, 3), m; NaN without an intersection, and for points far outside the region.
         """
         out = np.full((len(pixel), ROCK_DIM), np.nan)
         if len(pixel) == 0:
             return out
         origin, per_drop = self._sight_lines(camera, pixel)
-        middle = None if near is None else np.reshape(near, (2, 2)).mean(axis=1)
+        middle = None if region is None else np.reshape(region, (2, 2)).mean(axis=1)
         out[:, 2] = (
             self.terrain_height_below if middle is None else self.terrain_height_at(middle)[0]
         )
         out[:, :2] = origin[:2] + per_drop * (origin[2] - out[:, 2:])
         is_finite = np.isfinite(out[:, :2]).all(1)
-        if near is not None:
-            is_finite &= _is_near_region(out[:, :2], per_drop, near)
+        if region is not None:
+            is_finite &= _is_near_region(out[:, :2], per_drop, region)
             out[~is_finite] = np.nan
         out[is_finite] = self._intersect(origin, per_drop[is_finite], out[is_finite, 2])
         return out
@@ -164,7 +167,9 @@ class RockFilter(RockStates):
             # The compiled version of the same iteration.
             search = (_MAX_ITERATIONS, _HEIGHT_TOLERANCE_M, *_STEP_LIMITS)
             known = self._known_heights()
-            return intersect_lines(*known, origin, per_drop, height, self._level.growth, search)
+            return intersect_lines(
+                *known, origin, per_drop, height, self._terrain_prior.growth, search
+            )
         indices, last_height, last_gap = (
             np.arange(len(height)),
             height,
@@ -197,8 +202,8 @@ class RockFilter(RockStates):
     def _sight_lines(self, camera: CameraModel, pixel: Array) -> tuple[Array, Array]:
         """Return camera position (3,) and the lines of sight through pixels (n, 2).
 
-        A line is given by its advance, east and north, per metre downwards (n, 2); NaN for lines
-        that do not descend.
+        A line is given by its horizontal advance, east and north, per metre of descent (n, 2); NaN
+        for lines that do not descend.
         """
         view = camera.view(self.inertial)
         tangent = (pixel - [view.cx, view.cy]) / [view.fx, view.fy]
@@ -238,16 +243,16 @@ class RockFilter(RockStates):
         """
         return project_points(self.inertial, camera, self.xyz if points is None else points)
 
-    def innovation_covariance(self, sight: RockProjection) -> Array:
+    def innovation_covariance(self, predicted: RockProjection) -> Array:
         """Return the covariance of the predicted pixels of all rocks (n, 2, 2).
 
-        `sight` is the prediction from the current state. The pixel noise is not included.
+        `predicted` is the prediction from the current state. The pixel noise is not included.
         """
         p = self.state.covariance_for_rows(POSE)
         pose = p[np.ix_(POSE, POSE)]
         cross = np.moveaxis(p[POSE[:, None, None], self.state_indices()[None]], 0, 1)  # (n, 6, 3)
         own = self.rock_covariance()
-        a, b = sight.jacobian_by_pose, sight.jacobian_by_rock
+        a, b = predicted.jacobian_by_pose, predicted.jacobian_by_rock
         mixed = a @ cross @ np.swapaxes(b, 1, 2)
         return np.asarray(
             a @ pose @ np.swapaxes(a, 1, 2)
@@ -259,13 +264,13 @@ class RockFilter(RockStates):
     def update_rocks(
         self,
         index: Index,
-        sight: RockProjection,
+        predicted: RockProjection,
         pixel: Array,
         pixel_covariance: Array,
         radius: Array,
         radius_variance: Array,
-        common: float = 0.0,
-        radius_floor: float = 0.0,
+        common_sigma: float = 0.0,
+        min_variance_ratio: float = 0.0,
         gate: float = np.inf,
     ) -> UpdateOutcome:
         """Update lander and rocks with the rock observations of one image.
@@ -276,17 +281,17 @@ class RockFilter(RockStates):
         ----------
         index
             Indices of the rocks (n,), without repetition.
-        sight
+        predicted
             Predicted pixels of all rocks from the current state.
         pixel, pixel_covariance
             Measured centres (n, 2) and their covariances (n, 2, 2).
         radius, radius_variance
             Measured radii (n,), m and m^2.
-        common
+        common_sigma
             Standard deviation of an error common to all pixels of the image, per axis, pixels. The
             offset between a rock and its shadow depends on the view, so it does not average out
             over the rocks.
-        radius_floor
+        min_variance_ratio
             Minimum variance of a radius relative to that of one observation, since observations
             from nearly the same place have correlated errors.
         gate
@@ -298,22 +303,22 @@ class RockFilter(RockStates):
         outcome
             Outcome for the pixel coordinates, with two degrees of freedom per rock.
         """
-        self.update_radii(index, radius, radius_variance, radius_floor)
+        self.update_radii(index, radius, radius_variance, min_variance_ratio)
         good = np.isfinite(pixel).all(1) & is_positive_definite_2x2(pixel_covariance)
         if not good.any():
             return UpdateOutcome(0.0, 0, False)
         with one_blas_thread():
-            return self._update_places(
-                index[good], sight, pixel[good], pixel_covariance[good], common, gate
+            return self._update_positions(
+                index[good], predicted, pixel[good], pixel_covariance[good], common_sigma, gate
             )
 
-    def _update_places(
+    def _update_positions(
         self,
         index: Index,
-        sight: RockProjection,
+        predicted: RockProjection,
         pixel: Array,
         pixel_covariance: Array,
-        common: float,
+        common_sigma: float,
         gate: float,
     ) -> UpdateOutcome:
         """Update lander and rock positions with valid pixels; return the outcome.
@@ -321,24 +326,24 @@ class RockFilter(RockStates):
         The parameters are those of `update_rocks`.
         """
         m = len(index)
-        a, b = sight.jacobian_by_pose[index], sight.jacobian_by_rock[index]
+        a, b = predicted.jacobian_by_pose[index], predicted.jacobian_by_rock[index]
         columns = self.state_indices(index)
         with threads_for(1e-2 * m * self.state.size):
             p = self.state.covariance_for_rows(POSE, columns)
-            hp = measured_rows(p, self.state.size, POSE, a, columns, b)
+            hp = multiply_pixel_jacobians(p, self.state.size, POSE, a, columns, b)
         s = hp[:, POSE] @ a.reshape(2 * m, 6).T
         own = hp[:, columns.ravel()].reshape(2 * m, m, ROCK_DIM)
         s += np.einsum("kmj,mij->kmi", own, b).reshape(2 * m, 2 * m)
         block = 2 * np.arange(m)[:, None] + np.arange(2)
         s[block[:, :, None], block[:, None, :]] += pixel_covariance
-        s[::2, ::2] += common**2
-        s[1::2, 1::2] += common**2
-        innovation = (pixel - sight.pixel[index]).ravel()
+        s[::2, ::2] += common_sigma**2
+        s[1::2, 1::2] += common_sigma**2
+        innovation = (pixel - predicted.pixel[index]).ravel()
         return self.state.update_with_innovation(hp, s, innovation, 2 * m * gate)
 
     def add_view_noise(
-        self, sun: Array, along: float, across: float, shared: float, *,
-        closing: float = 0.0, pixel: float = 0.0,
+        self, sun: Array, along_sigma: float, across_sigma: float, common_sigma: float, *,
+        scale_sigma: float = 0.0, pixel_size: float = 0.0,
     ) -> None:  # fmt: skip
         """Add process noise to rock positions when the view rotates or comes closer.
 
@@ -350,23 +355,26 @@ class RockFilter(RockStates):
         ----------
         sun
             Direction to the Sun (3,), ENU.
-        along, across
-            Individual standard deviation after a rotation of 1 rad, along the Sun direction and
-            across it, in rock radii.
-        shared
-            Common standard deviation after a rotation of 1 rad, in rock radii.
-        closing
+        along_sigma, across_sigma
+            Individual standard deviation after the line of sight rotated by 1 rad, along the Sun
+            direction and across it, in rock radii.
+        common_sigma
+            Common standard deviation after a rotation by 1 rad, in rock radii.
+        scale_sigma
             Common standard deviation after a change of the pixel footprint by a factor e, by range
             or by camera; in units of the larger footprint.
-        pixel
+        pixel_size
             Footprint of a pixel at a range of 1 m, m.
         """
         origin = self.inertial.position.copy()
-        other, coarser = 0.0, pixel
-        if min(pixel, self._pixel) > 0.0:
-            other, coarser = abs(float(np.log(pixel / self._pixel))), max(pixel, self._pixel)
+        other, coarser = 0.0, pixel_size
+        if min(pixel_size, self._pixel) > 0.0:
+            other, coarser = (
+                abs(float(np.log(pixel_size / self._pixel))),
+                max(pixel_size, self._pixel),
+            )
         if self._last_camera_position is None or self.count == 0:
-            self._last_camera_position, self._pixel = origin, pixel
+            self._last_camera_position, self._pixel = origin, pixel_size
             return
         old, new = self.xyz - self._last_camera_position, self.xyz - origin
         angle = np.arctan2(
@@ -376,14 +384,14 @@ class RockFilter(RockStates):
         is_better = np.abs(np.log(far / np.maximum(np.linalg.norm(old, axis=1), _MIN_RANGE_M)))
         if max(np.median(angle), np.median(is_better), other) < _MIN_VIEW_CHANGE:
             return
-        self._last_camera_position, self._pixel = origin, pixel
+        self._last_camera_position, self._pixel = origin, pixel_size
         level = sun[:2] / np.hypot(sun[0], sun[1])
         root = np.sqrt(angle) * self.radius
-        range_ = closing * np.sqrt(is_better + other) * coarser * far
-        self._add_common_noise(np.stack((shared * root, range_)), level)
+        range_ = scale_sigma * np.sqrt(is_better + other) * coarser * far
+        self._add_common_noise(np.stack((common_sigma * root, range_)), level)
         axes = np.array([[*level, 0.0], [-level[1], level[0], 0.0]])
         i = self.state_indices()
-        own = (axes.T * [along**2, across**2]) @ axes
+        own = (axes.T * [along_sigma**2, across_sigma**2]) @ axes
         own = 0.5 * (own + own.T)  # symmetric to the last bit
         self.state.covariance_for_rows()[i[:, :, None], i[:, None, :]] += (root**2)[
             :, None, None
@@ -405,14 +413,14 @@ class RockFilter(RockStates):
             )
 
     def monitor_image(self, kind: str, time: float, outcome: UpdateOutcome) -> RockCorrection:
-        """Monitor the outcome of an image, and inflate the covariance after an alarm.
+        """Monitor the outcome of an image update; inflate the covariance after an alarm.
 
         `kind` is the monitored quantity: "places", "expected" or "shadows". `time` is in s. The
         caller must reset the rocks if the returned action is `RockCorrection.RESET`.
         """
         remedy = self.image_monitor.record(kind, time, outcome)
         if remedy is not RockCorrection.NONE and kind != "shadows":
-            nis_ratio = self.image_monitor.watches[kind].nis_ratio
+            nis_ratio = self.image_monitor.monitors[kind].nis_ratio
             growth = float(np.clip(nis_ratio, _MIN_GROWTH, _MAX_GROWTH))
             size = self.state.size
             max_sigma = np.full(size, _MAX_POSITION_SIGMA_M)
@@ -506,7 +514,7 @@ class RockFilter(RockStates):
         return by_pose, by_height, own
 
     def _set_position_covariance(
-        self, index: Index, by_pose: Array, by_height: Array, own: Array
+        self, index: Index, by_pose: Array, by_height: Array, noise_covariance: Array
     ) -> None:
         """Set the horizontal covariance of the rocks `index` (b,) in the error state.
 
@@ -521,18 +529,18 @@ class RockFilter(RockStates):
         block = rows[:, POSE] @ by_pose.reshape(2 * b, 6).T
         block += rows[:, i[:, 2]].repeat(2, 1) * by_height.ravel()
         at = np.arange(2 * b).reshape(b, 2)
-        block[at[:, :, None], at[:, None, :]] += own
+        block[at[:, :, None], at[:, None, :]] += noise_covariance
         p[np.ix_(level, level)] = 0.5 * (block + block.T)
 
 
-def _is_near_region(xy: Array, per_drop: Array, near: MapRegion) -> NDArray[np.bool_]:
+def _is_near_region(xy: Array, per_drop: Array, region: MapRegion) -> NDArray[np.bool_]:
     """Return which points (n, 2), m, can lie inside a region or its margin.
 
-    `near` are the west, east, south and north limits of the region, m. The points were found on
+    `region` are the west, east, south and north limits of the region, m. The points were found on
     horizontal terrain at the height of the region's centre, along lines with an advance of
     `per_drop` (n, 2) per metre of drop.
     """
-    west, east, south, north = near
+    west, east, south, north = region
     rise = _MAX_SLOPE * 0.5 * max(east - west, north - south)
     last_gap = _REGION_MARGIN_M + rise * np.linalg.norm(per_drop, axis=1)
     x, y = xy.T

@@ -48,7 +48,7 @@ class RockStates:
     ----------
     state
         Error state of the lander; the rocks are appended after its blocks.
-    level
+    terrain_prior
         Prior knowledge of the terrain height.
     capacity
         Initial number of rocks to allocate; it grows as needed.
@@ -65,12 +65,12 @@ class RockStates:
         Source of measured terrain heights; None: heights are interpolated between the rocks.
     """
 
-    def __init__(self, state: ErrorState, level: TerrainPrior, capacity: int) -> None:
+    def __init__(self, state: ErrorState, terrain_prior: TerrainPrior, capacity: int) -> None:
         if state.tail:
             raise InputError(
                 "navigation.rocks",
                 state.tail,
-                "must be added before any other states that follow the blocks",
+                "must be 0: rocks are the only errors after the blocks",
             )
         self.state = state
         self.state.reserve(ROCK_DIM * capacity)
@@ -78,7 +78,7 @@ class RockStates:
         self.first = self.state.head
         self.count = 0
         self.measured_terrain: TerrainHeights | None = None
-        self._level = level
+        self._terrain_prior = terrain_prior
         self._xyz = np.zeros((capacity, ROCK_DIM))
         self._r = np.zeros((capacity, 2))
         self._frozen = np.zeros(capacity, bool)
@@ -97,7 +97,7 @@ class RockStates:
         self._update_frozen()
 
     def _update_frozen(self) -> None:
-        self.state.rest(np.repeat(self._frozen[: self.count], ROCK_DIM))
+        self.state.freeze_tail(np.repeat(self._frozen[: self.count], ROCK_DIM))
 
     def state_indices(self, index: Index | None = None) -> Index:
         """Return the indices of the rocks' coordinates in the error state (n, 3).
@@ -148,10 +148,7 @@ class RockStates:
     def height_difference_variance(self, neighbours: Index) -> Array:
         """Return the variance of height differences between rocks and others (n, k), m^2.
 
-        Parameters
-        ----------
-        neighbours
-            Indices of the other rocks (n, k).
+        `neighbours` (n, k) are the indices of the other rocks of each rock.
         """
         p, height = self.state.covariance_for_rows(), self.state_indices()[:, 2]
         own = p[height, height]
@@ -164,19 +161,19 @@ class RockStates:
 
         0 if the terrain is modelled as horizontal.
         """
-        return self._level.growth if self.state.has(TERRAIN) else 0.0
+        return self._terrain_prior.growth if self.state.has(TERRAIN) else 0.0
 
     @property
     def terrain_height_below(self) -> float:
         """Estimated height of the terrain below the lander, local frame, m."""
         below = sum(float(self.state.value(name)[at]) for name, at in self._height_blocks())
-        return self._level.elevation + below
+        return self._terrain_prior.elevation + below
 
     def _height_blocks(self) -> list[tuple[str, int]]:
         """Return names and indices of the errors that add up to the terrain height.
 
-        They belong to the terrain below the lander. Elevations refer to the site frame, which has a
-        vertical offset from the local frame.
+        The height is that below the lander in the local frame: the errors are those of the terrain
+        elevation in the site frame, and of the vertical offset between the frames.
         """
         parts = ((TERRAIN, 0), (MAP, 2))
         return [(name, at) for name, at in parts if self.state.has(name)]
@@ -213,11 +210,11 @@ class RockStates:
         """Whether terrain heights can be interpolated between rocks."""
         return self.count > 0 and self.state.has(TERRAIN)
 
-    def _interpolate_height(self, at: Array) -> Array:
-        """Interpolate the terrain height (b,), m, at points (b, 2), m, between rocks."""
+    def _interpolate_height(self, xy: Array) -> Array:
+        """Interpolate the terrain height (b,), m, at points `xy` (b, 2), m, between rocks."""
         if not self.can_interpolate_height:
-            return np.full(len(at), self.terrain_height_below)
-        return interpolate_heights(*self._known_heights(), at, self._level.growth)
+            return np.full(len(xy), self.terrain_height_below)
+        return interpolate_heights(*self._known_heights(), xy, self._terrain_prior.growth)
 
     def _known_heights(self) -> tuple[Array, Array]:
         """Return horizontal positions and terrain heights at the lander and the rocks.
@@ -228,13 +225,13 @@ class RockStates:
         return places, np.append(self.terrain_height_below, self.xyz[:, 2])
 
     def update_radii(
-        self, index: Index, radius: Array, radius_variance: Array, floor: float = 0.0
+        self, index: Index, radius: Array, radius_variance: Array, min_variance_ratio: float = 0.0
     ) -> None:
         """Update the radii of observed rocks by independent scalar Kalman filters.
 
         `index` (n,) are the rocks; `radius` and `radius_variance` (n,) are the measured radii, m,
-        and their variances, m^2. `floor` is the minimum variance after the update relative to that
-        of the observation.
+        and their variances, m^2. `min_variance_ratio` is the minimum variance after the update
+        relative to that of the observation.
         """
         radius_variance = np.broadcast_to(radius_variance, np.shape(radius))
         good = np.isfinite(radius) & np.isfinite(radius_variance) & (radius_variance > 0.0)
@@ -242,7 +239,7 @@ class RockStates:
         r = self._r[index]
         gain = r[:, 1] / (r[:, 1] + radius_variance)
         self._r[index, 0] = r[:, 0] + gain * (radius - r[:, 0])
-        self._r[index, 1] = np.maximum((1.0 - gain) * r[:, 1], floor * radius_variance)
+        self._r[index, 1] = np.maximum((1.0 - gain) * r[:, 1], min_variance_ratio * radius_variance)
 
     # --- adding and removing --------------------------------------------------------------
 
@@ -279,10 +276,11 @@ class RockStates:
         return index
 
     def correlate_height(self, rock: int) -> None:
-        """Set a rock's height error from its neighbours and the terrain below the lander.
+        """Model a rock's height error as a weighted mean of its neighbours' errors.
 
-        `rock` is the index of the rock. If the terrain at the rock was measured by another sensor,
-        only the neighbours on measured terrain are used.
+        The error also has an independent part. `rock` is the index of the rock; its neighbours are
+        rocks that were added before, and the terrain below the lander. If the terrain at the rock
+        was measured by another sensor, only neighbours on measured terrain are used.
         """
         if not self.state.has(TERRAIN):
             return
@@ -294,14 +292,14 @@ class RockStates:
         at = self._xyz[rock, :2]
         neighbours = self._nearest(rock, np.arange(rock))
         places = np.vstack((self.state.inertial.position[:2], self._xyz[neighbours, :2]))
-        weights, variance = kriging_weights(places[None], at[None], self._level.growth)
+        weights, variance = kriging_weights(places[None], at[None], self._terrain_prior.growth)
         below = [self.state.block(name).start + at for name, at in self._height_blocks()]
         sources = np.concatenate((below, self.state_indices(neighbours)[:, 2]))
         weights = np.concatenate((np.full(len(below), weights[0, 0]), weights[0, 1:]))
         self._set_height_error(rock, sources, weights, float(variance[0]))
 
     def _correlate_with_measured(self, rock: int, others: Index) -> None:
-        """Set a rock's height error from those of its neighbours on measured terrain.
+        """Model a rock's height error as a mean over neighbours on measured terrain.
 
         `others` (k,) are the indices of all rocks on measured terrain. Without neighbours, the
         error depends on the lander's pose, from which the terrain was measured.
@@ -317,7 +315,7 @@ class RockStates:
             self._set_height_error(rock, POSE, weights, INDIVIDUAL_SIGMA_M**2 + COMMON_SIGMA_M**2)
 
     def _set_height_error(self, rock: int, sources: Index, weights: Array, variance: float) -> None:
-        self.state.follow(
+        self.state.replace_by_sum(
             int(self.state_indices(np.array([rock]))[0, 2]), sources, weights, variance
         )
 
@@ -342,12 +340,10 @@ class RockStates:
         return correct_heights(self, self.measured_terrain)
 
     def remove(self, index: Index) -> Index:
-        """Remove the rocks `index` from the error state; the last rocks fill the gaps.
+        """Remove rocks from the error state and fill the gaps with the last rocks.
 
-        Returns
-        -------
-        old
-            Old indices of the remaining rocks (n,), in their new order.
+        `index` are the removed rocks. The result is the old index of each remaining rock (n,), in
+        the new order.
         """
         is_missing = np.zeros(self.count, bool)
         is_missing[index] = True

@@ -49,7 +49,7 @@ class ScanAccumulator:
         pose. `time` is in s.
         """
         points = corrected.points()
-        if count_posts_below(points, self._posting, self._min_posts) == self._min_posts:
+        if count_covered_squares(points, self._posting, self._min_posts) == self._min_posts:
             return corrected
         if self._submap is None or time - self._since > self._max_time:
             self._submap, self._since = Submap(0.0, 0.0, self._posting / _SQUARES_PER_POST), time
@@ -67,12 +67,12 @@ class ScanAccumulator:
         return replace(corrected, scan=scan)
 
 
-def count_posts_below(points: Array, posting: float, max_count: int = 1 << 40) -> int:
-    """Count the grid squares that contain scan points (n, 3), m, up to `max_count`.
+def count_covered_squares(points: Array, posting: float, max_count: int = 1 << 40) -> int:
+    """Count the grid squares that contain scan points (n, 3), m; stop at `max_count`.
 
     The squares have the side `posting`, m. NaN marks missing points.
     """
-    count = int(kernels.squares_under(np.ascontiguousarray(points), posting, max_count))
+    count = int(kernels.count_covered_squares(np.ascontiguousarray(points), posting, max_count))
     if count >= 0:
         return count
     xy = points[np.isfinite(points[:, :2]).all(axis=1), :2]

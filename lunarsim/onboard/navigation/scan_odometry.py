@@ -14,7 +14,11 @@ from lunarsim.onboard.navigation import odometry_noise as noise
 from lunarsim.onboard.navigation.corrected_scan import CorrectedScan
 from lunarsim.onboard.navigation.error_state import POSE, REFERENCE_POSE
 from lunarsim.onboard.navigation.measurement_processor import FilterContext
-from lunarsim.onboard.navigation.registration import fit, residual_correlation, solve_error
+from lunarsim.onboard.navigation.registration import (
+    fit_residuals,
+    residual_correlation,
+    solve_error,
+)
 from lunarsim.onboard.navigation.registration_settings import RegistrationSettings
 from lunarsim.onboard.navigation.surface import ScanSurface
 
@@ -60,20 +64,20 @@ class _ReferenceScan:
     corrected: CorrectedScan
     displacement: float = 0.0
 
-    def moved(self, change: Array) -> _ReferenceScan:
+    def moved(self, errors: Array) -> _ReferenceScan:
         """Return the reference scan with errors (11,) added to its pose and scanner.
 
         The heights are extrapolated along the slopes of the squares, without a new averaging.
         """
         centre = self.surface.position.mean(axis=0)
         displacement = self.displacement + float(
-            np.abs(self.corrected.point_jacobian(centre) @ change).max()
+            np.abs(self.corrected.point_jacobian(centre) @ errors).max()
         )
         position = self.surface.position.copy()
-        position[:, 2] += self.corrected.jacobian(position, self.surface.normal) @ change
+        position[:, 2] += self.corrected.jacobian(position, self.surface.normal) @ errors
         surface = replace(self.surface, position=position)
         return replace(
-            self, surface=surface, corrected=self.corrected.moved(change), displacement=displacement
+            self, surface=surface, corrected=self.corrected.moved(errors), displacement=displacement
         )
 
     def refresh(self) -> _ReferenceScan:
@@ -144,7 +148,7 @@ class ScanOdometry:
             return False
         # A scan from a lower altitude covers a smaller area; only this area must overlap.
         self._share = len(i) / len(new) if len(i) >= 2 * least else 0.0
-        own = self.context.scanner(sensor)
+        own = self.context.scanner_indices(sensor)
         indices = np.concatenate((POSE, np.arange(state.head)[state.block(REFERENCE_POSE)], own))
         prior = state.covariance_of(indices)
         centre = new.position[j].mean(axis=0)
@@ -154,7 +158,7 @@ class ScanOdometry:
         )
         residual = reference.surface.position[i, 2] - new.position[j, 2]
         variance = np.full(len(i), self.settings.odometry_sigma**2)
-        result = fit(jacobian, residual, variance, prior)
+        result = fit_residuals(jacobian, residual, variance, prior)
         if not self.settings.accepts_fit(result):
             self._share = 0.0
             return False
@@ -168,7 +172,7 @@ class ScanOdometry:
             )
         )
         variance += result.used * noise.linearisation_variance(prior, displacements)
-        refined = fit(jacobian[used], residual[used], variance[used], prior)
+        refined = fit_residuals(jacobian[used], residual[used], variance[used], prior)
         squares = new.row[j][used], new.col[j][used]
         correlation = max(residual_correlation(squares, residual_after[used], variance[used]), 1.0)
         outcome = state.update_with_information(
@@ -188,7 +192,7 @@ class ScanOdometry:
         if self._reference is None or len(self._reference.surface) == 0:
             return
         state = self.context.state
-        own = error[self.context.scanner(self._reference.sensor)]
+        own = error[self.context.scanner_indices(self._reference.sensor)]
         change = np.zeros(11)
         change[:6], change[6 : 6 + len(own)] = error[state.block(REFERENCE_POSE)], own
         self._reference = self._reference.moved(change)
@@ -199,16 +203,17 @@ def _difference_jacobian(
     old: CorrectedScan,
     points: Array,
     normals: Array,
-    scanner: NDArray[np.int64],
+    scanner_indices: NDArray[np.int64],
 ) -> Array:
     """Return the Jacobian (n, d) of the difference between points of two scans.
 
     The difference at `points` (n, 3) is taken along `normals` (n, 3). Columns are the errors of the
-    pose, of the reference pose and of the common scanner, whose state indices are `scanner`.
+    pose, of the reference pose and of the common scanner, whose state indices are
+    `scanner_indices`.
     """
-    here, there = new.jacobian(points, normals), old.jacobian(points, normals)
-    of_scanner = (here - there)[:, 6 : 6 + len(scanner)]
-    return np.hstack((here[:, :6], -there[:, :6], of_scanner))
+    new_jacobian, old_jacobian = new.jacobian(points, normals), old.jacobian(points, normals)
+    of_scanner = (new_jacobian - old_jacobian)[:, 6 : 6 + len(scanner_indices)]
+    return np.hstack((new_jacobian[:, :6], -old_jacobian[:, :6], of_scanner))
 
 
 def remove_implausible_ranges(scan: LidarScan) -> LidarScan:

@@ -51,7 +51,10 @@ class SchmidtKalmanCovariance:
 
     @property
     def is_frozen(self) -> NDArray[np.bool_]:
-        """Whether each error of the tail is frozen (tail,); empty before the first `rest`."""
+        """Whether each error of the tail is frozen (tail,).
+
+        The array is empty before the first call of `freeze_tail`.
+        """
         return self._frozen
 
     @property
@@ -62,31 +65,31 @@ class SchmidtKalmanCovariance:
         return self._p
 
     def covariance_for_rows(self, *rows: ArrayLike) -> Array:
-        """Return the covariance array `p`, valid for reading the rows of given errors.
+        """Return the covariance array `p`, up to date in the rows of given errors.
 
         The columns of these errors in other rows may be out of date, except within the block of one
         rock.
         """
         self._apply_deferred()
-        if self._columns.is_outdated and any(self._is_frozen(at).any() for at in rows):
+        if self._columns.is_outdated and any(self._are_frozen(at).any() for at in rows):
             self._catch_up()
         return self._p
 
-    def pair_covariances(self, one: Index, other: Index) -> Array:
-        """Return the covariance of each pair of errors, with indices `one` and `other`.
+    def pair_covariances(self, first: Index, second: Index) -> Array:
+        """Return the covariances of pairs of errors, with indices `first` and `second`.
 
         All three arrays have the same shape (...).
         """
         self._apply_deferred()
         if self._columns.is_outdated:
-            one, other = np.broadcast_arrays(one, other)
-            turned = self._is_frozen(one)
-            one, other = np.where(turned, other, one), np.where(turned, one, other)
-        return np.asarray(self._p[one, other])
+            first, second = np.broadcast_arrays(first, second)
+            is_swapped = self._are_frozen(first)
+            first, second = np.where(is_swapped, second, first), np.where(is_swapped, first, second)
+        return np.asarray(self._p[first, second])
 
-    def _is_frozen(self, errors: ArrayLike) -> NDArray[np.bool_]:
+    def _are_frozen(self, indices: ArrayLike) -> NDArray[np.bool_]:
         """Return which of the errors with given indices (...) are frozen."""
-        behind = np.asarray(errors) - self.head
+        behind = np.asarray(indices) - self.head
         known = (behind >= 0) & (behind < len(self._frozen))
         is_frozen = np.zeros(behind.shape, np.bool_)
         is_frozen[known] = self._frozen[behind[known]]
@@ -116,73 +119,74 @@ class SchmidtKalmanCovariance:
         For errors of the head, no deferred update is applied.
         """
         at = np.asarray(columns)
-        return np.asarray(self._readable(at)[np.ix_(at, at)])
+        return np.asarray(self._current_covariance(at)[np.ix_(at, at)])
 
-    def _rows(self, at: Index) -> Array:
-        """Return the covariance rows (k, size) of the errors with indices `at` (k,)."""
-        return np.asarray(self._readable(at)[at])
+    def _rows(self, indices: Index) -> Array:
+        """Return the covariance rows (k, size) of the errors with indices `indices` (k,)."""
+        return np.asarray(self._current_covariance(indices)[indices])
 
-    def _readable(self, *columns: ArrayLike) -> Array:
-        """Return the covariance (size, size), valid for reading the rows of given errors.
+    def _current_covariance(self, *columns: ArrayLike) -> Array:
+        """Return the covariance (size, size), up to date in the rows of given errors.
 
-        The columns are valid only among the given errors. If all of them belong to the head, no
-        deferred update is applied.
+        The columns are up to date only among the given errors. If all of them belong to the head,
+        no deferred update is applied.
         """
         last = max(int(np.max(at, initial=0)) for at in columns)
         held = self._p if last < self.head else self.covariance_for_rows(*columns)
         return np.asarray(held[: self.size, : self.size])
 
-    def reserve(self, tail: int) -> None:
-        """Allocate space for `tail` errors in the tail."""
-        if self.head + tail <= len(self._p):
+    def reserve(self, tail_size: int) -> None:
+        """Allocate space for `tail_size` errors in the tail."""
+        if self.head + tail_size <= len(self._p):
             return
-        grown = np.zeros((self.head + max(tail, 2 * (len(self._p) - self.head)),) * 2)
+        grown = np.zeros((self.head + max(tail_size, 2 * (len(self._p) - self.head)),) * 2)
         grown[: self.size, : self.size] = self.covariance
         self._p = grown
 
-    def move_and_truncate(self, tail: int, to: Index, source: Index) -> None:
+    def move_and_truncate(self, tail_size: int, target: Index, source: Index) -> None:
         """Move errors of the tail to other indices, then shorten the tail.
 
-        Errors at the indices `source` (k,) move to `to` (k,); afterwards the tail has `tail`
-        errors.
+        Errors at the indices `source` (k,) move to `target` (k,); afterwards the tail has
+        `tail_size` errors.
         """
         p, size = self.covariance_for_rows(), self.size
-        p[to, :size] = p[source, :size]
-        p[:size, to] = p[:size, source]
+        p[target, :size] = p[source, :size]
+        p[:size, target] = p[:size, source]
         is_frozen = self._frozen.copy()
         if len(is_frozen):
-            is_frozen[to - self.head] = is_frozen[source - self.head]
-        self._frozen, self.tail = is_frozen[:tail], tail
+            is_frozen[target - self.head] = is_frozen[source - self.head]
+        self._frozen, self.tail = is_frozen[:tail_size], tail_size
 
-    def set_rows(self, at: Index, rows: Array) -> None:
-        """Set the covariance rows (k, size) of the errors `at` (k,), and matching columns.
+    def set_rows(self, indices: Index, rows: Array) -> None:
+        """Set the covariance rows (k, size) of some errors, and their columns.
 
-        In the rows of frozen errors the columns may stay out of date.
+        `indices` (k,) are those of the errors. In the rows of frozen errors the columns may stay
+        out of date.
         """
         self._apply_deferred()
         p, size, active = self._p, self.size, self._active()
-        p[at, :size] = rows
-        if active is None or self._is_frozen(at).any():
-            p[:size, at] = rows.T
+        p[indices, :size] = rows
+        if active is None or self._are_frozen(indices).any():
+            p[:size, indices] = rows.T
         else:
             others = np.concatenate((np.arange(self.head), self.head + active))
-            p[others[:, None], at] = rows[:, others].T
+            p[others[:, None], indices] = rows[:, others].T
             self._columns.is_outdated = True
 
-    def rest(self, tail: NDArray[np.bool_]) -> None:
-        """Freeze the marked errors of the tail (tail,), until the next call.
+    def freeze_tail(self, is_frozen: NDArray[np.bool_]) -> None:
+        """Freeze the tail errors that `is_frozen` (tail,) marks, until the next call.
 
         Measurements of other errors change neither the frozen errors nor the covariance among them,
         but the correlations of frozen errors with the corrected errors are updated. The covariance
         therefore remains correct (Schmidt's consider filter; Jazwinski 1970, section 8.4). The cost
         of a measurement is then proportional to the number of errors, and not to its square.
         """
-        if not np.array_equal(tail, self._frozen):
+        if not np.array_equal(is_frozen, self._frozen):
             self._apply_deferred()  # The deferred updates refer to the errors frozen so far.
-            n = min(len(tail), len(self._frozen))
+            n = min(len(is_frozen), len(self._frozen))
             own = self._p[self.head :, self.head :][:n, :n]
-            self._columns.change_frozen(own, self._frozen[:n], tail[:n])
-            self._frozen = tail
+            self._columns.change_frozen(own, self._frozen[:n], is_frozen[:n])
+            self._frozen = is_frozen
 
     def _active(self) -> Index | None:
         """Return the indices of the active (not frozen) tail errors; None for all.
@@ -200,7 +204,7 @@ class SchmidtKalmanCovariance:
         `active` (k,) are the indices of tail errors that are not frozen, counted from the start of
         the tail; None for all.
         """
-        n, p = self.head, self._readable(self.head - 1)
+        n, p = self.head, self._current_covariance(self.head - 1)
         if self.tail == 0:
             subtract_square(p, w)
             return

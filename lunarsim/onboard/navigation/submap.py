@@ -92,7 +92,7 @@ class Submap:
         xy = place * self._side + (self._west, self._south)
         return np.column_stack((xy, self._sum[row, col] / self._count[row, col]))
 
-    def posts(self) -> tuple[Array, NDArray[np.bool_]]:
+    def block_means(self) -> tuple[Array, NDArray[np.bool_]]:
         """Return mean heights over blocks of 2 x 2 squares, m, and which are known.
 
         Element (i, j) is the mean over the squares (i, j) to (i + 1, j + 1) after `first`. If the

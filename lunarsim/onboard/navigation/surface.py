@@ -38,16 +38,17 @@ class ScanSurface:
         return len(self.col)
 
 
-def average_scan(points: Array, grid: Grid, least: int = 4) -> ScanSurface:
+def average_scan(points: Array, grid: Grid, min_points: int = 4) -> ScanSurface:
     """Average scan points (n, 3), m, over the squares of a grid; NaN is missing.
 
-    `least` is the minimum number of points in a square. The averages are extrapolated to the square
-    centres along the slopes; squares without four neighbours or with uneven points are omitted.
+    `min_points` is the minimum number of points in a square. The averages are extrapolated to the
+    square centres along the slopes; squares without four neighbours or with uneven points are
+    omitted.
     """
-    col, row, mean, _ = k.average(
-        np.ascontiguousarray(points), grid.x0, grid.y0, grid.posting, least
+    col, row, mean, _ = k.average_points(
+        np.ascontiguousarray(points), grid.x0, grid.y0, grid.posting, min_points
     )
-    height, slope, good = k.surface(
+    height, slope, good = k.centre_heights(
         col, row, mean, grid.x0, grid.y0, grid.posting, 0.25 * grid.posting
     )
     col, row, height, slope = col[good], row[good], height[good], slope[good]

@@ -22,16 +22,18 @@ _LOCAL_HEIGHT_SIGMA_M = 0.05
 NEIGHBOUR_COUNT = 5
 
 
-def kriging_weights(places: Array, at: Array, growth: float) -> tuple[Array, Array]:
+def kriging_weights(
+    neighbour_xy: Array, query_xy: Array, variance_growth: float
+) -> tuple[Array, Array]:
     """Return ordinary-kriging weights and variances of terrain heights at points.
 
     Parameters
     ----------
-    places
-        Horizontal positions of the neighbours of each point (b, k, 2), m.
-    at
+    neighbour_xy
+        Horizontal positions of the k neighbours of each point (b, k, 2), m.
+    query_xy
         Points to interpolate at (b, 2), m.
-    growth
+    variance_growth
         Growth of the variance of a height difference with distance, m^2/m.
 
     Returns
@@ -41,73 +43,84 @@ def kriging_weights(places: Array, at: Array, growth: float) -> tuple[Array, Arr
     variance
         Kriging variance (b,), m^2.
     """
-    b, k = places.shape[:2]
-    gap = _lengths(places[:, :, None] - places[:, None])
-    away = _lengths(places - at[:, None])
+    b, k = neighbour_xy.shape[:2]
+    separation = _lengths(neighbour_xy[:, :, None] - neighbour_xy[:, None])
+    distance = _lengths(neighbour_xy - query_xy[:, None])
     system = np.ones((b, k + 1, k + 1))
-    system[:, :k, :k] = (0.5 * growth * gap + _LOCAL_HEIGHT_SIGMA_M**2) * (1.0 - np.eye(k))
+    system[:, :k, :k] = (0.5 * variance_growth * separation + _LOCAL_HEIGHT_SIGMA_M**2) * (
+        1.0 - np.eye(k)
+    )
     system[:, k, k] = 0.0
     right = np.ones((b, k + 1))
-    right[:, :k] = 0.5 * growth * away + _LOCAL_HEIGHT_SIGMA_M**2
+    right[:, :k] = 0.5 * variance_growth * distance + _LOCAL_HEIGHT_SIGMA_M**2
     found = np.linalg.solve(system, right[..., None])[..., 0]
     return found[:, :k], np.einsum("bk,bk->b", found, right)
 
 
-def _lengths(way: Array) -> Array:
+def _lengths(vectors: Array) -> Array:
     """Return the lengths of vectors (..., 2)."""
-    return np.sqrt(way[..., 0] ** 2 + way[..., 1] ** 2)
+    return np.sqrt(vectors[..., 0] ** 2 + vectors[..., 1] ** 2)
 
 
-def interpolate_heights(places: Array, known: Array, at: Array, growth: float) -> Array:
-    """Interpolate terrain heights (b,), m, at points `at` (b, 2), m, by kriging.
+def interpolate_heights(
+    known_xy: Array, known_height: Array, query_xy: Array, variance_growth: float
+) -> Array:
+    """Interpolate terrain heights (b,), m, at points `query_xy` (b, 2), m, by kriging.
 
-    The known heights are `known` (n,), m, at `places` (n, 2), m. `growth` is the growth of the
-    variance of a height difference with distance, m^2/m. Points that are not finite give NaN.
+    The known heights are `known_height` (n,), m, at `known_xy` (n, 2), m. `variance_growth` is the
+    growth of the variance of a height difference with distance, m^2/m. Points that are not finite
+    give NaN.
     """
-    with threads_for(0.7 * len(at)):
+    with threads_for(0.7 * len(query_xy)):
         return np.asarray(
             kernels.interpolate_heights(
-                np.ascontiguousarray(places, np.float64), np.ascontiguousarray(known, np.float64),
-                np.ascontiguousarray(at, np.float64), min(NEIGHBOUR_COUNT, len(places)),
-                float(growth),
+                np.ascontiguousarray(known_xy, np.float64),
+                np.ascontiguousarray(known_height, np.float64),
+                np.ascontiguousarray(query_xy, np.float64),
+                min(NEIGHBOUR_COUNT, len(known_xy)),
+                float(variance_growth),
                 _LOCAL_HEIGHT_SIGMA_M,
             )
-        )  # fmt: skip
+        )
 
 
 def intersect_lines(
-    places: Array,
-    known: Array,
+    known_xy: Array,
+    known_height: Array,
     origin: Array,
     per_drop: Array,
-    height: Array,
-    growth: float,
-    search: tuple[int, float, float, float],
+    start_height: Array,
+    variance_growth: float,
+    iteration_limits: tuple[int, float, float, float],
 ) -> Array:
     """Return the intersections of lines of sight with kriged terrain (b, 3), m.
 
     Parameters
     ----------
-    places, known, growth
+    known_xy, known_height, variance_growth
         Horizontal positions (n, 2), m, and terrain heights there (n,), m; growth of the variance of
         a height difference with distance, m^2/m.
     origin
         Start of the lines (3,), m.
     per_drop
         Horizontal advance of the lines, east and north, per metre of drop (b, 2).
-    height
+    start_height
         Initial heights of the iteration (b,), m.
-    search
+    iteration_limits
         Maximum number of iterations; height tolerance, m; minimum and maximum factor of a step
         relative to the last height difference.
     """
-    with threads_for(2.0 * len(height)):
+    with threads_for(2.0 * len(start_height)):
         return np.asarray(
             kernels.intersect_lines(
-                np.ascontiguousarray(places, np.float64), np.ascontiguousarray(known, np.float64),
+                np.ascontiguousarray(known_xy, np.float64),
+                np.ascontiguousarray(known_height, np.float64),
                 np.ascontiguousarray(origin, np.float64),
                 np.ascontiguousarray(per_drop, np.float64),
-                np.ascontiguousarray(height, np.float64), search,
-                min(NEIGHBOUR_COUNT, len(places)), float(growth), _LOCAL_HEIGHT_SIGMA_M,
+                np.ascontiguousarray(start_height, np.float64),
+                iteration_limits,
+                min(NEIGHBOUR_COUNT, len(known_xy)),
+                float(variance_growth),
+                _LOCAL_HEIGHT_SIGMA_M,
             )
-        )  # fmt: skip
+        )

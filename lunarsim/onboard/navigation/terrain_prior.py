@@ -42,13 +42,9 @@ class TerrainPrior:
     def __post_init__(self) -> None:
         for name, value in (("sigma", self.sigma), ("relief", self.relief)):
             if value is not None and not (np.isfinite(value) and value >= 0.0):
-                raise InputError(
-                    f"navigation.ground_{name}", value, "must be a non-negative number"
-                )
+                raise InputError(f"terrain_prior.{name}", value, "must be a non-negative number")
         if not np.isfinite(self.elevation):
-            raise InputError(
-                "navigation.ground_elevation", self.elevation, "must be a finite height"
-            )
+            raise InputError("terrain_prior.elevation", self.elevation, "must be a finite height")
 
     @classmethod
     def of(cls, briefing: Briefing, relief: float) -> TerrainPrior:

@@ -132,7 +132,7 @@ class UnscentedFilter(Navigation):
     ----------
     inertial
         Initial state of the lander.
-    errors
+    start_sigmas
         Standard deviations of the initial state.
     settings
         Standard deviations of the other errors.
@@ -151,7 +151,7 @@ class UnscentedFilter(Navigation):
     def __init__(
         self,
         inertial: StrapdownState,
-        errors: StartSigmas | None = None,
+        start_sigmas: StartSigmas | None = None,
         settings: UnscentedNavigation | None = None,
         *,
         terrain_prior: TerrainPrior | None = None,
@@ -185,7 +185,7 @@ class UnscentedFilter(Navigation):
             for n, i in calibrations.items()
             if isinstance(i, StarTrackerInstrument)
         }
-        start = inertial.covariance(errors or StartSigmas())
+        start = inertial.covariance(start_sigmas or StartSigmas())
         # Covariance of the attitude error (small rotation in body axes) and the gyroscope bias.
         self._attitude_covariance = start[_ROTATION, _ROTATION].copy()
         self._gyroscope_covariance = start[12:, 12:].copy()
@@ -437,22 +437,22 @@ class UnscentedFilter(Navigation):
     # --- correction -----------------------------------------------------------------------
 
     def _update(
-        self, z: Array, expected: Callable[[Array], Array], noise: Array, gate: float
+        self, measurement: Array, predict: Callable[[Array], Array], noise: Array, gate: float
     ) -> UpdateOutcome:
         """Update with a measurement (n,), unless its innovation exceeds the gate.
 
-        `z` is the measurement, `expected` the function that predicts it from a state (10,), `noise`
-        (n, n) its covariance, and `gate` the maximum normalised innovation squared.
+        `predict` is the function that predicts the measurement from a state (10,), `noise` (n, n)
+        the covariance of the measurement, and `gate` the maximum normalised innovation squared.
         """
         k = self.kalman
         # filterpy draws sigma points only in `predict`; each further update needs new ones.
         self._repair_covariance()
         k.sigmas_f = k.points_fn.sigma_points(k.x, k.P)
-        through = np.array([expected(x) for x in k.sigmas_f])
+        through = np.array([predict(x) for x in k.sigmas_f])
         mean, spread = unscented_transform(through, k.Wm, k.Wc, noise)
-        outcome, _ = gate_innovation(z - mean, spread, gate)
+        outcome, _ = gate_innovation(measurement - mean, spread, gate)
         if outcome.is_accepted:
-            k.update(z, R=noise, hx=expected)
+            k.update(measurement, R=noise, hx=predict)
             k.P = 0.5 * (k.P + k.P.T)
             self._copy_to_inertial()
         return outcome

@@ -161,7 +161,7 @@ class Sweep:
         return SweepSchedule(
             sensor, size=self.size, duration=self.duration, rate=self.rate,
             dwell_rate=self.dwell_rate, last_altitude=self.last_altitude,
-            limit=briefing.instruments[sensor].gimbal_limit,
+            gimbal_limit=briefing.instruments[sensor].gimbal_limit,
         )  # fmt: skip
 
 
@@ -176,17 +176,17 @@ class AltitudeSchedule:
         Altitudes above the site, m.
     at_site
         Whether the sensor points at the site instead of straight down.
-    limit
-        Gimbal limit: maximum angle of the boresight from body -z, rad.
+    gimbal_limit
+        Maximum angle of the boresight from body -z, rad.
     """
 
     def __init__(
-        self, sensor: str, altitudes: tuple[float, ...], at_site: bool, limit: float
+        self, sensor: str, altitudes: tuple[float, ...], at_site: bool, gimbal_limit: float
     ) -> None:
         self._sensor = sensor
         self._pending = sorted(altitudes, reverse=True)
         self._at_site = at_site
-        self._limit = limit
+        self._limit = gimbal_limit
 
     def task(self, situation: Situation) -> SensorTask | None:
         """Return a measurement task if the lander has passed the next altitude, else None."""
@@ -215,8 +215,8 @@ class PeriodicSchedule:
         Measurement rate, Hz.
     first_altitude
         Altitude of the first measurement above the site, m.
-    limit
-        Gimbal limit: maximum angle of the boresight from body -z, rad.
+    gimbal_limit
+        Maximum angle of the boresight from body -z, rad.
     last_altitude
         Altitude above the site at and below which there are no measurements, m.
     """
@@ -226,14 +226,14 @@ class PeriodicSchedule:
         sensor: str,
         rate: float,
         first_altitude: float,
-        limit: float,
+        gimbal_limit: float,
         *,
         last_altitude: float = 0.0,
     ) -> None:
         self._sensor = sensor
         self._interval = 1.0 / rate
         self._first_altitude, self._last_altitude = first_altitude, last_altitude
-        self._limit = limit
+        self._limit = gimbal_limit
         self._next = -np.inf
 
     def task(self, situation: Situation) -> SensorTask | None:
@@ -266,8 +266,8 @@ class SweepSchedule:
         Measurement rates during the scan and on the site, Hz.
     last_altitude
         Altitude above the site at and below which there are no measurements, m.
-    limit
-        Gimbal limit: maximum angle of the boresight from body -z, rad.
+    gimbal_limit
+        Maximum angle of the boresight from body -z, rad.
     """
 
     def __init__(
@@ -279,14 +279,14 @@ class SweepSchedule:
         rate: float,
         dwell_rate: float,
         last_altitude: float,
-        limit: float,
+        gimbal_limit: float,
     ) -> None:
         self._sensor = sensor
         self._size = size
         self._duration = duration
         self._rate, self._dwell_rate = rate, dwell_rate
         self._last_altitude = last_altitude
-        self._limit = limit
+        self._limit = gimbal_limit
         self._next = -np.inf
         self._count = 0
 

@@ -78,7 +78,7 @@ def test_a_range_is_along_its_own_beam():
     for sensor, distance in (("down", 100.0), ("slanted", 125.0)):
         state, aiding, _ = made()
         aiding.take(sensor, AltimeterReading(0.0, distance, 0.1), 0.0)
-        watch = aiding.watches[f"{sensor} range"]
+        watch = aiding.monitors[f"{sensor} range"]
         assert watch.rejected_count == 0
         assert watch.nis_sum == pytest.approx(0.0, abs=1e-12)
         assert state.inertial.position[2] == pytest.approx(100.0)
@@ -106,7 +106,7 @@ def test_uncalibrated_beam_gives_less_information_when_tilted():
         state = ErrorState(inertial, StartSigmas(1.0, 0.1, 1e-3), blocks=aiding_blocks({}, ground))
         aiding = AidingMeasurements(state, {}, ground, [])
         aiding.take("new", AltimeterReading(0.0, 100.0 / np.cos(0.6), 0.1), 0.0)
-        assert aiding.watches["new range"].dof == 1
+        assert aiding.monitors["new range"].dof == 1
         at = np.array([2, state.block(TERRAIN).start])
         over = np.array([1.0, -1.0])
         sigma.append(np.sqrt(over @ state.covariance[np.ix_(at, at)] @ over))
@@ -127,7 +127,7 @@ def test_rejections_inflate_height_and_terrain_until_accepted():
     assert after[place] >= 4.0 * before[place]
     assert after[:2] == pytest.approx(before[:2])
     aiding.take("down", AltimeterReading(0.0, 160.0, 0.1), 0.7)
-    assert aiding.watches["down range"].dof == 1, "accepted in the end"
+    assert aiding.monitors["down range"].dof == 1, "accepted in the end"
 
 
 def test_recovery_is_reported():
@@ -146,7 +146,7 @@ def test_estimate_below_terrain_is_corrected():
     state.inertial.correct(np.array([0.0, 0.0, -103.0, *np.zeros(12)]))
     for k in range(100):
         aiding.take("down", AltimeterReading(0.0, 120.0, 0.1), 0.1 * k)
-    assert aiding.watches["down range"].rejected_count > 0
+    assert aiding.monitors["down range"].rejected_count > 0
     assert aiding.lost or abs(state.inertial.position[2] - 120.0) < 10.0
 
 
@@ -337,7 +337,7 @@ def test_implausible_reading_is_rejected(kind):
     else:
         seen = quat_from_rotation_vector([0.01, 0.0, 0.0])
         aiding.take("stars", AttitudeReading(0.0, seen, 4e-8 * np.eye(3)), 0.0)
-    refused = [watch.rejected_count for watch in aiding.watches.values() if watch.rejected_count]
+    refused = [watch.rejected_count for watch in aiding.monitors.values() if watch.rejected_count]
     assert refused == [1] * (3 if kind == "speed" else 1)
     # The footprint of a beam has moved, independent of the measured range.
     keep = np.r_[0 : state.block("ground").stop]

@@ -71,15 +71,15 @@ def steps(state, rng):
         root = rng.normal(size=(6, 6))
         state.update_with_information(POSE, root @ root.T, 1e-3 * rng.normal(size=6))
     elif what == 6:
-        state.rest(rng.random(state.tail) < 0.7)
+        state.freeze_tail(rng.random(state.tail) < 0.7)
     elif what == 7:
         state.propagate(1e-4 * rng.normal(size=(3, 3)), 1e-2 * rng.normal(size=(3, 3)))
     elif what == 8:
         one = int(rng.integers(size))
-        state.follow(one, rng.permutation(np.delete(np.arange(size), one))[:3],
+        state.replace_by_sum(one, rng.permutation(np.delete(np.arange(size), one))[:3],
                      np.array([0.5, 0.3, 0.2]), 0.1)  # fmt: skip
         state.raise_variances(np.array([one]), 2.0)
-        state.widen(rng.permutation(size)[:2], 0.1 * np.eye(2))
+        state.add_process_noise(rng.permutation(size)[:2], 0.1 * np.eye(2))
     else:
         state.clone("key", POSE)
         state.reserve(state.tail + int(rng.integers(0, 9)))
@@ -121,10 +121,10 @@ def test_deferred_updates_use_errors_frozen_at_that_time():
     rng = np.random.default_rng(4)
     state = made(rng, TAIL)
     first = np.arange(TAIL) < 9
-    state.rest(first)
+    state.freeze_tail(first)
     before = state.covariance.copy()
     state.measure(np.eye(1, 3), np.arange(3), np.zeros(1), np.ones(1))
-    state.rest(~first)
+    state.freeze_tail(~first)
     resting = state.head + np.flatnonzero(first)
     block = np.ix_(resting, resting)
     assert np.array_equal(state.covariance[block], before[block])
@@ -133,7 +133,7 @@ def test_deferred_updates_use_errors_frozen_at_that_time():
 def test_frozen_errors_are_not_corrected():
     state = made(np.random.default_rng(6), TAIL)
     is_frozen = np.arange(TAIL) < 9
-    state.rest(is_frozen)
+    state.freeze_tail(is_frozen)
     corrections = []
     state.listeners.append(corrections.append)
     state.measure(np.eye(1, 3), np.arange(3), np.array([0.1]), np.ones(1))

@@ -86,7 +86,7 @@ def test_weighted_sum_has_error_of_sources():
     h[at, sources] = weights
     expected = h @ before @ h.T
     expected[at, at] += 0.25
-    state.follow(at, sources, weights, 0.25)
+    state.replace_by_sum(at, sources, weights, 0.25)
     assert state.covariance == pytest.approx(expected)
 
 
@@ -303,7 +303,7 @@ def test_invalid_covariance_elsewhere_rejects_updates(way):
     state = ErrorState(still(), StartSigmas(), blocks={"spoilt": np.eye(1)}, capacity=2)
     state.tail = 2
     state.covariance[16:, 16:] = np.eye(2)
-    state.rest(np.array([way == "at rest"] * 2))
+    state.freeze_tail(np.array([way == "at rest"] * 2))
     state.covariance[15, 0] = state.covariance[0, 15] = np.nan
     before = state.covariance.copy()
     if way == "update_with_information":

@@ -33,12 +33,12 @@ def test_squares_that_points_lie_on(seed):
     points[rng.random(300) < 0.2, rng.integers(2)] = np.nan
     side = float(rng.uniform(0.3, 3.0))
     wanted = reference.squares(points, side)
-    assert kernels.squares_under(points, side, 1000) == wanted
-    assert kernels.squares_under(points, side, wanted) == wanted
-    assert kernels.squares_under(points, side, wanted - 1) == wanted - 1
+    assert kernels.count_covered_squares(points, side, 1000) == wanted
+    assert kernels.count_covered_squares(points, side, wanted) == wanted
+    assert kernels.count_covered_squares(points, side, wanted - 1) == wanted - 1
 
 
 def test_squares_of_a_scan_that_grazes_the_ground_are_not_counted_one_by_one():
     far = np.array([[0.0, 0.0, 0.0], [1e5, 1e5, 0.0]])
-    assert kernels.squares_under(far, 1.0, 10) == -1
-    assert kernels.squares_under(np.full((4, 3), np.nan), 1.0, 10) == 0
+    assert kernels.count_covered_squares(far, 1.0, 10) == -1
+    assert kernels.count_covered_squares(np.full((4, 3), np.nan), 1.0, 10) == 0

@@ -213,7 +213,7 @@ def test_intermittent_beam_keeps_its_mean():
      ("drift_threshold", 0.0), ("max_drifts", -1), ("drift_window_s", np.nan)],
 )  # fmt: skip
 def test_settings_out_of_range_are_refused(name, value):
-    with pytest.raises(InputError, match=rf"watch\.{name}"):
+    with pytest.raises(InputError, match=rf"monitor\.{name}"):
         InnovationMonitorSettings(**{name: value})
 
 

@@ -154,9 +154,9 @@ def test_the_shift_is_the_transform_both_ways():
     state, frame = own()
     state.correct(_error(state, 0.02))
     points = np.random.default_rng(0).normal(0.0, 100.0, (5, 3))
-    there = frame.shift.to_local(points)
+    there = frame.site_to_local.to_local(points)
     assert frame.to_site(there) == pytest.approx(points)
-    assert frame.shift.to_site(there) == pytest.approx(points)
+    assert frame.site_to_local.to_site(there) == pytest.approx(points)
     # By hand: a rotation about the initial position estimate, and a shift.
     turn = quat_from_rotation_vector([0.0, 0.0, 0.02])
     by_hand = quat_rotate(turn, there[0] - START - [3.0, -2.0, 1.0]) + START

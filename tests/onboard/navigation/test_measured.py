@@ -61,9 +61,13 @@ class Truth:
     def biased(self, sigma):
         beams = self.state.block("beams")
         return update_with_speeds(
-            self.state, self.speeds(sigma) + self.off, np.full(3, sigma), BEAMS,
-            biases=np.arange(beams.start, beams.stop), known=self.state.value("beams"),
-        )  # fmt: skip
+            self.state,
+            self.speeds(sigma) + self.off,
+            np.full(3, sigma),
+            BEAMS,
+            bias_indices=np.arange(beams.start, beams.stop),
+            bias_estimates=self.state.value("beams"),
+        )
 
     def stars(self, sigma=0.0):
         turn = self.mounted + sigma * self.rng.normal(size=3)

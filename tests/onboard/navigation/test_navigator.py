@@ -94,7 +94,7 @@ def test_an_estimate_tells_tilts_about_the_axes_of_the_frame():
     # An error about body x only, which points north.
     north = quat_from_rotation_vector([0.0, 0.0, np.pi / 2])
     f = Navigator(StrapdownState(START, VELOCITY, north, 9.81), StartSigmas())
-    f.state.widen([9], [[0.04]])
+    f.state.add_process_noise([9], [[0.04]])
     turned = f.estimate(0.0, 1.0).covariance[6:, 6:]
     assert np.argmax(turned.diagonal()) == 1
     assert turned[1, 1] == pytest.approx(0.04, rel=0.05)

@@ -50,7 +50,7 @@ def test_the_nearest_are_those_that_sorting_finds(lie, n):
     for x, y in np.concatenate((places[:5], np.rint(rng.uniform(-span, span, (60, 2))))):
         k = min(5, n)
         chosen, away = np.empty(k, np.int64), np.empty(k)
-        assert kernels.nearest(east, north, x, y, squares, chosen, away) == k
+        assert kernels.find_nearest(east, north, x, y, squares, chosen, away) == k
         distance = (east - x) ** 2 + (north - y) ** 2
         assert chosen.tolist() == np.argsort(distance, kind="stable")[:k].tolist()
         assert away == pytest.approx(distance[chosen], rel=1e-12, abs=1e-12)

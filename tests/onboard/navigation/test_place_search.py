@@ -75,7 +75,7 @@ def test_likelihoods_are_those_of_the_reference():
     features = MapFeatures(
         small_map(rng, ground, voids=60), FeatureSettings(correlation_length=1.3)
     )
-    shown = np.where(features.kept > 0.0, features.shown, np.nan).astype(float)
+    shown = np.where(features.known > 0.0, features.feature_height, np.nan).astype(float)
     rare = plain.rarity(shown[np.isfinite(shown)], 0.1)(shown)
     tile = ground[10:18, 20:27] + 0.02 * rng.standard_normal((8, 7))
     weight = (rng.random(tile.shape) < 0.8).astype(float)
@@ -85,10 +85,10 @@ def test_likelihoods_are_those_of_the_reference():
     masked = np.where(weight > 0.0, tile, np.nan)
     for n in range(len(row)):
         expected = plain.tile_ratio(
-            shown, rare, masked, variance, row[n], col[n], 0.05, features.together
+            shown, rare, masked, variance, row[n], col[n], 0.05, features.correlated_count
         )
         assert (ratio[n], share[n]) == pytest.approx(expected, abs=2e-4)
-    assert features.together == pytest.approx(1.3**2)
+    assert features.correlated_count == pytest.approx(1.3**2)
 
 
 def test_the_evidence_is_that_of_the_reference():
@@ -101,16 +101,16 @@ def test_the_evidence_is_that_of_the_reference():
     mean, covariance = np.zeros(2), np.eye(2) * 3.0**2
     search.search(0.0, mean, covariance)
     match = search.search(2.0, mean, covariance)
-    found, origin = search.evidence
+    found, origin = search.log_likelihood
     assert search.spacing == 0.5 * POSTING
     # Reference: scanned heights above their planes, in tiles, at whole-post shifts.
     own, added = np.full((40, 40), np.nan), np.zeros((40, 40))
     scanned = ground[10:30, 10:30]
     own[10:30, 10:30] = plain.above_plane(scanned, np.ones((20, 20), bool), features.reach)
     added[10:30, 10:30] = plain.beside(scanned, features.reach)
-    shown = np.where(features.kept > 0.0, features.shown, np.nan).astype(float)
+    shown = np.where(features.known > 0.0, features.feature_height, np.nan).astype(float)
     rare = plain.rarity(shown[np.isfinite(shown)], prior.sigma)(shown)
-    every = list(zip(*np.nonzero(features.kept), strict=True))
+    every = list(zip(*np.nonzero(features.known), strict=True))
     n, wide, tile_count = np.arange(-3, 4), 8, 0
     expected = np.zeros((7, 7))
     for r0 in range(8, 32, wide):
@@ -120,7 +120,7 @@ def test_the_evidence_is_that_of_the_reference():
                 continue
             tile_count += 1
             of = (shown, rare, own[cut], features.variance + added[cut])
-            rest = (0.05, features.together)
+            rest = (0.05, features.correlated_count)
             here = [plain.tile_ratio(*of, r0 + a, c0 + b, *rest) for a in n for b in n]
             there = [plain.tile_ratio(*of, r - 4, c - 4, *rest) for r, c in every]
             factors = plain.log_factors(
@@ -177,7 +177,7 @@ def test_it_finds_the_place(options):
     prior, points = swept(**options)
     _, match = found_on(prior, points)
     assert match.certainty > 0.99999
-    assert match.share > 0.9
+    assert match.agreeing_fraction > 0.9
     gap = match.shift - SHIFT
     assert (np.abs(gap[:2]) < 4.0 * np.sqrt(np.diag(match.covariance))[:2]).all()
     assert abs(gap[2]) < 0.25
@@ -186,21 +186,21 @@ def test_it_finds_the_place(options):
 
 def test_ten_voids_change_nothing_much():
     prior, points = swept(sigma=0.1)
-    whole = found_on(prior, points)[0].evidence[0]
+    whole = found_on(prior, points)[0].log_likelihood[0]
     elevation = prior.elevation.copy()
     elevation.flat[np.random.default_rng(0).choice(elevation.size, 10)] = np.nan
-    pierced = found_on(PriorMap(prior.grid, elevation, 0.1), points)[0].evidence[0]
+    pierced = found_on(PriorMap(prior.grid, elevation, 0.1), points)[0].log_likelihood[0]
     assert pierced.max() > 0.9 * whole.max() > 20.0
 
 
 def test_a_post_is_compared_once():
     prior, points = swept(sigma=0.1)
     search, match = found_on(prior, points)
-    before = search.evidence[0].copy()
+    before = search.log_likelihood[0].copy()
     for n in range(4):
         search.add(points - SHIFT)
         again = search.search(3.0 + n, np.zeros(2), np.eye(2) * 8.0**2)
-    assert np.array_equal(search.evidence[0], before)
+    assert np.array_equal(search.log_likelihood[0], before)
     assert again.certainty == match.certainty
     search.restart()
     assert search.search(9.0, np.zeros(2), np.eye(2) * 8.0**2) is None
@@ -208,7 +208,7 @@ def test_a_post_is_compared_once():
 
 def test_changed_ground_speaks_against_a_place_by_no_more_than_allowed():
     features = MapFeatures(swept(sigma=0.1)[0])
-    factors = features.factor(np.array([-1e4, 0.0, 30.0]), np.array([1.0, 0.0, 1.0]), 5.0, 1e6)
+    factors = features.log_factor(np.array([-1e4, 0.0, 30.0]), np.array([1.0, 0.0, 1.0]), 5.0, 1e6)
     changed = features.settings.changed_probability
     # Worst fit, unknown map, and maximum evidence of one tile.
     assert factors[0] == pytest.approx(np.log(changed))
@@ -216,14 +216,14 @@ def test_changed_ground_speaks_against_a_place_by_no_more_than_allowed():
     assert factors[2] == pytest.approx(np.log(0.8 * 1e6 + 0.2), abs=1e-6)
     # On average over all places a tile gives no evidence.
     assert np.exp(
-        features.factor(np.log([1.0, 2.0, 3.0]), np.ones(3), np.log(2.0), 1e6)
+        features.log_factor(np.log([1.0, 2.0, 3.0]), np.ones(3), np.log(2.0), 1e6)
     ).mean() == (pytest.approx(1.0))
 
 
 def test_drift_blurs_what_is_known():
     prior, points = swept(sigma=0.1)
     search, match = found_on(prior, points)
-    before = search.evidence[0].copy()
+    before = search.log_likelihood[0].copy()
     spread = [match.covariance[0, 0]]
     for n in range(3):
         later = search.search(4.0 + 2.0 * n, np.zeros(2), np.eye(2) * 8.0**2, speed_sigma=0.2)
@@ -231,18 +231,18 @@ def test_drift_blurs_what_is_known():
     assert np.all(np.diff(spread) > 0.0)
     assert later.certainty < 0.95 < match.certainty
     # Blurring does not increase the total probability.
-    after = search.evidence[0]
+    after = search.log_likelihood[0]
     assert np.exp(after).sum() == pytest.approx(np.exp(before).sum(), rel=0.05)
 
 
 def test_places_drift_by_a_speed_that_stays_wrong_for_seconds():
     search, _ = found_on(swept(sigma=0.1)[0], swept(sigma=0.1)[1])
-    before = search.evidence[0].copy()
+    before = search.log_likelihood[0].copy()
     search.search(5.0, np.zeros(2), np.eye(2) * 8.0**2, speed_sigma=0.15)
     # 3 s on: a speed that is drawn anew every 4 s has gone sqrt(3 x 4) of it.
     wide = 0.15 * np.sqrt(3.0 * 4.0) / search.spacing
     expected = ndimage.gaussian_filter(np.exp(before - before.max()), wide, mode="nearest")
-    after = np.exp(search.evidence[0] - before.max())
+    after = np.exp(search.log_likelihood[0] - before.max())
     np.testing.assert_allclose(after, expected, atol=1e-9)
 
 
@@ -254,7 +254,7 @@ def test_a_height_is_told_by_posts_that_agree():
     changed = points.copy()
     changed[changed[:, 0] > 8.0, 2] += 1.5 * np.sin(3.0 * changed[changed[:, 0] > 8.0, 1])
     _, other = found_on(prior, changed)
-    assert other.share < 0.9 * match.share
+    assert other.agreeing_fraction < 0.9 * match.agreeing_fraction
 
 
 def test_probability_outside_search_is_kept():
@@ -273,7 +273,7 @@ def test_places_that_are_not_looked_at_keep_their_share_of_what_was_known():
     covariance = np.diag([3.0**2, 1600.0**2])
     search.search(0.0, np.zeros(2), covariance)
     match = search.search(2.0, np.zeros(2), covariance)
-    found, origin = search.evidence
+    found, origin = search.log_likelihood
     unit = search.spacing
     # All places, with those outside the search without evidence.
     rows = np.arange(-int(9600.0 / unit), int(9600.0 / unit) + 1)
@@ -322,7 +322,7 @@ def test_correlated_prior_weights_places():
     mean, covariance = np.array([0.7, -1.3]), np.array([[4.0, 3.0], [3.0, 9.0]])
     search.search(0.0, mean, covariance)
     match = search.search(2.0, mean, covariance)
-    found, origin = search.evidence
+    found, origin = search.log_likelihood
     rows, cols = (part.ravel() for part in np.indices(found.shape))
     shifts = search.spacing * np.column_stack((cols + origin[1], rows + origin[0]))
     p = plain.posterior(found.ravel(), shifts, mean, covariance)
@@ -353,11 +353,11 @@ def test_settings_that_cannot_be_are_refused(kind, given):
 )  # fmt: skip
 def test_invalid_prior_is_rejected(given, match):
     search, _ = found_on(*swept(sigma=0.1))
-    before = search.evidence[0].copy()
+    before = search.log_likelihood[0].copy()
     known = {"time": 3.0, "mean": np.zeros(2), "covariance": np.eye(2), "speed_sigma": 0.1} | given
     with pytest.raises(InputError, match=match):
         search.search(**{k: np.asarray(v) if np.ndim(v) else v for k, v in known.items()})
-    assert np.array_equal(search.evidence[0], before)
+    assert np.array_equal(search.log_likelihood[0], before)
 
 
 def test_level_ground_is_not_found_but_its_height_is():
@@ -389,7 +389,7 @@ def test_scans_off_the_map_and_empty_ones_tell_nothing():
     search.add(points + [5000.0, 0.0, 0.0])
     search.search(1.0, np.zeros(2), np.eye(2) * 9.0)
     match = search.search(3.0, np.zeros(2), np.eye(2) * 9.0)
-    assert not search.evidence[0].any()
+    assert not search.log_likelihood[0].any()
     assert match.certainty < 0.9
     assert np.isinf(match.vertical_shift_variance)
 
@@ -449,7 +449,7 @@ def test_rich_ground_can_lock_and_more_noise_takes_it_away():
 
 @pytest.mark.parametrize(
     ("arguments", "match"),
-    [((np.nan, 10.0, 0.9), "swept_m"), ((10.0, 0.0, 0.9), "place_sigma_m"),
+    [((np.nan, 10.0, 0.9), "side_m"), ((10.0, 0.0, 0.9), "place_sigma_m"),
      ((10.0, 10.0, 1.0), "certainty")],
 )  # fmt: skip
 def test_impossible_forecasts_are_refused(arguments, match):

@@ -23,7 +23,7 @@ from lunarsim.models.gimbal import gimbal_mount
 from lunarsim.onboard.navigation import _registration_kernels as k
 from lunarsim.onboard.navigation.corrected_scan import CorrectedScan
 from lunarsim.onboard.navigation.map_features import MapFeatures
-from lunarsim.onboard.navigation.registration import fit, register_scan
+from lunarsim.onboard.navigation.registration import fit_residuals, register_scan
 from lunarsim.onboard.navigation.registration_settings import RegistrationSettings
 from lunarsim.onboard.navigation.surface import average_scan
 from lunarsim.sensors.lidar import FlashLidar
@@ -53,7 +53,7 @@ def test_squares_hold_the_mean_of_their_points():
     rng = np.random.default_rng(0)
     points = rng.uniform(-3.0, 3.0, (400, 3))
     points[::7] = np.nan
-    col, row, mean, count = k.average(points, 0.2, -0.1, 0.5, 2)
+    col, row, mean, count = k.average_points(points, 0.2, -0.1, 0.5, 2)
     seen = set()
     for c, r, m, n in zip(col, row, mean, count, strict=True):
         mine = (np.floor((points[:, 0] - 0.2) / 0.5 + 0.5) == c) & (
@@ -63,7 +63,7 @@ def test_squares_hold_the_mean_of_their_points():
         assert m == pytest.approx(points[mine].mean(0))
         seen.add((c, r))
     assert len(seen) == len(col)
-    nothing = k.average(np.full((5, 3), np.nan), 0.0, 0.0, 0.5, 2)
+    nothing = k.average_points(np.full((5, 3), np.nan), 0.0, 0.0, 0.5, 2)
     assert all(len(part) == 0 for part in nothing)
 
 
@@ -71,11 +71,11 @@ def test_squares_hold_the_mean_of_their_points():
 @pytest.mark.parametrize("far", [1e12, -1e20, 1e150])
 def test_points_too_far_for_a_number_of_a_square_are_not_averaged(axis, far):
     points = np.random.default_rng(0).uniform(0.0, 1.0, (40, 3))
-    assert len(k.average(points, 0.0, 0.0, 0.5, 2)[0]) > 0
+    assert len(k.average_points(points, 0.0, 0.0, 0.5, 2)[0]) > 0
     points[7, axis] = far
-    assert [len(part) for part in k.average(points, 0.0, 0.0, 0.5, 2)] == [0, 0, 0, 0]
+    assert [len(part) for part in k.average_points(points, 0.0, 0.0, 0.5, 2)] == [0, 0, 0, 0]
     points[7, axis] = np.nan
-    assert k.average(points, 0.0, 0.0, 0.5, 2)[3].sum() <= 39
+    assert k.average_points(points, 0.0, 0.0, 0.5, 2)[3].sum() <= 39
 
 
 def test_surface_of_a_plane_is_the_plane():
@@ -96,7 +96,7 @@ def test_surface_takes_the_slope_between_the_squares_on_either_side():
     row, col = row - 4, col - 6
     x, y = 0.3 + 0.5 * col, -0.2 + 0.5 * row
     mean = np.column_stack((x, y, np.zeros(len(x)))) + rng.normal(0.0, 0.1, (len(x), 3))
-    height, slope, good = k.surface(col, row, mean, 0.3, -0.2, 0.5, 0.2)
+    height, slope, good = k.centre_heights(col, row, mean, 0.3, -0.2, 0.5, 0.2)
     at = {(int(c), int(r)): m for c, r, m in zip(col, row, mean, strict=True)}
     for i, (c, r) in enumerate(zip(col.tolist(), row.tolist(), strict=True)):
         west, east, south, north = (
@@ -170,7 +170,7 @@ def test_registration_errs_as_its_covariance_says(world):
     for seed in range(runs):
         found, covariance, error, result = registered(world, seed)
         nees = nees.plus(normalised_squared_error(found - error, covariance), 6)
-        assert result.share > 0.9
+        assert result.agreeing_fraction > 0.9
     low, high = ratio_bounds(nees.degrees)
     assert low < nees.ratio < high
 
@@ -181,9 +181,9 @@ def test_patches_out_of_date_are_left_out(world):
     for seed in range(12):
         found, _, error, result = registered(world, seed, stale=0.2)
         gaps[True].append(np.linalg.norm((found - error)[:3]))
-        shares[True].append(result.share)
+        shares[True].append(result.agreeing_fraction)
         found, _, error, result = registered(world, seed)
-        shares[False].append(result.share)
+        shares[False].append(result.agreeing_fraction)
         gaps[False].append(np.linalg.norm((found - error)[:3]))
     assert np.median(shares[True]) < np.median(shares[False]) - 0.02
     assert np.median(gaps[True]) < 2.0 * np.median(gaps[False]) + 0.05
@@ -202,7 +202,7 @@ def test_a_fit_begun_far_off_is_right_or_tells_the_level_alone(world, stale):
         found, covariance, result = fitted(
             scan, prior, before, error, 2.0 * prior.sigma**2 + 0.03**2
         )
-        if result.share < 0.7 or result.misfit > 1.6:
+        if result.agreeing_fraction < 0.7 or result.misfit > 1.6:
             continue
         accepted += 1
         gap = found - error
@@ -263,9 +263,9 @@ def test_where_the_place_is_open_slopes_make_the_level_uncertain(world):
 
 
 def test_fit_without_data_gives_no_information():
-    result = fit(np.zeros((0, 6)), np.zeros(0), np.zeros(0), np.eye(6))
+    result = fit_residuals(np.zeros((0, 6)), np.zeros(0), np.zeros(0), np.eye(6))
     assert result.used == result.compared == 0
-    assert result.share == 0.0
+    assert result.agreeing_fraction == 0.0
     assert not result.information.any()
 
 

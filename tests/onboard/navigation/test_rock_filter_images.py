@@ -124,10 +124,10 @@ def test_a_camera_of_other_pixels_shows_rocks_off_by_what_the_coarser_ones_span(
     flight.image()
     f, sun = flight.filter, np.array([0.6, 0.0, 0.8])
     wide, narrow = 2e-3, 0.5e-3
-    f.add_view_noise(sun, 0.0, 0.0, 0.0, closing=0.9, pixel=wide)
+    f.add_view_noise(sun, 0.0, 0.0, 0.0, scale_sigma=0.9, pixel_size=wide)
     p = f.covariance.copy()
     for pixel, times in ((wide, 0), (narrow, 1), (narrow, 1), (wide, 2)):
-        f.add_view_noise(sun, 0.0, 0.0, 0.0, closing=0.9, pixel=pixel)
+        f.add_view_noise(sun, 0.0, 0.0, 0.0, scale_sigma=0.9, pixel_size=pixel)
         grown = f.covariance - p
         span = wide * np.linalg.norm(f.xyz - f.inertial.position, axis=1)
         expected = times * 0.9**2 * np.log(4.0) * span**2

@@ -8,7 +8,7 @@ import pytest
 from lunarsim.frames import quat_from_rotation_vector, quat_to_matrix
 from lunarsim.messages.measurements import LidarScan
 from lunarsim.onboard.navigation.corrected_scan import CorrectedScan
-from lunarsim.onboard.navigation.scan_accumulator import ScanAccumulator, count_posts_below
+from lunarsim.onboard.navigation.scan_accumulator import ScanAccumulator, count_covered_squares
 
 DOWN = np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]])
 TILT = quat_from_rotation_vector([0.02, -0.03, 0.1])
@@ -29,7 +29,7 @@ def seen(east, half, position=(0.0, 0.0, 40.0), time=0.0) -> CorrectedScan:
 
 def test_a_scan_that_covers_enough_goes_through_as_it_is():
     wide = seen(0.0, 8.0)
-    assert count_posts_below(wide.points(), 1.0) >= 200
+    assert count_covered_squares(wide.points(), 1.0) >= 200
     assert ScanAccumulator(1.0, 12, 5.0).take(wide, 0.0) is wide
 
 
@@ -46,7 +46,7 @@ def test_narrow_scans_are_held_until_together_they_cover_enough():
     # Seen from the current pose, on the terrain of all scans.
     assert together.position == pytest.approx(narrow.position)
     points = together.points()
-    assert count_posts_below(points, 1.0) >= 30
+    assert count_covered_squares(points, 1.0) >= 30
     assert points[:, 0].min() < 0.0
     assert points[:, 0].max() > 1.5 * n
     assert points[:, 2] == pytest.approx(0.1 * points[:, 1], abs=0.02)
@@ -66,10 +66,10 @@ def test_old_scans_are_left_out():
 
 
 def test_empty_scan_covers_no_post():
-    assert count_posts_below(np.full((5, 3), np.nan), 1.0) == 0
+    assert count_covered_squares(np.full((5, 3), np.nan), 1.0) == 0
 
 
 def test_posts_of_a_scan_that_grazes_the_ground_are_counted_too():
     far = np.array([[0.0, 0.0, 0.0], [0.4, 0.3, 0.0], [1e5, 1e5, 0.0], [1e5, np.nan, 0.0]])
-    assert count_posts_below(far, 1.0) == 2
-    assert count_posts_below(far, 1.0, 1) == 1
+    assert count_covered_squares(far, 1.0) == 2
+    assert count_covered_squares(far, 1.0, 1) == 1

@@ -30,7 +30,7 @@ def step(state, rng):
         state.measure(rng.normal(size=(3, 6)), columns, 1e-3 * rng.normal(size=3), np.full(3, 0.5))
     elif what == 2:  # freeze or release few errors or many
         changed = rng.random(state.tail) < rng.choice([0.05, 0.5])
-        state.rest(np.logical_xor(np.arange(state.tail) >= 10, changed))
+        state.freeze_tail(np.logical_xor(np.arange(state.tail) >= 10, changed))
     elif what == 3:  # remove some; the last ones take their indices
         removed = rng.random(state.tail) < 0.1
         left = int((~removed).sum())
@@ -42,11 +42,11 @@ def step(state, rng):
         at = head + rng.permutation(state.tail)[:2]
         rows = state.covariance_for_rows(at)[at, :size] * 0.5
         state.set_rows(at, rows)
-        state.widen(at, 10.0 * np.eye(2))
+        state.add_process_noise(at, 10.0 * np.eye(2))
     else:
         one = head + int(rng.integers(state.tail))
         others = rng.permutation(np.delete(np.arange(size), one))[:3]
-        state.follow(one, others, np.array([0.5, 0.3, 0.2]), 0.1)
+        state.replace_by_sum(one, others, np.array([0.5, 0.3, 0.2]), 0.1)
 
 
 def add(state, rng):
@@ -57,7 +57,7 @@ def add(state, rng):
     p[old : old + 2], p[:, old : old + 2] = 0.0, 0.0
     p[old, old], p[old + 1, old + 1] = rng.uniform(0.5, 2.0, 2)
     state.tail += 2
-    state.rest(np.append(is_frozen, [False, False]))
+    state.freeze_tail(np.append(is_frozen, [False, False]))
 
 
 @given(st.integers(0, 10_000))
@@ -68,7 +68,7 @@ def test_columns_that_lag_are_brought_up_to_date_bit_for_bit(seed):
     lags = made(rng, TAIL)
     whole = copy.deepcopy(lags)
     for state in (lags, whole):
-        state.rest(np.arange(TAIL) >= 10)
+        state.freeze_tail(np.arange(TAIL) >= 10)
     for _ in range(25):
         alike((lags, whole), step, rng)
         p = whole.covariance
@@ -84,7 +84,7 @@ def test_columns_that_lag_are_brought_up_to_date_bit_for_bit(seed):
 
 def test_rows_of_errors_that_rest_are_brought_up_to_date_when_asked_for():
     state = made(np.random.default_rng(3), TAIL)
-    state.rest(np.arange(TAIL) >= 10)
+    state.freeze_tail(np.arange(TAIL) >= 10)
     whole = copy.deepcopy(state)
     for each in (state, whole):
         each.measure(np.eye(1, 3), np.arange(3), np.array([0.1]), np.ones(1))
@@ -100,7 +100,7 @@ def test_errors_that_take_others_places_keep_what_they_are():
     rng = np.random.default_rng(5)
     state = made(rng, TAIL)
     is_frozen = rng.random(TAIL) < 0.7
-    state.rest(is_frozen)
+    state.freeze_tail(is_frozen)
     state.measure(np.eye(1, 3), np.arange(3), np.array([0.1]), np.ones(1))
     state.covariance_for_rows()
     before = copy.deepcopy(state).covariance.copy()
@@ -117,7 +117,7 @@ def test_errors_that_take_others_places_keep_what_they_are():
 @pytest.mark.parametrize("is_frozen", [False, True], ids=["none rests", "most rest"])
 def test_rows_that_are_put_in_are_columns_too(is_frozen):
     state = made(np.random.default_rng(7), TAIL)
-    state.rest(is_frozen & (np.arange(TAIL) >= 10))
+    state.freeze_tail(is_frozen & (np.arange(TAIL) >= 10))
     before, at = state.covariance.copy(), state.head + np.array([3, 4])
     rows = np.random.default_rng(8).normal(size=(2, state.size))
     rows[:, at] = np.eye(2)
@@ -153,7 +153,7 @@ def test_of_two_states_the_later_ones_row_takes_over():
 
 def test_all_errors_may_go_while_columns_lag():
     state = made(np.random.default_rng(12), TAIL)
-    state.rest(np.arange(TAIL) >= 10)
+    state.freeze_tail(np.arange(TAIL) >= 10)
     state.measure(np.eye(1, 3), np.arange(3), np.array([0.1]), np.ones(1))
     state.covariance_for_rows()
     head, none = copy.deepcopy(state).covariance[: state.head, : state.head], np.zeros(0, np.int64)
@@ -165,7 +165,7 @@ def test_all_errors_may_go_while_columns_lag():
 
 def test_errors_that_have_just_come_do_not_rest_while_columns_lag():
     state = made(np.random.default_rng(15), TAIL)
-    state.rest(np.arange(TAIL) >= 10)
+    state.freeze_tail(np.arange(TAIL) >= 10)
     state.measure(np.eye(1, 3), np.arange(3), np.array([0.1]), np.ones(1))
     state.reserve(TAIL + 2)
     state.measure(np.eye(1, 3), np.arange(3), np.array([0.1]), np.ones(1))
@@ -191,7 +191,7 @@ def test_empty_information_defers_nothing():
 def test_full_update_uses_current_columns():
     """Test with more errors than fit into one block."""
     lags = made(np.random.default_rng(11), 800)
-    lags.rest(np.arange(800) < 780)
+    lags.freeze_tail(np.arange(800) < 780)
     whole = copy.deepcopy(lags)
     for state in (lags, whole):
         state.measure(np.eye(1, 3), np.arange(3), np.array([0.1]), np.ones(1))

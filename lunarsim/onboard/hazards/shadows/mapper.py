@@ -401,7 +401,7 @@ class ShadowMapper(HazardMapper):
 
         While shadows contradict the Sun direction, the map is unobserved.
         """
-        if self.tracker.filter.image_monitor.watches["shadows"].lost:
+        if self.tracker.filter.image_monitor.monitors["shadows"].lost:
             return self._with_flat_elevation(HazardMap.unobserved(self.grid))
         self._forget_lost_rocks()
         if not self.is_empty and self._time >= self._map_time + self.interval - 1e-9:
@@ -417,7 +417,7 @@ class ShadowMapper(HazardMapper):
         If the map has implausibly few rocks, tracked rocks still count but clear terrain does not.
         """
         drawn = self.hazard_map()
-        if self.is_empty or self.tracker.filter.image_monitor.watches["shadows"].lost:
+        if self.is_empty or self.tracker.filter.image_monitor.monitors["shadows"].lost:
             return None
         ratio = self.probability.ratios()
         if drawn.in_domain is not None and not drawn.in_domain.any():

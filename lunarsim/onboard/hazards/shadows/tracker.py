@@ -288,7 +288,7 @@ class RockTracker:
         along, across, shared = s.view_wander
         self.filter.add_view_noise(
             sun, longer * along, across, longer * shared,
-            closing=longer * s.range_wander, pixel=1.0 / np.sqrt(camera.fx * camera.fy),
+            scale_sigma=longer * s.range_wander, pixel_size=1.0 / np.sqrt(camera.fx * camera.fy),
         )  # fmt: skip
 
     def count_large_rocks(self, diameter: float, grid: Grid) -> int:

@@ -24,7 +24,7 @@ def update_with_range(
     elevation: float,
     *,
     block: str | None = None,
-    part: int = 0,
+    index: int = 0,
     terrain_variance: float = 0.0,
     gate: float = np.inf,
 ) -> UpdateOutcome:
@@ -46,10 +46,10 @@ def update_with_range(
     block
         Name of the block (group of errors) with the correction of this elevation; default: no
         correction.
-    part
+    index
         Index of the correction in that block.
     terrain_variance
-        Variance of the terrain height at the footprint, along the beam, m^2.
+        Variance added to that of the range, for the terrain height at the footprint, m^2.
     gate
         Maximum normalised innovation squared; a larger one is rejected.
     """
@@ -59,7 +59,7 @@ def update_with_range(
     rotation = quat_to_matrix(state.inertial.attitude)
     b = np.asarray(beam, dtype=np.float64)
     down = float(rotation[2] @ b)
-    level = elevation if block is None else elevation + float(state.value(block)[part])
+    level = elevation if block is None else elevation + float(state.value(block)[index])
     if state.has(MAP):
         level += float(state.value(MAP)[2])
     height = float(state.inertial.position[2]) - level
@@ -69,7 +69,7 @@ def update_with_range(
     columns = POSE[2:]
     if block is not None:
         jacobian = np.append(jacobian, 1.0 / down)
-        columns = np.append(columns, state.block(block).start + part)
+        columns = np.append(columns, state.block(block).start + index)
     if state.has(MAP):
         # The elevation of the terrain is given in the site frame.
         jacobian = np.append(jacobian, 1.0 / down)

@@ -37,8 +37,8 @@ def update_with_speeds(
     beams: ArrayLike,
     gate: float = np.inf,
     *,
-    biases: ArrayLike | None = None,
-    known: ArrayLike | float = 0.0,
+    bias_indices: ArrayLike | None = None,
+    bias_estimates: ArrayLike | float = 0.0,
 ) -> UpdateOutcome:
     """Update the error state with Doppler speeds along velocimeter beams.
 
@@ -56,9 +56,9 @@ def update_with_speeds(
         Unit vectors of the beams (n, 3), body axes.
     gate
         Maximum normalised innovation squared; a larger one is rejected.
-    biases
+    bias_indices
         Indices of the beam biases in the error state (n,); default: no biases.
-    known
+    bias_estimates
         Estimated biases (n,), m/s.
 
     Returns
@@ -75,10 +75,10 @@ def update_with_speeds(
     body_velocity = rotation.T @ state.inertial.velocity
     jacobian, columns = np.hstack((b @ rotation.T, np.cross(b, body_velocity))), _COLUMNS
     innovation = measured[has_return] - b @ body_velocity
-    if biases is not None:
+    if bias_indices is not None:
         jacobian = np.hstack((jacobian, np.eye(len(b))))
-        columns = np.append(columns, np.asarray(biases)[has_return])
-        innovation = innovation - np.broadcast_to(known, len(has_return))[has_return]
+        columns = np.append(columns, np.asarray(bias_indices)[has_return])
+        innovation = innovation - np.broadcast_to(bias_estimates, len(has_return))[has_return]
     outcome = state.measure(jacobian, columns, innovation, noise[has_return] ** 2, gate)
     if not outcome.is_accepted:
         return outcome

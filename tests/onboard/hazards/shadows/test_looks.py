@@ -249,7 +249,7 @@ def test_a_pair_that_is_off_by_other_than_the_rest_corrects_nothing():
         tracker = tracker_at((-30.0, 0.0, 60.0))
         for k in range(2):
             tracker.update(seen, camera, SUN, 0.1 * k)
-        tracker.filter.state.widen(np.arange(9, 12), 0.02**2 * np.eye(3))
+        tracker.filter.state.add_process_noise(np.arange(9, 12), 0.02**2 * np.eye(3))
         pixel = seen.pixel + [3.0, 2.0]
         pixel[:3] += [off, -off]
         degrees.append(tracker.update(replace(seen, pixel=pixel), camera, SUN, 0.2).dof)

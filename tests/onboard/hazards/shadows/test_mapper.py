@@ -107,7 +107,7 @@ def test_a_sun_that_stands_elsewhere_is_noticed_and_the_map_claims_nothing(scene
 def test_the_sun_where_it_is_raises_no_doubt(scene):
     mapper = look(scene, 0.5 * np.arange(12))
     assert not mapper.tracker.filter.lost
-    assert mapper.tracker.filter.image_monitor.watches["shadows"].dof >= 10
+    assert mapper.tracker.filter.image_monitor.monitors["shadows"].dof >= 10
     assert mapper.hazard_map().observed.mean() > 0.5
 
 
