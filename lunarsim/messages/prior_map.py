@@ -56,10 +56,10 @@ class PriorMap:
 
     @property
     def equivalent_correlated_posts(self) -> float:
-        """Equivalent number of grid points that share one error.
+        """Number of neighbouring grid points that count as one independent error.
 
-        This number is the sum of the error correlations of one grid point with all grid points;
-        the correlation is a Gaussian of distance over `correlation`.
+        It is the sum of the error correlations of one grid point with all grid points; the
+        correlation is a Gaussian function of distance over `correlation`.
         """
         reach = self.correlation / self.grid.posting
         if reach == 0.0:
