@@ -287,15 +287,15 @@ def page() -> str:
 
 
 @click.command()
-@click.option("--store", "stored", type=(click.Choice(list(STUDIES)), click.Path(path_type=Path)),
+@click.option("--store", "study", type=(click.Choice(list(STUDIES)), click.Path(path_type=Path)),
               help="Name of a study and the file that it wrote.")  # fmt: skip
 @click.option("--command", default="", help="Command that wrote the file.")
-def main(stored: tuple[str, Path] | None, command: str) -> None:
+def main(study: tuple[str, Path] | None, command: str) -> None:
     """Print docs/results-by-seed.md, or store the results of a study."""
-    if stored is None:
+    if study is None:
         print(page(), end="")
         return
-    name, path = stored
+    name, path = study
     report = extract_report(name, json.loads(path.read_text(encoding="utf-8")), command)
     STORED.mkdir(exist_ok=True)
     text = json.dumps(asdict(report), indent=1) + "\n"

@@ -172,7 +172,7 @@ def _set_nested(change: dict[str, Any], steps: tuple[str, ...], value: Any, fiel
     for step in steps[:-1]:
         inner = change.setdefault(step, {})
         if not isinstance(inner, dict):
-            raise InputError(field, value, f"conflicts with the value that {step!r} is set to")
+            raise InputError(field, value, f"cannot be set, because another change sets {step!r}")
         change = inner
     if isinstance(change.get(steps[-1]), dict):
         raise InputError(field, value, "must not be set both as a table and by its keys")

@@ -60,7 +60,7 @@ def _lander_warnings(lander: Lander) -> Iterator[str]:
     dry, full = np.asarray(lander.inertia_dry), np.asarray(lander.inertia_full)
     if (full < dry).any():
         yield (
-            f"vehicle.inertia_full_kg_m2: less than inertia_dry_kg_m2 = {_listed(dry)} in spite of "
+            f"vehicle.inertia_full_kg_m2: is less than inertia_dry_kg_m2 = {_listed(dry)} in spite of "
             f"{lander.propellant_mass:g} kg of propellant, got {_listed(full)}."
         )
     turn = np.asarray(lander.torque_max) / full
@@ -131,7 +131,7 @@ def _sensor_warnings(scenario: Scenario) -> Iterator[str]:
             lowest = min(looks.at) if looks.at else looks.lowest
             if lowest >= reach:
                 yield (
-                    f"sensors.{name}.max_range_m: too short for any LiDAR return, because "
+                    f"sensors.{name}.max_range_m: is too short for any LiDAR return, because "
                     f"[tasking.{name}] measures above {lowest:g} m only, got {reach:g}. Raise "
                     "max_range_m or lower the altitudes."
                 )

@@ -121,7 +121,7 @@ def upgrade_text(text: str) -> tuple[str, list[str]]:
 
 
 class _Renamer:
-    """Finds the keys and values in TOML text that have been renamed since."""
+    """Parser of TOML text that finds the keys and values that have a new name."""
 
     def __init__(self, text: str, tables: Mapping[str, Any]) -> None:
         tokens = [_Token(m[0], m.start()) for m in _TOKEN.finditer(text)]

@@ -77,7 +77,7 @@ class _Writer(pickle.Pickler):
         self._owners: dict[int, NDArray[Any]] = {}
 
     def persistent_id(self, obj: Any) -> int | None:
-        """Return the index of an object that all copies share; None: it is copied.
+        """Return the index of an object that all copies share, or None if it is copied.
 
         Raise `PicklingError` for a class whose objects cannot be copied reliably.
         """

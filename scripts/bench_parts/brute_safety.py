@@ -123,7 +123,7 @@ def terrains(grid):
 
 
 def compare(lander, width: float = 25.0, posting: float = 0.1) -> None:
-    """Time the exact safety map per cell relative to brute force; check it.
+    """Time the exact safety map relative to brute force, and check that both agree.
 
     `width` and `posting` are side and grid spacing of the map, m.
     """

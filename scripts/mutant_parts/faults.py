@@ -165,7 +165,7 @@ def _term_fault(source: _SourceText, node: ast.BinOp) -> Iterator[Mutant]:
 
 
 def _constant_fault(source: _SourceText, node: ast.Constant, subscript: bool) -> Iterator[Mutant]:
-    """Yield the fault that changes a constant: number times 1.5 or plus one, or flag.
+    """Yield the fault that changes a constant: times 1.5, plus one, or negated.
 
     `subscript`: whether the number is an array index.
     """
