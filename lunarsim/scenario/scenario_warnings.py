@@ -60,8 +60,8 @@ def _lander_warnings(lander: Lander) -> Iterator[str]:
     dry, full = np.asarray(lander.inertia_dry), np.asarray(lander.inertia_full)
     if (full < dry).any():
         yield (
-            f"vehicle.inertia_full_kg_m2: is less than inertia_dry_kg_m2 = {_listed(dry)} in spite of "
-            f"{lander.propellant_mass:g} kg of propellant, got {_listed(full)}."
+            f"vehicle.inertia_full_kg_m2: is less than inertia_dry_kg_m2 = {_listed(dry)} in spite "
+            f"of {lander.propellant_mass:g} kg of propellant, got {_listed(full)}."
         )
     turn = np.asarray(lander.torque_max) / full
     if turn.min() < _SLOW or turn.max() > _FAST:

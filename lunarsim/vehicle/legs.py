@@ -40,7 +40,8 @@ class Legs:
     Attributes
     ----------
     stiffness, damping
-        Stiffness and damping of a leg along the terrain normal, and of a sticking pad, N/m, N s/m.
+        Stiffness and damping of each leg along the terrain normal, N/m, N s/m. A sticking pad has
+        the same values parallel to the terrain.
     crush_force
         Crush force of the honeycomb, N.
     stroke
@@ -52,10 +53,16 @@ class Legs:
     """
 
     stiffness: float = quantity(
-        2e5, "N/m", gt=0, help="spring stiffness of each leg; also holds its sticking pad sideways"
+        2e5,
+        "N/m",
+        gt=0,
+        help="stiffness of each leg along the terrain normal, and of its sticking pad sideways",
     )
     damping: float = quantity(
-        5e3, "N s/m", gt=0, help="damping of each leg; also damps its sticking pad sideways"
+        5e3,
+        "N s/m",
+        gt=0,
+        help="damping of each leg along the terrain normal, and of its sticking pad sideways",
     )
     crush_force: float = quantity(1.2e4, "N", gt=0, help="crush force of the honeycomb")
     stroke: float = quantity(0.2, "m", gt=0, help="maximum crush length of the honeycomb")

@@ -63,7 +63,7 @@ class Braking:
         (0.0, 0.0, 0.0), "m/s^2", help="acceleration at the end of braking, gravity included (ENU)"
     )
     time_to_go: float = quantity(
-        60.0, "s", gt=0, le=10_000, help="initial time-to-go to the aim point"
+        60.0, "s", gt=0, le=10_000, help="initial time-to-go to the aim point of braking"
     )
     jerk: float | None = quantity(
         None,
