@@ -36,19 +36,19 @@ def campaign() -> None:
         million(Path(folder), row_bytes)
 
 
-def nothing(study: Any, group: Any, arm: int, memory: Any) -> dict[str, Any]:
+def fixed_result(study: Any, group: Any, arm: int, memory: Any) -> dict[str, Any]:
     """Replace a campaign's flight function: return a fixed result and memory, MiB."""
     return {"safe": group.flight % 3 > 0, "mib": _memory_mib(), **dict.fromkeys("abcdefgh", 1.5)}
 
 
-def measured(study: Any, group: Any, arm: int, memory: Any) -> dict[str, Any]:
+def flight_with_memory(study: Any, group: Any, arm: int, memory: Any) -> dict[str, Any]:
     """Fly one flight of a campaign; return its outcome and this process's memory, MiB."""
     from lunarsim.campaign.flight_execution import fly
 
     return {"safe": fly(study, group, arm, memory)["safe"], "mib": _memory_mib()}
 
 
-def turns(study: Any, group: Any, arm: int, memory: Any) -> dict[str, Any]:
+def busy_loop(study: Any, group: Any, arm: int, memory: Any) -> dict[str, Any]:
     """Replace a campaign's flight function: keep a core busy for `study` iterations."""
     spin(int(study))
     return {"safe": True}
@@ -85,7 +85,7 @@ def _overhead(folder: Path) -> None:
     took = []
     for flights in (100, 100, 100 + _OVERHEAD_FLIGHTS):  # the first run includes late imports
         began, wall = _processor_time(), time.perf_counter()
-        run(_plan(flights, "nothing"), LocalEngine(1), folder / f"empty-{len(took)}")
+        run(_plan(flights, "fixed_result"), LocalEngine(1), folder / f"empty-{len(took)}")
         took.append((_processor_time() - began, time.perf_counter() - wall))
     _, (few, few_wall), (many, many_wall) = took
     machinery, waited = (many - few) / _OVERHEAD_FLIGHTS, (many_wall - few_wall) / _OVERHEAD_FLIGHTS
@@ -122,7 +122,7 @@ def _jobs(folder: Path) -> None:
         walls = []
         for jobs in (1, 2):
             at: list[float] = []
-            plan = _plan(_TASKS, "turns", _TURNS)
+            plan = _plan(_TASKS, "busy_loop", _TURNS)
             # Timed from the end of the first flight, because workers take seconds to start.
             run(
                 plan, LocalEngine(jobs), folder / f"jobs-{turn}-{jobs}",
@@ -184,7 +184,7 @@ def _memory(folder: Path) -> None:
 
     ours: list[float] = []
     run(
-        _plan(_MEMORY_COUNTS[-1], "nothing"), LocalEngine(1), folder / "memory",
+        _plan(_MEMORY_COUNTS[-1], "fixed_result"), LocalEngine(1), folder / "memory",
         progress=lambda n: ours.append(_memory_mib()),
     )  # fmt: skip
     theirs = load_results(folder / "memory", ["mib"]).table["mib"].to_numpy()
@@ -196,7 +196,7 @@ def _memory(folder: Path) -> None:
     print(f"  memory after {counts} empty flights (part size 5000): " + "; ".join(memory_text))
     name = ROOT / "scenarios" / "hirise.toml"
     spec = CampaignSpec.from_dict({"scenario": str(name), "flights": _MEMORY_FLIGHTS, "seed": 1})
-    plan = _plan(_MEMORY_FLIGHTS, "measured", build_plan(spec).work.study)
+    plan = _plan(_MEMORY_FLIGHTS, "flight_with_memory", build_plan(spec).work.study)
     run(plan, LocalEngine(1), folder / "real")
     real = load_results(folder / "real", ["mib"]).table["mib"].to_numpy()
     print(
@@ -216,7 +216,7 @@ def _report(folder: Path) -> float:
     from lunarsim.campaign.run import run
 
     out = folder / "rows"
-    run(_plan(1, "nothing"), InlineEngine(), out)
+    run(_plan(1, "fixed_result"), InlineEngine(), out)
     _fill_with_rows(out, _ROWS)
     began, wall = time.process_time(), time.perf_counter()
     write_report(out, out / "report.html")
