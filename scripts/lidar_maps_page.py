@@ -28,7 +28,7 @@ MAX_CALIBRATION_ERROR = 0.03
 
 
 def shortfalls(world: WorldResults) -> list[str]:
-    """Return texts on the requirements that the results of one terrain do not meet.
+    """Return the requirements that the results of one terrain do not meet, as texts.
 
     They are flights without a safe landing, and maps whose claimed probabilities have a calibration
     error above `MAX_CALIBRATION_ERROR` or a negative skill.
@@ -49,14 +49,14 @@ def shortfalls(world: WorldResults) -> list[str]:
 
 
 def mark(name: str) -> str:
-    """Return the comment line that marks the generated table `name` in the page."""
+    """Return the comment line before the generated table `name` in the page."""
     return f"<!-- {name}: made by scripts/lidar_maps_page.py -->"
 
 
-def _table(text: str, name: str, kept: dict[str, WorldResults]) -> str:
+def _table(text: str, name: str, stored: dict[str, WorldResults]) -> str:
     """Return the page `text` with updated rows in the table `name`.
 
-    `kept` has the stored results by world.
+    `stored` has the stored results by world.
     """
     pattern = re.compile(re.escape(mark(name)) + r"\n\n((?:\|.*\n)+)")
     found = pattern.search(text)
@@ -69,37 +69,37 @@ def _table(text: str, name: str, kept: dict[str, WorldResults]) -> str:
         if world:
             groups[world] = []
         groups[next(reversed(groups))].append(row)
-    for world, figures in kept.items():
-        update_page = ROWS[name](figures["figures"])
+    for world, figures in stored.items():
+        new_rows = ROWS[name](figures["figures"])
         groups[world] = [
             "| " + " | ".join([world if n == 0 else "", *row]) + " |"
-            for n, row in enumerate(update_page)
+            for n, row in enumerate(new_rows)
         ]
     lines = [head, rule, *(row for group in groups.values() for row in group)]
     return text[: found.start(1)] + "\n".join(lines) + "\n" + text[found.end(1) :]
 
 
-def _commands(text: str, kept: dict[str, WorldResults]) -> str:
+def _commands(text: str, stored: dict[str, WorldResults]) -> str:
     """Return the page `text` with an updated list of commands and unmet requirements.
 
-    `kept` has the stored results by world.
+    `stored` has the stored results by world.
     """
     pattern = re.compile(re.escape(mark("commands")) + r"\n\n((?:- .*\n)*)")
     found = pattern.search(text)
     if found is None:
         raise click.ClickException(f"{PAGE.name}: must contain a list after {mark('commands')}")
     lines = []
-    for world, figures in kept.items():
+    for world, figures in stored.items():
         short = "; ".join(shortfalls(figures["figures"])) or "none"
         lines.append(f"- {world}: `{figures['command']}`. Shortfalls: {short}.\n")
     return text[: found.start(1)] + "".join(lines) + text[found.end(1) :]
 
 
-def update_page(text: str, kept: dict[str, WorldResults]) -> str:
-    """Return the page `text` with all tables updated from the results `kept` by world."""
+def update_page(text: str, stored: dict[str, WorldResults]) -> str:
+    """Return the page `text` with tables updated from the `stored` results by world."""
     for name in ROWS:
-        text = _table(text, name, kept)
-    return _commands(text, kept)
+        text = _table(text, name, stored)
+    return _commands(text, stored)
 
 
 def load() -> dict[str, WorldResults]:
@@ -117,10 +117,10 @@ def finite(data: Any) -> Any:
     return None if isinstance(data, float) and not math.isfinite(data) else data
 
 
-def take(found: dict[str, Any], command: str) -> None:
+def store(results: dict[str, Any], command: str) -> None:
     """Store the results of the study by world, with the command, one file per world."""
     STORED.mkdir(parents=True, exist_ok=True)
-    for world, figures in found.items():
+    for world, figures in results.items():
         name = re.sub(r"[^a-z0-9]+", "_", world.lower()).strip("_")
         file = {"world": world, "command": command, "figures": finite(figures)}
         text = json.dumps(file, indent=1, allow_nan=False) + "\n"
@@ -128,15 +128,15 @@ def take(found: dict[str, Any], command: str) -> None:
 
 
 @click.command()
-@click.option("--store", "taken", type=click.Path(path_type=Path, exists=True), default=None,
+@click.option("--store", "results_file", type=click.Path(path_type=Path, exists=True), default=None,
               help="File figures.json of the study.")  # fmt: skip
 @click.option("--command", default="", help="Command that wrote the file.")
-def main(taken: Path | None, command: str) -> None:
+def main(results_file: Path | None, command: str) -> None:
     """Update the tables of docs/lidar-maps.md; optionally store new results."""
-    if taken is not None:
+    if results_file is not None:
         if not command:
             raise click.UsageError("--command: must be given with --store")
-        take(json.loads(taken.read_text(encoding="utf-8")), command)
+        store(json.loads(results_file.read_text(encoding="utf-8")), command)
     PAGE.write_text(update_page(PAGE.read_text(encoding="utf-8"), load()), encoding="utf-8")
 
 

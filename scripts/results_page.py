@@ -90,14 +90,14 @@ def _finite(values: Sequence[float | None]) -> list[float]:
     return [float(v) for v in values if v is not None and math.isfinite(v)]
 
 
-def gaussian_dem(found: dict[str, Any]) -> list[SeedMetric]:
+def gaussian_dem(results: dict[str, Any]) -> list[SeedMetric]:
     """Extract metrics by seed from the results of the Gaussian DEM study.
 
-    They are precision and recall by terrain complexity (Table 3 of the paper), and the minimum over
-    nine scans with the threshold p > 0.5 (Table 6).
+    They are precision and recall by terrain complexity (Table 3 of the paper), and
+    the minimum precision and recall of nine scans, with the threshold p > 0.5 (Table 6).
     """
     out = []
-    for row in found["3"]["rows"]:
+    for row in results["3"]["rows"]:
         at = f"Table 3, c = {row['c']:g}: "
         out += [
             SeedMetric(f"{at}precision", "", row["precision"], 1.0, "higher"),
@@ -105,7 +105,7 @@ def gaussian_dem(found: dict[str, Any]) -> list[SeedMetric]:
             SeedMetric(f"{at}recall of `bounded_safety`", "", row["bounded"]),
         ]
     for name in ("proposed slope", "proposed roughness"):
-        configurations = found["6"]["at_half"][name]
+        configurations = results["6"]["at_half"][name]
         for k, word in enumerate(("precision", "recall")):
             seeds = zip(*([pair[k] for pair in one] for one in configurations), strict=True)
             worst = [min(_finite(values)) for values in seeds]
@@ -113,12 +113,12 @@ def gaussian_dem(found: dict[str, Any]) -> list[SeedMetric]:
     return out
 
 
-def quadtree(found: dict[str, Any]) -> list[SeedMetric]:
+def quadtree(results: dict[str, Any]) -> list[SeedMetric]:
     """Extract metrics by flight from the quadtree study at its last evaluation.
 
     They are map errors, hazard areas and selected sites on the hazard field.
     """
-    flights = found["flights"]
+    flights = results["flights"]
     looks = [flight["looks"][-1] for flight in flights]
     share = [look["missed_m2"] / max(look["hazard_m2"], 1e-9) for look in looks]
     safe = [sum(s["exactly_safe"] for s in look["sites"]) for look in looks]
@@ -151,7 +151,7 @@ _RATES = {
 }
 
 
-def shadows(found: dict[str, Any]) -> list[SeedMetric]:
+def shadows(results: dict[str, Any]) -> list[SeedMetric]:
     """Extract metrics by flight from the study of the rock filter by shadows.
 
     They are map rates at 50 m altitude on both descent paths, and propellant and duration of the
@@ -159,7 +159,7 @@ def shadows(found: dict[str, Any]) -> list[SeedMetric]:
     """
     out = []
     flown: dict[str, list[dict[str, Any]]] = {"nominal": [], "modified": []}
-    for flight in found["flights"]:
+    for flight in results["flights"]:
         flown[flight["path"]].append(flight)
     for rate, (label, papers, better) in _RATES.items():
         for (path, flights), paper in zip(flown.items(), papers, strict=True):
@@ -174,14 +174,15 @@ def shadows(found: dict[str, Any]) -> list[SeedMetric]:
     return out
 
 
-def real_returns(found: dict[str, Any]) -> list[SeedMetric]:
+def real_returns(results: dict[str, Any]) -> list[SeedMetric]:
     """Extract height errors at held-out LiDAR returns from the study of real returns.
 
-    Each split of the returns gives a value, for the map as in flights and as in the paper.
+    Each split into fitted and held-out returns gives a value, for the map with the settings of
+    flights and with those of the paper.
     """
     out = []
     for name in ("as flights do", "field of Table 6"):
-        splits = found["ground"]["heights"][name]["by split"]
+        splits = results["ground"]["heights"][name]["by split"]
         out += [
             SeedMetric(f"{name}: {label}", unit, [split[key] for split in splits])
             for key, label, unit in (
@@ -193,11 +194,11 @@ def real_returns(found: dict[str, Any]) -> list[SeedMetric]:
     return out
 
 
-def guidance(found: list[dict[str, Any]]) -> list[SeedMetric]:
+def guidance(results: list[dict[str, Any]]) -> list[SeedMetric]:
     """Extract excess propellant, velocity error and safe landings by guidance law."""
     out = []
-    for law in dict.fromkeys(row["law"] for row in found):
-        mine = [row for row in found if row["law"] == law]
+    for law in dict.fromkeys(row["law"] for row in results):
+        mine = [row for row in results if row["law"] == law]
         least = [row["optimum"] + row["descent"] for row in mine]
         over = [100.0 * (row["whole"] / o - 1.0) for row, o in zip(mine, least, strict=True)]
         out += [
@@ -212,9 +213,9 @@ def guidance(found: list[dict[str, Any]]) -> list[SeedMetric]:
     return out
 
 
-def navigation(found: dict[str, list[dict[str, Any]]]) -> list[SeedMetric]:
+def navigation(results: dict[str, list[dict[str, Any]]]) -> list[SeedMetric]:
     """Extract filter consistency (NEES, NIS), position errors and landing outcomes."""
-    (flights,) = found.values()
+    (flights,) = results.values()
     out = [
         SeedMetric(f"NEES / degrees of freedom, {part} (ideal 1)", "",
                _finite([f["nees"][part] for f in flights]))
@@ -245,13 +246,13 @@ STUDIES: dict[str, tuple[str, str, Callable[[Any], list[SeedMetric]]]] = {
 _REFERENCE = {"guidance": "optimum"}
 
 
-def take(name: str, found: Any, command: str) -> StudyReport:
-    """Extract from a study's results `found` the report that is stored.
+def extract_report(name: str, results: Any, command: str) -> StudyReport:
+    """Extract from the results of a study the report that is stored.
 
     `name` is a key of `STUDIES`; `command` is the command that wrote the results.
     """
     title, page, figures = STUDIES[name]
-    return StudyReport(title, command, page, figures(found), _REFERENCE.get(name, "paper"))
+    return StudyReport(title, command, page, figures(results), _REFERENCE.get(name, "paper"))
 
 
 def load(path: Path) -> StudyReport:
@@ -286,16 +287,16 @@ def page() -> str:
 
 
 @click.command()
-@click.option("--store", "taken", type=(click.Choice(list(STUDIES)), click.Path(path_type=Path)),
+@click.option("--store", "study", type=(click.Choice(list(STUDIES)), click.Path(path_type=Path)),
               help="Name of a study and the file that it wrote.")  # fmt: skip
 @click.option("--command", default="", help="Command that wrote the file.")
-def main(taken: tuple[str, Path] | None, command: str) -> None:
+def main(study: tuple[str, Path] | None, command: str) -> None:
     """Print docs/results-by-seed.md, or store the results of a study."""
-    if taken is None:
+    if study is None:
         print(page(), end="")
         return
-    name, path = taken
-    report = take(name, json.loads(path.read_text(encoding="utf-8")), command)
+    name, path = study
+    report = extract_report(name, json.loads(path.read_text(encoding="utf-8")), command)
     STORED.mkdir(exist_ok=True)
     text = json.dumps(asdict(report), indent=1) + "\n"
     (STORED / f"{name}.json").write_text(text, encoding="utf-8")

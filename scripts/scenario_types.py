@@ -37,12 +37,12 @@ def main() -> None:
     tables: dict[str, str] = {}
     for table, cls in {**layout.FIXED, **layout.OPTIONAL}.items():
         tables[table] = _class_name(table)
-        _print(table, _keys([settings_of(cls)]), chosen=False)
+        _print_classes(table, _keys([settings_of(cls)]), has_kind=False)
     chosen = {table: contract for table, (contract, _) in layout.SELECTED.items()}
     named = {table: contract for table, (contract, _) in layout.NAMED.items()}
     for table, contract in (chosen | layout.OPTIONAL_SELECTED | named).items():
         models = [settings_of(resolve(contract, kind, table)) for kind in kinds(contract)]
-        changes = _print(table, _keys(models), chosen=True)
+        changes = _print_classes(table, _keys(models), has_kind=True)
         tables[table] = f"Mapping[str, {changes} | None]" if table in named else changes
     print("class FlightChanges(TypedDict, total=False):")
     for key, kind in {"name": "str", "description": "str", "gravity_m_s2": "float"}.items():
@@ -59,20 +59,20 @@ def main() -> None:
     print("\n".join(arguments))
 
 
-def _print(table: str, keys: dict[str, set[str]], *, chosen: bool) -> str:
+def _print_classes(table: str, keys: dict[str, set[str]], *, has_kind: bool) -> str:
     """Print the stub classes of one scenario table and of changes to the table.
 
-    `keys` are the types by key; `chosen`: whether the table has a `kind`. Returns the name of the
-    class of changes.
+    `keys` are the types by key; `has_kind` states whether the table has a `kind`. Returns the name
+    of the class of changes.
     """
     name = _class_name(table)
     written = {
         key: " | ".join(sorted(found, key=lambda one: (one == "None", one)))
         for key, found in sorted(keys.items())
     }
-    if chosen:
+    if has_kind:
         written = {"kind": "str"} | written
-    print(f"class {name}Table({'SelectedPart' if chosen else 'PartSettings'}):")
+    print(f"class {name}Table({'SelectedPart' if has_kind else 'PartSettings'}):")
     for key, kind in written.items():
         print(f"    {key}: {kind}")
     print()

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from lunarsim.scenario import Scenario
-from lunarsim.scenario.changes import at, path_of
+from lunarsim.scenario.changes import nested_value, path_of
 
 # Tables that define the terrain and the truth about it, together with the seed.
 GROUND_TABLES = ("terrain", "rocks")
@@ -14,7 +14,7 @@ TRUTH_TABLES = (*GROUND_TABLES, "vehicle")
 
 def value_at(scenario: Scenario, key: str) -> Any:
     """Return the value of a scenario at a dotted key; None if the key does not exist."""
-    return at(scenario.to_dict(), path_of(key))
+    return nested_value(scenario.to_dict(), path_of(key))
 
 
 def tables_as_text(scenario: Scenario, tables: tuple[str, ...]) -> str:

@@ -44,8 +44,9 @@ class PriorMap:
             )
         if np.isinf(self.elevation).any() or not np.isfinite(self.elevation).any():
             raise InputError(
-                "prior.elevation", "no finite elevation", "must hold finite elevations",
-                "Give elevations in m, with NaN for no data.",
+                "prior.elevation", self.elevation,
+                "must be finite, or NaN where there is no data, and not NaN everywhere",
+                "Give elevations in m.", show_value=False,
             )  # fmt: skip
         if not (np.isfinite(self.sigma) and self.sigma > 0.0):
             raise InputError("prior.sigma_m", self.sigma, "must be positive and finite")
@@ -56,10 +57,10 @@ class PriorMap:
 
     @property
     def equivalent_correlated_posts(self) -> float:
-        """Equivalent number of grid points that share one error.
+        """Number of neighbouring grid points that count as one independent error.
 
-        This number is the sum of the error correlations of one grid point with all grid points;
-        the correlation is a Gaussian of distance over `correlation`.
+        It is the sum of the error correlations of one grid point with all grid points; the
+        correlation is a Gaussian function of distance over `correlation`.
         """
         reach = self.correlation / self.grid.posting
         if reach == 0.0:

@@ -92,10 +92,12 @@ class RoundMoon:
     """
 
     radius: float = quantity(
-        1_737_400.0, "m", gt=1e3, help="distance of the map's origin from the Moon's centre"
+        1_737_400.0, "m", gt=1e3, help="distance of the site frame's origin from the Moon's centre"
     )
     spin: float = quantity(1.5250414e-4, "deg/s", ge=0, lt=1, help="rotation rate of the Moon")
-    latitude: float = quantity(0.0, "deg", ge=-90, le=90, help="latitude of the map's origin")
+    latitude: float = quantity(
+        0.0, "deg", ge=-90, le=90, help="latitude of the site frame's origin"
+    )
 
     def __post_init__(self) -> None:
         check_bounds(self, "moon")

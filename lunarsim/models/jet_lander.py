@@ -49,10 +49,10 @@ class DescentEngine:
         0.0, "N", ge=0, help="minimum change of commanded thrust that moves the throttle"
     )
     gap_lower: float = quantity(
-        0.0, "N", ge=0, help="lower end of the forbidden thrust interval; 0: no such interval"
+        0.0, "N", ge=0, help="lower end of a forbidden thrust interval; 0: no such interval"
     )
     gap_upper: float = quantity(
-        0.0, "N", ge=0, help="only thrust above the forbidden interval; 0: no such interval"
+        0.0, "N", ge=0, help="the only thrust above a forbidden interval; 0: no such interval"
     )
 
     def __post_init__(self) -> None:
@@ -91,7 +91,7 @@ class JetLander(Lander):
         Maximum thruster torque about each single axis (3,), N m; computed from the layout.
     """
 
-    thrusters: Thrusters = quantity(Thrusters(), help="attitude control thrusters")
+    thrusters: Thrusters = quantity(Thrusters(), help="thrusters for attitude control")
     engine: DescentEngine = quantity(
         DescentEngine(), help="geometry, gimbal and throttle of the engine"
     )
@@ -130,9 +130,9 @@ class JetLander(Lander):
             self._check_slosh(float(fill))
 
     def _check_com(self, field: str, com: tuple[float, float, float]) -> None:
-        """Raise InputError if gimbal and thrusters cannot balance a centre of mass.
+        """Raise InputError if the engine torque cannot be balanced for a centre of mass.
 
-        `com` is the centre of mass, body axes, m; `field` is the name in the error message.
+        Gimbal and thrusters balance it. `com` is in body axes, m; `field` names it in the error.
         """
         engine = self.engine
         arm = engine.pivot_depth + com[2]

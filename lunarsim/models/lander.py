@@ -77,7 +77,7 @@ class Lander:
     thrust_max: float = quantity(6000.0, "N", gt=0, help="maximum thrust of the engine")
     specific_impulse: float = quantity(311.0, "s", gt=0, help="specific impulse of the engine")
     thrust_lag: float = quantity(
-        0.1, "s", ge=0, help="time constant of the engine's first-order lag"
+        0.1, "s", ge=0, help="time constant of the thrust's first-order lag"
     )
     torque_max: tuple[float, float, float] = quantity(
         (600.0, 600.0, 300.0), "N m", gt=0, help="maximum control torque about each body axis"
@@ -87,10 +87,14 @@ class Lander:
     pad_diameter: float = quantity(0.3, "m", gt=0, help="diameter of each pad")
     com_height: float = quantity(1.6, "m", gt=0, help="height of the centre of mass above the pads")
     belly_clearance: float = quantity(
-        0.25, "m", gt=0, help="height of the underside above the pads"
+        0.25, "m", gt=0, help="height of the body's underside above the pads"
     )
-    slope_limit: float = quantity(10.0, "deg", gt=0, lt=45, help="maximum safe terrain slope")
-    roughness_limit: float = quantity(0.25, "m", gt=0, help="maximum safe terrain roughness")
+    slope_limit: float = quantity(
+        10.0, "deg", gt=0, lt=45, help="maximum terrain slope of a safe site"
+    )
+    roughness_limit: float = quantity(
+        0.25, "m", gt=0, help="maximum terrain roughness of a safe site"
+    )
     vertical_speed_limit: float = quantity(
         3.0, "m/s", gt=0, help="maximum vertical speed at a safe touchdown"
     )

@@ -52,13 +52,17 @@ class Thrusters:
     propellant: float = quantity(
         20.0, "kg", ge=0, help="thruster propellant, included in the dry mass"
     )
-    min_on_time: float = quantity(0.02, "s", gt=0, le=1, help="minimum on-time of a valve")
-    cluster_radius: float = quantity(1.6, "m", gt=0, help="distance of the clusters from body z")
+    min_on_time: float = quantity(0.02, "s", gt=0, le=1, help="minimum firing time of a thruster")
+    cluster_radius: float = quantity(
+        1.6, "m", gt=0, help="distance of the thruster clusters from the body z axis"
+    )
     cluster_height: float = quantity(
-        0.0, "m", help="height of the clusters above the body's origin"
+        0.0, "m", help="height of the thruster clusters above the body's origin"
     )
     positions: Points = quantity((), "m", help="thruster positions; omitted: four clusters of four")
-    directions: Points = quantity((), help="force directions of the thrusters; needs positions")
+    directions: Points = quantity(
+        (), help="force directions of the thrusters; given together with positions"
+    )
 
     def __post_init__(self) -> None:
         check_bounds(self, "thrusters")

@@ -66,7 +66,7 @@ def allow_modules(*names: str) -> None:
 
 @contextmanager
 def modules_allowed(names: Iterable[str]) -> Iterator[None]:
-    """Permit files to load classes of modules within a `with` statement."""
+    """Let scenario and agent files load classes of modules within a `with` statement."""
     before = os.environ.get(ALLOW_MODULES_VARIABLE)
     try:
         allow_modules(*names)
@@ -79,7 +79,7 @@ def modules_allowed(names: Iterable[str]) -> Iterator[None]:
 
 
 def find_module_names(texts: Iterable[str | None]) -> list[str]:
-    """Return the module of every "module:Class" in texts, such as typed options.
+    """Return the modules of all "module:Class" in texts such as command options.
 
     Examples
     --------

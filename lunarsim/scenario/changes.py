@@ -21,8 +21,7 @@ _OPTION = "--set"
 def path_of(key: str, value: Any = "") -> tuple[str, ...]:
     """Split a dotted scenario key into the names of its tables and of the value.
 
-    A table with a `kind`, for instance ``policy``, with a string as `value` means the key of its
-    kind: ("policy", "kind").
+    A table name such as ``policy`` stands for its kind, ("policy", "kind"), if `value` is a string.
     """
     if key in layout.SELECTED and isinstance(value, str):
         return key, "kind"
@@ -58,7 +57,8 @@ def with_values(scenario: Scenario, values: Mapping[str, Any], where: str) -> Sc
             raise InputError(field, value, "must be a scenario key such as rocks.cover")
         if len(steps) > 1 and steps[-1].isdigit():
             steps, index = steps[:-1], int(steps[-1])
-            new = _replaced(at(change, steps) or at(data, steps), index, value, field)
+            current = nested_value(change, steps) or nested_value(data, steps)
+            new = _with_element(current, index, value, field)
         _set_nested(change, steps, new, field)
     try:
         return scenario.changed(**change)
@@ -80,7 +80,7 @@ def with_changes(scenario: Scenario, texts: Sequence[str]) -> Scenario:
     Raises
     ------
     InputError
-        Naming the key, if a text is not a change or a value is invalid.
+        If a text is not ``KEY=VALUE``, a key does not exist, or a value is invalid.
 
     Examples
     --------
@@ -112,35 +112,32 @@ def parse_changes(texts: Sequence[str]) -> dict[str, Any]:
             raise InputError(_OPTION, text, "must be KEY=VALUE, for example rocks.cover=0.08")
         if key in values:
             raise InputError(_OPTION, text, "must set each key only once")
-        values[key] = _parsed(text, value)
+        values[key] = _parse_value(text, value)
     return values
 
 
-def _parsed(text: str, value: str) -> Any:
-    """Parse a value in TOML; a value that is not TOML is returned as a string.
+def _parse_value(change: str, value: str) -> Any:
+    """Parse a TOML value, or return it as a string if it is not TOML.
 
-    `text` is the complete ``KEY=VALUE`` for errors.
+    `change` is the complete ``KEY=VALUE`` for errors.
     """
     try:
         found = tomllib.loads(f"value = {value}")
     except (ValueError, RecursionError):
         if value[0] in "[{\"'":
             raise InputError(
-                _OPTION, text, "must have a valid TOML value",
+                _OPTION, change, "must have a valid TOML value",
                 "Check brackets and quotes.",
             ) from None  # fmt: skip
         return value
     if list(found) != ["value"]:
-        raise InputError(_OPTION, text, "must be one key and one value")
+        raise InputError(_OPTION, change, "must be one key and one value")
     return found["value"]
 
 
-def at(data: Any, steps: tuple[str, ...]) -> Any:
-    """Return the value in nested tables and lists that the names in `steps` lead to.
-
-    Return None if there is no such value.
-    """
-    for step in steps:
+def nested_value(data: Any, path: tuple[str, ...]) -> Any:
+    """Return the value at a path of keys in nested tables and lists; None if missing."""
+    for step in path:
         if isinstance(data, Mapping):
             data = data.get(step)
         elif isinstance(data, list | tuple) and step.isdigit() and int(step) < len(data):
@@ -150,8 +147,8 @@ def at(data: Any, steps: tuple[str, ...]) -> Any:
     return data
 
 
-def _replaced(current: Any, index: int, value: Any, field: str) -> list[Any]:
-    """Return the list `current` with the element `index` replaced by `value`.
+def _with_element(current: Any, index: int, value: Any, field: str) -> list[Any]:
+    """Return a copy of the list `current` with one element replaced by `value`.
 
     `field` is the field name for errors.
     """
@@ -175,7 +172,7 @@ def _set_nested(change: dict[str, Any], steps: tuple[str, ...], value: Any, fiel
     for step in steps[:-1]:
         inner = change.setdefault(step, {})
         if not isinstance(inner, dict):
-            raise InputError(field, value, f"conflicts with the value that {step!r} is set to")
+            raise InputError(field, value, f"cannot be set, because another change sets {step!r}")
         change = inner
     if isinstance(change.get(steps[-1]), dict):
         raise InputError(field, value, "must not be set both as a table and by its keys")

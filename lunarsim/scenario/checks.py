@@ -111,24 +111,24 @@ class CheckedTables(Protocol):
 
 
 def check(scenario: CheckedTables) -> None:
-    """Check that components have what they need, are consistent, and have an effect.
+    """Check that a scenario's components fit together and that each of them is used.
 
     Raises
     ------
     InputError
-        Naming the first field that fails a check.
+        If a check fails; the error names the first invalid field.
     """
     for table in ("sensors", "tasking", "mappers"):
         _check_names(table, getattr(scenario, table))
     sensors = {name: part.make() for name, part in scenario.sensors.items()}
-    _check_single(sensors)
-    _check_filters(scenario)
+    _check_unique_sensors(sensors)
+    _check_filter_states(scenario)
     _check_mappers(scenario, sensors)
     _check_navigation(scenario, sensors)
     _check_control(scenario, sensors)
     _check_actuators(scenario)
     _check_tasking(scenario, sensors)
-    _check_effect(scenario, sensors)
+    _check_all_used(scenario, sensors)
     chosen = scenario.decisions.map
     if chosen and chosen not in scenario.mappers:
         raise InputError(
@@ -149,22 +149,21 @@ def _check_names(table: str, parts: Mapping[str, PartTable]) -> None:
             )
 
 
-def _check_single(sensors: dict[str, Any]) -> None:
-    """Check that there is at most one sensor of each type that navigation uses once."""
-    for only in (InertialSamples, NavigationFix):
+def _check_unique_sensors(sensors: dict[str, Any]) -> None:
+    """Check that the scenario has at most one IMU and one navigation-fix sensor."""
+    words = {InertialSamples: "inertial measurement unit", NavigationFix: "navigation-fix sensor"}
+    for only, noun in words.items():
         names = [
             name for name, sensor in sensors.items() if issubclass(sensor.measurement_type, only)
         ]
         if len(names) > 1:
             raise InputError(
-                f"sensors.{names[1]}",
-                names,
-                f"must not be a second sensor that measures {only.__name__}",
-                "Delete one of these sensors.",
-            )
+                f"sensors.{names[1]}", names, f"must not be a second {noun}",
+                f"Keep only one of these sensors: {', '.join(names)}.", show_value=False,
+            )  # fmt: skip
 
 
-def _check_filters(scenario: CheckedTables) -> None:
+def _check_filter_states(scenario: CheckedTables) -> None:
     """Check that at most one mapper adds states to the navigation filter."""
     names = [
         name
@@ -173,40 +172,41 @@ def _check_filters(scenario: CheckedTables) -> None:
     ]
     if len(names) > 1:
         raise InputError(
-            f"mappers.{names[1]}",
-            names,
-            "must be the only mapper that adds states to the navigation filter",
-            "Delete the other mapper.",
-        )
+            f"mappers.{names[1]}", names,
+            "must not be a second mapper that adds states to the navigation filter",
+            f"Keep only one of these mappers: {', '.join(names)}.", show_value=False,
+        )  # fmt: skip
 
 
-def _has_sensor_for(sensors: dict[str, Any], wanted: type) -> bool:
+def _has_sensor_for(sensors: dict[str, Any], measurement_type: type) -> bool:
     """Return whether any sensor outputs measurements of a type."""
-    return any(issubclass(sensor.measurement_type, wanted) for sensor in sensors.values())
+    types = (sensor.measurement_type for sensor in sensors.values())
+    return any(issubclass(one, measurement_type) for one in types)
 
 
-def _sensor_kinds_for(wanted: type) -> str:
-    """Return a phrase with the kinds of sensors that output a type of measurement."""
+def _sensor_kinds_for(measurement_type: type) -> str:
+    """Return a phrase, such as "of kind 'imu'", for sensors of a measurement type."""
     found = [
         repr(kind)
         for kind, sensor in loadable_parts("sensor")
-        if isinstance(sensor.measurement_type, type) and issubclass(sensor.measurement_type, wanted)
+        if isinstance(sensor.measurement_type, type)
+        and issubclass(sensor.measurement_type, measurement_type)
     ]
     names = " or ".join(found)
-    return f"of kind {names}" if names else f"with measurement type {wanted.__name__}"
+    return f"of kind {names}" if names else f"with measurement type {measurement_type.__name__}"
 
 
-def _kinds_of(contract: str, wanted: type) -> str:
-    """Return the kinds of a contract that are a class or its subclass, joined by "or".
+def _kinds_of(contract: str, base: type) -> str:
+    """Return the kinds of a contract whose class derives from `base`, joined by "or".
 
-    If no kind is, return "module:Class" of the class `wanted`.
+    If there are none, return the name of `base` as "module:Class".
     """
-    found = [repr(kind) for kind, part in loadable_parts(contract) if issubclass(part, wanted)]
-    return " or ".join(found) or f'"{wanted.__module__}:{wanted.__qualname__}"'
+    found = [repr(kind) for kind, part in loadable_parts(contract) if issubclass(part, base)]
+    return " or ".join(found) or f'"{base.__module__}:{base.__qualname__}"'
 
 
 def _check_mappers(scenario: CheckedTables, sensors: dict[str, Any]) -> None:
-    """Check that each hazard mapper has its sensors, its other mappers and its filter."""
+    """Check that the sensors, mappers and filter that each hazard mapper needs exist."""
     for name, part in scenario.mappers.items():
         mapper = part.make()
         field = f"mappers.{name}"
@@ -218,17 +218,17 @@ def _check_mappers(scenario: CheckedTables, sensors: dict[str, Any]) -> None:
             _check_sun_elevation(field, scenario.sun.elevation_deg)
         _check_map(field, mapper, scenario)
         _check_sensors(field, mapper, scenario.sensors, sensors)
-        wanted = getattr(mapper, "navigation", None)
-        if wanted is not None and not isinstance(scenario.navigation.make(), wanted):
+        needed = getattr(mapper, "navigation", None)
+        if needed is not None and not isinstance(scenario.navigation.make(), needed):
             raise InputError(
                 "navigation.kind", scenario.navigation.kind,
-                f"must be {_kinds_of('navigation', wanted)}, because {field} (kind {part.kind!r}) "
+                f"must be {_kinds_of('navigation', needed)}, because {field} (kind {part.kind!r}) "
                 "adds states to this navigation filter",
             )  # fmt: skip
 
 
 def _check_sun_elevation(field: str, elevation: float) -> None:
-    """Check that the Sun's elevation (deg) is within the range of a shadow mapper.
+    """Check that the Sun's elevation (deg) is one at which shadows can be mapped.
 
     `field` is the mapper's table.
     """
@@ -323,7 +323,7 @@ def _check_navigation(scenario: CheckedTables, sensors: dict[str, Any]) -> None:
 
 
 def _check_control(scenario: CheckedTables, sensors: dict[str, Any]) -> None:
-    """Check that attitude control has an IMU and is stable at the simulation step."""
+    """Check that attitude control has an IMU and is stable with the simulation step."""
     if scenario.control.make().torques and not _has_sensor_for(sensors, InertialSamples):
         raise InputError(
             "control.kind", scenario.control.kind,
@@ -425,7 +425,7 @@ def _check_tasking(scenario: CheckedTables, sensors: dict[str, Any]) -> None:
                 )  # fmt: skip
 
 
-def _check_effect(scenario: CheckedTables, sensors: dict[str, Any]) -> None:
+def _check_all_used(scenario: CheckedTables, sensors: dict[str, Any]) -> None:
     """Check that every sensor, prior map and initial uncertainty is used."""
     navigation = scenario.navigation.make()
     used = {name for part in scenario.mappers.values() for name in sensor_names(part.make())}

@@ -51,7 +51,8 @@ def input_error(
     """
     first = error.errors(include_url=False)[0]
     location = [str(step) for step in first["loc"]]
-    field = ".".join([path, *location])
+    steps = (f"[{step}]" if isinstance(step, int) else f".{step}" for step in first["loc"])
+    field = path + "".join(steps)
     count = len(_elements(model, location[0])) if location else 0
     if count and first["type"] in ("tuple_type", "too_long", "missing"):
         unit = unit_of(model, location[0])
@@ -80,26 +81,26 @@ def input_error(
     problem = "is required" if message == "Field required" else message[0].lower() + message[1:]
     unit = unit_of(model, location[0]) if location else ""
     wants_number = unit and first["type"].endswith(("_type", "_parsing"))
-    remedy = f"Give a plain number {_spelled(unit)}." if wants_number else ""
+    remedy = f"Give a plain number {_unit_phrase(unit)}." if wants_number else ""
     return InputError(field, first["input"], problem, remedy)
 
 
-def _spelled(unit: str) -> str:
-    """Return a unit as words that follow "number": "in kg", "of electrons"."""
+def _unit_phrase(unit: str) -> str:
+    """Return the words for a unit after "a number", for instance "in kg"."""
     return f"of {_SPELLED_UNITS[unit]}" if unit in _SPELLED_UNITS else f"in {unit}"
 
 
 def unknown_key_error(field: str, value: object, remedy: str) -> InputError:
-    """Return the error for an unknown scenario key; it names a renamed key's new name.
+    """Return the error for an unknown scenario key; name its new key if renamed.
 
     Parameters
     ----------
     field
-        Dotted path of the key.
+        Dotted path of the unknown key.
     value
         Value of the key; the message omits it.
     remedy
-        Remedy if the key has not been renamed since an earlier version.
+        Remedy for a key that is not the old name of a current key.
     """
     new = current_path(field)
     if new == field:

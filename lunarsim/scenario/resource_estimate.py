@@ -125,7 +125,7 @@ def check_memory(scenario: Any) -> None:
         remedy = _REMEDIES.get(key) or _REMEDIES[last]
         raise InputError(
             key, value,
-            f"is too large, a flight would use {format_bytes(found.total)} of memory "
+            f"is too large, because a flight would use {format_bytes(found.total)} of memory "
             f"(limit {format_bytes(MAX_MEMORY_BYTES)})",
             remedy,
         )  # fmt: skip

@@ -23,8 +23,8 @@ class SiteReward:
         Penalty for a safe touchdown at a landing limit, in proportion below it: the larger of the
         two speeds, the tilt, and the larger of slope and roughness under the pads.
     information
-        Reward for the complete reduction of the map's uncertainty; each decision earns the part
-        that it adds.
+        Reward for removing all uncertainty of the map; each decision earns the part that it
+        removes.
     shaping
         Weight of the shaping potential, which is p_safe of the current site; 0 disables it.
     discount
@@ -36,13 +36,27 @@ class SiteReward:
     propellant: float = quantity(
         1.0, ge=0, help="Penalty for using all propellant; less use costs proportionally less"
     )
-    invalid: float = quantity(0.05, ge=0, help="Penalty for selecting a site that is not available")
-    speed: float = quantity(0.0, ge=0, help="Penalty for a safe touchdown at a speed limit")
-    tilt: float = quantity(0.0, ge=0, help="Penalty for a safe touchdown at the tilt limit")
-    hazard: float = quantity(
-        0.0, ge=0, help="Penalty for a safe touchdown at the slope or roughness limit"
+    invalid: float = quantity(
+        0.05, ge=0, help="Penalty for selecting an unavailable site, up to ten times per flight"
     )
-    information: float = quantity(0.0, ge=0, help="Reward for reducing all uncertainty of the map")
+    speed: float = quantity(
+        0.0,
+        ge=0,
+        help="Penalty for a safe touchdown at a speed limit, proportionally less below it",
+    )
+    tilt: float = quantity(
+        0.0,
+        ge=0,
+        help="Penalty for a safe touchdown at the tilt limit, proportionally less below it",
+    )
+    hazard: float = quantity(
+        0.0,
+        ge=0,
+        help="Penalty for a safe touchdown at the slope or roughness limit, less below it",
+    )
+    information: float = quantity(
+        0.0, ge=0, help="Reward for removing all uncertainty of the map; a part earns its share"
+    )
     shaping: float = quantity(
         0.0, ge=0, help="Weight of reward shaping by p_safe of the current site; 0 disables it"
     )
@@ -80,19 +94,23 @@ class DescentReward:
     """
 
     safe: float = quantity(1.0, help="Reward for a touchdown within all limits")
-    crash: float = quantity(-1.0, help="Reward for any other outcome except the time limit")
+    crash: float = quantity(
+        -1.0, help="Reward for any outcome other than a safe touchdown or the time limit"
+    )
     propellant: float = quantity(0.001, ge=0, help="Penalty per kilogram of propellant")
     miss: float = quantity(
         0.01, ge=0, help="Penalty per metre of a safe touchdown from the target, up to 50 m"
     )
     severity: float = quantity(
-        0.0, ge=0, help="Penalty for a crash at the distance and speed of the planned start"
+        0.0,
+        ge=0,
+        help="Maximum penalty for a crash, reached at the distance and speed of the planned start",
     )
     excess: float = quantity(
         0.0, ge=0, help="Penalty for exceeding a touchdown limit by a factor of e"
     )
     shaping: float = quantity(
-        1.0, ge=0, help="Weight of reward shaping by a potential; 0 disables it"
+        1.0, ge=0, help="Weight of potential-based reward shaping; 0 disables it"
     )
     discount: float = quantity(
         0.99, gt=0, le=1, help="Discount factor of the learner, used for shaping"

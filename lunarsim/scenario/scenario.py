@@ -148,10 +148,11 @@ class Scenario:
         }
         if not values["name"]:
             raise InputError("name", "", "must not be empty")
-        for key, of in layout.FIXED.items():
-            values[key] = _table(key, of, data.get(key, {}), folder)
-        for key, of in layout.OPTIONAL.items():
-            values[key] = _table(key, of, data[key], folder) if key in data else None
+        for key, part_class in layout.FIXED.items():
+            values[key] = _table(key, part_class, data.get(key, {}), folder)
+        for key, part_class in layout.OPTIONAL.items():
+            given = key in data
+            values[key] = _table(key, part_class, data[key], folder) if given else None
         for key, contract in layout.OPTIONAL_SELECTED.items():
             given = key in data
             values[key] = _selected_part(key, contract, data[key], None, folder) if given else None
@@ -206,10 +207,10 @@ class Scenario:
 
     @classmethod
     def world_from_toml(cls, text: str, folder: Path | None = None) -> Scenario:
-        """Create a scenario with world and vehicle of a TOML text, and defaults otherwise.
+        """Create a scenario from only the world and vehicle tables of a TOML text.
 
-        Readers of flight records and reports use this method, because other components may come
-        from modules that this process does not allow.
+        All other tables have their defaults, because their components may come from modules that
+        this process does not allow. Readers of flight records and reports use this method.
 
         Raises
         ------
@@ -313,7 +314,7 @@ class Scenario:
 
 
 def _from_process(tables: dict[str, Any], modules: tuple[str, ...]) -> Scenario:
-    """Unpickle a scenario and allow the modules of the process that pickled it."""
+    """Unpickle a scenario; allow the modules that the pickling process allowed."""
     return Scenario.from_dict(tables, allow_modules=modules)
 
 
@@ -326,7 +327,7 @@ def _dump(value: Any) -> Any:
 
 
 def _merged(old: Any, change: Any) -> Any:
-    """Return a scenario value `old` with `change` merged into it.
+    """Return a scenario value or table `old` with `change` merged into it.
 
     Tables are merged key by key; None removes a key; another `kind` replaces the table.
     """
@@ -376,8 +377,8 @@ def _selected_part(
             f"{path}.kind", kind, f"must be the name of a kind of {contract}",
             f"Known names: {', '.join(kinds(contract))}.",
         )  # fmt: skip
-    of = resolve(contract, kind, f"{path}.kind")
-    return SelectedPart(kind, _table(path, of, data, folder, contract, kind))
+    part_class = resolve(contract, kind, f"{path}.kind")
+    return SelectedPart(kind, _table(path, part_class, data, folder, contract, kind))
 
 
 def _absolute_path(field: str, path: Path, folder: Path | None) -> Path:
@@ -394,7 +395,7 @@ def _absolute_path(field: str, path: Path, folder: Path | None) -> Path:
 
 def _table(
     path: str,
-    of: type,
+    part_class: type,
     value: Any,
     folder: Path | None,
     contract: str | None = None,
@@ -402,17 +403,17 @@ def _table(
 ) -> PartSettings:
     """Check a scenario table and return it as settings.
 
-    The component is created once to check the values. `path` is the name of the table, `of` the
-    class that it configures, and `folder` the folder of relative paths. `contract` and `kind` are
-    given for a table with a `kind`.
+    The component is created once to check the values. `path` is the name of the table,
+    `part_class` the class that it configures, and `folder` the folder of relative paths.
+    `contract` and `kind` are given for a table with a `kind`.
     """
     try:
-        model = settings_of(of)
+        model = settings_of(part_class)
     except Exception as error:  # pydantic raises many types for custom annotations
         message = str(error).split("\n")[0]
         raise InputError(
             f"{path}.kind",
-            kind or of.__name__,
+            kind or part_class.__name__,
             f"must have fields with types that TOML supports ({message})",
         ) from error
     try:

@@ -15,7 +15,7 @@ from lunarsim.parts import PartSettings, kinds
 from lunarsim.scenario.scenario import Scenario
 
 # Kinds of sensors that depend on sunlight.
-_SEE_LIGHT = ("camera", "star-tracker")
+_SUNLIT_KINDS = ("camera", "star-tracker")
 # Plausible radius of gyration over the radius of the leg circle. A solid sphere has 0.63, a thin
 # ring 1.
 _MIN_GYRATION_RATIO, _MAX_GYRATION_RATIO = 0.1, 0.75
@@ -48,7 +48,7 @@ def warnings_for(scenario: Scenario) -> list[str]:
         *figures,
         *_unused_key_warnings(scenario),
         *_sensor_warnings(scenario),
-        *_variation(scenario),
+        *_randomization_warnings(scenario),
     ]
 
 
@@ -60,8 +60,8 @@ def _lander_warnings(lander: Lander) -> Iterator[str]:
     dry, full = np.asarray(lander.inertia_dry), np.asarray(lander.inertia_full)
     if (full < dry).any():
         yield (
-            f"vehicle.inertia_full_kg_m2: less than inertia_dry_kg_m2 = {_listed(dry)} in spite of "
-            f"{lander.propellant_mass:g} kg of propellant, got {_listed(full)}."
+            f"vehicle.inertia_full_kg_m2: is less than inertia_dry_kg_m2 = {_listed(dry)} in spite "
+            f"of {lander.propellant_mass:g} kg of propellant, got {_listed(full)}."
         )
     turn = np.asarray(lander.torque_max) / full
     if turn.min() < _SLOW or turn.max() > _FAST:
@@ -91,7 +91,7 @@ def _gyration_warnings(lander: Lander) -> Iterator[str]:
 
 
 def _geometry_warnings(lander: Lander) -> Iterator[str]:
-    """Yield warnings about landing limits that exceed what the legs allow."""
+    """Yield warnings about slope and roughness limits that the legs do not allow."""
     stands = math.degrees(
         math.atan(lander.leg_radius * math.cos(math.pi / lander.legs) / lander.com_height)
     )
@@ -131,7 +131,7 @@ def _sensor_warnings(scenario: Scenario) -> Iterator[str]:
             lowest = min(looks.at) if looks.at else looks.lowest
             if lowest >= reach:
                 yield (
-                    f"sensors.{name}.max_range_m: too short for any LiDAR return, because "
+                    f"sensors.{name}.max_range_m: is too short for any LiDAR return, because "
                     f"[tasking.{name}] measures above {lowest:g} m only, got {reach:g}. Raise "
                     "max_range_m or lower the altitudes."
                 )
@@ -142,8 +142,8 @@ def _sensor_warnings(scenario: Scenario) -> Iterator[str]:
             )
 
 
-def _variation(scenario: Scenario) -> Iterator[str]:
-    """Yield a warning if the scenario randomises the lander, as only environments do."""
+def _randomization_warnings(scenario: Scenario) -> Iterator[str]:
+    """Yield a warning that only environments use the table domain_randomization."""
     if scenario.domain_randomization is not None:
         yield (
             "domain_randomization: only environments accept this table; `fly`, `compare` and "
@@ -156,7 +156,7 @@ def _variation(scenario: Scenario) -> Iterator[str]:
 
 
 def _unused_key_warnings(scenario: Scenario) -> Iterator[str]:
-    lit = [p.kind for p in scenario.sensors.values() if _sees_light(p.kind)]
+    lit = [p.kind for p in scenario.sensors.values() if _may_need_sunlight(p.kind)]
     if not lit:
         yield from _unused_keys("sun", scenario.sun, "there is no camera or star tracker")
     if scenario.terrain.kind == "hazard-field":
@@ -164,7 +164,9 @@ def _unused_key_warnings(scenario: Scenario) -> Iterator[str]:
             "rocks", scenario.rocks, "terrain 'hazard-field' has its own boulders"
         )
     elif scenario.rocks.cover == 0.0:
-        yield from _unused_keys("rocks", scenario.rocks, "cover = 0 means no rocks", but=("cover",))
+        yield from _unused_keys(
+            "rocks", scenario.rocks, "cover = 0 means no rocks", ignored=("cover",)
+        )
     elif scenario.rocks.cluster_fraction == 0.0:
         yield from _unused_keys(
             "rocks", scenario.rocks, "cluster_fraction = 0 means no rocks around craters",
@@ -173,7 +175,7 @@ def _unused_key_warnings(scenario: Scenario) -> Iterator[str]:
     yield from _unused_terrain_keys(scenario)
     if scenario.policy.kind == "no-divert":
         yield from _unused_keys(
-            "decisions", scenario.decisions, "policy 'no-divert' never diverts", but=("map",)
+            "decisions", scenario.decisions, "policy 'no-divert' never diverts", ignored=("map",)
         )
     if not scenario.mappers:
         yield from _unused_keys("expected_rocks", scenario.expected_rocks, "there is no mapper")
@@ -194,32 +196,32 @@ def _unused_terrain_keys(scenario: Scenario) -> Iterator[str]:
             )
 
 
-def _sees_light(kind: str) -> bool:
+def _may_need_sunlight(kind: str) -> bool:
     """Return whether a kind of sensor may depend on sunlight; true for custom kinds."""
-    return kind in _SEE_LIGHT or kind not in kinds("sensor")
+    return kind in _SUNLIT_KINDS or kind not in kinds("sensor")
 
 
 def _unused_keys(
     table: str,
     settings: PartSettings,
-    why: str,
+    reason: str,
     *,
     only: tuple[str, ...] | None = None,
-    but: tuple[str, ...] = (),
+    ignored: tuple[str, ...] = (),
 ) -> Iterator[str]:
-    """Yield a warning that names the keys of a table that are set but have no effect.
+    """Yield a warning that names all keys of a table that are set but have no effect.
 
-    `why` is the reason; only keys in `only`, if given, and not in `but` are checked.
+    `reason` ends the warning. Keys are checked if in `only` (None: all) and not in `ignored`.
     """
     fields = type(settings).model_fields
     values: Mapping[str, Any] = {key: getattr(settings, key) for key in fields}
     found = [
         f"{table}.{key} = {_word(value)}"
         for key, value in values.items()
-        if key not in but and (only is None or key in only) and value != fields[key].default
+        if key not in ignored and (only is None or key in only) and value != fields[key].default
     ]
     if found:
-        yield f"{', '.join(found)}: no effect, because {why}."
+        yield f"{', '.join(found)}: no effect, because {reason}."
 
 
 def _word(value: Any) -> str:

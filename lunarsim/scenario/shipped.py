@@ -42,7 +42,7 @@ def path_of(name: str) -> Path:
     return known[name]
 
 
-def found(given: Path, beside: Path | None = None) -> Path:
+def found(given: Path, base_folder: Path | None = None) -> Path:
     """Find the file of a scenario given by path or by name of a supplied scenario.
 
     An existing path has priority.
@@ -51,15 +51,15 @@ def found(given: Path, beside: Path | None = None) -> Path:
     ----------
     given
         Path of a file, or name of a scenario supplied with lunarsim.
-    beside
-        Folder of a relative path; None is the working folder.
+    base_folder
+        Folder from which a relative path starts; None is the working folder.
 
     Raises
     ------
     InputError
         If there is no such file or name. The error suggests the closest one.
     """
-    path = given if beside is None else beside / given
+    path = given if base_folder is None else base_folder / given
     if path.exists():
         return path
     known = names()
@@ -103,7 +103,7 @@ def copy_to(name: str, target: Path) -> list[Path]:
     source = path_of(name)
     tables = tomllib.loads(source.read_text(encoding="utf-8"))
     pairs = [(source, target)]
-    pairs += [(source.parent / path, target.parent / path) for path in _named(tables)]
+    pairs += [(source.parent / path, target.parent / path) for path in _data_files(tables)]
     for old, new in pairs:
         if new.exists() and (new == target or new.read_bytes() != old.read_bytes()):
             raise InputError("--out", str(new), "must be a new file, but it exists")
@@ -121,10 +121,10 @@ def copy_to(name: str, target: Path) -> list[Path]:
     return [new for _, new in pairs]
 
 
-def _named(table: Mapping[str, Any]) -> Iterator[str]:
+def _data_files(table: Mapping[str, Any]) -> Iterator[str]:
     """Yield the relative paths of data files in the tables of a scenario."""
     for key, value in table.items():
         if isinstance(value, Mapping):
-            yield from _named(value)
+            yield from _data_files(value)
         elif (key == "path" or key.endswith("_path")) and not Path(str(value)).is_absolute():
             yield str(value)

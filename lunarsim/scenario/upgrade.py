@@ -121,14 +121,14 @@ def upgrade_text(text: str) -> tuple[str, list[str]]:
 
 
 class _Renamer:
-    """Reader of TOML tokens that collects the keys and values with a new name."""
+    """Parser of TOML text that finds the keys and values that have a new name."""
 
     def __init__(self, text: str, tables: Mapping[str, Any]) -> None:
         tokens = [_Token(m[0], m.start()) for m in _TOKEN.finditer(text)]
         self._tokens = [t for t in tokens if t.text[0] not in "# \t\r"]
         self._next = 0
         self._is_campaign = isinstance(tables.get("scenario"), str | dict)
-        self._own_parts = _own_parts(tables)
+        self._custom_tables = _custom_tables(tables)
         self._found: list[tuple[_Token, str]] = []
 
     def renamings(self) -> list[tuple[_Token, str]]:
@@ -156,7 +156,7 @@ class _Renamer:
         self._value(path)
 
     def _key(self, table: list[str]) -> list[str]:
-        """Read a dotted key inside `table`; return its path with the names in the file."""
+        """Read a dotted key of `table` and note new names; return its path as in the file."""
         path = list(table)
         while self._peek() not in ("=", "]"):
             token = self._tokens[self._next]
@@ -192,9 +192,9 @@ class _Renamer:
             self._found.append((token, new))
 
     def _current(self, path: list[str]) -> list[str]:
-        own = next((part for part in self._own_parts if path[: len(part)] == part), [])
-        if own:
-            return self._current_known(own) + path[len(own) :]
+        custom = next((part for part in self._custom_tables if path[: len(part)] == part), [])
+        if custom:
+            return self._current_known(custom) + path[len(custom) :]
         return self._current_known(path)
 
     def _current_known(self, path: list[str]) -> list[str]:
@@ -217,10 +217,10 @@ class _Renamer:
         return RENAMED_VALUES.get((pattern_of(where), value), value)
 
 
-def _own_parts(table: Any, path: tuple[str, ...] = ()) -> list[list[str]]:
-    """Return the paths of tables of kind "module:Class", whose keys are the user's."""
+def _custom_tables(table: Any, path: tuple[str, ...] = ()) -> list[list[str]]:
+    """Return the paths of tables of a custom kind, whose keys are never renamed."""
     if not isinstance(table, Mapping):
         return []
     if ":" in str(table.get("kind", "")):
         return [list(path)]
-    return [part for key, value in table.items() for part in _own_parts(value, (*path, key))]
+    return [part for key, value in table.items() for part in _custom_tables(value, (*path, key))]

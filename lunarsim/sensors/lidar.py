@@ -80,21 +80,27 @@ class FlashLidar:
     )
 
     range_sigma: float = quantity(
-        0.0, "m", ge=0, lt=10, help="constant range error, 1 sigma, known to the onboard computer"
+        0.0,
+        "m",
+        ge=0,
+        lt=10,
+        help="1 sigma of a range bias drawn once per flight; the onboard computer knows this sigma",
     )
     boresight_sigma: float = quantity(
         0.0,
         "deg",
         ge=0,
         lt=5,
-        help="constant boresight misalignment, 1 sigma per axis, known to the onboard computer",
+        help="1 sigma per axis of a boresight misalignment drawn once per flight; the onboard "
+        "computer knows this sigma",
     )
     latency_sigma: float = quantity(
         0.0,
         "s",
         ge=0,
         lt=1,
-        help="constant error of the time stamp, 1 sigma, known to the onboard computer",
+        help="1 sigma of a time stamp error drawn once per flight; the onboard computer knows "
+        "this sigma",
     )
     range_bias: float = quantity(
         0.0, "m", ge=-10, le=10, help="additional range bias, unknown to the onboard computer"

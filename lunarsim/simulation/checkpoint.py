@@ -72,41 +72,41 @@ class Checkpoint:
 class _Writer(pickle.Pickler):
     def __init__(self, file: io.BytesIO, shared: Sequence[Any]) -> None:
         super().__init__(file, protocol=5)
-        self._shared_index = {id(one): place for place, one in enumerate(shared)}
+        self._shared_index = {id(obj): index for index, obj in enumerate(shared)}
         # First array seen for each owner of memory that is not itself an array.
         self._owners: dict[int, NDArray[Any]] = {}
 
-    def persistent_id(self, one: Any) -> int | None:
-        """Return the index of an object shared by all copies, or None for other objects.
+    def persistent_id(self, obj: Any) -> int | None:
+        """Return the index of an object that all copies share, or None if it is copied.
 
-        Raise `PicklingError` for a class of an unknown package.
+        Raise `PicklingError` for a class whose objects cannot be copied reliably.
         """
-        if isinstance(one, type):
-            package = one.__module__.partition(".")[0]
+        if isinstance(obj, type):
+            package = obj.__module__.partition(".")[0]
             if package not in _TRUSTED_PACKAGES and (
                 package in _EXTERNAL_MODULES or package not in sys.stdlib_module_names
             ):
-                raise pickle.PicklingError(f"{one.__module__}.{one.__qualname__}")
-        return self._shared_index.get(id(one))
+                raise pickle.PicklingError(f"{obj.__module__}.{obj.__qualname__}")
+        return self._shared_index.get(id(obj))
 
-    def reducer_override(self, one: Any) -> Any:
+    def reducer_override(self, obj: Any) -> Any:
         """Pickle an array view so that it still shares memory with its base."""
-        if type(one) is not np.ndarray or one.base is None:
+        if type(obj) is not np.ndarray or obj.base is None:
             return NotImplemented
-        root = one
+        root = obj
         while type(root.base) is np.ndarray:
             root = root.base
         if root.base is not None:
             # Memory of a kernel: several views would become several arrays.
             if self._owners.setdefault(id(root.base), root) is not root:
                 raise pickle.PicklingError("two arrays share memory that no array owns")
-            if root is one:
+            if root is obj:
                 return NotImplemented
         flat = root if root.flags.c_contiguous else root.T
         if not flat.flags.c_contiguous or root.dtype.hasobject:
             raise pickle.PicklingError("view of an array that is not contiguous")
-        offset = one.__array_interface__["data"][0] - root.__array_interface__["data"][0]
-        known = (one.shape, one.dtype, offset, one.strides, one.flags.writeable)
+        offset = obj.__array_interface__["data"][0] - root.__array_interface__["data"][0]
+        known = (obj.shape, obj.dtype, offset, obj.strides, obj.flags.writeable)
         return _rebuild_view, (root, *known)
 
 
@@ -130,6 +130,6 @@ class _Reader(pickle.Unpickler):
         super().__init__(file)
         self._shared = shared
 
-    def persistent_load(self, place: int) -> Any:
-        """Return the object shared by all copies that has an index."""
-        return self._shared[place]
+    def persistent_load(self, index: int) -> Any:
+        """Return the object with an index in the list of objects that all copies share."""
+        return self._shared[index]

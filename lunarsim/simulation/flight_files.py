@@ -105,7 +105,7 @@ class FlightRecord(_StrictRecord):
 
 @contextmanager
 def reading(path: Path) -> Iterator[None]:
-    """Convert any error while a file is read into an `InputError` that names the file."""
+    """Raise any error within a `with` statement as an `InputError` that names a file."""
     try:
         yield
     except Exception as error:  # the libraries raise many types on damaged files

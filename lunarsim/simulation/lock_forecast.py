@@ -10,7 +10,7 @@ _DEFAULT_SWEEP_M = 40.0
 
 
 def lock_forecast(briefing: Briefing) -> LockForecast | None:
-    """Forecast whether LiDAR scans of a flight will match the prior map uniquely.
+    """Forecast whether LiDAR scans will match the prior map at one place only.
 
     `briefing` has the data known before flight. Return None if navigation uses no prior map.
     """

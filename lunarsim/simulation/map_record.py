@@ -47,7 +47,7 @@ class MapRecord:
 def _round_layer(layer: NDArray[np.float32]) -> NDArray[np.float32]:
     """Round a map layer to 16 significant bits, which compress much better.
 
-    The error is up to 2 mm within 256 m of the frame's origin, and up to 8 mm within 1 km.
+    The rounding error of a value is at most 2 mm below 256 m, and at most 8 mm below 1 km.
     """
     bits = np.ascontiguousarray(layer, dtype=np.float32).view(np.uint32)
     rounded = (bits + np.uint32(0x80)) & np.uint32(0xFFFFFF00)

@@ -49,7 +49,8 @@ def map_remarks_by_mapper(maps: Mapping[str, MapRecord], decision_mapper: str) -
     maps
         Record of the last map of each mapper, by name.
     decision_mapper
-        Name of the mapper whose map the policy used, or "". A remark states if it has no map.
+        Name of the mapper whose map the policy used, or "". If that mapper has no recorded map, the
+        result has a remark on it.
     """
     names = dict.fromkeys([*maps, *([decision_mapper] if decision_mapper else [])])
     found: dict[str, str] = {}

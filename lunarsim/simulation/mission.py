@@ -62,7 +62,7 @@ def draw_target(
     # The mission knows the terrain elevation at its site, but not the rocks.
     elevation = float(Terrain(terrain.relief).elevation(xy))
     if not np.isfinite(elevation):
-        raise InputError("target.position_m", tuple(xy), "must have a measured elevation")
+        raise InputError("target.position_m", tuple(xy), "must be a point with known elevation")
     return np.array([xy[0], xy[1], elevation])
 
 

@@ -133,7 +133,8 @@ class Plant:
                 raise InputError(
                     f"sensors.{name}",
                     type(unit).__name__,
-                    "must be an inertial unit whose build returns an Imu",
+                    "must be an Imu, because the sensor measures InertialSamples",
+                    "Return an Imu from the method build of the sensor.",
                 )
         self.imus: dict[str, Imu] = {n: u for n, u in units if isinstance(u, Imu)}
         self._instruments = {n: i for n, i in made.items() if n not in self.imus}
@@ -208,18 +209,18 @@ class Plant:
         measured = self.measure(tasks if self.outcome is None else ())
         return Measurements(self.time, (*samples, *measured.items))
 
-    def gravity_free_states(self, rows: Array) -> tuple[Array, float, float]:
-        """Return states (n, 15), step (s) and gravity (m/s^2) for an inertial unit.
+    def gravity_free_states(self, states: Array) -> tuple[Array, float, float]:
+        """Return states (n, 15), step (s) and gravity (m/s^2) as inputs of an IMU model.
 
-        `rows` (n, 15) are the states before and after each integration step. In a gravity field
-        that varies, the velocity gained from gravity is removed from the states, and the returned
-        gravity is 0.
+        `states` (n, 15) are those before and after each integration step. An IMU model needs
+        uniform gravity; if gravity varies, the velocity that it causes is removed from the
+        states, and the returned gravity is 0.
         """
         step, moon = self.dynamics.step, self.world.moon
         if moon is None:
-            return rows, step, self.world.gravity
-        middle = 0.5 * (rows[1:, :6] + rows[:-1, :6])
-        out = rows.copy()
+            return states, step, self.world.gravity
+        middle = 0.5 * (states[1:, :6] + states[:-1, :6])
+        out = states.copy()
         out[1:, 3:6] -= np.cumsum(
             step * moon.free_fall_acceleration(middle[:, :3], middle[:, 3:]), axis=0
         )

@@ -40,13 +40,13 @@ _DRY_SHARE = 0.5
 
 
 @dataclass(frozen=True)
-class _Case:
+class _ReachabilityCase:
     """Inputs that determine whether a path leads from the start to the target.
 
-    `here` is the estimated start state, `target` (3,) is in m, and `gravity` in m/s^2.
+    `start` is the estimated start state, `target` (3,) is in m, and `gravity` in m/s^2.
     """
 
-    here: Estimate
+    start: Estimate
     target: Array
     software: FlightSoftware
     approach: Approach
@@ -58,15 +58,15 @@ class _Case:
         """Whether a path from the start to the target satisfies all limits."""
         end = self.approach.end(self.target[None, :], self.lander)
         cost = self.software.guidance.cost(
-            self.here, end, self.lander, self.gravity, self.approach.limits
+            self.start, end, self.lander, self.gravity, self.approach.limits
         )
         return bool(cost.feasible[0])
 
 
 def unreachable(
-    here: Estimate, target: Array, software: FlightSoftware, lander: Lander, gravity: float
+    start: Estimate, target: Array, software: FlightSoftware, lander: Lander, gravity: float
 ) -> InputError:
-    """Return the error for a start `here` from which a target (3,) is not reachable.
+    """Return the error for a `start` from which the target (3,) is not reachable.
 
     Each limit is relaxed separately. The error names the limits without which there is a path:
     first the fields of `[approach]` that differ from their defaults, then its other fields, the
@@ -74,15 +74,15 @@ def unreachable(
     position.
     """
     approach, plain = software.approach, Approach()
-    above = here.position - target
+    above = start.position - target
     ends = float(approach.vertical_altitude + lander.com_height)
     if ends >= above[2] > plain.vertical_altitude + lander.com_height:
         return InputError(
             "approach.vertical_altitude_m", approach.vertical_altitude,
             f"must be lower: the start's centre of mass is {above[2]:g} m above the target",
         )  # fmt: skip
-    case = _Case(here, target, software, approach, lander, gravity)
-    causes = [(f, v) for f, v, relaxed in _relaxed(case) if relaxed.feasible]
+    case = _ReachabilityCase(start, target, software, approach, lander, gravity)
+    causes = [(f, v) for f, v, relaxed in _relaxed_cases(case) if relaxed.feasible]
     if not causes:
         return InputError(
             "start.position_m", tuple(float(v) for v in above),
@@ -96,7 +96,7 @@ def unreachable(
     )
 
 
-def _relaxed(case: _Case) -> Iterator[tuple[str, Any, _Case]]:
+def _relaxed_cases(case: _ReachabilityCase) -> Iterator[tuple[str, Any, _ReachabilityCase]]:
     """Yield scenario key and value of each limit, and the case without that limit."""
     approach, plain, lander = case.approach, Approach(), case.lander
     fields = [n for n in _WITHOUT_LIMIT if getattr(approach, n) != _WITHOUT_LIMIT[n]]
@@ -115,6 +115,6 @@ def _relaxed(case: _Case) -> Iterator[tuple[str, Any, _Case]]:
     # A lower dry mass at equal total mass means more propellant.
     lighter = replace(lander, dry_mass=_DRY_SHARE * lander.dry_mass)
     yield "vehicle.propellant_mass_kg", lander.propellant_mass, replace(case, lander=lighter)
-    velocity = tuple(float(v) for v in case.here.velocity)
-    at_rest = replace(case.here, velocity=np.zeros(3))
-    yield "start.velocity_m_s", velocity, replace(case, here=at_rest)
+    velocity = tuple(float(v) for v in case.start.velocity)
+    at_rest = replace(case.start, velocity=np.zeros(3))
+    yield "start.velocity_m_s", velocity, replace(case, start=at_rest)

@@ -14,43 +14,49 @@ from lunarsim.safety.footprint import polygon_runs
 
 
 @kernel(inline=True)
-def _over_polygon(z, here, wide, runs, begin, beyond, gx, gy):
+def _max_height_above_plane(z, first_site, cols, runs, begin, end, gx, gy):
     """Return the maximum height above a plane within a leg polygon, for several sites.
 
-    `z` are flattened heights of rows of `wide` cells; `here` is the first site;
-    `runs[begin:beyond]` are the cells of the polygon by row; `gx` and `gy` are the slopes of the
-    plane per cell.
+    The sites are one SIMD vector of adjacent cells that starts at `first_site` in the flattened
+    heights `z`. `runs[begin:end]` are the cells of the polygon by row; `gx` and `gy` are the
+    slopes of the plane per cell.
     """
     top = lane_fill(-1e30)
-    for n in range(begin, beyond):
+    for n in range(begin, end):
         row, col = item(runs, 3 * n), item(runs, 3 * n + 1)
-        at = here + row * wide + col
-        line = load(z, at)
+        cell = first_site + row * cols + col
+        line = load(z, cell)
         for c in range(1, item(runs, 3 * n + 2)):
-            line = lane_max(line, load(z, at + c) - np.float32(c) * gx)
+            line = lane_max(line, load(z, cell + c) - np.float32(c) * gx)
         top = lane_max(top, line - np.float32(row) * gy - np.float32(col) * gx)
     return top
 
 
 @kernel(parallel=True, inner=False)
 def _brute(z, feet, shape, cells, legs, runs, first, posting, tangent, roughness):
-    """Write slope tangent and roughness of all sites, over all headings of the lander."""
+    """Write the maximum slope tangent and roughness of each site over all headings.
+
+    `feet` are heights under the pads, `cells` and `legs` the footprint at each heading, and
+    `runs[first[h]:first[h + 1]]` the cells of its leg polygon at heading `h`.
+    """
     inverse, place, reach = cells.inverse, cells.place, cells.reach
     rows, cols = shape
     for i in prange(reach, rows - reach):
         for j in range(reach, cols - reach - SIMD_WIDTH + 1, SIMD_WIDTH):
-            here = i * cols + j
+            site = i * cols + j
             steepest = lane_fill(0.0)
             worst = lane_fill(0.0)
             for h in range(legs.shape[0]):
                 for s in range(inverse.shape[1]):
-                    gx, gy, base = plane(feet, here, legs, inverse, place, h, s)
+                    gx, gy, base = plane(feet, site, legs, inverse, place, h, s)
                     square = squared_tangent(gx, gy, posting)
-                    top = _over_polygon(z, here, cols, runs, first[h], first[h + 1], gx, gy)
+                    top = _max_height_above_plane(
+                        z, site, cols, runs, first[h], first[h + 1], gx, gy
+                    )
                     steepest = lane_max(steepest, square)
                     worst = lane_max(worst, (top - base) / lane_sqrt(square + np.float32(1.0)))
-            store(tangent, here, lane_sqrt(steepest))
-            store(roughness, here, worst)
+            store(tangent, site, lane_sqrt(steepest))
+            store(roughness, site, worst)
 
 
 def brute(z, grid, lander):
@@ -76,7 +82,7 @@ def brute(z, grid, lander):
 
 
 def terrains(grid):
-    """Return test terrains (rows, cols) by name, some of them slow for the exact map."""
+    """Return test terrains by name: heights (rows, cols), m, on `grid`."""
     from lunarsim.world.terrain import fractal_relief
 
     rng = np.random.default_rng(0)
@@ -117,7 +123,7 @@ def terrains(grid):
 
 
 def compare(lander, width: float = 25.0, posting: float = 0.1) -> None:
-    """Time the exact safety map per cell, relative to brute force, and check it.
+    """Time the exact safety map relative to brute force, and check that both agree.
 
     `width` and `posting` are side and grid spacing of the map, m.
     """

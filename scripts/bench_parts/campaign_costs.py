@@ -34,14 +34,14 @@ def worlds(folder: Path) -> None:
     spec = _spec("hard", 4)
     took: dict[str, list[float]] = {"relief and rocks": [], "truth": [], "shares": []}
     for index in range(4):
-        grounds = WorldTruthProvider(flight_seed(1, index), {})
+        provider = WorldTruthProvider(flight_seed(1, index), {})
         scenario = spec.scenario_of(index, 0)
         steps = [time.process_time()]
-        world = _world(grounds, scenario)
+        world = _world(provider, scenario)
         steps.append(time.process_time())
-        _, truth = grounds.world_and_truth(scenario)
+        _, truth = provider.world_and_truth(scenario)
         steps.append(time.process_time())
-        grounds.shares(scenario, truth)
+        provider.shares(scenario, truth)
         steps.append(time.process_time())
         for name, cost in zip(took, np.diff(steps), strict=True):
             took[name].append(float(cost))
@@ -56,12 +56,12 @@ def worlds(folder: Path) -> None:
     )
 
 
-def _world(grounds: Any, scenario: Any) -> Any:
-    """Generate the world of a scenario with the seed of a world provider."""
+def _world(provider: Any, scenario: Any) -> Any:
+    """Generate the world of a scenario from the seed of a `WorldTruthProvider`."""
     from lunarsim.rng import RandomStreams
     from lunarsim.simulation import build_world
 
-    return build_world(scenario, RandomStreams(grounds.seed))
+    return build_world(scenario, RandomStreams(provider.seed))
 
 
 def million(folder: Path, row_bytes: float) -> None:
@@ -109,7 +109,7 @@ def _writer_time(folder: Path) -> float:
 
 
 def _spec(name: str, flights: int) -> Any:
-    """Return a campaign of some flights of a supplied scenario."""
+    """Return the specification of a campaign of a supplied scenario."""
     from lunarsim.campaign.spec import CampaignSpec
 
     path = ROOT / "scenarios" / f"{name}.toml"

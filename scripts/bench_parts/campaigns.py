@@ -36,23 +36,20 @@ def campaign() -> None:
         million(Path(folder), row_bytes)
 
 
-def nothing(study: Any, group: Any, arm: int, memory: Any) -> dict[str, Any]:
-    """Stand in for a flight: return a fixed result and the memory of this process.
-
-    The arguments are those of the flight function of a campaign.
-    """
-    return {"safe": group.flight % 3 > 0, "mib": _mib(), **dict.fromkeys("abcdefgh", 1.5)}
+def fixed_result(study: Any, group: Any, arm: int, memory: Any) -> dict[str, Any]:
+    """Replace a campaign's flight function: return a fixed result and memory, MiB."""
+    return {"safe": group.flight % 3 > 0, "mib": _memory_mib(), **dict.fromkeys("abcdefgh", 1.5)}
 
 
-def measured(study: Any, group: Any, arm: int, memory: Any) -> dict[str, Any]:
-    """Fly one flight of a campaign; return its safety and this process's memory, MiB."""
+def flight_with_memory(study: Any, group: Any, arm: int, memory: Any) -> dict[str, Any]:
+    """Fly one flight of a campaign; return its outcome and this process's memory, MiB."""
     from lunarsim.campaign.flight_execution import fly
 
-    return {"safe": fly(study, group, arm, memory)["safe"], "mib": _mib()}
+    return {"safe": fly(study, group, arm, memory)["safe"], "mib": _memory_mib()}
 
 
-def turns(study: Any, group: Any, arm: int, memory: Any) -> dict[str, Any]:
-    """Stand in for a flight: keep a core busy for `study` loop iterations."""
+def busy_loop(study: Any, group: Any, arm: int, memory: Any) -> dict[str, Any]:
+    """Replace a campaign's flight function: keep a core busy for `study` iterations."""
     spin(int(study))
     return {"safe": True}
 
@@ -64,7 +61,7 @@ def spin(count: int) -> None:
 
 
 def _plan(flights: int, function: str, study: Any = None) -> Any:
-    """Return a campaign plan that calls a function of this module for each flight."""
+    """Return a campaign plan that calls `function` of this module for each flight."""
     from lunarsim.campaign.plan import Plan, Work
 
     kinds = {"safe": "bool", "mib": "float"} | dict.fromkeys("abcdefgh", "float")
@@ -87,9 +84,9 @@ def _overhead(folder: Path) -> None:
 
     took = []
     for flights in (100, 100, 100 + _OVERHEAD_FLIGHTS):  # the first run includes late imports
-        began, wall = _processor(), time.perf_counter()
-        run(_plan(flights, "nothing"), LocalEngine(1), folder / f"empty-{len(took)}")
-        took.append((_processor() - began, time.perf_counter() - wall))
+        began, wall = _processor_time(), time.perf_counter()
+        run(_plan(flights, "fixed_result"), LocalEngine(1), folder / f"empty-{len(took)}")
+        took.append((_processor_time() - began, time.perf_counter() - wall))
     _, (few, few_wall), (many, many_wall) = took
     machinery, waited = (many - few) / _OVERHEAD_FLIGHTS, (many_wall - few_wall) / _OVERHEAD_FLIGHTS
     name = ROOT / "scenarios" / "hirise.toml"
@@ -115,7 +112,7 @@ def _overhead(folder: Path) -> None:
 
 
 def _jobs(folder: Path) -> None:
-    """Print the speed-up of two jobs over one, compared with two plain processes."""
+    """Print the speed-up of a campaign by two jobs, and of two plain processes."""
     from lunarsim.campaign.engines.local import LocalEngine
     from lunarsim.campaign.results import load_results
     from lunarsim.campaign.run import run
@@ -125,16 +122,16 @@ def _jobs(folder: Path) -> None:
         walls = []
         for jobs in (1, 2):
             at: list[float] = []
-            plan = _plan(_TASKS, "turns", _TURNS)
+            plan = _plan(_TASKS, "busy_loop", _TURNS)
             # Timed from the end of the first flight, because workers take seconds to start.
             run(
                 plan, LocalEngine(jobs), folder / f"jobs-{turn}-{jobs}",
                 progress=lambda n, at=at: at.append(time.perf_counter()),
             )  # fmt: skip
             walls.append((at[-1] - at[jobs - 1]) / (_TASKS - jobs))
-        busy.append(_busy(load_results(folder / f"jobs-{turn}-2").timing.to_pandas()))
+        busy.append(_busy_fraction(load_results(folder / f"jobs-{turn}-2").timing.to_pandas()))
         engine.append(walls[0] / walls[1])
-        bare.append(_bare(1) / _bare(2))
+        bare.append(_time_without_campaign(1) / _time_without_campaign(2))
     ours, theirs = float(np.median(engine)), float(np.median(bare))
     print(
         f"  speed-up of two jobs: {ours:.2f}; of two bare processes at the same "
@@ -144,7 +141,7 @@ def _jobs(folder: Path) -> None:
     )
 
 
-def _busy(timing: Any) -> float:
+def _busy_fraction(timing: Any) -> float:
     """Return the mean fraction of time that workers spent in flights.
 
     `timing` is the timing table of a campaign.
@@ -157,8 +154,11 @@ def _busy(timing: Any) -> float:
     return float(np.mean(shares))
 
 
-def _bare(processes: int) -> float:
-    """Return the time per task when plain processes share the tasks, s."""
+def _time_without_campaign(processes: int) -> float:
+    """Return the time per task if processes without a campaign share the tasks, s.
+
+    A task is a call of `spin`.
+    """
     each = _TASKS // processes
     code = (
         "import time; from bench_parts.campaigns import spin; began = time.perf_counter()\n"
@@ -184,8 +184,8 @@ def _memory(folder: Path) -> None:
 
     ours: list[float] = []
     run(
-        _plan(_MEMORY_COUNTS[-1], "nothing"), LocalEngine(1), folder / "memory",
-        progress=lambda n: ours.append(_mib()),
+        _plan(_MEMORY_COUNTS[-1], "fixed_result"), LocalEngine(1), folder / "memory",
+        progress=lambda n: ours.append(_memory_mib()),
     )  # fmt: skip
     theirs = load_results(folder / "memory", ["mib"]).table["mib"].to_numpy()
     memory_text = [
@@ -196,7 +196,7 @@ def _memory(folder: Path) -> None:
     print(f"  memory after {counts} empty flights (part size 5000): " + "; ".join(memory_text))
     name = ROOT / "scenarios" / "hirise.toml"
     spec = CampaignSpec.from_dict({"scenario": str(name), "flights": _MEMORY_FLIGHTS, "seed": 1})
-    plan = _plan(_MEMORY_FLIGHTS, "measured", build_plan(spec).work.study)
+    plan = _plan(_MEMORY_FLIGHTS, "flight_with_memory", build_plan(spec).work.study)
     run(plan, LocalEngine(1), folder / "real")
     real = load_results(folder / "real", ["mib"]).table["mib"].to_numpy()
     print(
@@ -216,7 +216,7 @@ def _report(folder: Path) -> float:
     from lunarsim.campaign.run import run
 
     out = folder / "rows"
-    run(_plan(1, "nothing"), InlineEngine(), out)
+    run(_plan(1, "fixed_result"), InlineEngine(), out)
     _fill_with_rows(out, _ROWS)
     began, wall = time.process_time(), time.perf_counter()
     write_report(out, out / "report.html")
@@ -271,25 +271,30 @@ def _fill_with_rows(out: Path, rows: int) -> None:
                 arrays.append(pa.array(rng.integers(100, size=PART_ROWS)))
             else:
                 arrays.append(pa.array([""] * PART_ROWS, field.type))
-        pq.write_table(pa.Table.from_arrays(arrays, schema=schema), _part(out, "results", part))
+        pq.write_table(
+            pa.Table.from_arrays(arrays, schema=schema), _result_file(out, "results", part)
+        )
         times = [fixed["id"], rng.random(PART_ROWS), rng.random(PART_ROWS), ["1"] * PART_ROWS,
                  [1] * PART_ROWS]  # fmt: skip
         table = pa.Table.from_arrays([pa.array(t) for t in times], schema=TIMING)
-        pq.write_table(table, _part(out, "timing", part))
+        pq.write_table(table, _result_file(out, "timing", part))
 
 
-def _part(out: Path, kind: str, part: int) -> Path:
-    """Return the path of a numbered result file of a campaign folder."""
-    return out / kind / f"part-{part:05d}.parquet"
+def _result_file(out: Path, kind: str, number: int) -> Path:
+    """Return the path of a numbered Parquet file of a campaign folder.
+
+    `kind` is "results" or "timing".
+    """
+    return out / kind / f"part-{number:05d}.parquet"
 
 
-def _processor() -> float:
+def _processor_time() -> float:
     """Return the processor time of this process and of its ended children, s."""
     used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
     return sum(u.ru_utime + u.ru_stime for u in used)
 
 
-def _mib() -> float:
+def _memory_mib() -> float:
     """Return the current memory of this process, MiB."""
     pages = int(Path("/proc/self/statm").read_text().split()[1])
     return pages * resource.getpagesize() / 2**20

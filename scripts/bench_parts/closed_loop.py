@@ -10,7 +10,7 @@ from bench_parts.common import ROOT
 
 
 def frames() -> None:
-    """Time the frames of an environment, one per decision, relative to its steps."""
+    """Time the rendered frames of Retarget-v0, compared with the environment's steps."""
     import gymnasium
 
     env = gymnasium.make("lunarsim_envs:lunarsim/Retarget-v0", render_mode="rgb_array")

@@ -96,14 +96,14 @@ def _retarget() -> None:
         print(f"  {name}, {words}: {rate:,.1f} steps/s per core{asked}{_map_time(env)}")
     numba.set_num_threads(threads)
     for count in (16, 64):
-        many = _batch_of_choices(count)
+        many = _retarget_batch(count)
         print(f"  {name}, surrogate, batch of {count} on {threads} threads: {many:,.0f} steps/s")
 
 
 def _map_time(env: gymnasium.Env[Any, Any]) -> str:
     """Return the median time of a hazard map as text, ms.
 
-    The text is empty for perceptions that kernels do not fly.
+    The text is empty if the environment does not simulate its flights in compiled kernels.
     """
     lanes = getattr(env.unwrapped.flight, "lanes", None)  # type: ignore[attr-defined]
     if lanes is None:
@@ -126,7 +126,7 @@ def _map_time(env: gymnasium.Env[Any, Any]) -> str:
     return f", {1e3 * float(np.median(taken[2:])):.1f} ms per map"
 
 
-def _batch_of_choices(count: int) -> float:
+def _retarget_batch(count: int) -> float:
     """Measure decisions per second of `count` parallel Retarget-v0, with resets."""
     vector = gymnasium.make_vec(
         "lunarsim/Retarget-v0", num_envs=count, vectorization_mode="vector_entry_point", worlds=8

@@ -34,8 +34,8 @@ def _plane_with_rocks():
     return Terrain(plane, place_rocks(plane, np.full(500, 1.0), np.random.default_rng(0)))
 
 
-def _scan(terrain, lidar, here):
-    """Simulate a LiDAR flash from position `here` (3,) straight down.
+def _scan(terrain, lidar, position):
+    """Simulate a LiDAR flash straight down from a position (3,), m.
 
     Returns the points (n, 3), m, and rows and columns of the detector.
     """
@@ -46,10 +46,10 @@ def _scan(terrain, lidar, here):
     from lunarsim.world import World
 
     upright = np.array([0.0, 0.0, 0.0, 1.0])
-    state = State(here, np.zeros(3), upright, np.zeros(3), 1.0)
+    state = State(position, np.zeros(3), upright, np.zeros(3), 1.0)
     down = sensor_axes([0.0, 0.0, -1.0])
     scan = lidar.measure(World(terrain, 1.622), state, 0.0, np.random.default_rng(1), down)
-    return scan.points(here, upright), scan.shape
+    return scan.points(position, upright), scan.shape
 
 
 def _triangulations(points, shape) -> float:
@@ -98,9 +98,10 @@ def _safety_maps(points, shape, sigma: float, lander, qhull: float) -> None:
 
 
 def _safety_tests(terrain, lander) -> None:
-    """Time the exact safety map, the safe mask only, and the bounded safety test.
+    """Print times of the true safety map, of its safe mask, and of bounds on safety.
 
-    Each is for a million cells of a rock field and of a rough relief.
+    The functions are `exact_safety`, `safe_sites` and `bounded_safety`, each for a million cells of
+    a rock field and of a rough relief.
     """
     import numpy as np
 

@@ -40,10 +40,10 @@ def interrupts() -> None:
     )
 
 
-def _time_to_end(folder: Path, number: int, later: float) -> float:
+def _time_to_end(folder: Path, number: int, delay: float) -> float:
     """Return the time that a campaign takes to end after an interrupt, s.
 
-    `number` names the campaign; the interrupt comes `later` s after its first journal entry.
+    `number` names the campaign; the interrupt comes `delay` s after its first journal entry.
     """
     spec, out = folder / "spec.toml", folder / str(number)
     spec.write_text(_SPEC.format(ROOT / "scenarios" / "hirise.toml"), encoding="utf-8")
@@ -60,7 +60,7 @@ def _time_to_end(folder: Path, number: int, later: float) -> float:
                 f"{running.returncode}"
             )
         time.sleep(0.05)
-    time.sleep(later)
+    time.sleep(delay)
     began = time.perf_counter()
     os.killpg(running.pid, signal.SIGINT)  # as the terminal does
     running.wait()

@@ -93,17 +93,21 @@ def _memory() -> None:
     import sys
 
     print("  resident memory of a separate process after one site selection, and its maximum")
-    for way, count in (("flashes", 1_000_000), ("flashes", 4_000_000), ("at once", 4_000_000)):
+    for insertion, count in (
+        ("flashes", 1_000_000),
+        ("flashes", 4_000_000),
+        ("at once", 4_000_000),
+    ):
         subprocess.run(
             [sys.executable, "-c", f"from bench_parts.quadtree import resident; "
-             f"resident({way!r}, {count})"], check=True, cwd=ROOT / "scripts",
+             f"resident({insertion!r}, {count})"], check=True, cwd=ROOT / "scripts",
         )  # fmt: skip
 
 
-def resident(way: str, count: int) -> None:
+def resident(insertion: str, count: int) -> None:
     """Print the memory growth of this process by a quadtree map of `count` points.
 
-    `way` is "at once" (one insertion) or "flashes" (one insertion per LiDAR flash).
+    `insertion` is "at once" (one insertion) or "flashes" (one insertion per LiDAR flash).
     """
     import resource
     from pathlib import Path
@@ -121,7 +125,7 @@ def resident(way: str, count: int) -> None:
     warm.insert(_cloud(rng, 20_000, 20.0))
     SiteSelector(warm, thorough=True).update()
     # The points themselves are not counted.
-    blocks = [_cloud(rng, count, 99.0)] if way == "at once" else []
+    blocks = [_cloud(rng, count, 99.0)] if insertion == "at once" else []
     before = now()
     quadtree = QuadtreeMap((0.0, 0.0), 100.0)
     if blocks:
@@ -135,7 +139,8 @@ def resident(way: str, count: int) -> None:
     status = Path("/proc/self/status").read_text(encoding="ascii")
     most = 1024 * int(status.partition("VmHWM:")[2].split()[0]) - before
     print(
-        f"    {quadtree.count:10,d} points, {way}: {after / quadtree.count:.0f} bytes per point "
+        f"    {quadtree.count:10,d} points, {insertion}: "
+        f"{after / quadtree.count:.0f} bytes per point "
         f"({held / quadtree.count:.0f} before the selection, {most / quadtree.count:.0f} maximum; "
         f"{quadtree.nbytes / quadtree.count:.0f} in the arrays of the map)"
     )

@@ -33,7 +33,7 @@ def _planning_problem(changes: dict[str, Any]) -> tuple[Any, Any, float]:
 
 
 def _reach(problem: Any) -> Any:
-    """Return a function that computes the propellant to 10,000 sites, as a reference."""
+    """Return a function that computes the propellant to 10,000 sites; it is timed too."""
     from lunarsim.onboard.guidance.divert_cost import divert_cost
 
     side = np.linspace(-300.0, 300.0, 100)
@@ -45,7 +45,7 @@ def _reach(problem: Any) -> Any:
 
 
 def seeking() -> None:
-    """Time the scoring of paths by information, with camera only and with LiDAR."""
+    """Time the planner of information-seeking guidance, by camera only and with LiDAR."""
     small = {"terrain": {"size_m": 80.0}, "rocks": {"min_diameter_m": 0.6}}
     flash = {
         "sensors": {"flash": {"kind": "flash-lidar"}},

@@ -179,16 +179,16 @@ def lidar() -> None:
         diameters = rng.uniform(0.3, 1.5, 500)
         began = time.perf_counter()
         terrain = Terrain(relief, place_rocks(relief, diameters, rng))
-        built = time.perf_counter() - began
+        build_time = time.perf_counter() - began
         print(f"  {name}:")
-        _compare_with_embree(terrain, grid, np.radians(tilt), built)
+        _compare_with_embree(terrain, grid, np.radians(tilt), build_time)
 
 
-def _compare_with_embree(terrain, grid, tilt: float, built: float) -> None:
+def _compare_with_embree(terrain, grid, tilt: float, build_time: float) -> None:
     """Print ray times of lunarsim and Embree on the same terrain.
 
-    `tilt` is the angle of the LiDAR from nadir, rad; `built` is the generation time of the terrain,
-    s.
+    `tilt` is the angle of the LiDAR from nadir, rad; `build_time` is the generation time of the
+    terrain, s.
     """
     import numpy as np
 
@@ -205,8 +205,8 @@ def _compare_with_embree(terrain, grid, tilt: float, built: float) -> None:
     embree = _EmbreeScene(vertices, triangles)
     starts = np.broadcast_to(origin, rays.shape).astype(np.float32).copy()
     directions = rays.astype(np.float32)
-    theirs = embree.ranges(starts, directions)
-    embree_built = time.perf_counter() - began
+    embree_ranges = embree.ranges(starts, directions)
+    embree_build_time = time.perf_counter() - began
     threads = numba.get_num_threads()
     numba.set_num_threads(1)
     one = median_ms(lambda: terrain.cast(origin, rays, normals=False))
@@ -215,26 +215,26 @@ def _compare_with_embree(terrain, grid, tilt: float, built: float) -> None:
     numba.set_num_threads(threads)
     peer = median_ms(lambda: embree.ranges(starts, directions), repeats=5)
     # The same triangles as in Embree.
-    same = Terrain(Heightfield(grid, surface)).cast(origin, rays, normals=False).range
+    ours = Terrain(Heightfield(grid, surface)).cast(origin, rays, normals=False).range
     print(
         f"    {one:.1f} ms, Embree {peer:.1f} ms: {peer / one:.2f} times its rays per "
         f"second; on two threads {two:.1f} ms"
     )
     print(
-        f"    built in {built:.2f} s, Embree {embree_built:.2f} s; memory "
+        f"    built in {build_time:.2f} s, Embree {embree_build_time:.2f} s; memory "
         f"{terrain.nbytes / 1e6:.0f} MB, Embree {(vertices.nbytes + triangles.nbytes) / 1e6:.0f} "
         "MB (triangles only)"
     )
-    _print_gap(same, theirs)
+    _print_range_difference(ours, embree_ranges)
 
 
-def _print_gap(same, theirs) -> None:
-    """Print the difference of ranges by lunarsim and Embree over the same triangles."""
+def _print_range_difference(ours, embree_ranges) -> None:
+    """Print the difference of two sets of ranges (n,), m, over the same triangles."""
     import numpy as np
 
-    seen = np.isfinite(same) & (theirs < 1e6)
-    gap = np.abs(same[seen] - theirs[seen])
-    alone = np.mean(np.isfinite(same) != (theirs < 1e6))
+    seen = np.isfinite(ours) & (embree_ranges < 1e6)
+    gap = np.abs(ours[seen] - embree_ranges[seen])
+    alone = np.mean(np.isfinite(ours) != (embree_ranges < 1e6))
     print(
         f"    same triangles: median difference {1e3 * np.median(gap):.3f} mm, maximum "
         f"{1e3 * gap.max():.2f} mm, hit by only one {alone:.1e}"

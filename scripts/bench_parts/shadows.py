@@ -100,8 +100,8 @@ def _plain_detection(counts):
     ]  # fmt: skip
 
 
-def _check_image(counts, camera, state, sun, seen, model):
-    """Run the image-quality check of one image, without its rock detection."""
+def _check_image(counts, camera, state, sun, detections, model):
+    """Run the quality check of an image (rows, cols) whose rocks are already detected."""
     import numpy as np
 
     from lunarsim.onboard.perception.image_quality import ImageQualityCheck
@@ -109,10 +109,10 @@ def _check_image(counts, camera, state, sun, seen, model):
 
     health = ImageQualityCheck()
     first = health.before_detection(counts, camera, state)
-    points = np.column_stack((seen.terrain_xy, np.zeros(len(seen))))
+    points = np.column_stack((detections.terrain_xy, np.zeros(len(detections))))
     noise = first.metrics["noise"]
-    turn = measure_shadow_angle(seen, camera.view(state), points, sun, model, noise)
-    return health.after_detection(seen, turn, noise)
+    turn = measure_shadow_angle(detections, camera.view(state), points, sun, model, noise)
+    return health.after_detection(detections, turn, noise)
 
 
 def _images(rng) -> None:
@@ -125,7 +125,7 @@ def _images(rng) -> None:
 
 
 def _one_image(rocks, camera, seen: int, rng) -> None:
-    """Associate an image's detections and update the filter.
+    """Associate an image's detections with a filter's rocks and update the filter.
 
     The first `seen` rocks of the filter are detected, with random pixel noise.
     """

@@ -15,7 +15,7 @@ _CASES = (
 
 
 def paths() -> None:
-    """Time flights of several policies with and without shared paths."""
+    """Time flights of several policies that share a path until their decisions differ."""
     from lunarsim.campaign.flight_execution import build_plan
     from lunarsim.campaign.spec import CampaignSpec
 
@@ -40,10 +40,10 @@ def paths() -> None:
 
 
 def _processor_times(study: Any, index: int, arms: int) -> tuple[float, float]:
-    """Return processor times of one flight with all policies, s.
+    """Return the processor times of one flight with all policies, s.
 
-    The times are with and without shared paths; `index` is the number of the flight and `arms` the
-    number of policies.
+    The first time is with a path shared until the decisions differ, the second without.
+    `index` is the number of the flight and `arms` the number of policies.
     """
     from dataclasses import replace
 

@@ -52,19 +52,19 @@ def digest(value: Any) -> list[str]:
 def digests_of_folder(folder: Path, root: Path | None = None) -> dict[str, list[str]]:
     """Return the digest of each quantity in a result folder, by file and quantity.
 
-    The path of the source folder `root` is removed from texts, because names of terrain files
-    contain this path.
+    The path of the source folder `root` is removed from texts, so that results of different
+    folders are equal.
     """
     found: dict[str, list[str]] = {}
     for path in sorted(p for p in folder.rglob("*") if p.is_file()):
         name = str(path.relative_to(folder))
         for quantity, value in _quantities(path):
-            found[f"{name}:{quantity}"] = digest(_without(root, value))
+            found[f"{name}:{quantity}"] = digest(_without_root(root, value))
     return found
 
 
-def _without(root: Path | None, value: Any) -> Any:
-    """Return a value with the source folder `root` removed from all its texts."""
+def _without_root(root: Path | None, value: Any) -> Any:
+    """Return a value with the path of the folder `root` removed from all its texts."""
     if root is None or isinstance(value, np.ndarray):
         return value
     return json.loads(json.dumps(value, default=str).replace(f"{root}/", ""))
@@ -106,14 +106,14 @@ def _columns(table: Any) -> Iterator[tuple[str, Any]]:
             yield name, table[name].to_numpy()
 
 
-def _leaves(at: str, value: Any) -> Iterator[tuple[str, Any]]:
-    """Yield dotted key and value of each entry of a JSON document, two levels deep.
+def _leaves(prefix: str, value: Any) -> Iterator[tuple[str, Any]]:
+    """Yield dotted key and value of each entry of a JSON document, three levels deep.
 
-    `at` is the dotted key of `value`, "" for the complete document.
+    Deeper data is one value. `prefix` is the key of `value`, "" for the complete document.
     """
-    if isinstance(value, dict) and at.count(".") < 2:
+    if isinstance(value, dict) and prefix.count(".") < 2:
         for key, inner in value.items():
             if key not in _PROVENANCE:
-                yield from _leaves(f"{at}.{key}" if at else key, inner)
+                yield from _leaves(f"{prefix}.{key}" if prefix else key, inner)
     else:
-        yield at, value
+        yield prefix, value

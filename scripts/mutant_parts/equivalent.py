@@ -15,7 +15,7 @@ class BrokenListError(ValueError):
 
 @dataclass(frozen=True)
 class EquivalentMutant:
-    """A listed fault that no test can catch, because it changes no result.
+    """Entry in the list of faults that no test can catch, because no result changes.
 
     Attributes
     ----------

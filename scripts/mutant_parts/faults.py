@@ -98,9 +98,9 @@ class _SourceText:
             if t.type in (tokenize.OP, tokenize.NAME)
         ]
 
-    def _offset_of(self, place: tuple[int, int]) -> int:
+    def _offset_of(self, position: tuple[int, int]) -> int:
         """Return the byte offset of a token position (line, column in characters)."""
-        line, column = place
+        line, column = position
         if line > len(self.lines):
             return len(self.raw)
         return self.starts[line - 1] + len(self.lines[line - 1][:column].encode())
@@ -139,16 +139,16 @@ class _SourceText:
         )  # fmt: skip
 
 
-def _between(
-    source: _SourceText, left: ast.expr, right: ast.expr, what: ast.AST
+def _operator_faults(
+    source: _SourceText, left: ast.expr, right: ast.expr, operator_node: ast.AST
 ) -> Iterator[Mutant]:
-    """Yield the faults that change the operator `what` between two operands."""
+    """Yield the faults that replace the operator between two operands by another."""
     start, end = source.end(left), source.start(right)
-    if isinstance(what, ast.cmpop):
+    if isinstance(operator_node, ast.cmpop):
         for operator, table in (("opposite", _OPPOSITE), ("boundary", _BOUNDARY)):
             if found := source.token(start, end, table):
                 yield source.fault(found[0], found[1], table[found[2]], operator)
-    elif isinstance(what, ast.boolop):
+    elif isinstance(operator_node, ast.boolop):
         if found := source.token(start, end, ("and", "or")):
             other = "or" if found[2] == "and" else "and"
             yield source.fault(found[0], found[1], other, "and-or")
@@ -157,15 +157,15 @@ def _between(
         yield source.fault(found[0], found[1], other, operator)
 
 
-def _dropped(source: _SourceText, node: ast.BinOp) -> Iterator[Mutant]:
+def _term_fault(source: _SourceText, node: ast.BinOp) -> Iterator[Mutant]:
     """Yield the fault that drops the second operand of a sum, difference or product."""
     found = source.token(source.end(node.left), source.start(node.right), ("+", "-", "*"))
     if found and isinstance(node.op, ast.Add | ast.Sub | ast.Mult):
         yield source.fault(found[0], source.end(node), "", "drop-term")
 
 
-def _constant(source: _SourceText, node: ast.Constant, subscript: bool) -> Iterator[Mutant]:
-    """Yield the fault that changes a number: times 1.5, or plus one.
+def _constant_fault(source: _SourceText, node: ast.Constant, subscript: bool) -> Iterator[Mutant]:
+    """Yield the fault that changes a constant: times 1.5, plus one, or negated.
 
     `subscript`: whether the number is an array index.
     """
@@ -180,7 +180,7 @@ def _constant(source: _SourceText, node: ast.Constant, subscript: bool) -> Itera
         yield source.fault(source.start(node), source.end(node), text, "constant")
 
 
-def _call(source: _SourceText, node: ast.Call) -> Iterator[Mutant]:
+def _call_faults(source: _SourceText, node: ast.Call) -> Iterator[Mutant]:
     """Yield the faults of a call: other function, swapped arguments, shorter range."""
     func = node.func
     name = func.attr if isinstance(func, ast.Attribute) else getattr(func, "id", "")
@@ -202,7 +202,7 @@ def _call(source: _SourceText, node: ast.Call) -> Iterator[Mutant]:
                 yield source.fault(source.start(a), source.end(b), text, "swap-arguments")
 
 
-def _statement(source: _SourceText, node: ast.stmt) -> Iterator[Mutant]:
+def _statement_faults(source: _SourceText, node: ast.stmt) -> Iterator[Mutant]:
     """Yield the faults of a statement: dropped, sign changed, or condition negated."""
     span = source.start(node), source.end(node)
     if isinstance(node, ast.AugAssign):
@@ -228,24 +228,24 @@ def _node_faults(source: _SourceText, node: ast.AST, subscript: bool) -> Iterato
     """
     if isinstance(node, ast.Compare):
         operands = [node.left, *node.comparators]
-        for left, right, what in zip(operands, operands[1:], node.ops, strict=False):
-            yield from _between(source, left, right, what)
+        for left, right, comparison in zip(operands, operands[1:], node.ops, strict=False):
+            yield from _operator_faults(source, left, right, comparison)
     elif isinstance(node, ast.BoolOp):
         for left, right in zip(node.values, node.values[1:], strict=False):
-            yield from _between(source, left, right, node.op)
+            yield from _operator_faults(source, left, right, node.op)
     elif isinstance(node, ast.BinOp):
-        yield from _between(source, node.left, node.right, node.op)
-        yield from _dropped(source, node)
+        yield from _operator_faults(source, node.left, node.right, node.op)
+        yield from _term_fault(source, node)
     elif isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.USub):
         if not isinstance(node.operand, ast.Constant):
             text = f"({source.segment(node.operand)})"
             yield source.fault(source.start(node), source.end(node), text, "sign")
     elif isinstance(node, ast.Constant):
-        yield from _constant(source, node, subscript)
+        yield from _constant_fault(source, node, subscript)
     elif isinstance(node, ast.Call):
-        yield from _call(source, node)
+        yield from _call_faults(source, node)
     elif isinstance(node, ast.stmt):
-        yield from _statement(source, node)
+        yield from _statement_faults(source, node)
 
 
 def _faults_within(source: _SourceText, node: ast.AST, subscript: bool = False) -> Iterator[Mutant]:

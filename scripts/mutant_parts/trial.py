@@ -36,7 +36,7 @@ class TrialStopped(Exception):  # noqa: N818
 
 
 def importers(files: Iterable[Path], root: Path) -> dict[str, set[str]]:
-    """Return for each file itself and all files that import it, also indirectly.
+    """Return the direct and indirect importers of each file, and the file itself.
 
     Numba links a kernel into the cached code of its callers and does not check whether it changed.
 
@@ -147,7 +147,7 @@ class MutantWorkspace:
 
     @contextmanager
     def _with_fault(self, fault: Mutant) -> Iterator[None]:
-        """Put a fault in, move away the kernels compiled without it, and restore both."""
+        """Put a fault into a file and hide its compiled kernels within a `with` statement."""
         file = self.folder / fault.path
         stat = file.stat()
         source = file.read_bytes()

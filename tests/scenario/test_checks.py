@@ -249,12 +249,12 @@ def test_changes_are_checked_too():
         (
             {"sensors": {n: {"kind": "imu"} for n in ("one", "two")}},
             "sensors.two",
-            "a second sensor that measures InertialSamples",
+            "a second inertial measurement unit",
         ),
         (
             {"sensors": {n: {"kind": "navigation-fix"} for n in ("one", "two")}},
             "sensors.two",
-            "a second sensor that measures NavigationFix",
+            "a second navigation-fix sensor",
         ),
         (
             {"tasking": {"flash": {"kind": "at-altitudes", "altitudes_m": []}}},

@@ -69,7 +69,7 @@ def test_gaussian_dem_metrics_are_by_seed(results):
         "3": {"rows": [row]},
         "6": {"at_half": {"proposed slope": calls, "proposed roughness": calls}},
     }
-    report = results.take("gaussian_dem", found, "python x.py")
+    report = results.extract_report("gaussian_dem", found, "python x.py")
     by = {f.label: f for f in report.figures}
     assert by["Table 3, c = 0.5: recall"].values == [0.2, 0.3]
     assert by["Table 3, c = 0.5: recall"].paper == 0.28
@@ -88,7 +88,7 @@ def test_shadow_metrics_are_paired(results):
         _descent("nominal", 40.0, 0.1), _descent("modified", 41.0),
         _descent("nominal", 50.0, 0.3), _descent("modified", 53.0),
     ]  # fmt: skip
-    report = results.take("shadows", {"flights": flights}, "")
+    report = results.extract_report("shadows", {"flights": flights}, "")
     by = {f.label: f for f in report.figures}
     assert by["propellant, modified minus nominal"].values == [1.0, 3.0]
     assert by["propellant, modified minus nominal"].falls_short
@@ -110,7 +110,7 @@ def test_quadtree_metrics_are_of_the_last_evaluation(results):
         {"lock": 7.5, "looks": [first, _look(0.02, 1.0, 4.0, [(True, 0.0), (False, 0.3)])]},
         {"lock": None, "looks": [first, _look(0.06, 3.0, 4.0, [(True, 0.0)], 7.0, 1.5)]},
     ]
-    by = {f.label: f for f in results.take("quadtree", {"flights": flights}, "").figures}
+    by = {f.label: f for f in results.extract_report("quadtree", {"flights": flights}, "").figures}
     assert {name: f.values for name, f in by.items()} == {
         "time of the lock": [7.5],
         "map error, RMS": [0.02, 0.06],
@@ -135,7 +135,7 @@ def test_guidance_metrics_are_relative_to_the_optimum_of_each_start(results):
     row = {"law": "apollo", "optimum": 30.0, "descent": 10.0, "whole": 50.0, "speed": 0.2}
     flown = [{**row, "safe": True}, {**row, "whole": 44.0, "safe": False},
              {**row, "law": "optimal", "whole": 38.0, "safe": True}]  # fmt: skip
-    report = results.take("guidance", flown, "python g.py")
+    report = results.extract_report("guidance", flown, "python g.py")
     by = {f.label: f for f in report.figures}
     assert by["`apollo`: excess propellant to touchdown"].values == pytest.approx([25.0, 10.0])
     assert by["`optimal`: excess propellant to touchdown"].values == pytest.approx([-5.0])
@@ -149,7 +149,9 @@ def test_navigation_metrics_are_by_flight(results):
     flight = {"nees": {"all nine": 0.8, "position": None}, "nis": {"stars": 1.1},
               "start_error": 40.0, "map_error": 3.0, "lost": False, "safe": True}  # fmt: skip
     other = {**flight, "nees": {"all nine": 1.4, "position": 2.0}, "nis": {}, "safe": False}
-    report = results.take("navigation", {"the scenario's": [flight, other]}, "python n.py")
+    report = results.extract_report(
+        "navigation", {"the scenario's": [flight, other]}, "python n.py"
+    )
     assert {f.label: f.values for f in report.figures} == {
         "NEES / degrees of freedom, all nine (ideal 1)": [0.8, 1.4],
         "NEES / degrees of freedom, position (ideal 1)": [2.0],
@@ -168,7 +170,7 @@ def test_real_return_metrics_are_by_split(results):
                             {"rmse": k + 0.4, "nees": k + 0.5, "beyond2": k + 0.6}]}
         for k, name in enumerate(("as flights do", "field of Table 6"))
     }  # fmt: skip
-    report = results.take("real_returns", {"ground": {"heights": heights}}, "")
+    report = results.extract_report("real_returns", {"ground": {"heights": heights}}, "")
     error, square, share = (
         "RMSE",
         "mean square of error / predicted sigma (ideal 1)",
@@ -193,5 +195,5 @@ def test_report_is_stored_completely(results, tmp_path, monkeypatch):
     written = tmp_path / "raw"
     written.write_text(json.dumps(found))
     results.main(["--store", "shadows", str(written), "--command", "c"], standalone_mode=False)
-    assert results.load(tmp_path / "shadows.json") == results.take("shadows", found, "c")
+    assert results.load(tmp_path / "shadows.json") == results.extract_report("shadows", found, "c")
     assert "## Shadow filter, two descents" in results.page()

@@ -43,7 +43,7 @@ class Braking:
         Downrange jerk at the end, m/s^3; the time-to-go follows from it in every cycle by Klumpp's
         cubic. None: the initial time-to-go counts down.
     end_time_to_go
-        Time-to-go at which the approach begins, s.
+        Time-to-go to the aim point of braking at which the approach begins, s.
     max_tilt
         Maximum tilt of the thrust from the site's vertical, rad.
     keeps_thrust_direction
@@ -62,14 +62,18 @@ class Braking:
     end_acceleration: tuple[float, float, float] = quantity(
         (0.0, 0.0, 0.0), "m/s^2", help="acceleration at the end of braking, gravity included (ENU)"
     )
-    time_to_go: float = quantity(60.0, "s", gt=0, le=10_000, help="initial time-to-go of braking")
+    time_to_go: float = quantity(
+        60.0, "s", gt=0, le=10_000, help="initial time-to-go to the aim point of braking"
+    )
     jerk: float | None = quantity(
         None,
         "m/s^3",
         help="downrange jerk at the end of braking, from which the time-to-go is computed; "
         "omitted: the initial time-to-go counts down",
     )
-    end_time_to_go: float = quantity(2.0, "s", ge=0, help="time-to-go at which the approach begins")
+    end_time_to_go: float = quantity(
+        2.0, "s", ge=0, help="time-to-go to the aim point of braking at which the approach begins"
+    )
     max_tilt: float = quantity(
         80.0, "deg", gt=0, lt=180, help="maximum tilt of the thrust from the site's vertical"
     )
@@ -77,7 +81,7 @@ class Braking:
         False, help="whether saturated thrust keeps its direction, not its vertical component"
     )
     min_thrust_time: float = quantity(
-        0.0, "s", ge=0, help="duration of minimum thrust at the start"
+        0.0, "s", ge=0, help="duration of minimum thrust at the start of braking"
     )
 
     def __post_init__(self) -> None:

@@ -314,12 +314,13 @@ class RasterHeights:
         numbers = [(z / self.scale.metres - self.scale.offset) / self.scale.scale for z, _ in found]
         if np.dtype(self.source.dtypes[0]).kind in "iu":
             numbers = [float(round(number)) for number in numbers]
-        shown = ", ".join(repr(float(number)).removesuffix(".0") for number in numbers)
-        declared = f"[{shown}]" if len(numbers) > 1 else shown
+        shown = [repr(float(number)).removesuffix(".0") for number in numbers]
+        declared = f"[{', '.join(shown)}]" if len(numbers) > 1 else shown[0]
+        direction = "higher" if side == "below" else "lower"
         raise InputError(
             "terrain.path", self.source.name,
-            f"has {sum(count for _, count in found)} points of value {shown}, {gap:.0f} m {side} "
-            "all others",
+            f"has {sum(count for _, count in found)} points of value {' or '.join(shown)}, and all "
+            f"other heights are at least {gap:.0f} m {direction}",
             f"Set terrain.dtm_nodata = {declared}, or [] if these heights are real.",
         )  # fmt: skip
 

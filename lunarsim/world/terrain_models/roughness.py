@@ -61,12 +61,15 @@ class ReliefRoughness:
         None, ge=0, le=0.3, help="craters of 1 m or more per m^2 in equilibrium; 0: no craters"
     )
     crater_equilibrium_diameter: float = quantity(
-        200.0, "m", gt=0, help="diameter below which craters are in equilibrium"
+        200.0,
+        "m",
+        gt=0,
+        help="diameter below which as many craters erode as form; a larger value adds large ones",
     )
     crater_min_diameter: float = quantity(2.0, "m", gt=0, help="minimum crater diameter")
     crater_degradation: Literal["uniform", "diffusion"] = quantity(
         "uniform",
-        help="crater wear: even (all depths equally likely) or diffusion (most are shallow)",
+        help="crater wear: uniform (all depths equally likely) or diffusion (most are shallow)",
     )
 
     def procedural_relief(
