@@ -207,20 +207,23 @@ def _larger_maps(rng) -> None:
 
 def lidar_inertial() -> None:
     """Time the registration of scans on a prior map and the initial position search."""
+    from functools import partialmethod
+
     from lunarsim.onboard.navigation import map_matcher as navigation
     from lunarsim.rng import flight_seed
     from lunarsim.scenario import Scenario
     from lunarsim.simulation import Simulation
 
-    kept = navigation.register_scan, navigation.search
+    kept = navigation.register_scan, navigation.PlaceSearch.search
     scenario = Scenario.load(ROOT / "scenarios" / "morpheus.toml")
     for index in range(3):
         fit, search = (TimedFunction(function) for function in kept)
-        navigation.register_scan, navigation.search = fit, search
+        navigation.register_scan = fit
+        navigation.PlaceSearch.search = partialmethod(search)
         simulation = Simulation(scenario, flight_seed(1, index))
         while not simulation.done and simulation.time < 20.0:
             simulation.step()
-        navigation.register_scan, navigation.search = kept
+        navigation.register_scan, navigation.PlaceSearch.search = kept
         print(
             f"  flight {index}: {fit.calls} registrations of {1e3 * fit.seconds / fit.calls:.1f} "
             f"ms, {search.calls} searches of {1e3 * search.seconds / max(search.calls, 1):.0f} ms"
