@@ -20,8 +20,8 @@ _MIN_TILTING_LIMIT = 1e-2
 
 
 @dataclass(frozen=True)
-class Domain:
-    """Range of sites that a fit covers.
+class CalibrationDomain:
+    """Range of map and site properties in which a calibration is valid.
 
     Attributes
     ----------
@@ -57,7 +57,7 @@ class Domain:
     @classmethod
     def of(
         cls, hazards: ArrayLike, tilting: ArrayLike, noise: ArrayLike, spacing: ArrayLike
-    ) -> Domain:
+    ) -> CalibrationDomain:
         """Return the domain that covers nearly all of the given sites, slightly extended.
 
         Parameters

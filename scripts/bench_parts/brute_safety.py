@@ -8,7 +8,7 @@ from bench_parts.common import median_ms
 from lunarsim._jit import kernel, prange
 from lunarsim._simd import SIMD_WIDTH, item, lane_fill, lane_max, lane_sqrt, load, store
 from lunarsim.safety import footprint_of
-from lunarsim.safety._plane_kernels import flat_offsets, plane, squared_tangent
+from lunarsim.safety._plane_kernels import flat_offsets, squared_tangent, support_plane
 from lunarsim.safety.exact import exact_safety
 from lunarsim.safety.footprint import polygon_runs
 
@@ -35,7 +35,7 @@ def _over_polygon(z, here, wide, runs, begin, beyond, gx, gy):
 @kernel(parallel=True, inner=False)
 def _brute(z, feet, shape, cells, legs, runs, first, posting, tangent, roughness):
     """Write slope tangent and roughness of all sites, over all headings of the lander."""
-    inverse, place, reach = cells.inverse, cells.place, cells.reach
+    inverse, first_leg, reach = cells.inverse, cells.first_leg, cells.reach
     rows, cols = shape
     for i in prange(reach, rows - reach):
         for j in range(reach, cols - reach - SIMD_WIDTH + 1, SIMD_WIDTH):
@@ -44,7 +44,7 @@ def _brute(z, feet, shape, cells, legs, runs, first, posting, tangent, roughness
             worst = lane_fill(0.0)
             for h in range(legs.shape[0]):
                 for s in range(inverse.shape[1]):
-                    gx, gy, base = plane(feet, here, legs, inverse, place, h, s)
+                    gx, gy, base = support_plane(feet, here, legs, inverse, first_leg, h, s)
                     square = squared_tangent(gx, gy, posting)
                     top = _over_polygon(z, here, cols, runs, first[h], first[h + 1], gx, gy)
                     steepest = lane_max(steepest, square)
