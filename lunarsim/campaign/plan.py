@@ -79,10 +79,10 @@ class DependentFlights(Protocol):
         """Add the result row of a flight."""
         ...
 
-    def groups(self, has: Callable[[int, int], bool]) -> Iterator[Group | None]:
+    def groups(self, has_result: Callable[[int, int], bool]) -> Iterator[Group | None]:
         """Yield groups that can start; None while all others wait for running flights.
 
-        `has` returns whether the result of a flight under an arm, given by indices, exists.
+        `has_result` returns whether the result of a flight under an arm, given by indices, exists.
         """
         ...
 

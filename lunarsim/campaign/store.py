@@ -34,7 +34,7 @@ from lunarsim.campaign.files import bytes_digest, write_json
 from lunarsim.campaign.manifest import matching_manifest, new_manifest, with_digest
 from lunarsim.campaign.outcomes import FLOWN, Finished
 from lunarsim.campaign.plan import Plan, row_id
-from lunarsim.campaign.rows import TIMING, Row, check_expanded, row_of, schema_of
+from lunarsim.campaign.rows import TIMING, Row, check_size_in_memory, row_of, schema_of
 from lunarsim.errors import InputError
 from lunarsim.untrusted_folders import read_bounded_bytes
 
@@ -186,7 +186,7 @@ class Store:
         data = read_bounded_bytes(self.folder / kind / name)
         if self._parts().get(f"{kind}/{name}", bytes_digest(data)) != bytes_digest(data):
             raise ValueError("its digest differs from the one in manifest.json")
-        check_expanded(data)
+        check_size_in_memory(data)
         return pa.BufferReader(data)
 
     def _drop_digests(self, part: int) -> None:
