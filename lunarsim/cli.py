@@ -332,7 +332,7 @@ def render(
     if truth is not None:
         check_output("--truth", truth, ".npz")
     image = render_image(
-        load_scenario(scenario, changes, flown=False),
+        load_scenario(scenario, changes, is_flown=False),
         altitude=altitude,
         sun_elevation_deg=sun_elevation,
         sun_azimuth_deg=sun_azimuth,

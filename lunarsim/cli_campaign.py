@@ -171,7 +171,7 @@ def sweep(
     base, of_swept_parts = split_changes(changes, levels)
     data = {
         "name": f"{scenario.stem}-sweep",
-        "scenario": load_scenario(scenario, base, flown=False).to_dict(),
+        "scenario": load_scenario(scenario, base, is_flown=False).to_dict(),
         "flights": flights,
         "seed": seed,
         "factors": levels | {key: [value] for key, value in of_swept_parts.items()},

@@ -101,7 +101,7 @@ def preview(scenario: Path, changes: tuple[str, ...], seed: int, flight: int, ou
     from lunarsim.viz.terrain import draw_terrain
 
     check_output("--out", out, ".png")
-    loaded = load_scenario(scenario, changes, flown=False)
+    loaded = load_scenario(scenario, changes, is_flown=False)
     world = build_world(loaded, RandomStreams(flight_seed(seed, flight)))
     draw_terrain(world.terrain, loaded.name, out)
     click.echo(f"{out}: {len(world.terrain.rocks)} rocks on {loaded.name}")
@@ -132,7 +132,7 @@ def truth(
     from lunarsim.world.truth_products import TruthProducts, truth_grid
 
     check_output("--out", out, ".nc")
-    loaded = load_scenario(scenario, changes, flown=False)
+    loaded = load_scenario(scenario, changes, is_flown=False)
     world = build_world(loaded, RandomStreams(flight_seed(seed, flight)))
     grid = truth_grid(world, loaded.target.position_m, size, posting)
     maps = TruthProducts.of(world, loaded.vehicle.make(), grid)
