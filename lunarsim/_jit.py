@@ -118,7 +118,7 @@ def kernel(
         element.
     shared
         Run a kernel with one parallel loop on Python threads. This compiles four times faster than
-        `parallel`. The first parameter of the kernel is its part of the loop (first index, step);
+        `parallel`. The kernel's first parameter is its slice of the loop (first index, step);
         callers from Python omit it. The kernel returns nothing.
     fast
         Let the compiler reassociate sums and fuse multiply-adds, which vectorisation needs.

@@ -20,11 +20,8 @@ _REPORT_INTERVAL_S = 5.0
 class _CompilerProcess:
     """Second process that compiles kernels which the flight needs later.
 
-    Parameters
-    ----------
-    command
-        Module for ``python -m``, and its arguments. ``--parent`` and the ID of this process are
-        appended, so that the helper ends together with its parent.
+    Its `command` is a module for ``python -m`` and arguments. The option ``--parent`` with the ID
+    of this process is appended, so that the second process ends together with this one.
     """
 
     def __init__(self, command: Sequence[str]) -> None:

@@ -79,7 +79,7 @@ def column(
 
 
 def metrics(results: Results, kind: str) -> list[str]:
-    """Return the names of the metrics whose values have a kind, for instance "bool"."""
+    """Return the names of the metrics of a kind: "bool", "int", "float" or "text"."""
     return [name for name, k in results.manifest["columns"].items() if k == kind]
 
 

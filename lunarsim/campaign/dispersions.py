@@ -96,7 +96,8 @@ class TruncatedNormal:
         mass = ndtr(-low) - ndtr(-high) if low > 0.0 else ndtr(high) - ndtr(low)
         if mass < _MIN_BOUNDED_MASS:
             raise InputError(
-                "low", self.low, "must leave values of the distribution between low and high",
+                "low", self.low,
+                f"must leave a probability above {_MIN_BOUNDED_MASS:g} between low and high",
                 "Decrease low or increase high.",
             )  # fmt: skip
 

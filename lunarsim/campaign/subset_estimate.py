@@ -66,8 +66,9 @@ def load_chains(results: Results) -> SubsetChains:
     orphans = chains.resume(results.table.to_pylist())
     if orphans and results.manifest["state"] == "complete":
         raise InputError(
-            "folder", str(results.folder), f"flight {orphans[0]} does not follow from the others",
-            "Fly it again with the same spec: lunarsim campaign run.",
+            "folder", str(results.folder),
+            f"must hold all flights that flight {orphans[0]} depends on",
+            "Fly them with the same spec: lunarsim campaign run.",
         )  # fmt: skip
     return chains
 

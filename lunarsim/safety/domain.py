@@ -51,7 +51,7 @@ class CalibrationDomain:
                 raise InputError(f"domain.{f.name}", value, "must be finite and 0 or more")
             if np.ndim(value) and value[0] > value[1]:
                 raise InputError(
-                    f"domain.{f.name}", value, "must be a minimum and a maximum that is not smaller"
+                    f"domain.{f.name}", value, "must be a minimum and a maximum, in this order"
                 )
 
     @classmethod

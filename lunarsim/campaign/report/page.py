@@ -288,7 +288,7 @@ def _factors(results: Results) -> dict[str, list[str]]:
 def _worst(results: Results) -> list[dict[str, Any]]:
     """Return id and cause of the worst flights of each arm.
 
-    Flights without an outcome come first, then landings with high speed or tilt.
+    Flights with high speed and tilt at touchdown come first, flights without an outcome last.
     """
     table = results.table
     speed = np.zeros(len(table))
