@@ -175,12 +175,8 @@ def threads_for(microseconds: float) -> Iterator[None]:
     """Run parallel kernels in a `with` block on one thread if they have little work.
 
     Waking threads for a few rays takes longer than computing them; on a busy machine it takes a
-    thousand times longer.
-
-    Parameters
-    ----------
-    microseconds
-        Approximate duration of the work on one thread. A ray, or 1000 multiply-adds, takes 1.
+    thousand times longer. `microseconds` is the approximate duration of the work on one thread; a
+    ray, or 1000 multiply-adds, takes 1.
     """
     before = numba.get_num_threads()
     if microseconds >= _MIN_THREADED_WORK_US or before == 1:

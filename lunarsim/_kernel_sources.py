@@ -29,13 +29,8 @@ def sources_digest(module: str) -> bytes:
     """Return a digest of all sources and constants compiled into a module's kernels.
 
     The digest covers the files of all kernels that the module's kernels can call, in any package,
-    and the values of the constants in these modules.
-
-    Parameters
-    ----------
-    module
-        Name of an imported module. If it is still being executed, the digest covers the names that
-        it has defined so far.
+    and the values of the constants in these modules. `module` is the name of an imported module; if
+    it is still being executed, the digest covers the names that it has defined so far.
     """
     linked = sorted(linked_modules(module) - {module})
     parts = b"".join([_module_bytes(module), *map(_complete_module_bytes, linked)])

@@ -414,12 +414,8 @@ def _write_table(table: pa.Table, path: Path) -> None:
 def _lock_folder(folder: Path) -> IO[str]:
     """Lock a campaign folder for writing; return the open lock file.
 
-    The lock ends when the file is closed or the process ends.
-
-    Raises
-    ------
-    InputError
-        If another process holds the lock.
+    The lock ends when the file is closed or the process ends. `InputError` is raised if another
+    process holds the lock.
     """
     lock = (folder / ".lock").open("a", encoding="utf-8")
     try:

@@ -207,10 +207,10 @@ def _max_in_block(z, site, columns, polygon, n, gx, gy):
 
 @kernel(inline=True)
 def _max_in_four_blocks(z, site, columns, polygon, n, gx, gy, lid_heights, threshold):
-    """Return the maximum of `_max_in_block` over those of four blocks that matter.
+    """Return the maximum of `_max_in_block` over blocks `n` to n + 3.
 
-    Of the blocks `n` to n + 3, those whose `lid_heights` (upper bounds) are below the `threshold`
-    at all sixteen sites are skipped.
+    Blocks whose `lid_heights` (upper bounds) are below `threshold` at all sixteen sites are
+    skipped.
     """
     a, b, c, d = lid_heights
     top = lane_fill(-FAR)
@@ -348,9 +348,10 @@ def _select_sites(selected, footprint_max, row, first_col, lanes):
 def _prepare_tile(z, middle, footprint, r0, c0, window, footprint_max):
     """Write the terrain windows of a tile, and the maximum height of each footprint.
 
-    The tile begins at row `r0`, column `c0` of the raster `z`. `window` (5, rows, cols) becomes
-    elevation, terrain under pads, and height and gradient (2) of each block's bounding plane.
-    `footprint_max` is FAR where a footprint contains unknown terrain or leaves the raster.
+    The tile begins at row `r0`, column `c0` of the raster `z`, whose heights have the middle
+    `middle`. `window` (5, rows, cols) becomes elevation, terrain under pads, and height and
+    gradient (2) of each block's bounding plane. `footprint_max` is FAR where a footprint contains
+    unknown terrain or leaves the raster.
     """
     reach = footprint.reach
     _, tall, wide = window.shape

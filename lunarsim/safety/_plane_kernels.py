@@ -43,7 +43,7 @@ def support_plane(feet, site, legs, inverse, first_leg, heading, plane):
 
     The legs stand on `feet`, the terrain height under a pad centred on each cell. `site` is the
     index of the first site, `legs` are the index offsets of the legs by heading; `inverse` and
-    `first_leg` are those of `FootprintArrays`.
+    `first_leg` are those of `FootprintArrays`; `heading` and `plane` are indices.
     """
     za = load(feet, site + legs[heading, 0])
     zb = load(feet, site + legs[heading, 1])
@@ -133,7 +133,7 @@ PLANE_ROWS = 32  # rows of a tile in the kernels that evaluate planes
 
 @kernel(inner=True)
 def window_shape(footprint, rows, cols):
-    """Return rows and columns of the elevation window of a tile of h x w sites.
+    """Return rows and columns of the elevation window of a tile of sites.
 
     The window includes the `footprint` around the sites, and spare cells that may be read.
     """
@@ -267,9 +267,9 @@ def bounded(
     """Write exact tan(slope) and an upper bound of roughness around each cell.
 
     The bound uses the maxima of blocks of `block` cells. `z` (rows, cols) is the elevation,
-    `middle` the middle of its heights, m; `thread_slice` is (first tile, step between tiles) of one
+    `middle` the middle of its heights, m. Both results are invalid where a footprint contains
+    unknown terrain or leaves the raster. `thread_slice` is (first tile, step between tiles) of one
     thread.
-    Both results are invalid where a footprint contains unknown terrain or leaves the raster.
     """
     rows, cols = z.shape
     reach = footprint.reach

@@ -37,7 +37,7 @@ Array = NDArray[np.float64]
 
 
 class UnseenRockCount(Protocol):
-    """Interface of a function that returns numbers of unseen rocks above heights.
+    """Interface of a function that returns unseen rocks above heights, per area.
 
     It is the argument `unseen` of `UndetectedRockRatio.remaining_rocks`.
     """
