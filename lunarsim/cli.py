@@ -191,7 +191,8 @@ def compare(
         try:
             result = fly_all(
                 loaded, names, flights=flights, seed=seed, jobs=jobs, out=out, figures=figures,
-                progress=advance, cache=kept, apart=True, guidance=laws,
+                progress=advance, cache=kept, separate_process=True,
+                guidance=laws,
                 notify=lambda line: click.echo(line, err=True),
             )  # fmt: skip
         except WorkerStartError as error:

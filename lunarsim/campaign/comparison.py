@@ -145,7 +145,7 @@ def compare(
     figures: bool = True,
     cache: DiskCache | None = None,
     notify: Callable[[str], None] | None = None,
-    apart: bool = False,
+    separate_process: bool = False,
     guidance: Sequence[str] = (),
 ) -> CompareResult:
     """Fly the same flights under each policy, and with each guidance law if given.
@@ -167,7 +167,7 @@ def compare(
     cache, notify
         Cache of worlds, and function that receives messages for the user; as in
         `lunarsim.campaign.fly_spec.fly_spec`.
-    apart
+    separate_process
         Whether a single job runs in a separate process; several jobs always do.
     guidance
         Guidance laws, each flown under every policy: names or "module:Class", with their default
@@ -183,10 +183,10 @@ def compare(
     spec = _comparison_spec(scenario, policies, flights, seed, figures, guidance)
     if out is not None and not (out / "manifest.json").exists():
         check_folder(out)
-    apart = apart or jobs > 1
+    separate_process = separate_process or jobs > 1
     by_law = bool(guidance)
-    engine: Engine = LocalEngine(min(jobs, flights)) if apart else InlineEngine()
-    if apart:
+    engine: Engine = LocalEngine(min(jobs, flights)) if separate_process else InlineEngine()
+    if separate_process:
         for policy in policies:
             check_picklable("policies", policy)
     fly = partial(fly_spec, engine=engine, progress=progress, cache=cache, notify=notify)

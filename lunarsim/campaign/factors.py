@@ -181,11 +181,11 @@ def parse_arms(tables: Any) -> list[tuple[str, dict[str, Any]]]:
 
 
 def build_arms(
-    scenario: Scenario, combinations: Sequence[tuple[str, dict[str, Any]]], where: str
+    scenario: Scenario, combinations: Sequence[tuple[str, dict[str, Any]]], field: str
 ) -> tuple[Arm, ...]:
     """Build the arms (variants of a scenario) of a campaign and check their scenarios.
 
-    `combinations` has name and values of each arm; `where` is the field name for errors.
+    `combinations` has name and values of each arm; `field` is the field name for errors.
 
     Raises
     ------
@@ -196,15 +196,15 @@ def build_arms(
     for name, _ in combinations:
         if len(folder_name(name).encode()) > _MAX_FOLDER_NAME_BYTES:
             raise InputError(
-                where, name,
+                field, name,
                 f"must have a name of at most {_MAX_FOLDER_NAME_BYTES} bytes for its folder",
                 "Name combinations with [[arms]].",
             )  # fmt: skip
         if folders[folder_name(name)] > 1:
-            raise InputError(where, name, "must have a unique name")
+            raise InputError(field, name, "must have a unique name")
     if len(combinations) > MAX_ARMS:
-        raise InputError(where, len(combinations), f"must be at most {MAX_ARMS} combinations")
-    return tuple(Arm(n, values, with_values(scenario, values, where)) for n, values in combinations)
+        raise InputError(field, len(combinations), f"must be at most {MAX_ARMS} combinations")
+    return tuple(Arm(n, values, with_values(scenario, values, field)) for n, values in combinations)
 
 
 def group_arms_by_terrain(arms: Sequence[Arm]) -> tuple[tuple[int, ...], ...]:

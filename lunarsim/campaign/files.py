@@ -96,14 +96,14 @@ def module_digest(name: str) -> dict[str, str]:
     return {name: _file_digest(Path(source))}
 
 
-def environment_differences(there: Mapping[str, str], here: Mapping[str, str]) -> list[str]:
+def environment_differences(first: Mapping[str, str], second: Mapping[str, str]) -> list[str]:
     """Return the names of packages and settings that differ between two environments.
 
-    Only differences that may change results are listed. `there` and `here` are results of
+    Only differences that may change results are listed. `first` and `second` are results of
     `environment` on two machines.
     """
-    names = dict.fromkeys([*there, *here])
-    return [n for n in names if n not in _IGNORED_DIFFERENCES and there.get(n) != here.get(n)]
+    names = dict.fromkeys([*first, *second])
+    return [n for n in names if n not in _IGNORED_DIFFERENCES and first.get(n) != second.get(n)]
 
 
 def environment() -> dict[str, str]:

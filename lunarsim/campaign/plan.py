@@ -72,7 +72,7 @@ class DependentFlights(Protocol):
     stop: int | None
 
     def resume(self, rows: Iterable[Mapping[str, Any]]) -> list[int]:
-        """Add the existing result rows; return the flights whose predecessors are missing."""
+        """Add existing result rows; return flights that do not follow from earlier ones."""
         ...
 
     def add(self, flight: int, row: Mapping[str, Any]) -> None:

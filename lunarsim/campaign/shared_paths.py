@@ -73,7 +73,7 @@ def _has_packaged_policy(scenario: Scenario) -> bool:
 def fly_on_shared_path(
     arm: int,
     scenarios: Mapping[int, Scenario],
-    begin: Callable[[], Simulation],
+    create_simulation: Callable[[], Simulation],
     branches: dict[int, Branch],
 ) -> Simulation:
     """Fly one arm to the end, from where its path leaves that of earlier arms.
@@ -86,7 +86,7 @@ def fly_on_shared_path(
         Index of the arm.
     scenarios
         Scenarios of this arm and of those that may share its path, by arm.
-    begin
+    create_simulation
         Function that creates a simulation at its start.
     branches
         Branch of each arm, by index, found while other arms were flown; new ones are added.
@@ -94,7 +94,7 @@ def fly_on_shared_path(
     policies = {i: make_policy(s, s.policy.kind) for i, s in scenarios.items()}
     branch = branches.get(arm)
     if branch is None:
-        simulation = begin()
+        simulation = create_simulation()
         others = [i for i in policies if i != arm and i not in branches]
     elif isinstance(branch.state, Simulation):
         return _relabel(branch.state, scenarios[arm], policies[arm])
@@ -162,14 +162,14 @@ def _store_branches(
             del decisions[i]
 
 
-def _decisions_differ(one: Decision, other: Decision) -> bool:
+def _decisions_differ(first: Decision, second: Decision) -> bool:
     """Return whether two policy decisions differ in what is flown or recorded."""
-    if one.site is None and other.site is None and not (one.abort or other.abort):
+    if first.site is None and second.site is None and not (first.abort or second.abort):
         return False  # reasons to keep a site are not recorded
-    if one.site is None or other.site is None or one.abort or other.abort:
+    if first.site is None or second.site is None or first.abort or second.abort:
         return True
-    same = one.site.tobytes() == other.site.tobytes() and one.reason == other.reason
-    return not (same and repr(one.details) == repr(other.details))
+    same = first.site.tobytes() == second.site.tobytes() and first.reason == second.reason
+    return not (same and repr(first.details) == repr(second.details))
 
 
 def _relabel(simulation: Simulation, scenario: Scenario, policy: Any) -> Simulation:

@@ -526,15 +526,15 @@ def _overlap(a: tuple[str, ...], b: tuple[str, ...]) -> bool:
     return longer[: len(shorter)] == shorter
 
 
-def _check_no_overlap(keys: Iterable[str], values: Mapping[str, Sequence[Any]], where: str) -> None:
+def _check_no_overlap(keys: Iterable[str], values: Mapping[str, Sequence[Any]], field: str) -> None:
     """Raise `InputError` if one scenario key contains another, for instance its table.
 
     The result would depend on the order in which both are set. `values` has the values of the keys,
-    and `where` is the field name for errors.
+    and `field` is the field name for errors.
     """
     for a, b in itertools.combinations(keys, 2):
         if _overlap(_key_path(a, values.get(a, [0.0])), _key_path(b, values.get(b, [0.0]))):
-            raise InputError(f"{where}.{b}", b, f"must not be set together with {a}")
+            raise InputError(f"{field}.{b}", b, f"must not be set together with {a}")
 
 
 def _extremes(values: list[Any]) -> list[Any]:

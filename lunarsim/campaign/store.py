@@ -268,13 +268,13 @@ class Store:
 
     # --- writing --------------------------------------------------------------------------
 
-    def add(self, done: Finished) -> dict[str, Any]:
+    def add(self, finished: Finished) -> dict[str, Any]:
         """Append a finished flight to the journal, and return its result row."""
-        row = row_of(self.plan, done)
-        line = _journal_line((row, done.timing()))
+        row = row_of(self.plan, finished)
+        line = _journal_line((row, finished.timing()))
         self._append(line + "\n")
-        part = self._part(done.flight)
-        self._open.setdefault(part, {})[done.flight, done.arm] = line
+        part = self._part(finished.flight)
+        self._open.setdefault(part, {})[finished.flight, finished.arm] = line
         if self._is_full(part):
             self._write_part(part)
         return row

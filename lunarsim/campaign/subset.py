@@ -240,12 +240,10 @@ class SubsetChains:
         self._waiting = deque(range(end, end + self.chains))
 
     def resume(self, rows: Iterable[Row]) -> list[int]:
-        """Start again from stored results; return flights whose predecessor is missing.
+        """Start again from stored results; return the flights that do not fit.
 
-        Parameters
-        ----------
-        rows
-            Result rows of the campaign's only arm, sorted by flight.
+        A flight does not fit if a predecessor is missing, or if its values do not follow from its
+        predecessors. `rows` are the result rows of the campaign's only arm, sorted by flight.
         """
         self.reset()
         orphans: list[int] = []

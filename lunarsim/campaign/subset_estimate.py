@@ -67,8 +67,8 @@ def load_chains(results: Results) -> SubsetChains:
     if orphans and results.manifest["state"] == "complete":
         raise InputError(
             "folder", str(results.folder),
-            f"must hold all flights that flight {orphans[0]} depends on",
-            "Fly them with the same spec: lunarsim campaign run.",
+            f"flight {orphans[0]} does not match the flights that it depends on",
+            "Fly it again with the same spec: lunarsim campaign run.",
         )  # fmt: skip
     return chains
 
