@@ -16,13 +16,13 @@ import scipy.linalg  # noqa: F401  (loads its own BLAS, which the controller mus
 from threadpoolctl import ThreadpoolController
 
 
-class _Inside(threading.local):
-    """Whether the current thread is inside `one_blas_thread`."""
+class _ThreadState(threading.local):
+    """State of one thread: whether it is in a block of `one_blas_thread`."""
 
-    now = False
+    is_limited = False
 
 
-_inside = _Inside()
+_thread_state = _ThreadState()
 
 
 @lru_cache(maxsize=1)
@@ -38,12 +38,12 @@ def one_blas_thread() -> Iterator[None]:
     setting belongs to the process: if several Python threads enter blocks at the same time, the
     first one sets it (see `threadpoolctl`).
     """
-    if _inside.now:
+    if _thread_state.is_limited:
         yield
         return
     with _libraries().limit(limits=1):
-        _inside.now = True
+        _thread_state.is_limited = True
         try:
             yield
         finally:
-            _inside.now = False
+            _thread_state.is_limited = False

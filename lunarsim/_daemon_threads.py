@@ -49,13 +49,13 @@ class DaemonThreads:
             main thread has ended, and the operating system limits the number of threads.
         """
         with self._starting:
-            calls = self._calls or self._started()
+            calls = self._calls or self._start_threads()
         future: Future[R] = Future()
         calls.put((future, partial(function, *args, **kwargs)))
         return future
 
-    def _started(self) -> SimpleQueue[Any]:
-        """Start the threads, or as many as can start; return the queue of their calls."""
+    def _start_threads(self) -> SimpleQueue[Any]:
+        """Start the threads, or as many as can start; return their queue of calls."""
         calls: SimpleQueue[Any] = SimpleQueue()
         for started in range(self._count):
             try:

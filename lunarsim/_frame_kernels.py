@@ -67,20 +67,18 @@ def rotate_to_body(q, v, out):
 
 
 @kernel()
-def ray_points(position, rotation, direction, reach):
-    """Return the points (n, 3) at distances `reach` (n,) along rays from a position.
+def ray_points(origin, rotation, directions, distances):
+    """Return the points (n, 3) at `distances` (n,) along rays from an origin (3,), m.
 
-    `position` (3,) is the origin of the rays, m.
-
-    `direction` (n, 3) has the rays in sensor axes; `rotation` (3, 3) rotates sensor axes into the
-    axes of the position.
+    `directions` (n, 3) are unit vectors in sensor axes; `rotation` (3, 3) rotates them into the
+    frame of origin and points.
     """
-    out = np.empty(direction.shape)
-    for i in range(len(direction)):
-        x, y, z = direction[i, 0], direction[i, 1], direction[i, 2]
+    out = np.empty(directions.shape)
+    for i in range(len(directions)):
+        x, y, z = directions[i, 0], directions[i, 1], directions[i, 2]
         for k in range(3):
             ray = rotation[k, 0] * x + rotation[k, 1] * y + rotation[k, 2] * z
-            out[i, k] = position[k] + reach[i] * ray
+            out[i, k] = origin[k] + distances[i] * ray
     return out
 
 

@@ -118,7 +118,7 @@ def kernel(
         element.
     shared
         Run a kernel with one parallel loop on Python threads. This compiles four times faster than
-        `parallel`. The first parameter of the kernel is its part of the loop (first index, step);
+        `parallel`. The kernel's first parameter is its slice of the loop (first index, step);
         callers from Python omit it. The kernel returns nothing.
     fast
         Let the compiler reassociate sums and fuse multiply-adds, which vectorisation needs.
@@ -175,12 +175,8 @@ def threads_for(microseconds: float) -> Iterator[None]:
     """Run parallel kernels in a `with` block on one thread if they have little work.
 
     Waking threads for a few rays takes longer than computing them; on a busy machine it takes a
-    thousand times longer.
-
-    Parameters
-    ----------
-    microseconds
-        Approximate duration of the work on one thread. A ray, or 1000 multiply-adds, takes 1.
+    thousand times longer. `microseconds` is the approximate duration of the work on one thread; a
+    ray, or 1000 multiply-adds, takes 1.
     """
     before = numba.get_num_threads()
     if microseconds >= _MIN_THREADED_WORK_US or before == 1:

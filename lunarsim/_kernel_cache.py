@@ -20,14 +20,16 @@ _DIGEST_BYTES = 16
 
 
 @lru_cache
-def _folder_of(modules: Path) -> Path | None:
-    """Return the folder that caches compiled kernels of a folder of modules.
+def _cache_folder(source_folder: Path) -> Path | None:
+    """Return the folder that caches the compiled kernels of the modules in a folder.
 
-    The first writable folder is used: NUMBA_CACHE_DIR, ``__pycache__`` beside the modules, the
+    It is the first writable one of: NUMBA_CACHE_DIR, ``__pycache__`` in the source folder, the
     user's cache; None if none is writable.
     """
-    name = f"{modules.name}_{hashlib.blake2b(bytes(modules), digest_size=8).hexdigest()}"
-    folders = [modules / "__pycache__", user_cache("kernels") / name]
+    name = (
+        f"{source_folder.name}_{hashlib.blake2b(bytes(source_folder), digest_size=8).hexdigest()}"
+    )
+    folders = [source_folder / "__pycache__", user_cache("kernels") / name]
     # Numba's own setting may come from a .numba_config.yaml in the working folder. Its author could
     # then make this process load foreign pickles.
     given = os.environ.get("NUMBA_CACHE_DIR", "")
@@ -58,13 +60,13 @@ def _warn_once(text: str) -> None:
     warn(text)
 
 
-class _Locator(caching.InTreeCacheLocator):  # type: ignore[misc]
+class _CacheLocator(caching.InTreeCacheLocator):  # type: ignore[misc]
     """Provide the cache folder of a kernel and a stamp of all sources linked into it."""
 
     def __init__(self, function: FunctionType, file: str) -> None:
         super().__init__(function, file)
         self._linked = sources_digest(function.__module__)
-        self._cache_path = str(_folder_of(Path(file).resolve().parent))
+        self._cache_path = str(_cache_folder(Path(file).resolve().parent))
 
     def get_source_stamp(self) -> tuple[Any, bytes, str]:
         """Return a stamp of all sources that are compiled into the kernel.
@@ -74,11 +76,11 @@ class _Locator(caching.InTreeCacheLocator):  # type: ignore[misc]
         return super().get_source_stamp(), self._linked, "with checksum"
 
 
-class _Impl(caching.CompileResultCacheImpl):  # type: ignore[misc]
-    _locator_classes = (_Locator,)
+class _CacheImplementation(caching.CompileResultCacheImpl):  # type: ignore[misc]
+    _locator_classes = (_CacheLocator,)
 
 
-class _Files(caching.IndexDataCacheFile):  # type: ignore[misc]
+class _ChecksummedCacheFiles(caching.IndexDataCacheFile):  # type: ignore[misc]
     """Cache files of compiled kernels with checksums; damaged files are replaced."""
 
     def _load_index(self) -> dict[Any, str]:
@@ -111,12 +113,12 @@ def _digest(data: bytes) -> bytes:
 
 
 class _KernelCache(caching.Cache):  # type: ignore[misc]
-    _impl_class = _Impl
+    _impl_class = _CacheImplementation
 
     def __init__(self, function: FunctionType) -> None:
         super().__init__(function)
         locator = self._impl.locator
-        self._cache_file: Any = _Files(
+        self._cache_file: Any = _ChecksummedCacheFiles(
             self.cache_path, self._impl.filename_base, locator.get_source_stamp()
         )
 
@@ -133,5 +135,5 @@ def enable_cache(dispatcher: Any, function: FunctionType) -> None:
 
     `dispatcher` is Numba's object for the kernel, `function` its Python function.
     """
-    if _folder_of(Path(function.__code__.co_filename).resolve().parent) is not None:
+    if _cache_folder(Path(function.__code__.co_filename).resolve().parent) is not None:
         dispatcher._cache = _KernelCache(function)

@@ -29,16 +29,11 @@ def sources_digest(module: str) -> bytes:
     """Return a digest of all sources and constants compiled into a module's kernels.
 
     The digest covers the files of all kernels that the module's kernels can call, in any package,
-    and the values of the constants in these modules.
-
-    Parameters
-    ----------
-    module
-        Name of an imported module. If it is still being executed, the digest covers the names that
-        it has defined so far.
+    and the values of the constants in these modules. `module` is the name of an imported module; if
+    it is still being executed, the digest covers the names that it has defined so far.
     """
     linked = sorted(linked_modules(module) - {module})
-    parts = b"".join([_contents(module), *map(_contents_when_complete, linked)])
+    parts = b"".join([_module_bytes(module), *map(_complete_module_bytes, linked)])
     return hashlib.blake2b(parts, digest_size=16).digest()
 
 
@@ -56,7 +51,7 @@ def linked_modules(module: str) -> frozenset[str]:
 
 
 def _module_of(value: Any) -> str:
-    """Return the name of the module that defines an object, or a module's own name."""
+    """Return the name of the module that defines an object; of a module, its name."""
     if isinstance(value, ModuleType):
         return value.__name__
     value = _function_of(value) or value
@@ -82,41 +77,45 @@ def _has_kernels(name: str) -> bool:
     return any(function.__module__ == name for function in functions)
 
 
-def _contents(name: str) -> bytes:
+def _module_bytes(name: str) -> bytes:
     """Return name, source and constants of a module as bytes.
 
     The source is empty for an interactive module.
     """
     file = Path(getattr(sys.modules[name], "__file__", None) or "")
-    constants = _constants(vars(sys.modules[name]))
+    constants = _constants_by_name(vars(sys.modules[name]))
     return repr((name, file.read_bytes() if file.is_file() else b"", constants)).encode()
 
 
-def _constants(names: dict[str, Any]) -> dict[str, str]:
-    """Return the constants in a module's names that kernels can compile in, by name.
+def _constants_by_name(module_globals: dict[str, Any]) -> dict[str, str]:
+    """Return the values of a module's global variables as text, by name.
 
-    Names such as `__file__` are omitted.
+    The text is empty for variables that kernels cannot use. Names such as `__file__` are omitted.
     """
-    return {k: _constant(v) for k, v in sorted(names.items()) if not k.startswith("__")}
+    return {
+        k: _constant_text(v) for k, v in sorted(module_globals.items()) if not k.startswith("__")
+    }
 
 
 # Modules that a module imports are complete by the time that its kernels are defined.
-_contents_when_complete = cache(_contents)
+_complete_module_bytes = cache(_module_bytes)
 
 
-def _constant(value: Any) -> str:
-    """Return text of what kernels can compile in of a global variable.
+def _constant_text(value: Any) -> str:
+    """Return the constant that kernels can take from a global variable, as text.
 
-    This is its value, or the fields of a tuple class; empty for other objects.
+    It is the value, or the fields of a tuple class; the text is empty for other objects.
     """
     if isinstance(value, _PLAIN):
         return repr(value)
     if isinstance(value, tuple):
-        return repr([_constant(v) for v in value])
+        return repr([_constant_text(v) for v in value])
     if isinstance(value, np.ndarray):
         return repr((value.dtype.str, value.shape, value.tobytes()))
     if isinstance(value, type):
         return repr(getattr(value, "_fields", ""))
     if isinstance(value, ModuleType) and value.__name__.partition(".")[0] not in _FOREIGN:
-        return repr(_constants({k: v for k, v in vars(value).items() if isinstance(v, _PLAIN)}))
+        return repr(
+            _constants_by_name({k: v for k, v in vars(value).items() if isinstance(v, _PLAIN)})
+        )
     return ""

@@ -12,14 +12,8 @@ def lazy_names(
 ) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
     """Return `__getattr__` and `__dir__` of a module that imports names at first use.
 
-    Parameters
-    ----------
-    package
-        Name of the module, for the message of an AttributeError.
-    modules
-        Module of each public name.
-    namespace
-        ``globals()`` of the module, in which imported objects are stored.
+    `package` is the name of the module, for errors; `modules` has the module of each public name;
+    `namespace` is ``globals()`` of the package, in which imported objects are stored.
     """
 
     def get(name: str) -> Any:

@@ -46,10 +46,10 @@ class _LanesModel(models.PrimitiveModel):  # type: ignore[misc]
         super().__init__(dmm, fe_type, _VECTOR)
 
 
-def _place(context: Any, builder: Any, kind: Any, array: Any, at: Any) -> Any:
-    """Return the address of sixteen consecutive elements of an array from index `at`."""
-    data = cgutils.create_struct_proxy(kind)(context, builder, array).data
-    return builder.bitcast(builder.gep(data, [at]), _VECTOR.as_pointer())
+def _vector_address(context: Any, builder: Any, array_type: Any, array: Any, index: Any) -> Any:
+    """Return the address of sixteen consecutive elements of an array from an index."""
+    data = cgutils.create_struct_proxy(array_type)(context, builder, array).data
+    return builder.bitcast(builder.gep(data, [index]), _VECTOR.as_pointer())
 
 
 def _want(argument: Any, kind: type) -> None:
@@ -64,25 +64,25 @@ def _want_line(array: Any, dtype: Any = None) -> None:
 
 
 @intrinsic  # type: ignore[untyped-decorator]
-def load(typing: Any, array: Any, at: Any) -> Any:
+def load(typing: Any, array: Any, index: Any) -> Any:
     """Return sixteen elements of a contiguous float32 array (n,) as a SIMD vector.
 
-    `at` is the index of the first element.
+    `index` is that of the first element.
     """
     _want_line(array, types.float32)
-    _want(at, types.Integer)
+    _want(index, types.Integer)
 
     def code(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        return builder.load(_place(context, builder, signature.args[0], *args), align=4)
+        return builder.load(_vector_address(context, builder, signature.args[0], *args), align=4)
 
     return _lanes(array, types.int64), code
 
 
 @intrinsic  # type: ignore[untyped-decorator]
-def item(typing: Any, array: Any, at: Any) -> Any:
-    """Return the element of a contiguous array (n,) at a non-negative index `at`."""
+def item(typing: Any, array: Any, index: Any) -> Any:
+    """Return the element of a contiguous array (n,) at a non-negative index."""
     _want_line(array)
-    _want(at, types.Integer)
+    _want(index, types.Integer)
 
     def code(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         kind = signature.args[0]
@@ -93,18 +93,18 @@ def item(typing: Any, array: Any, at: Any) -> Any:
 
 
 @intrinsic  # type: ignore[untyped-decorator]
-def store(typing: Any, array: Any, at: Any, value: Any) -> Any:
+def store(typing: Any, array: Any, index: Any, value: Any) -> Any:
     """Write a SIMD vector to sixteen elements of a contiguous float32 array (n,).
 
-    `at` is the index of the first element.
+    `index` is that of the first element.
     """
     _want_line(array, types.float32)
-    _want(at, types.Integer)
+    _want(index, types.Integer)
     _want(value, _Lanes)
 
     def code(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         builder.store(
-            args[2], _place(context, builder, signature.args[0], args[0], args[1]), align=4
+            args[2], _vector_address(context, builder, signature.args[0], args[0], args[1]), align=4
         )
         return context.get_dummy_value()
 
@@ -125,10 +125,10 @@ def lane_fill(typing: Any, number: Any) -> Any:
     return _lanes(types.float32), code
 
 
-def _binary(make: Callable[[Any, Any, Any], Any]) -> Any:
+def _binary_operation(generate: Callable[[Any, Any, Any], Any]) -> Any:
     """Return a compiled function of two SIMD vectors.
 
-    ``make(builder, a, b)`` generates its LLVM code.
+    ``generate(builder, a, b)`` generates its LLVM code.
     """
 
     def typed(typing: Any, a: Any, b: Any) -> Any:
@@ -136,32 +136,37 @@ def _binary(make: Callable[[Any, Any, Any], Any]) -> Any:
         _want(b, _Lanes)
 
         def code(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-            return make(builder, *args)
+            return generate(builder, *args)
 
         return _lanes(_lanes, _lanes), code
 
     return intrinsic(typed)
 
 
-_add = _binary(lambda builder, a, b: builder.fadd(a, b, flags=_FLAGS))
-_subtract = _binary(lambda builder, a, b: builder.fsub(a, b, flags=_FLAGS))
-_multiply = _binary(lambda builder, a, b: builder.fmul(a, b, flags=_FLAGS))
-_divide = _binary(lambda builder, a, b: builder.fdiv(a, b, flags=_FLAGS))
-lane_max = _binary(lambda builder, a, b: builder.select(builder.fcmp_ordered(">", a, b), a, b))
+_add = _binary_operation(lambda builder, a, b: builder.fadd(a, b, flags=_FLAGS))
+_subtract = _binary_operation(lambda builder, a, b: builder.fsub(a, b, flags=_FLAGS))
+_multiply = _binary_operation(lambda builder, a, b: builder.fmul(a, b, flags=_FLAGS))
+_divide = _binary_operation(lambda builder, a, b: builder.fdiv(a, b, flags=_FLAGS))
+lane_max = _binary_operation(
+    lambda builder, a, b: builder.select(builder.fcmp_ordered(">", a, b), a, b)
+)
 
 
-def _operator(symbol: Any, function: Any) -> None:
-    """Overload an arithmetic operator for two SIMD vectors, or a vector and a number."""
+def _overload_operator(operation: Any, vector_function: Any) -> None:
+    """Define an operator such as `operator.add` for SIMD vectors, and with a number.
+
+    `vector_function` computes it for two vectors; a number is copied to all lanes.
+    """
 
     # No annotations: Numba compares this signature with those below.
-    @overload(symbol)
+    @overload(operation)
     def choose(a, b):  # type: ignore[no-untyped-def]
         if isinstance(a, _Lanes) and isinstance(b, _Lanes):
-            return lambda a, b: function(a, b)  # noqa: PLW0108 - of this very signature
+            return lambda a, b: vector_function(a, b)  # noqa: PLW0108 - of this very signature
         if isinstance(a, _Lanes) and isinstance(b, types.Number):
-            return lambda a, b: function(a, lane_fill(b))
+            return lambda a, b: vector_function(a, lane_fill(b))
         if isinstance(a, types.Number) and isinstance(b, _Lanes):
-            return lambda a, b: function(lane_fill(a), b)
+            return lambda a, b: vector_function(lane_fill(a), b)
         return None
 
 
@@ -171,11 +176,11 @@ for _symbol, _function in (
     (operator.mul, _multiply),
     (operator.truediv, _divide),
 ):
-    _operator(_symbol, _function)
+    _overload_operator(_symbol, _function)
 
 
-def _unary(name: str) -> Any:
-    """Return a compiled function of one SIMD vector, given an LLVM intrinsic's name."""
+def _unary_operation(llvm_name: str) -> Any:
+    """Return a compiled function of one SIMD vector from the LLVM intrinsic's name."""
 
     def typed(typing: Any, a: Any) -> Any:
         _want(a, _Lanes)
@@ -183,7 +188,7 @@ def _unary(name: str) -> Any:
         def code(context: Any, builder: Any, signature: Any, args: Any) -> Any:
             kind = ir.FunctionType(_VECTOR, [_VECTOR])
             function = cgutils.get_or_insert_function(
-                builder.module, kind, f"llvm.{name}.v{SIMD_WIDTH}f32"
+                builder.module, kind, f"llvm.{llvm_name}.v{SIMD_WIDTH}f32"
             )
             return builder.call(function, args)
 
@@ -192,8 +197,8 @@ def _unary(name: str) -> Any:
     return intrinsic(typed)
 
 
-lane_sqrt = _unary("sqrt")
-lane_abs = _unary("fabs")
+lane_sqrt = _unary_operation("sqrt")
+lane_abs = _unary_operation("fabs")
 
 
 @intrinsic  # type: ignore[untyped-decorator]

@@ -15,22 +15,22 @@ LANES = 16
 Vector = NDArray[np.float32]
 
 
-def load(array: Vector, at: int) -> Vector:
-    """Return sixteen elements from index `at`; zeros beyond the end of the array."""
+def load(array: Vector, index: int) -> Vector:
+    """Return sixteen elements from an index on; zeros beyond the end of the array."""
     out = np.zeros(LANES, np.float32)
-    part = array[at : at + LANES]
+    part = array[index : index + LANES]
     out[: part.size] = part
     return out
 
 
-def item(array: NDArray[Any], at: int) -> Any:
-    """Return the element of an array at index `at`."""
-    return array[at]
+def item(array: NDArray[Any], index: int) -> Any:
+    """Return the element of an array at an index."""
+    return array[index]
 
 
-def store(array: Vector, at: int, value: Vector) -> None:
-    """Write up to sixteen elements, starting at index `at`, but not beyond the array."""
-    part = array[at : at + LANES]
+def store(array: Vector, index: int, value: Vector) -> None:
+    """Write up to sixteen elements from an index on, but not beyond the array."""
+    part = array[index : index + LANES]
     part[:] = value[: part.size]
 
 

@@ -14,14 +14,14 @@ from numpy.typing import NDArray
 MAX_ARRAY_BYTES = 64_000_000
 
 
-def read_arrays(path: Path, most: int = MAX_ARRAY_BYTES) -> dict[str, NDArray[Any]]:
+def read_arrays(path: Path, max_bytes: int = MAX_ARRAY_BYTES) -> dict[str, NDArray[Any]]:
     """Return the arrays of an untrusted NumPy archive (.npz) by name.
 
     Parameters
     ----------
     path
         File to read.
-    most
+    max_bytes
         Maximum uncompressed size of all members together, bytes.
 
     Raises
@@ -32,17 +32,17 @@ def read_arrays(path: Path, most: int = MAX_ARRAY_BYTES) -> dict[str, NDArray[An
     try:
         with zipfile.ZipFile(path) as file:
             members = file.infolist()
-            if sum(member.file_size for member in members) > most:
-                raise ValueError(f"the uncompressed size exceeds {most / 1e6:g} MB")
-            return {m.filename.removesuffix(".npy"): _array(_read(file, m)) for m in members}
+            if sum(member.file_size for member in members) > max_bytes:
+                raise ValueError(f"the uncompressed size exceeds {max_bytes / 1e6:g} MB")
+            return {m.filename.removesuffix(".npy"): _array(_read_member(file, m)) for m in members}
     except (MemoryError, RecursionError):
         raise ValueError("an array is larger than the file") from None
     except Exception as error:  # zipfile, zlib and NumPy raise many types on damaged files
         raise ValueError(str(error).split("\n")[0] or type(error).__name__) from None
 
 
-def _read(file: zipfile.ZipFile, member: zipfile.ZipInfo) -> bytes:
-    """Return the uncompressed bytes of a member, at most as many as it declares.
+def _read_member(file: zipfile.ZipFile, member: zipfile.ZipInfo) -> bytes:
+    """Return the uncompressed bytes of a member, at most its declared size.
 
     `ZipFile.read` decompresses everything before it checks the declared size. Compression methods
     that NumPy does not use raise an error, because they cannot be limited.

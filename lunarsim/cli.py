@@ -191,7 +191,8 @@ def compare(
         try:
             result = fly_all(
                 loaded, names, flights=flights, seed=seed, jobs=jobs, out=out, figures=figures,
-                progress=advance, cache=kept, apart=True, guidance=laws,
+                progress=advance, cache=kept, separate_process=True,
+                guidance=laws,
                 notify=lambda line: click.echo(line, err=True),
             )  # fmt: skip
         except WorkerStartError as error:
@@ -332,7 +333,7 @@ def render(
     if truth is not None:
         check_output("--truth", truth, ".npz")
     image = render_image(
-        load_scenario(scenario, changes, flown=False),
+        load_scenario(scenario, changes, is_flown=False),
         altitude=altitude,
         sun_elevation_deg=sun_elevation,
         sun_azimuth_deg=sun_azimuth,

@@ -171,7 +171,7 @@ def sweep(
     base, of_swept_parts = split_changes(changes, levels)
     data = {
         "name": f"{scenario.stem}-sweep",
-        "scenario": load_scenario(scenario, base, flown=False).to_dict(),
+        "scenario": load_scenario(scenario, base, is_flown=False).to_dict(),
         "flights": flights,
         "seed": seed,
         "factors": levels | {key: [value] for key, value in of_swept_parts.items()},
@@ -402,13 +402,13 @@ def rare(folder: Path, metric: str, above: float | None, below: float | None) ->
         _print_levels(found)
 
 
-def _print_levels(found: Results) -> None:
+def _print_levels(results: Results) -> None:
     """Print the table of the failure levels of a subset simulation."""
     from rich.table import Table
 
     from lunarsim.campaign.subset_estimate import completion_remark, level_table_rows, load_chains
 
-    chains = load_chains(found)
+    chains = load_chains(results)
     level_rows = level_table_rows(chains)
     if level_rows:
         table = Table(*level_rows[0])

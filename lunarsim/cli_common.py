@@ -60,7 +60,7 @@ class ErrorReportingGroup(click.Group):
             _exit_with_message(ctx, str(error), 1)
         except KeyboardInterrupt as error:
             acknowledge_interrupt()
-            _exit_with_message(ctx, interrupt_message(error), INTERRUPTED, kind="")
+            _exit_with_message(ctx, interrupt_message(error), INTERRUPTED, prefix="")
         except MemoryError as error:
             _exit_with_message(
                 ctx, f"out of memory: {error or 'allocation failed'}. Use smaller sizes.", 1
@@ -76,12 +76,11 @@ class ErrorReportingGroup(click.Group):
             )
 
 
-def _exit_with_message(ctx: click.Context, message: str, code: int, kind: str = "error: ") -> None:
-    """Print a message as one line on stderr and exit with a code.
-
-    `kind` is the prefix of the message.
-    """
-    click.echo(kind + " ".join(message.split()), err=True)
+def _exit_with_message(
+    ctx: click.Context, message: str, code: int, prefix: str = "error: "
+) -> None:
+    """Print prefix and message as one line on stderr and exit with a code."""
+    click.echo(prefix + " ".join(message.split()), err=True)
     ctx.exit(code)
 
 
@@ -156,17 +155,17 @@ def open_cache(folder: Path | None, gigabytes: float) -> DiskCache | None:
 
 
 def load_scenario(
-    given: Path,
+    path_or_name: Path,
     changes: tuple[str, ...],
     *,
-    flown: bool = True,
+    is_flown: bool = True,
     parts: Mapping[str, str | None] | None = None,
 ) -> Scenario:
     """Load a scenario, apply command-line changes, and print warnings on stderr.
 
     Parameters
     ----------
-    given
+    path_or_name
         TOML file, or name of a scenario supplied with lunarsim.
     changes
         Texts ``KEY=VALUE``. They apply after the kinds in `parts` have been selected.
@@ -174,7 +173,7 @@ def load_scenario(
         Selected kind by contract (such as "guidance" or "policy"), as given by options such as
         ``--guidance``; None keeps the scenario's kind. A kind that differs from the scenario's has
         its default settings.
-    flown
+    is_flown
         Whether a flight follows; only then are warnings printed.
 
     Raises
@@ -188,11 +187,11 @@ def load_scenario(
     from lunarsim.scenario.shipped import found
 
     allow_named_modules(*changes, *filter(None, (parts or {}).values()))
-    loaded = Scenario.load(found(given))
+    loaded = Scenario.load(found(path_or_name))
     for contract, kind in (parts or {}).items():
         loaded = _with_part(loaded, contract, kind)
     loaded = with_changes(loaded, changes)
-    for note in warnings_for(loaded) if flown else ():
+    for note in warnings_for(loaded) if is_flown else ():
         click.echo(f"warning: {note}", err=True)
     return loaded
 
@@ -222,15 +221,15 @@ def wide_console(width: int) -> Console:
 
 
 @contextmanager
-def add_to_interrupt_message(what: str) -> Iterator[None]:
+def add_to_interrupt_message(text: str) -> Iterator[None]:
     """Add a text to the message of an interrupt that occurs in a `with` block.
 
-    The text `what` states, for instance, which files have been written.
+    The text states, for instance, which files have been written.
     """
     try:
         yield
     except KeyboardInterrupt:
-        raise KeyboardInterrupt(what) from None
+        raise KeyboardInterrupt(text) from None
 
 
 @contextmanager

@@ -57,36 +57,36 @@ def info(
     plain_console().print(table)
 
 
-def _description(found: DtmInfo) -> Iterator[tuple[str, str]]:
+def _description(dtm_info: DtmInfo) -> Iterator[tuple[str, str]]:
     """Yield name and value of each row of the table that `terrain info` prints."""
-    yield "file", str(found.path)
-    yield "format", found.driver
-    yield "posts", f"{found.rows} x {found.cols} (rows x columns)"
-    if found.posting is None or found.spacing is None:
+    yield "file", str(dtm_info.path)
+    yield "format", dtm_info.driver
+    yield "posts", f"{dtm_info.rows} x {dtm_info.cols} (rows x columns)"
+    if dtm_info.posting is None or dtm_info.spacing is None:
         yield "posting", "not given: set terrain.dtm_posting_m"
-    elif found.resampled:
-        along, across = found.spacing
+    elif dtm_info.resampled:
+        along, across = dtm_info.spacing
         yield "posting", f"{along:.4g} m along rows, {across:.4g} m along columns"
-        yield "loaded", f"resampled to {found.posting:.4g} m, north up"
+        yield "loaded", f"resampled to {dtm_info.posting:.4g} m, north up"
     else:
-        yield "posting", f"{found.posting:.4g} m"
+        yield "posting", f"{dtm_info.posting:.4g} m"
         yield "loaded", "post by post, without interpolation"
-    yield "frame", found.frame
-    yield "orientation", found.orientation
-    if found.map_scale is not None:
-        along, across = found.map_scale
+    yield "frame", dtm_info.frame
+    yield "orientation", dtm_info.orientation
+    if dtm_info.map_scale is not None:
+        along, across = dtm_info.map_scale
         scale = f"1 m of terrain is {along:.4f} m of map along rows, {across:.4f} m along columns"
         yield "map scale", scale
-    heights = found.height_scale
+    heights = dtm_info.height_scale
     length = "" if heights.metres == 1.0 else f" ({heights.metres:.10g} m)"
     yield "height unit", heights.unit + length
     yield "scale, offset", f"stored value x {heights.scale:g} + {heights.offset:.10g}"
-    if found.statistics is None:
-        yield "elevation", f"not read: {found.rows * found.cols} posts; use --window"
+    if dtm_info.statistics is None:
+        yield "elevation", f"not read: {dtm_info.rows * dtm_info.cols} posts; use --window"
     else:
-        low, high = found.z_range
+        low, high = dtm_info.z_range
         yield "elevation", f"{low:.2f} to {high:.2f} m"
-        yield "no data", f"{100.0 * found.no_data_share:.2f} %"
+        yield "no data", f"{100.0 * dtm_info.no_data_share:.2f} %"
 
 
 @terrain.command()
@@ -101,7 +101,7 @@ def preview(scenario: Path, changes: tuple[str, ...], seed: int, flight: int, ou
     from lunarsim.viz.terrain import draw_terrain
 
     check_output("--out", out, ".png")
-    loaded = load_scenario(scenario, changes, flown=False)
+    loaded = load_scenario(scenario, changes, is_flown=False)
     world = build_world(loaded, RandomStreams(flight_seed(seed, flight)))
     draw_terrain(world.terrain, loaded.name, out)
     click.echo(f"{out}: {len(world.terrain.rocks)} rocks on {loaded.name}")
@@ -132,7 +132,7 @@ def truth(
     from lunarsim.world.truth_products import TruthProducts, truth_grid
 
     check_output("--out", out, ".nc")
-    loaded = load_scenario(scenario, changes, flown=False)
+    loaded = load_scenario(scenario, changes, is_flown=False)
     world = build_world(loaded, RandomStreams(flight_seed(seed, flight)))
     grid = truth_grid(world, loaded.target.position_m, size, posting)
     maps = TruthProducts.of(world, loaded.vehicle.make(), grid)

@@ -17,14 +17,11 @@ import click
 _REPORT_INTERVAL_S = 5.0
 
 
-class _Helper:
+class _CompilerProcess:
     """Second process that compiles kernels which the flight needs later.
 
-    Parameters
-    ----------
-    command
-        Module for ``python -m``, and its arguments. ``--parent`` and the ID of this process are
-        appended, so that the helper ends together with its parent.
+    Its `command` is a module for ``python -m`` and arguments. The option ``--parent`` with the ID
+    of this process is appended, so that the second process ends together with this one.
     """
 
     def __init__(self, command: Sequence[str]) -> None:
@@ -47,19 +44,20 @@ class _Helper:
 
 
 @contextmanager
-def report_compilation(beside: Sequence[str] = ()) -> Iterator[None]:
+def report_compilation(helper_command: Sequence[str] = ()) -> Iterator[None]:
     """Print the progress of kernel compilation on stderr while a `with` block runs.
 
     The text is the number of compiled kernels; nothing is printed if none is compiled.
 
     Parameters
     ----------
-    beside
-        Module and its arguments that compile some kernels in a second process at the same time.
+    helper_command
+        Name and arguments of a module, run in a second process, that compiles some of the kernels
+        at the same time; empty: no second process.
     """
     from numba.core import event  # noqa: PLC0415  (Numba loads slowly)
 
-    helper = _Helper(beside)
+    helper = _CompilerProcess(helper_command)
 
     class CompileListener(event.Listener):  # type: ignore[misc]
         """Count compilations; a nested compilation's time is part of the outer one's."""

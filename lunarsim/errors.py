@@ -57,12 +57,12 @@ class InputError(ValueError):
         return InputError(field, self.value, self.problem, self.remedy, self.show_value)
 
 
-def check_types(where: str, settings: object) -> None:
+def check_types(prefix: str, settings: object) -> None:
     """Check that numeric and boolean fields of a dataclass have the annotated type.
 
     Parameters
     ----------
-    where
+    prefix
         Prefix of the field names in the error message.
     settings
         Dataclass instance. The check covers fields annotated as `float`, `int`, `bool` or tuples of
@@ -79,7 +79,7 @@ def check_types(where: str, settings: object) -> None:
             continue
         for begins, right, expected in _KINDS:
             if kind.startswith(begins) and not right(value):
-                raise InputError(f"{where}.{one.name}", value, expected)
+                raise InputError(f"{prefix}.{one.name}", value, expected)
 
 
 def _is_flag(value: object) -> bool:

@@ -27,7 +27,7 @@ def format_bytes(count: float) -> str:
 
 
 def check_raster_size(
-    field: str, size: float, posting: float, most: int, what: str = "cells"
+    field: str, size: float, posting: float, max_cells_per_side: int, what: str = "cells"
 ) -> None:
     """Check that a square raster has not too many cells, before memory is allocated.
 
@@ -37,7 +37,7 @@ def check_raster_size(
         Name of the field that set the size, for errors.
     size, posting
         Side of the raster and side of a cell, m.
-    most
+    max_cells_per_side
         Maximum number of cells along a side.
     what
         Name of the cells in the message.
@@ -48,11 +48,11 @@ def check_raster_size(
         If there are too many cells; the message states the memory they need, at 4 bytes per cell.
     """
     count = size / posting
-    if not count <= most:
+    if not count <= max_cells_per_side:
         raise InputError(
             field, size,
-            f"must be at most {most} {what} of {posting:g} m per side, but is {count:.4g} "
-            f"({format_bytes(4.0 * count * count)})",
+            f"must be at most {max_cells_per_side} {what} of {posting:g} m per side, "
+            f"but is {count:.4g} ({format_bytes(4.0 * count * count)})",
         )  # fmt: skip
 
 

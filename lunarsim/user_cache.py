@@ -42,7 +42,9 @@ def ensure_caches() -> None:
             return
         os.environ["XDG_CACHE_HOME"] = str(folder)
         warn(f"the user's cache folder cannot be written to: {folder} is used instead")
-    if "MPLCONFIGDIR" not in os.environ and not is_writable(_xdg("XDG_CONFIG_HOME", ".config")):
+    if "MPLCONFIGDIR" not in os.environ and not is_writable(
+        _xdg_folder("XDG_CONFIG_HOME", ".config")
+    ):
         os.environ["MPLCONFIGDIR"] = str(_cache_home() / "matplotlib")
 
 
@@ -81,10 +83,10 @@ def warn(text: str) -> None:
 
 
 def _cache_home() -> Path:
-    return _xdg("XDG_CACHE_HOME", ".cache")
+    return _xdg_folder("XDG_CACHE_HOME", ".cache")
 
 
-def _xdg(variable: str, below_home: str) -> Path:
+def _xdg_folder(variable: str, below_home: str) -> Path:
     """Return an XDG base folder from an environment variable, or its default.
 
     `below_home` is the default folder relative to home; without a home, the path cannot exist.

@@ -79,7 +79,7 @@ def column(
 
 
 def metrics(results: Results, kind: str) -> list[str]:
-    """Return the names of the metrics whose values have a kind, for instance "bool"."""
+    """Return the names of the metrics of a kind: "bool", "int", "float" or "text"."""
     return [name for name, k in results.manifest["columns"].items() if k == kind]
 
 
@@ -236,7 +236,7 @@ def compare_campaigns(
     for field, results in (("A", first), ("B", second)):
         results.check_equal_weights(field)
     for name in ("seed", "arms", *_DRAW_FIELDS):
-        ours, theirs = (_key(results, name) for results in (first, second))
+        ours, theirs = (_shared_value(results, name) for results in (first, second))
         if ours != theirs:
             raise InputError(
                 "B", str(second.folder), f"must have the same {name} as A: {ours}, not {theirs}"
@@ -266,8 +266,8 @@ def compare_campaigns(
     ]
 
 
-def _key(results: Results, name: str) -> object:
-    """Return a value that two compared campaigns must share, such as the root seed."""
+def _shared_value(results: Results, name: str) -> object:
+    """Return a value that must be equal in two compared campaigns, such as `seed`."""
     if name == "arms":
         return results.arms
     return (

@@ -85,7 +85,7 @@ class DiskCache:
         found = _read(path)
         if found is None:
             found = make()
-            self._keep(path, found)
+            self._store(path, found)
         return found
 
     def has_mark(self, key: str) -> bool:
@@ -94,17 +94,17 @@ class DiskCache:
 
     def mark(self, key: str) -> None:
         """Record that the task `key` was done on this machine with this code."""
-        self._keep(self._path("mark", key), {"done": np.array(True)})
+        self._store(self._path("mark", key), {"done": np.array(True)})
 
     def _path(self, kind: str, key: str) -> Path:
         """Return the file of an entry; its name is a digest of type, key and environment."""
         digest = hashlib.sha256(f"{_environment_key()}\0{kind}\0{key}".encode()).hexdigest()[:40]
         return self.folder / digest[:2] / f"{digest}.npz"
 
-    def _keep(self, path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
+    def _store(self, path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
         """Write the arrays of an entry to `path` if there is space; warn once on failure."""
         size = sum(a.nbytes for a in arrays.values())
-        if self.folder in _given_up or not _has_room(self, size):
+        if self.folder in _given_up or not _make_space(self, size):
             return
         temporary = ""
         try:
@@ -179,18 +179,18 @@ def _read(path: Path) -> Arrays | None:
     return found
 
 
-def _has_room(store: DiskCache, size: int) -> bool:
+def _make_space(cache: DiskCache, size: int) -> bool:
     """Return whether an entry of `size` bytes fits into the cache.
 
     Entries that were not used recently are deleted to make space.
     """
-    left = _until_check.get(store.folder, 0.0) - max(size, _DISK_BLOCK_BYTES)
+    left = _until_check.get(cache.folder, 0.0) - max(size, _DISK_BLOCK_BYTES)
     if left < 0.0:
-        free = store.limit - _evict_entries(store.folder, store.limit - size, store.since)
-        left = min(free - max(size, _DISK_BLOCK_BYTES), store.limit / _SIZE_CHECKS_PER_LIMIT)
+        free = cache.limit - _evict_entries(cache.folder, cache.limit - size, cache.since)
+        left = min(free - max(size, _DISK_BLOCK_BYTES), cache.limit / _SIZE_CHECKS_PER_LIMIT)
         if left < 0.0:
             return False
-    _until_check[store.folder] = left
+    _until_check[cache.folder] = left
     return True
 
 

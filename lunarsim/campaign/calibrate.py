@@ -58,7 +58,7 @@ class CalibrationResult:
 
 
 @dataclass(frozen=True)
-class _Task:
+class _CalibrationFlight:
     """Settings of one flight whose sites are sampled for the calibration.
 
     `root` is the root seed, `flight` the index of the flight, and `sites` the number of sites that
@@ -116,7 +116,7 @@ def calibrate(
     plain = scenario.changed(mappers={mapper: {"calibration_path": None}})
     if flights > MAX_FLIGHTS:
         raise InputError("--flights", flights, f"must be at most {MAX_FLIGHTS}")
-    tasks = [_Task(plain, mapper, seed, i, sites) for i in range(flights)]
+    tasks = [_CalibrationFlight(plain, mapper, seed, i, sites) for i in range(flights)]
     found: dict[int, list[SiteSamples]] = {}
     for index, parts in iterate_results(_fly_and_sample, tasks, min(jobs, flights)):
         found[index] = parts
@@ -175,7 +175,7 @@ def gaussian_mapper(scenario: Scenario, name: str | None = None) -> str:
     return name
 
 
-def _fly_and_sample(task: _Task) -> list[SiteSamples]:
+def _fly_and_sample(task: _CalibrationFlight) -> list[SiteSamples]:
     """Fly one descent under the scenario's policy; return sites sampled from its maps.
 
     The maps are those that the policy used for a decision.

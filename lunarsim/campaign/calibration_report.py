@@ -17,10 +17,13 @@ _HEADINGS = (
 )  # fmt: skip
 
 
-def _groups(result: CalibrationResult) -> tuple[tuple[str, CalibrationComparison], ...]:
-    """Return the comparison of both calibrations on the sites of each one's domain.
+def _comparisons_by_domain(
+    result: CalibrationResult,
+) -> tuple[tuple[str, CalibrationComparison], ...]:
+    """Return name and comparison for the domains of both calibrations.
 
-    The calibrations are the one supplied with lunarsim ("packaged") and the refit.
+    The calibrations are the one supplied with lunarsim ("packaged") and the refit. In each of the
+    two domains, both are compared on the same sites.
     """
     return (
         ("packaged", result.left_out.packaged_domain),
@@ -42,23 +45,26 @@ def calibration_table(result: CalibrationResult) -> Table:
         table.add_column(
             heading, justify="left" if heading in ("Domain", "Calibration") else "right"
         )
-    for name, judgement in _groups(result):
-        for whose, figures in (("packaged", judgement.packaged), ("refit", judgement.refit)):
-            table.add_row(name, whose, *_cells(figures))
+    for name, comparison in _comparisons_by_domain(result):
+        for calibration, quality in (
+            ("packaged", comparison.packaged),
+            ("refit", comparison.refit),
+        ):
+            table.add_row(name, calibration, *_quality_cells(quality))
         table.add_section()
     return table
 
 
-def _cells(f: ProbabilityQuality) -> tuple[str, ...]:
-    """Return the formatted table cells of one calibration's quality, `f`."""
+def _quality_cells(quality: ProbabilityQuality) -> tuple[str, ...]:
+    """Return the formatted table cells of one calibration's quality metrics."""
     return (
-        str(f.sites),
-        _with_interval(f.share, "{:.2f}"),
-        _with_interval(f.safe, "{:.3f}"),
-        _with_interval(f.ece),
-        _with_interval(f.skill, "{:+.3f}"),
-        str(f.confident_sites),
-        _with_interval(f.bias, "{:+.4f}"),
+        str(quality.sites),
+        _with_interval(quality.share, "{:.2f}"),
+        _with_interval(quality.safe, "{:.3f}"),
+        _with_interval(quality.ece),
+        _with_interval(quality.skill, "{:+.3f}"),
+        str(quality.confident_sites),
+        _with_interval(quality.bias, "{:+.4f}"),
     )
 
 
@@ -76,12 +82,12 @@ def _with_interval(values: NDArray[np.float64], form: str = "{:.4f}") -> str:
 def calibration_remarks(result: CalibrationResult) -> Iterator[str]:
     """Yield sentences that state whether the refit is better, and its coefficients."""
     left = result.left_out.refit_domain
-    for name, judgement in _groups(result):
-        gain = judgement.gain
+    for name, comparison in _comparisons_by_domain(result):
+        gain = comparison.gain
         if not np.isfinite(gain).all():
             yield f"In the {name} domain there are no sites to compare the refit on."
             continue
-        word = "better" if judgement.better else ("worse" if gain[2] < 0.0 else "no better")
+        word = "better" if comparison.better else ("worse" if gain[2] < 0.0 else "no better")
         yield (
             f"In the {name} domain the refit is {word} than the packaged calibration on "
             f"held-out flights: the Brier score is lower by {_with_interval(gain, '{:+.4f}')}."
@@ -91,7 +97,7 @@ def calibration_remarks(result: CalibrationResult) -> Iterator[str]:
             "On held-out flights its probabilities are less informative than the mean safe share: "
             "use more flights."
         )
-    if not any(judgement.better for _, judgement in _groups(result)):
+    if not any(comparison.better for _, comparison in _comparisons_by_domain(result)):
         yield "The refit gives no improvement: use the packaged calibration."
     c = result.calibration
     yield (

@@ -145,7 +145,7 @@ def compare(
     figures: bool = True,
     cache: DiskCache | None = None,
     notify: Callable[[str], None] | None = None,
-    apart: bool = False,
+    separate_process: bool = False,
     guidance: Sequence[str] = (),
 ) -> CompareResult:
     """Fly the same flights under each policy, and with each guidance law if given.
@@ -167,7 +167,7 @@ def compare(
     cache, notify
         Cache of worlds, and function that receives messages for the user; as in
         `lunarsim.campaign.fly_spec.fly_spec`.
-    apart
+    separate_process
         Whether a single job runs in a separate process; several jobs always do.
     guidance
         Guidance laws, each flown under every policy: names or "module:Class", with their default
@@ -180,35 +180,35 @@ def compare(
         If the scenario, an argument or the folder is not usable; nothing has been written then.
     """
     check_request(policies, flights, jobs, guidance)
-    spec = _spec(scenario, policies, flights, seed, figures, guidance)
+    spec = _comparison_spec(scenario, policies, flights, seed, figures, guidance)
     if out is not None and not (out / "manifest.json").exists():
         check_folder(out)
-    apart = apart or jobs > 1
+    separate_process = separate_process or jobs > 1
     by_law = bool(guidance)
-    engine: Engine = LocalEngine(min(jobs, flights)) if apart else InlineEngine()
-    if apart:
+    engine: Engine = LocalEngine(min(jobs, flights)) if separate_process else InlineEngine()
+    if separate_process:
         for policy in policies:
             check_picklable("policies", policy)
     fly = partial(fly_spec, engine=engine, progress=progress, cache=cache, notify=notify)
     if out is None:
         with tempfile.TemporaryDirectory(prefix="lunarsim-") as folder:
             spec_here = spec.with_settings(records="none", figures=False)
-            return _compare(spec_here, fly, Path(folder), None, by_law)
-    return _compare(spec, fly, out, out, by_law)
+            return _fly_and_compare(spec_here, fly, Path(folder), None, by_law)
+    return _fly_and_compare(spec, fly, out, out, by_law)
 
 
-def _compare(
+def _fly_and_compare(
     spec: CampaignSpec, fly: Callable[..., RunResult], folder: Path, out: Path | None, by_law: bool
 ) -> CompareResult:
-    """Fly a campaign into `folder`; write the summary and plots into `out`.
+    """Fly a campaign into `folder`; write the summary and plots into `out`, if given.
 
-    `fly` is `fly_spec` with its other arguments set; `by_law` states whether guidance laws are
-    compared.
+    `fly` is `fly_spec` without its arguments `spec` and `out`; `by_law` states whether guidance
+    laws are compared.
     """
-    ran = fly(spec, out=folder)
-    result = _result(folder, ran, by_law)
+    run = fly(spec, out=folder)
+    result = _read_result(folder, run, by_law)
     if out is not None and result.rows:
-        _write(result, out, spec)
+        _write_result(result, out, spec)
         if spec.head.figures:
             from lunarsim.viz import draw_comparison  # noqa: PLC0415
 
@@ -216,7 +216,7 @@ def _compare(
     return result
 
 
-def _spec(
+def _comparison_spec(
     scenario: Scenario,
     policies: Sequence[str | RetargetingPolicy],
     flights: int,
@@ -238,10 +238,10 @@ def _spec(
     return CampaignSpec(head, scenario, tuple(arms), Dispersions({}, seed=seed, flights=flights))
 
 
-def _result(folder: Path, ran: RunResult, by_law: bool) -> CompareResult:
+def _read_result(folder: Path, run: RunResult, by_law: bool) -> CompareResult:
     """Read the results of a comparison from the folder of its campaign.
 
-    `ran` summarises the run; `by_law` states whether guidance laws are compared.
+    `run` summarises the run; `by_law` states whether guidance laws are compared.
     """
     found = load_results(folder)  # works without any flight, after an early interrupt
     rows = found.table.to_pylist()
@@ -255,9 +255,9 @@ def _result(folder: Path, ran: RunResult, by_law: bool) -> CompareResult:
         seconds={n: [seconds[r["id"]] for r in flown if r[apart] == n] for n in names},
         safe_share=_mean([row["safe_share"] for row in shares]),
         safe_share_at_heading=_mean([row["safe_share_at_heading"] for row in shares]),
-        complete=ran.complete,
+        complete=run.complete,
         failed=[row for row in rows if row["outcome"] != FLOWN],
-        unrecorded=ran.unrecorded,
+        unrecorded=run.unrecorded,
         by_law=by_law,
     )
 
@@ -267,7 +267,7 @@ def _mean(values: list[float]) -> float:
     return float(np.mean(values)) if values else float("nan")
 
 
-def _write(result: CompareResult, out: Path, spec: CampaignSpec) -> None:
+def _write_result(result: CompareResult, out: Path, spec: CampaignSpec) -> None:
     """Write all results to one Parquet file and a summary to JSON, atomically."""
     table = pa.Table.from_pylist(result.rows, pq.read_schema(next((out / "results").iterdir())))
     atomic_write(out / "results.parquet", lambda p: pq.write_table(table, p))

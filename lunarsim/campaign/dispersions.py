@@ -96,7 +96,8 @@ class TruncatedNormal:
         mass = ndtr(-low) - ndtr(-high) if low > 0.0 else ndtr(high) - ndtr(low)
         if mass < _MIN_BOUNDED_MASS:
             raise InputError(
-                "low", self.low, "must leave values of the distribution between low and high",
+                "low", self.low,
+                f"must leave a probability above {_MIN_BOUNDED_MASS:g} between low and high",
                 "Decrease low or increase high.",
             )  # fmt: skip
 
@@ -246,7 +247,7 @@ class Correlation:
             )
 
     @cached_property
-    def root(self) -> Array:
+    def cholesky_factor(self) -> Array:
         """Lower Cholesky factor of the correlation matrix."""
         return np.asarray(np.linalg.cholesky(np.array(self.matrix)))
 
@@ -288,21 +289,15 @@ class Importance:
                 "shifts", dict(shifts), "must contain a shift that is not 0, or a scale above 1"
             )
 
-    def drawn(self, keys: Sequence[str], u: Array, nominal: bool) -> tuple[Array, float]:
-        """Return the sampled probabilities of the keys (d,), and the weight of the flight.
+    def sample(self, keys: Sequence[str], uniforms: Array, is_nominal: bool) -> tuple[Array, float]:
+        """Return the quantile levels of a flight's values (d,), and the flight's weight.
 
-        Parameters
-        ----------
-        keys
-            Keys of the dispersions (d,).
-        u
-            Uniform numbers in (0, 1) (d,).
-        nominal
-            Whether this flight is drawn from the nominal distribution.
+        `keys` are the keys of the dispersions (d,), `uniforms` independent random numbers in (0, 1)
+        (d,); `is_nominal` states whether the flight is drawn from the nominal distribution.
         """
         shift = np.array([(self.shifts or {}).get(key, 0.0) for key in keys])
         scale = np.array([(self.scales or {}).get(key, 1.0) for key in keys])
-        z = ndtri(u) if nominal else shift + scale * ndtri(u)
+        z = ndtri(uniforms) if is_nominal else shift + scale * ndtri(uniforms)
         log_ratio = np.sum(
             0.5 * (z**2 - ((z - shift) / scale) ** 2) - np.log(scale)
         )  # of the shifted density to the nominal one
@@ -416,11 +411,11 @@ class Dispersions:
         """
         return self.at(self._weighted_uniforms(flight)[0])
 
-    def at(self, numbers: Array) -> dict[str, Any]:
-        """Return the scenario values by key at independent probabilities `numbers` (d,)."""
-        u = dict(zip(self.distributions, _clip_to_open_interval(numbers), strict=True))
+    def at(self, probabilities: Array) -> dict[str, Any]:
+        """Return the scenario values by key at independent `probabilities` (d,)."""
+        u = dict(zip(self.distributions, _clip_to_open_interval(probabilities), strict=True))
         for group in self.correlations:
-            scores = group.root @ ndtri([u[key] for key in group.keys])
+            scores = group.cholesky_factor @ ndtri([u[key] for key in group.keys])
             u |= dict(zip(group.keys, _clip_to_open_interval(ndtr(scores)), strict=True))
         return {key: law.at(float(u[key])) for key, law in self.distributions.items()}
 
@@ -429,13 +424,13 @@ class Dispersions:
         return self._weighted_uniforms(flight)[1]
 
     def _weighted_uniforms(self, flight: int) -> tuple[Array, float]:
-        """Return the probability of each key's value (d,), and the weight of the flight."""
+        """Return the quantile level of each key's value (d,), and the flight's weight."""
         u = self.uniforms(flight)
         if self.importance is None:
             return u, 1.0
         rng = RandomStreams(flight_seed(self.seed, flight)).get("importance")
         nominal = bool(rng.random() < self.importance.nominal_share)
-        shifted, weight = self.importance.drawn(list(self.distributions), u, nominal)
+        shifted, weight = self.importance.sample(list(self.distributions), u, nominal)
         return _clip_to_open_interval(shifted), weight
 
     def uniforms(self, flight: int) -> Array:
@@ -450,7 +445,7 @@ class Dispersions:
 
     @cached_property
     def _design(self) -> Array:
-        """Probabilities of all flights in a sampling design (flights, d), d keys."""
+        """Numbers in (0, 1) of all flights and keys in a sampling design (flights, keys)."""
         rng = np.random.default_rng(design_seed(self.seed))
         count = len(self.distributions)
         if self.method == "saltelli":

@@ -46,7 +46,7 @@ class Arm:
     policy: RetargetingPolicy | None = None
 
 
-def flatten_keys(table: Any, path: str, leaf: type | tuple[type, ...]) -> dict[str, Any]:
+def flatten_keys(table: Any, path: str, value_types: type | tuple[type, ...]) -> dict[str, Any]:
     """Flatten a table whose keys may be dotted, nested or both into dotted keys.
 
     Parameters
@@ -55,7 +55,7 @@ def flatten_keys(table: Any, path: str, leaf: type | tuple[type, ...]) -> dict[s
         Table as read from TOML.
     path
         Name of the table in messages.
-    leaf
+    value_types
         Types that are values, not tables.
 
     Raises
@@ -67,10 +67,10 @@ def flatten_keys(table: Any, path: str, leaf: type | tuple[type, ...]) -> dict[s
         raise InputError(path, table, "must be a table")
     found: dict[str, Any] = {}
     for key, value in table.items():
-        if isinstance(value, leaf):
+        if isinstance(value, value_types):
             inner = {key: value}
-        elif isinstance(value, Mapping) and Mapping not in _as_tuple(leaf):
-            below = flatten_keys(value, f"{path}.{key}", leaf)
+        elif isinstance(value, Mapping) and Mapping not in _as_tuple(value_types):
+            below = flatten_keys(value, f"{path}.{key}", value_types)
             inner = {f"{key}.{rest}": v for rest, v in below.items()}
         else:
             raise InputError(f"{path}.{key}", value, "must be a list of values")
@@ -136,11 +136,11 @@ def _arm_name(values: Mapping[str, Any]) -> str:
     if not values:
         return "all"
     if len(values) == 1:
-        return word(next(iter(values.values())))
-    return ", ".join(f"{key}={word(value)}" for key, value in values.items())
+        return format_short(next(iter(values.values())))
+    return ", ".join(f"{key}={format_short(value)}" for key, value in values.items())
 
 
-def word(value: Any) -> str:
+def format_short(value: Any) -> str:
     """Format a scenario value as a short text for names of variants."""
     if isinstance(value, str):
         if Path(value).is_absolute():
@@ -181,11 +181,11 @@ def parse_arms(tables: Any) -> list[tuple[str, dict[str, Any]]]:
 
 
 def build_arms(
-    scenario: Scenario, combinations: Sequence[tuple[str, dict[str, Any]]], where: str
+    scenario: Scenario, combinations: Sequence[tuple[str, dict[str, Any]]], field: str
 ) -> tuple[Arm, ...]:
     """Build the arms (variants of a scenario) of a campaign and check their scenarios.
 
-    `combinations` has name and values of each arm; `where` is the field name for errors.
+    `combinations` has name and values of each arm; `field` is the field name for errors.
 
     Raises
     ------
@@ -196,15 +196,15 @@ def build_arms(
     for name, _ in combinations:
         if len(folder_name(name).encode()) > _MAX_FOLDER_NAME_BYTES:
             raise InputError(
-                where, name,
+                field, name,
                 f"must have a name of at most {_MAX_FOLDER_NAME_BYTES} bytes for its folder",
                 "Name combinations with [[arms]].",
             )  # fmt: skip
         if folders[folder_name(name)] > 1:
-            raise InputError(where, name, "must have a unique name")
+            raise InputError(field, name, "must have a unique name")
     if len(combinations) > MAX_ARMS:
-        raise InputError(where, len(combinations), f"must be at most {MAX_ARMS} combinations")
-    return tuple(Arm(n, values, with_values(scenario, values, where)) for n, values in combinations)
+        raise InputError(field, len(combinations), f"must be at most {MAX_ARMS} combinations")
+    return tuple(Arm(n, values, with_values(scenario, values, field)) for n, values in combinations)
 
 
 def group_arms_by_terrain(arms: Sequence[Arm]) -> tuple[tuple[int, ...], ...]:

@@ -49,11 +49,12 @@ def code_digest() -> str:
 
 
 def file_digests(data: Any) -> dict[str, str]:
-    """Return digests of the existing files that keys ending in ``path`` name, by file.
+    """Return the digest of each file named in nested tables, by file name.
 
-    `data` are nested tables, for instance of a scenario.
+    The tables `data` may be those of a scenario. Their keys that end in ``path`` name files; files
+    that do not exist are omitted.
     """
-    named = [text for key, text in _texts(data) if key.endswith("path") and Path(text).is_file()]
+    named = [text for key, text in _strings(data) if key.endswith("path") and Path(text).is_file()]
     return {text: _file_digest(Path(text)) for text in named}
 
 
@@ -63,18 +64,18 @@ def part_digests(data: Any) -> dict[str, str]:
     An external component has a ``kind`` of the form "module:Class" in the nested tables `data`.
     """
     found: dict[str, str] = {}
-    for key, text in _texts(data):
+    for key, text in _strings(data):
         if key == "kind" and ":" in text:
             found |= module_digest(text.partition(":")[0])
     return found
 
 
-def _texts(data: Any) -> Iterator[tuple[str, str]]:
+def _strings(data: Any) -> Iterator[tuple[str, str]]:
     """Yield key and value of every string in nested tables and lists."""
     items = data.items() if isinstance(data, Mapping) else enumerate(data)
     for key, value in items:
         if isinstance(value, Mapping | list | tuple):
-            yield from _texts(value)
+            yield from _strings(value)
         elif isinstance(value, str):
             yield str(key), value
 
@@ -95,14 +96,14 @@ def module_digest(name: str) -> dict[str, str]:
     return {name: _file_digest(Path(source))}
 
 
-def environment_differences(there: Mapping[str, str], here: Mapping[str, str]) -> list[str]:
+def environment_differences(first: Mapping[str, str], second: Mapping[str, str]) -> list[str]:
     """Return the names of packages and settings that differ between two environments.
 
-    Only differences that may change results are listed. `there` and `here` are results of
+    Only differences that may change results are listed. `first` and `second` are results of
     `environment` on two machines.
     """
-    names = dict.fromkeys([*there, *here])
-    return [n for n in names if n not in _IGNORED_DIFFERENCES and there.get(n) != here.get(n)]
+    names = dict.fromkeys([*first, *second])
+    return [n for n in names if n not in _IGNORED_DIFFERENCES and first.get(n) != second.get(n)]
 
 
 def environment() -> dict[str, str]:

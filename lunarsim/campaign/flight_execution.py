@@ -113,15 +113,15 @@ def build_plan(spec: CampaignSpec, out: Path | None = None, cache: DiskCache | N
     )
 
 
-def _draw_kinds(laws: Mapping[str, Any]) -> dict[str, str]:
+def _draw_kinds(distributions: Mapping[str, Any]) -> dict[str, str]:
     """Return the kind of each result column of random values, by column name.
 
-    Kinds are "bool", "int", "float" and "text". `laws` are the distributions by scenario key. A
-    choice of tables gives a column for each key.
+    Kinds are "bool", "int", "float" and "text". `distributions` has the distribution of each
+    scenario key; a choice of tables gives a column for each key of the tables.
     """
     found: dict[str, list[Any]] = {}
-    for key, law in laws.items():
-        for value in law.values if isinstance(law, Choice) else (0.0,):
+    for key, distribution in distributions.items():
+        for value in distribution.values if isinstance(distribution, Choice) else (0.0,):
             for name, one in _by_full_key({key: value}).items():
                 found.setdefault(name, []).append(one)
     return {name: kind_of(values) for name, values in found.items()}
@@ -174,14 +174,14 @@ def check_files(spec: CampaignSpec) -> None:
                 read.add(key)
 
 
-def _by_full_key(values: Any, before: str = "") -> dict[str, Any]:
+def _by_full_key(values: Any, prefix: str = "") -> dict[str, Any]:
     """Return scenario values by complete key, as in the columns of the results.
 
-    For instance, ``policy`` becomes ``policy.kind``. `before` is the prefix of the keys.
+    For instance, ``policy`` becomes ``policy.kind``. `prefix` precedes the keys.
     """
     found: dict[str, Any] = {}
     for key, value in values.items():
-        name = before + ".".join(path_of(key, value))
+        name = prefix + ".".join(path_of(key, value))
         found |= _by_full_key(value, f"{name}.") if isinstance(value, Mapping) else {name: value}
     return found
 

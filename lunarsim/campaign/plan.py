@@ -72,17 +72,17 @@ class DependentFlights(Protocol):
     stop: int | None
 
     def resume(self, rows: Iterable[Mapping[str, Any]]) -> list[int]:
-        """Add the existing result rows; return the flights whose predecessors are missing."""
+        """Add existing result rows; return flights that do not follow from earlier ones."""
         ...
 
     def add(self, flight: int, row: Mapping[str, Any]) -> None:
         """Add the result row of a flight."""
         ...
 
-    def groups(self, has: Callable[[int, int], bool]) -> Iterator[Group | None]:
+    def groups(self, has_result: Callable[[int, int], bool]) -> Iterator[Group | None]:
         """Yield groups that can start; None while all others wait for running flights.
 
-        `has` returns whether the result of a flight under an arm, given by indices, exists.
+        `has_result` returns whether the result of a flight under an arm, given by indices, exists.
         """
         ...
 

@@ -78,7 +78,7 @@ def _run_task(function: Callable[[T], R], task: T) -> R:
 
 
 def collect_results(
-    function: Callable[[T], R], tasks: Sequence[T], jobs: int, console: Console, what: str
+    function: Callable[[T], R], tasks: Sequence[T], jobs: int, console: Console, task_name: str
 ) -> list[R]:
     """Call a function on each task in processes with a progress bar; return results.
 
@@ -93,12 +93,12 @@ def collect_results(
         Function, its arguments and the number of processes, as for `iterate_results`.
     console
         Console of the progress bar.
-    what
+    task_name
         Name of the tasks, in the plural.
     """
     done: dict[int, R] = {}
     with plain_progress(console) as progress:
-        bar = progress.add_task(what, total=len(tasks))
+        bar = progress.add_task(task_name, total=len(tasks))
         try:
             for index, result in iterate_results(function, tasks, jobs):
                 done[index] = result
@@ -106,5 +106,5 @@ def collect_results(
         except KeyboardInterrupt:
             if 0 not in done:
                 raise
-            console.print(f"Interrupted after {len(done)} of {len(tasks)} {what}.")
+            console.print(f"Interrupted after {len(done)} of {len(tasks)} {task_name}.")
     return [done[i] for i in takewhile(done.__contains__, range(len(tasks)))]

@@ -7,28 +7,28 @@ from pathlib import Path
 from typing import Any
 
 
-def resolve_paths(given: Any, folder: Path, *, named: bool = False) -> Any:
+def resolve_paths(tables: Any, folder: Path, *, is_path: bool = False) -> Any:
     """Return nested tables in which relative paths are replaced by absolute ones.
 
     Parameters
     ----------
-    given
-        Table, list or value.
+    tables
+        Nested tables, a list, or a single value.
     folder
         Folder of the campaign file, from which relative paths start.
-    named
-        Whether `given` is the value of a key that names a file.
+    is_path
+        Whether `tables` is the value of a key that names a file.
     """
-    if isinstance(given, Mapping):
+    if isinstance(tables, Mapping):
         return {
             key: resolve_paths(
-                value, folder, named=(named and key == "values") or _names_file(str(key))
+                value, folder, is_path=(is_path and key == "values") or _names_file(str(key))
             )
-            for key, value in given.items()
+            for key, value in tables.items()
         }
-    if isinstance(given, list):
-        return [resolve_paths(value, folder, named=named) for value in given]
-    return str((folder / given).resolve()) if named and isinstance(given, str) else given
+    if isinstance(tables, list):
+        return [resolve_paths(value, folder, is_path=is_path) for value in tables]
+    return str((folder / tables).resolve()) if is_path and isinstance(tables, str) else tables
 
 
 def _names_file(key: str) -> bool:

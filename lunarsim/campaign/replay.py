@@ -80,13 +80,13 @@ def replay(folder: str | Path, flight: str) -> ReplayResult:
     return ReplayResult(record, simulation, row, recorded, differences)
 
 
-def _draws(plan: Plan, found: Results, index: int) -> dict[str, Any]:
+def _draws(plan: Plan, results: Results, index: int) -> dict[str, Any]:
     """Return the random scenario values of the flight with an index, by key.
 
-    With method subset, they depend on the results of earlier flights, `found`.
+    With method subset, they depend on the `results` of earlier flights.
     """
     if plan.chains is not None:
-        plan.chains.resume(found.table.to_pylist())
+        plan.chains.resume(results.table.to_pylist())
     try:
         return plan.draws(index)
     except LookupError:

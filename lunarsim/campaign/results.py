@@ -23,7 +23,7 @@ from lunarsim.campaign.files import bytes_digest
 from lunarsim.campaign.manifest import FORMAT, read_manifest
 from lunarsim.campaign.outcomes import FLOWN
 from lunarsim.campaign.plan import WEIGHT
-from lunarsim.campaign.rows import TIMING, check_expanded, schema_of
+from lunarsim.campaign.rows import TIMING, check_size_in_memory, schema_of
 from lunarsim.errors import InputError, check_output
 from lunarsim.untrusted_folders import read_bounded_bytes
 
@@ -121,11 +121,11 @@ def load_results(folder: str | Path, columns: Sequence[str] | None = None) -> Re
     # The journal comes first: a row that moves meanwhile is then read twice rather than never.
     journal = _journal(folder)
     wanted = None if columns is None else list(dict.fromkeys(["id", "flight", "arm", *columns]))
-    table = _parts(folder, "results", schema, wanted, manifest)
-    timing = _parts(folder, "timing", TIMING, None, manifest)
+    table = _read_parts(folder, "results", schema, wanted, manifest)
+    timing = _read_parts(folder, "timing", TIMING, None, manifest)
     if journal:
         # A flight that was flown again has its newer row in the journal.
-        table, timing = (_without(one, list(journal)) for one in (table, timing))
+        table, timing = (_without_rows(one, list(journal)) for one in (table, timing))
         try:
             rows = pa.Table.from_pylist([row for row, _ in journal.values()], schema)
             times = pa.Table.from_pylist([t for _, t in journal.values()], TIMING)
@@ -148,15 +148,15 @@ def load_results(folder: str | Path, columns: Sequence[str] | None = None) -> Re
     order = np.lexsort((arm, table["flight"].to_numpy()))
     if not np.array_equal(order, np.arange(len(order))):
         table = table.take(order)
-    return Results(folder, manifest, table, _ordered(timing, table))
+    return Results(folder, manifest, table, _order_like(timing, table))
 
 
-def _without(table: pa.Table, names: list[str]) -> pa.Table:
-    """Return the rows of a table whose ids are not in `names`."""
-    return table.filter(pc.invert(pc.is_in(table["id"], pa.array(names))))
+def _without_rows(table: pa.Table, ids: list[str]) -> pa.Table:
+    """Return the rows of a table whose ids are not in `ids`."""
+    return table.filter(pc.invert(pc.is_in(table["id"], pa.array(ids))))
 
 
-def _ordered(timing: pa.Table, table: pa.Table) -> pa.Table:
+def _order_like(timing: pa.Table, table: pa.Table) -> pa.Table:
     """Return the rows of `timing` in the order of the results `table`.
 
     A result without a time has empty values.
@@ -167,7 +167,7 @@ def _ordered(timing: pa.Table, table: pa.Table) -> pa.Table:
     return timing.take(places).set_column(0, "id", table["id"])
 
 
-def _parts(
+def _read_parts(
     folder: Path, kind: str, schema: pa.Schema, columns: list[str] | None, manifest: dict[str, Any]
 ) -> pa.Table:
     """Read all Parquet files of a campaign's results or times into one table.
@@ -178,7 +178,7 @@ def _parts(
     for path in sorted((folder / kind).glob("part-*.parquet")):
         try:
             data = _verified_bytes(folder, path, manifest)
-            check_expanded(data)
+            check_size_in_memory(data)
             table = pq.read_table(pa.BufferReader(data), columns=columns, schema=schema)
             if any(
                 table[name].null_count for name in _REQUIRED_COLUMNS if name in table.column_names
@@ -332,10 +332,10 @@ def export(folder: str | Path, out: Path, *, timing: bool = False) -> int:
     return len(table)
 
 
-def failures(found: Results) -> list[tuple[str, str, int]]:
+def failures(results: Results) -> list[tuple[str, str, int]]:
     """Count the causes of unsafe landings and errors: arm, cause, number of flights."""
     counts: Counter[tuple[str, str]] = Counter()
-    table = found.table
+    table = results.table
     whys = table["failure_causes"] if "failure_causes" in table.column_names else table["error"]
     columns = (table["arm"], table["outcome"], whys, table["error"])
     for arm, outcome, causes, error in zip(*(c.to_pylist() for c in columns), strict=True):
@@ -343,6 +343,6 @@ def failures(found: Results) -> list[tuple[str, str, int]]:
             counts[arm, f"{outcome}: {error}"] += 1
         elif causes:
             counts[arm, causes] += 1
-    place = {name: i for i, name in enumerate(found.arms)}
+    place = {name: i for i, name in enumerate(results.arms)}
     ordered = sorted(counts.items(), key=lambda item: (place[item[0][0]], -item[1]))
     return [(arm, what, count) for (arm, what), count in ordered]

@@ -51,10 +51,10 @@ def schema_of(inputs: Mapping[str, str], columns: Mapping[str, str]) -> pa.Schem
     )
 
 
-def check_expanded(data: bytes) -> None:
+def check_size_in_memory(data: bytes) -> None:
     """Refuse a Parquet file that takes more than `MAX_FILE_BYTES` in memory.
 
-    Texts are measured through dictionaries, because a column may repeat a long text many times.
+    A small file may expand to a large table, because a column may repeat a long text many times.
 
     Raises
     ------
@@ -74,23 +74,23 @@ def check_expanded(data: bytes) -> None:
         raise ValueError(f"more than {MAX_FILE_BYTES} bytes when expanded")
 
 
-def row_of(plan: Plan, done: Finished) -> dict[str, Any]:
+def row_of(plan: Plan, finished: Finished) -> dict[str, Any]:
     """Return the result row of a finished flight, with None for missing values.
 
-    `plan` has the inputs of the flight, and `done` its outcome and metrics.
+    `plan` has the inputs of the flight, and `finished` its outcome and metrics.
     """
-    metrics = done.metrics or {}
-    inputs = plan.inputs_of(done.flight, done.arm)
+    metrics = finished.metrics or {}
+    inputs = plan.inputs_of(finished.flight, finished.arm)
     return {
-        "id": row_id(done.flight, done.arm),
-        "flight": done.flight,
-        "arm": plan.arms[done.arm][0],
+        "id": row_id(finished.flight, finished.arm),
+        "flight": finished.flight,
+        "arm": plan.arms[finished.arm][0],
         "seed": plan.seed,
         **{key: to_cell(inputs.get(key), kind) for key, kind in plan.inputs.items()},
-        "outcome": done.outcome,
+        "outcome": finished.outcome,
         **{key: _convert_metric(metrics.get(key), kind) for key, kind in plan.columns.items()},
-        "error": _escape_non_utf8(done.error),
-        "traceback": _escape_non_utf8(done.traceback),
+        "error": _escape_non_utf8(finished.error),
+        "traceback": _escape_non_utf8(finished.traceback),
         "campaign": plan.name,
         "version": lunarsim.__version__,
         "code": code_digest(),

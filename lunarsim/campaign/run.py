@@ -243,7 +243,7 @@ def _replay_rows(rule: IntervalWidthRule, store: Store, plan: Plan) -> None:
 def _resume_chains(plan: Plan, store: Store) -> None:
     """Add stored results to the Markov chains of a subset simulation.
 
-    Results of flights whose predecessors are missing are deleted.
+    Results of flights that do not follow from their predecessors are deleted.
     """
     assert plan.chains is not None
     orphans = plan.chains.resume(store.rows())

@@ -29,14 +29,14 @@ class Branch:
 
     Attributes
     ----------
-    at
+    state
         Checkpoint where the arms diverged from the flown arm, or the finished simulation.
     decisions
         Decision of each arm at the checkpoint, by index of the arm; empty for a finished
         simulation.
     """
 
-    at: Checkpoint | Simulation
+    state: Checkpoint | Simulation
     decisions: Mapping[int, Decision] = field(default_factory=dict)
 
 
@@ -73,7 +73,7 @@ def _has_packaged_policy(scenario: Scenario) -> bool:
 def fly_on_shared_path(
     arm: int,
     scenarios: Mapping[int, Scenario],
-    begin: Callable[[], Simulation],
+    create_simulation: Callable[[], Simulation],
     branches: dict[int, Branch],
 ) -> Simulation:
     """Fly one arm to the end, from where its path leaves that of earlier arms.
@@ -86,7 +86,7 @@ def fly_on_shared_path(
         Index of the arm.
     scenarios
         Scenarios of this arm and of those that may share its path, by arm.
-    begin
+    create_simulation
         Function that creates a simulation at its start.
     branches
         Branch of each arm, by index, found while other arms were flown; new ones are added.
@@ -94,19 +94,19 @@ def fly_on_shared_path(
     policies = {i: make_policy(s, s.policy.kind) for i, s in scenarios.items()}
     branch = branches.get(arm)
     if branch is None:
-        simulation = begin()
+        simulation = create_simulation()
         others = [i for i in policies if i != arm and i not in branches]
-    elif isinstance(branch.at, Simulation):
-        return _relabelled(branch.at, scenarios[arm], policies[arm])
+    elif isinstance(branch.state, Simulation):
+        return _relabel(branch.state, scenarios[arm], policies[arm])
     else:
-        simulation = branch.at.resumed()
+        simulation = branch.state.resumed()
         others = [i for i in branch.decisions if i != arm]
         simulation.apply(branch.decisions[arm])
         simulation.move()
     _fly(simulation, arm, others, policies, branches)
     for other in others:
         branches[other] = Branch(simulation)
-    return _relabelled(simulation, scenarios[arm], policies[arm])
+    return _relabel(simulation, scenarios[arm], policies[arm])
 
 
 def _fly(
@@ -124,7 +124,9 @@ def _fly(
         if simulation.decision_due:
             observation = simulation.observe()
             decisions_by_arm = {i: simulation.ask(policies[i], observation) for i in (arm, *others)}
-            parting = [i for i in others if _differ(decisions_by_arm[i], decisions_by_arm[arm])]
+            parting = [
+                i for i in others if _decisions_differ(decisions_by_arm[i], decisions_by_arm[arm])
+            ]
             for i in parting:
                 others.remove(i)
             _store_branches(simulation, {i: decisions_by_arm[i] for i in parting}, branches)
@@ -143,7 +145,7 @@ def _store_branches(
     if not decisions:
         return
     try:
-        at = Checkpoint(simulation)
+        checkpoint = Checkpoint(simulation)
     except CheckpointError:
         return  # these arms are flown from the start
     while decisions:
@@ -152,25 +154,25 @@ def _store_branches(
         same = {
             i: decision
             for i, decision in decisions.items()
-            if decision is first or not _differ(decision, first)
+            if decision is first or not _decisions_differ(decision, first)
         }
-        branch = Branch(at, same)
+        branch = Branch(checkpoint, same)
         for i in same:
             branches[i] = branch
             del decisions[i]
 
 
-def _differ(one: Decision, other: Decision) -> bool:
+def _decisions_differ(first: Decision, second: Decision) -> bool:
     """Return whether two policy decisions differ in what is flown or recorded."""
-    if one.site is None and other.site is None and not (one.abort or other.abort):
+    if first.site is None and second.site is None and not (first.abort or second.abort):
         return False  # reasons to keep a site are not recorded
-    if one.site is None or other.site is None or one.abort or other.abort:
+    if first.site is None or second.site is None or first.abort or second.abort:
         return True
-    same = one.site.tobytes() == other.site.tobytes() and one.reason == other.reason
-    return not (same and repr(one.details) == repr(other.details))
+    same = first.site.tobytes() == second.site.tobytes() and first.reason == second.reason
+    return not (same and repr(first.details) == repr(second.details))
 
 
-def _relabelled(simulation: Simulation, scenario: Scenario, policy: Any) -> Simulation:
+def _relabel(simulation: Simulation, scenario: Scenario, policy: Any) -> Simulation:
     """Set the scenario and policy that a simulation records; return the simulation."""
     simulation.scenario, simulation.policy = scenario, policy
     return simulation

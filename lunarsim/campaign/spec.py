@@ -419,15 +419,15 @@ def _importance(table: Any) -> Importance | None:
 _IMPORTANCE_TABLES = ("shifts", "scales")
 
 
-def _distribution_tables(table: Mapping[str, Any], before: str = "") -> list[tuple[str, Any]]:
+def _distribution_tables(table: Mapping[str, Any], prefix: str = "") -> list[tuple[str, Any]]:
     """Return scenario key and table of each distribution in nested tables.
 
     A distribution is a table with a string `kind`; a value that is not a table is returned too, and
-    refused later. `before` is the prefix of the keys.
+    refused later. `prefix` precedes the keys.
     """
     found = []
     for key, value in table.items():
-        name = f"{before}{key}"
+        name = f"{prefix}{key}"
         inner = isinstance(value, Mapping) and not isinstance(value.get("kind"), str)
         deeper = inner and value and all(isinstance(v, Mapping) for v in value.values())
         found += _distribution_tables(value, f"{name}.") if deeper else [(name, value)]
@@ -467,14 +467,14 @@ def _list(given: Any) -> list[Any]:
     return given
 
 
-def _build(path: str, of: type, table: Any) -> Any:
-    """Build and check an object of class `of` from its table in the campaign file.
+def _build(path: str, settings_class: type, table: Any) -> Any:
+    """Build and check a settings object from its table in the campaign file.
 
     `path` is the name of the table, "" for the top level.
     """
     if not isinstance(table, Mapping):
         raise InputError(path, table, "must be a table")
-    model = settings_of(of)
+    model = settings_of(settings_class)
     before = f"{path}." if path else ""
     try:
         return model.model_validate(dict(table)).make()
@@ -526,15 +526,15 @@ def _overlap(a: tuple[str, ...], b: tuple[str, ...]) -> bool:
     return longer[: len(shorter)] == shorter
 
 
-def _check_no_overlap(keys: Iterable[str], values: Mapping[str, Sequence[Any]], where: str) -> None:
+def _check_no_overlap(keys: Iterable[str], values: Mapping[str, Sequence[Any]], field: str) -> None:
     """Raise `InputError` if one scenario key contains another, for instance its table.
 
     The result would depend on the order in which both are set. `values` has the values of the keys,
-    and `where` is the field name for errors.
+    and `field` is the field name for errors.
     """
     for a, b in itertools.combinations(keys, 2):
         if _overlap(_key_path(a, values.get(a, [0.0])), _key_path(b, values.get(b, [0.0]))):
-            raise InputError(f"{where}.{b}", b, f"must not be set together with {a}")
+            raise InputError(f"{field}.{b}", b, f"must not be set together with {a}")
 
 
 def _extremes(values: list[Any]) -> list[Any]:

@@ -34,7 +34,7 @@ from lunarsim.campaign.files import bytes_digest, write_json
 from lunarsim.campaign.manifest import matching_manifest, new_manifest, with_digest
 from lunarsim.campaign.outcomes import FLOWN, Finished
 from lunarsim.campaign.plan import Plan, row_id
-from lunarsim.campaign.rows import TIMING, Row, check_expanded, row_of, schema_of
+from lunarsim.campaign.rows import TIMING, Row, check_size_in_memory, row_of, schema_of
 from lunarsim.errors import InputError
 from lunarsim.untrusted_folders import read_bounded_bytes
 
@@ -186,7 +186,7 @@ class Store:
         data = read_bounded_bytes(self.folder / kind / name)
         if self._parts().get(f"{kind}/{name}", bytes_digest(data)) != bytes_digest(data):
             raise ValueError("its digest differs from the one in manifest.json")
-        check_expanded(data)
+        check_size_in_memory(data)
         return pa.BufferReader(data)
 
     def _drop_digests(self, part: int) -> None:
@@ -268,13 +268,13 @@ class Store:
 
     # --- writing --------------------------------------------------------------------------
 
-    def add(self, done: Finished) -> dict[str, Any]:
+    def add(self, finished: Finished) -> dict[str, Any]:
         """Append a finished flight to the journal, and return its result row."""
-        row = row_of(self.plan, done)
-        line = _journal_line((row, done.timing()))
+        row = row_of(self.plan, finished)
+        line = _journal_line((row, finished.timing()))
         self._append(line + "\n")
-        part = self._part(done.flight)
-        self._open.setdefault(part, {})[done.flight, done.arm] = line
+        part = self._part(finished.flight)
+        self._open.setdefault(part, {})[finished.flight, finished.arm] = line
         if self._is_full(part):
             self._write_part(part)
         return row
@@ -414,12 +414,8 @@ def _write_table(table: pa.Table, path: Path) -> None:
 def _lock_folder(folder: Path) -> IO[str]:
     """Lock a campaign folder for writing; return the open lock file.
 
-    The lock ends when the file is closed or the process ends.
-
-    Raises
-    ------
-    InputError
-        If another process holds the lock.
+    The lock ends when the file is closed or the process ends. `InputError` is raised if another
+    process holds the lock.
     """
     lock = (folder / ".lock").open("a", encoding="utf-8")
     try:

@@ -240,12 +240,10 @@ class SubsetChains:
         self._waiting = deque(range(end, end + self.chains))
 
     def resume(self, rows: Iterable[Row]) -> list[int]:
-        """Start again from stored results; return flights whose predecessor is missing.
+        """Start again from stored results; return the flights that do not fit.
 
-        Parameters
-        ----------
-        rows
-            Result rows of the campaign's only arm, sorted by flight.
+        A flight does not fit if a predecessor is missing, or if its values do not follow from its
+        predecessors. `rows` are the result rows of the campaign's only arm, sorted by flight.
         """
         self.reset()
         orphans: list[int] = []
@@ -272,16 +270,16 @@ class SubsetChains:
         """Result column that measures the distance of a flight from failure."""
         return self._settings.metric
 
-    def groups(self, has: Callable[[int, int], bool]) -> Iterator[Group | None]:
+    def groups(self, has_result: Callable[[int, int], bool]) -> Iterator[Group | None]:
         """Yield flights that can start and have no result yet.
 
-        Yield None while all wait for running flights. `has` returns whether the result of a flight
-        under an arm, given by indices, is stored.
+        Yield None while all wait for running flights. `has_result` returns whether the result of a
+        flight under an arm, given by indices, is stored.
         """
         while self.stop is None:
             if not self._waiting:
                 yield None
                 continue
             flight = self._waiting.popleft()
-            if not has(flight, 0):
+            if not has_result(flight, 0):
                 yield Group(flight, (0,), self.draws(flight))

@@ -66,7 +66,8 @@ def load_chains(results: Results) -> SubsetChains:
     orphans = chains.resume(results.table.to_pylist())
     if orphans and results.manifest["state"] == "complete":
         raise InputError(
-            "folder", str(results.folder), f"flight {orphans[0]} does not follow from the others",
+            "folder", str(results.folder),
+            f"flight {orphans[0]} does not match the flights that it depends on",
             "Fly it again with the same spec: lunarsim campaign run.",
         )  # fmt: skip
     return chains
@@ -136,10 +137,10 @@ def estimate_failure_probability(levels: Sequence[SubsetLevel]) -> SubsetEstimat
 
 
 def _reached_share_bound(levels: Sequence[SubsetLevel]) -> float:
-    """Return an upper limit of the failure probability if few worlds remain.
+    """Return an upper limit of the failure probability if few worlds remain, else 0.
 
-    It is the upper limit of the probability to reach the last level with at least
-    `MIN_EFFECTIVE_FAILURES` different worlds. Return 0 if the final level has as many.
+    It is the upper limit of the probability to reach the first level with fewer than
+    `MIN_EFFECTIVE_FAILURES` different worlds. If there is no such level, the result is 0.
     """
     reached, spread, bound = 1.0, 0.0, 1.0
     for level in levels[:-1]:
@@ -170,18 +171,18 @@ def level_variance(level: SubsetLevel) -> float:
     )
 
 
-def _chain_correlation(near: np.ndarray, share: float) -> float:
+def _chain_correlation(is_below: np.ndarray, share: float) -> float:
     """Return the correlation factor gamma of Markov chains (Au and Beck 2001, eq. 29).
 
-    `near` (chains, steps) states whether each state is below the threshold, and `share` is the
-    fraction of such states. The result is at least 0.
+    `is_below` (chains, steps) states whether each state is at or below the threshold, and `share`
+    is the fraction of such states. The result is at least 0.
     """
-    steps = near.shape[1]
+    steps = is_below.shape[1]
     variance = share * (1.0 - share)
     if variance == 0.0:
         return 0.0
     total = 0.0
     for apart in range(1, steps):
-        together = float(np.mean(near[:, :-apart] & near[:, apart:])) - share**2
+        together = float(np.mean(is_below[:, :-apart] & is_below[:, apart:])) - share**2
         total += 2.0 * (1.0 - apart / steps) * together / variance
     return max(0.0, total)

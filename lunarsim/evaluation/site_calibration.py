@@ -23,7 +23,7 @@ from lunarsim.safety.calibration import (
     packaged_ensemble,
     site_probability,
 )
-from lunarsim.safety.domain import Domain
+from lunarsim.safety.domain import CalibrationDomain
 from lunarsim.safety.scenario_calibration import (
     MIN_SITES_PER_CLASS,
     ScenarioCalibration,
@@ -55,7 +55,8 @@ class SiteSamples:
         inside that domain.
     hazards, tilting, noise, spacing
         Expected numbers of undetected rocks above the roughness limit and of rocks that tilt the
-        lander; noise over roughness limit; sample spacing over leg radius; as in `Domain`.
+        lander; noise over roughness limit; sample spacing over leg radius (as in
+        `CalibrationDomain`).
     safe
         Whether the site is exactly safe.
     """
@@ -120,16 +121,16 @@ class SiteSamples:
         """Return the sites that a mask (n,) selects."""
         return SiteSamples(*(getattr(self, f.name)[where] for f in fields(self)))
 
-    def domain(self) -> Domain:
+    def domain(self) -> CalibrationDomain:
         """Return the range of site features that these sites cover.
 
         Sites outside the domain of the regressions supplied with lunarsim are included if there are
         enough of them for a fit.
         """
         s = self if has_enough_sites(self.safe[~self.known]) else self.at(self.known)
-        return Domain.of(s.hazards, s.tilting, s.noise, s.spacing)
+        return CalibrationDomain.of(s.hazards, s.tilting, s.noise, s.spacing)
 
-    def inside(self, domain: Domain) -> BoolArray:
+    def inside(self, domain: CalibrationDomain) -> BoolArray:
         """Return which sites lie in a domain of a calibration (n,)."""
         few = domain.is_within_counts(self.hazards, self.tilting)
         return np.asarray(few & domain.is_within_measurements(self.noise, self.spacing))

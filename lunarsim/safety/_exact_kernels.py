@@ -32,21 +32,21 @@ from lunarsim._simd import (
 )
 from lunarsim.safety._kernels import (
     FAR,
-    datum_of,
-    fill,
-    insert,
-    levels_of,
+    allocate_levels,
+    fill_maxima,
+    insert_sorted,
     load_window,
-    over_runs,
     tile_at,
+    tile_datum,
     tiles_of,
+    write_footprint_max,
 )
 from lunarsim.safety._plane_kernels import (
     PLANE_ROWS,
-    clear,
+    clear_unknown,
     flat_offsets,
-    plane,
     squared_tangent,
+    support_plane,
     terrain_under_pads,
     window_shape,
 )
@@ -65,22 +65,20 @@ def _median(values, ascending):
     count = 0
     for i in range(values.shape[0]):
         for j in range(values.shape[1]):
-            insert(ascending, count, values[i, j])
+            insert_sorted(ascending, count, values[i, j])
             count += 1
     low, high = ascending[(count - 1) // 2], ascending[count // 2]
     return np.float32(0.5) * (low + high)
 
 
 @kernel()
-def slopes_at_large(z, inside, arm, out):
+def large_scale_gradients(z, inside, half_baseline, out):
     """Write large-scale terrain gradients of 8 x 8 cell squares, m per cell.
 
     `z` (rows, cols) is the elevation, `out` (2, n, k) the gradient of each square to the east and
-    north.
-
-    The gradient is the median over a square of height differences over an `arm` to either side,
-    then the median over the neighbouring squares. It follows domes and ridges and ignores rocks and
-    ripples. Only heights `inside` (first and last row, first and last column) are used.
+    north. The height difference per cell between points `half_baseline` cells to either side is
+    filtered by the median over the square, then over the neighbouring squares, so that rocks and
+    ripples have no effect. Only heights `inside` (first and last row and column) are used.
     """
     _, rows, cols = out.shape
     bottom, top, left, right = inside
@@ -93,9 +91,9 @@ def slopes_at_large(z, inside, arm, out):
                 for c in range(SQUARE // 2):
                     y = min(max(i * SQUARE + r, bottom), top)
                     x = min(max(j * SQUARE + 2 * c, left), right)
-                    a, b = max(x - arm, left), min(x + arm, right)
+                    a, b = max(x - half_baseline, left), min(x + half_baseline, right)
                     some[0, r, c] = (z[y, b] - z[y, a]) / np.float32(max(b - a, 1))
-                    a, b = max(y - arm, bottom), min(y + arm, top)
+                    a, b = max(y - half_baseline, bottom), min(y + half_baseline, top)
                     some[1, r, c] = (z[b, x] - z[a, x]) / np.float32(max(b - a, 1))
             for axis in range(2):
                 raw[axis, i, j] = _median(some[axis], ascending)
@@ -107,11 +105,11 @@ def slopes_at_large(z, inside, arm, out):
 
 
 @kernel(fast=True)
-def between(slopes, out):
-    """Interpolate gradients of squares to the block to the north-east of each cell.
+def block_gradients(slopes, out):
+    """Interpolate one gradient component from squares to the block of each cell.
 
-    `slopes` (n, k) is one component of the gradient at the centres of squares of SQUARE x SQUARE
-    cells; `out` (rows, cols) is its value at the centre of the block of BLOCK x BLOCK cells.
+    `slopes` (n, k) are values at the centres of squares of SQUARE x SQUARE cells, `out` (rows,
+    cols) at the centre of the BLOCK x BLOCK cells to the north-east of each cell.
     """
     rows, cols = slopes.shape
     tall, wide = out.shape
@@ -134,17 +132,17 @@ def between(slopes, out):
 
 
 @kernel()
-def _lids(z, slopes, height, east, north):
-    """Write height and gradient of the lid of the block north-east of each cell.
+def _write_lids(z, slopes, height, east, north):
+    """Write the bounding plane (lid) of the block to the north-east of each cell.
 
-    A lid is the lowest plane of the gradient from `slopes` above all cells of the block. `height`,
-    `east` and `north` (rows cols,) are the lid's height at the block's centre, m, and its gradient
-    per cell.
+    The lid is the lowest plane above all cells of the block that has the large-scale gradient
+    `slopes`. `height`, `east` and `north` (rows cols,) are its height at the block's centre, m, and
+    its gradient per cell.
     """
     tall, wide = z.shape
     flat = z.reshape(z.size)
-    between(slopes[0], east.reshape(tall, wide))
-    between(slopes[1], north.reshape(tall, wide))
+    block_gradients(slopes[0], east.reshape(tall, wide))
+    block_gradients(slopes[1], north.reshape(tall, wide))
     for at in range(0, z.size - (BLOCK - 1) * wide - BLOCK - SIMD_WIDTH, SIMD_WIDTH):
         gx = load(east, at)
         gy = load(north, at)
@@ -159,48 +157,46 @@ def _lids(z, slopes, height, east, north):
 
 
 @kernel()
-def _lift_lids(window, here, corners, lids):
-    """Write the lids of all blocks around sixteen sites, raised for gradients.
+def _write_raised_lids(window, site, corners, lids):
+    """Write height bounds of all blocks around sixteen sites into `lids`.
 
-    The lid of a block is its bounding plane; its height is raised for the difference between its
-    gradient and the gradient at the site. `window` is from `_prepare`, `here` the index of the
-    first site, `corners` (n,) the blocks' offsets from it; block n of site k is lids[SIMD_WIDTH n +
-    k].
+    The bound is the height of the block's bounding plane, raised for the difference between its
+    gradient and the gradient at the site. `window` is from `_prepare_tile`, `site` the index of the
+    first site, `corners` (n,) the blocks' offsets from it; the bound of block n at site k is
+    lids[SIMD_WIDTH n + k].
     """
     height, east, north = window[2], window[3], window[4]
-    gx, gy = load(east, here), load(north, here)
+    gx, gy = load(east, site), load(north, site)
     for n in range(len(corners)):
-        at = here + item(corners, n)
+        at = site + item(corners, n)
         slant = lane_abs(load(east, at) - gx) + lane_abs(load(north, at) - gy)
         store(lids, n * SIMD_WIDTH, load(height, at) + HALF * slant)
 
 
 @kernel(inline=True)
 def _lid_above_plane(lids, blocks, centres, n, gx, gy):
-    """Return the height of the lid of block `n` above a plane of gradient (gx, gy).
+    """Return the height bound of block `n` above planes through sixteen sites.
 
-    The plane goes through the site at height 0; heights are for sixteen neighbouring sites.
-    `blocks` and `centres` are `which` and `centres` of `PolygonBlocks`.
+    `lids` are the height bounds from `_write_raised_lids`, (gx, gy) the planes' gradients per cell;
+    `blocks` and `centres` are `corner_index` and `centres` of `PolygonBlocks`.
     """
     lid = load(lids, item(blocks, n) * SIMD_WIDTH)
     return lid - item(centres, 2 * n) * gx - item(centres, 2 * n + 1) * gy
 
 
 @kernel(inline=True)
-def _max_in_block(z, here, wide, covers, n, gx, gy):
-    """Return the maximum height of the polygon's cells in block `n` above a plane.
+def _max_in_block(z, site, columns, polygon, n, gx, gy):
+    """Return the maximum height of block `n` above planes through sixteen sites.
 
-    The plane has the gradient (gx, gy) per cell and goes through the site at height 0. `here` is
-    the index of the first of sixteen sites, `wide` the number of columns of `z`; `covers` are the
-    blocks' corners and `allowed`.
-
-    `allowed` is 0 for cells of the polygon and -FAR for the others, which is faster than a test.
+    Only cells in the polygon of the legs count: `polygon` are `corners` and `allowed` of
+    `PolygonBlocks`. `z` has `columns` columns, `site` is the index of the first site, and (gx, gy)
+    are the planes' gradients per cell.
     """
-    corners, allowed = covers
+    corners, allowed = polygon
     south, west = item(corners, 2 * n), item(corners, 2 * n + 1)
     top = lane_fill(-FAR)
     for r in range(BLOCK):
-        at = here + (south + r) * wide + west
+        at = site + (south + r) * columns + west
         line = lane_fill(-FAR)
         for c in range(BLOCK):
             level = load(z, at + c) + item(allowed, (n * BLOCK + r) * BLOCK + c)
@@ -210,22 +206,22 @@ def _max_in_block(z, here, wide, covers, n, gx, gy):
 
 
 @kernel(inline=True)
-def _max_in_four_blocks(z, here, wide, covers, n, gx, gy, risen, need):
-    """Compute `_max_in_block` for those of four blocks whose lids exceed `need`.
+def _max_in_four_blocks(z, site, columns, polygon, n, gx, gy, lid_heights, threshold):
+    """Return the maximum of `_max_in_block` over blocks `n` to n + 3.
 
-    `risen` are the heights of the lids (upper bounds) of blocks n to n + 3 above the plane; a block
-    whose lid is below `need` at all sixteen sites is skipped.
+    Blocks whose `lid_heights` (upper bounds) are below `threshold` at all sixteen sites are
+    skipped.
     """
-    a, b, c, d = risen
+    a, b, c, d = lid_heights
     top = lane_fill(-FAR)
-    if any_greater(a, need):
-        top = _max_in_block(z, here, wide, covers, n, gx, gy)
-    if any_greater(b, need):
-        top = lane_max(top, _max_in_block(z, here, wide, covers, n + 1, gx, gy))
-    if any_greater(c, need):
-        top = lane_max(top, _max_in_block(z, here, wide, covers, n + 2, gx, gy))
-    if any_greater(d, need):
-        top = lane_max(top, _max_in_block(z, here, wide, covers, n + 3, gx, gy))
+    if any_greater(a, threshold):
+        top = _max_in_block(z, site, columns, polygon, n, gx, gy)
+    if any_greater(b, threshold):
+        top = lane_max(top, _max_in_block(z, site, columns, polygon, n + 1, gx, gy))
+    if any_greater(c, threshold):
+        top = lane_max(top, _max_in_block(z, site, columns, polygon, n + 2, gx, gy))
+    if any_greater(d, threshold):
+        top = lane_max(top, _max_in_block(z, site, columns, polygon, n + 3, gx, gy))
     return top
 
 
@@ -242,78 +238,83 @@ def _stride(headings):
 
 
 @kernel()
-def _steepest(feet, here, legs, cells, posting, out):
+def _steepest(feet, site, legs, footprint, posting, out):
     """Write the maximum tan(slope) over headings and support planes of sixteen sites.
 
-    `feet` holds the terrain height under a pad, `here` is the index of the first site, `legs` are
-    the index offsets of the legs for each heading, `cells` the `FootprintArrays`.
+    `feet` holds the terrain height under a pad, `site` is the index of the first site, and `legs`
+    are the index offsets of the legs for each heading.
     """
-    inverse, place = cells.inverse, cells.place
+    inverse, first_leg = footprint.inverse, footprint.first_leg
     steepest = lane_fill(0.0)
     for h in range(legs.shape[0]):
         for s in range(inverse.shape[1]):
-            gx, gy, _ = plane(feet, here, legs, inverse, place, h, s)
+            gx, gy, _ = support_plane(feet, site, legs, inverse, first_leg, h, s)
             steepest = lane_max(steepest, squared_tangent(gx, gy, posting))
     store(out, 0, lane_sqrt(steepest))
 
 
 @kernel()
-def _drop_steep(tangent, limit, lanes):
-    """Set `lanes` to FAR for sites whose slope reaches `limit`; return if any is left.
-
-    `tangent` and `lanes` (16,) hold tan(slope) and the skip mark of sixteen sites.
-    """
+def _drop_steep(tangent, limit, skip):
+    """Set `skip` to FAR where tan(slope) reaches `limit`; return if any site is left."""
     left = False
     for k in range(SIMD_WIDTH):
         if tangent[k] >= limit:
-            lanes[k] = FAR
-        left |= lanes[k] < FAR
+            skip[k] = FAR
+        left |= skip[k] < FAR
     return left
 
 
 @kernel()
 def _write_roughness(
-    window, here, wide, legs, cells, covers, posting, limit_rough, decide, start, lanes, lids,
+    window, site, columns, legs, footprint, polygon_blocks, posting, roughness_limit,
+    classify_only, start, lanes, lids,
 ):  # fmt: skip
     """Write the maximum roughness of sixteen sites over headings and support planes.
 
-    lanes[0] is FAR for sites to skip, lanes[3] the margin for rounding; `lids` is from
-    `_lift_lids`. Returns the heading that raised the roughness last; `start` is the first heading.
+    The rows of `lanes` are FAR for sites to skip, tan(slope), roughness (result), and the margin
+    for rounding. `lids` are height bounds from `_write_raised_lids`, `start` is the first heading.
+    The heading that raised the roughness last is returned.
     """
     z, feet = window[0], window[1]
-    ex, ey = load(window[3], here), load(window[4], here)
-    inverse, place = cells.inverse, cells.place
-    blocks, centres, first = covers.which, covers.centres, covers.first
-    polygon = (covers.corners.reshape(covers.corners.size), covers.allowed)
+    ex, ey = load(window[3], site), load(window[4], site)
+    inverse, first_leg = footprint.inverse, footprint.first_leg
+    blocks, centres, first = (
+        polygon_blocks.corner_index,
+        polygon_blocks.centres,
+        polygon_blocks.first,
+    )
+    polygon = (polygon_blocks.corners.reshape(polygon_blocks.corners.size), polygon_blocks.allowed)
     headings = legs.shape[0]
     stride = _stride(headings)
     out, margin = load(lanes[0], 0), load(lanes[3], 0)
     steepest = lane_fill(0.0)
     # Smaller values are rounding errors.
-    worst = lane_fill(limit_rough) if decide else margin + margin
+    worst = lane_fill(roughness_limit) if classify_only else margin + margin
     last_raised = start
     for turn in range(headings):
         h = (start + turn * stride) % headings
         for s in range(inverse.shape[1]):
-            gx, gy, base = plane(feet, here, legs, inverse, place, h, s)
+            gx, gy, base = support_plane(feet, site, legs, inverse, first_leg, h, s)
             square = squared_tangent(gx, gy, posting)
             steepest = lane_max(steepest, square)
             stretch = lane_sqrt(square + np.float32(1.0))
             slant = lane_abs(ex - gx) + lane_abs(ey - gy)
             lowest = base + out - HALF * slant - margin
-            need = lowest + worst * stretch
+            threshold = lowest + worst * stretch
             for n in range(item(first, h), item(first, h + 1), 4):
                 a = _lid_above_plane(lids, blocks, centres, n, gx, gy)
                 b = _lid_above_plane(lids, blocks, centres, n + 1, gx, gy)
                 c = _lid_above_plane(lids, blocks, centres, n + 2, gx, gy)
                 d = _lid_above_plane(lids, blocks, centres, n + 3, gx, gy)
-                if any_greater(lane_max(lane_max(a, b), lane_max(c, d)), need):
-                    top = _max_in_four_blocks(z, here, wide, polygon, n, gx, gy, (a, b, c, d), need)
+                if any_greater(lane_max(lane_max(a, b), lane_max(c, d)), threshold):
+                    top = _max_in_four_blocks(
+                        z, site, columns, polygon, n, gx, gy, (a, b, c, d), threshold
+                    )
                     worst = lane_max(worst, (top - base) / stretch)
-                    need = lowest + worst * stretch
+                    threshold = lowest + worst * stretch
                     last_raised = h
-        if decide:
-            out = select_ge(lane_fill(limit_rough), worst, out, lane_fill(FAR))
+        if classify_only:
+            out = select_ge(lane_fill(roughness_limit), worst, out, lane_fill(FAR))
             if not any_greater(lane_fill(np.float32(0.5) * FAR), out):
                 break
     store(lanes[1], 0, lane_max(lane_sqrt(steepest), load(lanes[1], 0)))
@@ -326,51 +327,50 @@ _ROUNDING = np.float32(2e-6)
 
 
 @kernel()
-def _mark(todo, size, i, first, lanes):
-    """Mark which of sixteen sites to evaluate, write rounding margins; return if any.
+def _select_sites(selected, footprint_max, row, first_col, lanes):
+    """Write which of sixteen sites to evaluate, and rounding margins, into `lanes`.
 
-    The sites are those of row `i` from column `first` on; `lanes` is as in `_write_roughness`.
-
-    A site's margin depends on the heights of its footprint, which are FAR where unknown.
+    The sites are in row `row` from column `first_col` on; the rows of `lanes` are as in
+    `_write_roughness`. A margin is proportional to `footprint_max`, the maximum height of a site's
+    footprint, FAR where unknown. The result is whether any site is to be evaluated.
     """
     found = False
     for k in range(SIMD_WIDTH):
-        j = first + k
-        wanted = j < todo.shape[1] and todo[i, j] and size[i, j] < FAR
+        j = first_col + k
+        wanted = j < selected.shape[1] and selected[row, j] and footprint_max[row, j] < FAR
         lanes[0, k] = np.float32(0.0) if wanted else FAR
-        lanes[3, k] = _ROUNDING * size[i, j] if wanted else np.float32(0.0)
+        lanes[3, k] = _ROUNDING * footprint_max[row, j] if wanted else np.float32(0.0)
         found |= wanted
     return found
 
 
 @kernel()
-def _prepare(z, middle, cells, r0, c0, window, size):
-    """Fill a tile's elevation windows and the maximum height of each footprint.
+def _prepare_tile(z, middle, footprint, r0, c0, window, footprint_max):
+    """Write the terrain windows of a tile, and the maximum height of each footprint.
 
-    The tile begins at row `r0`, column `c0` of the raster `z`; `cells` are the `FootprintArrays`.
-
-    `window` (5, rows, cols) becomes elevation, terrain under pads, heights and gradients of lids
-    (bounding planes of blocks); `size` is FAR where a footprint contains unknown terrain or leaves
-    the raster.
+    The tile begins at row `r0`, column `c0` of the raster `z`, whose heights have the middle
+    `middle`. `window` (5, rows, cols) becomes elevation, terrain under pads, and height and
+    gradient (2) of each block's bounding plane. `footprint_max` is FAR where a footprint contains
+    unknown terrain or leaves the raster.
     """
-    reach = cells.reach
+    reach = footprint.reach
     _, tall, wide = window.shape
-    h, w = size.shape
-    levels = levels_of(cells, tall, wide)
-    datum = datum_of(z, middle, r0, c0, h, w)
+    h, w = footprint_max.shape
+    levels = allocate_levels(footprint, tall, wide)
+    datum = tile_datum(z, middle, r0, c0, h, w)
     load_window(z, middle, datum, r0 - reach, c0 - reach, window[0])
     for i in range(tall):
         for j in range(wide):
             levels[0, i, j] = abs(window[0, i, j])
-    fill(levels, cells)
-    over_runs(levels, cells.depth, cells.leg_windows, reach, size)
+    fill_maxima(levels, footprint)
+    write_footprint_max(levels, footprint.depth, footprint.leg_windows, reach, footprint_max)
     body = np.empty((h, w), np.float32)
-    over_runs(levels, cells.depth, cells.body_windows, reach, body)
+    write_footprint_max(levels, footprint.depth, footprint.body_windows, reach, body)
     for i in range(h):
         for j in range(w):
-            size[i, j] = max(size[i, j], body[i, j])
-    clear(window[0])
-    terrain_under_pads(levels, window[0], cells, window[1])
+            footprint_max[i, j] = max(footprint_max[i, j], body[i, j])
+    clear_unknown(window[0])
+    terrain_under_pads(levels, window[0], footprint, window[1])
     window[2:] = np.float32(0.0)
     slopes = np.empty((2, tall // SQUARE, wide // SQUARE), np.float32)
     rows, cols = z.shape
@@ -380,45 +380,47 @@ def _prepare(z, middle, cells, r0, c0, window, size):
         max(reach - c0, 0),
         min(w + 2 * reach, cols - c0 + reach) - 1,
     )
-    slopes_at_large(window[0], inside, max(reach // 2, 1), slopes)
+    large_scale_gradients(window[0], inside, max(reach // 2, 1), slopes)
     flat = window.reshape(5, tall * wide)
-    _lids(window[0], slopes, flat[2], flat[3], flat[4])
+    _write_lids(window[0], slopes, flat[2], flat[3], flat[4])
 
 
 @kernel()
 def _exact_tile(
-    window, size, todo, cells, covers, posting, limit_slope, limit_rough, decide, slope_out,
-    rough_out,
+    window, footprint_max, selected, footprint, polygon_blocks, posting, slope_limit,
+    roughness_limit, classify_only, slope_out, rough_out,
 ):  # fmt: skip
-    """Write tan(slope) and roughness of the sites `todo` of a tile.
+    """Write tan(slope) and roughness of the `selected` sites of a tile.
 
-    `window` and `size` are from `_prepare`; the other arguments are as in `exact`.
+    `window` and `footprint_max` are from `_prepare_tile`; the other arguments are as in `exact`.
     """
-    wide = window.shape[2]
-    flat = window.reshape(5, window.shape[1] * wide)
-    legs = flat_offsets(cells.legs, wide)
-    corners = flat_offsets(covers.distinct, wide)
+    columns = window.shape[2]
+    flat = window.reshape(5, window.shape[1] * columns)
+    legs = flat_offsets(footprint.legs, columns)
+    corners = flat_offsets(polygon_blocks.distinct, columns)
     lanes = np.zeros((4, SIMD_WIDTH), np.float32)
     lids = np.empty(len(corners) * SIMD_WIDTH, np.float32)
     start = 0
-    for i in range(todo.shape[0]):
-        for j in range(0, todo.shape[1], SIMD_WIDTH):
-            if not _mark(todo, size, i, j, lanes):
+    for i in range(selected.shape[0]):
+        for j in range(0, selected.shape[1], SIMD_WIDTH):
+            if not _select_sites(selected, footprint_max, i, j, lanes):
                 continue
-            here = (i + cells.reach) * wide + cells.reach + j
+            site = (i + footprint.reach) * columns + footprint.reach + j
             lanes[1:3] = np.float32(0.0)
-            if decide:
-                _steepest(flat[1], here, legs, cells, posting, lanes[1])
-            if not decide or _drop_steep(lanes[1], limit_slope, lanes[0]):
+            if classify_only:
+                _steepest(flat[1], site, legs, footprint, posting, lanes[1])
+            if not classify_only or _drop_steep(lanes[1], slope_limit, lanes[0]):
                 # The worst heading of one site is likely to be the worst of its neighbours.
-                _lift_lids(flat, here, corners, lids)
+                _write_raised_lids(flat, site, corners, lids)
                 start = _write_roughness(
-                    flat, here, wide, legs, cells, covers, posting, limit_rough, decide, start,
-                    lanes, lids,
+                    flat, site, columns, legs, footprint, polygon_blocks, posting, roughness_limit,
+                    classify_only, start, lanes, lids,
                 )  # fmt: skip
-            for k in range(min(SIMD_WIDTH, todo.shape[1] - j)):
-                if todo[i, j + k] and size[i, j + k] < FAR:
-                    min_roughness = limit_rough if decide else np.float32(2.0) * lanes[3, k]
+            for k in range(min(SIMD_WIDTH, selected.shape[1] - j)):
+                if selected[i, j + k] and footprint_max[i, j + k] < FAR:
+                    min_roughness = (
+                        roughness_limit if classify_only else np.float32(2.0) * lanes[3, k]
+                    )
                     slope_out[i, j + k] = lanes[1, k]
                     rough_out[i, j + k] = (
                         lanes[2, k] if lanes[2, k] > min_roughness else np.float32(0.0)
@@ -427,41 +429,38 @@ def _exact_tile(
 
 @kernel(shared=True)
 def exact(
-    share,
+    thread_slice,
     z,
     middle,
-    todo,
-    cells,
-    covers,
+    selected,
+    footprint,
+    polygon_blocks,
     posting,
-    limit_slope,
-    limit_rough,
-    decide,
+    slope_limit,
+    roughness_limit,
+    classify_only,
     slope_out,
     rough_out,
 ):
     """Write the maximum tan(slope) and roughness over headings and support planes.
 
-    `share` is (first tile, step between tiles) of one thread; `z` (rows, cols) is the elevation,
-    `middle` the middle of its heights; `cells` and `covers` are arrays of the lander's footprint
-    (`FootprintArrays` and `PolygonBlocks`).
-
-    Only sites `todo` with known footprints are written. A block is examined only if its lid rises
-    above the plane of some site by more than that site's worst roughness so far, minus a margin for
-    rounding. With `decide`, a site is finished as soon as a limit is exceeded; then only the
-    comparison with the limits is valid.
+    Only `selected` sites (rows, cols) with known footprints are written. `z` (rows, cols) is the
+    elevation, `middle` the middle of its heights; `thread_slice` is (first tile, step between
+    tiles) of one thread. With `classify_only`, a site is finished as soon as a limit is exceeded;
+    then only the comparison with the limits is valid.
     """
-    rows, cols = todo.shape
+    rows, cols = selected.shape
     across, tiles = tiles_of(rows, cols, PLANE_ROWS)
-    for tile in range(share[0], tiles, share[1]):
+    for tile in range(thread_slice[0], tiles, thread_slice[1]):
         r0, r1, c0, c1 = tile_at(tile, across, PLANE_ROWS, rows, cols)
-        if not todo[r0:r1, c0:c1].any():
+        if not selected[r0:r1, c0:c1].any():
             continue
-        tall, wide = window_shape(cells, r1 - r0, c1 - c0)
+        tall, wide = window_shape(footprint, r1 - r0, c1 - c0)
         window = np.empty((5, tall, wide), np.float32)
-        size = np.empty((r1 - r0, c1 - c0), np.float32)
-        _prepare(z, middle, cells, r0, c0, window, size)
+        footprint_max = np.empty((r1 - r0, c1 - c0), np.float32)
+        _prepare_tile(z, middle, footprint, r0, c0, window, footprint_max)
         _exact_tile(
-            window, size, todo[r0:r1, c0:c1], cells, covers, posting, limit_slope, limit_rough,
-            decide, slope_out[r0:r1, c0:c1], rough_out[r0:r1, c0:c1],
+            window, footprint_max, selected[r0:r1, c0:c1], footprint, polygon_blocks, posting,
+            slope_limit, roughness_limit, classify_only, slope_out[r0:r1, c0:c1],
+            rough_out[r0:r1, c0:c1],
         )  # fmt: skip

@@ -21,13 +21,13 @@ TILE_COLS = 128
 
 
 @kernel(inner=True)
-def known(z, middle):
+def is_plausible_height(height, middle):
     """Return whether a height is finite and plausible, near the map's middle height."""
-    return abs(np.float64(z) - middle) <= MAX_RELIEF_M
+    return abs(np.float64(height) - middle) <= MAX_RELIEF_M
 
 
 @kernel(inner=True)
-def insert(ascending, count, value):
+def insert_sorted(ascending, count, value):
     """Insert a value into the first `count` sorted values of a buffer.
 
     The order is ascending. For few values this is as fast as a library's sort, which takes a second
@@ -41,37 +41,33 @@ def insert(ascending, count, value):
 
 
 @kernel(inner=True)
-def copy(source, out):
-    """Copy a window (rows, cols) into `out`.
-
-    An assignment to a slice would take seconds to compile.
-    """
+def copy_window(source, out):
+    """Copy a window (rows, cols) into `out`; a slice would take seconds to compile."""
     for i in range(out.shape[0]):
         for j in range(out.shape[1]):
             out[i, j] = source[i, j]
 
 
 @kernel(inner=True)
-def datum_of(z, middle, r0, c0, rows, cols):
+def tile_datum(z, middle, r0, c0, rows, cols):
     """Return the reference height of a tile: the lower median of nine of its heights.
 
-    The tile has `rows` x `cols` cells from (r0, c0); unknown heights are ignored.
-
-    If all nine are unknown, the result is the first known height, or `middle` if there is none.
+    The tile has `rows` x `cols` cells from (r0, c0) of the raster `z`. Unknown heights are ignored;
+    if all nine are unknown, the result is the first known height, or `middle` if there is none.
     """
     found = np.empty(9)
     count = 0
     for a in range(1, 6, 2):
         for b in range(1, 6, 2):
             here = z[r0 + a * rows // 6, c0 + b * cols // 6]
-            if known(here, middle):
-                insert(found, count, here)
+            if is_plausible_height(here, middle):
+                insert_sorted(found, count, here)
                 count += 1
     if count > 0:
         return found[(count - 1) // 2]
     for i in range(r0, r0 + rows):
         for j in range(c0, c0 + cols):
-            if known(z[i, j], middle):
+            if is_plausible_height(z[i, j], middle):
                 return np.float64(z[i, j])
     return np.float64(middle)
 
@@ -125,22 +121,19 @@ def load_variance(variance, r0, c0, out):
 
 
 @kernel(finite=True, inner=True)
-def spread_bounds(middle, wide, high, low):
-    """Write the bounds mean +- 3 sigma of elevations, where known; FAR elsewhere.
-
-    `middle` is the mean, m, and `wide` the variance, m^2; `high` and `low` are the bounds.
-    """
-    for i in range(middle.shape[0]):
-        for j in range(middle.shape[1]):
-            z = middle[i, j]
-            known = (z < FAR) & (wide[i, j] < FAR)
-            s = np.float32(3.0) * np.sqrt(wide[i, j])
+def spread_bounds(mean, variance, high, low):
+    """Write the bounds mean +- 3 sigma of elevations, where known; FAR elsewhere."""
+    for i in range(mean.shape[0]):
+        for j in range(mean.shape[1]):
+            z = mean[i, j]
+            known = (z < FAR) & (variance[i, j] < FAR)
+            s = np.float32(3.0) * np.sqrt(variance[i, j])
             high[i, j] = z + s if known else FAR
             low[i, j] = z - s if known else FAR
 
 
 @kernel(finite=True)
-def _turn(source, out):
+def _negate(source, out):
     """Write the negative of a raster, or FAR where it is FAR (unknown)."""
     for i in range(source.shape[0]):
         for j in range(source.shape[1]):
@@ -149,21 +142,18 @@ def _turn(source, out):
 
 
 @kernel(inner=True)
-def levels_of(cells, tall, wide):
-    """Allocate the buffers of maxima over windows of 1, 2, 4, ... cells of a tile.
+def allocate_levels(footprint, rows, cols):
+    """Allocate buffers for the maxima over windows of 1, 2, 4, ... cells of a tile.
 
-    `cells` are the `FootprintArrays`: there are `depth` levels along rows, and `height` - 1 along
-    columns, each of `tall` x `wide` cells.
+    There are `footprint.depth` buffers along rows, and `footprint.height` - 1 along columns, each
+    of `rows` x `cols` cells.
     """
-    return np.empty((cells.depth + cells.height - 1, tall, wide), np.float32)
+    return np.empty((footprint.depth + footprint.height - 1, rows, cols), np.float32)
 
 
 @kernel(finite=True, inner=True)
-def double(levels, depth):
-    """Fill the buffers of running maxima along rows, from levels[0].
-
-    levels[k], k < depth, gets the maxima over windows of 2**k columns.
-    """
+def fill_row_maxima(levels, depth):
+    """Write maxima of levels[0] over windows of 2**k columns to levels[k], k < depth."""
     _, rows, cols = levels.shape
     for k in range(1, depth):
         width = 1 << (k - 1)
@@ -178,11 +168,8 @@ def double(levels, depth):
 
 
 @kernel(finite=True, inner=True)
-def double_up(levels, depth):
-    """Fill the buffers of running maxima along columns, from levels[0].
-
-    levels[depth - 1 + k] gets the maxima over windows of 2**k rows.
-    """
+def fill_column_maxima(levels, depth):
+    """Write maxima of levels[0] over windows of 2**k rows to levels[depth - 1 + k]."""
     deep, rows, cols = levels.shape
     for k in range(1, deep - depth + 1):
         before = levels[depth - 2 + k] if k > 1 else levels[0]
@@ -196,31 +183,29 @@ def double_up(levels, depth):
 
 
 @kernel(inner=True)
-def fill(levels, cells):
-    """Fill all buffers of running maxima along rows and columns from levels[0]."""
-    double(levels, cells.depth)
-    double_up(levels, cells.depth)
+def fill_maxima(levels, footprint):
+    """Write the maxima over all windows along rows and columns, from levels[0]."""
+    fill_row_maxima(levels, footprint.depth)
+    fill_column_maxima(levels, footprint.depth)
 
 
 @kernel(inner=True)
-def over_runs(levels, depth, runs, reach, out):
-    """Write the maximum over a footprint (a union of windows) around cells of a tile.
+def write_footprint_max(levels, depth, window_pairs, reach, out):
+    """Write the maximum over the footprint around each cell of a tile.
 
-    `levels` are maxima over windows of 1, 2, 4, ... cells (`fill`).
-
-    A row of `runs` is a pair of windows as in `footprint.Footprint`; the number of rows is a
-    multiple of four. A row of the tile has SIMD_WIDTH spare columns after its surroundings.
+    The footprint is the union of `window_pairs` (4 n, 5), as in `Footprint`. `levels` are the
+    maxima over windows (`fill_maxima`), and `reach` is the offset of the tile's first cell in them.
     """
     _, tall, wide = levels.shape
     rows, cols = out.shape
     flat = levels.reshape(levels.size)
-    first = np.empty(len(runs), np.int64)
-    second = np.empty(len(runs), np.int64)
-    for n in range(len(runs)):
-        level = runs[n, 0] if runs[n, 0] >= 0 else depth - 1 - runs[n, 0]
+    first = np.empty(len(window_pairs), np.int64)
+    second = np.empty(len(window_pairs), np.int64)
+    for n in range(len(window_pairs)):
+        level = window_pairs[n, 0] if window_pairs[n, 0] >= 0 else depth - 1 - window_pairs[n, 0]
         start = (level * tall + reach) * wide + reach
-        first[n] = start + runs[n, 1] * wide + runs[n, 2]
-        second[n] = start + runs[n, 3] * wide + runs[n, 4]
+        first[n] = start + window_pairs[n, 1] * wide + window_pairs[n, 2]
+        second[n] = start + window_pairs[n, 3] * wide + window_pairs[n, 4]
     best = np.empty(8 * SIMD_WIDTH, np.float32)
     for i in range(rows):
         j = 0
@@ -228,14 +213,14 @@ def over_runs(levels, depth, runs, reach, out):
             at = i * wide + j
             # Process many sites at a time, so that the loads of one window serve several sites.
             if cols - j > 7 * SIMD_WIDTH:
-                _best_of(flat, first, second, at, best, 0)
-                _best_of(flat, first, second, at + 4 * SIMD_WIDTH, best, 4 * SIMD_WIDTH)
+                _max_over_windows_64(flat, first, second, at, best, 0)
+                _max_over_windows_64(flat, first, second, at + 4 * SIMD_WIDTH, best, 4 * SIMD_WIDTH)
                 count = 8 * SIMD_WIDTH
             elif cols - j > 3 * SIMD_WIDTH:
-                _best_of(flat, first, second, at, best, 0)
+                _max_over_windows_64(flat, first, second, at, best, 0)
                 count = 4 * SIMD_WIDTH
             else:
-                _best(flat, first, second, at, best)
+                _max_over_windows(flat, first, second, at, best)
                 count = SIMD_WIDTH
             for k in range(min(count, cols - j)):
                 out[i, j + k] = best[k]
@@ -243,98 +228,99 @@ def over_runs(levels, depth, runs, reach, out):
 
 
 @kernel(inline=True)
-def _best(flat, first, second, at, best):
+def _max_over_windows(flat, first, second, site, best):
     """Write the maximum over a footprint around sixteen neighbouring sites.
 
-    `flat` are the flattened window maxima; `first` and `second` are the index offsets of the two
-    windows of each run; `at` is the index of the first site.
+    `flat` are the flattened maxima over windows; `first` and `second` are the index offsets of the
+    two windows of each pair; `site` is the index of the first site.
     """
     a = lane_fill(-FAR)
     b = a
     for n in range(len(first)):
-        a = lane_max(a, load(flat, at + item(first, n)))
-        b = lane_max(b, load(flat, at + item(second, n)))
+        a = lane_max(a, load(flat, site + item(first, n)))
+        b = lane_max(b, load(flat, site + item(second, n)))
     store(best, 0, lane_max(a, b))
 
 
 @kernel(inline=True)
-def _best_of(flat, first, second, at, best, place):
-    """Compute `_best` for four times sixteen adjacent sites; write from `place` on."""
+def _max_over_windows_64(flat, first, second, site, best, offset):
+    """Write `_max_over_windows` of 64 neighbouring sites, from best[offset] on."""
     a = lane_fill(-FAR)
     b = a
     c = a
     d = a
     for n in range(len(first)):
-        m = at + item(first, n)
+        m = site + item(first, n)
         a = lane_max(a, load(flat, m))
         b = lane_max(b, load(flat, m + SIMD_WIDTH))
         c = lane_max(c, load(flat, m + 2 * SIMD_WIDTH))
         d = lane_max(d, load(flat, m + 3 * SIMD_WIDTH))
-        m = at + item(second, n)
+        m = site + item(second, n)
         a = lane_max(a, load(flat, m))
         b = lane_max(b, load(flat, m + SIMD_WIDTH))
         c = lane_max(c, load(flat, m + 2 * SIMD_WIDTH))
         d = lane_max(d, load(flat, m + 3 * SIMD_WIDTH))
-    store(best, place, a)
-    store(best, place + SIMD_WIDTH, b)
-    store(best, place + 2 * SIMD_WIDTH, c)
-    store(best, place + 3 * SIMD_WIDTH, d)
+    store(best, offset, a)
+    store(best, offset + SIMD_WIDTH, b)
+    store(best, offset + 2 * SIMD_WIDTH, c)
+    store(best, offset + 3 * SIMD_WIDTH, d)
 
 
 @kernel(inner=True)
-def tiles_of(rows, cols, tall):
+def tiles_of(rows, cols, tile_rows):
     """Return the number of tiles in a row of tiles, and the total number of tiles.
 
-    The raster has `rows` x `cols` cells; a tile has `tall` rows and TILE_COLS columns.
+    The raster has `rows` x `cols` cells; a tile has `tile_rows` rows and TILE_COLS columns.
     """
     across = (cols + TILE_COLS - 1) // TILE_COLS
-    return across, across * ((rows + tall - 1) // tall)
+    return across, across * ((rows + tile_rows - 1) // tile_rows)
 
 
 @kernel(inline=True, inner=True)
-def tile_at(tile, across, tall, rows, cols):
+def tile_at(tile, across, tile_rows, rows, cols):
     """Return first and end row, first and end column of a tile of a raster.
 
-    `tile` is its index, `across` the number of tiles side by side, `tall` its number of rows.
+    `tile` is its index, `across` the number of tiles side by side, `tile_rows` its number of rows.
     """
-    r0, c0 = (tile // across) * tall, (tile % across) * TILE_COLS
-    return r0, min(r0 + tall, rows), c0, min(c0 + TILE_COLS, cols)
+    r0, c0 = (tile // across) * tile_rows, (tile % across) * TILE_COLS
+    return r0, min(r0 + tile_rows, rows), c0, min(c0 + TILE_COLS, cols)
 
 
 @kernel(shared=True)
-def footprint_extremes(share, z, middle, cells, span, rise):
-    """Write the height differences over each cell's footprint of Eq. 10, m.
+def footprint_extremes(thread_slice, z, middle, footprint, span, rise):
+    """Write the height differences over each cell's footprint, m.
 
-    They are ``span`` = max over L minus min over L, and ``rise`` = max over U minus min over L. L
-    are the cells that any pad may touch, U the cells under the lander; Eq. 10 is of the Gaussian
-    DEM paper. `share` is (first tile, step between tiles) of one thread.
-
-    The result is FAR where L or U contains unknown terrain or leaves the raster.
+    By Eq. 10 of the Gaussian DEM paper, ``span`` = max over L minus min over L, and ``rise`` = max
+    over U minus min over L. L are the cells that any pad may touch, U the cells under the lander.
+    Both are FAR where L or U contains unknown terrain or leaves the raster. `thread_slice` is
+    (first tile, step between tiles) of one thread.
     """
     rows, cols = z.shape
-    reach = cells.reach
+    reach = footprint.reach
     across, tiles = tiles_of(rows, cols, TILE_ROWS)
-    for tile in range(share[0], tiles, share[1]):
+    for tile in range(thread_slice[0], tiles, thread_slice[1]):
         r0, r1, c0, c1 = tile_at(tile, across, TILE_ROWS, rows, cols)
         h, w = r1 - r0, c1 - c0
-        levels = levels_of(cells, h + 2 * reach, w + 2 * reach + SIMD_WIDTH)
+        levels = allocate_levels(footprint, h + 2 * reach, w + 2 * reach + SIMD_WIDTH)
         window = np.empty(levels.shape[1:], np.float32)
         leg = np.empty((2, h, w), np.float32)
         body = np.empty((h, w), np.float32)
-        datum = datum_of(z, middle, r0, c0, h, w)
+        datum = tile_datum(z, middle, r0, c0, h, w)
         load_window(z, middle, datum, r0 - reach, c0 - reach, window)
-        copy(window, levels[0])
-        fill(levels, cells)
-        over_runs(levels, cells.depth, cells.leg_windows, reach, leg[0])
-        over_runs(levels, cells.depth, cells.body_windows, reach, body)
-        _turn(window, levels[0])
-        fill(levels, cells)
-        over_runs(levels, cells.depth, cells.leg_windows, reach, leg[1])
-        _differ(leg, body, span[r0 : r0 + h, c0 : c0 + w], rise[r0 : r0 + h, c0 : c0 + w])
+        copy_window(window, levels[0])
+        fill_maxima(levels, footprint)
+        write_footprint_max(levels, footprint.depth, footprint.leg_windows, reach, leg[0])
+        write_footprint_max(levels, footprint.depth, footprint.body_windows, reach, body)
+        _negate(window, levels[0])
+        fill_maxima(levels, footprint)
+        write_footprint_max(levels, footprint.depth, footprint.leg_windows, reach, leg[1])
+        _write_span_and_rise(
+            leg, body, span[r0 : r0 + h, c0 : c0 + w], rise[r0 : r0 + h, c0 : c0 + w]
+        )
 
 
 @kernel(finite=True)
-def _differ(leg, body, span, rise):
+def _write_span_and_rise(leg, body, span, rise):
     """Write span and rise (Eq. 10 of the Gaussian DEM paper) of a tile.
 
     `leg` (2, rows, cols) holds the maxima of z and of -z over the cells of the legs, `body` the
@@ -366,7 +352,9 @@ def _normal_cdf(d, s):
 
 
 @kernel(finite=True)
-def _judge(leg, foot, body, slope_margin, roughness_limit, p_slope, p_rough, p_safe, observed):
+def _write_safety(
+    leg, foot, body, slope_margin, roughness_limit, p_slope, p_rough, p_safe, observed
+):
     """Write the safety probabilities of Eq. 17 (Gaussian DEM paper) for a tile.
 
     `leg`, `foot` and `body` (2, rows, cols) are maxima over the upper and the lower 3-sigma bound:
@@ -394,41 +382,41 @@ def _judge(leg, foot, body, slope_margin, roughness_limit, p_slope, p_rough, p_s
 
 @kernel(shared=True)
 def stochastic(
-    share, mean, middle, variance, cells, slope_margin, roughness_limit, p_slope, p_rough, p_safe,
-    observed,
+    thread_slice, mean, middle, variance, footprint, slope_margin, roughness_limit, p_slope,
+    p_rough, p_safe, observed,
 ):  # fmt: skip
     """Write the safety probabilities of a lander at each cell, by a horizontal plane.
 
     These are Eqs. 15 to 17 of the Gaussian DEM paper; `observed` is True where the footprint is
-    known terrain. `share` is (first tile, step between tiles) of one thread; `mean` and `variance`
-    are the elevation, `middle` is the middle of the map's heights, m; `slope_margin` and
-    `roughness_limit` are limits of height differences, m.
+    known terrain. `mean` and `variance` are the elevation, `middle` is the middle of its heights,
+    m; `slope_margin` and `roughness_limit` are limits of height differences, m. `thread_slice` is
+    (first tile, step between tiles) of one thread.
     """
     rows, cols = mean.shape
-    reach = cells.reach
+    reach = footprint.reach
     across, tiles = tiles_of(rows, cols, TILE_ROWS)
-    for tile in range(share[0], tiles, share[1]):
+    for tile in range(thread_slice[0], tiles, thread_slice[1]):
         r0, r1, c0, c1 = tile_at(tile, across, TILE_ROWS, rows, cols)
         h, w = r1 - r0, c1 - c0
-        levels = levels_of(cells, h + 2 * reach, w + 2 * reach + SIMD_WIDTH)
+        levels = allocate_levels(footprint, h + 2 * reach, w + 2 * reach + SIMD_WIDTH)
         leg = np.empty((2, h, w), np.float32)
         foot = np.empty((2, h, w), np.float32)
         body = np.empty((2, h, w), np.float32)
         window = np.empty((4, h + 2 * reach, w + 2 * reach + SIMD_WIDTH), np.float32)
-        datum = datum_of(mean, middle, r0, c0, h, w)
+        datum = tile_datum(mean, middle, r0, c0, h, w)
         load_window(mean, middle, datum, r0 - reach, c0 - reach, window[0])
         load_variance(variance, r0 - reach, c0 - reach, window[1])
         spread_bounds(window[0], window[1], window[2], window[3])
         for n in range(2):
-            copy(window[2 + n], levels[0])
-            fill(levels, cells)
-            over_runs(levels, cells.depth, cells.leg_windows, reach, leg[n])
-            over_runs(levels, cells.depth, cells.body_windows, reach, body[n])
-            _turn(window[2 + n], levels[0])
-            fill(levels, cells)
-            over_runs(levels, cells.depth, cells.leg_windows, reach, foot[n])
+            copy_window(window[2 + n], levels[0])
+            fill_maxima(levels, footprint)
+            write_footprint_max(levels, footprint.depth, footprint.leg_windows, reach, leg[n])
+            write_footprint_max(levels, footprint.depth, footprint.body_windows, reach, body[n])
+            _negate(window[2 + n], levels[0])
+            fill_maxima(levels, footprint)
+            write_footprint_max(levels, footprint.depth, footprint.leg_windows, reach, foot[n])
         r1, c1 = r0 + h, c0 + w
-        _judge(
+        _write_safety(
             leg, foot, body, slope_margin, roughness_limit, p_slope[r0:r1, c0:c1],
             p_rough[r0:r1, c0:c1], p_safe[r0:r1, c0:c1], observed[r0:r1, c0:c1],
         )  # fmt: skip

@@ -24,44 +24,43 @@ from lunarsim._simd import (
 )
 from lunarsim.safety._kernels import (
     FAR,
-    copy,
-    datum_of,
-    double,
-    levels_of,
+    allocate_levels,
+    copy_window,
+    fill_row_maxima,
     load_variance,
     load_window,
-    over_runs,
     spread_bounds,
     tile_at,
+    tile_datum,
     tiles_of,
+    write_footprint_max,
 )
 
 
 @kernel(inline=True)
-def plane(feet, here, legs, inverse, place, h, s):
-    """Return gradient (per cell) and centre height of a support plane of the legs.
+def support_plane(feet, site, legs, inverse, first_leg, heading, plane):
+    """Return gradient (per cell) and centre height of a support plane at 16 sites.
 
-    It is plane `s` of heading `h`, for sixteen sites; `legs` are index offsets of the legs,
-    `inverse` and `place` as in `FootprintArrays`.
-
-    `feet` holds the terrain height under a pad; `here` is the index of the first site.
+    The legs stand on `feet`, the terrain height under a pad centred on each cell. `site` is the
+    index of the first site, `legs` are the index offsets of the legs by heading; `inverse` and
+    `first_leg` are those of `FootprintArrays`; `heading` and `plane` are indices.
     """
-    za = load(feet, here + legs[h, 0])
-    zb = load(feet, here + legs[h, 1])
-    zc = load(feet, here + legs[h, 2])
+    za = load(feet, site + legs[heading, 0])
+    zb = load(feet, site + legs[heading, 1])
+    zc = load(feet, site + legs[heading, 2])
     if legs.shape[1] == 3:
-        m = inverse[h, 0, 0]
-        q = place[h, 0, 0]
+        m = inverse[heading, 0, 0]
+        q = first_leg[heading, 0, 0]
         u = zb - za
         v = zc - za
         gx = m[0] * u + m[1] * v
         gy = m[2] * u + m[3] * v
         return gx, gy, za - q[0] * gy - q[1] * gx
-    zd = load(feet, here + legs[h, 3])
+    zd = load(feet, site + legs[heading, 3])
     # The higher diagonal carries the lander: plane 0 on a b c or a b d, plane 1 on a c d or b c d.
     one = za + zc
     two = zb + zd
-    if s == 0:
+    if plane == 0:
         z0 = za
         u = zb - z0
         v = select_ge(one, two, zc, zd) - z0
@@ -69,10 +68,10 @@ def plane(feet, here, legs, inverse, place, h, s):
         z0 = select_ge(one, two, za, zb)
         u = zc - z0
         v = zd - z0
-    m = inverse[h, s, 0]
-    n = inverse[h, s, 1]
-    p = place[h, s, 0]
-    q = place[h, s, 1]
+    m = inverse[heading, plane, 0]
+    n = inverse[heading, plane, 1]
+    p = first_leg[heading, plane, 0]
+    q = first_leg[heading, plane, 1]
     gx = select_ge(one, two, m[0] * u + m[1] * v, n[0] * u + n[1] * v)
     gy = select_ge(one, two, m[2] * u + m[3] * v, n[2] * u + n[3] * v)
     level = select_ge(one, two, p[0] * gy + p[1] * gx, q[0] * gy + q[1] * gx)
@@ -88,27 +87,24 @@ def squared_tangent(gx, gy, posting):
 
 
 @kernel(inline=True)
-def _block_above_plane(tops, here, blocks, centres, n, gx, gy):
-    """Return the maximum height of block `n` above a plane through the site.
+def _block_above_plane(tops, site, blocks, centres, n, gx, gy):
+    """Return the maximum height of block `n` above planes through sixteen sites.
 
-    `tops` are the maximum heights of blocks, `here` is the index of the first of sixteen sites,
-    `blocks` and `centres` are the blocks' offsets from the site; (gx, gy) is the plane's gradient
+    `tops` are the maximum heights of blocks, `site` is the index of the first site, `blocks` and
+    `centres` are the offsets of corners and centres from it; (gx, gy) are the planes' gradients
     per cell.
     """
-    top = load(tops, here + item(blocks, n))
+    top = load(tops, site + item(blocks, n))
     return top - item(centres, 2 * n) * gx - item(centres, 2 * n + 1) * gy
 
 
 @kernel(inline=True)
-def _four_blocks_above_plane(tops, here, blocks, centres, n, gx, gy):
-    """Return the maximum heights of blocks `n` to n + 3 above a plane.
-
-    Arguments are as in `_block_above_plane`.
-    """
-    a = _block_above_plane(tops, here, blocks, centres, n, gx, gy)
-    b = _block_above_plane(tops, here, blocks, centres, n + 1, gx, gy)
-    c = _block_above_plane(tops, here, blocks, centres, n + 2, gx, gy)
-    d = _block_above_plane(tops, here, blocks, centres, n + 3, gx, gy)
+def _four_blocks_above_plane(tops, site, blocks, centres, n, gx, gy):
+    """Return `_block_above_plane` of blocks `n` to n + 3."""
+    a = _block_above_plane(tops, site, blocks, centres, n, gx, gy)
+    b = _block_above_plane(tops, site, blocks, centres, n + 1, gx, gy)
+    c = _block_above_plane(tops, site, blocks, centres, n + 2, gx, gy)
+    d = _block_above_plane(tops, site, blocks, centres, n + 3, gx, gy)
     return a, b, c, d
 
 
@@ -119,17 +115,14 @@ def _highest(four):
 
 
 @kernel(inline=True)
-def _max_block_above_plane(tops, here, blocks, centres, start, stop, gx, gy):
-    """Return the maximum height of blocks `start` to `stop` - 1 above a plane.
-
-    The number of blocks is a multiple of four; the other arguments are as in `_block_above_plane`.
-    """
+def _max_block_above_plane(tops, site, blocks, centres, start, stop, gx, gy):
+    """Return the maximum of `_block_above_plane` over blocks `start` to `stop` - 1."""
     top = lane_fill(-FAR)
     for n in range(start, stop, 4):
-        a = _block_above_plane(tops, here, blocks, centres, n, gx, gy)
-        b = _block_above_plane(tops, here, blocks, centres, n + 1, gx, gy)
-        c = _block_above_plane(tops, here, blocks, centres, n + 2, gx, gy)
-        d = _block_above_plane(tops, here, blocks, centres, n + 3, gx, gy)
+        a = _block_above_plane(tops, site, blocks, centres, n, gx, gy)
+        b = _block_above_plane(tops, site, blocks, centres, n + 1, gx, gy)
+        c = _block_above_plane(tops, site, blocks, centres, n + 2, gx, gy)
+        d = _block_above_plane(tops, site, blocks, centres, n + 3, gx, gy)
         top = lane_max(top, lane_max(lane_max(a, b), lane_max(c, d)))
     return top
 
@@ -139,17 +132,16 @@ PLANE_ROWS = 32  # rows of a tile in the kernels that evaluate planes
 
 
 @kernel(inner=True)
-def window_shape(cells, h, w):
-    """Return rows and columns of the elevation window of a tile of h x w sites.
+def window_shape(footprint, rows, cols):
+    """Return rows and columns of the elevation window of a tile of sites.
 
-    The window includes the surroundings of `cells` (`FootprintArrays`) and spare cells that may be
-    read.
+    The window includes the `footprint` around the sites, and spare cells that may be read.
     """
-    return h + 2 * cells.reach + AHEAD, w + 2 * cells.reach + SIMD_WIDTH
+    return rows + 2 * footprint.reach + AHEAD, cols + 2 * footprint.reach + SIMD_WIDTH
 
 
 @kernel(inner=True)
-def clear(window):
+def clear_unknown(window):
     """Set unknown terrain to height 0, the reference height of the tile.
 
     Footprints that contain unknown terrain are marked as unobserved elsewhere.
@@ -161,19 +153,22 @@ def clear(window):
 
 
 @kernel(inner=True)
-def terrain_under_pads(levels, window, cells, feet):
+def terrain_under_pads(levels, window, footprint, feet):
     """Write the highest terrain under a pad centred on each cell, 0 near the edge.
 
-    `window` is the elevation, `levels` a buffer (`levels_of`), `cells` the `FootprintArrays`,
-    `feet` the result.
+    `window` is the elevation, `feet` the result, `levels` a buffer from `allocate_levels`.
     """
-    n = cells.pad_reach
+    n = footprint.pad_reach
     tall, wide = window.shape
     feet[:] = np.float32(0.0)
-    copy(window, levels[0])
-    double(levels, cells.depth)
-    over_runs(
-        levels, cells.depth, cells.pad_windows, n, feet[n : tall - n, n : wide - SIMD_WIDTH - n]
+    copy_window(window, levels[0])
+    fill_row_maxima(levels, footprint.depth)
+    write_footprint_max(
+        levels,
+        footprint.depth,
+        footprint.pad_windows,
+        n,
+        feet[n : tall - n, n : wide - SIMD_WIDTH - n],
     )
 
 
@@ -196,60 +191,67 @@ def block_tops(window, block, out):
 
 
 @kernel()
-def flat_offsets(cells, wide):
-    """Return flat index offsets of cells (row, column) in a raster of `wide` columns."""
-    return cells[..., 0] * wide + cells[..., 1]
+def flat_offsets(cells, columns):
+    """Return flat index offsets of cells (row, column) in a raster of given width."""
+    return cells[..., 0] * columns + cells[..., 1]
 
 
 @kernel(inline=True)
-def _bound_sites(tops, feet, here, legs, inverse, place, blocks, centres, first, span, posting,
-                 upright):  # fmt: skip
-    """Return the maximum tan(slope)^2 and a roughness bound of sixteen sites.
+def _bound_sites(
+    tops, feet, site, legs, inverse, first_leg, blocks, centres, first, half_width, posting,
+    vertical,
+):  # fmt: skip
+    """Return maximum tan(slope)^2 and an upper bound of roughness at sixteen sites.
 
-    `span` is half the distance between the outermost cells of a block; the other arguments are as
-    in `_bound_tile` and `_block_above_plane`.
+    `half_width` is half the distance between the outermost cells of a block; the other arguments
+    are as in `support_plane`, `_block_above_plane` and `_bound_tile`.
     """
     steepest = lane_fill(0.0)
     worst = lane_fill(0.0)
     for h in range(legs.shape[0]):
         for s in range(inverse.shape[1]):
-            gx, gy, base = plane(feet, here, legs, inverse, place, h, s)
+            gx, gy, base = support_plane(feet, site, legs, inverse, first_leg, h, s)
             top = _max_block_above_plane(
-                tops, here, blocks, centres, item(first, h), item(first, h + 1), gx, gy
+                tops, site, blocks, centres, item(first, h), item(first, h + 1), gx, gy
             )
             # A block's maximum may lie at the corner where the plane is lowest.
-            rise = top + span * (lane_abs(gx) + lane_abs(gy)) - base
+            rise = top + half_width * (lane_abs(gx) + lane_abs(gy)) - base
             square = squared_tangent(gx, gy, posting)
             steepest = lane_max(steepest, square)
-            if not upright:
+            if not vertical:
                 rise = rise / lane_sqrt(square + np.float32(1.0))
             worst = lane_max(worst, rise)
     return steepest, worst
 
 
 @kernel()
-def _bound_tile(tops, feet, cells, covers, block, posting, upright, slope_out, rough_out):
-    """Write the exact tan(slope) and a roughness bound of the sites of a tile.
+def _bound_tile(
+    tops, feet, footprint, polygon_blocks, block, posting, vertical, slope_out, rough_out
+):
+    """Write the exact tan(slope) and an upper bound of roughness of a tile's sites.
 
     `tops` are the maximum heights of blocks of `block` cells, `feet` the terrain heights under a
-    pad; `cells` and `covers` are the `FootprintArrays` and `PolygonBlocks` of the lander.
-
-    With `upright`, heights are measured vertically, not along the plane's normal.
+    pad. With `vertical`, heights are measured vertically, not along the plane's normal.
     """
     rows, cols = slope_out.shape
     wide = feet.shape[1]
-    legs = flat_offsets(cells.legs, wide)
-    blocks = flat_offsets(covers.corners, wide)
-    inverse, place, centres, first = cells.inverse, cells.place, covers.centres, covers.first
+    legs = flat_offsets(footprint.legs, wide)
+    blocks = flat_offsets(polygon_blocks.corners, wide)
+    inverse, first_leg, centres, first = (
+        footprint.inverse,
+        footprint.first_leg,
+        polygon_blocks.centres,
+        polygon_blocks.first,
+    )
     upper, lower = tops.reshape(tops.size), feet.reshape(feet.size)
-    span = np.float32(0.5 * (block - 1))
+    half_width = np.float32(0.5 * (block - 1))
     lanes = np.empty((2, SIMD_WIDTH), np.float32)
     for i in range(rows):
         for j in range(0, cols, SIMD_WIDTH):
-            here = (i + cells.reach) * wide + cells.reach + j
+            site = (i + footprint.reach) * wide + footprint.reach + j
             steepest, worst = _bound_sites(
-                upper, lower, here, legs, inverse, place, blocks, centres, first, span, posting,
-                upright,
+                upper, lower, site, legs, inverse, first_leg, blocks, centres, first, half_width,
+                posting, vertical,
             )  # fmt: skip
             store(lanes[0], 0, lane_sqrt(steepest))
             store(lanes[1], 0, worst)
@@ -259,53 +261,52 @@ def _bound_tile(tops, feet, cells, covers, block, posting, upright, slope_out, r
 
 
 @kernel(shared=True)
-def bounded(share, z, middle, cells, covers, block, posting, slope_out, rough_out):
+def bounded(
+    thread_slice, z, middle, footprint, polygon_blocks, block, posting, slope_out, rough_out
+):
     """Write exact tan(slope) and an upper bound of roughness around each cell.
 
-    The bound uses the maxima of blocks of `block` cells. `share` is (first tile, step between
-    tiles) of one thread; `z` (rows, cols) is the elevation, `middle` the middle of its heights, m.
-
-    Both results are invalid where a footprint contains unknown terrain or leaves the raster.
+    The bound uses the maxima of blocks of `block` cells. `z` (rows, cols) is the elevation,
+    `middle` the middle of its heights, m. Both results are invalid where a footprint contains
+    unknown terrain or leaves the raster. `thread_slice` is (first tile, step between tiles) of one
+    thread.
     """
     rows, cols = z.shape
-    reach = cells.reach
+    reach = footprint.reach
     across, tiles = tiles_of(rows, cols, PLANE_ROWS)
-    for tile in range(share[0], tiles, share[1]):
+    for tile in range(thread_slice[0], tiles, thread_slice[1]):
         r0, r1, c0, c1 = tile_at(tile, across, PLANE_ROWS, rows, cols)
-        tall, wide = window_shape(cells, r1 - r0, c1 - c0)
-        levels = levels_of(cells, tall, wide)
+        tall, wide = window_shape(footprint, r1 - r0, c1 - c0)
+        levels = allocate_levels(footprint, tall, wide)
         window = np.empty((3, tall, wide), np.float32)
-        datum = datum_of(z, middle, r0, c0, r1 - r0, c1 - c0)
+        datum = tile_datum(z, middle, r0, c0, r1 - r0, c1 - c0)
         load_window(z, middle, datum, r0 - reach, c0 - reach, window[0])
-        clear(window[0])
-        terrain_under_pads(levels, window[0], cells, window[1])
+        clear_unknown(window[0])
+        terrain_under_pads(levels, window[0], footprint, window[1])
         block_tops(window[0], block, window[2])
         _bound_tile(
-            window[2], window[1], cells, covers, block, posting, False,
+            window[2], window[1], footprint, polygon_blocks, block, posting, False,
             slope_out[r0:r1, c0:c1], rough_out[r0:r1, c0:c1],
         )  # fmt: skip
 
 
 @kernel()
-def _average(high, low, middle, sigma):
-    """Write mean and standard deviation of Gaussians from their 3-sigma bounds.
-
-    `high` and `low` are the bounds (Eqs. 15 and 16 of the Gaussian DEM paper).
-    """
+def _gaussian_from_bounds(high, low, mean, sigma):
+    """Write mean and sigma of Gaussians from their 3-sigma bounds `high` and `low`."""
     for i in range(high.shape[0]):
         for j in range(high.shape[1]):
-            middle[i, j] = np.float32(0.5) * (high[i, j] + low[i, j])
+            mean[i, j] = np.float32(0.5) * (high[i, j] + low[i, j])
             sigma[i, j] = (high[i, j] - low[i, j]) / np.float32(6.0)
 
 
 @kernel(shared=True)
 def stochastic_planes(
-    share,
+    thread_slice,
     mean,
     middle,
     variance,
-    cells,
-    covers,
+    footprint,
+    polygon_blocks,
     block,
     posting,
     slope_out,
@@ -315,35 +316,36 @@ def stochastic_planes(
 ):
     """Write slope, roughness bounds and leg uncertainty for cells of a Gaussian DEM.
 
-    They are the inputs of `plane_stochastic_safety`; heights are vertical. `share` is (first tile,
-    step between tiles) of one thread; `middle` is the middle of the map's heights, m.
-
-    These are tan(slope) and a roughness bound for the means of legs and obstacles, the bound with
-    all obstacles raised by 3 sigma, and the maximum standard deviation of a leg.
+    `slope_out` is tan(slope) and `nominal` a roughness bound for the mean heights of legs and
+    obstacles; `raised` is the bound with all obstacles raised by 3 sigma; `leg_sigma` is the
+    maximum standard deviation of a leg's height. `middle` is the middle of the map's heights, m,
+    and `thread_slice` is (first tile, step between tiles) of one thread.
     """
     rows, cols = mean.shape
-    reach = cells.reach
+    reach = footprint.reach
     across, tiles = tiles_of(rows, cols, PLANE_ROWS)
-    for tile in range(share[0], tiles, share[1]):
+    for tile in range(thread_slice[0], tiles, thread_slice[1]):
         r0, r1, c0, c1 = tile_at(tile, across, PLANE_ROWS, rows, cols)
-        tall, wide = window_shape(cells, r1 - r0, c1 - c0)
-        levels = levels_of(cells, tall, wide)
+        tall, wide = window_shape(footprint, r1 - r0, c1 - c0)
+        levels = allocate_levels(footprint, tall, wide)
         g = np.empty((8, tall, wide), np.float32)
-        datum = datum_of(mean, middle, r0, c0, r1 - r0, c1 - c0)
+        datum = tile_datum(mean, middle, r0, c0, r1 - r0, c1 - c0)
         load_window(mean, middle, datum, r0 - reach, c0 - reach, g[0])
         load_variance(variance, r0 - reach, c0 - reach, g[1])
         spread_bounds(g[0], g[1], g[2], g[3])
         for n in range(2, 4):
-            clear(g[n])
-            terrain_under_pads(levels, g[n], cells, g[n + 2])
+            clear_unknown(g[n])
+            terrain_under_pads(levels, g[n], footprint, g[n + 2])
             block_tops(g[n], block, g[n + 4])
-        _average(g[4], g[5], g[0], g[1])  # feet
-        _average(g[6], g[7], g[2], g[3])  # obstacles
+        _gaussian_from_bounds(g[4], g[5], g[0], g[1])  # feet
+        _gaussian_from_bounds(g[6], g[7], g[2], g[3])  # obstacles
         for top, out in ((g[2], nominal), (g[6], raised)):
             _bound_tile(
-                top, g[0], cells, covers, block, posting, True,
+                top, g[0], footprint, polygon_blocks, block, posting, True,
                 slope_out[r0:r1, c0:c1], out[r0:r1, c0:c1],
             )  # fmt: skip
-        copy(g[1], levels[0])
-        double(levels, cells.depth)
-        over_runs(levels, cells.depth, cells.stand_windows, reach, leg_sigma[r0:r1, c0:c1])
+        copy_window(g[1], levels[0])
+        fill_row_maxima(levels, footprint.depth)
+        write_footprint_max(
+            levels, footprint.depth, footprint.stand_windows, reach, leg_sigma[r0:r1, c0:c1]
+        )

@@ -30,9 +30,9 @@ from scipy.special import expit, ndtri
 from lunarsim.errors import InputError
 from lunarsim.models.lander import Lander
 from lunarsim.safety.conservative import StochasticSafety
-from lunarsim.safety.domain import Domain
+from lunarsim.safety.domain import CalibrationDomain
 from lunarsim.safety.ensemble import (
-    SURE,
+    ALMOST_CERTAINLY_SAFE_P,
     Ensemble,
     LogOddsBounds,
     conservative_probability,
@@ -81,15 +81,17 @@ MOST_SINKING = 0.003
 NOISE_RATIO_RANGE = (0.0, 0.5)
 SPACING_RATIO_RANGE = (0.01, 1.0)
 SLOPE_LIMIT_RANGE_RAD = tuple(np.deg2rad((4.5, 22.0)))
-PACKAGED_DOMAIN = Domain(MOST_HAZARDS, MOST_TILTING, NOISE_RATIO_RANGE, SPACING_RATIO_RANGE)
+PACKAGED_DOMAIN = CalibrationDomain(
+    MOST_HAZARDS, MOST_TILTING, NOISE_RATIO_RANGE, SPACING_RATIO_RANGE
+)
 # Near the domain, fits to all other worlds were conservative enough once the odds that a site is
 # unsafe were multiplied by this factor.
 NEAR_DOMAIN_LOG_ODDS_MARGIN = float(np.log(12.0))
 # Weight of the case that the estimates of unobserved rocks are wrong. Where samples are sparse,
 # these estimates leave no site any probability, but the best sites must still be distinguishable.
 UNKNOWN_MODEL_WEIGHT = 1e-3
-_NEAR_DOMAIN = Domain(0.1, 2.0, NOISE_RATIO_RANGE, SPACING_RATIO_RANGE)
-_NEAR_DOMAIN_SINKING = 0.1
+_NEAR_DOMAIN = CalibrationDomain(0.1, 2.0, NOISE_RATIO_RANGE, SPACING_RATIO_RANGE)
+_NEAR_DOMAIN_MAX_HOLES = 0.1
 
 
 @dataclass(frozen=True)
@@ -290,9 +292,11 @@ def features(evidence: MapEvidence, where: NDArray[np.bool_]) -> Array:
     where
         Mask of the sites (rows, cols).
     """
-    terms = _terms(evidence, where)
+    terms = _monotone_terms(evidence, where)
     n = int(np.count_nonzero(where))
-    return np.column_stack((np.tile(_free_features(evidence), (n, 1)), spline_features(terms, n)))
+    return np.column_stack(
+        (np.tile(_unconstrained_features(evidence), (n, 1)), spline_features(terms, n))
+    )
 
 
 def log_odds_bounds(
@@ -303,49 +307,53 @@ def log_odds_bounds(
     `evidence` is the data of the hazard map, `where` the mask of the sites (rows, cols), `model`
     the ensemble of logistic regressions.
     """
-    return model.evaluate_log_odds(_free_features(evidence), _terms(evidence, where))
+    return model.evaluate_log_odds(
+        _unconstrained_features(evidence), _monotone_terms(evidence, where)
+    )
 
 
-def _terms(e: MapEvidence, where: NDArray[np.bool_]) -> list[MonotoneSplineTerm]:
-    """Return the monotone terms of the regression for sites of a map `e`.
-
-    `where` is the mask of the sites (rows, cols).
-    """
+def _monotone_terms(evidence: MapEvidence, where: NDArray[np.bool_]) -> list[MonotoneSplineTerm]:
+    """Return the regression's monotone terms for the sites in the mask `where`."""
     terms = []
-    for p in (e.level.p_slope, e.level.p_roughness, e.planes.p_slope, e.planes.p_roughness):
+    for p in (
+        evidence.level.p_slope,
+        evidence.level.p_roughness,
+        evidence.planes.p_slope,
+        evidence.planes.p_roughness,
+    ):
         probit = ndtri(np.clip(p[where].astype(np.float64), 1e-12, 1.0 - 1e-9))
         terms.append(MonotoneSplineTerm(probit, _PROBITS, is_decreasing=False))
-    terms += [MonotoneSplineTerm(share[where], _RATIOS) for share in (e.slope, e.roughness)]
+    terms += [
+        MonotoneSplineTerm(share[where], _RATIOS) for share in (evidence.slope, evidence.roughness)
+    ]
     for rocks in (
-        e.expected_tilt_violations(),
-        e.expected_roughness_violations(),
-        e.expected_hole_violations(),
+        evidence.expected_tilt_violations(),
+        evidence.expected_roughness_violations(),
+        evidence.expected_hole_violations(),
     ):
         terms.append(MonotoneSplineTerm(np.log10(rocks[where] + 1e-6), _ROCKS))
-    shares = np.log10(e.curve.at(_HEIGHTS * e.lander.roughness_limit))
-    depths = np.log10(e.holes.at(_DEPTHS * e.lander.roughness_limit))
+    shares = np.log10(evidence.curve.at(_HEIGHTS * evidence.lander.roughness_limit))
+    depths = np.log10(evidence.holes.at(_DEPTHS * evidence.lander.roughness_limit))
     return terms + [MonotoneSplineTerm(share, _COVER) for share in (*shares, *depths)]
 
 
-def _free_features(e: MapEvidence) -> Array:
-    """Return the regression's input features for the measurement quality of a map `e`.
+def _unconstrained_features(evidence: MapEvidence) -> Array:
+    """Return the regression's features of a map's measurement quality.
 
     They are 1, the logarithms of relative noise and spacing, and the square of the latter logarithm
     (`UNCONSTRAINED_FEATURES`,).
     """
-    noise = np.log(e.noise / e.lander.roughness_limit + 1e-3)
-    spacing = np.log(e.spacing / e.lander.leg_radius)
+    noise = np.log(evidence.noise / evidence.lander.roughness_limit + 1e-3)
+    spacing = np.log(evidence.spacing / evidence.lander.leg_radius)
     return np.array([1.0, noise, spacing, spacing**2])
 
 
-def in_domain(evidence: MapEvidence, domain: Domain = PACKAGED_DOMAIN) -> BoolMap:
-    """Return where few enough unobserved rocks are expected for a calibration.
+def in_domain(evidence: MapEvidence, domain: CalibrationDomain = PACKAGED_DOMAIN) -> BoolMap:
+    """Return which cells of a hazard map are in a calibration's domain (rows, cols).
 
-    The result (rows, cols) is the domain in which the fitted regression is valid.
-
-    The expectation uses the map's own samples; noise and spacing must be in the range of the fit.
-    The regression supplied with lunarsim also requires few holes and a slope limit in the range of
-    its landers; the domain of a scenario's own calibration has no such conditions.
+    In the domain, few unobserved rocks are expected from the map's own samples, and noise and
+    spacing are in the range of the fit. The regression supplied with lunarsim also requires few
+    holes and a slope limit in the range of its landers; a scenario's own calibration does not.
 
     Parameters
     ----------
@@ -358,27 +366,31 @@ def in_domain(evidence: MapEvidence, domain: Domain = PACKAGED_DOMAIN) -> BoolMa
     if not domain.is_within_measurements(e.noise_ratio, e.spacing_ratio):
         return np.zeros(e.level.grid.shape, np.bool_)
     if domain is PACKAGED_DOMAIN:
-        return _within(e, PACKAGED_DOMAIN, MOST_SINKING)
+        return _where_few_hazards(e, PACKAGED_DOMAIN, MOST_SINKING)
     return np.asarray(
         e.observed & domain.is_within_counts(e.expected_hazards(), e.expected_tilt_violations())
     )
 
 
-def _within(e: MapEvidence, domain: Domain, sinking: float) -> BoolMap:
+def _where_few_hazards(
+    evidence: MapEvidence, domain: CalibrationDomain, max_tilting_holes: float
+) -> BoolMap:
     """Return where expected rocks and holes are few enough for a domain (rows, cols).
 
-    `e` is the data of the map; `sinking` is the maximum expected number of holes under the pads
-    that tilt the lander too far. The result is False if noise, spacing or slope limit is outside
-    the range of the fit.
+    `max_tilting_holes` is the maximum expected number of holes under the pads that tilt the lander
+    too far. The result is False if noise, spacing or slope limit is outside the range of the fit.
     """
-    known = domain.is_within_measurements(e.noise_ratio, e.spacing_ratio)
-    if not (known and SLOPE_LIMIT_RANGE_RAD[0] <= e.lander.slope_limit <= SLOPE_LIMIT_RANGE_RAD[1]):
-        return np.zeros(e.level.grid.shape, np.bool_)
+    known = domain.is_within_measurements(evidence.noise_ratio, evidence.spacing_ratio)
+    if not (
+        known
+        and SLOPE_LIMIT_RANGE_RAD[0] <= evidence.lander.slope_limit <= SLOPE_LIMIT_RANGE_RAD[1]
+    ):
+        return np.zeros(evidence.level.grid.shape, np.bool_)
     with np.errstate(invalid="ignore"):
-        few = domain.is_within_counts(e.expected_hazards(), e.expected_tilt_violations()) & (
-            e.expected_hole_violations() <= sinking
-        )
-    return np.asarray(e.observed & few)
+        few = domain.is_within_counts(
+            evidence.expected_hazards(), evidence.expected_tilt_violations()
+        ) & (evidence.expected_hole_violations() <= max_tilting_holes)
+    return np.asarray(evidence.observed & few)
 
 
 @lru_cache(maxsize=1)
@@ -445,8 +457,8 @@ def site_probability(
     upper_bound: Array,
     p_clear: Array,
     outside_bound: Array,
-    known: BoolMap,
-    covered: BoolMap,
+    in_model_domain: BoolMap,
+    in_refit_domain: BoolMap,
     refit: ScenarioCalibration | None = None,
 ) -> Array:
     """Return the safety probability of sites from log odds and upper bounds (n,).
@@ -464,25 +476,25 @@ def site_probability(
     upper_bound, p_clear, outside_bound
         Results of `observed_terrain_bound`, `p_no_rock_under_pads` and `outside_domain_bound` for
         the sites (n,).
-    known, covered
-        Whether each site is in the domain of the ensemble, and whether in the domain of the refit
-        (n,); equal without a refit.
+    in_model_domain, in_refit_domain
+        Whether each site is in the domain of the ensemble, and in that of the refit (n,); equal
+        without a refit.
     refit
         Calibration fitted to a scenario; None: none.
     """
     both = np.minimum(upper_bound, p_clear)
-    unbound = SURE * np.minimum(expit(odds), upper_bound)
+    unbound = ALMOST_CERTAINLY_SAFE_P * np.minimum(expit(odds), upper_bound)
     if refit is None:
         p = conservative_probability(
-            odds, both, outside_bound, covered, NEAR_DOMAIN_LOG_ODDS_MARGIN
+            odds, both, outside_bound, in_refit_domain, NEAR_DOMAIN_LOG_ODDS_MARGIN
         )
-        is_final = p >= SURE
+        is_final = p >= ALMOST_CERTAINLY_SAFE_P
     else:
-        inside = np.minimum(refit.probability(odds, known), upper_bound)
+        inside = np.minimum(refit.probability(odds, in_model_domain), upper_bound)
         unbound = np.minimum(unbound, inside)
         lowest = out_of_domain_bound(odds, both, outside_bound, NEAR_DOMAIN_LOG_ODDS_MARGIN)
-        p = np.where(covered, inside, np.minimum(inside, lowest))
-        is_final = covered
+        p = np.where(in_refit_domain, inside, np.minimum(inside, lowest))
+        is_final = in_refit_domain
     return np.asarray(
         np.where(is_final, p, (1.0 - UNKNOWN_MODEL_WEIGHT) * p + UNKNOWN_MODEL_WEIGHT * unbound)
     )
@@ -525,4 +537,6 @@ def outside_domain_bound(evidence: MapEvidence) -> Array:
     """
     none = np.exp(-np.nan_to_num(evidence.expected_roughness_violations(), nan=np.inf))
     far = np.minimum(evidence.level.p_safe.astype(np.float64), none)
-    return np.asarray(np.where(_within(evidence, _NEAR_DOMAIN, _NEAR_DOMAIN_SINKING), 1.0, far))
+    return np.asarray(
+        np.where(_where_few_hazards(evidence, _NEAR_DOMAIN, _NEAR_DOMAIN_MAX_HOLES), 1.0, far)
+    )

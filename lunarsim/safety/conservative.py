@@ -76,7 +76,7 @@ def level_slope(span: FloatMap, footprint: Footprint) -> FloatMap:
     `span` (rows, cols) is the maximum minus the minimum height over all cells that a pad may touch,
     m. The bound is Eq. 11 of the Gaussian DEM paper.
     """
-    sine = span / np.float32(footprint.least_height)
+    sine = span / np.float32(footprint.min_triangle_height)
     # The theorem requires a height difference below h0; steeper terrain is unsafe.
     slope = np.where(sine < 1.0, np.arcsin(np.clip(sine, 0.0, 1.0)), np.float32(np.pi / 2))
     return slope.astype(np.float32)
@@ -127,7 +127,7 @@ def stochastic_safety(
         height.middle,
         spread,
         footprint.cells,
-        np.float32(footprint.least_height * ratio),
+        np.float32(footprint.min_triangle_height * ratio),
         np.float32(lander.roughness_limit),
         p_slope,
         p_rough,

@@ -20,8 +20,8 @@ _MIN_TILTING_LIMIT = 1e-2
 
 
 @dataclass(frozen=True)
-class Domain:
-    """Range of sites that a fit covers.
+class CalibrationDomain:
+    """Range of map and site properties in which a calibration is valid.
 
     Attributes
     ----------
@@ -51,13 +51,13 @@ class Domain:
                 raise InputError(f"domain.{f.name}", value, "must be finite and 0 or more")
             if np.ndim(value) and value[0] > value[1]:
                 raise InputError(
-                    f"domain.{f.name}", value, "must be a minimum and a maximum that is not smaller"
+                    f"domain.{f.name}", value, "must be a minimum and a maximum, in this order"
                 )
 
     @classmethod
     def of(
         cls, hazards: ArrayLike, tilting: ArrayLike, noise: ArrayLike, spacing: ArrayLike
-    ) -> Domain:
+    ) -> CalibrationDomain:
         """Return the domain that covers nearly all of the given sites, slightly extended.
 
         Parameters

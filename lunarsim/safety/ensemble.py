@@ -40,9 +40,10 @@ LOG_ODDS_MARGIN = float(np.log(2.0))
 # certainly safe sites. A world in which 1 of 250 such sites is unsafe shows none among 750 in 1 of
 # 20 cases.
 MAX_CLAIM_DEFICIT = 0.004
-# A site is almost certainly safe from the first probability on, and almost certainly unsafe up to
-# the second.
-SURE, HOPELESS = 0.95, 0.05
+# Sites count as almost certainly safe from this probability on.
+ALMOST_CERTAINLY_SAFE_P = 0.95
+# Sites count as almost certainly unsafe up to this probability.
+ALMOST_CERTAINLY_UNSAFE_P = 0.05
 # Limit of the weights in a file: features are about 1.
 _MAX_WEIGHT = 1e6
 
@@ -61,7 +62,10 @@ class LogOddsBounds:
     high: Array
 
     def estimate(
-        self, upper_bound: Array, max_unsafe_p: float = HOPELESS, doomed: BoolArray | None = None
+        self,
+        upper_bound: Array,
+        max_unsafe_p: float = ALMOST_CERTAINLY_UNSAFE_P,
+        may_be_unsafe: BoolArray | None = None,
     ) -> SafetyEstimate:
         """Return the safety probability of the sites, and whether the fits agree.
 
@@ -70,13 +74,17 @@ class LogOddsBounds:
         upper_bound
             Upper bound of the probability (n,).
         max_unsafe_p
-            Probability up to which sites are almost certainly unsafe.
-        doomed
-            Where sites may be classified as almost certainly unsafe (n,); omitted: anywhere.
+            Probability up to which sites count as almost certainly unsafe.
+        may_be_unsafe
+            Mask of the sites that may count as almost certainly unsafe (n,); omitted: all.
         """
         p = lower_bound_probability(self.low, upper_bound)
         never = expit(self.high) <= max_unsafe_p
-        return SafetyEstimate(p, (p >= SURE) | (never if doomed is None else never & doomed))
+        return SafetyEstimate(
+            p,
+            (p >= ALMOST_CERTAINLY_SAFE_P)
+            | (never if may_be_unsafe is None else never & may_be_unsafe),
+        )
 
 
 @dataclass(frozen=True)
@@ -112,12 +120,12 @@ def out_of_domain_bound(
 ) -> Array:
     """Return the safety probability (n,) of sites outside the calibrated domain.
 
-    The probability is at most `SURE` times the minimum of both bounds. `low` is the minimum log
-    odds over the fits (n,), reduced by `margin`; `upper_bound` and `outside_bound` limit the
-    probability (n,).
+    `low` is the minimum log odds over the fits (n,), reduced by `margin`. The probability is at
+    most `ALMOST_CERTAINLY_SAFE_P` times the lower of `upper_bound` and `outside_bound` (n,).
     """
     return np.asarray(
-        SURE * np.minimum(lower_bound_probability(low, upper_bound, margin), outside_bound)
+        ALMOST_CERTAINLY_SAFE_P
+        * np.minimum(lower_bound_probability(low, upper_bound, margin), outside_bound)
     )
 
 
@@ -125,7 +133,7 @@ def conservative_probability(
     low: Array,
     upper_bound: Array,
     outside_bound: Array,
-    known: BoolArray,
+    in_domain: BoolArray,
     margin: float = LOG_ODDS_MARGIN,
 ) -> Array:
     """Return the safety probability (n,), limited outside the calibrated domain.
@@ -133,18 +141,20 @@ def conservative_probability(
     Parameters
     ----------
     low
-        Minimum log odds (n,).
+        Minimum log odds over the fits (n,).
     upper_bound, outside_bound
-        Upper bounds of the probability everywhere, and where the probability is not an observed
-        frequency of safe sites (n,).
-    known
+        Upper bound of the probability of all sites, and further bound for sites that are outside
+        the domain or not almost certainly safe (n,).
+    in_domain
         Whether the sites are in the domain of the fits (n,).
     margin
-        Margin on the log odds where the probability is not a frequency.
+        Margin on the log odds of the sites to which `outside_bound` applies.
     """
     plain = lower_bound_probability(low, upper_bound)
     return np.where(
-        known & (plain >= SURE), plain, out_of_domain_bound(low, upper_bound, outside_bound, margin)
+        in_domain & (plain >= ALMOST_CERTAINLY_SAFE_P),
+        plain,
+        out_of_domain_bound(low, upper_bound, outside_bound, margin),
     )
 
 

@@ -119,7 +119,7 @@ def safe_sites(elevation: ArrayLike, grid: Grid, lander: Lander) -> tuple[BoolMa
     height = prepare_elevation("elevation", elevation, grid, footprint)
     span, rise = height_differences(height, footprint)
     observed = rise < k.FAR
-    clearly_safe = (span < footprint.least_height * np.sin(lander.slope_limit)) & (
+    clearly_safe = (span < footprint.min_triangle_height * np.sin(lander.slope_limit)) & (
         rise < lander.roughness_limit
     )
     todo = observed & ~clearly_safe
@@ -142,30 +142,29 @@ def height_differences(height: ElevationRaster, footprint: Footprint) -> tuple[F
 
 def _evaluate(
     height: ElevationRaster,
-    todo: BoolMap,
+    selected: BoolMap,
     footprint: Footprint,
     lander: Lander,
     posting: float,
-    decide: bool,
+    classify_only: bool,
 ) -> tuple[FloatMap, FloatMap]:
-    """Return tan(slope) and roughness (m) of the sites `todo`; NaN elsewhere.
+    """Return tan(slope) and roughness (m) of `selected` sites (rows, cols); else NaN.
 
-    With `decide`, values are only valid for comparison with the limits. `todo` and both results are
-    (rows, cols).
+    With `classify_only`, values are only valid for comparison with the limits.
     """
     limit = np.float32(lander.roughness_limit)
-    tangent, roughness = (np.full(todo.shape, np.nan, np.float32) for _ in range(2))
+    tangent, roughness = (np.full(selected.shape, np.nan, np.float32) for _ in range(2))
     ek.exact(
         height.double,
         height.middle,
-        todo,
+        selected,
         footprint.cells,
         footprint.covers(BLOCK),
         np.float32(posting),
         np.float32(np.tan(lander.slope_limit)),
         # Reaching the limit is unsafe; the kernel tests for values above its argument.
-        np.nextafter(limit, np.float32(0.0)) if decide else limit,
-        decide,
+        np.nextafter(limit, np.float32(0.0)) if classify_only else limit,
+        classify_only,
         tangent,
         roughness,
     )

@@ -36,11 +36,9 @@ class FootprintArrays(NamedTuple):
         numbers of window levels, and maximum offset, in cells.
     pad_reach
         Maximum offset of a cell under a pad, cells.
-    inverse
-        Inverse of the matrix of the triangle's edges for plane s on diagonal d
-        (headings, planes, diagonals, 4), 1/cells.
-    place
-        Row and column of the triangle's first leg (headings, planes, diagonals, 2), cells.
+    inverse, first_leg
+        Inverse matrix of the edges of each triangle of legs that can carry the lander (headings,
+        planes, diagonals, 4), 1/cells, and cell of its first leg (headings, planes, diagonals, 2).
     """
 
     legs: IntArray
@@ -53,7 +51,7 @@ class FootprintArrays(NamedTuple):
     reach: int
     pad_reach: int
     inverse: NDArray[np.float32]
-    place: NDArray[np.float32]
+    first_leg: NDArray[np.float32]
 
 
 class PolygonBlocks(NamedTuple):
@@ -72,7 +70,7 @@ class PolygonBlocks(NamedTuple):
         (n block block,).
     distinct
         Distinct corners (k, 2): headings share many blocks.
-    which
+    corner_index
         Index of each block's corner in `distinct` (n,).
     """
 
@@ -81,7 +79,7 @@ class PolygonBlocks(NamedTuple):
     first: IntArray
     allowed: NDArray[np.float32]
     distinct: IntArray
-    which: IntArray
+    corner_index: IntArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,7 +101,7 @@ class Footprint:
         columns, or of 2**-level rows for a negative level; n is a multiple of four.
     depth, height
         Number of window levels along rows, and along columns.
-    least_height
+    min_triangle_height
         h0: minimum height of any triangle of legs, m.
     reach
         Maximum offset in any direction, cells.
@@ -117,7 +115,7 @@ class Footprint:
     body_windows: IntArray
     depth: int
     height: int
-    least_height: float
+    min_triangle_height: float
     reach: int
 
     def nearest_heading(self, lander: Lander, posting: float, heading: float) -> int:
@@ -161,7 +159,7 @@ class Footprint:
     @cached_property
     def cells(self) -> FootprintArrays:
         """Arrays of this footprint for the compiled kernels."""
-        inverse, place = _support_geometry(self.legs)
+        inverse, first_leg = _support_geometry(self.legs)
         return FootprintArrays(
             self.legs,
             self.pad_windows,
@@ -173,7 +171,7 @@ class Footprint:
             self.reach,
             int(self.pad.max()),
             inverse,
-            place,
+            first_leg,
         )
 
     def covers(self, block: int) -> PolygonBlocks:
@@ -249,11 +247,9 @@ def _row_windows(mask: NDArray[np.bool_], row0: int, col0: int) -> list[tuple[in
 def _windows(mask: NDArray[np.bool_], row0: int, col0: int, *, columns: bool = False) -> IntArray:
     """Return a set of cells as windows whose lengths are powers of two (n, 5).
 
-    `mask` is the set, `row0` and `col0` are the offset of its first cell; rows of the result are as
-    in `Footprint`.
-
-    With `columns`, the rows near the middle are covered by windows along columns, for the number of
-    rows that gives the fewest windows: the sides of a ring are a few long columns.
+    `mask` is the set, and (row0, col0) is the offset of its first cell; `Footprint` describes a row
+    of the result. With `columns`, the middle rows are covered by windows along columns, if this
+    needs fewer windows: the sides of a ring are a few long columns.
     """
     best = _row_windows(mask, row0, col0)
     rows = np.abs(np.arange(row0, row0 + len(mask)))
@@ -272,21 +268,18 @@ _TRIANGLES = {3: (((0, 1, 2),),), 4: (((0, 1, 2), (0, 1, 3)), ((0, 2, 3), (1, 2,
 
 
 def _support_geometry(legs: IntArray) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Return `inverse` and `place` of `FootprintArrays` from the cells of the legs.
-
-    Both describe the triangles of legs on which the lander can stand.
-    """
+    """Return `inverse` and `first_leg` of `FootprintArrays` from cells of the legs."""
     triangles = _TRIANGLES[legs.shape[1]]
     shape = (len(legs), len(triangles), len(triangles[0]))
-    inverse, place = np.zeros((*shape, 4)), np.zeros((*shape, 2))
+    inverse, first_leg = np.zeros((*shape, 4)), np.zeros((*shape, 2))
     for s, diagonals in enumerate(triangles):
         for d, (a, b, c) in enumerate(diagonals):
             u, v = legs[:, b] - legs[:, a], legs[:, c] - legs[:, a]
             determinant = u[:, 1] * v[:, 0] - v[:, 1] * u[:, 0]
             edges = np.stack((v[:, 0], -u[:, 0], -v[:, 1], u[:, 1]), axis=-1)
             inverse[:, s, d] = edges / determinant[:, None]
-            place[:, s, d] = legs[:, a]
-    return inverse.astype(np.float32), place.astype(np.float32)
+            first_leg[:, s, d] = legs[:, a]
+    return inverse.astype(np.float32), first_leg.astype(np.float32)
 
 
 @lru_cache(maxsize=64)
@@ -316,7 +309,7 @@ def _covers(footprint: Footprint, block: int) -> PolygonBlocks:
         first.append(len(corners))
     south_west = np.array(corners, dtype=np.int64)
     centres = (south_west[:, ::-1] + 0.5 * (block - 1)).astype(np.float32)
-    distinct, which = np.unique(south_west, axis=0, return_inverse=True)
+    distinct, corner_index = np.unique(south_west, axis=0, return_inverse=True)
     marks = np.where(np.array(allowed), np.float32(0.0), -FAR).ravel()
     return PolygonBlocks(
         south_west,
@@ -324,7 +317,7 @@ def _covers(footprint: Footprint, block: int) -> PolygonBlocks:
         np.array(first),
         marks,
         distinct,
-        which.ravel().astype(np.int64),
+        corner_index.ravel().astype(np.int64),
     )
 
 
@@ -386,7 +379,7 @@ def _footprint(legs: int, leg_radius: float, pad_radius: float, posting: float) 
         body_windows=body_windows,
         depth=1 + int(levels.max()),
         height=1 - int(levels.min()),
-        least_height=min_height * posting,
+        min_triangle_height=min_height * posting,
         reach=reach,
     )
 
@@ -403,7 +396,7 @@ def footprint_of(lander: Lander, posting: float) -> Footprint:
         256 cells from the centre: computing time and memory grow with the cube of that number.
     """
     footprint = _footprint(lander.legs, lander.leg_radius, 0.5 * lander.pad_diameter, posting)
-    if footprint.least_height <= 0.0:
+    if footprint.min_triangle_height <= 0.0:
         raise InputError(
             "grid.posting", posting, "must be smaller: three legs are in one line of cells"
         )

@@ -81,7 +81,7 @@ def ensemble_bounds(
         heights.append(height)
     first = np.concatenate(([0], np.cumsum([len(x) for x in knots])))
     low, high = np.empty(len(values[0])), np.empty(len(values[0]))
-    k.extremes(
+    k.fit_extremes(
         np.ascontiguousarray(base), np.array(values, dtype=np.float64), np.concatenate(knots),
         first, np.ascontiguousarray(np.concatenate(heights)), low, high,
     )  # fmt: skip

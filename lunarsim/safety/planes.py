@@ -73,7 +73,7 @@ def plane_stochastic_safety(
         raised,
         leg,
     )
-    slope_sigma = np.float32(np.sqrt(2.0) / footprint.least_height) * leg
+    slope_sigma = np.float32(np.sqrt(2.0) / footprint.min_triangle_height) * leg
     rough_sigma = np.hypot((raised - nominal) / np.float32(3.0), leg)
     p_slope = _probability_below(np.float32(np.tan(lander.slope_limit)) - tangent, slope_sigma)
     p_rough = _probability_below(np.float32(lander.roughness_limit) - nominal, rough_sigma)

@@ -24,7 +24,7 @@ from lunarsim.atomic_files import atomic_write_text, read_json_with_format
 from lunarsim.errors import InputError
 from lunarsim.models.lander import Lander
 from lunarsim.parts.quantity import quantity_of
-from lunarsim.safety.domain import Domain
+from lunarsim.safety.domain import CalibrationDomain
 from lunarsim.safety.ensemble import Ensemble
 from lunarsim.safety.logistic import Logistic
 
@@ -114,7 +114,7 @@ class ScenarioCalibration:
 
     inside: CalibrationStage
     outside: CalibrationStage
-    domain: Domain
+    domain: CalibrationDomain
     lander: Mapping[str, float]
     regression: str
     scenario: str = ""
@@ -130,8 +130,8 @@ class ScenarioCalibration:
         cls,
         log_odds: Array,
         safe: BoolArray,
-        known: BoolArray,
-        domain: Domain,
+        in_domain: BoolArray,
+        domain: CalibrationDomain,
         lander: Lander,
         model: Ensemble,
     ) -> ScenarioCalibration:
@@ -144,7 +144,7 @@ class ScenarioCalibration:
 
         Parameters
         ----------
-        log_odds, safe, known
+        log_odds, safe, in_domain
             For each site in `domain` (n,): log odds by the regression, whether it is safe by the
             exact test, and whether it is in the regression's domain.
         domain
@@ -159,7 +159,7 @@ class ScenarioCalibration:
         """
         fits = [
             CalibrationStage.fit(log_odds[of], safe[of]) if has_enough_sites(safe[of]) else None
-            for of in (known, ~known)
+            for of in (in_domain, ~in_domain)
         ]
         if fits == [None, None]:
             raise InputError(
@@ -171,18 +171,18 @@ class ScenarioCalibration:
         inside = fits[0] or CalibrationStage()
         return cls(inside, fits[1] or inside, domain, lander_safety_params(lander), model.digest)
 
-    def probability(self, log_odds: Array, known: BoolArray) -> Array:
+    def probability(self, log_odds: Array, in_domain: BoolArray) -> Array:
         """Return the probability of safety of sites (n,) by the last stage.
 
         Parameters
         ----------
         log_odds
             Log odds by the regression (n,).
-        known
+        in_domain
             Whether each site is in the domain of the regression (n,).
         """
         p = self.inside.probability(log_odds)
-        return np.where(known, p, np.minimum(p, self.outside.probability(log_odds)))
+        return np.where(in_domain, p, np.minimum(p, self.outside.probability(log_odds)))
 
     def check(self, lander: Lander, model: Ensemble) -> None:
         """Raise an error if the lander or the regression differs from those of the fit.
@@ -246,13 +246,13 @@ class ScenarioCalibration:
         return cls(
             inside=_stage(data, "inside"),
             outside=_stage(data, "outside"),
-            domain=Domain(
+            domain=CalibrationDomain(
                 _number(domain, "hazards"), _number(domain, "tilting"),
                 _range(domain, "noise"), _range(domain, "spacing"),
             ),
             lander={key: _number(lander, key) for key in lander_safety_params(Lander())},
-            before=_figures(data, "before"),
-            after=_figures(data, "after"),
+            before=_metrics(data, "before"),
+            after=_metrics(data, "after"),
             **texts,
             **counts,
         )  # fmt: skip
@@ -327,7 +327,7 @@ def _range(data: dict[str, Any], key: str) -> tuple[float, float]:
     return _number(data, key, value[0]), _number(data, key, value[1])
 
 
-def _figures(data: dict[str, Any], key: str) -> MetricTable:
+def _metrics(data: dict[str, Any], key: str) -> MetricTable:
     """Return the accuracy metrics stored under a key of a calibration file."""
     groups = _table(data, key)
     return {

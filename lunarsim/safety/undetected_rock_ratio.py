@@ -37,15 +37,16 @@ Array = NDArray[np.float64]
 
 
 class UnseenRockCount(Protocol):
-    """Function that counts unseen rocks above heights, per unit of area.
+    """Interface of a function that returns unseen rocks above heights, per area.
 
-    `UndetectedRockRatio.remaining_rocks` calls it.
+    It is the argument `unseen` of `UndetectedRockRatio.remaining_rocks`.
     """
 
     def __call__(self, above: Array, where: NDArray[np.bool_] | None = None, /) -> Array:
         """Return the number of unseen rocks above the heights `above`, m.
 
-        The result is for all sites (rows, cols), or for the sites of the mask `where` (n,).
+        Without `where`, heights are () or (rows, cols), and the result is (rows, cols). With the
+        mask `where` (rows, cols), heights are () or those of its cells (n,), and so is the result.
         """
 
 
@@ -120,12 +121,12 @@ class UndetectedRockRatio:
         return np.asarray((self.ratio != 1.0).any(axis=0))
 
     @cached_property
-    def _falling(self) -> Array:
-        """Ratios made non-increasing with rock size, unobserved sizes first (n + 1, ...)."""
-        return self._falling_of(self.ratio)
+    def _non_increasing_ratio(self) -> Array:
+        """Ratio made non-increasing with rock size, unobserved sizes first (n + 1, ...)."""
+        return self._make_non_increasing(self.ratio)
 
     @staticmethod
-    def _falling_of(ratio: NDArray[np.float32]) -> Array:
+    def _make_non_increasing(ratio: NDArray[np.float32]) -> Array:
         # Class by class: a running maximum along the first axis is ten times slower.
         out = np.empty((len(ratio) + 1, *ratio.shape[1:]))
         out[-1] = ratio[-1]
@@ -144,55 +145,56 @@ class UndetectedRockRatio:
         height
             Heights, m, () or (rows, cols).
         """
-        return self._mean(height, self._falling)
+        return self._mean(height, self._non_increasing_ratio)
 
     def remaining_rocks(self, unseen: UnseenRockCount, height: ArrayLike) -> Array:
         """Return the number of unseen rocks above heights that remains (rows, cols).
 
-        This is after the observation by the other sensor.
-
-        Where the ratio exceeds 1, the excess is added class by class.
+        The observation by the other sensor reduces the number given by `unseen`. Where the ratio
+        exceeds 1, the excess is added class by class.
 
         Parameters
         ----------
         unseen
-            Function that returns the previous number above heights, () or (rows, cols), m, as
-            (rows, cols); with a mask (rows, cols), and heights () or of its cells (n,), as (n,).
+            Function that returns the number before the observation.
         height
             Heights, m, () or (rows, cols).
         """
         h = np.asarray(height, dtype=np.float64)
-        out: Array = unseen(h) * self._mean(h, self._falling_reduction)
+        out: Array = unseen(h) * self._mean(h, self._capped_non_increasing_ratio)
         for min_diameter, (where, further) in zip(self.diameter, self._excess, strict=True):
             if len(further):
                 above = np.maximum(h[where] if h.ndim else h, self.height_ratio * min_diameter)
                 out[where] += further * unseen(above, where)
         return out
 
-    def _mean(self, height: ArrayLike, falling: Array) -> Array:
-        """Return the mean of ratios over the rocks above heights (rows, cols).
+    def _mean(self, height: ArrayLike, ratios: Array) -> Array:
+        """Return the mean of ratios over all rocks above heights (rows, cols).
 
-        `height` is () or (rows, cols), m; `falling` (n + 1, rows, cols) are ratios that do not
-        increase with rock size.
+        `height` is () or (rows, cols), m; `ratios` (n + 1, rows, cols) do not increase with size.
         """
-        flat = falling.reshape(len(falling), -1)
+        flat = ratios.reshape(len(ratios), -1)
         out = np.empty(flat.shape[1])
         with threads_for(0.05 * out.size):
             mean_ratios(
-                _of_sites(height, self.shape), flat, np.asarray(self.diameter, float),
+                _flatten_heights(height, self.shape), flat, np.asarray(self.diameter, float),
                 _rock_number(self.diameter, self.cover), _MIN_HEIGHT_M, self.height_ratio,
                 _LOG_TABLE[0], _LOG_TABLE[1] - _LOG_TABLE[0], _log_rock_number(self.cover), out,
             )  # fmt: skip
         return out.reshape(self.shape)
 
     @cached_property
-    def _falling_reduction(self) -> Array:
-        """Ratios limited to 1 and made non-increasing with rock size (n + 1, ...)."""
-        return self._falling_of(np.minimum(self.ratio, np.float32(1.0)))
+    def _capped_non_increasing_ratio(self) -> Array:
+        """Ratio, at most 1, made non-increasing with rock size (n + 1, ...)."""
+        return self._make_non_increasing(np.minimum(self.ratio, np.float32(1.0)))
 
     @cached_property
     def _excess(self) -> list[tuple[NDArray[np.bool_], Array]]:
-        """Mask and value, per size class, of its excess over the next smaller class."""
+        """Growth of the excess of the ratio over 1 from each size class to the next.
+
+        The excess is made non-decreasing with rock size. The list has one pair per class: mask of
+        the cells where the excess grows (rows, cols), and the growth in these cells (n,).
+        """
         out, before = [], np.zeros(self.shape, np.float32)
         for ratio in self.ratio:
             more = np.maximum(ratio - np.float32(1.0), before)
@@ -202,8 +204,8 @@ class UndetectedRockRatio:
         return out
 
 
-def _of_sites(height: ArrayLike, shape: tuple[int, int]) -> Array:
-    """Return a scalar height as (1,), and other heights flattened over all sites."""
+def _flatten_heights(height: ArrayLike, shape: tuple[int, int]) -> Array:
+    """Return one height as (1,), and several broadcast to `shape` and flattened (n,)."""
     h = np.asarray(height, dtype=np.float64)
     return h.reshape(1) if h.size == 1 else np.ravel(np.broadcast_to(h, shape))
 

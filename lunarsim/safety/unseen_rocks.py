@@ -103,7 +103,7 @@ class ExceedanceCurve:
     def missed_rocks(self, height: ArrayLike, density: ArrayLike) -> Array:
         """Return an upper estimate of rocks above a height that samples miss, per m^2.
 
-        The result has the shape (...) of both arguments broadcast; no sample has met these rocks.
+        The result has the shape (...) of both arguments broadcast.
 
         A rock that is half an ellipsoid of height H raises ``a (H^2 - x^2)`` of terrain above a
         height x, a = pi / (4 ratio^2). Hence at most ``S(x) / (a (h^2 - x^2))`` rocks are higher
@@ -129,7 +129,7 @@ class ExceedanceCurve:
         return np.asarray(max_number / (1.0 + seen))
 
     def missed_holes(self, depth: ArrayLike, density: ArrayLike, width: float) -> Array:
-        """Return the number of holes of a depth that all samples miss, per m^2 (...).
+        """Return the number of holes deeper than a depth that all samples miss, per m^2.
 
         The curve must be the fraction of terrain deeper than each depth. Holes are counted as
         squares of the minimum relevant width: a pad does not sink into narrower holes.
@@ -184,33 +184,31 @@ def height_curve(
         z, noise, limit * _GRAVEL_COUNT_HEIGHTS, height, law
     )
     lower = np.where(height < min_counted, np.maximum(lower, 1.0), lower)
-    share = _falling(law * times)
+    share = _non_increasing(law * times)
     return ExceedanceCurve(
-        height, share, counted, _falling(np.maximum(law * lower, share)), min_counted
+        height, share, counted, _non_increasing(np.maximum(law * lower, share)), min_counted
     )
 
 
-def _falling(share: Array) -> Array:
+def _non_increasing(share: Array) -> Array:
     """Return fractions (n,), at most `_MAX_FRACTION` and non-increasing with height."""
     return np.asarray(np.minimum.accumulate(np.minimum(share, _MAX_FRACTION)))
 
 
 def _ratio_to_distribution(
-    z: Array, noise: float, counted: Array, height: Array, law: Array
+    sample_heights: Array, noise: float, counted: Array, height: Array, distribution: Array
 ) -> tuple[Array, float]:
     """Return the ratio of counted samples to the rock distribution, by height (n,).
 
-    The second result is the minimum height at which samples were counted, m. `z` are heights of
-    samples, `counted` the heights at which samples are counted; `law` (n,) is the distribution's
-    fraction of terrain above `height` (n,).
-
-    Heights within the noise are omitted; outside the counted heights the ratio is constant.
+    Samples are counted above each of the heights `counted`, except those within the noise; beyond
+    them the ratio is constant. `distribution` (n,) is the distribution's fraction of terrain above
+    `height` (n,). The second result is the minimum height at which samples were counted, m.
     """
     above_noise = counted[counted >= _MIN_HEIGHT_SIGMAS * noise]
     counted = above_noise if above_noise.size else counted[-1:]
-    above = (z[:, None] > counted).sum(axis=0)
-    expected = np.exp(np.interp(np.log(counted), np.log(height), np.log(law)))
-    found = (above + _PRIOR_SAMPLES * expected) / (z.size + _PRIOR_SAMPLES)
+    above = (sample_heights[:, None] > counted).sum(axis=0)
+    expected = np.exp(np.interp(np.log(counted), np.log(height), np.log(distribution)))
+    found = (above + _PRIOR_SAMPLES * expected) / (sample_heights.size + _PRIOR_SAMPLES)
     times = np.interp(np.log(height), np.log(counted), np.log(found / expected))
     return np.exp(times), float(counted[0])
 

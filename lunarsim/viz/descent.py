@@ -48,7 +48,7 @@ def draw_descent(flight: Flight, path: Path | None = None) -> Figure:
     _draw_speed_and_tilt(axes["speed"], axes["tilt"], flight)
     _draw_engine(axes["thrust"], axes["propellant"], flight, lander)
     for name in names:
-        _share_time(axes[name], flight, marks, named=name == names[0])
+        _draw_phases_and_diverts(axes[name], flight, marks, with_legend=name == names[0])
         axes[name].tick_params(labelbottom=name == names[-1])
     axes[names[-1]].set_xlabel("Time (s)")
     figure.suptitle(flight_title(flight))
@@ -134,25 +134,25 @@ def _draw_engine(thrust: Any, propellant: Any, flight: Flight, lander: Lander) -
     propellant.set_ylabel("Propellant (kg)")
 
 
-def _share_time(
-    axes: Any, flight: Flight, marks: list[tuple[str, str, str, list[float]]], *, named: bool
+def _draw_phases_and_diverts(
+    axes: Any, flight: Flight, marks: list[tuple[str, str, str, list[float]]], *, with_legend: bool
 ) -> None:
     """Draw diverts and phase changes as vertical lines over the flight time.
 
-    With `named`, the axes also get the legend.
+    `marks` has label, marker, colour and times of each kind of event.
     """
     t = flight.trajectory
     axes.set_xlim(0.0, t["time"][-1])
     axes.grid(alpha=0.3)
     for label, _, colour, times in marks:
         for i, time in enumerate(times if label == _DIVERT_STYLE[0] else ()):
-            name = label if named and i == 0 else None
+            name = label if with_legend and i == 0 else None
             axes.axvline(time, color=colour, lw=0.9, ls=":", label=name)
     phase = t["phase"].astype(int)
     for row in np.flatnonzero(np.diff(phase)) + 1:
         name = _PHASES.get(int(phase[row]), "approach")
         axes.axvline(
-            t["time"][row], color="0.4", lw=0.9, label=f"start of {name}" if named else None
+            t["time"][row], color="0.4", lw=0.9, label=f"start of {name}" if with_legend else None
         )
     if axes.get_legend_handles_labels()[0]:
         axes.legend(loc="best")

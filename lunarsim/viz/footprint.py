@@ -98,9 +98,9 @@ def _height_above_pads(grid: Grid, elevation: Array, heights: Array, pads: Array
     the one with the highest terrain above it within the polygon of the legs.
     """
     x, y = np.meshgrid(grid.x, grid.y)
-    inside = _inside(grid, pads)
+    inside = _cells_between_pads(grid, pads)
     found = []
-    for three in _stances(heights):
+    for three in _support_triangles(heights):
         sides = np.column_stack((pads[three], np.ones(3)))
         a, b, c = np.linalg.solve(sides, heights[three])
         found.append(elevation - (a * x + b * y + c))
@@ -108,7 +108,7 @@ def _height_above_pads(grid: Grid, elevation: Array, heights: Array, pads: Array
     return np.asarray(found[int(np.argmax(highest))])
 
 
-def _stances(heights: Array) -> list[list[int]]:
+def _support_triangles(heights: Array) -> list[list[int]]:
     """Return the indices of three pads for each plane that the lander can stand on.
 
     `heights` (legs,) are the terrain heights under the pads, m.
@@ -120,7 +120,7 @@ def _stances(heights: Array) -> list[list[int]]:
     return [[a, b, other] for other in others]
 
 
-def _inside(grid: Grid, pads: Array) -> Any:
+def _cells_between_pads(grid: Grid, pads: Array) -> Any:
     """Return which cells (rows, cols) lie in the polygon of the pads (legs, 2)."""
     x, y = np.meshgrid(grid.x, grid.y)
     cells = np.column_stack((x.ravel(), y.ravel()))
@@ -133,7 +133,7 @@ def _mark_belly_contact(axes: Any, grid: Grid, above: Array, pads: Array, cleara
     `above` (rows, cols) is the terrain above the plane of the pads, `clearance` the belly's height,
     m.
     """
-    high = _inside(grid, pads) & (above > clearance)
+    high = _cells_between_pads(grid, pads) & (above > clearance)
     if high.any():
         axes.contourf(grid.x, grid.y, high.astype(float), levels=[0.5, 1.5], colors="#C00000")
     return bool(high.any())

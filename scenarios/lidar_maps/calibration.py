@@ -50,7 +50,7 @@ from lunarsim.safety.calibration import (
     outside_domain_bound,
     p_no_rock_under_pads,
 )
-from lunarsim.safety.ensemble import HOPELESS, Ensemble, conservative_probability
+from lunarsim.safety.ensemble import ALMOST_CERTAINLY_UNSAFE_P, Ensemble, conservative_probability
 from lunarsim.viz.reliability import plot_ideal, plot_reliability
 from lunarsim.viz.style import COLOURS, new_figure, save
 
@@ -145,7 +145,7 @@ def probability(
     model: Ensemble,
     sites: PooledSites,
     farther: float = NEAR_DOMAIN_LOG_ODDS_MARGIN,
-    unsafe_limit: float = HOPELESS,
+    unsafe_limit: float = ALMOST_CERTAINLY_UNSAFE_P,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return p_safe of sites by a model, and whether the value is calibrated (n,).
 
@@ -373,7 +373,7 @@ class CalibrationMethod:
     draw: Callable[[int, int], list[LidarScene]]
     rising: int
     farther: float = NEAR_DOMAIN_LOG_ODDS_MARGIN
-    unsafe_limit: float = HOPELESS
+    unsafe_limit: float = ALMOST_CERTAINLY_UNSAFE_P
 
     def row(self, name: str, model: Ensemble, inside: list[SceneSites]) -> HeldOutRow:
         """Evaluate a model on the scenes of one scene type that its fit excluded.

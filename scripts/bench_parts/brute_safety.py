@@ -8,7 +8,7 @@ from bench_parts.common import median_ms
 from lunarsim._jit import kernel, prange
 from lunarsim._simd import SIMD_WIDTH, item, lane_fill, lane_max, lane_sqrt, load, store
 from lunarsim.safety import footprint_of
-from lunarsim.safety._plane_kernels import flat_offsets, plane, squared_tangent
+from lunarsim.safety._plane_kernels import flat_offsets, squared_tangent, support_plane
 from lunarsim.safety.exact import exact_safety
 from lunarsim.safety.footprint import polygon_runs
 
@@ -39,7 +39,7 @@ def _brute(z, feet, shape, cells, legs, runs, first, posting, tangent, roughness
     `feet` are heights under the pads, `cells` and `legs` the footprint at each heading, and
     `runs[first[h]:first[h + 1]]` the cells of its leg polygon at heading `h`.
     """
-    inverse, place, reach = cells.inverse, cells.place, cells.reach
+    inverse, first_leg, reach = cells.inverse, cells.first_leg, cells.reach
     rows, cols = shape
     for i in prange(reach, rows - reach):
         for j in range(reach, cols - reach - SIMD_WIDTH + 1, SIMD_WIDTH):
@@ -48,7 +48,7 @@ def _brute(z, feet, shape, cells, legs, runs, first, posting, tangent, roughness
             worst = lane_fill(0.0)
             for h in range(legs.shape[0]):
                 for s in range(inverse.shape[1]):
-                    gx, gy, base = plane(feet, site, legs, inverse, place, h, s)
+                    gx, gy, base = support_plane(feet, site, legs, inverse, first_leg, h, s)
                     square = squared_tangent(gx, gy, posting)
                     top = _max_height_above_plane(
                         z, site, cols, runs, first[h], first[h + 1], gx, gy

@@ -55,7 +55,7 @@ def test_a_node_of_other_code_or_packages_flies_nothing(monkeypatch):
         ({"torch": "2.0"}, r"torch none \(here 2\.0\)"),
     ):
         came = ray_cluster.fly_group(flights.work, group, None, here | change)
-        assert isinstance(came, ray_cluster.NodeMismatch) and re.search(told, came.has)
+        assert isinstance(came, ray_cluster.NodeMismatch) and re.search(told, came.differences)
         engine = object.__new__(ray_cluster.RayEngine)
         engine.address = "10.0.0.1:6379"
         with pytest.raises(InputError, match=told) as refused:

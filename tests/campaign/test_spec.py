@@ -185,7 +185,7 @@ LAWLESS = [
     (
         {"kind": "truncated-normal", "mean": 0.0, "sigma": 1e-3, "low": 1.0},
         ".low",
-        "must leave values",
+        "must leave a probability",
     ),
     ({"kind": "choice", "values": []}, ".values", "at least one"),
     ({"kind": "choice", "values": [0.1], "weights": [0.0]}, ".weights", "positive"),

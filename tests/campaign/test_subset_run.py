@@ -128,7 +128,7 @@ def test_rows_that_do_not_follow_from_each_other_are_refused(tmp_path, whole_sub
     values = found.table["slope_deg"].to_numpy().copy()
     values[5] += 9.0
     other = replace(found, table=found.table.set_column(place, "slope_deg", [values]))
-    with pytest.raises(InputError, match="follow from the others"):
+    with pytest.raises(InputError, match="does not match the flights that it depends on"):
         estimate_failure_shares(other)
 
 

@@ -20,9 +20,9 @@ from lunarsim.safety.calibration import (
     observed_terrain_bound,
 )
 from lunarsim.safety.ensemble import (
-    HOPELESS,
+    ALMOST_CERTAINLY_SAFE_P,
+    ALMOST_CERTAINLY_UNSAFE_P,
     LOG_ODDS_MARGIN,
-    SURE,
     conservative_probability,
     lower_bound_probability,
 )
@@ -64,7 +64,9 @@ def test_sites_that_gravel_may_tilt_count_as_not_claimed_as_on_the_map():
     found = SiteSamples.of(e, e.observed, e.observed, 0)
     assert 0 < claimed.sum() < claimed.size
     assert np.array_equal((found.known & found.agreed), claimed[e.observed])
-    assert (observed_terrain_bound(e)[~claimed] > SURE).any()  # it was the rocks that told
+    assert (
+        observed_terrain_bound(e)[~claimed] > ALMOST_CERTAINLY_SAFE_P
+    ).any()  # it was the rocks that told
 
 
 def sites(flight: int, n: int = 1500, shift: float = 0.0, known: float = 0.5, seed: int = 1,
@@ -72,7 +74,9 @@ def sites(flight: int, n: int = 1500, shift: float = 0.0, known: float = 0.5, se
     rng = np.random.default_rng([seed, flight])
     z = rng.normal(0.0, 3.0, n)
     inside = rng.random(n) < known
-    agreed = (lower_bound_probability(z, np.ones(n)) >= SURE) | (expit(z) <= HOPELESS)
+    agreed = (lower_bound_probability(z, np.ones(n)) >= ALMOST_CERTAINLY_SAFE_P) | (
+        expit(z) <= ALMOST_CERTAINLY_UNSAFE_P
+    )
     said = conservative_probability(
         z, np.ones(n), np.full(n, 0.1), inside, NEAR_DOMAIN_LOG_ODDS_MARGIN
     )

@@ -28,8 +28,13 @@ from lunarsim.safety.calibration import (
     p_no_rock_under_pads,
     packaged_ensemble,
 )
-from lunarsim.safety.domain import Domain
-from lunarsim.safety.ensemble import LOG_ODDS_MARGIN, MAX_CLAIM_DEFICIT, SURE, Ensemble
+from lunarsim.safety.domain import CalibrationDomain
+from lunarsim.safety.ensemble import (
+    ALMOST_CERTAINLY_SAFE_P,
+    LOG_ODDS_MARGIN,
+    MAX_CLAIM_DEFICIT,
+    Ensemble,
+)
 from lunarsim.safety.rock_effects import tilt_limit_rock_height
 from lunarsim.safety.unseen_rocks import (
     ExceedanceCurve,
@@ -142,7 +147,8 @@ def test_where_fits_differ_the_lowest_counts_and_is_no_frequency():
         (
             (2.0, 5.0),
             False,
-            SURE * ((1.0 - UNKNOWN_MODEL_WEIGHT) * doubtful + UNKNOWN_MODEL_WEIGHT * expit(2.0)),
+            ALMOST_CERTAINLY_SAFE_P
+            * ((1.0 - UNKNOWN_MODEL_WEIGHT) * doubtful + UNKNOWN_MODEL_WEIGHT * expit(2.0)),
         ),
         ((4.0, 5.0), True, sure),
     ):
@@ -167,7 +173,9 @@ def test_of_what_is_not_surely_safe_less_is_told_and_far_off_the_bound_at_most()
                 [told, observed_terrain_bound(site), p_no_rock_under_pads(site)], axis=0
             )
             fits = np.minimum(expit(odds), observed_terrain_bound(site))
-            wanted = SURE * ((1.0 - UNKNOWN_MODEL_WEIGHT) * bounded + UNKNOWN_MODEL_WEIGHT * fits)
+            wanted = ALMOST_CERTAINLY_SAFE_P * (
+                (1.0 - UNKNOWN_MODEL_WEIGHT) * bounded + UNKNOWN_MODEL_WEIGHT * fits
+            )
             assert p == pytest.approx(wanted, rel=1e-5)
             assert not known.any()
     # Surely unsafe is a frequency again.
@@ -213,7 +221,7 @@ def test_the_domain_ends_where_holes_may_gape_or_the_lander_is_another():
         e = replace(evidence(**good), lander=other)
         assert in_domain(e).all() == inside
         # A scenario's own has seen its own lander, and its own holes.
-        own = Domain(1.0, 1.0, (0.0, 1.0), (0.0, 1.0))
+        own = CalibrationDomain(1.0, 1.0, (0.0, 1.0), (0.0, 1.0))
         assert in_domain(replace(evidence(**good, holes=rocky(30.0)), lander=other), own).all()
 
 
@@ -248,9 +256,11 @@ def test_on_a_slope_it_is_at_most_the_chance_that_no_unseen_rock_lies_under_a_pa
         p, claimed = calibrated_safety(e, fits_of(9.0))
         most = np.exp(-2.0 * tilting)
         assert p == pytest.approx(
-            min(1.0 - MAX_CLAIM_DEFICIT, most) * (1.0 if most > SURE else SURE), abs=1e-3
+            min(1.0 - MAX_CLAIM_DEFICIT, most)
+            * (1.0 if most > ALMOST_CERTAINLY_SAFE_P else ALMOST_CERTAINLY_SAFE_P),
+            abs=1e-3,
         )
-        assert (claimed == (most > SURE)).all()
+        assert (claimed == (most > ALMOST_CERTAINLY_SAFE_P)).all()
 
 
 def test_unobserved_ground_is_not_safe():

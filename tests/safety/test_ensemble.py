@@ -14,10 +14,10 @@ from lunarsim.errors import InputError
 from lunarsim.onboard.hazards.quadtree import site_probability as quadtree
 from lunarsim.safety.calibration import NEAR_DOMAIN_LOG_ODDS_MARGIN
 from lunarsim.safety.ensemble import (
-    HOPELESS,
+    ALMOST_CERTAINLY_SAFE_P,
+    ALMOST_CERTAINLY_UNSAFE_P,
     LOG_ODDS_MARGIN,
     MAX_CLAIM_DEFICIT,
-    SURE,
     Ensemble,
     LogOddsBounds,
     conservative_probability,
@@ -56,10 +56,10 @@ def test_fits_agree_where_all_call_a_site_surely_safe_or_surely_not():
     said = LogOddsBounds(low, low + apart).estimate(np.ones(8))
     assert (
         expit(3.6 - LOG_ODDS_MARGIN)
-        < SURE
+        < ALMOST_CERTAINLY_SAFE_P
         < (1.0 - MAX_CLAIM_DEFICIT) * expit(3.8 - LOG_ODDS_MARGIN)
     )
-    assert expit(-2.95) < HOPELESS < expit(-2.5)
+    assert expit(-2.95) < ALMOST_CERTAINLY_UNSAFE_P < expit(-2.5)
     assert said.agreed.tolist() == [True, False, True, False, False, True, True, True]
     # Twice as often unsafe as by the lowest, and at least as often as no world can tell.
     assert (1.0 - MAX_CLAIM_DEFICIT) / said.p - 1.0 == pytest.approx(2.0 * np.exp(-low))
@@ -76,10 +76,10 @@ def test_where_nothing_is_claimed_nothing_is_surely_safe(low, most, least, margi
     p, doubted = (
         conservative_probability(*said, np.array([known]), margin)[0] for known in (True, False)
     )
-    assert doubted <= SURE * min(most, least, expit(low - margin))
+    assert doubted <= ALMOST_CERTAINLY_SAFE_P * min(most, least, expit(low - margin))
     assert doubted <= p <= min(most, 1.0 - MAX_CLAIM_DEFICIT)
     # In the domain what is not surely safe is as much in doubt as beyond.
-    assert p == doubted or p >= SURE
+    assert p == doubted or p >= ALMOST_CERTAINLY_SAFE_P
     # Worse evidence, of any kind, is told no better, over both edges.
     for worse in ((low - 0.3, most, least), (low, 0.9 * most, least), (low, most, 0.9 * least)):
         said = [np.array([v]) for v in worse]
@@ -100,7 +100,7 @@ def test_what_no_world_can_tell_is_what_a_world_of_750_sites_may_hide():
     near = conservative_probability(
         np.zeros(1), np.ones(1), np.ones(1), np.zeros(1, bool), NEAR_DOMAIN_LOG_ODDS_MARGIN
     )
-    assert near == pytest.approx(SURE * (1.0 - MAX_CLAIM_DEFICIT) / 13.0)
+    assert near == pytest.approx(ALMOST_CERTAINLY_SAFE_P * (1.0 - MAX_CLAIM_DEFICIT) / 13.0)
 
 
 def test_what_one_world_decides_is_not_agreed_on():

@@ -38,7 +38,7 @@ def test_lids_follow_the_ground_at_large():
     z = np.cumsum(rng.normal(0.0, 0.1, (33, 44)), axis=1).astype(np.float32)
     bottom, top, left, right = inside = (3, 28, 0, 39)
     slopes = np.full((2, 4, 5), np.nan, np.float32)
-    exact.slopes_at_large(z, inside, arm, slopes)
+    exact.large_scale_gradients(z, inside, arm, slopes)
     squares = np.empty(slopes.shape)
     for i, j in np.ndindex(4, 5):
         east, north = [], []
@@ -59,7 +59,7 @@ def test_lids_follow_the_ground_at_large():
 def test_a_lid_has_the_gradient_at_the_middle_of_its_block(shape):
     slopes = np.random.default_rng(2).normal(0.0, 1.0, shape).astype(np.float32)
     out = np.empty((shape[0] * exact.SQUARE + 3, shape[1] * exact.SQUARE + 7), np.float32)
-    exact.between(slopes, out)
+    exact.block_gradients(slopes, out)
     rows, cols = (exact.SQUARE * (np.arange(n) + 0.5) - 0.5 for n in shape)
     middle = 0.5 * (BLOCK - 1)
     lines = [np.interp(np.arange(out.shape[1]) + middle, cols, line) for line in slopes]

@@ -27,8 +27,8 @@ from lunarsim.safety.calibration import (
     packaged_ensemble,
     site_probability,
 )
-from lunarsim.safety.domain import Domain
-from lunarsim.safety.ensemble import MAX_CLAIM_DEFICIT, SURE, Ensemble
+from lunarsim.safety.domain import CalibrationDomain
+from lunarsim.safety.ensemble import ALMOST_CERTAINLY_SAFE_P, MAX_CLAIM_DEFICIT, Ensemble
 from lunarsim.safety.scenario_calibration import (
     CalibrationStage,
     ScenarioCalibration,
@@ -36,7 +36,7 @@ from lunarsim.safety.scenario_calibration import (
 )
 from tests.map_evidence import LANDER, evidence, rocky
 
-WIDE = Domain(0.5, 1e6, (0.0, 1.0), (0.0, 1.0))
+WIDE = CalibrationDomain(0.5, 1e6, (0.0, 1.0), (0.0, 1.0))
 
 
 def refit(inside=(0.3, 0.8), outside=(-0.5, 0.6), domain=WIDE, **more) -> ScenarioCalibration:
@@ -51,7 +51,7 @@ def refit(inside=(0.3, 0.8), outside=(-0.5, 0.6), domain=WIDE, **more) -> Scenar
 
 stages = st.tuples(st.floats(-4.0, 4.0), st.floats(0.0, 3.0))
 domains = st.builds(
-    lambda h, t, n, s: Domain(h, t, (0.0, n), (0.0, s)),
+    lambda h, t, n, s: CalibrationDomain(h, t, (0.0, n), (0.0, s)),
     st.floats(1e-3, 1.0), st.floats(1e-2, 1e3), st.floats(0.02, 1.0), st.floats(0.02, 1.0),
 )  # fmt: skip
 
@@ -137,7 +137,8 @@ def test_its_domain_is_its_own_whether_the_fits_agree_or_not():
     assert not known.any()
     bounded = (1.0 - MAX_CLAIM_DEFICIT) * expit(-9.0 - NEAR_DOMAIN_LOG_ODDS_MARGIN)
     assert p == pytest.approx(
-        SURE * ((1.0 - UNKNOWN_MODEL_WEIGHT) * bounded + UNKNOWN_MODEL_WEIGHT * expit(-9.0)),
+        ALMOST_CERTAINLY_SAFE_P
+        * ((1.0 - UNKNOWN_MODEL_WEIGHT) * bounded + UNKNOWN_MODEL_WEIGHT * expit(-9.0)),
         rel=1e-4,
     )
 
@@ -208,7 +209,7 @@ def test_a_side_with_too_few_sites_is_left_as_it_is():
 
 def test_the_domain_is_that_of_nearly_all_sites():
     hazards, tilting = np.linspace(0.0, 1.0, 1001), np.linspace(0.0, 100.0, 1001)
-    domain = Domain.of(hazards, tilting, [0.05, 0.1], [0.2, 0.3])
+    domain = CalibrationDomain.of(hazards, tilting, [0.05, 0.1], [0.2, 0.3])
     assert (domain.hazards, domain.tilting) == pytest.approx((0.99, 99.0))
     assert domain.noise == pytest.approx((0.04, 0.125))
     assert domain.spacing == pytest.approx((0.16, 0.375))

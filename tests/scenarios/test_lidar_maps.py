@@ -18,7 +18,7 @@ from lunarsim.models.lander import Lander
 from lunarsim.onboard.hazards.hazard_map import HazardMap
 from lunarsim.safety import SafetyMap
 from lunarsim.safety.calibration import COUNT, UNCONSTRAINED_FEATURES
-from lunarsim.safety.ensemble import LOG_ODDS_MARGIN, SURE
+from lunarsim.safety.ensemble import ALMOST_CERTAINLY_SAFE_P, LOG_ODDS_MARGIN
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation
 from lunarsim.world import World
@@ -140,12 +140,15 @@ def test_held_out_rows_are_evaluated_by_a_fit_without_them(script):
     assert study.figures(plain, sites.safe)["skill"] > 0.0
     p, claimed = study.probability(model, sites)
     assert (p <= plain).all()
-    assert np.array_equal(p[claimed & (p >= SURE)], plain[claimed & (plain >= SURE)])
+    assert np.array_equal(
+        p[claimed & (p >= ALMOST_CERTAINLY_SAFE_P)],
+        plain[claimed & (plain >= ALMOST_CERTAINLY_SAFE_P)],
+    )
     assert not claimed[~sites.known].any()
     # Sites that cannot be classified as unsafe are claimed only if they are certainly safe.
-    assert not claimed[~sites.doomed & (p < SURE)].any()
+    assert not claimed[~sites.doomed & (p < ALMOST_CERTAINLY_SAFE_P)].any()
     assert study.probability(model, replace(sites, doomed=~sites.doomed))[1][
-        claimed & (p >= SURE)
+        claimed & (p >= ALMOST_CERTAINLY_SAFE_P)
     ].all()
     assert (p <= expit(sites.features @ np.array(model.weights).T).min(axis=1) + 1e-9).all()
     # A constant has no calibration error and no skill.

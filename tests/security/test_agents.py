@@ -117,4 +117,4 @@ def test_arrays_are_read(tmp_path):
     found = read_arrays(tmp_path / "a.npz")
     assert list(found["x"]) == [0, 1, 2, 3, 4] and str(found["name"]) == "abc"
     with pytest.raises(ValueError, match="uncompressed size"):
-        read_arrays(tmp_path / "a.npz", most=100)
+        read_arrays(tmp_path / "a.npz", max_bytes=100)

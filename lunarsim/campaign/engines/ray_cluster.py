@@ -109,17 +109,19 @@ class RayEngine:
     ) -> Iterator[Finished]:
         ray = self._ray
         task = ray.remote(num_cpus=1, max_retries=MAX_ATTEMPTS - 1)(fly_group)
-        shared, made_by = ray.put(work), node_environment()
+        shared, expected_environment = ray.put(work), node_environment()
         window = _QUEUED_GROUPS_PER_CORE * max(1, int(ray.cluster_resources().get("CPU", 1)))
         pending: dict[Any, Group] = {}
-        again: list[Group] = []
+        queue: list[Group] = []
         try:
             while not halt():
                 while len(pending) < window:
-                    group = again.pop(0) if again else next(groups, None)
+                    group = queue.pop(0) if queue else next(groups, None)
                     if group is None:
                         break
-                    pending[task.remote(shared, group, self.time_limit, made_by)] = group
+                    pending[task.remote(shared, group, self.time_limit, expected_environment)] = (
+                        group
+                    )
                 if not pending:
                     return
                 for reference in ray.wait(list(pending), num_returns=1, timeout=_POLL_INTERVAL_S)[
@@ -129,20 +131,21 @@ class RayEngine:
                     try:
                         yield from self.check_node(ray.get(reference))
                     except ray.exceptions.RayError as error:
-                        yield from self._retry_lost(group, again, str(error))
+                        yield from self._retry_lost(group, queue, str(error))
             yield from self._drain_messages(pending)
         finally:
             for reference in pending:
                 with contextlib.suppress(Exception):
                     ray.cancel(reference, force=True)
 
-    def _retry_lost(self, group: Group, again: list[Group], message: str) -> Iterator[Finished]:
-        """Queue the arms of a group whose process died; yield a single arm as killed.
+    def _retry_lost(self, group: Group, queue: list[Group], message: str) -> Iterator[Finished]:
+        """Handle a group whose process died, with the error `message` of Ray.
 
-        `again` is the queue of groups, and `message` the error of Ray.
+        The arms of the group are added to the `queue` one by one. A group of a single arm is not
+        repeated: its result with the outcome "killed" is yielded.
         """
         if len(group.arms) > 1:
-            again += [replace(group, arms=(arm,)) for arm in group.arms]
+            queue += [replace(group, arms=(arm,)) for arm in group.arms]
             return
         reason = message.strip().splitlines()[0]
         error = f"The process of the flight ended {MAX_ATTEMPTS} times ({reason})."
@@ -162,15 +165,15 @@ class RayEngine:
             with contextlib.suppress(ray.exceptions.RayError):
                 yield from self.check_node(ray.get(reference))
 
-    def check_node(self, came: list[Finished] | NodeMismatch) -> list[Finished]:
-        """Return the flights of a node; raise `InputError` if its software differs."""
-        if isinstance(came, NodeMismatch):
+    def check_node(self, received: list[Finished] | NodeMismatch) -> list[Finished]:
+        """Return the flights `received` from a node; `InputError` if its software differs."""
+        if isinstance(received, NodeMismatch):
             raise InputError(
                 "--address", self.address,
-                f"node {came.who} has other code or packages: {came.has}",
+                f"node {received.worker} has other code or packages: {received.differences}",
                 "Install the same versions on all nodes.",
             )  # fmt: skip
-        return came
+        return received
 
 
 @dataclass(frozen=True)
@@ -179,16 +182,16 @@ class NodeMismatch:
 
     Attributes
     ----------
-    who, has
-        Host and process id; description of the differences.
+    worker, differences
+        Host and process id of the node's worker; description of the differences.
     """
 
-    who: str
-    has: str
+    worker: str
+    differences: str
 
 
 def fly_group(
-    work: Work, group: Group, time_limit: float | None, made_by: Mapping[str, str]
+    work: Work, group: Group, time_limit: float | None, expected_environment: Mapping[str, str]
 ) -> list[Finished] | NodeMismatch:
     """Fly a group on a worker of the cluster; return its finished flights.
 
@@ -196,14 +199,17 @@ def fly_group(
     ----------
     work, group, time_limit
         Function and settings; group of flights; wall-clock limit of a flight, s.
-    made_by
-        Code and packages recorded in the rows. A node with others does not fly.
+    expected_environment
+        Code and packages of this campaign. A node with others does not fly.
     """
-    here, who = node_environment(), f"{socket.gethostname()}:{os.getpid()}"
-    other = environment_differences(made_by, here)
-    if other:
-        differences = [f"{n} {here.get(n, 'none')} (here {made_by.get(n, 'none')})" for n in other]
-        return NodeMismatch(who, ", ".join(differences))
+    here, worker = node_environment(), f"{socket.gethostname()}:{os.getpid()}"
+    different = environment_differences(expected_environment, here)
+    if different:
+        differences = [
+            f"{n} {here.get(n, 'none')} (here {expected_environment.get(n, 'none')})"
+            for n in different
+        ]
+        return NodeMismatch(worker, ", ".join(differences))
     function = import_function(work)
     limit_to_one_thread()
     memory: dict[Any, Any] = {}
@@ -214,7 +220,7 @@ def fly_group(
         if done.error.startswith(f"{__name__}.{_FlightTimeoutError.__name__}"):
             error = f"The flight exceeded the time limit of {time_limit:g} s."
             done = replace(done, outcome=TIMEOUT, error=error, traceback="")
-        found.append(replace(done, worker=who))
+        found.append(replace(done, worker=worker))
     return found
 
 

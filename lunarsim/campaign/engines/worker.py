@@ -56,13 +56,13 @@ def run_worker(work: Work, connection: Connection, lifeline: Connection, parent:
         connection.send((DONE, None))
 
 
-def _collect_garbage(first: bool) -> None:
+def _collect_garbage(is_first_group: bool) -> None:
     """Free reference cycles that flights leave, about 70 MB each.
 
     Objects loaded by the first group are frozen, which makes later collections cheap.
     """
     gc.collect()
-    if first:
+    if is_first_group:
         gc.freeze()
 
 

@@ -40,31 +40,31 @@ def colour(index: int) -> str:
 
 def _plot(identity: str, title: str, caption: str, traces: list[Plot], layout: Plot) -> Plot:
     return {
-        "id": identity, "title": title, "caption": caption, "data": _literal(traces),
-        "layout": _literal(layout),
+        "id": identity, "title": title, "caption": caption, "data": _escape_html_tags(traces),
+        "layout": _escape_html_tags(layout),
     }  # fmt: skip
 
 
-def _literal(value: Any) -> Any:
+def _escape_html_tags(value: Any) -> Any:
     """Escape the strings in Plotly data, so that Plotly does not read HTML tags.
 
     Names of arms are not escaped, because the page compares them and does not display them.
     """
     if isinstance(value, dict):
-        return {k: v if k in ("arm", "arms") else _literal(v) for k, v in value.items()}
+        return {k: v if k in ("arm", "arms") else _escape_html_tags(v) for k, v in value.items()}
     if isinstance(value, list):
-        return [_literal(v) for v in value]
+        return [_escape_html_tags(v) for v in value]
     return html.escape(value, quote=False) if isinstance(value, str) else value
 
 
-def shares_plot(figures: list[ArmStatistics], intervals: dict[str, tuple[float, float]]) -> Plot:
+def shares_plot(statistics: list[ArmStatistics], intervals: dict[str, tuple[float, float]]) -> Plot:
     """Plot the fraction of safe landings of each arm with its 95 % interval.
 
-    `figures` are the statistics of the arms, and `intervals` lower and upper limits by arm name.
-    Arms without a finished flight are omitted.
+    `intervals` has the lower and upper limit by arm name. Arms without a finished flight are
+    omitted.
     """
     traces = []
-    for i, arm in enumerate(figures):
+    for i, arm in enumerate(statistics):
         share = arm.shares["safe"].value
         if not math.isfinite(share):
             continue
@@ -79,20 +79,20 @@ def shares_plot(figures: list[ArmStatistics], intervals: dict[str, tuple[float, 
     layout = {
         "xaxis": {"title": {"text": "Share of safe landings"}, "range": [-0.02, 1.02]},
         "yaxis": {"autorange": "reversed", "automargin": True},
-        "height": 140 + 34 * len(figures),
+        "height": 140 + 34 * len(statistics),
     }
     return _plot("shares", "Safe landings", "", traces, layout)
 
 
 def landings_plot(
     results: Results,
-    figures: list[ArmStatistics],
+    statistics: list[ArmStatistics],
     terrain: tuple[list[float], list[float], Any] | str | None,
 ) -> Plot | None:
     """Plot touchdown points and 95 % landing ellipses over the terrain.
 
-    `figures` are the statistics of the arms. `terrain` has east and north coordinates, m, and
-    shading, or is the reason why the terrain is not shown.
+    `statistics` has one entry per arm. `terrain` has east and north coordinates, m, and shading, or
+    is the reason why the terrain is not shown.
     """
     if "touchdown_x_m" not in results.manifest["columns"]:
         return None
@@ -107,7 +107,7 @@ def landings_plot(
     xs, ys = (column(results, name) for name in ("touchdown_x_m", "touchdown_y_m"))
     names = np.array(results.table["id"].to_pylist())
     rows_of = arm_rows(results)
-    for i, arm in enumerate(figures):
+    for i, arm in enumerate(statistics):
         for good, symbol in ((True, "circle"), (False, "x")):
             rows = np.flatnonzero(rows_of[arm.name] & np.isfinite(xs) & ((safe > 0.5) == good))
             rows = rows[:: max(1, -(-len(rows) // _MAX_POINTS))]
@@ -148,11 +148,8 @@ def _outline(ellipse: Ellipse) -> tuple[list[float], list[float]]:
     )
 
 
-def reliability_plot(results: Results, figures: list[ArmStatistics]) -> Plot | None:
-    """Plot the observed fraction of truly safe sites against predicted probability.
-
-    `figures` are the statistics of the arms.
-    """
+def reliability_plot(results: Results, statistics: list[ArmStatistics]) -> Plot | None:
+    """Plot the observed fraction of truly safe sites against predicted probability."""
     if "p_safe" not in results.manifest["columns"]:
         return None
     predicted = column(results, "p_safe")
@@ -166,7 +163,7 @@ def reliability_plot(results: Results, figures: list[ArmStatistics]) -> Plot | N
     ]  # fmt: skip
     rows_of = arm_rows(results)
     words = []
-    for i, arm in enumerate(figures):
+    for i, arm in enumerate(statistics):
         rows = rows_of[arm.name] & known
         table = reliability(predicted[rows], true[rows])
         p, share = bin_frequencies(table)
@@ -198,41 +195,35 @@ def reliability_plot(results: Results, figures: list[ArmStatistics]) -> Plot | N
     return _plot("reliability", "Reliability of p_safe", text, traces, layout)
 
 
-def differences_plot(made: list[Difference]) -> Plot:
-    """Plot the differences of the fraction of safe landings between pairs of arms.
-
-    `made` are the differences, paired by flight.
-    """
-    names = [f"{d.second} − {d.first}" for d in made]
+def differences_plot(differences: list[Difference]) -> Plot:
+    """Plot the differences of the fraction of safe landings between pairs of arms."""
+    names = [f"{d.second} − {d.first}" for d in differences]
     traces = [
         {"type": "scatter", "mode": "markers", "x": [d.value], "y": [name],
          "arms": [d.first, d.second], "showlegend": False,
          "error_x": {"type": "data", "symmetric": False, "array": [d.high - d.value],
                      "arrayminus": [d.value - d.low], "thickness": 2, "width": 5},
          "marker": {"size": 10, "color": "#0072B2" if d.corrected < 0.05 else "#8c8c8c"}}
-        for d, name in zip(made, names, strict=True) if d.pairs
+        for d, name in zip(differences, names, strict=True) if d.pairs
     ]  # fmt: skip
     layout = {
         "xaxis": {"title": {"text": "Difference of the share of safe landings"}, "zeroline": True,
                   "zerolinewidth": 2},
         "yaxis": {"autorange": "reversed", "automargin": True},
-        "height": 140 + 30 * len(made),
+        "height": 140 + 30 * len(differences),
     }  # fmt: skip
     caption = "Blue: significant after Holm's correction; grey: not significant."
     return _plot("differences", "Paired differences", caption, traces, layout)
 
 
-def rare_plot(made: list[RareFailureEstimate]) -> Plot:
-    """Plot the estimated probability of failure of each arm with its interval.
-
-    `made` are the estimates, one per arm.
-    """
+def rare_plot(estimates: list[RareFailureEstimate]) -> Plot:
+    """Plot the estimated probability of failure of each arm with its interval."""
     traces = [
         {"type": "scatter", "mode": "markers", "x": [s.value], "y": [s.arm], "arm": s.arm,
          "error_x": {"type": "data", "symmetric": False, "array": [s.high - s.value],
                      "arrayminus": [s.value - s.low], "thickness": 2, "width": 5},
          "marker": {"size": 10, "color": colour(i)}, "name": s.arm, "showlegend": False}
-        for i, s in enumerate(made) if s.value > 0.0
+        for i, s in enumerate(estimates) if s.value > 0.0
     ]  # fmt: skip
     layout = {
         "xaxis": {"title": {"text": "Failure share"}, "type": "log", "exponentformat": "power"},
@@ -270,14 +261,14 @@ def levels_plot(chains: SubsetChains) -> Plot | None:
     return _plot("levels", "Distance from failure", caption, traces, layout)
 
 
-def sensitivity_plot(made: list[Sensitivity]) -> Plot:
+def sensitivity_plot(sensitivities: list[Sensitivity]) -> Plot:
     """Plot the sensitivity of safe landings to the random values, with intervals.
 
-    `made` has the indices of each arm; hollow symbols are total indices.
+    `sensitivities` has one entry per arm; hollow symbols are total indices.
     """
     traces = []
     names: tuple[str, ...] = ()
-    for i, one in enumerate(made):
+    for i, one in enumerate(sensitivities):
         names = one.names
         for label, values in one.indices.items():
             v, low, high = np.array(values).T
@@ -295,19 +286,21 @@ def sensitivity_plot(made: list[Sensitivity]) -> Plot:
         "scattermode": "group",
         "height": 170 + (30 + 12 * len(traces)) * len(names),
     }
-    if made and made[0].method == "sobol":
+    if sensitivities and sensitivities[0].method == "sobol":
         caption = (
             "Sobol indices: the share of the variance explained by a key alone (first order, full) "
             "and with all its interactions (total, hollow). World and noise: rocks, sensor noise, "
             "navigation errors."
         )
     else:
-        chance = [f"{one.arm} {one.chance:.3f}" for one in made if one.chance == one.chance]
+        chance = [
+            f"{one.arm} {one.chance:.3f}" for one in sensitivities if one.chance == one.chance
+        ]
         caption = (
             "PAWN: change of the share when a key is limited to a tenth of its range, median of "
             "ten tenths. Value that chance alone can give: " + ", ".join(chance) + "."
         )
-    missing = [f"{one.arm}: {one.why_not}" for one in made if one.why_not]
+    missing = [f"{one.arm}: {one.why_not}" for one in sensitivities if one.why_not]
     more = " No indices: " + "; ".join(missing) + "." if missing else ""
     return _plot("sensitivity", "Sensitivity to the dispersions", caption + more, traces, layout)
 

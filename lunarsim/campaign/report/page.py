@@ -80,35 +80,37 @@ def write_report(folder: str | Path, out: Path) -> Results:
         raise InputError("folder", str(folder), "must hold a campaign with at least one flight")
     if results.manifest["columns"].get("safe") != "bool":
         raise InputError("folder", str(folder), "must hold a campaign with the boolean column safe")
-    template = _markdown(jinja2) if tables_alone else _page(jinja2)
+    template = _markdown_template(jinja2) if tables_alone else _html_template(jinja2)
     page = template.render(
-        **_content(results), plotly=_in_script(get_plotlyjs()), version=lunarsim.__version__
+        **_template_variables(results),
+        plotly=_in_script(get_plotlyjs()),
+        version=lunarsim.__version__,
     )
     atomic_write_text(out, page)
     return results
 
 
-def _page(jinja2: Any) -> Any:
+def _html_template(jinja2: Any) -> Any:
     """Load the Jinja template of the HTML report; `jinja2` is the module."""
     environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined)
     return environment.from_string(_text("page.html.j2"))
 
 
-def _markdown(jinja2: Any) -> Any:
+def _markdown_template(jinja2: Any) -> Any:
     """Load the Jinja template of the report in Markdown; `jinja2` is the module."""
 
     def row(cells: Iterable[object]) -> str:
-        return f"| {' | '.join(map(_literal, cells))} |"
+        return f"| {' | '.join(map(_escape_markdown, cells))} |"
 
     def head(cells: Sequence[object]) -> str:
         return row(cells) + "\n" + row(["---"] * len(cells))
 
     environment = jinja2.Environment(undefined=jinja2.StrictUndefined, trim_blocks=True)
-    environment.filters |= {"row": row, "head": head, "literal": _literal}
+    environment.filters |= {"row": row, "head": head, "literal": _escape_markdown}
     return environment.from_string(_text("page.md.j2"))
 
 
-def _literal(text: object) -> str:
+def _escape_markdown(text: object) -> str:
     """Return text on one line with Markdown characters escaped."""
     return _MARKDOWN.sub(r"\\\1", " ".join(str(text).split()))
 
@@ -123,35 +125,35 @@ def _in_script(text: str) -> Any:
     return Markup(text.replace("</script", "<\\/script"))
 
 
-def _content(results: Results) -> dict[str, Any]:
+def _template_variables(results: Results) -> dict[str, Any]:
     """Return the values that the report template shows, by template variable."""
     if results.has_unequal_weights:
-        return _rare_content(results)
-    figures = compute_arm_statistics(results)
+        return _rare_template_variables(results)
+    statistics = compute_arm_statistics(results)
     # A campaign with a stop rule was monitored, even if it ended before the rule applied.
     watched = "stop" in results.manifest["identity"]
-    intervals = {a.name: _interval(a, watched) for a in figures}
-    made = differences(results) if len(figures) > 1 else []
+    intervals = {a.name: _interval(a, watched) for a in statistics}
+    arm_differences = differences(results) if len(statistics) > 1 else []
     plots = [
-        shares_plot(figures, intervals),
-        landings_plot(results, figures, _terrain_image(results)),
-        reliability_plot(results, figures),
-        differences_plot(made) if made else None,
+        shares_plot(statistics, intervals),
+        landings_plot(results, statistics, _terrain_image(results)),
+        reliability_plot(results, statistics),
+        differences_plot(arm_differences) if arm_differences else None,
         *(spread_plot(results, n, _LABELS[n]) for n in _LABELS if n in results.manifest["columns"]),
     ]
     sensitive, why_not = _sensitivity(results)
     if sensitive:
         plots.append(sensitivity_plot(sensitive))
-    return _common(results, plots) | {
+    return _common_template_variables(results, plots) | {
         "watched": watched,
-        "arms": [_row(a, *intervals[a.name]) for a in figures],
-        "differences": made,
+        "arms": [_row(a, *intervals[a.name]) for a in statistics],
+        "differences": arm_differences,
         "sensitive": sensitive,
         "no_sensitivity": why_not,
     }
 
 
-def _rare_content(results: Results) -> dict[str, Any]:
+def _rare_template_variables(results: Results) -> dict[str, Any]:
     """Return the template variables of a report on rare failures.
 
     Statistics that need flights of equal weight are omitted.
@@ -172,7 +174,7 @@ def _rare_content(results: Results) -> dict[str, Any]:
         for s in shares
     ]  # fmt: skip
     plots = [rare_plot(shares), levels_plot(chains) if chains else None]
-    return _common(results, plots) | {
+    return _common_template_variables(results, plots) | {
         "levels": level_table_rows(chains) if chains else [],
         "ended": completion_remark(chains) if chains else "",
         "watched": False,
@@ -190,7 +192,9 @@ def _ranged_share(s: RareFailureEstimate) -> str:
     return f"{s.value:.3g} [{s.low:.3g}, {s.high:.3g}]{rough}"
 
 
-def _common(results: Results, plots: list[dict[str, Any] | None]) -> dict[str, Any]:
+def _common_template_variables(
+    results: Results, plots: list[dict[str, Any] | None]
+) -> dict[str, Any]:
     """Return the template variables that the reports of all campaigns have.
 
     `plots` are Plotly data, or None for plots that are not available.
@@ -231,13 +235,13 @@ def _sensitivity(results: Results) -> tuple[list[Sensitivity], str]:
         return [], str(error)
 
 
-def _interval(arm: ArmStatistics, watched: bool) -> tuple[float, float]:
+def _interval(arm: ArmStatistics, has_stop_rule: bool) -> tuple[float, float]:
     """Return the 95 % interval of the fraction of safe landings of an arm.
 
-    If the campaign has an early-stopping rule (`watched`), this is a confidence sequence.
+    If the campaign has an early-stopping rule (`has_stop_rule`), this is a confidence sequence.
     """
     share = arm.shares["safe"]
-    return share_confidence_sequence(share.count, share.total) if watched else share.interval
+    return share_confidence_sequence(share.count, share.total) if has_stop_rule else share.interval
 
 
 def _row(arm: ArmStatistics, low: float, high: float) -> dict[str, Any]:
@@ -284,15 +288,16 @@ def _factors(results: Results) -> dict[str, list[str]]:
 def _worst(results: Results) -> list[dict[str, Any]]:
     """Return id and cause of the worst flights of each arm.
 
-    Flights without an outcome come first, then landings with high speed or tilt.
+    Flights without an outcome come first, then those with high speed and tilt at touchdown.
     """
     table = results.table
     speed = np.zeros(len(table))
     for name in ("vertical_speed_m_s", "horizontal_speed_m_s", "tilt_deg"):
         if name in table.column_names:
             speed += np.nan_to_num(column(results, name), nan=1e3, posinf=1e3, neginf=1e3)
-    bad = ~(column(results, "safe") > 0.5)
-    order = np.lexsort((-speed, column(results, "safe")))
+    safe = np.nan_to_num(column(results, "safe"), nan=-1.0)  # NaN: no outcome
+    bad = ~(safe > 0.5)
+    order = np.lexsort((-speed, safe))
     out: list[dict[str, Any]] = []
     for arm in results.arms:
         mine = pc.equal(table["arm"], arm).to_numpy(zero_copy_only=False) & bad
@@ -328,9 +333,11 @@ def _terrain_image(results: Results) -> tuple[list[float], list[float], Any] | s
         key.startswith("terrain") for key in results.manifest["inputs"]
     ):
         return None
-    from lunarsim.campaign.report.terrain_shading import shaded  # noqa: PLC0415  (loads the simulation)
+    from lunarsim.campaign.report.terrain_shading import compute_terrain_shading  # noqa: PLC0415  (loads the simulation)
 
     try:
-        return shaded(results.folder / "scenario.toml", int(results.manifest["seed"]))
+        return compute_terrain_shading(
+            results.folder / "scenario.toml", int(results.manifest["seed"])
+        )
     except InputError as error:
         return str(error)

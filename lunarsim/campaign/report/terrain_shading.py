@@ -18,7 +18,9 @@ from lunarsim.world.terrain import Terrain
 _POINTS = 160
 
 
-def shaded(path: Path, seed: int) -> tuple[list[float], list[float], list[list[float | None]]]:
+def compute_terrain_shading(
+    path: Path, seed: int
+) -> tuple[list[float], list[float], list[list[float | None]]]:
     """Compute a shaded image of a scenario's terrain without rocks.
 
     `path` is the TOML file, and `seed` the root seed. Return east and north coordinates, m, and the

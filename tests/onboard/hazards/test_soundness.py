@@ -31,7 +31,12 @@ from lunarsim.onboard.navigation.estimate import Estimate
 from lunarsim.rocks.field import RockField
 from lunarsim.rocks.population import RockExpectation
 from lunarsim.safety import exact_safety
-from lunarsim.safety.ensemble import LOG_ODDS_MARGIN, MAX_CLAIM_DEFICIT, SURE, Ensemble
+from lunarsim.safety.ensemble import (
+    ALMOST_CERTAINLY_SAFE_P,
+    LOG_ODDS_MARGIN,
+    MAX_CLAIM_DEFICIT,
+    Ensemble,
+)
 from lunarsim.safety.unseen_rocks import (
     ExceedanceCurve,
     depth_curve,
@@ -294,13 +299,15 @@ def fits_of(*odds: float) -> Ensemble:
 def test_where_fits_differ_on_a_site_the_lowest_counts_and_is_no_frequency():
     for odds, claims in (((2.0, 5.0), False), ((4.0, 5.0), True)):
         p, known = site_safety(site(0.02), fits_of(*odds))
-        left = (1.0 - MAX_CLAIM_DEFICIT) * (1.0 if claims else SURE)
+        left = (1.0 - MAX_CLAIM_DEFICIT) * (1.0 if claims else ALMOST_CERTAINLY_SAFE_P)
         assert p[0] == pytest.approx(left * expit(odds[0] - LOG_ODDS_MARGIN))
         assert known[0] == claims
     doubtful = site(0.16, fitted_slope=0.7)
     assert doubtful.in_domain.all()
     p, known = site_safety(doubtful, fits_of(2.8, 2.8))
-    assert p == pytest.approx((1.0 - MAX_CLAIM_DEFICIT) * SURE * expit(2.8 - LOG_ODDS_MARGIN))
+    assert p == pytest.approx(
+        (1.0 - MAX_CLAIM_DEFICIT) * ALMOST_CERTAINLY_SAFE_P * expit(2.8 - LOG_ODDS_MARGIN)
+    )
     assert not known.any()
     # Far from the domain, p is at most the probability of no undetected rock.
     far = site(30.0)
@@ -308,7 +315,7 @@ def test_where_fits_differ_on_a_site_the_lowest_counts_and_is_no_frequency():
     nothing = np.exp(-far.expected_roughness_violations() - far.expected_tilt_violations())
     assert nothing < 0.5
     p, known = site_safety(far, fits_of(2.8, 2.8))
-    assert p == pytest.approx(SURE * nothing)
+    assert p == pytest.approx(ALMOST_CERTAINLY_SAFE_P * nothing)
     assert not known.any()
 
 

@@ -50,7 +50,7 @@ from lunarsim.onboard.hazards.hazard_map import BoolMap, FloatMap, HazardMap
 from lunarsim.onboard.hazards.map_evidence import RockEvidence, TerrainEvidence
 from lunarsim.onboard.hazards.shadows.footprints import disc_mean
 from lunarsim.safety.calibration import MapEvidence, calibrated_safety
-from lunarsim.safety.ensemble import HOPELESS, SURE
+from lunarsim.safety.ensemble import ALMOST_CERTAINLY_SAFE_P, ALMOST_CERTAINLY_UNSAFE_P
 from lunarsim.safety.undetected_rock_ratio import UndetectedRockRatio
 
 Array = NDArray[np.float64]
@@ -104,14 +104,19 @@ def fuse_evidence(
     )
     # Where the rock sensor has no observation, the claim of the elevations remains valid.
     is_unaffected = ~thinning.is_changed & (clear == 1.0)
-    is_claimed_unsafe = known & (p <= HOPELESS)
+    is_claimed_unsafe = known & (p <= ALMOST_CERTAINLY_UNSAFE_P)
     p = (p * clear).astype(np.float32)
     # Rocks on unmeasured terrain have the height scale of the rocks seen by both sensors.
     unmeasured = np.float32(prior) * np.minimum(rock_map.p_safe, clear)
     elevation = terrain.elevation
     if elevation is not None and rock_map.elevation is not None:
         elevation = np.where(np.isfinite(elevation), elevation, rock_map.elevation)
-    known = measured & known & (flat <= p) & ((p >= SURE) | is_claimed_unsafe | is_unaffected)
+    known = (
+        measured
+        & known
+        & (flat <= p)
+        & ((p >= ALMOST_CERTAINLY_SAFE_P) | is_claimed_unsafe | is_unaffected)
+    )
     p = np.where(measured, np.maximum(p, flat), unmeasured.astype(np.float32))
     observed = measured | rock_map.observed
     if isinstance(terrain, HazardMap):

@@ -27,8 +27,8 @@ from lunarsim.onboard.hazards.fusion.rock_heights import (
 from lunarsim.onboard.hazards.hazard_map import HazardMap
 from lunarsim.onboard.hazards.map_evidence import TerrainEvidence
 from lunarsim.safety.calibration import calibrated_safety, packaged_ensemble
-from lunarsim.safety.domain import Domain
-from lunarsim.safety.ensemble import HOPELESS, SURE
+from lunarsim.safety.domain import CalibrationDomain
+from lunarsim.safety.ensemble import ALMOST_CERTAINLY_SAFE_P, ALMOST_CERTAINLY_UNSAFE_P
 from lunarsim.safety.scenario_calibration import (
     CalibrationStage,
     ScenarioCalibration,
@@ -85,13 +85,14 @@ def test_a_map_of_elevations_that_do_not_tell_how_they_were_judged_is_its_own():
 @pytest.mark.parametrize("told", [True, False])
 def test_what_a_calibration_of_its_own_claims_stays_where_the_other_eye_saw_nothing(told):
     refit = ScenarioCalibration(
-        CalibrationStage(-3.0), CalibrationStage(-3.0), Domain(10.0, 10.0, (0.0, 0.5), (0.01, 1.0)),
+        CalibrationStage(-3.0), CalibrationStage(-3.0),
+        CalibrationDomain(10.0, 10.0, (0.0, 0.5), (0.01, 1.0)),
         lander_safety_params(LANDER), packaged_ensemble().digest,
     )  # fmt: skip
     judged = evidence(slope=0.7, rough=0.5, density=5.0)
     p, known = calibrated_safety(judged, refit=refit)
     assert known.all()
-    assert ((p > HOPELESS) & (p < SURE)).any()
+    assert ((p > ALMOST_CERTAINLY_UNSAFE_P) & (p < ALMOST_CERTAINLY_SAFE_P)).any()
     drawn = HazardMap(GRID, p, judged.observed, SAMPLED, in_domain=known)
     own = TerrainEvidence(drawn, judged if told else None, refit, SAMPLED)
     blind = fuse_evidence(own, eyes(seen=False), TERMS)
@@ -333,11 +334,11 @@ def test_a_frequency_is_claimed_only_where_sites_are_surely_safe_or_surely_not()
     both = fuse_evidence(own, eyes(0.1, tracks((0.0, 0.0, 0.4, 0.3))), TERMS)
     near = clear(tracks((0.0, 0.0, 0.4, 0.3))) < 1.0
     assert near.any()
-    assert not both.in_domain[near & (both.p_safe < SURE)].any()
+    assert not both.in_domain[near & (both.p_safe < ALMOST_CERTAINLY_SAFE_P)].any()
     assert both.in_domain[~near].all()
     bad = relief(slope=2.5, rough=3.0, level=-5.0, planes=-5.0, density=300.0)
     never = fuse_evidence(bad, eyes(0.1), TERMS)
-    assert (never.p_safe <= HOPELESS).all()
+    assert (never.p_safe <= ALMOST_CERTAINLY_UNSAFE_P).all()
     assert np.array_equal(never.in_domain, bad.hazard_map.in_domain)
 
 

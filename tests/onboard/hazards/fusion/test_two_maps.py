@@ -25,8 +25,8 @@ from lunarsim.onboard.hazards.hazard_map import HazardMap
 from lunarsim.onboard.hazards.map_evidence import TerrainEvidence
 from lunarsim.rocks.population import RockExpectation
 from lunarsim.safety.calibration import calibrated_safety, packaged_ensemble
-from lunarsim.safety.domain import Domain
-from lunarsim.safety.ensemble import SURE
+from lunarsim.safety.domain import CalibrationDomain
+from lunarsim.safety.ensemble import ALMOST_CERTAINLY_SAFE_P
 from lunarsim.safety.scenario_calibration import (
     CalibrationStage,
     ScenarioCalibration,
@@ -62,7 +62,7 @@ def test_a_site_that_a_tracked_rock_makes_unsafe_is_no_frequency_for_that(there)
     bump = np.zeros(GRID.shape)
     bump[4, 4] = 0.6 * LANDER.roughness_limit
     own = relief(bump, slope=0.1, rough=0.1, density=300.0)
-    assert (own.hazard_map.p_safe >= SURE).all()
+    assert (own.hazard_map.p_safe >= ALMOST_CERTAINLY_SAFE_P).all()
     both = fuse_evidence(own, eyes(0.1, tracks((2.0, 2.0, 0.4, there))), TERMS)
     assert both.p_safe[4, 4] < 0.05
     assert not both.in_domain[4, 4]
@@ -163,7 +163,7 @@ def test_rocks_are_where_the_samples_have_them_and_of_the_shape_that_is_expected
 
 def own_calibration() -> ScenarioCalibration:
     """Return a calibration that makes sites much less safe everywhere."""
-    wide = Domain(10.0, 10.0, (0.0, 0.5), (0.01, 1.0))
+    wide = CalibrationDomain(10.0, 10.0, (0.0, 0.5), (0.01, 1.0))
     figures = lander_safety_params(LANDER)
     return ScenarioCalibration(
         CalibrationStage(-3.0), CalibrationStage(-3.0), wide, figures, packaged_ensemble().digest

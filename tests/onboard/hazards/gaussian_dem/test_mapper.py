@@ -19,7 +19,7 @@ from lunarsim.onboard.hazards.unleveled_scans import UnleveledScans
 from lunarsim.onboard.navigation import Estimate
 from lunarsim.rocks.population import RockExpectation
 from lunarsim.safety.calibration import calibrated_safety, packaged_ensemble
-from lunarsim.safety.domain import Domain
+from lunarsim.safety.domain import CalibrationDomain
 from lunarsim.safety.scenario_calibration import (
     CalibrationStage,
     ScenarioCalibration,
@@ -100,7 +100,8 @@ def test_a_map_that_is_laid_off_all_samples_is_blank_again():
 
 def test_it_publishes_what_its_map_follows_from():
     refit = ScenarioCalibration(
-        CalibrationStage(-3.0), CalibrationStage(-3.0), Domain(10.0, 10.0, (0.0, 0.5), (0.01, 1.0)),
+        CalibrationStage(-3.0), CalibrationStage(-3.0),
+        CalibrationDomain(10.0, 10.0, (0.0, 0.5), (0.01, 1.0)),
         lander_safety_params(Lander()), packaged_ensemble().digest,
     )  # fmt: skip
     mapper = GaussianDemMapper(GRID, Lander(), refit=refit)
