@@ -135,6 +135,24 @@ def test_the_report_is_one_file_without_network(swept, tmp_path):
     assert run("campaign", "report", swept, "--out", tmp_path / "r.txt").exit_code == 2
 
 
+def test_the_report_lists_flights_without_an_outcome_first(tmp_path):
+    folder = tmp_path / "c"
+    fly(plan(), InlineEngine(), folder)
+    path = folder / "results" / "part-00000.parquet"
+    table, schema = pq.read_table(path).to_pandas(), pq.read_schema(path)
+    rows = table.index[table["arm"] == "arm 1"]
+    table["safe"] = table["safe"].astype(object)
+    table.loc[rows, "safe"] = False
+    table.loc[rows[-1], ["safe", "outcome", "error"]] = [None, "error", "it failed"]
+    write_part(path, pq.ParquetFile(path).read().from_pandas(table, schema))
+    assert run("campaign", "report", folder, "--out", tmp_path / "r.html").exit_code == 0
+    listed = re.findall(
+        r'<tr data-arm="arm 1"><td><code>([\d-]+)</code>.*?<td class="text">([^<]*)</td></tr>',
+        (tmp_path / "r.html").read_text(),
+    )
+    assert len(listed) > 1 and listed[0] == (table["id"][rows[-1]], "it failed")
+
+
 def test_keys_without_effect_are_told_before_anything_is_flown(tmp_path):
     # Neither a camera nor a star tracker.
     spec = tmp_path / "s.toml"
