@@ -217,5 +217,8 @@ class RetargetVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
                 "failure_causes": np.where(over, self.lanes.failed, 0),
                 "_failure_causes": over,
             }
-            info |= {"propellant_kg": np.where(over, self.lanes.burnt, 0.0), "_propellant_kg": over}
+            info |= {
+                "propellant_kg": np.where(over, self.lanes.propellant_used, 0.0),
+                "_propellant_kg": over,
+            }
         return info

@@ -89,11 +89,11 @@ def _thrust(lanes: DescentBatch) -> Array:
 
 
 def _propellant(lanes: DescentBatch) -> Array:
-    return lanes.y[:, 13:14] - lanes.figures[:, 3:4]
+    return lanes.y[:, 13:14] - lanes.params[:, 3:4]
 
 
 def _left(lanes: DescentBatch) -> Array:
-    return (lanes.craft.limit - lanes.time)[:, None]
+    return (lanes.craft.time_limit - lanes.time)[:, None]
 
 
 for _part in (

@@ -471,7 +471,7 @@ def fly(share, y, rate, width, dt, limit, vehicle, terrains, flights, course, la
     for b in range(share[0], (n + width - 1) // width, share[1]):
         low, high = b * width, min((b + 1) * width, n)
         own = d.Vehicle(
-            vehicle.figures[low:high], vehicle.drawn[low:high], vehicle.inertia, vehicle.rig,
+            vehicle.figures[low:high], vehicle.randomized[low:high], vehicle.inertia, vehicle.rig,
             vehicle.control, vehicle.heading, vehicle.pads, vehicle.disc, vehicle.spacing,
             vehicle.limits, vehicle.com_height,
         )  # fmt: skip

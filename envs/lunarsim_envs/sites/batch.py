@@ -220,7 +220,7 @@ class SiteDescentBatch(DescentBatch):
         while True:
             self._run(
                 f.fly, 10.0 * _CYCLE * self.count, self.y, self._rate, min(SIMD_BATCH, self.count),
-                self.craft.dynamics.step, self.craft.limit, self._vehicle, self._terrains,
+                self.craft.dynamics.step, self.craft.time_limit, self._vehicle, self._terrains,
                 self._flights, self.course, self.law,
             )  # fmt: skip
             due = (self.course.event == f.SCAN) & (self.ended == FLYING)

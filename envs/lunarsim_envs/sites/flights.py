@@ -252,7 +252,7 @@ class KernelFlight:
         """Whether the landing was safe, and the violated limits; None during the flight."""
         if self.lanes.ended[0] == FLYING:
             return None
-        return bool(self.lanes.safe[0]), self.lanes.words(0)
+        return bool(self.lanes.safe[0]), self.lanes.failure_causes(0)
 
     @property
     def touch(self) -> Array:
@@ -273,7 +273,7 @@ def site_inputs(lanes: SiteDescentBatch, small: NDArray[np.float32]) -> SiteInpu
     left = np.maximum(course.arrival - lanes.time, 0.0)
     return SiteInputs(
         place, velocity, lanes.y[:, 6:10], course.site, left,
-        lanes.y[:, 13] - lanes.figures[:, 3], found.position, found.p_safe, found.distance,
+        lanes.y[:, 13] - lanes.params[:, 3], found.position, found.p_safe, found.distance,
         found.propellant, found.number, found.here, maps.p, maps.seen, maps.corner, maps.posting,
         small,
     )  # fmt: skip
@@ -308,6 +308,6 @@ def observation_of_lane(lanes: SiteDescentBatch, lane: int) -> Observation:
         site_p_safe=p_here,
         site_propellant=cost_here,
         time_to_go=float(course.arrival[lane] - lanes.time[lane]),
-        propellant=float(y[13] - lanes.figures[lane, 3]),
+        propellant=float(y[13] - lanes.params[lane, 3]),
         expected_miss=miss,
     )  # fmt: skip

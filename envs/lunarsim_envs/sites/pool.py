@@ -95,7 +95,7 @@ def _made(scenario: Scenario, count: int, seed: int, covers: Sequence[float]) ->
                 layers.append(TruthLayers.of(truth))
                 yield world
 
-    terrains = WorldPool.about(scenario, count, drawn(), covers)
+    terrains = WorldPool.rasterize(scenario, count, drawn(), covers)
     grid = layers[0].grid
     frame = np.array([grid.x0, grid.y0, grid.posting])
     pool = Pool(

@@ -146,7 +146,7 @@ class SparseDescentBatch(SiteDescentBatch):
         tenth = np.minimum((np.nan_to_num(self.site_p_safe) * 10).astype(int), 9)
         return FlightSummary(
             int(mask.sum()), int(safe.sum()), failed, float(self.time[mask].sum()),
-            float(self.burnt[safe].sum()), np.bincount(tenth[known], minlength=10),
+            float(self.propellant_used[safe].sum()), np.bincount(tenth[known], minlength=10),
             np.bincount(tenth[known & safe], minlength=10),
         )  # fmt: skip
 

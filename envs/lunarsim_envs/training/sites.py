@@ -103,7 +103,7 @@ def flown(lanes: SiteDescentBatch, keys: NDArray[np.uint64], weights: Array, hid
         most = min(SITES, sights.position_of.shape[1])
         sites[moved] = sights.position_of[rows[moved], np.minimum(best[moved] - 1, most - 1)]
         lanes.decide(sites, every)
-    return np.stack((lanes.safe.astype(float), lanes.burnt), axis=1)
+    return np.stack((lanes.safe.astype(float), lanes.propellant_used), axis=1)
 
 
 def train(
