@@ -10,24 +10,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 
-def reset_mask(given: Any, lanes: int) -> NDArray[np.bool_]:
+def reset_mask(option: Any, lanes: int) -> NDArray[np.bool_]:
     """Check ``options["reset_mask"]``, which selects the environments to reset.
 
-    `given` is the option, and `lanes` the number n of parallel environments. Returns the mask (n,);
-    None selects all environments.
-
-    Raises
-    ------
-    ValueError
-        If the option is not an array of n booleans with at least one true value.
+    Returns the mask (n,), where n is the number of environments (`lanes`); None selects all. If the
+    option is not an array of n booleans with at least one true value, a ValueError is raised.
     """
-    if given is None:
+    if option is None:
         return np.ones(lanes, np.bool_)
-    mask = np.asarray(given)
+    mask = np.asarray(option)
     if mask.shape != (lanes,) or mask.dtype != np.bool_ or not mask.any():
         raise ValueError(
             f"options['reset_mask']: must be {lanes} booleans with at least one true, "
-            f"got {given!r}."
+            f"got {option!r}."
         )
     return mask
 

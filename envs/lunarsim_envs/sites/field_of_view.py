@@ -66,7 +66,7 @@ def scan_altitudes(scenario: Scenario) -> Array:
 
 
 def in_view(
-    xy: Array, height: Array, here: Array, boresight: Array, view: Array
+    xy: Array, height: Array, lidar_position: Array, boresight: Array, view: Array
 ) -> NDArray[np.bool_]:
     """Return at which sites the complete footprint of the lander is in view (...,).
 
@@ -74,7 +74,7 @@ def in_view(
     ----------
     xy, height
         Horizontal position (..., 2) and height (...,) of the sites, m.
-    here, boresight
+    lidar_position, boresight
         Position (3,), m, and boresight (3,) of the LiDAR, which has no roll: its image x axis is
         horizontal.
     view
@@ -85,7 +85,7 @@ def in_view(
     level = np.linalg.norm(across)
     across = across / level if level > 1e-9 else np.array([1.0, 0.0, 0.0])
     down = np.cross(out, across)
-    way = np.concatenate((xy, height[..., None]), axis=-1) - here
+    way = np.concatenate((xy, height[..., None]), axis=-1) - lidar_position
     depth = way @ out
     reach = view[0] * depth - view[1]
     return np.asarray(
