@@ -185,7 +185,7 @@ class SiteRewards:
             was not available (n,).
         over, safe
             Flights that have ended, and flights that landed safely (n,).
-        touch
+        touchdown_ratios
             Touchdown speed, tilt and terrain over their limits (n, 3), from
             `touchdown_limit_ratios`.
         map_changed

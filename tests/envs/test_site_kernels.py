@@ -122,7 +122,7 @@ def test_drift_is_drawn_by_the_key(flown):
     many = flown[0]
     for i in range(many.count):
         key = int(many.keys[i]) ^ _DRIFT
-        wanted = [many.drift[k] * normal(key, 2 * k) for k in range(2)]
+        wanted = [many.drift_sigma[k] * normal(key, 2 * k) for k in range(2)]
         assert many.guidance.drift_velocity[i] == pytest.approx(wanted, rel=1e-12)
 
 

@@ -121,17 +121,9 @@ def sample_parameters(key, flight, ranges, out):
 
 @kernel(shared=True)
 def randomize(
-    thread_slice,
-    mask,
-    keys,
-    flight_counts,
-    ranges,
-    standard_gravity,
-    nominal,
-    randomized,
-    params,
+    thread_slice, mask, keys, flight_counts, ranges, standard_gravity, nominal, randomized, params,
     y,
-):
+):  # fmt: skip
     """Sample new randomized vehicle parameters for the started flights of `mask` (n,).
 
     `standard_gravity` is in m/s^2; `nominal` (5,) has the nominal gravity, exhaust velocity, thrust

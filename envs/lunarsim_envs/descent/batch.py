@@ -146,16 +146,16 @@ def _check_ranges(
     """
     if randomization is None:
         return
-    for name, maximum in (
-        ("payload", lander.dry_mass), ("specific_impulse", lander.specific_impulse),
-        ("thrust_lag", lander.thrust_lag - 2.0 * time_step),
+    for name, unit, maximum in (
+        ("payload", "kg", lander.dry_mass), ("specific_impulse", "s", lander.specific_impulse),
+        ("thrust_lag", "s", lander.thrust_lag - 2.0 * time_step),
     ):  # fmt: skip
         value = getattr(randomization, name)
         if value > 0.0 and not value < maximum:
             raise InputError(
-                f"domain_randomization.{name}",
+                f"domain_randomization.{name}_{unit}",
                 value,
-                f"must be 0, or less than {max(maximum, 0.0):g}, for this lander",
+                f"must be 0, or less than {max(maximum, 0.0):g} {unit} for this lander",
             )
 
 

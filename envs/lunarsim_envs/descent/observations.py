@@ -63,7 +63,9 @@ def register(part: ObservationComponent) -> None:
     check_new(part.name, PARTS)
     if part.size < 1 or not part.low < part.high:
         raise InputError(
-            part.name, (part.size, part.low, part.high), "must have a size of 1 or more and a range"
+            part.name,
+            (part.size, part.low, part.high),
+            "must have a size of 1 or more, and a lower bound below its upper bound",
         )
     PARTS[part.name] = part
 

@@ -112,7 +112,9 @@ class WorldPool:
         height, relief = np.stack(terrains), np.stack(reliefs)
         if not np.isfinite(relief).all():
             raise InputError(
-                "target.scatter_m", scenario.target.make().scatter, "must be on terrain with data"
+                "target.scatter_m",
+                scenario.target.make().scatter,
+                "must keep all targets on terrain with data",
             )
         levels = np.stack((np.nanmin(height, (1, 2)), np.nanmax(height, (1, 2))), axis=1)
         frames = [np.array([g.x0, g.y0, g.posting]) for g in grids]

@@ -200,8 +200,9 @@ def _limit_polynomials(paths, offset, half_width, half_height, params, out):
 def is_unreachable(paths, state, low, high, speed, max_acceleration, law, params):
     """Return whether it is proven that no target in a box is reachable within limits.
 
-    `low` and `high` (3,) are corners of the box, m; `state` (2, 3) is position and velocity;
-    `speed` is its norm and `max_acceleration` is in m/s^2. False means that nothing is proven.
+    `paths` is from `path_coefficients`. `low` and `high` (3,) are corners of the box, m; `state`
+    (2, 3) is position and velocity; `speed` is the norm of the velocity and `max_acceleration` is
+    in m/s^2. False means that nothing is proven.
     """
     for axis in range(3):
         if law.final[1, axis] != 0.0:

@@ -134,6 +134,7 @@ def sample_scan(i, key, first, y, time, world, guidance, errors, placements, amp
 
     Writes the placement of noise fields to `placements` (2, 5), common offset and noise amplitudes
     to `amplitudes` (3,), and the axes of the LiDAR, which points at the site, to `axes` (3, 3).
+    `key` selects the random stream and `first` its first number.
     """
     level = np.empty(2)
     for k in range(2):

@@ -15,23 +15,9 @@ _ENOUGH, _TRIES = 0.95, 6
 
 @kernel(inline=True)
 def _mean_around(
-    r,
-    c,
-    neighbour_distance,
-    corner,
-    posting,
-    drift_velocity,
-    time,
-    y,
-    world,
-    scan_index,
-    truth,
-    errors,
-    view,
-    placements,
-    amplitudes,
-    axes,
-):
+    r, c, neighbour_distance, corner, posting, drift_velocity, time, y, world, scan_index, truth,
+    errors, view, placements, amplitudes, axes,
+):  # fmt: skip
     """Return mean p_safe of a cell (r, c) and 4 neighbours, and the cell's height.
 
     The neighbours are `neighbour_distance` cells away. p_safe is -1 if the cell is not observed.

@@ -127,7 +127,7 @@ class SiteDescentBatch(DescentBatch):
         Error model of the perception, from `Surrogate.errors` or `exact_errors`.
     view
         Field of view of the LiDAR, from `fov_and_footprint`.
-    drift, claimed
+    drift_sigma, reported_velocity_sigma
         True standard deviation of the drift velocity, east and north (2,), and the standard
         deviation that navigation reports per axis, m/s.
     posting
@@ -136,8 +136,8 @@ class SiteDescentBatch(DescentBatch):
     Attributes
     ----------
     guidance, maps, candidates
-        Guidance states (`GuidanceState`), hazard maps (`Maps`) and candidate sites (`CandidateSites`) of
-        the kernels.
+        Guidance states (`GuidanceState`), hazard maps (`Maps`) and candidate sites
+        (`CandidateSites`).
     refused, time_scale_refused
         Whether the site of the last decision was out of reach, and whether its factor on the
         time-to-go was refused (n,).

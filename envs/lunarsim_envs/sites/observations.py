@@ -78,7 +78,9 @@ def register(part: SiteObservationComponent) -> None:
     space = part.space
     if not part.shape or not (space.low < space.high).all():
         raise InputError(
-            part.name, (part.shape, part.low, part.high), "must have a shape and a range"
+            part.name,
+            (part.shape, part.low, part.high),
+            "must have one axis or more, and lower bounds below its upper bounds",
         )
     PARTS[part.name] = part
 

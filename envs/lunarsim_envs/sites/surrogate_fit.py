@@ -183,7 +183,9 @@ def _scan_correlation(scores: Sequence[Sequence[Array]]) -> float:
         return 0.0
     first, second = scores
     if len(first) != len(second):
-        raise InputError("scans", (len(first), len(second)), "must be the same number")
+        raise InputError(
+            "scans", (len(first), len(second)), "must be equal numbers of first and second maps"
+        )
     pairs = np.concatenate([
         np.stack((a, b), axis=-1).reshape(-1, 2) for a, b in zip(first, second, strict=True)
     ])  # fmt: skip
