@@ -57,12 +57,7 @@ def scenario_argument(source: Any, changes: Any, default: Scenario) -> Scenario:
 def checked_int(field: str, value: Any, minimum: int) -> int:
     """Check that an argument is an integer of at least `minimum`, and return it.
 
-    `field` is the name of the argument in the error.
-
-    Raises
-    ------
-    InputError
-        If the value is not an integer or is less than `minimum`.
+    Otherwise an `InputError` for the argument `field` is raised.
     """
     if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < minimum:
         raise InputError(field, value, f"must be an integer of at least {minimum}")
@@ -72,12 +67,8 @@ def checked_int(field: str, value: Any, minimum: int) -> int:
 def checked_covers(covers: Any) -> tuple[float, ...]:
     """Check that rock covers (area fractions) are numbers, and return them as a tuple.
 
-    Their bounds are checked later, by the scenario.
-
-    Raises
-    ------
-    InputError
-        If the covers are not a list of numbers.
+    If they are not a list of numbers, an `InputError` is raised. Their bounds are checked later, by
+    the scenario.
     """
     listed = isinstance(covers, Sequence | np.ndarray) and not isinstance(covers, str | bytes)
     kinds = int, float, np.integer, np.floating
@@ -87,12 +78,9 @@ def checked_covers(covers: Any) -> tuple[float, ...]:
 
 
 def checked_bool(field: str, value: Any) -> bool:
-    """Check that the argument named `field` is a boolean, and return it as a bool.
+    """Check that an argument is a boolean, and return it as a bool.
 
-    Raises
-    ------
-    InputError
-        If the value is not a boolean.
+    Otherwise an `InputError` for the argument `field` is raised.
     """
     if not isinstance(value, (bool, np.bool_)):
         raise InputError(field, value, "must be True or False")
@@ -102,10 +90,7 @@ def checked_bool(field: str, value: Any) -> bool:
 def checked_weights(weights: Any, weights_class: type[Weights]) -> Weights | None:
     """Check that reward weights are None or of a `weights_class`, and return them.
 
-    Raises
-    ------
-    InputError
-        If the weights are of another class.
+    Otherwise an `InputError` is raised.
     """
     if not isinstance(weights, weights_class | None):
         raise InputError(
@@ -119,10 +104,7 @@ def checked_weights(weights: Any, weights_class: type[Weights]) -> Weights | Non
 def checked_options(options: Any) -> dict[str, Any]:
     """Return the options of `reset` as a dictionary, which is empty for None.
 
-    Raises
-    ------
-    InputError
-        If the options are not a mapping from names to values.
+    If the options are not a mapping from names to values, an `InputError` is raised.
     """
     named = {} if options is None else options
     if not isinstance(named, Mapping) or not all(isinstance(key, str) for key in named):
@@ -133,13 +115,7 @@ def checked_options(options: Any) -> dict[str, Any]:
 
 
 def check_no_render_mode(render_mode: Any) -> None:
-    """Check that no render mode is requested from a vector environment.
-
-    Raises
-    ------
-    InputError
-        If the render mode is not None.
-    """
+    """Raise an `InputError` if a vector environment is to use a render mode."""
     if render_mode is not None:
         raise InputError(
             "render_mode", render_mode, "must be None for vector environments, which do not render"

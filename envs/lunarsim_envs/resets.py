@@ -28,12 +28,9 @@ def reset_mask(option: Any, lanes: int) -> NDArray[np.bool_]:
 
 
 def check_all_reset(was_reset: NDArray[np.bool_], mask: NDArray[np.bool_]) -> None:
-    """Check that all environments outside a reset mask (n,) have been reset before.
+    """Raise `ResetNeeded` if an environment outside a reset mask (n,) was never reset.
 
-    Raises
-    ------
-    gymnasium.error.ResetNeeded
-        If `was_reset` (n,) is false for an environment outside the mask.
+    `was_reset` (n,) marks environments that have been reset before.
     """
     if not (was_reset | mask).all():
         lanes = np.flatnonzero(~(was_reset | mask)).tolist()
@@ -47,12 +44,9 @@ def lane_seeds(
 ) -> list[int | None]:
     """Return the seeds of the environments that a mask (n,) selects.
 
-    Environment i gets ``seed + i``, or ``seed[i]`` if `seed` is a sequence; None is no seed.
-
-    Raises
-    ------
-    ValueError
-        If a sequence does not have length n, or a seed is negative or not an integer.
+    Environment i gets ``seed + i``, or ``seed[i]`` if `seed` is a sequence; None is no seed. If a
+    sequence does not have length n, or a seed is negative or not an integer, a ValueError is
+    raised.
     """
     lanes = np.flatnonzero(mask)
     if seed is None:

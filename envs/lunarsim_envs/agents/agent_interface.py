@@ -36,12 +36,7 @@ def incompatible_agent_error(
 def check_sites(name: str, env: Any) -> None:
     """Check that the actions of a ``Retarget-v0`` environment can choose a site.
 
-    `name` is the agent's name in the error.
-
-    Raises
-    ------
-    InputError
-        If the action has no component ``site``.
+    Otherwise an `InputError` for the agent `name` is raised.
     """
     if not env.actions.has("site"):
         raise incompatible_agent_error(name, env, "Retarget-v0 with the action component 'site'")

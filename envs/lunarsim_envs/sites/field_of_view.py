@@ -15,12 +15,8 @@ Array = NDArray[np.float64]
 def fov_and_footprint(scenario: Scenario) -> Array:
     """Return tangent of half the LiDAR's field of view, and footprint radius (2,).
 
-    The LiDAR is the sensor of the mapper that decisions use; the radius, m, is the lander's.
-
-    Raises
-    ------
-    InputError
-        If the sensor of that mapper is not a flash LiDAR.
+    The LiDAR is the sensor of the mapper that decisions use; the radius, m, is the lander's. If the
+    sensor is not a flash LiDAR, an `InputError` is raised.
     """
     name = deciding_mapper(scenario)
     sensor = scenario.mappers[name].make().sensor
@@ -47,12 +43,8 @@ def deciding_mapper(scenario: Scenario) -> str:
 def scan_altitudes(scenario: Scenario) -> Array:
     """Return the altitudes at which the sensor of the decisions' mapper measures, m.
 
-    They are in descending order.
-
-    Raises
-    ------
-    InputError
-        If the tasking of the sensor is not "at-altitudes" with boresight "site".
+    They are in descending order. If the tasking of the sensor is not "at-altitudes" with boresight
+    "site", an `InputError` is raised.
     """
     sensor = scenario.mappers[deciding_mapper(scenario)].make().sensor
     tasking = scenario.tasking.get(sensor)
