@@ -36,7 +36,7 @@ def check_new(name: str, known: Mapping[str, Any]) -> None:
 
 
 def check_shape(field: str, value: Any, shape: tuple[int, ...]) -> None:
-    """Raise an `InputError` if the values of a component have not the expected shape.
+    """Raise an `InputError` if values of a component do not have the expected shape.
 
     The first axis counts landers; `field` is the name of the component in the error.
     """

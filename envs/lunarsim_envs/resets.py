@@ -35,7 +35,7 @@ def check_all_reset(was_reset: NDArray[np.bool_], mask: NDArray[np.bool_]) -> No
     if not (was_reset | mask).all():
         lanes = np.flatnonzero(~(was_reset | mask)).tolist()
         raise gymnasium.error.ResetNeeded(
-            f"options['reset_mask']: must include never reset environments, {lanes}. Reset all."
+            f"options['reset_mask']: must include environments {lanes}, which were never reset."
         )
 
 
