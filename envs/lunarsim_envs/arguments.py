@@ -16,17 +16,17 @@ from lunarsim.scenario.shipped import found
 Weights = TypeVar("Weights")
 
 
-def scenario_argument(given: Any, changes: Any, otherwise: Scenario) -> Scenario:
+def scenario_argument(source: Any, changes: Any, default: Scenario) -> Scenario:
     """Load the scenario that an environment's arguments select, with changed values.
 
     Parameters
     ----------
-    given
+    source
         Scenario, path of a TOML file, or name of a scenario that is supplied with lunarsim; None
-        selects `otherwise`.
+        selects `default`.
     changes
         New values by scenario key, such as ``{"rocks.cover": 0.1}``, or None.
-    otherwise
+    default
         Default scenario.
 
     Raises
@@ -34,16 +34,16 @@ def scenario_argument(given: Any, changes: Any, otherwise: Scenario) -> Scenario
     InputError
         If the scenario does not exist, or a key or a value is invalid.
     """
-    if given is None:
-        scenario = otherwise
-    elif isinstance(given, Scenario):
-        scenario = given
-    elif isinstance(given, (str, Path)):
-        scenario = Scenario.load(found(Path(given)))
+    if source is None:
+        scenario = default
+    elif isinstance(source, Scenario):
+        scenario = source
+    elif isinstance(source, (str, Path)):
+        scenario = Scenario.load(found(Path(source)))
     else:
         raise InputError(
             "scenario",
-            given,
+            source,
             "must be a Scenario, the path of a TOML file or the name of a supplied scenario",
         )
     named = {} if changes is None else changes
@@ -54,88 +54,68 @@ def scenario_argument(given: Any, changes: Any, otherwise: Scenario) -> Scenario
     return with_values(scenario, named, "changes")
 
 
-def checked_int(field: str, value: Any, least: int) -> int:
-    """Check that an argument is an integer of at least `least`, and return the value.
+def checked_int(field: str, value: Any, minimum: int) -> int:
+    """Check that an argument is an integer of at least `minimum`, and return it.
 
-    `field` is the name of the argument in the error.
-
-    Raises
-    ------
-    InputError
-        If the value is not an integer or is less than `least`.
+    Otherwise an `InputError` for the argument `field` is raised.
     """
-    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < least:
-        raise InputError(field, value, f"must be an integer of at least {least}")
+    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < minimum:
+        raise InputError(field, value, f"must be an integer of at least {minimum}")
     return int(value)
 
 
-def checked_covers(given: Any) -> tuple[float, ...]:
+def checked_covers(covers: Any) -> tuple[float, ...]:
     """Check that rock covers (area fractions) are numbers, and return them as a tuple.
 
-    Their bounds are checked later, by the scenario.
-
-    Raises
-    ------
-    InputError
-        If the covers are not a list of numbers.
+    If they are not a list of numbers, an `InputError` is raised. Their bounds are checked later, by
+    the scenario.
     """
-    listed = isinstance(given, Sequence | np.ndarray) and not isinstance(given, str | bytes)
+    listed = isinstance(covers, Sequence | np.ndarray) and not isinstance(covers, str | bytes)
     kinds = int, float, np.integer, np.floating
-    if not listed or not all(isinstance(c, kinds) and not isinstance(c, bool) for c in given):
-        raise InputError("covers", given, "must be a list of fractions, such as [0.02, 0.1]")
-    return tuple(float(one) for one in given)
+    if not listed or not all(isinstance(c, kinds) and not isinstance(c, bool) for c in covers):
+        raise InputError("covers", covers, "must be a list of fractions, such as [0.02, 0.1]")
+    return tuple(float(one) for one in covers)
 
 
 def checked_bool(field: str, value: Any) -> bool:
-    """Check that the argument named `field` is a boolean, and return it as a bool.
+    """Check that an argument is a boolean, and return it as a bool.
 
-    Raises
-    ------
-    InputError
-        If the value is not a boolean.
+    Otherwise an `InputError` for the argument `field` is raised.
     """
     if not isinstance(value, (bool, np.bool_)):
         raise InputError(field, value, "must be True or False")
     return bool(value)
 
 
-def checked_weights(given: Any, kind: type[Weights]) -> Weights | None:
-    """Check that reward weights are None or of the class `kind`, and return them.
+def checked_weights(weights: Any, weights_class: type[Weights]) -> Weights | None:
+    """Check that reward weights are None or of a `weights_class`, and return them.
 
-    Raises
-    ------
-    InputError
-        If the weights are of another class.
+    Otherwise an `InputError` is raised.
     """
-    if not isinstance(given, kind | None):
-        raise InputError("weights", given, f"must be {kind.__module__}.{kind.__name__} or None")
-    return given
+    if not isinstance(weights, weights_class | None):
+        raise InputError(
+            "weights",
+            weights,
+            f"must be {weights_class.__module__}.{weights_class.__name__} or None",
+        )
+    return weights
 
 
-def checked_options(given: Any) -> dict[str, Any]:
+def checked_options(options: Any) -> dict[str, Any]:
     """Return the options of `reset` as a dictionary, which is empty for None.
 
-    Raises
-    ------
-    InputError
-        If the options are not a mapping from names to values.
+    If the options are not a mapping from names to values, an `InputError` is raised.
     """
-    named = {} if given is None else given
+    named = {} if options is None else options
     if not isinstance(named, Mapping) or not all(isinstance(key, str) for key in named):
         raise InputError(
-            "options", given, "must map names to values, such as {'position_m': (0, 0, 500)}"
+            "options", options, "must map names to values, such as {'position_m': (0, 0, 500)}"
         )
     return dict(named)
 
 
 def check_no_render_mode(render_mode: Any) -> None:
-    """Check that no render mode is requested from a vector environment.
-
-    Raises
-    ------
-    InputError
-        If the render mode is not None.
-    """
+    """Raise an `InputError` if a vector environment is to use a render mode."""
     if render_mode is not None:
         raise InputError(
             "render_mode", render_mode, "must be None for vector environments, which do not render"

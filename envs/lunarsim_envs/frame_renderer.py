@@ -39,8 +39,8 @@ class FrameRenderer:
         away, up = self._profile(observation)
         self._paths = [ax.plot([], [], color=_PATH)[0] for ax in (high, low)]
         self._heres = [ax.plot([], [], "o", color=_HERE)[0] for ax in (high, low)]
-        _frame(high, (0.0, 1.05 * max(away[0], 1.0)), (-10.0, 1.05 * up[0]), "Descent")
-        _frame(low, (0.0, _ASIDE), (-2.0, _LOW), f"Last {_LOW:g} m")
+        _format_axes(high, (0.0, 1.05 * max(away[0], 1.0)), (-10.0, 1.05 * up[0]), "Descent")
+        _format_axes(low, (0.0, _ASIDE), (-2.0, _LOW), f"Last {_LOW:g} m")
         high.set_ylabel("Altitude above site (m)")
         grid = observation.hazard_map.grid
         plan.set_facecolor("0.8")
@@ -126,13 +126,15 @@ class FrameRenderer:
         words = map_remark(m)
         title = "Hazard map" if words is None else f"Map {words.partition(':')[0]}"
         self._map_title.set_text(title)
-        self._title.set_text(self._words(action, reward, time_scale))
+        self._title.set_text(self._title_text(action, reward, time_scale))
         self._canvas.restore_region(self._still)
         for artist in self._moving:
             self._figure.draw_artist(artist)
         return np.asarray(self._canvas.buffer_rgba())[..., :3].copy()
 
-    def _words(self, action: int | None, reward: float | None, time_scale: float | None) -> str:
+    def _title_text(
+        self, action: int | None, reward: float | None, time_scale: float | None
+    ) -> str:
         """Return the frame title: time, last action, its reward and the flight's outcome."""
         words = [f"t = {self.simulation.time:.1f} s"]
         if action is not None:
@@ -149,7 +151,7 @@ class FrameRenderer:
         return ",  ".join(words)
 
 
-def _frame(axes: Any, x: tuple[float, float], y: tuple[float, float], title: str) -> None:
+def _format_axes(axes: Any, x: tuple[float, float], y: tuple[float, float], title: str) -> None:
     """Set limits `x` and `y`, labels, title and grid lines of a path plot."""
     axes.set(xlim=x, ylim=y, xlabel="Distance from site (m)", title=title)
     axes.grid(alpha=0.3)

@@ -19,7 +19,7 @@ _SCREENS = ("DISPLAY", "WAYLAND_DISPLAY")
 _DPI = 100
 
 
-def _windows() -> bool:
+def _can_open_windows() -> bool:
     """Return whether Matplotlib can open windows on this machine."""
     # Imported here because Matplotlib searches for a GUI toolkit, which takes half a second.
     import matplotlib.pyplot as plt  # noqa: PLC0415
@@ -31,7 +31,7 @@ def _windows() -> bool:
 def available_render_modes(modes: Sequence[str]) -> list[str]:
     """Return `modes` without "human" if this machine cannot open a window."""
     screen = sys.platform in ("win32", "darwin") or any(map(os.environ.get, _SCREENS))
-    return [mode for mode in modes if mode != "human" or (screen and _windows())]
+    return [mode for mode in modes if mode != "human" or (screen and _can_open_windows())]
 
 
 class FrameWindow:
@@ -51,7 +51,7 @@ class FrameWindow:
     """
 
     def __init__(self, fps: float) -> None:
-        if not _windows():
+        if not _can_open_windows():
             raise InputError(
                 "render_mode", "human",
                 "needs a display and a GUI toolkit for Matplotlib (on Debian: apt install "

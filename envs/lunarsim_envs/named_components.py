@@ -15,12 +15,8 @@ Part = TypeVar("Part")
 def named_parts(field: str, names: Sequence[str], known: Mapping[str, Part]) -> list[Part]:
     """Look up components of an observation or an action by their names, in order.
 
-    `field` is the name of the argument in errors; `known` has all components by name.
-
-    Raises
-    ------
-    InputError
-        If a name is unknown or occurs twice, or there are no names.
+    `known` has all components by name. If a name is unknown or occurs twice, or there are no names,
+    an `InputError` for the argument `field` is raised.
     """
     listed = isinstance(names, Sequence) and not isinstance(names, (str, bytes))
     if not listed or not len(names) or not all(isinstance(name, str) for name in names):
@@ -34,26 +30,15 @@ def named_parts(field: str, names: Sequence[str], known: Mapping[str, Part]) -> 
 
 
 def check_new(name: str, known: Mapping[str, Any]) -> None:
-    """Check that the name of a new component is not used by the components `known`.
-
-    Raises
-    ------
-    InputError
-        If the name is already registered.
-    """
+    """Raise an `InputError` if a component of `known` has the name of a new component."""
     if name in known:
         raise InputError("name", name, "is already registered")
 
 
 def check_shape(field: str, value: Any, shape: tuple[int, ...]) -> None:
-    """Check that the values of a component have the expected shape.
+    """Raise an `InputError` if values of a component do not have the expected shape.
 
     The first axis counts landers; `field` is the name of the component in the error.
-
-    Raises
-    ------
-    InputError
-        If the shape differs.
     """
     if np.shape(value) != shape:
         raise InputError(field, np.shape(value), f"must be an array of shape {shape}")

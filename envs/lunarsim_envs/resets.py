@@ -10,40 +10,32 @@ import numpy as np
 from numpy.typing import NDArray
 
 
-def reset_mask(given: Any, lanes: int) -> NDArray[np.bool_]:
+def reset_mask(option: Any, lanes: int) -> NDArray[np.bool_]:
     """Check ``options["reset_mask"]``, which selects the environments to reset.
 
-    `given` is the option, and `lanes` the number n of parallel environments. Returns the mask (n,);
-    None selects all environments.
-
-    Raises
-    ------
-    ValueError
-        If the option is not an array of n booleans with at least one true value.
+    Returns the mask (n,), where n is the number of environments (`lanes`); None selects all. If the
+    option is not an array of n booleans with at least one true value, a ValueError is raised.
     """
-    if given is None:
+    if option is None:
         return np.ones(lanes, np.bool_)
-    mask = np.asarray(given)
+    mask = np.asarray(option)
     if mask.shape != (lanes,) or mask.dtype != np.bool_ or not mask.any():
         raise ValueError(
             f"options['reset_mask']: must be {lanes} booleans with at least one true, "
-            f"got {given!r}."
+            f"got {option!r}."
         )
     return mask
 
 
 def check_all_reset(was_reset: NDArray[np.bool_], mask: NDArray[np.bool_]) -> None:
-    """Check that all environments outside a reset mask (n,) have been reset before.
+    """Raise `ResetNeeded` if an environment outside a reset mask (n,) was never reset.
 
-    Raises
-    ------
-    gymnasium.error.ResetNeeded
-        If `was_reset` (n,) is false for an environment outside the mask.
+    `was_reset` (n,) marks environments that have been reset before.
     """
     if not (was_reset | mask).all():
         lanes = np.flatnonzero(~(was_reset | mask)).tolist()
         raise gymnasium.error.ResetNeeded(
-            f"options['reset_mask']: must include never reset environments, {lanes}. Reset all."
+            f"options['reset_mask']: must include environments {lanes}, which were never reset."
         )
 
 
@@ -52,12 +44,9 @@ def lane_seeds(
 ) -> list[int | None]:
     """Return the seeds of the environments that a mask (n,) selects.
 
-    Environment i gets ``seed + i``, or ``seed[i]`` if `seed` is a sequence; None is no seed.
-
-    Raises
-    ------
-    ValueError
-        If a sequence does not have length n, or a seed is negative or not an integer.
+    Environment i gets ``seed + i``, or ``seed[i]`` if `seed` is a sequence; None is no seed. If a
+    sequence does not have length n, or a seed is negative or not an integer, a ValueError is
+    raised.
     """
     lanes = np.flatnonzero(mask)
     if seed is None:

@@ -50,11 +50,11 @@ def default_scenario() -> Scenario:
 
 
 def retarget_scenario(
-    given: Scenario | str | Path | None, changes: Mapping[str, Any] | None
+    source: Scenario | str | Path | None, changes: Mapping[str, Any] | None
 ) -> Scenario:
     """Load the scenario of a ``Retarget-v0`` environment and apply changed values.
 
-    `given` is a scenario, a path or a name; None selects `default_scenario`. `changes` has new
+    `source` is a scenario, a path or a name; None selects `default_scenario`. `changes` has new
     values by scenario key.
 
     Raises
@@ -62,7 +62,7 @@ def retarget_scenario(
     InputError
         If the scenario has no mapper.
     """
-    scenario = scenario_argument(given, changes, default_scenario())
+    scenario = scenario_argument(source, changes, default_scenario())
     if not scenario.mappers:
         raise InputError("mappers", {}, "must have at least one table [mappers.NAME]")
     return scenario
@@ -287,7 +287,7 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], Any]):
         return self._encode(), self._info()
 
     def _begin(self, seed: int | None) -> None:
-        """Seed and start a flight; restore the random generator if the start is refused."""
+        """Seed and start a flight; after an `InputError`, restore the random generator."""
         before = self._np_random, self._np_random_seed
         super().reset(seed=seed)
         state = self.np_random.bit_generator.state
@@ -306,17 +306,17 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], Any]):
             raise gymnasium.error.ResetNeeded("Call reset() before step().")
         if self._over:
             raise gymnasium.error.ResetNeeded("The episode has ended. Call reset().")
-        chosen = self.actions.chosen(action)
-        orders = self.actions.orders(chosen, flight.sights)
-        invalid = bool(orders.invalid[0])
+        chosen = self.actions.checked_choices(action)
+        decisions = self.actions.decisions(chosen, flight.inputs)
+        invalid = bool(decisions.invalid[0])
         row = 0 if invalid else int(self.actions.choice("site", chosen)[0])
-        site = None if np.isnan(orders.site[0, 0]) else orders.site[0]
-        time_scale = None if np.isnan(orders.time_scale[0]) else float(orders.time_scale[0])
+        site = None if np.isnan(decisions.site[0, 0]) else decisions.site[0]
+        time_scale = None if np.isnan(decisions.time_scale[0]) else float(decisions.time_scale[0])
         self._last = (row, None, time_scale)
         self._due = flight.time + 1.0 / self.metadata["render_fps"]
         # A flight may end before its first decision; the first step then reports the end.
         if flight.outcome is None:
-            flight.decide(site, self._each, time_scale)
+            flight.decide(site, self._after_cycle, time_scale)
         outcome = flight.outcome
         self._over = outcome is not None
         # At the time limit, the outcome of the flight is unknown.
@@ -326,20 +326,22 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], Any]):
         info = self._info() | {"reward_terms": terms}
         info["cost"] = float(outcome is not None and ended and not outcome[0])
         if self.actions.has_time_scale:
-            info["time_scale_refused"] = bool(orders.lost[0]) or flight.time_scale_refused
+            info["time_scale_refused"] = (
+                bool(decisions.factor_ignored[0]) or flight.time_scale_refused
+            )
         reward = float(sum_terms(terms))
         self._last = (row, reward, time_scale)
         self._take_frame()
         return self._encode(), reward, ended, late, info
 
     def reward_inputs(self) -> tuple[Any, ...]:
-        """Return the values from which rewards are computed, as for `SiteRewards.begin`.
+        """Return the arguments of `SiteRewards.begin` after the mask.
 
         They are the mass (1,), kg, p_safe of the current site (1,), and the maps of p_safe and of
         observed cells (1, rows, cols).
         """
-        sights = self.flight.sights
-        return np.array([self.flight.mass]), sights.here[:, 0], sights.p, sights.seen
+        inputs = self.flight.inputs
+        return np.array([self.flight.mass]), inputs.here[:, 0], inputs.p, inputs.seen
 
     def _terms(
         self, invalid: bool, outcome: tuple[bool, tuple[str, ...]] | None
@@ -350,9 +352,11 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], Any]):
         the failure causes; None while flying and at the time limit.
         """
         over, safe = outcome is not None, outcome is not None and outcome[0]
-        touch = self.flight.touch if over else np.full((1, 3), np.nan)
+        touchdown_ratios = self.flight.touchdown_ratios if over else np.full((1, 3), np.nan)
         one, wrong, ended, well = np.array([[True], [invalid], [over], [safe]])
-        terms = self.rewards.terms(one, wrong, ended, well, touch, one, *self.reward_inputs())
+        terms = self.rewards.terms(
+            one, wrong, ended, well, touchdown_ratios, one, *self.reward_inputs()
+        )
         return {name: float(term[0]) for name, term in terms.items()}
 
     def render(self) -> NDArray[np.uint8] | list[NDArray[np.uint8]] | None:  # type: ignore[override]
@@ -384,7 +388,7 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], Any]):
         """
         if not self._has_started:
             raise gymnasium.error.ResetNeeded("Call reset() before action_masks().")
-        return np.asarray(self.actions.masks(self.flight.sights)[0])
+        return np.asarray(self.actions.masks(self.flight.inputs)[0])
 
     def _frame(self) -> NDArray[np.uint8]:
         """Draw an RGB image of the current state, as `render` returns it."""
@@ -409,7 +413,7 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], Any]):
         elif self._screen is not None:
             self._screen.show(self._frame())
 
-    def _each(self) -> None:
+    def _after_cycle(self) -> None:
         """Add the current state to the drawn path; store or show a frame if one is due.
 
         The flight calls this function after each control cycle.
@@ -421,11 +425,11 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], Any]):
             self._take_frame()
 
     def _encode(self) -> dict[str, FloatArray]:
-        return {name: one[0] for name, one in self.shown.of(self.flight.sights).items()}
+        return {name: one[0] for name, one in self.shown.of(self.flight.inputs).items()}
 
     def _info(self) -> dict[str, Any]:
         flight = self.flight
-        mask = self.actions.masks(flight.sights)[0].astype(np.int8)
+        mask = self.actions.masks(flight.inputs)[0].astype(np.int8)
         info: dict[str, Any] = {"time": flight.time, "action_mask": mask}
         outcome = flight.outcome
         if outcome is not None:

@@ -122,13 +122,13 @@ class RetargetVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         self.rewards.begin(mask, *self.reward_inputs())
 
     def reward_inputs(self) -> tuple[Any, ...]:
-        """Return the values from which rewards are computed, as for `SiteRewards.begin`.
+        """Return the arguments of `SiteRewards.begin` after the mask.
 
         They are the masses (n,), kg, p_safe of the current sites (n,), and the maps of p_safe and
         of observed cells (n, rows, cols).
         """
         lanes = self.lanes
-        return lanes.y[:, 13], lanes.found.here[:, 0], lanes.maps.p, lanes.maps.seen
+        return lanes.y[:, 13], lanes.candidates.here[:, 0], lanes.maps.p, lanes.maps.seen
 
     def _shrink(self, mask: Mask) -> None:
         """Downsample the hazard maps of environments `mask` (n,), if they are observed."""
@@ -137,12 +137,12 @@ class RetargetVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
             self._small[mask] = downsample_maps(maps.p[mask], maps.seen[mask])
 
     @property
-    def sights(self) -> SiteInputs:
+    def inputs(self) -> SiteInputs:
         """Values of all landers from which observations and action masks are computed."""
         return site_inputs(self.lanes, self._small)
 
     def _observe(self) -> Shown:
-        return self.shown.of(self.sights)
+        return self.shown.of(self.inputs)
 
     def action_masks(self) -> NDArray[np.bool_]:
         """Return the mask of available actions of each environment (n, 21).
@@ -151,7 +151,7 @@ class RetargetVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         """
         if any(rng is None for rng in self._rngs):
             raise gymnasium.error.ResetNeeded("Call reset() before action_masks().")
-        return self.actions.masks(self.sights)
+        return self.actions.masks(self.inputs)
 
     def _info(self) -> dict[str, Any]:
         every = np.ones(self.num_envs, np.bool_)
@@ -166,26 +166,28 @@ class RetargetVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
     ) -> tuple[Shown, NDArray[np.float64], Mask, Mask, dict[str, Any]]:
         """Apply site decisions in all environments and fly to their next decisions."""
         lanes = self.lanes
-        chosen = self.actions.all_chosen(actions, self.num_envs)
+        chosen = self.actions.checked_batch_choices(actions, self.num_envs)
         moved = self._open.copy()
         if (~moved & ~self._due).any():
             raise gymnasium.error.ResetNeeded(
                 "An episode has ended. Call reset() with options['reset_mask']."
             )
-        orders = self.actions.orders(chosen, self.sights)
-        lanes.decide(orders.site, moved, orders.time_scale)
+        decisions = self.actions.decisions(chosen, self.inputs)
+        lanes.decide(decisions.site, moved, decisions.time_scale)
         self._shrink(lanes.mapped)
         over = moved & (lanes.ended != FLYING)
         late = over & (lanes.ended == LATE)
         terminated = over & ~late
-        terms = self._terms(moved, terminated, orders.invalid)
+        terms = self._terms(moved, terminated, decisions.invalid)
         rewards = sum_terms(terms)
         info = self._step_info(terms, moved, over, late)
         truncated = late | self._limit.reached(moved)
         over = terminated | truncated
         self._open &= ~over
         if self.actions.has_time_scale:
-            info["time_scale_refused"] = moved & (orders.lost | lanes.time_scale_refused)
+            info["time_scale_refused"] = moved & (
+                decisions.factor_ignored | lanes.time_scale_refused
+            )
             info["_time_scale_refused"] = moved
         if self.autoreset_mode is _MODE.NEXT_STEP:
             if self._due.any():
@@ -201,9 +203,9 @@ class RetargetVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
 
     def _terms(self, moved: Mask, over: Mask, invalid: Mask) -> dict[str, Any]:
         lanes = self.lanes
-        touch = touchdown_limit_ratios(self._lander, lanes.touchdown_values)
+        touchdown_ratios = touchdown_limit_ratios(self._lander, lanes.touchdown_values)
         return self.rewards.terms(
-            moved, invalid, over, lanes.safe, touch, lanes.mapped, *self.reward_inputs()
+            moved, invalid, over, lanes.safe, touchdown_ratios, lanes.mapped, *self.reward_inputs()
         )
 
     def _step_info(
@@ -217,5 +219,8 @@ class RetargetVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
                 "failure_causes": np.where(over, self.lanes.failed, 0),
                 "_failure_causes": over,
             }
-            info |= {"propellant_kg": np.where(over, self.lanes.burnt, 0.0), "_propellant_kg": over}
+            info |= {
+                "propellant_kg": np.where(over, self.lanes.propellant_used, 0.0),
+                "_propellant_kg": over,
+            }
         return info

@@ -82,13 +82,13 @@ def touchdown_limit_ratios(lander: Lander, touchdown: ArrayLike) -> Array:
     return np.column_stack((np.maximum(share[:, 0], share[:, 1]), share[:, 2], terrain))
 
 
-def map_information(p: NDArray[np.float32], seen: Mask) -> float:
+def map_information(p: NDArray[np.float32], observed: Mask) -> float:
     """Return how certain a hazard map is, from 0 (unknown) to 1 (all cells certain).
 
-    `p` (rows, cols) is the probability of a safe landing and `seen` (rows, cols) marks observed
+    `p` (rows, cols) is the probability of a safe landing and `observed` (rows, cols) marks observed
     cells. The result is the mean over all cells of 1 - 4 p (1 - p), with 0 for unobserved cells.
     """
-    return float(np.where(seen, (2.0 * p.astype(np.float64) - 1.0) ** 2, 0.0).mean())
+    return float(np.where(observed, (2.0 * p.astype(np.float64) - 1.0) ** 2, 0.0).mean())
 
 
 def sum_terms(terms: Mapping[str, Any]) -> Any:
@@ -132,16 +132,19 @@ class SiteRewards:
         self._mass, self._potential = np.zeros(count), np.zeros(count)
         self._known, self._invalid = np.zeros(count), np.zeros(count, np.int64)
 
-    def _map_information(self, p: NDArray[np.float32], seen: Mask, of: Mask) -> Array:
-        """Return `map_information` of all flights (n,), updated where `of` (n,) is true."""
+    def _map_information(self, p: NDArray[np.float32], seen: Mask, changed: Mask) -> Array:
+        """Return `map_information` of all flights (n,), updated where `changed` is true.
+
+        `p` and `seen` are the maps of p_safe and of observed cells (n, rows, cols).
+        """
         known = self._known.copy()
         if self.weights.information > 0.0:
             # Computed per lane, so that results do not depend on the batch.
-            for i in np.flatnonzero(of):
+            for i in np.flatnonzero(changed):
                 known[i] = map_information(p[i], seen[i])
         return known
 
-    def _hope(self, p_here: Array) -> Array:
+    def _site_potential(self, p_here: Array) -> Array:
         """Return the shaping potential (n,) for p_safe of the current site (n,).
 
         An unobserved site (NaN) counts as 0.
@@ -165,13 +168,13 @@ class SiteRewards:
             Maps of p_safe and of observed cells (n, rows, cols).
         """
         self._mass[mask] = mass[mask]
-        self._potential[mask] = self._hope(p_here)[mask]
+        self._potential[mask] = self._site_potential(p_here)[mask]
         self._invalid[mask] = 0
         self._known = self._map_information(p, seen, mask)
 
     def terms(
-        self, moved: Mask, invalid: Mask, over: Mask, safe: Mask, touch: Array, drawn: Mask,
-        mass: Array, p_here: Array, p: NDArray[np.float32], seen: Mask,
+        self, moved: Mask, invalid: Mask, over: Mask, safe: Mask, touchdown_ratios: Array,
+        map_changed: Mask, mass: Array, p_here: Array, p: NDArray[np.float32], seen: Mask,
     ) -> dict[str, Array]:  # fmt: skip
         """Return the reward terms (n,) of the last decision by name.
 
@@ -182,10 +185,10 @@ class SiteRewards:
             was not available (n,).
         over, safe
             Flights that have ended, and flights that landed safely (n,).
-        touch
+        touchdown_ratios
             Touchdown speed, tilt and terrain over their limits (n, 3), from
             `touchdown_limit_ratios`.
-        drawn
+        map_changed
             Flights whose maps may have changed (n,).
         mass, p_here, p, seen
             Current values of the arguments of `begin`.
@@ -202,17 +205,17 @@ class SiteRewards:
         if counts.any():
             terms["invalid"] = np.where(counts, -w.invalid, 0.0)
         if landed.any():
-            near = np.where(landed[:, None], np.clip(touch, 0.0, 1.0), 0.0)
+            near = np.where(landed[:, None], np.clip(touchdown_ratios, 0.0, 1.0), 0.0)
             for k, (name, weight) in enumerate(
                 (("speed", w.speed), ("tilt", w.tilt), ("hazard", w.hazard))
             ):
                 terms[name] = -weight * near[:, k]
         if w.information > 0.0:
-            known = self._map_information(p, seen, moved & drawn)
+            known = self._map_information(p, seen, moved & map_changed)
             terms["information"] = np.where(moved, w.information * (known - self._known), 0.0)
             self._known = known
         if w.shaping != 0.0:
-            after = np.where(over, 0.0, self._hope(p_here))
+            after = np.where(over, 0.0, self._site_potential(p_here))
             terms["shaping"] = np.where(moved, w.discount * after - self._potential, 0.0)
             self._potential = np.where(moved, after, self._potential)
         self._invalid += counts

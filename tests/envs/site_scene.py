@@ -65,8 +65,8 @@ def lanes(count=1, keys=range(1000), perception="surrogate", kind=SiteDescentBat
     errors = exact_errors() if truth else model.errors(pool().shares, 0.4)
     many = kind(
         count, scenario, pool(), errors=errors, view=fov_and_footprint(scenario),
-        drift=np.zeros(2) if truth else model.drift,
-        claimed=0.0 if truth else model.reported_velocity_sigma,
+        drift_sigma=np.zeros(2) if truth else model.drift,
+        reported_velocity_sigma=0.0 if truth else model.reported_velocity_sigma,
         posting=0.4,
     )  # fmt: skip
     every = np.ones(count, bool)

@@ -420,7 +420,7 @@ def test_a_crash_costs_and_the_end_is_told():
     lanes = vector.unwrapped.descents.lanes
     seen = 0
     for _ in range(100):
-        burnt, time = lanes.burnt.copy(), lanes.time.copy()
+        burnt, time = lanes.propellant_used.copy(), lanes.time.copy()
         _, _, ended, late, info = vector.step(np.tile(np.float32([0.3, 0.0, -0.8]), (16, 1)))
         assert np.array_equal(info["cost"], np.where(ended & ~info.get("safe", ended), 1.0, 0.0))
         for lane in np.flatnonzero(ended | late):

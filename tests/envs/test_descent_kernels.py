@@ -15,7 +15,7 @@ from lunarsim.vehicle.domain_randomization import RANDOM_QUANTITIES
 from lunarsim.vehicle.state import State
 from lunarsim.vehicle.touchdown import evaluate_touchdown, pad_contacts
 from lunarsim_envs.descent import _kernels as k
-from lunarsim_envs.descent._loop_kernels import arc
+from lunarsim_envs.descent._loop_kernels import first_quadrant_angle
 from lunarsim_envs.descent.batch import FLYING, LANDED, LATE, LOST, DescentBatch, VehicleParams
 from lunarsim_envs.descent.worlds import WorldPool
 from tests.reference import descent as plain
@@ -111,7 +111,7 @@ def against_plain(worlds, guided, count, scenario=ROUGH):
             assert lanes.y[i] == pytest.approx(y, rel=1e-9, abs=1e-9)
             assert (verdict is not None) == (lanes.ended[i] == LANDED)
             if verdict is not None:
-                assert lanes.words(i) == verdict.failure_causes
+                assert lanes.failure_causes(i) == verdict.failure_causes
                 assert lanes.safe[i] == verdict.safe
                 slope = lanes.touchdown_values[i, 4]
                 assert slope == pytest.approx(verdict.touchdown.slope, abs=1e-9)
@@ -128,7 +128,7 @@ def test_descents_are_those_flown_plainly(worlds, guided):
 def test_descents_of_landers_that_are_drawn_are_those_flown_plainly(worlds, guided):
     lanes = against_plain(worlds, guided, 4, VARIED)
     assert (lanes.ended == LANDED).any()
-    assert (lanes.figures[:, 4] != 1500.0).all()
+    assert (lanes.params[:, 4] != 1500.0).all()
 
 
 @pytest.mark.slow
@@ -143,7 +143,7 @@ def test_starts_are_those_drawn_plainly(worlds):
     c, key = lanes.craft, (np.arange(11, 51, dtype=np.uint64) * np.uint64(977)).tolist()
     for flight in range(3):
         for i in range(40):
-            world, target, off, velocity = plain.begun(key[i], flight, c.start, c.aim, 2)
+            world, target, off, velocity = plain.begun(key[i], flight, c.start, c.target_area, 2)
             assert lanes.world[i] == world
             assert lanes.target[i, :2] == pytest.approx(target, abs=1e-12)
             frame = worlds.relief_frame
@@ -166,15 +166,15 @@ def test_landers_are_those_drawn_plainly(worlds):
     for flight in range(2):
         for i in range(60):
             wanted = plain.varied((11 + i) * 977, flight, varied)
-            assert dict(zip(RANDOM_QUANTITIES, lanes.drawn[i], strict=True)) == pytest.approx(
+            assert dict(zip(RANDOM_QUANTITIES, lanes.randomized[i], strict=True)) == pytest.approx(
                 wanted, rel=1e-12
             )
-            own = lanes.figures[i]
+            own = lanes.params[i]
             assert own[1] == pytest.approx(9.80665 * (311.0 + wanted["specific_impulse_s"]))
             assert own[2] == pytest.approx(0.1 + wanted["thrust_lag_s"])
             assert own[3:] == pytest.approx([1100.0 + wanted["payload_kg"], lanes.y[i, 13]])
         assert np.array_equal(lanes.y[:, :13], alike.y[:, :13])
-        seen.append(lanes.drawn.copy())
+        seen.append(lanes.randomized.copy())
         lanes.begin(every)
         alike.begin(every)
     drawn = np.vstack(seen)
@@ -193,7 +193,7 @@ def test_landers_are_those_drawn_plainly(worlds):
 @numba.njit
 def _angles(s, w, out):
     for n in range(len(s)):
-        out[n] = arc(s[n], w[n])
+        out[n] = first_quadrant_angle(s[n], w[n])
 
 
 def test_angles_are_those_of_the_library():
@@ -250,7 +250,7 @@ def test_a_flight_ends_at_its_limit_or_off_the_map(worlds):
             assert lanes.ended[0] == FLYING
     assert lanes.ended.tolist() == [LATE, LOST]
     assert lanes.time[0] == pytest.approx(12.0)
-    assert lanes.words(0) == ("time-limit",) and lanes.words(1) == ("off-map",)
+    assert lanes.failure_causes(0) == ("time-limit",) and lanes.failure_causes(1) == ("off-map",)
     before = lanes.y.copy()
     lanes.move(np.zeros((2, 3)))
     assert np.array_equal(lanes.y, before)

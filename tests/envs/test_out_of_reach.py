@@ -22,17 +22,19 @@ def law():
 
 def proven(law, glide, tilt, state, mass, low, high):
     """Return whether a box is proven to be out of reach, and the law with these limits."""
-    figures = law.figures.copy()
+    figures = law.params.copy()
     figures[GLIDE], figures[TAN_TILT] = np.tan(np.deg2rad([glide, tilt]))
     own = type(law)(*law[:3], figures, *law[4:])
-    how = stead.flying(state, mass, own)
-    return b.beyond(how.ways, state, low, high, how.speed, how.most, own, how.figures), own
+    how = stead.reach_lander(state, mass, own)
+    return b.is_unreachable(
+        how.paths, state, low, high, how.speed, how.max_acceleration, own, how.params
+    ), own
 
 
 def reached(own, state, mass, targets):
     """Return which targets can be reached, tried one by one."""
     out = np.empty((len(targets), 4))
-    f.reach(state, mass, targets - own.above, own, out)
+    f.compute_divert_costs(state, mass, targets - own.end_offset, own, out)
     return np.isfinite(out[:, 0])
 
 

@@ -38,7 +38,9 @@ def test_a_seed_that_is_none_changes_no_lane(kind, seed):
         one.lanes if kind is RetargetVectorEnv else one.descents.lanes for one in (env, other)
     )
     # Flights that follow by themselves start where they did.
-    assert np.array_equal(lanes.starts, others.starts) and np.array_equal(lanes.aims, others.aims)
+    assert np.array_equal(lanes.starts, others.starts) and np.array_equal(
+        lanes.target_areas, others.target_areas
+    )
     assert same(env.reset()[0], other.reset()[0])
 
 

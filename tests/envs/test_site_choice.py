@@ -46,8 +46,8 @@ def test_a_miss_wider_than_the_map_is_spread_all_the_same():
         Grid(*map(float, many.maps.corner[0]), 0.4, *many.maps.p.shape[1:]), many.maps.p[0],
         many.maps.seen[0],
     )  # fmt: skip
-    assert many.maps.aim[0] == pytest.approx(held.dispersed_p_safe(40.0), abs=1e-5)
-    assert many.maps.aim[0].max() > 0.0
+    assert many.maps.averaged[0] == pytest.approx(held.dispersed_p_safe(40.0), abs=1e-5)
+    assert many.maps.averaged[0].max() > 0.0
 
 
 @pytest.fixture(scope="module")
@@ -61,19 +61,26 @@ def boxes():
     for _ in range(5):
         for i in range(3):
             state = np.empty((2, 3))
-            f.believed(many.y[i], many.course.slip[i], many.time[i], state)
+            f.estimate_state(many.y[i], many.guidance.drift_velocity[i], many.time[i], state)
             state[1, :2] += rng.normal(0.0, 8.0, 2)
             state[1, 2] = -rng.uniform(1.0, 25.0)
-            how = stead.flying(state, float(rng.uniform(1150.0, 1500.0)), law)
+            how = stead.reach_lander(state, float(rng.uniform(1150.0, 1500.0)), law)
             for _ in range(40):
                 side = rng.choice([1.0, 4.0, 16.0]) * np.array([1.0, 1.0, 0.2])
                 low = state[0] * [1, 1, 0] + rng.normal(0.0, 200.0, 3) * [1, 1, 0.02]
-                proven = b.beyond(
-                    how.ways, state, low, low + side, how.speed, how.most, law, how.figures
+                proven = b.is_unreachable(
+                    how.paths,
+                    state,
+                    low,
+                    low + side,
+                    how.speed,
+                    how.max_acceleration,
+                    law,
+                    how.params,
                 )
-                sites = low + side * rng.random((64, 3)) - law.above
+                sites = low + side * rng.random((64, 3)) - law.end_offset
                 out = np.empty((64, 4))
-                f.reach(state, how.mass, sites, law, out)
+                f.compute_divert_costs(state, how.mass, sites, law, out)
                 told.append((state, how.mass, sites, proven, np.isfinite(out[:, 0]).any()))
         many.decide(np.full((3, 3), np.nan), np.ones(3, bool))
     return law, lander, told
@@ -88,12 +95,12 @@ def test_nothing_in_reach_is_proven_to_be_out_of_it(boxes):
     # And most of what is out of reach is proven to be, else it were no use.
     assert proven[~reached].mean() > 0.8
     some = [one for one in told if one[3]][::5]
-    g, _, exhaust, least, most, tilt, glide = law.figures
+    g, _, exhaust, least, most, tilt, glide = law.params
     for state, mass, sites, _, _ in some:
         for site in sites[:3]:
             burnt = reachable(
-                state[0], state[1], site + law.above, law.asked[0], law.asked[1], g, mass, exhaust,
-                least, most, tilt, glide, lander.dry_mass, times=300, samples=32,
+                state[0], state[1], site + law.end_offset, law.final[0], law.final[1], g, mass,
+                exhaust, least, most, tilt, glide, lander.dry_mass, times=300, samples=32,
             )  # fmt: skip
             assert burnt == np.inf
 
@@ -103,10 +110,10 @@ def test_nothing_is_proven_of_paths_that_end_in_an_acceleration_or_without_a_con
     state, mass, sites, _, _ = next(one for one in told if one[3])
     low, high = sites.min(axis=0), sites.max(axis=0)
     for other in (
-        type(law)(law.powers, law.asked + [[0.0], [0.1]], *law[2:]),
-        type(law)(*law[:3], np.append(law.figures[:6], 0.0), *law[4:]),
+        type(law)(law.powers, law.final + [[0.0], [0.1]], *law[2:]),
+        type(law)(*law[:3], np.append(law.params[:6], 0.0), *law[4:]),
     ):
-        how = stead.flying(state, mass, other)
-        assert not b.beyond(
-            how.ways, state, low, high, how.speed, how.most, other, how.figures
+        how = stead.reach_lander(state, mass, other)
+        assert not b.is_unreachable(
+            how.paths, state, low, high, how.speed, how.max_acceleration, other, how.params
         )  # fmt: skip

@@ -48,7 +48,7 @@ def flown(request):
         def scan(self, due):
             super().scan(due)
             for i in np.flatnonzero(due):
-                scans[i].append((self.time[i], self.course.site[i, 2]))
+                scans[i].append((self.time[i], self.guidance.site[i, 2]))
 
     many = lanes(4, kind=Noted, scenario=high)
     rng, drawn = np.random.default_rng(3), np.random.default_rng(4)
@@ -57,10 +57,10 @@ def flown(request):
         for i in range(4):
             if many.ended[i] != FLYING:
                 continue
-            n = many.found.number[i]
-            good = np.flatnonzero(np.isfinite(many.found.propellant[i, :n]))
+            n = many.candidates.number[i]
+            good = np.flatnonzero(np.isfinite(many.candidates.propellant[i, :n]))
             if len(good) and rng.random() < 0.4:
-                goal[i] = many.found.position[i, rng.choice(good)]
+                goal[i] = many.candidates.position[i, rng.choice(good)]
             if request.param and drawn.random() < 0.6:
                 time_scales[i] = drawn.uniform(0.7, 1.4)
             told[i].append([many.time[i], many.y[i].copy(), goal[i].copy(), time_scales[i]])
@@ -84,7 +84,11 @@ def test_flights_are_those_of_the_computers_laws(flown, lane):
     assert fresh.time[lane] == 0.0
     craft = many.craft
     plain = SiteFlight(
-        fresh.y[lane].copy(), many.target[lane], many.course.slip[lane], SMALL, craft.dynamics
+        fresh.y[lane].copy(),
+        many.target[lane],
+        many.guidance.drift_velocity[lane],
+        SMALL,
+        craft.dynamics,
     )
     plain.steered()
     assert plain.plain.y[:15] == pytest.approx(fresh.y[lane], rel=1e-12, abs=1e-12)
@@ -95,7 +99,7 @@ def test_flights_are_those_of_the_computers_laws(flown, lane):
         while plain.time < until - 1e-6:
             if heights and plain.time > heights[0][0] - 1e-6:
                 plain.site[2] = heights.pop(0)[1]
-            for _ in plain.cycle(many.law.cycle):
+            for _ in plain.cycle(many.law.cycle_steps):
                 pass
         if heights and plain.time > heights[0][0] - 1e-6:
             plain.site[2] = heights.pop(0)[1]
@@ -109,7 +113,7 @@ def test_flights_are_those_of_the_computers_laws(flown, lane):
         )
         assert plain.decide(*asked, first) == time_scale_refused
         first = False
-    fly_on(many.time[lane] - many.law.cycle * craft.dynamics.step)
+    fly_on(many.time[lane] - many.law.cycle_steps * craft.dynamics.step)
     assert many.ended[lane] == LANDED and plain.low
     assert np.linalg.norm(plain.plain.y[:3] - many.y[lane, :3]) < 0.3
 
@@ -118,8 +122,8 @@ def test_drift_is_drawn_by_the_key(flown):
     many = flown[0]
     for i in range(many.count):
         key = int(many.keys[i]) ^ _DRIFT
-        wanted = [many.drift[k] * normal(key, 2 * k) for k in range(2)]
-        assert many.course.slip[i] == pytest.approx(wanted, rel=1e-12)
+        wanted = [many.drift_sigma[k] * normal(key, 2 * k) for k in range(2)]
+        assert many.guidance.drift_velocity[i] == pytest.approx(wanted, rel=1e-12)
 
 
 def test_any_company_and_threads_give_the_same_bits():
@@ -130,7 +134,7 @@ def test_any_company_and_threads_give_the_same_bits():
         some = lanes(count)
         for _ in range(3):
             on(some)
-        found.append((some.y[0].copy(), some.found.position[0].copy(), some.maps.p[0].copy()))
+        found.append((some.y[0].copy(), some.candidates.position[0].copy(), some.maps.p[0].copy()))
     numba.set_num_threads(threads)
     for other in found[1:]:
         assert all(np.array_equal(a, b) for a, b in zip(found[0], other, strict=True))
@@ -140,14 +144,14 @@ def test_the_last_metres_are_those_of_the_law():
     rng = np.random.default_rng(1)
     law = VerticalDescent.for_lag(0.55, 1.622)
     many = lanes(1)
-    descent = many.law.descent
+    descent = many.law.vertical_params
     wanted, seen = np.empty(3), 0
     for _ in range(300):
         state = np.array([rng.normal(0, 2, 3), rng.normal(0, 1.0, 3)])
         state[0, 2] = rng.uniform(0.0, 14.0)
         state[1, 2] -= 2.0
         end = np.array([0.0, 0.0, 1.6])
-        f.vertical(state, end, descent, 1.622, wanted)
+        f.vertical_command(state, end, descent, 1.622, wanted)
         e = Estimate(0.0, state[0], state[1], np.zeros(4), np.zeros(3), 1.0, np.zeros((9, 9)))
         plain = law.command(e, PhaseEnd(end, np.array([0.0, 0.0, descent[9]])), 0.0)
         assert wanted == pytest.approx(plain, rel=1e-12, abs=1e-12)
@@ -163,8 +167,8 @@ def test_what_sites_cost_is_what_the_computer_says():
     rng = np.random.default_rng(2)
     sites = many.target[0] + np.column_stack((rng.uniform(-900, 900, (200, 2)), np.zeros(200)))
     state, out = np.empty((2, 3)), np.empty((200, 4))
-    f.believed(many.y[0], many.course.slip[0], many.time[0], state)
-    f.reach(state, many.y[0, 13], sites, many.law, out)
+    f.estimate_state(many.y[0], many.guidance.drift_velocity[0], many.time[0], state)
+    f.compute_divert_costs(state, many.y[0, 13], sites, many.law, out)
     e = Estimate(0.0, state[0], state[1], np.zeros(4), np.zeros(3), many.y[0, 13], np.zeros((9, 9)))
     cost = guidance.cost(e, approach.end(sites, lander), lander, 1.622, approach.limits)
     assert 20 < cost.feasible.sum() < 190
@@ -194,7 +198,9 @@ def test_what_a_given_time_breaks_is_what_the_computer_says():
             e = Estimate(0.0, *own, np.zeros(4), np.zeros(3), mass, np.zeros((9, 9)))
             end = approach.end(site, lander)
             cost = guidance.cost(e, end, lander, 1.622, approach.limits, time)
-            mine = [f.holds(own, mass, *one, many.law) for one in zip(site, time, strict=True)]
+            mine = [
+                f.is_feasible(own, mass, *one, many.law) for one in zip(site, time, strict=True)
+            ]
             assert np.array_equal(mine, cost.feasible)
             told.append(cost.feasible.mean())
     assert told[1] == told[3] == 0.0
@@ -213,8 +219,8 @@ def scanned(perception):
 
     def noted(due):
         if not kept:
-            kept.update(y=many.y[0].copy(), time=many.time[0], site=many.course.site[0].copy())
-            kept["slip"] = many.course.slip[0].copy()
+            kept.update(y=many.y[0].copy(), time=many.time[0], site=many.guidance.site[0].copy())
+            kept["slip"] = many.guidance.drift_velocity[0].copy()
         scan(due)
         kept.setdefault("p", many.maps.p[0].copy())
         kept.setdefault("seen", many.maps.seen[0].copy())
@@ -235,12 +241,12 @@ def test_a_map_is_what_numpy_draws(perception):
     grid = Grid(*map(float, maps.corner[0]), maps.posting, rows, cols)
     drift = kept.slip * kept.time
     xy = grid.centres() - drift
-    truth = Grid(*map(float, layers.frame), *layers.kind.shape[1:])
+    truth = Grid(*map(float, layers.frame), *layers.hazard_class.shape[1:])
     world = int(many.world[0])
     row, col = truth.cell(xy)
     inside = truth.contains(xy)
     row, col = np.clip(row, 0, truth.rows - 1), np.clip(col, 0, truth.cols - 1)
-    kind, height = layers.kind[world][row, col], layers.height[world][row, col]
+    kind, height = layers.hazard_class[world][row, col], layers.height[world][row, col]
     way = kept.site - kept.y[:3] - np.array([*drift, 0.0])
     seen = in_view(xy, height.astype(float), kept.y[:3], way, many.view) & inside & (kind != 255)
     assert np.array_equal(seen, kept.seen)
@@ -250,16 +256,16 @@ def test_a_map_is_what_numpy_draws(perception):
         wanted = layers.safe[world][row, col].astype(np.float32)
     else:
         e = many.errors
-        key, first = m.drawn_from(many.keys[0], many.flight_counts[0])
+        key, first = m.map_stream(many.keys[0], many.flight_counts[0])
         places, draw, axes = np.empty((2, 5), np.int64), np.empty(3), np.empty((3, 3))
-        course = f.Course(*many.course[:5], np.zeros(1, np.int64), *many.course[6:])
-        m.drawn_scan(0, key, first, kept.y, kept.time, world, course, e, places, draw, axes)
-        field = e.noise[e.bank[world], 0, places[0, 0]]
+        course = f.GuidanceState(*many.guidance[:5], np.zeros(1, np.int64), *many.guidance[6:])
+        m.sample_scan(0, key, first, kept.y, kept.time, world, course, e, places, draw, axes)
+        field = e.noise[e.terrain_index[world], 0, places[0, 0]]
         side = field.shape[0]
         r = (places[0, 1] + places[0, 3] * np.arange(rows)) % side
         c = (places[0, 2] + places[0, 4] * np.arange(cols)) % side
         z = draw[0] + draw[1] * field[np.ix_(r, c)].astype(float)
-        steps = np.linspace(-e.most, e.most, e.tables.shape[3])
+        steps = np.linspace(-e.max_score, e.max_score, e.tables.shape[3])
         wanted = np.zeros((rows, cols))
         for one in np.unique(kind[seen]):
             own = kind == one
@@ -278,12 +284,12 @@ def test_a_spread_map_is_that_of_the_computer():
     held = HazardMap(Grid(0.0, 0.0, 0.4, 60, 50), p, seen)
     for miss in (0.1, 0.3, 0.9, 3.0, 12.0):
         out, line = np.empty_like(p), np.full(300, np.nan, np.float32)
-        choice.spread(p, seen, miss / 0.4, out, line, np.empty(200, np.float32))
+        choice.average_map(p, seen, miss / 0.4, out, line, np.empty(200, np.float32))
         assert out == pytest.approx(held.dispersed_p_safe(miss), abs=2e-6)
         cells = rng.integers((60, 50), size=(40, 2))
         xy = held.grid.centre_of(cells[:, 0], cells[:, 1])
         plain = held.dispersed_p_safe_at(xy, np.full(40, miss))
-        found = [choice.spread_at(p, seen, *map(int, cell), miss / 0.4) for cell in cells]
+        found = [choice.average_cell(p, seen, *map(int, cell), miss / 0.4) for cell in cells]
         assert found == pytest.approx(plain, abs=2e-6)
 
 
@@ -305,12 +311,12 @@ def test_sites_are_those_that_the_computer_proposes():
 
         def miss_of(left, seen=seen, lane=lane):
             until = np.where(np.isfinite(left), left, seen.time_to_go)
-            since = seen.time - many.maps.mapped[lane]
-            drift = many.maps.stated[1] * (since + until + many.maps.stated[2])
+            since = seen.time - many.maps.map_time[lane]
+            drift = many.maps.miss_params[1] * (since + until + many.maps.miss_params[2])
             return np.hypot(decisions.touchdown_sigma, drift)
 
         plain = candidate_sites(
-            seen.hazard_map, many.maps.aim[lane].copy(), seen.site, cost_of,
+            seen.hazard_map, many.maps.averaged[lane].copy(), seen.site, cost_of,
             count=decisions.candidates, separation=decisions.separation, miss_of=miss_of,
         )  # fmt: skip
         assert len(plain) == len(seen.candidates) > 10
@@ -334,11 +340,11 @@ def test_a_lattice_is_told_what_maps_are():
     for i in range(6):
         # The dense lane's first map, before its second scan.
         one = lanes(i + 1, scenario=once)
-        while one.course.scanned[i] < 1:
+        while one.guidance.scan_count[i] < 1:
             on(one)
-        cell = m.cell(i, *sparse.course.site[i, :2], one.maps)
+        cell = m.map_cell(i, *sparse.guidance.site[i, :2], one.maps)
         r, c = cell
-        moved += not np.allclose(sparse.course.site[i, :2], sparse.target[i, :2])
+        moved += not np.allclose(sparse.guidance.site[i, :2], sparse.target[i, :2])
         last = one.maps.p.shape[1] - 1
         if not (0 < r < last and 0 < c < last):
             # The dense map ends here; the lattice sees the ground beyond as well.

@@ -31,12 +31,14 @@ def proposed(many, lane, within):
 
     def miss_of(left):
         until = np.where(np.isfinite(left), left, seen.time_to_go)
-        drift = maps.stated[1] * (seen.time - maps.mapped[lane] + until + maps.stated[2])
+        drift = maps.miss_params[1] * (
+            seen.time - maps.map_time[lane] + until + maps.miss_params[2]
+        )
         return np.hypot(decisions.touchdown_sigma, drift)
 
     reach = ReachabilityMap.over_map(seen.hazard_map, seen.site, cost_of) if within else None
     return seen.candidates, candidate_sites(
-        seen.hazard_map, maps.aim[lane].copy(), seen.site, cost_of, count=decisions.candidates,
+        seen.hazard_map, maps.averaged[lane].copy(), seen.site, cost_of, count=decisions.candidates,
         separation=decisions.separation, miss_of=miss_of, reach=reach,
     )  # fmt: skip
 
@@ -82,11 +84,11 @@ def test_sites_in_reach_are_the_same_in_any_company():
     for count in (1, 5):
         some = lanes(count, scenario=SHORT)
         for _ in range(3):
-            n = int(some.found.number[0])
+            n = int(some.candidates.number[0])
             goal = np.full((count, 3), np.nan)
-            goal[0] = some.found.position[0, n // 2]
+            goal[0] = some.candidates.position[0, n // 2]
             some.decide(goal, np.ones(count, bool))
-            found.append((n, some.found.position[0].copy(), some.found.p_safe[0].copy()))
+            found.append((n, some.candidates.position[0].copy(), some.candidates.p_safe[0].copy()))
     for a, b in zip(found[:3], found[3:], strict=True):
         assert all(np.array_equal(x, y) for x, y in zip(a, b, strict=True))
 
@@ -99,7 +101,7 @@ def test_a_site_out_of_reach_is_masked_and_flying_there_keeps_the_site():
     }  # fmt: skip
     many = RetargetVectorEnv(8, **settings)
     _, info = many.reset(seed=1)
-    found, partly = many.lanes.found, 0
+    found, partly = many.lanes.candidates, 0
     for _ in range(3):
         n = found.number[:, None]
         reached = np.isfinite(found.propellant[:, :20]) & (np.arange(20) < n)
@@ -108,13 +110,16 @@ def test_a_site_out_of_reach_is_masked_and_flying_there_keeps_the_site():
         assert info["action_mask"][:, 0].all()
         shut = (np.arange(20) < n) & ~reached
         partly += (shut.any(axis=1) & reached.any(axis=1)).sum()
-        before, chosen = many.lanes.course.site.copy(), np.where(shut.any(1), shut.argmax(1) + 1, 0)
+        before, chosen = (
+            many.lanes.guidance.site.copy(),
+            np.where(shut.any(1), shut.argmax(1) + 1, 0),
+        )
         _, _, _, _, info = many.step(chosen)
-        assert np.array_equal(many.lanes.course.site, before)
+        assert np.array_equal(many.lanes.guidance.site, before)
         assert np.array_equal(info["reward_terms"]["invalid"] < 0.0, chosen > 0)
     assert partly > 0
     one = RetargetEnv(**settings)
     _, info = one.reset(seed=1)  # as lane 0: all is out of reach
-    assert one.flight.sights.count[0] > 0 and info["action_mask"].tolist() == [1] + [0] * 20
+    assert one.flight.inputs.count[0] > 0 and info["action_mask"].tolist() == [1] + [0] * 20
     *_, told = one.step(1)
     assert told["reward_terms"]["invalid"] < 0.0

@@ -39,7 +39,7 @@ def touch_of(env):
 
 def stood(env):
     """Return mass, p_safe of the site and the map, as the environment's flight has them."""
-    s = env.flight.sights
+    s = env.flight.inputs
     return env.flight.mass, float(s.here[0, 0]), s.p[0], s.seen[0]
 
 

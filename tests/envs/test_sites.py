@@ -19,7 +19,7 @@ from lunarsim_envs.agents.site_network import SiteNetwork, features
 from lunarsim_envs.retarget_vector import RetargetVectorEnv
 from lunarsim_envs.sites import observations
 from lunarsim_envs.sites.perception import KERNELS
-from lunarsim_envs.training.sites import CemSettings, flown, start, train
+from lunarsim_envs.training.sites import CemSettings, fly_networks, initial_network, train
 from tests.envs.site_scene import SMALL, lanes, made_up
 
 ID = "lunarsim_envs:lunarsim/Retarget-v0"
@@ -150,7 +150,7 @@ def test_parts_say_what_they_are():
     observation, info = env.reset(seed=1)
     while not info["action_mask"][1:].any():
         observation, *_, info = env.step(0)
-    s = env.unwrapped.flight.sights
+    s = env.unwrapped.flight.inputs
     sites, candidates = observation["sites"], observation["candidates"]
     n = int(s.count[0])
     assert n > 5 and not sites[n:].any() and not candidates[n:].any()
@@ -181,7 +181,7 @@ def test_a_part_of_ones_own():
     try:
         env = made(observation=[name])
         observation, _ = env.reset(seed=1)
-        assert observation[name] == pytest.approx(env.unwrapped.flight.sights.site[0, :1])
+        assert observation[name] == pytest.approx(env.unwrapped.flight.inputs.site[0, :1])
         with pytest.raises(InputError, match="is already registered"):
             observations.register(own)
     finally:
@@ -209,7 +209,7 @@ def test_what_cannot_be_is_refused(settings, word):
 def test_options_say_where_flights_start_and_others_are_refused():
     env = made()
     env.reset(seed=1, options={"position_m": [-150.0, 0.0, 150.0], "position_sigma_m": 0.0})
-    place = env.unwrapped.flight.sights
+    place = env.unwrapped.flight.inputs
     assert place.position[0, 2] < 152.0
     with pytest.raises(InputError, match="position_m"):
         env.reset(options={"position": [1.0, 2.0, 3.0]})
@@ -220,10 +220,10 @@ def test_options_say_where_flights_start_and_others_are_refused():
 def test_the_truth_is_told_as_it_is():
     many = lanes(8, perception="truth")
     while (many.ended == 0).any():
-        seen = np.isfinite(many.found.here[:, 0])
+        seen = np.isfinite(many.candidates.here[:, 0])
         sites = np.where(seen[:, None], np.nan, np.nan) * np.ones((8, 3))
-        good = many.found.number > 0
-        sites[good] = many.found.position[good, 0]
+        good = many.candidates.number > 0
+        sites[good] = many.candidates.position[good, 0]
         many.decide(sites, np.ones(8, bool))
     assert many.safe.all() and (many.miss < 100.0).all()
 
@@ -270,7 +270,7 @@ def test_a_forked_worker_that_would_die_says_what_to_type(tmp_path):
 
 
 def test_a_network_of_sites_chooses_saves_and_flies(tmp_path):
-    network = start(3)
+    network = initial_network(3)
     network.save(tmp_path / "own.npz")
     again = SiteNetwork.load(tmp_path / "own.npz")
     assert np.array_equal(again.flat, network.flat)
@@ -280,7 +280,7 @@ def test_a_network_of_sites_chooses_saves_and_flies(tmp_path):
     observation, info = env.reset(seed=3)
     ended, moved = False, 0
     while not ended:
-        sights = env.unwrapped.flight.sights
+        sights = env.unwrapped.flight.inputs
         x, good = features(sights)
         assert np.array_equal(good[0], info["action_mask"] == 1)
         action = agent.act(observation, info)
@@ -305,10 +305,10 @@ def test_training_flies_every_lane_by_its_own_network_and_is_the_same_again():
     second = train(lanes(6), settings, lambda *row: None)
     assert np.array_equal(first.flat, second.flat)
     keys = np.arange(1, 7, dtype=np.uint64)
-    stay = start(2)
+    stay = initial_network(2)
     stay.linear[3] = 1e6
-    weights = np.repeat(start(2).flat[None], 6, axis=0)
+    weights = np.repeat(initial_network(2).flat[None], 6, axis=0)
     weights[:3] = stay.flat
-    flown(many, keys, weights, 2)
-    kept = np.linalg.norm(many.course.site[:, :2] - many.target[:, :2], axis=1) < 1e-6
+    fly_networks(many, keys, weights, 2)
+    kept = np.linalg.norm(many.guidance.site[:, :2] - many.target[:, :2], axis=1) < 1e-6
     assert kept[:3].all() and not kept[3:].all()

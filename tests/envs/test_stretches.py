@@ -77,8 +77,8 @@ def test_kernels_stretch_as_the_whole_simulation_does():
     """Over drawn decisions: the same is refused, and flown a second on they arrive alike."""
     kernels = SiteDescentBatch(
         1, LEVEL, SiteWorldPool.of(LEVEL, 1, 3), errors=exact_errors(),
-        view=fov_and_footprint(LEVEL), drift=np.zeros(2),
-        claimed=0.0, posting=0.4,
+        view=fov_and_footprint(LEVEL), drift_sigma=np.zeros(2),
+        reported_velocity_sigma=0.0, posting=0.4,
     )  # fmt: skip
     one, counts = np.ones(1, bool), [0, 0, 0]
     for seed in range(8):
@@ -104,7 +104,7 @@ def test_kernels_stretch_as_the_whole_simulation_does():
                 break
             assert simulation.time == pytest.approx(float(kernels.time[0]), abs=1e-6)
             arrival = simulation.time + computer.time_to_go
-            assert float(kernels.course.arrival[0]) == pytest.approx(arrival, abs=5e-3)
+            assert float(kernels.guidance.arrival[0]) == pytest.approx(arrival, abs=5e-3)
     assert min(counts) > 8
 
 
@@ -182,14 +182,14 @@ def test_a_new_site_gets_the_cheapest_or_a_stretch_of_it():
     while not info["action_mask"][1:21].any():
         *_, info = begun.step([0, 0])
     row = int(np.flatnonzero(info["action_mask"][:21])[-1])
-    goal = begun.flight.sights.position_of[0, row - 1].copy()
+    goal = begun.flight.inputs.position_of[0, row - 1].copy()
     left = []
     for choice in (0, 1, 3):
         env = copy.deepcopy(begun)
         start = env.flight.time
         env.step([row, choice])
-        assert np.allclose(env.flight.lanes.course.site[0, :2], goal[:2])
-        left.append(env.flight.lanes.course.arrival[0] - start)
+        assert np.allclose(env.flight.lanes.guidance.site[0, :2], goal[:2])
+        left.append(env.flight.lanes.guidance.arrival[0] - start)
     assert left[0] == left[1] and left[2] == pytest.approx(1.15 * left[0])
 
 
@@ -280,10 +280,10 @@ def test_a_part_of_ones_own(monkeypatch):
     env = pickle.loads(pickle.dumps(made(action=("site", "slow"))))
     assert env.action_space == spaces.MultiDiscrete([21, 2])
     env.reset(seed=3)
-    left = float(env.flight.lanes.course.arrival[0] - env.flight.time)
+    left = float(env.flight.lanes.guidance.arrival[0] - env.flight.time)
     start = env.flight.time
     env.step([0, 1])
-    assert env.flight.lanes.course.arrival[0] - start == pytest.approx(1.2 * left, rel=0.05)
+    assert env.flight.lanes.guidance.arrival[0] - start == pytest.approx(1.2 * left, rel=0.05)
     with pytest.raises(InputError, match="one component that sets the time_scale"):
         SiteActions(("slow", "time_scale"))
     for part, says in (

@@ -49,7 +49,7 @@ def test_every_number_of_an_observation_has_its_scales():
     assert [PpoSettings(steps=100, lanes=16, horizon=2).learning_rate(k) for k in (0, 3)] == (
         pytest.approx([PpoSettings.rate_first, PpoSettings.rate_last])
     )
-    spreads = [PpoSettings(steps=100, lanes=16, horizon=2).most_spread(k) for k in (0, 3, 9)]
+    spreads = [PpoSettings(steps=100, lanes=16, horizon=2).max_log_std(k) for k in (0, 3, 9)]
     assert spreads == pytest.approx([-1.5, -3.5, -3.5])
 
 

@@ -22,24 +22,21 @@ class Agent(Protocol):
         ...
 
 
-def incompatible_agent_error(name: str, env: gymnasium.Env[Any, Any], wanted: str) -> InputError:
+def incompatible_agent_error(
+    name: str, env: gymnasium.Env[Any, Any], requirement: str
+) -> InputError:
     """Return the error for the agent `name`, which cannot fly the environment `env`.
 
-    `wanted` names the environment or property that the agent requires.
+    `requirement` names the environment or property that the agent requires.
     """
     spec = env.spec.id if env.spec is not None else type(env.unwrapped).__name__
-    return InputError("--agent", name, f"cannot fly {spec}, because the agent needs {wanted}")
+    return InputError("--agent", name, f"cannot fly {spec}, because the agent needs {requirement}")
 
 
 def check_sites(name: str, env: Any) -> None:
     """Check that the actions of a ``Retarget-v0`` environment can choose a site.
 
-    `name` is the agent's name in the error.
-
-    Raises
-    ------
-    InputError
-        If the action has no component ``site``.
+    Otherwise an `InputError` for the agent `name` is raised.
     """
     if not env.actions.has("site"):
         raise incompatible_agent_error(name, env, "Retarget-v0 with the action component 'site'")

@@ -25,7 +25,7 @@ class CallableAgent:
 
     def __init__(self, call: Callable[..., Any]) -> None:
         self._call = call
-        self._informed = _accepts(call, 2)
+        self._informed = _accepts_argument_count(call, 2)
 
     def begin(self, rng: np.random.Generator) -> None:
         """Call the method ``begin(rng)`` of the callable, if there is one."""
@@ -38,7 +38,7 @@ class CallableAgent:
         return self._call(observation, info) if self._informed else self._call(observation)
 
 
-def _accepts(call: Callable[..., Any], count: int) -> bool:
+def _accepts_argument_count(call: Callable[..., Any], count: int) -> bool:
     """Return whether a callable accepts `count` positional arguments; True if unknown."""
     try:
         inspect.signature(call).bind(*[None] * count)
@@ -70,7 +70,7 @@ def custom_agent(env: gymnasium.Env[Any, Any], name: str) -> Any:
             f"cannot be imported ({type(error).__name__}: {message})",
             "Put the module into the working directory or install it.",
         ) from error  # fmt: skip
-    if isinstance(found, type) and not _accepts(found, 1):
+    if isinstance(found, type) and not _accepts_argument_count(found, 1):
         raise InputError(
             "--agent", name, "must be a class that takes the environment as its only argument"
         )
@@ -79,6 +79,6 @@ def custom_agent(env: gymnasium.Env[Any, Any], name: str) -> Any:
         return made
     if not callable(made):
         raise InputError("--agent", name, "must be a function, a class or a callable object")
-    if not (_accepts(made, 1) or _accepts(made, 2)):
+    if not (_accepts_argument_count(made, 1) or _accepts_argument_count(made, 2)):
         raise InputError("--agent", name, "must accept (observation, info) or (observation)")
     return CallableAgent(made)

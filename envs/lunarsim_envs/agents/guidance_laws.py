@@ -30,14 +30,17 @@ _NEEDED = ("position", "velocity", "attitude", "rate", "propellant")
 _LONGER, _LEAST, _SLOWEST = 2.0, 5.0, 1.0
 
 
-def _descents(name: str, env: gymnasium.Env[Any, Any]) -> DescentEnvCore:
-    """Return the core of a ``Guidance-v0`` environment with the needed observations."""
+def _descent_core(agent_name: str, env: gymnasium.Env[Any, Any]) -> DescentEnvCore:
+    """Return the core of a ``Guidance-v0`` environment; check its observation.
+
+    `agent_name` is the agent's name in errors.
+    """
     flown = env.unwrapped
     if not isinstance(flown, GuidanceEnv):
-        raise incompatible_agent_error(name, env, "Guidance-v0")
+        raise incompatible_agent_error(agent_name, env, "Guidance-v0")
     missing = [part for part in _NEEDED if part not in flown.descents.shown.places]
     if missing:
-        raise incompatible_agent_error(name, env, f"the observation component {missing[0]!r}")
+        raise incompatible_agent_error(agent_name, env, f"the observation component {missing[0]!r}")
     return flown.descents
 
 
@@ -81,7 +84,7 @@ class GuidanceLawAgent:
     """
 
     def __init__(self, env: gymnasium.Env[Any, Any], kind: str) -> None:
-        self._descents = _descents(kind, env)
+        self._descents = _descent_core(kind, env)
         scenario = self._descents.scenario
         own = kind == scenario.guidance.kind
         table = scenario.guidance if own else settings_of(resolve("guidance", kind))()
@@ -96,7 +99,7 @@ class GuidanceLawAgent:
         self._has_started = False
 
     def _start(self, estimate: Estimate) -> None:
-        """Choose the time-to-go from the start state and build the guidance laws."""
+        """Choose the time-to-go from the start state; build the laws of both phases."""
         descents, software = self._descents, self._software
         briefing = _briefing(descents.scenario, software, self._time_to_go(estimate))
         lag = software.control.response_time + self._lander.thrust_lag
@@ -108,7 +111,8 @@ class GuidanceLawAgent:
     def _time_to_go(self, estimate: Estimate) -> float:
         """Return the minimum-propellant duration of the approach within its limits, s.
 
-        If no duration is within the limits, it follows from distance over speed.
+        A duration that the scenario sets has priority. If no duration is within the limits, it
+        follows from distance over speed.
         """
         if self._approach.time_to_go is not None:
             return float(self._approach.time_to_go)
@@ -162,7 +166,7 @@ class PolynomialLawAgent:
     """
 
     def __init__(self, env: gymnasium.Env[Any, Any]) -> None:
-        self._law = PolynomialGuidance(_descents("polynomial", env))
+        self._law = PolynomialGuidance(_descent_core("polynomial", env))
 
     def begin(self, rng: np.random.Generator) -> None:
         """Do nothing: the agent has no memory and is deterministic."""

@@ -24,7 +24,7 @@ MAX_SECONDS = 5.0
 _MASK = "action_mask"
 
 
-def _session(path: Path) -> Any:
+def _load_session(path: Path) -> Any:
     """Load an ONNX network into an onnxruntime session.
 
     The session uses one thread, so that results are reproducible. The network is read from memory,
@@ -90,7 +90,7 @@ class OnnxAgent:
     def __init__(self, env: gymnasium.Env[Any, Any], path: Path) -> None:
         self._path = path
         self._space = env.action_space
-        self._session = _session(path)
+        self._session = _load_session(path)
         self._inputs = {one.name: one.type for one in self._session.get_inputs()}
         space = env.observation_space
         names = list(space) if isinstance(space, gymnasium.spaces.Dict) else None
@@ -99,9 +99,9 @@ class OnnxAgent:
             raise self._error(f"one input apart from {_MASK}, not {', '.join(seen) or 'none'}")
         if names is not None and not set(seen) <= set(names):
             raise self._error(f"inputs from {', '.join(names)}, not {', '.join(seen)}")
-        sizes = _choices(self._space)
+        sizes = _option_counts(self._space)
         mask = np.ones(sum(sizes)) if sizes else np.ones(1)
-        self.act(_zeros(space), {_MASK: mask})
+        self.act(_zero_observation(space), {_MASK: mask})
 
     def _error(self, wanted: str) -> InputError:
         return InputError("--agent", str(self._path), f"must be a network with {wanted}")
@@ -152,7 +152,7 @@ class OnnxAgent:
 
         Scores become the allowed option with the maximum, by the mask in `info`.
         """
-        space, sizes = self._space, _choices(self._space)
+        space, sizes = self._space, _option_counts(self._space)
         if output.dtype.kind not in "iuf" or not np.isfinite(output).all():
             raise self._error("finite numbers as its first output")
         if isinstance(space, gymnasium.spaces.Box) and output.size == np.prod(space.shape):
@@ -171,14 +171,14 @@ class OnnxAgent:
         raise self._error(f"an output for {space}, not {output.size} {output.dtype} values")
 
 
-def _zeros(space: gymnasium.Space[Any]) -> Any:
+def _zero_observation(space: gymnasium.Space[Any]) -> Any:
     """Return an observation of zeros, to test a network before the first episode."""
     if isinstance(space, gymnasium.spaces.Dict):
         return {name: np.zeros(part.shape or (), part.dtype) for name, part in space.items()}
     return np.zeros(space.shape or (), space.dtype)
 
 
-def _choices(space: gymnasium.Space[Any]) -> list[int]:
+def _option_counts(space: gymnasium.Space[Any]) -> list[int]:
     """Return the number of options of each discrete choice; empty for Box actions."""
     if isinstance(space, gymnasium.spaces.Discrete):
         return [int(space.n)]

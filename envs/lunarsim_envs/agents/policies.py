@@ -50,7 +50,7 @@ class PolicyAgent:
 
     def act(self, observation: Any, info: dict[str, Any]) -> Any:
         """Return the action for the site that the policy chooses."""
-        return self._env.actions.alone("site", self._row())
+        return self._env.actions.single_choice("site", self._row())
 
     def _row(self) -> int:
         seen = self._env.seen

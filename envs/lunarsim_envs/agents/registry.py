@@ -45,7 +45,7 @@ def known_agents() -> dict[str, str]:
     return names | dict.fromkeys(kinds("policy"), "policy")
 
 
-def label(given: str) -> str:
+def label(agent: str) -> str:
     """Return the name of an agent for tables, from its file, name or ``module:Name``.
 
     Files lose their folder and suffix, classes their module.
@@ -55,46 +55,46 @@ def label(given: str) -> str:
     >>> label("out/ppo/model.zip"), label("my_package.agents:Careful")
     ('model', 'Careful')
     """
-    if _is_file(given):
-        return Path(given).stem
-    return given.rpartition(":")[2]
+    if _is_file(agent):
+        return Path(agent).stem
+    return agent.rpartition(":")[2]
 
 
 def _is_file(given: str) -> bool:
     return Path(given).suffix in (".npz", ".onnx", ".zip")
 
 
-def check(given: str, *, trust_pickle: bool = False) -> None:
+def check(agent: str, *, trust_pickle: bool = False) -> None:
     """Check that an agent exists and may be loaded, before an environment is made.
 
-    `given` is a name, a file or ``module:Name``; `trust_pickle` permits Stable-Baselines3 files.
+    `agent` is a name, a file or ``module:Name``; `trust_pickle` permits Stable-Baselines3 files.
 
     Raises
     ------
     InputError
         If the name or file does not exist, or the file is not permitted.
     """
-    if _is_file(given):
-        if not Path(given).is_file():
-            raise InputError("--agent", given, "must be an existing file")
-        if Path(given).suffix == ".zip":
-            check_trust(given, trust_pickle)
-    elif ":" not in given and given not in known_agents():
-        near = suggestion(given, known_agents())
+    if _is_file(agent):
+        if not Path(agent).is_file():
+            raise InputError("--agent", agent, "must be an existing file")
+        if Path(agent).suffix == ".zip":
+            check_trust(agent, trust_pickle)
+    elif ":" not in agent and agent not in known_agents():
+        near = suggestion(agent, known_agents())
         raise InputError(
             "--agent",
-            given,
+            agent,
             "must be a known name, a file (.npz, .onnx, .zip) or module:Name",
             near,
         )
 
 
-def agent_of(given: str, env: gymnasium.Env[Any, Any], *, trust_pickle: bool = False) -> Agent:
+def agent_of(agent: str, env: gymnasium.Env[Any, Any], *, trust_pickle: bool = False) -> Agent:
     """Create an agent from a name, a file or ``module:Name``.
 
     Parameters
     ----------
-    given
+    agent
         Name from `known_agents`, network file (``.npz``, ``.onnx``), Stable-Baselines3 file
         (``.zip``), or ``module:Name`` of a callable (`custom_agents.custom_agent`).
     env
@@ -107,26 +107,26 @@ def agent_of(given: str, env: gymnasium.Env[Any, Any], *, trust_pickle: bool = F
     InputError
         If there is no such agent, or it cannot fly this environment.
     """
-    check(given, trust_pickle=trust_pickle)
-    if _is_file(given):
-        path = Path(given)
+    check(agent, trust_pickle=trust_pickle)
+    if _is_file(agent):
+        path = Path(agent)
         if path.suffix == ".npz":
-            return _network(env, path, given)
+            return _network_agent(env, path, agent)
         if path.suffix == ".onnx":
             return OnnxAgent(env, path)
         return Sb3Agent(env, path, trust_pickle=trust_pickle)
-    if ":" in given:
-        made: Agent = custom_agent(env, given)
+    if ":" in agent:
+        made: Agent = custom_agent(env, agent)
         return made
-    if given in BUILT_IN:
-        built: Agent = BUILT_IN[given](env)
+    if agent in BUILT_IN:
+        built: Agent = BUILT_IN[agent](env)
         return built
-    if given in packaged_agents():
-        return _network(env, packaged_agents()[given], given)
-    return GuidanceLawAgent(env, given) if given in kinds("guidance") else PolicyAgent(env, given)
+    if agent in packaged_agents():
+        return _network_agent(env, packaged_agents()[agent], agent)
+    return GuidanceLawAgent(env, agent) if agent in kinds("guidance") else PolicyAgent(env, agent)
 
 
-def _network(env: gymnasium.Env[Any, Any], path: Path, name: str) -> Agent:
+def _network_agent(env: gymnasium.Env[Any, Any], path: Path, name: str) -> Agent:
     """Create the agent of a ``.npz`` file: a site network or a descent network."""
     if is_site_network(path):
         return SiteNetworkAgent(env, SiteNetwork.load(path), name)

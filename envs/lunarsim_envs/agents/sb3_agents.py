@@ -28,11 +28,8 @@ _ALGORITHMS = (
 def _algorithm(path: Path) -> Any:
     """Return the Stable-Baselines3 algorithm class that can load a saved agent.
 
-    Raises
-    ------
-    InputError
-        If the file is not from Stable-Baselines3, its algorithm is not supported, or the library is
-        missing.
+    If the file is not from Stable-Baselines3, its algorithm is not supported, or the library is
+    missing, an `InputError` is raised.
     """
     try:
         with zipfile.ZipFile(path) as file:
@@ -53,13 +50,13 @@ def _algorithm(path: Path) -> Any:
     )
 
 
-def _sizes(space: gymnasium.Space[Any]) -> Any:
+def _space_text(space: gymnasium.Space[Any]) -> Any:
     """Return type and size of a space as text; a dictionary of texts for a Dict.
 
     The result serves to compare spaces and for messages.
     """
     if isinstance(space, gymnasium.spaces.Dict):
-        return {name: _sizes(part) for name, part in sorted(space.items())}
+        return {name: _space_text(part) for name, part in sorted(space.items())}
     if isinstance(space, gymnasium.spaces.Discrete):
         return f"{type(space).__name__}({space.n})"
     if isinstance(space, gymnasium.spaces.MultiDiscrete):
@@ -67,7 +64,7 @@ def _sizes(space: gymnasium.Space[Any]) -> Any:
     return f"{type(space).__name__}{space.shape}"
 
 
-def check_trust(given: str, trust_pickle: bool) -> None:
+def check_trust(file: str, trust_pickle: bool) -> None:
     """Check that a file is a Stable-Baselines3 archive and that the user trusts it.
 
     Raises
@@ -75,11 +72,11 @@ def check_trust(given: str, trust_pickle: bool) -> None:
     InputError
         If the file is not such an archive, or `trust_pickle` is false.
     """
-    if not zipfile.is_zipfile(given):
-        raise InputError("--agent", given, "must be a file from Stable-Baselines3")
+    if not zipfile.is_zipfile(file):
+        raise InputError("--agent", file, "must be a file from Stable-Baselines3")
     if not trust_pickle:
         raise InputError(
-            "--agent", given,
+            "--agent", file,
             "is a pickle, which can run any code when it is loaded",
             "If you trust the file, add --trust-pickle (Python: trust_pickle=True).",
         )  # fmt: skip
@@ -123,7 +120,7 @@ class Sb3Agent:
         check_trust(str(path), trust_pickle)
         self._model = load_model(path)
         for what in ("observation_space", "action_space"):
-            own, others = (_sizes(getattr(one, what)) for one in (env, self._model))
+            own, others = (_space_text(getattr(one, what)) for one in (env, self._model))
             if own != others:
                 raise InputError(
                     "--agent", str(path), f"must be trained with {what} {own}, not {others}"

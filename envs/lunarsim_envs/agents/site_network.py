@@ -31,33 +31,33 @@ _LOG_ODDS, _PROPELLANT, _DISTANCE, _ALTITUDE, _MISS = 5.0, 2.0, 30.0, 200.0, 1.0
 _LEAST, _MOST = 1e-6, 0.999
 
 
-def features(sights: SiteInputs) -> tuple[Array, NDArray[np.bool_]]:
+def features(inputs: SiteInputs) -> tuple[Array, NDArray[np.bool_]]:
     """Compute network inputs (n, 21, features) of all sites that n landers can choose.
 
     Option 0 is the current site, option i is candidate site i - 1. Also returns which options are
     available (n, 21). `FEATURES` names the inputs.
     """
-    n, m = len(sights.site), min(SITES, sights.p_safe.shape[1])
+    n, m = len(inputs.site), min(SITES, inputs.p_safe.shape[1])
     p = np.zeros((n, SITES + 1))
-    p[:, 0] = np.nan_to_num(sights.here[:, 0], nan=0.0)
-    p[:, 1 : m + 1] = sights.p_safe[:, :m]
+    p[:, 0] = np.nan_to_num(inputs.here[:, 0], nan=0.0)
+    p[:, 1 : m + 1] = inputs.p_safe[:, :m]
     good = np.zeros((n, SITES + 1), np.bool_)
     good[:, 0] = True
-    known = np.arange(m) < sights.count[:, None]
-    good[:, 1 : m + 1] = known & np.isfinite(sights.cost[:, :m])
+    known = np.arange(m) < inputs.count[:, None]
+    good[:, 1 : m + 1] = known & np.isfinite(inputs.cost[:, :m])
     p = np.clip(np.where(good, p, 0.0), _LEAST, _MOST)
     odds = np.log(p / (1.0 - p)) / _LOG_ODDS
-    stay = np.where(np.isfinite(sights.here[:, 1]), sights.here[:, 1], 0.0)
+    stay = np.where(np.isfinite(inputs.here[:, 1]), inputs.here[:, 1], 0.0)
     x = np.zeros((n, SITES + 1, len(FEATURES)))
     x[..., 0] = odds
-    more = np.where(good[:, 1 : m + 1], sights.cost[:, :m], 0.0) - stay[:, None]
+    more = np.where(good[:, 1 : m + 1], inputs.cost[:, :m], 0.0) - stay[:, None]
     x[:, 1 : m + 1, 1] = np.where(good[:, 1 : m + 1], more, 0.0) / _PROPELLANT
-    x[:, 1 : m + 1, 2] = np.where(known, sights.distance[:, :m], 0.0) / _DISTANCE
+    x[:, 1 : m + 1, 2] = np.where(known, inputs.distance[:, :m], 0.0) / _DISTANCE
     x[:, 0, 3] = 1.0
     x[..., 4] = 1.0
-    x[:, 0, 4] = np.isfinite(sights.here[:, 0])
-    x[..., 5] = ((sights.position[:, 2] - sights.site[:, 2]) / _ALTITUDE)[:, None]
-    x[..., 6] = (np.nan_to_num(sights.here[:, 2], nan=0.0) / _MISS)[:, None]
+    x[:, 0, 4] = np.isfinite(inputs.here[:, 0])
+    x[..., 5] = ((inputs.position[:, 2] - inputs.site[:, 2]) / _ALTITUDE)[:, None]
+    x[..., 6] = (np.nan_to_num(inputs.here[:, 2], nan=0.0) / _MISS)[:, None]
     x[..., 7] = odds - np.where(good, odds, -np.inf).max(axis=1, keepdims=True)
     return x, good
 
@@ -82,7 +82,7 @@ class SiteNetwork:
 
     @classmethod
     def of(cls, flat: Array, hidden: int) -> SiteNetwork:
-        """Create a network from its weights as one vector, as the property `flat` has it.
+        """Create a network from its weights as one vector, in the order of `flat`.
 
         `hidden` is the width of the hidden layer.
         """
@@ -95,12 +95,12 @@ class SiteNetwork:
         """All weights as one vector: `linear`, `inner` (by row), `bias`, `outer`."""
         return np.concatenate((self.linear, self.inner.ravel(), self.bias, self.outer))
 
-    def choose(self, sights: SiteInputs) -> NDArray[np.int64]:
+    def choose(self, inputs: SiteInputs) -> NDArray[np.int64]:
         """Return the available option with the highest score for every lander (n,).
 
         0 is the current site; i is candidate site i - 1.
         """
-        x, good = features(sights)
+        x, good = features(inputs)
         scores = x @ self.linear + np.tanh(x @ self.inner.T + self.bias) @ self.outer
         return np.asarray(np.where(good, scores, -np.inf).argmax(axis=1))
 
@@ -176,5 +176,5 @@ class SiteNetworkAgent:
 
     def act(self, observation: Any, info: dict[str, Any]) -> Any:
         """Return the action that selects the best site and keeps the time-to-go."""
-        best = self._network.choose(self._env.flight.sights)[0]
-        return self._env.actions.alone("site", int(best))
+        best = self._network.choose(self._env.flight.inputs)[0]
+        return self._env.actions.single_choice("site", int(best))

@@ -66,17 +66,17 @@ class RandomAgent:
         """Sample an action at random, from the available ones by ``info["action_mask"]``."""
         space = self._space
         if isinstance(space, spaces.Discrete):
-            return space.start + self._of(info.get("action_mask"), int(space.n))
+            return space.start + self._sample_option(info.get("action_mask"), int(space.n))
         if isinstance(space, spaces.MultiDiscrete):
             mask, counts = info.get("action_mask"), space.nvec.tolist()
             # The mask concatenates the masks of all choices.
             ends = np.cumsum(counts)[:-1]
             masks = [None] * len(counts) if mask is None else np.split(mask, ends)
-            drawn = [self._of(*one) for one in zip(masks, counts, strict=True)]
+            drawn = [self._sample_option(*one) for one in zip(masks, counts, strict=True)]
             return space.start + np.array(drawn, space.dtype)
         return self._rng.uniform(space.low, space.high).astype(space.dtype)
 
-    def _of(self, mask: Any, count: int) -> np.int64:
+    def _sample_option(self, mask: Any, count: int) -> np.int64:
         """Sample one of `count` options at random; a mask (count,) restricts the options."""
         known = np.arange(count) if mask is None else np.flatnonzero(mask)
         return np.int64(self._rng.choice(known))

@@ -47,45 +47,46 @@ def normal(key, count):
 
 @kernel(shared=True)
 def begin(
-    share, mask, keys, counts, y, rate, target, world, time, ended, starts, aims, spans, upright,
-    weight, reliefs, frame,
+    thread_slice, mask, keys, flight_counts, y, rate, target, world, time, ended, starts,
+    target_areas, world_ranges, initial_attitude, initial_mass_thrust, smooth_terrains, frame,
 ):  # fmt: skip
     """Sample start, target and world of new flights for the landers of `mask` (n,).
 
-    `keys` and `counts` (n,) are the random streams and their numbers of flights; `spans` (n, 2) has
-    the first allowed world and the number of worlds; `upright` is the initial attitude and `weight`
-    the initial mass (kg) and thrust (N). Other arguments are attributes of `DescentBatch`;
-    `reliefs` and `frame` are terrain without rocks. `share` is (thread, number of threads).
+    `keys` and `flight_counts` (n,) are the random streams and their numbers of flights;
+    `world_ranges` (n, 2) has the first allowed world and the number of worlds. `initial_attitude`
+    is a quaternion, `initial_mass_thrust` in kg and N. `smooth_terrains` and `frame` are terrain
+    without rocks. Other arguments are attributes of `DescentBatch`. `thread_slice` is (thread,
+    number of threads).
     """
-    for i in range(share[0], len(y), share[1]):
+    for i in range(thread_slice[0], len(y), thread_slice[1]):
         if not mask[i]:
             continue
-        first = counts[i] * _DRAWS
-        counts[i] += 1
+        first = flight_counts[i] * _DRAWS
+        flight_counts[i] += 1
         key = keys[i]
-        worlds = spans[i, 1]
-        world[i] = spans[i, 0] + min(int(uniform(key, first) * worlds), worlds - 1)
-        aim = aims[i]
+        worlds = world_ranges[i, 1]
+        world[i] = world_ranges[i, 0] + min(int(uniform(key, first) * worlds), worlds - 1)
+        area = target_areas[i]
         for k in range(2):
-            target[i, k] = aim[k] + aim[2 + k] * (2.0 * uniform(key, first + 1 + k) - 1.0)
-        target[i, 2] = height_at(reliefs[world[i]], frame, target[i, 0], target[i, 1])
+            target[i, k] = area[k] + area[2 + k] * (2.0 * uniform(key, first + 1 + k) - 1.0)
+        target[i, 2] = height_at(smooth_terrains[world[i]], frame, target[i, 0], target[i, 1])
         for k in range(3):
             off = normal(key, first + 3 + 2 * k)
             y[i, k] = target[i, k] + starts[i, k] + starts[i, 6] * off
             off = normal(key, first + 9 + 2 * k)
             y[i, 3 + k] = starts[i, 3 + k] + starts[i, 7] * off
         for k in range(4):
-            y[i, 6 + k] = upright[k]
+            y[i, 6 + k] = initial_attitude[k]
         for k in range(3):
             y[i, 10 + k] = 0.0
             rate[i, k] = 0.0
-        y[i, 13] = weight[0]
-        y[i, 14] = weight[1]
+        y[i, 13] = initial_mass_thrust[0]
+        y[i, 14] = initial_mass_thrust[1]
         time[i] = 0.0
         ended[i] = FLYING
 
 
-# Indices of the randomized parameters, in the order of `domain_randomization.DRAWN`.
+# Indices of the randomized parameters, in the order of `domain_randomization.RANDOM_QUANTITIES`.
 LOAD, IMPULSE, THRUST, LAG, OFFSET, FAILS, ENGINE, TORQUE, SEES_LATE, ACTS_LATE = (
     0, 1, 2, 3, 4, 6, 7, 8, 11, 12,
 )  # fmt: skip
@@ -95,7 +96,7 @@ VARIED = np.uint64(0xD1342543DE82EF95)
 
 
 @kernel()
-def draw(key, flight, ranges, out):
+def sample_parameters(key, flight, ranges, out):
     """Sample the randomized vehicle parameters of one flight into `out` (13,).
 
     `key` selects the random stream of the lander, `flight` is the number of the flight, and
@@ -119,52 +120,55 @@ def draw(key, flight, ranges, out):
 
 
 @kernel(shared=True)
-def vary(share, mask, keys, counts, ranges, standard, nominal, drawn, figures, y):
+def randomize(
+    thread_slice, mask, keys, flight_counts, ranges, standard_gravity, nominal, randomized, params,
+    y,
+):  # fmt: skip
     """Sample new randomized vehicle parameters for the started flights of `mask` (n,).
 
-    `standard` is standard gravity, m/s^2; `nominal` (5,) has the nominal gravity, exhaust velocity,
-    thrust lag, dry mass and wet mass. Writes `drawn` (n, 13), `figures` (n, 5) and the mass in `y`.
-    `share` is (thread, number of threads).
+    `standard_gravity` is in m/s^2; `nominal` (5,) has the nominal gravity, exhaust velocity, thrust
+    lag, dry mass and wet mass. Writes `randomized` (n, 13), `params` (n, 5) and the mass in the
+    states `y`. `thread_slice` is (thread, number of threads).
     """
-    for i in range(share[0], len(y), share[1]):
+    for i in range(thread_slice[0], len(y), thread_slice[1]):
         if not mask[i]:
             continue
-        draw(keys[i], counts[i] - 1, ranges, drawn[i])
-        own = drawn[i]
-        figures[i, 0] = nominal[0]
-        figures[i, 1] = nominal[1] + own[IMPULSE] * standard
-        figures[i, 2] = nominal[2] + own[LAG]
-        figures[i, 3] = nominal[3] + own[LOAD]
-        figures[i, 4] = nominal[4] + own[LOAD]
-        y[i, 13] = figures[i, 4]
+        sample_parameters(keys[i], flight_counts[i] - 1, ranges, randomized[i])
+        values = randomized[i]
+        params[i, 0] = nominal[0]
+        params[i, 1] = nominal[1] + values[IMPULSE] * standard_gravity
+        params[i, 2] = nominal[2] + values[LAG]
+        params[i, 3] = nominal[3] + values[LOAD]
+        params[i, 4] = nominal[4] + values[LOAD]
+        y[i, 13] = params[i, 4]
 
 
 @kernel(shared=True)
-def scatter(share, mask, keys, counts, out):
+def sample_normals(thread_slice, mask, keys, positions, out):
     """Write standard normal numbers to rows `mask` of `out` (n, k).
 
-    `counts` (n,) is the position in each random stream `keys` (n,) and is advanced. `share` is
-    (thread, number of threads).
+    `positions` (n,) in the random streams `keys` (n,) are advanced. `thread_slice` is (thread,
+    number of threads).
     """
-    for i in range(share[0], len(out), share[1]):
+    for i in range(thread_slice[0], len(out), thread_slice[1]):
         if mask[i]:
             for k in range(out.shape[1]):
-                out[i, k] = normal(np.uint64(keys[i]) ^ _FIRST, counts[i])
-                counts[i] += 2
+                out[i, k] = normal(np.uint64(keys[i]) ^ _FIRST, positions[i])
+                positions[i] += 2
 
 
 class Vehicle(NamedTuple):
     """Vehicle parameters of a batch of n landers, SI.
 
-    `figures` (n, 5) has gravity, exhaust velocity, thrust lag, dry and wet mass, and `drawn` (n,
-    13) the other randomized parameters of each lander. `control` (9,) has minimum and maximum
+    `params` (n, 5) has gravity, exhaust velocity, thrust lag, dry and wet mass, and `randomized`
+    (n, 13) the other randomized parameters of each lander. `control` (9,) has minimum and maximum
     thrust, maximum tilt, gains of the attitude loop (3) and maximum torques (3). `inertia` and
     `rig` are arguments of `advance_bodies`; the fields from `pads` on describe the touchdown
     (`violated_limits`); `heading` is the azimuth of body x, rad.
     """
 
-    figures: np.ndarray
-    drawn: np.ndarray
+    params: np.ndarray
+    randomized: np.ndarray
     inertia: np.ndarray
     rig: np.ndarray
     control: np.ndarray
@@ -202,19 +206,19 @@ class Flights(NamedTuple):
 
 
 @kernel()
-def _end(i, y, vehicle, terrains, flights):
-    """Check if lander `i`, in state `y` (15,), has touched down or left the map.
+def _end_flight(i, y, vehicle, terrains, flights):
+    """End the flight of lander `i` if its state `y` is a touchdown or off the map.
 
-    Records the end in `flights` and returns 1, or returns 0 while the flight continues.
+    Records the end in `flights` and returns 1, or returns 0 if the flight continues.
     """
     w = flights.world[i]
     z, frame = terrains.z[w], terrains.frame
     if has_contact(y, vehicle.pads, vehicle.disc, z, frame):
-        figures = vehicle.figures[i]
+        params = vehicle.params[i]
         flights.ended[i] = LANDED
         flights.failed[i] = violated_limits(
             y, vehicle.pads, vehicle.disc, vehicle.spacing, z, frame, vehicle.limits,
-            vehicle.com_height, figures[0], figures[3], figures[4], vehicle.inertia,
+            vehicle.com_height, params[0], params[3], params[4], vehicle.inertia,
             flights.touchdown_values[i],
         )  # fmt: skip
         return 1
@@ -226,134 +230,150 @@ def _end(i, y, vehicle, terrains, flights):
 
 
 @kernel(exact=True)
-def _loaded(first, beyond, ended, y, lanes, block):
-    """Copy the states of flying landers to `block` (15, width), one column each.
+def _load_states(start, stop, ended, y, lanes, states):
+    """Copy the states of the flying landers from `start` to `stop` - 1 to `states`.
 
-    `first` and `beyond` bound the indices of landers; their indices are written to `lanes`. Empty
-    columns repeat the first lander. Returns the number of flying landers.
+    `states` (15, width) has one column per lander; empty columns repeat the first lander. Writes
+    the indices of the landers to `lanes` and returns their number.
     """
     count = 0
-    for i in range(first, beyond):
+    for i in range(start, stop):
         if ended[i] == FLYING:
             lanes[count] = i
             count += 1
-    for n in range(block.shape[1] if count > 0 else 0):
+    for n in range(states.shape[1] if count > 0 else 0):
         i = lanes[n] if n < count else lanes[0]
         for s in range(15):
-            block[s, n] = y[i, s]
+            states[s, n] = y[i, s]
     return count
 
 
 @kernel(exact=True)
-def _asked(block, own, n, action, guided, control, heading, load, attitude):
-    """Convert an action to commanded thrust, and attitude or torques, of one lander.
+def _set_command(states, loop_state, n, action, guided, control, heading, payload, attitude):
+    """Convert the action of one lander to commanded thrust, and attitude or torques.
 
-    `action` is in physical units: thrust acceleration if `guided`, otherwise thrust and torques.
-    The command is computed with the nominal mass, without the random payload `load`, kg.
+    `action` is a thrust acceleration, m/s^2, if `guided`, otherwise thrust and torques, N and N m.
+    The command goes to column `n` of `loop_state`. It is computed with the nominal mass, without
+    the random `payload`, kg.
     """
     if guided:
-        own[loop.THRUST, n] = thrust_attitude(
-            action, block[13, n] - load, control[0], control[1], heading, control[2], attitude
+        loop_state[loop.THRUST, n] = thrust_attitude(
+            action, states[13, n] - payload, control[0], control[1], heading, control[2], attitude
         )
         for k in range(4):
-            own[loop.AIM + k, n] = attitude[k]
+            loop_state[loop.AIM + k, n] = attitude[k]
         return
-    own[loop.THRUST, n] = min(max(action[0], control[0]), control[1])
+    loop_state[loop.THRUST, n] = min(max(action[0], control[0]), control[1])
     for k in range(3):
-        own[loop.TORQUE + k, n] = min(max(action[1 + k], -control[6 + k]), control[6 + k])
+        loop_state[loop.TORQUE + k, n] = min(max(action[1 + k], -control[6 + k]), control[6 + k])
 
 
 @kernel(exact=True)
-def _takes(i, block, own, n, figures, rate, vehicle, levels, reach, flights):
-    """Copy vehicle parameters and controller state of lander i to column n of a block.
+def _load_lander(i, states, loop_state, n, params, rate, vehicle, height_ranges, reach, flights):
+    """Copy parameters and attitude-loop state of lander i to column n of a block.
 
-    `own` gets the rows of `_loop_kernels`; `figures` (5, width) the vehicle parameters; `reach` is
-    the distance from the centre of mass to the pads plus a margin, m.
+    Writes `loop_state`, whose rows are those of `_loop_kernels`, and `params` (5, width). `reach`
+    is the distance from the centre of mass to the pads plus a margin, m.
     """
     for k in range(5):
-        figures[k, n] = vehicle.figures[i, k]
-    drawn, inertia = vehicle.drawn[i], vehicle.inertia
+        params[k, n] = vehicle.params[i, k]
+    randomized, inertia = vehicle.randomized[i], vehicle.inertia
     # Moments of inertia at the current mass, which the attitude loop uses.
-    full = (block[13, n] - figures[3, n]) / (figures[4, n] - figures[3, n])
+    full = (states[13, n] - params[3, n]) / (params[4, n] - params[3, n])
     for k in range(3):
-        own[loop.MOMENT + k, n] = inertia[0, k] + full * (inertia[1, k] - inertia[0, k])
-        own[loop.RATE + k, n] = rate[i, k]
-        own[loop.WEAK + k, n] = drawn[TORQUE + k]
-    own[loop.TIME, n] = flights.time[i]
-    own[loop.FAILS, n], own[loop.ENGINE, n] = drawn[FAILS], drawn[ENGINE]
-    own[loop.SHARE, n] = drawn[THRUST]
-    own[loop.OFFSET, n], own[loop.OFFSET + 1, n] = drawn[OFFSET], drawn[OFFSET + 1]
-    own[loop.FLOOR, n] = levels[flights.world[i], 1] + reach
+        loop_state[loop.MOMENT + k, n] = inertia[0, k] + full * (inertia[1, k] - inertia[0, k])
+        loop_state[loop.RATE + k, n] = rate[i, k]
+        loop_state[loop.WEAK + k, n] = randomized[TORQUE + k]
+    loop_state[loop.TIME, n] = flights.time[i]
+    loop_state[loop.FAILS, n], loop_state[loop.ENGINE, n] = randomized[FAILS], randomized[ENGINE]
+    loop_state[loop.SHARE, n] = randomized[THRUST]
+    loop_state[loop.OFFSET, n], loop_state[loop.OFFSET + 1, n] = (
+        randomized[OFFSET],
+        randomized[OFFSET + 1],
+    )
+    loop_state[loop.FLOOR, n] = height_ranges[flights.world[i], 1] + reach
 
 
 @kernel(exact=True)
-def _stored(block, own, n, i, y, rate, flights):
+def _store_lander(states, loop_state, n, i, y, rate, flights):
     """Copy state, body rate and time from column n of a block back to lander i."""
     for s in range(15):
-        y[i, s] = block[s, n]
+        y[i, s] = states[s, n]
     for k in range(3):
-        rate[i, k] = own[loop.RATE + k, n]
-    flights.time[i] = own[loop.TIME, n]
+        rate[i, k] = loop_state[loop.RATE + k, n]
+    flights.time[i] = loop_state[loop.TIME, n]
 
 
 @kernel()
-def _ended(block, own, count, lanes, y, rate, vehicle, terrains, flights):
-    """Check which landers of a block near the terrain have ended their flight.
+def _end_flights(states, loop_state, count, lanes, y, rate, vehicle, terrains, flights):
+    """End the flights of landers in a block that have touched down or left the map.
 
     `count` is the number of landers in the block and `lanes` their indices. Returns the number of
     flights that ended in this step.
     """
-    over = 0
+    count_ended = 0
     for n in range(count):
         i = lanes[n]
-        if flights.ended[i] == FLYING and block[2, n] <= own[loop.FLOOR, n]:
-            _stored(block, own, n, i, y, rate, flights)
-            over += _end(i, y[i], vehicle, terrains, flights)
-    return over
+        if flights.ended[i] == FLYING and states[2, n] <= loop_state[loop.FLOOR, n]:
+            _store_lander(states, loop_state, n, i, y, rate, flights)
+            count_ended += _end_flight(i, y[i], vehicle, terrains, flights)
+    return count_ended
 
 
 @kernel(shared=True)
-def advance(share, y, rate, actions, guided, steps, dt, limit, width, vehicle, terrains, flights):
+def advance(
+    thread_slice, y, rate, actions, guided, steps, dt, time_limit, width, vehicle, terrains, flights
+):
     """Fly all flying landers for `steps` integration steps, or to their end.
 
     `y` (n, 15) are the states and `rate` (n, 3) the measured body rates; `actions` are thrust
-    accelerations if `guided`, otherwise thrust and torques. `dt` is the time step and `limit` the
-    time limit, s; landers are flown in blocks of `width`. `share` is (thread, number of threads).
+    accelerations if `guided`, otherwise thrust and torques. `dt` and `time_limit` are in s; landers
+    are flown in blocks of `width`. `thread_slice` is (thread, number of threads).
     """
     v, ended = vehicle, flights.ended
-    gains, most = v.control[3:6], v.control[6:]
+    gains, max_torque = v.control[3:6], v.control[6:]
     reach = np.sqrt(np.max(np.sum(v.pads * v.pads, axis=1))) + 0.1
     lanes, attitude = np.empty(width, np.int64), np.empty(4)
-    block, work = np.empty((15, width)), np.empty((5, 15, width))
-    own, spare = np.empty((loop.ROWS, width)), np.empty((3, width))
-    gives, torque, figures = np.zeros(width), np.zeros((3, width)), np.ones((5, width))
-    for b in range(share[0], (len(y) + width - 1) // width, share[1]):
-        count = _loaded(b * width, min((b + 1) * width, len(y)), ended, y, lanes, block)
+    states, work = np.empty((15, width)), np.empty((5, 15, width))
+    loop_state, scratch = np.empty((loop.ROWS, width)), np.empty((3, width))
+    thrust, torque, params = np.zeros(width), np.zeros((3, width)), np.ones((5, width))
+    for b in range(thread_slice[0], (len(y) + width - 1) // width, thread_slice[1]):
+        count = _load_states(b * width, min((b + 1) * width, len(y)), ended, y, lanes, states)
         if count == 0:
             continue
         for n in range(width):
             i = lanes[n] if n < count else lanes[0]
-            _takes(i, block, own, n, figures, rate, v, terrains.levels, reach, flights)
-            _asked(
-                block, own, n, actions[i], guided, v.control, v.heading, v.drawn[i, LOAD], attitude
+            _load_lander(i, states, loop_state, n, params, rate, v, terrains.levels, reach, flights)
+            _set_command(
+                states,
+                loop_state,
+                n,
+                actions[i],
+                guided,
+                v.control,
+                v.heading,
+                v.randomized[i, LOAD],
+                attitude,
             )
         left = count
         for _ in range(steps):
             if guided:
-                loop.ask(block, own, width, gains, most, spare)
-            loop.give(block, own, width, gives, torque)
-            advance_bodies(block, dt, gives, torque, figures, v.inertia, v.rig, work)
+                loop.command_torques(states, loop_state, width, gains, max_torque, scratch)
+            loop.actuate(states, loop_state, width, thrust, torque)
+            advance_bodies(states, dt, thrust, torque, params, v.inertia, v.rig, work)
             for n in range(width):
-                own[loop.TIME, n] += dt
+                loop_state[loop.TIME, n] += dt
             if guided:
-                loop.sense(block, own, width, dt, spare)
-            if loop.low(block, own, width) > 0:
-                left -= _ended(block, own, count, lanes, y, rate, v, terrains, flights)
+                loop.measure_rates(states, loop_state, width, dt, scratch)
+            if loop.count_low(states, loop_state, width) > 0:
+                left -= _end_flights(
+                    states, loop_state, count, lanes, y, rate, v, terrains, flights
+                )
                 if left == 0:
                     break
         for n in range(count):
             i = lanes[n]
             if ended[i] == FLYING:
-                _stored(block, own, n, i, y, rate, flights)
-                if flights.time[i] >= limit - 0.5 * dt:
+                _store_lander(states, loop_state, n, i, y, rate, flights)
+                if flights.time[i] >= time_limit - 0.5 * dt:
                     ended[i] = LATE

@@ -1,8 +1,8 @@
 # mypy: allow-untyped-defs, no-check-untyped-defs
 """Compiled attitude loop for blocks of landers, with perfect gyroscopes.
 
-A block has one column per lander: `block` (15, width) are the states (position, velocity, attitude,
-body rate, mass, thrust) and `own` (ROWS, width) has the rows that are listed below.
+A block has one column per lander: `states` (15, width) has position, velocity, attitude, body rate,
+mass and thrust; `loop_state` (ROWS, width) has the rows that are listed below.
 """
 
 from __future__ import annotations
@@ -12,9 +12,9 @@ import numpy as np
 from lunarsim._jit import kernel
 from lunarsim.onboard.control._kernels import limited_torque
 
-# Rows of a block (ROWS, width): commanded and previous attitude; measured body rate; commanded
+# Rows of `loop_state` (ROWS, width): commanded and previous attitude; measured body rate; commanded
 # torques; moments of inertia; commanded thrust; flight time; randomized parameters
-# (`domain_randomization.DRAWN`); height below which the lander may touch down.
+# (`domain_randomization.RANDOM_QUANTITIES`); height below which the lander may touch down.
 AIM, BEFORE, RATE, TORQUE, MOMENT, THRUST, TIME, FAILS, ENGINE, WEAK, SHARE, OFFSET, FLOOR = (
     0, 4, 8, 11, 14, 17, 18, 19, 20, 21, 24, 25, 27,
 )  # fmt: skip
@@ -33,7 +33,7 @@ _STEEP, _MIDDLE = 2.41421356237309504880, 0.66
 
 
 @kernel(exact=True)
-def arc(s, w):
+def first_quadrant_angle(s, w):
     """Return the angle atan2(s, w), rad, for s and w of 0 or more, without branches."""
     steep = s > _STEEP * w
     middle = s > _MIDDLE * w
@@ -48,20 +48,31 @@ def arc(s, w):
 
 
 @kernel(exact=True)
-def _between(block, a, other, b, out, n):
+def _rotation_between(from_rows, from_row, to_rows, to_row, out, n):
     """Compute the rotation vector between two attitudes of the lander in column n.
 
-    The attitudes are the quaternions in rows a to a + 3 of `block` (from) and b to b + 3 of `other`
-    (to). Writes the vector, rad, in axes of the first attitude, to column n of `out` (3, width).
+    The first quaternion is in the rows of `from_rows` that start at `from_row`, the second likewise
+    in `to_rows`. Writes the vector, rad, in axes of the first attitude, to column n of `out` (3,
+    width).
     """
-    qx, qy, qz, qw = block[a, n], block[a + 1, n], block[a + 2, n], block[a + 3, n]
-    tx, ty, tz, tw = other[b, n], other[b + 1, n], other[b + 2, n], other[b + 3, n]
+    qx, qy, qz, qw = (
+        from_rows[from_row, n],
+        from_rows[from_row + 1, n],
+        from_rows[from_row + 2, n],
+        from_rows[from_row + 3, n],
+    )
+    tx, ty, tz, tw = (
+        to_rows[to_row, n],
+        to_rows[to_row + 1, n],
+        to_rows[to_row + 2, n],
+        to_rows[to_row + 3, n],
+    )
     x = qw * tx - qx * tw - qy * tz + qz * ty
     y = qw * ty - qy * tw - qz * tx + qx * tz
     z = qw * tz - qz * tw - qx * ty + qy * tx
     w = qw * tw + qx * tx + qy * ty + qz * tz
     s = np.sqrt(x * x + y * y + z * z)
-    scale = 2.0 * arc(s, abs(w)) / s if s > 1e-12 else 2.0
+    scale = 2.0 * first_quadrant_angle(s, abs(w)) / s if s > 1e-12 else 2.0
     scale = -scale if w < 0.0 else scale
     out[0, n] = scale * x
     out[1, n] = scale * y
@@ -69,62 +80,66 @@ def _between(block, a, other, b, out, n):
 
 
 @kernel(inner=True)
-def ask(block, own, width, gains, most, error):
+def command_torques(states, loop_state, width, gains, max_torque, error):
     """Compute control torques of a block of landers by a proportional-derivative law.
 
-    `gains` (3,) are those of the attitude loop, `most` (3,) the maximum torques, N m, and `error`
-    (3, width) is scratch. Also stores the attitude, from which `sense` computes the next rates.
+    `gains` (3,) are those of the attitude loop, `max_torque` (3,) is in N m, and `error` (3, width)
+    is scratch. Also stores the attitude, from which `measure_rates` computes the next rates.
     """
     for n in range(width):
-        _between(block, 6, own, AIM, error, n)
+        _rotation_between(states, 6, loop_state, AIM, error, n)
     for k in range(3):
         for n in range(width):
-            own[TORQUE + k, n] = limited_torque(
-                error[k, n], own[RATE + k, n], own[MOMENT + k, n], gains[0], gains[1], gains[2],
-                most[k],
+            loop_state[TORQUE + k, n] = limited_torque(
+                error[k, n], loop_state[RATE + k, n], loop_state[MOMENT + k, n], gains[0],
+                gains[1], gains[2], max_torque[k],
             )  # fmt: skip
     for k in range(4):
         for n in range(width):
-            own[BEFORE + k, n] = block[6 + k, n]
+            loop_state[BEFORE + k, n] = states[6 + k, n]
 
 
 @kernel(inner=True)
-def sense(block, own, width, dt, turn):
+def measure_rates(states, loop_state, width, dt, turn):
     """Compute the gyroscope rates from the change of attitude over the last step.
 
     `dt` is the step, s, and `turn` (3, width) is scratch.
     """
     for n in range(width):
-        _between(own, BEFORE, block, 6, turn, n)
+        _rotation_between(loop_state, BEFORE, states, 6, turn, n)
     for k in range(3):
         for n in range(width):
-            own[RATE + k, n] = turn[k, n] / dt
+            loop_state[RATE + k, n] = turn[k, n] / dt
 
 
 @kernel(inner=True)
-def give(block, own, width, gives, torque):
+def actuate(states, loop_state, width, thrust, torque):
     """Compute the thrust and torque that the actuators deliver, with random failures.
 
-    Writes the thrust that the engine follows to `gives` (width,), N, and torques to `torque`
-    (3, width), N m. Torques include the effect of the offset of the thrust line.
+    Writes the thrust that the engine follows to `thrust` (width,), N, and torques to `torque` (3,
+    width), N m. Torques include the effect of the offset of the thrust line.
     """
     for n in range(width):
-        asked = own[THRUST, n] * (1.0 + own[SHARE, n])
-        gives[n] = asked * own[ENGINE, n] if own[TIME, n] >= own[FAILS, n] else asked
+        command = loop_state[THRUST, n] * (1.0 + loop_state[SHARE, n])
+        thrust[n] = (
+            command * loop_state[ENGINE, n]
+            if loop_state[TIME, n] >= loop_state[FAILS, n]
+            else command
+        )
     for k in range(3):
         for n in range(width):
-            asked = own[TORQUE + k, n]
-            weak = asked * own[WEAK + k, n]
-            torque[k, n] = weak if own[TIME, n] >= own[FAILS, n] else asked
+            command = loop_state[TORQUE + k, n]
+            weak = command * loop_state[WEAK + k, n]
+            torque[k, n] = weak if loop_state[TIME, n] >= loop_state[FAILS, n] else command
     for n in range(width):
-        torque[0, n] += own[OFFSET + 1, n] * block[14, n]
-        torque[1, n] -= own[OFFSET, n] * block[14, n]
+        torque[0, n] += loop_state[OFFSET + 1, n] * states[14, n]
+        torque[1, n] -= loop_state[OFFSET, n] * states[14, n]
 
 
 @kernel(inner=True)
-def low(block, own, width):
+def count_low(states, loop_state, width):
     """Return the number of landers in a block low enough to touch the terrain."""
     count = 0
     for n in range(width):
-        count += 1 if block[2, n] <= own[FLOOR, n] else 0
+        count += 1 if states[2, n] <= loop_state[FLOOR, n] else 0
     return count

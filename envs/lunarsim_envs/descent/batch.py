@@ -56,9 +56,9 @@ class VehicleParams:
     start
         Planned position (3,) and velocity (3,), and their standard deviations per axis (8,), m and
         m/s.
-    aim
+    target_area
         Centre and half widths of the target area, east and north (4,), m.
-    limit
+    time_limit
         Time limit of a flight, s.
     domain_randomization
         Ranges of the randomized parameters; None disables domain randomization.
@@ -69,8 +69,8 @@ class VehicleParams:
     heading: float
     max_tilt: float
     start: Array
-    aim: Array
-    limit: float
+    target_area: Array
+    time_limit: float
     domain_randomization: DomainRandomization | None = None
 
     @classmethod
@@ -102,10 +102,10 @@ class VehicleParams:
                 "control.kind", type(control).__name__, "must be 'pd' in this environment"
             )
         lander.check_hover(scenario.gravity_m_s2)
-        varied = (
+        randomization = (
             None if scenario.domain_randomization is None else scenario.domain_randomization.make()
         )
-        _check_ranges(varied, lander, scenario.simulation.make().step)
+        _check_ranges(randomization, lander, scenario.simulation.make().step)
         start, target = scenario.start.make(), scenario.target.make()
         clock, approach = scenario.simulation.make(), scenario.approach.make()
         return cls(
@@ -118,7 +118,7 @@ class VehicleParams:
             ),
             np.array([*target.position, *target.scatter]),
             clock.max_time,
-            varied,
+            randomization,
         )
 
     def steps(self, rate: float) -> int:
@@ -137,23 +137,25 @@ class VehicleParams:
         return round(steps)
 
 
-def _check_ranges(varied: DomainRandomization | None, lander: Lander, step: float) -> None:
+def _check_ranges(
+    randomization: DomainRandomization | None, lander: Lander, time_step: float
+) -> None:
     """Check that random payload, specific impulse and thrust lag fit a lander.
 
-    Masses and impulses must stay positive, and the lag above two integration steps (`step`, s).
+    Masses and impulses must stay positive, and the lag above two time steps (`time_step`, s).
     """
-    if varied is None:
+    if randomization is None:
         return
-    for name, most in (
-        ("payload", lander.dry_mass), ("specific_impulse", lander.specific_impulse),
-        ("thrust_lag", lander.thrust_lag - 2.0 * step),
+    for name, unit, maximum in (
+        ("payload", "kg", lander.dry_mass), ("specific_impulse", "s", lander.specific_impulse),
+        ("thrust_lag", "s", lander.thrust_lag - 2.0 * time_step),
     ):  # fmt: skip
-        given = getattr(varied, name)
-        if given > 0.0 and not given < most:
+        value = getattr(randomization, name)
+        if value > 0.0 and not value < maximum:
             raise InputError(
-                f"domain_randomization.{name}",
-                given,
-                f"must be 0, or less than {max(most, 0.0):g}, for this lander",
+                f"domain_randomization.{name}_{unit}",
+                value,
+                f"must be 0, or less than {max(maximum, 0.0):g} {unit} for this lander",
             )
 
 
@@ -192,16 +194,16 @@ class DescentBatch:
     touchdown_values
         Vertical and horizontal speed, tilt, rate, slope, roughness and tip-over margin at
         touchdown (n, 7), SI.
-    starts, aims
+    starts, target_areas
         Start and target parameters of each lane, as `VehicleParams.start` (n, 8) and
-        `VehicleParams.aim` (n, 4).
-    spans
+        `VehicleParams.target_area` (n, 4).
+    world_ranges
         Index of the first world that each lane may use, and number of these worlds (n, 2).
     has_key
         Whether each lane has a random key (n,).
-    figures
+    params
         Gravity, exhaust velocity, thrust lag, dry mass and wet mass of each lane (n, 5), SI.
-    drawn
+    randomized
         Other randomized parameters of each flight (n, 13), in the order of
         `domain_randomization.RANDOM_QUANTITIES`.
     """
@@ -215,13 +217,14 @@ class DescentBatch:
         self.y, self.target = np.zeros((count, 15)), np.zeros((count, 3))
         self.time, self.touchdown_values = np.zeros(count), np.full((count, 7), np.nan)
         self.ended, self.failed = np.full(count, LATE), np.zeros(count, np.int64)
-        self.starts, self.aims = np.tile(craft.start, (count, 1)), np.tile(craft.aim, (count, 1))
-        self.spans = np.tile(worlds.span(None), (count, 1))
+        self.starts = np.tile(craft.start, (count, 1))
+        self.target_areas = np.tile(craft.target_area, (count, 1))
+        self.world_ranges = np.tile(worlds.span(None), (count, 1))
         self.has_key = np.zeros(count, np.bool_)
         self._keys, self._flight_counts = np.zeros(count, np.uint64), np.zeros(count, np.int64)
         self._rate, self.world = np.zeros((count, 3)), np.zeros(count, np.int64)
-        self.figures = np.tile(d.params, (count, 1))
-        self.drawn = np.tile(_ALIKE, (count, 1))
+        self.params = np.tile(d.params, (count, 1))
+        self.randomized = np.tile(_ALIKE, (count, 1))
         self._counts = np.zeros(count, np.int64)
         self._upright = attitude_from_thrust([0.0, 0.0, 1.0], craft.heading)
         self._weight = np.array([lander.wet_mass, lander.wet_mass * d.gravity])
@@ -232,7 +235,7 @@ class DescentBatch:
             v.slope_limit, v.roughness_limit, v.belly_clearance,
         ]  # fmt: skip
         self._vehicle = k.Vehicle(
-            self.figures, self.drawn, d.inertia, PLAIN_RIG, np.array(control), craft.heading,
+            self.params, self.randomized, d.inertia, PLAIN_RIG, np.array(control), craft.heading,
             v.pads, pad_disc(0.5 * v.pad_diameter), TERRAIN_SAMPLE_SPACING_M, np.array(limits),
             v.com_height,
         )  # fmt: skip
@@ -265,13 +268,14 @@ class DescentBatch:
         with threads_for(_STEP * self.count):
             k.begin(
                 mask, self._keys, self._flight_counts, self.y, self._rate, self.target, self.world,
-                self.time, self.ended, self.starts, self.aims, self.spans, self._upright,
-                self._weight, w.reliefs, w.relief_frame,
+                self.time, self.ended, self.starts, self.target_areas, self.world_ranges,
+                self._upright, self._weight, w.reliefs, w.relief_frame,
             )  # fmt: skip
             if self.craft.domain_randomization is not None:
-                k.vary(
+                k.randomize(
                     mask, self._keys, self._flight_counts, self.craft.domain_randomization.ranges,
-                    STANDARD_GRAVITY, self.craft.dynamics.params, self.drawn, self.figures, self.y,
+                    STANDARD_GRAVITY, self.craft.dynamics.params, self.randomized, self.params,
+                    self.y,
                 )  # fmt: skip
         self.failed[mask] = 0
         self.touchdown_values[mask] = np.nan
@@ -280,7 +284,7 @@ class DescentBatch:
         """Return `size` standard normal numbers per lane of `mask` (n, size); 0 in others."""
         found = np.zeros((self.count, size))
         with threads_for(0.02 * self.count * size):
-            k.scatter(mask, self._keys, self._counts, found)
+            k.sample_normals(mask, self._keys, self._counts, found)
         return found
 
     def move(self, actions: Array) -> None:
@@ -294,7 +298,7 @@ class DescentBatch:
         step = self.craft.dynamics.step
         with threads_for(_STEP * self.count * self.steps):
             k.advance(
-                self.y, self._rate, actions, self.guided, self.steps, step, self.craft.limit,
+                self.y, self._rate, actions, self.guided, self.steps, step, self.craft.time_limit,
                 min(SIMD_BATCH, self.count), self._vehicle, self._terrains, self._flights,
             )  # fmt: skip
 
@@ -313,11 +317,11 @@ class DescentBatch:
         return np.asarray(np.linalg.norm(self.y[:, :2] - self.target[:, :2], axis=1))
 
     @property
-    def burnt(self) -> Array:
+    def propellant_used(self) -> Array:
         """Propellant that each lander has used since its start (n,), kg."""
-        return np.asarray(self.figures[:, 4] - self.y[:, 13])
+        return np.asarray(self.params[:, 4] - self.y[:, 13])
 
-    def words(self, lane: int) -> tuple[str, ...]:
+    def failure_causes(self, lane: int) -> tuple[str, ...]:
         """Return why the flight of a lane failed: the violated limits, from `LIMITS`.
 
         A flight that reached the time limit gives ``("time-limit",)``.

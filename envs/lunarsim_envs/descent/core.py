@@ -24,7 +24,7 @@ from lunarsim_envs.descent.actions import Actions
 from lunarsim_envs.descent.batch import FLYING, LATE, DescentBatch, VehicleParams
 from lunarsim_envs.descent.noise_and_delay import SensingModel
 from lunarsim_envs.descent.observations import DEFAULT, ObservationLayout
-from lunarsim_envs.descent.options import apply_options, check_height
+from lunarsim_envs.descent.options import apply_options, check_start_height
 from lunarsim_envs.descent.rewards import DescentWeights, Rewards
 from lunarsim_envs.descent.worlds import WorldPool
 
@@ -44,12 +44,12 @@ def flat_scenario() -> Scenario:
     )
 
 
-def _rate(given: Any) -> float:
+def _checked_rate(rate_hz: Any) -> float:
     """Check that the argument `rate_hz` is a positive number, and return the value."""
     numbers = int, float, np.integer, np.floating
-    if isinstance(given, bool) or not isinstance(given, numbers) or not given > 0:
-        raise InputError("rate_hz", given, "must be a positive number")
-    return float(given)
+    if isinstance(rate_hz, bool) or not isinstance(rate_hz, numbers) or not rate_hz > 0:
+        raise InputError("rate_hz", rate_hz, "must be a positive number")
+    return float(rate_hz)
 
 
 class DescentEnvArguments(TypedDict, total=False):
@@ -110,27 +110,29 @@ class DescentEnvCore:
             checked_bool("privileged", privileged),
             checked_weights(weights, DescentWeights),
         )
-        rate_hz = _rate(rate_hz)
+        rate_hz = _checked_rate(rate_hz)
         self.scenario = scenario_argument(scenario, changes, flat_scenario())
         craft = VehicleParams.of(self.scenario)
         self.shown = ObservationLayout(observation)
         self.actions = Actions(craft.dynamics.lander, guided=guided)
         pool = WorldPool.of(self.scenario, worlds, world_seed, checked_covers(covers))
         self.lanes = DescentBatch(count, craft, pool, guided=guided, rate=rate_hz)
-        check_height(craft.start, self.lanes)
+        check_start_height(craft.start, self.lanes)
         self.rewards = Rewards(weights or DescentWeights.of(self.scenario), self.lanes)
         self.truth = ObservationLayout(DEFAULT) if privileged else None
-        self.senses = self._senses() if craft.domain_randomization is not None else None
+        self.sensing_model = (
+            self._create_sensing_model() if craft.domain_randomization is not None else None
+        )
 
-    def _senses(self) -> SensingModel:
+    def _create_sensing_model(self) -> SensingModel:
         """Create the model of noise and delays.
 
         Delayed actions before the first one command a thrust equal to the weight.
         """
         d = self.lanes.craft.dynamics
         weight = d.lander.wet_mass * d.gravity
-        idle = [0.0, 0.0, d.gravity] if self.lanes.guided else [weight, 0.0, 0.0, 0.0]
-        return SensingModel(self.lanes, self.shown, self.period, np.array(idle))
+        initial_command = [0.0, 0.0, d.gravity] if self.lanes.guided else [weight, 0.0, 0.0, 0.0]
+        return SensingModel(self.lanes, self.shown, self.period, np.array(initial_command))
 
     @property
     def period(self) -> float:
@@ -144,9 +146,9 @@ class DescentEnvCore:
         """
         for lane, seed in zip(np.flatnonzero(mask), seeds, strict=True):
             if seed is not None or not self.lanes.has_key[lane]:
-                self.key(int(lane), seeding.np_random(seed)[0])
+                self.sample_key(int(lane), seeding.np_random(seed)[0])
 
-    def key(self, lane: int, rng: np.random.Generator) -> None:
+    def sample_key(self, lane: int, rng: np.random.Generator) -> None:
         """Sample the random key of a lander (index `lane`), which fixes its later flights."""
         one = np.zeros(self.lanes.count, np.bool_)
         one[lane] = True
@@ -160,35 +162,39 @@ class DescentEnvCore:
         """Start new episodes for the landers of `mask` (n,), with their current options."""
         self.lanes.begin(mask)
         self.rewards.begin(mask)
-        if self.senses is not None:
-            self.senses.begin(mask)
+        if self.sensing_model is not None:
+            self.sensing_model.begin(mask)
 
     def observe(self) -> NDArray[np.float32]:
         """Return the observations of all landers (n, size), with noise and delay if set."""
-        return self.shown.of(self.lanes) if self.senses is None else self.senses.seen
+        return (
+            self.shown.of(self.lanes)
+            if self.sensing_model is None
+            else self.sensing_model.delayed_observations
+        )
 
-    def hidden(self) -> dict[str, Any]:
+    def extra_info(self) -> dict[str, Any]:
         """Return values for `info` that are not part of the observation, by name.
 
         ``randomized``: randomized parameters of each flight by name (n,), if the scenario has them.
         ``privileged``: true state with the components of `observations.DEFAULT`, followed by all
         randomized parameters (n, 28), if requested.
         """
-        hidden: dict[str, Any] = {}
-        drawn = self.lanes.drawn
-        if self.senses is not None:
-            hidden["randomized"] = {
-                name: drawn[:, i].copy() for i, name in enumerate(RANDOM_QUANTITIES)
+        extra_info: dict[str, Any] = {}
+        randomized = self.lanes.randomized
+        if self.sensing_model is not None:
+            extra_info["randomized"] = {
+                name: randomized[:, i].copy() for i, name in enumerate(RANDOM_QUANTITIES)
             }
         if self.truth is not None:
-            finite = np.minimum(drawn, self.lanes.craft.limit).astype(np.float32)
-            hidden["privileged"] = np.hstack((self.truth.of(self.lanes), finite))
-        return hidden
+            finite = np.minimum(randomized, self.lanes.craft.time_limit).astype(np.float32)
+            extra_info["privileged"] = np.hstack((self.truth.of(self.lanes), finite))
+        return extra_info
 
     def outcome(self) -> dict[str, NDArray[np.float64]]:
         """Return flight time (s), propellant used (kg) and miss distance (m), each (n,)."""
         lanes = self.lanes
-        return {"time_s": lanes.time, "propellant_kg": lanes.burnt, "miss_m": lanes.miss}
+        return {"time_s": lanes.time, "propellant_kg": lanes.propellant_used, "miss_m": lanes.miss}
 
     def step(self, action: Any) -> tuple[dict[str, NDArray[np.float64]], Mask, Mask, Mask]:
         """Fly all flying landers with actions from -1 to 1 until the next action is due.
@@ -198,11 +204,11 @@ class DescentEnvCore:
         """
         physical = self.actions.physical(action, self.lanes.count if self.many else None)
         moved = self.lanes.ended == FLYING
-        if self.senses is not None:
-            physical = self.senses.act(moved, physical)
+        if self.sensing_model is not None:
+            physical = self.sensing_model.act(moved, physical)
         self.lanes.move(physical)
-        if self.senses is not None:
-            self.senses.look(moved)
+        if self.sensing_model is not None:
+            self.sensing_model.observe(moved)
         over = moved & (self.lanes.ended != FLYING)
         late = over & (self.lanes.ended == LATE)
         return self.rewards.terms(moved), moved, over & ~late, late

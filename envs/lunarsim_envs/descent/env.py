@@ -55,7 +55,7 @@ class DescentEnv(gymnasium.Env[Any, Any]):
         self.descents.apply_options(self._one, options)
         super().reset(seed=seed)
         if seed is not None or not self.descents.lanes.has_key[0]:
-            self.descents.key(0, self.np_random)
+            self.descents.sample_key(0, self.np_random)
         self.descents.restart(self._one)
         if self._picture is not None:
             self._picture.begin()
@@ -63,14 +63,14 @@ class DescentEnv(gymnasium.Env[Any, Any]):
         return self.descents.observe()[0], self._hidden()
 
     def _hidden(self) -> dict[str, Any]:
-        hidden = self.descents.hidden()
-        if "randomized" in hidden:
-            hidden["randomized"] = {
-                name: float(one[0]) for name, one in hidden["randomized"].items()
+        extra_info = self.descents.extra_info()
+        if "randomized" in extra_info:
+            extra_info["randomized"] = {
+                name: float(one[0]) for name, one in extra_info["randomized"].items()
             }
-        if "privileged" in hidden:
-            hidden["privileged"] = hidden["privileged"][0]
-        return hidden
+        if "privileged" in extra_info:
+            extra_info["privileged"] = extra_info["privileged"][0]
+        return extra_info
 
     def step(self, action: ArrayLike) -> tuple[Shown, float, bool, bool, dict[str, Any]]:
         """Fly with an action until the next action is due, or to the end of the flight."""
@@ -85,7 +85,7 @@ class DescentEnv(gymnasium.Env[Any, Any]):
         crash = bool(terminated[0]) and not d.lanes.safe[0]
         info: dict[str, Any] = {"reward_terms": named, "cost": float(crash)} | self._hidden()
         if terminated[0] or truncated[0]:
-            info |= {"safe": bool(d.lanes.safe[0]), "failure_causes": d.lanes.words(0)}
+            info |= {"safe": bool(d.lanes.safe[0]), "failure_causes": d.lanes.failure_causes(0)}
             info |= {name: float(value[0]) for name, value in d.outcome().items()}
         ends = bool(terminated[0]), bool(truncated[0])
         return d.observe()[0], float(sum_terms(named)), *ends, info
@@ -169,9 +169,9 @@ class DescentVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         self._limit.begin(mask)
 
     def _hidden(self) -> dict[str, Any]:
-        hidden = self.descents.hidden()
+        extra_info = self.descents.extra_info()
         every = np.ones(self.num_envs, np.bool_)
-        return hidden | {f"_{name}": every for name in hidden}
+        return extra_info | {f"_{name}": every for name in extra_info}
 
     def step(
         self, actions: ArrayLike

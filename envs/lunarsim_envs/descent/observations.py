@@ -63,7 +63,9 @@ def register(part: ObservationComponent) -> None:
     check_new(part.name, PARTS)
     if part.size < 1 or not part.low < part.high:
         raise InputError(
-            part.name, (part.size, part.low, part.high), "must have a size of 1 or more and a range"
+            part.name,
+            (part.size, part.low, part.high),
+            "must have a size of 1 or more, and a lower bound below its upper bound",
         )
     PARTS[part.name] = part
 
@@ -89,11 +91,11 @@ def _thrust(lanes: DescentBatch) -> Array:
 
 
 def _propellant(lanes: DescentBatch) -> Array:
-    return lanes.y[:, 13:14] - lanes.figures[:, 3:4]
+    return lanes.y[:, 13:14] - lanes.params[:, 3:4]
 
 
 def _left(lanes: DescentBatch) -> Array:
-    return (lanes.craft.limit - lanes.time)[:, None]
+    return (lanes.craft.time_limit - lanes.time)[:, None]
 
 
 for _part in (

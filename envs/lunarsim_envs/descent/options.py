@@ -24,7 +24,7 @@ KEYS = {
     "cover": "rocks.cover",
     "sun_azimuth_deg": "sun.azimuth_deg", "sun_elevation_deg": "sun.elevation_deg",
 }  # fmt: skip
-# Slices of the options in `DescentBatch.starts` and `DescentBatch.aims`.
+# Slices of the options in `DescentBatch.starts` and `DescentBatch.target_areas`.
 _STARTS = {
     "position_m": slice(0, 3), "velocity_m_s": slice(3, 6), "position_sigma_m": slice(6, 7),
     "velocity_sigma_m_s": slice(7, 8),
@@ -57,15 +57,15 @@ def apply_options(
     InputError
         If a key is unknown or a value is invalid; then nothing changes.
     """
-    starts, aims = lanes.craft.start.copy(), lanes.craft.aim.copy()
+    start, target_area = lanes.craft.start.copy(), lanes.craft.target_area.copy()
     cover: float | None = None
     for key, value in checked_options(options).items():
         if key in _STARTS:
-            starts[_STARTS[key]] = _numbers(key, value, starts[_STARTS[key]])
+            start[_STARTS[key]] = _checked_numbers(key, value, start[_STARTS[key]])
         elif key in _AIMS:
-            aims[_AIMS[key]] = _numbers(key, value, aims[_AIMS[key]])
+            target_area[_AIMS[key]] = _checked_numbers(key, value, target_area[_AIMS[key]])
         elif key == "cover":
-            cover = float(_numbers(key, value, np.zeros(1))[0])
+            cover = float(_checked_numbers(key, value, np.zeros(1))[0])
         elif key in KEYS:
             raise InputError(
                 f"options.{key}", value,
@@ -74,10 +74,11 @@ def apply_options(
             )  # fmt: skip
         else:
             raise InputError(f"options.{key}", value, "is an unknown option", suggestion(key, KEYS))
-    span = lanes.worlds.span(cover)
-    check_height(starts, lanes)
-    _check_aims(aims, lanes)
-    lanes.starts[mask], lanes.aims[mask], lanes.spans[mask] = starts, aims, span
+    world_range = lanes.worlds.span(cover)
+    check_start_height(start, lanes)
+    _check_target_area(target_area, lanes)
+    lanes.starts[mask], lanes.target_areas[mask] = start, target_area
+    lanes.world_ranges[mask] = world_range
 
 
 def scenario_with_options(options: Mapping[str, Any] | None, scenario: Scenario) -> Scenario:
@@ -108,20 +109,22 @@ def scenario_with_options(options: Mapping[str, Any] | None, scenario: Scenario)
     return scenario
 
 
-def _numbers(key: str, value: Any, room: Array) -> Array:
-    """Check the numbers of an option and return them in the shape of `room`.
+def _checked_numbers(key: str, value: Any, template: Array) -> Array:
+    """Check the numbers of an option and return them in the shape of `template`.
 
     `key` is the name of the option. Standard deviations and scatters must not be negative.
     """
     plain = value.tolist() if isinstance(value, (np.ndarray, np.generic)) else value
     several = list(plain) if isinstance(plain, Sequence) else []
-    listed = [plain] if len(room) == 1 else several
+    listed = [plain] if len(template) == 1 else several
     kinds = int, float, np.integer, np.floating
     are_numbers = all(isinstance(one, kinds) and not isinstance(one, bool) for one in listed)
     numbers = np.array(listed, dtype=np.float64) if are_numbers else np.full(1, np.nan)
-    if numbers.shape != room.shape or not np.isfinite(numbers).all():
+    if numbers.shape != template.shape or not np.isfinite(numbers).all():
         what = (
-            "must be a finite number" if len(room) == 1 else f"must be {len(room)} finite numbers"
+            "must be a finite number"
+            if len(template) == 1
+            else f"must be {len(template)} finite numbers"
         )
         raise InputError(f"options.{key}", value, what)
     if np.abs(numbers).max() > MOST:
@@ -131,36 +134,34 @@ def _numbers(key: str, value: Any, room: Array) -> Array:
     return np.asarray(numbers)
 
 
-def _check_aims(aims: Array, lanes: DescentBatch) -> None:
+def _check_target_area(target_area: Array, lanes: DescentBatch) -> None:
     """Check that targets lie in the scenario's target area, where terrain is stored.
 
-    `aims` (4,) has centre and half widths, east and north, m.
+    `target_area` (4,) has centre and half widths, east and north, m.
     """
-    middle, scatter = lanes.craft.aim[:2], lanes.craft.aim[2:]
+    middle, scatter = lanes.craft.target_area[:2], lanes.craft.target_area[2:]
     low, high = middle - scatter, middle + scatter
-    if np.any(aims[:2] - aims[2:] < low - 1e-9) or np.any(aims[:2] + aims[2:] > high + 1e-9):
+    if np.any(target_area[:2] - target_area[2:] < low - 1e-9) or np.any(
+        target_area[:2] + target_area[2:] > high + 1e-9
+    ):
         raise InputError(
-            "options.target_m", (*aims[:2].tolist(), *aims[2:].tolist()),
+            "options.target_m", (*target_area[:2].tolist(), *target_area[2:].tolist()),
             f"must be within the scenario's target area, {low[0]:g} to {high[0]:g} m east and "
             f"{low[1]:g} to {high[1]:g} m north, including target_scatter_m",
         )  # fmt: skip
 
 
-def check_height(starts: Array, lanes: DescentBatch) -> None:
+def check_start_height(start: Array, lanes: DescentBatch) -> None:
     """Check that flights start above the terrain of all worlds.
 
-    `starts` (8,) has the planned position, velocity and their standard deviations, as
-    `VehicleParams.start`.
-
-    Raises
-    ------
-    InputError
-        If the planned height minus five standard deviations is not above the highest terrain.
+    `start` (8,) has the planned position, velocity and their standard deviations, as
+    `VehicleParams.start`. The planned height minus five standard deviations must be above the
+    highest terrain; otherwise an `InputError` is raised.
     """
     low, high = lanes.worlds.levels[:, 0].min(), lanes.worlds.levels[:, 1].max()
-    least = high - low + lanes.craft.dynamics.lander.com_height + 5.0 * starts[6]
-    if starts[2] <= least:
+    least = high - low + lanes.craft.dynamics.lander.com_height + 5.0 * start[6]
+    if start[2] <= least:
         raise InputError(
-            "position_m", tuple(starts[:3].tolist()),
+            "position_m", tuple(start[:3].tolist()),
             f"must have a height above {least:.1f} m, five standard deviations above the terrain",
         )  # fmt: skip

@@ -48,17 +48,17 @@ class PlaneView:
         self.note()
 
     def note(self) -> None:
-        """Append the current position of the lander to the drawn path."""
-        self._path.append(self._flat(self._lanes.y[self._lane, :3]))
+        """Append the current position of the lander to the path that is drawn."""
+        self._path.append(self._project(self._lanes.y[self._lane, :3]))
 
-    def _flat(self, points: Array) -> Array:
+    def _project(self, points: Array) -> Array:
         """Project points (..., 3) to the plane, as offsets (..., 2) from the target, m."""
         off = points - self._lanes.target[self._lane]
         return np.stack((off[..., :2] @ self._along, off[..., 2]), axis=-1)
 
     def draw(self) -> Image:
         """Return an RGB image of the current state (440, 640, 3)."""
-        here = self._flat(self._lanes.y[self._lane, :3])
+        here = self._project(self._lanes.y[self._lane, :3])
         extent = max(_NEAREST, _ROOM * max(abs(float(here[0])), float(here[1])))
         left, low = 0.5 * float(here[0]) - 0.5 * extent, -0.12 * extent
         scale = SIDE / extent
@@ -100,14 +100,17 @@ class PlaneView:
         return np.column_stack((along, height))
 
     def _lander(
-        self, image: Image, pixels: Callable[[Array], NDArray[np.int32]], scale: float
+        self, image: Image, to_pixels: Callable[[Array], NDArray[np.int32]], pixels_per_metre: float
     ) -> None:
-        """Draw legs, body and flame; `pixels` converts m to pixels, by `scale`."""
+        """Draw legs, body and flame of the lander on `image`.
+
+        `to_pixels` converts positions in the view plane, m, to pixels.
+        """
         lanes, y = self._lanes, self._lanes.y[self._lane]
         vehicle = lanes.craft.dynamics.lander
         size = vehicle.leg_radius
         # Enlarge a distant lander to a visible size.
-        more = max(1.0, _LEAST / (2.0 * size * scale))
+        more = max(1.0, _LEAST / (2.0 * size * pixels_per_metre))
         foot = -vehicle.com_height
         across = np.array([*self._along, 0.0])
         side = across @ np.array([quat_rotate(y[6:10], axis) for axis in np.eye(3)]).T
@@ -116,7 +119,7 @@ class PlaneView:
 
         def at(lateral: float, up: float) -> NDArray[np.int32]:
             point = quat_rotate(y[6:10], size * lateral * side + np.array([0.0, 0.0, up]))
-            return pixels(self._flat(y[:3] + more * point))
+            return to_pixels(self._project(y[:3] + more * point))
 
         low, high = foot + _UNDER * size, foot + _TOP * size
         if lanes.ended[self._lane] == FLYING:
@@ -134,7 +137,7 @@ class PlaneView:
         lanes, y = self._lanes, self._lanes.y[self._lane]
         vehicle = lanes.craft.dynamics.lander
         tilt = np.degrees(np.arccos(np.clip(quat_rotate(y[6:10], [0.0, 0.0, 1.0])[2], -1.0, 1.0)))
-        off = self._flat(y[:3])
+        off = self._project(y[:3])
         gauges = [
             ("time", f"{lanes.time[self._lane]:.1f} s", None),
             ("height", f"{off[1] - vehicle.com_height:.1f} m", None),
@@ -158,7 +161,7 @@ class PlaneView:
                 cv2.rectangle(image, (10, top + 8), (10 + full, top + 16), _PATH, -1)
         if lanes.ended[self._lane] != FLYING:
             safe = bool(lanes.safe[self._lane])
-            words = ("landed safely",) if safe else lanes.words(self._lane)
+            words = ("landed safely",) if safe else lanes.failure_causes(self._lane)
             colour = _AIM if safe else (230, 90, 60)
             for i, word in enumerate(words[:3]):
                 cv2.putText(image, word, (10, 398 + 16 * i), font, 0.42, colour, 1, cv2.LINE_AA)

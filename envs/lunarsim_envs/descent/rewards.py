@@ -38,15 +38,8 @@ class DescentWeights(DescentReward):
     def check(self, propellant: float) -> None:
         """Check that every safe landing returns more than any crash, apart from shaping.
 
-        Parameters
-        ----------
-        propellant
-            Propellant capacity, kg.
-
-        Raises
-        ------
-        InputError
-            If the weight ``safe`` is too small for that.
+        If the weight ``safe`` is too small for that, an `InputError` is raised. `propellant` is the
+        propellant capacity, kg.
         """
         least = self.crash + self.propellant * propellant + self.miss * MAX_MISS_M
         if not self.safe > least:
@@ -87,7 +80,7 @@ class Rewards:
         self._mass = np.zeros(lanes.count)
         self._potential = np.zeros(lanes.count)
 
-    def _off(self) -> Array:
+    def _relative_distance_and_speed(self) -> Array:
         """Return distance from the target plus speed, each relative to the start (n,)."""
         y = self.lanes.y
         away = np.linalg.norm(y[:, :3] - self.lanes.target, axis=1) / self._far
@@ -125,7 +118,7 @@ class Rewards:
         over = (lanes.ended != FLYING) & (lanes.ended != LATE)
         after = np.where(over, 0.0, self.potential())
         safe = lanes.safe
-        severity = 0.5 * w.severity * np.minimum(self._off(), MAX_SEVERITY)
+        severity = 0.5 * w.severity * np.minimum(self._relative_distance_and_speed(), MAX_SEVERITY)
         rewards = {
             "touchdown": np.where(over, np.where(safe, w.safe, w.crash), 0.0),
             "propellant": -w.propellant * (self._mass - lanes.y[:, 13]),

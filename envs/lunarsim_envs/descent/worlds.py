@@ -35,7 +35,7 @@ class WorldPool:
         Heights with rocks (k, rows, cols), m; east and north of cell (0, 0), and grid spacing (3,),
         m.
     reliefs, relief_frame
-        Heights without rocks, as the mission knows the terrain, and the frame of their grid.
+        Heights without rocks, on which targets are placed, and the frame of their grid.
     levels
         Minimum and maximum height of each world (k, 2), m.
     covers
@@ -74,16 +74,16 @@ class WorldPool:
         """
         if count < 1:
             raise InputError("worlds", count, "must be 1 or more")
-        drawn = (
+        worlds = (
             build_world(one, RandomStreams(flight_seed(seed, k)))
             for one in scenarios_by_cover(scenario, covers)
             for k in range(count)
         )
-        return cls.about(scenario, count, drawn, covers)
+        return cls.rasterize(scenario, count, worlds, covers)
 
     @classmethod
-    def about(
-        cls, scenario: Scenario, count: int, drawn: Iterable[World], covers: Sequence[float] = ()
+    def rasterize(
+        cls, scenario: Scenario, count: int, worlds: Iterable[World], covers: Sequence[float] = ()
     ) -> WorldPool:
         """Rasterize the terrain around the targets of worlds that were generated before.
 
@@ -91,12 +91,12 @@ class WorldPool:
         ----------
         scenario, count, covers
             Scenario, number of worlds per rock cover, and additional rock covers.
-        drawn
+        worlds
             Worlds, grouped by cover, with the cover of the scenario first.
         """
         all_covers = tuple(one.rocks.cover for one in scenarios_by_cover(scenario, covers))
         terrains, reliefs, grids = [], [], None
-        for world in drawn:
+        for world in worlds:
             if grids is None:
                 grids = _grids(scenario, world.terrain)
                 size = 4.0 * count * len(all_covers) * sum(g.rows * g.cols for g in grids)
@@ -112,7 +112,9 @@ class WorldPool:
         height, relief = np.stack(terrains), np.stack(reliefs)
         if not np.isfinite(relief).all():
             raise InputError(
-                "target.scatter_m", scenario.target.make().scatter, "must be on terrain with data"
+                "target.scatter_m",
+                scenario.target.make().scatter,
+                "must keep all targets on terrain with data",
             )
         levels = np.stack((np.nanmin(height, (1, 2)), np.nanmax(height, (1, 2))), axis=1)
         frames = [np.array([g.x0, g.y0, g.posting]) for g in grids]

@@ -47,7 +47,7 @@ class EvaluationStudy:
         return gymnasium.make(self.env, **given)
 
 
-def _ending(info: dict[str, Any]) -> dict[str, Any]:
+def _final_values(info: dict[str, Any]) -> dict[str, Any]:
     """Return the values of the last `info` that fit in a results table, by name.
 
     Booleans and numbers are kept, tuples of words become one text, other values are omitted.
@@ -111,6 +111,6 @@ def fly_episodes(study: EvaluationStudy, agent: str, episodes: range) -> Iterato
             row = {"agent": label(agent), "episode": episode, "return": total, "score": score}
             row["steps"] = steps
             rewards = {f"reward_{name}": term for name, term in terms.items()}
-            yield row | _ending(info) | {"late": bool(late and not ended)} | rewards
+            yield row | _final_values(info) | {"late": bool(late and not ended)} | rewards
     finally:
         env.close()

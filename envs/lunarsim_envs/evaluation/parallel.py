@@ -49,7 +49,7 @@ def check_agents(study: EvaluationStudy, agents: Sequence[str]) -> None:
         env.close()
 
 
-def _chunk(study: EvaluationStudy, agent: str, episodes: range) -> Rows:
+def _fly_chunk(study: EvaluationStudy, agent: str, episodes: range) -> Rows:
     """Fly a range of episodes with one agent in a worker process; return their rows."""
     return list(fly_episodes(study, agent, episodes))
 
@@ -94,11 +94,11 @@ def fly(
                 rows.append(row)
                 report(1)
         return rows
-    return _spread(study, work, jobs, report)
+    return _fly_in_workers(study, work, jobs, report)
 
 
-def _spread(
-    study: EvaluationStudy, work: list[tuple[str, range]], jobs: int, report: Callable[[int], None]
+def _fly_in_workers(
+    study: EvaluationStudy, tasks: list[tuple[str, range]], jobs: int, report: Callable[[int], None]
 ) -> Rows:
     """Fly tasks (agent, episodes) in worker processes; return rows in task order.
 
@@ -111,11 +111,11 @@ def _spread(
     if callable(entry):
         name = getattr(entry, "__qualname__", type(entry).__qualname__)
         check_picklable("env", f"{entry.__module__}:{name}")
-    for agent, _ in work:
+    for agent, _ in tasks:
         check_picklable("--agent", agent)
     context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(min(jobs, len(work)), mp_context=context) as pool:
-        futures: list[Future[Rows]] = [pool.submit(_chunk, study, *chunk) for chunk in work]
+    with ProcessPoolExecutor(min(jobs, len(tasks)), mp_context=context) as pool:
+        futures: list[Future[Rows]] = [pool.submit(_fly_chunk, study, *chunk) for chunk in tasks]
         waiting = set(futures)
         try:
             while waiting:

@@ -25,39 +25,37 @@ _DEFAULTS = {
 }  # fmt: skip
 
 
-def _environment(given: str) -> str:
+def _environment_id(env_name: str) -> str:
     """Return the id of the registered environment that a user names.
 
-    The prefix ``lunarsim/`` may be omitted; ``module:`` imports a module first.
-
-    Raises
-    ------
-    InputError
-        If the environment does not exist, or the module cannot be imported.
+    The prefix ``lunarsim/`` may be omitted; ``module:`` imports a module first. If the environment
+    does not exist, or the module cannot be imported, an `InputError` is raised.
     """
-    module, _, name = given.rpartition(":")
+    module, _, name = env_name.rpartition(":")
     if module:
         try:
             importlib.import_module(module)
         except ImportError as error:
-            raise InputError("env", given, f"the module cannot be imported ({error})") from None
+            raise InputError("env", env_name, f"the module cannot be imported ({error})") from None
     for candidate in (name, f"lunarsim/{name}"):
         if candidate in gymnasium.registry:
             return f"{module}:{candidate}" if module else candidate
     known = [one for one in gymnasium.registry if one.startswith("lunarsim/")]
     near = suggestion(name if "/" in name else f"lunarsim/{name}", known)
-    raise InputError("env", given, "is not a registered environment", near)
+    raise InputError("env", env_name, "is not a registered environment", near)
 
 
-def _check_perception(given: str, default: Any) -> None:
+def _check_perception(perception: str, create_default: Any) -> None:
     """Check that a perception exists and that the environment has perceptions.
 
-    `default` is the function that creates the default scenario of the environment.
+    `create_default` is the function that creates the default scenario of the environment.
     """
-    if given not in PERCEPTIONS:
-        raise InputError("--perception", given, "is unknown", suggestion(given, PERCEPTIONS))
-    if default is flat_scenario:
-        raise InputError("--perception", given, "applies only to Retarget-v0", "Omit it.")
+    if perception not in PERCEPTIONS:
+        raise InputError(
+            "--perception", perception, "is unknown", suggestion(perception, PERCEPTIONS)
+        )
+    if create_default is flat_scenario:
+        raise InputError("--perception", perception, "applies only to Retarget-v0", "Omit it.")
 
 
 def evaluation_study(
@@ -83,7 +81,7 @@ def evaluation_study(
     InputError
         If the environment or the scenario does not exist, or an argument does not apply.
     """
-    name = _environment(env)
+    name = _environment_id(env)
     own = _DEFAULTS.get(name.rpartition(":")[2])
     if "observation" in arguments and own is None:
         given = ", ".join(arguments["observation"])

@@ -78,21 +78,21 @@ def column(rows: Rows, name: str) -> Array:
     return np.array([float(row.get(name, np.nan)) for row in rows], dtype=np.float64)
 
 
-def add_on_target(rows: Rows, within: float) -> Rows:
+def add_on_target(rows: Rows, max_distance: float) -> Rows:
     """Add ``on_target`` to each row: whether the landing was safe and near the target.
 
-    `within` is the maximum distance, m. Episodes without an outcome or distance are unchanged.
+    `max_distance` is in m. Episodes without an outcome or distance are unchanged.
     """
     return [
-        row | {"on_target": bool(row["safe"] and row["miss_m"] <= within)}
+        row | {"on_target": bool(row["safe"] and row["miss_m"] <= max_distance)}
         if "miss_m" in row and "safe" in row
         else row
         for row in rows
     ]
 
 
-def _share(rows: Rows, name: str) -> Proportion | None:
-    """Return the fraction of episodes in which a boolean is true; None if missing."""
+def _true_fraction(rows: Rows, name: str) -> Proportion | None:
+    """Return the fraction of episodes in which `name` is true; None if missing."""
     if not all(name in row for row in rows):
         return None
     return Proportion(sum(bool(row[name]) for row in rows), len(rows))
@@ -101,7 +101,7 @@ def _share(rows: Rows, name: str) -> Proportion | None:
 def agent_metrics(rows: Rows, seed: int) -> list[AgentMetrics]:
     """Compute the metrics of every agent from the rows of its episodes.
 
-    Agents are in the order of the rows; `seed` fixes the bootstrap.
+    Agents are in the order of the rows; `seed` is that of the bootstrap intervals.
     """
     rng = np.random.default_rng(design_seed(seed))
 
@@ -118,8 +118,9 @@ def agent_metrics(rows: Rows, seed: int) -> list[AgentMetrics]:
         landed = [row for row in own if row.get("safe", False)]
         found.append(
             AgentMetrics(
-                agent, len(own), mean(own, "score"), mean(own, "steps"), _share(own, "safe"),
-                _share(own, "on_target"), mean(landed, "propellant_kg"), mean(landed, "miss_m"),
+                agent, len(own), mean(own, "score"), mean(own, "steps"),
+                _true_fraction(own, "safe"), _true_fraction(own, "on_target"),
+                mean(landed, "propellant_kg"), mean(landed, "miss_m"),
             )
         )  # fmt: skip
     return found
@@ -128,9 +129,9 @@ def agent_metrics(rows: Rows, seed: int) -> list[AgentMetrics]:
 def differences(rows: Rows, seed: int) -> dict[str, list[Difference]]:
     """Return paired differences between agents on the same episodes, by metric.
 
-    `rows` are the results of all episodes and `seed` fixes the bootstrap. Safe landings are
-    compared on all episodes, propellant on episodes in which both agents landed safely. The
-    p-values of one metric are corrected for multiple comparisons (Holm).
+    `rows` are the results of all episodes and `seed` is that of the bootstrap intervals. Safe
+    landings are compared on all episodes, propellant on episodes in which both agents landed
+    safely. The p-values of one metric are corrected for multiple comparisons (Holm).
     """
     rng = np.random.default_rng(design_seed(seed))
     agents = list(dict.fromkeys(row["agent"] for row in rows))
@@ -152,15 +153,15 @@ def differences(rows: Rows, seed: int) -> dict[str, list[Difference]]:
     return {metric: _corrected(found) for metric, found in made.items() if found}
 
 
-def _corrected(found: list[Difference]) -> list[Difference]:
+def _corrected(differences: list[Difference]) -> list[Difference]:
     """Return differences with p-values corrected for multiple comparisons (Holm)."""
-    corrected = holm_correction([d.p for d in found])
-    return [replace(d, corrected=float(p)) for d, p in zip(found, corrected, strict=True)]
+    corrected = holm_correction([d.p for d in differences])
+    return [replace(d, corrected=float(p)) for d, p in zip(differences, corrected, strict=True)]
 
 
 def write(
-    out: Path, rows: Rows, arguments: dict[str, Any], found: list[AgentMetrics],
-    between: dict[str, list[Difference]],
+    out: Path, rows: Rows, arguments: dict[str, Any], metrics: list[AgentMetrics],
+    paired_differences: dict[str, list[Difference]],
 ) -> None:  # fmt: skip
     """Write ``results.parquet`` (one row per episode and agent) and ``summary.json``.
 
@@ -172,7 +173,7 @@ def write(
         Results of the episodes.
     arguments
         Arguments of the evaluation, stored in the summary.
-    found, between
+    metrics, paired_differences
         Metrics of agents, and differences between agents.
     """
     out.mkdir(parents=True, exist_ok=True)
@@ -181,8 +182,10 @@ def write(
     atomic_write(out / "results.parquet", lambda part: pq.write_table(table, part))
     summary = arguments | {
         "version": lunarsim.__version__,
-        "agents": [asdict(agent) for agent in found],
-        "differences": {metric: [asdict(d) for d in many] for metric, many in between.items()},
+        "agents": [asdict(agent) for agent in metrics],
+        "differences": {
+            metric: [asdict(d) for d in many] for metric, many in paired_differences.items()
+        },
     }
     atomic_write_text(out / "summary.json", json.dumps(_finite(summary), indent=1))
 

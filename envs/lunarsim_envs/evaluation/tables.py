@@ -24,16 +24,16 @@ def _table(headings: tuple[str, ...]) -> Table:
     return table
 
 
-def agents_table(found: list[AgentMetrics], within: float) -> Table:
+def agents_table(metrics: list[AgentMetrics], max_distance: float) -> Table:
     """Return the table of metrics that `lunarsim evaluate` prints, one row per agent.
 
-    `within` is the distance of an on-target landing from the target, m.
+    `max_distance` is the maximum distance of an on-target landing from the target, m.
     """
     table = _table(
-        ("Agent", "Episodes", "Landed safely [95 % CI]", f"Safe within {within:g} m", "Score, mean",
-         "Propellant (kg)\nsafe landings", "Miss (m)\nsafe landings", "Steps,\nmean")
+        ("Agent", "Episodes", "Landed safely [95 % CI]", f"Safe within {max_distance:g} m",
+         "Score, mean", "Propellant (kg)\nsafe landings", "Miss (m)\nsafe landings", "Steps,\nmean")
     )  # fmt: skip
-    for agent in found:
+    for agent in metrics:
         table.add_row(
             agent.name, str(agent.episodes),
             "-" if agent.safe is None else str(agent.safe),
@@ -44,16 +44,20 @@ def agents_table(found: list[AgentMetrics], within: float) -> Table:
     return table
 
 
-def _interval(d: Difference) -> str:
+def _interval(difference: Difference) -> str:
     """Format a difference with its 95 % interval, if there is one."""
-    value = f"{d.value:+.3f}"
-    return value if np.isnan(d.low) else f"{value} [{d.low:+.3f}, {d.high:+.3f}]"
+    value = f"{difference.value:+.3f}"
+    return (
+        value
+        if np.isnan(difference.low)
+        else f"{value} [{difference.low:+.3f}, {difference.high:+.3f}]"
+    )
 
 
-def differences_table(between: dict[str, list[Difference]]) -> Table:
+def differences_table(paired_differences: dict[str, list[Difference]]) -> Table:
     """Return the table of paired differences, one row per pair of agents and metric."""
     table = _table(("Paired difference", "Metric", "Pairs", "Difference [95 % CI]", "p (Holm)"))
-    for metric, many in between.items():
+    for metric, many in paired_differences.items():
         for d in many:
             table.add_row(
                 f"{d.second} - {d.first}", _UNITS[metric], str(d.pairs),

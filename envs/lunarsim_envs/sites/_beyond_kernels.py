@@ -28,31 +28,31 @@ _LOOKED, _FINEST = 4, 1.0 / 64.0
 
 
 @kernel(inner=True)
-def ways_of(state, law, out):
+def path_coefficients(state, law, out):
     """Compute how path samples depend on the time-to-go T, into `out` (samples, 9).
 
-    `state` (2, 3) is the estimated position and velocity. With g the vector from target to lander,
-    acceleration is out[0] g / T^2 + out[1:4] / T and position from the target out[4] g + out[5:8]
-    T.
+    `state` (2, 3) is the estimated position and velocity. With r the vector from target to lander,
+    the acceleration at a sample is out[0] r / T^2 + out[1:4] / T, and its position relative to the
+    target is out[4] r + out[5:8] T. The last column is unused.
     """
     low, high = law.powers[0], law.powers[1]
     k = (low + 2.0) / (high - low)
     for s in range(len(out)):
-        share = law.rough[s, SHARE]
-        f, g = (low + 1.0) * law.rough[s, LOW], (high + 1.0) * law.rough[s, HIGH]
+        fraction = law.coarse_table[s, SHARE]
+        f, g = (low + 1.0) * law.coarse_table[s, LOW], (high + 1.0) * law.coarse_table[s, HIGH]
         out[s, 0] = k * (high + 2.0) * (f - g)
         rest = g - k * (f - g)
-        near, far = law.rough[s, LOW] / (low + 2.0), law.rough[s, HIGH] / (high + 2.0)
-        out[s, 4] = share * share * k * (high + 2.0) * (near - far)
-        other = share * share * (far - k * (near - far))
+        near, far = law.coarse_table[s, LOW] / (low + 2.0), law.coarse_table[s, HIGH] / (high + 2.0)
+        out[s, 4] = fraction * fraction * k * (high + 2.0) * (near - far)
+        other = fraction * fraction * (far - k * (near - far))
         for axis in range(3):
-            asked, change = law.asked[0, axis], law.asked[0, axis] - state[1, axis]
+            asked, change = law.final[0, axis], law.final[0, axis] - state[1, axis]
             out[s, 1 + axis] = out[s, 0] * asked + rest * change
-            out[s, 5 + axis] = out[s, 4] * asked + other * change - share * asked
+            out[s, 5 + axis] = out[s, 4] * asked + other * change - fraction * asked
 
 
 @kernel(inline=True)
-def _square(a, b, c, out, sign):
+def _add_square(a, b, c, out, sign):
     """Add sign * (a x^2 + b x + c)^2 to a polynomial `out` (5,), constant term first."""
     out[0] += sign * c * c
     out[1] += sign * 2.0 * b * c
@@ -62,10 +62,11 @@ def _square(a, b, c, out, sign):
 
 
 @kernel(inline=True)
-def _positive(c, low, high):
-    """Return whether a quartic (5,), constant first, is positive from `low` to `high`.
+def _is_positive(c, low, high):
+    """Return whether a quartic is positive from `low` to `high`.
 
-    The test by Bernstein coefficients is sufficient, not necessary.
+    `c` (5,) are its coefficients, constant term first. The test by Bernstein coefficients is
+    sufficient, not necessary.
     """
     w = high - low
     # Bernstein form on the interval from low to high.
@@ -84,119 +85,158 @@ def _positive(c, low, high):
 
 
 @kernel(inline=True)
-def _over(way, gap, wide, tall, glide, time):
+def _height_above_glideslope(coefficients, offset, half_width, half_height, glideslope, time_to_go):
     """Bound the height of a path sample above the glideslope cone of a target box, m.
 
-    `way` is a row of `ways_of`, `gap` (3,) the vector from the centre of the box to the lander,
-    `wide` and `tall` the half sizes of the box, m, `glide` the tangent of the glideslope and `time`
-    the time-to-go T, s. Also returns the derivative with respect to T.
+    `coefficients` is a row of `path_coefficients`, `offset` (3,) the vector from the centre of the
+    box to the lander, m, and `glideslope` a tangent. Also returns the derivative with respect to
+    the time-to-go.
     """
-    part = abs(way[4])
-    east, north = way[4] * gap[0] + way[5] * time, way[4] * gap[1] + way[6] * time
+    part = abs(coefficients[4])
+    east, north = (
+        coefficients[4] * offset[0] + coefficients[5] * time_to_go,
+        coefficients[4] * offset[1] + coefficients[6] * time_to_go,
+    )
     side = np.sqrt(east * east + north * north)
-    grows = (east * way[5] + north * way[6]) / max(side, 1e-9)
-    above = way[4] * gap[2] + way[7] * time + 0.5 + part * (tall + glide * wide) - glide * side
-    return above + _LENGTH + _SPEED * time, way[7] - glide * grows + _SPEED
+    grows = (east * coefficients[5] + north * coefficients[6]) / max(side, 1e-9)
+    above = (
+        coefficients[4] * offset[2]
+        + coefficients[7] * time_to_go
+        + 0.5
+        + part * (half_height + glideslope * half_width)
+        - glideslope * side
+    )
+    return above + _LENGTH + _SPEED * time_to_go, coefficients[7] - glideslope * grows + _SPEED
 
 
 @kernel(inner=True)
-def sunk(ways, gap, wide, tall, glide, first):
+def glideslope_exit_time(paths, offset, half_width, half_height, glideslope, min_time):
     """Return a time-to-go above which all paths to a box violate the glideslope, s.
 
-    The time is at least `first`, and inf if no such time is known. Arguments as in `_over`; `ways`
-    are the rows of `ways_of`.
+    The time is at least `min_time`, and inf if no such time is known. `paths` are the rows of
+    `path_coefficients`; other arguments as in `_height_above_glideslope`.
     """
     best = np.inf
-    for s in range(len(ways) - 1):
-        way = ways[s]
-        if not way[7] + _SPEED < 0.0:
+    for s in range(len(paths) - 1):
+        coefficients = paths[s]
+        if not coefficients[7] + _SPEED < 0.0:
             continue
-        part = abs(way[4])
-        u = way[4] * gap[2] + 0.5 + part * (tall + glide * wide) + _LENGTH
-        v = way[7] + _SPEED
+        part = abs(coefficients[4])
+        u = (
+            coefficients[4] * offset[2]
+            + 0.5
+            + part * (half_height + glideslope * half_width)
+            + _LENGTH
+        )
+        v = coefficients[7] + _SPEED
         lowest = -u / v  # below the terrain after this time
-        g = glide * glide
-        a = v * v - g * (way[5] * way[5] + way[6] * way[6])
-        b = u * v - g * way[4] * (gap[0] * way[5] + gap[1] * way[6])
-        c = u * u - g * way[4] * way[4] * (gap[0] * gap[0] + gap[1] * gap[1])
+        g = glideslope * glideslope
+        a = v * v - g * (coefficients[5] * coefficients[5] + coefficients[6] * coefficients[6])
+        b = u * v - g * coefficients[4] * (
+            offset[0] * coefficients[5] + offset[1] * coefficients[6]
+        )
+        c = u * u - g * coefficients[4] * coefficients[4] * (
+            offset[0] * offset[0] + offset[1] * offset[1]
+        )
         time, inside = lowest, b * b - a * c
         if inside >= 0.0 and abs(a) > 1e-12:
             time = -np.inf
             for sign in (-1.0, 1.0):
-                at = (-b + sign * np.sqrt(inside)) / a
-                if time < at <= lowest:
-                    time = at
+                root = (-b + sign * np.sqrt(inside)) / a
+                if time < root <= lowest:
+                    time = root
         elif inside < 0.0:
             time = -np.inf
-        time = max(time * 1.0001 + 0.01, first)
-        above, grows = _over(way, gap, wide, tall, glide, time)
+        time = max(time * 1.0001 + 0.01, min_time)
+        above, grows = _height_above_glideslope(
+            coefficients, offset, half_width, half_height, glideslope, time
+        )
         if above < 0.0 and grows < 0.0 and time < best:
             best = time
     return best
 
 
 @kernel(inner=True)
-def _quartics(ways, gap, wide, tall, figures, out):
+def _limit_polynomials(paths, offset, half_width, half_height, params, out):
     """Compute polynomials in 1 / T, positive where all paths to a box violate limits.
 
-    `out[0]` (5,) is for the thrust, the others for the tilt at the first samples. `figures` are
-    `Law.figures`; other arguments as in `_over`.
+    T is the time-to-go. `out[0]` (5,) is for the thrust, the others for the tilt at the first
+    samples. `params` is a field of `GuidanceParams`; other arguments as in
+    `_height_above_glideslope`.
     """
     out[:] = 0.0
-    tan, gravity = figures[TAN_TILT] * (1.0 + _SHARE), figures[GRAVITY]
+    tan, gravity = params[TAN_TILT] * (1.0 + _SHARE), params[GRAVITY]
     for s in range(_LOOKED):
-        part, way = ways[s, 0], ways[s]
-        room = abs(part) * (wide + tan * tall)
-        one = out[1 + s]
-        _square(part * gap[0], way[1], 0.0, one, 1.0)
-        _square(part * gap[1], way[2], 0.0, one, 1.0)
-        _square(tan * part * gap[2] + room, tan * way[3], tan * gravity, one, -1.0)
-        one[0] -= _SQUARE
-    one, way, part = out[0], ways[0], ways[0, 0]
+        part, coefficients = paths[s, 0], paths[s]
+        room = abs(part) * (half_width + tan * half_height)
+        polynomial = out[1 + s]
+        _add_square(part * offset[0], coefficients[1], 0.0, polynomial, 1.0)
+        _add_square(part * offset[1], coefficients[2], 0.0, polynomial, 1.0)
+        _add_square(
+            tan * part * offset[2] + room, tan * coefficients[3], tan * gravity, polynomial, -1.0
+        )
+        polynomial[0] -= _SQUARE
+    polynomial, coefficients, part = out[0], paths[0], paths[0, 0]
     for axis in range(3):
-        _square(part * gap[axis], way[1 + axis], gravity if axis == 2 else 0.0, one, 1.0)
-    most = figures[MOST] / figures[MASS] * (1.0 + _SHARE)
-    _square(abs(part) * np.sqrt(wide * wide + tall * tall), 0.0, most, one, -1.0)
-    one[0] -= _SQUARE
+        _add_square(
+            part * offset[axis],
+            coefficients[1 + axis],
+            gravity if axis == 2 else 0.0,
+            polynomial,
+            1.0,
+        )
+    most = params[MOST] / params[MASS] * (1.0 + _SHARE)
+    _add_square(
+        abs(part) * np.sqrt(half_width * half_width + half_height * half_height),
+        0.0,
+        most,
+        polynomial,
+        -1.0,
+    )
+    polynomial[0] -= _SQUARE
 
 
 @kernel()
-def beyond(ways, state, low, high, speed, most, law, figures):
-    """Return whether no target in a box can be reached within limits, proven.
+def is_unreachable(paths, state, low, high, speed, max_acceleration, law, params):
+    """Return whether it is proven that no target in a box is reachable within limits.
 
-    `low` and `high` (3,) are corners of the box, m; `state` (2, 3) is position and velocity;
-    `speed` is its norm and `most` the maximum acceleration, m/s^2. False means that nothing is
-    proven.
+    `paths` is from `path_coefficients`. `low` and `high` (3,) are corners of the box, m; `state`
+    (2, 3) is position and velocity; `speed` is the norm of the velocity and `max_acceleration` is
+    in m/s^2. False means that nothing is proven.
     """
     for axis in range(3):
-        if law.asked[1, axis] != 0.0:
+        if law.final[1, axis] != 0.0:
             return False
-    gap, way = np.empty(3), 0.0
+    offset, squared_distance = np.empty(3), 0.0
     for axis in range(3):
-        gap[axis] = state[0, axis] - 0.5 * (low[axis] + high[axis])
-        way += gap[axis] * gap[axis]
-    wide = 0.5 * np.hypot(high[0] - low[0], high[1] - low[1])
-    tall = 0.5 * (high[2] - low[2])
-    least = max(np.sqrt(way) - np.hypot(wide, tall), 0.0)
-    first = 2.0 * least / (speed + np.sqrt(speed * speed + 2.0 * most * least) + 1e-12)
+        offset[axis] = state[0, axis] - 0.5 * (low[axis] + high[axis])
+        squared_distance += offset[axis] * offset[axis]
+    half_width = 0.5 * np.hypot(high[0] - low[0], high[1] - low[1])
+    half_height = 0.5 * (high[2] - low[2])
+    min_distance = max(np.sqrt(squared_distance) - np.hypot(half_width, half_height), 0.0)
+    first = (
+        2.0
+        * min_distance
+        / (speed + np.sqrt(speed * speed + 2.0 * max_acceleration * min_distance) + 1e-12)
+    )
     first = max(first, 1.0) * (1.0 - 1e-4)
-    if not figures[GLIDE] > 0.0 or len(ways) <= _LOOKED:
+    if not params[GLIDE] > 0.0 or len(paths) <= _LOOKED:
         return False
-    until = sunk(ways, gap, wide, tall, figures[GLIDE], first)
+    until = glideslope_exit_time(paths, offset, half_width, half_height, params[GLIDE], first)
     if until == np.inf:
         return False
     quartics = np.empty((1 + _LOOKED, 5))
-    _quartics(ways, gap, wide, tall, figures, quartics)
-    at, end = 1.0 / until, 1.0 / first
-    span = end - at
+    _limit_polynomials(paths, offset, half_width, half_height, params, quartics)
+    inverse_time, end = 1.0 / until, 1.0 / first
+    span = end - inverse_time
     step = span
-    while at < end:
-        there = min(at + step, end)
+    while inverse_time < end:
+        next_inverse_time = min(inverse_time + step, end)
         proven = False
         for k in range(1 + _LOOKED):
-            proven = proven or _positive(quartics[k], at, there)
+            proven = proven or _is_positive(quartics[k], inverse_time, next_inverse_time)
         if proven:
-            at = there
+            inverse_time = next_inverse_time
             step *= 2.0
         else:
             step *= 0.5

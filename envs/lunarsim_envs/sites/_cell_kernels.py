@@ -1,9 +1,9 @@
 # mypy: allow-untyped-defs, no-check-untyped-defs
 """Compiled selection of map cells: the best scores, and the nearest safe cells.
 
-In all functions, `aim` (rows, cols) is p_safe averaged over the landing dispersion, `corner` (2,)
-and `posting` are position and spacing of cells, m, and `site` is the current site. The score of a
-cell is `aim`, slightly reduced with its distance from the site.
+In all functions, `p_safe` (rows, cols) is averaged over the landing dispersion, `corner` (2,) and
+`posting` are position and spacing of cells, m, and `site` is the current site. The score of a cell
+is `p_safe`, slightly reduced with its distance from the site.
 """
 
 from __future__ import annotations
@@ -21,22 +21,23 @@ _NOUGHT, _WHOLE = np.float32(0.0), np.float32(1.0)
 
 
 @kernel(finite=True)
-def offsets(corner, posting, site, out):
+def east_offsets(west, posting, site_east, out):
     """Write the east offset of each map column from a site to `out` (cols,), m."""
     for c in range(len(out)):
-        out[c] = np.float32(corner + c * posting - site)
+        out[c] = np.float32(west + c * posting - site_east)
 
 
 @kernel(finite=True)
-def _scored(aim, dy, offset, score):
-    """Write the scores of the cells of one row (cols,); `aim` 0 excludes a cell.
+def _score_row(p_safe, north_offset, east_offset, score):
+    """Write the scores of the cells of one map row (cols,).
 
-    `dy` and `offset` (cols,) are the north and east offsets of cells from the site, m.
+    The score is p_safe, slightly reduced with the distance from the site, which `north_offset` and
+    `east_offset` (cols,) give, m. Cells with p_safe 0 are excluded.
     """
-    for c in range(len(aim)):
-        dx = offset[c]
-        good = aim[c] * (_WHOLE - _PRICE * np.sqrt(dx * dx + dy * dy))
-        score[c] = good if aim[c] > _NOUGHT else NOWHERE
+    for c in range(len(p_safe)):
+        east = east_offset[c]
+        value = p_safe[c] * (_WHOLE - _PRICE * np.sqrt(east * east + north_offset * north_offset))
+        score[c] = value if p_safe[c] > _NOUGHT else NOWHERE
 
 
 @kernel()
@@ -60,22 +61,23 @@ def row_max(cells, row):
 
 
 @kernel()
-def score_all(aim, corner, posting, site, score, most, highest):
-    """Compute the scores of all cells, `score` (rows, cols).
+def score_all(p_safe, corner, posting, site, score, score_maxima, p_safe_maxima):
+    """Write `score` (rows, cols): p_safe slightly reduced with distance from the site.
 
-    Also writes the maximum of each row of the scores to `most` and of `aim` to `highest` (rows,).
+    Cells with p_safe 0 are excluded. Also writes the maximum of each row to `score_maxima` and
+    `p_safe_maxima` (rows,).
     """
-    rows, cols = aim.shape
+    rows, cols = p_safe.shape
     offset = np.empty(cols, np.float32)
-    offsets(corner[0], posting, site[0], offset)
+    east_offsets(corner[0], posting, site[0], offset)
     for r in range(rows):
         dy = np.float32(corner[1] + r * posting - site[1])
-        _scored(aim[r], dy, offset, score[r])
-        most[r], highest[r] = row_max(score, r), row_max(aim, r)
+        _score_row(p_safe[r], dy, offset, score[r])
+        score_maxima[r], p_safe_maxima[r] = row_max(score, r), row_max(p_safe, r)
 
 
 @kernel(inner=True)
-def halves_of(separation, posting, out):
+def disc_half_widths(separation, posting, out):
     """Write the half width of a disc of radius `separation` (m) in each row of cells.
 
     Entry k of `out`, in cells, is for the rows k cells from the centre.
@@ -87,55 +89,56 @@ def halves_of(separation, posting, out):
 
 
 @kernel(inner=True)
-def clear(score, most, row, col, halves):
+def exclude_disc(score, score_maxima, row, col, half_widths):
     """Exclude the cells in a disc around a chosen cell from further choices.
 
-    `halves` are the half widths from `halves_of`; updates `score` and its row maxima `most`.
+    `half_widths` are from `disc_half_widths`; updates `score` and its row maxima `score_maxima`.
     """
     rows, cols = score.shape
-    wide = len(halves) - 1
+    wide = len(half_widths) - 1
     for r in range(max(row - wide, 0), min(row + wide + 1, rows)):
-        half = halves[abs(r - row)]
+        half = half_widths[abs(r - row)]
         for c in range(max(col - half + 1, 0), min(col + half, cols)):
             score[r, c] = NOWHERE
-        most[r] = row_max(score, r)
+        score_maxima[r] = row_max(score, r)
 
 
 @kernel()
-def best_cells(aim, corner, posting, site, count, separation, score, highest, cells):
-    """Select up to `count` cells with the highest scores, `separation` (m) apart.
+def best_cells(p_safe, corner, posting, site, count, separation, score, p_safe_maxima, cells):
+    """Select up to `count` cells with the highest scores, at a minimum separation.
 
-    The separation is a minimum. Writes row and column to `cells` (m, 2), and returns the number of
-    cells. `score` (rows, cols) is scratch; `highest` (rows,) gets the row maxima of `aim`.
+    The score is p_safe, slightly reduced with distance from the site; `separation` is in m. Writes
+    row and column to `cells` (m, 2), and returns the number of cells. `score` (rows, cols) is
+    scratch; `p_safe_maxima` (rows,) gets the row maxima of `p_safe`.
     """
-    rows = len(aim)
-    most = np.empty(rows, np.float32)
-    score_all(aim, corner, posting, site, score, most, highest)
-    halves = np.empty(int(np.ceil(separation / posting)) + 1, np.int64)
-    halves_of(separation, posting, halves)
+    rows = len(p_safe)
+    score_maxima = np.empty(rows, np.float32)
+    score_all(p_safe, corner, posting, site, score, score_maxima, p_safe_maxima)
+    half_widths = np.empty(int(np.ceil(separation / posting)) + 1, np.int64)
+    disc_half_widths(separation, posting, half_widths)
     for n in range(count):
         row = 0
         for r in range(1, rows):
-            if most[r] > most[row]:
+            if score_maxima[r] > score_maxima[row]:
                 row = r
-        if most[row] <= NOWHERE:
+        if score_maxima[row] <= NOWHERE:
             return n
         col = 0
-        while score[row, col] != most[row]:
+        while score[row, col] != score_maxima[row]:
             col += 1
         cells[n, 0], cells[n, 1] = row, col
-        clear(score, most, row, col, halves)
+        exclude_disc(score, score_maxima, row, col, half_widths)
     return count
 
 
 @kernel()
-def nearest(aim, corner, posting, site, level, highest, place):
-    """Find the cell nearest to the site with `aim` of at least `level`.
+def nearest_cell(p_safe, corner, posting, site, min_p_safe, p_safe_maxima, cell):
+    """Find the cell nearest to the site with `p_safe` of at least `min_p_safe`.
 
-    Writes row and column to `place` (2,), and returns whether there is such a cell. `highest`
-    (rows,) are the row maxima of `aim`.
+    Writes row and column to `cell` (2,), and returns whether there is such a cell. `p_safe_maxima`
+    (rows,) are the row maxima of `p_safe`.
     """
-    rows, cols = aim.shape
+    rows, cols = p_safe.shape
     middle = min(max(int(np.floor((site[1] - corner[1]) / posting + 0.5)), 0), rows - 1)
     best = np.inf
     for k in range(2 * rows):
@@ -143,31 +146,33 @@ def nearest(aim, corner, posting, site, level, highest, place):
         if not 0 <= r < rows:
             continue
         dy = corner[1] + r * posting - site[1]
-        if dy * dy > best or highest[r] < level:
+        if dy * dy > best or p_safe_maxima[r] < min_p_safe:
             continue
         for c in range(cols):
-            if aim[r, c] >= level:
+            if p_safe[r, c] >= min_p_safe:
                 dx = corner[0] + c * posting - site[0]
                 far = dx * dx + dy * dy
-                if far < best or (far == best and r < place[0]):
+                if far < best or (far == best and r < cell[0]):
                     best = far
-                    place[0], place[1] = r, c
+                    cell[0], cell[1] = r, c
     return best < np.inf
 
 
 @kernel()
-def nearest_cells(aim, corner, posting, site, levels, count, highest, cells):
-    """Append the nearest cell at each minimum `aim` of `levels` to a list of cells.
+def nearest_cells(p_safe, corner, posting, site, p_safe_levels, count, p_safe_maxima, cells):
+    """Append for each of `p_safe_levels` the nearest cell with at least this p_safe.
 
     `cells` (m, 2) has `count` cells before; cells in the list are not repeated. Returns the new
     number of cells.
     """
-    place = np.empty(2, np.int64)
-    for k in range(len(levels)):
-        known = not nearest(aim, corner, posting, site, levels[k], highest, place)
+    cell = np.empty(2, np.int64)
+    for k in range(len(p_safe_levels)):
+        known = not nearest_cell(
+            p_safe, corner, posting, site, p_safe_levels[k], p_safe_maxima, cell
+        )
         for n in range(count):
-            known = known or (cells[n, 0] == place[0] and cells[n, 1] == place[1])
+            known = known or (cells[n, 0] == cell[0] and cells[n, 1] == cell[1])
         if not known:
-            cells[count, 0], cells[count, 1] = place[0], place[1]
+            cells[count, 0], cells[count, 1] = cell[0], cell[1]
             count += 1
     return count

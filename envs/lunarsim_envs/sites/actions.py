@@ -27,9 +27,9 @@ Mask = NDArray[np.bool_]
 TIME_SCALES = (1.0, 1.07, 1.15, 1.3)
 
 
-def _every(sights: SiteInputs, count: int) -> Mask:
+def _all_available(inputs: SiteInputs, count: int) -> Mask:
     """Return a mask (n, count) in which all choices are available."""
-    return np.ones((len(sights.site), count), np.bool_)
+    return np.ones((len(inputs.site), count), np.bool_)
 
 
 @dataclass(frozen=True)
@@ -82,24 +82,24 @@ def register(part: ActionComponent) -> None:
     PARTS[part.name] = part
 
 
-def _sites(sights: SiteInputs, chosen: Choice) -> Array:
-    n, most = len(chosen), sights.position_of.shape[1]
+def _sites(inputs: SiteInputs, chosen: Choice) -> Array:
+    n, most = len(chosen), inputs.position_of.shape[1]
     out = np.full((n, 3), np.nan)
     (moved,) = np.nonzero((chosen > 0) & (chosen <= most))
-    out[moved] = sights.position_of[moved, chosen[moved] - 1]
+    out[moved] = inputs.position_of[moved, chosen[moved] - 1]
     return out
 
 
-def _sites_open(sights: SiteInputs) -> Mask:
-    mask = np.zeros((len(sights.site), SITES + 1), np.bool_)
+def _sites_open(inputs: SiteInputs) -> Mask:
+    mask = np.zeros((len(inputs.site), SITES + 1), np.bool_)
     mask[:, 0] = True
-    n = min(SITES, sights.cost.shape[1])
-    known = np.arange(n) < sights.count[:, None]
-    mask[:, 1 : n + 1] = known & np.isfinite(sights.cost[:, :n])
+    n = min(SITES, inputs.cost.shape[1])
+    known = np.arange(n) < inputs.count[:, None]
+    mask[:, 1 : n + 1] = known & np.isfinite(inputs.cost[:, :n])
     return mask
 
 
-def _time_scales(sights: SiteInputs, chosen: Choice) -> Array:
+def _time_scales(inputs: SiteInputs, chosen: Choice) -> Array:
     return np.array([np.nan, *TIME_SCALES])[chosen]
 
 
@@ -130,20 +130,20 @@ class SiteDecisions:
         path (n,). NaN changes nothing.
     invalid
         Landers with an unavailable choice (n,); nothing changes for them.
-    lost
+    factor_ignored
         Landers whose factor is ignored because another choice was unavailable (n,).
     """
 
     site: Array
     time_scale: Array
     invalid: Mask
-    lost: Mask
+    factor_ignored: Mask
 
 
-def _array(given: Any) -> NDArray[Any]:
+def _array(actions: Any) -> NDArray[Any]:
     """Return actions as an array; lists of unequal lengths give an array of shape ()."""
     try:
-        return np.asarray(given)
+        return np.asarray(actions)
     except ValueError:
         return np.array(None)
 
@@ -193,7 +193,7 @@ class SiteActions:
         """Return whether the action has a component with this name."""
         return any(part.name == name for part in self.parts)
 
-    def alone(self, name: str, choice: int) -> Any:
+    def single_choice(self, name: str, choice: int) -> Any:
         """Return the action that makes `choice` in one component, and 0 in all others."""
         chosen = np.array([choice * (part.name == name) for part in self.parts], np.int64)
         return chosen[0] if len(chosen) == 1 else chosen
@@ -206,7 +206,7 @@ class SiteActions:
         at = [k for k, part in enumerate(self.parts) if part.name == name]
         return np.asarray(chosen[:, at].sum(axis=1))
 
-    def chosen(self, action: Any) -> Choice:
+    def checked_choices(self, action: Any) -> Choice:
         """Check the action of a single environment; return its choices (1, components).
 
         Raises
@@ -225,7 +225,7 @@ class SiteActions:
             raise ValueError(f"action: must be {self._bounds}, got {action!r}.")
         return given.astype(np.int64)[None]
 
-    def all_chosen(self, actions: Any, count: int) -> Choice:
+    def checked_batch_choices(self, actions: Any, count: int) -> Choice:
         """Check the actions of `count` environments; return the choices (n, components).
 
         Raises
@@ -258,33 +258,33 @@ class SiteActions:
     def _out(self, given: NDArray[Any]) -> bool:
         return bool(((given < 0) | (given >= np.array(self.counts))).any())
 
-    def masks(self, sights: SiteInputs) -> Mask:
+    def masks(self, inputs: SiteInputs) -> Mask:
         """Return which choices are available (n, total number of choices).
 
         The masks of all components are concatenated. Factors on the time-to-go are always
         available; whether they can be flown also depends on the site.
         """
-        return np.concatenate([self._open(part, sights) for part in self.parts], axis=1)
+        return np.concatenate([self._open(part, inputs) for part in self.parts], axis=1)
 
-    def _open(self, part: ActionComponent, sights: SiteInputs) -> Mask:
+    def _open(self, part: ActionComponent, inputs: SiteInputs) -> Mask:
         if part.open is None:
-            return _every(sights, part.count)
-        mask = np.asarray(part.open(sights), dtype=np.bool_)
-        check_shape(f"action: {part.name}: open", mask, (len(sights.site), part.count))
+            return _all_available(inputs, part.count)
+        mask = np.asarray(part.open(inputs), dtype=np.bool_)
+        check_shape(f"action: {part.name}: open", mask, (len(inputs.site), part.count))
         return mask
 
-    def orders(self, chosen: Choice, sights: SiteInputs) -> SiteDecisions:
+    def decisions(self, chosen: Choice, inputs: SiteInputs) -> SiteDecisions:
         """Convert the choices of n landers (n, components) to site decisions.
 
-        `sights` are the onboard data from which the choices were made.
+        `inputs` are the onboard data from which the choices were made.
         """
         n = len(chosen)
         places = chosen + np.cumsum([0, *self.counts[:-1]])
-        had = np.take_along_axis(self.masks(sights), places, axis=1)
+        had = np.take_along_axis(self.masks(inputs), places, axis=1)
         invalid: Mask = np.asarray(~had.all(axis=1))
         decided = {"site": np.full((n, 3), np.nan), "time_scale": np.full(n, np.nan)}
         for part, own in zip(self.parts, chosen.T, strict=True):
-            value = np.array(part.of(sights, own), dtype=np.float64)
+            value = np.array(part.of(inputs, own), dtype=np.float64)
             check_shape(f"action: {part.name}", value, decided[part.sets].shape)
             decided[part.sets] = value
         if (decided["time_scale"] <= 0.0).any() or np.isinf(decided["time_scale"]).any():

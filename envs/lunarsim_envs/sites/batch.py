@@ -31,7 +31,7 @@ _CYCLE, _MAP = 6.0, 2000.0
 _NOTHING = np.array([np.nan, np.inf, 0.0])
 
 
-def kernel_guidance(scenario: Scenario, craft: VehicleParams) -> f.Law:
+def kernel_guidance(scenario: Scenario, craft: VehicleParams) -> f.GuidanceParams:
     """Convert the guidance settings of a scenario to the form that kernels use.
 
     Raises
@@ -41,7 +41,7 @@ def kernel_guidance(scenario: Scenario, craft: VehicleParams) -> f.Law:
     """
     software = scenario.software()
     guidance, approach, window = software.guidance, software.approach, software.decisions
-    _refuse_others(scenario, guidance)
+    _check_supported(scenario, guidance)
     lander = craft.dynamics.lander
     gravity = scenario.gravity_m_s2
     lag = software.control.response_time + lander.thrust_lag
@@ -60,7 +60,7 @@ def kernel_guidance(scenario: Scenario, craft: VehicleParams) -> f.Law:
         -approach.vertical_descent_speed,
     ])  # fmt: skip
     clock = scenario.simulation.make()
-    return f.Law(
+    return f.GuidanceParams(
         np.array(guidance.shape.powers), np.array([end.velocity, end.acceleration]),
         np.asarray(end.position, dtype=np.float64), figures, samples(guidance.shape, 8),
         samples(guidance.shape, 24),
@@ -86,7 +86,7 @@ def samples(shape: PathShape, count: int) -> Array:
     return np.column_stack((left, left**shape.low, left**shape.high))
 
 
-def _refuse_others(scenario: Scenario, guidance: Any) -> None:
+def _check_supported(scenario: Scenario, guidance: Any) -> None:
     """Raise InputError if kernels do not support the guidance or a scenario table."""
     plain = isinstance(guidance, PathLaw) and type(guidance).cost is PathLaw.cost
     if not plain or guidance.feedback(scenario.gravity_m_s2) is not None:
@@ -127,7 +127,7 @@ class SiteDescentBatch(DescentBatch):
         Error model of the perception, from `Surrogate.errors` or `exact_errors`.
     view
         Field of view of the LiDAR, from `fov_and_footprint`.
-    drift, claimed
+    drift_sigma, reported_velocity_sigma
         True standard deviation of the drift velocity, east and north (2,), and the standard
         deviation that navigation reports per axis, m/s.
     posting
@@ -135,9 +135,9 @@ class SiteDescentBatch(DescentBatch):
 
     Attributes
     ----------
-    course, maps, found
-        Guidance states (`_flight_kernels.Course`), hazard maps (`_map_kernels.Maps`) and candidate
-        sites (`_choice_kernels.Found`).
+    guidance, maps, candidates
+        Guidance states (`GuidanceState`), hazard maps (`Maps`) and candidate sites
+        (`CandidateSites`).
     refused, time_scale_refused
         Whether the site of the last decision was out of reach, and whether its factor on the
         time-to-go was refused (n,).
@@ -147,8 +147,8 @@ class SiteDescentBatch(DescentBatch):
     keeps_maps: ClassVar[bool] = True
 
     def __init__(
-        self, count: int, scenario: Scenario, pool: SiteWorldPool, *, errors: m.Errors, view: Array,
-        drift: Array, claimed: float, posting: float,
+        self, count: int, scenario: Scenario, pool: SiteWorldPool, *, errors: m.MapErrorModel,
+        view: Array, drift_sigma: Array, reported_velocity_sigma: float, posting: float,
     ) -> None:  # fmt: skip
         craft = VehicleParams.of(scenario)
         clock = scenario.simulation.make()
@@ -158,16 +158,18 @@ class SiteDescentBatch(DescentBatch):
         self.decisions = scenario.decisions.make()
         size = scenario.mappers[deciding_mapper(scenario)].make().size
         cells = max(1, round(size / posting)) if self.keeps_maps else 1
-        self.drift = np.asarray(drift, dtype=np.float64)
+        self.drift_sigma = np.asarray(drift_sigma, dtype=np.float64)
         approach = scenario.approach.make()
-        stated = np.array([
-            self.decisions.touchdown_sigma, claimed,
+        miss_params = np.array([
+            self.decisions.touchdown_sigma, reported_velocity_sigma,
             approach.vertical_altitude / approach.vertical_descent_speed,
         ])  # fmt: skip
-        self.course = _course(count)
-        self.maps = _maps(count, cells, posting, stated)
+        self.guidance = _guidance_state(count)
+        self.maps = _maps(count, cells, posting, miss_params)
         # Twice the number: reachable candidates, plus substitutes for those out of reach.
-        self.found = _found(count, 2 * (self.decisions.candidates + len(self.levels)))
+        self.candidates = _candidate_sites(
+            count, 2 * (self.decisions.candidates + len(self.levels))
+        )
         self.refused, self.time_scale_refused = np.zeros(count, np.bool_), np.zeros(count, np.bool_)
         self._control = self._vehicle.control
 
@@ -175,20 +177,20 @@ class SiteDescentBatch(DescentBatch):
         """Start new flights in the lanes of `mask` (n,) and fly to their first decisions."""
         super().begin(mask)
         self._run(
-            f.begin, 100.0 * self.count, mask, self._keys, self._flight_counts, self.y,
-            self.target, self.drift, self._control, self.craft.heading, self.course, self.law,
+            f.begin, 100.0 * self.count, mask, self._keys, self._flight_counts, self.y, self.target,
+            self.drift_sigma, self._control, self.craft.heading, self.guidance, self.law,
         )  # fmt: skip
         maps = self.maps
         half = 0.5 * (maps.p.shape[1] - 1) * maps.posting
         maps.corner[mask] = self.target[mask, :2] - half
-        maps.p[mask], maps.seen[mask], maps.aim[mask] = 0.0, False, 0.0
+        maps.p[mask], maps.seen[mask], maps.averaged[mask] = 0.0, False, 0.0
         maps.height[mask] = np.nan
-        maps.aimed[mask], maps.mapped[mask] = np.nan, 0.0
+        maps.averaged_miss[mask], maps.map_time[mask] = np.nan, 0.0
         self.refused[mask] = self.time_scale_refused[mask] = False
         # Clear the candidates of the last flight, because a flight may end before its first map.
-        self.found.number[mask], self.found.here[mask] = 0, _NOTHING
+        self.candidates.number[mask], self.candidates.here[mask] = 0, _NOTHING
         self.mapped = mask.copy()
-        self._on(mask)
+        self._fly_on(mask)
 
     def decide(self, sites: Array, mask: Mask, time_scales: Array | None = None) -> None:
         """Apply site decisions of some lanes and fly to the next decision or the end.
@@ -206,13 +208,13 @@ class SiteDescentBatch(DescentBatch):
         mask = mask & (self.ended == FLYING)
         asked = np.full(self.count, np.nan) if time_scales is None else time_scales
         self._run(
-            f.decide, 20.0 * self.count, mask, self.time, self.y, sites, asked, self.course,
+            f.decide, 20.0 * self.count, mask, self.time, self.y, sites, asked, self.guidance,
             self.law, self.refused, self.time_scale_refused,
         )  # fmt: skip
         self.mapped = np.zeros(self.count, np.bool_)
-        self._on(mask)
+        self._fly_on(mask)
 
-    def _on(self, mask: Mask) -> None:
+    def _fly_on(self, mask: Mask) -> None:
         """Fly to the next decision or the end, with scans on the way.
 
         Then evaluate the candidate sites of the lanes of `mask` (n,) that still fly.
@@ -220,10 +222,10 @@ class SiteDescentBatch(DescentBatch):
         while True:
             self._run(
                 f.fly, 10.0 * _CYCLE * self.count, self.y, self._rate, min(SIMD_BATCH, self.count),
-                self.craft.dynamics.step, self.craft.limit, self._vehicle, self._terrains,
-                self._flights, self.course, self.law,
+                self.craft.dynamics.step, self.craft.time_limit, self._vehicle, self._terrains,
+                self._flights, self.guidance, self.law,
             )  # fmt: skip
-            due = (self.course.event == f.SCAN) & (self.ended == FLYING)
+            due = (self.guidance.event == f.SCAN) & (self.ended == FLYING)
             if not due.any():
                 break
             self.scan(due)
@@ -231,58 +233,58 @@ class SiteDescentBatch(DescentBatch):
         asked = mask & (self.ended == FLYING)
         if asked.any():
             self._run(
-                choice.look, _MAP * self.count, asked, self.y, self.time, self.course, self.law,
-                self.maps, self.decisions.candidates, self.decisions.separation, self.levels,
-                self.found,
+                choice.select_candidates, _MAP * self.count, asked, self.y, self.time,
+                self.guidance, self.law, self.maps, self.decisions.candidates,
+                self.decisions.separation, self.levels, self.candidates,
             )  # fmt: skip
 
-    def _run(self, kernel: Any, microseconds: float, *given: Any) -> None:
+    def _run(self, kernel: Any, microseconds: float, *arguments: Any) -> None:
         """Run a kernel over all lanes in parallel threads; a single lane uses no threads.
 
-        `microseconds` is the estimated computing time; `given` are the arguments of the kernel.
+        `microseconds` is the estimated computing time; `arguments` are the arguments of the kernel.
         """
         if self.count == 1:
-            kernel.compiled((0, 1), *given)
+            kernel.compiled((0, 1), *arguments)
             return
         with threads_for(microseconds):
-            kernel(*given)
+            kernel(*arguments)
 
     def scan(self, due: Mask) -> None:
         """Take a LiDAR scan in the lanes of `due` (n,) and update their hazard maps."""
         self._run(
             m.scan, _MAP * self.count, due, self._keys, self._flight_counts, self.y, self.time,
-            self.world, self.course, self.maps, self.pool.layers, self.errors, self.view,
+            self.world, self.guidance, self.maps, self.pool.layers, self.errors, self.view,
         )  # fmt: skip
 
     @property
-    def believed(self) -> tuple[Array, Array]:
+    def estimated_state(self) -> tuple[Array, Array]:
         """Estimated position, m, and velocity, m/s, (n, 3) each, local frame."""
-        slip, place = self.course.slip, self.y[:, :3].copy()
+        slip, place = self.guidance.drift_velocity, self.y[:, :3].copy()
         velocity = self.y[:, 3:6].copy()
         place[:, :2] += slip * self.time[:, None]
         velocity[:, :2] += slip
         return place, velocity
 
 
-def _course(n: int) -> f.Course:
-    return f.Course(
+def _guidance_state(n: int) -> f.GuidanceState:
+    return f.GuidanceState(
         np.zeros((n, 3)), np.zeros(n), np.zeros(n), np.full(n, np.nan), np.zeros(n, np.int64),
         np.zeros(n, np.int64), np.zeros(n, np.int64), np.zeros(n, np.bool_), np.zeros((n, 7)),
         np.full((n, 8), np.nan), np.zeros((n, 2)),
     )  # fmt: skip
 
 
-def _maps(n: int, cells: int, posting: float, stated: Array) -> m.Maps:
+def _maps(n: int, cells: int, posting: float, miss_params: Array) -> m.Maps:
     shape = (n, cells, cells)
     return m.Maps(
         np.zeros((n, 2)), posting, np.zeros(shape, np.float32), np.zeros(shape, np.bool_),
-        np.full(shape, np.nan, np.float32), np.zeros(shape, np.float32), np.full(n, np.nan), stated,
-        np.zeros(n),
+        np.full(shape, np.nan, np.float32), np.zeros(shape, np.float32), np.full(n, np.nan),
+        miss_params, np.zeros(n),
     )  # fmt: skip
 
 
-def _found(n: int, most: int) -> choice.Found:
-    return choice.Found(
+def _candidate_sites(n: int, most: int) -> choice.CandidateSites:
+    return choice.CandidateSites(
         np.zeros((n, most, 3)), np.zeros((n, most)), np.zeros((n, most)), np.zeros((n, most)),
         np.zeros(n, np.int64), np.tile(_NOTHING, (n, 1)),
     )  # fmt: skip

@@ -15,12 +15,8 @@ Array = NDArray[np.float64]
 def fov_and_footprint(scenario: Scenario) -> Array:
     """Return tangent of half the LiDAR's field of view, and footprint radius (2,).
 
-    The LiDAR is the sensor of the mapper that decisions use; the radius, m, is the lander's.
-
-    Raises
-    ------
-    InputError
-        If the sensor of that mapper is not a flash LiDAR.
+    The LiDAR is the sensor of the mapper that decisions use; the radius, m, is the lander's. If the
+    sensor is not a flash LiDAR, an `InputError` is raised.
     """
     name = deciding_mapper(scenario)
     sensor = scenario.mappers[name].make().sensor
@@ -47,12 +43,8 @@ def deciding_mapper(scenario: Scenario) -> str:
 def scan_altitudes(scenario: Scenario) -> Array:
     """Return the altitudes at which the sensor of the decisions' mapper measures, m.
 
-    They are in descending order.
-
-    Raises
-    ------
-    InputError
-        If the tasking of the sensor is not "at-altitudes" with boresight "site".
+    They are in descending order. If the tasking of the sensor is not "at-altitudes" with boresight
+    "site", an `InputError` is raised.
     """
     sensor = scenario.mappers[deciding_mapper(scenario)].make().sensor
     tasking = scenario.tasking.get(sensor)
@@ -66,7 +58,7 @@ def scan_altitudes(scenario: Scenario) -> Array:
 
 
 def in_view(
-    xy: Array, height: Array, here: Array, boresight: Array, view: Array
+    xy: Array, height: Array, lidar_position: Array, boresight: Array, view: Array
 ) -> NDArray[np.bool_]:
     """Return at which sites the complete footprint of the lander is in view (...,).
 
@@ -74,7 +66,7 @@ def in_view(
     ----------
     xy, height
         Horizontal position (..., 2) and height (...,) of the sites, m.
-    here, boresight
+    lidar_position, boresight
         Position (3,), m, and boresight (3,) of the LiDAR, which has no roll: its image x axis is
         horizontal.
     view
@@ -85,7 +77,7 @@ def in_view(
     level = np.linalg.norm(across)
     across = across / level if level > 1e-9 else np.array([1.0, 0.0, 0.0])
     down = np.cross(out, across)
-    way = np.concatenate((xy, height[..., None]), axis=-1) - here
+    way = np.concatenate((xy, height[..., None]), axis=-1) - lidar_position
     depth = way @ out
     reach = view[0] * depth - view[1]
     return np.asarray(

@@ -37,7 +37,7 @@ class SiteFlight(Protocol):
         ...
 
     def decide(
-        self, site: Array | None, each: Callable[[], None], time_scale: float | None = None
+        self, site: Array | None, after_cycle: Callable[[], None], time_scale: float | None = None
     ) -> None:
         """Apply a decision and fly to the next decision or the end.
 
@@ -45,7 +45,7 @@ class SiteFlight(Protocol):
         ----------
         site
             New site (3,), local frame, m; None keeps the site.
-        each
+        after_cycle
             Function called after every control cycle of the full simulation.
         time_scale
             Factor on the time-to-go of the minimum-propellant path; None keeps the time-to-go.
@@ -63,7 +63,7 @@ class SiteFlight(Protocol):
         ...
 
     @property
-    def sights(self) -> SiteInputs:
+    def inputs(self) -> SiteInputs:
         """Current observation of a policy, as arrays."""
         ...
 
@@ -83,7 +83,7 @@ class SiteFlight(Protocol):
         ...
 
     @property
-    def touch(self) -> Array:
+    def touchdown_ratios(self) -> Array:
         """Touchdown speed, tilt and terrain over their limits (1, 3); NaN in flight."""
         ...
 
@@ -115,10 +115,10 @@ class OnboardFlight:
         """Start a random flight, selected by `rng`, and fly it to its first decision."""
         self.simulation = Simulation(self._flown_scenario, int(rng.integers(2**62)))
         self.time_scale_refused = False
-        self._on(lambda: None)
+        self._fly_on(lambda: None)
 
     def decide(
-        self, site: Array | None, each: Callable[[], None], time_scale: float | None = None
+        self, site: Array | None, after_cycle: Callable[[], None], time_scale: float | None = None
     ) -> None:
         """Apply a site decision and fly to the next decision or the end."""
         flown = self._flown
@@ -129,13 +129,13 @@ class OnboardFlight:
             not taken or "time-scale-refused" in events
         )
         flown.move()
-        self._on(each)
+        self._fly_on(after_cycle)
 
-    def _on(self, each: Callable[[], None]) -> None:
+    def _fly_on(self, after_cycle: Callable[[], None]) -> None:
         flown = self._flown
         while not (flown.done or flown.decision_due):
             flown.move()
-            each()
+            after_cycle()
         self._seen = flown.observe()
 
     @property
@@ -145,7 +145,7 @@ class OnboardFlight:
         return self._seen
 
     @property
-    def sights(self) -> SiteInputs:
+    def inputs(self) -> SiteInputs:
         """Current observation of a policy, as arrays."""
         hazard_map = self.seen.hazard_map
         if self._small is None or self._small[0] is not hazard_map:
@@ -170,7 +170,7 @@ class OnboardFlight:
         return None if outcome is None else (outcome.safe, outcome.failure_causes)
 
     @property
-    def touch(self) -> Array:
+    def touchdown_ratios(self) -> Array:
         """Touchdown speed, tilt and terrain over their limits (1, 3); NaN in flight."""
         outcome = self._flown.outcome
         t = None if outcome is None else outcome.touchdown
@@ -209,7 +209,7 @@ class KernelFlight:
         self._small = downsample_maps(self.lanes.maps.p, self.lanes.maps.seen)
 
     def decide(
-        self, site: Array | None, each: Callable[[], None], time_scale: float | None = None
+        self, site: Array | None, after_cycle: Callable[[], None], time_scale: float | None = None
     ) -> None:
         """Apply a site decision and fly to the next decision or the end."""
         goal = np.full((1, 3), np.nan) if site is None else np.asarray(site)[None]
@@ -218,7 +218,7 @@ class KernelFlight:
         self._sights = None
         if self.lanes.mapped[0]:
             self._small = downsample_maps(self.lanes.maps.p, self.lanes.maps.seen)
-        each()
+        after_cycle()
 
     @property
     def time_scale_refused(self) -> bool:
@@ -231,7 +231,7 @@ class KernelFlight:
         return observation_of_lane(self.lanes, 0)
 
     @property
-    def sights(self) -> SiteInputs:
+    def inputs(self) -> SiteInputs:
         """Current observation of a policy, as arrays."""
         if self._sights is None:
             self._sights = site_inputs(self.lanes, self._small)
@@ -252,10 +252,10 @@ class KernelFlight:
         """Whether the landing was safe, and the violated limits; None during the flight."""
         if self.lanes.ended[0] == FLYING:
             return None
-        return bool(self.lanes.safe[0]), self.lanes.words(0)
+        return bool(self.lanes.safe[0]), self.lanes.failure_causes(0)
 
     @property
-    def touch(self) -> Array:
+    def touchdown_ratios(self) -> Array:
         """Touchdown speed, tilt and terrain over their limits (1, 3); NaN in flight."""
         return touchdown_limit_ratios(self.lanes.craft.dynamics.lander, self.lanes.touchdown_values)
 
@@ -268,12 +268,12 @@ def site_inputs(lanes: SiteDescentBatch, small: NDArray[np.float32]) -> SiteInpu
 
     `small` are the downsampled maps (n, 2, 48, 48), from `downsample_maps`.
     """
-    place, velocity = lanes.believed
-    course, found, maps = lanes.course, lanes.found, lanes.maps
-    left = np.maximum(course.arrival - lanes.time, 0.0)
+    place, velocity = lanes.estimated_state
+    guidance, found, maps = lanes.guidance, lanes.candidates, lanes.maps
+    left = np.maximum(guidance.arrival - lanes.time, 0.0)
     return SiteInputs(
-        place, velocity, lanes.y[:, 6:10], course.site, left,
-        lanes.y[:, 13] - lanes.figures[:, 3], found.position, found.p_safe, found.distance,
+        place, velocity, lanes.y[:, 6:10], guidance.site, left,
+        lanes.y[:, 13] - lanes.params[:, 3], found.position, found.p_safe, found.distance,
         found.propellant, found.number, found.here, maps.p, maps.seen, maps.corner, maps.posting,
         small,
     )  # fmt: skip
@@ -281,11 +281,11 @@ def site_inputs(lanes: SiteDescentBatch, small: NDArray[np.float32]) -> SiteInpu
 
 def observation_of_lane(lanes: SiteDescentBatch, lane: int) -> Observation:
     """Return the observation of an onboard policy for lander `lane` of a batch."""
-    place, velocity = (one[lane] for one in lanes.believed)
-    y, maps, found, course = lanes.y[lane], lanes.maps, lanes.found, lanes.course
+    place, velocity = (one[lane] for one in lanes.estimated_state)
+    y, maps, found, guidance = lanes.y[lane], lanes.maps, lanes.candidates, lanes.guidance
     n = int(found.number[lane])
     covariance = np.zeros((9, 9))
-    covariance[[3, 4], [3, 4]] = maps.stated[1] ** 2
+    covariance[[3, 4], [3, 4]] = maps.miss_params[1] ** 2
     rows, cols = maps.p.shape[1:]
     west, south = map(float, maps.corner[lane])
     grid = Grid(west, south, maps.posting, rows, cols)
@@ -304,10 +304,10 @@ def observation_of_lane(lanes: SiteDescentBatch, lane: int) -> Observation:
             found.position[lane, :n].copy(), found.p_safe[lane, :n].copy(),
             found.distance[lane, :n].copy(), found.propellant[lane, :n].copy(),
         ),
-        site=course.site[lane].copy(),
+        site=guidance.site[lane].copy(),
         site_p_safe=p_here,
         site_propellant=cost_here,
-        time_to_go=float(course.arrival[lane] - lanes.time[lane]),
-        propellant=float(y[13] - lanes.figures[lane, 3]),
+        time_to_go=float(guidance.arrival[lane] - lanes.time[lane]),
+        propellant=float(y[13] - lanes.params[lane, 3]),
         expected_miss=miss,
     )  # fmt: skip

@@ -95,7 +95,8 @@ def hazard_size(
 def hazard_class(size: ArrayLike, distance: ArrayLike) -> NDArray[np.uint8]:
     """Return the class index of sites from hazard size and distance to the edge.
 
-    `size` is from `hazard_size`; `distance` is in m, negative on unsafe terrain.
+    `size` is from `hazard_size`. `distance` is that to the border between safe and unsafe terrain,
+    m, negative on unsafe terrain.
     """
     by_size = np.searchsorted(SIZES, size, side="right")
     by_distance = np.searchsorted(DISTANCES, distance, side="right")

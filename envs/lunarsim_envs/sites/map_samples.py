@@ -65,7 +65,7 @@ class SampledFlight:
         Maps in time order.
     drift
         Mean rate of the position error from the first scan to the end, east and north (2,), m/s.
-    claimed
+    reported_velocity_sigma
         Velocity standard deviation that navigation reports at the first scan, per axis, m/s.
     safe_share
         Truly safe fraction of the terrain.
@@ -73,7 +73,7 @@ class SampledFlight:
 
     samples: tuple[MapSample, ...]
     drift: Array
-    claimed: float
+    reported_velocity_sigma: float
     safe_share: float
 
 

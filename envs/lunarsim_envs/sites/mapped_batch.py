@@ -27,7 +27,7 @@ class MappedDescentBatch(SiteDescentBatch):
     """Landers that fly in parallel with simulated scans and ``gaussian-dem`` maps.
 
     Unlike `SiteDescentBatch`, which samples map errors from a statistical model, LiDAR scans of the
-    terrain are simulated and mapped. `given` and `settings` are arguments of `SiteDescentBatch`.
+    terrain are simulated and mapped. Arguments are those of `SiteDescentBatch`.
 
     Raises
     ------
@@ -35,13 +35,13 @@ class MappedDescentBatch(SiteDescentBatch):
         If decisions of the scenario use another kind of mapper.
     """
 
-    def __init__(self, count: int, scenario: Scenario, *given: Any, **settings: Any) -> None:
+    def __init__(self, count: int, scenario: Scenario, *arguments: Any, **settings: Any) -> None:
         part = gaussian_dem_of(scenario)
         self._part, self._scenario = part, scenario
         self._lidar = scenario.sensors[part.sensor].make()
         self._rocks = scenario.expected_rocks.make()
         self._mappers: list[GaussianDemMapper | None] = [None] * count
-        super().__init__(count, scenario, *given, **(settings | {"posting": part.posting}))
+        super().__init__(count, scenario, *arguments, **(settings | {"posting": part.posting}))
 
     def begin(self, mask: Mask) -> None:
         """Start new flights in the lanes of `mask` (n,) and fly to their first decisions."""
@@ -52,10 +52,10 @@ class MappedDescentBatch(SiteDescentBatch):
     def scan(self, due: Mask) -> None:
         """Simulate a LiDAR scan in the lanes of `due` (n,) and update their maps."""
         for lane in np.flatnonzero(due):
-            self._map(int(lane))
-        m.took(due, self.time, self.course, self.maps)
+            self._simulate_scan(int(lane))
+        m.record_scans(due, self.time, self.guidance, self.maps)
 
-    def _map(self, i: int) -> None:
+    def _simulate_scan(self, i: int) -> None:
         """Simulate a LiDAR scan of lane `i` and update its map."""
         mapper = self._mappers[i]
         if mapper is None:
@@ -65,10 +65,10 @@ class MappedDescentBatch(SiteDescentBatch):
                 rocks=self._rocks,
             )  # fmt: skip
         y, time = self.y[i], float(self.time[i])
-        place, velocity = (one[i] for one in self.believed)
-        seed = (int(self._keys[i]), int(self._flight_counts[i]), int(self.course.scanned[i]))
+        place, velocity = (one[i] for one in self.estimated_state)
+        seed = (int(self._keys[i]), int(self._flight_counts[i]), int(self.guidance.scan_count[i]))
         limit = self._lidar.calibration().gimbal_limit
-        mount = gimbal_mount(y[6:10], self.course.site[i] - place, limit)
+        mount = gimbal_mount(y[6:10], self.guidance.site[i] - place, limit)
         scan: LidarScan = self._lidar.measure(
             self.pool.worlds[self.world[i]], State.from_vector(y), time,
             np.random.default_rng(seed), mount,

@@ -78,7 +78,9 @@ def register(part: SiteObservationComponent) -> None:
     space = part.space
     if not part.shape or not (space.low < space.high).all():
         raise InputError(
-            part.name, (part.shape, part.low, part.high), "must have a shape and a range"
+            part.name,
+            (part.shape, part.low, part.high),
+            "must have one axis or more, and lower bounds below its upper bounds",
         )
     PARTS[part.name] = part
 
@@ -92,14 +94,14 @@ def _to_go(s: SiteInputs) -> Array:
     return np.stack((s.time_to_go, s.propellant, altitude), axis=1)
 
 
-def _rows(s: SiteInputs, columns: Sequence[Array]) -> Array:
+def _site_table(inputs: SiteInputs, columns: Sequence[Array]) -> Array:
     """Return a table of candidate sites (n, 20, columns) from its columns (n, m).
 
     Rows without a site are zero.
     """
-    out = np.zeros((len(s.site), SITES, len(columns)))
-    n = min(SITES, s.p_safe.shape[1])
-    known = np.arange(n) < s.count[:, None]
+    out = np.zeros((len(inputs.site), SITES, len(columns)))
+    n = min(SITES, inputs.p_safe.shape[1])
+    known = np.arange(n) < inputs.count[:, None]
     for k, column in enumerate(columns):
         out[:, :n, k] = np.where(known, column[:, :n], 0.0)
     return out
@@ -112,14 +114,14 @@ def _away(s: SiteInputs) -> Array:
 def _sites(s: SiteInputs) -> Array:
     away, there = _away(s), np.isfinite(s.cost)
     cost = np.where(there, s.cost, FAR)
-    return _rows(s, (away[..., 0], away[..., 1], away[..., 2], s.p_safe, cost, there))
+    return _site_table(s, (away[..., 0], away[..., 1], away[..., 2], s.p_safe, cost, there))
 
 
 def _candidates(s: SiteInputs) -> Array:
     away, there = _away(s), np.isfinite(s.cost)
     stay = np.where(np.isfinite(s.here[:, 1]), s.here[:, 1], 0.0)
     more = np.where(there, s.cost - stay[:, None], FAR)
-    return _rows(s, (away[..., 0], away[..., 1], s.p_safe, more, s.distance, there))
+    return _site_table(s, (away[..., 0], away[..., 1], s.p_safe, more, s.distance, there))
 
 
 def _site(s: SiteInputs) -> Array:
@@ -204,12 +206,12 @@ class SiteObservationLayout:
         """Observation space of one lander."""
         return spaces.Dict({part.name: part.space for part in self.parts})
 
-    def of(self, sights: SiteInputs) -> Shown:
+    def of(self, inputs: SiteInputs) -> Shown:
         """Compute the observations of n landers: an array (n, ...) per component."""
         observation = {}
         for part in self.parts:
-            value = np.array(part.of(sights), dtype=np.float32)
-            check_shape(f"observation: {part.name}", value, (len(sights.site), *part.shape))
+            value = np.array(part.of(inputs), dtype=np.float32)
+            check_shape(f"observation: {part.name}", value, (len(inputs.site), *part.shape))
             low, high = self._bounds[part.name]
             np.maximum(value, low, out=value)
             observation[part.name] = np.minimum(value, high, out=value)

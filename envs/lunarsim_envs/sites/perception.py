@@ -96,12 +96,12 @@ def create_batch(
     pool = SiteWorldPool.of(scenario, worlds, world_seed, checked_covers(covers))
     if perception == "truth":
         return SiteDescentBatch(
-            count, scenario, pool, errors=exact_errors(), view=view, drift=np.zeros(2), claimed=0.0,
-            posting=_POSTING,
+            count, scenario, pool, errors=exact_errors(), view=view, drift_sigma=np.zeros(2),
+            reported_velocity_sigma=0.0, posting=_POSTING,
         )  # fmt: skip
     errors = exact_errors() if perception == "gaussian-dem" else model.errors(pool.shares, _POSTING)
     kind = MappedDescentBatch if perception == "gaussian-dem" else SiteDescentBatch
     return kind(
-        count, scenario, pool, errors=errors, view=view, drift=model.drift,
-        claimed=model.reported_velocity_sigma, posting=_POSTING,
+        count, scenario, pool, errors=errors, view=view, drift_sigma=model.drift,
+        reported_velocity_sigma=model.reported_velocity_sigma, posting=_POSTING,
     )  # fmt: skip

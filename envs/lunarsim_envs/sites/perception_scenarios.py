@@ -51,7 +51,7 @@ def with_perception(scenario: Scenario, perception: str) -> Scenario:
     return scenario.changed(**add(scenario))
 
 
-def _named(scenario: Scenario, name: str) -> str:
+def _unused_name(scenario: Scenario, name: str) -> str:
     """Return `name`, with underscores appended until no mapper or sensor has it."""
     while name in scenario.mappers or name in scenario.sensors:
         name += "_"
@@ -67,7 +67,7 @@ def _map_size(scenario: Scenario) -> dict[str, Any]:
 def _quadtree(scenario: Scenario) -> dict[str, Any]:
     """Return the changes that replace the mapper of decisions by a quadtree mapper."""
     before = deciding_mapper(scenario)
-    name, part = _named(scenario, "quadtree"), scenario.mappers[before]
+    name, part = _unused_name(scenario, "quadtree"), scenario.mappers[before]
     if part.kind != "gaussian-dem":
         raise InputError(
             f"mappers.{before}.kind", part.kind,
@@ -101,7 +101,7 @@ def _fused(scenario: Scenario) -> dict[str, Any]:
     rocks = [name for name, part in scenario.mappers.items() if part.kind == "shadow"]
     given: dict[str, Any] = {"mappers": {}} if rocks else _camera(scenario)
     of = [reliefs[0], *(rocks or given["mappers"])]
-    name = _named(scenario, "fused")
+    name = _unused_name(scenario, "fused")
     mappers = given["mappers"] | {name: {"kind": "fused", "inputs": of}}
     return given | {"mappers": mappers, "decisions": {"map": name}}
 
@@ -109,8 +109,8 @@ def _fused(scenario: Scenario) -> dict[str, Any]:
 def _camera(scenario: Scenario) -> dict[str, Any]:
     """Return the changes that add a shadow mapper with its camera and navigation."""
     cameras = [name for name, part in scenario.sensors.items() if part.kind == "camera"]
-    camera = cameras[0] if cameras else _named(scenario, "camera")
-    name = _named(scenario, "rocks")
+    camera = cameras[0] if cameras else _unused_name(scenario, "camera")
+    name = _unused_name(scenario, "rocks")
     given: dict[str, Any] = {
         "mappers": {name: _map_size(scenario) | {"kind": "shadow", "sensor": camera}}
     }

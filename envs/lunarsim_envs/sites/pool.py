@@ -16,7 +16,7 @@ from lunarsim.rng import flight_seed
 from lunarsim.scenario import Scenario
 from lunarsim.world import World
 from lunarsim_envs.descent.worlds import WorldPool, scenarios_by_cover
-from lunarsim_envs.sites._map_kernels import Pool
+from lunarsim_envs.sites._map_kernels import TrueTerrains
 from lunarsim_envs.sites.hazard import UNKNOWN, TruthLayers
 
 # Number of pools that a process keeps in memory (the oldest are dropped).
@@ -42,7 +42,7 @@ class SiteWorldPool:
 
     worlds: tuple[World, ...]
     terrains: WorldPool
-    layers: Pool
+    layers: TrueTerrains
     shares: NDArray[np.float64]
 
     @classmethod
@@ -73,14 +73,16 @@ class SiteWorldPool:
         held = scenario.to_dict()
         key = repr(([held.get(name) for name in tables], count, seed, tuple(covers)))
         if key not in _pools:
-            _pools[key] = _made(scenario, count, seed, covers)
+            _pools[key] = _generate_pool(scenario, count, seed, covers)
             while len(_pools) > _REMEMBERED:
                 _pools.popitem(last=False)
         _pools.move_to_end(key)
         return _pools[key]
 
 
-def _made(scenario: Scenario, count: int, seed: int, covers: Sequence[float]) -> SiteWorldPool:
+def _generate_pool(
+    scenario: Scenario, count: int, seed: int, covers: Sequence[float]
+) -> SiteWorldPool:
     """Generate a pool of worlds; the cache of campaigns supplies known true maps."""
     worlds: list[World] = []
     layers: list[TruthLayers] = []
@@ -95,10 +97,10 @@ def _made(scenario: Scenario, count: int, seed: int, covers: Sequence[float]) ->
                 layers.append(TruthLayers.of(truth))
                 yield world
 
-    terrains = WorldPool.about(scenario, count, drawn(), covers)
+    terrains = WorldPool.rasterize(scenario, count, drawn(), covers)
     grid = layers[0].grid
     frame = np.array([grid.x0, grid.y0, grid.posting])
-    pool = Pool(
+    pool = TrueTerrains(
         np.stack([one.kind for one in layers]), np.stack([one.safe for one in layers]),
         np.stack([one.elevation for one in layers]), frame,
     )  # fmt: skip

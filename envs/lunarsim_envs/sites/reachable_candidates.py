@@ -13,41 +13,42 @@ import numpy as np
 
 from lunarsim._jit import kernel
 from lunarsim.onboard.guidance._kernels import GRAVITY, MASS
-from lunarsim_envs.sites._beyond_kernels import beyond, ways_of
+from lunarsim_envs.sites._beyond_kernels import is_unreachable, path_coefficients
 from lunarsim_envs.sites._cell_kernels import (
     NOWHERE,
-    clear,
-    halves_of,
-    nearest,
+    disc_half_widths,
+    exclude_disc,
+    nearest_cell,
     row_max,
     score_all,
 )
-from lunarsim_envs.sites._flight_kernels import Law, reach
+from lunarsim_envs.sites._flight_kernels import GuidanceParams, compute_divert_costs
 
 # Maximum cells per side, as in `reach.Reach`; cells per side of a tile; tiles per side of a block.
 _SIDE, _TILE, _BLOCK = 100, 4, 4
 
 
 @kernel()
-def beaten(aim, cells, cost, count, enough):
+def is_safest_unreachable(p_safe, cells, cost, count, p_safe_enough):
     """Return whether an unreachable candidate is safer than all reachable ones.
 
-    `aim` (rows, cols) is p_safe; `cells` (m, 2) and `cost` (m, ...) are `count` candidates, with
-    infinite cost if unreachable. False if a reachable one has p_safe of at least `enough`.
+    `p_safe` is (rows, cols); `cells` (m, 2) and `cost` (m, ...) are `count` candidates, with
+    infinite cost if unreachable. The result is false if a reachable one has p_safe of at least
+    `p_safe_enough`.
     """
-    best, lost = 0.0, 0.0
+    best_reachable, best_unreachable = 0.0, 0.0
     for n in range(count):
-        p = aim[cells[n, 0], cells[n, 1]]
+        p = p_safe[cells[n, 0], cells[n, 1]]
         if np.isfinite(cost[n, 0]):
-            best = max(best, p)
+            best_reachable = max(best_reachable, p)
         else:
-            lost = max(lost, p)
-    return best < enough and best < lost
+            best_unreachable = max(best_unreachable, p)
+    return best_reachable < p_safe_enough and best_reachable < best_unreachable
 
 
 @kernel()
-def _grid(rows, cols, corner, posting, out):
-    """Compute the reach grid that covers a map, with at most 100 cells per side.
+def _reach_grid(rows, cols, corner, posting, out):
+    """Compute the reach grid, which covers a map with at most 100 cells per side.
 
     Writes west, south, grid spacing (m), rows and columns to `out` (5,).
     """
@@ -61,10 +62,11 @@ def _grid(rows, cols, corner, posting, out):
         out[axis] = 0.5 * (low + high) - 0.5 * (out[4 - axis] - 1.0) * side
 
 
-class Place(NamedTuple):
+class ReachMap(NamedTuple):
     """A map (corner, cell size, heights), its reach grid (5,) and the current site.
 
-    `row` (rows,), `col` (cols,): reach-grid indices of the rows and columns of the map.
+    Reachability is computed on the reach grid, which is coarser than the map. `grid_row` (rows,),
+    `grid_col` (cols,): reach-grid indices of the rows and columns of the map.
     """
 
     grid: np.ndarray
@@ -72,118 +74,127 @@ class Place(NamedTuple):
     posting: float
     height: np.ndarray
     site: np.ndarray
-    row: np.ndarray
-    col: np.ndarray
+    grid_row: np.ndarray
+    grid_col: np.ndarray
 
 
-class Flying(NamedTuple):
+class ReachLander(NamedTuple):
     """Lander for which reachability is computed: state (2, 3), mass and guidance law.
 
-    `state` is position and velocity; `ways` are path coefficients from `ways_of`; `speed` (m/s),
-    `most` (m/s^2) and `figures` are arguments of `beyond`.
+    `state` is position and velocity; `paths` is from `path_coefficients`; `speed` (m/s),
+    `max_acceleration` (m/s^2) and `params` are arguments of `is_unreachable`.
     """
 
     state: np.ndarray
     mass: float
-    law: Law
-    ways: np.ndarray
-    figures: np.ndarray
+    law: GuidanceParams
+    paths: np.ndarray
+    params: np.ndarray
     speed: float
-    most: float
+    max_acceleration: float
 
 
 @kernel()
-def flying(state, mass, law):
-    """Return a `Flying` from position and velocity (2, 3), mass (kg) and guidance law."""
-    ways, figures = np.zeros((len(law.rough), 9)), law.figures.copy()
-    ways_of(state, law, ways)
-    figures[MASS] = mass
+def reach_lander(state, mass, law):
+    """Return the `ReachLander` of a position and velocity (2, 3) and a mass, kg."""
+    paths, params = np.zeros((len(law.coarse_table), 9)), law.params.copy()
+    path_coefficients(state, law, paths)
+    params[MASS] = mass
     speed = np.sqrt(state[1, 0] ** 2 + state[1, 1] ** 2 + state[1, 2] ** 2)
-    return Flying(state, mass, law, ways, figures, speed, law.bounds[0] + figures[GRAVITY])
+    return ReachLander(state, mass, law, paths, params, speed, law.mass_limits[0] + params[GRAVITY])
 
 
 @kernel(inner=True)
-def _at(k, row, col, side, place, site):
-    """Compute the position of one cell in a square of the reach grid (3,), m.
+def _square_cell_position(k, row, col, side, reach_map, site):
+    """Compute the position of one cell in a square of the reach grid, `site` (3,), m.
 
     The square has `side` cells per side from (row, col); `k` numbers its cells row by row.
     """
-    grid, corner, posting = place.grid, place.corner, place.posting
-    rows, cols = place.height.shape
+    grid, corner, posting = reach_map.grid, reach_map.corner, reach_map.posting
+    rows, cols = reach_map.height.shape
     x = grid[0] + min(col + k % side, int(grid[4]) - 1) * grid[2]
     y = grid[1] + min(row + k // side, int(grid[3]) - 1) * grid[2]
     r = int(np.floor((y - corner[1]) / posting + 0.5))
     c = int(np.floor((x - corner[0]) / posting + 0.5))
-    site[0], site[1], site[2] = x, y, place.site[2]
-    if 0 <= r < rows and 0 <= c < cols and np.isfinite(place.height[r, c]):
-        site[2] = place.height[r, c]
+    site[0], site[1], site[2] = x, y, reach_map.site[2]
+    if 0 <= r < rows and 0 <= c < cols and np.isfinite(reach_map.height[r, c]):
+        site[2] = reach_map.height[r, c]
 
 
 @kernel(inner=True)
-def _lost(row, col, side, place, lander):
+def _is_square_unreachable(row, col, side, reach_map, lander):
     """Return whether it is proven that a square of the reach grid is out of reach.
 
-    The square has `side` cells per side from (row, col); `lander` is a `Flying`.
+    The square has `side` cells per side from (row, col).
     """
     low, high, site = np.full(3, np.inf), np.full(3, -np.inf), np.empty(3)
     for k in range(side * side):
-        _at(k, row, col, side, place, site)
+        _square_cell_position(k, row, col, side, reach_map, site)
         for axis in range(3):
-            low[axis] = min(low[axis], site[axis] + lander.law.above[axis])
-            high[axis] = max(high[axis], site[axis] + lander.law.above[axis])
-    ways, state, law = lander.ways, lander.state, lander.law
-    return beyond(ways, state, low, high, lander.speed, lander.most, law, lander.figures)
+            low[axis] = min(low[axis], site[axis] + lander.law.end_offset[axis])
+            high[axis] = max(high[axis], site[axis] + lander.law.end_offset[axis])
+    paths, state, law = lander.paths, lander.state, lander.law
+    return is_unreachable(
+        paths, state, low, high, lander.speed, lander.max_acceleration, law, lander.params
+    )
 
 
 @kernel()
-def _survey(row, col, place, lander, out):
-    """Compute which cells of a tile (4 x 4 cells from row, col) are reachable (16,)."""
+def _survey_tile(row, col, reach_map, lander, out):
+    """Compute which cells of a tile of the reach grid are reachable, into `out` (16,).
+
+    The tile has 4 x 4 cells from (row, col).
+    """
     sites, cost = np.empty((_TILE * _TILE, 3)), np.empty((_TILE * _TILE, 4))
     for k in range(_TILE * _TILE):
-        _at(k, row, col, _TILE, place, sites[k])
-    reach(lander.state, lander.mass, sites, lander.law, cost)
+        _square_cell_position(k, row, col, _TILE, reach_map, sites[k])
+    compute_divert_costs(lander.state, lander.mass, sites, lander.law, cost)
     for k in range(_TILE * _TILE):
         out[k] = np.isfinite(cost[k, 0])
 
 
 @kernel(inner=True)
-def _columns(count, corner, posting, low, side, out):
+def _grid_indices(count, corner, posting, grid_corner, grid_spacing, out):
     """Write the reach-grid index of each map row or column to `out` (count,).
 
-    `corner` and `posting` are position and spacing of map cells, `low` and `side` those of the
-    reach grid, m.
+    `corner` and `posting` are position and spacing of map cells, `grid_corner` and `grid_spacing`
+    those of the reach grid, m.
     """
     for c in range(count):
-        out[c] = int(np.floor((corner + c * posting - low) / side + 0.5))
+        out[c] = int(np.floor((corner + c * posting - grid_corner) / grid_spacing + 0.5))
 
 
 @kernel()
-def _open(row, col, side, place, score, masked, most, reached):
+def _remove_unreachable(row, col, side, reach_map, score, masked, score_maxima, reachable):
     """Remove unreachable map cells in a square of the reach grid from the candidates.
 
-    `reached` are the flags of the cells in the square; an empty array means that none is reachable.
-    Updates p_safe `masked`, `score` (rows, cols) and the row maxima `most` (rows,).
+    `reachable` are the flags of the cells in the square; an empty array means that none is
+    reachable. Updates p_safe `masked`, `score` (rows, cols) and its row maxima `score_maxima`
+    (rows,).
     """
     rows, cols = masked.shape
-    ratio = place.grid[2] / place.posting
+    ratio = reach_map.grid[2] / reach_map.posting
     for r in range(max(int(row * ratio) - 2, 0), min(int((row + side) * ratio) + 3, rows)):
-        far = place.row[r] - row
-        if not 0 <= far < side:
+        row_offset = reach_map.grid_row[r] - row
+        if not 0 <= row_offset < side:
             continue
         for c in range(max(int(col * ratio) - 2, 0), min(int((col + side) * ratio) + 3, cols)):
-            wide = place.col[c] - col
-            if 0 <= wide < side and (len(reached) == 0 or not reached[far * side + wide]):
+            col_offset = reach_map.grid_col[c] - col
+            if 0 <= col_offset < side and (
+                len(reachable) == 0 or not reachable[row_offset * side + col_offset]
+            ):
                 masked[r, c], score[r, c] = 0.0, NOWHERE
-        most[r] = row_max(score, r)
+        score_maxima[r] = row_max(score, r)
 
 
 @kernel()
-def _looked(r, c, place, tiles, blocks, lander, masked, score, most):
+def _evaluate_around(r, c, reach_map, tiles, blocks, lander, masked, score, score_maxima):
     """Compute reachability around map cell (r, c), unless it is known.
 
-    `tiles` and `blocks` mark what was evaluated. Returns whether the candidates may have changed.
+    Removes unreachable cells from the maps `masked` (p_safe) and `score`. `tiles` and `blocks` mark
+    what was evaluated. Returns whether the candidates may have changed.
     """
-    row, col = place.row[r] // _TILE, place.col[c] // _TILE
+    row, col = reach_map.grid_row[r] // _TILE, reach_map.grid_col[c] // _TILE
     if tiles[row, col]:
         return False
     up, right = row // _BLOCK, col // _BLOCK
@@ -191,90 +202,107 @@ def _looked(r, c, place, tiles, blocks, lander, masked, score, most):
     if not blocks[up, right]:
         blocks[up, right] = True
         side = _BLOCK * _TILE
-        if _lost(up * side, right * side, side, place, lander):
+        if _is_square_unreachable(up * side, right * side, side, reach_map, lander):
             south, west = up * _BLOCK, right * _BLOCK
             tiles[south : south + _BLOCK, west : west + _BLOCK] = True
-            _open(up * side, right * side, side, place, score, masked, most, none)
+            _remove_unreachable(
+                up * side, right * side, side, reach_map, score, masked, score_maxima, none
+            )
             return True
     tiles[row, col] = True
-    if _lost(row * _TILE, col * _TILE, _TILE, place, lander):
-        _open(row * _TILE, col * _TILE, _TILE, place, score, masked, most, none)
+    if _is_square_unreachable(row * _TILE, col * _TILE, _TILE, reach_map, lander):
+        _remove_unreachable(
+            row * _TILE, col * _TILE, _TILE, reach_map, score, masked, score_maxima, none
+        )
         return True
-    reached = np.empty(_TILE * _TILE, np.bool_)
-    _survey(row * _TILE, col * _TILE, place, lander, reached)
-    _open(row * _TILE, col * _TILE, _TILE, place, score, masked, most, reached)
+    reachable = np.empty(_TILE * _TILE, np.bool_)
+    _survey_tile(row * _TILE, col * _TILE, reach_map, lander, reachable)
+    _remove_unreachable(
+        row * _TILE, col * _TILE, _TILE, reach_map, score, masked, score_maxima, reachable
+    )
     return True
 
 
 @kernel()
-def within(
-    aim, corner, posting, height, site, state, mass, law, count, separation, levels, masked, score,
-    cells,
+def select_reachable(
+    p_safe, corner, posting, height, site, state, mass, law, count, separation, p_safe_levels,
+    masked, score, cells,
 ):  # fmt: skip
     """Select reachable candidate cells from a map, into `cells` (m, 2).
 
-    Candidates are up to `count` cells with the best p_safe `aim`, `separation` (m) apart, and the
-    nearest cells at each of `levels`. Returns their number. `masked` and `score` are scratch.
+    Candidates are up to `count` cells with the best `p_safe`, `separation` (m) apart, and for each
+    of `p_safe_levels` the nearest cell with at least this p_safe. Returns their number. `masked`
+    and `score` are scratch.
     """
-    rows, cols = aim.shape
-    grid, most, highest = np.empty(5), np.empty(rows, np.float32), np.empty(rows, np.float32)
-    _grid(rows, cols, corner, posting, grid)
+    rows, cols = p_safe.shape
+    grid, score_maxima, p_safe_maxima = (
+        np.empty(5),
+        np.empty(rows, np.float32),
+        np.empty(rows, np.float32),
+    )
+    _reach_grid(rows, cols, corner, posting, grid)
     row_of, col_of = np.empty(rows, np.int64), np.empty(cols, np.int64)
-    _columns(rows, corner[1], posting, grid[1], grid[2], row_of)
-    _columns(cols, corner[0], posting, grid[0], grid[2], col_of)
-    place = Place(grid, corner, posting, height, site, row_of, col_of)
-    lander = flying(state, mass, law)
+    _grid_indices(rows, corner[1], posting, grid[1], grid[2], row_of)
+    _grid_indices(cols, corner[0], posting, grid[0], grid[2], col_of)
+    reach_map = ReachMap(grid, corner, posting, height, site, row_of, col_of)
+    lander = reach_lander(state, mass, law)
     tiles = np.zeros((_SIDE // _TILE + 1, _SIDE // _TILE + 1), np.bool_)
     blocks = np.zeros((len(tiles) // _BLOCK + 1, len(tiles) // _BLOCK + 1), np.bool_)
     for r in range(rows):
         for c in range(cols):
-            masked[r, c] = aim[r, c]
-    score_all(aim, corner, posting, site, score, most, highest)
-    halves = np.empty(int(np.ceil(separation / posting)) + 1, np.int64)
-    halves_of(separation, posting, halves)
+            masked[r, c] = p_safe[r, c]
+    score_all(p_safe, corner, posting, site, score, score_maxima, p_safe_maxima)
+    half_widths = np.empty(int(np.ceil(separation / posting)) + 1, np.int64)
+    disc_half_widths(separation, posting, half_widths)
     n = 0
     while n < count:
         row = np.int64(0)  # Numba would give a plain zero another type
         for r in range(1, rows):
-            if most[r] > most[row]:
+            if score_maxima[r] > score_maxima[row]:
                 row = r
-        if most[row] <= NOWHERE:
+        if score_maxima[row] <= NOWHERE:
             break
         col = 0
-        while score[row, col] != most[row]:
+        while score[row, col] != score_maxima[row]:
             col += 1
-        if _looked(row, col, place, tiles, blocks, lander, masked, score, most):
+        if _evaluate_around(
+            row, col, reach_map, tiles, blocks, lander, masked, score, score_maxima
+        ):
             continue
         cells[n, 0], cells[n, 1] = row, col
         n += 1
-        clear(score, most, row, col, halves)
-    at = np.empty(2, np.int64)
-    for k in range(len(levels)):
-        there = nearest(masked, corner, posting, site, levels[k], highest, at)
-        while there and _looked(at[0], at[1], place, tiles, blocks, lander, masked, score, most):
-            there = nearest(masked, corner, posting, site, levels[k], highest, at)
+        exclude_disc(score, score_maxima, row, col, half_widths)
+    cell = np.empty(2, np.int64)
+    for k in range(len(p_safe_levels)):
+        there = nearest_cell(masked, corner, posting, site, p_safe_levels[k], p_safe_maxima, cell)
+        while there and _evaluate_around(
+            cell[0], cell[1], reach_map, tiles, blocks, lander, masked, score, score_maxima
+        ):
+            there = nearest_cell(
+                masked, corner, posting, site, p_safe_levels[k], p_safe_maxima, cell
+            )
         for m in range(n):
-            there = there and not (cells[m, 0] == at[0] and cells[m, 1] == at[1])
+            there = there and not (cells[m, 0] == cell[0] and cells[m, 1] == cell[1])
         if there:
-            cells[n, 0], cells[n, 1] = at[0], at[1]
+            cells[n, 0], cells[n, 1] = cell[0], cell[1]
             n += 1
     return n
 
 
 @kernel()
-def replace_unreachable(cells, cost, count, more, found):
+def replace_unreachable(cells, cost, count, reachable, reachable_count):
     """Replace unreachable candidates by reachable cells; return the new number.
 
-    `cells` (m, 2) has `count` candidates with `cost` (inf if unreachable); `more` has `found`
-    reachable cells. If all of these are known, nothing changes.
+    `cells` (m, 2) has `count` candidates with `cost` (inf if unreachable); `reachable` has
+    `reachable_count` cells. If the candidates already include all of these, nothing changes.
     """
     kept = 0
-    new = np.ones(found, np.bool_)
+    new = np.ones(reachable_count, np.bool_)
     any_new = False
-    for k in range(found):
+    for k in range(reachable_count):
         for n in range(count):
             if np.isfinite(cost[n, 0]):
-                same = cells[n, 0] == more[k, 0] and cells[n, 1] == more[k, 1]
+                same = cells[n, 0] == reachable[k, 0] and cells[n, 1] == reachable[k, 1]
                 new[k] = new[k] and not same
         any_new = any_new or new[k]
     if not any_new:
@@ -283,8 +311,8 @@ def replace_unreachable(cells, cost, count, more, found):
         if np.isfinite(cost[n, 0]):
             cells[kept, 0], cells[kept, 1] = cells[n, 0], cells[n, 1]
             kept += 1
-    for k in range(found):
+    for k in range(reachable_count):
         if new[k]:
-            cells[kept, 0], cells[kept, 1] = more[k, 0], more[k, 1]
+            cells[kept, 0], cells[kept, 1] = reachable[k, 0], reachable[k, 1]
             kept += 1
     return kept

@@ -100,7 +100,7 @@ def downsample_maps(p: NDArray[np.float32], seen: NDArray[np.bool_]) -> NDArray[
     every = np.ones(len(p), np.bool_)
     given = every, np.ascontiguousarray(p, dtype=np.float32), seen, out
     if len(p) == 1:
-        m.shrink_here(*given)
+        m.downsample_single(*given)
     else:
-        m.shrink(*given)
+        m.downsample(*given)
     return out.astype(np.float32)

@@ -94,8 +94,8 @@ def batches(
     one = create_batch(1, "surrogate", scenario, worlds, 0, surrogate)
     many = SparseDescentBatch(
         min(lanes, flights), without_site_decisions(scenario), one.pool, errors=one.errors,
-        view=one.view, drift=one.drift, claimed=float(one.maps.stated[1]),
-        posting=one.maps.posting,
+        view=one.view, drift_sigma=one.drift_sigma,
+        reported_velocity_sigma=float(one.maps.miss_params[1]), posting=one.maps.posting,
     )  # fmt: skip
     keys = np.random.default_rng(seed).integers(2**64, size=flights, dtype=np.uint64)
     for first in range(0, flights, many.count):
@@ -129,9 +129,9 @@ class SparseDescentBatch(SiteDescentBatch):
         """Take a scan in the lanes of `due` (n,) and divert to the best lattice site."""
         side = int(2.0 * _REACH / self.maps.posting) + 1
         self._run(
-            k.choose, 200.0 * self.count, due, self._keys, self._flight_counts, self.y, self.time,
-            self.world, self.target, self.course, self.law, side, _EVERY, self.maps.posting,
-            self.pool.layers, self.errors, self.view, self.site_p_safe,
+            k.scan_and_divert, 200.0 * self.count, due, self._keys, self._flight_counts, self.y,
+            self.time, self.world, self.target, self.guidance, self.law, side, _EVERY,
+            self.maps.posting, self.pool.layers, self.errors, self.view, self.site_p_safe,
         )  # fmt: skip
 
     def tally(self, mask: Mask) -> FlightSummary:
@@ -146,11 +146,14 @@ class SparseDescentBatch(SiteDescentBatch):
         tenth = np.minimum((np.nan_to_num(self.site_p_safe) * 10).astype(int), 9)
         return FlightSummary(
             int(mask.sum()), int(safe.sum()), failed, float(self.time[mask].sum()),
-            float(self.burnt[safe].sum()), np.bincount(tenth[known], minlength=10),
+            float(self.propellant_used[safe].sum()), np.bincount(tenth[known], minlength=10),
             np.bincount(tenth[known & safe], minlength=10),
         )  # fmt: skip
 
 
 def without_site_decisions(scenario: Scenario) -> Scenario:
-    """Return a scenario without site decisions, by an altitude window below 0.2 mm."""
+    """Return a copy of a scenario in which the onboard computer decides on no site.
+
+    Decisions are permitted only below an altitude of 0.2 mm.
+    """
     return scenario.changed(decisions={"first_altitude_m": 2e-4, "last_altitude_m": 1e-4})

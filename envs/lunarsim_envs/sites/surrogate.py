@@ -23,7 +23,7 @@ from lunarsim.atomic_arrays import atomic_write_arrays
 from lunarsim.errors import InputError
 from lunarsim.scenario import Scenario
 from lunarsim_envs.sites import hazard
-from lunarsim_envs.sites._map_kernels import Errors
+from lunarsim_envs.sites._map_kernels import MapErrorModel
 from lunarsim_envs.sites.field_of_view import deciding_mapper
 
 Array = NDArray[np.float64]
@@ -51,10 +51,9 @@ class Surrogate:
     shares
         Safe fraction of the fitted terrains, ascending (terrains,).
     tables
-        Quantiles of p_safe (terrains, scans, classes, nodes).
+        Quantiles of p_safe at evenly spaced normal scores (terrains, scans, classes, nodes).
     common
-        Fraction of the variance of normal scores that is common to a complete map
-        (terrains, scans).
+        Fraction of the variance of normal scores that all cells of a map share (terrains, scans).
     weights
         Weights of the correlation `LENGTHS` (terrains, scans, lengths), which sum to 1.
     stretch
@@ -166,9 +165,9 @@ class Surrogate:
 
     def _noise(self, posting: float) -> NDArray[np.float32]:
         held = self.weights.tobytes(), self.stretch.astype(np.float64).tobytes()
-        return noise(*held, self.weights.shape, posting)
+        return correlated_noise(*held, self.weights.shape, posting)
 
-    def errors(self, shares: Array, posting: float) -> Errors:
+    def errors(self, shares: Array, posting: float) -> MapErrorModel:
         """Interpolate the error model to worlds, in the form that kernels use.
 
         Parameters
@@ -187,7 +186,7 @@ class Surrogate:
             share = part.reshape(-1, *([1] * (values.ndim - 1)))
             return np.asarray((1.0 - share) * values[low] + share * values[high])
 
-        return Errors(
+        return MapErrorModel(
             between(self.tables).astype(np.float32), MOST,
             self._noise(posting),
             np.round(at).astype(np.int64), between(self.common), self.kept, False,
@@ -206,7 +205,7 @@ def surrogate_tables(scenario: Scenario) -> dict[str, Any]:
 
 
 @lru_cache(maxsize=4)
-def noise(
+def correlated_noise(
     weights: bytes, stretch: bytes, shape: tuple[int, int, int], posting: float
 ) -> NDArray[np.float32]:
     """Generate periodic standard normal fields (terrains, scans, fields, side, side).
@@ -236,9 +235,9 @@ def noise(
     return out
 
 
-def exact_errors() -> Errors:
+def exact_errors() -> MapErrorModel:
     """Return the error model of perfect perception, whose maps are the true safety."""
-    return Errors(
+    return MapErrorModel(
         np.zeros((1, 1, 1, 2), np.float32), MOST, np.zeros((1, 1, 1, 1, 1), np.float32),
         np.zeros(1, np.int64), np.zeros((1, 1)), 0.0, True,
     )  # fmt: skip

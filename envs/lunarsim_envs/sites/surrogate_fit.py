@@ -76,18 +76,21 @@ def fit_mapper_surrogate(
     every = [flight for terrain in terrains for flight in terrain]
     drift = np.array([flight.drift for flight in every])
     plain = Surrogate(
-        shares[order], tables, common, weights, np.ones(common.shape), _kept(scores),
-        np.sqrt(np.nanmean(drift**2, axis=0)), float(np.mean([f.claimed for f in every])),
+        shares[order], tables, common, weights, np.ones(common.shape), _scan_correlation(scores),
+        np.sqrt(np.nanmean(drift**2, axis=0)),
+        float(np.mean([f.reported_velocity_sigma for f in every])),
         np.array([_altitude(samples, stage) for stage in range(scans)]),
         json.dumps(surrogate_tables(scenario), sort_keys=True),
     )  # fmt: skip
-    return _stretched(plain, [terrains[index] for index in order])
+    return _fit_length_factor(plain, [terrains[index] for index in order])
 
 
-def _stretched(surrogate: Surrogate, terrains: Sequence[Sequence[SampledFlight]]) -> Surrogate:
-    """Fit the factor on a surrogate's correlation lengths to maps of the mapper.
+def _fit_length_factor(
+    surrogate: Surrogate, terrains: Sequence[Sequence[SampledFlight]]
+) -> Surrogate:
+    """Return the surrogate with a factor on its correlation lengths, fitted to maps.
 
-    `terrains` are the simulated flights over each fitted terrain.
+    `terrains` are the simulated flights over each fitted terrain, with the mapper's maps.
     """
     for _ in range(_ROUNDS):
         stretch = surrogate.stretch.copy()
@@ -171,7 +174,7 @@ def correlation_weights(fields: Sequence[Array], posting: float) -> Array:
     return np.asarray(weights / weights.sum())
 
 
-def _kept(scores: Sequence[Sequence[Array]]) -> float:
+def _scan_correlation(scores: Sequence[Sequence[Array]]) -> float:
     """Return the correlation of normal scores between the first and the second map.
 
     `scores` are the fields (rows, cols) of each scan; with one scan, the result is 0.
@@ -180,7 +183,9 @@ def _kept(scores: Sequence[Sequence[Array]]) -> float:
         return 0.0
     first, second = scores
     if len(first) != len(second):
-        raise InputError("scans", (len(first), len(second)), "must be the same number")
+        raise InputError(
+            "scans", (len(first), len(second)), "must be equal numbers of first and second maps"
+        )
     pairs = np.concatenate([
         np.stack((a, b), axis=-1).reshape(-1, 2) for a, b in zip(first, second, strict=True)
     ])  # fmt: skip

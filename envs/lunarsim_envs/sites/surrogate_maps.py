@@ -30,9 +30,9 @@ def draw_surrogate_maps(
     """
     posting = flight.samples[0].posting
     errors = surrogate.errors(np.array([flight.safe_share]), posting)
-    noise, nodes = errors.noise[errors.bank[0]], errors.tables.shape[3]
+    noise, nodes = errors.noise[errors.terrain_index[0]], errors.tables.shape[3]
     side = noise.shape[2]
-    steps = np.linspace(-errors.most, errors.most, nodes)
+    steps = np.linspace(-errors.max_score, errors.max_score, nodes)
     out, last, last_mean = [], None, None
     for sample in flight.samples:
         one = noise[sample.stage, rng.integers(noise.shape[1])]
@@ -40,11 +40,11 @@ def draw_surrogate_maps(
         one = one[: sample.kind.shape[0], : sample.kind.shape[1]].astype(np.float64)
         mean = rng.standard_normal()
         if last is not None and last_mean is not None:
-            fresh = np.sqrt(1.0 - errors.kept**2)
-            one = errors.kept * last + fresh * one
-            mean = errors.kept * last_mean + fresh * mean
+            fresh = np.sqrt(1.0 - errors.correlation**2)
+            one = errors.correlation * last + fresh * one
+            mean = errors.correlation * last_mean + fresh * mean
         last, last_mean = one, mean
-        common = errors.common[0, sample.stage]
+        common = errors.common_fraction[0, sample.stage]
         z = np.sqrt(common) * mean + np.sqrt(1.0 - common) * one
         p = np.full(sample.kind.shape, np.nan, np.float32)
         for c in np.unique(sample.kind[is_evaluated(sample)]):

@@ -45,27 +45,27 @@ def quality(
     for low, high in ((1.0, 1.25), (1.25, 1.5), (1.5, np.inf)):
         own = ~safe & (size >= low) & (size < high)
         name = f"unsafe, {low:g} to {high:g} of the limit, classified safe"
-        named[name] = _share(p[own] >= TOLD_SAFE)
+        named[name] = _wrong_fraction(p[own] >= TOLD_SAFE)
     for low, high in ((0.0, 0.5), (0.5, 0.8), (0.8, 1.0)):
         own = safe & (size >= low) & (size < high)
         name = f"safe, {low:g} to {high:g} of the limit, classified unsafe"
-        named[name] = _share(p[own] < TOLD_UNSAFE)
+        named[name] = _wrong_fraction(p[own] < TOLD_UNSAFE)
     edge = kind.astype(int) % (len(hazard.DISTANCES) + 1)
     for words, own in (
         ("unsafe, over 0.5 m from the edge, classified safe", ~safe & (edge <= 2)),
         ("unsafe, at the edge, classified safe", ~safe & (edge > 2)),
     ):
-        named[words] = _share(p[own] >= TOLD_SAFE)
+        named[words] = _wrong_fraction(p[own] >= TOLD_SAFE)
     for words, own in (
         ("safe, over 0.9 m from the edge, classified unsafe", safe & (edge >= 8)),
         ("safe, at the edge, classified unsafe", safe & (edge < 8)),
     ):
-        named[words] = _share(p[own] < TOLD_UNSAFE)
+        named[words] = _wrong_fraction(p[own] < TOLD_UNSAFE)
     named["correlation length (m)"] = correlation_length(samples, maps)
     return SurrogateMapQuality(tuple(named), np.array(list(named.values())))
 
 
-def _share(is_wrong: NDArray[np.bool_]) -> float:
+def _wrong_fraction(is_wrong: NDArray[np.bool_]) -> float:
     """Return the fraction of wrong classifications; NaN for fewer than 20 cells."""
     return float(is_wrong.mean()) if is_wrong.size >= 20 else float("nan")
 

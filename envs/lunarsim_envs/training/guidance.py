@@ -77,7 +77,7 @@ class HeldOutResult:
     propellant: float
 
 
-def look(network: Network, settings: PpoSettings) -> HeldOutResult:
+def evaluate_held_out(network: Network, settings: PpoSettings) -> HeldOutResult:
     """Evaluate a network on 300 flights with seeds that the training does not use."""
     batch = create_batch_env(settings, _LOOKED_AT)
     observation, _ = batch.reset(seed=_LOOK_SEED)
@@ -111,7 +111,7 @@ class TrainingRun:
     done
         Number of updates of the agent so far.
     curve
-        Learning curve, one row per evaluation, filled by `look`.
+        Learning curve, one row per evaluation, filled by `evaluate`.
 
     Raises
     ------
@@ -162,14 +162,14 @@ class TrainingRun:
         rate = s.learning_rate(self.done)
         self.model.lr_schedule = lambda _: rate
         with torch.no_grad():
-            self.model.policy.log_std.clamp_(max=s.most_spread(self.done))
+            self.model.policy.log_std.clamp_(max=s.max_log_std(self.done))
         self.model.learn(s.lanes * s.horizon, reset_num_timesteps=False)
         self.done += 1
         self.seconds += time.perf_counter() - start
 
-    def look(self) -> HeldOutResult:
+    def evaluate(self) -> HeldOutResult:
         """Evaluate the agent on held-out seeds; append the result to the learning curve."""
-        seen = look(policy_network(self.model), self.settings)
+        seen = evaluate_held_out(policy_network(self.model), self.settings)
         row: dict[str, float] = {"update": self.done, "steps": int(self.model.num_timesteps)}
         row |= {"seconds": round(self.seconds, 1), "on_target": seen.on_target}
         row |= {"safe": seen.safe, "propellant_kg": seen.propellant}
@@ -227,7 +227,7 @@ def train(
     while run.done < settings.updates:
         run.advance()
         if run.done % interval == 0 or run.done == settings.updates:
-            seen = run.look()
+            seen = run.evaluate()
             run.checkpoint()
             report(run, seen)
     return run

@@ -15,7 +15,7 @@ from lunarsim.errors import InputError
 _SHARED = "is not supported, because all lanes share one vector environment"
 
 
-def _of(shown: Any, lane: Any) -> Any:
+def _lane_observation(shown: Any, lane: Any) -> Any:
     """Return the observation of one environment (index `lane`) from all observations."""
     if isinstance(shown, dict):
         return {name: part[lane] for name, part in shown.items()}
@@ -105,7 +105,7 @@ class Sb3VecEnv(VecEnv):  # type: ignore[misc]
         infos: list[dict[str, Any]] = [{}] * self.num_envs
         for lane in np.flatnonzero(over):
             infos[lane] = {
-                "terminal_observation": _of(info["final_obs"], lane),
+                "terminal_observation": _lane_observation(info["final_obs"], lane),
                 "TimeLimit.truncated": bool(truncated[lane]),
                 "safe": bool(info["safe"][lane]),
             }

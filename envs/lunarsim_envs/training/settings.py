@@ -120,17 +120,17 @@ class PpoSettings:
         """Total number of updates of the agent in a training."""
         return -(-self.steps // (self.lanes * self.horizon))
 
-    def _falls(self, first: float, last: float, done: int) -> float:
+    def _interpolate(self, first: float, last: float, done: int) -> float:
         """Interpolate from `first` to `last` over all updates, at update number `done`."""
         return first + (last - first) * min(done / max(self.updates - 1, 1), 1.0)
 
     def learning_rate(self, done: int) -> float:
         """Return the learning rate after `done` updates."""
-        return self._falls(self.rate_first, self.rate_last, done)
+        return self._interpolate(self.rate_first, self.rate_last, done)
 
-    def most_spread(self, done: int) -> float:
+    def max_log_std(self, done: int) -> float:
         """Return the maximum log standard deviation of actions after `done` updates."""
-        return self._falls(self.initial_log_std, self.final_log_std, done)
+        return self._interpolate(self.initial_log_std, self.final_log_std, done)
 
     def starts(self, planned: np.ndarray) -> list[dict[str, Any]]:
         """Return options of `reset` with starts from near the target to the full distance.

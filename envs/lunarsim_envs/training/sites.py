@@ -55,7 +55,7 @@ class CemSettings:
     seed: int = 1
 
 
-def start(hidden: int) -> SiteNetwork:
+def initial_network(hidden: int) -> SiteNetwork:
     """Return the initial network, which imitates the onboard policy ``fuel-aware``.
 
     `hidden` is the width of the hidden layer, whose weights are zero.
@@ -67,7 +67,9 @@ def start(hidden: int) -> SiteNetwork:
     return SiteNetwork(linear, np.zeros((hidden, k)), np.zeros(hidden), np.zeros(hidden))
 
 
-def flown(lanes: SiteDescentBatch, keys: NDArray[np.uint64], weights: Array, hidden: int) -> Array:
+def fly_networks(
+    lanes: SiteDescentBatch, keys: NDArray[np.uint64], weights: Array, hidden: int
+) -> Array:
     """Fly n landers, each with its own network; return safety and propellant (n, 2).
 
     Safety is 0 or 1; propellant is in kg.
@@ -92,18 +94,18 @@ def flown(lanes: SiteDescentBatch, keys: NDArray[np.uint64], weights: Array, hid
     small = np.zeros((n, 2, MAP_CELLS, MAP_CELLS), np.float32)
     rows = np.arange(n)
     while (lanes.ended == FLYING).any():
-        sights = site_inputs(lanes, small)
-        x, good = features(sights)
+        inputs = site_inputs(lanes, small)
+        x, good = features(inputs)
         scores = np.einsum("nok,nk->no", x, linear)
         layer = np.tanh(np.einsum("nok,nhk->noh", x, inner) + bias[:, None])
         scores += np.einsum("noh,nh->no", layer, outer)
         best = np.where(good, scores, -np.inf).argmax(axis=1)
         sites = np.full((n, 3), np.nan)
         moved = best > 0
-        most = min(SITES, sights.position_of.shape[1])
-        sites[moved] = sights.position_of[rows[moved], np.minimum(best[moved] - 1, most - 1)]
+        most = min(SITES, inputs.position_of.shape[1])
+        sites[moved] = inputs.position_of[rows[moved], np.minimum(best[moved] - 1, most - 1)]
         lanes.decide(sites, every)
-    return np.stack((lanes.safe.astype(float), lanes.burnt), axis=1)
+    return np.stack((lanes.safe.astype(float), lanes.propellant_used), axis=1)
 
 
 def train(
@@ -125,13 +127,15 @@ def train(
     """
     s = settings
     rng = np.random.default_rng(s.seed)
-    mean = start(s.hidden).flat
+    mean = initial_network(s.hidden).flat
     sigma = np.full(mean.shape, s.spread)
     for generation in range(s.generations):
         drawn = mean + sigma * rng.standard_normal((s.population, len(mean)))
         drawn[0] = mean
         keys = rng.integers(2**64, size=s.flights, dtype=np.uint64)
-        found = flown(lanes, np.tile(keys, s.population), np.repeat(drawn, s.flights, 0), s.hidden)
+        found = fly_networks(
+            lanes, np.tile(keys, s.population), np.repeat(drawn, s.flights, 0), s.hidden
+        )
         found = found.reshape(s.population, s.flights, 2)
         worth = (found[..., 0] - s.propellant_weight * found[..., 1]).mean(axis=1)
         best = np.argsort(-worth, kind="stable")[: s.elite]
