@@ -214,7 +214,7 @@ class ClearEvidence:
         coarse = np.dstack(
             (sharpness, place, np.minimum(_HEIGHT_SIGMAS * reach, _MAX_HEIGHT_ERROR_M), *core)
         )
-        kernels.look(
+        kernels.record_observation(
             self.lit, self.dark, self.explained, self._tested, coarse, every, view.position,
             np.ascontiguousarray(view.enu_to_sensor.T), view.fx, view.fy, view.cx, view.cy,
             seen.labels,

@@ -66,7 +66,7 @@ def test_look_does_as_a_plain_loop(focal, way, height, cores, least):
     position = np.array([3.0, -4.0, height])
     labels = rng.integers(0, 4, (30, 40)).astype(np.int32)
     largest = np.array([0.0, 0.5, np.inf, -0.9], np.float32)
-    kernels.look(
+    kernels.record_observation(
         lit, dark_, known, radii, coarse, 4, position, axes, *focal, 19.0, 15.0, labels,
         largest, 2, 1.1, cores,
     )  # fmt: skip
@@ -132,7 +132,7 @@ def test_ground_whose_shadow_would_fall_within_the_picture_is_looked_at_to_its_e
     coarse = np.dstack((np.ones_like(x), x, y, 0.0 * x, 0.0 * x, core))
     lit, dark = (np.zeros((1, 60, 60), np.float32) for _ in range(2))
     down = np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]])
-    kernels.look(
+    kernels.record_observation(
         lit, dark, np.zeros(lit.shape, np.bool_), np.array([0.5]), coarse, 1,
         np.array([0.0, 0.0, 10.0]), down, 60.0, 60.0, 19.5, 14.5, np.zeros((30, 40), np.int32),
         np.zeros(1, np.float32), 1, 1.03, 1,
@@ -160,7 +160,7 @@ def test_what_is_in_view_is_looked_at_from_wherever_the_camera_stands(seed):
     position = np.append(rng.uniform(-4.0, 4.0, 2), rng.uniform(1.0, 4.0))
     focal = rng.uniform(15.0, 60.0)
     lit, dark = (np.zeros((1, 48, 60), np.float32) for _ in range(2))
-    kernels.look(
+    kernels.record_observation(
         lit, dark, np.zeros(lit.shape, np.bool_), np.array([0.3]), coarse, 12, position, axes,
         focal, focal, 19.5, 14.5, np.zeros((30, 40), np.int32), np.zeros(1, np.float32), 1, 1.03,
         1,

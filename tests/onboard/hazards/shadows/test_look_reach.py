@@ -33,7 +33,7 @@ def is_lit(reach, axes=DOWN, place=(10.0, 0.0, 0.0), wide=901, radius=0.5, dark=
     labels = np.zeros((21, wide), np.int32)
     labels[:, list(dark)] = 1
     lit, dark_ = np.zeros((2, 1, 1, 1), np.float32)
-    kernels.look(
+    kernels.record_observation(
         lit, dark_, np.zeros((1, 1, 1), np.bool_), np.array([radius]), coarse, 1,
         np.array([0.0, 0.0, 40.0]), axes, 40.0, 40.0, 10.0, 10.0, labels,
         np.array([0.0, np.inf], np.float32), 1, 1.0, 1,
