@@ -37,7 +37,7 @@ from lunarsim.onboard.hazards.fusion.elevation_samples import INDEPENDENT_SHARE,
 from lunarsim.onboard.hazards.fusion.rock_existence import COMMON_MISS_PROBABILITY
 from lunarsim.onboard.hazards.fusion.rock_track_precision import rock_track_precision
 from lunarsim.onboard.hazards.map_evidence import RockTracks
-from lunarsim.onboard.hazards.shadows._probability_kernels import paint
+from lunarsim.onboard.hazards.shadows._probability_kernels import multiply_clear_probability
 from lunarsim.onboard.hazards.shadows.probability import cover_probability
 
 Array = NDArray[np.float64]
@@ -243,7 +243,7 @@ def rock_free_probability(
     reach = mean + 1.5 * sigma + _REACH_SIGMAS * np.hypot(sigma, spread)
     distance = np.linspace(0.0, 1.0, _PROFILE_POINTS) * reach[:, None]
     profile = cover_probability(distance, sigma, mean, spread)
-    paint(
+    multiply_clear_probability(
         clear, grid.x0, grid.y0, grid.posting, tracks.xy[at], reach, profile, heights.hazard[at]
     )  # fmt: skip
     return clear

@@ -107,10 +107,10 @@ def test_nothing_is_seen_under_a_sun_without_shadows(elevation):
     seen = detect_rocks(counts, camera, state, SUN, model=MODEL)
     e = np.radians(elevation)
     sun = np.array([np.cos(e), 0.0, np.sin(e)])
-    mapping.see(camera.view(state), sun, seen)
+    mapping.add_image(camera.view(state), sun, seen)
     assert not mapping.observed.any()
     with pytest.raises(InputError, match="sun"):
-        mapping.see(camera.view(state), 2.0 * sun, seen)
+        mapping.add_image(camera.view(state), 2.0 * sun, seen)
 
 
 def test_pixels_that_are_no_numbers_show_nothing():
@@ -119,7 +119,7 @@ def test_pixels_that_are_no_numbers_show_nothing():
     gap = counts.astype(float)
     gap[200:280, 280:360] = np.nan
     seen = detect_rocks(gap, camera, state, SUN, model=MODEL)
-    mapping.see(camera.view(state), SUN, seen)
+    mapping.add_image(camera.view(state), SUN, seen)
     assert not mapping.observed[GRID.rows // 2, GRID.cols // 2]
     assert mapping.observed[GRID.rows // 2, GRID.cols // 2 + 40]
 
