@@ -58,7 +58,10 @@ class FusedMapperSettings:
         (), help="names of the fused mappers; omitted: all other mappers"
     )
     terrain_prior: float = quantity(
-        0.9, ge=0, lt=1, help="probability that unmeasured terrain is within the lander's limits"
+        0.9,
+        ge=0,
+        lt=1,
+        help="probability that slope and roughness of unmeasured terrain are within limits",
     )
 
     calibration_path: Path | None = quantity(
@@ -86,7 +89,7 @@ class FusedMapperSettings:
         if found is not None and found.other > 0.0 and not self.calibration_mapper:
             raise InputError(
                 "calibration_path", str(self.calibration_path),
-                f"must not weight a second map ({found.other:g}) without calibration_mapper",
+                f"must not use a second map (weight {found.other:g}) without calibration_mapper",
                 "Set calibration_mapper.",
             )  # fmt: skip
 

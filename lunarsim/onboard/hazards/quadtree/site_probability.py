@@ -202,21 +202,27 @@ class SiteEvidence:
         It is calibrated where few rocks and holes can be undetected, and where noise, holes in the
         terrain and the slope limit of the lander are within the range of the fitted data.
         """
-        return self._within(MAX_EXPECTED_HAZARDS, MAX_EXPECTED_TILTING_ROCKS, MAX_EXPECTED_HOLES)
+        return self._is_within_limits(
+            MAX_EXPECTED_HAZARDS, MAX_EXPECTED_TILTING_ROCKS, MAX_EXPECTED_HOLES
+        )
 
     @property
     def near_domain(self) -> BoolArray:
-        """Whether so few rocks may be undetected that the regression is conservative (n,)."""
-        return self._within(*_NEAR_DOMAIN_LIMITS)
+        """Whether the regression is conservative for each site, if not calibrated (n,).
 
-    def _within(
-        self, hazards: float, expected_tilt_violations: float, expected_hole_violations: float
+        More undetected rocks and holes are permitted than for `in_domain`.
+        """
+        return self._is_within_limits(*_NEAR_DOMAIN_LIMITS)
+
+    def _is_within_limits(
+        self, max_hazards: float, max_tilt_violations: float, max_hole_violations: float
     ) -> BoolArray:
-        """Return whether the expected numbers of undetected dangers are below limits (n,).
+        """Return which sites have few undetected rocks and holes, within limits (n,).
 
-        `hazards` limits the expected rocks above the roughness limit. `expected_tilt_violations`
-        and `expected_hole_violations` limit the rocks and holes that tilt the lander too far.
-        Noise, deep terrain and the slope limit must also be within the range of the fitted data.
+        `max_hazards` limits the expected number of undetected rocks above the roughness limit;
+        `max_tilt_violations` and `max_hole_violations` limit those of rocks and holes that tilt the
+        lander too far. Noise, deep terrain and the slope limit must also be within the range of the
+        fitted data.
         """
         noise = self.noise / self.lander.roughness_limit
         sunk = self.holes.at(_RELATIVE_DEPTHS[0] * self.lander.roughness_limit)
@@ -228,10 +234,10 @@ class SiteEvidence:
         ):
             return np.zeros(len(self.slope), np.bool_)
         with np.errstate(invalid="ignore"):
-            few = (self.hazards() <= hazards) & (
-                self.expected_tilt_violations() <= expected_tilt_violations
+            few = (self.hazards() <= max_hazards) & (
+                self.expected_tilt_violations() <= max_tilt_violations
             )
-            few &= self.expected_hole_violations() <= expected_hole_violations
+            few &= self.expected_hole_violations() <= max_hole_violations
         return np.asarray(self.is_evaluated & few)
 
     def max_roughness(self) -> Array:

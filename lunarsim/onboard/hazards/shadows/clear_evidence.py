@@ -207,7 +207,7 @@ class ClearEvidence:
             detections.largest if explained is None else _mark_explained(detections, explained)
         )
         reach = np.zeros(height.shape) if height_sigma is None else _evaluate(height_sigma, xy)
-        core = _cores(model, low_rocks, azimuth, depression, sun)
+        core = _shadow_test_points(model, low_rocks, azimuth, depression, sun)
         coarse = np.dstack(
             (sharpness, place, np.minimum(_HEIGHT_SIGMAS * reach, _MAX_HEIGHT_ERROR_M), *core)
         )
@@ -360,7 +360,7 @@ def _evaluate(function: Heights, xy: Array) -> Array:
     return function(xy.reshape(-1, 2)).reshape(xy.shape[:2])
 
 
-def _cores(
+def _shadow_test_points(
     model: ShadowModel | ShapeMixture,
     low_rocks: ShadowModel,
     azimuth: Array,

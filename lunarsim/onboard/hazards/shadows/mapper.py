@@ -445,7 +445,7 @@ class ShadowMapper(HazardMapper):
         """
         prior = self.probability.prior
         expected = self.probability.expected_rocks()
-        found = int(self.tracker.count_large_rocks(prior.least_diameter, self.grid))
+        found = int(self.tracker.count_large_rocks(prior.min_diameter, self.grid))
         is_too_few = is_rock_count_too_low(found, expected)
         unsafe = hazard_map.observed & (hazard_map.p_safe < _MIN_P_SAFE_WITHOUT_HAZARD)
         all_safe = bool(hazard_map.observed.any() and not unsafe.any())

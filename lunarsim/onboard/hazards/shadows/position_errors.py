@@ -48,15 +48,15 @@ def position_sigma(rocks: RockFilter, xy: Array, sufficient_sigma: float = 0.0) 
     return sigma
 
 
-def _mean_sigma(rocks: RockFilter, near: Index) -> Array:
+def _mean_sigma(rocks: RockFilter, groups: Index) -> Array:
     """Return the error of the mean position of groups of rocks (n,), 1 sigma, m.
 
-    `near` (n, k) are the indices of the rocks in each group.
+    `groups` (n, k) are the indices of the rocks in each group.
     """
     p, places = rocks.state.covariance_for_rows(), rocks.state_indices()
-    variance = np.zeros(len(near))
+    variance = np.zeros(len(groups))
     for axis in range(2):
-        at = places[near, axis]
+        at = places[groups, axis]
         between = rocks.state.pair_covariances(at[:, :, None], at[:, None, :]).mean((1, 2))
         variance += 0.5 * (between - 2.0 * p[axis, at].mean(1) + p[axis, axis])
     return np.sqrt(np.maximum(variance, 0.0))

@@ -16,7 +16,7 @@ from lunarsim.onboard.hazards.hazard_map import HazardMap
 from lunarsim.onboard.hazards.map_evidence import RockTracks
 from lunarsim.onboard.hazards.shadows import _probability_kernels as kernels
 from lunarsim.onboard.hazards.shadows.clear_evidence import ClearEvidence, Heights
-from lunarsim.onboard.hazards.shadows.footprints import footprint_seen
+from lunarsim.onboard.hazards.shadows.footprints import footprint_observed
 from lunarsim.onboard.hazards.shadows.probability import Form, checked_form, cover_probability
 from lunarsim.onboard.hazards.shadows.tracker import RockTracker
 from lunarsim.onboard.perception.detection_rates import DetectionRates
@@ -46,23 +46,23 @@ class HazardPrior:
     ----------
     cover
         Fraction k of the terrain covered by rocks of any size (Golombek).
-    least_diameter
+    min_diameter
         Minimum diameter of a rock that is a hazard, m.
-    largest_diameter
+    max_diameter
         Maximum diameter of a rock, m.
     """
 
     cover: float = 0.05
-    least_diameter: float = 0.3
-    largest_diameter: float = 4.0
+    min_diameter: float = 0.3
+    max_diameter: float = 4.0
 
     def __post_init__(self) -> None:
         check_types("prior", self)
         golombek_cover(1.0, self.cover)  # raises for a cover that is not a fraction
-        if not 0.0 < self.least_diameter < self.largest_diameter < np.inf:
+        if not 0.0 < self.min_diameter < self.max_diameter < np.inf:
             raise InputError(
-                "prior.min_diameter", self.least_diameter,
-                f"must be between 0 and {self.largest_diameter} m",
+                "prior.min_diameter", self.min_diameter,
+                f"must be between 0 and {self.max_diameter} m",
             )  # fmt: skip
 
 
@@ -112,9 +112,7 @@ class ProbabilityMap:
             -(-grid.rows // every) + 2 * margin_blocks, -(-grid.cols // every) + 2 * margin_blocks,
         )  # fmt: skip
         self._every, self._margin_blocks = every, margin_blocks
-        edges = np.geomspace(
-            self.prior.least_diameter, self.prior.largest_diameter, _SIZE_CLASSES + 1
-        )
+        edges = np.geomspace(self.prior.min_diameter, self.prior.max_diameter, _SIZE_CLASSES + 1)
         sizes = np.sqrt(edges[1:] * edges[:-1])
         cover = golombek_cover(edges, self.prior.cover)
         self.evidence = ClearEvidence(
@@ -267,7 +265,7 @@ class ProbabilityMap:
         radius = np.maximum(radius - np.minimum(variance * slope, 0.5 * radius), 0.01)
         # A rock counts with the probability that it is large enough to be a hazard.
         large = model.probability_longer_than(
-            0.5 * self.prior.least_diameter, radius, np.sqrt(variance)
+            0.5 * self.prior.min_diameter, radius, np.sqrt(variance)
         )
         at = np.flatnonzero(large * rocks.existence > 1e-4)
         if at.size == 0:
@@ -301,7 +299,7 @@ class ProbabilityMap:
         untracked rock; default: computed.
         """
         p = self.probability(tracker, footprint, residual)
-        observed = footprint_seen(self.observed, footprint / self.grid.posting)
+        observed = footprint_observed(self.observed, footprint / self.grid.posting)
         return HazardMap(
             self.grid,
             np.where(observed, np.float32(1.0) - p, np.float32(0.0)),

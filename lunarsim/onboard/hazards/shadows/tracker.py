@@ -136,7 +136,10 @@ class RockTracker:
         n = len(xy)
         arrays = [np.broadcast_to(np.asarray(v, float), n) for v in (sigma, radius, radius_sigma)]
         if not all(np.isfinite(a).all() and (a > 0.0).all() for a in arrays):
-            raise InputError("rocks.known", "sigma or radius", "must be positive and finite")
+            raise InputError(
+                "rocks.known", None, "must have positive, finite radii and standard deviations",
+                show_value=False,
+            )  # fmt: skip
         self.filter.add_known(xy, arrays[0], arrays[1], arrays[2] ** 2)
         self.existence = np.concatenate((self.existence, np.full(n, 0.99)))
         self.hits = np.concatenate((self.hits, np.ones(n, np.int64)))

@@ -8,7 +8,7 @@ import pytest
 from lunarsim.errors import InputError
 from lunarsim.grid import Grid
 from lunarsim.onboard.hazards.shadows import HazardPrior, ProbabilityMap
-from lunarsim.onboard.hazards.shadows.footprints import disc_mean, footprint_seen
+from lunarsim.onboard.hazards.shadows.footprints import disc_mean, footprint_observed
 from lunarsim.onboard.perception.detection_rates import DetectionRates
 from lunarsim.onboard.perception.detector import detect_rocks
 from lunarsim.rocks.size_distribution import golombek_number
@@ -34,13 +34,13 @@ def test_mean_over_discs_is_that_of_points_drawn_in_them():
 def test_a_footprint_is_seen_where_its_whole_disc_is():
     seen = np.zeros((60, 60), bool)
     seen[:, 30:] = True
-    whole = footprint_seen(seen, 6.0)
+    whole = footprint_observed(seen, 6.0)
     assert not whole[:, :33].any()
     # At least a tenth of the disc lies beyond the edge until its middle is 4.1 cells behind it.
     assert not whole[30, 33] and whole[30, 35:54].all()
     assert not whole[:6].any() and not whole[:, -6:].any()
-    assert np.array_equal(footprint_seen(seen, 0.0), seen)
-    assert not footprint_seen(np.ones((9, 9), bool), 6.0).any()
+    assert np.array_equal(footprint_observed(seen, 0.0), seen)
+    assert not footprint_observed(np.ones((9, 9), bool), 6.0).any()
 
 
 LINE = (1001.0, -1000.0, 1e-9)
