@@ -48,9 +48,9 @@ def write_measured_cells(
     """Write mean, variance and observation flag of the cells with enough samples.
 
     Cells with a weight of at most `min_weight` get a NaN mean, the variance `prior_variance` (m^2)
-    and the flag False. `height` and `weight` (rows, cols) are the results of `splat` with the
-    reference height `base`, m. `mean`, `variance` and `observed` (rows, cols) receive the results.
-    `thread_slice` is (thread, number of threads).
+    and the flag False; the others get the variance `sample_variance`. `height` and `weight` (rows,
+    cols) are the results of `splat` with the reference height `base`, m. `mean`, `variance` and
+    `observed` (rows, cols) receive the results. `thread_slice` is (thread, number of threads).
     """
     rows, cols = height.shape
     for i in range(thread_slice[0], rows, thread_slice[1]):

@@ -88,9 +88,9 @@ def write_measured_cells(
     weight of at most `min_weight` get a NaN mean, the variance `prior_variance`, m^2, and the flag
     False. `variogram_slope`, m, holds the slope of the variogram at the origin for each square of
     `square_cells` x `square_cells` cells. `mean_offset`, m, is the effective distance of a sample
-    from the cell centre. Their product, divided by the sum of weights, is added to the variance of
-    the mean. `mean`, `variance` and `observed` (rows, cols) receive the results. `thread_slice` is
-    (thread, number of threads).
+    from the cell centre. Their product, divided by the sum of weights (or by 1 if that is larger),
+    is added to the variance of the mean. `mean`, `variance` and `observed` (rows, cols) receive the
+    results. `thread_slice` is (thread, number of threads).
     """
     rows, cols = mean.shape
     for i in range(thread_slice[0], rows, thread_slice[1]):

@@ -58,9 +58,9 @@ class SamplePool:
     splat
         Sums over the samples around each cell, with bilinear weights (Eq. 1 of the Gaussian DEM
         paper) (rows, cols, 4). The first entry is the sum of weights of one scan, the maximum over
-        all scans; many scans that only touch a corner of a cell do not measure it. The others are
-        the sums of weight over variance, of weight times height over variance, and of squared
-        weight over variance.
+        all scans, so that a cell hit only at its edge does not count as measured after many scans.
+        The others are the sums of weight over variance, of weight times height over variance, and
+        of squared weight over variance.
     spacing
         Minimum distance of neighbouring samples within their scans (rows, cols), m; inf without
         samples.

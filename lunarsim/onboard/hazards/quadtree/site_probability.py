@@ -208,7 +208,7 @@ class SiteEvidence:
 
     @property
     def near_domain(self) -> BoolArray:
-        """Whether the regression is conservative for each site, if not calibrated (n,).
+        """Whether the regression is calibrated or conservative for each site (n,).
 
         More undetected rocks and holes are permitted than for `in_domain`.
         """

@@ -17,7 +17,7 @@ _SURER, _PLAIN, _PLAIN_SURER = np.float32(1.5), np.float32(5.0), np.float32(1.15
 def mark_possible(possible, lit, dark, radius):
     """Mark the positions where a rock of one size may exist in the dark undetected.
 
-    That is where the sharpest observation saw dark terrain in place of the rock's shadow, and no
+    That is where an observation saw dark terrain at the place of the rock's shadow, and no
     considerably sharper one saw it lit. `lit` and `dark` (rows, cols) are the sharpness of the
     sharpest observation of lit and of dark terrain: q (the square root of the number of dark
     pixels) per metre of radius; 0 for no observation. `radius` is that of the rock, m. `possible`

@@ -183,8 +183,8 @@ class ClearEvidence:
             Function that returns the error of `heights` (n,), 1 sigma, m; lit terrain must be lit
             within two sigma above and below. Default: 0.
         blur
-            Point spread of the camera, 1 sigma, pixels; default: not wider than that of the
-            detection rates.
+            Point spread of the camera, 1 sigma, pixels; it has no effect unless it is wider than
+            that of the detection rates.
         """
         if len(detections) == 0:
             return
@@ -275,7 +275,7 @@ class ClearEvidence:
         The result (sizes, rows, cols) is below 1 where the terrain was observed lit. It is 1
         without an observation and where the shadow of a tracked rock may hide a rock. Other dark
         terrain holds all rocks that were not found: there it is the ratio of densities times the
-        miss rate at this sharpness, and at minimum 1.
+        miss rate at this sharpness, and 1 or more.
         """
         out = np.ones(self.lit.shape, np.float32)
         for s in range(len(out)):
