@@ -176,11 +176,9 @@ class RockTracker:
         """
         s = self.settings
         self._propagate(camera, plane.direction(unit_vector(sun)), time)
-        radius_variance = (
-            detections.radius_sigma**2 + (s.relative_radius_sigma * detections.radius) ** 2
-        )
+        variance = detections.radius_sigma**2 + (s.relative_radius_sigma * detections.radius) ** 2
         points = self.filter.terrain_points(camera, detections.pixel, s.region)
-        split_count = self._split(detections, points, camera, radius_variance)
+        split_count = self._split(detections, points, camera, variance)
         projection = self.filter.project_rocks(camera)
         view = _in_view(projection, camera)
         at = np.flatnonzero(view)
@@ -189,9 +187,7 @@ class RockTracker:
         self.filter.freeze(~view & large)
         # Resting rocks do not move until they are seen again.
         self._last_positions[~view & large] = np.nan
-        d, rock, is_unambiguous, close = self._associate(
-            detections, projection, at, radius_variance
-        )
+        d, rock, is_unambiguous, close = self._associate(detections, projection, at, variance)
         # Rocks just added by splitting must not be updated with the same image.
         known = self.filter.count - split_count
         at, is_old = at[at < known], rock < known
@@ -206,19 +202,17 @@ class RockTracker:
             order, [s.max_position_updates // 2 if large else s.max_position_updates]
         )
         self.filter.update_radii(
-            rock[radius_only],
-            detections.radius[d[radius_only]],
-            radius_variance[d[radius_only]],
+            rock[radius_only], detections.radius[d[radius_only]], variance[d[radius_only]],
             s.radius_floor,
-        )
+        )  # fmt: skip
         a, b = d[position_update], rock[position_update]
         self.corrected[b] = time
         found = self.filter.update_rocks(
             b, projection, detections.pixel[a], detections.independent_covariance[a],
-            detections.radius[a], radius_variance[a],
+            detections.radius[a], variance[a],
             s.common_pixels, s.radius_floor, s.max_normalised_innovation,
         )  # fmt: skip
-        self._reinitialize(rock[second], d[second], detections, camera, radius_variance)
+        self._reinitialize(rock[second], d[second], detections, camera, variance)
         expected = self._update_existence(rock, at, detections, d, camera, sun, plane)
         self.explained = np.zeros(len(detections), np.bool_)
         self.explained[d] = self._is_confirmed(rock, in_view)
@@ -227,11 +221,11 @@ class RockTracker:
             self.explained[:] = False
         points = self.filter.terrain_points(camera, detections.pixel, s.region)
         begins = detections.radius >= (s.min_landmark_radius if in_view < s.few else s.min_radius)
-        born = self._start_tracks(~close & begins, detections, points, camera, radius_variance)
+        born = self._start_tracks(~close & begins, detections, points, camera, variance)
         on_terrain = terrain_position_covariance(
             points, detections.pixel_covariance, self.filter, camera
         )
-        self._store_tentative(~close & ~born, detections, points, on_terrain, radius_variance)
+        self._store_tentative(~close & ~born, detections, points, on_terrain, variance)
         self._merge()
         self._drop(np.flatnonzero(self._too_small(in_view) | (self.existence < _MIN_EXISTENCE)))
         return found

@@ -39,8 +39,8 @@ def looks(frames, shots, interval):
     mapper = ShadowMapper(
         tracker_at(PLACE), mapping, SUN, 1.0, health=health, clear_terrain_interval=interval
     )
-    found, see = [], mapping.see
-    mapping.see = lambda *a, **k: (found.append(now), see(*a, **k))
+    found, see = [], mapping.add_image
+    mapping.add_image = lambda *a, **k: (found.append(now), see(*a, **k))
     for n, (name, time) in enumerate(shots):
         now = (name, time)
         mapper.update_from_sensor(
