@@ -68,7 +68,7 @@ def fit_calibration(counts: Array, with_quadtree: bool, lander: Lander) -> Fused
     unsafe, safe = counts.reshape(2, -1)
     footprint = np.pi * (lander.leg_radius + 0.5 * lander.pad_diameter) ** 2
     return FusedCalibration.fit(
-        p, q, seen & with_quadtree, safe, unsafe, worth=min(POSTING**2 / footprint, 1.0)
+        p, q, seen & with_quadtree, safe, unsafe, site_weight=min(POSTING**2 / footprint, 1.0)
     )
 
 

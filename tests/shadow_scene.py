@@ -66,5 +66,5 @@ def follow(terrain, path, tracker, mapping=None, begins=0.0):
         seen = detect_rocks(counts, camera, state, SUN, model=MODEL)
         tracker.update(seen, camera, SUN, begins + 0.1 * k)
         if mapping is not None:
-            mapping.see(camera.view(state), SUN, seen)
+            mapping.add_image(camera.view(state), SUN, seen)
     return tracker

@@ -57,7 +57,7 @@ NAN = float("nan")
         (DetectionRates, "missed", ["abc", (1.0, None, 0.1)]),
         (RockModel, "burial", ["ab", (0.1, "x")]),
         (HazardPrior, "cover", ["a", None]),
-        (HazardPrior, "largest_diameter", ["a", None]),
+        (HazardPrior, "max_diameter", ["a", None]),
     ],
 )
 def test_settings_of_a_wrong_type_name_their_field(make, name, wrong):
@@ -71,7 +71,7 @@ def test_what_has_no_end_is_refused():
         with pytest.raises(InputError, match=r"camera\.exposure_change"):
             ExposureControl(max_change_factor=factor)
     with pytest.raises(InputError, match=r"prior\.min_diameter"):
-        HazardPrior(largest_diameter=np.inf)
+        HazardPrior(max_diameter=np.inf)
 
 
 def test_numbers_of_numpy_are_numbers():

@@ -12,14 +12,14 @@ from lunarsim.vehicle.state import State
 Array = NDArray[np.float64]
 
 
-def flown(path: RigidPath, step: float = 0.01) -> tuple[Array, Array]:
-    """Simulate the planned commands of a rigid-body path open loop, without feedback.
+def simulate_open_loop(path: RigidPath, max_step: float = 0.01) -> tuple[Array, Array]:
+    """Simulate a rigid-body path with its planned commands, without feedback.
 
     Parameters
     ----------
     path
         Path whose start and commands are used.
-    step
+    max_step
         Maximum integration step, s.
 
     Returns
@@ -31,7 +31,7 @@ def flown(path: RigidPath, step: float = 0.01) -> tuple[Array, Array]:
     """
     d, count = path.descent, len(path.thrust)
     length = path.duration / count
-    parts = int(np.ceil(length / step))
+    parts = int(np.ceil(length / max_step))
     dynamics = Dynamics(d.lander, d.gravity, step=length / parts)
     state = State.from_vector(path.states[0])
     rows = [state.as_vector()]

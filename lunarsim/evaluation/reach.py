@@ -17,15 +17,15 @@ Array = NDArray[np.float64]
 _APPROACH_PHASE = 0.0
 
 
-def divert_cost_from(flight: Flight, here: Estimate, sites: Array) -> DivertCost:
+def divert_cost_from(flight: Flight, estimate: Estimate, sites: Array) -> DivertCost:
     """Return the guidance law's divert cost from a state of a flight to sites (n, 3).
 
-    `here` is the navigation estimate of the state; sites are in the local frame, m.
+    `estimate` is the navigation estimate of the state; sites are in the local frame, m.
     """
     scenario = Scenario.from_toml(flight.scenario)
     approach, lander = scenario.approach.make(), scenario.vehicle.make()
     cost: DivertCost = scenario.guidance.make().cost(
-        here, approach.end(sites, lander), lander, scenario.gravity_m_s2, approach.limits
+        estimate, approach.end(sites, lander), lander, scenario.gravity_m_s2, approach.limits
     )
     return cost
 
@@ -67,13 +67,12 @@ def decision_rows(flight: Flight) -> tuple[int, int] | None:
 
 
 def reach_at_row(flight: Flight, row: int, grid: Grid) -> ReachabilityMap:
-    """Return where the lander could land from a trajectory row, on a grid.
+    """Return where the lander could land from its state in a trajectory row.
 
-    `grid` is in the local frame.
-
-    Terrain heights are from the last hazard map; elsewhere, the height of the landing site is used.
-    Sites that are not visible through the lander's window count as within reach.
+    The result is on `grid` (local frame). Terrain heights are from the last hazard map; elsewhere,
+    the height of the landing site is used. Sites that are not visible through the lander's window
+    count as within reach.
     """
-    here, site = estimate_at_row(flight, row), flight.sites[row]
+    estimate, site = estimate_at_row(flight, row), flight.sites[row]
     height = elevation_on_grid(grid, flight.hazard_map, float(site[2]))
-    return ReachabilityMap(grid, height, lambda sites: divert_cost_from(flight, here, sites))
+    return ReachabilityMap(grid, height, lambda sites: divert_cost_from(flight, estimate, sites))

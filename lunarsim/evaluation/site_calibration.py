@@ -46,19 +46,25 @@ class SiteSamples:
     ----------
     flight
         Index of the flight of each site.
-    log_odds, agreed
-        Minimum log odds of safety over the ensemble of regressions supplied with lunarsim, and
-        whether these agree that the site is almost certainly safe or unsafe.
-    ceiling, clear, bound, known
-        Upper bound of p from observed slope and roughness; probability that no undetected rock lies
-        under the pads; upper bound outside the domain of the regressions; whether the site is
-        inside that domain.
-    hazards, tilting, noise, spacing
-        Expected numbers of undetected rocks above the roughness limit and of rocks that tilt the
-        lander; noise over roughness limit; sample spacing over leg radius (as in
-        `CalibrationDomain`).
+    log_odds
+        Minimum log odds of safety over the ensemble of regressions supplied with lunarsim.
+    agreed
+        Whether these regressions agree that the site is almost certainly safe or unsafe.
+    ceiling
+        Upper bound of the probability of safety from observed slope and roughness.
+    clear
+        Probability that no undetected rock lies under the pads.
+    bound
+        Upper bound of the probability of safety outside the domain of the regressions.
+    known
+        Whether the site is inside that domain.
+    hazards, tilting
+        Expected numbers of undetected rocks above the roughness limit and of undetected rocks that
+        tilt the lander too far.
+    noise, spacing
+        Noise divided by the roughness limit, and sample spacing divided by the leg radius.
     safe
-        Whether the site is exactly safe.
+        Whether the site is safe according to the exact terrain.
     """
 
     flight: NDArray[np.int64]
@@ -80,36 +86,36 @@ class SiteSamples:
 
     @classmethod
     def of(
-        cls, evidence: MapEvidence, where: BoolArray, safe: BoolArray, flight: int
+        cls, evidence: MapEvidence, mask: BoolArray, safe: BoolArray, flight: int
     ) -> SiteSamples:
         """Collect the calibration data of selected sites of one hazard map.
 
         Parameters
         ----------
         evidence
-            Data of the hazard map.
-        where, safe
-            Mask of the observed sites to take, and whether they are safe (rows, cols).
+            Inputs of the safety calibration at each cell of the map.
+        mask, safe
+            Observed sites to take, and whether each site is safe (rows, cols).
         flight
             Index of the flight.
         """
-        n = int(where.sum())
+        n = int(mask.sum())
         e = evidence
-        odds = log_odds_bounds(e, where, packaged_ensemble())
-        most, clear = observed_terrain_bound(e)[where], p_no_rock_under_pads(e)[where]
+        odds = log_odds_bounds(e, mask, packaged_ensemble())
+        most, clear = observed_terrain_bound(e)[mask], p_no_rock_under_pads(e)[mask]
         return cls(
             np.full(n, flight, np.int64),
             odds.low,
             odds.estimate(np.minimum(most, clear)).agreed,
             most,
             clear,
-            outside_domain_bound(e)[where],
-            in_domain(e)[where],
-            e.expected_hazards()[where],
-            e.expected_tilt_violations()[where],
+            outside_domain_bound(e)[mask],
+            in_domain(e)[mask],
+            e.expected_hazards()[mask],
+            e.expected_tilt_violations()[mask],
             np.full(n, e.noise_ratio),
             np.full(n, e.spacing_ratio),
-            safe[where],
+            safe[mask],
         )
 
     @classmethod
@@ -117,9 +123,9 @@ class SiteSamples:
         """Concatenate the sites of several samples (at least one)."""
         return cls(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(cls)))
 
-    def at(self, where: BoolArray) -> SiteSamples:
+    def at(self, mask: BoolArray) -> SiteSamples:
         """Return the sites that a mask (n,) selects."""
-        return SiteSamples(*(getattr(self, f.name)[where] for f in fields(self)))
+        return SiteSamples(*(getattr(self, f.name)[mask] for f in fields(self)))
 
     def domain(self) -> CalibrationDomain:
         """Return the range of site features that these sites cover.
@@ -314,62 +320,64 @@ def check_site_counts(sites: SiteSamples) -> None:
         raise InputError(
             "safe sites", f"{safe.sum()} of {len(safe)}",
             f"must be at least {MIN_SITES_PER_CLASS} safe and {MIN_SITES_PER_CLASS} unsafe "
-            f"sites, even without "
-            "one of the flights",
+            "sites, even without one of the flights",
             "Use more flights or sites, or a scenario with both kinds of terrain.",
         )  # fmt: skip
 
 
 def _compare_probabilities(
-    sites: SiteSamples, before: Array, after: Array, where: BoolArray, weights: Array
+    sites: SiteSamples, before: Array, after: Array, mask: BoolArray, flight_weights: Array
 ) -> CalibrationComparison:
     """Compare the accuracy of two probabilities (n,) on the sites of a mask (n,).
 
-    `weights` (samples, flights) counts resampled flights; its first row is ones.
+    `flight_weights` (resamples, flights) are the numbers of times that each bootstrap resample
+    contains each flight; the first row is the original sample of ones.
     """
-    flights = weights.shape[1]
+    flights = flight_weights.shape[1]
     score = [(p - sites.safe) ** 2 for p in (before, after)]
-    gain = _per_flight(sites.flight[where], (score[0] - score[1])[where], flights)
+    gain = _per_flight(sites.flight[mask], (score[0] - score[1])[mask], flights)
     with np.errstate(invalid="ignore"):
-        gains = (weights @ gain) / (weights @ _per_flight(sites.flight[where], None, flights))
+        gains = (flight_weights @ gain) / (
+            flight_weights @ _per_flight(sites.flight[mask], None, flights)
+        )
     return CalibrationComparison(
-        _compute_quality(sites, before, where, weights),
-        _compute_quality(sites, after, where, weights),
+        _compute_quality(sites, before, mask, flight_weights),
+        _compute_quality(sites, after, mask, flight_weights),
         _interval(gains),
     )
 
 
 def _compute_quality(
-    sites: SiteSamples, p: Array, where: BoolArray, weights: Array
+    sites: SiteSamples, p: Array, mask: BoolArray, flight_weights: Array
 ) -> ProbabilityQuality:
     """Compute the accuracy of probabilities `p` (n,) on the sites of a mask (n,).
 
-    The first row of `weights` (samples, flights) is ones; the others count resampled flights.
+    `flight_weights` is explained in `_compare_probabilities`.
     """
-    flights = weights.shape[1]
-    s, p = sites.at(where), p[where]
+    flights = flight_weights.shape[1]
+    s, p = sites.at(mask), p[mask]
     confident = p > _CONFIDENT_P
 
     def total(values: Array | BoolArray | None, among: BoolArray | None = None) -> Array:
         at = s.flight if among is None else s.flight[among]
         given = values if values is None or among is None else values[among]
-        sums: Array = weights @ _per_flight(at, given, flights)
+        sums: Array = flight_weights @ _per_flight(at, given, flights)
         return sums
 
     bins = np.array(
         [reliability(p[s.flight == f], s.safe[s.flight == f], EDGES) for f in range(flights)]
     )
-    table = np.tensordot(weights, bins, axes=1)
+    table = np.tensordot(flight_weights, bins, axes=1)
     number, safe = total(None), total(s.safe)
     with np.errstate(invalid="ignore", divide="ignore"):
         base = safe / number
         spread = base * (1.0 - base)
         skill = 1.0 - total((p - s.safe) ** 2) / number / np.where(spread > 0.0, spread, np.nan)
         gap = total(p - s.safe, confident) / total(None, confident)
-        share = number / (weights @ _per_flight(sites.flight, None, flights))
+        share = number / (flight_weights @ _per_flight(sites.flight, None, flights))
         ece = np.abs(table[..., 1] - table[..., 2]).sum(axis=1) / number
     return ProbabilityQuality(
-        len(s), _interval(share), _interval(base), _unbiased(ece), _interval(skill),
+        len(s), _interval(share), _interval(base), _bias_corrected_interval(ece), _interval(skill),
         int(confident.sum()), _interval(gap),
     )  # fmt: skip
 
@@ -379,34 +387,36 @@ def _per_flight(flight: NDArray[np.int64], values: Array | BoolArray | None, fli
     return np.bincount(flight, weights=values, minlength=flights).astype(np.float64)
 
 
-def _interval(samples: Array) -> Array:
-    """Return the first sample and the 95 % interval of the other samples (3,)."""
-    rest = samples[1:][np.isfinite(samples[1:])]
-    ends = np.quantile(rest, [0.025, 0.975]) if rest.size else np.full(2, np.nan)
-    return np.array([samples[0], *ends])
+def _interval(resampled: Array) -> Array:
+    """Return a statistic and the ends of its 95 % bootstrap interval (3,).
 
-
-def _unbiased(samples: Array) -> Array:
-    """Return value and interval of a statistic, corrected for the bias of resampling.
-
-    The statistic is non-negative and increases with noise.
-
-    Resampling adds noise; the interval is shifted back by the mean increase.
+    `resampled` holds the statistic of the original sample, then those of the resamples.
     """
-    value, low, high = _interval(samples)
-    rest = samples[1:][np.isfinite(samples[1:])]
+    rest = resampled[1:][np.isfinite(resampled[1:])]
+    ends = np.quantile(rest, [0.025, 0.975]) if rest.size else np.full(2, np.nan)
+    return np.array([resampled[0], *ends])
+
+
+def _bias_corrected_interval(resampled: Array) -> Array:
+    """Return a statistic and its bootstrap interval, corrected for resampling bias.
+
+    For a statistic that is non-negative and increases with noise, such as the calibration error,
+    resampling adds noise. The interval is therefore shifted back by the mean increase. `resampled`
+    is explained in `_interval`.
+    """
+    value, low, high = _interval(resampled)
+    rest = resampled[1:][np.isfinite(resampled[1:])]
     added = float(rest.mean() - value) if rest.size else 0.0
     return np.array([value, max(low - added, 0.0), max(high - added, 0.0)])
 
 
-def with_quality(refit: ScenarioCalibration, left_out: CrossValidation) -> ScenarioCalibration:
-    """Return a calibration that also stores its cross-validated accuracy.
-
-    `left_out` is the result of `cross_validate`.
-    """
+def with_quality(
+    refit: ScenarioCalibration, cross_validation: CrossValidation
+) -> ScenarioCalibration:
+    """Return a calibration that also stores its cross-validated accuracy."""
     groups = {
-        "packaged_domain": left_out.packaged_domain,
-        "refit_domain": left_out.refit_domain,
+        "packaged_domain": cross_validation.packaged_domain,
+        "refit_domain": cross_validation.refit_domain,
     }
     return replace(
         refit,

@@ -12,7 +12,7 @@ Array = NDArray[np.float64]
 
 
 class TruthMesh:
-    """Coarse triangular mesh of the true terrain, to which hazards are deviations.
+    """Coarse triangular mesh of the true terrain; deviations from it are hazards.
 
     Parameters
     ----------
@@ -21,8 +21,8 @@ class TruthMesh:
     grid
         Grid of the elevation.
     spacing
-        Side of the squares, m: 2 lambda_z in the paper. It is rounded to a multiple of the grid
-        spacing.
+        Side of the squares, m: 2 lambda_z in the quadtree paper. It is rounded to a multiple of the
+        grid spacing.
     """
 
     def __init__(self, elevation: ArrayLike, grid: Grid, spacing: float) -> None:

@@ -103,7 +103,7 @@ def map_errors(
     The cells (n,) are the smallest ones with sides of 0.4 to 0.8 m; errors are map minus truth.
     """
     tree, fine = mapper.map, actual.grid
-    nodes = tree.band(4.0 * tree.least, 8.0 * tree.least)
+    nodes = tree.band(4.0 * tree.min_cell_size, 8.0 * tree.min_cell_size)
     xy, side = tree.centres(nodes), tree.sizes(nodes)
     truth = np.full(len(nodes), np.nan)
     for size in np.unique(side):

@@ -173,7 +173,7 @@ def quadtree_map(points: np.ndarray, grid: Grid, factor: float, density: float) 
         grid,
         settings,
         elevation=float(np.median(points[:, 2])),
-        least=0.1 * times,
+        min_cell_size=0.1 * times,
         lander=scaled_lander(Lander(), factor),
     )
     mapper.map.insert(points)

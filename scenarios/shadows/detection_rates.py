@@ -157,7 +157,7 @@ def cleared_rocks(
     grid = Grid.centred((0.0, 0.0), FIELD, 0.25)
     sizes = MIN_HAZARD_DIAMETER * 1.4 ** np.arange(4)
     evidence = ClearEvidence(grid, model, sizes, np.ones(4), DetectionRates())
-    evidence.see(view, world.light.direction, seen, lambda xy: np.zeros(len(xy)))
+    evidence.add_image(view, world.light.direction, seen, lambda xy: np.zeros(len(xy)))
     of = np.clip(np.searchsorted(0.5 * sizes, rocks.a, side="right") - 1, 0, 3)
     centre = grid.centres().reshape(-1, 2)
     near = cKDTree(centre).query_ball_point(

@@ -125,7 +125,7 @@ def _rigid() -> None:
     """Print solver times of a rigid-body descent by convexification and by IPOPT."""
     from scipy.spatial.transform import Rotation
 
-    from lunarsim.evaluation.open_loop import flown
+    from lunarsim.evaluation.open_loop import simulate_open_loop
     from lunarsim.models.lander import Lander
     from lunarsim.optimal.six_dof import (
         RigidDescent,
@@ -146,7 +146,7 @@ def _rigid() -> None:
             glideslope=point.glideslope,
         )  # fmt: skip
         first = programs.solve(rigid)
-        times, states = flown(first)
+        times, states = simulate_open_loop(first)
         after = State.from_vector(states[np.searchsorted(times, 1.0)])
         later = programs.solve(replace(rigid, start=after), remaining_guess(first, 1.0))
         cold.append(1e3 * first.seconds)

@@ -208,7 +208,7 @@ def _evidence(elevation: float) -> None:
     def look(restart: bool) -> None:
         if restart:
             evidence.forget()
-        evidence.see(view, sun, seen, lambda xy: np.zeros(len(xy)))
+        evidence.add_image(view, sun, seen, lambda xy: np.zeros(len(xy)))
 
     first, again = median_ms(lambda: look(True), 7), median_ms(lambda: look(False), 7)
     print(f"  evidence at {evidence.lit.shape} cells: {first:.1f} ms, repeated {again:.1f} ms")

@@ -10,7 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from lunarsim.errors import InputError
-from lunarsim.evaluation.open_loop import flown
+from lunarsim.evaluation.open_loop import simulate_open_loop
 from lunarsim.models.lander import Lander
 from lunarsim.optimal.errors import SolverError
 from lunarsim.optimal.final_time import minimize_propellant
@@ -59,7 +59,7 @@ def descent(rng: np.random.Generator, **changes) -> RigidDescent:
 
 def held(d: RigidDescent, path: RigidPath) -> None:
     """Check a path by what the simulator makes of its commands."""
-    found = evaluate_violations(d, *flown(path))
+    found = evaluate_violations(d, *simulate_open_loop(path))
     assert found.miss < 0.05 and found.speed < 0.01, found
     assert np.rad2deg([found.lean, found.spin]).max() < 0.05, found
     assert np.rad2deg([found.tilt, found.rate]).max() < 0.3, found
@@ -109,7 +109,9 @@ def test_a_sensor_sees_the_site_for_as_long_as_it_is_asked_to():
     d = descent(np.random.default_rng(2))
     asked = replace(d, sight=SiteVisibility(np.array([0.0, 0.0, -1.0]), np.deg2rad(55.0), 0.6))
     free, path = SuccessiveConvexification(N).solve(d), SuccessiveConvexification(N).solve(asked)
-    assert np.rad2deg(evaluate_violations(asked, *flown(free)).sight) > 5.0  # nobody asked
+    assert (
+        np.rad2deg(evaluate_violations(asked, *simulate_open_loop(free)).sight) > 5.0
+    )  # nobody asked
     held(asked, path)
     assert path.propellant > 1.1 * free.propellant
 
@@ -119,7 +121,7 @@ def test_a_tighter_limit_costs_more_and_the_guess_may_be_an_answer():
     free = SuccessiveConvexification(N).solve(d)
     slow = SuccessiveConvexification(N).solve(replace(d, max_rate=np.deg2rad(6.0)))
     assert slow.propellant > free.propellant
-    assert evaluate_violations(slow.descent, *flown(slow)).rate == pytest.approx(
+    assert evaluate_violations(slow.descent, *simulate_open_loop(slow)).rate == pytest.approx(
         0.0, abs=2e-3
     )  # all of it is had
     weak = SuccessiveConvexification(N).solve(replace(d, torque_share=0.1))
@@ -252,7 +254,7 @@ def test_a_path_is_solved_for_again_from_where_it_has_led():
     d = descent(np.random.default_rng(1))
     programs = SuccessiveConvexification(N)
     path = programs.solve(d)
-    times, states = flown(path)
+    times, states = simulate_open_loop(path)
     here = replace(d, start=State.from_vector(states[np.searchsorted(times, 2.0)]))
     left = remaining_guess(path, 2.0)
     again = programs.solve(here, left)

@@ -174,7 +174,7 @@ WRONG = {
     ),
     "a fused map of itself": (
         {"mappers": {"dem": DEM, "all": {"kind": "fused", "inputs": ["dem", "all"]}}},
-        "mappers.all.inputs", "all", "publishes evidence",
+        "mappers.all.inputs", "all", "provides elevations or rocks",
     ),
     "a fused map of a mapper twice": (
         {"mappers": {"dem": DEM, "all": {"kind": "fused", "inputs": ["dem", "dem"]}}},

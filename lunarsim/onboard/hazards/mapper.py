@@ -235,17 +235,14 @@ def check_map_size(size: float, posting: float, lander: Lander) -> None:
 def map_grid(centre: Array, size: float, posting: float, lander: Lander) -> Grid:
     """Return the cells of a square hazard map centred on a point.
 
-    `centre` (2,) or (3,) is in the local frame, m. `size` and `posting` are the sides of the map
-    and of one cell, m. `lander` is the lander whose footprint must fit on the map.
-
     Parameters
     ----------
     centre
-        Centre of the map (2,) or (3,), m.
+        Centre of the map (2,) or (3,), local frame, m.
     size, posting
         Sides of the square map and of a cell, m.
     lander
-        Lander that the map is for.
+        Lander whose footprint must fit on the map.
 
     Raises
     ------

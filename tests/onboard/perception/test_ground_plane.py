@@ -104,7 +104,7 @@ def test_looks_are_as_sharp_as_shadows_along_the_plane_are_long(scene):
     plane = GroundPlane(0.0, scene.gradient)
     view = scene.camera.view(scene.state)
     drawn = ProbabilityMap(Grid.centred((0.0, 0.0), 40.0, 1.0), scene.model, HazardPrior(0.05, 1.0))
-    drawn.see(view, scene.sun, read(scene, plane), plane.heights, plane=plane)
+    drawn.add_image(view, scene.sun, read(scene, plane), plane.heights, plane=plane)
     evidence = drawn.evidence
     # Every fourth place is worked out.
     found = np.maximum(evidence.lit[0], evidence.dark[0])[::4, ::4]
@@ -174,7 +174,7 @@ def test_shadows_on_a_slope_show_what_is_clear():
     for name, along in (("slope", plane), ("level", LEVEL)):
         seen = detect_rocks(counts, camera, state, towards, terrain=along, model=model)
         drawn = ProbabilityMap(grid, model, HazardPrior(0.05, 1.0))
-        drawn.see(camera.view(state), towards, seen, plane.heights, plane=along)
+        drawn.add_image(camera.view(state), towards, seen, plane.heights, plane=along)
         places = drawn.evidence.grid
         row, col = places.cell(cell_centres[grid.contains(cell_centres)])
         lit, dark = (layer[0, row, col] for layer in (drawn.evidence.lit, drawn.evidence.dark))

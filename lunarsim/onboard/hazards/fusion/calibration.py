@@ -70,20 +70,22 @@ class FusedCalibration:
                     "must be 0 or more, so that a safer input map never makes a site less safe",
                 )  # fmt: skip
 
-    def probability(self, p: ArrayLike, other: ArrayLike, seen: ArrayLike) -> NDArray[np.float32]:
+    def probability(
+        self, p: ArrayLike, p_second: ArrayLike, is_second_observed: ArrayLike
+    ) -> NDArray[np.float32]:
         """Return the calibrated probability C of a safe landing (...).
 
         Where `p` is 0, the result is 0.
 
         Parameters
         ----------
-        p, other
+        p, p_second
             Probabilities of a safe landing in the fused map and in the second elevation map (...).
-        seen
+        is_second_observed
             Where the second map has observed the terrain (...).
         """
         own = np.asarray(p, np.float32)
-        x, y = _log_odds(own), np.where(seen, _log_odds(other), 0.0)
+        x, y = _log_odds(own), np.where(is_second_observed, _log_odds(p_second), 0.0)
         change = self.intercept + (self.slope - 1.0) * x + self.other * y
         changed = expit(x + np.clip(change, -_MAX_LOG_ODDS_CHANGE, _MAX_LOG_ODDS_CHANGE)).astype(
             np.float32
@@ -94,25 +96,25 @@ class FusedCalibration:
     def fit(
         cls,
         p: ArrayLike,
-        other: ArrayLike,
-        seen: ArrayLike,
+        p_second: ArrayLike,
+        is_second_observed: ArrayLike,
         safe: ArrayLike,
         unsafe: ArrayLike,
         *,
-        worth: float = 1.0,
+        site_weight: float = 1.0,
     ) -> FusedCalibration:
-        """Fit the weights to groups of sites with known safety by maximum likelihood.
+        """Fit the weights to groups of sites with known safety by maximum a posteriori.
 
-        A prior with the weight of one site pulls the weights towards the identity (C = p).
+        The prior has the weight of one site; its mean is the identity (C = p).
 
         Parameters
         ----------
-        p, other, seen
+        p, p_second, is_second_observed
             Probability in the fused map, probability in the second map and whether the second map
             has observed the site, for each group (n,).
         safe, unsafe
             Numbers of safe and unsafe sites in each group (n,).
-        worth
+        site_weight
             Weight of one site in the likelihood, less than 1 because neighbouring sites share their
             terrain.
 
@@ -121,8 +123,8 @@ class FusedCalibration:
         InputError
             If safe or unsafe sites are missing.
         """
-        x, y = _log_odds(p), np.where(seen, _log_odds(other), 0.0)
-        good, bad = (worth * np.asarray(n, dtype=np.float64) for n in (safe, unsafe))
+        x, y = _log_odds(p), np.where(is_second_observed, _log_odds(p_second), 0.0)
+        good, bad = (site_weight * np.asarray(n, dtype=np.float64) for n in (safe, unsafe))
         if not (good.sum() > 0.0 and bad.sum() > 0.0):
             raise InputError(
                 "calibration.safe",

@@ -30,15 +30,15 @@ _MIN_FALSE_ALARM = 1e-3
 
 @dataclass(frozen=True)
 class RockDetectability:
-    """Probabilities that elevation samples show individual rocks or resemble them.
+    """Detection and false-alarm probabilities of each rock in elevation samples.
 
-    A sample shows a rock if its residual height (above a plane fitted to the terrain) reaches
-    `min_residual` near the rock.
+    A rock is detected if the residual height (above a plane fitted to the terrain) of a sample near
+    it reaches `min_residual`.
 
     Attributes
     ----------
     min_residual
-        Minimum residual height that counts as a sign of each rock (n,), m.
+        Minimum residual height that counts as a detection of each rock (n,), m.
     detection_probability
         Probability that the samples show the rock, if there is a rock (n,).
     false_alarm_probability
@@ -52,10 +52,7 @@ class RockDetectability:
 
     @property
     def rise_probability(self) -> Array:
-        """Probability of a residual height of at least `min_residual` at a true rock (n,).
-
-        It counts residual heights caused by the rock and by chance.
-        """
+        """Probability that `min_residual` is reached at a true rock, also by chance (n,)."""
         return np.asarray(
             self.detection_probability
             + (1.0 - self.detection_probability) * self.false_alarm_probability

@@ -53,13 +53,13 @@ _UNDETECTED_ROCK_FACTOR = 10.0
 
 
 def flat_terrain_probability(
-    site_evidence: MapEvidence, prior: float, free_of_unseen: Array
+    site_evidence: MapEvidence, prior: float, p_no_undetected_rock: Array
 ) -> Array:
     """Return the probability of safe terrain from a formula, without tracked rocks.
 
     The result (rows, cols) is the product of the prior, a factor for the margins of slope and
-    roughness, and the probability of no undetected rock. It is meaningless where nothing was
-    measured; `apply_ceiling` sets it to 0 there.
+    roughness, and the probability of no undetected rock. Where nothing was measured, the result is
+    undefined; `apply_ceiling` sets it to 0 there.
 
     Parameters
     ----------
@@ -69,13 +69,13 @@ def flat_terrain_probability(
     prior
         Probability that slope and roughness of the terrain are within the limits, as expected by
         the mission before any measurement.
-    free_of_unseen
+    p_no_undetected_rock
         Probability of no undetected rock, from `no_undetected_rock_probability` (rows, cols).
     """
     with np.errstate(invalid="ignore"):
         level = np.clip((1.0 - site_evidence.slope) / _SLOPE_MARGIN, 0.0, 1.0)
         level *= np.clip((1.0 - site_evidence.roughness) / _ROUGHNESS_MARGIN, 0.0, 1.0)
-    return np.asarray(prior * level * free_of_unseen)
+    return np.asarray(prior * level * p_no_undetected_rock)
 
 
 def apply_ceiling(site_evidence: MapEvidence, p: Array) -> NDArray[np.float32]:
@@ -90,7 +90,7 @@ def apply_ceiling(site_evidence: MapEvidence, p: Array) -> NDArray[np.float32]:
 
 
 def no_undetected_rock_probability(
-    site_evidence: MapEvidence, none_missed: Array | float = 0.0
+    site_evidence: MapEvidence, p_none_missed: Array | float = 0.0
 ) -> Array:
     """Return the probability of no undetected hazardous rock at each site.
 
@@ -101,7 +101,7 @@ def no_undetected_rock_probability(
     ----------
     site_evidence
         Expected number of undetected rocks and sampling statistics from the elevation mapper.
-    none_missed
+    p_none_missed
         Probability that the rock sensor misses no rock, from `no_missed_rock_probability` (rows,
         cols). The larger of this and the probability from the samples is returned.
     """
@@ -111,12 +111,18 @@ def no_undetected_rock_probability(
     ):
         return np.zeros(site_evidence.level.grid.shape)
     return np.asarray(
-        np.maximum(np.exp(-_UNDETECTED_ROCK_FACTOR * site_evidence.expected_hazards()), none_missed)
+        np.maximum(
+            np.exp(-_UNDETECTED_ROCK_FACTOR * site_evidence.expected_hazards()), p_none_missed
+        )
     )
 
 
 def no_missed_rock_probability(
-    rocks: RockEvidence, placed: RockTracks, heights: RockHeights, grid: Grid, limit: float
+    rocks: RockEvidence,
+    registered_tracks: RockTracks,
+    heights: RockHeights,
+    grid: Grid,
+    height_limit: float,
 ) -> Array:
     """Return the probability that the rock sensor misses no rock under the lander.
 
@@ -127,15 +133,15 @@ def no_missed_rock_probability(
     ----------
     rocks
         Detections and detection limits of the rock sensor.
-    placed, heights
+    registered_tracks, heights
         Rock tracks after registration to the elevations, and their height estimates.
     grid
         Cells of the result.
-    limit
+    height_limit
         Height above which a rock is hazardous, m.
     """
     if rocks.undetected_probability is None or not is_detection_count_plausible(
-        rocks, placed, heights, limit
+        rocks, registered_tracks, heights, height_limit
     ):
         return np.zeros(grid.shape)
     own = rocks.hazard_map
@@ -145,7 +151,7 @@ def no_missed_rock_probability(
 
 
 def is_detection_count_plausible(
-    rocks: RockEvidence, placed: RockTracks, heights: RockHeights, limit: float
+    rocks: RockEvidence, registered_tracks: RockTracks, heights: RockHeights, height_limit: float
 ) -> bool:
     """Return whether the rock sensor has found enough rocks to be trusted.
 
@@ -156,16 +162,18 @@ def is_detection_count_plausible(
     ----------
     rocks
         Detections and detection limits of the rock sensor.
-    placed, heights
+    registered_tracks, heights
         Rock tracks after registration to the elevations, and their height estimates.
-    limit
+    height_limit
         Height above which a rock is hazardous, m.
     """
     domain = rocks.hazard_map.in_domain
     if domain is None or domain.any():
         return True
-    inside = np.asarray(rocks.hazard_map.grid.contains(placed.xy)) & (placed.existence > 0.5)
-    high = heights.scale * placed.radius >= limit
+    inside = np.asarray(rocks.hazard_map.grid.contains(registered_tracks.xy)) & (
+        registered_tracks.existence > 0.5
+    )
+    high = heights.scale * registered_tracks.radius >= height_limit
     return not is_rock_count_too_low(
         int(np.count_nonzero(inside & high)), rocks.expected_detections
     )

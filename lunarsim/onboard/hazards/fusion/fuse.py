@@ -60,7 +60,7 @@ _ROUNDING = np.float32(1e-5)
 
 
 def fuse_evidence(
-    relief: TerrainEvidence | None, rocks: RockEvidence | None, terms: FusionPriors
+    elevations: TerrainEvidence | None, rocks: RockEvidence | None, priors: FusionPriors
 ) -> HazardMap:
     """Fuse the measurements of an elevation and a rock mapper into one hazard map.
 
@@ -69,10 +69,10 @@ def fuse_evidence(
 
     Parameters
     ----------
-    relief, rocks
+    elevations, rocks
         Data of the elevation mapper and of the rock mapper; None if there are no measurements yet.
         At least one is required.
-    terms
+    priors
         Lander, expected rocks and terrain prior, known before any observation.
 
     Raises
@@ -80,30 +80,35 @@ def fuse_evidence(
     InputError
         If both are None.
     """
-    if relief is None:
+    if elevations is None:
         if rocks is None:
             raise InputError("evidence", None, "must be given for at least one mapper")
-        return _rock_map(rocks, rocks.hazard_map.grid, terms.terrain_prior)
+        return _rock_map(rocks, rocks.hazard_map.grid, priors.terrain_prior)
     if rocks is None:
-        return _elevation_map(relief, terms)
-    terrain = relief.surface
+        return _elevation_map(elevations, priors)
+    terrain = elevations.surface
     rock_map = _rock_map(rocks, terrain.grid, 1.0)
-    clear, none_missed = _rock_free_probabilities(relief, rocks, terms)
-    thinning = footprint_undetected_ratio(rocks, terrain.grid, terms)
-    site_evidence = _reduce_undetected(relief, thinning)
-    p, known = _elevation_probability(relief, site_evidence)
+    clear, p_none_missed = _rock_free_probabilities(elevations, rocks, priors)
+    undetected_ratio = footprint_undetected_ratio(rocks, terrain.grid, priors)
+    site_evidence = _reduce_undetected(elevations, undetected_ratio)
+    p, known = _elevation_probability(elevations, site_evidence)
     measured, flat = terrain.observed, np.zeros(terrain.grid.shape, np.float32)
-    free_of_tracks, free_of_unseen = p, np.ones(terrain.grid.shape)
+    p_safe_without_tracks, p_no_undetected_rock = p, np.ones(terrain.grid.shape)
     if site_evidence is not None:
-        free_of_unseen = no_undetected_rock_probability(site_evidence, none_missed)
-        untracked = flat_terrain_probability(site_evidence, terms.terrain_prior, free_of_unseen)
+        p_no_undetected_rock = no_undetected_rock_probability(site_evidence, p_none_missed)
+        untracked = flat_terrain_probability(
+            site_evidence, priors.terrain_prior, p_no_undetected_rock
+        )
         flat = apply_ceiling(site_evidence, untracked * clear)
-        free_of_tracks = np.maximum(p, apply_ceiling(site_evidence, untracked))
+        p_safe_without_tracks = np.maximum(p, apply_ceiling(site_evidence, untracked))
     prior = unobserved_safety_prior(
-        free_of_tracks[measured], free_of_unseen[measured], terrain.grid.posting, terms
+        p_safe_without_tracks[measured],
+        p_no_undetected_rock[measured],
+        terrain.grid.posting,
+        priors,
     )
     # Where the rock sensor has no observation, the claim of the elevations remains valid.
-    is_unaffected = ~thinning.is_changed & (clear == 1.0)
+    is_unaffected = ~undetected_ratio.is_changed & (clear == 1.0)
     is_claimed_unsafe = known & (p <= ALMOST_CERTAINLY_UNSAFE_P)
     p = (p * clear).astype(np.float32)
     # Rocks on unmeasured terrain have the height scale of the rocks seen by both sensors.
@@ -124,71 +129,67 @@ def fuse_evidence(
     return HazardMap(terrain.grid, p, observed, elevation, terrain.variance, in_domain=known)
 
 
-def _elevation_map(relief: TerrainEvidence, terms: FusionPriors) -> HazardMap:
-    """Return the hazard map of the elevation mapper alone.
+def _elevation_map(elevations: TerrainEvidence, priors: FusionPriors) -> HazardMap:
+    """Return the hazard map that follows from the elevations, without a rock sensor.
 
-    Where the result of `flat_terrain_probability` is larger than the calibrated probability, it
-    replaces the calibrated probability. `relief` is the data of the elevation mapper; `terms` are
-    the priors of the fusion.
+    In each cell, p_safe is the larger of the calibrated probability and the result of
+    `flat_terrain_probability`.
     """
-    if relief.site_evidence is None:
-        return relief.hazard_map
-    p, known = _elevation_probability(relief, relief.site_evidence)
+    if elevations.site_evidence is None:
+        return elevations.hazard_map
+    p, known = _elevation_probability(elevations, elevations.site_evidence)
     untracked = flat_terrain_probability(
-        relief.site_evidence,
-        terms.terrain_prior,
-        no_undetected_rock_probability(relief.site_evidence),
+        elevations.site_evidence,
+        priors.terrain_prior,
+        no_undetected_rock_probability(elevations.site_evidence),
     )
-    level = apply_ceiling(relief.site_evidence, untracked)
-    return replace(relief.hazard_map, p_safe=np.maximum(p, level), in_domain=known & (level <= p))
+    level = apply_ceiling(elevations.site_evidence, untracked)
+    return replace(
+        elevations.hazard_map, p_safe=np.maximum(p, level), in_domain=known & (level <= p)
+    )
 
 
 def _rock_free_probabilities(
-    relief: TerrainEvidence, rocks: RockEvidence, terms: FusionPriors
+    elevations: TerrainEvidence, rocks: RockEvidence, priors: FusionPriors
 ) -> tuple[Array, Array]:
     """Return the probabilities of no hazardous tracked rock and of no missed rock.
 
     Both have the shape (rows, cols) of the elevation map. If the elevation samples are available,
     the rock tracks are registered to them (`register_tracks`) and their heights are estimated from
     both sensors (`estimate_rock_heights`). Otherwise the tracks keep the size from the rock sensor,
-    only their existence is updated from the elevations, and the second probability is 0. `relief`
-    and `rocks` are the data of the two mappers; `terms` are the priors of the fusion.
+    only their existence is updated from the elevations, and the second probability is 0.
     """
-    tracks, grid, lander = rocks.tracks, relief.surface.grid, terms.lander
-    if relief.residual_heights is None or relief.site_evidence is None:
-        updated = replace(tracks, existence=existence_given_elevations(tracks, relief, lander))
+    tracks, grid, lander = rocks.tracks, elevations.surface.grid, priors.lander
+    if elevations.residual_heights is None or elevations.site_evidence is None:
+        updated = replace(tracks, existence=existence_given_elevations(tracks, elevations, lander))
         clear = resample_to_grid(
             rocks.clear_probability(updated), rocks.hazard_map.grid, grid, 1.0, "minimum"
         )
         return clear, np.zeros(grid.shape)
-    ratio = terms.height_ratio
-    samples = ElevationSamples(relief.residual_heights, relief.site_evidence.density, grid, ratio)
-    placed = register_tracks(tracks, samples, PRIOR_SCALE_RATIO * 2.0 * ratio)
-    heights = estimate_rock_heights(placed, samples, lander, terms.rocks.shape)
-    none_missed = no_missed_rock_probability(rocks, placed, heights, grid, lander.roughness_limit)
-    return rock_free_probability(placed, heights, grid, lander), none_missed
+    ratio = priors.height_ratio
+    samples = ElevationSamples(
+        elevations.residual_heights, elevations.site_evidence.density, grid, ratio
+    )
+    registered_tracks = register_tracks(tracks, samples, PRIOR_SCALE_RATIO * 2.0 * ratio)
+    heights = estimate_rock_heights(registered_tracks, samples, lander, priors.rocks.shape)
+    p_none_missed = no_missed_rock_probability(
+        rocks, registered_tracks, heights, grid, lander.roughness_limit
+    )
+    return rock_free_probability(registered_tracks, heights, grid, lander), p_none_missed
 
 
 def footprint_undetected_ratio(
-    rocks: RockEvidence, grid: Grid, terms: FusionPriors
+    rocks: RockEvidence, grid: Grid, priors: FusionPriors
 ) -> UndetectedRockRatio:
-    """Return the fraction of rocks that the rock sensor misses at each site.
+    """Return the fraction of the rocks under the lander that the rock sensor misses.
 
-    The fraction is relative to the number expected before any observation and refers to rocks that
-    reach under the lander: it is the mean over the possible rock centres. Both sensors may miss a
-    rock for the same reason, so no observation reduces it below `COMMON_MISS_PROBABILITY`. Off the
-    map of the rock sensor it is 1.
-
-    Parameters
-    ----------
-    rocks
-        Detections and detection limits of the rock sensor.
-    grid
-        Cells of the result; each is a possible landing site.
-    terms
-        Priors of the fusion, which give the size of the lander and the expected rocks.
+    The result holds the fraction for each rock size and each cell of `grid` as a landing site. It
+    is relative to the number expected before any observation, averaged over the area in which the
+    centre of a rock that reaches under the lander may lie. It is at least
+    `COMMON_MISS_PROBABILITY`, because both sensors may miss a rock for the same reason, and 1 off
+    the map of the rock sensor.
     """
-    lander = terms.lander
+    lander = priors.lander
     footprint = lander.leg_radius + 0.5 * lander.pad_diameter
     ratio = np.empty((len(rocks.diameter), *grid.shape), np.float32)
     for n, diameter in enumerate(rocks.diameter):
@@ -200,34 +201,37 @@ def footprint_undetected_ratio(
         mean = disc_mean(remaining, (footprint + 0.5 * diameter) / grid.posting, 1.0)
         untouched = np.abs(mean - 1.0) < _ROUNDING
         ratio[n] = np.where(untouched, 1.0, np.maximum(mean, np.float32(COMMON_MISS_PROBABILITY)))
-    return UndetectedRockRatio(rocks.diameter, ratio, terms.rocks.cover, terms.height_ratio)
+    return UndetectedRockRatio(rocks.diameter, ratio, priors.rocks.cover, priors.height_ratio)
 
 
 def _reduce_undetected(
-    relief: TerrainEvidence, thinning: UndetectedRockRatio
+    elevations: TerrainEvidence, undetected_ratio: UndetectedRockRatio
 ) -> MapEvidence | None:
     """Return the site data of the elevation map with fewer expected undetected rocks.
 
-    `thinning` is the fraction of rocks that the rock sensor leaves undetected. If it is 1 on all
-    observed terrain, the site data of `relief` are returned unchanged. None if the elevation mapper
-    provides no site data.
+    `undetected_ratio` is the fraction of rocks that the rock sensor misses. If it is 1 on all
+    observed terrain, the site data of `elevations` are returned unchanged. The result is None if
+    the elevation mapper provides no site data.
     """
-    if relief.site_evidence is None or not (thinning.is_changed & relief.surface.observed).any():
-        return relief.site_evidence
-    return replace(relief.site_evidence, undetected_rock_ratio=thinning)
+    if (
+        elevations.site_evidence is None
+        or not (undetected_ratio.is_changed & elevations.surface.observed).any()
+    ):
+        return elevations.site_evidence
+    return replace(elevations.site_evidence, undetected_rock_ratio=undetected_ratio)
 
 
 def _elevation_probability(
-    relief: TerrainEvidence, site_evidence: MapEvidence | None
+    elevations: TerrainEvidence, site_evidence: MapEvidence | None
 ) -> tuple[FloatMap, BoolMap]:
-    """Return p_safe from the elevations and where it is a calibrated frequency.
+    """Return p_safe from the elevations, and in which cells it is calibrated.
 
-    Both have shape (rows, cols). If `site_evidence` is the unchanged object of `relief`, they are
-    taken from the hazard map of the elevation mapper, which is computed only in this case.
+    Both have shape (rows, cols). If `site_evidence` differs from that of `elevations`, they are
+    computed from it; otherwise they are those of the hazard map of the elevation mapper.
     """
-    if site_evidence is not None and site_evidence is not relief.site_evidence:
-        return calibrated_safety(site_evidence, refit=relief.scenario_calibration)
-    drawn = relief.hazard_map
+    if site_evidence is not None and site_evidence is not elevations.site_evidence:
+        return calibrated_safety(site_evidence, refit=elevations.scenario_calibration)
+    drawn = elevations.hazard_map
     known = np.zeros_like(drawn.observed) if drawn.in_domain is None else drawn.in_domain
     return drawn.p_safe, known
 
@@ -235,8 +239,8 @@ def _elevation_probability(
 def _rock_map(rocks: RockEvidence, grid: Grid, prior: float) -> HazardMap:
     """Return the rock map resampled to `grid`, multiplied by a prior for the terrain.
 
-    `rocks` is the data of the rock mapper; `prior` is the probability that the terrain itself is
-    safe. The result is nowhere a calibrated frequency, because the terrain was not measured.
+    `prior` is the probability that the terrain without rocks is safe. No cell is marked as
+    calibrated, because the terrain was not measured.
     """
     drawn, own = rocks.hazard_map, rocks.hazard_map.grid
     observed = resample_to_grid(drawn.observed, own, grid, False, "minimum")

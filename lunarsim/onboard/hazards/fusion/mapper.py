@@ -58,7 +58,10 @@ class FusedMapperSettings:
         (), help="names of the fused mappers; omitted: all other mappers"
     )
     terrain_prior: float = quantity(
-        0.9, ge=0, lt=1, help="probability that unmeasured terrain is within the lander's limits"
+        0.9,
+        ge=0,
+        lt=1,
+        help="probability that slope and roughness of unmeasured terrain are within limits",
     )
 
     calibration_path: Path | None = quantity(
@@ -86,7 +89,7 @@ class FusedMapperSettings:
         if found is not None and found.other > 0.0 and not self.calibration_mapper:
             raise InputError(
                 "calibration_path", str(self.calibration_path),
-                f"must not weight a second map ({found.other:g}) without calibration_mapper",
+                f"must not use a second map (weight {found.other:g}) without calibration_mapper",
                 "Set calibration_mapper.",
             )  # fmt: skip
 
@@ -133,7 +136,7 @@ class FusedMapperSettings:
             published = getattr(parts[name], "publishes", None)
             if published not in _EVIDENCE_NAMES:
                 raise InputError(
-                    "inputs", name, "must be a mapper that publishes evidence (elevations or rocks)"
+                    "inputs", name, "must be a mapper that provides elevations or rocks"
                 )
             if name in found:
                 raise InputError("inputs", names, f"must name each mapper once, not {name!r} twice")
@@ -144,18 +147,20 @@ class FusedMapperSettings:
                     "because two maps of the same data are not independent",
                 )  # fmt: skip
             found[name] = published
-        self._check_feature(parts, found)
+        self._check_calibration_mapper(parts, found)
         return found
 
-    def _check_feature(self, parts: Mapping[str, Any], of: Mapping[str, type]) -> None:
+    def _check_calibration_mapper(
+        self, parts: Mapping[str, Any], fused: Mapping[str, type]
+    ) -> None:
         """Raise InputError if `calibration_mapper` is not another elevation mapper.
 
-        `parts` are the settings of all mappers by name; `of` are the fused mappers by name.
+        `parts` are the settings of all mappers by name; `fused` are the fused mappers by name.
         """
         if not self.calibration_mapper:
             return
         if self.calibration_mapper not in parts:
-            others = {n: p for n, p in parts.items() if n not in of}
+            others = {n: p for n, p in parts.items() if n not in fused}
             raise InputError(
                 "calibration_mapper",
                 self.calibration_mapper,
@@ -163,7 +168,7 @@ class FusedMapperSettings:
                 suggestion(self.calibration_mapper, others),
             )
         published = getattr(parts[self.calibration_mapper], "publishes", None)
-        if self.calibration_mapper in of or published is not TerrainEvidence:
+        if self.calibration_mapper in fused or published is not TerrainEvidence:
             raise InputError(
                 "calibration_mapper", self.calibration_mapper,
                 "must be an elevation mapper that is not one of the fused inputs",
@@ -185,10 +190,10 @@ class FusedMapperSettings:
             Mappers that were built before, by name; the fused ones must be among them.
         """
         chosen = self.fused_mappers(briefing.software.mappers)
-        terms = FusionPriors(briefing.lander, briefing.rocks, self.terrain_prior)
+        priors = FusionPriors(briefing.lander, briefing.rocks, self.terrain_prior)
         built = mappers or {}
         return FusedMapper(
-            {name: built[name] for name in chosen}, terms, self.calibration(),
+            {name: built[name] for name in chosen}, priors, self.calibration(),
             {n: built[n] for n in (self.calibration_mapper,) if n} or None,
             interval=self.interval,
         )  # fmt: skip
@@ -201,13 +206,13 @@ class FusedMapper(HazardMapper):
     ----------
     mappers
         Fused mappers by name; their owner passes the measurements to them.
-    terms
+    priors
         Lander, expected rocks and terrain prior, known before any observation.
     calibration
         Calibration that is applied last to the fused probability; None: no calibration.
-    feature
-        Mapping from its name to the other elevation mapper whose probability is an input of the
-        calibration; None: no such mapper.
+    calibration_mapper
+        Another elevation mapper whose probability is an input of the calibration, as a mapping from
+        its name; None: no such mapper.
     interval
         Minimum time between two updates of the map, s. Before `refresh` has set a time, each update
         of a fused mapper causes an update. If a mapper withdraws its observations, the map is
@@ -222,17 +227,17 @@ class FusedMapper(HazardMapper):
     def __init__(
         self,
         mappers: Mapping[str, HazardMapper],
-        terms: FusionPriors,
+        priors: FusionPriors,
         calibration: FusedCalibration | None = None,
-        feature: Mapping[str, HazardMapper] | None = None,
+        calibration_mapper: Mapping[str, HazardMapper] | None = None,
         *,
         interval: float = 0.0,
     ) -> None:
         if not mappers:
             raise InputError("inputs", (), "must name at least one other mapper")
         self._mappers = dict(mappers)
-        self._feature = dict(feature or {})
-        self.terms = terms
+        self._calibration_mapper = dict(calibration_mapper or {})
+        self.priors = priors
         self.calibration = calibration
         self._map: HazardMap | None = None
         self._source_surfaces: tuple[TerrainSurface, ...] = ()
@@ -241,7 +246,7 @@ class FusedMapper(HazardMapper):
     @property
     def source_mappers(self) -> frozenset[str]:
         """Names of the fused mappers and of the elevation mapper used for calibration."""
-        return frozenset((*self._mappers, *self._feature))
+        return frozenset((*self._mappers, *self._calibration_mapper))
 
     @property
     def grid(self) -> Any:
@@ -268,7 +273,7 @@ class FusedMapper(HazardMapper):
         An update is due immediately if a fused mapper has withdrawn its observations or has moved
         its grid.
         """
-        sources = (*self._mappers.values(), *self._feature.values())
+        sources = (*self._mappers.values(), *self._calibration_mapper.values())
         surfaces = tuple(mapper.terrain_surface() for mapper in sources)
         if self._map is None or self._is_update_due(surfaces):
             self._map = self._compute(surfaces[0].grid)
@@ -301,14 +306,14 @@ class FusedMapper(HazardMapper):
     def _compute(self, grid: Grid) -> HazardMap:
         """Return the fused and calibrated map; without data, an empty map on `grid`."""
         published = [mapper.evidence() for mapper in self._mappers.values()]
-        relief = next((e for e in published if isinstance(e, TerrainEvidence)), None)
+        elevations = next((e for e in published if isinstance(e, TerrainEvidence)), None)
         rocks = next((e for e in published if isinstance(e, RockEvidence)), None)
-        if relief is None and rocks is None:
+        if elevations is None and rocks is None:
             return HazardMap.unobserved(grid)
-        fused = fuse_evidence(relief, rocks, self.terms)
+        fused = fuse_evidence(elevations, rocks, self.priors)
         if self.calibration is None:
             return fused
-        second = next((mapper.hazard_map() for mapper in self._feature.values()), None)
+        second = next((mapper.hazard_map() for mapper in self._calibration_mapper.values()), None)
         return self._calibrated(fused, second)
 
     def _calibrated(self, fused: HazardMap, second: HazardMap | None) -> HazardMap:
@@ -317,13 +322,17 @@ class FusedMapper(HazardMapper):
         `second` is the other elevation map; None if there is none.
         """
         assert self.calibration is not None
-        other, seen = np.zeros_like(fused.p_safe), np.zeros_like(fused.observed)
+        p_second, is_second_observed = np.zeros_like(fused.p_safe), np.zeros_like(fused.observed)
         if second is not None:
-            other = resample_to_grid(
+            p_second = resample_to_grid(
                 second.p_safe, second.grid, fused.grid, np.float32(0.0), "minimum"
             )
-            seen = resample_to_grid(second.observed, second.grid, fused.grid, False, "minimum")
-        return replace(fused, p_safe=self.calibration.probability(fused.p_safe, other, seen))
+            is_second_observed = resample_to_grid(
+                second.observed, second.grid, fused.grid, False, "minimum"
+            )
+        return replace(
+            fused, p_safe=self.calibration.probability(fused.p_safe, p_second, is_second_observed)
+        )
 
     def terrain_height(self, xy: Array) -> float | None:
         """Return the terrain height at a point (2,), local frame, m; None if unknown.

@@ -120,10 +120,7 @@ def estimate_shift(tracks: RockTracks, samples: ElevationSamples, scale: float) 
     )
 
 
-def _cell_offsets(far: float, posting: float) -> NDArray[np.int64]:
-    """Return all integer offsets of up to a distance in both directions (n,).
-
-    `far` is the distance and `posting` the cell size, m.
-    """
-    most = round(far / posting)
+def _cell_offsets(max_distance: float, posting: float) -> NDArray[np.int64]:
+    """Return the integers from -n to n, where n cells span `max_distance` (m)."""
+    most = round(max_distance / posting)
     return np.arange(-most, most + 1)

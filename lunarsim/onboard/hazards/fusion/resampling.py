@@ -15,7 +15,11 @@ _WORST = {"minimum": ndimage.minimum_filter, "maximum": ndimage.maximum_filter}
 
 
 def resample_to_grid(
-    layer: NDArray[Any], of: Grid, to: Grid, outside: Any, worst: Literal["minimum", "maximum"]
+    layer: NDArray[Any],
+    source: Grid,
+    target: Grid,
+    outside: Any,
+    worst: Literal["minimum", "maximum"],
 ) -> NDArray[Any]:
     """Resample a map layer (rows, cols) to the cells of another grid, conservatively.
 
@@ -24,35 +28,35 @@ def resample_to_grid(
 
     Parameters
     ----------
-    layer, of
-        Values (rows, cols) and the grid of their cells.
-    to
-        Grid of the result.
+    layer
+        Values of the cells of `source` (rows, cols).
+    source, target
+        Grid of the layer, and grid of the result.
     outside
         Value of cells that are off the layer.
     worst
         Whether the minimum or the maximum of several values is the worst.
     """
-    if of == to:
+    if source == target:
         return layer
-    width = 2 * int(np.ceil(max(0.5 * to.posting / of.posting, 1.0))) + 1
+    width = 2 * int(np.ceil(max(0.5 * target.posting / source.posting, 1.0))) + 1
     near = _WORST[worst](layer, width, mode="nearest")
-    row, col, inside = _cell_indices(of, to)
+    row, col, inside = _cell_indices(source, target)
     return np.asarray(np.where(inside, near[row, col], outside), layer.dtype)
 
 
 @lru_cache(maxsize=2)
 def _cell_indices(
-    of: Grid, to: Grid
+    source: Grid, target: Grid
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.bool_]]:
-    """Return rows and columns of grid `of` at the cell centres of grid `to`.
+    """Return the row and column of `source` that contain each cell centre of `target`.
 
-    The third array is True where a cell of `to` lies on `of`; elsewhere the indices are clipped.
-    All have the shape of `to`.
+    The third array is True where a cell of `target` lies on `source`; elsewhere the indices are
+    clipped. All have the shape of `target`.
     """
-    xy = to.centres()
-    row, col = of.cell(xy)
-    found = np.clip(row, 0, of.rows - 1), np.clip(col, 0, of.cols - 1), of.contains(xy)
+    xy = target.centres()
+    row, col = source.cell(xy)
+    found = np.clip(row, 0, source.rows - 1), np.clip(col, 0, source.cols - 1), source.contains(xy)
     for layer in found:
         layer.flags.writeable = False
     return found

@@ -37,7 +37,7 @@ _WINDOW_LEG_RADII = 3.0
 
 
 def existence_given_elevations(
-    tracks: RockTracks, relief: TerrainEvidence, lander: Lander
+    tracks: RockTracks, elevations: TerrainEvidence, lander: Lander
 ) -> Array:
     """Update the probability that each track is a hazardous rock with elevations (n,).
 
@@ -48,13 +48,13 @@ def existence_given_elevations(
     ----------
     tracks
         Tracked rocks.
-    relief
+    elevations
         Elevations and their sampling density.
     lander
         Limits of the lander.
     """
-    surface = relief.surface
-    if relief.site_evidence is None or surface.elevation is None or not len(tracks.radius):
+    surface = elevations.surface
+    if elevations.site_evidence is None or surface.elevation is None or not len(tracks.radius):
         return tracks.existence.copy()
     rise = _height_above_mean(surface.elevation.astype(np.float64), surface.grid, lander)
     min_rise = _VISIBLE_RISE_SHARE * lander.roughness_limit
@@ -70,25 +70,25 @@ def existence_given_elevations(
             continue
         heights = rise[cells]
         if np.isfinite(heights).all() and np.ptp(heights) < min_rise:
-            density = float(relief.site_evidence.density[cells].min())
+            density = float(elevations.site_evidence.density[cells].min())
             missed[n] = np.exp(-density * top[n])
     missed = COMMON_MISS_PROBABILITY + (1.0 - COMMON_MISS_PROBABILITY) * missed
     odds = missed * tracks.existence / np.maximum(1.0 - tracks.existence, 1e-12)
     return np.where(missed < 1.0, odds / (1.0 + odds), tracks.existence)
 
 
-def _height_above_mean(z: Array, grid: Grid, lander: Lander) -> Array:
+def _height_above_mean(elevation: Array, grid: Grid, lander: Lander) -> Array:
     """Return heights above the mean of a window around each cell (rows, cols), m.
 
-    `z` (rows, cols) are elevations, m, NaN where unknown. `lander` gives the size of the window.
-    The result is NaN where the elevation is unknown.
+    The width of the window follows from the size of the lander. Elevation (m) and result are NaN
+    where unknown.
     """
     width = 2 * round(0.5 * _WINDOW_LEG_RADII * lander.leg_radius / grid.posting) + 1
-    known = np.isfinite(z)
+    known = np.isfinite(elevation)
     share = ndimage.uniform_filter(known.astype(np.float64), width, mode="constant")
-    total = ndimage.uniform_filter(np.where(known, z, 0.0), width, mode="constant")
+    total = ndimage.uniform_filter(np.where(known, elevation, 0.0), width, mode="constant")
     with np.errstate(invalid="ignore", divide="ignore"):
-        return np.asarray(z - total / share)
+        return np.asarray(elevation - total / share)
 
 
 def _cells_in_disc(grid: Grid, xy: Array, radius: float) -> tuple[NDArray[np.int64], ...] | None:

@@ -37,7 +37,7 @@ from lunarsim.onboard.hazards.fusion.elevation_samples import INDEPENDENT_SHARE,
 from lunarsim.onboard.hazards.fusion.rock_existence import COMMON_MISS_PROBABILITY
 from lunarsim.onboard.hazards.fusion.rock_track_precision import rock_track_precision
 from lunarsim.onboard.hazards.map_evidence import RockTracks
-from lunarsim.onboard.hazards.shadows._probability_kernels import paint
+from lunarsim.onboard.hazards.shadows._probability_kernels import multiply_clear_probability
 from lunarsim.onboard.hazards.shadows.probability import cover_probability
 
 Array = NDArray[np.float64]
@@ -103,8 +103,10 @@ def estimate_rock_heights(
     height_ratio = samples.height_ratio
     radius = np.maximum(tracks.radius, MIN_ROCK_RADIUS_M)
     density = _layer_at(samples.density, samples.grid, tracks.xy)
-    top = highest_residual(tracks, samples.residual_heights, samples.grid)
-    scale, scale_sigma = estimate_height_scale(radius, tracks.existence, top, density, height_ratio)
+    max_residual = highest_residual(tracks, samples.residual_heights, samples.grid)
+    scale, scale_sigma = estimate_height_scale(
+        radius, tracks.existence, max_residual, density, height_ratio
+    )
     limit = lander.roughness_limit
     candidates = limit * _RELATIVE_HEIGHTS
     spread = np.hypot(
@@ -114,7 +116,7 @@ def estimate_rock_heights(
     prior = np.exp(-0.5 * (np.log(candidates / middle[:, None]) / spread[:, None]) ** 2)
     prior /= prior.sum(axis=1, keepdims=True)
     per_square = INDEPENDENT_SHARE * density * np.pi / (2.0 * height_ratio) ** 2
-    above = np.maximum(candidates**2 - np.maximum(top, 0.0)[:, None] ** 2, 0.0)
+    above = np.maximum(candidates**2 - np.maximum(max_residual, 0.0)[:, None] ** 2, 0.0)
     unseen_prior = prior * np.exp(-per_square[:, None] * above)
     high = candidates > limit
     existence = np.clip(tracks.existence, 0.0, 1.0)
@@ -138,7 +140,7 @@ def estimate_rock_heights(
     scaled_radius = (
         np.maximum(mean, limit)
         if shape not in _TAPERED_SHAPES
-        else _scaled_radius_at_limit(mean, limit)
+        else _hemisphere_radius_at_limit(mean, limit)
     )
     return RockHeights(
         scale, odds / np.maximum(odds + harmless, 1e-300), scaled_radius / (2.0 * height_ratio)
@@ -146,18 +148,18 @@ def estimate_rock_heights(
 
 
 def estimate_height_scale(
-    radius: Array, existence: Array, top: Array, density: Array, height_ratio: float
+    radius: Array, existence: Array, max_residual: Array, density: Array, height_ratio: float
 ) -> tuple[float, float]:
-    """Estimate the ratio of height to radius from rocks with enough elevation samples.
+    """Estimate the ratio of height to radius of rocks from those with enough samples.
 
-    The median of the rocks is combined with a prior; the ratio is at least that expected by the
-    mission.
+    The median ratio of the rocks is combined with a prior; the result is at least the ratio that
+    the mission expects.
 
     Parameters
     ----------
     radius, existence
         Radius (n,), m, and probability of existence (n,) of the rocks.
-    top
+    max_residual
         Maximum residual height (above a plane fitted to the terrain) near each rock (n,), m.
     density
         Samples per square metre near each rock (n,).
@@ -171,11 +173,11 @@ def estimate_height_scale(
     """
     samples = density * np.pi * radius**2
     expected_scale = 2.0 * height_ratio
-    is_sampled = (samples >= _MIN_SAMPLES) & (existence > 0.5) & (top > 0.0)
+    is_sampled = (samples >= _MIN_SAMPLES) & (existence > 0.5) & (max_residual > 0.0)
     if not is_sampled.any():
         return PRIOR_SCALE_RATIO * expected_scale, _PRIOR_SCALE_SIGMA
     share = np.sqrt(1.0 - np.log(2.0) / samples[is_sampled])
-    median = float(np.median(np.log(top[is_sampled] / (radius[is_sampled] * share))))
+    median = float(np.median(np.log(max_residual[is_sampled] / (radius[is_sampled] * share))))
     count = _ROCK_WEIGHT * np.count_nonzero(is_sampled)
     scale = np.exp((count * median + np.log(PRIOR_SCALE_RATIO * expected_scale)) / (count + 1.0))
     return float(max(scale, expected_scale)), float(_PRIOR_SCALE_SIGMA / np.sqrt(count + 1.0))
@@ -193,9 +195,10 @@ def highest_residual(
     ----------
     tracks
         Tracked rocks.
-    residual_heights, grid
-        Residual height of the sample in each cell (rows, cols), m, NaN without a sample, and the
-        cells.
+    residual_heights
+        Residual height of the sample in each cell of `grid` (rows, cols), m; NaN without a sample.
+    grid
+        Cells of the samples.
     """
     reach = (
         _SEARCH_RADII * tracks.radius
@@ -240,17 +243,17 @@ def rock_free_probability(
     reach = mean + 1.5 * sigma + _REACH_SIGMAS * np.hypot(sigma, spread)
     distance = np.linspace(0.0, 1.0, _PROFILE_POINTS) * reach[:, None]
     profile = cover_probability(distance, sigma, mean, spread)
-    paint(
+    multiply_clear_probability(
         clear, grid.x0, grid.y0, grid.posting, tracks.xy[at], reach, profile, heights.hazard[at]
     )  # fmt: skip
     return clear
 
 
-def _scaled_radius_at_limit(height: Array, limit: float) -> Array:
-    """Return 2 height_ratio times the radius of half ellipsoids at the limit height.
+def _hemisphere_radius_at_limit(height: Array, limit: float) -> Array:
+    """Return the radius (n,), m, within which hemispheres are higher than a limit (m).
 
-    `height` (n,) are the heights of the half ellipsoids and `limit` the height of the horizontal
-    cut, m. The result (n,), m, is 0 for lower rocks.
+    `height` (n,), m, is the radius of the hemispheres; the result is 0 for lower ones. Half
+    ellipsoids of the same height have this radius divided by 2 height_ratio.
     """
     return np.asarray(np.sqrt(np.maximum(height**2 - limit**2, 0.0)))
 

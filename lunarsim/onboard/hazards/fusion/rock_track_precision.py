@@ -32,10 +32,10 @@ _PRIOR_MEAN = float(_SHARE_PRIOR @ _SHARE_GRID / _SHARE_PRIOR.sum())
 def rock_track_precision(
     xy: Array, height: Array, is_large: NDArray[np.bool_], samples: ElevationSamples
 ) -> Array:
-    """Estimate what fraction of large tracks are rocks, relative to its prior mean.
+    """Return the factor that reduces the existence of tracks that may be hollows.
 
-    The result (n,) is at most 1. The estimate for each track uses the samples at all other tracks
-    only.
+    The factor (n,) is the estimated fraction of large tracks that are rocks, divided by its prior
+    mean, and at most 1. For each track it is estimated from the samples at all other tracks.
 
     Parameters
     ----------

@@ -17,39 +17,39 @@ _MIN_PROBABILITY = 1e-12
 
 
 def unobserved_safety_prior(
-    free_of_tracks: FloatMap, free_of_unseen: Array, posting: float, terms: FusionPriors
+    p_safe_without_tracks: FloatMap,
+    p_no_undetected_rock: Array,
+    posting: float,
+    priors: FusionPriors,
 ) -> float:
     """Estimate the probability that unmeasured terrain is safe, from measured terrain.
 
-    Tracked rocks are not included. The estimate is the mean probability of the measured terrain in
-    the same map. With any other measure, samples so sparse that all measured terrain remains
-    uncertain would direct the lander to where no sample fell. The expectation of the mission is
-    averaged in on log odds like one more site, and the result never exceeds it. Sites with
-    overlapping footprints do not count as several, so the mission's site has a small weight beside
-    many sites. The mission's site is also limited by what the map can measure: if undetected rocks
-    may stand on all measured terrain, they may stand on unmeasured terrain too. This limit tightens
-    with the number of measured sites.
+    Tracked rocks are ignored. The estimate averages, in log odds, the mean probability of the
+    measured terrain and the terrain prior, and never exceeds the prior. The weight of the measured
+    terrain is the number of footprints of the lander that fit on it; the weight of the prior is
+    one. The prior is reduced by the mean probability of no undetected rock on measured terrain,
+    the more the more terrain is measured: undetected rocks may stand on unmeasured terrain too.
 
     Parameters
     ----------
-    free_of_tracks
+    p_safe_without_tracks
         Probability that each measured cell is safe, ignoring tracked rocks (n,); NaN counts as 0.
-    free_of_unseen
-        Probability of no undetected rock in each measured cell, a factor of `free_of_tracks` (n,);
-        NaN counts as 0.
+    p_no_undetected_rock
+        Probability of no undetected rock in each measured cell (n,), which is a factor of
+        `p_safe_without_tracks`; NaN counts as 0.
     posting
         Cell size, m.
-    terms
+    priors
         Lander and terrain prior expected by the mission.
     """
-    lander, expected = terms.lander, terms.terrain_prior
-    number = len(free_of_tracks)
+    lander, expected = priors.lander, priors.terrain_prior
+    number = len(p_safe_without_tracks)
     if number == 0 or expected <= _MIN_PROBABILITY:
         return expected
     footprint = np.pi * (lander.leg_radius + 0.5 * lander.pad_diameter) ** 2
     sites = min(posting**2 / footprint, 1.0) * number
-    free_share = max(float(np.mean(np.nan_to_num(free_of_unseen))), UNKNOWN_MODEL_WEIGHT)
+    free_share = max(float(np.mean(np.nan_to_num(p_no_undetected_rock))), UNKNOWN_MODEL_WEIGHT)
     mission_site = expected * free_share ** (sites / (sites + 1.0))
-    mean = float(np.mean(np.nan_to_num(free_of_tracks), dtype=np.float64))
+    mean = float(np.mean(np.nan_to_num(p_safe_without_tracks), dtype=np.float64))
     each = logit(np.clip((mean, mission_site), _MIN_PROBABILITY, expected))
     return float(expit((sites * each[0] + each[1]) / (sites + 1.0)))

@@ -9,18 +9,18 @@ from lunarsim._jit import kernel
 
 
 @kernel()
-def splat(points, base, x0, y0, p, rows, cols):
+def splat(points, base, x0, y0, posting, rows, cols):
     """Distribute points (n, 3) over the four nearest cell centres of a raster.
 
     The weights are bilinear (Eq. 1 of the Gaussian DEM paper). `base` is the reference of the
-    heights, m; (`x0`, `y0`) is the centre of cell (0, 0) and `p` the cell size, m. The function
-    returns the sums of weighted heights above `base` and of weights, both (rows, cols).
+    heights, m; (`x0`, `y0`) is the centre of cell (0, 0). Returns the sums of weighted heights
+    above `base` and of weights, both (rows, cols).
     """
     height = np.zeros((rows, cols), np.float32)
     weight = np.zeros((rows, cols), np.float32)
     for n in range(points.shape[0]):
-        u = (points[n, 0] - x0) / p
-        v = (points[n, 1] - y0) / p
+        u = (points[n, 0] - x0) / posting
+        v = (points[n, 1] - y0) / posting
         z = points[n, 2] - base
         # This form of the comparison rejects NaN.
         if not (u > -1.0 and v > -1.0 and u < cols and v < rows and np.isfinite(z)):
@@ -41,40 +41,42 @@ def splat(points, base, x0, y0, p, rows, cols):
 
 
 @kernel(shared=True, allocates=False)
-def measured_cells(share, height, weight, base, min_weight, noise, prior, mean, variance, observed):
+def write_measured_cells(
+    thread_slice, height, weight, base, min_weight, sample_variance, prior_variance, mean,
+    variance, observed,
+):  # fmt: skip
     """Write mean, variance and observation flag of the cells with enough samples.
 
-    Cells with a weight of at most `min_weight` get a NaN mean, the variance `prior` and the flag
-    False. `height` and `weight` (rows, cols) are the results of `splat` with the reference height
-    `base`, m. `noise` is the variance of a sample and `prior` that of unmeasured terrain, m^2.
-    `mean`, `variance` and `observed` (rows, cols) receive the results. `share` is (thread, number
-    of threads).
+    Cells with a weight of at most `min_weight` get a NaN mean, the variance `prior_variance` (m^2)
+    and the flag False; the others get the variance `sample_variance`. `height` and `weight` (rows,
+    cols) are the results of `splat` with the reference height `base`, m. `mean`, `variance` and
+    `observed` (rows, cols) receive the results. `thread_slice` is (thread, number of threads).
     """
     rows, cols = height.shape
-    for i in range(share[0], rows, share[1]):
+    for i in range(thread_slice[0], rows, thread_slice[1]):
         for j in range(cols):
             if weight[i, j] > min_weight:
                 mean[i, j] = base + np.float64(height[i, j]) / np.float64(weight[i, j])
-                variance[i, j] = noise
+                variance[i, j] = sample_variance
                 observed[i, j] = True
             else:
                 mean[i, j] = np.nan
-                variance[i, j] = prior
+                variance[i, j] = prior_variance
                 observed[i, j] = False
 
 
 @kernel()
-def fill_holes(z):
+def fill_holes(elevation):
     """Fill NaN cells of a raster in place with the mean of their known neighbours.
 
-    `z` (rows, cols) are elevations, m. The step is repeated until no cell can be filled.
+    The step is repeated until no cell can be filled.
     """
-    rows, cols = z.shape
+    rows, cols = elevation.shape
     holes = np.empty((rows * cols, 2), np.int64)
     count = 0
     for i in range(rows):
         for j in range(cols):
-            if np.isnan(z[i, j]):
+            if np.isnan(elevation[i, j]):
                 holes[count, 0] = i
                 holes[count, 1] = j
                 count += 1
@@ -85,8 +87,8 @@ def fill_holes(z):
             known = 0
             for i in range(max(holes[n, 0] - 1, 0), min(holes[n, 0] + 2, rows)):
                 for j in range(max(holes[n, 1] - 1, 0), min(holes[n, 1] + 2, cols)):
-                    if not np.isnan(z[i, j]):
-                        total += z[i, j]
+                    if not np.isnan(elevation[i, j]):
+                        total += elevation[i, j]
                         known += 1
             value[n] = total / known if known > 0 else np.nan
         kept = 0
@@ -98,7 +100,7 @@ def fill_holes(z):
                 holes[kept, 1] = j
                 kept += 1
             else:
-                z[i, j] = value[n]
+                elevation[i, j] = value[n]
         if kept == count:
             break  # no known cell at all
         count = kept
@@ -114,16 +116,16 @@ _OCCLUSION_RATIO = 3.0
 
 
 @kernel(shared=True, allocates=False)
-def edges(share, points, triangles, row, col, spacing, longest, usable):
-    """Compute the longest edge of each triangle and whether it spans no occlusion.
+def measure_edges(thread_slice, points, triangles, row, col, spacing, longest, usable):
+    """Compute the longest edge of each triangle and whether to interpolate over it.
 
     `points` (n, 3), m, are the vertices with detector positions `row` and `col` (n,), which may be
     empty, and sample spacings `spacing` (n,), m. `triangles` (m, 3) are indices of vertices.
     `longest` (m,), m, and `usable` (m,) receive the results. A triangle over missing returns gets
-    the length inf. A triangle is usable if no edge exceeds three times the sample spacing. `share`
-    is (thread, number of threads).
+    the length inf. A triangle is usable if no edge exceeds three times the sample spacing.
+    `thread_slice` is (thread, number of threads).
     """
-    for t in range(share[0], triangles.shape[0], share[1]):
+    for t in range(thread_slice[0], triangles.shape[0], thread_slice[1]):
         max_square = 0.0
         pixel_distance = 0
         max_spacing = 0.0
@@ -177,35 +179,34 @@ def _edge(points, u, v):
 
 
 @kernel()
-def _inside(edge, x, across):
+def _inside(edge, x, north_term):
     """Return whether a point lies on the inner side of a triangle edge.
 
-    `edge` is the result of `_edge`, `x` the east coordinate of the point, and `across` the part of
-    the cross product that depends on its north coordinate only. A point on the edge belongs to the
-    triangle that traverses the edge from the lower index.
+    `edge` is the result of `_edge`, `x` the east coordinate of the point, and `north_term` the part
+    of the cross product that depends on its north coordinate only. A point on the edge belongs to
+    the triangle that traverses the edge from the lower index.
     """
-    return (across - edge[3] * (x - edge[0]) >= 0.0) == edge[4]
+    return (north_term - edge[3] * (x - edge[0]) >= 0.0) == edge[4]
 
 
 @kernel()
 def _regress_triangle(
-    points, noise, a, b, c, use, gradient, x0, y0, p, prior, length_scale, weight, min_weight, mean,
-    variance, observed,
+    points, noise, a, b, c, is_usable, gradient, x0, y0, posting, prior, length_scale, weight,
+    min_weight, mean, variance, observed,
 ):  # fmt: skip
     """Write the regressed height and variance of the unmeasured cells in one triangle.
 
-    `a`, `b`, `c` are its vertices among `points` (n, 3) with variances `noise` (n,), m^2. `use` is
-    False if the triangle spans an occlusion. The other arguments are those of `regress`, for one
-    triangle.
+    `a`, `b`, `c` are its vertices among `points` (n, 3). If the triangle spans an occlusion,
+    `is_usable` is False. The other arguments are those of `regress`, for one triangle.
     """
     rows, cols = mean.shape
     ax, ay = points[a, 0], points[a, 1]
     bx, by = points[b, 0], points[b, 1]
     cx, cy = points[c, 0], points[c, 1]
-    i0 = max(int(np.ceil((min(min(ay, by), cy) - y0) / p)), 0)
-    i1 = min(int(np.floor((max(max(ay, by), cy) - y0) / p)), rows - 1)
-    j0 = max(int(np.ceil((min(min(ax, bx), cx) - x0) / p)), 0)
-    j1 = min(int(np.floor((max(max(ax, bx), cx) - x0) / p)), cols - 1)
+    i0 = max(int(np.ceil((min(min(ay, by), cy) - y0) / posting)), 0)
+    i1 = min(int(np.floor((max(max(ay, by), cy) - y0) / posting)), rows - 1)
+    j0 = max(int(np.ceil((min(min(ax, bx), cx) - x0) / posting)), 0)
+    j1 = min(int(np.floor((max(max(ax, bx), cx) - x0) / posting)), cols - 1)
     if i0 > i1 or j0 > j1:
         return
     # Gram matrix and its inverse, both symmetric.
@@ -229,14 +230,14 @@ def _regress_triangle(
     zc = points[c, 2] - centre - gx * (cx - mx) - gy * (cy - my)
     edge_ab, edge_bc, edge_ca = _edge(points, a, b), _edge(points, b, c), _edge(points, c, a)
     for i in range(i0, i1 + 1):
-        y = y0 + p * i
+        y = y0 + posting * i
         first = edge_ab[2] * (y - edge_ab[1])
         second = edge_bc[2] * (y - edge_bc[1])
         third = edge_ca[2] * (y - edge_ca[1])
         for j in range(j0, j1 + 1):
             if weight[i, j] > min_weight:
                 continue
-            x = x0 + p * j
+            x = x0 + posting * j
             if not (
                 _inside(edge_ab, x, first)
                 & _inside(edge_bc, x, second)
@@ -251,40 +252,32 @@ def _regress_triangle(
             wc = (mac * ka + mbc * kb + mcc * kc) * per_det
             trend = centre + gx * (x - mx) + gy * (y - my)
             mean[i, j] = trend + wa * za + wb * zb + wc * zc
-            if use:
+            if is_usable:
                 variance[i, j] = max(prior - (ka * wa + kb * wb + kc * wc), 0.0)
                 observed[i, j] = True
 
 
 @kernel(shared=True, allocates=False)
 def regress(
-    share, points, noise, triangles, usable, gradient, x0, y0, p, prior, length, weight, min_weight,
-    mean, variance, observed,
+    thread_slice, points, noise, triangles, usable, gradient, x0, y0, posting, prior, length,
+    weight, min_weight, mean, variance, observed,
 ):  # fmt: skip
     """Interpolate unmeasured cells within triangles by Gaussian process regression.
 
-    Writes mean and variance (Eqs. 4 to 6 of the Gaussian DEM paper) into `mean`, `variance` and
-    `observed` (rows, cols), from the three vertices of the triangle that contains the cell.
-    `points` (n, 3), m, are the vertices, `triangles` (m, 3) their indices. (`x0`, `y0`) is the
-    centre of cell (0, 0), `p` the cell size, m. Cells with a `weight` (rows, cols) above
-    `min_weight` are measured and stay unchanged. `share` is (thread, number of threads).
+    `mean`, `variance` and `observed` (rows, cols) receive the results of Eqs. 4 to 6 of the
+    Gaussian DEM paper, from the three vertices of the triangle that contains the cell. `points` (n,
+    3), m, are the vertices with variances `noise` (n,), m^2, and `triangles` (m, 3) their indices.
+    (`x0`, `y0`) is the centre of cell (0, 0). Cells with a `weight` (rows, cols) above `min_weight`
+    are measured and stay unchanged. `thread_slice` is (thread, number of threads).
 
-    Parameters
-    ----------
-    noise
-        Variance of each point (n,), m^2.
-    prior, length
-        Variance (m,), m^2, and length scale (m,), m, of the random field in each triangle.
-    gradient
-        Slope of the prior mean in each triangle (m, 2). The prior mean is the plane through the
-        centroid of the vertices with this slope.
-    usable
-        False for triangles that span an occlusion (m,). They yield a mean and the prior variance,
-        and leave `observed` False.
+    `prior` (m,), m^2, and `length` (m,), m, are variance and length scale of the random field in
+    each triangle. Its mean is the plane through the centroid of the vertices with the slope
+    `gradient` (m, 2). Triangles that are not `usable` (m,) span an occlusion: they yield a mean and
+    the prior variance, and leave `observed` False.
     """
-    for t in range(share[0], triangles.shape[0], share[1]):
+    for t in range(thread_slice[0], triangles.shape[0], thread_slice[1]):
         _regress_triangle(
             points, noise, triangles[t, 0], triangles[t, 1], triangles[t, 2], usable[t],
-            gradient[t], x0, y0, p, prior[t], length[t], weight, min_weight,
+            gradient[t], x0, y0, posting, prior[t], length[t], weight, min_weight,
             mean, variance, observed,
         )  # fmt: skip

@@ -9,15 +9,15 @@ from lunarsim._jit import kernel
 
 
 @kernel()
-def pool(points, base, sigma, spacing, frame, centroid, splat, call_weight, min_spacing):
+def add_points(points, base, sigma, spacing, raster, centroid, splat, call_weight, min_spacing):
     """Add points (n, 3) to the sums of a `SamplePool`; return how many hit the grid.
 
     `base` is the reference height, m; `sigma` (n,) and `spacing` (n,) are standard deviation and
-    spacing of each sample, m. `frame` is (x0, y0, cell size), m. `centroid` and `splat` (rows,
-    cols, 4) are the sums, `min_spacing` (rows, cols) the minimum spacings. `call_weight` (rows,
-    cols) receives the bilinear weights of the given points only.
+    spacing of each sample, m. `raster` is (x0, y0, cell size), m. `centroid` and `splat` (rows,
+    cols, 4) are the sums of the pool and `min_spacing` (rows, cols) its minimum spacings.
+    `call_weight` (rows, cols) receives the bilinear weights of the given points only.
     """
-    x0, y0, p = frame
+    x0, y0, p = raster
     rows, cols = min_spacing.shape
     count = 0
     for n in range(points.shape[0]):
@@ -53,16 +53,16 @@ def pool(points, base, sigma, spacing, frame, centroid, splat, call_weight, min_
 
 
 @kernel(shared=True, allocates=False)
-def triangle_growth(share, points, variance, triangles, gradient, out):
+def sum_edge_increments(thread_slice, points, variance, triangles, gradient, out):
     """Sum squared height differences and lengths over the edges of each triangle.
 
     `out` (m, 2) receives the sum of the squared height differences minus the noise variance of both
     ends, m^2, and twice the sum of the edge lengths, m. Their ratio is the slope of the variogram
     at the origin. `points` (n, 3), m, are vertices with variances `variance` (n,), m^2; `triangles`
     (m, 3) are their indices. Height differences are relative to the terrain slope `gradient` (m,
-    2). `share` is (thread, number of threads).
+    2). `thread_slice` is (thread, number of threads).
     """
-    for t in range(share[0], triangles.shape[0], share[1]):
+    for t in range(thread_slice[0], triangles.shape[0], thread_slice[1]):
         grown = 0.0
         length = 0.0
         for e in range(3):
@@ -78,47 +78,54 @@ def triangle_growth(share, points, variance, triangles, gradient, out):
 
 
 @kernel(shared=True, allocates=False)
-def measured_pool(
-    share, splat, base, min_weight, growth, square, sub, prior, mean, variance, observed
-):
+def write_measured_cells(
+    thread_slice, splat, base, min_weight, variogram_slope, square_cells, mean_offset,
+    prior_variance, mean, variance, observed,
+):  # fmt: skip
     """Write mean, variance and observation flag of cells with enough pooled samples.
 
     `splat` (rows, cols, 4) are the sums of `SamplePool`, with heights above `base`, m. Cells with a
-    weight of at most `min_weight` get a NaN mean, the variance `prior`, m^2, and the flag False.
-    `growth`, m, is the slope of the variogram at the origin, in squares of `square` cells. `sub` is
-    the effective distance of a sample from the cell centre, m: `sub` times `growth` is the variance
-    of their height difference, m^2, which falls with the number of samples. `mean`, `variance` and
-    `observed` (rows, cols) receive the results. `share` is (thread, number of threads).
+    weight of at most `min_weight` get a NaN mean, the variance `prior_variance`, m^2, and the flag
+    False. `variogram_slope`, m, holds the slope of the variogram at the origin for each square of
+    `square_cells` x `square_cells` cells. `mean_offset`, m, is the effective distance of a sample
+    from the cell centre. Their product, divided by the sum of weights (or by 1 if that is larger),
+    is added to the variance of the mean. `mean`, `variance` and `observed` (rows, cols) receive the
+    results. `thread_slice` is (thread, number of threads).
     """
     rows, cols = mean.shape
-    for i in range(share[0], rows, share[1]):
+    for i in range(thread_slice[0], rows, thread_slice[1]):
         for j in range(cols):
             if splat[i, j, 0] > min_weight:
                 w = splat[i, j, 1]
                 mean[i, j] = base + splat[i, j, 2] / w
-                offset_variance = sub * growth[i // square, j // square] / max(splat[i, j, 0], 1.0)
+                offset_variance = (
+                    mean_offset
+                    * variogram_slope[i // square_cells, j // square_cells]
+                    / max(splat[i, j, 0], 1.0)
+                )
                 variance[i, j] = splat[i, j, 3] / (w * w) + offset_variance
                 observed[i, j] = True
             else:
                 mean[i, j] = np.nan
-                variance[i, j] = prior
+                variance[i, j] = prior_variance
                 observed[i, j] = False
 
 
 @kernel(shared=True, allocates=False)
-def add_kinks(share, mean, measured, noise, part, variance):
-    """Add the terrain curvature to the variance of measured cells.
+def add_curvature_variance(thread_slice, mean, is_measured, noise, factor, variance):
+    """Increase the variance of measured cells where the terrain is strongly curved.
 
-    On the edge of a rock the samples of a cell lie above or below its centre. The curvature is the
-    second difference of `mean` (rows, cols), m, the maximum of four directions. Its square minus
-    nine times its variance, times `part`, is added to `variance` (rows, cols), m^2, if it is
-    positive. `noise` (rows, cols), m^2, is the variance of the mean. `measured` (rows, cols)
-    selects the cells. `share` is (thread, number of threads).
+    At the edge of a rock the samples of a cell lie above or below its centre. The curvature is the
+    difference of a cell's `mean` (rows, cols), m, from the average of two opposite neighbours, the
+    maximum of four directions. If its square exceeds nine times its own variance, `factor` times
+    the excess is added to `variance` (rows, cols), m^2. `noise` (rows, cols), m^2, is the variance
+    of the mean. `is_measured` (rows, cols) selects the cells. `thread_slice` is (thread, number of
+    threads).
     """
     rows, cols = mean.shape
-    for i in range(share[0], rows, share[1]):
+    for i in range(thread_slice[0], rows, thread_slice[1]):
         for j in range(cols):
-            if not measured[i, j]:
+            if not is_measured[i, j]:
                 continue
             max_curvature = 0.0
             for di, dj in ((0, 1), (1, 0), (1, 1), (1, -1)):
@@ -129,4 +136,4 @@ def add_kinks(share, mean, measured, noise, part, variance):
                     max_curvature = max(max_curvature, bend * bend)
             excess = max_curvature - 13.5 * noise[i, j]
             if excess > 0.0:
-                variance[i, j] += part * excess
+                variance[i, j] += factor * excess

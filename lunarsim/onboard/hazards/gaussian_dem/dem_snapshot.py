@@ -84,17 +84,9 @@ class DemSnapshot:
 def dem_site_evidence(dem: PooledDem, lander: Lander, rocks: RockExpectation) -> MapEvidence:
     """Compute the inputs of the safety calibration for each site from elevations.
 
-    They are slope, roughness and their uncertainty, the distribution of heights and depths between
-    the samples, and the sampling statistics.
-
-    Parameters
-    ----------
-    dem
-        Mean and variance of the elevations.
-    lander
-        Geometry and limits of the lander.
-    rocks
-        Rock population expected by the mission.
+    They are slope, roughness and their uncertainty, the distributions of heights above and depths
+    below the local terrain plane, and the sampling statistics. `lander` gives the limits, and
+    `rocks` is the rock population expected by the mission.
     """
     observed_mean = np.where(dem.observed, dem.mean, np.float32(np.nan))
     s = dem.sampling

@@ -116,7 +116,7 @@ def gaussian_dem(
     height, weight = k.splat(cloud, base, grid.x0, grid.y0, grid.posting, grid.rows, grid.cols)
     mean, variance = np.empty(grid.shape, np.float32), np.empty(grid.shape, np.float32)
     observed = np.empty(grid.shape, np.bool_)
-    k.measured_cells(
+    k.write_measured_cells(
         height, weight, base, MIN_MEASURED_WEIGHT, sigma_eps * sigma_eps, sigma_f * sigma_f,
         mean, variance, observed,
     )  # fmt: skip
@@ -189,7 +189,7 @@ def triangle_edges(
     longest, usable = np.empty(len(triangles)), np.empty(len(triangles), np.bool_)
     # Integer division is slow: divide once per pixel, not once per edge.
     row, col = np.divmod(pixels, cols)
-    k.edges(points, triangles, row, col, spacing, longest, usable)
+    k.measure_edges(points, triangles, row, col, spacing, longest, usable)
     return longest, usable
 
 
@@ -228,7 +228,7 @@ class _Mesh:
             return cls._of_cloud(raw, cloud, spacing)
         if len(raw) != image_shape[0] * image_shape[1]:
             raise ValueError(f"image_shape: must hold {len(raw)} points, got {image_shape}")
-        triangles = delaunay_of_image(_blank(raw), image_shape)
+        triangles = delaunay_of_image(_xy_of_finite(raw), image_shape)
         pixels = np.arange(len(raw))
         pixel_spacing = _pixel_spacing(raw, image_shape) if spacing is None else spacing
         point_spacing = np.ascontiguousarray(
@@ -292,7 +292,7 @@ def sample_spacing(points: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray(distance[:, 1:].mean(axis=1))
 
 
-def _blank(points: NDArray[np.float64]) -> NDArray[np.float64]:
+def _xy_of_finite(points: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return (x, y) of the points, with NaN for every point that lacks a coordinate."""
     xy = points[:, :2]
     lost = ~finite_rows(points)

@@ -109,10 +109,10 @@ def pooled_dem(pool: SamplePool) -> PooledDem:
     planes = squares.fit_planes(vertices)
     gradient = squares.at(planes[..., 1:], middles)
     increments = np.empty((len(triangles), 2))
-    sk.triangle_growth(vertices, noise, triangles, gradient, increments)
+    sk.sum_edge_increments(vertices, noise, triangles, gradient, increments)
     growth = _variogram_growth(squares, middles[usable], increments[usable])
     weight = np.ascontiguousarray(pool.splat[..., 0], dtype=np.float32)
-    sk.measured_pool(
+    sk.write_measured_cells(
         pool.splat, pool.base or 0.0, MIN_MEASURED_WEIGHT, growth, squares.cells,
         _SAMPLE_DISTANCE_RATIO * grid.posting, float(growth.max()) * _UNOBSERVED_LENGTH_M,
         mean, variance, observed,
@@ -134,7 +134,7 @@ def pooled_dem(pool: SamplePool) -> PooledDem:
     measured = weight > MIN_MEASURED_WEIGHT
     with np.errstate(divide="ignore", invalid="ignore"):
         mean_variance = pool.splat[..., 3] / pool.splat[..., 1] ** 2
-    sk.add_kinks(mean, measured, mean_variance, _CURVATURE_SHARE, variance)
+    sk.add_curvature_variance(mean, measured, mean_variance, _CURVATURE_SHARE, variance)
     return PooledDem(
         grid,
         mean,
@@ -186,21 +186,13 @@ def _corners(values: Array, triangles: IntArray) -> list[Array]:
     return [values[corner] for corner in triangles.T]
 
 
-def _variogram_growth(squares: LocalPlaneGrid, points: Array, increments: Array) -> Array:
+def _variogram_growth(squares: LocalPlaneGrid, centres: Array, increments: Array) -> Array:
     """Estimate the slope of the variogram at the origin, m, in each square.
 
-    The result has shape (square rows, square columns).
-
-    Parameters
-    ----------
-    squares
-        Squares in which the slope is estimated.
-    points
-        Centres of triangles (m, 2).
-    increments
-        Squared height differences and lengths of each triangle, from `triangle_growth` (m, 2).
+    `centres` (m, 2) are the centres of triangles between samples, and `increments` (m, 2) their
+    sums from `sum_edge_increments`. The result has shape (square rows, square columns).
     """
-    row, col = squares.grid.cell(points[:, :2])
+    row, col = squares.grid.cell(centres[:, :2])
     rows, cols = squares.shape
     index = np.clip(row // squares.cells, 0, rows - 1) * cols
     index = index + np.clip(col // squares.cells, 0, cols - 1)

@@ -57,10 +57,10 @@ class SamplePool:
         centre) and height (above `base`), over the samples in each cell (rows, cols, 4).
     splat
         Sums over the samples around each cell, with bilinear weights (Eq. 1 of the Gaussian DEM
-        paper) (rows, cols, 4). The first entry is the sum of weights in one call of `add`, the
-        maximum over all calls. The others are the sums of weight over variance, of weight times
-        height over variance, and of squared weight over variance. The maximum prevents that
-        repeated hits of a far corner make a cell count as measured.
+        paper) (rows, cols, 4). The first entry is the sum of weights of one scan, the maximum over
+        all scans, so that a cell hit only at its edge does not count as measured after many scans.
+        The others are the sums of weight over variance, of weight times height over variance, and
+        of squared weight over variance.
     spacing
         Minimum distance of neighbouring samples within their scans (rows, cols), m; inf without
         samples.
@@ -112,7 +112,7 @@ class SamplePool:
         base = base_height(cloud) if self.base is None else self.base
         g = self.grid
         call_weight = np.zeros(g.shape)
-        count = k.pool(
+        count = k.add_points(
             cloud, base, np.maximum(noise, _MIN_SIGMA_M), gaps, (g.x0, g.y0, g.posting),
             self.centroid, self.splat, call_weight, self.spacing,
         )  # fmt: skip
@@ -145,10 +145,10 @@ class SamplePool:
         spread = _MAD_TO_SIGMA * float(np.median(np.abs(difference - median)))
         return median, _MEDIAN_TO_MEAN_ERROR * spread / float(np.sqrt(len(difference)))
 
-    def shifted_up(self, by: float) -> SamplePool:
-        """Return the same samples shifted up by the height `by`, m."""
+    def shifted_up(self, height: float) -> SamplePool:
+        """Return the same samples shifted up by a height, m."""
         out = SamplePool(self.grid)
-        out.base = None if self.base is None else self.base + by
+        out.base = None if self.base is None else self.base + height
         out.centroid, out.splat, out.spacing = self.centroid, self.splat, self.spacing
         return out
 
@@ -268,13 +268,13 @@ def _cells(grid: Grid, points: Array) -> tuple[tuple[Index, Index], NDArray[np.b
     return (np.asarray(row), np.asarray(col)), keep
 
 
-def _overlap(count: int, by: int) -> tuple[slice, slice]:
+def _overlap(count: int, shift: int) -> tuple[slice, slice]:
     """Return the slices of a shifted axis and of the original axis that overlap.
 
-    The axis has `count` cells and is shifted by `by` cells.
+    The axis has `count` cells; `shift` is in cells.
     """
-    kept = max(count - abs(by), 0)
-    return slice(max(-by, 0), max(-by, 0) + kept), slice(max(by, 0), max(by, 0) + kept)
+    kept = max(count - abs(shift), 0)
+    return slice(max(-shift, 0), max(-shift, 0) + kept), slice(max(shift, 0), max(shift, 0) + kept)
 
 
 def _check_positive(name: str, values: Array) -> Array:

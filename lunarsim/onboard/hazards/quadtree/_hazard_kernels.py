@@ -18,7 +18,7 @@ from lunarsim.onboard.hazards.quadtree._site_kernels import (
 )
 from lunarsim.onboard.hazards.quadtree._tree_kernels import STACK, cell_centre
 
-# Squares have 1 / 2^FINER of the side of the smallest hazard cells.
+# Squares have 1 / 2^SQUARE_LEVELS of the side of the smallest hazard cells.
 SQUARE_LEVELS = 2
 # Minimum expected number of points for an empty square to count as unobserved, and distance in
 # squares up to which neighbours predict that number: up to the next of the smallest cells.
@@ -68,29 +68,30 @@ def _distances(tree, node, plane, squares, stack, distance, square):
 
 
 @kernel()
-def _count_exceptions(distance, square, middle, tolerance, share, max_distance):
-    """Compute the fraction of outliers and the maximum distance per square of a cell.
+def _count_exceptions(distance, square, median_distance, tolerance, exception_ratio, max_distance):
+    """Compute fraction of exceptions and maximum distance per square of a cell.
 
-    An outlier (exception) is a point farther than `tolerance` from a plane or from the parallel
-    plane offset by `middle`, m. `distance` (n,), m, and `square` (n,) are the results of
-    `_distances`. `share` (w, w) receives the fraction of outliers. `max_distance` (w, w), m,
-    receives the maximum distance from the parallel plane, or of an outlier from either plane.
+    An exception is a point farther than `tolerance` (m) from the terrain plane or from the parallel
+    plane at `median_distance` (m). `distance` (n,), m, and `square` (n,) are the results of
+    `_distances`. `exception_ratio` (w, w) receives the fraction of exceptions. `max_distance` (w,
+    w), m, receives the maximum distance from the parallel plane, or of an exception from either
+    plane.
     """
-    squares = share.shape[0]
+    squares = exception_ratio.shape[0]
     number = np.zeros((squares, squares))
     for i in range(distance.size):
         row, col = square[i] // squares, square[i] % squares
         number[row, col] += 1.0
-        reach = abs(distance[i] - middle)
+        reach = abs(distance[i] - median_distance)
         far = max(abs(distance[i]), reach)
         if far > tolerance:
-            share[row, col] += 1.0
+            exception_ratio[row, col] += 1.0
             reach = far
         max_distance[row, col] = max(max_distance[row, col], reach)
     for row in range(squares):
         for col in range(squares):
             if number[row, col] > 0.0:
-                share[row, col] /= number[row, col]
+                exception_ratio[row, col] /= number[row, col]
 
 
 @kernel()
@@ -111,18 +112,20 @@ def _count_in_square(tree, depth, row, col):
 
 
 @kernel()
-def _neighbour_count(tree, depth, row, col, up, right):
+def _neighbour_count(tree, depth, row, col, row_step, col_step):
     """Return the number of points in the next occupied square in a direction.
 
-    The search starts at the square (`row`, `col`) of a depth and moves by (`up`, `right`) per step.
-    The result is the larger number of this and the following square, because half of the first may
-    be hidden too; -1 if all squares within reach are empty.
+    The search starts at the square (`row`, `col`) of a depth. The result is the larger number of
+    the first occupied square and the one behind it, because part of the first may be hidden; -1 if
+    all squares within reach are empty.
     """
     for n in range(1, NEIGHBOUR_SQUARES + 1):
-        number = _count_in_square(tree, depth, row + n * up, col + n * right)
+        number = _count_in_square(tree, depth, row + n * row_step, col + n * col_step)
         if number > 0.0:
             far = min(n + 1, NEIGHBOUR_SQUARES)
-            return max(number, _count_in_square(tree, depth, row + far * up, col + far * right))
+            return max(
+                number, _count_in_square(tree, depth, row + far * row_step, col + far * col_step)
+            )
     return -1.0
 
 
@@ -130,10 +133,10 @@ def _neighbour_count(tree, depth, row, col, up, right):
 def _expected_count(tree, depth, row, col):
     """Predict the number of points in a square from its occupied neighbours.
 
-    `depth`, `row` and `col` locate the square. The coverage of a scan has no concave edges: between
-    two observed squares the density is the same. Next to a scan, only coarser scans may have
-    measured, so the smaller number of both sides is used. With one occupied side, its number is
-    used. If no side is occupied, no scan covers the square and the result is inf.
+    `depth`, `row` and `col` locate the square. Opposite neighbours are compared, west with east and
+    south with north. If both are occupied, the smaller number counts, because a coarser scan may
+    begin at the square. If only one is occupied, its number counts. The larger result of the two
+    directions is returned; it is inf if no neighbour is occupied, since no scan covers the square.
     """
     most = -1.0
     for up in range(2):
@@ -145,13 +148,13 @@ def _expected_count(tree, depth, row, col):
 
 
 @kernel()
-def _blank_unobserved(tree, node, ratio, relief):
+def _blank_unobserved(tree, node, exception_ratio, max_distance):
     """Set the empty squares of a cell to NaN unless they may be empty by chance.
 
-    `ratio` and `relief` (w, w) are the values of the squares of cell `node`. An unobserved square
-    may be hidden behind a boulder or lie beyond the edge of a scan.
+    `exception_ratio` and `max_distance` (w, w) are the values of the squares of cell `node`. An
+    unobserved square may be hidden behind a boulder or lie beyond the edge of a scan.
     """
-    wide = ratio.shape[0]
+    wide = exception_ratio.shape[0]
     depth = np.int64(tree.depth[node])
     while (1 << (depth - tree.depth[node])) < wide:
         depth += 1
@@ -162,31 +165,31 @@ def _blank_unobserved(tree, node, ratio, relief):
             if _count_in_square(tree, depth, row0 + row, col0 + col) > 0.0:
                 continue
             if _expected_count(tree, depth, row0 + row, col0 + col) >= MIN_EXPECTED_POINTS:
-                ratio[row, col] = np.nan
-                relief[row, col] = np.nan
+                exception_ratio[row, col] = np.nan
+                max_distance[row, col] = np.nan
 
 
 @kernel()
-def _evaluate_cell(tree, node, plane, tolerance, ratio, relief):
-    """Compute the fraction of outliers and the maximum distance per square of a cell.
+def _evaluate_cell(tree, node, plane, tolerance, exception_ratio, max_distance):
+    """Compute fraction of exceptions and maximum distance per square of a cell.
 
-    `plane` (6,) is a point on the terrain mesh, m, and its normal. A point is an outlier
-    (exception) if it is farther than `tolerance`, m, from this plane, or from the parallel plane at
-    the median of the points of the cell. The mesh plane alone would miss a boulder in a hollow, and
-    the floor of a crater is an outlier only relative to one of them. A boulder on less than half
-    the cell hardly raises the median. `ratio` and `relief` (w, w) receive the results, NaN where
-    unobserved.
+    `plane` (6,) is a point on the terrain mesh, m, and its normal. A point is an exception if it is
+    farther than `tolerance`, m, from this plane, or from the parallel plane at the median of the
+    points of the cell. The second plane detects a boulder in a hollow that the mesh does not
+    resolve. `exception_ratio` and `max_distance` (w, w) receive the results, NaN where unobserved.
     """
     stack = np.empty(STACK, np.int32)
-    off, square = np.empty(tree.count[node]), np.empty(tree.count[node], np.int32)
-    n = _distances(tree, node, plane, ratio.shape[0], stack, off, square)
+    distance, square = np.empty(tree.count[node]), np.empty(tree.count[node], np.int32)
+    n = _distances(tree, node, plane, exception_ratio.shape[0], stack, distance, square)
     if n == 0:
-        ratio[:] = np.nan
-        relief[:] = np.nan
+        exception_ratio[:] = np.nan
+        max_distance[:] = np.nan
         return
-    middle = np.median(off[:n])
-    _count_exceptions(off[:n], square[:n], middle, tolerance, ratio, relief)
-    _blank_unobserved(tree, node, ratio, relief)
+    median_distance = np.median(distance[:n])
+    _count_exceptions(
+        distance[:n], square[:n], median_distance, tolerance, exception_ratio, max_distance
+    )
+    _blank_unobserved(tree, node, exception_ratio, max_distance)
 
 
 @kernel(inline=True)
@@ -196,48 +199,35 @@ def _equal_or_nan(a, b):
 
 
 @kernel()
-def _write_squares(ratio, relief, row0, col0, ratios, reliefs):
+def _write_squares(exception_ratio, max_distance, row0, col0, exception_ratios, max_distances):
     """Copy the squares of one cell into the rasters; return whether a value changed.
 
-    `ratio` and `relief` (w, w) are copied to `ratios` and `reliefs` at row `row0` and column
-    `col0`.
+    `exception_ratio` and `max_distance` (w, w) are copied to `exception_ratios` and `max_distances`
+    at row `row0` and column `col0`.
     """
     changed = False
-    wide = ratio.shape[0]
+    wide = exception_ratio.shape[0]
     for row in range(wide):
         for col in range(wide):
-            new, far = np.float32(ratio[row, col]), np.float32(relief[row, col])
-            changed |= not _equal_or_nan(ratios[row0 + row, col0 + col], new)
-            changed |= not _equal_or_nan(reliefs[row0 + row, col0 + col], far)
-            ratios[row0 + row, col0 + col] = new
-            reliefs[row0 + row, col0 + col] = far
+            new, far = np.float32(exception_ratio[row, col]), np.float32(max_distance[row, col])
+            changed |= not _equal_or_nan(exception_ratios[row0 + row, col0 + col], new)
+            changed |= not _equal_or_nan(max_distances[row0 + row, col0 + col], far)
+            exception_ratios[row0 + row, col0 + col] = new
+            max_distances[row0 + row, col0 + col] = far
     return changed
 
 
 @kernel(parallel=True)
-def evaluate_cells(tree, nodes, mesh, tolerance, per_area, ratios, reliefs):
+def evaluate_cells(tree, nodes, mesh, tolerance, min_density, exception_ratios, max_distances):
     """Search cells for points off the terrain planes (exceptions), square by square.
 
-    Parameters
-    ----------
-    nodes
-        Indices of the cells (n,), which do not overlap.
-    mesh
-        Triangular mesh of terrain planes, as in `TerrainMesh.arrays`.
-    tolerance
-        Distance from the plane above which a point is an exception, m.
-    per_area
-        Minimum number of points per square metre in each quarter of a cell.
-    ratios, reliefs
-        Rasters of the squares, which receive two values. First, the fraction of exceptions among
-        the points of a square. Second, the maximum distance of a point from the median plane of its
-        cell, or of an exception from the mesh if that is larger, m. NaN where points are too few or
-        there is no plane.
-
-    Returns
-    -------
-    changed
-        Which cells have a square whose value changed (n,).
+    `nodes` (n,) are the indices of the cells, which do not overlap, and `mesh` is
+    `TerrainMesh.arrays`. A point is an exception if it is farther than `tolerance` (m) from the
+    plane. Each quarter of a cell needs at least `min_density` points per square metre. Two rasters
+    of squares receive the results: `exception_ratios` the fraction of exceptions among the points
+    of a square, and `max_distances` the maximum distance of a point from the median plane of its
+    cell, or of an exception from the mesh if that is larger, m. They are NaN where points are too
+    few or there is no plane. Returns which cells have a square whose value changed (n,).
     """
     changed = np.zeros(nodes.size, np.bool_)
     for i in prange(nodes.size):
@@ -245,40 +235,43 @@ def evaluate_cells(tree, nodes, mesh, tolerance, per_area, ratios, reliefs):
             nodes[i]
         )  # one integer type for all node arguments, so that functions compile once
         normal = np.empty(3)
-        wide = ratios.shape[0] >> tree.depth[node]
-        ratio, relief = np.zeros((wide, wide)), np.zeros((wide, wide))
+        wide = exception_ratios.shape[0] >> tree.depth[node]
+        exception_ratio, max_distance = np.zeros((wide, wide)), np.zeros((wide, wide))
         hx, hy = half_steps(tree, node)
-        t = steepest_normal(hx, hy, mesh, normal) if is_evenly_sampled(tree, node, per_area) else -1
+        t = (
+            steepest_normal(hx, hy, mesh, normal)
+            if is_evenly_sampled(tree, node, min_density)
+            else -1
+        )
         if t < 0:
-            ratio[:] = np.nan
-            relief[:] = np.nan
+            exception_ratio[:] = np.nan
+            max_distance[:] = np.nan
         else:
             z = mesh_height(hx, hy, mesh, t, tree.half / (1 << tree.depths))
             x, y = cell_centre(tree, node)
             plane = (x, y, z, normal[0], normal[1], normal[2])
-            _evaluate_cell(tree, node, plane, tolerance, ratio, relief)
+            _evaluate_cell(tree, node, plane, tolerance, exception_ratio, max_distance)
         row0, col0 = np.int64(tree.row[node]) * wide, np.int64(tree.column[node]) * wide
-        changed[i] = _write_squares(ratio, relief, row0, col0, ratios, reliefs)
+        changed[i] = _write_squares(
+            exception_ratio, max_distance, row0, col0, exception_ratios, max_distances
+        )
     return changed
 
 
 @kernel()
-def blank_squares(outlines, square, ratios, reliefs):
+def blank_squares(outlines, square_side, exception_ratios, max_distances):
     """Set the squares of the hazard rasters within given rectangles to NaN.
 
-    `outlines` (n, 4) are west, east, south and north, and `square` is the side of a square, in half
-    steps (half sides of the smallest cells). `ratios` and `reliefs` (rows, cols) are the rasters.
-
-    Returns
-    -------
-    changed
-        Which outlines contained a square that was not NaN (n,).
+    `outlines` (n, 4) are west, east, south and north of the rectangles, and `square_side` is the
+    side of a square, in half steps (half sides of the smallest cells). `exception_ratios` and
+    `max_distances` (rows, cols) are the rasters. Returns which rectangles contained a square that
+    was not NaN (n,).
     """
     changed = np.zeros(outlines.shape[0], np.bool_)
     for i in range(outlines.shape[0]):
-        for row in range(outlines[i, 2] // square, outlines[i, 3] // square):
-            for col in range(outlines[i, 0] // square, outlines[i, 1] // square):
-                changed[i] |= not np.isnan(ratios[row, col])
-                ratios[row, col] = np.nan
-                reliefs[row, col] = np.nan
+        for row in range(outlines[i, 2] // square_side, outlines[i, 3] // square_side):
+            for col in range(outlines[i, 0] // square_side, outlines[i, 1] // square_side):
+                changed[i] |= not np.isnan(exception_ratios[row, col])
+                exception_ratios[row, col] = np.nan
+                max_distances[row, col] = np.nan
     return changed

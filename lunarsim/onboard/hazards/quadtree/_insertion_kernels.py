@@ -20,7 +20,7 @@ RADIX_BITS = 11  # bits per pass of the radix sort
 
 
 @kernel(inline=True)
-def _spread(v):
+def _spread_bits(v):
     """Insert a zero bit between the 16 bits of `v`, to interleave two coordinates."""
     v = (v | (v << 8)) & 0x00FF00FF
     v = (v | (v << 4)) & 0x0F0F0F0F
@@ -29,17 +29,16 @@ def _spread(v):
 
 
 @kernel(inline=True)
-def _column_of(v, half, per_metre):
+def _column_of(coordinate, half, per_metre):
     """Return the column (or row) of smallest cells that contains a coordinate.
 
-    `v` is the coordinate, m. `half` is half the side of the map, m, and `per_metre` the number of
-    cells per metre.
+    `half` is half the side of the map, m, and `per_metre` the number of cells per metre.
     """
-    return np.int64(np.floor((np.float64(v) + half) * per_metre))
+    return np.int64(np.floor((np.float64(coordinate) + half) * per_metre))
 
 
 @kernel()
-def _order_of(key, bits):
+def _radix_argsort(key, bits):
     """Return the indices (n,) that sort integer keys (stable radix sort).
 
     `key` (n,) has `bits` significant bits.
@@ -65,22 +64,16 @@ def _order_of(key, bits):
 
 
 @kernel()
-def sort_points(points, centre, half, depths, highest):
+def sort_points(points, centre, half, max_depth, max_height):
     """Sort points (n, 3) along the Z-order curve of the smallest cells.
 
-    `centre` (3,) and `half` are centre and half side of the map, m. `depths` is the depth of the
-    smallest cells, and `highest` the maximum height above or below the centre, m.
-
-    Returns
-    -------
-    xyz, key
-        Points on the map (m, 3), relative to its centre, m, and their Z-order keys (m,).
-    outside, missing, high
-        Number of points off the map, of points with NaN, and of points on the map but farther than
-        `highest` from its elevation.
+    `centre` (3,) and `half` are centre and half side of the map, m. `max_depth` is the depth of the
+    smallest cells, and `max_height` the maximum height above or below the centre, m. Returns the
+    points on the map (m, 3), relative to its centre, m, and their Z-order keys (m,). Three numbers
+    of rejected points follow: off the map, with NaN, and on the map but beyond `max_height`.
     """
     n = points.shape[0]
-    side = 1 << depths
+    side = 1 << max_depth
     per_metre = side / (2.0 * half)
     key = np.empty(n, np.uint32)
     kept = np.empty((n, 3), np.float32)
@@ -103,15 +96,15 @@ def sort_points(points, centre, half, depths, highest):
         if column >= side or row >= side:
             outside += 1
             continue
-        if abs(z) > highest:
+        if abs(z) > max_height:
             high += 1
             continue
         kept[m, 0] = x
         kept[m, 1] = y
         kept[m, 2] = z
-        key[m] = _spread(column) | (_spread(row) << 1)
+        key[m] = _spread_bits(column) | (_spread_bits(row) << 1)
         m += 1
-    order = _order_of(key[:m], 2 * depths)
+    order = _radix_argsort(key[:m], 2 * max_depth)
     xyz = np.empty((m, 3), np.float32)
     sorted_key = np.empty(m, np.uint32)
     for i in range(m):
@@ -215,8 +208,8 @@ def _end_of_cell(key, i, shift):
 
 
 @kernel(inline=True)
-def _count_along_path(tree, leaf, key, more, version, touched, count):
-    """Add `more` points to the counts of a leaf and its ancestors.
+def _count_along_path(tree, leaf, key, added, version, touched, count):
+    """Add `added` points to the counts of a leaf and its ancestors.
 
     `key` is a Z-order key in the leaf. Cells that the batch `version` has not reached before are
     appended to `touched`, which has `count` entries. Returns the new number of entries.
@@ -228,7 +221,7 @@ def _count_along_path(tree, leaf, key, more, version, touched, count):
             tree.stamp[node] = version
             touched[count] = node
             count += 1
-        tree.count[node] += more
+        tree.count[node] += added
         if node == leaf:
             return count
         node = _child_towards(tree, node, depth, key)
@@ -236,25 +229,22 @@ def _count_along_path(tree, leaf, key, more, version, touched, count):
 
 
 @kernel()
-def _split_if_needed(tree, leaf, run, split_count, used, version, touched, count, found):
+def _split_if_needed(tree, leaf, run, split_count, used, version, touched, count, index_buffer):
     """Split a leaf that has too many points, and update the sums of smallest cells.
 
     `run` is the new run of points in `leaf`, and `split_count` the number of points at which a cell
     splits. `used` is the number of nodes, runs and sums in use, `version` the number of the batch.
-    `touched` lists the cells that the batch has reached, with `count` entries; `found` is a work
-    array.
+    `touched` lists the cells that the batch has reached, with `count` entries; `index_buffer` is a
+    work array.
 
-    Returns
-    -------
-    used, count, found
-        Nodes, runs and sums in use, number of cells in `touched`, and the work array, possibly
-        enlarged.
+    Returns nodes, runs and sums in use, the number of cells in `touched`, and the work array,
+    possibly enlarged.
     """
     nodes, runs, slots = used
     depths = tree.depths
     first, more = tree.start[run], tree.length[run]
     if tree.depth[leaf] == depths and tree.slot[leaf] >= 0:
-        return used, count, add_to_summed_cell(tree, leaf, first, first + more, found)
+        return used, count, add_to_summed_cell(tree, leaf, first, first + more, index_buffer)
     stack = np.empty(STACK, np.int32)
     stack[0] = leaf
     top = 1
@@ -267,7 +257,7 @@ def _split_if_needed(tree, leaf, run, split_count, used, version, touched, count
             if tree.count[m] >= MIN_POINTS_FOR_SUMS:
                 tree.slot[m] = slots
                 slots += 1
-                found = update_outliers_and_sums(tree, m, found)
+                index_buffer = update_outliers_and_sums(tree, m, index_buffer)
             continue
         if tree.count[m] < split_count:
             continue
@@ -278,7 +268,7 @@ def _split_if_needed(tree, leaf, run, split_count, used, version, touched, count
         for q in range(4):
             stack[top] = tree.child[m] + q
             top += 1
-    return (nodes, runs, slots), count, found
+    return (nodes, runs, slots), count, index_buffer
 
 
 @kernel()
@@ -290,15 +280,13 @@ def insert(tree, key, base, begin, used, split_count, version):
     the number of nodes, runs and sums in use. `split_count` is the number of points at which a cell
     splits, and `version` the number of the batch.
 
-    Returns
-    -------
-    at, nodes, runs, slots
-        Index of the first point that was not inserted; number of nodes, runs and sums in use.
+    Returns the index of the first point that was not inserted, and the numbers of nodes, runs and
+    sums in use.
     """
     nodes, runs, slots = used
     touched = np.empty(tree.child.size, np.int32)
     count = 0
-    found = np.empty(256, np.int64)
+    index_buffer = np.empty(256, np.int64)
     depths = tree.depths
     i = begin
     while i < key.size:
@@ -319,12 +307,20 @@ def insert(tree, key, base, begin, used, split_count, version):
         tree.following[runs] = tree.head[leaf]
         tree.head[leaf] = runs
         tree.is_outlier[base + i : base + j] = False
-        (nodes, runs, slots), count, found = _split_if_needed(
-            tree, leaf, runs, split_count, (nodes, runs + 1, slots), version, touched, count, found
+        (nodes, runs, slots), count, index_buffer = _split_if_needed(
+            tree,
+            leaf,
+            runs,
+            split_count,
+            (nodes, runs + 1, slots),
+            version,
+            touched,
+            count,
+            index_buffer,
         )
         i = j
     # A child is always touched after its parent.
     for t in range(count - 1, -1, -1):
         if tree.child[touched[t]] >= 0:
-            found = update_outliers_and_sums(tree, np.int64(touched[t]), found)
+            index_buffer = update_outliers_and_sums(tree, np.int64(touched[t]), index_buffer)
     return i, nodes, runs, slots

@@ -27,7 +27,7 @@ from lunarsim.onboard.hazards.quadtree._tree_kernels import (
     with_capacity,
 )
 
-# Status of a site; see `sites.STATUS`.
+# Status of a site: index into `sites.SITE_STATUS`.
 ELIGIBLE, NO_PLANE, OFF_MAP, NO_INTEREST, STEEP, SPARSE, HAZARD = range(7)
 # Columns of the results per site.
 (
@@ -54,30 +54,29 @@ def half_steps(tree, node):
 
 
 @kernel()
-def is_mesh_node(tree, nodes, per_area):
+def is_mesh_node(tree, nodes, min_density):
     """Return which cells (n,) have enough points in each quarter to be mesh nodes.
 
-    `nodes` (n,) are the indices of the cells; `per_area` is the minimum number of points per square
-    metre.
+    `nodes` (n,) are the indices of the cells; `min_density` is in points per square metre.
     """
     good = np.zeros(nodes.size, np.bool_)
     for i in range(nodes.size):
-        good[i] = is_evenly_sampled(tree, nodes[i], per_area)
+        good[i] = is_evenly_sampled(tree, nodes[i], min_density)
     return good
 
 
 @kernel(inner=True)
-def is_evenly_sampled(tree, node, per_area):
+def is_evenly_sampled(tree, node, min_density):
     """Return whether each quarter of a cell has enough points per square metre.
 
-    `node` is the index of the cell and `per_area` the minimum density, 1/m^2. A leaf has no
+    `node` is the index of the cell and `min_density` the minimum density, 1/m^2. A leaf has no
     quarters and is tested as one area.
     """
     size = 2.0 * tree.half / (1 << tree.depth[node])
     if tree.child[node] < 0:
-        return tree.count[node] >= per_area * size * size
-    for q in range(4):  # noqa: SIM110  (compiled)
-        if tree.count[tree.child[node] + q] < per_area * 0.25 * size * size:
+        return tree.count[node] >= min_density * size * size
+    for q in range(4):
+        if tree.count[tree.child[node] + q] < min_density * 0.25 * size * size:
             return False
     return True
 
@@ -105,34 +104,31 @@ def normals(x, y, z, triangles):
 
 
 @kernel()
-def list_triangles(px, py, triangles, bucket, wide):
+def list_triangles(px, py, triangles, square_side, side_count):
     """List the triangles that touch each square of a raster, as a spatial index.
 
-    `px` and `py` (n,) are the vertices and `bucket` the side of a square, all in half steps (half
-    sides of the smallest cells). `triangles` (t, 3) are indices of vertices. The raster has `wide`
-    x `wide` squares.
-
-    Returns
-    -------
-    start, index
-        The triangles of square s are index[start[s] : start[s + 1]].
+    `px` and `py` (n,) are the vertices and `square_side` the side of a square, all in half steps
+    (half sides of the smallest cells). `triangles` (t, 3) are indices of vertices. The raster has
+    `side_count` x `side_count` squares. Returns two arrays, start and index: the triangles of
+    square s are index[start[s] : start[s + 1]].
     """
-    start = np.zeros(wide * wide + 1, np.int32)
+    start = np.zeros(side_count * side_count + 1, np.int32)
     for stage in range(2):
         if stage == 1:
-            for s in range(wide * wide):
+            for s in range(side_count * side_count):
                 start[s + 1] += start[s]
             index = np.empty(start[-1], np.int32)
             fill = start[:-1].copy()
         for t in range(triangles.shape[0]):
             a, b, c = triangles[t]
             for row in range(
-                min(py[a], py[b], py[c]) // bucket, max(py[a], py[b], py[c]) // bucket + 1
+                min(py[a], py[b], py[c]) // square_side, max(py[a], py[b], py[c]) // square_side + 1
             ):
                 for col in range(
-                    min(px[a], px[b], px[c]) // bucket, max(px[a], px[b], px[c]) // bucket + 1
+                    min(px[a], px[b], px[c]) // square_side,
+                    max(px[a], px[b], px[c]) // square_side + 1,
                 ):
-                    s = row * wide + col
+                    s = row * side_count + col
                     if stage == 0:
                         start[s + 1] += 1
                     else:
@@ -142,7 +138,7 @@ def list_triangles(px, py, triangles, bucket, wide):
 
 
 @kernel(inline=True)
-def _holds(px, py, a, b, c, x, y):
+def _triangle_contains(px, py, a, b, c, x, y):
     """Return whether (x, y) lies in the closed counter-clockwise triangle abc; exact.
 
     `px` and `py` (n,) are integer coordinates of the vertices; `a`, `b`, `c` are their indices.
@@ -162,13 +158,13 @@ def steepest_normal(x, y, mesh, out):
     `TerrainMesh.arrays`. `out` (3,) receives the normal. Returns the index of the triangle, -1 off
     the mesh. Several triangles contain a point on an edge or a vertex.
     """
-    px, py, _, triangles, normal, bucket, wide, start, index = mesh
-    s = (y // bucket) * wide + x // bucket
+    px, py, _, triangles, normal, square_side, side_count, start, index = mesh
+    s = (y // square_side) * side_count + x // square_side
     found = -1
     for i in range(start[s], start[s + 1]):
         t = index[i]
         a, b, c = triangles[t]
-        if _holds(px, py, a, b, c, x, y) and (found < 0 or normal[t, 2] < out[2]):
+        if _triangle_contains(px, py, a, b, c, x, y) and (found < 0 or normal[t, 2] < out[2]):
             for k in range(3):
                 out[k] = normal[t, k]
             found = t
@@ -176,15 +172,15 @@ def steepest_normal(x, y, mesh, out):
 
 
 @kernel()
-def mesh_height(x, y, mesh, t, metre):
+def mesh_height(x, y, mesh, t, half_step_m):
     """Return the height (m) of triangle `t` of a mesh at a point.
 
-    `x` and `y` are in half steps (half sides of the smallest cells) of `metre` m; `mesh` is
+    `x` and `y` are in half steps (half sides of the smallest cells) of `half_step_m` m; `mesh` is
     `TerrainMesh.arrays`.
     """
     px, py, z, triangles, normal = mesh[0], mesh[1], mesh[2], mesh[3], mesh[4]
     a = triangles[t, 0]
-    east, north = (x - px[a]) * metre, (y - py[a]) * metre
+    east, north = (x - px[a]) * half_step_m, (y - py[a]) * half_step_m
     return z[a] - (normal[t, 0] * east + normal[t, 1] * north) / normal[t, 2]
 
 
@@ -204,31 +200,31 @@ def normals_at(x, y, mesh):
 
 
 @kernel()
-def mark(rectangles, reach, square, wide, marked):
+def mark_squares(rectangles, margin, square_side, side_count, marked):
     """Mark the squares of a raster that are touched by enlarged rectangles.
 
-    `rectangles` (n, 4) are west, east, south and north, enlarged by `reach` on all sides. They and
-    the side `square` of a square are in half steps (half sides of the smallest cells). `marked`
-    (wide, wide) receives True.
+    `rectangles` (n, 4) are west, east, south and north, enlarged by `margin` on all sides. They and
+    `square_side` are in half steps (half sides of the smallest cells). `marked` (side_count,
+    side_count) receives True.
     """
     for i in range(rectangles.shape[0]):
-        west = max((rectangles[i, 0] - reach) // square, 0)
-        east = min((rectangles[i, 1] + reach) // square, wide - 1)
-        south = max((rectangles[i, 2] - reach) // square, 0)
-        north = min((rectangles[i, 3] + reach) // square, wide - 1)
+        west = max((rectangles[i, 0] - margin) // square_side, 0)
+        east = min((rectangles[i, 1] + margin) // square_side, side_count - 1)
+        south = max((rectangles[i, 2] - margin) // square_side, 0)
+        north = min((rectangles[i, 3] + margin) // square_side, side_count - 1)
         for row in range(south, north + 1):
             marked[row, west : east + 1] = True
 
 
 @kernel()
-def marked_nodes(tree, marked, smallest, largest, seen, version):
+def marked_nodes(tree, marked, smallest, largest, last_visit, visit):
     """Return the cells of a size band in marked squares, and the empty squares.
 
     `marked` (rows, cols) is a raster whose squares have the smallest size of the band. `smallest`
-    and `largest` are the depths of the smallest and largest cells. `seen` holds the number of the
-    last visit of each square; `version` is the number of this visit, so that no cell is listed
-    twice. Squares without a cell are returned as west, east, south and north (m, 4), in half steps
-    (half sides of the smallest cells).
+    and `largest` are the depths of the smallest and largest cells. `last_visit` holds the number of
+    the last visit of each square and `visit` that of this one, so that no cell is listed twice.
+    Squares without a cell are returned as west, east, south and north (m, 4), in half steps (half
+    sides of the smallest cells).
     """
     wide = marked.shape[1]
     step = 2.0 * tree.half / wide
@@ -248,8 +244,8 @@ def marked_nodes(tree, marked, smallest, largest, seen, version):
                 m += 1
                 continue
             place = raster_index(tree, node, smallest)
-            if seen[place] != version:
-                seen[place] = version
+            if last_visit[place] != visit:
+                last_visit[place] = visit
                 out = with_capacity(out, n)
                 out[n] = node
                 n += 1
@@ -307,14 +303,13 @@ def rectangles_of(tree, nodes):
 
 
 @kernel()
-def zone_sums(tree, west, east, south, north, cx, cy, stack, s):
+def zone_sums(tree, west, east, south, north, cx, cy, stack, sums):
     """Sum the moments of all points in a rectangle about the centre (cx, cy).
 
-    All coordinates are relative to the centre of the map, m. `stack` is a work array; `s` (12,)
-    receives the sums. Outliers in height and cells that only touch the rectangle are ignored.
-    `west`, `east`, `south` and `north` are the sides of the rectangle.
+    All coordinates are relative to the centre of the map, m. `stack` is a work array; `sums` (12,)
+    receives the moments. Outliers in height and cells that only touch the rectangle are ignored.
     """
-    empty_sums(s)
+    empty_sums(sums)
     # Tolerance, m: edges of cells and zones often coincide except for rounding.
     edge = 1e-6
     stack[0] = 0
@@ -332,7 +327,7 @@ def zone_sums(tree, west, east, south, north, cx, cy, stack, s):
             x - reach >= west and x + reach <= east and y - reach >= south and y + reach <= north
         )
         if inside and tree.slot[m] >= 0:
-            add_shifted(s, tree.sums[tree.slot[m]], x - cx, y - cy)
+            add_shifted(sums, tree.sums[tree.slot[m]], x - cx, y - cy)
             continue
         if tree.child[m] >= 0:
             for q in range(4):
@@ -340,7 +335,7 @@ def zone_sums(tree, west, east, south, north, cx, cy, stack, s):
                 top += 1
             continue
         if inside:
-            add_leaf(tree, m, cx, cy, s)
+            add_leaf(tree, m, cx, cy, sums)
             continue
         run = tree.head[m]
         while run >= 0:
@@ -348,39 +343,42 @@ def zone_sums(tree, west, east, south, north, cx, cy, stack, s):
             for i in range(begin, begin + tree.length[run]):
                 px, py = np.float64(tree.xyz[i, 0]), np.float64(tree.xyz[i, 1])
                 if not tree.is_outlier[i] and west <= px <= east and south <= py <= north:
-                    add_point(s, px - cx, py - cy, np.float64(tree.xyz[i, 2]))
+                    add_point(sums, px - cx, py - cy, np.float64(tree.xyz[i, 2]))
             run = tree.following[run]
 
 
 @kernel(inline=True)
-def _mean_square(s, z0, normal):
+def _mean_square(sums, z0, normal):
     """Return the mean squared distance (m^2) of summed points to a plane.
 
-    `s` (12,) are the moment sums of the points. The plane passes through (0, 0, `z0`) and has the
-    unit `normal` (3,).
+    `sums` (12,) are the moment sums of the points. The plane passes through (0, 0, `z0`) and has
+    the unit `normal` (3,).
     """
     a, b, c = normal
-    n = s[NUMBER]
-    sxz = s[5] - z0 * s[0]
-    syz = s[7] - z0 * s[1]
-    szz = s[8] - 2.0 * z0 * s[2] + n * z0 * z0
+    n = sums[NUMBER]
+    sxz = sums[5] - z0 * sums[0]
+    syz = sums[7] - z0 * sums[1]
+    szz = sums[8] - 2.0 * z0 * sums[2] + n * z0 * z0
     total = (
-        a * a * s[3] + b * b * s[6] + c * c * szz + 2.0 * (a * b * s[4] + a * c * sxz + b * c * syz)
+        a * a * sums[3]
+        + b * b * sums[6]
+        + c * c * szz
+        + 2.0 * (a * b * sums[4] + a * c * sxz + b * c * syz)
     )
     return max(total / n, 0.0)
 
 
 @kernel(inline=True)
-def _fitted_slope(s):
+def _fitted_slope(sums):
     """Return slope and standard error (rad) of the least-squares plane of points.
 
-    `s` (12,) are the moment sums of the points. Both results are NaN if the points do not span a
+    `sums` (12,) are the moment sums of the points. Both results are NaN if the points do not span a
     plane. The error is the standard error of the gradient magnitude, for independent residuals.
     """
-    n = s[NUMBER]
-    mx, my, mz = s[0] / n, s[1] / n, s[2] / n
-    xx, xy, yy = s[3] / n - mx * mx, s[4] / n - mx * my, s[6] / n - my * my
-    xz, yz, zz = s[5] / n - mx * mz, s[7] / n - my * mz, s[8] / n - mz * mz
+    n = sums[NUMBER]
+    mx, my, mz = sums[0] / n, sums[1] / n, sums[2] / n
+    xx, xy, yy = sums[3] / n - mx * mx, sums[4] / n - mx * my, sums[6] / n - my * my
+    xz, yz, zz = sums[5] / n - mx * mz, sums[7] / n - my * mz, sums[8] / n - mz * mz
     spread = xx * yy - xy * xy
     if n < 4 or not spread > 1e-12 * (xx + yy) ** 2:
         return np.nan, np.nan
@@ -463,50 +461,42 @@ def _site_status(cosine, max_ratio, min_cosine, max_exceptions):
 
 
 @kernel()
-def _measure_zone(tree, node, zone, normal, printed, stack, s, out):
+def _measure_zone(tree, node, half_side, normal, printed, stack, sums, out):
     """Measure number, fitted slope and roughness of the points in a landing zone.
 
-    The zone is a square about the centre of cell `node` with the half side `zone`, m. `normal` (3,)
-    is the normal of the terrain plane. If `printed`, the roughness follows Eq. 8 of the quadtree
-    paper as printed, otherwise it is the root mean square distance to the plane. `stack` and `s`
-    are work arrays; `out` (9,) receives the results.
+    The zone is a square of `half_side` (m) about the centre of cell `node`. `normal` (3,) is the
+    normal of the terrain plane. If `printed`, the roughness follows Eq. 8 of the quadtree paper as
+    printed, otherwise it is the root mean square distance to the plane. `stack` and `sums` are work
+    arrays; `out` (9,) receives the results.
     """
     x, y = cell_centre(tree, node)
-    west, east, south, north = x - zone, x + zone, y - zone, y + zone
-    sums_of(tree, node, s)
-    z = s[2] / s[NUMBER]
-    zone_sums(tree, west, east, south, north, x, y, stack, s)
-    out[POINT_COUNT] = s[NUMBER]
-    out[FITTED_SLOPE], out[SLOPE_SIGMA] = _fitted_slope(s)
+    west, east, south, north = x - half_side, x + half_side, y - half_side, y + half_side
+    sums_of(tree, node, sums)
+    z = sums[2] / sums[NUMBER]
+    zone_sums(tree, west, east, south, north, x, y, stack, sums)
+    out[POINT_COUNT] = sums[NUMBER]
+    out[FITTED_SLOPE], out[SLOPE_SIGMA] = _fitted_slope(sums)
     if printed:
         total, n = _abs_distance_sum(tree, west, east, south, north, x, y, z, normal)
         out[ROUGHNESS] = total / np.sqrt(n)
     else:
-        out[ROUGHNESS] = np.sqrt(_mean_square(s, z, normal))
+        out[ROUGHNESS] = np.sqrt(_mean_square(sums, z, normal))
 
 
 @kernel(parallel=True)
-def evaluate_sites(tree, nodes, smallest, mesh, rasters, limits, printed, thorough, found, status):
+def evaluate_sites(
+    tree, nodes, smallest, mesh, rasters, limits, printed, thorough, results, status
+):
     """Evaluate slope, roughness and hazards of landing sites at the centres of cells.
 
-    Parameters
-    ----------
-    nodes, smallest
-        Indices of the cells (n,), and the depth of the smallest cells that are sites.
-    mesh
-        Triangular mesh of terrain planes, as in `TerrainMesh.arrays`.
-    rasters
-        Two rasters of squares: the fraction of exceptions (points off the terrain plane) and the
-        maximum distance of points, m. NaN: too few points.
-    limits
-        Minimum cosine of the slope, maximum fraction of exceptions, half sides of the landing zone
-        and of the footprint of the lander, and margin around hazards, m.
-    printed
-        Compute the roughness by Eq. 8 of the quadtree paper as printed, not as root mean square.
-    thorough
-        Compute the roughness of rejected sites too, if there are enough points.
-    found, status
-        Receive the results (N, 9) and status codes (N,), one row per square of the smallest cells.
+    `nodes` (n,) are the cells, `smallest` is the depth of the smallest cells that are sites, and
+    `mesh` is `TerrainMesh.arrays`. `rasters` are the two results of `evaluate_cells`. `limits` are
+    the minimum cosine of the slope, the maximum fraction of exceptions (points off the terrain
+    plane), the half sides of the landing zone and of the footprint of the lander, and the margin
+    around hazards, m. If `printed`, the roughness follows Eq. 8 of the quadtree paper as printed,
+    otherwise it is the root mean square distance to the plane. If `thorough`, it is computed for
+    rejected sites too. `results` (N, 9) and `status` (N,) receive the results and status codes, one
+    row per square of the smallest cells.
     """
     ratios, reliefs = rasters
     min_cosine, exception, zone, footprint, margin = limits
@@ -519,7 +509,7 @@ def evaluate_sites(tree, nodes, smallest, mesh, rasters, limits, printed, thorou
         normal = np.empty(3)
         stack = np.empty(STACK, np.int32)
         s = np.empty(SUMS)
-        out = found[place]
+        out = results[place]
         out[:] = np.nan
         hx, hy = half_steps(tree, node)
         if steepest_normal(hx, hy, mesh, normal) < 0:

@@ -136,11 +136,11 @@ def _tolerance(tree, node):
 
 
 @kernel()
-def _unsummed_points(tree, node, found):
+def _unsummed_points(tree, node, index_buffer):
     """List the points of a cell that are not contained in the sums of its children.
 
-    These are the points of a leaf, or of those children of a node that have no sums. `found` is a
-    work array for the indices. Returns the list, possibly enlarged, and the number of points.
+    These are the points of a leaf, or of those children of a node that have no sums. The indices
+    are written to `index_buffer`. Returns this array, possibly enlarged, and the number of points.
     """
     n = np.int64(0)  # a typed zero, so that functions compile once
     own = tree.child[node] < 0
@@ -152,11 +152,11 @@ def _unsummed_points(tree, node, found):
         while run >= 0:
             begin = tree.start[run]
             for i in range(begin, begin + tree.length[run]):
-                found = with_capacity(found, n)
-                found[n] = i
+                index_buffer = with_capacity(index_buffer, n)
+                index_buffer[n] = i
                 n += 1
             run = tree.following[run]
-    return found, n
+    return index_buffer, n
 
 
 @kernel()
@@ -195,19 +195,19 @@ def _mark_outliers(tree, node, index, tolerance):
 
 
 @kernel(inner=True)
-def update_outliers_and_sums(tree, node, found):
+def update_outliers_and_sums(tree, node, index_buffer):
     """Recompute the outliers in height and the moment sums of one cell.
 
-    Children with stored sums contribute these. `found` is a work array for point indices, which is
-    returned, possibly enlarged.
+    Children with stored sums contribute these. `index_buffer` is a work array, which is returned,
+    possibly enlarged.
     """
-    found, n = _unsummed_points(tree, node, found)
+    index_buffer, n = _unsummed_points(tree, node, index_buffer)
     low, high = np.inf, -np.inf
     some = False
     for j in range(n):
-        z = np.float64(tree.xyz[found[j], 2])
+        z = np.float64(tree.xyz[index_buffer[j], 2])
         low, high = min(low, z), max(high, z)
-        some |= tree.is_outlier[found[j]]
+        some |= tree.is_outlier[index_buffer[j]]
     s = np.empty(SUMS)
     empty_sums(s)
     if tree.child[node] >= 0:
@@ -221,30 +221,30 @@ def update_outliers_and_sums(tree, node, found):
     tolerance = _tolerance(tree, node)
     wide = n > 0 and max(high, s[MAX_Z]) - min(low, s[MIN_Z]) > tolerance
     if some or wide:
-        before = tree.is_outlier[found[:n]]
-        tree.is_outlier[found[:n]] = False
+        before = tree.is_outlier[index_buffer[:n]]
+        tree.is_outlier[index_buffer[:n]] = False
         if wide:
-            _mark_outliers(tree, node, found[:n], tolerance)
-        if tree.child[node] >= 0 and (before != tree.is_outlier[found[:n]]).any():
+            _mark_outliers(tree, node, index_buffer[:n], tolerance)
+        if tree.child[node] >= 0 and (before != tree.is_outlier[index_buffer[:n]]).any():
             # The result of these leaves has changed, wherever the new points are.
             for q in range(4):
                 tree.stamp[tree.child[node] + q] = tree.stamp[node]
     cx, cy = cell_centre(tree, node)
     for j in range(n):
-        i = found[j]
+        i = index_buffer[j]
         if not tree.is_outlier[i]:
             x, y = np.float64(tree.xyz[i, 0]) - cx, np.float64(tree.xyz[i, 1]) - cy
             add_point(s, x, y, np.float64(tree.xyz[i, 2]))
     tree.sums[tree.slot[node]] = s
-    return found
+    return index_buffer
 
 
 @kernel(inner=True)
-def add_to_summed_cell(tree, leaf, first, last, found):
+def add_to_summed_cell(tree, leaf, first, last, index_buffer):
     """Add points `first` to `last` (excluded) to a smallest cell that has moment sums.
 
-    If the points could change which points are outliers, the complete cell is recomputed. `found`
-    is a work array for point indices, which is returned, possibly enlarged.
+    If the points could change which points are outliers, the complete cell is recomputed.
+    `index_buffer` is a work array, which is returned, possibly enlarged.
     """
     s = tree.sums[tree.slot[leaf]]
     tolerance = _tolerance(tree, leaf)
@@ -256,13 +256,13 @@ def add_to_summed_cell(tree, leaf, first, last, found):
         if none_apart and min(abs(z - low), abs(z - high)) <= tolerance:
             low, high = min(low, z), max(high, z)
         elif not (plain and low <= z <= high):
-            return update_outliers_and_sums(tree, leaf, found)
+            return update_outliers_and_sums(tree, leaf, index_buffer)
     cx, cy = cell_centre(tree, leaf)
     for i in range(first, last):
         x, y = np.float64(tree.xyz[i, 0]) - cx, np.float64(tree.xyz[i, 1]) - cy
         tree.is_outlier[i] = False
         add_point(s, x, y, np.float64(tree.xyz[i, 2]))
-    return found
+    return index_buffer
 
 
 @kernel()

@@ -75,7 +75,7 @@ class QuadtreeMapperSettings:
             map_grid(briefing.target, self.size, self.posting, briefing.lander),
             self.sites,
             elevation=float(briefing.target[2]),
-            least=self.min_cell_size,
+            min_cell_size=self.min_cell_size,
             split_count=self.split_count,
             interest=None if self.interest_path is None else InterestMap.load(self.interest_path),
             interval=self.interval,
@@ -95,7 +95,7 @@ class QuadtreeMapper(HazardMapper):
         Limits, weights and cell sizes of the site selection.
     elevation
         Reference height of the quadtree, m.
-    least, split_count
+    min_cell_size, split_count
         Minimum cell side of the quadtree, m, and number of points at which a cell splits.
     interest
         Value of a landing at each place to the mission; default: 1 everywhere.
@@ -125,7 +125,7 @@ class QuadtreeMapper(HazardMapper):
         settings: SiteSettings | None = None,
         *,
         elevation: float = 0.0,
-        least: float = 0.1,
+        min_cell_size: float = 0.1,
         split_count: int = 8,
         interest: InterestMap | None = None,
         model: Ensemble | None = None,
@@ -135,7 +135,7 @@ class QuadtreeMapper(HazardMapper):
     ) -> None:
         if not 0.0 <= interval < np.inf:
             raise InputError("interval", interval, "must be 0 or more, in seconds")
-        self._quadtree = (least, split_count)
+        self._quadtree = (min_cell_size, split_count)
         self._settings = settings
         self._interest = interest
         self.selection: SiteSelection | None = None
@@ -155,11 +155,11 @@ class QuadtreeMapper(HazardMapper):
 
         `elevation` is the reference height, m.
         """
-        least, split_count = self._quadtree
+        min_cell_size, split_count = self._quadtree
         self.grid = grid
         west, east, south, north = grid.extent
         self.map = QuadtreeMap(
-            (*grid.centre, elevation), max(east - west, north - south), least,
+            (*grid.centre, elevation), max(east - west, north - south), min_cell_size,
             split_count=split_count,
         )  # fmt: skip
         footprint = self._lander.leg_radius + 0.5 * self._lander.pad_diameter

@@ -70,7 +70,7 @@ class TerrainMesh:
             self.triangles = self._triangulate()
             self.nodes = nodes
         self.z = z
-        metre = self._map.least / 2.0
+        metre = self._map.min_cell_size / 2.0
         x, y = metre * self.xy[:, 0], metre * self.xy[:, 1]
         self.normals = k.normals(x, y, z, self.triangles)
         self._index()

@@ -74,13 +74,13 @@ class SiteSettings:
         2.5, "m", gt=0, help="half side of the landing zone (lambda_z)"
     )
     interest_weight: float = quantity(
-        1.0, ge=0, help="score weight of 1 - value to the mission (alpha of Eq. 9)"
+        1.0, ge=0, help="weight of (1 - value to the mission) in the site score (Eq. 9)"
     )
     slope_weight: float = quantity(
-        1000.0, ge=0, help="score weight of 1 - cos(slope) (alpha of Eq. 9)"
+        1000.0, ge=0, help="weight of (1 - cosine of the slope) in the site score (Eq. 9)"
     )
     roughness_weight: float = quantity(
-        100.0, ge=0, help="score weight of the roughness in m (alpha of Eq. 9)"
+        100.0, ge=0, help="weight of the roughness, in m, in the site score (Eq. 9)"
     )
     mesh_band: tuple[float, float] = quantity(
         (6.4, 12.8), "m", gt=0, help="sides of the smallest and largest cells of the terrain mesh"

@@ -150,8 +150,8 @@ class SiteEvidence:
     holes
         Distribution of depths below the terrain.
     may_be_unsafe
-        True where the mean terrain exceeds a limit even with its holes filled. The filled terrain
-        is used because a decimetre decides whether a leg stands in, beside or over a hole.
+        True where the mean terrain exceeds a limit even with its holes filled. Holes are filled,
+        because a leg may stand beside or over them.
     lander
         Geometry and limits.
     noise
@@ -202,21 +202,27 @@ class SiteEvidence:
         It is calibrated where few rocks and holes can be undetected, and where noise, holes in the
         terrain and the slope limit of the lander are within the range of the fitted data.
         """
-        return self._within(MAX_EXPECTED_HAZARDS, MAX_EXPECTED_TILTING_ROCKS, MAX_EXPECTED_HOLES)
+        return self._is_within_limits(
+            MAX_EXPECTED_HAZARDS, MAX_EXPECTED_TILTING_ROCKS, MAX_EXPECTED_HOLES
+        )
 
     @property
     def near_domain(self) -> BoolArray:
-        """Whether so few rocks may be undetected that the regression is conservative (n,)."""
-        return self._within(*_NEAR_DOMAIN_LIMITS)
+        """Whether the regression is calibrated or conservative for each site (n,).
 
-    def _within(
-        self, hazards: float, expected_tilt_violations: float, expected_hole_violations: float
+        More undetected rocks and holes are permitted than for `in_domain`.
+        """
+        return self._is_within_limits(*_NEAR_DOMAIN_LIMITS)
+
+    def _is_within_limits(
+        self, max_hazards: float, max_tilt_violations: float, max_hole_violations: float
     ) -> BoolArray:
-        """Return whether the expected numbers of undetected dangers are below limits (n,).
+        """Return which sites have few undetected rocks and holes, within limits (n,).
 
-        `hazards` limits the expected rocks above the roughness limit. `expected_tilt_violations`
-        and `expected_hole_violations` limit the rocks and holes that tilt the lander too far.
-        Noise, deep terrain and the slope limit must also be within the range of the fitted data.
+        `max_hazards` limits the expected number of undetected rocks above the roughness limit;
+        `max_tilt_violations` and `max_hole_violations` limit those of rocks and holes that tilt the
+        lander too far. Noise, deep terrain and the slope limit must also be within the range of the
+        fitted data.
         """
         noise = self.noise / self.lander.roughness_limit
         sunk = self.holes.at(_RELATIVE_DEPTHS[0] * self.lander.roughness_limit)
@@ -228,10 +234,10 @@ class SiteEvidence:
         ):
             return np.zeros(len(self.slope), np.bool_)
         with np.errstate(invalid="ignore"):
-            few = (self.hazards() <= hazards) & (
-                self.expected_tilt_violations() <= expected_tilt_violations
+            few = (self.hazards() <= max_hazards) & (
+                self.expected_tilt_violations() <= max_tilt_violations
             )
-            few &= self.expected_hole_violations() <= expected_hole_violations
+            few &= self.expected_hole_violations() <= max_hole_violations
         return np.asarray(self.is_evaluated & few)
 
     def max_roughness(self) -> Array:
@@ -349,8 +355,8 @@ def quadtree_site_evidence(
     s = selection
     heights = residual_heights(quadtree)
     max_slope_tangent, limit = np.tan(lander.slope_limit), lander.roughness_limit
-    seen = sampling_coverage(quadtree)
-    height, grid = terrain_raster(quadtree, *_TERRAIN_BAND_M, seen)
+    coverage = sampling_coverage(quadtree)
+    height, grid = terrain_raster(quadtree, *_TERRAIN_BAND_M, coverage)
     xy = s.position[:, :2]
     slope, roughness = _max_about(bounded_safety(height, grid, lander), xy)
     filled = close_holes(height, grid.posting, lander.leg_radius)
@@ -373,7 +379,7 @@ def quadtree_site_evidence(
         s.relief / limit,
         s.footprint_relief / limit,
         np.nan_to_num(s.points, nan=0.0) / (2.0 * zone) ** 2,
-        _min_footprint_density(seen, xy, lander),
+        _min_footprint_density(coverage, xy, lander),
         height_curve(heights, noise, limit, rocks.cover, rocks.height_ratio[0]),
         depth_curve(heights, noise, limit, rocks.cover, rocks.height_ratio[0]),
         (filled_slope >= lander.slope_limit) | (filled_roughness >= limit),
@@ -392,15 +398,15 @@ def _min_spread(spread: Array) -> float:
     return float(np.quantile(spread, _SMOOTHEST_QUANTILE)) if len(spread) else np.inf
 
 
-def _min_footprint_density(seen: SamplingCoverage, xy: Array, lander: Lander) -> Array:
+def _min_footprint_density(coverage: SamplingCoverage, xy: Array, lander: Lander) -> Array:
     """Return the minimum point density in the footprint at sites `xy` (n, 2), 1/m^2.
 
-    `seen` is the point density of the map.
+    `coverage` holds the point density of the map.
     """
-    g = seen.grid
+    g = coverage.grid
     # A round footprint does not include the corners of the zone.
     reach = max(1, round(lander.leg_radius / g.posting))
-    minimum = ndimage.minimum_filter(seen.density, 2 * reach + 1, mode="nearest")
+    minimum = ndimage.minimum_filter(coverage.density, 2 * reach + 1, mode="nearest")
     row, col = g.cell(xy)
     return np.asarray(minimum[np.clip(row, 0, g.rows - 1), np.clip(col, 0, g.cols - 1)])
 
@@ -421,55 +427,57 @@ def _max_about(safety: SafetyMap, xy: Array) -> tuple[Array, Array]:
     return slope, rough
 
 
-def features(evidence: SiteEvidence, where: BoolArray) -> Array:
-    """Return the regression inputs of the sites that a mask selects (m, `COUNT`).
+def features(evidence: SiteEvidence, mask: BoolArray) -> Array:
+    """Return the regression inputs (m, `COUNT`) of the sites that `mask` (n,) selects."""
+    n = int(np.count_nonzero(mask))
+    return np.column_stack(
+        (
+            _unconstrained_inputs(evidence, mask),
+            spline_features(_monotone_inputs(evidence, mask), n),
+        )
+    )
 
-    `where` (n,) is the mask. `evidence` holds the measurements of all sites.
-    """
-    n = int(np.count_nonzero(where))
-    return np.column_stack((_free(evidence, where), spline_features(_terms(evidence, where), n)))
 
-
-def _terms(e: SiteEvidence, where: BoolArray) -> list[MonotoneSplineTerm]:
+def _monotone_inputs(evidence: SiteEvidence, mask: BoolArray) -> list[MonotoneSplineTerm]:
     """Return the regression inputs that indicate danger, for sites selected by a mask.
 
-    Their weights are non-negative, so the probability of safety never increases with them. `e`
-    holds the measurements of the sites, and `where` (n,) is the mask.
+    Their weights are non-negative, so the probability of safety never increases with them. `mask`
+    (n,) selects the sites.
     """
-    point, spread = e.denoised_relief()
+    point, spread = evidence.denoised_relief()
     values = (
-        e.slope,
-        e.roughness,
-        e.max_roughness(),
-        e.footprint_relief + 2.0 * spread,
-        np.log10(e.relative_tilt(point)),
-        np.log10(e.relative_tilt(spread)),
-        e.mesh_slope,
-        e.fitted_slope,
-        e.mesh_spread,
-        e.fitted_spread,
-        np.log10(np.maximum(e.ratio, 1e-4)),
-        np.log10(np.maximum(e.footprint_ratio, 1e-4)),
-        e.relief,
-        e.footprint_relief,
-        np.log10(e.expected_tilt_violations() + 1e-6),
-        np.log10(e.expected_roughness_violations() + 1e-6),
-        np.log10(e.expected_hole_violations() + 1e-6),
+        evidence.slope,
+        evidence.roughness,
+        evidence.max_roughness(),
+        evidence.footprint_relief + 2.0 * spread,
+        np.log10(evidence.relative_tilt(point)),
+        np.log10(evidence.relative_tilt(spread)),
+        evidence.mesh_slope,
+        evidence.fitted_slope,
+        evidence.mesh_spread,
+        evidence.fitted_spread,
+        np.log10(np.maximum(evidence.ratio, 1e-4)),
+        np.log10(np.maximum(evidence.footprint_ratio, 1e-4)),
+        evidence.relief,
+        evidence.footprint_relief,
+        np.log10(evidence.expected_tilt_violations() + 1e-6),
+        np.log10(evidence.expected_roughness_violations() + 1e-6),
+        np.log10(evidence.expected_hole_violations() + 1e-6),
     )
-    shares = np.log10(e.curve.at(_RELATIVE_HEIGHTS * e.lander.roughness_limit))
-    own = [MonotoneSplineTerm(v[where], knots) for v, knots in zip(values, _KNOTS, strict=True)]
-    depths = np.log10(e.holes.at(_RELATIVE_DEPTHS * e.lander.roughness_limit))
+    shares = np.log10(evidence.curve.at(_RELATIVE_HEIGHTS * evidence.lander.roughness_limit))
+    own = [MonotoneSplineTerm(v[mask], knots) for v, knots in zip(values, _KNOTS, strict=True)]
+    depths = np.log10(evidence.holes.at(_RELATIVE_DEPTHS * evidence.lander.roughness_limit))
     return own + [MonotoneSplineTerm(share, _SHARE_KNOTS) for share in (*shares, *depths)]
 
 
-def _free(e: SiteEvidence, where: BoolArray) -> Array:
+def _unconstrained_inputs(evidence: SiteEvidence, mask: BoolArray) -> Array:
     """Return the regression inputs whose weights may have either sign.
 
-    `e` holds the measurements of the sites and `where` (n,) selects some. The result (m,
-    `UNCONSTRAINED_FEATURES`) holds a constant, the noise, and the point density with its square.
+    `mask` (n,) selects the sites. The result (m, `UNCONSTRAINED_FEATURES`) holds a constant, the
+    noise, and the point density with its square.
     """
-    density = np.log(np.maximum(e.density[where], 0.1) * e.lander.leg_radius**2)
-    noise = np.full(len(density), np.log(e.noise / e.lander.roughness_limit + 1e-3))
+    density = np.log(np.maximum(evidence.density[mask], 0.1) * evidence.lander.leg_radius**2)
+    noise = np.full(len(density), np.log(evidence.noise / evidence.lander.roughness_limit + 1e-3))
     return np.column_stack([np.ones(len(density)), noise, density, density**2])
 
 
@@ -487,8 +495,8 @@ def packaged_ensemble() -> Ensemble:
 def site_safety(evidence: SiteEvidence, model: Ensemble | None = None) -> tuple[Array, BoolArray]:
     """Return the probability that quadtree sites are safe, and where it is calibrated.
 
-    Both (n,). Where the regression is not calibrated, or the site is not claimed safe, the
-    probability is at most `bound`. It is 0 where the site was not evaluated.
+    Both (n,). Where the regression is not calibrated, or where it is below the threshold for
+    claimed safety, the probability is at most `bound`. It is 0 where the site was not evaluated.
 
     Parameters
     ----------
@@ -502,7 +510,7 @@ def site_safety(evidence: SiteEvidence, model: Ensemble | None = None) -> tuple[
     if e.is_evaluated.any():
         evaluated, upper = e.is_evaluated, ceiling(e)[e.is_evaluated]
         odds = (model or packaged_ensemble()).evaluate_log_odds(
-            _free(e, evaluated), _terms(e, evaluated)
+            _unconstrained_inputs(e, evaluated), _monotone_inputs(e, evaluated)
         )
         p[evaluated] = conservative_probability(
             odds.low, upper, bound(e)[evaluated], in_domain[evaluated]
@@ -518,8 +526,7 @@ def ceiling(evidence: SiteEvidence) -> Array:
 
     In a weighted sum, many favourable inputs can outweigh one that is fatal. For slopes or
     roughness near or beyond the limit of the lander, the upper limits are the fraction of safe
-    sites in the simulated terrain used for the fit, at most `MAX_PROBABILITY`. `evidence` holds the
-    measurements of the sites.
+    sites in the simulated terrain used for the fit, at most `MAX_PROBABILITY`.
     """
     e = evidence
     factors = (
@@ -536,7 +543,7 @@ def bound(evidence: SiteEvidence) -> Array:
     """Return an upper limit of the probability outside the calibrated domain (n,).
 
     The limit is the probability of no undetected rock. Near the domain, where the regression is
-    still informative, it is 1. `evidence` holds the measurements of the sites.
+    still informative, it is 1.
     """
     none = np.nan_to_num(
         np.exp(-evidence.expected_roughness_violations() - evidence.expected_tilt_violations()),

@@ -260,11 +260,11 @@ class SiteSelector:
         wide = 1 << self._hazard[0]
         square = self._half_steps(self._hazard[0])
         marked = np.zeros((wide, wide), np.bool_)
-        k.mark(outlines, 0, square, wide, marked)
+        k.mark_squares(outlines, 0, square, wide, marked)
         square_side = 2 * (1 << self.map.depths) // len(self._ratios)
         # The expected number of points in a cell depends on squares beyond its edge: grow by all
         # but the last half step.
-        k.mark(
+        k.mark_squares(
             self._updated_outlines(self._hazard[1]),
             h.NEIGHBOUR_SQUARES * square_side - 1,
             square,
@@ -288,11 +288,11 @@ class SiteSelector:
         s, tree = self.settings, self.map.tree
         square = self._half_steps(self._site[0])
         wide = 1 << self._site[0]
-        zone = int(np.ceil((s.zone_half_side + s.margin) / (0.5 * self.map.least)))
+        zone = int(np.ceil((s.zone_half_side + s.margin) / (0.5 * self.map.min_cell_size)))
         marked = np.zeros((wide, wide), np.bool_)
-        k.mark(outlines, 0, square, wide, marked)
+        k.mark_squares(outlines, 0, square, wide, marked)
         for rectangles in (self._updated_outlines(self._site[1]), changed):
-            k.mark(rectangles, zone, square, wide, marked)
+            k.mark_squares(rectangles, zone, square, wide, marked)
         nodes, _ = self._nodes_in(marked, self._site, self._visited[1])
         k.evaluate_sites(
             tree,

@@ -44,7 +44,7 @@ _MIN_SQUARE_M = 0.4
 
 
 def terrain_raster(
-    quadtree: QuadtreeMap, smallest: float, largest: float, seen: SamplingCoverage | None = None
+    quadtree: QuadtreeMap, smallest: float, largest: float, coverage: SamplingCoverage | None = None
 ) -> tuple[Array, Grid]:
     """Compute a raster of mean elevations from a quadtree; NaN where not observed.
 
@@ -59,7 +59,7 @@ def terrain_raster(
     smallest, largest
         Sides of the smallest and largest cells that count as observed, m; the raster has the
         smallest.
-    seen
+    coverage
         Sampling coverage whose gaps are set to NaN; default: no gaps.
     """
     finest = quadtree.depth_of(smallest)
@@ -69,13 +69,13 @@ def terrain_raster(
     height = quadtree.elevation(nodes) - quadtree.centre[2]
     nodes, height = nodes[np.isfinite(height)], height[np.isfinite(height)]
     t = quadtree.tree
-    finer = finest - t.depth[nodes].astype(np.int64)
+    levels_above = finest - t.depth[nodes].astype(np.int64)
     row, col = t.row[nodes].astype(np.int64), t.column[nodes].astype(np.int64)
-    trend = _mean_terrain(row, col, finer, height, wide)
+    trend = _mean_terrain(row, col, levels_above, height, wide)
     out = np.full((wide, wide), np.nan)
-    for level in np.unique(finer):
+    for level in np.unique(levels_above):
         side = 1 << int(level)
-        selected = finer == level
+        selected = levels_above == level
         blocks = trend.reshape(wide // side, side, wide // side, side)
         offset = (blocks - blocks.mean(axis=(1, 3), keepdims=True)).reshape(wide, wide)
         for i in range(side):
@@ -83,10 +83,10 @@ def terrain_raster(
                 at = row[selected] * side + i, col[selected] * side + j
                 out[at] = height[selected] + offset[at]
     out = np.where(np.isnan(out), trend, out) + quadtree.centre[2]
-    if seen is not None:
+    if coverage is not None:
         # The cell counts of both rasters differ by a power of two.
-        each = len(seen.gap) // wide
-        out[seen.gap.reshape(wide, each, wide, each).any(axis=(1, 3))] = np.nan
+        each = len(coverage.gap) // wide
+        out[coverage.gap.reshape(wide, each, wide, each).any(axis=(1, 3))] = np.nan
     return out, grid
 
 
@@ -174,15 +174,20 @@ def _density_on_both_sides(density: Array, near: int, far: int, axis: int) -> Ar
     return np.asarray(np.moveaxis(smaller, -1, axis))
 
 
-def _mean_terrain(row: IntArray, col: IntArray, finer: IntArray, height: Array, wide: int) -> Array:
+def _mean_terrain(
+    row: IntArray, col: IntArray, levels_above: IntArray, height: Array, side_count: int
+) -> Array:
     """Return the Gaussian-weighted mean elevation around each cell of a raster.
 
-    The raster (wide, wide) is computed from quadtree cells with `height` (n,), m. `row` and `col`
-    (n,) locate them at their depth, which is `finer` (n,) levels above that of the raster. The
-    result is NaN far from points.
+    The raster (side_count, side_count) is computed from quadtree cells with `height` (n,), m. `row`
+    and `col` (n,) locate them among cells of their size, which is 2^`levels_above` (n,) times that
+    of a raster cell. The result is NaN far from points.
     """
-    sums, count = np.zeros((wide, wide)), np.zeros((wide, wide))
-    at = (row << finer) + (1 << finer >> 1), (col << finer) + (1 << finer >> 1)
+    sums, count = np.zeros((side_count, side_count)), np.zeros((side_count, side_count))
+    at = (
+        (row << levels_above) + (1 << levels_above >> 1),
+        (col << levels_above) + (1 << levels_above >> 1),
+    )
     sums[at], count[at] = height, 1.0
     weight = ndimage.gaussian_filter(count, _WINDOW_SIGMA_CELLS, mode="constant")
     with np.errstate(invalid="ignore", divide="ignore"):

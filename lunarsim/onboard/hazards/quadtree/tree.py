@@ -55,27 +55,31 @@ class QuadtreeMap:
         Centre of the square (2,) or (3,), ENU, m. The third component is the internal reference of
         heights, so that float32 resolves them.
     side
-        Minimum side of the square, m; it is increased to a power of two times `least`.
-    least
+        Minimum side of the square, m; it is increased to a power of two times `min_cell_size`.
+    min_cell_size
         Side of the smallest cells, m.
     split_count
         Number of points at which a cell splits.
     """
 
     def __init__(
-        self, centre: ArrayLike, side: float, least: float = 0.1, *, split_count: int = 8
+        self, centre: ArrayLike, side: float, min_cell_size: float = 0.1, *, split_count: int = 8
     ) -> None:
-        if not (np.isfinite(least) and least > 0.0):
-            raise InputError("quadtree.min_cell_size_m", least, "must be positive, in metres")
-        if not (np.isfinite(side) and side >= least):
-            raise InputError("quadtree.side_m", side, f"must be at least one cell of {least} m")
+        if not (np.isfinite(min_cell_size) and min_cell_size > 0.0):
+            raise InputError(
+                "quadtree.min_cell_size_m", min_cell_size, "must be positive, in metres"
+            )
+        if not (np.isfinite(side) and side >= min_cell_size):
+            raise InputError(
+                "quadtree.side_m", side, f"must be at least one cell of {min_cell_size} m"
+            )
         if split_count < 2:
             raise InputError("quadtree.split_count", split_count, "must be 2 or more")
-        depths = max(1, int(np.ceil(np.log2(side / least) - 1e-9)))
+        depths = max(1, int(np.ceil(np.log2(side / min_cell_size) - 1e-9)))
         if depths > _MAX_DEPTH:
             raise InputError(
                 "quadtree.min_cell_size_m",
-                least,
+                min_cell_size,
                 f"must be at least {side / 2**_MAX_DEPTH:g} m for a side of {side:g} m",
             )
         centre_enu = np.zeros(3)
@@ -84,9 +88,9 @@ class QuadtreeMap:
         if not np.isfinite(centre_enu).all():
             raise InputError("quadtree.centre", centre_enu.tolist(), "must be finite")
         self.centre = centre_enu
-        self.least = float(least)
+        self.min_cell_size = float(min_cell_size)
         self.depths = depths
-        self.side = least * 2.0**depths
+        self.side = min_cell_size * 2.0**depths
         self.split_count = int(split_count)
         self.version = 0
         self._points = 0

@@ -15,10 +15,11 @@ _SURER, _PLAIN, _PLAIN_SURER = np.float32(1.5), np.float32(5.0), np.float32(1.15
 
 @kernel(parallel=True)
 def mark_possible(possible, lit, dark, radius):
-    """Mark the positions at which the sharpest observations allow a rock of a size.
+    """Mark the positions where a rock of one size may exist in the dark undetected.
 
-    `lit` and `dark` (rows, cols) are the sharpness of the sharpest observation in which the shadow
-    of the rock would fall on lit and on dark terrain: q (the square root of the number of dark
+    That is where an observation saw dark terrain at the place of the rock's shadow, and no
+    considerably sharper one saw it lit. `lit` and `dark` (rows, cols) are the sharpness of the
+    sharpest observation of lit and of dark terrain: q (the square root of the number of dark
     pixels) per metre of radius; 0 for no observation. `radius` is that of the rock, m. `possible`
     (rows, cols) receives the result.
     """
@@ -31,64 +32,55 @@ def mark_possible(possible, lit, dark, radius):
 
 
 @kernel()
-def count_crowded(lit, possible, explained):
-    """Count the positions with a possible untracked rock, and the observed positions.
+def count_possible(lit, possible, explained):
+    """Count the positions where an untracked rock may exist, and all observed ones.
 
-    `lit` (rows, cols) is the sharpness of the sharpest observation on lit terrain, 0 for none.
-    `possible` marks where a rock may be in the dark, and `explained` where a tracked rock explains
-    the darkness (rows, cols).
+    `lit` (rows, cols) is the sharpness of the sharpest observation of lit terrain, 0 for none.
+    `possible` is the result of `mark_possible`, and `explained` marks where the dark terrain is the
+    shadow of a tracked rock (rows, cols).
     """
-    crowded = looked = 0
+    possible_count = observed_count = 0
     for i in range(lit.shape[0]):
         for j in range(lit.shape[1]):
-            crowded += possible[i, j] & ~explained[i, j]
-            looked += possible[i, j] | (lit[i, j] > 0.0)
-    return crowded, looked
+            possible_count += possible[i, j] & ~explained[i, j]
+            observed_count += possible[i, j] | (lit[i, j] > 0.0)
+    return possible_count, observed_count
 
 
 @kernel()
-def _missed(sharpness, radius, number, line, min_rate):
+def _missed_density(sharpness, radius, expected_density, miss_rate_line, min_rate):
     """Return the density of rocks missed by an observation of lit terrain, 1/m^2.
 
-    `sharpness` is q in pixels per metre of radius. `radius` (n,), m, and `number` (n,), 1/m^2, are
-    the sizes of rocks and their expected densities. `line` holds the miss rate at q = 0, its slope
-    and its minimum; `min_rate` is a further minimum.
+    `sharpness` is q in pixels per metre of radius. `radius` (n,), m, and `expected_density` (n,),
+    1/m^2, describe the rocks before any observation. `miss_rate_line` holds the miss rate at q = 0,
+    its slope and its minimum; `min_rate` is a further minimum.
     """
-    start, slope, floor = line
+    start, slope, floor = miss_rate_line
     total = 0.0
     for k in range(len(radius)):
         rate = min(max(start + slope * radius[k] * sharpness, floor), 1.0)
-        total += number[k] * max(rate, min_rate)
+        total += expected_density[k] * max(rate, min_rate)
     return total
 
 
 @kernel(parallel=True)
-def fill(density, lit, possible, explained, radius, number, line, min_rate, hidden, crowded):
-    """Compute the expected density of untracked rocks at each position, 1/m^2.
+def compute_density(
+    out, lit, possible, explained, radius, expected_density, miss_rate_line, min_rate,
+    tracked_dark_density, dark_density,
+):  # fmt: skip
+    """Compute the expected density of untracked rocks of a size class per position.
 
-    Parameters
-    ----------
-    density
-        Receives the result (rows, cols).
-    lit
-        Sharpness of the sharpest observation on lit terrain, q in pixels per metre of radius (rows,
-        cols).
-    possible, explained
-        Where a rock may be in the dark, and where a tracked rock explains the darkness (rows,
-        cols).
-    radius, number
-        Radii of the rocks (n,), m, and their expected number per area (n,), 1/m^2.
-    line
-        Miss rate on lit terrain: value at q = 0, slope, minimum.
-    min_rate
-        Further lower bound of the miss rate.
-    hidden, crowded
-        Density where a tracked rock explains the darkness, and on other dark terrain, 1/m^2.
+    `out` (rows, cols) receives the density, 1/m^2. `lit`, `possible` and `explained` (rows, cols)
+    are those of `count_possible`. Where no rock is possible in the dark, the density is that of
+    `_missed_density`, which explains the other arguments. Elsewhere it is `tracked_dark_density` in
+    the shadow of a tracked rock, and `dark_density` on other dark terrain, 1/m^2.
     """
     rows, cols = lit.shape
     for i in prange(rows):
         for j in range(cols):
             if possible[i, j]:
-                density[i, j] = hidden if explained[i, j] else crowded
+                out[i, j] = tracked_dark_density if explained[i, j] else dark_density
             else:
-                density[i, j] = _missed(lit[i, j], radius, number, line, min_rate)
+                out[i, j] = _missed_density(
+                    lit[i, j], radius, expected_density, miss_rate_line, min_rate
+                )

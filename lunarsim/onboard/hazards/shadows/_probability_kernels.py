@@ -31,79 +31,82 @@ def i0e(x):
 
 
 @kernel()
-def _normal(x):
+def _normal_cdf(x):
     """Return the cumulative standard normal distribution at x."""
     return 0.5 * math.erfc(-x * 0.7071067811865476)
 
 
 @kernel()
-def _rice(d, sigma, mean, spread, node, weight):
+def _cover_probability(distance, sigma, radius, radius_sigma, node, weight):
     """Return the probability that a rock covers a point near its estimated centre.
 
-    `d` is the distance of the point from the estimated centre, m. Its distance from the true centre
-    has a Rice distribution with `d` and the standard deviation `sigma` per axis, m. The radius is
-    normal with `mean` and standard deviation `spread`, m. `node` and `weight` are those of
-    Gauss-Legendre quadrature.
+    `distance`, m, is that of the point from the estimated centre. Its distance from the true centre
+    has a Rice distribution with `distance` and the standard deviation `sigma` per axis, m. The
+    radius of the rock is normal with mean `radius` and standard deviation `radius_sigma`, m. `node`
+    and `weight` are those of Gauss-Legendre quadrature.
     """
-    if d > _FAR * sigma:
+    if distance > _FAR * sigma:
         # The distance is nearly normal: its first two moments to the fourth order of sigma / d.
-        share = (sigma / d) ** 2
-        middle = d * (1.0 + 0.5 * share + 0.125 * share * share)
-        width = math.sqrt(sigma * sigma * (1.0 - 0.5 * share) + spread * spread)
-        return _normal((mean - middle) / width)
-    if mean - d > _CERTAIN * (sigma + spread):
+        share = (sigma / distance) ** 2
+        middle = distance * (1.0 + 0.5 * share + 0.125 * share * share)
+        width = math.sqrt(sigma * sigma * (1.0 - 0.5 * share) + radius_sigma * radius_sigma)
+        return _normal_cdf((radius - middle) / width)
+    if radius - distance > _CERTAIN * (sigma + radius_sigma):
         return 1.0
-    low = max(d - 7.0 * sigma, 0.0)
-    high = d + 7.0 * sigma
+    low = max(distance - 7.0 * sigma, 0.0)
+    high = distance + 7.0 * sigma
     # The integrand changes near the radius, so panels meet there. The last panel ends where no rock
     # reaches.
     total = 0.0
     left = low
     for panel in range(3):
         if panel == 0:
-            right = mean - 4.0 * spread
+            right = radius - 4.0 * radius_sigma
         elif panel == 1:
-            right = mean
+            right = radius
         else:
-            right = mean + 4.0 * spread
+            right = radius + 4.0 * radius_sigma
         right = min(max(right, left), high)
         half = 0.5 * (right - left)
         if half > 0.0:
             for k in range(node.size):
                 rho = left + half * (1.0 + node[k])
-                z = rho * d / (sigma * sigma)
+                z = rho * distance / (sigma * sigma)
                 density = rho / (sigma * sigma) * i0e(z)
-                density *= math.exp(-0.5 * ((rho - d) / sigma) ** 2)
-                total += half * weight[k] * density * _normal((mean - rho) / spread)
+                density *= math.exp(-0.5 * ((rho - distance) / sigma) ** 2)
+                total += half * weight[k] * density * _normal_cdf((radius - rho) / radius_sigma)
         left = right
     return min(max(total, 0.0), 1.0)
 
 
 @kernel(parallel=True)
-def rice_profiles(distance, sigma, mean, spread, node, weight):
+def rice_profiles(distance, sigma, radius, radius_sigma, node, weight):
     """Return the probabilities that rocks (n,) cover points at distances (n, k).
 
-    `distance` (n, k), m, is measured from the estimated centres. `sigma` (n,) is the standard
-    deviation of the centre per axis, and `mean` and `spread` (n,) are radius and its standard
-    deviation, m. `node` and `weight` are those of Gauss-Legendre quadrature.
+    `distance` (n, k), m, is measured from the estimated centres. `sigma` (n,), m, is the standard
+    deviation of the centre per axis. `radius` and `radius_sigma` (n,), m, are mean and standard
+    deviation of the radius. `node` and `weight` are those of Gauss-Legendre quadrature.
     """
     out = np.empty(distance.shape)
     for j in prange(distance.shape[0]):
         for k in range(distance.shape[1]):
-            out[j, k] = _rice(distance[j, k], sigma[j], mean[j], spread[j], node, weight)
+            out[j, k] = _cover_probability(
+                distance[j, k], sigma[j], radius[j], radius_sigma[j], node, weight
+            )
     return out
 
 
 @kernel(parallel=True)
-def paint(clear, x0, y0, posting, xy, reach, profile, weight):
-    """Multiply the probabilities of clear cells (rows, cols) by those of each rock.
+def multiply_clear_probability(clear, x0, y0, posting, xy, reach, cover_profile, rock_probability):
+    """Multiply the probability that each cell is clear by that for each rock.
 
-    (`x0`, `y0`) is the centre of cell (0, 0) and `posting` the cell size, m. Rock i is at `xy` (n,
-    2), m, and exists with the probability `weight` (n,). `profile` (n, k) is the probability that
-    it covers a point, at equal steps of distance from 0 to `reach` (n,), m, where it ends at 0.
+    `clear` (rows, cols) is updated. (`x0`, `y0`) is the centre of cell (0, 0) and `posting` the
+    cell size, m. Rock i is at `xy` (n, 2), m, and exists with `rock_probability` (n,).
+    `cover_profile` (n, k) is the probability that it covers a point, at equal steps of distance
+    from 0 to `reach` (n,), m, where it ends at 0.
     """
     rows, cols = clear.shape
-    last = profile.shape[1] - 1
+    last = cover_profile.shape[1] - 1
     for band in prange((rows + _BAND - 1) // _BAND):
         top, bottom = band * _BAND, min((band + 1) * _BAND, rows) - 1
         for j in range(xy.shape[0]):
@@ -122,5 +125,7 @@ def paint(clear, x0, y0, posting, xy, reach, profile, weight):
                     at = math.sqrt(dx * dx + dy * dy) * scale
                     k = int(at)
                     if k < last:
-                        p = profile[j, k] + (at - k) * (profile[j, k + 1] - profile[j, k])
-                        clear[i, c] *= 1.0 - weight[j] * p
+                        p = cover_profile[j, k] + (at - k) * (
+                            cover_profile[j, k + 1] - cover_profile[j, k]
+                        )
+                        clear[i, c] *= 1.0 - rock_probability[j] * p

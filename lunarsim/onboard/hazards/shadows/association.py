@@ -76,19 +76,18 @@ def associate(
     is_gated = np.zeros(d, bool)
     is_gated[i] = True
     detection, rock = _optimal_pairs(i, j, distance, d, t, gate)
-    own = np.full(d, -1)
-    own[detection] = rock
-    mate = np.full(t, -1)
-    mate[rock] = detection
-    is_unambiguous = _is_unambiguous(i, j, distance, own, mate)
+    rock_of = np.full(d, -1)
+    rock_of[detection] = rock
+    detection_of = np.full(t, -1)
+    detection_of[rock] = detection
+    is_unambiguous = _is_unambiguous(i, j, distance, rock_of, detection_of)
     return detection, rock, is_unambiguous[detection], is_gated
 
 
 def _neighbours(points: Array, others: Array, reach: Array) -> tuple[Index, Index]:
-    """Return the indices (i, j) of all pairs of points closer than a reach.
+    """Return the index pairs (i, j) of points and others that are close to each other.
 
-    `points` (d, 2) and `others` (t, 2) are the points; `reach` (d,) is the maximum distance from
-    each of `points`.
+    `points` (d, 2) and `others` (t, 2) are close if their distance is below `reach` (d,).
     """
     near = cKDTree(others).query_ball_point(points, reach)
     i = np.repeat(np.arange(len(points)), [len(n) for n in near])
@@ -96,41 +95,42 @@ def _neighbours(points: Array, others: Array, reach: Array) -> tuple[Index, Inde
 
 
 def _optimal_pairs(
-    i: Index, j: Index, distance: Array, d: int, t: int, unpaired_cost: float
+    i: Index, j: Index, distance: Array, detection_count: int, rock_count: int, unpaired_cost: float
 ) -> tuple[Index, Index]:
     """Return the pairs (detection, rock) of minimum total cost.
 
-    `i`, `j` and `distance` are detection, rock and squared distance of the candidate pairs. There
-    are `d` detections and `t` rocks. Each unpaired detection adds `unpaired_cost`.
+    `i`, `j` and `distance` are detection, rock and squared distance of the candidate pairs. Each
+    unpaired detection adds `unpaired_cost`.
     """
     # One column per detection stands for "unpaired"; weights must not be 0, which means absent.
-    each = np.arange(d)
+    each = np.arange(detection_count)
     cost = csr_array(
         (
-            np.concatenate((distance, np.full(d, unpaired_cost))) + 1.0,
-            (np.concatenate((i, each)), np.concatenate((j, t + each))),
+            np.concatenate((distance, np.full(detection_count, unpaired_cost))) + 1.0,
+            (np.concatenate((i, each)), np.concatenate((j, rock_count + each))),
         ),
-        shape=(d, t + d),
+        shape=(detection_count, rock_count + detection_count),
     )
     rows, column = min_weight_full_bipartite_matching(cost)
-    paired = column < t
+    paired = column < rock_count
     return np.asarray(rows[paired], np.int64), np.asarray(column[paired], np.int64)
 
 
 def _is_unambiguous(
-    i: Index, j: Index, distance: Array, own: Index, mate: Index
+    i: Index, j: Index, distance: Array, rock_of: Index, detection_of: Index
 ) -> NDArray[np.bool_]:
     """Return which detections (d,) are much closer to their rock than any rival.
 
-    `i`, `j` and `distance` are detection, rock and squared distance of the candidate pairs. `own`
-    is the rock of each detection (d,) and `mate` the detection of each rock (t,), -1 for none.
+    `i`, `j` and `distance` are detection, rock and squared distance of the candidate pairs.
+    `rock_of` is the rock of each detection (d,) and `detection_of` the detection of each rock (t,),
+    -1 for none.
     """
-    cost = np.full(len(own), np.inf)
-    is_pair = own[i] == j
+    cost = np.full(len(rock_of), np.inf)
+    is_pair = rock_of[i] == j
     cost[i[is_pair]] = distance[is_pair]
     # A rival is the same detection with another rock, or the same rock with another detection.
-    rival = np.full(len(own), np.inf)
+    rival = np.full(len(rock_of), np.inf)
     np.minimum.at(rival, i[~is_pair], distance[~is_pair])
-    matched = ~is_pair & (mate[j] >= 0)
-    np.minimum.at(rival, mate[j[matched]], distance[matched])
+    matched = ~is_pair & (detection_of[j] >= 0)
+    np.minimum.at(rival, detection_of[j[matched]], distance[matched])
     return np.asarray(rival > cost + _MIN_RIVAL_MARGIN)

@@ -61,7 +61,7 @@ def sharpness_and_area_of_cells(
     """Return shadow sharpness and terrain area of image cells, both (cells,).
 
     Sharpness is the square root of the number of dark pixels of a rock of radius 1 m; the area is
-    in m^2. `expected_shares` uses both.
+    in m^2. `relative_shadow_counts` uses both.
 
     Parameters
     ----------
@@ -86,21 +86,14 @@ def sharpness_and_area_of_cells(
     return sharpness, pixels * solid * pixel**2 / np.sin(depression)
 
 
-def expected_shares(sharpness: Array, area: Array, cover: float) -> Array:
-    """Return the expected number of shadows in image cells, up to a factor (2, cells).
+def relative_shadow_counts(sharpness: Array, area: Array, cover: float) -> Array:
+    """Return expected numbers of shadows in image cells, up to a factor (2, cells).
 
-    The first row follows the size distribution for the smallest visible rock. The second assumes
-    that all rocks are visible everywhere, because the distribution does not hold for arbitrarily
-    small rocks.
-
-    Parameters
-    ----------
-    sharpness
-        Square root of the dark pixels of a rock of radius 1 m (cells,); 0 or NaN without terrain.
-    area
-        Terrain area in the cells (cells,), m^2.
-    cover
-        Fraction of the terrain covered by rocks (Golombek size distribution).
+    Row 0 follows the size distribution of rocks above the smallest visible size. Row 1 is the
+    terrain area, as if all rocks were visible everywhere, because the distribution does not hold
+    for very small rocks. `sharpness` (cells,) is the square root of the number of dark pixels of a
+    rock of radius 1 m, 0 or NaN without terrain, and `area` (cells,) the terrain area, m^2. `cover`
+    is the fraction of the terrain covered by rocks (Golombek size distribution).
     """
     shown = np.isfinite(area) & (sharpness > 0.0)
     least = 2.0 * _MIN_Q / np.where(shown, sharpness, 1.0)
@@ -108,20 +101,22 @@ def expected_shares(sharpness: Array, area: Array, cover: float) -> Array:
     return np.stack((terrain_area * golombek_number(least, cover), terrain_area))
 
 
-def empty_cells(found: NDArray[np.int64], expected: Array) -> NDArray[np.bool_]:
+def empty_cells(shadow_counts: NDArray[np.int64], expected: Array) -> NDArray[np.bool_]:
     """Return the image cells in windows with far fewer shadows than the rest.
+
+    The result has shape (ROWS, COLS).
 
     Parameters
     ----------
-    found
+    shadow_counts
         Number of shadows in each cell (ROWS, COLS).
     expected
-        Expected number by each assumption about sizes, up to a factor (laws, ROWS, COLS); a window
-        must have too few shadows by all of them.
+        Expected number of shadows, up to a factor, by each of several assumptions about sizes (k,
+        ROWS, COLS). A window must have too few shadows under all of them.
     """
-    out = np.zeros(found.shape, np.bool_)
-    count = _corner_sums(found[None].astype(np.float64))[0]
-    share = _corner_sums(expected)
+    out = np.zeros(shadow_counts.shape, np.bool_)
+    count = _summed_area_table(shadow_counts[None].astype(np.float64))[0]
+    share = _summed_area_table(expected)
     for high, wide in product(_WINDOW_ROWS, _WINDOW_COLS):
         inside = _in_windows(count, high, wide)
         due = _in_windows(share, high, wide)
@@ -134,23 +129,26 @@ def empty_cells(found: NDArray[np.int64], expected: Array) -> NDArray[np.bool_]:
     return out
 
 
-def _corner_sums(values: Array) -> Array:
-    """Return sums from the first cell to each corner (n, rows + 1, cols + 1).
+def _summed_area_table(values: Array) -> Array:
+    """Return the sum of all cells before each corner, for fast sums over windows.
 
-    `values` (n, rows, cols) are summed for fast sums over windows.
+    `values` has shape (n, rows, cols), the result (n, rows + 1, cols + 1).
     """
     out = np.zeros((len(values), values.shape[1] + 1, values.shape[2] + 1))
     out[:, 1:, 1:] = values.cumsum(1).cumsum(2)
     return out
 
 
-def _in_windows(sums: Array, high: int, wide: int) -> Array:
-    """Return the sums over all windows of `high` x `wide` cells (..., rows, cols).
+def _in_windows(corner_sums: Array, row_count: int, col_count: int) -> Array:
+    """Return the sums over all windows of a size (..., rows, cols).
 
-    `sums` is the result of `_corner_sums`; the result is indexed by the first cell of the window.
+    `corner_sums` is the result of `_summed_area_table`, and a window has `row_count` x `col_count`
+    cells. The result is indexed by the first cell of the window.
     """
-    low, top = sums[..., high:, :], sums[..., :-high, :]
-    return np.asarray(low[..., wide:] - low[..., :-wide] - top[..., wide:] + top[..., :-wide])
+    low, top = corner_sums[..., row_count:, :], corner_sums[..., :-row_count, :]
+    return np.asarray(
+        low[..., col_count:] - low[..., :-col_count] - top[..., col_count:] + top[..., :-col_count]
+    )
 
 
 def glare(counts: NDArray[Any]) -> NDArray[np.bool_]:
@@ -165,7 +163,7 @@ def glare(counts: NDArray[Any]) -> NDArray[np.bool_]:
 
 
 def blind_regions(
-    counts: NDArray[Any], seen: Detections, sharpness: Array, area: Array, cover: float
+    counts: NDArray[Any], detections: Detections, sharpness: Array, area: Array, cover: float
 ) -> NDArray[np.bool_]:
     """Return the pixels in which rock shadows would not be visible (height, width).
 
@@ -173,18 +171,18 @@ def blind_regions(
     ----------
     counts
         Image (height, width).
-    seen
+    detections
         Rocks detected in the image.
     sharpness, area, cover
         Sharpness and terrain area of the image cells, from `sharpness_and_area_of_cells` (cells,),
         and the fraction of the terrain covered by rocks.
     """
     height, width = counts.shape
-    found = np.histogram2d(
-        seen.pixel[:, 1], seen.pixel[:, 0], (ROWS, COLS),
+    shadow_counts = np.histogram2d(
+        detections.pixel[:, 1], detections.pixel[:, 0], (ROWS, COLS),
         ((-0.5, height - 0.5), (-0.5, width - 0.5)),
     )[0].astype(np.int64)  # fmt: skip
-    expected = expected_shares(sharpness, area, cover).reshape(2, ROWS, COLS)
-    empty = empty_cells(found, expected).astype(np.uint8)
+    expected = relative_shadow_counts(sharpness, area, cover).reshape(2, ROWS, COLS)
+    empty = empty_cells(shadow_counts, expected).astype(np.uint8)
     blind = cv2.resize(empty, (width, height), interpolation=cv2.INTER_NEAREST) > 0
     return np.asarray(blind | glare(counts))

@@ -127,18 +127,13 @@ class ClearEvidence:
         self.dark[:] = 0.0
         self.motion.forget()
 
-    def recentre(self, off: Array) -> Array:
-        """Shift the grid by an offset (2,), m, rounded to cells; observations are kept.
+    def recentre(self, offset: Array) -> Array:
+        """Shift the grid by an offset (2,), m, and keep the observations.
 
-        The offset `off` is east and north.
-
-        Returns
-        -------
-        by
-            Shift applied (2,), m.
+        Returns the shift applied (2,), east and north, m, which is an integer number of cells.
         """
         g = self.grid
-        cols, rows = (int(v) for v in np.rint(np.asarray(off) / g.posting))
+        cols, rows = (int(v) for v in np.rint(np.asarray(offset) / g.posting))
         by = g.posting * np.array([cols, rows], dtype=np.float64)
         self.grid = g.moved(by)
         to = (slice(None), _overlap(rows, g.rows), _overlap(cols, g.cols))
@@ -150,11 +145,11 @@ class ClearEvidence:
             setattr(self, name, moved)
         return by
 
-    def see(
+    def add_image(
         self,
         view: View,
         sun: Array,
-        seen: Detections,
+        detections: Detections,
         heights: Heights,
         explained: NDArray[np.bool_] | None = None,
         position_sigma: Heights | None = None,
@@ -164,7 +159,7 @@ class ClearEvidence:
     ) -> None:
         """Add the observations of one image.
 
-        An image without rock shadows has not proven that they are visible, so it is ignored.
+        An image without rock shadows is ignored, because shadows may not be visible in it.
 
         Parameters
         ----------
@@ -172,7 +167,7 @@ class ClearEvidence:
             Pose and projection of the camera for the image.
         sun
             Direction towards the Sun (3,), ENU.
-        seen
+        detections
             Dark patches of the image, and the rocks that may cast them.
         heights
             Function that returns the terrain height (n,) at points (n, 2), m.
@@ -188,10 +183,10 @@ class ClearEvidence:
             Function that returns the error of `heights` (n,), 1 sigma, m; lit terrain must be lit
             within two sigma above and below. Default: 0.
         blur
-            Point spread of the camera, 1 sigma, pixels; default: not wider than that of the
-            detection rates.
+            Point spread of the camera, 1 sigma, pixels; it has no effect unless it is wider than
+            that of the detection rates.
         """
-        if len(seen) == 0:
+        if len(detections) == 0:
             return
         every, xy = self._nodes()
         height = _evaluate(heights, xy)
@@ -208,16 +203,18 @@ class ClearEvidence:
             xy, position_sigma
         )
         sharpness = np.where(is_visible, sharpness, 0.0)
-        largest = seen.largest if explained is None else _mark_explained(seen, explained)
+        largest = (
+            detections.largest if explained is None else _mark_explained(detections, explained)
+        )
         reach = np.zeros(height.shape) if height_sigma is None else _evaluate(height_sigma, xy)
-        core = _cores(model, low_rocks, azimuth, depression, sun)
+        core = _shadow_test_points(model, low_rocks, azimuth, depression, sun)
         coarse = np.dstack(
             (sharpness, place, np.minimum(_HEIGHT_SIGMAS * reach, _MAX_HEIGHT_ERROR_M), *core)
         )
-        kernels.look(
+        kernels.record_observation(
             self.lit, self.dark, self.explained, self._tested, coarse, every, view.position,
             np.ascontiguousarray(view.enu_to_sensor.T), view.fx, view.fy, view.cx, view.cy,
-            seen.labels,
+            detections.labels,
             largest, _MIN_DARK_POINTS, _MIN_SHARPNESS_GAIN, len(_RADIUS_RATIOS),
         )  # fmt: skip
 
@@ -239,54 +236,46 @@ class ClearEvidence:
         every = max(1, round(_NODE_SPACING_M / g.posting))
         x = g.x0 + every * g.posting * np.arange(-(-g.cols // every) + 1)
         y = g.y0 + every * g.posting * np.arange(-(-g.rows // every) + 1)
-        return every, self.motion.now(np.stack(np.meshgrid(x, y), -1))
+        return every, self.motion.to_current(np.stack(np.meshgrid(x, y), -1))
 
-    def _possible(self, test: int) -> NDArray[np.bool_]:
-        """Return where the sharpest observation does not exclude a rock (rows, cols).
-
-        `test` is the index of the size class.
-        """
+    def _possible(self, size_class: int) -> NDArray[np.bool_]:
+        """Return where a rock of a size class may exist in the dark (rows, cols)."""
         possible = np.empty(self.grid.shape, np.bool_)
-        density.mark_possible(possible, self.lit[test], self.dark[test], self._tested[test])
+        density.mark_possible(
+            possible, self.lit[size_class], self.dark[size_class], self._tested[size_class]
+        )
         return possible
 
-    def _density(self, test: int) -> NDArray[np.float32]:
-        """Return the expected density of untracked rocks (rows, cols), 1/m^2.
-
-        `test` is the index of the size class.
-        """
-        mine = self._class == test
+    def _density(self, size_class: int) -> NDArray[np.float32]:
+        """Return the density of untracked rocks of a size class (rows, cols), 1/m^2."""
+        mine = self._class == size_class
         radius, number = self._radius[mine], self._number[mine]
-        possible, explained = self._possible(test), self.explained[test]
+        possible, explained = self._possible(size_class), self.explained[size_class]
         # All untracked rocks of the size are where one is possible. Behind the shadow of a tracked
         # rock, another rock is as probable as anywhere.
-        crowded, looked = density.count_crowded(self.lit[test], possible, explained)
+        crowded, looked = density.count_possible(self.lit[size_class], possible, explained)
         least = _MIN_AREA_PER_ROCK * float((number * np.pi * radius**2).sum())
         hidden = float(number.sum())
         out = np.empty(self.grid.shape, np.float32)
-        density.fill(
-            out, self.lit[test], possible, explained, radius, number, self.rates.false_clear_line,
+        density.compute_density(
+            out, self.lit[size_class], possible, explained, radius, number,
+            self.rates.false_clear_line,
             self.model.shadowless_fraction, hidden, hidden / max(crowded / max(looked, 1), least),
         )  # fmt: skip
         return out
 
     @property
-    def tested(self) -> Array:
+    def size_class_diameters(self) -> Array:
         """Minimum diameter of the rocks of each size class (sizes,), ascending, m."""
         return np.asarray(2.0 * self._tested)
 
     def ratios(self) -> NDArray[np.float32]:
         """Return the ratio of untracked rocks to those expected without observation.
 
-        The ratio is below 1 where the terrain was observed lit. It is 1 without an observation and
-        where the shadow of a tracked rock may hide a rock. On other dark terrain the untracked
-        rocks are concentrated: the ratio is that of all expected rocks times the miss rate at this
-        sharpness, and never below 1.
-
-        Returns
-        -------
-        ratio
-            Ratio (sizes, rows, cols).
+        The result (sizes, rows, cols) is below 1 where the terrain was observed lit. It is 1
+        without an observation and where the shadow of a tracked rock may hide a rock. Other dark
+        terrain holds all rocks that were not found: there it is the ratio of densities times the
+        miss rate at this sharpness, and 1 or more.
         """
         out = np.ones(self.lit.shape, np.float32)
         for s in range(len(out)):
@@ -297,13 +286,13 @@ class ClearEvidence:
             out[s][crowded] = np.maximum(out[s] * self._miss_fraction(s), np.float32(1.0))[crowded]
         return out
 
-    def _miss_fraction(self, test: int) -> NDArray[np.float32]:
-        """Return the miss rate of the sharpest observation on dark terrain (rows, cols).
+    def _miss_fraction(self, size_class: int) -> NDArray[np.float32]:
+        """Return the miss rate of a size class in the sharpest view of dark terrain.
 
-        `test` is the index of the size class.
+        The result has shape (rows, cols).
         """
-        mine = self._class == test
-        dark = self.dark[test]
+        mine = self._class == size_class
+        dark = self.dark[size_class]
         table = np.linspace(0.0, max(float(dark.max()), 1e-6), 257)
         missed = self.rates.false_negative(self._radius[mine][:, None] * table)
         share = np.maximum(
@@ -314,15 +303,8 @@ class ClearEvidence:
     def expected(self, footprint: float = 0.0) -> NDArray[np.float32]:
         """Return the expected number of untracked rocks that reach into a disc.
 
-        Parameters
-        ----------
-        footprint
-            Radius of the disc, m; 0: rocks that cover the position itself.
-
-        Returns
-        -------
-        number
-            Expected number about each position (rows, cols).
+        The result (rows, cols) is for discs centred on each position. `footprint` is the radius, m;
+        0: rocks that cover the position itself.
         """
         total = np.zeros(self.grid.shape, np.float32)
         for s in range(len(self._tested)):
@@ -336,22 +318,21 @@ class ClearEvidence:
             )
         return total
 
-    def unseen(self, footprint: float = 0.0) -> float:
-        """Return the expected number of rocks that reach into a disc, unobserved.
+    def expected_unobserved(self, footprint: float = 0.0) -> float:
+        """Return the number of rocks that reach into a disc, expected without observation.
 
-        This is the value of `expected` before any observation. `footprint` is the radius of the
-        disc, m; 0: rocks that cover a position.
+        `footprint` is the radius of the disc, m; 0: rocks that cover a position.
         """
         return float(np.pi * self._number @ (footprint + self._radius) ** 2)
 
-    def expected_found(self, beyond: int = 0) -> float:
+    def expected_detections(self, edge_cells: int = 0) -> float:
         """Return the number of rocks that should have been detected on observed terrain.
 
-        It follows from the expected rocks and the detection rates. `beyond` cells along each edge
-        are excluded.
+        It follows from the expected rocks and the detection rates. `edge_cells` cells along each
+        edge are excluded.
         """
         total = 0.0
-        inner = slice(beyond, -beyond or None)
+        inner = slice(edge_cells, -edge_cells or None)
         for s in range(len(self._tested)):
             mine = self._class == s
             sharpest = np.maximum(self.lit[s], self.dark[s])[inner, inner]
@@ -363,7 +344,7 @@ class ClearEvidence:
             total += float(self._number[mine] @ found @ counts)
         return total * self.grid.posting**2
 
-    def seen(self) -> NDArray[np.bool_]:
+    def observed(self) -> NDArray[np.bool_]:
         """Return where a rock of the smallest size would have been detected (rows, cols)."""
         if self.model.shadowless_fraction > _MAX_SHADOWLESS_FRACTION:
             return np.zeros(self.grid.shape, np.bool_)
@@ -371,15 +352,15 @@ class ClearEvidence:
         return np.asarray((missed < _MAX_MISS_RATE) & ~self._possible(0))
 
 
-def _evaluate(given: Heights, xy: Array) -> Array:
+def _evaluate(function: Heights, xy: Array) -> Array:
     """Evaluate a function of points (n, 2) at points (rows, cols, 2).
 
-    `given` is the function; the result has shape (rows, cols).
+    The result has shape (rows, cols).
     """
-    return given(xy.reshape(-1, 2)).reshape(xy.shape[:2])
+    return function(xy.reshape(-1, 2)).reshape(xy.shape[:2])
 
 
-def _cores(
+def _shadow_test_points(
     model: ShadowModel | ShapeMixture,
     low_rocks: ShadowModel,
     azimuth: Array,
@@ -414,23 +395,22 @@ def _cores(
     return points
 
 
-def _mark_explained(seen: Detections, explained: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """Return the largest rock of each dark patch, negative for patches of known rocks.
+def _mark_explained(detections: Detections, explained: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """Return the radius of the largest rock of each patch, negative if it is tracked.
 
-    Known rocks are tracked. `seen` are the detections and `explained` (rocks,) those that are
-    tracked rocks; radii are in m.
+    `explained` (rocks,) marks the detections that are tracked rocks; radii are in m.
     """
     # A patch of several merged shadows is not explained by one rock.
-    label = seen.label[explained]
-    label = label[np.isfinite(seen.largest[label])]
-    largest = seen.largest.copy()
+    label = detections.label[explained]
+    label = label[np.isfinite(detections.largest[label])]
+    largest = detections.largest.copy()
     largest[label] *= -1.0
     return largest
 
 
-def _overlap(by: int, count: int) -> slice:
+def _overlap(shift: int, count: int) -> slice:
     """Return the slice of cells that remain on an axis after a shift.
 
-    The axis has `count` cells and is shifted by `by` cells.
+    The axis has `count` cells; `shift` is in cells.
     """
-    return slice(max(-by, 0), max(min(count, count - by), 0))
+    return slice(max(-shift, 0), max(min(count, count - shift), 0))

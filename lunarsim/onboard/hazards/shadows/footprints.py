@@ -46,21 +46,17 @@ def disc_mean(layer: NDArray[Any], radius: float, outside: float) -> NDArray[np.
     return np.asarray(mean[half : half + rows, half : half + cols] + np.float32(outside))
 
 
-def footprint_seen(seen: NDArray[np.bool_], radius: float) -> NDArray[np.bool_]:
+def footprint_observed(observed: NDArray[np.bool_], radius: float) -> NDArray[np.bool_]:
     """Return the cells around which a complete footprint was observed (rows, cols).
 
-    Parameters
-    ----------
-    seen
-        Observed cells (rows, cols); none beyond the edge.
-    radius
-        Radius of the footprint, cells; 0: the cell itself.
+    `observed` (rows, cols) is False beyond its edge. `radius` is that of the footprint, cells; 0:
+    the cell itself.
     """
     if radius <= 0.0:
-        return seen
-    share = disc_mean(seen, radius, 0.0)
+        return observed
+    share = disc_mean(observed, radius, 0.0)
     half = int(np.ceil(radius))
-    is_inside = np.zeros_like(seen)
-    if 2 * half < min(seen.shape):
-        is_inside[half : seen.shape[0] - half, half : seen.shape[1] - half] = True
-    return np.asarray(is_inside & seen & (share >= MIN_OBSERVED_FRACTION))
+    is_inside = np.zeros_like(observed)
+    if 2 * half < min(observed.shape):
+        is_inside[half : observed.shape[0] - half, half : observed.shape[1] - half] = True
+    return np.asarray(is_inside & observed & (share >= MIN_OBSERVED_FRACTION))

@@ -17,8 +17,8 @@ def terrain_position_covariance(
 ) -> Array:
     """Convert image covariances to covariances on the terrain (n, 2, 2), m^2.
 
-    `points` (n, 3) are on the terrain, m, and `pixel_covariance` (n, 2, 2) is in pixels^2. `rocks`
-    is the filter of the rocks, which contains the pose.
+    `points` (n, 3) are on the terrain, m, and `pixel_covariance` (n, 2, 2) is in pixels^2. The
+    filter `rocks` contains the pose of the camera.
     """
     if len(points) == 0:
         return np.empty((0, 2, 2))
@@ -27,17 +27,18 @@ def terrain_position_covariance(
 
 
 def terrain_position_sigma(
-    points: Array, look: Array, rocks: RockFilter, camera: CameraModel
+    points: Array, pixel_covariance: Array, rocks: RockFilter, camera: CameraModel
 ) -> Array:
-    """Convert image covariances to standard deviations of terrain points (n,), m.
+    """Convert image covariances to position errors on the terrain (n,), 1 sigma, m.
 
-    The result is 1 sigma along the worst axis; NaN where a point is not visible. `points` (n, 3)
-    are on the terrain, m, and `look` (n, 2, 2) is the covariance in the image, pixels^2. `rocks` is
-    the filter of the rocks, which contains the pose.
+    The error is that along the worst axis, and NaN where a point is not visible. The arguments are
+    those of `terrain_position_covariance`.
     """
     with np.errstate(invalid="ignore"):
         return np.asarray(
             np.sqrt(
-                largest_eigenvalue_2x2(terrain_position_covariance(points, look, rocks, camera))
+                largest_eigenvalue_2x2(
+                    terrain_position_covariance(points, pixel_covariance, rocks, camera)
+                )
             )
         )

@@ -28,12 +28,12 @@ class MapMotion:
 
     Parameters
     ----------
-    middle
+    centre
         Centre of the positions, east and north (2,), m.
     """
 
-    def __init__(self, middle: Array) -> None:
-        self._centre = np.asarray(middle, dtype=np.float64)
+    def __init__(self, centre: Array) -> None:
+        self._centre = np.asarray(centre, dtype=np.float64)
         self._shift = np.zeros(2)
         self._turn = np.eye(2)
 
@@ -43,47 +43,41 @@ class MapMotion:
         self._turn = np.eye(2)
 
     @property
-    def still(self) -> bool:
+    def is_identity(self) -> bool:
         """Whether stored and current positions are equal."""
         return not self._shift.any() and np.array_equal(self._turn, np.eye(2))
 
-    def follow(self, xy: Array, by: Array) -> None:
+    def follow(self, xy: Array, motion: Array) -> None:
         """Move the stored positions with the tracked rocks.
 
         Parameters
         ----------
         xy
             Current positions of the rocks (n, 2), m.
-        by
+        motion
             Motion of the rocks since the last call (n, 2), m; NaN if unknown.
         """
-        known = np.isfinite(by).all(1) & np.isfinite(xy).all(1)
-        xy, by = xy[known], by[known]
+        known = np.isfinite(motion).all(1) & np.isfinite(xy).all(1)
+        xy, motion = xy[known], motion[known]
         if len(xy) == 0:
             return
-        off = np.hypot(*(by - np.median(by, axis=0)).T)
+        off = np.hypot(*(motion - np.median(motion, axis=0)).T)
         is_inlier = off <= _OUTLIER_DEVIATIONS * max(float(np.median(off)), _MIN_DEVIATION_M)
-        before, by = (xy - by)[is_inlier], by[is_inlier]
-        centre, shift = before.mean(0), by.mean(0)
+        before, motion = (xy - motion)[is_inlier], motion[is_inlier]
+        centre, shift = before.mean(0), motion.mean(0)
         arm = before - centre
         square = arm.T @ arm + _PRIOR_ROCK_COUNT * _PRIOR_DISTANCE_M**2 * np.eye(2)
-        turn = np.linalg.solve(square, arm.T @ (by - shift)).T
+        turn = np.linalg.solve(square, arm.T @ (motion - shift)).T
         # The motion of an old position is shift + turn @ (position - centre).
         self._shift = self._shift + shift + turn @ (self._centre + self._shift - centre)
         self._turn = self._turn + turn @ self._turn
 
-    def now(self, noted: Array) -> Array:
-        """Convert stored positions (..., 2), m, to current positions in the local frame.
-
-        `noted` are the stored positions.
-        """
-        away = np.asarray(noted, dtype=np.float64) - self._centre
+    def to_current(self, stored: Array) -> Array:
+        """Convert stored positions (..., 2), m, to current positions in the local frame."""
+        away = np.asarray(stored, dtype=np.float64) - self._centre
         return np.asarray(self._centre + self._shift + away @ self._turn.T)
 
-    def noted(self, now: Array) -> Array:
-        """Convert current positions (..., 2), m, in the local frame to stored positions.
-
-        `now` are the current positions.
-        """
-        away = np.asarray(now, dtype=np.float64) - self._centre - self._shift
+    def to_stored(self, current: Array) -> Array:
+        """Convert current positions (..., 2), m, in the local frame to stored positions."""
+        away = np.asarray(current, dtype=np.float64) - self._centre - self._shift
         return np.asarray(self._centre + away @ np.linalg.inv(self._turn).T)

@@ -103,13 +103,12 @@ class ShadowMapper(HazardMapper):
         Criteria for dark patches to be shadows of rocks.
     interval
         Minimum time between two evaluations of the map, s.
-    look_interval
-        Minimum time between two images of a camera from which clear terrain is recorded, s. Images
-        in between show nearly the same.
+    clear_terrain_interval
+        Minimum time between two images of a camera from which clear terrain is recorded, s.
     health
         Image quality checks by sensor name, or one for all cameras; default: one with default
         settings.
-    relief
+    terrain_mapper
         Elevation mapper whose terrain is used: rocks stand at its heights and shadows fall on its
         plane. None: horizontal terrain.
 
@@ -133,9 +132,9 @@ class ShadowMapper(HazardMapper):
         *,
         detector: DetectorSettings | None = None,
         interval: float = 1.0,
-        look_interval: float = 0.0,
+        clear_terrain_interval: float = 0.0,
         health: ImageQualityCheck | Mapping[str, ImageQualityCheck] | None = None,
-        relief: HazardMapper | None = None,
+        terrain_mapper: HazardMapper | None = None,
     ) -> None:
         _check_sun(sun, tracker.model.elevation)
         self.tracker = tracker
@@ -143,9 +142,9 @@ class ShadowMapper(HazardMapper):
         self.grid = probability.grid
         self.sun = np.asarray(sun, dtype=np.float64)
         self.footprint = footprint
-        self.interval, self.look_interval = interval, look_interval
-        self._terrain = MeasuredTerrain(relief)
-        tracker.filter.measured_terrain = None if relief is None else self._terrain
+        self.interval, self.clear_terrain_interval = interval, clear_terrain_interval
+        self._terrain = MeasuredTerrain(terrain_mapper)
+        tracker.filter.measured_terrain = None if terrain_mapper is None else self._terrain
         self.detector = detector or DetectorSettings()
         checks = (
             dict(health) if isinstance(health, Mapping) else {"": health or ImageQualityCheck()}
@@ -206,18 +205,18 @@ class ShadowMapper(HazardMapper):
         health = self.health.before_detection(image.counts, image.camera, estimate)
         if health.good:
             sun = rocks.rotate_to_local(self.sun)
-            seen = detect_rocks(
+            detections = detect_rocks(
                 image.counts, image.camera, estimate, sun,
                 terrain=self._detection_plane(image.camera), model=self.tracker.model,
                 settings=self.detector,
             )  # fmt: skip
             was_confirmed = self.health.sun.confirmed
-            health = self._check_shadows(seen, image, estimate, sun, health)
+            health = self._check_shadows(detections, image, estimate, sun, health)
             if was_confirmed and not self.health.sun.confirmed:
                 # Terrain evaluated with a wrong Sun direction cannot be trusted.
                 self.probability.forget()
                 self._residual = None
-        if health.good and not self._process_image(seen, image, sun):
+        if health.good and not self._process_image(detections, image, sun):
             health = ImageQuality(ImageRejection.MISPLACED, health.metrics)
         self._report(image.time, health)
 
@@ -235,63 +234,60 @@ class ShadowMapper(HazardMapper):
             details = {"rocks": outcome.dof, "nis": outcome.nis}
             rocks.events.append(NavigationEvent(time, "measured-terrain-rejected", details))
 
-    def _process_image(self, seen: Detections, image: CameraImage, sun: Array) -> bool:
+    def _process_image(self, detections: Detections, image: CameraImage, sun: Array) -> bool:
         """Update tracker and map with an accepted image; return whether its rocks fit.
 
         If the image does not show the tracked rocks, it belongs to another place or time, or rocks
         and lander are not where they are estimated. The tracker is then updated, but no terrain is
-        recorded as clear. `seen` are the detections and `sun` (3,) is the direction towards the
-        Sun, ENU.
+        recorded as clear. `sun` (3,) is the direction towards the Sun, ENU.
         """
-        self.seen, self._residual = seen, None
+        self.seen, self._residual = detections, None
         if isinstance(self.tracker.model, ShapeMixture):
-            self.tracker.model.learn(seen.shapes, seen.q)
+            self.tracker.model.learn(detections.shapes, detections.q)
         plane = self._terrain.plane() or LEVEL
         is_recorded = (
-            image.time >= self._cameras[self._camera].recorded_at + self.look_interval - 1e-9
+            image.time
+            >= self._cameras[self._camera].recorded_at + self.clear_terrain_interval - 1e-9
         )
-        blind = self._blind_pixels(seen, image, sun, plane) if is_recorded else None
-        self.tracker.update(seen, image.camera, sun, image.time, plane)
+        blind = self._blind_pixels(detections, image, sun, plane) if is_recorded else None
+        self.tracker.update(detections, image.camera, sun, image.time, plane)
         self._forget_lost_rocks()
         self.probability.follow(*self.tracker.moved())
         if not self.tracker.as_expected:
             return False
         self.probability.terrain_height = self._height_in_view(image.camera)
         if blind is not None:
-            self._record_visible_terrain(seen.hiding(blind), image, sun, plane)
+            self._record_visible_terrain(detections.hiding(blind), image, sun, plane)
         return True
 
     def _record_visible_terrain(
-        self, seen: Detections, image: CameraImage, sun: Array, plane: GroundPlane
+        self, detections: Detections, image: CameraImage, sun: Array, plane: GroundPlane
     ) -> None:
         """Record the terrain that an image shows lit and therefore without rocks.
 
-        `seen` are the detections, `sun` (3,) is the direction towards the Sun, ENU, and `plane` the
-        plane on which shadows fall.
+        `sun` (3,) is the direction towards the Sun, ENU, and `plane` the plane on which shadows
+        fall.
         """
         self._cameras[self._camera].recorded_at = image.time
         # The pose is the one corrected by the rocks, which moved with it.
         rocks = self.tracker.filter
-        self.probability.see(
-            image.camera.view(rocks.inertial), sun, seen, rocks.terrain_height_at,
+        self.probability.add_image(
+            image.camera.view(rocks.inertial), sun, detections, rocks.terrain_height_at,
             self.tracker.explained, self._place_sigma, plane, self._height_sigma,
             self.health.settings.blur_sigma,
         )  # fmt: skip
 
     def _blind_pixels(
-        self, seen: Detections, image: CameraImage, sun: Array, plane: GroundPlane
+        self, detections: Detections, image: CameraImage, sun: Array, plane: GroundPlane
     ) -> NDArray[np.bool_]:
-        """Return the pixels in which rocks would not be visible (height, width).
-
-        `seen` are the detections in the image.
-        """
+        """Return the pixels in which rocks would not be visible (height, width)."""
         camera, rocks = image.camera, self.tracker.filter
         points = rocks.terrain_points(camera, cell_centres(camera.width, camera.height))
         sharpness, area = sharpness_and_area_of_cells(
             camera, points, rocks.inertial.position, sun, plane, self.tracker.model
         )
         counts = np.asarray(image.counts)
-        return blind_regions(counts, seen, sharpness, area, self.probability.prior.cover)
+        return blind_regions(counts, detections, sharpness, area, self.probability.prior.cover)
 
     def _place_sigma(self, xy: Array) -> Array:
         """Return the error of positions (n, 2) relative to the lander (n,), m.
@@ -319,17 +315,22 @@ class ShadowMapper(HazardMapper):
             self._residual = None
 
     def _check_shadows(
-        self, seen: Detections, image: CameraImage, pose: Pose, sun: Array, previous: ImageQuality
+        self,
+        detections: Detections,
+        image: CameraImage,
+        pose: Pose,
+        sun: Array,
+        previous: ImageQuality,
     ) -> ImageQuality:
         """Check an image by its shadows, and the Sun direction by the shadow directions.
 
-        `seen` are the detections, `sun` (3,) is the assumed direction towards the Sun, ENU, and
-        `previous` the result of the check before detection.
+        `sun` (3,) is the assumed direction towards the Sun, ENU, and `previous` the result of the
+        check before detection.
         """
         rocks = self.tracker.filter
         noise = previous.metrics["noise"]
-        turn = self._shadow_direction_error(seen, image.camera, pose, sun, noise)
-        after = self.health.after_detection(seen, turn, noise)
+        turn = self._shadow_direction_error(detections, image.camera, pose, sun, noise)
+        after = self.health.after_detection(detections, turn, noise)
         if (
             self.health.is_conclusive(turn)
             and image.time >= self._sun_check_time + _SUN_CHECK_INTERVAL_S
@@ -341,25 +342,30 @@ class ShadowMapper(HazardMapper):
         return ImageQuality(after.fault, previous.metrics | after.metrics)
 
     def _shadow_direction_error(
-        self, seen: Detections, camera: CameraModel, pose: Pose, sun: Array, noise: float
+        self,
+        detections: Detections,
+        camera: CameraModel,
+        pose: Pose,
+        sun: Array,
+        pixel_noise: float,
     ) -> SunAngle:
         """Measure the angle between shadows and their direction under the assumed Sun.
 
-        `sun` (3,) is the direction towards the Sun, ENU; `noise` is that of a pixel relative to lit
-        terrain.
+        `sun` (3,) is the assumed direction, ENU; `pixel_noise` is the noise of a pixel as a
+        fraction of the brightness of lit terrain.
         """
         view, model, plane = camera.view(pose), self.tracker.model, self._terrain.plane()
         if plane is None:
-            points = self.tracker.filter.terrain_points(camera, seen.pixel)
-            return measure_shadow_angle(seen, view, points, sun, model, noise)
-        points = np.column_stack((seen.terrain_xy, np.zeros(len(seen))))
+            points = self.tracker.filter.terrain_points(camera, detections.pixel)
+            return measure_shadow_angle(detections, view, points, sun, model, pixel_noise)
+        points = np.column_stack((detections.terrain_xy, np.zeros(len(detections))))
         return measure_shadow_angle(
-            seen,
+            detections,
             plane.view(view),
             points,
             plane.direction(sun),
             model_on_plane(model, plane, sun),
-            noise,
+            pixel_noise,
         )
 
     def _detection_plane(self, camera: CameraModel) -> float | GroundPlane:
@@ -407,8 +413,8 @@ class ShadowMapper(HazardMapper):
         if not self.is_empty and self._time >= self._map_time + self.interval - 1e-9:
             self.probability.follow(*self.tracker.moved())
             self._residual = self.probability.residual(self.footprint)
-            drawn = self.probability.hazard_map(self.tracker, self.footprint, self._residual)
-            self._map, self._map_time = self._with_plausibility(drawn), self._time
+            hazard_map = self.probability.hazard_map(self.tracker, self.footprint, self._residual)
+            self._map, self._map_time = self._with_plausibility(hazard_map), self._time
         return self._with_flat_elevation(self._map)
 
     def evidence(self) -> RockEvidence | None:
@@ -416,39 +422,44 @@ class ShadowMapper(HazardMapper):
 
         If the map has implausibly few rocks, tracked rocks still count but clear terrain does not.
         """
-        drawn = self.hazard_map()
+        hazard_map = self.hazard_map()
         if self.is_empty or self.tracker.filter.image_monitor.monitors["shadows"].lost:
             return None
         ratio = self.probability.ratios()
-        if drawn.in_domain is not None and not drawn.in_domain.any():
+        if hazard_map.in_domain is not None and not hazard_map.in_domain.any():
             ratio = np.maximum(ratio, np.float32(1.0))
         if self._residual is None:
             self._residual = self.probability.residual(self.footprint)
         return RockEvidence(
-            drawn, self.probability.evidence.tested, ratio, rock_tracks(self.tracker),
+            hazard_map, self.probability.evidence.size_class_diameters, ratio,
+            rock_tracks(self.tracker),
             partial(self.probability.clear_of, footprint=self.footprint),
             self._residual.astype(np.float32), self.probability.expected_rocks(),
         )  # fmt: skip
 
-    def _with_plausibility(self, drawn: HazardMap) -> HazardMap:
+    def _with_plausibility(self, hazard_map: HazardMap) -> HazardMap:
         """Mark a map with too few rocks as uncalibrated, and report maps without hazards.
 
         If far fewer rocks were found than the prior predicts, either the terrain has fewer, or they
-        are not detected. `in_domain` is then false everywhere. `drawn` is the map.
+        are not detected. `in_domain` is then false everywhere.
         """
         prior = self.probability.prior
         expected = self.probability.expected_rocks()
-        found = int(self.tracker.count_large_rocks(prior.least_diameter, self.grid))
+        found = int(self.tracker.count_large_rocks(prior.min_diameter, self.grid))
         is_too_few = is_rock_count_too_low(found, expected)
-        unsafe = drawn.observed & (drawn.p_safe < _MIN_P_SAFE_WITHOUT_HAZARD)
-        all_safe = bool(drawn.observed.any() and not unsafe.any())
+        unsafe = hazard_map.observed & (hazard_map.p_safe < _MIN_P_SAFE_WITHOUT_HAZARD)
+        all_safe = bool(hazard_map.observed.any() and not unsafe.any())
         name = "too-few-rocks" if is_too_few else "no-hazard-found" if all_safe else ""
         if name and name != self._reported_event:
-            area = float(np.count_nonzero(drawn.observed)) * self.grid.posting**2
+            area = float(np.count_nonzero(hazard_map.observed)) * self.grid.posting**2
             details = {"observed_m2": area, "rocks": found, "expected": expected}
             self.tracker.filter.events.append(NavigationEvent(self._time, name, details))
         self._reported_event = name
-        return replace(drawn, in_domain=np.zeros_like(drawn.observed)) if is_too_few else drawn
+        return (
+            replace(hazard_map, in_domain=np.zeros_like(hazard_map.observed))
+            if is_too_few
+            else hazard_map
+        )
 
     def terrain_height(self, xy: Array) -> float:
         """Return the terrain height at a point (2,), local frame, m.
@@ -470,20 +481,17 @@ class ShadowMapper(HazardMapper):
         tracker.settings = replace(tracker.settings, region=tracked_region(self.grid))
         self._map, self._map_time = HazardMap.unobserved(self.grid), -np.inf
 
-    def _with_flat_elevation(self, drawn: HazardMap) -> HazardMap:
-        """Return a map with the terrain height at its centre as elevation everywhere.
-
-        `drawn` is the map.
-        """
+    def _with_flat_elevation(self, hazard_map: HazardMap) -> HazardMap:
+        """Return a map whose elevation is the terrain height at its centre everywhere."""
         middle = np.array([np.mean(self.grid.x), np.mean(self.grid.y)])
         height = np.float32(self.terrain_height(middle))
         if (
             self._displayed is None
-            or self._displayed[0] is not drawn
+            or self._displayed[0] is not hazard_map
             or self._displayed[1] != height
         ):
             level = np.full(self.grid.shape, height, np.float32)
-            self._displayed = drawn, height, replace(drawn, elevation=level)
+            self._displayed = hazard_map, height, replace(hazard_map, elevation=level)
         return self._displayed[2]
 
     @property

@@ -178,9 +178,9 @@ class ShadowMapping:
         proof = SunConfirmation()
         return ShadowMapper(
             tracker, probability, briefing.sun, reach, interval=self.interval,
-            look_interval=self.clear_terrain_interval,
+            clear_terrain_interval=self.clear_terrain_interval,
             health={name: _health_of(briefing, name, proof) for name in sensor_names(self)},
-            relief=(mappers or {})[self.terrain_mapper] if self.terrain_mapper else None,
+            terrain_mapper=(mappers or {})[self.terrain_mapper] if self.terrain_mapper else None,
         )  # fmt: skip
 
     def _model(self, elevation: float, rocks: RockExpectation) -> ShadowModel | ShapeMixture:

@@ -16,7 +16,7 @@ from lunarsim.onboard.hazards.hazard_map import HazardMap
 from lunarsim.onboard.hazards.map_evidence import RockTracks
 from lunarsim.onboard.hazards.shadows import _probability_kernels as kernels
 from lunarsim.onboard.hazards.shadows.clear_evidence import ClearEvidence, Heights
-from lunarsim.onboard.hazards.shadows.footprints import footprint_seen
+from lunarsim.onboard.hazards.shadows.footprints import footprint_observed
 from lunarsim.onboard.hazards.shadows.probability import Form, checked_form, cover_probability
 from lunarsim.onboard.hazards.shadows.tracker import RockTracker
 from lunarsim.onboard.perception.detection_rates import DetectionRates
@@ -46,23 +46,23 @@ class HazardPrior:
     ----------
     cover
         Fraction k of the terrain covered by rocks of any size (Golombek).
-    least_diameter
+    min_diameter
         Minimum diameter of a rock that is a hazard, m.
-    largest_diameter
+    max_diameter
         Maximum diameter of a rock, m.
     """
 
     cover: float = 0.05
-    least_diameter: float = 0.3
-    largest_diameter: float = 4.0
+    min_diameter: float = 0.3
+    max_diameter: float = 4.0
 
     def __post_init__(self) -> None:
         check_types("prior", self)
         golombek_cover(1.0, self.cover)  # raises for a cover that is not a fraction
-        if not 0.0 < self.least_diameter < self.largest_diameter < np.inf:
+        if not 0.0 < self.min_diameter < self.max_diameter < np.inf:
             raise InputError(
-                "prior.min_diameter", self.least_diameter,
-                f"must be between 0 and {self.largest_diameter} m",
+                "prior.min_diameter", self.min_diameter,
+                f"must be between 0 and {self.max_diameter} m",
             )  # fmt: skip
 
 
@@ -112,9 +112,7 @@ class ProbabilityMap:
             -(-grid.rows // every) + 2 * margin_blocks, -(-grid.cols // every) + 2 * margin_blocks,
         )  # fmt: skip
         self._every, self._margin_blocks = every, margin_blocks
-        edges = np.geomspace(
-            self.prior.least_diameter, self.prior.largest_diameter, _SIZE_CLASSES + 1
-        )
+        edges = np.geomspace(self.prior.min_diameter, self.prior.max_diameter, _SIZE_CLASSES + 1)
         sizes = np.sqrt(edges[1:] * edges[:-1])
         cover = golombek_cover(edges, self.prior.cover)
         self.evidence = ClearEvidence(
@@ -134,11 +132,11 @@ class ProbabilityMap:
         """
         self.grid = self.grid.moved(self.evidence.recentre(centre[:2] - self.grid.centre))
 
-    def see(
+    def add_image(
         self,
         view: View,
         sun: Array,
-        seen: Detections,
+        detections: Detections,
         heights: Heights | None = None,
         explained: NDArray[np.bool_] | None = None,
         position_sigma: Heights | None = None,
@@ -148,9 +146,9 @@ class ProbabilityMap:
     ) -> None:
         """Record where an image excludes undetected rocks.
 
-        The arguments are those of `ClearEvidence.see`. The default of `heights` is `terrain_height`
-        everywhere. If the Sun casts no usable shadows (elevation outside 2 to 80 deg), nothing is
-        recorded.
+        The arguments are those of `ClearEvidence.add_image`. By default, the height is that of
+        `terrain_height` everywhere. If the Sun casts no usable shadows (elevation outside 2 to 80
+        deg), nothing is recorded.
 
         Raises
         ------
@@ -160,8 +158,8 @@ class ProbabilityMap:
         if not has_usable_shadows(unit_vector(sun)):
             return
         level = heights or (lambda xy: np.full(len(xy), self.terrain_height))
-        self.evidence.see(
-            view, sun, seen, level, explained, position_sigma, plane, height_sigma, blur
+        self.evidence.add_image(
+            view, sun, detections, level, explained, position_sigma, plane, height_sigma, blur
         )
 
     def residual(self, footprint: float) -> Array:
@@ -169,55 +167,50 @@ class ProbabilityMap:
 
         Combines Eqs. 13-15 of the shadow EKF paper: each size has its expected number and its miss
         rate, which is 1 below the resolution. Rocks whose outline reaches into the footprint count.
-
-        Parameters
-        ----------
-        footprint
-            Radius of the footprint, m; 0: rocks that cover the point itself.
+        `footprint` is its radius, m; 0: rocks that cover the point itself.
         """
-        unseen = self.evidence.unseen(footprint)
-        expected = self._fine(self.evidence.expected(footprint), unseen).astype(np.float64)
+        unobserved = self.evidence.expected_unobserved(footprint)
+        expected = self._resample_to_map(self.evidence.expected(footprint), unobserved).astype(
+            np.float64
+        )
         # Rocks do not overlap, but several may reach into one footprint.
         return np.minimum(expected, 1.0) if footprint == 0.0 else -np.expm1(-expected)
 
-    def follow(self, xy: Array, by: Array) -> None:
+    def follow(self, xy: Array, motion: Array) -> None:
         """Move the recorded clear terrain with the tracked rocks.
 
-        Parameters
-        ----------
-        xy, by
-            Positions of tracked rocks, and their motion (n, 2), m.
+        `xy` (n, 2) are the positions of the rocks and `motion` (n, 2) is their motion, m.
         """
-        self.evidence.motion.follow(xy, by)
+        self.evidence.motion.follow(xy, motion)
 
-    def _fine(self, blocks: NDArray[Any], outside: float) -> NDArray[Any]:
+    def _resample_to_map(self, coarse_layer: NDArray[Any], outside: float) -> NDArray[Any]:
         """Resample a layer of recorded clear terrain to the cells of the map (rows, cols).
 
-        `blocks` is the layer on its coarser grid, and `outside` the value beyond it.
+        `coarse_layer` is the layer on the grid of the records, and `outside` the value beyond it.
         """
-        if self.evidence.motion.still:
+        if self.evidence.motion.is_identity:
             inner = slice(self._margin_blocks, -self._margin_blocks or None)
-            fine = np.repeat(np.repeat(blocks[inner, inner], self._every, 0), self._every, 1)
+            fine = np.repeat(np.repeat(coarse_layer[inner, inner], self._every, 0), self._every, 1)
             return fine[: self.grid.rows, : self.grid.cols]
         # Column and row of the evidence cell under the first map cell, the next one and the one
         # above.
         own, cell = self.evidence.grid, self.grid.posting
         start = np.array([self.grid.x0, self.grid.y0])
-        at = self.evidence.motion.noted(start + cell * np.array([[0, 0], [1, 0], [0, 1]]))
+        at = self.evidence.motion.to_stored(start + cell * np.array([[0, 0], [1, 0], [0, 1]]))
         zero, right, up = (at - [own.x0, own.y0]) / own.posting
         matrix = np.column_stack((right - zero, up - zero, zero))
-        layer = blocks.astype(np.uint8) if blocks.dtype == np.bool_ else blocks
+        layer = coarse_layer.astype(np.uint8) if coarse_layer.dtype == np.bool_ else coarse_layer
         fine = cv2.warpAffine(
             layer, matrix, (self.grid.cols, self.grid.rows),
             flags=cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP,
             borderMode=cv2.BORDER_CONSTANT, borderValue=outside,
         )  # fmt: skip
-        return np.asarray(fine).astype(blocks.dtype)
+        return np.asarray(fine).astype(coarse_layer.dtype)
 
     @property
     def observed(self) -> NDArray[np.bool_]:
         """Whether a rock of the smallest hazardous size would be visible (rows, cols)."""
-        return self._fine(self.evidence.seen(), 0.0)
+        return self._resample_to_map(self.evidence.observed(), 0.0)
 
     # --- Map ------------------------------------------------------------------------------
 
@@ -241,25 +234,22 @@ class ProbabilityMap:
             default: computed.
         """
         clear = 1.0 - (self.residual(footprint) if residual is None else residual)
-        self._paint(clear, footprint, rock_tracks(tracker))
+        self._multiply_clear_probability(clear, footprint, rock_tracks(tracker))
         return (1.0 - clear).astype(np.float32)
 
     def clear_of(self, rocks: RockTracks, footprint: float) -> Array:
         """Return the probability that no tracked rock is under the lander (rows, cols).
 
-        Parameters
-        ----------
-        rocks
-            Tracked rocks.
-        footprint
-            Radius of the disc that must be free of rocks, m; 0: the point itself.
+        `footprint` is the radius of the disc that must be free of rocks, m; 0: the point itself.
         """
         clear = np.ones(self.grid.shape)
-        self._paint(clear, footprint, rocks)
+        self._multiply_clear_probability(clear, footprint, rocks)
         return clear
 
-    def _paint(self, clear: Array, footprint: float, rocks: RockTracks) -> None:
-        """Multiply the probability that cells are clear by that of each tracked rock.
+    def _multiply_clear_probability(
+        self, clear: Array, footprint: float, rocks: RockTracks
+    ) -> None:
+        """Multiply the probability that cells are clear by that for each tracked rock.
 
         `clear` (rows, cols) is updated. `footprint` is the radius of the disc that must be free of
         rocks, m.
@@ -275,7 +265,7 @@ class ProbabilityMap:
         radius = np.maximum(radius - np.minimum(variance * slope, 0.5 * radius), 0.01)
         # A rock counts with the probability that it is large enough to be a hazard.
         large = model.probability_longer_than(
-            0.5 * self.prior.least_diameter, radius, np.sqrt(variance)
+            0.5 * self.prior.min_diameter, radius, np.sqrt(variance)
         )
         at = np.flatnonzero(large * rocks.existence > 1e-4)
         if at.size == 0:
@@ -287,7 +277,7 @@ class ProbabilityMap:
         reach = mean + 1.5 * sigma + _TAIL_SIGMAS * np.hypot(sigma, spread)
         distance = np.linspace(0.0, 1.0, _PROFILE_POINTS) * reach[:, None]
         profile = cover_probability(distance, sigma, mean, spread, self.form)
-        kernels.paint(
+        kernels.multiply_clear_probability(
             clear, self.grid.x0, self.grid.y0, self.grid.posting, rocks.xy[at], reach, profile,
             (rocks.existence * large)[at],
         )  # fmt: skip
@@ -298,7 +288,7 @@ class ProbabilityMap:
         The result (sizes, rows, cols) has the cells of the map; it is below 1 where terrain was
         seen clear.
         """
-        return np.stack([self._fine(of_size, 1.0) for of_size in self.evidence.ratios()])
+        return np.stack([self._resample_to_map(of_size, 1.0) for of_size in self.evidence.ratios()])
 
     def hazard_map(
         self, tracker: RockTracker, footprint: float, residual: Array | None = None
@@ -309,7 +299,7 @@ class ProbabilityMap:
         untracked rock; default: computed.
         """
         p = self.probability(tracker, footprint, residual)
-        observed = footprint_seen(self.observed, footprint / self.grid.posting)
+        observed = footprint_observed(self.observed, footprint / self.grid.posting)
         return HazardMap(
             self.grid,
             np.where(observed, np.float32(1.0) - p, np.float32(0.0)),
@@ -319,7 +309,7 @@ class ProbabilityMap:
 
     def expected_rocks(self) -> float:
         """Return the number of hazardous rocks that should have been detected on the map."""
-        return self.evidence.expected_found(self._margin_blocks)
+        return self.evidence.expected_detections(self._margin_blocks)
 
 
 def rock_tracks(tracker: RockTracker) -> RockTracks:

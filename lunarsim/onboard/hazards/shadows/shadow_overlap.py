@@ -18,31 +18,26 @@ Index = NDArray[np.int64]
 def is_dark_at_patch(
     rocks: RockFilter,
     index: Index,
-    unit: ShadowPatch,
-    seen: Detections,
+    unit_patches: ShadowPatch,
+    detections: Detections,
     camera: CameraModel,
     sun: Array,
     plane: GroundPlane,
 ) -> NDArray[np.bool_]:
     """Return whether an image is dark where the shadow of each rock is expected (n,).
 
-    Parameters
-    ----------
-    rocks, index
-        Filter of the tracked rocks, and the indices of the rocks to test (n,).
-    unit
-        Expected dark patches for rocks of radius 1 at these positions.
-    seen, camera
-        Detections in the image, and the camera model.
-    sun, plane
-        Direction towards the Sun (3,), ENU, and the plane on which shadows fall.
+    `rocks` is the filter of the tracked rocks and `index` (n,) selects the rocks. `unit_patches`
+    are the expected dark patches of rocks of radius 1 m at their positions. `sun` (3,) is the
+    direction towards the Sun, ENU, and `plane` the plane on which shadows fall.
     """
     s = np.array([sun[0], sun[1]]) / np.hypot(sun[0], sun[1])
-    offset = np.stack((unit.along, unit.side), -1) @ np.array([[s[0], s[1]], [-s[1], s[0]]])
+    offset = np.stack((unit_patches.along, unit_patches.side), -1) @ np.array(
+        [[s[0], s[1]], [-s[1], s[0]]]
+    )
     middle = rocks.xyz[index]
     offset *= rocks.radius[index, None]
     middle += np.column_stack((offset, offset @ np.array(plane.gradient)))
     u, v = np.rint(rocks.project_rocks(camera, middle).pixel).T
     u = np.clip(u, 0, camera.width - 1).astype(int)
     v = np.clip(v, 0, camera.height - 1).astype(int)
-    return np.asarray(seen.labels[v, u] > 0)
+    return np.asarray(detections.labels[v, u] > 0)

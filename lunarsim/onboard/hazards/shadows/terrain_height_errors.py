@@ -25,9 +25,9 @@ _PRIOR_WEIGHT_M = 10.0
 def height_variance_growth(rocks: RockFilter) -> float:
     """Estimate the growth of the terrain height variance per metre of distance, m^2/m.
 
-    The estimate is the mean squared height difference of neighbouring rocks per distance, including
-    the height errors of the rocks; without measured heights these represent the prior. With fewer
-    than two rocks the prior is returned. `rocks` is the filter of the tracked rocks.
+    The estimate is the mean squared height difference of neighbouring rocks, plus the variance of
+    its error, per distance. It is averaged with the prior, which is returned for fewer than two
+    rocks.
     """
     prior = rocks.prior_variance_growth
     if rocks.count < 2:
@@ -42,13 +42,9 @@ def height_variance_growth(rocks: RockFilter) -> float:
 def height_sigma(rocks: RockFilter, xy: Array) -> Array:
     """Return the error of the terrain height between tracked rocks at points (n, 2).
 
-    The error is relative to the lander. It is the smallest over the nearest rocks of the height
-    error of the rock plus the growth with distance.
-
-    Returns
-    -------
-    sigma
-        1 sigma (n,), m; infinite without tracked rocks.
+    The error (n,), m, 1 sigma, is relative to the lander; it is infinite without tracked rocks. The
+    variance is the minimum over the nearest rocks of the height variance of the rock plus its
+    growth with distance.
     """
     if rocks.count == 0:
         return np.full(len(xy), np.inf)

@@ -24,7 +24,7 @@ def fit_terrain_plane(surface: TerrainSurface) -> GroundPlane | None:
     """Fit a least-squares plane to the elevations of a map.
 
     The result is None if too little is observed, if the slope exceeds that of landing terrain, or
-    if the slope is inconsistent by the delete-a-group jackknife over squares of the map.
+    if the slope is too uncertain, as estimated by a jackknife over squares of the map.
     """
     if surface.elevation is None:
         return None
@@ -57,7 +57,7 @@ def _square_index(is_observed: NDArray[np.bool_]) -> NDArray[np.int64]:
 
 
 def _fit(terms: Array, height: Array, square: NDArray[np.int64]) -> tuple[Array, float]:
-    """Fit heights (n,) by least squares in three terms (n, 3).
+    """Fit heights (n,) by least squares as a linear combination of three terms (n, 3).
 
     `square` (n,) is the jackknife square of each height. Returns the coefficients (3,) and the
     jackknife error of the slope, 1 sigma.

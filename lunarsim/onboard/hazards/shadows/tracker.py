@@ -136,7 +136,10 @@ class RockTracker:
         n = len(xy)
         arrays = [np.broadcast_to(np.asarray(v, float), n) for v in (sigma, radius, radius_sigma)]
         if not all(np.isfinite(a).all() and (a > 0.0).all() for a in arrays):
-            raise InputError("rocks.known", "sigma or radius", "must be positive and finite")
+            raise InputError(
+                "rocks.known", None, "must have positive, finite radii and standard deviations",
+                show_value=False,
+            )  # fmt: skip
         self.filter.add_known(xy, arrays[0], arrays[1], arrays[2] ** 2)
         self.existence = np.concatenate((self.existence, np.full(n, 0.99)))
         self.hits = np.concatenate((self.hits, np.ones(n, np.int64)))
@@ -146,7 +149,7 @@ class RockTracker:
         self._last_positions = np.concatenate((self._last_positions, np.full((n, 2), np.nan)))
 
     def update(
-        self, seen: Detections, camera: CameraModel, sun: Array, time: float,
+        self, detections: Detections, camera: CameraModel, sun: Array, time: float,
         plane: GroundPlane = LEVEL,
     ) -> UpdateOutcome:  # fmt: skip
         """Update the tracked rocks with the detections of one image.
@@ -155,7 +158,7 @@ class RockTracker:
 
         Parameters
         ----------
-        seen
+        detections
             Rocks detected in the image.
         camera
             Camera model.
@@ -173,25 +176,25 @@ class RockTracker:
         """
         s = self.settings
         self._propagate(camera, plane.direction(unit_vector(sun)), time)
-        radius_variance = seen.radius_sigma**2 + (s.relative_radius_sigma * seen.radius) ** 2
-        points = self.filter.terrain_points(camera, seen.pixel, s.region)
-        split_count = self._split(seen, points, camera, radius_variance)
-        sight = self.filter.project_rocks(camera)
-        view = _in_view(sight, camera)
+        variance = detections.radius_sigma**2 + (s.relative_radius_sigma * detections.radius) ** 2
+        points = self.filter.terrain_points(camera, detections.pixel, s.region)
+        split_count = self._split(detections, points, camera, variance)
+        projection = self.filter.project_rocks(camera)
+        view = _in_view(projection, camera)
         at = np.flatnonzero(view)
         in_view = len(at)
         large = self.filter.count > s.large
         self.filter.freeze(~view & large)
         # Resting rocks do not move until they are seen again.
         self._last_positions[~view & large] = np.nan
-        d, rock, is_unambiguous, close = self._associate(seen, sight, at, radius_variance)
+        d, rock, is_unambiguous, close = self._associate(detections, projection, at, variance)
         # Rocks just added by splitting must not be updated with the same image.
         known = self.filter.count - split_count
         at, is_old = at[at < known], rock < known
         d, rock, is_unambiguous = d[is_old], rock[is_old], is_unambiguous[is_old]
         self.hits[rock] += 1
         use = np.flatnonzero(is_unambiguous)
-        use = use[self._consistent_pairs(seen, sight, d[use], rock[use])]
+        use = use[self._consistent_pairs(detections, projection, d[use], rock[use])]
         is_seen_once = self._seen_once[rock[use]]
         second, use = use[is_seen_once], use[~is_seen_once]
         order = use[np.argsort(self.corrected[rock[use]], kind="stable")]
@@ -199,30 +202,30 @@ class RockTracker:
             order, [s.max_position_updates // 2 if large else s.max_position_updates]
         )
         self.filter.update_radii(
-            rock[radius_only],
-            seen.radius[d[radius_only]],
-            radius_variance[d[radius_only]],
+            rock[radius_only], detections.radius[d[radius_only]], variance[d[radius_only]],
             s.radius_floor,
-        )
+        )  # fmt: skip
         a, b = d[position_update], rock[position_update]
         self.corrected[b] = time
         found = self.filter.update_rocks(
-            b, sight, seen.pixel[a], seen.independent_covariance[a], seen.radius[a],
-            radius_variance[a],
+            b, projection, detections.pixel[a], detections.independent_covariance[a],
+            detections.radius[a], variance[a],
             s.common_pixels, s.radius_floor, s.max_normalised_innovation,
         )  # fmt: skip
-        self._reinitialize(rock[second], d[second], seen, camera, radius_variance)
-        expected = self._update_existence(rock, at, seen, d, camera, sun, plane)
-        self.explained = np.zeros(len(seen), np.bool_)
+        self._reinitialize(rock[second], d[second], detections, camera, variance)
+        expected = self._update_existence(rock, at, detections, d, camera, sun, plane)
+        self.explained = np.zeros(len(detections), np.bool_)
         self.explained[d] = self._is_confirmed(rock, in_view)
         if not self._passes_monitors(found, expected, time):
             self.renew()
             self.explained[:] = False
-        points = self.filter.terrain_points(camera, seen.pixel, s.region)
-        begins = seen.radius >= (s.min_landmark_radius if in_view < s.few else s.min_radius)
-        born = self._birth(~close & begins, seen, points, camera, radius_variance)
-        on_terrain = terrain_position_covariance(points, seen.pixel_covariance, self.filter, camera)
-        self._store_tentative(~close & ~born, seen, points, on_terrain, radius_variance)
+        points = self.filter.terrain_points(camera, detections.pixel, s.region)
+        begins = detections.radius >= (s.min_landmark_radius if in_view < s.few else s.min_radius)
+        born = self._start_tracks(~close & begins, detections, points, camera, variance)
+        on_terrain = terrain_position_covariance(
+            points, detections.pixel_covariance, self.filter, camera
+        )
+        self._store_tentative(~close & ~born, detections, points, on_terrain, variance)
         self._merge()
         self._drop(np.flatnonzero(self._too_small(in_view) | (self.existence < _MIN_EXISTENCE)))
         return found
@@ -247,21 +250,25 @@ class RockTracker:
         return self.filter.radius < _DROP_RADIUS_RATIO * least
 
     def _associate(
-        self, seen: Detections, sight: RockProjection, at: Index, radius_variance: Array
+        self,
+        detections: Detections,
+        projection: RockProjection,
+        candidates: Index,
+        radius_variance: Array,
     ) -> tuple[Index, Index, NDArray[np.bool_], NDArray[np.bool_]]:
-        """Assign detections to the rocks with indices `at`.
+        """Assign detections to candidate rocks, given by their indices.
 
-        `sight` is the projection of the rocks into the image, and `radius_variance` (d,), m^2, that
-        of the detected radii. Returns the detections and the rocks of the pairs, whether each pair
-        is unambiguous, and which detections (d,) are within the gate of a rock.
+        `projection` is that of all rocks into the image, and `radius_variance` (d,), m^2, that of
+        the detected radii. Returns the detections and the rocks of the pairs, whether each pair is
+        unambiguous, and which detections (d,) are within the gate of a rock.
         """
-        covariance = self.filter.innovation_covariance(sight)[at]
-        d, j, is_unambiguous, close = associate(
-            seen.pixel, seen.pixel_covariance, seen.radius, radius_variance,
-            sight.pixel[at], covariance,
-            self.filter.radius[at], self.filter.radius_variance[at],
+        covariance = self.filter.innovation_covariance(projection)[candidates]
+        detection, j, is_unambiguous, close = associate(
+            detections.pixel, detections.pixel_covariance, detections.radius, radius_variance,
+            projection.pixel[candidates], covariance,
+            self.filter.radius[candidates], self.filter.radius_variance[candidates],
         )  # fmt: skip
-        return d, at[j], is_unambiguous, close
+        return detection, candidates[j], is_unambiguous, close
 
     def _propagate(self, camera: CameraModel, sun: Array, time: float) -> None:
         """Add the process noise since the last image to the filter.
@@ -326,21 +333,21 @@ class RockTracker:
         return RockCorrection.RESET not in remedies
 
     def _consistent_pairs(
-        self, seen: Detections, sight: RockProjection, d: Index, rock: Index
+        self, detections: Detections, projection: RockProjection, detection: Index, rock: Index
     ) -> NDArray[np.bool_]:
         """Return which pairs (p,) have the image offset that most pairs have in common.
 
-        `d` and `rock` (p,) are the detections and rocks of the pairs; `sight` is the projection of
-        the rocks. A pose error moves all rocks of an image together, so a wrong pair differs from
-        the others even if its gate is wide.
+        `detection` and `rock` (p,) are the indices of the pairs; `projection` is that of all rocks
+        into the image. A pose error moves all rocks of an image together, so a wrong pair differs
+        from the others even if its gate is wide.
         """
-        if len(d) < 4:
-            return np.ones(len(d), bool)
-        off = seen.pixel[d] - sight.pixel[rock]
+        if len(detection) < 4:
+            return np.ones(len(detection), bool)
+        off = detections.pixel[detection] - projection.pixel[rock]
         off = off - np.median(off, axis=0)
-        own = sight.jacobian_by_rock[rock]
+        own = projection.jacobian_by_rock[rock]
         # Errors of the rocks minus the part common with the lander's position.
-        s = seen.independent_covariance[d] + own @ self.filter.relative_covariance()[
+        s = detections.independent_covariance[detection] + own @ self.filter.relative_covariance()[
             rock
         ] @ np.swapaxes(own, 1, 2)
         s = s + self.settings.common_pixels**2 * np.eye(2)
@@ -348,30 +355,26 @@ class RockTracker:
 
     def _update_existence(
         self,
-        hit: Index,
-        view: Index,
-        seen: Detections,
-        d: Index,
+        found_rocks: Index,
+        rocks_in_view: Index,
+        detections: Detections,
+        detection: Index,
         camera: CameraModel,
         sun: Array,
         plane: GroundPlane,
     ) -> UpdateOutcome:
         """Update the existence probability of each rock in view by Bayes' rule.
 
-        `hit` are the rocks that were found by the detections `d`, and `view` all rocks in view
-        (indices). `seen` are the detections, `sun` (3,) is the direction towards the Sun, ENU, and
-        `plane` the plane on which shadows fall.
-
-        Returns
-        -------
-        expected
-            Outcome of the test whether enough of the established rocks were found; zero degrees of
-            freedom if too few were expected.
+        `found_rocks` are the rocks that were found by the detections `detection`, and
+        `rocks_in_view` all rocks in view (indices). `sun` (3,) is the direction towards the Sun,
+        ENU, and `plane` the plane on which shadows fall. Returns the outcome of the test whether
+        enough of the established rocks were found, with zero degrees of freedom if too few were
+        expected.
         """
         odds = self.existence / (1.0 - self.existence)
-        false = self.rates.false_positive(seen.q[d])
-        odds[hit] *= np.clip((1.0 - false) / false, 1.0, _MAX_ODDS_FACTOR)
-        lost = np.setdiff1d(view, hit)
+        false = self.rates.false_positive(detections.q[detection])
+        odds[found_rocks] *= np.clip((1.0 - false) / false, 1.0, _MAX_ODDS_FACTOR)
+        lost = np.setdiff1d(rocks_in_view, found_rocks)
         camera_position, focal = (
             self.filter.inertial.position,
             float(np.sqrt(camera.fx * camera.fy)),
@@ -385,17 +388,17 @@ class RockTracker:
         )
         # A rock whose shadow merges with another is not missing.
         unit = model.patch(azimuth, depression)
-        miss[is_dark_at_patch(self.filter, lost, unit, seen, camera, sun, plane)] = 1.0
+        miss[is_dark_at_patch(self.filter, lost, unit, detections, camera, sun, plane)] = 1.0
         self._established |= (self.existence > _ESTABLISHED_EXISTENCE) & (
             self.hits >= _ESTABLISHED_HITS
         )
         # A few rocks suffice to reject this image; more are needed to reject the map.
         seen_before = (self.existence > _ESTABLISHED_EXISTENCE) & (self.hits > _MIN_PREVIOUS_HITS)
-        shown = float(np.count_nonzero(seen_before[hit]))
+        shown = float(np.count_nonzero(seen_before[found_rocks]))
         hidden = float(((1.0 - miss) * seen_before[lost]).sum())
         if shown + hidden >= _MIN_EXPECTED_ROCKS:
             self.as_expected = shown > _MIN_DETECTED_FRACTION * (shown + hidden)
-        found = float(np.count_nonzero(self._established[hit]))
+        found = float(np.count_nonzero(self._established[found_rocks]))
         missed = float(((1.0 - miss) * self._established[lost]).sum())
         odds[lost] *= np.clip(miss, _MIN_MISS_FACTOR, 1.0)
         self.existence = np.clip(odds / (1.0 + odds), 1e-6, 1.0 - 1e-4)
@@ -404,54 +407,62 @@ class RockTracker:
         return UpdateOutcome(1.0, 1, found > self.settings.min_found_fraction * (found + missed))
 
     def _store_tentative(
-        self, vague: NDArray[np.bool_], seen: Detections, points: Array, covariance: Array,
-        variance: Array,
+        self, is_untracked: NDArray[np.bool_], detections: Detections, points: Array,
+        covariance: Array, radius_variance: Array,
     ) -> None:  # fmt: skip
         """Store untracked detections, so that the map does not declare their places clear.
 
-        `vague` (d,) marks the detections, `points` (d, 3) are their positions on the terrain, m,
-        with `covariance` (d, 2, 2), m^2, and `variance` (d,), m^2, is that of the radius.
-        Detections that do not lie on the terrain, such as above the horizon, are dropped.
+        `is_untracked` (d,) marks the detections, `points` (d, 3) are their positions on the
+        terrain, m, with `covariance` (d, 2, 2), m^2. Detections that do not lie on the terrain,
+        such as above the horizon, are dropped.
         """
         sigma = np.sqrt(0.5 * np.trace(covariance, axis1=1, axis2=2))
-        kept = vague & np.isfinite(points[:, :2]).all(1) & np.isfinite(sigma + variance)
+        kept = (
+            is_untracked & np.isfinite(points[:, :2]).all(1) & np.isfinite(sigma + radius_variance)
+        )
         self.tentative = TentativeRocks(
             points[kept, :2],
             sigma[kept],
-            seen.radius[kept],
-            variance[kept],
-            1.0 - self.rates.false_positive(seen.q[kept]),
+            detections.radius[kept],
+            radius_variance[kept],
+            1.0 - self.rates.false_positive(detections.q[kept]),
         )
 
-    def _birth(
-        self, fresh: NDArray[np.bool_], seen: Detections, points: Array, camera: CameraModel,
-        variance: Array,
+    def _start_tracks(
+        self, is_new: NDArray[np.bool_], detections: Detections, points: Array, camera: CameraModel,
+        radius_variance: Array,
     ) -> NDArray[np.bool_]:  # fmt: skip
-        """Start tracks from detections that belong to no rock; return which (d,).
+        """Start tracks from accurate detections without a rock; return which started (d,).
 
-        `fresh` (d,) marks the detections, `points` (d, 3) are their positions on the terrain, m,
-        and `variance` (d,), m^2, is that of the radius.
+        `is_new` (d,) marks the detections without a rock, and `points` (d, 3) are their positions
+        on the terrain, m.
         """
         s = self.settings
         # The position error must be a fraction of the distance between rocks.
-        spread = terrain_position_sigma(points, seen.independent_covariance, self.filter, camera)
-        sharp = spread < self._max_birth_sigma(seen.radius)
-        fresh = fresh & (seen.q >= s.min_birth_q) & sharp
-        fresh &= np.isfinite(points).all(1) & np.isfinite(variance)
-        fresh &= is_positive_definite_2x2(seen.independent_covariance)
+        spread = terrain_position_sigma(
+            points, detections.independent_covariance, self.filter, camera
+        )
+        sharp = spread < self._max_birth_sigma(detections.radius)
+        is_new = is_new & (detections.q >= s.min_birth_q) & sharp
+        is_new &= np.isfinite(points).all(1) & np.isfinite(radius_variance)
+        is_new &= is_positive_definite_2x2(detections.independent_covariance)
         if s.region is not None:
             west, east, south, north = s.region
             x, y = points[:, :2].T
-            fresh = fresh & (x >= west) & (x <= east) & (y >= south) & (y <= north)
-        new = np.flatnonzero(fresh)[: max(s.max_rocks - self.filter.count, 0)]
-        born = np.zeros(len(seen), bool)
+            is_new = is_new & (x >= west) & (x <= east) & (y >= south) & (y <= north)
+        new = np.flatnonzero(is_new)[: max(s.max_rocks - self.filter.count, 0)]
+        born = np.zeros(len(detections), bool)
         born[new] = True
         if new.size == 0:
             return born
         self.filter.add(
-            camera, points[new], seen.independent_covariance[new], seen.radius[new], variance[new]
+            camera,
+            points[new],
+            detections.independent_covariance[new],
+            detections.radius[new],
+            radius_variance[new],
         )
-        real = 1.0 - self.rates.false_positive(seen.q[new])
+        real = 1.0 - self.rates.false_positive(detections.q[new])
         self.existence = np.concatenate((self.existence, np.clip(real, 0.1, 0.99)))
         self.hits = np.concatenate((self.hits, np.ones(new.size, np.int64)))
         self.corrected = np.concatenate((self.corrected, np.full(new.size, self._last_time)))
@@ -472,25 +483,35 @@ class RockTracker:
         )
 
     def _reinitialize(
-        self, rock: Index, d: Index, seen: Detections, camera: CameraModel, variance: Array
+        self,
+        rock: Index,
+        detection: Index,
+        detections: Detections,
+        camera: CameraModel,
+        radius_variance: Array,
     ) -> None:
         """Replace the position of rocks seen once by that of the second observation.
 
-        `rock` and `d` (m,) are the rocks and their detections; `variance` (d,), m^2, is that of the
-        detected radii. A track starts with a patch that is large enough, and an error that enlarges
-        a patch moves its centre towards the Sun, by a third of a pixel on rendered cubes. The next
-        observation has no such selection bias. Using both would appear as a motion of the lander.
+        `rock` and `detection` (m,) are the rocks and their detections; `radius_variance` (d,), m^2,
+        is that of all detections. The first position is biased towards the Sun, because only
+        patches that appear large enough start a track. Averaging both would appear as a motion of
+        the lander.
         """
-        look = seen.independent_covariance[d]
-        points = self.filter.terrain_points(camera, seen.pixel[d])
-        good = np.isfinite(points).all(1) & is_positive_definite_2x2(look)
-        good &= np.isfinite(variance[d]) & (variance[d] > 0.0)
+        pixel_covariance = detections.independent_covariance[detection]
+        points = self.filter.terrain_points(camera, detections.pixel[detection])
+        good = np.isfinite(points).all(1) & is_positive_definite_2x2(pixel_covariance)
+        good &= np.isfinite(radius_variance[detection]) & (radius_variance[detection] > 0.0)
         # Inaccurate observations are skipped for all rocks alike, without a selection by accuracy.
-        vague = terrain_position_sigma(points, look, self.filter, camera)
-        good &= vague <= _MAX_SIGMA_RATIO * self._max_birth_sigma(seen.radius[d])
-        rock, d = rock[good], d[good]
+        sigma = terrain_position_sigma(points, pixel_covariance, self.filter, camera)
+        good &= sigma <= _MAX_SIGMA_RATIO * self._max_birth_sigma(detections.radius[detection])
+        rock, detection = rock[good], detection[good]
         self.filter.reset_positions(
-            rock, camera, seen.pixel[d], seen.independent_covariance[d], seen.radius[d], variance[d]
+            rock,
+            camera,
+            detections.pixel[detection],
+            detections.independent_covariance[detection],
+            detections.radius[detection],
+            radius_variance[detection],
         )
         self._seen_once[rock] = False
         self._last_positions[rock] = np.nan
@@ -519,33 +540,30 @@ class RockTracker:
         dropped = np.setdiff1d(dropped, np.setdiff1d(kept, dropped))
         self._drop(dropped)
 
-    def _split(self, seen: Detections, points: Array, camera: CameraModel, variance: Array) -> int:
+    def _split(
+        self, detections: Detections, points: Array, camera: CameraModel, radius_variance: Array
+    ) -> int:
         """Replace a rock by the smaller ones that a sharper image resolves.
 
-        `points` (d, 3) are the positions of the detections on the terrain, m, and `variance` (d,),
-        m^2, is that of their radii.
-
-        Returns
-        -------
-        split_count
-            Number of rocks added; they are the last in the filter.
+        `points` (d, 3) are the positions of the detections on the terrain, m. Returns the number of
+        rocks added, which are the last in the filter.
         """
         f = self.filter
-        if f.count == 0 or len(seen) < 2:
+        if f.count == 0 or len(detections) < 2:
             return 0
         where = np.nan_to_num(points[:, :2], nan=1e9)
         inside = cKDTree(where).query_ball_point(f.xy, np.maximum(f.radius, 1e-3))
         parts = [
             (j, np.array(k)) for j, k in enumerate(inside)
-            if len(k) >= 2 and (seen.radius[k] < 0.6 * f.radius[j]).all()
+            if len(k) >= 2 and (detections.radius[k] < 0.6 * f.radius[j]).all()
         ]  # fmt: skip
         if not parts:
             return 0
         born = np.unique(np.concatenate([k for _, k in parts]))
         self._drop(np.array([j for j, _ in parts]))
-        fresh = np.zeros(len(seen), bool)
-        fresh[born] = True
-        return int(self._birth(fresh, seen, points, camera, variance).sum())
+        is_new = np.zeros(len(detections), bool)
+        is_new[born] = True
+        return int(self._start_tracks(is_new, detections, points, camera, radius_variance).sum())
 
     def _drop(self, index: Index) -> None:
         """Remove the rocks with the given indices from filter and tracker."""
@@ -559,15 +577,17 @@ class RockTracker:
             self._last_positions = self._last_positions[keep]
 
 
-def _in_view(sight: RockProjection, camera: CameraModel, margin: float = 4.0) -> NDArray[np.bool_]:
+def _in_view(
+    projection: RockProjection, camera: CameraModel, margin: float = 4.0
+) -> NDArray[np.bool_]:
     """Return which rocks are in the image, at least `margin` pixels from its edge.
 
-    `sight` is the projection of the rocks into the image.
+    `projection` is that of the rocks into the image.
     """
-    u, v = sight.pixel.T
+    u, v = projection.pixel.T
     with np.errstate(invalid="ignore"):
         return np.asarray(
-            (sight.depth > 0.0)
+            (projection.depth > 0.0)
             & (u > margin)
             & (u < camera.width - 1 - margin)
             & (v > margin)

@@ -47,7 +47,7 @@ def test_a_fit_finds_what_the_second_map_knows():
     # An uninformative second map gets no weight, and few sites change little.
     told = FusedCalibration.fit(expit(x), expit(-y), seen, safe, ~safe)
     assert told.other == 0.0
-    few = FusedCalibration.fit(expit(x), expit(y), seen, safe, ~safe, worth=1e-6)
+    few = FusedCalibration.fit(expit(x), expit(y), seen, safe, ~safe, site_weight=1e-6)
     assert (few.intercept, few.slope, few.other) == pytest.approx((0.0, 1.0, 0.0), abs=0.05)
     with pytest.raises(InputError, match="both safe and unsafe"):
         FusedCalibration.fit([0.5], [0.5], [True], [3], [0])

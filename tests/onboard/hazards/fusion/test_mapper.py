@@ -171,7 +171,7 @@ def test_left_out_it_is_made_of_all_that_publish():
     assert list(parts["all"].fused_mappers(parts)) == ["dem", "eye"]
     assert list(FusedMapperSettings(("eye",)).fused_mappers(parts)) == ["eye"]
     parts["mine"] = SimpleNamespace(sensor="flash")
-    with pytest.raises(InputError, match="publishes evidence"):
+    with pytest.raises(InputError, match="provides elevations or rocks"):
         FusedMapperSettings(("mine",)).fused_mappers(parts)
 
 
@@ -181,7 +181,7 @@ def test_it_is_built_of_those_that_were_built_before():
     briefing: Briefing = SimpleNamespace(software=SimpleNamespace(mappers=parts), **given)
     made = parts["all"].build(briefing, None, {"dem": Made(), "other": Made()})
     assert made.source_mappers == {"dem"}
-    assert made.terms.terrain_prior == 0.7
+    assert made.priors.terrain_prior == 0.7
     assert made.calibration is None
     with pytest.raises(InputError, match="terrain_prior"):
         FusedMapperSettings(terrain_prior=1.0)

@@ -75,7 +75,7 @@ def test_growth_of_a_triangle_is_what_its_edges_rise_off_the_slope():
     points, variance = rng.normal(0.0, 1.0, (30, 3)), rng.uniform(0.0, 0.01, 30)
     triangles, gradient = rng.integers(0, 30, (40, 3)), rng.normal(0.0, 0.3, (40, 2))
     out = np.empty((40, 2))
-    sk.triangle_growth(points, variance, triangles, gradient, out)
+    sk.sum_edge_increments(points, variance, triangles, gradient, out)
     for (a, b, c), g, (grown, length) in zip(triangles, gradient, out, strict=True):
         rise = along = 0.0
         for u, v in ((a, b), (b, c), (c, a)):
@@ -91,7 +91,7 @@ def test_a_bend_adds_to_the_variance_and_a_slope_does_not():
     for z, bent in ((0.3 * x, False), (step, True)):
         variance = np.zeros(GRID.shape, np.float32)
         measured, noise = np.ones(GRID.shape, np.bool_), np.full(GRID.shape, 1e-4)
-        sk.add_kinks(z.astype(np.float32), measured, noise, 0.5, variance)
+        sk.add_curvature_variance(z.astype(np.float32), measured, noise, 0.5, variance)
         inner = variance[1:-1, 1:-1]
         wanted = 0.5 * (0.2**2 - 13.5e-4) if bent else 0.0
         assert inner.max() == pytest.approx(wanted, rel=1e-4, abs=1e-9)
@@ -103,7 +103,7 @@ def test_a_bend_is_the_greatest_of_four_directions():
     z[4, 5] = np.nan
     measured, noise = np.isfinite(z), np.full(GRID.shape, 1e-4)
     variance = np.zeros(GRID.shape, np.float32)
-    sk.add_kinks(z, measured, noise, 0.5, variance)
+    sk.add_curvature_variance(z, measured, noise, 0.5, variance)
     wide = np.pad(z, 1, constant_values=np.nan)  # off the map nothing is known
     for i in range(GRID.rows):
         for j in range(GRID.cols):
@@ -242,7 +242,7 @@ def test_triangles_are_taken_by_all_of_their_corners(monkeypatch):
     for points in middles[:2]:
         np.testing.assert_array_equal(points, vertices[triangles].mean(axis=1)[:, :2])
     grown = np.empty((len(triangles), 2))
-    sk.triangle_growth(vertices, noise, triangles, gradient, grown)
+    sk.sum_edge_increments(vertices, noise, triangles, gradient, grown)
     corners = noise[triangles]
     # A multiple of the largest corner noise plus the growth along the edges.
     times = prior / (corners.max(axis=1) + prior / length * grown[:, 1])

@@ -122,7 +122,7 @@ def test_sites_follow_the_equations(form):
     selection = selector.update()
     mesh, points = selector.mesh, quadtree.points
     corners = mesh.xy[mesh.triangles]
-    half = 0.5 * quadtree.least
+    half = 0.5 * quadtree.min_cell_size
     corner = quadtree.centre[:2] - 0.5 * quadtree.side
     points = points[~quadtree.is_outlier]
     # Hazard cells, Eqs. 3 to 5, in squares of a quarter of their side.

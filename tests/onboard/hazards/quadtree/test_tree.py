@@ -165,10 +165,10 @@ def test_all_points_in_one_place_end_in_one_least_cell():
 @pytest.mark.parametrize(
     ("arguments", "field"),
     [
-        ({"least": 0.0}, "quadtree.min_cell_size_m"),
-        ({"least": -1.0}, "quadtree.min_cell_size_m"),
-        ({"least": np.nan}, "quadtree.min_cell_size_m"),
-        ({"least": 1e-9}, "quadtree.min_cell_size_m"),
+        ({"min_cell_size": 0.0}, "quadtree.min_cell_size_m"),
+        ({"min_cell_size": -1.0}, "quadtree.min_cell_size_m"),
+        ({"min_cell_size": np.nan}, "quadtree.min_cell_size_m"),
+        ({"min_cell_size": 1e-9}, "quadtree.min_cell_size_m"),
         ({"side": 0.0}, "quadtree.side_m"),
         ({"side": np.inf}, "quadtree.side_m"),
         ({"split_count": 1}, "quadtree.split_count"),

@@ -59,7 +59,7 @@ def look(scene, relief, turned=0.0):
     """Let a mapper see the picture, its Sun turned from where it is, deg."""
     tracker, probability = parts_of_a_map()
     sun = direction_from_angles(AZIMUTH + np.radians(turned), ELEVATION)
-    mapper = ShadowMapper(tracker, probability, sun, 1.0, relief=relief)
+    mapper = ShadowMapper(tracker, probability, sun, 1.0, terrain_mapper=relief)
     update(mapper, scene)
     return mapper
 
@@ -82,7 +82,7 @@ def test_rocks_are_found_tracked_and_ruled_out_along_the_measured_ground(scene):
     tracker.update(seen, camera.model, SUN, 0.0, plane)
     np.testing.assert_array_equal(mapper.tracker.filter.xyz, tracker.filter.xyz)
     assert mapper.tracker.filter.count > 0
-    probability.see(
+    probability.add_image(
         camera.model.view(tracker.filter.inertial), SUN, seen, tracker.filter.terrain_height_at,
         tracker.explained, partial(position_sigma, tracker.filter), plane,
     )  # fmt: skip

@@ -17,8 +17,8 @@ from lunarsim.onboard.hazards.shadows.blind_regions import (
     ROWS,
     cell_centres,
     empty_cells,
-    expected_shares,
     glare,
+    relative_shadow_counts,
 )
 from lunarsim.rocks.size_distribution import golombek_number
 from tests.picture_faults import rocky
@@ -69,7 +69,7 @@ def test_windows_with_no_fewer_shadows_than_chance_has_are_not_empty():
 
 def test_cells_should_have_shadows_by_their_ground_and_by_the_least_rock_that_shows():
     sharpness, area = np.array([2.0, 4.0, 0.0, 4.0, np.nan]), np.array([8.0, 3.0, 5.0, np.nan, 1.0])
-    by_size, by_area = expected_shares(sharpness, area, 0.05)
+    by_size, by_area = relative_shadow_counts(sharpness, area, 0.05)
     # A shadow of two by two pixels is that of a rock of 1 m of radius where q is 2 for it.
     np.testing.assert_allclose(by_size[:2], area[:2] * golombek_number([2.0, 1.0], 0.05))
     np.testing.assert_allclose(by_area, [8.0, 3.0, 0.0, 0.0, 0.0])

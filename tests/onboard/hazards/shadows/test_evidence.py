@@ -66,7 +66,7 @@ def test_look_does_as_a_plain_loop(focal, way, height, cores, least):
     position = np.array([3.0, -4.0, height])
     labels = rng.integers(0, 4, (30, 40)).astype(np.int32)
     largest = np.array([0.0, 0.5, np.inf, -0.9], np.float32)
-    kernels.look(
+    kernels.record_observation(
         lit, dark_, known, radii, coarse, 4, position, axes, *focal, 19.0, 15.0, labels,
         largest, 2, 1.1, cores,
     )  # fmt: skip
@@ -132,7 +132,7 @@ def test_ground_whose_shadow_would_fall_within_the_picture_is_looked_at_to_its_e
     coarse = np.dstack((np.ones_like(x), x, y, 0.0 * x, 0.0 * x, core))
     lit, dark = (np.zeros((1, 60, 60), np.float32) for _ in range(2))
     down = np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]])
-    kernels.look(
+    kernels.record_observation(
         lit, dark, np.zeros(lit.shape, np.bool_), np.array([0.5]), coarse, 1,
         np.array([0.0, 0.0, 10.0]), down, 60.0, 60.0, 19.5, 14.5, np.zeros((30, 40), np.int32),
         np.zeros(1, np.float32), 1, 1.03, 1,
@@ -160,7 +160,7 @@ def test_what_is_in_view_is_looked_at_from_wherever_the_camera_stands(seed):
     position = np.append(rng.uniform(-4.0, 4.0, 2), rng.uniform(1.0, 4.0))
     focal = rng.uniform(15.0, 60.0)
     lit, dark = (np.zeros((1, 48, 60), np.float32) for _ in range(2))
-    kernels.look(
+    kernels.record_observation(
         lit, dark, np.zeros(lit.shape, np.bool_), np.array([0.3]), coarse, 12, position, axes,
         focal, focal, 19.5, 14.5, np.zeros((30, 40), np.int32), np.zeros(1, np.float32), 1, 1.03,
         1,
@@ -197,8 +197,8 @@ def test_rocks_that_must_be_somewhere_are_where_they_may_be():
     evidence.dark[:, 40:50, 70:90] = 1e3
     per_metre = evidence.expected() / np.sum(NUMBER * np.pi * (0.5 * DIAMETERS) ** 2)
     assert per_metre.sum() == pytest.approx(GRID.rows * GRID.cols, rel=0.02)
-    assert evidence.seen()[10, 10]
-    assert not evidence.seen()[45, 80]
+    assert evidence.observed()[10, 10]
+    assert not evidence.observed()[45, 80]
 
 
 def test_rocks_are_as_crowded_as_ground_that_was_looked_at_leaves_room_for():
@@ -225,7 +225,7 @@ def test_sizes_of_which_none_are_expected_stand_nowhere():
 def test_one_look_stands_for_sizes_within_a_factor_and_the_last_for_all_larger():
     sizes = 0.5 * 1.4 ** np.arange(8)
     evidence = ClearEvidence(GRID, MODEL, sizes, np.ones(8), DetectionRates())
-    assert evidence.tested == pytest.approx(sizes[:4])
+    assert evidence.size_class_diameters == pytest.approx(sizes[:4])
 
 
 def test_the_shadow_of_a_tracked_rock_hides_others_no_more_than_other_ground():
@@ -235,7 +235,7 @@ def test_the_shadow_of_a_tracked_rock_hides_others_no_more_than_other_ground():
     evidence.explained[:, 40:60, 40:60] = True
     prior = float(NUMBER @ (np.pi * (0.5 * DIAMETERS) ** 2))
     assert evidence.expected()[50, 50] == pytest.approx(prior, rel=1e-3)
-    assert not evidence.seen()[50, 50]
+    assert not evidence.observed()[50, 50]
 
 
 @pytest.mark.parametrize("size", [0.3, 0.7])
@@ -248,7 +248,7 @@ def test_a_rock_that_no_detection_tells_of_is_not_cleared(size):
         view, seen = viewing_angles(terrain, place)
         assert len(seen) == 2
         hidden = replace(seen, largest=np.where(seen.largest > 0, np.inf, 0.0).astype(np.float32))
-        evidence.see(view, SUN, hidden, level())
+        evidence.add_image(view, SUN, hidden, level())
     away = np.min(
         [np.hypot(*np.moveaxis(GRID.centres() - c, -1, 0)) for c in ((-6.0, 2.0), (5.0, -3.0))], 0
     )
@@ -258,7 +258,7 @@ def test_a_rock_that_no_detection_tells_of_is_not_cleared(size):
     # Beyond the edge nothing was seen, and rocks reach in from there.
     far = (away > 6.0 * size)[8:-8, 8:-8]
     assert expected[8:-8, 8:-8][far].max() < 0.2 * prior
-    assert evidence.seen()[away > 6.0 * size].all()
+    assert evidence.observed()[away > 6.0 * size].all()
 
 
 def test_shadows_of_round_and_of_long_rocks_are_looked_for(monkeypatch):
@@ -266,9 +266,9 @@ def test_shadows_of_round_and_of_long_rocks_are_looked_for(monkeypatch):
     rocks = RockField.hemispheres([-6.0], [2.0], 0.0, 0.6)
     view, seen = viewing_angles(Terrain(flat_terrain(400.0, 10.0).relief, rocks), (0.0, 0.0, 35.0))
     told = []
-    monkeypatch.setattr(kernels, "look", lambda *given: told.append(given))
+    monkeypatch.setattr(kernels, "record_observation", lambda *given: told.append(given))
     evidence = ClearEvidence(GRID, MODEL, DIAMETERS, NUMBER, DetectionRates())
-    evidence.see(view, SUN, seen, level())
+    evidence.add_image(view, SUN, seen, level())
     coarse, cores = told[0][4], told[0][-1]
     assert cores == 2 and coarse.shape[2] == 5 + 2 * 5 * cores
     np.testing.assert_allclose(coarse[..., 15:], 0.7 * coarse[..., 5:15], rtol=1e-12)
@@ -283,7 +283,7 @@ def test_a_camera_that_spreads_light_wider_sees_as_one_of_larger_pixels(blur, wi
     found = {}
     for point_spread in (0.6, blur):
         evidence = ClearEvidence(GRID, MODEL, DIAMETERS, NUMBER, DetectionRates())
-        evidence.see(view, SUN, seen, level(), blur=point_spread)
+        evidence.add_image(view, SUN, seen, level(), blur=point_spread)
         found[point_spread] = evidence.lit.max()
     assert found[0.6] / found[blur] == pytest.approx(wider, rel=0.01)
 
@@ -293,7 +293,7 @@ def test_a_shadow_that_is_too_small_for_a_hazard_leaves_the_ground_clear():
     terrain = Terrain(flat_terrain(400.0, 10.0).relief, rocks)
     mapping = ProbabilityMap(GRID, MODEL, HazardPrior(0.05, 0.5))
     view, seen = viewing_angles(terrain, (0.0, 0.0, 35.0))
-    mapping.evidence.see(view, SUN, seen, level())
+    mapping.evidence.add_image(view, SUN, seen, level())
     row, col = mapping.evidence.grid.cell(np.array([[-6.0, 2.0], [5.0, -3.0]]))
     expected = mapping.evidence.expected()
     assert expected[row[0], col[0]] < 0.0025
@@ -308,8 +308,8 @@ def test_shadows_are_cast_onto_the_ground_as_it_is_known():
     middle = {}
     for height in (0.0, -8.0):
         evidence = ClearEvidence(GRID, MODEL, DIAMETERS, NUMBER, DetectionRates())
-        evidence.see(view, SUN, seen, level(height))
-        middle[height] = bool(evidence.seen()[58:62, 58:62].any())
+        evidence.add_image(view, SUN, seen, level(height))
+        middle[height] = bool(evidence.observed()[58:62, 58:62].any())
     assert middle == {0.0: False, -8.0: True}
 
 
@@ -317,14 +317,14 @@ def test_a_picture_without_any_shadow_says_nothing():
     empty = Terrain(flat_terrain(400.0, 10.0).relief)
     evidence = ClearEvidence(GRID, MODEL, DIAMETERS, NUMBER, DetectionRates())
     view, seen = viewing_angles(empty, (0.0, 0.0, 40.0))
-    evidence.see(view, SUN, seen, level())
-    assert not evidence.seen().any()
+    evidence.add_image(view, SUN, seen, level())
+    assert not evidence.observed().any()
     # One shadow shows that the picture can show shadows.
     view, seen = viewing_angles(rocks_on_a_plane("hemisphere", count=3), (0.0, 0.0, 40.0))
-    evidence.see(view, SUN, seen, level())
-    assert evidence.seen().mean() > 0.8
+    evidence.add_image(view, SUN, seen, level())
+    assert evidence.observed().mean() > 0.8
     evidence.forget()
-    assert not evidence.seen().any()
+    assert not evidence.observed().any()
 
 
 def test_what_is_seen_where_places_are_not_known_belongs_elsewhere():
@@ -332,12 +332,12 @@ def test_what_is_seen_where_places_are_not_known_belongs_elsewhere():
     view, seen = viewing_angles(rocks_on_a_plane("hemisphere", count=3), (0.0, 0.0, 40.0))
     evidence = ClearEvidence(GRID, MODEL, DIAMETERS, NUMBER, DetectionRates())
     least = 0.5 * DIAMETERS[0]
-    evidence.see(
+    evidence.add_image(
         view, SUN, seen, level(),
         position_sigma=lambda xy: np.where(xy[:, 0] < -1.0, 0.9 * least, 1.1 * least),
     )  # fmt: skip
-    assert evidence.seen()[:, :50].mean() > 0.8
-    assert not evidence.seen()[:, 80:].any()
+    assert evidence.observed()[:, :50].mean() > 0.8
+    assert not evidence.observed()[:, 80:].any()
     assert not (evidence.lit[:, :, 80:].any() or evidence.dark[:, :, 80:].any())
 
 
@@ -349,8 +349,8 @@ def test_ratios_are_what_looks_say_of_rocks_that_are_expected():
     evidence.dark[:, 60:70, 60:70] = 2e3
     evidence.explained[:, 60:70, 60:70] = True
     ratio = evidence.ratios()
-    assert ratio.shape == (len(evidence.tested), *GRID.shape)
-    assert (np.diff(evidence.tested) > 0.0).all()
+    assert ratio.shape == (len(evidence.size_class_diameters), *GRID.shape)
+    assert (np.diff(evidence.size_class_diameters) > 0.0).all()
     assert ratio[:, 20, 20] == pytest.approx(DetectionRates().false_clear_line[2])
     # Rocks that are not tracked stand in the dark: as many as the sharpest look misses.
     share = 100 / (90 * 90 - 100)
@@ -372,18 +372,18 @@ def test_a_lit_look_takes_back_a_dark_one_if_it_is_much_sharper_or_plain(pixels,
     evidence = ClearEvidence(GRID, MODEL, DIAMETERS, NUMBER, DetectionRates())
     evidence.lit[:] = pixels / (0.5 * DIAMETERS[0])
     evidence.dark[:, 40:50, 40:50] = evidence.lit[0, 0, 0] / by
-    assert evidence.seen()[45, 45] == taken_back
+    assert evidence.observed()[45, 45] == taken_back
     ratio = evidence.ratios()[:, 45, 45]
     assert (ratio[0] < 1.0) == taken_back
     assert (ratio[-1] < 1.0) == (by > 1.15)
-    assert evidence.seen()[20, 20]
+    assert evidence.observed()[20, 20]
 
 
 def test_nothing_is_seen_where_rocks_may_show_nothing_dark():
     faceted = ShadowModel(np.radians(60.0), RockModel("irregular"))
     evidence = ClearEvidence(GRID, faceted, DIAMETERS, NUMBER, DetectionRates())
     evidence.lit[:] = 1e3
-    assert not evidence.seen().any()
+    assert not evidence.observed().any()
     # Those that show nothing are missed by the sharpest look.
     whole = float(NUMBER @ (np.pi * (0.5 * DIAMETERS) ** 2))
     assert evidence.expected()[60, 60] == pytest.approx(
@@ -391,7 +391,7 @@ def test_nothing_is_seen_where_rocks_may_show_nothing_dark():
     )
     low = ClearEvidence(GRID, MODEL, DIAMETERS, NUMBER, DetectionRates())
     low.lit[:] = 1e3
-    assert low.seen().all()
+    assert low.observed().all()
 
 
 class Uneven(ShadowModel):
@@ -418,6 +418,6 @@ def test_a_shadow_that_rising_ground_cuts_short_is_still_looked_for():
     for model in (MODEL, Uneven(np.radians(20.0))):
         size = np.array([1.2])
         evidence = ClearEvidence(GRID, model, size, np.array([0.01]), DetectionRates())
-        evidence.see(view, SUN, cut, level())
+        evidence.add_image(view, SUN, cut, level())
         found[model.slope] = bool((evidence.dark > 0.0).any())
     assert found == {0.0: False, 0.364: True}

@@ -8,7 +8,7 @@ import pytest
 from lunarsim.errors import InputError
 from lunarsim.grid import Grid
 from lunarsim.onboard.hazards.shadows import HazardPrior, ProbabilityMap
-from lunarsim.onboard.hazards.shadows.footprints import disc_mean, footprint_seen
+from lunarsim.onboard.hazards.shadows.footprints import disc_mean, footprint_observed
 from lunarsim.onboard.perception.detection_rates import DetectionRates
 from lunarsim.onboard.perception.detector import detect_rocks
 from lunarsim.rocks.size_distribution import golombek_number
@@ -34,13 +34,13 @@ def test_mean_over_discs_is_that_of_points_drawn_in_them():
 def test_a_footprint_is_seen_where_its_whole_disc_is():
     seen = np.zeros((60, 60), bool)
     seen[:, 30:] = True
-    whole = footprint_seen(seen, 6.0)
+    whole = footprint_observed(seen, 6.0)
     assert not whole[:, :33].any()
     # At least a tenth of the disc lies beyond the edge until its middle is 4.1 cells behind it.
     assert not whole[30, 33] and whole[30, 35:54].all()
     assert not whole[:6].any() and not whole[:, -6:].any()
-    assert np.array_equal(footprint_seen(seen, 0.0), seen)
-    assert not footprint_seen(np.ones((9, 9), bool), 6.0).any()
+    assert np.array_equal(footprint_observed(seen, 0.0), seen)
+    assert not footprint_observed(np.ones((9, 9), bool), 6.0).any()
 
 
 LINE = (1001.0, -1000.0, 1e-9)
@@ -107,10 +107,10 @@ def test_nothing_is_seen_under_a_sun_without_shadows(elevation):
     seen = detect_rocks(counts, camera, state, SUN, model=MODEL)
     e = np.radians(elevation)
     sun = np.array([np.cos(e), 0.0, np.sin(e)])
-    mapping.see(camera.view(state), sun, seen)
+    mapping.add_image(camera.view(state), sun, seen)
     assert not mapping.observed.any()
     with pytest.raises(InputError, match="sun"):
-        mapping.see(camera.view(state), 2.0 * sun, seen)
+        mapping.add_image(camera.view(state), 2.0 * sun, seen)
 
 
 def test_pixels_that_are_no_numbers_show_nothing():
@@ -119,7 +119,7 @@ def test_pixels_that_are_no_numbers_show_nothing():
     gap = counts.astype(float)
     gap[200:280, 280:360] = np.nan
     seen = detect_rocks(gap, camera, state, SUN, model=MODEL)
-    mapping.see(camera.view(state), SUN, seen)
+    mapping.add_image(camera.view(state), SUN, seen)
     assert not mapping.observed[GRID.rows // 2, GRID.cols // 2]
     assert mapping.observed[GRID.rows // 2, GRID.cols // 2 + 40]
 

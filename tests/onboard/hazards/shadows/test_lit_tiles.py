@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from lunarsim.onboard.hazards.shadows import _evidence_kernels as kernels
-from lunarsim.onboard.hazards.shadows._lit_tile_kernels import largest_of_blocks, lit_tiles
+from lunarsim.onboard.hazards.shadows._lit_tile_kernels import lit_tiles, max_radius_of_blocks
 from tests.reference import looks as plain
 
 EVERY = 16
@@ -47,7 +47,7 @@ def test_what_is_found_by_tiles_is_what_each_place_shows(seed, reach, every):
     shape = (len(RADII), 2 * every, 3 * every)
     lit, dark = np.zeros((2, *shape), np.float32)
     named = np.zeros(shape, np.bool_)
-    kernels.look(
+    kernels.record_observation(
         lit, dark, named, RADII, coarse, every, position, axes, *lens, labels, LARGEST, 2, 1.03, 2
     )
     some = rng.choice(lit[0].size, 80, replace=False)
@@ -70,7 +70,7 @@ def test_single_dark_pixels_are_found_at_whatever_height_they_show(seed):
     shape = (len(RADII), 2 * EVERY, 3 * EVERY)
     lit, dark = np.zeros((2, *shape), np.float32)
     named = np.zeros(shape, np.bool_)
-    kernels.look(
+    kernels.record_observation(
         lit, dark, named, RADII, coarse, EVERY, position, axes, *lens, labels, LARGEST, 2, 1.03, 2
     )
     for s, place in product(range(len(RADII)), rng.choice(lit[0].size, 150, replace=False)):
@@ -89,7 +89,7 @@ def test_nothing_is_lit_where_a_point_of_the_core_is_no_number(worse):
     shape = (len(RADII), 2 * EVERY, 3 * EVERY)
     lit, dark = np.zeros((2, *shape), np.float32)
     named = np.zeros(shape, np.bool_)
-    kernels.look(
+    kernels.record_observation(
         lit, dark, named, RADII, coarse, EVERY, position, axes, *lens, labels, LARGEST, 2, 1.03, 2
     )
     about = (slice(None), slice(1, 2 * EVERY), slice(EVERY + 1, 3 * EVERY))
@@ -107,7 +107,7 @@ def test_most_tiles_of_such_scenes_are_lit_and_found_so():
             (coarse[..., [0, 4]], off, off @ axes, *np.moveaxis(cores, -1, 0)), axis=-1
         )
         of = LARGEST[labels].ravel()
-        blocks = largest_of_blocks(of, *labels.shape)
+        blocks = max_radius_of_blocks(of, *labels.shape)
         clear = lit_tiles(nodes, EVERY, RADII, axes[2], lens, *labels.shape, of, blocks)
         shares.append(clear.mean())
     assert 0.3 < np.mean(shares) < 0.95

@@ -37,10 +37,10 @@ def looks(frames, shots, interval):
     mapping = ProbabilityMap(Grid.centred((0.0, 0.0), 40.0, 0.5), MODEL, HazardPrior(0.05, 0.5))
     health = {name: ImageQualityCheck() for name, _ in shots}
     mapper = ShadowMapper(
-        tracker_at(PLACE), mapping, SUN, 1.0, health=health, look_interval=interval
+        tracker_at(PLACE), mapping, SUN, 1.0, health=health, clear_terrain_interval=interval
     )
-    found, see = [], mapping.see
-    mapping.see = lambda *a, **k: (found.append(now), see(*a, **k))
+    found, see = [], mapping.add_image
+    mapping.add_image = lambda *a, **k: (found.append(now), see(*a, **k))
     for n, (name, time) in enumerate(shots):
         now = (name, time)
         mapper.update_from_sensor(

@@ -33,7 +33,7 @@ def is_lit(reach, axes=DOWN, place=(10.0, 0.0, 0.0), wide=901, radius=0.5, dark=
     labels = np.zeros((21, wide), np.int32)
     labels[:, list(dark)] = 1
     lit, dark_ = np.zeros((2, 1, 1, 1), np.float32)
-    kernels.look(
+    kernels.record_observation(
         lit, dark_, np.zeros((1, 1, 1), np.bool_), np.array([radius]), coarse, 1,
         np.array([0.0, 0.0, 40.0]), axes, 40.0, 40.0, 10.0, 10.0, labels,
         np.array([0.0, np.inf], np.float32), 1, 1.0, 1,
@@ -90,12 +90,12 @@ def test_the_ground_is_searched_by_twice_what_its_height_errs_where_places_lie_n
     rocks = np.random.default_rng(0).uniform(-15.0, 15.0, (30, 2))
     evidence.motion.follow(rocks, np.full((30, 2), [2.0, -1.0]))
     given = []
-    monkeypatch.setattr(kernels, "look", lambda *args: given.append(args))
+    monkeypatch.setattr(kernels, "record_observation", lambda *args: given.append(args))
 
     def sigma(xy):
         return np.where(xy[:, 0] > 10.0, np.inf, np.exp(0.2 * xy[:, 0] + 0.1 * xy[:, 1]))
 
-    evidence.see(view, SUN, seen, lambda xy: 0.0 * xy[:, 0], height_sigma=sigma)
+    evidence.add_image(view, SUN, seen, lambda xy: 0.0 * xy[:, 0], height_sigma=sigma)
     coarse = given[0][4]
     place = coarse[..., kernels.EAST : kernels.NORTH + 1]
     reach = np.minimum(2.0 * sigma(place.reshape(-1, 2)), 1e3).reshape(coarse.shape[:2])
@@ -113,38 +113,38 @@ def test_a_rock_on_ground_taken_for_lower_or_higher_is_not_cleared(lower, gradie
 
     def look(off, sigma, tracked=None):
         evidence = ClearEvidence(GRID, MODEL, DIAMETERS, NUMBER, DetectionRates())
-        evidence.see(
+        evidence.add_image(
             view, SUN, seen, lambda xy: plane.heights(xy) + off, tracked, plane=plane,
             height_sigma=lambda xy: np.full(len(xy), sigma),
         )  # fmt: skip
         # Away from it the ground is clear, however high it is.
-        assert evidence.seen()[20:40, 20:40].all()
+        assert evidence.observed()[20:40, 20:40].all()
         return evidence
 
     assert look(0.0, 0.0).dark[0, row, col] > 0.0
     cleared = {}
     for sigma in (0.0, 0.5, 2.0):
-        cleared[sigma] = bool(look(-lower, sigma).seen()[row, col])
+        cleared[sigma] = bool(look(-lower, sigma).observed()[row, col])
         # Of a rock that is tracked the shadow is its own.
-        assert look(-lower, sigma, np.ones(len(seen), bool)).seen()[row, col]
+        assert look(-lower, sigma, np.ones(len(seen), bool)).observed()[row, col]
     assert cleared == {0.0: True, 0.5: True, 2.0: False}
 
 
 def test_ground_of_which_next_to_nothing_is_known_is_not_seen():
     view, seen = one_rock()
     evidence = ClearEvidence(GRID, MODEL, DIAMETERS, NUMBER, DetectionRates())
-    evidence.see(
+    evidence.add_image(
         view, SUN, seen, lambda xy: 0.0 * xy[:, 0],
         height_sigma=lambda xy: np.where(xy[:, 1] > 2.0, np.inf, 0.0),
     )  # fmt: skip
-    assert evidence.seen()[10:40, 10:110].mean() > 0.9
+    assert evidence.observed()[10:40, 10:110].mean() > 0.9
     assert not evidence.lit[0, 90:].any()
 
 
 def test_a_map_hands_on_what_the_height_of_the_ground_errs_by():
     mapping = ProbabilityMap(GRID, MODEL, HazardPrior(0.05, 0.5))
     view, seen = one_rock()
-    mapping.see(view, SUN, seen, height_sigma=lambda xy: np.full(len(xy), np.inf))
+    mapping.add_image(view, SUN, seen, height_sigma=lambda xy: np.full(len(xy), np.inf))
     assert not mapping.observed.any()
-    mapping.see(view, SUN, seen)
+    mapping.add_image(view, SUN, seen)
     assert mapping.observed.mean() > 0.5

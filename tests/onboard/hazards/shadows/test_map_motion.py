@@ -30,11 +30,11 @@ def test_many_rocks_tell_a_shift_a_turn_and_a_stretch():
         slide.follow(moved + noise, moved + noise - rocks)
         true = true @ matrix.T + shift
     assert np.abs(true - places).max() > 0.5
-    assert slide.now(places) == pytest.approx(true, abs=0.15)
-    assert slide.noted(slide.now(places)) == pytest.approx(places, abs=1e-9)
+    assert slide.to_current(places) == pytest.approx(true, abs=0.15)
+    assert slide.to_stored(slide.to_current(places)) == pytest.approx(places, abs=1e-9)
     slide.forget()
-    assert slide.still
-    assert slide.now(places) == pytest.approx(places, abs=1e-12)
+    assert slide.is_identity
+    assert slide.to_current(places) == pytest.approx(places, abs=1e-12)
 
 
 def test_few_rocks_move_the_ground_as_a_whole_and_none_do_not():
@@ -42,10 +42,10 @@ def test_few_rocks_move_the_ground_as_a_whole_and_none_do_not():
     nothing = np.full((3, 2), np.nan)
     slide.follow(np.ones((3, 2)), nothing)
     slide.follow(np.empty((0, 2)), np.empty((0, 2)))
-    assert slide.still
+    assert slide.is_identity
     slide.follow(np.array([[5.0, 0.0], [0.0, 5.0]]), np.array([[0.5, 0.2], [0.3, 0.4]]))
     far = np.array([[30.0, -30.0]])
-    assert slide.now(far) - far == pytest.approx(np.array([[0.4, 0.3]]), abs=0.2)
+    assert slide.to_current(far) - far == pytest.approx(np.array([[0.4, 0.3]]), abs=0.2)
 
 
 def test_a_rock_that_moves_otherwise_than_the_rest_does_not_count():
@@ -56,7 +56,7 @@ def test_a_rock_that_moves_otherwise_than_the_rest_does_not_count():
     slide = MapMotion(np.array(GRID.centre))
     slide.follow(rocks + by, by)
     middle = np.array(GRID.centre)
-    assert slide.now(middle) - middle == pytest.approx([0.3, 0.1], abs=0.02)
+    assert slide.to_current(middle) - middle == pytest.approx([0.3, 0.1], abs=0.02)
 
 
 def test_the_map_shows_what_was_seen_where_it_lies_now():
@@ -77,12 +77,12 @@ def test_the_map_shows_what_was_seen_where_it_lies_now():
     assert not shifted[:, :4].any()
     after = mapping.probability(tracker_at((0.0, 0.0, 50.0)))
     assert after[:-2, 4:] == pytest.approx(before[2:, :-4])
-    assert after[-1, 0] == pytest.approx(mapping.evidence.unseen(), rel=1e-4)
+    assert after[-1, 0] == pytest.approx(mapping.evidence.expected_unobserved(), rel=1e-4)
     mapping.follow(rocks, np.full((50, 2), [4.0, 0.0]))
     off_the_blocks = mapping.probability(tracker_at((0.0, 0.0, 50.0)))[0, 0]
-    assert off_the_blocks == pytest.approx(mapping.evidence.unseen(), rel=1e-4)
+    assert off_the_blocks == pytest.approx(mapping.evidence.expected_unobserved(), rel=1e-4)
     mapping.evidence.forget()
-    assert mapping.evidence.motion.still
+    assert mapping.evidence.motion.is_identity
 
 
 def test_rocks_tell_by_how_far_they_were_moved_since_they_were_asked():

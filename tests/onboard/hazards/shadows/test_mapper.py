@@ -315,7 +315,7 @@ def test_a_plane_in_its_own_shadow_shows_nothing():
     tracker = tracker_at(PLACE, model=ShadowModel(np.radians(14.0)))
     mapping = ProbabilityMap(Grid.centred((0.0, 0.0), 40.0, 0.5), tracker.model)
     rise = 0.27 * sun[:2] / np.hypot(*sun[:2])
-    mapper = ShadowMapper(tracker, mapping, sun, 1.0, relief=Slope(rise))
+    mapper = ShadowMapper(tracker, mapping, sun, 1.0, terrain_mapper=Slope(rise))
     see(mapper, camera.model, counts, 0.0)
     assert mapper.rejected_images == {ImageRejection.NO_SHADOWS: 1}
     assert not mapper.hazard_map().observed.any()
@@ -370,7 +370,7 @@ def test_rocks_tell_how_well_the_height_is_known_unless_it_was_measured(scene, m
     assert asked == [alone.tracker.filter]
     assert not alone.probability.evidence.lit.any()
     mapping = ProbabilityMap(Grid.centred((0.0, 0.0), 40.0, 0.5), MODEL, HazardPrior(0.05, 0.5))
-    told = ShadowMapper(tracker_at(PLACE), mapping, SUN, 1.0, relief=Slope((0.0, 0.0)))
+    told = ShadowMapper(tracker_at(PLACE), mapping, SUN, 1.0, terrain_mapper=Slope((0.0, 0.0)))
     see(told, camera, honest[0], 0.0)
     assert told.probability.evidence.lit.any()
 

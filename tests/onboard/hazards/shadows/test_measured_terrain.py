@@ -136,7 +136,11 @@ def tracked(terrain, relief):
     tracker = tracker_at(PLACE, MODEL)
     grid = Grid.centred((0.0, 0.0), 50.0, 0.5)
     mapper = ShadowMapper(
-        tracker, ProbabilityMap(grid, MODEL, HazardPrior(0.05, 0.5)), SUN, 1.0, relief=relief
+        tracker,
+        ProbabilityMap(grid, MODEL, HazardPrior(0.05, 0.5)),
+        SUN,
+        1.0,
+        terrain_mapper=relief,
     )
     rocks = tracker.filter
     estimate = rocks.inertial.estimate(rocks.covariance, 0.0, 1.0)

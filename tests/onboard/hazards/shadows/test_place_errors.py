@@ -48,7 +48,7 @@ def test_places_are_known_as_the_mean_of_the_rocks_about_is_or_their_median(rock
         assert found == pytest.approx(min(mean, median), rel=1e-9)
     assert by_mean > 0
     # Where the median is good enough it is given.
-    medians = position_sigma(rocks, where, enough=1e3)
+    medians = position_sigma(rocks, where, sufficient_sigma=1e3)
     assert (medians >= position_sigma(rocks, where)).all()
     assert (medians > position_sigma(rocks, where)).sum() == by_mean
 

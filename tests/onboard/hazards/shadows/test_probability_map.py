@@ -42,7 +42,7 @@ def test_map_begins_with_the_prior_and_falls_by_eq_14():
     state, camera, counts = picture(rocks_on_a_plane("hemisphere", count=1), (0.0, 0.0, 150.0))
     seen = detect_rocks(counts, camera, state, SUN, model=MODEL)
     view = camera.view(state)
-    sharp.see(view, SUN, seen)
+    sharp.add_image(view, SUN, seen)
     q = float(MODEL.visible_pixels(1.0, 0.0, np.pi / 2, 150.0 / camera.fx))
     resolved = 2.0 * 2.0 / q
     expected = golombek_cover(0.4, 0.07) - golombek_cover(max(resolved, 0.4), 0.07)
@@ -59,7 +59,9 @@ def test_paint_equals_a_plain_loop():
     profile[:, -1] = 0.0
     weight = rng.random(40)
     clear = np.ones(GRID.shape)
-    kernels.paint(clear, GRID.x0, GRID.y0, GRID.posting, xy, reach, profile, weight)
+    kernels.multiply_clear_probability(
+        clear, GRID.x0, GRID.y0, GRID.posting, xy, reach, profile, weight
+    )
     expected = np.ones(GRID.shape)
     for i, j in product(range(0, GRID.rows, 3), range(0, GRID.cols, 3)):
         for k in range(40):
@@ -144,7 +146,7 @@ def test_dark_ground_is_not_seen():
     counts = counts.copy()
     counts[200:280, 280:360] = 0
     seen = detect_rocks(counts, camera, state, SUN, model=MODEL)
-    mapping.see(camera.view(state), SUN, seen)
+    mapping.add_image(camera.view(state), SUN, seen)
     assert not mapping.observed[80, 80]
     assert mapping.observed[10, 10]
 
@@ -155,7 +157,7 @@ def test_a_camera_that_looks_at_the_sky_changes_nothing():
     sky = replace(camera, mount=camera.mount @ np.diag([1.0, -1.0, -1.0]))
     image = np.full((480, 640), 100, np.uint8)
     seen = detect_rocks(image, sky, state, SUN, model=MODEL)
-    mapping.see(sky.view(state), SUN, seen)
+    mapping.add_image(sky.view(state), SUN, seen)
     assert not mapping.observed.any()
     tracker = tracker_at((0.0, 0.0, 60.0))
     tracker.add_known([[0.0, 0.0]], 0.1, 1.0, 0.1)
