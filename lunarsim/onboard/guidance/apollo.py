@@ -72,7 +72,7 @@ def jerk_time_to_go(
 
 
 def time_to_go_for_jerk(
-    estimate: Estimate, end: PhaseEnd, jerk: float, guess: float, *, share: float = 1.0 / 3.0
+    estimate: Estimate, end: PhaseEnd, jerk: float, guess: float, *, max_change: float = 1.0 / 3.0
 ) -> float:
     """Return the time-to-go (s) that gives a downrange jerk at the phase end.
 
@@ -87,8 +87,9 @@ def time_to_go_for_jerk(
         Downrange jerk at the end, m/s^3.
     guess
         Time-to-go of the previous cycle, s.
-    share
-        Maximum difference between result and guess, relative to the guess.
+    max_change
+        Maximum difference between a root and the guess, as a fraction of the guess; if it is
+        larger, the guess is returned.
     """
     along = end.velocity[:2]
     speed = float(np.hypot(*along))
@@ -100,4 +101,4 @@ def time_to_go_for_jerk(
         float(unit @ estimate.position[:2]), float(unit @ estimate.velocity[:2]), goal, jerk,
         guess=guess,
     )  # fmt: skip
-    return found if abs(found - guess) < share * guess else guess
+    return found if abs(found - guess) < max_change * guess else guess
