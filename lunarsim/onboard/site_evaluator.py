@@ -90,7 +90,7 @@ class SiteEvaluator:
     def record_update(self, names: set[str], time: float) -> None:
         """Record which mappers (`names`) received a measurement at `time`, s."""
         if self.decisions_map in names:
-            self._dispersion.mapped_at = time
+            self._dispersion.last_scan_time = time
 
     def cost_of(
         self, sites: Array, estimate: Estimate, times: Array | None = None
@@ -171,7 +171,7 @@ class SiteEvaluator:
         part = self.briefing.software.mappers[self.decisions_map]
         hazard_map = checked_hazard_map(self.decisions_map, part, mapper, course.time)
         miss = float(self._miss_of(np.array([course.time_to_go]), course)[0])
-        aim = self._dispersion.spread(hazard_map, miss)
+        aim = self._dispersion.averaged_p_safe(hazard_map, miss)
         scoreboard = mapper.scoreboard(site)
         cost_of_visible = partial(self._cost_of_visible, estimate=estimate)
         reach = ReachabilityMap.over_map(hazard_map, site, cost_of_visible)
@@ -210,4 +210,6 @@ class SiteEvaluator:
     def _miss_of(self, time_to_go: Array, course: DescentStatus) -> Array:
         """Return the expected landing miss for times-to-go (n,), s: 1 sigma per axis, m."""
         until = np.where(np.isfinite(time_to_go), time_to_go, course.time_to_go)
-        return self._dispersion.misses(course.estimate, self._navigation.is_drifting, until)
+        return self._dispersion.expected_misses(
+            course.estimate, self._navigation.is_drifting, until
+        )

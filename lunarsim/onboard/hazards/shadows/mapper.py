@@ -245,7 +245,7 @@ class ShadowMapper(HazardMapper):
         """
         self.seen, self._residual = seen, None
         if isinstance(self.tracker.model, ShapeMixture):
-            self.tracker.model.learn(seen.shapes, seen.q)
+            self.tracker.model.update_fractions(seen.shapes, seen.q)
         plane = self._terrain.plane() or LEVEL
         is_recorded = (
             image.time >= self._cameras[self._camera].recorded_at + self.look_interval - 1e-9
@@ -258,7 +258,7 @@ class ShadowMapper(HazardMapper):
             return False
         self.probability.terrain_height = self._height_in_view(image.camera)
         if blind is not None:
-            self._record_visible_terrain(seen.hiding(blind), image, sun, plane)
+            self._record_visible_terrain(seen.with_invalid(blind), image, sun, plane)
         return True
 
     def _record_visible_terrain(
@@ -355,9 +355,9 @@ class ShadowMapper(HazardMapper):
         points = np.column_stack((seen.terrain_xy, np.zeros(len(seen))))
         return measure_shadow_angle(
             seen,
-            plane.view(view),
+            plane.level_view(view),
             points,
-            plane.direction(sun),
+            plane.level_direction(sun),
             model_on_plane(model, plane, sun),
             noise,
         )

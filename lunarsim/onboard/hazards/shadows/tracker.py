@@ -172,7 +172,7 @@ class RockTracker:
             If the image is older than the last one.
         """
         s = self.settings
-        self._propagate(camera, plane.direction(unit_vector(sun)), time)
+        self._propagate(camera, plane.level_direction(unit_vector(sun)), time)
         radius_variance = seen.radius_sigma**2 + (s.relative_radius_sigma * seen.radius) ** 2
         points = self.filter.terrain_points(camera, seen.pixel, s.region)
         split_count = self._split(seen, points, camera, radius_variance)
