@@ -80,7 +80,7 @@ def _length_derivatives(
 ) -> Array:
     """Return the derivative of the cost by the length of each interval (N,), scaled.
 
-    The derivative follows from the Lagrangian of `program` at the solution `solution`.
+    The derivative follows from the Lagrangian of `program` at its `solution`.
     """
     n, x, z = transcription.structure.intervals, solution.x, solution.z
     nodes = x[: 7 * (n + 1)].reshape(n + 1, 7)

@@ -186,7 +186,7 @@ def test_a_sensor_that_cannot_be_is_refused_by_name(given, field):
 
 
 def test_what_is_no_sensor_is_refused():
-    with pytest.raises(InputError, match=r"optimal\.sight: must be a Sight or None"):
+    with pytest.raises(InputError, match=r"optimal\.sight: must be a SiteVisibility or None"):
         descent(np.random.default_rng(1), sight=3)
 
 
@@ -223,7 +223,7 @@ def test_a_path_is_given_only_once_its_intervals_are_joined(monkeypatch):
         made = [point(*np.atleast_1d(p)) for p in row]
         programs = SuccessiveConvexification(N)
         monkeypatch.setattr(programs, "_layout", SimpleNamespace(
-            build=lambda *given: None, read=lambda *given: (None, None, None)))  # fmt: skip
+            build=lambda *given: None, split=lambda *given: (None, None, None)))  # fmt: skip
         monkeypatch.setattr(programs, "_solve", lambda program: np.zeros(1))
         coming = iter(made)
         monkeypatch.setattr(successive.LinearisedPath, "at", lambda *given, c=coming: next(c))

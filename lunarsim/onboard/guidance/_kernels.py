@@ -139,9 +139,10 @@ def refine_time(
 ):
     """Refine the time-to-go with minimum delta-v by halving steps.
 
-    The search starts at ``first exp(log_ratio)``, s, and ends at ``first exp(span)``; `step` is the
-    initial step of the logarithm. `out` (4,) receives the result of `evaluate_path` for the best
-    path. The other arguments are those of `evaluate_path`; `path_cost` (4,) is a work array.
+    The search starts at ``first exp(log_ratio)``, s, and stays between `first` and ``first
+    exp(span)``; `step` is the initial step of the logarithm. `out` (4,) receives the result of
+    `evaluate_path` for the best path. The other arguments are those of `evaluate_path`; `path_cost`
+    (4,) is a work array.
     """
     time = first * np.exp(log_ratio)
     if evaluate_path(state, target, final, time, table, powers, params, terms, path_cost):

@@ -63,7 +63,9 @@ def jerk_time_to_go(
     c = np.array([jerk, -6.0 * a_f, 18.0 * v_f + 6.0 * velocity, -24.0 * (r_f - position)])
     if not (np.isfinite(c).all() and np.isfinite(guess)):
         raise InputError(
-            "guidance.time_to_go", (c.tolist(), guess), "must follow from finite inputs"
+            "guidance.time_to_go",
+            (c.tolist(), guess),
+            "coefficients of the cubic and guess must be finite",
         )
     roots = np.roots(c)
     real = roots.real[np.abs(roots.imag) <= 1e-9 * np.maximum(1.0, np.abs(roots))]

@@ -43,7 +43,7 @@ class Braking:
         Downrange jerk at the end, m/s^3; the time-to-go follows from it in every cycle by Klumpp's
         cubic. None: the initial time-to-go counts down.
     end_time_to_go
-        Time-to-go at which the approach begins, s.
+        Time-to-go to the aim point at which the approach begins, s.
     max_tilt
         Maximum tilt of the thrust from the site's vertical, rad.
     keeps_thrust_direction
@@ -69,7 +69,9 @@ class Braking:
         help="downrange jerk at the end of braking, from which the time-to-go is computed; "
         "omitted: the initial time-to-go counts down",
     )
-    end_time_to_go: float = quantity(2.0, "s", ge=0, help="time-to-go at which the approach begins")
+    end_time_to_go: float = quantity(
+        2.0, "s", ge=0, help="time-to-go to the aim point of braking at which the approach begins"
+    )
     max_tilt: float = quantity(
         80.0, "deg", gt=0, lt=180, help="maximum tilt of the thrust from the site's vertical"
     )
@@ -114,11 +116,11 @@ class Braking:
     def build_command(
         self, acceleration: Array, mass: float, lander: Lander, heading: float, time: float
     ) -> Command:
-        """Return thrust and attitude command for a thrust acceleration (3,), m/s^2.
+        """Return the command for a thrust acceleration, within limits of thrust and tilt.
 
-        `heading` is the heading of the lander, rad, and `time` the time since the start of the
-        flight, s. If `max_tilt` is 90 deg or more, the thrust may point downward
-        (`thrust_lift_first`).
+        `acceleration` (3,) is in m/s^2, `heading` is that of the lander, rad, and `time` the time
+        since the start of the flight, s. If `max_tilt` is 90 deg or more, the thrust may point
+        downward (`thrust_lift_first`).
 
         Raises
         ------

@@ -101,7 +101,7 @@ class OptimalNetwork:
     problem: Array
 
     def is_in_domain(self, inputs: Array) -> bool:
-        """Return whether network inputs `inputs` (6,) are in the training domain."""
+        """Return whether network inputs (6,) are in the training domain."""
         return bool(np.all(inputs >= self.low) and np.all(inputs <= self.high))
 
     def __call__(self, inputs: Array) -> Array:

@@ -173,9 +173,9 @@ class ImageQualitySettings:
     confirm_sigmas: float = 3.5
 
     def __post_init__(self) -> None:
-        check_types("health", self)
+        check_types("image_quality", self)
         if not (np.isfinite(self.blur_sigma) and self.blur_sigma >= 0.0):
-            raise InputError("health.blur_sigma", self.blur_sigma, "must be 0 or positive")
+            raise InputError("image_quality.blur_sigma", self.blur_sigma, "must be 0 or positive")
         for name in (
             "max_saturated_fraction",
             "max_dark_fraction",
@@ -184,7 +184,7 @@ class ImageQualitySettings:
         ):
             if not 0.0 < getattr(self, name) <= 1.0:
                 raise InputError(
-                    f"health.{name}", getattr(self, name), "must be above 0 and at most 1"
+                    f"image_quality.{name}", getattr(self, name), "must be above 0 and at most 1"
                 )
         for name in ("min_lit_counts", "max_noise", "min_shadows", "max_shadow_brightness",
         "max_edge_width_ratio",
@@ -195,15 +195,15 @@ class ImageQualitySettings:
                      "confirm_sigmas"):  # fmt: skip
             if not (np.isfinite(getattr(self, name)) and getattr(self, name) > 0.0):
                 raise InputError(
-                    f"health.{name}", getattr(self, name), "must be positive and finite"
+                    f"image_quality.{name}", getattr(self, name), "must be positive and finite"
                 )
         for name in ("contradict_agreement", "confirm_agreement"):
             if getattr(self, name) > 1.0:
-                raise InputError(f"health.{name}", getattr(self, name), "must be at most 1")
+                raise InputError(f"image_quality.{name}", getattr(self, name), "must be at most 1")
         if not self.confirm_angle <= self.contradict_angle <= np.pi:
             turns = (self.confirm_angle, self.contradict_angle)
             raise InputError(
-                "health.confirm_angle, contradict_angle",
+                "image_quality.confirm_angle, contradict_angle",
                 turns,
                 "must be ascending angles of at most pi rad",
             )

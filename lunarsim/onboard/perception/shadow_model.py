@@ -294,13 +294,13 @@ def _compute_table(elevation: float, shapes: RockModel) -> Array:
     return table
 
 
-def visible_points_about_rock(
+def visible_points_around_rock(
     scene: RockOnPlane, camera: Array, reach: float, step: float
 ) -> tuple[tuple[int, int], Array, Array, Array]:
-    """Return the points that a camera sees in front of the terrain around a rock.
+    """Return the points of rock or terrain that a camera sees around a rock.
 
-    A rock of radius 1 hides the terrain behind it: its dark face appears up to its height divided
-    by the tangent of the depression.
+    The lines of sight lead to a grid of positions on the terrain. Where the rock, of radius 1,
+    hides a position, the visible point is on the rock.
 
     Parameters
     ----------
@@ -318,7 +318,8 @@ def visible_points_about_rock(
     shape
         Rows and columns of the positions.
     position, point, normal
-        Positions on the terrain (n, 3), visible points, slightly lifted off, and normals there.
+        Positions on the terrain, the visible point on the line of sight to each, slightly above
+        the surface, and the surface normal there (n, 3).
     """
     lean = 2.0 * camera[:2] / camera[2]
     x = np.arange(min(0.0, -lean[0]) - 1.6, max(0.0, -lean[0]) + 1.6, step)
@@ -339,7 +340,7 @@ def _dark_patch(scene: RockOnPlane, sun: Array, camera: Array, reach: float) -> 
     on a plane.
     """
     step = 1.0 / _SAMPLES_PER_RADIUS
-    _, position, point, normal = visible_points_about_rock(scene, camera, reach, step)
+    _, position, point, normal = visible_points_around_rock(scene, camera, reach, step)
     lit = normal @ sun > 0.0
     shaded = np.ones(len(point), bool)
     towards = np.broadcast_to(sun, (int(lit.sum()), 3))

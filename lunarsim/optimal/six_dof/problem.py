@@ -158,7 +158,9 @@ class RigidDescent:
             if getattr(self, name) is None:
                 object.__setattr__(self, name, given)
         if not (self.sight is None or isinstance(self.sight, SiteVisibility)):
-            raise InputError("optimal.sight", type(self.sight).__name__, "must be a Sight or None")
+            raise InputError(
+                "optimal.sight", type(self.sight).__name__, "must be a SiteVisibility or None"
+            )
         self._check_figures()
         try:
             state = self.start_vector

@@ -128,7 +128,7 @@ def test_ground_above_the_camera_shows_no_rocks(scene):
     """Lines of sight that go up meet it, from below."""
     rise = 2.0 * np.array(scene.state.position[:2]) / np.hypot(*scene.state.position[:2])
     over = GroundPlane.through((0.0, 0.0, 0.0), rise)
-    assert over.points(scene.state.position)[2] < 0.0
+    assert over.level_points(scene.state.position)[2] < 0.0
     assert len(read(scene, over)) == 0
 
 
