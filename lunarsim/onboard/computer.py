@@ -105,7 +105,7 @@ class OnboardComputer:
         self.braking = software.braking
         self._braking_law: Any = None
         if self.braking is not None:
-            self._braking_law = self.braking.part().build(briefing, lag)
+            self._braking_law = self.braking.law_settings().build(briefing, lag)
         self.attitude_loop = attitude_loop(control, self.lander, briefing.step)
         self.throttle = (
             ThrottleRegions(self.lander.engine) if isinstance(self.lander, JetLander) else None

@@ -93,7 +93,7 @@ class SiteEvaluator:
         `updated_mappers` are the names of the mappers that received a measurement at `time`, s.
         """
         if self.decision_map_name in updated_mappers:
-            self._dispersion.mapped_at = time
+            self._dispersion.last_scan_time = time
 
     def cost_of(
         self, sites: Array, estimate: Estimate, times: Array | None = None
@@ -173,7 +173,7 @@ class SiteEvaluator:
         part = self.briefing.software.mappers[self.decision_map_name]
         hazard_map = checked_hazard_map(self.decision_map_name, part, mapper, status.time)
         miss = float(self._miss_of(np.array([status.time_to_go]), status)[0])
-        aim = self._dispersion.spread(hazard_map, miss)
+        aim = self._dispersion.averaged_p_safe(hazard_map, miss)
         scoreboard = mapper.scoreboard(site)
         cost_of_visible = partial(self._cost_of_visible, estimate=estimate)
         reach = ReachabilityMap.over_map(hazard_map, site, cost_of_visible)
@@ -212,4 +212,4 @@ class SiteEvaluator:
     def _miss_of(self, time_to_go: Array, status: DescentStatus) -> Array:
         """Return the expected landing miss for times-to-go (n,), s: 1 sigma per axis, m."""
         until = np.where(np.isfinite(time_to_go), time_to_go, status.time_to_go)
-        return self._dispersion.misses(status.estimate, self._navigation.is_drifting, until)
+        return self._dispersion.expected_misses(status.estimate, self._navigation.is_drifting, until)

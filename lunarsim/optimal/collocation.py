@@ -31,7 +31,7 @@ _STATES = 7
 
 
 @dataclass(frozen=True)
-class Collocated:
+class CollocatedPath:
     """Path of minimum propellant computed by direct collocation.
 
     Attributes
@@ -59,7 +59,7 @@ class Collocated:
     iterations: int
 
 
-def _state(units: Units) -> Array:
+def _state_scales(units: Units) -> Array:
     """Return the scales of the seven state variables (position, velocity, mass)."""
     return np.array([units.length] * 3 + [units.speed] * 3 + [units.mass])
 
@@ -70,7 +70,7 @@ def collocate(
     *,
     duration: float | None = None,
     max_iterations: int = 400,
-) -> Collocated:
+) -> CollocatedPath:
     """Compute the minimum-propellant path of a descent by direct collocation.
 
     Parameters
@@ -120,7 +120,7 @@ def collocate(
         "ipopt.max_iter": max_iterations, "ipopt.tol": 1e-8, "ipopt.mu_strategy": "adaptive",
     }  # fmt: skip
     solver = casadi.nlpsol("descent", "ipopt", problem, options)
-    start = _start(descent, units, intervals)
+    start = _initial_variables(descent, units, intervals)
     got = solver(x0=start, lbg=low, ubg=high)
     stats = solver.stats()
     if not stats["success"]:
@@ -128,63 +128,67 @@ def collocate(
             f"IPOPT does not converge: {stats['return_status']} after "
             f"{stats['iter_count']} iterations."
         )
-    return _read(np.asarray(got["x"]).ravel(), descent, units, intervals, stats["iter_count"])
+    return _to_path(np.asarray(got["x"]).ravel(), descent, units, intervals, stats["iter_count"])
 
 
-def _start(descent: Descent, units: Units, n: int) -> Array:
+def _initial_variables(descent: Descent, units: Units, intervals: int) -> Array:
     """Return an initial guess of the solver's variables, scaled.
 
-    The guess is straight from start to end with hover thrust; `n` is the number of intervals.
+    The guess is straight from start to end with hover thrust.
     """
-    share = np.linspace(0.0, 1.0, n + 1)[:, None]
-    position = (1.0 - share) * descent.displacement
-    velocity = (1.0 - share) * descent.velocity + share * descent.end_velocity
-    mass = descent.mass - 0.5 * share * (descent.mass - descent.dry_mass)
-    nodes = np.column_stack((position, velocity, mass)) / _state(units)
+    fraction = np.linspace(0.0, 1.0, intervals + 1)[:, None]
+    position = (1.0 - fraction) * descent.displacement
+    velocity = (1.0 - fraction) * descent.velocity + fraction * descent.end_velocity
+    mass = descent.mass - 0.5 * fraction * (descent.mass - descent.dry_mass)
+    nodes = np.column_stack((position, velocity, mass)) / _state_scales(units)
     inner = np.repeat(nodes[1:], _DEGREE, axis=0)
     hover = np.array([0.0, 0.0, descent.mass * descent.gravity])
     lift = np.clip(hover, 0.0, descent.thrust_max) / units.force
-    return np.concatenate((nodes.ravel(), inner.ravel(), np.tile(lift, n), [1.0]))
+    return np.concatenate((nodes.ravel(), inner.ravel(), np.tile(lift, intervals), [1.0]))
 
 
-def _rates(descent: Descent, units: Units, x: Any, thrust: Any) -> Any:
-    """Return the time derivative of a scaled state `x` under a scaled thrust."""
+def _rates(descent: Descent, units: Units, state: Any, thrust: Any) -> Any:
+    """Return the time derivative of a state under a thrust, all scaled."""
     weight = descent.gravity * units.time**2 / units.length
     burn = casadi.norm_2(thrust) * units.speed / descent.exhaust_velocity
     down = casadi.vertcat(0.0, 0.0, -weight)
-    return casadi.vertcat(x[3:6], thrust / x[6] + down, -burn)
+    return casadi.vertcat(state[3:6], thrust / state[6] + down, -burn)
 
 
 def _program(
-    descent: Descent, units: Units, n: int, duration: float | None
+    descent: Descent, units: Units, intervals: int, duration: float | None
 ) -> tuple[Any, Any, Array, Array]:
     """Return variables, constraints and lower and upper bounds of the constraints.
 
-    `n` is the number of intervals, `duration` the final time, s; None: a variable.
+    `duration` is the final time, s; None: it is a variable.
     """
     tau = np.concatenate(([0.0], casadi.collocation_points(_DEGREE, "radau")))
-    slopes = _derivatives(tau)
-    nodes = [casadi.SX.sym(f"x{k}", _STATES) for k in range(n + 1)]
-    inner = [[casadi.SX.sym(f"x{k}_{j}", _STATES) for j in range(_DEGREE)] for k in range(n)]
-    thrust = [casadi.SX.sym(f"u{k}", 3) for k in range(n)]
+    slopes = _lagrange_derivatives(tau)
+    nodes = [casadi.SX.sym(f"x{k}", _STATES) for k in range(intervals + 1)]
+    inner = [
+        [casadi.SX.sym(f"x{k}_{j}", _STATES) for j in range(_DEGREE)] for k in range(intervals)
+    ]
+    thrust = [casadi.SX.sym(f"u{k}", 3) for k in range(intervals)]
     total = casadi.SX.sym("T")
     rows: list[_Row] = []
-    first = np.concatenate((descent.displacement, descent.velocity, [descent.mass])) / _state(units)
-    last = np.concatenate((np.zeros(3), descent.end_velocity)) / _state(units)[:6]
-    rows += [(nodes[0] - first, 0.0, 0.0), (nodes[n][:6] - last, 0.0, 0.0)]
-    rows += [(nodes[n][6], descent.dry_mass / units.mass, np.inf), (total, 0.05, 20.0)]
+    first = np.concatenate(
+        (descent.displacement, descent.velocity, [descent.mass])
+    ) / _state_scales(units)
+    last = np.concatenate((np.zeros(3), descent.end_velocity)) / _state_scales(units)[:6]
+    rows += [(nodes[0] - first, 0.0, 0.0), (nodes[intervals][:6] - last, 0.0, 0.0)]
+    rows += [(nodes[intervals][6], descent.dry_mass / units.mass, np.inf), (total, 0.05, 20.0)]
     if duration is not None:
         rows += [(total - duration / units.time, 0.0, 0.0)]
-    for k in range(n):
+    for k in range(intervals):
         points = [nodes[k], *inner[k]]
         for j in range(1, _DEGREE + 1):
             moved = sum(slopes[i, j] * points[i] for i in range(_DEGREE + 1))
             rate = _rates(descent, units, points[j], thrust[k])
-            rows.append((moved - total / n * rate, 0.0, 0.0))
+            rows.append((moved - total / intervals * rate, 0.0, 0.0))
         rows.append((nodes[k + 1] - points[-1], 0.0, 0.0))
-        rows += _limits(descent, units, thrust[k])
-        if descent.glideslope is not None and k < n - 1:
-            rows += [_above(descent, units, x) for x in inner[k]]
+        rows += _thrust_constraints(descent, units, thrust[k])
+        if descent.glideslope is not None and k < intervals - 1:
+            rows += [_glideslope_constraint(descent, units, x) for x in inner[k]]
     constraints = casadi.vertcat(*(row[0] for row in rows))
     low, high = (
         np.concatenate([np.full(row[0].numel(), row[side]) for row in rows]) for side in (1, 2)
@@ -193,21 +197,21 @@ def _program(
     return variables, constraints, low, high
 
 
-def _derivatives(tau: Array) -> Array:
+def _lagrange_derivatives(points: Array) -> Array:
     """Return the derivative of each Lagrange polynomial (first index) at each point.
 
-    `tau` are the interpolation points of one interval.
+    `points` are the interpolation points of one interval.
     """
-    count = len(tau)
+    count = len(points)
     out = np.empty((count, count))
     for i in range(count):
-        others = np.delete(tau, i)
-        basis = np.poly1d(np.poly(others) / np.prod(tau[i] - others))
-        out[i] = np.polyder(basis)(tau)
+        others = np.delete(points, i)
+        basis = np.poly1d(np.poly(others) / np.prod(points[i] - others))
+        out[i] = np.polyder(basis)(points)
     return out
 
 
-def _limits(descent: Descent, units: Units, thrust: Any) -> list[tuple[Any, Any, Any]]:
+def _thrust_constraints(descent: Descent, units: Units, thrust: Any) -> list[tuple[Any, Any, Any]]:
     """Return the constraints of thrust magnitude and tilt in one interval.
 
     Each constraint is (expression, lower bound, upper bound).
@@ -220,26 +224,30 @@ def _limits(descent: Descent, units: Units, thrust: Any) -> list[tuple[Any, Any,
     return rows
 
 
-def _above(descent: Descent, units: Units, x: Any) -> _Row:
-    """Return the glideslope constraint at one point with the scaled state `x`.
+def _glideslope_constraint(descent: Descent, units: Units, state: Any) -> _Row:
+    """Return the glideslope constraint at one scaled state.
 
     The constraint is (expression, lower bound, upper bound).
     """
-    horizontal = casadi.sqrt(x[0] ** 2 + x[1] ** 2 + 1e-10)
-    up = x[2] + descent.drop / units.length
+    horizontal = casadi.sqrt(state[0] ** 2 + state[1] ** 2 + 1e-10)
+    up = state[2] + descent.drop / units.length
     return up - np.tan(descent.glideslope or 0.0) * horizontal, 0.0, np.inf
 
 
-def _read(x: Array, descent: Descent, units: Units, n: int, iterations: int) -> Collocated:
-    """Convert the solver's scaled variables `x` to a path of `n` intervals."""
-    nodes = x[: _STATES * (n + 1)].reshape(n + 1, _STATES) * _state(units)
-    begin = _STATES * (n + 1) + _STATES * _DEGREE * n
-    return Collocated(
-        duration=float(x[-1] * units.time),
+def _to_path(
+    variables: Array, descent: Descent, units: Units, intervals: int, iterations: int
+) -> CollocatedPath:
+    """Convert the solver's scaled variables to a path in physical units."""
+    nodes = variables[: _STATES * (intervals + 1)].reshape(intervals + 1, _STATES) * _state_scales(
+        units
+    )
+    begin = _STATES * (intervals + 1) + _STATES * _DEGREE * intervals
+    return CollocatedPath(
+        duration=float(variables[-1] * units.time),
         propellant=float(descent.mass - nodes[-1, 6]),
         position=nodes[:, :3] + descent.end_position,
         velocity=nodes[:, 3:6],
         mass=nodes[:, 6],
-        thrust=x[begin : begin + 3 * n].reshape(n, 3) * units.force,
+        thrust=variables[begin : begin + 3 * intervals].reshape(intervals, 3) * units.force,
         iterations=int(iterations),
     )

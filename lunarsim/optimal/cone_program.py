@@ -152,12 +152,12 @@ class ClarabelSolver:
         )
 
 
-def widened(program: Program) -> Program:
+def widening_program(program: Program) -> Program:
     """Return the program that finds the minimum widening of the cones of a program.
 
-    The last variable t >= -1 widens all cones: ``s + t`` replaces s in their bounds. If its minimum
-    is positive, the given program is infeasible. The new program has a solution if the equalities
-    of the given program have one.
+    It tests feasibility: the given program is infeasible if this minimum is positive. The last
+    variable t >= -1 widens all cones: ``s + t`` replaces s in their bounds. The new program has a
+    solution if the equalities of the given program have one.
     """
     p = program
     first = p.orthant + np.concatenate(([0], np.cumsum(p.cones)[:-1])).astype(np.int64)
@@ -176,7 +176,7 @@ class FallbackSolver:
     """Solver for cone programs: QOCO, then Clarabel if QOCO does not find a solution.
 
     If Clarabel neither solves a program nor proves it infeasible, the minimum widening of the cones
-    (`widened`) decides whether the program is infeasible.
+    (`widening_program`) decides whether the program is infeasible.
 
     Parameters
     ----------
@@ -201,7 +201,7 @@ class FallbackSolver:
         self.fallback_count += 1
         answer = self.fallback.solve(program)
         if answer.status == "failed":
-            wider = self.fallback.solve(widened(program))
+            wider = self.fallback.solve(widening_program(program))
             if wider.status == "solved" and wider.x[-1] > _INFEASIBLE_WIDENING:
                 answer = replace(answer, status="infeasible")
         return answer

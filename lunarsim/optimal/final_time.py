@@ -61,7 +61,7 @@ def minimum_effort_time(descent: Descent) -> float:
 
 
 @dataclass
-class _Search:
+class _FinalTimeSearch:
     """Search for the final time at which the cost's time derivative is zero.
 
     The slope is the derivative of the minimum cost with respect to the final time T.
@@ -97,15 +97,15 @@ class _Search:
         else:
             self.high = min(self.high, time)
 
-    def exclude(self, time: float, flown: float) -> None:
-        """Exclude an infeasible final time from the bracket, s.
+    def exclude(self, infeasible: float, feasible: float) -> None:
+        """Exclude an infeasible final time from the bracket.
 
-        `flown` is a feasible final time, s: the optimum lies on its side.
+        `feasible` is a feasible final time: the optimum lies on its side. Both are in s.
         """
-        if time < flown:
-            self.low = max(self.low, time)
+        if infeasible < feasible:
+            self.low = max(self.low, infeasible)
         else:
-            self.high = min(self.high, time)
+            self.high = min(self.high, infeasible)
 
     def max_saving(self, best: OptimalPath) -> float:
         """Return the maximum cost saving within the bracket, for a convex cost.
@@ -263,9 +263,9 @@ def _search_warm(
 
 
 def remaining_log_mass(last: OptimalPath, elapsed: float, intervals: int) -> Array:
-    """Return ln(mass / current mass) at the interval centres (N,) of a path's rest.
+    """Return ln(mass / current mass) at the interval centres (N,) of a remaining path.
 
-    The rest of the path `last` begins `elapsed` s after its start; it is divided into `intervals`.
+    The remaining path begins `elapsed` s after the start of `last`; it is divided into `intervals`.
     """
     share = (np.arange(intervals) + 0.5) / intervals
     now = min(max(elapsed, 0.0), last.duration)
@@ -311,7 +311,7 @@ def search_near(
     curvature_guess
         Second derivative of the cost by the final time for a similar problem; 0: unknown.
     """
-    search, best, failure = _Search(descent.gravity, step, curvature_guess), None, None
+    search, best, failure = _FinalTimeSearch(descent.gravity, step, curvature_guess), None, None
     converged, budget = False, np.inf
     time: float | None = next(first)
     while time is not None and planner.solves < budget:
@@ -346,7 +346,7 @@ def search_near(
 def nearest(
     planner: Planner, descent: Descent, half_spaces: HalfSpaces | None = None
 ) -> OptimalPath | None:
-    """Return the path that ends nearest to the target; None if none can land.
+    """Return the path that ends nearest to the target; None if no landing is possible.
 
     Only the height of the end is fixed. Thrust slack (thrust above the maximum) has no penalty
     here. `half_spaces` replace the cone of the descent.
@@ -356,7 +356,7 @@ def nearest(
             descent, thrust_max=descent.thrust_max + descent.thrust_slack, thrust_slack=0.0
         )
     first = minimum_effort_time(descent)
-    search, best, log_mass = _Search(), None, None
+    search, best, log_mass = _FinalTimeSearch(), None, None
     times = [s * first for s in _TIME_FACTORS]
     time: float | None = times.pop(0)
     budget = planner.solves + 2 * _MAX_COLD_SOLVES + len(_TIME_FACTORS)

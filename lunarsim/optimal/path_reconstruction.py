@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 def build_path(
     transcription: Transcription,
     program: Program,
-    answer: SolverResult,
+    solution: SolverResult,
     descent: Descent,
     duration: float,
 ) -> OptimalPath:
@@ -34,7 +34,7 @@ def build_path(
     ----------
     transcription, program
         Structure of the cone program, and its data.
-    answer
+    solution
         Solution by the solver, scaled.
     descent
         Landing problem.
@@ -43,16 +43,16 @@ def build_path(
     """
     units = ProgramScales.of(descent, duration)
     n = transcription.structure.intervals
-    nodes = answer.x[: 7 * (n + 1)].reshape(n + 1, 7)
+    nodes = solution.x[: 7 * (n + 1)].reshape(n + 1, 7)
     speed = units.length / units.time
     velocity = nodes[:, 3:6] * speed
     thrust = np.diff(velocity, axis=0) * (n / duration) + np.array([0.0, 0.0, descent.gravity])
     spent = -np.diff(nodes[:, 6]) * speed
-    s, z = transcription.rows["thrust"], answer.z
+    s, z = transcription.rows["thrust"], solution.z
     # The unit of the landing error is a length, that of delta-v a speed.
     landing = transcription.structure.free and program.c[-1] == 1.0
     unit = units.length if landing else speed
-    lengths = _length_derivatives(transcription, program, answer) * unit / duration
+    lengths = _length_derivatives(transcription, program, solution) * unit / duration
     planes = transcription.structure.planes
     return OptimalPath(
         descent=descent,
@@ -63,30 +63,30 @@ def build_path(
         thrust=thrust,
         bound=spent * n / duration,
         increment=float(-nodes[-1, 6] * speed),
-        cost=float(program.c @ answer.x) * unit,
+        cost=float(program.c @ solution.x) * unit,
         slope=float(lengths.mean()),
         hamiltonian=-lengths,
         primer_vector=-z[s].reshape(n, 4)[:, 1:],
         half_space_multipliers=z[transcription.rows["planes"]].reshape(-1, planes)
         if planes
         else np.zeros((0, 0)),
-        iterations=answer.iterations,
-        solver=answer.solver,
+        iterations=solution.iterations,
+        solver=solution.solver,
     )
 
 
 def _length_derivatives(
-    transcription: Transcription, program: Program, answer: SolverResult
+    transcription: Transcription, program: Program, solution: SolverResult
 ) -> Array:
     """Return the derivative of the cost by the length of each interval (N,), scaled.
 
-    The derivative follows from the Lagrangian of `program` at the solution `answer`.
+    The derivative follows from the Lagrangian of `program` at its `solution`.
     """
-    n, x, z = transcription.structure.intervals, answer.x, answer.z
+    n, x, z = transcription.structure.intervals, solution.x, solution.z
     nodes = x[: 7 * (n + 1)].reshape(n + 1, 7)
     speeds = nodes[:, 3:6]
     out: Array = -0.5 * np.einsum(
-        "ij,ij->i", answer.y[: 3 * n].reshape(n, 3), speeds[1:] + speeds[:-1]
+        "ij,ij->i", solution.y[: 3 * n].reshape(n, 3), speeds[1:] + speeds[:-1]
     )
     residual = program.g @ x - program.h
     spent = -np.diff(nodes[:, 6])
@@ -99,13 +99,13 @@ def _length_derivatives(
     for name, axes in (("planes", transcription.structure.planes), ("glideslope", 3)):
         if name in transcription.rows:
             out[transcription.inner] += _control_point_terms(
-                transcription, program, answer, name, axes
+                transcription, program, solution, name, axes
             )
     return out
 
 
 def _control_point_terms(
-    transcription: Transcription, program: Program, answer: SolverResult, name: str, axes: int
+    transcription: Transcription, program: Program, solution: SolverResult, name: str, axes: int
 ) -> Array:
     """Return the part of `_length_derivatives` from constraints on control points.
 
@@ -114,8 +114,8 @@ def _control_point_terms(
     """
     n = transcription.structure.intervals
     rows = program.g[transcription.rows[name]]
-    moving = answer.x.copy()
+    moving = solution.x.copy()
     moving[: 7 * (n + 1)].reshape(n + 1, 7)[:, :3] = 0.0  # keeps half V / N of each row
     return np.asarray(
-        (answer.z[transcription.rows[name]] * (rows @ moving)).reshape(-1, axes).sum(1) * n
+        (solution.z[transcription.rows[name]] * (rows @ moving)).reshape(-1, axes).sum(1) * n
     )

@@ -164,18 +164,18 @@ class Descent:
         horizontal = max(float(np.hypot(gap[0], gap[1])) - self.region, 0.0)
         return bool(gap[2] + self.drop < np.tan(self.glideslope) * horizontal - slack)
 
-    def tilts(self, left: Array) -> Array | None:
+    def tilts(self, times_to_go: Array) -> Array | None:
         """Return the maximum tilts of the thrust (n,), rad, for times-to-go.
 
-        `left` (n,) are the times-to-go, s. None: no limit.
+        `times_to_go` (n,) are in s. The result is None without a limit.
         """
         if self.max_tilt is None and self.max_final_tilt is None:
             return None
         # Tilts above 90 deg are not convex and not needed for a landing.
-        most = np.full(len(left), 0.5 * np.pi if self.max_tilt is None else self.max_tilt)
+        most = np.full(len(times_to_go), 0.5 * np.pi if self.max_tilt is None else self.max_tilt)
         if self.max_final_tilt is None:
             return most
-        return np.asarray(np.minimum(most, self.max_final_tilt + self.tilt_rate * left))
+        return np.asarray(np.minimum(most, self.max_final_tilt + self.tilt_rate * times_to_go))
 
     @property
     def delta_v_available(self) -> float:

@@ -168,18 +168,18 @@ class TerrainRaster:
         return HalfSpaces(normals, level - normals @ path.descent.end_position, moves=False)
 
     @staticmethod
-    def _plane(posts: Array, about: Array, reach: float) -> Array:
+    def _plane(posts: Array, centre: Array, reach: float) -> Array:
         """Return slopes and height at the origin (3,) of a plane above nearby terrain.
 
-        `posts` (n, 3) are terrain points; those within `reach` (m, horizontal) of the point `about`
-        are used.
+        `posts` (n, 3) are terrain points; those within `reach` (m, horizontal) of the point
+        `centre` are used.
         """
-        near = posts[np.hypot(*(posts[:, :2] - about[:2]).T) <= reach]
+        near = posts[np.hypot(*(posts[:, :2] - centre[:2]).T) <= reach]
         if len(near) < 3:
             raise InputError(
-                "optimal.terrain", about[:2].tolist(), "must have elevations under the path"
+                "optimal.terrain", centre[:2].tolist(), "must have elevations under the path"
             )
-        rows = np.column_stack((near[:, :2] - about[:2], np.ones(len(near))))
+        rows = np.column_stack((near[:, :2] - centre[:2], np.ones(len(near))))
         slope = np.linalg.lstsq(rows, near[:, 2], rcond=None)[0][:2]
         return np.array([*slope, (near[:, 2] - near[:, :2] @ slope).max()])
 

@@ -116,7 +116,15 @@ class HalfSpaces:
 
 @dataclass(frozen=True)
 class ProgramScales:
-    """Scales of a cone program: length (m), time (s), ln(mass) per mass variable."""
+    """Scales of the variables of a cone program.
+
+    Attributes
+    ----------
+    length, time
+        Scales of length (m) and time (s).
+    kappa
+        ln(mass) divided by its scaled variable.
+    """
 
     length: float
     time: float
@@ -297,28 +305,28 @@ class Transcription:
 
     def _constraint_values(
         self,
-        d: Descent,
+        descent: Descent,
         units: ProgramScales,
         log_mass: Array,
         half_spaces: HalfSpaces | None,
         nearest: bool,
     ) -> dict[str, tuple[Array, Array]]:
-        """Return matrix entries and right-hand side of each group of constraints.
+        """Return matrix entries and right-hand side of each group of constraints, by name.
 
-        `d` is the landing problem, `log_mass` (N,) the guess of ln(mass / initial mass); with
-        `nearest`, the landing error is minimised.
+        `log_mass` (N,) is the guess of ln(mass / initial mass); with `nearest`, the landing error
+        is minimised.
         """
         s, n = self.structure, self.structure.intervals
-        out = self._thrust_bounds(d, units, log_mass)
-        weight = d.gravity * units.time**2 / units.length / n
-        drop = d.drop / units.length
+        out = self._thrust_bounds(descent, units, log_mass)
+        weight = descent.gravity * units.time**2 / units.length / n
+        drop = descent.drop / units.length
         if s.tilt:
             # At interval centres, where thrust is bounded too.
-            tilts = d.tilts(units.time * (1.0 - (np.arange(n) + 0.5) / n))
+            tilts = descent.tilts(units.time * (1.0 - (np.arange(n) + 0.5) / n))
             lean = np.cos(tilts if tilts is not None else np.zeros(n))
             ones = np.ones(n)
             out["tilt"] = np.column_stack((lean, -lean, ones, -ones)), np.full(n, weight)
-        least = np.log(d.dry_mass / d.mass) / units.kappa
+        least = np.log(descent.dry_mass / descent.mass) / units.kappa
         out["mass"] = np.array([[-1.0]]), np.array([-least])
         if s.planes and half_spaces is not None:
             a = half_spaces.normals[self.inner].reshape(-1, 3)
@@ -328,14 +336,14 @@ class Transcription:
                 rows[:, 6:] = 0.0
             out["planes"] = rows, -offsets
         if s.free:
-            most = 2.0 if nearest else d.region / units.length
+            most = 2.0 if nearest else descent.region / units.length
             out["reach"] = np.array([[1.0]]), np.array([most])
             out["end"] = np.full((3, 1), -1.0), np.zeros(3)
         thrust = np.zeros((n, 4))
         thrust[:, 3] = weight
         out["thrust"] = np.broadcast_to([-1.0, 1.0], (4 * n, 2)), thrust.ravel()
         if s.glideslope:
-            tan = np.tan(d.glideslope if d.glideslope is not None else 0.0)
+            tan = np.tan(descent.glideslope if descent.glideslope is not None else 0.0)
             count = len(self.inner)
             row = self._control_point_entries(np.array([[-1.0], [-tan], [-tan]]))
             out["glideslope"] = np.tile(row, (count, 1)), np.tile([drop, 0.0, 0.0], count)
@@ -344,35 +352,40 @@ class Transcription:
                 out["start"] = start, np.array([drop, 0.0, 0.0])
         return out
 
-    def _control_point_entries(self, a: Array) -> Array:
+    def _control_point_entries(self, coefficients: Array) -> Array:
         """Return matrix entries (n, 2 k or 3 k) for constraints on control points.
 
-        `a` (n, k) are the coefficients of the coordinates of the control points.
+        `coefficients` (n, k) multiply the coordinates of the control points.
         """
         half = 0.5 / self.structure.intervals
-        parts = [a, half * a] + ([-a] if self.structure.free else [])
+        parts = [coefficients, half * coefficients] + (
+            [-coefficients] if self.structure.free else []
+        )
         return np.concatenate(parts, axis=1)
 
     def _thrust_bounds(
-        self, d: Descent, units: ProgramScales, log_mass: Array
+        self, descent: Descent, units: ProgramScales, log_mass: Array
     ) -> dict[str, tuple[Array, Array]]:
         """Return entries and right-hand sides of maximum and minimum thrust constraints.
 
-        They hold at the interval centres; `d` is the landing problem.
+        They hold at the interval centres.
         """
         k = units.kappa
-        unit_acceleration = self._unit_force(d, units) * np.exp(-log_mass)
+        unit_acceleration = self._unit_force(descent, units) * np.exp(-log_mass)
         out = {}
-        for name, sign, force in (("high", 1.0, d.thrust_max), ("low", -1.0, d.thrust_min)):
+        for name, sign, force in (
+            ("high", 1.0, descent.thrust_max),
+            ("low", -1.0, descent.thrust_min),
+        ):
             most = force * unit_acceleration
             half = 0.5 * k * most
             entries = sign * np.column_stack((1.0 + half, half - 1.0))
             out[name] = entries, sign * most * (1.0 + log_mass)
         return out
 
-    def _unit_force(self, d: Descent, units: ProgramScales) -> float:
+    def _unit_force(self, descent: Descent, units: ProgramScales) -> float:
         """Return the scaled velocity change that 1 newton causes in one interval.
 
         The mass is the initial mass.
         """
-        return units.time**2 / (units.length * self.structure.intervals * d.mass)
+        return units.time**2 / (units.length * self.structure.intervals * descent.mass)

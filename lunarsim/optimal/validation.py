@@ -21,8 +21,8 @@ def is_number(value: Any) -> bool:
     return real and bool(np.isfinite(float(value)))
 
 
-def count(name: str, value: Any, least: int) -> int:
-    """Return a value as an integer of at least `least`.
+def count(name: str, value: Any, minimum: int) -> int:
+    """Return a value as an integer of at least `minimum`, after checking it.
 
     `name` is the parameter of `lunarsim.optimal` that an error names.
 
@@ -31,8 +31,8 @@ def count(name: str, value: Any, least: int) -> int:
     InputError
         If the value is not an integer or is below the minimum.
     """
-    if not isinstance(value, Integral) or isinstance(value, bool) or value < least:
-        raise InputError(f"optimal.{name}", value, f"must be an integer of at least {least}")
+    if not isinstance(value, Integral) or isinstance(value, bool) or value < minimum:
+        raise InputError(f"optimal.{name}", value, f"must be an integer of at least {minimum}")
     return int(value)
 
 

@@ -140,7 +140,7 @@ def trimmed_start_state(state: State, briefing: Briefing) -> State:
     """
     software, lander = briefing.software, briefing.lander
     braking = software.braking
-    part = software.guidance if braking is None else braking.part()
+    part = software.guidance if braking is None else braking.law_settings()
     law = part.build(briefing, software.control.response_time + lander.thrust_lag)
     end = (
         software.approach.end(briefing.target, lander)

@@ -98,7 +98,7 @@ def take_image(world: World, model: ShapeMixture, rng: np.random.Generator) -> d
     camera = replace(Camera(), mount=gimbal_mount(state.attitude, -position))
     photo = camera.expose(world, state, 0.0, rng)
     seen = detect_rocks(photo.counts, camera, state, world.light.direction, model=model)
-    model.learn(seen.shapes, seen.q)
+    model.update_fractions(seen.shapes, seen.q)
     rocks = world.terrain.rocks
     xy = np.column_stack((rocks.x, rocks.y))
     away = position[:2] - xy

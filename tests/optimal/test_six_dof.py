@@ -20,9 +20,9 @@ from lunarsim.optimal.six_dof.guess import initial_guess, remaining_guess
 from lunarsim.optimal.six_dof.motion import (
     SHARES,
     control_units,
-    figures_of,
-    interval,
+    interval_function,
     state_units,
+    vehicle_parameters,
 )
 from lunarsim.optimal.six_dof.path import RigidPath, evaluate_violations
 from lunarsim.optimal.six_dof.problem import RigidDescent, SiteVisibility
@@ -61,7 +61,7 @@ def held(d: RigidDescent, path: RigidPath) -> None:
     """Check a path by what the simulator makes of its commands."""
     found = evaluate_violations(d, *simulate_open_loop(path))
     assert found.miss < 0.05 and found.speed < 0.01, found
-    assert np.rad2deg([found.lean, found.spin]).max() < 0.05, found
+    assert np.rad2deg([found.final_tilt, found.final_rate]).max() < 0.05, found
     assert np.rad2deg([found.tilt, found.rate]).max() < 0.3, found
     assert found.slope < 0.0 and np.rad2deg(found.sight) < 0.5, found
 
@@ -78,10 +78,10 @@ def test_an_interval_moves_a_body_as_the_simulator_does(lag):
         for _ in range(400):
             state = dynamics.advance(state, thrust, torque)
         states = np.asarray(
-            interval()(
+            interval_function()(
                 d.start.as_vector() / state_units(units),
                 np.array([thrust, *torque]) / control_units(units), 1.0 / units.time,
-                figures_of(d, units),
+                vehicle_parameters(d, units),
             )
         )  # fmt: skip
         off = states[:, -1] * state_units(units) - state.as_vector()
@@ -179,7 +179,7 @@ def test_what_cannot_be_is_refused():
     ("given", "field"),
     [
         (("a", 0.5), "axis"), (((0.0, 0.0, 0.0), 0.5), "axis"), (((0.0, 0.0, -1.0), "a"), "half_"),
-        (((0.0, 0.0, -1.0), True), "half_"), (((0.0, 0.0, -1.0), 0.5, None), "share"),
+        (((0.0, 0.0, -1.0), True), "half_"), (((0.0, 0.0, -1.0), 0.5, None), "visible_fraction"),
     ],
 )  # fmt: skip
 def test_a_sensor_that_cannot_be_is_refused_by_name(given, field):
@@ -188,7 +188,7 @@ def test_a_sensor_that_cannot_be_is_refused_by_name(given, field):
 
 
 def test_what_is_no_sensor_is_refused():
-    with pytest.raises(InputError, match=r"optimal\.sight: must be a Sight or None"):
+    with pytest.raises(InputError, match=r"optimal\.sight: must be a SiteVisibility or None"):
         descent(np.random.default_rng(1), sight=3)
 
 
@@ -225,7 +225,7 @@ def test_a_path_is_given_only_once_its_intervals_are_joined(monkeypatch):
         made = [point(*np.atleast_1d(p)) for p in row]
         programs = SuccessiveConvexification(N)
         monkeypatch.setattr(programs, "_layout", SimpleNamespace(
-            build=lambda *given: None, read=lambda *given: (None, None, None)))  # fmt: skip
+            build=lambda *given: None, split=lambda *given: (None, None, None)))  # fmt: skip
         monkeypatch.setattr(programs, "_solve", lambda program: np.zeros(1))
         coming = iter(made)
         monkeypatch.setattr(successive.LinearisedPath, "at", lambda *given, c=coming: next(c))
@@ -245,7 +245,7 @@ def test_failures_of_solvers_are_told():
 def test_without_a_compiler_it_says_so(monkeypatch):
     monkeypatch.setenv("PATH", "")
     monkeypatch.delenv("CC", raising=False)
-    assert compiled_solver.compiler() is None
+    assert compiled_solver.find_compiler() is None
     with pytest.raises(InputError, match="compiler"):
         compiled_solver.compiled_library("none", lambda: None)
 

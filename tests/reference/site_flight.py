@@ -43,7 +43,7 @@ class SiteFlight:
 
     def _law(self):
         g = self.software.guidance
-        return PathGuidance(g.shape, self.gravity, lead=self.lag, min_time_to_go=g.min_time_to_go)
+        return PathGuidance(g.shape, self.gravity, lag=self.lag, min_time_to_go=g.min_time_to_go)
 
     @property
     def estimate(self):

@@ -17,8 +17,8 @@ from lunarsim.onboard.guidance._kernels import (
     LOW,
     MASS,
     MOST,
-    SHARE,
     TAN_TILT,
+    TIME_FRACTION,
 )
 
 # Margins for rounding: relative, m^2/s^4, m, m/s.
@@ -38,7 +38,7 @@ def path_coefficients(state, law, out):
     low, high = law.powers[0], law.powers[1]
     k = (low + 2.0) / (high - low)
     for s in range(len(out)):
-        fraction = law.coarse_table[s, SHARE]
+        fraction = law.coarse_table[s, TIME_FRACTION]
         f, g = (low + 1.0) * law.coarse_table[s, LOW], (high + 1.0) * law.coarse_table[s, HIGH]
         out[s, 0] = k * (high + 2.0) * (f - g)
         rest = g - k * (f - g)

@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 
 from lunarsim._jit import kernel
-from lunarsim.onboard.guidance._kernels import GRAVITY, HIGH, LOW, SHARE, evaluate_path
+from lunarsim.onboard.guidance._kernels import GRAVITY, HIGH, LOW, TIME_FRACTION, evaluate_path
 
 # Columns of a terrain node, and of the parameters of a sensor.
 EAST, NORTH, UP, WEIGHT, KNOWN_FRACTION, MIN_TIME_TO_GO = 0, 1, 2, 3, 4, 5
@@ -30,7 +30,7 @@ def _removed_uncertainty(
     displacement,
     reduction,
     sensor,
-    pixel,
+    pixel_sharpness,
     cos_azimuth,
     sin_depression,
     distance,
@@ -38,10 +38,9 @@ def _removed_uncertainty(
     """Return the fraction of hazard uncertainty that one observation removes.
 
     `sharpness`, `visible`, `displacement` (sensors, 33, 33) and `reduction` (sensors, 129) are the
-    tables of `SensorCoverageModel`. `sensor` is the index of the sensor and `pixel` the angle of a
-    pixel, rad, times its maximum sharpness. `cos_azimuth` is the cosine of the azimuth from the
-    Sun, `sin_depression` the sine of the depression of the line of sight, and `distance` the range,
-    m.
+    tables of `SensorCoverageModel`. `sensor` is the index of the sensor and `pixel_sharpness` its
+    angle of a pixel, rad, times its `max_sharpness`. The azimuth is from the Sun, the depression
+    that of the line of sight, and `distance` the range, m.
     """
     last = sharpness.shape[1] - 1
     u, v = 0.5 * last * (cos_azimuth + 1.0), last * sin_depression
@@ -62,7 +61,7 @@ def _removed_uncertainty(
     )  # fmt: skip
     visible_fraction *= np.exp(-displacement_at_1_m * distance * distance)
     last_bin = reduction.shape[1] - 1
-    bin_position = sharpness_at_1_m / (distance * pixel) * last_bin
+    bin_position = sharpness_at_1_m / (distance * pixel_sharpness) * last_bin
     if bin_position >= last_bin:
         return visible_fraction * reduction[sensor, last_bin]
     k = int(bin_position)
@@ -85,15 +84,15 @@ def observe_nodes(
     displacement,
     reduction,
     sensor_params,
-    known,
+    known_fraction,
 ):
-    """Update what is known at each terrain node with one observation of the site.
+    """Update the removed hazard uncertainty at terrain nodes with one observation.
 
-    `known` (g,) is the fraction of hazard uncertainty removed at each node and receives the
-    maximum. `position` (3,) is that of the sensor, m, and `thrust` (3,) gives the direction of the
-    vehicle axis. Only nodes count to which the lander can still divert with `time_left` seconds
-    left. `sensor` is the index of the sensor, which points at `site`. The other arguments are those
-    of `score`.
+    A value of `known_fraction` (g,), the fraction removed at each node, rises to that of this
+    observation if the latter is larger, and if the lander can still divert to the node with
+    `time_left` seconds left. `sensor` is the index of a sensor at `position` (3,), m, that points
+    at `site`; `thrust` (3,) gives the direction of the vehicle axis. The other arguments are those
+    of `score_paths`.
     """
     bx, by, bz = site[0] - position[0], site[1] - position[1], site[2] - position[2]
     size = np.sqrt(bx * bx + by * by + bz * bz)
@@ -106,7 +105,7 @@ def observe_nodes(
         < sensor_params[sensor, COS_GIMBAL_LIMIT] * axis
     ):
         return
-    pixel = sensor_params[sensor, PIXEL] * sensor_params[sensor, MAX_SHARPNESS]
+    pixel_sharpness = sensor_params[sensor, PIXEL] * sensor_params[sensor, MAX_SHARPNESS]
     for g in range(nodes.shape[0]):
         if time_left < nodes[g, MIN_TIME_TO_GO] or nodes[g, WEIGHT] <= 0.0:
             continue
@@ -132,67 +131,60 @@ def observe_nodes(
             displacement,
             reduction,
             sensor,
-            pixel,
+            pixel_sharpness,
             cos_azimuth,
             z / distance,
             distance,
         )
-        known[g] = max(known[g], fraction)
+        known_fraction[g] = max(known_fraction[g], fraction)
 
 
 @kernel(inner=True)
-def path_state(target, end_state, total, table, s, powers, x, gravity, position, thrust):
+def path_state(
+    target, end_state, time_to_go, table, sample, powers, terms, gravity, position, thrust
+):
     """Compute position and thrust acceleration (3,) at a sample of a polynomial path.
 
-    `s` is the index of the sample. `target` (3,) and `end_state` (2, 3) are the final position,
-    velocity and acceleration, `total` is the time-to-go of the path, s. `table` holds the fraction
-    of time left and its powers at the samples, `powers` (2,) the powers of time-to-go, and `x` (2,
-    3) the coefficients of the path. `position`, m, and `thrust`, m/s^2, receive the results.
+    `position`, m, and `thrust`, m/s^2, receive the results. `sample` is an index into `table`, the
+    fraction of time left and its `powers` (2,). `target` (3,) is the final position, `end_state`
+    (2, 3) final velocity and acceleration, and `terms` the result of `power_terms`.
     """
-    low, high = table[s, LOW], table[s, HIGH]
-    time_left = table[s, SHARE] * total
+    low, high = table[sample, LOW], table[sample, HIGH]
+    time_left = table[sample, TIME_FRACTION] * time_to_go
     f, g = low / (powers[0] + 2.0), high / (powers[1] + 2.0)
     d, e = (powers[0] + 1.0) * low, (powers[1] + 1.0) * high
     for k in range(3):
-        half = 0.5 * end_state[1, k] + x[0, k] * f + x[1, k] * g
+        half = 0.5 * end_state[1, k] + terms[0, k] * f + terms[1, k] * g
         position[k] = target[k] + time_left * (time_left * half - end_state[0, k])
-        thrust[k] = end_state[1, k] + d * x[0, k] + e * x[1, k]
+        thrust[k] = end_state[1, k] + d * terms[0, k] + e * terms[1, k]
     thrust[2] += gravity
 
 
 @kernel(inner=True)
 def observe_along_path(
-    target, end_state, total, table, powers, x, gravity, max_final_tilt, site, nodes, sharpness,
-    visible, displacement, reduction, sensor_params, single_altitudes, samples, known,
+    target, end_state, time_to_go, table, powers, terms, gravity, max_final_tilt, site, nodes,
+    sharpness, visible, displacement, reduction, sensor_params, single_altitudes, samples,
+    known_fraction,
 ):  # fmt: skip
-    """Update what is known at each terrain node with all observations along a path.
+    """Update the removed hazard uncertainty at terrain nodes along a path.
 
-    `known` (g,) is the fraction of hazard uncertainty removed at each node. The function returns
-    False if the thrust tilts by more than `max_final_tilt` (a tangent) below the altitude at which
-    observations cease to count. The path is defined as for `path_state`; the sensors as for
-    `score`.
-
-    Parameters
-    ----------
-    site
-        Site (3,), height of the centre of mass of a landed vehicle, and altitude below which
-        observations do not count, m; together (5,).
-    single_altitudes
-        Altitudes of single observations of each sensor, m (sensors, k); NaN for none. A sensor
-        without any observes at every sample.
-    samples
-        Scratch array (4, 3).
+    The function returns False if the thrust tilts by more than `max_final_tilt` (a tangent) below
+    the altitude at which observations cease to count. `known_fraction` (g,) is the fraction of
+    hazard uncertainty removed at each node, and `samples` (4, 3) is scratch. The path is defined as
+    for `path_state`; the other arguments are those of `score_paths`.
     """
     standing_height, min_altitude = site[3], site[4]
     lowest_altitude = np.inf
     for s in range(table.shape[0]):
-        path_state(target, end_state, total, table, s, powers, x, gravity, samples[0], samples[1])
+        path_state(
+            target, end_state, time_to_go, table, s, powers, terms, gravity, samples[0], samples[1]
+        )
         altitude = samples[0, 2] - standing_height
         if altitude < min_altitude:
             lateral_thrust = np.sqrt(samples[1, 0] ** 2 + samples[1, 1] ** 2)
             if lateral_thrust > max_final_tilt * samples[1, 2]:
                 return False
-        time_left = table[s, SHARE] * total
+        time_left = table[s, TIME_FRACTION] * time_to_go
         for sensor in range(sensor_params.shape[0]):
             if not np.isnan(single_altitudes[sensor, 0]):
                 for k in range(single_altitudes.shape[1]):
@@ -208,7 +200,7 @@ def observe_along_path(
                         samples[3, i] = samples[2, i] + part * (samples[0, i] - samples[2, i])
                     observe_nodes(
                         samples[3], samples[1], time_left, site, nodes, sensor, sharpness,
-                        visible, displacement, reduction, sensor_params, known,
+                        visible, displacement, reduction, sensor_params, known_fraction,
                     )  # fmt: skip
             elif (
                 max(sensor_params[sensor, MIN_ALTITUDE], min_altitude)
@@ -217,7 +209,7 @@ def observe_along_path(
             ):
                 observe_nodes(
                     samples[0], samples[1], time_left, site, nodes, sensor, sharpness, visible,
-                    displacement, reduction, sensor_params, known,
+                    displacement, reduction, sensor_params, known_fraction,
                 )  # fmt: skip
         lowest_altitude = min(lowest_altitude, altitude)
         samples[2] = samples[0]
@@ -225,71 +217,66 @@ def observe_along_path(
 
 
 @kernel(shared=True)
-def score(
-    share, state, target, speed, plans, fine, coarse, powers, vehicle, max_final_tilt, site, nodes,
-    sharpness, visible, displacement, reduction, sensor_params, single_altitudes, out,
+def score_paths(
+    thread_slice, state, target, end_velocity, paths, limit_table, observation_table, powers,
+    vehicle_params, max_final_tilt, site, nodes, sharpness, visible, displacement, reduction,
+    sensor_params, single_altitudes, out,
 ):  # fmt: skip
     """Compute the information gained along each candidate path, and its delta-v.
 
-    Parameters
-    ----------
-    share
-        Index of the first path of this thread, and number of threads.
-    state, target, speed
-        Current position and velocity (2, 3), m and m/s; position (3,) and velocity (3,) at the end.
-    plans
-        Time-to-go, s, and acceleration at the end of each path, m/s^2 (n, 4).
-    fine, coarse
-        Tables of the path samples at which limits are checked, and at which sensors observe.
-    powers, vehicle
-        Powers of time-to-go of the paths (2,); parameters of the vehicle and limits (7,), as for
-        `evaluate_path`.
-    max_final_tilt
-        Tangent of the maximum tilt of the thrust at the end, and below the minimum altitude of
-        observations.
-    site, single_altitudes
-        Site and altitudes (5,), and altitudes of single observations (sensors, k), m, as for
-        `observe_along_path`.
-    nodes
-        Terrain nodes (g, 6): position (m), weight, fraction of uncertainty already removed, and
-        minimum time-to-go with which a lander on its way to the site can still divert there, s.
-    sharpness, visible, displacement, reduction, sensor_params
-        Tables and parameters of the sensors, from `SensorCoverageModel`.
-    out
-        Receives the results (n, 2): weighted mean over the nodes of the fraction of uncertainty
-        removed, and delta-v, m/s; inf if a limit is violated.
+    `out` (n, 2) receives the fraction of hazard uncertainty removed, a weighted mean over the
+    terrain `nodes` of `PlanningProblem`, and the delta-v, m/s, which is inf if a limit is violated.
+    Each of `paths` (n, 4) is time-to-go, s, and acceleration at the end, m/s^2. They lead from
+    `state` (2, 3), position and velocity, to `target` (3,) with `end_velocity` (3,).
+
+    Limits are checked at the samples of `limit_table`, and sensors observe at those of
+    `observation_table`; tables, `powers` and `vehicle_params` are as for `evaluate_path`.
+    `max_final_tilt` is a tangent and applies at the end and where observations no longer count.
+    `site` (5,) is the site, the height of the centre of mass of a landed vehicle, and the altitude
+    below which observations do not count, m. `single_altitudes` (sensors, k), m, are the altitudes
+    of single observations; a sensor with NaN observes at every sample. The arguments from
+    `sharpness` to `sensor_params` describe the sensors (`SensorCoverageModel`). `thread_slice` is
+    (thread, number of threads).
     """
     total = 0.0
     for g in range(nodes.shape[0]):
         total += nodes[g, WEIGHT]
-    end_state, x, found = np.empty((2, 3)), np.empty((2, 3)), np.empty(4)
-    samples, known = np.empty((4, 3)), np.empty(nodes.shape[0])
-    for n in range(share[0], plans.shape[0], share[1]):
+    end_state, terms, path_cost = np.empty((2, 3)), np.empty((2, 3)), np.empty(4)
+    samples, known_fraction = np.empty((4, 3)), np.empty(nodes.shape[0])
+    for n in range(thread_slice[0], paths.shape[0], thread_slice[1]):
         for k in range(3):
-            end_state[0, k], end_state[1, k] = speed[k], plans[n, 1 + k]
+            end_state[0, k], end_state[1, k] = end_velocity[k], paths[n, 1 + k]
         out[n, 0], out[n, 1] = 0.0, np.inf
-        vertical_thrust = end_state[1, 2] + vehicle[GRAVITY]
+        vertical_thrust = end_state[1, 2] + vehicle_params[GRAVITY]
         lateral_thrust = np.sqrt(end_state[1, 0] ** 2 + end_state[1, 1] ** 2)
         if (
             vertical_thrust <= 0.0
             or lateral_thrust > max_final_tilt * vertical_thrust
-            or not plans[n, 0] > 0.0
+            or not paths[n, 0] > 0.0
         ):
             continue
         if not evaluate_path(
-            state, target, end_state, plans[n, 0], fine, powers, vehicle, x, found
+            state,
+            target,
+            end_state,
+            paths[n, 0],
+            limit_table,
+            powers,
+            vehicle_params,
+            terms,
+            path_cost,
         ):
             continue
         for g in range(nodes.shape[0]):
-            known[g] = nodes[g, KNOWN_FRACTION]
+            known_fraction[g] = nodes[g, KNOWN_FRACTION]
         if not observe_along_path(
             target,
             end_state,
-            plans[n, 0],
-            coarse,
+            paths[n, 0],
+            observation_table,
             powers,
-            x,
-            vehicle[GRAVITY],
+            terms,
+            vehicle_params[GRAVITY],
             max_final_tilt,
             site,
             nodes,
@@ -300,11 +287,11 @@ def score(
             sensor_params,
             single_altitudes,
             samples,
-            known,
+            known_fraction,
         ):
             continue
-        out[n, 1] = found[0]
+        out[n, 1] = path_cost[0]
         mean = 0.0
         for g in range(nodes.shape[0]):
-            mean += nodes[g, WEIGHT] * known[g]
+            mean += nodes[g, WEIGHT] * known_fraction[g]
         out[n, 0] = mean / total if total > 0.0 else 0.0

@@ -1,10 +1,10 @@
 """Information-seeking guidance law: plans paths by what the sensors observe.
 
-At fixed intervals the planner (`SeekingPlanner`) searches for the path that gains most information
-about the terrain within reach, within the propellant that the mission allows. It uses the current
-hazard map, the navigation estimate, and the rocks and the Sun of the briefing. Between plans the
-path is flown as by the Apollo law. Once observations no longer count, because no decision follows,
-the lander descends on the minimum-propellant path.
+At fixed intervals the planner (`InformationPlanner`) searches for the path that gains most
+information about the terrain within reach, within the propellant that the mission allows. It uses
+the current hazard map, the navigation estimate, and the rocks and the Sun of the briefing. Between
+plans the path is flown as by the Apollo law. Once observations no longer count, because no decision
+follows, the lander descends on the minimum-propellant path.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from lunarsim.errors import InputError
 from lunarsim.messages.briefing import Briefing
 from lunarsim.onboard.active_perception.information import ExpectedRocks
-from lunarsim.onboard.active_perception.planner import PathPlan, PlanningProblem, SeekingPlanner
+from lunarsim.onboard.active_perception.planner import InformationPlanner, PathPlan, PlanningProblem
 from lunarsim.onboard.active_perception.sensor_coverage import (
     build_coverage_models,
     footprint_radius,
@@ -104,7 +104,7 @@ class InformationSeekingLaw(PathLaw):
         """Shape of the paths: that of the Apollo law."""
         return APOLLO
 
-    def build(self, briefing: Briefing, lag: float) -> SeekingGuidance:  # type: ignore[override]
+    def build(self, briefing: Briefing, lag: float) -> InformationSeekingGuidance:  # type: ignore[override]
         """Build the guidance law of one flight.
 
         `briefing` is the data known before the flight; `lag` is the total response lag of attitude
@@ -115,10 +115,10 @@ class InformationSeekingLaw(PathLaw):
         InputError
             If no mapper uses a tasked sensor on a gimbal, so that nothing can be observed.
         """
-        return SeekingGuidance(self, briefing, lag)
+        return InformationSeekingGuidance(self, briefing, lag)
 
 
-class SeekingGuidance:
+class InformationSeekingGuidance:
     """Guidance of one flight on paths that maximise hazard information.
 
     Attributes
@@ -152,18 +152,22 @@ class SeekingGuidance:
                 "needs a camera or LiDAR that is tasked and that a mapper uses",
                 "A camera needs a Sun elevation between 2 and 80 deg.",
             )  # fmt: skip
-        looks = [
+        schedules = [
             _measurement_altitudes(briefing.software.tasking[sensor.name]) for sensor in sensors
         ]
-        self.planner = SeekingPlanner(
-            sensors, looks, settings.candidates, settings.propellant_weight, settings.max_final_tilt
+        self.planner = InformationPlanner(
+            sensors,
+            schedules,
+            settings.candidates,
+            settings.propellant_weight,
+            settings.max_final_tilt,
         )
-        rocks = ExpectedRocks.of(briefing.rocks.cover, settings.min_rock_diameter)
-        self._prior = rocks.hazard(footprint_radius(briefing))
-        self._answering = ActuatorLagModel(lag)
+        rocks = ExpectedRocks.golombek(briefing.rocks.cover, settings.min_rock_diameter)
+        self._prior = rocks.hazard_probability(footprint_radius(briefing))
+        self._lag_model = ActuatorLagModel(lag)
         self._apollo = PathGuidance(
-            APOLLO, self.gravity, answering=self._answering,
-            min_time_to_go=settings.min_time_to_go, field=briefing.nonuniform_gravity,
+            APOLLO, self.gravity, lag_model=self._lag_model,
+            min_time_to_go=settings.min_time_to_go, gravity_model=briefing.nonuniform_gravity,
         )  # fmt: skip
         self._end: PhaseEnd | None = None
         self._next = -np.inf
@@ -180,11 +184,11 @@ class SeekingGuidance:
         require_finite_state(estimate, end)
         if not np.isfinite(time_to_go):
             raise InputError("guidance.time_to_go", time_to_go, "must be a finite time in s")
-        self._answering.advance(time)
+        self._lag_model.advance(time)
         moved = self._end is not None and _horizontal_distance(self._end, end) > _DIVERT_DISTANCE_M
         if self.arrival is None or moved:
             self.arrival = time + time_to_go  # the computer's estimate
-        site = self._site(end)
+        site = self._landing_site(end)
         altitude = float(estimate.position[2] - site[2] - self.lander.com_height)
         self._lowest = min(self._lowest, altitude)
         if moved or self._end is None or (time >= self._next - 1e-9 and self._can_replan(time)):
@@ -211,7 +215,7 @@ class SeekingGuidance:
         """Whether observations no longer matter, because no site decision follows."""
         return bool(self._lowest <= self.briefing.software.decisions.last_altitude)
 
-    def _cheapest(
+    def _cheapest_path(
         self, estimate: Estimate, end: PhaseEnd, limits: PathLimits, min_time: float = 0.0
     ) -> tuple[float, float]:
         """Return propellant (kg) and time-to-go (s) of the cheapest admissible path.
@@ -226,11 +230,11 @@ class SeekingGuidance:
             self.lander,
             self.gravity,
             limits=limits,
-            least_times=np.array([min_time]),
+            min_times=np.array([min_time]),
         )
         return float(cost.propellant[0]), float(cost.time_to_go[0])
 
-    def _site(self, end: PhaseEnd) -> Array:
+    def _landing_site(self, end: PhaseEnd) -> Array:
         """Return the site (3,), m, above which the approach ends at `end`."""
         approach = self.briefing.software.approach
         height = approach.end(np.zeros(3), self.lander).position
@@ -238,15 +242,15 @@ class SeekingGuidance:
 
     # --- Plans ----------------------------------------------------------------------------
 
-    def _ahead(self, estimate: Estimate) -> Estimate:
+    def _predict_state(self, estimate: Estimate) -> Estimate:
         """Return the state predicted for the time when a command takes effect."""
-        position, velocity = self._answering.predict(estimate)
+        position, velocity = self._lag_model.predict(estimate)
         return replace(estimate, position=position, velocity=velocity)
 
     def _replan(
         self, estimate: Estimate, end: PhaseEnd, time: float, site: Array, previous: PathPlan | None
     ) -> None:
-        """Search for the best path from where commands take effect, or fall back.
+        """Plan the best path from the state at which commands take effect, or fall back.
 
         `site` (3,), m, is the landing site, and `previous` the plan flown before; None: none.
         `time` is the current time, s.
@@ -254,8 +258,8 @@ class SeekingGuidance:
         if self._is_past_decisions:
             self._begin_descent(estimate, end, time)
             return
-        start, lead = self._ahead(estimate), self._answering.lag
-        cheapest, fastest = self._cheapest(start, end, self.limits)
+        start, lead = self._predict_state(estimate), self._lag_model.lag
+        cheapest, fastest = self._cheapest_path(start, end, self.limits)
         remaining = (self.arrival or time) - time - lead
         problem = self.problem(start, end, site)
         last = None if previous is None else replace(previous, time_to_go=remaining)
@@ -271,15 +275,15 @@ class SeekingGuidance:
         self.plan = plan
         self.arrival = time + lead + plan.time_to_go
         self.events.append((time, "guidance-planned", {
-            "known_fraction": plan.known, "propellant": plan.propellant,
+            "known_fraction": plan.known_fraction, "propellant": plan.propellant,
             "time_to_go": plan.time_to_go,
         }))  # fmt: skip
 
     def _propellant_limit(self, mass: float, cheapest: float) -> float:
         """Return the propellant that a path may use, kg: the rest of the initial budget.
 
-        `mass` is the current mass, kg, and `cheapest` the propellant of the cheapest path, kg; the
-        result is at least `cheapest`, so that a site above the budget can still be reached.
+        `mass` is the current mass, kg. The result is at least `cheapest`, the propellant of the
+        cheapest path, kg, so that the site can still be reached when the budget is used up.
         """
         if self._budget is None:
             if not np.isfinite(cheapest):
@@ -304,7 +308,7 @@ class SeekingGuidance:
         would end the phase beside the end point. After a divert without a plan, a hovering path is
         accepted.
         """
-        paths = self._descent_paths(self._ahead(estimate), end)
+        paths = self._descent_paths(self._predict_state(estimate), end)
         if not paths:
             return
         max_propellant = (
@@ -312,7 +316,7 @@ class SeekingGuidance:
         )
         _, fastest, tilt = next(path for path in paths if path[0] <= max_propellant)
         self.plan, self._observation_over = None, True
-        self.arrival = time + fastest + self._answering.lag
+        self.arrival = time + fastest + self._lag_model.lag
         self.events.append((time, "observation-phase-ended", {"time_to_go": fastest, "tilt": tilt}))
 
     def _descent_paths(self, start: Estimate, end: PhaseEnd) -> list[tuple[float, float, float]]:
@@ -323,11 +327,13 @@ class SeekingGuidance:
         state at the start of the paths.
         """
         paths = []
-        for share in _TILT_FRACTIONS:
-            tilt = share * min(self.settings.max_final_tilt, self.limits.max_tilt)
+        for tilt_fraction in _TILT_FRACTIONS:
+            tilt = tilt_fraction * min(self.settings.max_final_tilt, self.limits.max_tilt)
             limits = replace(self.limits, max_tilt=tilt)
-            fast_propellant, fastest = self._cheapest(start, end, limits)
-            calm_propellant, slower = self._cheapest(start, end, limits, _CALM_TIME_RATIO * fastest)
+            fast_propellant, fastest = self._cheapest_path(start, end, limits)
+            calm_propellant, slower = self._cheapest_path(
+                start, end, limits, _CALM_TIME_RATIO * fastest
+            )
             paths += [(calm_propellant, slower, tilt), (fast_propellant, fastest, tilt)]
         paths = [path for path in paths if np.isfinite(path[0])]
         monotonic = [path for path in paths if self._descends_monotonically(start, end, path[1])]
@@ -378,13 +384,13 @@ class SeekingGuidance:
         return float(min(self.gravity * np.tan(self.limits.max_tilt), spare))
 
 
-def _measurement_altitudes(part: Any) -> MeasurementAltitudes:
+def _measurement_altitudes(tasking: Any) -> MeasurementAltitudes:
     """Return the altitudes at which a sensor measures, from its tasking settings.
 
-    Tasking without stated altitudes gets the default. `part` are the settings.
+    Settings without altitudes get the default.
     """
-    known = getattr(part, "measurement_altitudes", None)
-    return known if isinstance(known, MeasurementAltitudes) else MeasurementAltitudes()
+    altitudes = getattr(tasking, "measurement_altitudes", None)
+    return altitudes if isinstance(altitudes, MeasurementAltitudes) else MeasurementAltitudes()
 
 
 def _horizontal_distance(a: PhaseEnd, b: PhaseEnd) -> float:

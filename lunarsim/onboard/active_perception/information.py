@@ -54,14 +54,14 @@ class ExpectedRocks:
     number: Array
 
     @classmethod
-    def of(cls, cover: float, least_diameter: float) -> ExpectedRocks:
-        """Return the densities by Golombek's size distribution, from a diameter to 4 m.
+    def golombek(cls, cover: float, min_diameter: float) -> ExpectedRocks:
+        """Return the rocks of Golombek's size distribution from a minimum diameter to 4 m.
 
         Parameters
         ----------
         cover
             Fraction k of the terrain covered by rocks of any size.
-        least_diameter
+        min_diameter
             Minimum diameter, m.
 
         Raises
@@ -69,33 +69,36 @@ class ExpectedRocks:
         InputError
             If the cover is not a fraction, or the diameter is not between 0 and 4 m.
         """
-        if not 0.0 < least_diameter < MAX_ROCK_DIAMETER_M:
+        if not 0.0 < min_diameter < MAX_ROCK_DIAMETER_M:
             raise InputError(
-                "min_diameter", least_diameter, f"must be between 0 and {MAX_ROCK_DIAMETER_M} m"
+                "min_diameter", min_diameter, f"must be between 0 and {MAX_ROCK_DIAMETER_M} m"
             )
-        edges = np.geomspace(least_diameter, MAX_ROCK_DIAMETER_M, _SIZES + 1)
+        edges = np.geomspace(min_diameter, MAX_ROCK_DIAMETER_M, _SIZES + 1)
         diameter = np.sqrt(edges[1:] * edges[:-1])
-        share = golombek_cover(edges, cover)
-        number = (share[:-1] - share[1:]) / (0.25 * np.pi * diameter**2)
+        cover_above = golombek_cover(edges, cover)
+        number = (cover_above[:-1] - cover_above[1:]) / (0.25 * np.pi * diameter**2)
         return cls(0.5 * diameter, number)
 
-    def reaching(self, footprint: float) -> Array:
-        """Return the expected number of rocks of each size that reach into a disc (n,).
+    def count_reaching(self, footprint: float) -> Array:
+        """Return the expected number of rocks of each class that reach into a disc (n,).
 
         `footprint` is the radius of the disc, m.
         """
         return np.asarray(self.number * np.pi * (self.radius + footprint) ** 2)
 
-    def hazard(self, footprint: float) -> float:
+    def hazard_probability(self, footprint: float) -> float:
         """Return the probability that at least one rock reaches into a disc.
 
         `footprint` is the radius of the disc, m.
         """
-        return float(-np.expm1(-self.reaching(footprint).sum()))
+        return float(-np.expm1(-self.count_reaching(footprint).sum()))
 
 
 def removed_uncertainty(
-    rocks: ExpectedRocks, footprint: float, missed: Callable[[Array], Array], sharpness: ArrayLike
+    rocks: ExpectedRocks,
+    footprint: float,
+    miss_rate: Callable[[Array], Array],
+    sharpness: ArrayLike,
 ) -> Array:
     """Return the fraction of hazard uncertainty that an observation removes (...).
 
@@ -108,15 +111,15 @@ def removed_uncertainty(
         Rocks that are hazards.
     footprint
         Radius of the disc that must be free of rocks, m.
-    missed
+    miss_rate
         Function that returns the miss rate of rocks, from radius times sharpness (..., n).
     sharpness
         Sharpness of the observations (...): size of a rock of 1 m radius in the measure of
-        `missed`, for instance in pixels.
+        `miss_rate`, for instance in pixels.
     """
-    weight = rocks.reaching(footprint)
+    weight = rocks.count_reaching(footprint)
     s = np.asarray(sharpness, dtype=np.float64)[..., None]
-    m = (missed(s * rocks.radius) * weight).sum(-1) / weight.sum()
-    h = rocks.hazard(footprint)
+    m = (miss_rate(s * rocks.radius) * weight).sum(-1) / weight.sum()
+    h = rocks.hazard_probability(footprint)
     information = entropy(h * (1.0 - m)) - h * entropy(m)
     return np.asarray(np.clip(information / entropy(h), 0.0, 1.0))

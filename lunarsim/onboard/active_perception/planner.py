@@ -48,7 +48,7 @@ class PathPlan:
         Time-to-go, s.
     acceleration
         Acceleration at the end (3,), m/s^2.
-    known
+    known_fraction
         Expected fraction of hazard uncertainty removed, averaged over the reachable terrain.
     propellant
         Propellant used on the path, kg.
@@ -56,7 +56,7 @@ class PathPlan:
 
     time_to_go: float
     acceleration: Array
-    known: float
+    known_fraction: float
     propellant: float
 
 
@@ -101,7 +101,7 @@ class PlanningProblem:
     lowest_altitude: float = np.inf
 
 
-class SeekingPlanner:
+class InformationPlanner:
     """Planner that selects the path with most information for its propellant.
 
     Candidate paths are scored with models of the sensors and the altitudes at which they measure.
@@ -139,7 +139,10 @@ class SeekingPlanner:
         self._sensor_params = np.array(
             [_sensor_params(e, o) for e, o in zip(sensors, schedules, strict=True)]
         )
-        self._fine, self._coarse = _samples(_LIMIT_SAMPLES), _samples(_OBSERVATION_SAMPLES)
+        self._limit_table, self._observation_table = (
+            _time_fractions(_LIMIT_SAMPLES),
+            _time_fractions(_OBSERVATION_SAMPLES),
+        )
 
     def best(
         self,
@@ -163,21 +166,21 @@ class SeekingPlanner:
         last
             Plan being flown, which is one of the candidates; None: no plan.
         """
-        low, high = self._bounds(problem, expected)
+        low, high = self._plan_bounds(problem, expected)
         plans = self.sample_plans(problem, expected, 2 * self.candidates // 3)
         if last is not None:
-            plans = np.vstack((_plan_row(last), plans))
-        value, known, propellant = self._values(problem, plans, max_propellant)
+            plans = np.vstack((_plan_parameters(last), plans))
+        value, known, propellant = self._net_values(problem, plans, max_propellant)
         if not np.isfinite(value).any():
             max_propellant = float(np.min(propellant))
-            value, known, propellant = self._values(problem, plans, max_propellant)
+            value, known, propellant = self._net_values(problem, plans, max_propellant)
         first = int(np.argmax(value))
         if not np.isfinite(value[first]):
             return None
         offsets = _REFINEMENT_WIDTH * (high - low) * (_halton_points(self.candidates // 3) - 0.5)
         refined = plans[first] + _to_enu(problem, offsets)
         refined[:, 0] = np.maximum(refined[:, 0], 1.0)
-        refined_value, refined_known, refined_propellant = self._values(
+        refined_value, refined_known, refined_propellant = self._net_values(
             problem, refined, max_propellant
         )
         plans = np.vstack((plans, refined))
@@ -191,11 +194,11 @@ class SeekingPlanner:
             float(plans[k, 0]), plans[k, 1:].copy(), float(known[k]), float(propellant[k])
         )
 
-    def _bounds(self, problem: PlanningProblem, expected: float) -> tuple[Array, Array]:
+    def _plan_bounds(self, problem: PlanningProblem, expected: float) -> tuple[Array, Array]:
         """Return lower and upper bounds of time-to-go and end acceleration (4,).
 
-        `expected` is the expected time-to-go, s. Accelerations are along the way, across and up,
-        m/s^2.
+        `expected` is the expected time-to-go, s. The accelerations, m/s^2, are along the horizontal
+        direction to the end, to its left, and up.
         """
         g = problem.gravity
         low = np.array(
@@ -231,15 +234,15 @@ class SeekingPlanner:
         count
             Number of plans.
         """
-        low, high = self._bounds(problem, expected)
+        low, high = self._plan_bounds(problem, expected)
         return _to_enu(problem, low + (high - low) * _halton_points(count))
 
-    def _values(
+    def _net_values(
         self, problem: PlanningProblem, plans: Array, max_propellant: float
     ) -> tuple[Array, Array, Array]:
-        """Return value, information and propellant (kg) of plans (n, 4), each (n,).
+        """Return net value, information and propellant (kg) of plans (n, 4), each (n,).
 
-        The value is the information minus the weighted propellant; -inf: not admissible.
+        The net value is the information minus the weighted propellant; -inf: not admissible.
         `max_propellant`, kg, limits the propellant of admissible plans.
         """
         scored = self.score(problem, plans)
@@ -265,11 +268,11 @@ class SeekingPlanner:
         vehicle = vehicle_params(p.estimate, p.lander, p.gravity, p.limits)
         site = np.array([*p.site, p.site[2] + p.com_height, p.min_altitude])
         with threads_for(10.0 * len(plans)):
-            kernels.score(
+            kernels.score_paths(
                 np.array([p.estimate.position, p.estimate.velocity], dtype=np.float64),
                 np.asarray(p.end.position, dtype=np.float64),
                 np.asarray(p.end.velocity, dtype=np.float64), np.ascontiguousarray(plans),
-                self._fine, self._coarse, np.array(APOLLO.powers), vehicle,
+                self._limit_table, self._observation_table, np.array(APOLLO.powers), vehicle,
                 float(np.tan(self.max_final_tilt)), site, np.ascontiguousarray(p.nodes),
                 *self._tables, self._sensor_params, self._single_altitudes(p.lowest_altitude), out,
             )  # fmt: skip
@@ -291,19 +294,25 @@ class SeekingPlanner:
 
 
 def _to_enu(problem: PlanningProblem, plans: Array) -> Array:
-    """Rotate the end accelerations of plans (n, 4) from along and across to ENU."""
+    """Rotate the end accelerations of plans (n, 4) from path axes to ENU.
+
+    The path axes are the horizontal direction to the end, the direction to its left, and up.
+    """
     direction = problem.end.position[:2] - problem.estimate.position[:2]
     length = float(np.hypot(*direction))
     along = direction / length if length > 1.0 else np.array([1.0, 0.0])
     out = plans.copy()
-    a, b = plans[:, 1], plans[:, 2]
-    out[:, 1] = a * along[0] - b * along[1]
-    out[:, 2] = a * along[1] + b * along[0]
+    along_acceleration, across_acceleration = plans[:, 1], plans[:, 2]
+    out[:, 1] = along_acceleration * along[0] - across_acceleration * along[1]
+    out[:, 2] = along_acceleration * along[1] + across_acceleration * along[0]
     return out
 
 
 def _sensor_params(sensor: SensorCoverageModel, schedules: MeasurementAltitudes) -> list[float]:
-    """Return the parameters of a sensor and its schedule for the kernel (9,)."""
+    """Return the row of `sensor_params` for the kernel `score_paths` (9,).
+
+    It consists of pixel size, field of view, gimbal limit, ranges, altitudes and Sun direction.
+    """
     field = 1.0 / np.sqrt(1.0 + sensor.half_field**2)
     limit = float(np.cos(min(sensor.gimbal_limit, np.pi)))
     return [
@@ -319,9 +328,9 @@ def _sensor_params(sensor: SensorCoverageModel, schedules: MeasurementAltitudes)
 
 
 def vehicle_params(estimate: Estimate, lander: Lander, gravity: float, limits: PathLimits) -> Array:
-    """Return vehicle parameters and path limits for the kernel `evaluate_path` (7,).
+    """Return the `params` of the kernel `evaluate_path` (7,).
 
-    `limits` are the limits of the path; `gravity` is in m/s^2.
+    They are gravity, mass, exhaust velocity, and limits of thrust, tilt and glideslope.
     """
     margin = limits.throttle_margin * (lander.thrust_max - lander.thrust_min)
     return np.array([
@@ -330,22 +339,22 @@ def vehicle_params(estimate: Estimate, lander: Lander, gravity: float, limits: P
     ])  # fmt: skip
 
 
-def _samples(count: int) -> Array:
-    """Return the fraction of time left and its powers along a path (count + 1, 3).
+def _time_fractions(count: int) -> Array:
+    """Return the fraction of time left and its two powers at samples of a path.
 
-    `count` is the number of intervals.
+    `count` is the number of intervals; the result (count + 1, 3) is for `evaluate_path`.
     """
     left = 1.0 - np.arange(count + 1) / count
     return np.column_stack((left, left**APOLLO.low, left**APOLLO.high))
 
 
-def _plan_row(plan: PathPlan) -> Array:
+def _plan_parameters(plan: PathPlan) -> Array:
     """Return time-to-go and end acceleration of a plan as an array (1, 4)."""
     return np.array([[plan.time_to_go, *plan.acceleration]])
 
 
 @lru_cache(maxsize=8)
 def _halton_points(count: int) -> Array:
-    """Return evenly spread points of the unit cube (count, 4), a Halton sequence."""
+    """Return points of a Halton sequence, evenly spread in a unit cube (count, 4)."""
     points: Any = qmc.Halton(4, scramble=False).random(max(count, 1) + 1)[1:]
     return np.asarray(points)

@@ -91,17 +91,17 @@ class SensorCoverageModel:
     sun: Array
 
 
-def directions() -> tuple[Array, Array]:
-    """Return the viewing directions of the table nodes (33, 33), rad.
+def table_directions() -> tuple[Array, Array]:
+    """Return the viewing directions at the nodes of the direction tables, rad.
 
-    They are the azimuth from the Sun and the depression.
+    They are the azimuth from the Sun and the depression of the line of sight, both (33, 33).
     """
     cosine, sine = np.linspace(-1.0, 1.0, _DIRECTION_NODES), np.linspace(0.0, 1.0, _DIRECTION_NODES)
     azimuth, depression = np.meshgrid(np.arccos(cosine), np.arcsin(sine), indexing="ij")
     return azimuth, depression
 
 
-def build_coverage_models(briefing: Briefing, least_diameter: float) -> list[SensorCoverageModel]:
+def build_coverage_models(briefing: Briefing, min_diameter: float) -> list[SensorCoverageModel]:
     """Build coverage models of the sensors that detect hazards.
 
     These are the tasked sensors whose measurements a mapper uses. A camera is included only if the
@@ -111,7 +111,7 @@ def build_coverage_models(briefing: Briefing, least_diameter: float) -> list[Sen
     ----------
     briefing
         Data known before the flight.
-    least_diameter
+    min_diameter
         Minimum diameter of a rock that is a hazard, m.
     """
     parts = [part for part in briefing.software.mappers.values() if hasattr(part, "sensor")]
@@ -123,37 +123,37 @@ def build_coverage_models(briefing: Briefing, least_diameter: float) -> list[Sen
         if isinstance(instrument, CameraInstrument):
             elevation = float(np.arcsin(np.clip(briefing.sun[2], -1.0, 1.0)))
             if MIN_SUN_ELEVATION <= elevation <= MAX_SUN_ELEVATION:
-                models.append(build_camera_model(name, instrument, briefing, least_diameter))
+                models.append(build_camera_model(name, instrument, briefing, min_diameter))
         elif isinstance(instrument, LidarInstrument):
-            models.append(build_lidar_model(name, instrument, briefing, least_diameter))
+            models.append(build_lidar_model(name, instrument, briefing, min_diameter))
     return models
 
 
 def build_camera_model(
-    name: str, camera: CameraInstrument, briefing: Briefing, least_diameter: float
+    name: str, camera: CameraInstrument, briefing: Briefing, min_diameter: float
 ) -> SensorCoverageModel:
     """Build the coverage model of a camera, which detects rocks by their shadows.
 
     Sharpness q is the square root of the foreshortened area that a rock of radius 1 darkens,
     divided by the pixel size (Eqs. 13 to 15 of the shadow EKF paper). Terrain is visible where no
-    shadow of another rock falls. `name` is that of the sensor and `least_diameter` the minimum
+    shadow of another rock falls. `name` is that of the sensor and `min_diameter` the minimum
     diameter of a hazard, m.
     """
     model = ShapeMixture(float(np.arcsin(briefing.sun[2])), briefing.rocks.shape)
-    azimuth, depression = directions()
+    azimuth, depression = table_directions()
     sharpness = model.visible_pixels(1.0, azimuth, depression, 1.0)
-    hiding_rocks = ExpectedRocks.of(
-        briefing.rocks.cover, _MIN_HIDING_DIAMETER_RATIO * least_diameter
+    hiding_rocks = ExpectedRocks.golombek(
+        briefing.rocks.cover, _MIN_HIDING_DIAMETER_RATIO * min_diameter
     )
     area = model.patch(azimuth, depression).area
     dark_cover = float(hiding_rocks.number @ hiding_rocks.radius**2) * area
     rates = DetectionRates()
-    displacement = 0.5 * position_variance(depression) / (0.5 * least_diameter) ** 2
+    displacement = 0.5 * position_variance(depression) / (0.5 * min_diameter) ** 2
     return _build_model(
         name,
         camera,
         briefing,
-        least_diameter,
+        min_diameter,
         (sharpness, np.exp(-dark_cover), displacement),
         rates.false_clear,
         np.inf,
@@ -173,20 +173,20 @@ def position_variance(depression: Array) -> Array:
 
 
 def build_lidar_model(
-    name: str, lidar: LidarInstrument, briefing: Briefing, least_diameter: float
+    name: str, lidar: LidarInstrument, briefing: Briefing, min_diameter: float
 ) -> SensorCoverageModel:
     """Build the coverage model of a LiDAR, which misses rocks between its returns.
 
     Returns are spaced by one pixel across the line of sight, and by one pixel over the sine of the
     depression along it. Terrain is visible where no rock stands in front of it. Beyond the maximum
-    incidence angle there are no returns. `name` is that of the sensor and `least_diameter` the
+    incidence angle there are no returns. `name` is that of the sensor and `min_diameter` the
     minimum diameter of a hazard, m.
     """
-    _, depression = directions()
+    _, depression = table_directions()
     sine = np.sin(depression)
     sharpness = np.sqrt(sine) * (sine >= np.cos(lidar.max_incidence) - 1e-12)
-    hiding_rocks = ExpectedRocks.of(
-        briefing.rocks.cover, _MIN_HIDING_DIAMETER_RATIO * least_diameter
+    hiding_rocks = ExpectedRocks.golombek(
+        briefing.rocks.cover, _MIN_HIDING_DIAMETER_RATIO * min_diameter
     )
     frontal_area = (
         2.0 * mean_rock_height(briefing.rocks) * float(hiding_rocks.number @ hiding_rocks.radius**2)
@@ -197,22 +197,20 @@ def build_lidar_model(
         name,
         lidar,
         briefing,
-        least_diameter,
+        min_diameter,
         (sharpness, np.exp(-hidden_cover), np.zeros_like(sharpness)),
         no_return_probability,
         lidar.max_range,
     )
 
 
-def no_return_probability(returns: Any) -> Array:
+def no_return_probability(returns_per_radius: Any) -> Array:
     """Return the probability that no LiDAR return falls on a disc (...).
 
-    Parameters
-    ----------
-    returns
-        Square root of the number of returns on a square whose side is the radius of the disc (...).
+    `returns_per_radius` (...) is the radius of the disc divided by the mean spacing of returns: the
+    square root of the number of returns on a square with this side.
     """
-    return np.asarray(np.exp(-np.pi * np.asarray(returns, dtype=np.float64) ** 2))
+    return np.asarray(np.exp(-np.pi * np.asarray(returns_per_radius, dtype=np.float64) ** 2))
 
 
 def mean_rock_height(rocks: RockExpectation) -> float:
@@ -222,16 +220,16 @@ def mean_rock_height(rocks: RockExpectation) -> float:
 
 
 def _build_model(
-    name: str, instrument: PointedInstrument, briefing: Briefing, least_diameter: float,
+    name: str, instrument: PointedInstrument, briefing: Briefing, min_diameter: float,
     tables: tuple[Array, Array, Array], miss_rate: Callable[[Array], Array], max_range: float,
 ) -> SensorCoverageModel:  # fmt: skip
     """Build the coverage model of a sensor from its direction tables and miss rate.
 
     `tables` are sharpness, visible fraction and displacement (33, 33). `miss_rate` returns the rate
-    at which rocks are missed, from radius times sharpness. `max_range` is in m, `least_diameter` is
+    at which rocks are missed, from radius times sharpness. `max_range` is in m, `min_diameter` is
     the minimum diameter of a hazard, m.
     """
-    rocks = ExpectedRocks.of(briefing.rocks.cover, least_diameter)
+    rocks = ExpectedRocks.golombek(briefing.rocks.cover, min_diameter)
     max_sharpness = _MAX_SHARPNESS_PER_RADIUS / float(rocks.radius[0])
     sharpness = np.linspace(0.0, max_sharpness, _SHARPNESS_NODES)
     reduction = removed_uncertainty(rocks, footprint_radius(briefing), miss_rate, sharpness)

@@ -16,10 +16,10 @@ Array = NDArray[np.float64]
 def terrain_nodes(hazard_map: HazardMap, side: int, prior: float, site: Array) -> Array:
     """Divide a hazard map into squares; return position, weight and knowledge of each.
 
-    The columns (side^2, 5) are the centre (3), m, the weight and the fraction of hazard uncertainty
-    that the map has already removed: ``1 - E[H(p)] / H(prior)``, with the entropy H, and with the
-    prior where nothing was observed. The weight is the fraction of the square on which the mission
-    allows a landing.
+    The columns (side^2, 5) are the centre of a square (3), m, the fraction of the square on which
+    the mission allows a landing, and the fraction of hazard uncertainty that the map has already
+    removed: ``1 - E[H(p)] / H(prior)``, with the entropy H, and with the prior where nothing was
+    observed.
 
     Parameters
     ----------
@@ -36,28 +36,30 @@ def terrain_nodes(hazard_map: HazardMap, side: int, prior: float, site: Array) -
     posting = max(fine.shape) * fine.posting / side
     grid = Grid.centred(fine.centre, side * posting, posting)
     prior_entropy = float(entropy(prior))
-    left = np.where(hazard_map.observed, entropy(1.0 - hazard_map.p_safe), prior_entropy)
-    known = 1.0 - np.minimum(_averaged(left, side) / prior_entropy, 1.0)
+    remaining_entropy = np.where(
+        hazard_map.observed, entropy(1.0 - hazard_map.p_safe), prior_entropy
+    )
+    known_fraction = 1.0 - np.minimum(_square_means(remaining_entropy, side) / prior_entropy, 1.0)
     allowed = np.ones(fine.shape) if hazard_map.eligible is None else hazard_map.eligible
-    weight = _averaged(np.asarray(allowed, dtype=np.float64), side)
-    place = grid.centres().reshape(-1, 2)
+    weight = _square_means(np.asarray(allowed, dtype=np.float64), side)
+    centres = grid.centres().reshape(-1, 2)
     height = elevation_on_grid(grid, hazard_map, float(site[2])).ravel()
-    return np.column_stack((place, height, weight.ravel(), known.ravel()))
+    return np.column_stack((centres, height, weight.ravel(), known_fraction.ravel()))
 
 
-def _averaged(layer: Array, side: int) -> Array:
-    """Return means of a layer (rows, cols) over equal squares (side, side)."""
+def _square_means(layer: Array, side: int) -> Array:
+    """Return means of a map layer (rows, cols) over ``side * side`` equal squares."""
     rows, cols = layer.shape
-    most = max(rows, cols)
+    size = max(rows, cols)
     # Fractions of each row and column of cells that lie in each row and column of squares.
-    edges = np.linspace(0.0, most, side + 1)
+    edges = np.linspace(0.0, size, side + 1)
 
-    def shares(count: int) -> Array:
+    def overlaps(count: int) -> Array:
         """Return the fraction of each of `count` cells in each square (side, count)."""
-        first = np.arange(count) + 0.5 * (most - count)
+        first = np.arange(count) + 0.5 * (size - count)
         low, high = np.maximum(edges[:-1, None], first), np.minimum(edges[1:, None], first + 1.0)
         return np.asarray(np.maximum(high - low, 0.0))
 
-    of_rows, of_cols = shares(rows), shares(cols)
-    area = np.outer(of_rows.sum(1), of_cols.sum(1))
-    return np.asarray((of_rows @ layer @ of_cols.T) / np.where(area > 0.0, area, 1.0))
+    row_overlaps, col_overlaps = overlaps(rows), overlaps(cols)
+    area = np.outer(row_overlaps.sum(1), col_overlaps.sum(1))
+    return np.asarray((row_overlaps @ layer @ col_overlaps.T) / np.where(area > 0.0, area, 1.0))

@@ -24,83 +24,95 @@ def _dot(a, b):
 
 
 @kernel(inner=True)
-def _squared(a, b, c, way, out, k):
-    """Compute the polynomial coefficients of ``|a + b u + c way u^2|^2``.
+def _squared(constant, linear, factor, displacement, out, column):
+    """Expand ``|constant + linear u + factor displacement u^2|^2`` in powers of u.
 
-    `a`, `b` and `way` are vectors (3,) and `c` is a number. Column `k` of `out` (5, 16) receives
-    the coefficients, u^0 first.
+    A squared jerk or snap is a power of u, the inverse time-to-go, times this polynomial. `factor`
+    is a number, the others are vectors (3,). A `column` of `out` (5, 16) receives the coefficients,
+    u^0 first.
     """
-    out[0, k] = _dot(a, a)
-    out[1, k] = 2.0 * _dot(a, b)
-    out[2, k] = _dot(b, b) + 2.0 * c * _dot(a, way)
-    out[3, k] = 2.0 * c * _dot(b, way)
-    out[4, k] = c * c * _dot(way, way)
+    out[0, column] = _dot(constant, constant)
+    out[1, column] = 2.0 * _dot(constant, linear)
+    out[2, column] = _dot(linear, linear) + 2.0 * factor * _dot(constant, displacement)
+    out[3, column] = 2.0 * factor * _dot(linear, displacement)
+    out[4, column] = factor * factor * _dot(displacement, displacement)
 
 
 @kernel(inline=True)
-def _polynomial(c, k, u):
-    """Return the value at `u` of the quartic polynomial in column `k` of `c` (5, 16)."""
-    return c[0, k] + u * (c[1, k] + u * (c[2, k] + u * (c[3, k] + u * c[4, k])))
+def _polynomial(coefficients, column, u):
+    """Return the value at `u` of the quartic polynomial in a column of `coefficients`."""
+    return coefficients[0, column] + u * (
+        coefficients[1, column]
+        + u
+        * (coefficients[2, column] + u * (coefficients[3, column] + u * coefficients[4, column]))
+    )
 
 
 @kernel(inline=True)
-def _is_within_limits(terms, k, u, most):
-    """Return whether the path to target `k` keeps the limits of jerk and snap.
+def _is_within_limits(terms, column, inverse_time, max_squares):
+    """Return whether a path with a given time-to-go keeps the limits of jerk and snap.
 
-    `terms` (3, 5, 16) are the polynomials of squared jerk at start and end and of squared snap; `u`
-    is the inverse of the time-to-go. `most` (2,) is ``(jerk / 6)^2`` and ``(snap / 12)^2``. NaN
-    gives False.
+    A column of `terms` (3, 5, 16) has the polynomials of squared jerk at start and end and of
+    squared snap for one target; `inverse_time` is one over the time-to-go. `max_squares` (2,) is
+    ``(jerk / 6)^2`` and ``(snap / 12)^2``. NaN gives False.
     """
-    square = u * u
-    start, end = _polynomial(terms[0], k, u) * square, _polynomial(terms[1], k, u) * square
-    snap = _polynomial(terms[2], k, u) * square * square
-    return (start <= most[0]) & (end <= most[0]) & (snap <= most[1])
+    square = inverse_time * inverse_time
+    start, end = (
+        _polynomial(terms[0], column, inverse_time) * square,
+        _polynomial(terms[1], column, inverse_time) * square,
+    )
+    snap = _polynomial(terms[2], column, inverse_time) * square * square
+    return (start <= max_squares[0]) & (end <= max_squares[0]) & (snap <= max_squares[1])
 
 
 @kernel(inner=True)
-def _refine(terms, low, high, most):
+def _refine(terms, low, high, max_squares):
     """Bisect 16 time brackets between a violated and a kept limit, in place.
 
     `low` and `high` (16,), s, are the brackets; only the lower ends violate a limit. `terms` and
-    `most` are those of `_is_within_limits`.
+    `max_squares` are those of `_is_within_limits`.
     """
     for _ in range(_HALVINGS):
         for k in range(_BLOCK):
             middle = 0.5 * (low[k] + high[k])
-            good = _is_within_limits(terms, k, 1.0 / middle, most)
+            good = _is_within_limits(terms, k, 1.0 / middle, max_squares)
             low[k] = low[k] if good else middle
             high[k] = middle if good else high[k]
 
 
 @kernel(shared=True)
-def min_times_to_go(share, r, v, targets, v_f, a_f, times, jerk, snap, out):
+def min_times_to_go(thread_slice, position, velocity, targets, v_f, a_f, times, jerk, snap, out):
     """Find the minimum time-to-go within the limits of jerk and snap for each target.
 
-    `r` and `v` (3,) are current position and velocity, `targets` (n, 3) end positions, `v_f` and
-    `a_f` (3,) final velocity and acceleration. `times` (m,), s, ascend; the minimum is bracketed by
-    them and bisected 40 times. `out` (n,) receives the times, s, NaN if no time keeps the limits.
-    `share` is (thread, number of threads).
+    The path leads from `position` and `velocity` (3,) to `targets` (n, 3) with velocity `v_f` and
+    acceleration `a_f` (3,). `times` (m,), s, ascend; the minimum is bracketed by them and bisected
+    40 times. `out` (n,) receives the times, s, NaN if no time keeps the limits `jerk` and `snap`.
+    `thread_slice` is (thread, number of threads).
     """
     count, inverse, good = targets.shape[0], 1.0 / times, np.empty(len(times), np.bool_)
-    terms, way, still = np.empty((3, 5, _BLOCK)), np.empty(3), -a_f
-    start, end, fourth = -(5.0 * v_f + 3.0 * v), 3.0 * v_f + v, -(4.0 * v_f + 2.0 * v)
-    most = np.array([(jerk / 6.0) ** 2, (snap / 12.0) ** 2])
+    terms, displacement, still = np.empty((3, 5, _BLOCK)), np.empty(3), -a_f
+    start, end, fourth = (
+        -(5.0 * v_f + 3.0 * velocity),
+        3.0 * v_f + velocity,
+        -(4.0 * v_f + 2.0 * velocity),
+    )
+    max_squares = np.array([(jerk / 6.0) ** 2, (snap / 12.0) ** 2])
     low, high = np.empty(_BLOCK), np.empty(_BLOCK)
-    for block in range(share[0], (count + _BLOCK - 1) // _BLOCK, share[1]):
-        here = block * _BLOCK
+    for block in range(thread_slice[0], (count + _BLOCK - 1) // _BLOCK, thread_slice[1]):
+        first_target = block * _BLOCK
         for k in range(_BLOCK):
             for x in range(3):
-                way[x] = targets[min(here + k, count - 1), x] - r[x]
-            _squared(a_f, start, 8.0, way, terms[0], k)
-            _squared(still, end, -4.0, way, terms[1], k)
-            _squared(a_f, fourth, 6.0, way, terms[2], k)
+                displacement[x] = targets[min(first_target + k, count - 1), x] - position[x]
+            _squared(a_f, start, 8.0, displacement, terms[0], k)
+            _squared(still, end, -4.0, displacement, terms[1], k)
+            _squared(a_f, fourth, 6.0, displacement, terms[2], k)
             for m in range(len(times)):
-                good[m] = _is_within_limits(terms, k, inverse[m], most)
+                good[m] = _is_within_limits(terms, k, inverse[m], max_squares)
             m = 0
             while m < len(times) and not good[m]:
                 m += 1
             high[k] = times[m] if m < len(times) else np.nan
             low[k] = times[max(m - 1, 0)]
-        _refine(terms, low, high, most)
-        for k in range(min(_BLOCK, count - here)):
-            out[here + k] = high[k]
+        _refine(terms, low, high, max_squares)
+        for k in range(min(_BLOCK, count - first_target)):
+            out[first_target + k] = high[k]

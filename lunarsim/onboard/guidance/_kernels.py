@@ -8,7 +8,7 @@ import numpy as np
 from lunarsim._jit import kernel
 
 # Columns of a sample table; rows of `state` and `final`; indices of `params`.
-SHARE, LOW, HIGH = 0, 1, 2
+TIME_FRACTION, LOW, HIGH = 0, 1, 2
 POSITION, VELOCITY = 0, 1
 SPEED, ACCELERATION = 0, 1
 GRAVITY, MASS, EXHAUST, LEAST, MOST, TAN_TILT, GLIDE = 0, 1, 2, 3, 4, 5, 6
@@ -16,64 +16,63 @@ HALVINGS = 5
 
 
 @kernel(inline=True, inner=True)
-def power_terms(state, target, final, big_t, powers, out):
+def power_terms(state, target, final, time_to_go, powers, out):
     """Compute the coefficients of a polynomial path from its boundary conditions.
 
-    `out` (2, 3), m/s^2, receives the part of each power of time-to-go in the mean acceleration.
-    `state` (2, 3) is current position and velocity, `target` (3,) the final position, `final` (2,
-    3) final velocity and acceleration, `big_t` the time-to-go, s, and `powers` (2,) are the powers
-    of `PathShape`.
+    `out` (2, 3), m/s^2, receives what each of the two powers of time-to-go adds to the mean
+    acceleration. `state` (2, 3) is current position and velocity, `target` (3,) the final position,
+    `final` (2, 3) final velocity and acceleration, and `powers` (2,) are those of `PathShape`.
     """
     low, high = powers[0], powers[1]
     for k in range(3):
         r, v, v_f, a_f = state[0, k], state[1, k], final[0, k], final[1, k]
-        p = (v_f - v) / big_t - a_f
-        q = (v_f * big_t - target[k] + r) / big_t**2 - 0.5 * a_f
+        p = (v_f - v) / time_to_go - a_f
+        q = (v_f * time_to_go - target[k] + r) / time_to_go**2 - 0.5 * a_f
         out[0, k] = (low + 2.0) / (high - low) * ((high + 2.0) * q - p)
         out[1, k] = p - out[0, k]
 
 
 @kernel(inline=True, inner=True)
-def above_cone(target, final, big_t, share, low, high, powers, x, glide):
+def above_cone(target, final, time_to_go, time_fraction, low, high, powers, terms, tan_glideslope):
     """Return whether a sample of a path is above the glideslope cone of the target.
 
-    The apex of the cone is 0.5 m below the end. `share` is the fraction of time left at the sample,
-    `low` and `high` are its powers, and `x` (2, 3) is the result of `power_terms`. `glide` is the
-    tangent of the minimum elevation. `target` (3,), `final` (2, 3) and `big_t` are those of
-    `power_terms`.
+    The apex of the cone is 0.5 m below the target. `time_fraction` is the fraction of time left at
+    the sample, `low` and `high` are its powers, and `terms` (2, 3) is the result of `power_terms`,
+    to which the other arguments belong.
     """
-    left = share * big_t
+    left = time_fraction * time_to_go
     f, g = low / (powers[0] + 2.0), high / (powers[1] + 2.0)
-    east = left * (left * (0.5 * final[1, 0] + x[0, 0] * f + x[1, 0] * g) - final[0, 0])
-    north = left * (left * (0.5 * final[1, 1] + x[0, 1] * f + x[1, 1] * g) - final[0, 1])
-    up = left * (left * (0.5 * final[1, 2] + x[0, 2] * f + x[1, 2] * g) - final[0, 2]) + 0.5
-    if glide > 0.0:
-        return up >= 0.0 and up * up >= glide * glide * (east * east + north * north)
-    return up >= glide * np.sqrt(east * east + north * north)
+    east = left * (left * (0.5 * final[1, 0] + terms[0, 0] * f + terms[1, 0] * g) - final[0, 0])
+    north = left * (left * (0.5 * final[1, 1] + terms[0, 1] * f + terms[1, 1] * g) - final[0, 1])
+    up = left * (left * (0.5 * final[1, 2] + terms[0, 2] * f + terms[1, 2] * g) - final[0, 2]) + 0.5
+    if tan_glideslope > 0.0:
+        return up >= 0.0 and up * up >= tan_glideslope * tan_glideslope * (
+            east * east + north * north
+        )
+    return up >= tan_glideslope * np.sqrt(east * east + north * north)
 
 
 @kernel(inline=True, inner=True)
-def evaluate_path(state, target, final, big_t, table, powers, params, x, out):
+def evaluate_path(state, target, final, time_to_go, table, powers, params, terms, out):
     """Evaluate a polynomial path; return whether it is admissible, and write its cost.
 
     `out` (4,) receives delta-v (m/s), time (s), maximum thrust (N) and maximum tangent of the tilt;
-    `x` (2, 3) is a work array. `state` (2, 3) is current position and velocity, `target` (3,) the
-    final position, `final` (2, 3) final velocity and acceleration, and `big_t` the time-to-go, s.
-    `table` (samples + 1, 3) is the fraction of time-to-go, from 1 to 0, and its two powers `powers`
-    (2,). `params` (7,): gravity, mass, exhaust velocity, minimum and maximum thrust, tangents of
-    maximum tilt and glideslope.
+    `terms` (2, 3) is a work array. `state`, `target`, `final` and `powers` are those of
+    `power_terms`. `table` (samples + 1, 3) is the fraction of time left at the samples, from 1 to
+    0, and its two powers. `params` (7,): gravity, mass, exhaust velocity, minimum and maximum
+    thrust, tangents of maximum tilt and glideslope.
     """
-    power_terms(state, target, final, big_t, powers, x)
+    power_terms(state, target, final, time_to_go, powers, terms)
     d, e = powers[0] + 1.0, powers[1] + 1.0
     samples = table.shape[0] - 1
-    step = big_t / samples
+    step = time_to_go / samples
     mass = params[MASS]
     before, total, peak, tilt_squared = 0.0, 0.0, 0.0, 0.0
     for s in range(samples + 1):
         f, g = table[s, LOW], table[s, HIGH]
-        ax = final[1, 0] + d * x[0, 0] * f + e * x[1, 0] * g
-        ay = final[1, 1] + d * x[0, 1] * f + e * x[1, 1] * g
-        az = final[1, 2] + d * x[0, 2] * f + e * x[1, 2] * g + params[GRAVITY]
+        ax = final[1, 0] + d * terms[0, 0] * f + e * terms[1, 0] * g
+        ay = final[1, 1] + d * terms[0, 1] * f + e * terms[1, 1] * g
+        az = final[1, 2] + d * terms[0, 2] * f + e * terms[1, 2] * g + params[GRAVITY]
         side = ax * ax + ay * ay
         size = np.sqrt(side + az * az)
         if s > 0:
@@ -90,7 +89,9 @@ def evaluate_path(state, target, final, big_t, table, powers, params, x, out):
         bound = params[TAN_TILT] * az
         if thrust > params[MOST] or thrust < params[LEAST] or az <= 0.0 or side > bound * bound:
             return False
-        if not above_cone(target, final, big_t, table[s, SHARE], f, g, powers, x, params[GLIDE]):
+        if not above_cone(
+            target, final, time_to_go, table[s, TIME_FRACTION], f, g, powers, terms, params[GLIDE]
+        ):
             return False
         peak = max(peak, thrust)
         tilt_squared = max(tilt_squared, side / (az * az))
@@ -98,56 +99,63 @@ def evaluate_path(state, target, final, big_t, table, powers, params, x, out):
         weight = 1.0 if s in (0, samples) else (4.0 if s % 2 == 1 else 2.0)
         total += weight * size
     out[0] = total * step / 3.0
-    out[1] = big_t
+    out[1] = time_to_go
     out[2] = peak
     out[3] = np.sqrt(tilt_squared)
     return True
 
 
 @kernel(inner=True)
-def search_coarse(state, target, final, first, step, count, skip, table, powers, params, x, found):
+def search_coarse(
+    state, target, final, first, log_step, count, skip, table, powers, params, terms, path_cost
+):
     """Search the time-to-go with minimum delta-v among geometric steps.
 
-    The times are ``first exp(m step)`` for m below `count`; multiples of `skip` are skipped if it
-    is positive. Returns the best m, or -1 if no path is admissible. The other arguments are those
-    of `evaluate_path`; `found` (4,) is a work array.
+    The times are ``first exp(m log_step)``, s, for m below `count`; if `skip` is positive, its
+    multiples are omitted. Returns the best m, or -1 if no path is admissible. The other arguments
+    are those of `evaluate_path`; `path_cost` (4,) is a work array.
     """
     best, least = -1, np.inf
     for m in range(count):
         if skip > 0 and m % skip == 0:
             continue
-        time = first * np.exp(m * step)
-        good = evaluate_path(state, target, final, time, table, powers, params, x, found)
-        if good and found[0] < least:
-            best, least = m, found[0]
+        time = first * np.exp(m * log_step)
+        good = evaluate_path(state, target, final, time, table, powers, params, terms, path_cost)
+        if good and path_cost[0] < least:
+            best, least = m, path_cost[0]
     return best
 
 
 @kernel(inline=True)
-def _copy_result(found, out):
-    """Copy the result of a path (4,) from `found` to `out`."""
+def _copy_result(path_cost, out):
+    """Copy the result of a path (4,) from `path_cost` to `out`."""
     for k in range(4):
-        out[k] = found[k]
+        out[k] = path_cost[k]
 
 
 @kernel(inner=True)
-def refine_time(state, target, final, first, at, step, span, table, powers, params, x, found, out):
+def refine_time(
+    state, target, final, first, log_ratio, step, span, table, powers, params, terms, path_cost, out
+):
     """Refine the time-to-go with minimum delta-v by halving steps.
 
-    The search starts at time ``first exp(at)`` and stays within ``exp(span)`` of `first`; `step` is
-    the initial step of the logarithm. `out` (4,) receives the result of `evaluate_path` for the
-    best path. The other arguments are those of `evaluate_path`; `found` (4,) is a work array.
+    The search starts at ``first exp(log_ratio)``, s, and stays between `first` and ``first
+    exp(span)``; `step` is the initial step of the logarithm. `out` (4,) receives the result of
+    `evaluate_path` for the best path. The other arguments are those of `evaluate_path`; `path_cost`
+    (4,) is a work array.
     """
-    time = first * np.exp(at)
-    if evaluate_path(state, target, final, time, table, powers, params, x, found):
-        _copy_result(found, out)
+    time = first * np.exp(log_ratio)
+    if evaluate_path(state, target, final, time, table, powers, params, terms, path_cost):
+        _copy_result(path_cost, out)
     for _ in range(HALVINGS if step > 0.0 else 0):
         step *= 0.5
-        middle = at
+        middle = log_ratio
         for near in (middle - step, middle + step):
             if 0.0 <= near <= span:
                 time = first * np.exp(near)
-                good = evaluate_path(state, target, final, time, table, powers, params, x, found)
-                if good and found[0] < out[0]:
-                    _copy_result(found, out)
-                    at = near
+                good = evaluate_path(
+                    state, target, final, time, table, powers, params, terms, path_cost
+                )
+                if good and path_cost[0] < out[0]:
+                    _copy_result(path_cost, out)
+                    log_ratio = near

@@ -30,8 +30,8 @@ from lunarsim.onboard.guidance._kernels import (
     LOW,
     MASS,
     MOST,
-    SHARE,
     TAN_TILT,
+    TIME_FRACTION,
     evaluate_path,
     refine_time,
     search_coarse,
@@ -40,38 +40,38 @@ from lunarsim.onboard.guidance._kernels import (
 # Scratch indices of the lanes: east, north and up of the sites, times, costs.
 _EAST, _NORTH, _UP, _TIME, _COST = 0, SIMD_WIDTH, 2 * SIMD_WIDTH, 3 * SIMD_WIDTH, 4 * SIMD_WIDTH
 _SCRATCH = 5 * SIMD_WIDTH
-_NOTHING = 1e30  # represents an infinite cost
+_INADMISSIBLE_COST = 1e30  # delta-v that represents infinity
 
 
 @kernel(inline=True)
-def acceleration_terms(w, place, state, final, axis, powers, inverse):
+def acceleration_terms(work, target_index, state, final, axis, powers, inverse_time):
     """Compute one axis of the path coefficients for sixteen sites at once.
 
-    Returns the part of the lower power in the mean acceleration, and the sum of both parts, as
-    `power_terms` does for one site. `w` is scratch with the target coordinates at index `place`;
-    `state` and `final` (2, 3) are as for `evaluate_path`, `axis` is 0 to 2, and `inverse` is one
-    over the times-to-go, 1/s. `powers` (2,) are the powers of time-to-go.
+    Returns what the lower of the two powers of time-to-go adds to the mean acceleration, and what
+    both add (compare `power_terms`). Scratch `work` has the target coordinates from `target_index`;
+    `state`, `final` and `powers` are those of `evaluate_path`, and `inverse_time` is one over the
+    times-to-go, 1/s.
     """
-    p = (final[0, axis] - state[1, axis]) * inverse - final[1, axis]
-    q = ((state[0, axis] - load(w, place)) * inverse + final[0, axis]) * inverse
+    p = (final[0, axis] - state[1, axis]) * inverse_time - final[1, axis]
+    q = ((state[0, axis] - load(work, target_index)) * inverse_time + final[0, axis]) * inverse_time
     q = q - 0.5 * final[1, axis]
     return (powers[0] + 2.0) / (powers[1] - powers[0]) * ((powers[1] + 2.0) * q - p), p
 
 
 @kernel(inline=True)
-def evaluate_lanes(w, state, final, table, powers, params):
+def evaluate_lanes(work, state, final, table, powers, params):
     """Compute the delta-v of sixteen paths at once (one SIMD lane per site).
 
-    `w` is scratch with targets, times and resulting costs; inadmissible paths cost `_NOTHING`. The
-    other arguments are those of `evaluate_path`.
+    Scratch `work` holds targets and times-to-go and receives the delta-v, or `_INADMISSIBLE_COST`.
+    The other arguments are those of `evaluate_path`.
     """
-    time = load(w, _TIME)
+    time = load(work, _TIME)
     inverse = 1.0 / time
-    ux, p = acceleration_terms(w, _EAST, state, final, 0, powers, inverse)
+    ux, p = acceleration_terms(work, _EAST, state, final, 0, powers, inverse)
     vx = p - ux
-    uy, p = acceleration_terms(w, _NORTH, state, final, 1, powers, inverse)
+    uy, p = acceleration_terms(work, _NORTH, state, final, 1, powers, inverse)
     vy = p - uy
-    uz, p = acceleration_terms(w, _UP, state, final, 2, powers, inverse)
+    uz, p = acceleration_terms(work, _UP, state, final, 2, powers, inverse)
     vz = p - uz
     samples = table.shape[0] - 1
     half = time * (0.5 / samples / params[EXHAUST])
@@ -97,7 +97,7 @@ def evaluate_lanes(w, state, final, table, powers, params):
         thrust = mass * size
         violation = lane_max(violation, lane_max(thrust - params[MOST], params[LEAST] - thrust))
         violation = lane_max(violation, lane_max(0.0 - az, side - tilt * lift))
-        left = time * table[s, SHARE]
+        left = time * table[s, TIME_FRACTION]
         f, g = low / (powers[0] + 2.0), high / (powers[1] + 2.0)
         x = left * (left * (ux * f + vx * g + 0.5 * final[1, 0]) - final[0, 0])
         y = left * (left * (uy * f + vy * g + 0.5 * final[1, 1]) - final[0, 1])
@@ -112,124 +112,163 @@ def evaluate_lanes(w, state, final, table, powers, params):
         weight = 1.0 if s in (0, samples) else (4.0 if s % 2 == 1 else 2.0)
         total = total + weight * size
     cost = total * time * (1.0 / (3.0 * samples))
-    store(w, _COST, select_ge(zero, violation, cost, lane_fill(_NOTHING)))
+    store(work, _COST, select_ge(zero, violation, cost, lane_fill(_INADMISSIBLE_COST)))
 
 
 @kernel(inner=True)
-def search_lanes(w, state, final, spans, count, skip, table, powers, params, best):
+def search_lanes(work, state, final, spans, count, skip, table, powers, params, best):
     """Search the best time-to-go of sixteen sites among geometric steps.
 
-    `best` (16,) receives the index of the best step for SIMD lanes in which it is still negative.
-    `spans` (3, 16) are first time, s, logarithm of the range of times, and step of the logarithm.
-    There are `count` steps; multiples of `skip` are skipped if it is positive. `w` is scratch; the
-    other arguments are those of `evaluate_path`.
+    `best` (16,) is the index of the best step; only negative entries (nothing found yet) are
+    searched and overwritten. `spans` (3, 16) are first time, s, logarithm of the range of times,
+    and step of the logarithm. There are `count` steps; if `skip` is positive, its multiples are
+    omitted. `work` is scratch; the other arguments are those of `evaluate_path`.
     """
-    least = np.full(SIMD_WIDTH, _NOTHING)
+    least = np.full(SIMD_WIDTH, _INADMISSIBLE_COST)
     open_ = best < 0
     for m in range(count):
         if skip > 0 and m % skip == 0:
             continue
         for k in range(SIMD_WIDTH):
-            w[_TIME + k] = spans[0, k] * np.exp(m * spans[2, k])
-        evaluate_lanes(w, state, final, table, powers, params)
+            work[_TIME + k] = spans[0, k] * np.exp(m * spans[2, k])
+        evaluate_lanes(work, state, final, table, powers, params)
         for k in range(SIMD_WIDTH):
-            if open_[k] and w[_COST + k] < least[k]:
-                best[k], least[k] = m, w[_COST + k]
+            if open_[k] and work[_COST + k] < least[k]:
+                best[k], least[k] = m, work[_COST + k]
 
 
 @kernel(inner=True)
-def refine_lanes(w, state, final, spans, table, powers, params, at):
+def refine_lanes(work, state, final, spans, table, powers, params, log_ratio):
     """Refine the times-to-go of sixteen sites by halving steps, in place.
 
-    `at` (16,) are logarithms of time over the first time. `spans` (3, 16) are those of
-    `search_lanes`, `w` is scratch, and the other arguments are those of `evaluate_path`.
+    `log_ratio` (16,) are logarithms of time over the first time, which are refined. `spans` (3, 16)
+    are those of `search_lanes`, `work` is scratch; the others are those of `evaluate_path`.
     """
     least = np.empty(SIMD_WIDTH)
     for k in range(SIMD_WIDTH):
-        w[_TIME + k] = spans[0, k] * np.exp(at[k])
-    evaluate_lanes(w, state, final, table, powers, params)
+        work[_TIME + k] = spans[0, k] * np.exp(log_ratio[k])
+    evaluate_lanes(work, state, final, table, powers, params)
     for k in range(SIMD_WIDTH):
-        least[k] = w[_COST + k]
+        least[k] = work[_COST + k]
     step, middle, near = np.empty(SIMD_WIDTH), np.empty(SIMD_WIDTH), np.empty(SIMD_WIDTH)
     for k in range(SIMD_WIDTH):
         step[k] = spans[2, k]
     for _ in range(HALVINGS):
         for k in range(SIMD_WIDTH):
             step[k] *= 0.5
-            middle[k] = at[k]
+            middle[k] = log_ratio[k]
         for sense in (-1.0, 1.0):
             for k in range(SIMD_WIDTH):
                 near[k] = middle[k] + sense * step[k]
-                w[_TIME + k] = spans[0, k] * np.exp(min(max(near[k], 0.0), spans[1, k]))
-            evaluate_lanes(w, state, final, table, powers, params)
+                work[_TIME + k] = spans[0, k] * np.exp(min(max(near[k], 0.0), spans[1, k]))
+            evaluate_lanes(work, state, final, table, powers, params)
             for k in range(SIMD_WIDTH):
                 inside = 0.0 <= near[k] <= spans[1, k]
-                if inside and step[k] > 0.0 and w[_COST + k] < least[k]:
-                    least[k], at[k] = w[_COST + k], near[k]
+                if inside and step[k] > 0.0 and work[_COST + k] < least[k]:
+                    least[k], log_ratio[k] = work[_COST + k], near[k]
 
 
 @kernel(inner=True)
-def search_one(state, target, final, start, span, coarse, rough, table, powers, params, out):
+def search_one(
+    state, target, final, start, span, coarse_count, coarse_table, table, powers, params, out
+):
     """Search the best time-to-go to one target in double precision.
 
-    `start` is the first time, s, `span` the logarithm of the range of times, and `coarse` the
-    number of steps. `rough` and `table` are the samples for the coarse search and the refinement.
+    `start` is the first time, s, `span` the logarithm of the range of times, and `coarse_count` the
+    number of steps. `coarse_table` and `table` are the samples of coarse search and refinement.
     `out` (4,) receives the result of `evaluate_path` for the best path. The other arguments are
     those of `evaluate_path`.
     """
-    found, x = np.empty(4), np.empty((2, 3))
-    step = span / max(coarse - 1, 1)
+    path_cost, terms = np.empty(4), np.empty((2, 3))
+    step = span / max(coarse_count - 1, 1)
     best = search_coarse(
-        state, target, final, start, step, coarse, 0, rough, powers, params, x, found
+        state,
+        target,
+        final,
+        start,
+        step,
+        coarse_count,
+        0,
+        coarse_table,
+        powers,
+        params,
+        terms,
+        path_cost,
     )
     if best < 0 and step > 0.0:
         step /= 3.0
-        count = 3 * (coarse - 1)
+        count = 3 * (coarse_count - 1)
         best = search_coarse(
-            state, target, final, start, step, count, 3, rough, powers, params, x, found
+            state,
+            target,
+            final,
+            start,
+            step,
+            count,
+            3,
+            coarse_table,
+            powers,
+            params,
+            terms,
+            path_cost,
         )
     if best >= 0:
         refine_time(
-            state, target, final, start, best * step, step, span, table, powers, params, x,
-            found, out,
+            state, target, final, start, best * step, step, span, table, powers, params, terms,
+            path_cost, out,
         )  # fmt: skip
 
 
 @kernel(shared=True)
 def search_sites(
-    share, state, targets, final, first, last, coarse, rough, table, powers, params, out
+    thread_slice,
+    state,
+    targets,
+    final,
+    first,
+    last,
+    coarse_count,
+    coarse_table,
+    table,
+    powers,
+    params,
+    out,
 ):
     """Find the admissible time-to-go with minimum delta-v for each target (n, 3).
 
     `out` (n, 4) receives delta-v, m/s (inf if no time is admissible), time, s, maximum thrust, N,
     and maximum tangent of the tilt, as from `evaluate_path`; NaN without an admissible time. Per
-    target, `coarse` times in geometric steps from `first` to `last` (n,), s, are tried with the
-    samples of `rough`; if none is admissible, two more between each pair. Then the steps around the
-    best time are halved with the samples of `table`, which finds a limit of admissibility as well
-    as a minimum. `share` is (thread, number of threads). `state` and `final` (2, 3), `powers` and
-    `params` are those of `evaluate_path`.
+    target, `coarse_count` times in geometric steps from `first` to `last` (n,), s, are tried with
+    the samples of `coarse_table`; if none is admissible, two more between each pair. Then the steps
+    around the best time are halved with the samples of `table`, which finds a limit of
+    admissibility as well as a minimum. `thread_slice` is (thread, number of threads); the other
+    arguments are those of `evaluate_path`.
     """
     count = targets.shape[0]
     blocks = (count + SIMD_WIDTH - 1) // SIMD_WIDTH
-    w = np.zeros(_SCRATCH, np.float32)
-    spans, at = np.empty((3, SIMD_WIDTH)), np.empty(SIMD_WIDTH)
+    work = np.zeros(_SCRATCH, np.float32)
+    spans, log_ratio = np.empty((3, SIMD_WIDTH)), np.empty(SIMD_WIDTH)
     best, valid = np.empty(SIMD_WIDTH, np.int64), np.empty(SIMD_WIDTH, np.bool_)
-    x = np.empty((2, 3))
-    for block in range(share[0], blocks, share[1]):
-        here = block * SIMD_WIDTH
+    terms = np.empty((2, 3))
+    for block in range(thread_slice[0], blocks, thread_slice[1]):
+        first_site = block * SIMD_WIDTH
         wanted = False
         for k in range(SIMD_WIDTH):
-            n = min(here + k, count - 1)
+            n = min(first_site + k, count - 1)
             out[n, 0] = np.inf
             out[n, 1:] = np.nan
-            good = 0.0 < first[n] <= last[n] < np.inf and here + k < count
+            good = 0.0 < first[n] <= last[n] < np.inf and first_site + k < count
             valid[k] = good
             best[k] = -1
             spans[0, k] = first[n] if good else 1.0
             spans[1, k] = np.log(last[n] / first[n]) if good else 0.0
-            spans[2, k] = spans[1, k] / max(coarse - 1, 1)
-            w[_EAST + k], w[_NORTH + k], w[_UP + k] = targets[n, 0], targets[n, 1], targets[n, 2]
-        search_lanes(w, state, final, spans, coarse, 0, rough, powers, params, best)
+            spans[2, k] = spans[1, k] / max(coarse_count - 1, 1)
+            work[_EAST + k], work[_NORTH + k], work[_UP + k] = (
+                targets[n, 0],
+                targets[n, 1],
+                targets[n, 2],
+            )
+        search_lanes(work, state, final, spans, coarse_count, 0, coarse_table, powers, params, best)
         for k in range(SIMD_WIDTH):
             if best[k] < 0 and valid[k] and spans[2, k] > 0.0:
                 wanted = True
@@ -237,24 +276,37 @@ def search_sites(
             elif best[k] < 0:
                 valid[k] = False
         if wanted:
-            search_lanes(w, state, final, spans, 3 * (coarse - 1), 3, rough, powers, params, best)
+            search_lanes(
+                work,
+                state,
+                final,
+                spans,
+                3 * (coarse_count - 1),
+                3,
+                coarse_table,
+                powers,
+                params,
+                best,
+            )
         some = False
         for k in range(SIMD_WIDTH):
-            at[k] = max(best[k], 0) * spans[2, k]
+            log_ratio[k] = max(best[k], 0) * spans[2, k]
             some = some or (valid[k] and best[k] >= 0)
         if not some:
             continue
-        refine_lanes(w, state, final, spans, table, powers, params, at)
+        refine_lanes(work, state, final, spans, table, powers, params, log_ratio)
         for k in range(SIMD_WIDTH):
             if not (valid[k] and best[k] >= 0):
                 continue
-            n = here + k
-            time = spans[0, k] * np.exp(at[k])
-            if not evaluate_path(state, targets[n], final, time, table, powers, params, x, out[n]):
+            n = first_site + k
+            time = spans[0, k] * np.exp(log_ratio[k])
+            if not evaluate_path(
+                state, targets[n], final, time, table, powers, params, terms, out[n]
+            ):
                 # Rounding changed the admissibility: repeat the search in double precision.
                 out[n, 0] = np.inf
                 out[n, 1:] = np.nan
                 search_one(
-                    state, targets[n], final, spans[0, k], spans[1, k], coarse, rough, table,
-                    powers, params, out[n],
+                    state, targets[n], final, spans[0, k], spans[1, k], coarse_count,
+                    coarse_table, table, powers, params, out[n],
                 )  # fmt: skip

@@ -63,7 +63,9 @@ def jerk_time_to_go(
     c = np.array([jerk, -6.0 * a_f, 18.0 * v_f + 6.0 * velocity, -24.0 * (r_f - position)])
     if not (np.isfinite(c).all() and np.isfinite(guess)):
         raise InputError(
-            "guidance.time_to_go", (c.tolist(), guess), "must follow from finite inputs"
+            "guidance.time_to_go",
+            (c.tolist(), guess),
+            "coefficients of the cubic and guess must be finite",
         )
     roots = np.roots(c)
     real = roots.real[np.abs(roots.imag) <= 1e-9 * np.maximum(1.0, np.abs(roots))]
@@ -72,7 +74,7 @@ def jerk_time_to_go(
 
 
 def time_to_go_for_jerk(
-    estimate: Estimate, end: PhaseEnd, jerk: float, guess: float, *, share: float = 1.0 / 3.0
+    estimate: Estimate, end: PhaseEnd, jerk: float, guess: float, *, max_change: float = 1.0 / 3.0
 ) -> float:
     """Return the time-to-go (s) that gives a downrange jerk at the phase end.
 
@@ -87,8 +89,9 @@ def time_to_go_for_jerk(
         Downrange jerk at the end, m/s^3.
     guess
         Time-to-go of the previous cycle, s.
-    share
-        Maximum difference between result and guess, relative to the guess.
+    max_change
+        Maximum difference between a root and the guess, as a fraction of the guess; if it is
+        larger, the guess is returned.
     """
     along = end.velocity[:2]
     speed = float(np.hypot(*along))
@@ -100,4 +103,4 @@ def time_to_go_for_jerk(
         float(unit @ estimate.position[:2]), float(unit @ estimate.velocity[:2]), goal, jerk,
         guess=guess,
     )  # fmt: skip
-    return found if abs(found - guess) < share * guess else guess
+    return found if abs(found - guess) < max_change * guess else guess

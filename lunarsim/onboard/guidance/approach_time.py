@@ -15,26 +15,27 @@ _FALLBACK_TIME_FACTOR, _MIN_FALLBACK_TIME_S, _MIN_SPEED_M_S = 2.0, 5.0, 1.0
 
 
 def initial_time_to_go(
-    approach: Approach, estimate: Estimate, end: PhaseEnd, admissible: float
+    approach: Approach, estimate: Estimate, end: PhaseEnd, optimal_time: float
 ) -> tuple[float, bool]:
     """Return the initial time-to-go of the approach, s, and whether it is admissible.
 
     The time follows from the jerk or the time in the settings `approach`; otherwise it is
-    `admissible`, s. If that is not finite, no time is admissible, and a fallback from distance and
-    speed is returned. `end` is the end of the approach.
+    `optimal_time`, s, that of the minimum-propellant path. If this is not finite, no time is
+    admissible, and a fallback from distance and speed is returned. `end` is the end of the
+    approach.
     """
     if approach.jerk is not None:
         guess = approach.time_to_go or fallback_time(estimate, end)
-        return time_to_go_for_jerk(estimate, end, approach.jerk, guess, share=np.inf), True
-    left = approach.time_to_go or admissible
+        return time_to_go_for_jerk(estimate, end, approach.jerk, guess, max_change=np.inf), True
+    left = approach.time_to_go or optimal_time
     return (left, True) if np.isfinite(left) else (fallback_time(estimate, end), False)
 
 
 def reason_time_is_fixed(approach: Approach, law: GuidanceLaw) -> str:
-    """Return why the onboard computer does not choose the time-to-go.
+    """Return why the onboard computer does not choose the time-to-go of the approach.
 
-    The text is empty if it does. `approach` are the settings and `law` is the guidance law of the
-    approach.
+    The result is a text for messages; it is empty if the computer chooses the time-to-go.
+    `approach` are the settings of the approach.
     """
     if not approach.has_free_time_to_go:
         return "the mission sets the time-to-go"

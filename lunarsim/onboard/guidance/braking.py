@@ -91,9 +91,9 @@ class Braking:
                 "braking.end_time_to_go_s", self.end_time_to_go,
                 f"must be less than time_to_go, which is {self.time_to_go} s",
             )  # fmt: skip
-        self.part()
+        self.law_settings()
 
-    def part(self) -> Any:
+    def law_settings(self) -> Any:
         """Return the settings of the guidance law, with default values."""
         return settings_of(resolve("guidance", self.law, "braking.law"))().make()
 
@@ -116,22 +116,22 @@ class Braking:
         return time_to_go_for_jerk(estimate, end, self.jerk, guess)
 
     def build_command(
-        self, wanted: Array, mass: float, lander: Lander, heading: float, time: float
+        self, acceleration: Array, mass: float, lander: Lander, heading: float, time: float
     ) -> Command:
-        """Return the command for a thrust acceleration (3,), m/s^2, within limits.
+        """Return the command for a thrust acceleration, within limits of thrust and tilt.
 
-        `wanted` is the thrust acceleration, `heading` the heading of the lander, rad, and `time`
-        the time since the start of the flight, s. If `max_tilt` is 90 deg or more, the thrust may
-        point downward (`thrust_lift_first`).
+        `acceleration` (3,) is in m/s^2, `heading` is that of the lander, rad, and `time` the time
+        since the start of the flight, s. If `max_tilt` is 90 deg or more, the thrust may point
+        downward (`thrust_lift_first`).
 
         Raises
         ------
         InputError
             If the law's command is not three finite numbers.
         """
-        wanted = checked_command("braking.law", self.part(), wanted, time)
+        acceleration = checked_command("braking.law", self.law_settings(), acceleration, time)
         give = thrust_to_command if self.max_tilt < 0.5 * np.pi else thrust_lift_first
         give = thrust_along if self.keeps_thrust_direction else give
-        command = give(wanted, mass, lander, heading, self.max_tilt)
+        command = give(acceleration, mass, lander, heading, self.max_tilt)
         trims = time < self.min_thrust_time - 1e-9
         return replace(command, thrust=lander.thrust_min) if trims else command

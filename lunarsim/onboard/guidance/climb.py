@@ -12,7 +12,7 @@ from lunarsim.onboard.navigation.estimate import Estimate
 _DAMPING_PER_S = 0.2
 
 
-def climb(estimate: Estimate, most: float) -> NDArray[np.float64]:
+def climb(estimate: Estimate, max_acceleration: float) -> NDArray[np.float64]:
     """Return the thrust acceleration (3,), ENU, m/s^2, of a full-thrust climb.
 
     A part of the thrust removes the horizontal velocity.
@@ -21,13 +21,13 @@ def climb(estimate: Estimate, most: float) -> NDArray[np.float64]:
     ----------
     estimate
         Estimated state.
-    most
+    max_acceleration
         Maximum thrust divided by mass, m/s^2.
     """
     require_finite_state(estimate)
     horizontal = -_DAMPING_PER_S * estimate.velocity[:2]
     size = float(np.hypot(*horizontal))
-    if size > 0.5 * most:
-        horizontal = horizontal * (0.5 * most / size)
-    up = np.sqrt(most**2 - float(horizontal @ horizontal))
+    if size > 0.5 * max_acceleration:
+        horizontal = horizontal * (0.5 * max_acceleration / size)
+    up = np.sqrt(max_acceleration**2 - float(horizontal @ horizontal))
     return np.array([horizontal[0], horizontal[1], up])

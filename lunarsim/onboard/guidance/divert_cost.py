@@ -76,10 +76,10 @@ class DivertCost:
 
 
 @lru_cache(maxsize=32)
-def _table(shape: PathShape, samples: int) -> Array:
-    """Return the fraction of time-to-go and its powers along a path, for kernels.
+def _sample_table(shape: PathShape, samples: int) -> Array:
+    """Return the fraction of time left and its two powers at samples of a path.
 
-    `shape` holds the powers; there are `samples` intervals. The result has shape (samples + 1, 3).
+    `samples` is the number of intervals; the result (samples + 1, 3) is for `evaluate_path`.
     """
     left = 1.0 - np.arange(samples + 1) / samples
     return np.column_stack((left, left**shape.low, left**shape.high))
@@ -96,18 +96,23 @@ def admissible_times(
     """
     distance = np.linalg.norm(targets - estimate.position, axis=1)
     speed = float(np.linalg.norm(estimate.velocity))
-    most = lander.thrust_max / lander.dry_mass + gravity
-    fastest = 2.0 * distance / (speed + np.sqrt(speed**2 + 2.0 * most * distance) + 1e-12)
-    held = lander.exhaust_velocity * np.log(max(estimate.mass / lander.dry_mass, 1.0))
-    slowest = (held + speed + float(np.linalg.norm(end.velocity))) / gravity
+    max_acceleration = lander.thrust_max / lander.dry_mass + gravity
+    fastest = (
+        2.0 * distance / (speed + np.sqrt(speed**2 + 2.0 * max_acceleration * distance) + 1e-12)
+    )
+    max_delta_v = lander.exhaust_velocity * np.log(max(estimate.mass / lander.dry_mass, 1.0))
+    slowest = (max_delta_v + speed + float(np.linalg.norm(end.velocity))) / gravity
     first = np.maximum(fastest, 1.0)
     return first, np.maximum(slowest, first)
 
 
-def _first_search_limit(estimate: Estimate, targets: Array, first: Array, last: Array) -> Array:
+def _max_time_of_first_search(
+    estimate: Estimate, targets: Array, first: Array, last: Array
+) -> Array:
     """Return the upper limit of the time-to-go in the first search (n,), s.
 
-    `first` and `last` (n,), s, are the bounds of `admissible_times`.
+    Slower paths, up to `last`, are searched only if no faster one is admissible. `first` and `last`
+    (n,), s, are the bounds from `admissible_times`.
     """
     distance = np.linalg.norm(targets - estimate.position, axis=1)
     speed = float(np.linalg.norm(estimate.velocity))
@@ -124,7 +129,7 @@ def divert_cost(
     *,
     limits: PathLimits | None = None,
     shape: PathShape = APOLLO,
-    least_times: Array | None = None,
+    min_times: Array | None = None,
     times: Array | None = None,
 ) -> DivertCost:
     """Find the minimum-propellant path of a guidance law to each end of an approach.
@@ -144,7 +149,7 @@ def divert_cost(
         Limits on thrust, tilt, glideslope and propellant; default: default limits.
     shape
         Shape of the paths of the guidance law.
-    least_times
+    min_times
         Minimum time-to-go of each site (n,), s; NaN: the site is out of reach.
     times
         Fixed time-to-go of each site (n,), s; None: search for the optimal one.
@@ -158,23 +163,23 @@ def divert_cost(
     targets = np.ascontiguousarray(np.atleast_2d(end.position), dtype=np.float64)
     _check_inputs(estimate, end, gravity)
     first, last = admissible_times(estimate, end, targets, lander, gravity)
-    if least_times is not None:
-        first = np.maximum(first, least_times)
+    if min_times is not None:
+        first = np.maximum(first, min_times)
     params = _kernel_params(estimate, lander, gravity, limits)
     end_motion = np.array([end.velocity, end.acceleration], dtype=np.float64)
     if times is not None:
         given = np.where(times >= first, times, np.nan)
-        found = _evaluate_paths(estimate, targets, end_motion, given, shape, params)
-        return _convert_costs(found, estimate, lander, limits.reserve)
-    search_limit = _first_search_limit(estimate, targets, first, last)
-    found = _search_paths(estimate, targets, end_motion, first, search_limit, shape, params)
-    slow = np.flatnonzero(~np.isfinite(found[:, 0]) & (search_limit < last))
+        path_costs = _evaluate_paths(estimate, targets, end_motion, given, shape, params)
+        return _convert_costs(path_costs, estimate, lander, limits.reserve)
+    search_limit = _max_time_of_first_search(estimate, targets, first, last)
+    path_costs = _search_paths(estimate, targets, end_motion, first, search_limit, shape, params)
+    slow = np.flatnonzero(~np.isfinite(path_costs[:, 0]) & (search_limit < last))
     if len(slow):
-        found[slow] = _search_paths(
+        path_costs[slow] = _search_paths(
             estimate, targets[slow], end_motion, np.maximum(first, search_limit)[slow], last[slow],
             shape, params,
         )  # fmt: skip
-    return _convert_costs(found, estimate, lander, limits.reserve)
+    return _convert_costs(path_costs, estimate, lander, limits.reserve)
 
 
 def _search_paths(
@@ -192,8 +197,8 @@ def _search_paths(
         k.search_sites(
             np.array([estimate.position, estimate.velocity], dtype=np.float64),
             np.ascontiguousarray(targets), end_motion, first, last, _COARSE_TIMES,
-            _table(shape, _COARSE_SAMPLES), _table(shape, _SAMPLES), np.array(shape.powers),
-            params, found,
+            _sample_table(shape, _COARSE_SAMPLES), _sample_table(shape, _SAMPLES),
+            np.array(shape.powers), params, found,
         )  # fmt: skip
     return found
 
@@ -216,23 +221,26 @@ def _evaluate_paths(
     with threads_for(0.1 * len(targets)):
         held.evaluate_given_times(
             np.array([estimate.position, estimate.velocity], dtype=np.float64), targets, end_motion,
-            times, _table(shape, _SAMPLES), np.array(shape.powers), params, found,
+            times, _sample_table(shape, _SAMPLES), np.array(shape.powers), params, found,
         )  # fmt: skip
     return found
 
 
-def _convert_costs(found: Array, estimate: Estimate, lander: Lander, reserve: float) -> DivertCost:
-    """Convert kernel results (n, 4) to propellant costs and check the propellant.
+def _convert_costs(
+    path_costs: Array, estimate: Estimate, lander: Lander, reserve: float
+) -> DivertCost:
+    """Convert delta-v to propellant; sites that need too much are infeasible.
 
-    `reserve` is the propellant that must remain, kg; sites that need more are infeasible.
+    `path_costs` (n, 4) is the result of `search_sites`; `reserve` is the propellant that must
+    remain, kg.
     """
-    propellant = estimate.mass * -np.expm1(-found[:, 0] / lander.exhaust_velocity)
+    propellant = estimate.mass * -np.expm1(-path_costs[:, 0] / lander.exhaust_velocity)
     good = propellant <= estimate.mass - lander.dry_mass - reserve
     return DivertCost(
         np.where(good, propellant, np.inf),
-        np.where(good, found[:, 1], np.nan),
-        np.where(good, found[:, 2], np.nan),
-        np.where(good, np.arctan(found[:, 3]), np.nan),
+        np.where(good, path_costs[:, 1], np.nan),
+        np.where(good, path_costs[:, 2], np.nan),
+        np.where(good, np.arctan(path_costs[:, 3]), np.nan),
     )
 
 

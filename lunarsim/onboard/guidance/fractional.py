@@ -116,7 +116,7 @@ class FractionalPolynomialLaw(PathLaw):
 
     @property
     def shape(self) -> PathShape:
-        """Shape of the paths under perfect actuation."""
+        """Shape of the paths that a vehicle without lag flies."""
         return fractional_shape(self.gamma, self.gain)
 
     def feedback(self, gravity: float) -> FeedbackLaw:
@@ -128,14 +128,13 @@ class FractionalPolynomialLaw(PathLaw):
         gamma, gain = self.gamma, self.gain
         down = np.array([0.0, 0.0, -gravity])
 
-        def wanted(position: Array, velocity: Array, end: PhaseEnd, left: float) -> Array:
-            """Return the acceleration (3,), m/s^2, gravity included.
-
-            `left` is the time-to-go, s.
-            """
+        def acceleration(
+            position: Array, velocity: Array, end: PhaseEnd, time_to_go: float
+        ) -> Array:
+            """Return the acceleration towards `end` (3,), m/s^2, gravity included."""
             thrust = fractional_feedback(
-                position, velocity, end, left, gravity, gamma=gamma, gain=gain
+                position, velocity, end, time_to_go, gravity, gamma=gamma, gain=gain
             )
             return np.asarray(thrust + down)
 
-        return wanted
+        return acceleration

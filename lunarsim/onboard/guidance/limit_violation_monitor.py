@@ -29,13 +29,13 @@ class LimitViolationMonitor:
     _start_time: float | None = None
 
     def exceeds_duration(
-        self, wanted: NDArray[np.float64], mass: float, limits: tuple[float, float], time: float
+        self, command: NDArray[np.float64], mass: float, limits: tuple[float, float], time: float
     ) -> bool:
         """Return whether a limit violation has lasted too long; restart the timer if so.
 
         Parameters
         ----------
-        wanted
+        command
             Commanded thrust acceleration (3,), ENU, m/s^2.
         mass
             Current mass, kg.
@@ -44,8 +44,8 @@ class LimitViolationMonitor:
         time
             Current time, s; the method is called once per control cycle.
         """
-        tilt = float(np.arctan2(np.hypot(wanted[0], wanted[1]), wanted[2]))
-        thrust = mass * float(np.linalg.norm(wanted))
+        tilt = float(np.arctan2(np.hypot(command[0], command[1]), command[2]))
+        thrust = mass * float(np.linalg.norm(command))
         if tilt <= (1.0 + self.slack) * limits[0] and thrust <= (1.0 + self.slack) * limits[1]:
             self._start_time = None
             return False

@@ -49,10 +49,10 @@ class ModifiedApolloLaw(ApolloLaw):
         Time-to-go is the optimal admissible one above the minimum from the limits of jerk and snap;
         `times` (n,), s, replaces it. `limits` are those of thrust, tilt, glideslope and propellant.
         """
-        least = min_times_to_go(
+        min_times = min_times_to_go(
             estimate.position, estimate.velocity, end, jerk=self.jerk, snap=self.snap
         )
         return divert_cost(
-            estimate, end, lander, gravity, limits=limits, shape=self.shape, least_times=least,
+            estimate, end, lander, gravity, limits=limits, shape=self.shape, min_times=min_times,
             times=times,
         )  # fmt: skip

@@ -124,11 +124,11 @@ class NeuralGuidance:
         self.events: list[tuple[float, str, dict[str, Any]]] = []
         self.evaluation_count = self.violation_count = 0
         self._field = briefing.nonuniform_gravity
-        self._answering = ActuatorLagModel(lag)
+        self._lag_model = ActuatorLagModel(lag)
         self._apollo, self._terminal_law = (
             PathGuidance(
-                shape, self.gravity, answering=self._answering,
-                min_time_to_go=least, field=briefing.nonuniform_gravity,
+                shape, self.gravity, lag_model=self._lag_model,
+                min_time_to_go=least, gravity_model=briefing.nonuniform_gravity,
             )
             for shape, least in (
                 (APOLLO, ApolloLaw().min_time_to_go),
@@ -153,7 +153,7 @@ class NeuralGuidance:
         require_finite_state(estimate, end)
         if not np.isfinite(time_to_go):
             raise InputError("guidance.time_to_go", time_to_go, "must be finite")
-        self._answering.advance(time)
+        self._lag_model.advance(time)
         if self._end is None or _horizontal_distance(self._end, end) > _DIVERT_DISTANCE_M:
             self._end, self._next_attempt, self._is_terminal = end, -np.inf, False
             self._is_following = False
@@ -166,7 +166,7 @@ class NeuralGuidance:
             law = self._terminal_law if self._is_terminal else self._apollo
             return law.command(estimate, end, time, self.arrival - time)
         acceleration = thrust - np.array([0.0, 0.0, self.gravity])
-        self._answering.record_command(acceleration)
+        self._lag_model.record_command(acceleration)
         if self._field is None:
             return thrust
         return np.asarray(
@@ -182,7 +182,7 @@ class NeuralGuidance:
         if not self._matches_training(end):
             self._fall_back(estimate, end, time, "problem differs from training")
             return None
-        position, velocity = self._answering.predict(estimate)
+        position, velocity = self._lag_model.predict(estimate)
         inputs, axes = reduce_state(position - end.position, velocity, estimate.mass)
         # On a followed path the state may leave the domain of initial states.
         if not (
@@ -211,7 +211,7 @@ class NeuralGuidance:
             self.events.append((time, "guidance-planned", {}))
         self._is_fallback, self._is_following = False, True
         # The command is issued one lag ahead, so that the end comes earlier by the lag.
-        self.arrival = time + self._answering.lag + left
+        self.arrival = time + self._lag_model.lag + left
         self._is_terminal = left < self.settings.handover
         return None if self._is_terminal else thrust
 
@@ -262,14 +262,14 @@ class NeuralGuidance:
         cost = divert_cost(estimate, one, self.lander, self.gravity, limits=self.limits)
         return float(cost.time_to_go[0])
 
-    def _fall_back(self, estimate: Estimate, end: PhaseEnd, time: float, why: str) -> None:
+    def _fall_back(self, estimate: Estimate, end: PhaseEnd, time: float, reason: str) -> None:
         """Switch to the Apollo law, with its optimal time-to-go if one is admissible.
 
-        `why` is the reason reported in the event.
+        `reason` is reported in the event.
         """
         self._next_attempt = time + self.settings.interval
         if not self._is_fallback:
-            self.events.append((time, "guidance-fallback", {"reason": why}))
+            self.events.append((time, "guidance-fallback", {"reason": reason}))
             time_to_go = self._apollo_time(estimate, end)
             if np.isfinite(time_to_go):
                 self.arrival = time + time_to_go

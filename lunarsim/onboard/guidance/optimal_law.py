@@ -112,8 +112,8 @@ class OptimalLaw(PathLaw):
 
 
 @dataclass(frozen=True)
-class _Plan:
-    """Planned minimum-propellant path and its start time, s."""
+class _TimedPath:
+    """Planned minimum-propellant path with the time at which it starts, s."""
 
     path: OptimalPath
     start_time: float
@@ -141,14 +141,14 @@ class OptimalGuidance:
         self.events: list[tuple[float, str, dict[str, Any]]] = []
         self.plans = 0
         self._planner = Planner(settings.intervals, QocoOnlySolver)
-        self._answering = ActuatorLagModel(lag)
+        self._lag_model = ActuatorLagModel(lag)
         # This law has its own open-loop end, for the last seconds without a plan.
         self._apollo = PathGuidance(
-            APOLLO, self.gravity, answering=self._answering,
-            min_time_to_go=ApolloLaw().min_time_to_go, field=briefing.nonuniform_gravity,
+            APOLLO, self.gravity, lag_model=self._lag_model,
+            min_time_to_go=ApolloLaw().min_time_to_go, gravity_model=briefing.nonuniform_gravity,
         )  # fmt: skip
         self._field = briefing.nonuniform_gravity
-        self._plan: _Plan | None = None
+        self._plan: _TimedPath | None = None
         self._end: PhaseEnd | None = None
         self._next_plan_time = -np.inf
         self._is_fallback = False
@@ -160,7 +160,7 @@ class OptimalGuidance:
         from the onboard computer, s.
         """
         _check(estimate, end, time_to_go)
-        self._answering.advance(time)
+        self._lag_model.advance(time)
         if self.arrival is None:
             self.arrival = time + time_to_go
         is_divert = (
@@ -175,12 +175,12 @@ class OptimalGuidance:
             or self._end is None
         ):
             self._end, self._next_plan_time = end, time + self.settings.interval
-            self._replan(estimate, end, time, fresh=is_divert)
+            self._replan(estimate, end, time, ignore_last=is_divert)
         if self._plan is None:
             return self._apollo.command(estimate, end, time, self.arrival - time)
         wanted = self._track(self._plan, estimate, time)
         acceleration = wanted - np.array([0.0, 0.0, self.gravity])
-        self._answering.record_command(acceleration)
+        self._lag_model.record_command(acceleration)
         # Plans assume uniform gravity; the remaining acceleration is compensated here.
         return (
             wanted
@@ -191,41 +191,41 @@ class OptimalGuidance:
 
     # --- plans ----------------------------------------------------------------------------
 
-    def _replan(self, estimate: Estimate, end: PhaseEnd, time: float, *, fresh: bool) -> None:
+    def _replan(self, estimate: Estimate, end: PhaseEnd, time: float, *, ignore_last: bool) -> None:
         """Plan from the state at which commands take effect; fall back if that fails.
 
-        With `fresh`, the previous plan is not used as a first guess.
+        With `ignore_last`, the previous plan is not used as a first guess.
         """
         before = self._planner.iterations
-        path, why = self._plan_path(estimate, end, time, None if fresh else self._plan)
-        spent = self._planner.iterations - before
-        if path is not None and spent > self.settings.iterations:
-            path, why = None, "late"
+        path, reason = self._plan_path(estimate, end, time, None if ignore_last else self._plan)
+        iterations = self._planner.iterations - before
+        if path is not None and iterations > self.settings.iterations:
+            path, reason = None, "late"
         if path is None:
-            self._fall_back(estimate, end, time, why, spent)
+            self._fall_back(estimate, end, time, reason, iterations)
             return
         self.plans += 1
         if self._is_fallback:
-            self.events.append((time, "guidance-planned", {"iterations": spent}))
+            self.events.append((time, "guidance-planned", {"iterations": iterations}))
         self._is_fallback = False
-        self._plan = _Plan(path, time + self._answering.lag)
+        self._plan = _TimedPath(path, time + self._lag_model.lag)
         # A command one lag before the end of the path takes effect at its end, where the next phase
         # begins.
         self.arrival = time + path.duration
 
     def _plan_path(
-        self, estimate: Estimate, end: PhaseEnd, time: float, last: _Plan | None
+        self, estimate: Estimate, end: PhaseEnd, time: float, last: _TimedPath | None
     ) -> tuple[OptimalPath | None, str]:
         """Return a minimum-propellant path and an empty text, or None and the reason.
 
         `last` is the previous plan, used as a first guess; None: none. `time` is the current time,
         s.
         """
-        position, velocity = self._answering.predict(estimate)
+        position, velocity = self._lag_model.predict(estimate)
         expected = max((self.arrival or 0.0) - time, 1.0)
         masses = None
         if last is not None:
-            elapsed = time + self._answering.lag - last.start_time
+            elapsed = time + self._lag_model.lag - last.start_time
             masses = remaining_log_mass(last.path, elapsed, self._planner.intervals)
         try:
             descent = self._build_problem(estimate.mass, position, velocity, end)
@@ -244,9 +244,10 @@ class OptimalGuidance:
         return (path, "") if is_flyable(path) else (None, "thrust")
 
     def _failure_reason(self, descent: Descent, expected: float) -> str:
-        """Return why no path was found; empty except at the start of a fallback.
+        """Return why no path was found: "infeasible" or "solver"; empty in a fallback.
 
-        "infeasible" is proven for all tried final times around the expected one (`expected`, s).
+        "infeasible" means that no path exists at any tried final time around the expected one
+        (`expected`, s). During a fallback the reason has already been reported.
         """
         if self._is_fallback:
             return ""
@@ -289,14 +290,16 @@ class OptimalGuidance:
         return max(self.limits.throttle_margin, _MIN_UPPER_MARGIN)
 
     def _fall_back(
-        self, estimate: Estimate, end: PhaseEnd, time: float, why: str, spent: int
+        self, estimate: Estimate, end: PhaseEnd, time: float, reason: str, iterations: int
     ) -> None:
         """Switch to the Apollo law, with its optimal time-to-go if one is admissible.
 
-        `why` is the reason and `spent` the number of solver iterations, both reported in the event.
+        `reason` and the number of solver `iterations` are reported in the event.
         """
         if not self._is_fallback:
-            self.events.append((time, "guidance-fallback", {"reason": why, "iterations": spent}))
+            self.events.append(
+                (time, "guidance-fallback", {"reason": reason, "iterations": iterations})
+            )
             one = replace(end, position=end.position[None, :])
             cost = divert_cost(estimate, one, self.lander, self.gravity, limits=self.limits)
             if np.isfinite(cost.time_to_go[0]):
@@ -306,13 +309,13 @@ class OptimalGuidance:
 
     # --- tracking -------------------------------------------------------------------------
 
-    def _track(self, plan: _Plan, estimate: Estimate, time: float) -> Array:
+    def _track(self, plan: _TimedPath, estimate: Estimate, time: float) -> Array:
         """Return the plan's thrust acceleration plus tracking feedback (3,), m/s^2.
 
         `time` is the current time, s; position and velocity errors are fed back.
         """
-        position, velocity = self._answering.predict(estimate)
-        at = min(time + self._answering.lag - plan.start_time, plan.path.duration)
+        position, velocity = self._lag_model.predict(estimate)
+        at = min(time + self._lag_model.lag - plan.start_time, plan.path.duration)
         r, v, thrust = plan.path.at(at)
         w = self.settings.frequency
         return np.asarray(thrust + w * w * (r - position) + 2.0 * w * (v - velocity))

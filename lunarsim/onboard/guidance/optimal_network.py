@@ -22,7 +22,9 @@ _MAX_FILE_BYTES = 1_000_000  # maximum file size, bytes
 _PROBLEM_SIZE = 7  # number of parameters in `OptimalNetwork.problem`
 
 
-def reduce_state(gap: ArrayLike, velocity: ArrayLike, mass: ArrayLike) -> tuple[Array, Array]:
+def reduce_state(
+    displacement: ArrayLike, velocity: ArrayLike, mass: ArrayLike
+) -> tuple[Array, Array]:
     """Reduce a state by symmetry to the network inputs, with the axes of its output.
 
     The problem is symmetric under rotation about the vertical through the end and under reflection.
@@ -31,31 +33,31 @@ def reduce_state(gap: ArrayLike, velocity: ArrayLike, mass: ArrayLike) -> tuple[
 
     Parameters
     ----------
-    gap, velocity
+    displacement, velocity
         Position relative to the end, and velocity (..., 3), ENU, m and m/s.
     mass
         Mass (...), kg.
 
     Returns
     -------
-    shown
+    inputs
         Network inputs (..., 6): horizontal distance and height, m, velocity along the first, second
         and up axis, m/s, and mass, kg.
     axes
         Unit vectors in rows (..., 3, 3), ENU.
     """
-    gap, velocity = np.asarray(gap, np.float64), np.asarray(velocity, np.float64)
-    horizontal = np.hypot(gap[..., 0], gap[..., 1])
+    displacement, velocity = np.asarray(displacement, np.float64), np.asarray(velocity, np.float64)
+    horizontal = np.hypot(displacement[..., 0], displacement[..., 1])
     near = horizontal < 1e-9
     along = np.where(
-        near[..., None], [1.0, 0.0], gap[..., :2] / np.maximum(horizontal, 1e-9)[..., None]
+        near[..., None], [1.0, 0.0], displacement[..., :2] / np.maximum(horizontal, 1e-9)[..., None]
     )
     across = np.stack((-along[..., 1], along[..., 0]), axis=-1)
     crossrange_speed = np.sum(across * velocity[..., :2], axis=-1)
     across = across * np.where(crossrange_speed < 0.0, -1.0, 1.0)[..., None]
-    shown = np.stack(
+    inputs = np.stack(
         (
-            horizontal, gap[..., 2], np.sum(along * velocity[..., :2], axis=-1),
+            horizontal, displacement[..., 2], np.sum(along * velocity[..., :2], axis=-1),
             np.abs(crossrange_speed), velocity[..., 2],
             np.broadcast_to(np.asarray(mass, np.float64), horizontal.shape),
         ),
@@ -63,7 +65,7 @@ def reduce_state(gap: ArrayLike, velocity: ArrayLike, mass: ArrayLike) -> tuple[
     )  # fmt: skip
     axes = np.zeros((*horizontal.shape, 3, 3))
     axes[..., 0, :2], axes[..., 1, :2], axes[..., 2, 2] = along, across, 1.0
-    return shown, axes
+    return inputs, axes
 
 
 @dataclass(frozen=True)
@@ -98,17 +100,17 @@ class OptimalNetwork:
     biases: tuple[Array, ...]
     problem: Array
 
-    def is_in_domain(self, shown: Array) -> bool:
-        """Return whether network inputs `shown` (6,) are in the training domain."""
-        return bool(np.all(shown >= self.low) and np.all(shown <= self.high))
+    def is_in_domain(self, inputs: Array) -> bool:
+        """Return whether network inputs (6,) are in the training domain."""
+        return bool(np.all(inputs >= self.low) and np.all(inputs <= self.high))
 
-    def __call__(self, shown: Array) -> Array:
+    def __call__(self, inputs: Array) -> Array:
         """Return thrust over mass in the axes of `reduce_state` and time-to-go (..., 4).
 
-        `shown` (..., 6) are the network inputs from `reduce_state`; thrust over mass is in m/s^2,
+        `inputs` (..., 6) are the network inputs from `reduce_state`; thrust over mass is in m/s^2,
         time in s.
         """
-        layer = np.concatenate((shown / self.far, np.arcsinh(shown / self.near)), axis=-1)
+        layer = np.concatenate((inputs / self.far, np.arcsinh(inputs / self.near)), axis=-1)
         for weight, bias in zip(self.weights[:-1], self.biases[:-1], strict=True):
             layer = np.tanh(layer @ weight.T + bias)
         return np.asarray((layer @ self.weights[-1].T + self.biases[-1]) * self.scale)

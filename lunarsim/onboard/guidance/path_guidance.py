@@ -24,12 +24,12 @@ class ActuatorLagModel:
 
     Parameters
     ----------
-    lead
+    lag
         Time constant of the response, s.
     """
 
-    def __init__(self, lead: float) -> None:
-        self.lag = lead
+    def __init__(self, lag: float) -> None:
+        self.lag = lag
         self._lagged = np.zeros(3)
         self._command = np.zeros(3)
         self._time: float | None = None
@@ -47,16 +47,16 @@ class ActuatorLagModel:
 
     def predict(self, estimate: Estimate) -> tuple[Array, Array]:
         """Predict position and velocity (3,), m and m/s, one lag ahead."""
-        a, lead = self._lagged, self.lag
-        position = estimate.position + lead * (estimate.velocity + 0.5 * lead * a)
-        return position, estimate.velocity + lead * a
+        a, lag = self._lagged, self.lag
+        position = estimate.position + lag * (estimate.velocity + 0.5 * lag * a)
+        return position, estimate.velocity + lag * a
 
 
 class PathGuidance:
     """Guidance along polynomial paths of one shape, with compensation of the lag.
 
     The vehicle responds to a command with a lag. The boundary value problem is therefore solved
-    from the state predicted a `lead` ahead with a first-order model of the past commands. Near the
+    from the state predicted one `lag` ahead with a first-order model of the past commands. Near the
     target the gains would grow without bound; below `min_time_to_go` the last path is flown open
     loop.
 
@@ -66,15 +66,15 @@ class PathGuidance:
         Shape of the paths.
     gravity
         Downward acceleration, m/s^2.
-    lead
+    lag
         Response lag of attitude control and engine that is compensated, s.
     min_time_to_go
         Time-to-go below which the last path is flown open loop, s.
     feedback
         Feedback formula of the law; None: initial acceleration of the path.
-    answering
-        Response model shared with another law; it replaces `lead`.
-    field
+    lag_model
+        Response model shared with another law; it replaces `lag`.
+    gravity_model
         Gravity model (non-uniform gravity and rotating frame) to compensate; None: uniform
         `gravity`.
 
@@ -89,19 +89,19 @@ class PathGuidance:
         shape: PathShape,
         gravity: float,
         *,
-        lead: float = 0.0,
+        lag: float = 0.0,
         min_time_to_go: float = 1.5,
         feedback: FeedbackLaw | None = None,
-        answering: ActuatorLagModel | None = None,
-        field: GravityModel | None = None,
+        lag_model: ActuatorLagModel | None = None,
+        gravity_model: GravityModel | None = None,
     ) -> None:
         self.shape = shape
-        self.field = field
+        self._gravity_model = gravity_model
         self.gravity = np.array([0.0, 0.0, -gravity])
         self.min_time_to_go = min_time_to_go
         self.feedback = feedback
-        self._answering = answering or ActuatorLagModel(lead)
-        self.lead = self._answering.lag
+        self._lag_model = lag_model or ActuatorLagModel(lag)
+        self._lag = self._lag_model.lag
         self._last: tuple[float, PolynomialPath] | None = None
 
     def command(self, estimate: Estimate, end: PhaseEnd, time: float, time_to_go: float) -> Array:
@@ -110,25 +110,27 @@ class PathGuidance:
         If no path exists yet, a time-to-go below the minimum is raised to it. `time` and
         `time_to_go` are in s.
         """
-        self._answering.advance(time)
-        left = time_to_go - self.lead
-        if not np.isfinite(left):
+        self._lag_model.advance(time)
+        path_time = time_to_go - self._lag
+        if not np.isfinite(path_time):
             raise InputError("guidance.time_to_go", time_to_go, "must be finite")
-        if left >= self.min_time_to_go or self._last is None:
-            position, velocity = self._answering.predict(estimate)
-            left = max(left, self.min_time_to_go)
-            path = self.shape.path(position, velocity, end, left)
+        if path_time >= self.min_time_to_go or self._last is None:
+            position, velocity = self._lag_model.predict(estimate)
+            path_time = max(path_time, self.min_time_to_go)
+            path = self.shape.path(position, velocity, end, path_time)
             self._last = (time, path)
-            wanted = (
+            acceleration = (
                 path.command
                 if self.feedback is None
-                else np.asarray(self.feedback(position, velocity, end, left))
+                else np.asarray(self.feedback(position, velocity, end, path_time))
             )
         else:
             since, path = self._last
-            wanted = path.at(min(time - since, path.time_to_go))[2]
-        self._answering.record_command(wanted)
-        pull = self.gravity
-        if self.field is not None:
-            pull = self.field.free_fall_acceleration(estimate.position, estimate.velocity)
-        return np.asarray(wanted - pull)
+            acceleration = path.at(min(time - since, path.time_to_go))[2]
+        self._lag_model.record_command(acceleration)
+        free_fall = self.gravity
+        if self._gravity_model is not None:
+            free_fall = self._gravity_model.free_fall_acceleration(
+                estimate.position, estimate.velocity
+            )
+        return np.asarray(acceleration - free_fall)

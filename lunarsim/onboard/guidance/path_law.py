@@ -86,8 +86,8 @@ class PathLaw(ABC):
         """
         gravity = briefing.surface_gravity
         return PathGuidance(
-            self.shape, gravity, lead=lag, min_time_to_go=self.min_time_to_go,
-            feedback=self.feedback(gravity), field=briefing.nonuniform_gravity,
+            self.shape, gravity, lag=lag, min_time_to_go=self.min_time_to_go,
+            feedback=self.feedback(gravity), gravity_model=briefing.nonuniform_gravity,
         )  # fmt: skip
 
     def cost(

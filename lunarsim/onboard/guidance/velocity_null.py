@@ -31,7 +31,9 @@ class VelocityNull:
         Maximum tilt of the thrust, rad.
     """
 
-    time_constant: float = quantity(5.0, "s", gt=0, help="time constant of each velocity axis")
+    time_constant: float = quantity(
+        5.0, "s", gt=0, help="time constant with which a velocity error decreases"
+    )
     max_tilt: float = quantity(20.0, "deg", gt=0, lt=60, help="maximum tilt of the thrust")
 
     def __post_init__(self) -> None:

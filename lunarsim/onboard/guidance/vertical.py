@@ -105,12 +105,12 @@ class VerticalDescent:
             horizontal *= limit / size
         return np.array([horizontal[0], horizontal[1], up])
 
-    def _tan_max_tilt(self, height: float, full: float) -> float:
+    def _tan_max_tilt(self, height: float, full_tilt_height: float) -> float:
         """Return the tangent of the maximum tilt at a height (m) above touchdown.
 
-        It decreases linearly below the height `full`, m, and is constant above.
+        It decreases linearly below `full_tilt_height`, m, and is constant above.
         """
-        share = min(max(height / full, 0.0), 1.0)
+        share = min(max(height / full_tilt_height, 0.0), 1.0)
         return float(
             np.tan(
                 self.max_tilt_at_touchdown + share * (self.max_tilt - self.max_tilt_at_touchdown)
@@ -142,24 +142,24 @@ class SlewLimitedControl(Protocol):
         ...
 
 
-def descent_law(part: Any, briefing: Any, lag: float) -> TerminalDescentLaw:
+def descent_law(settings: Any, briefing: Any, lag: float) -> TerminalDescentLaw:
     """Return the law of the terminal descent: that of the scenario or the default.
 
     The default is `VerticalDescent`.
 
     Parameters
     ----------
-    part
+    settings
         Settings of the terminal descent in the scenario; None if there are none.
     briefing
         Data known before the flight.
     lag
         Total response lag of attitude control and engine, s.
     """
-    if part is None:
+    if settings is None:
         control = briefing.software.control
         if isinstance(control, SlewLimitedControl):
             lag += control.turning_time(VerticalDescent.max_tilt)
         return VerticalDescent.for_lag(lag, briefing.surface_gravity)
-    law: TerminalDescentLaw = part.build(briefing, lag)
+    law: TerminalDescentLaw = settings.build(briefing, lag)
     return law

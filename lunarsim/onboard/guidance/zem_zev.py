@@ -57,7 +57,7 @@ class ZemZevLaw(PathLaw):
 
     @property
     def shape(self) -> PathShape:
-        """Shape of E-guidance, whose paths are the same under perfect actuation."""
+        """Shape of E-guidance, whose paths are the same for a vehicle without lag."""
         return E_GUIDANCE
 
     def feedback(self, gravity: float) -> FeedbackLaw:
@@ -67,11 +67,10 @@ class ZemZevLaw(PathLaw):
         """
         down = np.array([0.0, 0.0, -gravity])
 
-        def wanted(position: Array, velocity: Array, end: PhaseEnd, left: float) -> Array:
-            """Return the acceleration (3,), m/s^2, gravity included.
+        def acceleration(
+            position: Array, velocity: Array, end: PhaseEnd, time_to_go: float
+        ) -> Array:
+            """Return the acceleration towards `end` (3,), m/s^2, gravity included."""
+            return np.asarray(zem_zev(position, velocity, end, time_to_go, gravity) + down)
 
-            `left` is the time-to-go, s.
-            """
-            return np.asarray(zem_zev(position, velocity, end, left, gravity) + down)
-
-        return wanted
+        return acceleration

@@ -24,7 +24,7 @@ _DIAGONAL = math.sqrt(0.5)
 
 
 @kernel(inline=True)
-def _range_about(image, i, j):
+def _range_around(image, i, j):
     """Return the brightness range within 3 pixels of pixel (i, j)."""
     low = high = image[i, j]
     for di in range(-REACH, REACH + 1):
@@ -50,22 +50,22 @@ def _range_along(image, i, j, down, right):
 
 
 @kernel(inline=True)
-def _raise_along(out, k, direction, slope, size, min_range):
-    """Update the maximum relative slope of patch `k` along one direction.
+def _raise_direction_slope(out, patch, direction, slope, brightness_range, min_range):
+    """Raise the maximum relative slope of a patch along one direction.
 
-    `out` (patches, 5) holds the maxima and `direction` is the column. `slope` is the brightness
-    gradient and `size` the brightness range by which it is divided, if the range is at least
-    `min_range`.
+    Row `patch` and column `direction` of `out` (patches, 5) hold the maximum. The relative slope is
+    the brightness gradient over `brightness_range`, which must be at least `min_range`.
     """
-    if size >= min_range:
-        out[k, direction] = max(out[k, direction], slope / size)
+    if brightness_range >= min_range:
+        out[patch, direction] = max(out[patch, direction], slope / brightness_range)
 
 
 @kernel(inline=True)
-def _raise_slopes(out, k, image, i, j, min_range):
-    """Update the maximum relative slopes of patch `k` with those at pixel (i, j).
+def _raise_slopes(out, patch, image, i, j, min_range):
+    """Raise the maximum relative slopes of a patch by those at pixel (i, j).
 
-    `out` (patches, 5) holds the maxima; brightness ranges below `min_range` are ignored.
+    Row `patch` of `out` (patches, 5) holds the maxima; edges with a brightness range below
+    `min_range` are ignored.
     """
     gu = 0.5 * (image[i, j + 1] - image[i, j - 1])
     gv = 0.5 * (image[i + 1, j] - image[i - 1, j])
@@ -73,59 +73,44 @@ def _raise_slopes(out, k, image, i, j, min_range):
     # The range is at least twice the slope along a row or a column.
     if not steep > 0.02:
         return
-    size = _range_about(image, i, j)
-    if not size >= min_range:
+    brightness_range = _range_around(image, i, j)
+    if not brightness_range >= min_range:
         return
-    out[k, 4] = max(out[k, 4], steep / size)
+    out[patch, 4] = max(out[patch, 4], steep / brightness_range)
     # Beside a lit face, the range all about belongs to another edge.
-    half = ABOUT * size
+    half = ABOUT * brightness_range
     along = max(_range_along(image, i, j, 0, 1), half)
-    _raise_along(out, k, 0, abs(gu), along, min_range)
+    _raise_direction_slope(out, patch, 0, abs(gu), along, min_range)
     along = max(_range_along(image, i, j, 1, 1), half)
-    _raise_along(out, k, 1, abs(gu + gv) * _DIAGONAL, along, min_range)
+    _raise_direction_slope(out, patch, 1, abs(gu + gv) * _DIAGONAL, along, min_range)
     along = max(_range_along(image, i, j, 1, 0), half)
-    _raise_along(out, k, 2, abs(gv), along, min_range)
+    _raise_direction_slope(out, patch, 2, abs(gv), along, min_range)
     along = max(_range_along(image, i, j, 1, -1), half)
-    _raise_along(out, k, 3, abs(gv - gu) * _DIAGONAL, along, min_range)
+    _raise_direction_slope(out, patch, 3, abs(gv - gu) * _DIAGONAL, along, min_range)
 
 
 @kernel()
-def edge_slopes(image, patch, count, every, min_range):
+def edge_slopes(image, labels, count, stride, min_range):
     """Return the maximum relative brightness slope at the edge of each dark patch.
 
-    The slope is divided by the brightness range of the edge. Along a direction this is the range
+    The result (count + 1, 5), 1/pixels, is for four directions and for the steepest; 0 for no edge.
+    A slope is divided by the brightness range of the edge. Along a direction this is the range
     along it, or half of the range all around if this is larger. For the steepest slope it is the
-    range all around.
+    range all around. Edges with a range below `min_range` are ignored.
 
-    Parameters
-    ----------
-    image
-        Brightness (height, width).
-    patch
-        Patch of each pixel (height, width), 1 to `count`, 0 for none.
-    count
-        Number of patches.
-    every
-        Only patches whose number is a multiple of this value are measured.
-    min_range
-        Minimum brightness range of an edge.
-
-    Returns
-    -------
-    out
-        Relative slopes (count + 1, 5), 1 / pixels: in four directions and in the steepest; 0 for no
-        edge and for patches that were not measured.
+    `labels` (height, width) are the patches in `image`, from 1 to `count`, 0 for none. Only patches
+    whose label is a multiple of `stride` are measured.
     """
     out = np.zeros((count + 1, SLOPES))
-    height, width = patch.shape
+    height, width = labels.shape
     margin = REACH + 1
     for i in range(margin, height - margin):
         for j in range(margin, width - margin):
-            k = patch[i, j]
-            if k == 0 or k % every != 0:
+            k = labels[i, j]
+            if k == 0 or k % stride != 0:
                 continue
-            up, low = patch[i - 1, j] != k, patch[i + 1, j] != k
-            left, right = patch[i, j - 1] != k, patch[i, j + 1] != k
+            up, low = labels[i - 1, j] != k, labels[i + 1, j] != k
+            left, right = labels[i, j - 1] != k, labels[i, j + 1] != k
             if not (up or low or left or right):
                 continue
             _raise_slopes(out, k, image, i, j, min_range)
@@ -142,43 +127,29 @@ def edge_slopes(image, patch, count, every, min_range):
 
 
 @kernel()
-def two_sides(image, patch, ring, count, cut):
+def sum_dark_and_bright(image, labels, ring_labels, count, min_excess):
     """Sum positions over each dark patch and over the bright pixels beside it.
 
-    Parameters
-    ----------
-    image
-        Brightness relative to lit terrain (height, width).
-    patch
-        Patch of each pixel (height, width), 0 for none.
-    ring
-        Patch adjacent to each pixel outside the patches (height, width), 0 for none.
-    count
-        Number of patches.
-    cut
-        Excess of brightness above lit terrain from which a pixel counts. Its weight is its
-        brightness minus 1 and minus this excess, at most 1.
-
-    Returns
-    -------
-    out
-        Sums (count + 1, 6): weight and weighted column and row of the bright pixels; number, column
-        and row of the dark pixels.
+    The result (count + 1, 6) is weight and weighted column and row of the bright pixels, then
+    number, column and row of the dark ones. `image` is the brightness relative to lit terrain,
+    `labels` are the patches from 1 to `count` (0: none), and `ring_labels` the adjacent patch of
+    pixels outside (height, width). The weight of a bright pixel is its brightness minus 1 and minus
+    `min_excess`, at most 1.
     """
     out = np.zeros((count + 1, 6))
-    height, width = patch.shape
+    height, width = labels.shape
     for i in range(height):
         for j in range(width):
-            k = patch[i, j]
+            k = labels[i, j]
             if k != 0:
                 out[k, PIXELS] += 1.0
                 out[k, DARK_U] += j
                 out[k, DARK_V] += i
                 continue
-            k = ring[i, j]
+            k = ring_labels[i, j]
             if k == 0:
                 continue
-            more = min(image[i, j] - 1.0 - cut, 1.0)
+            more = min(image[i, j] - 1.0 - min_excess, 1.0)
             if more > 0.0:
                 out[k, WEIGHT] += more
                 out[k, BRIGHT_U] += more * j
@@ -187,50 +158,43 @@ def two_sides(image, patch, ring, count, cut):
 
 
 @kernel()
-def black_and_lit(relative, above, patch, ring, count, black, grey, most, cut):
+def sum_black_and_lit(
+    relative,
+    relative_to_lit,
+    labels,
+    ring_labels,
+    count,
+    black_level,
+    grey_level,
+    max_grey_weight,
+    min_excess,
+):
     """Sum positions over the black pixels of each dark patch and over its lit pixels.
 
-    Parameters
-    ----------
-    relative
-        Brightness relative to nearby slopes, for black and grey pixels (height, width).
-    above
-        Brightness relative to lit pixels nearby, for bright pixels (height, width).
-    patch, ring, count
-        Patch of each pixel (height, width), patch adjacent to each other pixel (height, width),
-        both 0 for none, and number of patches.
-    black
-        Level below which a pixel of the patch is black; its weight is the difference to this level.
-    grey, most
-        Level above which a pixel of the patch is lit; its weight is the excess above this level, at
-        most `most`.
-    cut
-        Excess of brightness above lit terrain from which a pixel outside the patch counts as lit.
-        Its weight is its brightness minus 1 and minus this excess, at most 1.
-
-    Returns
-    -------
-    out
-        Sums (count + 1, 6): weight and weighted column and row of the black pixels, then of the lit
-        pixels.
+    The result (count + 1, 6) is weight and weighted column and row of the black pixels, then of the
+    lit ones. `labels` are the patches from 1 to `count` (0: none), and `ring_labels` the adjacent
+    patch of pixels outside (height, width). In a patch, the brightness is `relative` to nearby
+    slopes: a pixel is black below `black_level` and lit above `grey_level`, and its weight is the
+    difference to the level, for lit ones at most `max_grey_weight`. Outside, it is
+    `relative_to_lit` pixels nearby; the weight is this minus 1 and minus `min_excess`, at most 1.
     """
     out = np.zeros((count + 1, 6))
-    height, width = patch.shape
+    height, width = labels.shape
     for i in range(height):
         for j in range(width):
-            k = patch[i, j]
+            k = labels[i, j]
             if k != 0:
-                dark = black - relative[i, j]
+                dark = black_level - relative[i, j]
                 if dark > 0.0:
                     out[k, BLACK] += dark
                     out[k, BLACK_U] += dark * j
                     out[k, BLACK_V] += dark * i
-                more = min(relative[i, j] - grey, most)
+                more = min(relative[i, j] - grey_level, max_grey_weight)
             else:
-                k = ring[i, j]
+                k = ring_labels[i, j]
                 if k == 0:
                     continue
-                more = min(above[i, j] - 1.0 - cut, 1.0)
+                more = min(relative_to_lit[i, j] - 1.0 - min_excess, 1.0)
             if more > 0.0:
                 out[k, LIT] += more
                 out[k, LIT_U] += more * j

@@ -20,40 +20,41 @@ COLUMNS = 14
 
 
 @kernel(inline=True)
-def _borders_on(k, a, b, c, d):
-    """Return whether one of the neighbours `a` to `d` is in a patch other than `k`."""
-    return a != k or b != k or c != k or d != k
+def _borders_on(label, up, down, left, right):
+    """Return whether a neighbour of a pixel has another label than the pixel."""
+    return up != label or down != label or left != label or right != label
 
 
 @kernel(inline=True)
-def _count_pixel(out, k, tx, ty, rim, edge, deep):
-    """Count a pixel of patch `k` in the table `out` and add its tangents.
+def _count_pixel(out, label, tx, ty, is_rim, is_edge, is_deep):
+    """Count a pixel in row `label` of the patch table `out` and add its tangents.
 
-    `tx` and `ty` are the tangents of its line of sight. `rim` is whether it is at the rim of the
-    patch, `edge` whether it is on an edge of the image, and `deep` whether it is dark.
+    `tx` and `ty` are the tangents of its line of sight. The pixel may be at the rim of its patch,
+    on a brightness edge of the image, and darker than half way to lit terrain (deep).
     """
-    out[k, PIXELS] += 1.0
-    if deep:
-        out[k, DEEP] += 1.0
-    out[k, TX] += tx
-    out[k, TY] += ty
-    if rim:
-        out[k, EDGE] += 1.0
-        if edge:
-            out[k, SEEN] += 1.0
+    out[label, PIXELS] += 1.0
+    if is_deep:
+        out[label, DEEP] += 1.0
+    out[label, TX] += tx
+    out[label, TY] += ty
+    if is_rim:
+        out[label, EDGE] += 1.0
+        if is_edge:
+            out[label, SEEN] += 1.0
 
 
 @kernel(inline=True)
-def _add_place(out, k, along, across):
-    """Add the position of a pixel of patch `k` to the moments in the table `out`.
+def _add_moments(out, label, along, across):
+    """Add the position of a pixel to the moments of its patch.
 
-    `along` and `across` are its coordinates towards the Sun and to the left of it, m.
+    `along` and `across` are its coordinates towards the Sun and to the left of it, m. The moments
+    are in row `label` of the table `out`.
     """
-    out[k, ALONG] += along
-    out[k, ACROSS] += across
-    out[k, LENGTH] += along * along
-    out[k, WIDTH] += across * across
-    out[k, SKEW] += along * across
+    out[label, ALONG] += along
+    out[label, ACROSS] += across
+    out[label, LENGTH] += along * along
+    out[label, WIDTH] += across * across
+    out[label, SKEW] += along * across
 
 
 @kernel()
@@ -70,22 +71,20 @@ def _line_of_sight(tx, ty, right, down, ahead):
 
 
 @kernel()
-def _to_sun(e, n, sun):
-    """Return the components of an east/north vector along the Sun and across it.
+def _to_sun(east, north, sun):
+    """Return the components of a horizontal vector along the Sun and across it.
 
-    `sun` is the horizontal unit vector towards the Sun. `e` and `n` are the east and north
-    components.
+    `sun` is the horizontal unit vector towards the Sun.
     """
-    return e * sun[0] + n * sun[1], n * sun[0] - e * sun[1]
+    return east * sun[0] + north * sun[1], north * sun[0] - east * sun[1]
 
 
 @kernel()
 def _pixel_size_on_terrain(depth, ray, right, down, sun):
     """Return the size of a pixel on the terrain along the Sun and across it.
 
-    The sizes are in m times the focal length. `depth` is the depth of the terrain point, m, `ray`
-    its line of sight, `right` and `down` are sensor axes, and `sun` is the horizontal unit vector
-    towards the Sun.
+    The sizes are in m times the focal length in pixels. `depth` is the depth of the terrain point,
+    m, `ray` its line of sight, and `right` and `down` are sensor axes.
     """
     # Displacement of the terrain point along and across for one pixel right and down.
     along_u, across_u = _to_sun(
@@ -119,35 +118,28 @@ def _sums_to_means(out):
 
 
 @kernel()
-def measure_patches(labels, count, edges, deep, x, y, position, axes, elevation, sun_e, sun_n):
+def measure_patches(
+    labels,
+    count,
+    edge_mask,
+    deep_mask,
+    tan_right,
+    tan_down,
+    position,
+    axes,
+    elevation,
+    sun_e,
+    sun_n,
+):
     """Measure position, size and darkness of dark patches on a horizontal plane.
 
-    The pixels of a patch are projected onto the plane.
-
-    Parameters
-    ----------
-    labels
-        Patch of each pixel (height, width), 0 for none.
-    count
-        Number of patches.
-    edges
-        Edges of the image, nonzero on an edge (height, width), uint8.
-    deep
-        Pixels darker than half way to lit terrain (height, width), uint8.
-    x, y
-        Tangents of the line of sight of each pixel, right and down (height, width).
-    position, axes
-        Camera position (3,), m, and matrix (3, 3) from sensor axes to ENU.
-    elevation
-        Elevation of the plane, m.
-    sun_e, sun_n
-        Horizontal unit vector towards the Sun.
-
-    Returns
-    -------
-    out
-        Table (count + 1, 14) with the columns listed at the top of the module; sizes of pixels are
-        multiplied by the focal length.
+    The result (count + 1, 14) has the columns listed at the top of the module; sizes of pixels are
+    multiplied by the focal length. `labels` are the patches in the image (0: none), `edge_mask`
+    marks brightness edges, and `deep_mask` pixels darker than half way to lit terrain. `tan_right`
+    and `tan_down` are the tangents of the line of sight of each pixel; all are (height, width). The
+    pixels are projected from the camera at `position` (3,), m, with the matrix `axes` (3, 3) from
+    sensor axes to ENU, onto the plane at `elevation`, m. (`sun_e`, `sun_n`) is the horizontal unit
+    vector towards the Sun.
     """
     out = np.zeros((count + 1, COLUMNS))
     height, width = labels.shape
@@ -161,7 +153,7 @@ def measure_patches(labels, count, edges, deep, x, y, position, axes, elevation,
             k = labels[i, j]
             if k == 0:
                 continue
-            ray = _line_of_sight(x[i, j], y[i, j], right, down, ahead)
+            ray = _line_of_sight(tan_right[i, j], tan_down[i, j], right, down, ahead)
             rim = i == 0 or j == 0 or i == height - 1 or j == width - 1
             if rim or ray[2] * drop <= 0.0 or abs(ray[2]) < 1e-3:
                 out[k, BORDER] = 1.0
@@ -169,12 +161,20 @@ def measure_patches(labels, count, edges, deep, x, y, position, axes, elevation,
                 rim = _borders_on(
                     k, labels[i - 1, j], labels[i + 1, j], labels[i, j - 1], labels[i, j + 1]
                 )
-            _count_pixel(out, k, x[i, j], y[i, j], rim, edges[i, j] != 0, deep[i, j] != 0)
+            _count_pixel(
+                out,
+                k,
+                tan_right[i, j],
+                tan_down[i, j],
+                rim,
+                edge_mask[i, j] != 0,
+                deep_mask[i, j] != 0,
+            )
             if ray[2] * drop <= 0.0:
                 continue
             depth = drop / ray[2]
             along, across = _to_sun(depth * ray[0], depth * ray[1], sun)
-            _add_place(out, k, along, across)
+            _add_moments(out, k, along, across)
             if rim:
                 along, across = _pixel_size_on_terrain(depth, ray, right, down, sun)
                 out[k, SPAN_ALONG] += along

@@ -22,33 +22,22 @@ def _interval(grid, value):
 
 
 @kernel()
-def interpolated(table, x, y, at_x, at_y):
+def interpolate_table(table, x_nodes, y_nodes, x, y):
     """Interpolate the columns of a two-dimensional table bilinearly.
 
-    Parameters
-    ----------
-    table
-        Values at the nodes (rows, cols, columns).
-    x, y
-        Nodes (rows,), (cols,), ascending.
-    at_x, at_y
-        Points (n,), within the nodes; NaN gives NaN.
-
-    Returns
-    -------
-    out
-        Interpolated values (columns, n).
+    `table` (rows, cols, columns) has values at ascending `x_nodes` (rows,) and `y_nodes` (cols,).
+    The result (columns, n) is for points `x`, `y` (n,) within the nodes; NaN gives NaN.
     """
     columns = table.shape[2]
-    out = np.empty((columns, at_x.size))
-    for k in range(at_x.size):
-        if not (at_x[k] == at_x[k] and at_y[k] == at_y[k]):
+    out = np.empty((columns, x.size))
+    for k in range(x.size):
+        if not (x[k] == x[k] and y[k] == y[k]):
             for m in range(columns):
                 out[m, k] = np.nan
             continue
-        i, j = _interval(x, at_x[k]), _interval(y, at_y[k])
-        u = (at_x[k] - x[i]) / (x[i + 1] - x[i])
-        v = (at_y[k] - y[j]) / (y[j + 1] - y[j])
+        i, j = _interval(x_nodes, x[k]), _interval(y_nodes, y[k])
+        u = (x[k] - x_nodes[i]) / (x_nodes[i + 1] - x_nodes[i])
+        v = (y[k] - y_nodes[j]) / (y_nodes[j + 1] - y_nodes[j])
         a, b = (1.0 - u) * (1.0 - v), (1.0 - u) * v
         c, d = u * (1.0 - v), u * v
         for m in range(columns):

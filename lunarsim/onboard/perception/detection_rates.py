@@ -59,11 +59,11 @@ class DetectionRates:
         if not (np.isfinite(self.blur) and self.blur >= 0.0):
             raise InputError("rates.blur", self.blur, "must be 0 or positive, in pixels")
 
-    def wider(self, blur: float) -> float:
+    def relative_edge_width(self, blur: float) -> float:
         """Return the edge width of a camera relative to that of these rates, at least 1.
 
-        `blur` is the point spread of the camera, 1 sigma, pixels. The size of a pixel contributes
-        to both widths. A wider edge fills shadows with light as larger pixels would.
+        `blur` is the point spread of the camera, 1 sigma, pixels; the size of a pixel adds to both
+        widths. A wider edge fills shadows with light as larger pixels would.
         """
         return max(float(np.hypot(blur, _PIXEL_SIGMA) / np.hypot(self.blur, _PIXEL_SIGMA)), 1.0)
 
@@ -76,7 +76,7 @@ class DetectionRates:
         return _clipped_line(self.false, q)
 
     def false_clear(self, q: Any) -> Array:
-        """Return the rate at which the position of a rock is declared free of rocks (...).
+        """Return the rate at which an image wrongly shows a rock's position as free (...).
 
         `q` is the square root of the number of dark pixels of the rock.
         """

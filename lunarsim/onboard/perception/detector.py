@@ -189,17 +189,14 @@ class Detections:
         place[self.label] = np.arange(1, len(self) + 1)
         return np.asarray(place[self.labels])
 
-    def hiding(self, left_out: NDArray[np.bool_]) -> Detections:
-        """Return a copy in which the given pixels have an extra label for invalid pixels.
-
-        `left_out` (height, width) marks the pixels.
-        """
-        if not left_out.any():
+    def with_invalid(self, invalid: NDArray[np.bool_]) -> Detections:
+        """Return a copy with an excluded patch of the `invalid` pixels (height, width)."""
+        if not invalid.any():
             return self
         label = np.int32(len(self.largest))
         return replace(
             self,
-            labels=np.where(left_out, label, self.labels),
+            labels=np.where(invalid, label, self.labels),
             excluded_labels=np.append(self.excluded_labels, label),
             largest=np.append(self.largest, np.float32(np.inf)),
         )
@@ -267,16 +264,16 @@ def detect_rocks(
             np.shape(image),
             f"must have the camera's size ({camera.height}, {camera.width})",
         )
-    shade = segment(image, gamma=settings.gamma, window=settings.window)
+    segmentation = segment(image, gamma=settings.gamma, window=settings.window)
     plane = terrain if isinstance(terrain, GroundPlane) else GroundPlane(float(terrain))
-    view, onto = plane.view(camera.view(pose)), plane.direction(direction)
-    labels, table = _label_patches(shade, camera, view, onto, settings)
+    view, onto = plane.level_view(camera.view(pose)), plane.level_direction(direction)
+    labels, table = _label_patches(segmentation, camera, view, onto, settings)
     if len(table) == 0 or not has_usable_shadows(onto) or not view.position[2] > 0.0:
-        seen = _no_detections(labels, np.arange(1, len(table) + 1, dtype=np.int32), shade)
+        seen = _no_detections(labels, np.arange(1, len(table) + 1, dtype=np.int32), segmentation)
     else:
         mixture = _mixture_of(model, direction, plane)
-        seen = _measure_rocks(labels, table, view, onto, mixture, settings, shade)
-    return seen if shade.left_out is None else seen.hiding(shade.left_out)
+        seen = _measure_rocks(labels, table, view, onto, mixture, settings, segmentation)
+    return seen if segmentation.left_out is None else seen.with_invalid(segmentation.left_out)
 
 
 def _mixture_of(
@@ -307,18 +304,19 @@ def _half_spheres(elevation: float) -> ShadowModel:
 
 
 def _no_detections(
-    labels: NDArray[np.int32], extended: NDArray[np.int32], shade: Segmentation
+    labels: NDArray[np.int32], excluded_labels: NDArray[np.int32], segmentation: Segmentation
 ) -> Detections:
-    """Return detections without rocks, with the dark patches of the image.
+    """Return detections without rocks, in which all dark patches are excluded.
 
-    `labels` (height, width) are the patches, `extended` their labels, and `shade` the segmentation.
+    `labels` (height, width) are the dark patches, and `excluded_labels` (n,) their numbers.
     """
     none = np.empty(0)
     return Detections(
         np.empty((0, 2)), np.empty((0, 2, 2)), np.empty((0, 2, 2)), np.empty((0, 2)),
         none, none, none, none, none, none, none,
-        np.empty(0, np.int32), labels, extended, shade.relative, shade.relative_to_lit_terrain,
-        _unknown_largest(len(extended)), np.empty((0, 1)),
+        np.empty(0, np.int32), labels, excluded_labels, segmentation.relative,
+        segmentation.relative_to_lit_terrain, _unknown_largest(len(excluded_labels)),
+        np.empty((0, 1)),
     )  # fmt: skip
 
 
@@ -333,7 +331,7 @@ def _unknown_largest(count: int) -> NDArray[np.float32]:
 
 
 def _label_patches(
-    shade: Segmentation,
+    segmentation: Segmentation,
     camera: CameraModel,
     view: View,
     sun: Array,
@@ -342,13 +340,12 @@ def _label_patches(
     """Label the dark patches of an image and measure them on the terrain plane.
 
     Returns the label image and the table of patches (n, columns), label 1 first. `view` and `sun`
-    (3,) are in coordinates in which the plane is at height 0. `shade` is the segmentation of the
-    image.
+    (3,) are in coordinates in which the plane is at height 0.
     """
-    count, labels = cv2.connectedComponents(shade.dark, connectivity=8, ltype=cv2.CV_32S)
+    count, labels = cv2.connectedComponents(segmentation.dark, connectivity=8, ltype=cv2.CV_32S)
     if count == 1:
         return labels, np.empty((0, kernels.COLUMNS))
-    edges = cv2.Canny(shade.brightness, *settings.canny, L2gradient=True)
+    edges = cv2.Canny(segmentation.brightness, *settings.canny, L2gradient=True)
     # An edge may lie one pixel beside the threshold.
     edges = cv2.dilate(edges, np.ones((3, 3), np.uint8))
     x, y = camera.tangents
@@ -358,7 +355,7 @@ def _label_patches(
         labels,
         count - 1,
         edges,
-        shade.deep,
+        segmentation.deep,
         x,
         y,
         view.position,
@@ -380,13 +377,12 @@ def _measure_rocks(
     sun: Array,
     model: ShapeMixture,
     settings: DetectorSettings,
-    shade: Segmentation,
+    segmentation: Segmentation,
 ) -> Detections:
     """Convert measured dark patches to rocks, and reject those that are not shadows.
 
     `labels` (height, width) and `table` (n, columns) are the results of `_label_patches`. Terrain
-    is at height 0 of `view`; `sun` (3,) is in the same coordinates. `shade` is the segmentation of
-    the image.
+    is at height 0 of `view`; `sun` (3,) is in the same coordinates.
     """
     k = kernels
     is_noise = (
@@ -401,29 +397,36 @@ def _measure_rocks(
     azimuth, depression = _viewing_angles(t, view, sun)
     along_px, across_px = t[:, k.SPAN_ALONG], t[:, k.SPAN_ACROSS]
     length, width = t[:, k.LENGTH], t[:, k.WIDTH]
-    read = model.read(length, width, azimuth, depression, along_px, across_px, settings.pixel_sigma)
-    unit = read.unit
-    share = _area_fraction(read, view, t)
-    rocks = _RadiusCorrection.for_merged(read, share)
+    estimate = model.estimate_radius(
+        length, width, azimuth, depression, along_px, across_px, settings.pixel_sigma
+    )
+    unit = estimate.unit
+    area_fraction = _area_fraction(estimate, view, t)
+    rocks = _CorrectedRadii.for_merged(estimate, area_fraction)
     fill = t[:, k.PIXELS] * along_px * across_px / np.maximum(length * width, 1e-9)
     is_terrain = (rocks.radius > settings.max_radius) | (fill < settings.min_fill_fraction)
     frame = _sun_frame(sun)
-    look = _observation_sigma(settings, rocks.radius, along_px, across_px, sun)
-    offset, spread = _rock_centres(t, rocks, unit, look)
+    observation_sigma = _observation_sigma(settings, rocks.radius, along_px, across_px, sun)
+    offset, spread = _rock_centres(t, rocks, unit, observation_sigma)
     offset = offset @ frame.T
-    pixel, turned = _to_pixels(offset, view, frame)
-    covariance, white = _pixel_covariance(turned, spread), _pixel_covariance(turned, look)
+    pixel, jacobian = _to_pixels(offset, view, frame)
+    covariance, independent_covariance = (
+        _pixel_covariance(jacobian, spread),
+        _pixel_covariance(jacobian, observation_sigma),
+    )
     keep = ~is_terrain & (unit.length >= _MIN_LENGTH)
     height = model.height * length / np.maximum(unit.length, _MIN_LENGTH)
     largest = _unknown_largest(len(table))
-    is_single = keep & (share >= _MERGED_AREA_RATIO)
-    largest[number[is_single]] = read.largest[is_single]
-    extended = np.union1d(number[is_terrain], np.flatnonzero(is_cut) + 1).astype(np.int32)
+    is_single = keep & (area_fraction >= _MERGED_AREA_RATIO)
+    largest[number[is_single]] = estimate.largest[is_single]
+    excluded_labels = np.union1d(number[is_terrain], np.flatnonzero(is_cut) + 1).astype(np.int32)
     return Detections(
-        pixel[keep], covariance[keep], white[keep], (offset + view.position[:2])[keep],
+        pixel[keep], covariance[keep], independent_covariance[keep],
+        (offset + view.position[:2])[keep],
         rocks.radius[keep], rocks.sigma[keep], height[keep], length[keep], width[keep],
         t[keep, k.SKEW], np.sqrt(t[keep, k.PIXELS]), number[keep],
-        labels, extended, shade.relative, shade.relative_to_lit_terrain, largest, read.weight[keep],
+        labels, excluded_labels, segmentation.relative, segmentation.relative_to_lit_terrain,
+        largest, estimate.weight[keep],
     )  # fmt: skip
 
 
@@ -455,27 +458,28 @@ def _sun_frame(sun: Array) -> Array:
 
 
 def _rock_centres(
-    table: Array, rocks: _RadiusCorrection, unit: ShadowPatch, look: Array
+    table: Array, rocks: _CorrectedRadii, unit_patch: ShadowPatch, observation_sigma: Array
 ) -> tuple[Array, Array]:
     """Return rock centres along and across the Sun, m, and their standard deviations.
 
-    Both have shape (n, 2). `table` are the measured patches, `rocks` the radii, `unit` the expected
-    patches for a radius of 1, and `look` (n, 2) the scatter between observations, m.
+    Both have shape (n, 2). `table` are the measured patches, `rocks` the radii, `unit_patch` the
+    expected patches for a radius of 1, and `observation_sigma` (n, 2) the scatter of centres
+    between observations, m.
     """
     k, r = kernels, rocks.radius
     centre = np.column_stack(
-        (table[:, k.ALONG] - r * unit.along, table[:, k.ACROSS] - r * unit.side)
+        (table[:, k.ALONG] - r * unit_patch.along, table[:, k.ACROSS] - r * unit_patch.side)
     )
-    lever = rocks.sigma[:, None] * np.column_stack((unit.along, unit.side))
-    shape = r[:, None] * np.column_stack((unit.along_sigma, unit.side_sigma))
-    return centre, np.sqrt(look**2 + lever**2 + shape**2)
+    lever = rocks.sigma[:, None] * np.column_stack((unit_patch.along, unit_patch.side))
+    shape = r[:, None] * np.column_stack((unit_patch.along_sigma, unit_patch.side_sigma))
+    return centre, np.sqrt(observation_sigma**2 + lever**2 + shape**2)
 
 
-def _area_fraction(read: RadiusEstimate, view: View, table: Array) -> Array:
+def _area_fraction(estimate: RadiusEstimate, view: View, table: Array) -> Array:
     """Return measured over expected number of pixels of dark patches (n,).
 
-    `read` are the radii estimated from length and width, and `table` the measured patches. A small
-    value indicates several merged shadows.
+    `estimate` are the radii from length and width of the patches, and `table` the measured patches.
+    A small value indicates several merged shadows.
     """
     line_of_sight = np.column_stack(
         (table[:, kernels.TX], table[:, kernels.TY], np.ones(len(table)))
@@ -484,12 +488,12 @@ def _area_fraction(read: RadiusEstimate, view: View, table: Array) -> Array:
     # Sine of the depression of the line of sight, and size of a pixel there.
     sin_depression = np.maximum(-(line_of_sight @ view.axes[2]), 1e-3)
     pixel = view.position[2] / sin_depression / np.sqrt(view.fx * view.fy)
-    expected = read.radius**2 * read.unit.area * sin_depression / pixel**2
+    expected = estimate.radius**2 * estimate.unit.area * sin_depression / pixel**2
     return np.asarray(table[:, kernels.PIXELS] / np.maximum(expected, 1e-9) / _AREA_RATIO)
 
 
 @dataclass(frozen=True)
-class _RadiusCorrection:
+class _CorrectedRadii:
     """Radii of rocks and their standard deviations, corrected for merged shadows.
 
     Attributes
@@ -502,17 +506,19 @@ class _RadiusCorrection:
     sigma: Array
 
     @classmethod
-    def for_merged(cls, read: RadiusEstimate, share: Array) -> _RadiusCorrection:
+    def for_merged(cls, estimate: RadiusEstimate, area_fraction: Array) -> _CorrectedRadii:
         """Return the radii, reduced for patches that consist of several merged shadows.
 
-        `read` are the radii from length and width of the patches; `share` (n,) is the measured over
-        the expected area. Merged patches have far less area than their length and width imply.
-        Their area is the sum of the shadows, so the radius of a rock with this area bounds the
-        radius of each.
+        `estimate` are the radii from length and width of the patches; `area_fraction` (n,) is the
+        measured over the expected area. Merged patches have far less area than their length and
+        width imply. Their area is the sum of the shadows, so the radius of a rock with this area
+        bounds the radius of each.
         """
-        merged = share < _MERGED_AREA_RATIO
-        radius = np.where(merged, read.radius * np.sqrt(share), read.radius)
-        return cls(radius, np.where(merged, np.maximum(read.sigma, 0.25 * radius), read.sigma))
+        merged = area_fraction < _MERGED_AREA_RATIO
+        radius = np.where(merged, estimate.radius * np.sqrt(area_fraction), estimate.radius)
+        return cls(
+            radius, np.where(merged, np.maximum(estimate.sigma, 0.25 * radius), estimate.sigma)
+        )
 
 
 def _viewing_angles(table: Array, view: View, sun: Array) -> tuple[Array, Array]:
@@ -531,24 +537,23 @@ def _viewing_angles(table: Array, view: View, sun: Array) -> tuple[Array, Array]
     return back - np.arctan2(sun[0], sun[1]), depression
 
 
-def _to_pixels(offset: Array, view: View, frame: Array) -> tuple[Array, Array]:
-    """Project terrain points to pixels, with the Jacobian along and across the Sun.
+def _to_pixels(offset: Array, view: View, sun_frame: Array) -> tuple[Array, Array]:
+    """Return the pixels of terrain points, and the Jacobian in the Sun frame.
 
-    `offset` (n, 2) are the points relative to the camera, east and north, m; `frame` is the result
-    of `_sun_frame`. Returns pixels (n, 2) and Jacobians (n, 2, 2).
+    `offset` (n, 2) are the points relative to the camera, east and north, m; `sun_frame` is the
+    result of `_sun_frame`. Pixels are (n, 2) and Jacobians (n, 2, 2).
     """
     points = (
         np.column_stack((offset, np.full(len(offset), -view.position[2]))) @ view.enu_to_sensor.T
     )
     # The Jacobian by east and north is rotated to along the Sun and across.
-    turned = view.pinhole.jacobian(points, view.enu_to_sensor[:, :2]) @ frame
-    return view.pinhole.project(points), turned
+    jacobian = view.pinhole.jacobian(points, view.enu_to_sensor[:, :2]) @ sun_frame
+    return view.pinhole.project(points), jacobian
 
 
-def _pixel_covariance(turned: Array, sigma: Array) -> Array:
+def _pixel_covariance(jacobian: Array, sigma: Array) -> Array:
     """Return pixel covariances (n, 2, 2) from errors along and across the Sun.
 
-    `turned` (n, 2, 2) are the Jacobians of `_to_pixels` and `sigma` (n, 2) the standard deviations,
-    m.
+    `jacobian` (n, 2, 2) is that of `_to_pixels` and `sigma` (n, 2) are the standard deviations, m.
     """
-    return np.asarray((turned * (sigma**2)[:, None, :]) @ np.swapaxes(turned, 1, 2))
+    return np.asarray((jacobian * (sigma**2)[:, None, :]) @ np.swapaxes(jacobian, 1, 2))

@@ -57,7 +57,7 @@ class EdgeWidths:
         return float(np.sqrt(blur_sigma**2 + _DIFFERENCE_VARIANCE))
 
 
-def edge_widths(seen: Detections, noise: float) -> EdgeWidths:
+def edge_widths(detections: Detections, noise: float) -> EdgeWidths:
     """Measure the widths of rock shadow edges, to detect defocus and motion blur.
 
     An edge blurred by a Gaussian point spread of width s has a maximum slope of 0.4 / s times its
@@ -67,16 +67,16 @@ def edge_widths(seen: Detections, noise: float) -> EdgeWidths:
 
     Parameters
     ----------
-    seen
+    detections
         Rocks detected in the image.
     noise
         Noise of a pixel relative to the brightness of lit terrain.
     """
     min_step = max(_MIN_STEP, _MIN_STEP_SIGMAS * noise)
     # Labels are sorted by image row, so every n-th samples the image evenly.
-    every = -(-len(seen) // _MAX_SHADOWS) or 1
+    stride = -(-len(detections) // _MAX_SHADOWS) or 1
     slopes = kernels.edge_slopes(
-        seen.relative_to_lit_terrain, seen.rock, len(seen), every, min_step
+        detections.relative_to_lit_terrain, detections.rock, len(detections), stride, min_step
     )[1:]
     slopes = slopes[slopes[:, -1] > 0.0]
     if len(slopes) == 0:

@@ -53,7 +53,7 @@ class GroundPlane:
         return cls(up - rise_east * east - rise_north * north, (rise_east, rise_north))
 
     @property
-    def level(self) -> bool:
+    def is_horizontal(self) -> bool:
         """Whether the plane is horizontal."""
         return self.gradient == (0.0, 0.0)
 
@@ -64,7 +64,7 @@ class GroundPlane:
         """
         return np.asarray(self.height + xy @ np.array(self.gradient))
 
-    def levelled(self, vectors: Array) -> Array:
+    def level_vectors(self, vectors: Array) -> Array:
         """Return vectors (..., 3), ENU, in coordinates in which the plane is horizontal.
 
         The rise of the plane along each vector is subtracted from its vertical component.
@@ -73,45 +73,45 @@ class GroundPlane:
         out[..., 2] -= out[..., :2] @ np.array(self.gradient)
         return out
 
-    def direction(self, vector: Array) -> Array:
+    def level_direction(self, vector: Array) -> Array:
         """Return a direction (3,), ENU, in coordinates in which the plane is horizontal.
 
         The result has unit length.
         """
-        if self.level:
+        if self.is_horizontal:
             return np.asarray(vector)
-        out = self.levelled(vector)
+        out = self.level_vectors(vector)
         return np.asarray(out / np.linalg.norm(out))
 
-    def points(self, points: Array) -> Array:
-        """Return points (..., 3), ENU, with their heights measured from the plane, m."""
-        out = self.levelled(points)
+    def level_points(self, points: Array) -> Array:
+        """Return points (..., 3), ENU, with heights above the plane instead of z, m."""
+        out = self.level_vectors(points)
         out[..., 2] -= self.height
         return out
 
-    def seen_pixel(self, pixel: Array, away: Array, levelled: Array) -> Array:
-        """Return the pixel sizes (...), m, at which flat terrain appears as this plane.
+    def equivalent_pixel(self, pixel: Array, to_camera: Array, levelled_to_camera: Array) -> Array:
+        """Return the pixel sizes (...), m, for models of horizontal terrain.
 
-        Of two equal patches of terrain, the one that is seen more steeply and from nearby covers
-        more pixels. Models for horizontal terrain use the depression in levelled coordinates.
+        Such models get the depression of the line of sight in levelled coordinates. With the size
+        returned, they predict as many pixels as a patch covers on the plane.
 
         Parameters
         ----------
         pixel
             Pixel size across the lines of sight (...), m.
-        away, levelled
+        to_camera, levelled_to_camera
             Vectors to the camera (..., 3), m, in ENU and in levelled coordinates.
         """
-        longer = np.linalg.norm(away, axis=-1) / np.linalg.norm(levelled, axis=-1)
+        longer = np.linalg.norm(to_camera, axis=-1) / np.linalg.norm(levelled_to_camera, axis=-1)
         return np.asarray(pixel * np.sqrt(longer))
 
-    def view(self, view: View) -> View:
+    def level_view(self, view: View) -> View:
         """Return a camera view in coordinates with the plane horizontal at height 0."""
-        position = self.points(view.position)
-        if self.level:
+        position = self.level_points(view.position)
+        if self.is_horizontal:
             return replace(view, position=position)
         return LevelledView(
-            position, self.levelled(view.axes.T).T,
+            position, self.level_vectors(view.axes.T).T,
             view.fx, view.fy, view.cx, view.cy, view.width, view.height,
         )  # fmt: skip
 

@@ -74,36 +74,38 @@ def high_sun_angle(
     threshold
         Relative excess over lit terrain from which a pixel counts as bright.
     """
-    at, gap = _shadow_to_lit(seen, view, points, threshold)
-    if len(at) == 0:
+    rocks, lit_to_black = _lit_to_black_vectors(seen, view, points, threshold)
+    if len(rocks) == 0:
         return _NO_ANGLE
-    gap = gap / abs(gap)
+    lit_to_black = lit_to_black / abs(lit_to_black)
     # Axes are vectors at twice their angle from east.
-    towards = _sun_azimuth(sun)
-    axes = doubled_axes(seen.length[at], seen.width[at], seen.skew[at]) * towards**2
+    sun_azimuth = _sun_azimuth(sun)
+    axes = doubled_axes(seen.length[rocks], seen.width[rocks], seen.skew[rocks]) * sun_azimuth**2
     turned, found = 0.0, _NO_ANGLE
     for _ in range(_MAX_ITERATIONS):
         # Which faces the camera sees depends on the Sun direction, so iterate.
-        found = _angle_under_sun(towards * np.exp(1j * turned), gap, axes, view, points[at], model)
+        found = _angle_under_sun(
+            sun_azimuth * np.exp(1j * turned), lit_to_black, axes, view, points[rocks], model
+        )
         if not np.isfinite(found.angle):
             return _NO_ANGLE
         turned += found.angle
         if abs(found.angle) < _TOLERANCE_RAD:
             break
     wrapped = float(np.angle(np.exp(1j * turned)))
-    return SunAngle(wrapped, found.sigma, found.side, len(at))
+    return SunAngle(wrapped, found.sigma, found.side, len(rocks))
 
 
-def more_certain(one: SunAngle, other: SunAngle) -> SunAngle:
+def more_accurate_angle(first: SunAngle, second: SunAngle) -> SunAngle:
     """Return the more accurate of two angles, or an unknown angle if they disagree.
 
     They disagree if their difference exceeds three standard deviations.
     """
-    if np.isfinite(one.sigma) and np.isfinite(other.sigma):
-        apart = np.angle(np.exp(1j * (one.angle - other.angle)))
-        if abs(apart) > _DISAGREEMENT_SIGMAS * np.hypot(one.sigma, other.sigma):
+    if np.isfinite(first.sigma) and np.isfinite(second.sigma):
+        apart = np.angle(np.exp(1j * (first.angle - second.angle)))
+        if abs(apart) > _DISAGREEMENT_SIGMAS * np.hypot(first.sigma, second.sigma):
             return _NO_ANGLE
-    return min(one, other, key=lambda angle: angle.sigma)
+    return min(first, second, key=lambda angle: angle.sigma)
 
 
 def _sun_azimuth(sun: Array) -> complex:
@@ -113,8 +115,8 @@ def _sun_azimuth(sun: Array) -> complex:
 
 
 def _angle_under_sun(
-    towards: complex,
-    gap: Complex,
+    sun_azimuth: complex,
+    lit_to_black: Complex,
     axes: Complex,
     view: View,
     points: Array,
@@ -122,26 +124,27 @@ def _angle_under_sun(
 ) -> SunAngle:
     """Estimate the angle by which shadows differ from those of an assumed Sun.
 
-    `towards` is the azimuth of the Sun as a unit vector. `gap` (n,) are unit vectors from lit faces
-    to black pixels, and `axes` (n,) the patch axes as vectors at twice their angle. Vectors have
-    east as real and north as imaginary part. `points` (n, 3) are the positions of the rocks, m.
+    Vectors are complex, with east as real and north as imaginary part. `sun_azimuth` is a unit
+    vector towards the Sun, `lit_to_black` (n,) are unit vectors from the lit face of each rock to
+    its black pixels, and `axes` (n,) the axes of dark patches as vectors at twice their angle.
+    `points` (n, 3) are the positions of the rocks, m.
     """
-    seen_at = viewing_angles(view, points, np.array([towards.real, towards.imag, 0.0]))
+    seen_at = viewing_angles(view, points, np.array([sun_azimuth.real, sun_azimuth.imag, 0.0]))
     models = model.models if isinstance(model, ShapeMixture) else (model,)
-    shares = model.shape_shares if isinstance(model, ShapeMixture) else np.ones(1)
+    shares = model.shape_fractions if isinstance(model, ShapeMixture) else np.ones(1)
     estimates = []
     for one, share in zip(models, shares, strict=True):
         direction, axis = lit_faces(one, *seen_at)
-        faces = gap * np.conj(towards * direction)
+        faces = lit_to_black * np.conj(sun_azimuth * direction)
         beside = abs(np.angle(-direction))
         drawn = _FACE_SHIFT_RATIO * float(np.average(beside, weights=abs(direction) + 1e-9))
         estimates.append(
-            _angle_for_shape(faces, axes * np.conj(towards**2 * axis), float(share), drawn)
+            _angle_for_shape(faces, axes * np.conj(sun_azimuth**2 * axis), float(share), drawn)
         )
-    return _combine(estimates, len(gap))
+    return _combine(estimates, len(lit_to_black))
 
 
-def _shadow_to_lit(
+def _lit_to_black_vectors(
     seen: Detections, view: View, points: Array, threshold: float
 ) -> tuple[Index, Complex]:
     """Find rocks with separate black and lit parts; return their indices and vectors.
@@ -151,7 +154,7 @@ def _shadow_to_lit(
     counts as bright.
     """
     ring = cv2.dilate(seen.rock, np.ones((2 * _RING_PX + 1, 2 * _RING_PX + 1), np.uint8))
-    sums = kernels.black_and_lit(
+    sums = kernels.sum_black_and_lit(
         seen.relative,
         local_relative_brightness(seen),
         seen.rock,
@@ -165,16 +168,16 @@ def _shadow_to_lit(
     black, lit = sums[:, kernels.BLACK], sums[:, kernels.LIT]
     shown = (black > _MIN_SUM) & (lit > _MIN_SUM)
     shown &= (seen.q >= _MIN_Q) & (seen.q <= _MAX_Q)
-    at = np.flatnonzero(shown & np.isfinite(points).all(1))
-    sums, black, lit = sums[at], black[at, None], lit[at, None]
-    gap = sums[:, [kernels.BLACK_U, kernels.BLACK_V]] / black
-    gap -= sums[:, [kernels.LIT_U, kernels.LIT_V]] / lit
-    apart = np.hypot(*gap.T) > _MIN_GAP_PX
-    at, gap = at[apart], gap[apart]
+    rocks = np.flatnonzero(shown & np.isfinite(points).all(1))
+    sums, black, lit = sums[rocks], black[rocks, None], lit[rocks, None]
+    lit_to_black = sums[:, [kernels.BLACK_U, kernels.BLACK_V]] / black
+    lit_to_black -= sums[:, [kernels.LIT_U, kernels.LIT_V]] / lit
+    apart = np.hypot(*lit_to_black.T) > _MIN_GAP_PX
+    rocks, lit_to_black = rocks[apart], lit_to_black[apart]
     moves = view.pinhole.jacobian(
-        (points[at] - view.position) @ view.enu_to_sensor.T, view.enu_to_sensor[:, :2]
+        (points[rocks] - view.position) @ view.enu_to_sensor.T, view.enu_to_sensor[:, :2]
     )
-    return at, np.linalg.solve(moves, gap[:, :, None])[:, :, 0] @ np.array([1.0, 1.0j])
+    return rocks, np.linalg.solve(moves, lit_to_black[:, :, None])[:, :, 0] @ np.array([1.0, 1.0j])
 
 
 @dataclass(frozen=True)
@@ -197,17 +200,19 @@ class _ShapeAngle:
     weight: float
 
 
-def _angle_for_shape(faces: Complex, axes: Complex, share: float, drawn: float) -> _ShapeAngle:
-    """Estimate the angle from faces and axes (n,) under one rock shape.
+def _angle_for_shape(
+    faces: Complex, axes: Complex, prior: float, common_sigma: float
+) -> _ShapeAngle:
+    """Estimate the angle between shadows and expectation under one rock shape.
 
-    `faces` and `axes` are vectors relative to their expected directions, axes at twice the angle.
-    `share` is the prior fraction of the shape. `drawn` is the error common to all faces, 1 sigma,
-    rad.
+    `faces` and `axes` (n,) are complex vectors relative to their expected directions, axes at twice
+    the angle. `prior` is the fraction of rocks with this shape, and `common_sigma` the error common
+    to all faces, 1 sigma, rad.
     """
     angle, sigma = mean_angle(faces)
-    sigma = float(np.hypot(sigma, drawn))
+    sigma = float(np.hypot(sigma, common_sigma))
     if not np.isfinite(sigma):
-        return _ShapeAngle(0.0, np.inf, 0.0, share)
+        return _ShapeAngle(0.0, np.inf, 0.0, prior)
     along = np.real(faces * np.exp(-1j * angle))
     # For random directions, half of the squared sum lies along a given line.
     square = float((abs(faces) ** 2).sum())
@@ -219,7 +224,7 @@ def _angle_for_shape(faces: Complex, axes: Complex, share: float, drawn: float) 
         likelihood = float(
             np.exp(-0.5 * off**2 / (0.25 * axis_sigma**2 + sigma**2 + _AXIS_SIGMA_RAD**2))
         )
-    return _ShapeAngle(angle, sigma, float(along.sum() / spread), share * likelihood)
+    return _ShapeAngle(angle, sigma, float(along.sum() / spread), prior * likelihood)
 
 
 def _combine(estimates: list[_ShapeAngle], number: int) -> SunAngle:

@@ -173,9 +173,9 @@ class ImageQualitySettings:
     confirm_sigmas: float = 3.5
 
     def __post_init__(self) -> None:
-        check_types("health", self)
+        check_types("image_quality", self)
         if not (np.isfinite(self.blur_sigma) and self.blur_sigma >= 0.0):
-            raise InputError("health.blur_sigma", self.blur_sigma, "must be 0 or positive")
+            raise InputError("image_quality.blur_sigma", self.blur_sigma, "must be 0 or positive")
         for name in (
             "max_saturated_fraction",
             "max_dark_fraction",
@@ -184,7 +184,7 @@ class ImageQualitySettings:
         ):
             if not 0.0 < getattr(self, name) <= 1.0:
                 raise InputError(
-                    f"health.{name}", getattr(self, name), "must be above 0 and at most 1"
+                    f"image_quality.{name}", getattr(self, name), "must be above 0 and at most 1"
                 )
         for name in ("min_lit_counts", "max_noise", "min_shadows", "max_shadow_brightness",
         "max_edge_width_ratio",
@@ -195,15 +195,15 @@ class ImageQualitySettings:
                      "confirm_sigmas"):  # fmt: skip
             if not (np.isfinite(getattr(self, name)) and getattr(self, name) > 0.0):
                 raise InputError(
-                    f"health.{name}", getattr(self, name), "must be positive and finite"
+                    f"image_quality.{name}", getattr(self, name), "must be positive and finite"
                 )
         for name in ("contradict_agreement", "confirm_agreement"):
             if getattr(self, name) > 1.0:
-                raise InputError(f"health.{name}", getattr(self, name), "must be at most 1")
+                raise InputError(f"image_quality.{name}", getattr(self, name), "must be at most 1")
         if not self.confirm_angle <= self.contradict_angle <= np.pi:
             turns = (self.confirm_angle, self.contradict_angle)
             raise InputError(
-                "health.confirm_angle, contradict_angle",
+                "image_quality.confirm_angle, contradict_angle",
                 turns,
                 "must be ascending angles of at most pi rad",
             )
@@ -253,65 +253,66 @@ class ImageQualityCheck:
         Parameters
         ----------
         counts
-            Image (camera.height, camera.width), expected as counts or numbers.
+            Image (camera.height, camera.width), counts or other numbers.
         camera, pose
             Camera model, and pose of the camera.
         """
         try:
-            raw = np.asarray(counts)
+            image = np.asarray(counts)
         except ValueError:
             return ImageQuality(ImageRejection.FORM, {})
-        if raw.shape != (camera.height, camera.width) or raw.dtype.kind not in "uif":
+        if image.shape != (camera.height, camera.width) or image.dtype.kind not in "uif":
             return ImageQuality(ImageRejection.FORM, {})
         if not (is_position(pose.position) and is_rotation(pose.attitude)):
             return ImageQuality(ImageRejection.POSE, {})
-        figures: dict[str, float] = {}
+        metrics: dict[str, float] = {}
         return ImageQuality(
-            self._check_counts(raw, _looks_down(camera.view(pose)), figures), figures
+            self._check_counts(image, _looks_down(camera.view(pose)), metrics), metrics
         )
 
     def _check_counts(
-        self, raw: NDArray[Any], below_horizon: NDArray[np.bool_], figures: dict[str, float]
+        self, image: NDArray[Any], below_horizon: NDArray[np.bool_], metrics: dict[str, float]
     ) -> ImageRejection | None:
         """Check the pixels of an image; return the first fault, or None.
 
-        `raw` is the image, `below_horizon` marks the sampled pixels that show terrain, and
-        `figures` receives the measured metrics.
+        `below_horizon` marks the sampled pixels that show terrain; `metrics` receives the measured
+        values.
         """
         s = self.settings
-        sampled = raw[::_PIXEL_STRIDE, ::_PIXEL_STRIDE]
+        sampled = image[::_PIXEL_STRIDE, ::_PIXEL_STRIDE]
         is_finite = np.isfinite(sampled)
-        figures["gaps"] = 1.0 - float(is_finite.mean())
-        if figures["gaps"] > s.max_missing_fraction:
+        metrics["gaps"] = 1.0 - float(is_finite.mean())
+        if metrics["gaps"] > s.max_missing_fraction:
             return ImageRejection.NO_NUMBERS
         same = self._repeated_fraction(sampled, s.min_lit_counts)
         self._last.append(sampled.copy())
         below_horizon = below_horizon & is_finite
         if not below_horizon.any():
             return ImageRejection.NO_SHADOWS
-        figures["lit"] = _lit_brightness(sampled[below_horizon])
-        if not figures["lit"] >= s.min_lit_counts:
+        metrics["lit"] = _lit_brightness(sampled[below_horizon])
+        if not metrics["lit"] >= s.min_lit_counts:
             return ImageRejection.FAINT
-        figures["saturated"] = float(
+        metrics["saturated"] = float(
             (sampled[below_horizon] == sampled[below_horizon].max()).mean()
         )
-        if figures["saturated"] > s.max_saturated_fraction:
+        if metrics["saturated"] > s.max_saturated_fraction:
             return ImageRejection.SATURATED
-        figures["gaps"] = max(figures["gaps"], _missing_lines(raw, below_horizon, figures["lit"]))
-        if figures["gaps"] > s.max_missing_fraction:
+        metrics["gaps"] = max(metrics["gaps"], _missing_lines(image, below_horizon, metrics["lit"]))
+        if metrics["gaps"] > s.max_missing_fraction:
             return ImageRejection.GAPS
         if same > s.max_repeated_fraction:
             return ImageRejection.STUCK
-        figures["noise"] = _noise(raw) / figures["lit"]
-        return ImageRejection.NOISE if not figures["noise"] <= s.max_noise else None
+        metrics["noise"] = _noise(image) / metrics["lit"]
+        return ImageRejection.NOISE if not metrics["noise"] <= s.max_noise else None
 
-    def _repeated_fraction(self, sampled: NDArray[Any], lit: float) -> float:
-        """Return the maximum fraction of lit pixels of a band that repeat earlier images.
+    def _repeated_fraction(self, sampled: NDArray[Any], min_brightness: float) -> float:
+        """Return the maximum fraction of lit pixels that repeat an earlier image.
 
-        `sampled` are the sampled pixels and `lit` is the brightness from which they count.
+        The maximum is over horizontal bands of the image. `sampled` are the sampled pixels; those
+        of at least `min_brightness`, counts, are lit.
         """
         highest = 0.0
-        bright = sampled >= lit
+        bright = sampled >= min_brightness
         for last in self._last:
             if last.shape != sampled.shape:
                 continue
@@ -328,7 +329,7 @@ class ImageQualityCheck:
         return highest
 
     def after_detection(self, seen: Detections, turn: SunAngle, noise: float) -> ImageQuality:
-        """Check an image by the shadows detected in it, and the Sun direction by theirs.
+        """Check an image, and the assumed Sun direction, by the detected shadows.
 
         Parameters
         ----------
@@ -436,14 +437,14 @@ def _shadow_brightness(seen: Detections) -> float:
     return float(np.partition(shaded, at)[at]) if shaded.size else np.inf
 
 
-def _lit_brightness(seen: NDArray[Any]) -> float:
-    """Return the brightness of lit terrain among pixels `seen` (n,), counts.
+def _lit_brightness(pixels: NDArray[Any]) -> float:
+    """Return the brightness of lit terrain among some pixels (n,), counts.
 
     Lit pixels have at least half of the brightness of the 90th percentile, also if most of the
     image is dark.
     """
-    shown = seen[seen > _MAX_BLACK_COUNTS]
-    if len(shown) < _MIN_LIT_FRACTION * len(seen):
+    shown = pixels[pixels > _MAX_BLACK_COUNTS]
+    if len(shown) < _MIN_LIT_FRACTION * len(pixels):
         return 0.0
     return float(np.median(shown[shown >= 0.5 * np.percentile(shown, 90.0)]))
 
@@ -456,19 +457,19 @@ def _looks_down(view: View) -> NDArray[np.bool_]:
     return np.asarray(up[0] * u + up[1] * v[:, None] + up[2] < 0.0)
 
 
-def _missing_lines(raw: NDArray[Any], below_horizon: NDArray[np.bool_], lit: float) -> float:
+def _missing_lines(image: NDArray[Any], below_horizon: NDArray[np.bool_], lit: float) -> float:
     """Return the fraction of rows or columns of terrain that were not read out.
 
-    `raw` is the image, `below_horizon` marks the sampled pixels that show terrain, and `lit` is the
+    `below_horizon` marks the sampled pixels that show terrain, and `lit` is the
     brightness of lit terrain, counts. Lines that were not read out repeat the previous line, which
     never happens on lit terrain, or they are completely dark up to a straight end, which no shadow
     has.
     """
     highest = 0.0
-    for image, below in ((raw, below_horizon), (raw.T, below_horizon.T)):
-        lines = image[:, ::_PIXEL_STRIDE]
+    for lines_first, below in ((image, below_horizon), (image.T, below_horizon.T)):
+        lines = lines_first[:, ::_PIXEL_STRIDE]
         dark = (lines < _MISSING_BRIGHTNESS_RATIO * lit).mean(1)
-        is_terrain = np.repeat(below.all(1), _PIXEL_STRIDE)[: len(image)]
+        is_terrain = np.repeat(below.all(1), _PIXEL_STRIDE)[: len(lines_first)]
         is_terrain = _exclude_sky(is_terrain, dark > _MISSING_LINE_DARK)
         if not is_terrain.any():
             continue
@@ -498,26 +499,25 @@ def _exclude_sky(below_horizon: NDArray[np.bool_], dark: NDArray[np.bool_]) -> N
     return out
 
 
-def _noise(raw: NDArray[Any]) -> float:
+def _noise(image: NDArray[Any]) -> float:
     """Return the noise of a pixel, 1 sigma, counts, in the noisiest part of the image.
 
     Uses the Laplacian of Immerkaer (1996, Computer Vision and Image Understanding 64), which is 0
     on a slope. Its lower quartile is insensitive to edges, also if they fill half of the image.
-    `raw` is the image.
     """
-    h, w = raw.shape
+    h, w = image.shape
     if min(h, w) < 3 * _BAND_COUNT:
         return 0.0
 
-    def at(di: int, dj: int) -> NDArray[np.float32]:
+    def shifted(di: int, dj: int) -> NDArray[np.float32]:
         """Return the sampled pixels shifted by (di, dj)."""
-        return raw[1 + di : h - 1 + di : _PIXEL_STRIDE, 1 + dj : w - 1 + dj : _PIXEL_STRIDE].astype(
-            np.float32
-        )
+        return image[
+            1 + di : h - 1 + di : _PIXEL_STRIDE, 1 + dj : w - 1 + dj : _PIXEL_STRIDE
+        ].astype(np.float32)
 
-    corners = at(-1, -1) + at(-1, 1) + at(1, -1) + at(1, 1)
-    sides = at(-1, 0) + at(1, 0) + at(0, -1) + at(0, 1)
-    response = np.abs(corners - 2.0 * sides + 4.0 * at(0, 0)) / 6.0
+    corners = shifted(-1, -1) + shifted(-1, 1) + shifted(1, -1) + shifted(1, 1)
+    sides = shifted(-1, 0) + shifted(1, 0) + shifted(0, -1) + shifted(0, 1)
+    response = np.abs(corners - 2.0 * sides + 4.0 * shifted(0, 0)) / 6.0
     parts = [
         np.nanquantile(same_band, _NOISE_QUANTILE)
         for rows in np.array_split(response, _BAND_COUNT // 2)

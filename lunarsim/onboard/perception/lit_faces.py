@@ -26,7 +26,7 @@ from lunarsim.frames import direction_from_angles
 from lunarsim.onboard.perception.shadow_model import (
     ShadowModel,
     shadow_reach,
-    visible_points_about_rock,
+    visible_points_around_rock,
 )
 from lunarsim.rocks.field import RockModel
 from lunarsim.rocks.rock_on_plane import RockOnPlane
@@ -79,13 +79,13 @@ def lit_faces(model: ShadowModel, azimuth: Any, depression: Any) -> tuple[Comple
     """
     turn = np.mod(np.asarray(azimuth, dtype=np.float64) + np.pi, 2.0 * np.pi) - np.pi
     down = np.clip(depression, _DEPRESSIONS[0], _DEPRESSIONS[-1])
-    table = _table(round(model.elevation, 3), model.shapes)
+    table = _direction_table(round(model.elevation, 3), model.shapes)
     found = RegularGridInterpolator((_AZIMUTHS, _DEPRESSIONS), table)(np.column_stack((turn, down)))
     return np.asarray(found[:, 0]), np.asarray(found[:, 1])
 
 
 @lru_cache(maxsize=32)
-def _table(elevation: float, shapes: RockModel) -> Complex:
+def _direction_table(elevation: float, shapes: RockModel) -> Complex:
     """Tabulate the mean directions of faces and patches for a population of rocks.
 
     `elevation` is that of the Sun, rad. The result has shape (azimuths, depressions, 2).
@@ -132,7 +132,7 @@ def _render(scene: RockOnPlane, sun: Array, camera: Array) -> tuple[Complex, Arr
     horizontal terrain and blurred. `scene` is the rock on a plane.
     """
     reach = shadow_reach(float(np.arcsin(sun[2])))
-    shape, position, point, normal = visible_points_about_rock(
+    shape, position, point, normal = visible_points_around_rock(
         scene, camera, reach, 1.0 / _SAMPLES_PER_RADIUS
     )
     brightness = np.clip(normal @ sun, 0.0, None) / sun[2]

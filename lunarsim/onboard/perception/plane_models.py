@@ -29,6 +29,6 @@ def model_on_plane(model: Model, plane: GroundPlane, sun: Array) -> Model:
     sun
         Direction towards the Sun (3,), ENU.
     """
-    if plane.level:
+    if plane.is_horizontal:
         return model
-    return model.under(float(np.arcsin(plane.direction(sun)[2])))
+    return model.under(float(np.arcsin(plane.level_direction(sun)[2])))

@@ -12,7 +12,7 @@ from lunarsim.errors import InputError
 from lunarsim.models.pinhole import View
 from lunarsim.onboard.perception import _image_quality_kernels as kernels
 from lunarsim.onboard.perception.detector import Detections, DetectorSettings
-from lunarsim.onboard.perception.high_sun_direction import high_sun_angle, more_certain
+from lunarsim.onboard.perception.high_sun_direction import high_sun_angle, more_accurate_angle
 from lunarsim.onboard.perception.lit_faces import LEAST_ELEVATION
 from lunarsim.onboard.perception.segmentation import lit_terrain_brightness
 from lunarsim.onboard.perception.shadow_model import ShadowModel
@@ -142,7 +142,7 @@ def measure_shadow_angle(
     agree = len(faces) > 0 and bool(abs(faces.mean()) > _MIN_FACE_AGREEMENT)
     if model.elevation >= LEAST_ELEVATION:
         grey = high_sun_angle(seen, view, points, sun, model, threshold)
-        found = more_certain(grey, _face_angle(faces)) if agree else grey
+        found = more_accurate_angle(grey, _face_angle(faces)) if agree else grey
         return replace(found, high_sun=True)
     faces = faces if agree else faces[large]
     axis, axis_sigma = mean_angle(_axis_errors(seen, view, points, sun, model))
@@ -200,8 +200,9 @@ def _axis_errors(
 ) -> NDArray[np.complex128]:
     """Return twice the angles from the expected to the measured patch axes (n,).
 
-    They are complex vectors, whose length grows with expected and measured elongation. `points` are
-    the positions of the rocks, m, and `sun` (3,) is the assumed direction towards the Sun, ENU.
+    They are the angles of complex vectors, whose length grows with expected and measured
+    elongation. `points` are the positions of the rocks, m, and `sun` (3,) is the assumed direction
+    towards the Sun, ENU.
     """
     at = np.flatnonzero((seen.q >= _MIN_AXIS_Q) & np.isfinite(points).all(1))
     azimuth, depression = viewing_angles(view, points[at], sun)
@@ -222,13 +223,13 @@ def _face_errors(
 ) -> tuple[NDArray[np.complex128], NDArray[np.bool_]]:
     """Return the angles from expected to measured face directions as unit vectors.
 
-    The vectors (n,) are complex. The second result (n,) is whether the shadow is large enough to
-    separate a face from bright terrain. `points` are the positions of the rocks, m. `threshold` is
-    the excess over lit terrain from which a pixel counts as bright. `sun` (3,) is the assumed
-    direction towards the Sun, ENU.
+    A face direction points from the lit face of a rock to its dark patch. The vectors (n,) are
+    complex; the second result (n,) is whether the shadow is large enough to separate a face from
+    bright terrain. `points` are the positions of the rocks, m, `sun` (3,) is the assumed direction
+    towards the Sun, ENU, and `threshold` the excess over lit terrain of bright pixels.
     """
     ring = cv2.dilate(seen.rock, np.ones((2 * _RING_PX + 1, 2 * _RING_PX + 1), np.uint8))
-    sums = kernels.two_sides(
+    sums = kernels.sum_dark_and_bright(
         local_relative_brightness(seen), seen.rock, ring, len(seen), threshold
     )[1:]
     bright = sums[:, kernels.WEIGHT] > _MIN_FACE_SUM
@@ -242,14 +243,14 @@ def _face_errors(
         (points[at] - view.position) @ view.enu_to_sensor.T, view.enu_to_sensor[:, :2]
     )
     gap = np.linalg.solve(moves, gap[:, :, None])[:, :, 0]
-    away = _expected_gap(view, points[at], sun, model)
+    away = _expected_lit_to_dark(view, points[at], sun, model)
     turned = (gap @ [1.0, 1.0j]) * np.conj(away @ [1.0, 1.0j])
     far = np.hypot(*away.T) > _MIN_EXPECTED_GAP
     turned /= np.maximum(abs(turned), 1e-12)
     return np.asarray(turned[far]), np.asarray(seen.q[at][far] >= _MIN_FACE_Q)
 
 
-def _expected_gap(
+def _expected_lit_to_dark(
     view: View, points: Array, sun: Array, model: ShadowModel | ShapeMixture
 ) -> Array:
     """Return the expected vectors from lit faces to dark patches (n, 2), in radii.
@@ -263,8 +264,8 @@ def _expected_gap(
     unit = model.patch(*viewing_angles(view, points, sun))
     dark = unit.along[:, None] * towards + unit.side[:, None] * left
     # A point above the terrain appears in front of terrain farther away.
-    lean = sight[:, :2] / np.maximum(-sight[:, 2:], 1e-9)
-    return np.asarray(dark - _FACE_OFFSET * towards - _FACE_HEIGHT * lean)
+    parallax = sight[:, :2] / np.maximum(-sight[:, 2:], 1e-9)
+    return np.asarray(dark - _FACE_OFFSET * towards - _FACE_HEIGHT * parallax)
 
 
 def mean_direction(directions: Array) -> tuple[float, float, int]:

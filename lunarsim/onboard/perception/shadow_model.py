@@ -20,7 +20,7 @@ from scipy.special import ndtr
 
 from lunarsim.errors import InputError
 from lunarsim.frames import direction_from_angles
-from lunarsim.onboard.perception._table_kernels import interpolated
+from lunarsim.onboard.perception._table_kernels import interpolate_table
 from lunarsim.onboard.perception.table_cache import cached_table
 from lunarsim.rocks.field import RockModel
 from lunarsim.rocks.rock_on_plane import RockOnPlane
@@ -143,9 +143,9 @@ class ShadowModel:
     def under(self, elevation: float) -> ShadowModel:
         """Return the model of the same shapes under another Sun elevation (rad).
 
-        The elevation is rounded to the steps of `near_elevation`.
+        The elevation is rounded to the steps of `tabulated_elevation`.
         """
-        nearest = near_elevation(elevation, self.elevation)
+        nearest = tabulated_elevation(elevation, self.elevation)
         return self if nearest == self.elevation else _model_under(nearest, self.shapes)
 
     def probability_longer_than(self, half_axis: float, radius: Array, sigma: Array) -> Array:
@@ -179,7 +179,7 @@ class ShadowModel:
         )
         down = np.clip(depression, _DEPRESSIONS[0], _DEPRESSIONS[-1])
         relative_azimuth, down = np.broadcast_arrays(relative_azimuth, down)
-        columns = interpolated(
+        columns = interpolate_table(
             self._table, _AZIMUTHS, _DEPRESSIONS, abs(relative_azimuth).ravel(), down.ravel()
         )
         along, side, length, width, skew, *rest = (
@@ -206,15 +206,15 @@ class ShadowModel:
         return np.asarray(np.asarray(radius) * np.sqrt(area) / pixel)
 
 
-def _longer_axis(least: float, most: float) -> tuple[float, float]:
-    """Return mean and standard deviation of the longer half axis, in radii.
+def _longer_axis(min_ratio: float, max_ratio: float) -> tuple[float, float]:
+    """Return mean and standard deviation of the longer half axis of rocks, in radii.
 
-    It is r^-1/2 for an axis ratio r that is uniform between `least` and `most`.
+    It is r^-1/2 for an axis ratio r that is uniform between `min_ratio` and `max_ratio`.
     """
-    if most - least < 1e-6:
-        return least**-0.5, 0.0
-    mean = 2.0 * (np.sqrt(most) - np.sqrt(least)) / (most - least)
-    square = np.log(most / least) / (most - least)
+    if max_ratio - min_ratio < 1e-6:
+        return min_ratio**-0.5, 0.0
+    mean = 2.0 * (np.sqrt(max_ratio) - np.sqrt(min_ratio)) / (max_ratio - min_ratio)
+    square = np.log(max_ratio / min_ratio) / (max_ratio - min_ratio)
     return float(mean), float(np.sqrt(max(square - mean**2, 0.0)))
 
 
@@ -224,16 +224,16 @@ def _model_under(elevation: float, shapes: RockModel) -> ShadowModel:
     return ShadowModel(elevation, shapes)
 
 
-def near_elevation(elevation: float, start: float) -> float:
-    """Return the nearest Sun elevation for which shadow tables exist, rad.
+def tabulated_elevation(elevation: float, reference: float) -> float:
+    """Return the nearest Sun elevation, rad, for which shadow tables are computed.
 
-    From the elevation `start`, rad, its tangent changes in steps of 10 %, so the length of shadows
-    is accurate to 5 %. The result lies between 2 and 80 degrees, also if the Sun is below a plane
-    that slopes away from it.
+    The tangents of these elevations differ from that of `reference`, rad, by powers of 1.1, so the
+    length of shadows is accurate to 5 %. The result lies between 2 and 80 degrees, also if the Sun
+    is below a plane that slopes away from it.
     """
     elevation = float(np.clip(elevation, MIN_SUN_ELEVATION, MAX_SUN_ELEVATION))
-    steps = round(np.log(np.tan(elevation) / np.tan(start)) / np.log(_TANGENT_STEP))
-    nearest = float(np.arctan(np.tan(start) * _TANGENT_STEP**steps)) if steps else start
+    steps = round(np.log(np.tan(elevation) / np.tan(reference)) / np.log(_TANGENT_STEP))
+    nearest = float(np.arctan(np.tan(reference) * _TANGENT_STEP**steps)) if steps else reference
     return float(np.clip(nearest, MIN_SUN_ELEVATION, MAX_SUN_ELEVATION))
 
 
@@ -294,13 +294,13 @@ def _compute_table(elevation: float, shapes: RockModel) -> Array:
     return table
 
 
-def visible_points_about_rock(
+def visible_points_around_rock(
     scene: RockOnPlane, camera: Array, reach: float, step: float
 ) -> tuple[tuple[int, int], Array, Array, Array]:
-    """Return the points that a camera sees in front of the terrain around a rock.
+    """Return the points of rock or terrain that a camera sees around a rock.
 
-    A rock of radius 1 hides the terrain behind it: its dark face appears up to its height divided
-    by the tangent of the depression.
+    The lines of sight lead to a grid of positions on the terrain. Where the rock, of radius 1,
+    hides a position, the visible point is on the rock.
 
     Parameters
     ----------
@@ -318,7 +318,8 @@ def visible_points_about_rock(
     shape
         Rows and columns of the positions.
     position, point, normal
-        Positions on the terrain (n, 3), visible points, slightly lifted off, and normals there.
+        Positions on the terrain, the visible point on the line of sight to each, slightly above
+        the surface, and the surface normal there (n, 3).
     """
     lean = 2.0 * camera[:2] / camera[2]
     x = np.arange(min(0.0, -lean[0]) - 1.6, max(0.0, -lean[0]) + 1.6, step)
@@ -339,7 +340,7 @@ def _dark_patch(scene: RockOnPlane, sun: Array, camera: Array, reach: float) -> 
     on a plane.
     """
     step = 1.0 / _SAMPLES_PER_RADIUS
-    _, position, point, normal = visible_points_about_rock(scene, camera, reach, step)
+    _, position, point, normal = visible_points_around_rock(scene, camera, reach, step)
     lit = normal @ sun > 0.0
     shaded = np.ones(len(point), bool)
     towards = np.broadcast_to(sun, (int(lit.sum()), 3))
@@ -356,7 +357,7 @@ def _dark_patch(scene: RockOnPlane, sun: Array, camera: Array, reach: float) -> 
 
 @lru_cache(maxsize=8)
 def _outline(shapes: RockModel) -> tuple[tuple[float, float], float, float]:
-    """Return outline, radius and centre uncertainty of `ShadowModel` for shapes.
+    """Return outline, radius and centre uncertainty of rocks, as in `ShadowModel`.
 
     The outline is mean and standard deviation of the distance from the centre to the outline. All
     are in radii.

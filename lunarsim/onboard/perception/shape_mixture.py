@@ -22,7 +22,7 @@ from lunarsim.onboard.perception.shadow_model import (
     ShadowModel,
     ShadowPatch,
     faceted_shadowless_fraction,
-    near_elevation,
+    tabulated_elevation,
 )
 from lunarsim.rocks.field import RockModel
 
@@ -138,9 +138,9 @@ class ShapeMixture:
     def under(self, elevation: float) -> ShapeMixture:
         """Return the current population under another Sun elevation (rad).
 
-        The elevation is rounded to the steps of `near_elevation`.
+        The elevation is rounded to the steps of `tabulated_elevation`.
         """
-        near = near_elevation(elevation, self.elevation)
+        near = tabulated_elevation(elevation, self.elevation)
         if near == self.elevation:
             return self
         other = copy(self)
@@ -149,8 +149,8 @@ class ShapeMixture:
         return other
 
     @property
-    def shares(self) -> Array:
-        """Estimated fractions of the hypotheses about shape and slope.
+    def hypothesis_fractions(self) -> Array:
+        """Estimated fraction of rocks under each hypothesis about shape and slope.
 
         Shape (shapes * slopes,), slopes varying fastest.
         """
@@ -159,14 +159,16 @@ class ShapeMixture:
         return np.asarray(share / share.sum())
 
     @property
-    def shape_shares(self) -> Array:
-        """Estimated fractions of the shapes (shapes,)."""
-        return np.asarray(self.shares.reshape(len(self.models), -1).sum(1))
+    def shape_fractions(self) -> Array:
+        """Estimated fraction of rocks of each shape (shapes,)."""
+        return np.asarray(self.hypothesis_fractions.reshape(len(self.models), -1).sum(1))
 
     @property
     def slope(self) -> float:
-        """Estimated spread of the terrain slope, tangent."""
-        return float(np.sqrt(self.shares.reshape(len(self.models), -1).sum(0) @ self.slopes**2))
+        """Estimated root mean square of the terrain slope, tangent."""
+        return float(
+            np.sqrt(self.hypothesis_fractions.reshape(len(self.models), -1).sum(0) @ self.slopes**2)
+        )
 
     @property
     def shadowless_fraction(self) -> float:
@@ -174,11 +176,11 @@ class ShapeMixture:
 
         They cannot be observed, so all rocks except cubes are taken as faceted.
         """
-        return float(self.shape_shares @ self._shadowless)
+        return float(self.shape_fractions @ self._shadowless)
 
     def _mean(self, name: str) -> float:
         """Return the mean of an attribute of `ShadowModel` over the shapes."""
-        return float(self.shape_shares @ np.array([getattr(m, name) for m in self.models]))
+        return float(self.shape_fractions @ np.array([getattr(m, name) for m in self.models]))
 
     @property
     def height(self) -> float:
@@ -199,8 +201,8 @@ class ShapeMixture:
     def outline(self) -> tuple[float, float]:
         """Mean and standard deviation of the distance from centre to outline, in radii."""
         mean, sigma = np.array([m.outline for m in self.models]).T
-        middle = float(self.shape_shares @ mean)
-        return middle, float(np.sqrt(self.shape_shares @ (sigma**2 + (mean - middle) ** 2)))
+        middle = float(self.shape_fractions @ mean)
+        return middle, float(np.sqrt(self.shape_fractions @ (sigma**2 + (mean - middle) ** 2)))
 
     def probability_longer_than(self, half_axis: float, radius: Array, sigma: Array) -> Array:
         """Return the probability that rocks exceed a half axis, averaged over shapes (n,).
@@ -209,7 +211,7 @@ class ShapeMixture:
         of the rocks and their standard deviations, m.
         """
         of_shape = [m.probability_longer_than(half_axis, radius, sigma) for m in self.models]
-        return np.asarray(self.shape_shares @ np.stack(of_shape))
+        return np.asarray(self.shape_fractions @ np.stack(of_shape))
 
     def patch(self, azimuth: Any, depression: Any) -> ShadowPatch:
         """Return the mean dark patches of the population seen from given directions (...).
@@ -218,7 +220,7 @@ class ShapeMixture:
         of the line of sight (...), rad. The patches are for rocks of radius 1.
         """
         units = [m.patch(azimuth, depression) for m in self.models]
-        return _mean_patch(units, self.shape_shares)
+        return _mean_patch(units, self.shape_fractions)
 
     def visible_pixels(self, radius: Any, azimuth: Any, depression: Any, pixel: Any) -> Array:
         """Return q, the square root of the number of dark pixels of a rock's patch (...).
@@ -230,7 +232,7 @@ class ShapeMixture:
         area = self.patch(azimuth, depression).area * np.sin(np.maximum(depression, 0.0))
         return np.asarray(np.asarray(radius) * np.sqrt(area) / pixel)
 
-    def read(
+    def estimate_radius(
         self,
         length: Array,
         width: Array,
@@ -238,7 +240,7 @@ class ShapeMixture:
         depression: Array,
         along_px: Array,
         across_px: Array,
-        pixel: float,
+        end_sigma: float,
     ) -> RadiusEstimate:
         """Estimate the radii of rocks from length and width of their dark patches.
 
@@ -251,7 +253,7 @@ class ShapeMixture:
             sight (n,), rad.
         along_px, across_px
             Size of a pixel on the terrain along the Sun and across (n,), m.
-        pixel
+        end_sigma
             Standard deviation of the position of an end of a patch, pixels.
         """
         units = [m.patch(azimuth, depression) for m in self.models]
@@ -261,7 +263,7 @@ class ShapeMixture:
         )
         radii, variances, fits = [], [], []
         for unit in units:
-            ends = pixel * np.sqrt(2.0)
+            ends = end_sigma * np.sqrt(2.0)
             for slope in self.slopes:
                 r, v, fit = _radius_of_patch(
                     length, width, unit, ends * along_px, ends * across_px, slope * lean
@@ -269,33 +271,34 @@ class ShapeMixture:
                 radii.append(r)
                 variances.append(v)
                 fits.append(fit)
-        log = np.stack(fits, -1) + np.log(self.shares)
+        log = np.stack(fits, -1) + np.log(self.hypothesis_fractions)
         weight = np.exp(log - log.max(-1, keepdims=True))
         weight /= weight.sum(-1, keepdims=True)
         r, v = np.stack(radii, -1), np.stack(variances, -1)
         radius = (weight * r).sum(-1)
         variance = (weight * (v + (r - radius[:, None]) ** 2)).sum(-1)
-        of_shape = weight.reshape(len(length), len(units), len(self.slopes)).sum(-1)
-        largest = self._largest(r + _LARGEST_SIGMAS * np.sqrt(v), weight, of_shape)
+        shape_weight = weight.reshape(len(length), len(units), len(self.slopes)).sum(-1)
+        largest = self._largest(r + _LARGEST_SIGMAS * np.sqrt(v), weight, shape_weight)
         return RadiusEstimate(
-            radius, np.sqrt(variance), largest, _mean_patch(units, of_shape), weight
+            radius, np.sqrt(variance), largest, _mean_patch(units, shape_weight), weight
         )
 
-    def _largest(self, radius: Array, weight: Array, of_shape: Array) -> Array:
+    def _largest(self, radius: Array, weight: Array, shape_weight: Array) -> Array:
         """Return the longest half axis of rocks under any probable hypothesis (n,), m.
 
         `radius` (n, hypotheses) is the upper limit of the radius under each, m; `weight` (n,
-        hypotheses) and `of_shape` (n, shapes) are their probabilities. The threshold applies to the
-        total weight of a shape, so that it does not depend on the number of slopes.
+        hypotheses) and `shape_weight` (n, shapes) are the probabilities of hypotheses and shapes.
+        The threshold applies to the total weight of a shape, so that it does not depend on the
+        number of slopes.
         """
         slopes = len(self.slopes)
         longest = np.repeat([m.elongation for m in self.models], slopes)
         # Slopes of a possible shape count only if they are not improbable themselves.
-        possible = np.repeat(of_shape > _MIN_WEIGHT, slopes, axis=-1)
+        possible = np.repeat(shape_weight > _MIN_WEIGHT, slopes, axis=-1)
         possible &= weight > _MIN_WEIGHT / slopes
         return np.asarray((longest * np.where(possible, radius, 0.0)).max(-1))
 
-    def learn(self, weight: Array, q: Array) -> None:
+    def update_fractions(self, weight: Array, q: Array) -> None:
         """Update the fractions of shapes and slopes with the patches of one image.
 
         `weight` (n, hypotheses) are the probabilities of the hypotheses for each patch, and `q`
@@ -305,21 +308,26 @@ class ShapeMixture:
 
 
 def _radius_of_patch(
-    length: Array, width: Array, unit: ShadowPatch, along: Array, across: Array, stretch: Array
+    length: Array,
+    width: Array,
+    unit_patch: ShadowPatch,
+    along_sigma: Array,
+    across_sigma: Array,
+    slope_elongation: Array,
 ) -> tuple[Array, Array, Array]:
     """Return radius, its variance and log likelihood for patches under one hypothesis.
 
-    All are (n,); `length` and `width` (n,), m, are the measured sizes, and `unit` is the expected
-    patch for a radius of 1. Length and width each give a radius. Its variance consists of pixel
-    noise (standard deviations `along` and `across`, m), the spread of shapes, and the relative
-    elongation by slopes (`stretch`). The mean is weighted by inverse variance; the likelihood grows
-    with the agreement of the two.
+    All are (n,); `length` and `width` (n,), m, are the measured sizes, and `unit_patch` is the
+    expected patch for a radius of 1. Length and width each give a radius, with a variance from
+    pixel noise (`along_sigma`, `across_sigma`, m), the spread of shapes and, for the length, the
+    relative elongation by slopes. The result is their mean weighted by inverse variance; the
+    likelihood grows with their agreement.
     """
-    l0, w0 = np.maximum(unit.length, _MIN_LENGTH), np.maximum(unit.width, _MIN_LENGTH)
+    l0, w0 = np.maximum(unit_patch.length, _MIN_LENGTH), np.maximum(unit_patch.width, _MIN_LENGTH)
     by_length, by_width = length / l0, width / w0
-    var_length = (along**2 + (by_length * unit.length_sigma) ** 2) / l0**2
-    var_length += (by_length * stretch) ** 2
-    var_width = (across**2 + (by_width * unit.width_sigma) ** 2) / w0**2
+    var_length = (along_sigma**2 + (by_length * unit_patch.length_sigma) ** 2) / l0**2
+    var_length += (by_length * slope_elongation) ** 2
+    var_width = (across_sigma**2 + (by_width * unit_patch.width_sigma) ** 2) / w0**2
     total = var_length + var_width
     radius = (var_width * by_length + var_length * by_width) / total
     fit = -0.5 * (by_length - by_width) ** 2 / total - 0.5 * np.log(total)
@@ -328,17 +336,20 @@ def _radius_of_patch(
     return radius, var_length * var_width / total, fit
 
 
-def _mean_patch(units: list[ShadowPatch], share: Array) -> ShadowPatch:
+def _mean_patch(unit_patches: list[ShadowPatch], fractions: Array) -> ShadowPatch:
     """Return the mean of expected patches over shapes, weighted by fractions.
 
-    `share` has shape (shapes,) or (n, shapes). The standard deviations include the differences
-    between shapes. `units` are the patches for rocks of radius 1, one per shape.
+    `unit_patches` are the patches for rocks of radius 1, one per shape; `fractions` is (shapes,) or
+    (n, shapes). The standard deviations include the differences between shapes.
     """
-    stack = {f.name: np.stack([getattr(u, f.name) for u in units], -1) for f in fields(ShadowPatch)}
-    mean = {k: (share * stack[k]).sum(-1) for k in _AVERAGED}
+    stack = {
+        f.name: np.stack([getattr(u, f.name) for u in unit_patches], -1)
+        for f in fields(ShadowPatch)
+    }
+    mean = {k: (fractions * stack[k]).sum(-1) for k in _AVERAGED}
     sigma = {
         f"{k}_sigma": np.sqrt(
-            (share * (stack[f"{k}_sigma"] ** 2 + (stack[k] - mean[k][..., None]) ** 2)).sum(-1)
+            (fractions * (stack[f"{k}_sigma"] ** 2 + (stack[k] - mean[k][..., None]) ** 2)).sum(-1)
         )
         for k in ("along", "side", "length", "width")
     }

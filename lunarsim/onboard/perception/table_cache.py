@@ -22,7 +22,7 @@ _PACKAGE = Path(__file__).parents[2]
 _CODE = ("onboard/perception/shadow_model.py", "frames.py", "rocks/*.py")
 
 
-def cached_table(name: str, key: str, make: Callable[[], Array]) -> Array:
+def cached_table(name: str, key: str, compute: Callable[[], Array]) -> Array:
     """Return a table from the user's cache, or compute and store it.
 
     The cached table is identical to the computed one. If the cache cannot be read or written, the
@@ -34,15 +34,15 @@ def cached_table(name: str, key: str, make: Callable[[], Array]) -> Array:
         Kind of table.
     key
         Text that identifies the parameters of the table.
-    make
+    compute
         Function that computes the table.
     """
-    digest = hashlib.sha256(f"{_code()} {key}".encode()).hexdigest()[:20]
+    digest = hashlib.sha256(f"{_source_digest()} {key}".encode()).hexdigest()[:20]
     path = user_cache("tables") / f"{name}-{digest}.npz"
     damaged = OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile
     with contextlib.suppress(*damaged), np.load(path, allow_pickle=False) as file:
         return np.asarray(file["table"], np.float64)
-    table = make()
+    table = compute()
     with contextlib.suppress(OSError):
         path.parent.mkdir(parents=True, exist_ok=True)
         atomic_write_arrays(path, {"table": table})
@@ -50,7 +50,7 @@ def cached_table(name: str, key: str, make: Callable[[], Array]) -> Array:
 
 
 @lru_cache(maxsize=1)
-def _code() -> str:
+def _source_digest() -> str:
     """Return a digest of the source files that compute tables and of NumPy's version."""
     found = hashlib.sha256(np.__version__.encode())
     for pattern in _CODE:

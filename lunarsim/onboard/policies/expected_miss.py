@@ -14,10 +14,12 @@ Array = NDArray[np.float64]
 MAX_EXPECTED_MISS_M = 30.0
 
 
-def expected_miss(stated: float, estimate: Estimate, adrift: bool, seconds: ArrayLike) -> Array:
+def expected_miss(
+    base_sigma: float, estimate: Estimate, is_drifting: bool, seconds: ArrayLike
+) -> Array:
     """Return the expected horizontal landing error relative to the map.
 
-    The result (n,) is 1 sigma per axis, m, and at most 30 m unless `stated` is larger. An error
+    The result (n,) is 1 sigma per axis, m, and at most 30 m unless `base_sigma` is larger. An error
     common to map and lander is harmless. What matters is the drift of the lander relative to its
     map between the last mapped scan and touchdown. Without a sensor that measures the position on
     the map, this drift is the velocity error times the elapsed time. The velocity error is mostly
@@ -26,24 +28,24 @@ def expected_miss(stated: float, estimate: Estimate, adrift: bool, seconds: Arra
 
     Parameters
     ----------
-    stated
+    base_sigma
         Landing error of guidance and map without drift, 1 sigma per axis, m.
     estimate
         Current estimate with the covariance of the velocity.
-    adrift
+    is_drifting
         Whether no measurement bounds the lander's position error relative to its map
         (`Navigation.is_drifting`).
     seconds
         Time from the last mapped scan to touchdown (n,), s.
     """
     time = np.atleast_1d(np.asarray(seconds, np.float64))
-    if not adrift:
-        return np.full(len(time), stated)
+    if not is_drifting:
+        return np.full(len(time), base_sigma)
     horizontal = estimate.covariance[3:5, 3:5]
     speed = float(np.sqrt(max(0.5 * np.trace(horizontal), 0.0)))
-    miss = np.hypot(stated, speed * np.maximum(time, 0.0))
+    miss = np.hypot(base_sigma, speed * np.maximum(time, 0.0))
     return np.minimum(
-        np.where(np.isfinite(miss), miss, MAX_EXPECTED_MISS_M), max(MAX_EXPECTED_MISS_M, stated)
+        np.where(np.isfinite(miss), miss, MAX_EXPECTED_MISS_M), max(MAX_EXPECTED_MISS_M, base_sigma)
     )
 
 
@@ -52,32 +54,34 @@ class LandingDispersion:
 
     Parameters
     ----------
-    stated
+    base_sigma
         Landing error of guidance and map without drift, 1 sigma per axis, m.
-    descent
+    descent_time
         Time from the end of the approach to touchdown, s.
 
     Attributes
     ----------
-    mapped_at
+    last_scan_time
         Time of the last mapped scan, s.
     """
 
-    def __init__(self, stated: float, descent: float) -> None:
-        self.mapped_at = 0.0
-        self._stated, self._descent = stated, descent
-        self._spread: tuple[FloatMap, float, FloatMap] | None = None
+    def __init__(self, base_sigma: float, descent_time: float) -> None:
+        self.last_scan_time = 0.0
+        self._base_sigma, self._descent_time = base_sigma, descent_time
+        self._cached: tuple[FloatMap, float, FloatMap] | None = None
 
-    def misses(self, estimate: Estimate, adrift: bool, time_to_go: Array) -> Array:
+    def expected_misses(self, estimate: Estimate, is_drifting: bool, time_to_go: Array) -> Array:
         """Return the expected landing errors for times-to-go (n,), s: 1 sigma per axis, m.
 
-        `adrift` states whether no measurement bounds the lander's position error relative to its
-        map.
+        `is_drifting` states whether no measurement bounds the lander's position error relative to
+        its map.
         """
-        elapsed = estimate.time - self.mapped_at
-        return expected_miss(self._stated, estimate, adrift, elapsed + time_to_go + self._descent)
+        elapsed = estimate.time - self.last_scan_time
+        return expected_miss(
+            self._base_sigma, estimate, is_drifting, elapsed + time_to_go + self._descent_time
+        )
 
-    def spread(self, hazard_map: HazardMap, miss: float) -> FloatMap:
+    def averaged_p_safe(self, hazard_map: HazardMap, miss: float) -> FloatMap:
         """Return the p_safe of each cell averaged over a landing error (rows, cols).
 
         `miss` is the landing error, 1 sigma per axis, m. The result is cached for the last map and
@@ -85,7 +89,7 @@ class LandingDispersion:
         """
         # A new map object can share its p_safe layer with the last one; only that layer matters
         # here.
-        cached = self._spread
+        cached = self._cached
         if cached is None or cached[0] is not hazard_map.p_safe or cached[1] != miss:
-            cached = self._spread = (hazard_map.p_safe, miss, hazard_map.dispersed_p_safe(miss))
+            cached = self._cached = (hazard_map.p_safe, miss, hazard_map.dispersed_p_safe(miss))
         return cached[2]

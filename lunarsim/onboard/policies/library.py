@@ -69,7 +69,7 @@ class Safest:
         score = _log_odds(c.p_safe) + self.value_weight * c.value
         best = int(np.argmax(np.where(c.reachable, score - 1e-3 * c.distance, -np.inf)))
         present_score = (
-            _log_odds(_present_p_safe(observation)) + self.value_weight * observation.site_value
+            _log_odds(_site_p_safe(observation)) + self.value_weight * observation.site_value
         )
         if score[best] < present_score + self.hysteresis:
             return Decision.keep("no safer site")
@@ -97,7 +97,7 @@ class NearestSafe:
         A site is safe if its p_safe is at least `p_safe_min`. Of equally near sites, the one with
         the highest value is selected. If no reachable site is safe, the policy decides as `Safest`.
         """
-        if _present_p_safe(observation) >= self.p_safe_min:
+        if _site_p_safe(observation) >= self.p_safe_min:
             return Decision.keep("safe enough")
         c = observation.candidates
         good = c.reachable & (c.p_safe >= self.p_safe_min)
@@ -150,7 +150,7 @@ class FuelAware:
         )
         best = int(np.argmax(score))
         present_score = (
-            _log_odds(_present_p_safe(observation)) + self.value_weight * observation.site_value
+            _log_odds(_site_p_safe(observation)) + self.value_weight * observation.site_value
         )
         present_score -= self.propellant_weight * observation.site_propellant
         if score[best] < present_score + self.hysteresis:
@@ -239,19 +239,19 @@ class SafestOrAbort(Safest):
         if np.isinf(observation.site_propellant):
             observation = replace(observation, site_p_safe=0.0)
         chosen = super().decide(observation)
-        present_p_safe = _present_p_safe(observation)
+        site_p_safe = _site_p_safe(observation)
         # An unobserved site is no reason to land.
         p = (
             chosen.details["p_safe"]
             if chosen.site is not None
-            else np.nan_to_num(present_p_safe, nan=0.0)
+            else np.nan_to_num(site_p_safe, nan=0.0)
         )
         if p >= self.p_safe_min:
             return chosen
         return Decision.climb_away(f"no safe site within reach: {p:.2f} at best")
 
 
-def _present_p_safe(observation: Observation) -> float:
+def _site_p_safe(observation: Observation) -> float:
     """Return p_safe of the current site; 0 if the mission excludes the site."""
     return observation.site_p_safe if observation.site_eligible else 0.0
 

@@ -79,7 +79,7 @@ class ReachabilityMap:
         return inside & self.reachable[row, col]
 
 
-def elevation_on_grid(grid: Grid, hazard_map: HazardMap | None, otherwise: float) -> Array:
+def elevation_on_grid(grid: Grid, hazard_map: HazardMap | None, default_height: float) -> Array:
     """Return a hazard map's terrain heights at the cells of a grid (rows, cols), m.
 
     Parameters
@@ -87,15 +87,15 @@ def elevation_on_grid(grid: Grid, hazard_map: HazardMap | None, otherwise: float
     grid
         Grid of the cells.
     hazard_map
-        Hazard map. With None or a map without elevation, all heights are `otherwise`.
-    otherwise
+        Hazard map. With None or a map without elevation, all heights are `default_height`.
+    default_height
         Height where the map has none, m.
     """
-    height = np.full(grid.shape, otherwise)
+    height = np.full(grid.shape, default_height)
     if hazard_map is None or hazard_map.elevation is None:
         return height
     xy = grid.centres()
     known = np.asarray(hazard_map.grid.contains(xy))
     mapped = hazard_map.elevation[hazard_map.grid.cell(xy[known])].astype(np.float64)
-    height[known] = np.where(np.isfinite(mapped), mapped, otherwise)
+    height[known] = np.where(np.isfinite(mapped), mapped, default_height)
     return height

@@ -24,21 +24,21 @@ from lunarsim.user_cache import user_cache
 _FLAGS = ("-O1", "-fPIC", "-shared")
 
 
-def compiler() -> str | None:
+def find_compiler() -> str | None:
     """Return the first available C compiler of $CC, cc, gcc and clang, or None."""
     wanted = (os.environ.get("CC", ""), "cc", "gcc", "clang")
     return next((found for name in wanted if name and (found := shutil.which(name))), None)
 
 
-def compiled_library(name: str, make: Callable[[], Any]) -> Path:
-    """Compile a program's functions to a library, or find it in the cache.
+def compiled_library(name: str, build_solver: Callable[[], Any]) -> Path:
+    """Compile the functions of a CasADi solver to a library, or find it in the cache.
 
     Parameters
     ----------
     name
         Start of the file name.
-    make
-        Returns the solver whose functions are compiled.
+    build_solver
+        Function that returns the solver.
 
     Raises
     ------
@@ -47,7 +47,7 @@ def compiled_library(name: str, make: Callable[[], Any]) -> Path:
     SolverError
         If the compiler fails.
     """
-    compiler_path = compiler()
+    compiler_path = find_compiler()
     if compiler_path is None:
         raise InputError(
             "optimal.compiled", True, "must be false without a C compiler", "Set CC to a compiler."
@@ -57,7 +57,7 @@ def compiled_library(name: str, make: Callable[[], Any]) -> Path:
         working_directory = Path.cwd()
         os.chdir(folder)  # CasADi writes to the working directory
         try:
-            make().generate_dependencies(source.name)
+            build_solver().generate_dependencies(source.name)
         finally:
             os.chdir(working_directory)
         digest = hashlib.sha256(source.read_bytes() + " ".join(_FLAGS).encode()).hexdigest()[:16]

@@ -19,16 +19,18 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class InitialGuess:
-    """States and commands that need not be consistent with each other.
+    """First guess of a rigid body's descent for a solver.
+
+    States and commands need not be consistent with each other.
 
     Attributes
     ----------
     duration
-        s.
+        Final time, s.
     states
-        At N + 1 nodes (N + 1, 15): position, velocity, attitude, rate, mass and thrust.
+        States at N + 1 nodes (N + 1, 15): position, velocity, attitude, rate, mass and thrust.
     thrust, torque
-        In N intervals (N,), N, and (N, 3), N m.
+        Commands in N intervals: thrust (N,), N, and torque (N, 3), N m.
     """
 
     duration: float
@@ -37,7 +39,7 @@ class InitialGuess:
     torque: Array
 
     def resample(self, intervals: int) -> InitialGuess:
-        """Resample to another number of intervals."""
+        """Return the guess with another number of intervals."""
         count = len(self.thrust)
         if count == intervals:
             return self
@@ -49,9 +51,10 @@ class InitialGuess:
 
 
 def initial_guess(descent: RigidDescent, intervals: int) -> InitialGuess:
-    """Return the optimum of a point mass with attitudes along its thrust.
+    """Return a guess from the minimum-propellant path of a point mass.
 
-    Yaw is that of the start. Rates and torques are differences of the attitude.
+    Body z is along the thrust, and yaw is that of the start. Rates and torques are differences of
+    the attitude.
 
     Raises
     ------
@@ -80,12 +83,12 @@ def initial_guess(descent: RigidDescent, intervals: int) -> InitialGuess:
     states[0, 14] = d.start.thrust
     moments = np.array([d.lander.inertia(m) for m in path.mass[:-1]])
     torque = np.clip(moments * np.diff(rates, axis=0) / step, -d.torques, d.torques)
-    thrust = np.clip(path.forces, d.least, d.most)
+    thrust = np.clip(path.forces, d.min_thrust_command, d.max_thrust_command)
     return InitialGuess(path.duration, states, thrust, torque)
 
 
 def remaining_guess(path: RigidPath, elapsed: float) -> InitialGuess:
-    """Return the rest of a path after a time (s), on as many intervals.
+    """Return the rest of a path after `elapsed` s as a guess, with as many intervals.
 
     Raises
     ------
@@ -116,7 +119,7 @@ def _align_with_thrust(thrust_direction: Array, start: Rotation) -> Rotation:
     return Rotation.from_matrix(matrices)
 
 
-def _make_continuous(q: Array) -> Array:
+def _make_continuous(quaternions: Array) -> Array:
     """Choose quaternion signs so that consecutive quaternions are near each other."""
-    signs = np.where((q[1:] * q[:-1]).sum(axis=1) < 0.0, -1.0, 1.0)
-    return np.asarray(q * np.concatenate(([1.0], np.cumprod(signs)))[:, None])
+    signs = np.where((quaternions[1:] * quaternions[:-1]).sum(axis=1) < 0.0, -1.0, 1.0)
+    return np.asarray(quaternions * np.concatenate(([1.0], np.cumprod(signs)))[:, None])

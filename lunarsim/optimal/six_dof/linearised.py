@@ -10,7 +10,13 @@ import casadi
 import numpy as np
 from numpy.typing import NDArray
 
-from lunarsim.optimal.six_dof.motion import CONTROLS, SHARES, STATES, interval, limits
+from lunarsim.optimal.six_dof.motion import (
+    CONTROLS,
+    SHARES,
+    STATES,
+    interval_function,
+    limit_function,
+)
 from lunarsim.optimal.six_dof.scale import LIMITS, PARAMETERS, Scale
 
 Array = NDArray[np.float64]
@@ -23,14 +29,15 @@ _DEFECT_PENALTY = 0.03
 
 @dataclass(frozen=True)
 class LinearisedPath:
-    """Scaled path with its linearisation.
+    """Path in scaled variables with the linearisation of its motion and constraints.
 
     Attributes
     ----------
     x, v, length
-        Scaled states (n + 1, 15), scaled commands (n, 4), scaled length of an interval.
+        Scaled states at the nodes (n + 1, 15), scaled commands in the intervals (n, 4), and scaled
+        length of an interval.
     values, tangents
-        Results of `tangents_at`.
+        Values and derivatives for each interval, from `linearise_intervals`.
     violation
         Sum of the constraint violations.
     """
@@ -43,26 +50,30 @@ class LinearisedPath:
     violation: float
 
     @classmethod
-    def at(cls, x: Array, v: Array, length: float, scale: Scale) -> LinearisedPath:
-        """Linearise a path."""
-        values, tangents = tangents_at(x, v, length, scale.parameters)
-        asked = scale.rows(len(v))[0][STATES * len(v) :].reshape(len(v), -1)
+    def at(cls, states: Array, controls: Array, length: float, scale: Scale) -> LinearisedPath:
+        """Linearise a path of scaled states, commands and interval length."""
+        values, tangents = linearise_intervals(states, controls, length, scale.parameters)
+        asked = scale.constraint_bounds(len(controls))[0][STATES * len(controls) :].reshape(
+            len(controls), -1
+        )
         violation_each = np.where(np.isfinite(asked), -values[:, STATES:], 0.0)
-        return cls(x, v, length, values, tangents, float(np.maximum(violation_each, 0.0).sum()))
+        return cls(
+            states, controls, length, values, tangents, float(np.maximum(violation_each, 0.0).sum())
+        )
 
     @property
     def propellant_used(self) -> float:
-        """Propellant, as a fraction of the initial mass."""
+        """Propellant used, as a fraction of the initial mass."""
         return float(self.x[0, 13] - self.x[-1, 13])
 
     @property
     def defects(self) -> Array:
-        """Defects: ends of intervals minus the next starts (n, 15)."""
+        """Defects: propagated end of each interval minus the next node's state (n, 15)."""
         return np.asarray(self.values[:, :STATES] - self.x[1:])
 
     @property
     def max_defect(self) -> float:
-        """Maximum defect."""
+        """Maximum absolute defect of a state variable, scaled."""
         return float(np.abs(self.defects).max())
 
     @property
@@ -75,23 +86,31 @@ class LinearisedPath:
 
 @cache
 def _shooting_function() -> Any:
-    """Return (inputs, parameters) -> end, limits (35,) and derivatives (35, 20)."""
+    """Return a CasADi function that propagates and differentiates one interval.
+
+    It maps state, command and length (20,) and the parameters of `Scale` to the state at the end
+    with the constraint values after each step (35,), and to their derivatives (35, 20).
+    """
     z, p = casadi.SX.sym("z", _INPUTS), casadi.SX.sym("p", PARAMETERS)
     x, v, length = z[:STATES], z[STATES:-1], z[-1]
-    states = interval()(x, v * p[11:15], length, p[:11])
-    held = [limits()(states[:, k], p[15:]) for k in range(len(SHARES))]
+    states = interval_function()(x, v * p[11:15], length, p[:11])
+    held = [limit_function()(states[:, k], p[15:]) for k in range(len(SHARES))]
     out = casadi.vertcat(states[:, -1], *held)
     tangent = casadi.densify(casadi.jacobian(out, z))
     return casadi.Function("shot", [z, p], [out, tangent])
 
 
-def tangents_at(x: Array, v: Array, length: float, p: Array) -> tuple[Array, Array]:
-    """Return ends and constraint values (n, 35), and derivatives (n, 35, 20).
+def linearise_intervals(
+    states: Array, controls: Array, length: float, parameters: Array
+) -> tuple[Array, Array]:
+    """Propagate and differentiate all intervals of a path.
 
-    The last column is the derivative by the length of an interval.
+    The results are the state at the end of each interval with the constraint values after each step
+    (n, 35), and their derivatives by state, command and length (n, 35, 20). All is scaled;
+    `parameters` are those of `Scale`.
     """
-    n = len(v)
-    z = np.column_stack((x[:-1], v, np.full(n, length)))
-    out, jacobian = _shooting_function().map(n)(z.T, np.tile(p[:, None], n))
+    n = len(controls)
+    z = np.column_stack((states[:-1], controls, np.full(n, length)))
+    out, jacobian = _shooting_function().map(n)(z.T, np.tile(parameters[:, None], n))
     tangents = np.asarray(jacobian).reshape(_ROWS, n, _INPUTS).transpose(1, 0, 2)
     return np.asarray(out).T, tangents

@@ -25,7 +25,7 @@ _LEAST_LAG = 1e-6  # s; the lag is a divisor
 
 
 def state_units(units: Units) -> Array:
-    """Return the scales of a state vector (15,)."""
+    """Return the scales by which the 15 variables of a state vector are divided."""
     u = units
     return np.array(
         [u.length] * 3 + [u.speed] * 3 + [1.0] * 4 + [1.0 / u.time] * 3 + [u.mass, u.force]
@@ -33,11 +33,11 @@ def state_units(units: Units) -> Array:
 
 
 def control_units(units: Units) -> Array:
-    """Return the scales of thrust and torques (4,)."""
+    """Return the scales by which thrust and torques are divided (4,)."""
     return np.array([units.force] + [units.force * units.length] * 3)
 
 
-def figures_of(descent: RigidDescent, units: Units) -> Array:
+def vehicle_parameters(descent: RigidDescent, units: Units) -> Array:
     """Return the vehicle parameters of the equations of motion (11,), without units.
 
     They are gravity, exhaust velocity, time constant of the engine, dry and initial mass, and the
@@ -82,11 +82,11 @@ def _rates(y: Any, thrust: Any, torque: Any, p: Any) -> Any:
 
 
 @cache
-def interval() -> Any:
-    """Return the map (state, control, length, parameters) -> states (15, 5).
+def interval_function() -> Any:
+    """Return a CasADi function that propagates a state over one control interval.
 
-    It takes classical Runge-Kutta steps; the thrust of a step is the mean response of the engine's
-    lag to the command.
+    It maps state, control, length and parameters to the states after each Runge-Kutta step (15, 5).
+    The thrust of a step is the mean response of the engine's lag to the command.
     """
     x, u = casadi.SX.sym("x", STATES), casadi.SX.sym("u", CONTROLS)
     length, p = casadi.SX.sym("h"), casadi.SX.sym("p", 11)
@@ -109,10 +109,11 @@ def interval() -> Any:
 
 
 @cache
-def limits() -> Any:
-    """Return the map (state, limits) -> constraint values, 0 or more (4,).
+def limit_function() -> Any:
+    """Return a CasADi function that evaluates the path constraints at a state.
 
-    They are tilt, rate, glideslope and sight of the site; positions are relative to the end.
+    It maps state and `limit_parameters` to four values, which are 0 or more if the constraint
+    holds: tilt, rate, glideslope and sight of the site. Positions are relative to the end.
     """
     x, p = casadi.SX.sym("x", STATES), casadi.SX.sym("p", 8)
     qx, qy, qz, qw = (x[6 + k] for k in range(4))
@@ -137,8 +138,12 @@ def limits() -> Any:
     return casadi.Function("limits", [x, p], [rows], ["x", "p"], ["left"])
 
 
-def limit_figures(descent: RigidDescent, units: Units) -> Array:
-    """Return tilt cosine, squared rate, slope, drop, sight axis and cosine (8,)."""
+def limit_parameters(descent: RigidDescent, units: Units) -> Array:
+    """Return the parameters of the path constraints (8,), without units.
+
+    They are cosine of the maximum tilt, squared maximum rate, glideslope (tangent), depth of its
+    apex, sensor boresight (3) and cosine of the half field of view.
+    """
     d = descent
     axis = np.array([0.0, 0.0, -1.0]) if d.sight is None else d.sight.axis
     return np.array(

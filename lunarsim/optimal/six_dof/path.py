@@ -15,16 +15,16 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class RigidPath:
-    """Descent in N intervals of constant commands.
+    """Descent of a rigid body in N intervals of constant commands.
 
     Attributes
     ----------
     descent
-        Problem.
+        Landing problem that the path solves.
     duration
         Final time, s.
     states
-        At the nodes (N + 1, 15): position, velocity, attitude, rate, mass and thrust.
+        States at the nodes (N + 1, 15): position, velocity, attitude, rate, mass and thrust.
     thrust
         Commanded thrust in each interval (N,), N.
     torque
@@ -57,7 +57,7 @@ class ConstraintViolations:
     ----------
     miss, speed
         Final errors of position and velocity, m and m/s.
-    lean, spin
+    final_tilt, final_rate
         Final tilt and angular rate, rad and rad/s.
     tilt, rate, slope, sight
         Maximum violation of each limit, rad, rad/s, m and rad; 0 or less: satisfied.
@@ -65,8 +65,8 @@ class ConstraintViolations:
 
     miss: float
     speed: float
-    lean: float
-    spin: float
+    final_tilt: float
+    final_rate: float
     tilt: float
     rate: float
     slope: float
@@ -85,15 +85,15 @@ def evaluate_violations(descent: RigidDescent, times: Array, states: Array) -> C
     )
     sight_violation = -np.inf
     if d.sight is not None:
-        must_see = times <= d.sight.share * times[-1]
+        must_see = times <= d.sight.visible_fraction * times[-1]
         sight_violation = float(
             _angle_off_axis(d.sight.axis, at[must_see], q[must_see]).max() - d.sight.half_angle
         )
     return ConstraintViolations(
         miss=float(np.linalg.norm(at[-1])),
         speed=float(np.linalg.norm(states[-1, 3:6] - d.end_velocity)),
-        lean=float(tilt[-1]),
-        spin=float(rate[-1]),
+        final_tilt=float(tilt[-1]),
+        final_rate=float(rate[-1]),
         tilt=float(tilt.max() - d.max_tilt) if d.max_tilt is not None else -np.inf,
         rate=float(rate.max() - d.max_rate) if d.max_rate is not None else -np.inf,
         slope=float(below_glideslope.max()) if d.glideslope is not None else -np.inf,
@@ -101,8 +101,11 @@ def evaluate_violations(descent: RigidDescent, times: Array, states: Array) -> C
     )
 
 
-def _angle_off_axis(axis: Array, at: Array, q: Array) -> Array:
-    """Return the angle between a body axis and the direction to the site (K,), rad."""
-    turned = Rotation.from_quat(q).apply(axis)
-    cosine = -(turned * at).sum(axis=1) / np.maximum(np.linalg.norm(at, axis=1), 1e-9)
+def _angle_off_axis(axis: Array, offset: Array, attitude: Array) -> Array:
+    """Return the angle between a body axis and the direction to the site (K,), rad.
+
+    `offset` (K, 3) are positions relative to the site, and `attitude` (K, 4) quaternions.
+    """
+    turned = Rotation.from_quat(attitude).apply(axis)
+    cosine = -(turned * offset).sum(axis=1) / np.maximum(np.linalg.norm(offset, axis=1), 1e-9)
     return np.asarray(np.arccos(np.clip(cosine, -1.0, 1.0)))

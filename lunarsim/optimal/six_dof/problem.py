@@ -22,23 +22,23 @@ class InitialState(Protocol):
 
     @property
     def position(self) -> Array:
-        """ENU (3,), m."""
+        """Position in ENU (3,), m."""
 
     @property
     def velocity(self) -> Array:
-        """ENU (3,), m/s."""
+        """Velocity in ENU (3,), m/s."""
 
     @property
     def attitude(self) -> Array:
-        """Body to ENU, unit quaternion, scalar last (4,)."""
+        """Rotation from body axes to ENU as a unit quaternion, scalar last (4,)."""
 
     @property
     def rate(self) -> Array:
-        """Body axes (3,), rad/s."""
+        """Angular rate in body axes (3,), rad/s."""
 
     @property
     def mass(self) -> float:
-        """Kg."""
+        """Mass of the vehicle, kg."""
 
     @property
     def thrust(self) -> float:
@@ -60,7 +60,7 @@ class SiteVisibility:
         Boresight, body axes (3,); normalised.
     half_angle
         Half angle of the field of view around the boresight, rad.
-    share
+    visible_fraction
         Fraction of the descent, from its start, during which the site must be visible.
 
     Raises
@@ -71,7 +71,7 @@ class SiteVisibility:
 
     axis: Array
     half_angle: float
-    share: float = 0.7
+    visible_fraction: float = 0.7
 
     def __post_init__(self) -> None:
         axis = numbers("sight.axis", self.axis, (3,), "must be three numbers, not all 0")
@@ -84,8 +84,12 @@ class SiteVisibility:
             raise InputError(
                 "optimal.sight.half_angle", self.half_angle, "must be from 0 to 90 deg, in rad"
             )
-        if not (is_number(self.share) and 0.0 < self.share <= 1.0):
-            raise InputError("optimal.sight.share", self.share, "must be more than 0 and at most 1")
+        if not (is_number(self.visible_fraction) and 0.0 < self.visible_fraction <= 1.0):
+            raise InputError(
+                "optimal.sight.visible_fraction",
+                self.visible_fraction,
+                "must be more than 0 and at most 1",
+            )
 
 
 @dataclass(frozen=True)
@@ -154,7 +158,9 @@ class RigidDescent:
             if getattr(self, name) is None:
                 object.__setattr__(self, name, given)
         if not (self.sight is None or isinstance(self.sight, SiteVisibility)):
-            raise InputError("optimal.sight", type(self.sight).__name__, "must be a Sight or None")
+            raise InputError(
+                "optimal.sight", type(self.sight).__name__, "must be a SiteVisibility or None"
+            )
         self._check_figures()
         try:
             state = self.start_vector
@@ -179,7 +185,10 @@ class RigidDescent:
     def _check_figures(self) -> None:
         low, high = self.lander.thrust_min, self.lander.thrust_max
         given = (self.thrust_min, self.thrust_max)
-        if not (all(map(is_number, given)) and low <= self.least < self.most <= high):
+        if not (
+            all(map(is_number, given))
+            and low <= self.min_thrust_command < self.max_thrust_command <= high
+        ):
             raise InputError(
                 "optimal.thrust_max", list(given),
                 f"must be a range within the engine's, {low} to {high} N",
@@ -206,7 +215,7 @@ class RigidDescent:
             )
 
     def _check_start(self) -> None:
-        """Reject a start that violates the constraints."""
+        """Raise InputError if the initial state violates a constraint."""
         at = self.start.position - self.end_position
         body = Rotation.from_quat(self.start.attitude)
         held: list[tuple[str, float, float | None]] = [
@@ -237,12 +246,12 @@ class RigidDescent:
         return np.concatenate((s.position, s.velocity, s.attitude, s.rate, [s.mass, s.thrust]))
 
     @property
-    def least(self) -> float:
+    def min_thrust_command(self) -> float:
         """Minimum thrust command, N."""
         return float(self.thrust_min or 0.0)
 
     @property
-    def most(self) -> float:
+    def max_thrust_command(self) -> float:
         """Maximum thrust command, N."""
         return float(self.thrust_max or 0.0)
 
@@ -265,7 +274,7 @@ class RigidDescent:
         return Descent(
             position=self.start.position, velocity=self.start.velocity, mass=self.start.mass,
             end_position=self.end_position, end_velocity=self.end_velocity, gravity=self.gravity,
-            thrust_min=self.least, thrust_max=self.most,
+            thrust_min=self.min_thrust_command, thrust_max=self.max_thrust_command,
             exhaust_velocity=self.lander.exhaust_velocity, dry_mass=self.dry_mass,
             max_tilt=self.max_tilt, glideslope=self.glideslope, drop=self.drop,
             max_final_tilt=np.deg2rad(5.0), tilt_rate=np.deg2rad(8.0),

@@ -13,9 +13,9 @@ from lunarsim.optimal.six_dof.motion import (
     SHARES,
     STATES,
     control_units,
-    figures_of,
-    limit_figures,
+    limit_parameters,
     state_units,
+    vehicle_parameters,
 )
 from lunarsim.optimal.six_dof.problem import RigidDescent
 from lunarsim.optimal.units import Units
@@ -38,31 +38,31 @@ class Scale:
     Attributes
     ----------
     descent
-        Problem.
+        Landing problem.
     units
-        Scales.
+        Scales of length, time and mass.
     """
 
     descent: RigidDescent
     units: Units
 
     @classmethod
-    def of(cls, descent: RigidDescent, guess: InitialGuess) -> Scale:
-        """Return the scaling in which distance, time and mass are about 1."""
+    def for_descent(cls, descent: RigidDescent, guess: InitialGuess) -> Scale:
+        """Return the scaling in which distance, time and mass of a descent are about 1."""
         distance = float(np.linalg.norm(descent.start.position - descent.end_position))
         return cls(descent, Units(distance + 1.0, guess.duration, descent.start.mass))
 
     @property
-    def control(self) -> Array:
-        """Maximum thrust and torques (4,)."""
-        return np.array([self.descent.most, *self.descent.torques])
+    def max_control(self) -> Array:
+        """Maximum thrust, N, and torques, N m (4,)."""
+        return np.array([self.descent.max_thrust_command, *self.descent.torques])
 
     @property
     def parameters(self) -> Array:
-        """Parameters of the program (23,)."""
+        """Parameters of the nonlinear program (23,): vehicle, maximum commands, limits."""
         d, u = self.descent, self.units
         return np.concatenate(
-            (figures_of(d, u), self.control / control_units(u), limit_figures(d, u))
+            (vehicle_parameters(d, u), self.max_control / control_units(u), limit_parameters(d, u))
         )
 
     def _scaled(self, states: Array) -> Array:
@@ -70,57 +70,69 @@ class Scale:
         moved[..., :3] -= self.descent.end_position
         return np.asarray(moved / state_units(self.units))
 
-    def start(self, guess: InitialGuess) -> Array:
-        """Return the scaled variables of a guess."""
-        controls = np.column_stack((guess.thrust, guess.torque)) / self.control
+    def scaled_variables(self, guess: InitialGuess) -> Array:
+        """Return the scaled variables of a guess in one vector."""
+        controls = np.column_stack((guess.thrust, guess.torque)) / self.max_control
         return np.concatenate(
             (self._scaled(guess.states).ravel(), controls.ravel(),
              [guess.duration / self.units.time])
         )  # fmt: skip
 
-    def bounds(self, n: int) -> tuple[Array, Array]:
-        """Return bounds of the variables, including initial and final state."""
+    def variable_bounds(self, intervals: int) -> tuple[Array, Array]:
+        """Return lower and upper bounds of the variables, which fix start and end state."""
         d, u = self.descent, self.units
-        low = np.full((n + 1, STATES), -np.inf)
+        low = np.full((intervals + 1, STATES), -np.inf)
         high = -low
         low[:, 13] = d.dry_mass / u.mass
         low[0] = high[0] = self._scaled(d.start_vector)
         end = np.concatenate((d.end_position, d.end_velocity, np.zeros(9)))
         at = [0, 1, 2, 3, 4, 5, 6, 7, 10, 11, 12]
-        low[n, at] = high[n, at] = self._scaled(end)[at]
-        least = np.array([d.least / d.most, -1.0, -1.0, -1.0])
+        low[intervals, at] = high[intervals, at] = self._scaled(end)[at]
+        least = np.array([d.min_thrust_command / d.max_thrust_command, -1.0, -1.0, -1.0])
         return (
-            np.concatenate((low.ravel(), np.tile(least, n), [0.2])),
-            np.concatenate((high.ravel(), np.ones(CONTROLS * n), [5.0])),
+            np.concatenate((low.ravel(), np.tile(least, intervals), [0.2])),
+            np.concatenate((high.ravel(), np.ones(CONTROLS * intervals), [5.0])),
         )
 
-    def rows(self, n: int) -> tuple[Array, Array]:
-        """Return bounds of the constraints: motion, then path constraints after each step."""
-        low = np.zeros((n * _STEPS, LIMITS))
+    def constraint_bounds(self, intervals: int) -> tuple[Array, Array]:
+        """Return lower and upper bounds of the constraints.
+
+        They are those of the motion, then those of the path constraints after each step.
+        """
+        low = np.zeros((intervals * _STEPS, LIMITS))
         d = self.descent
         held = (d.max_tilt, d.max_rate, d.glideslope, d.sight)
         low[:, [limit is None for limit in held]] = -np.inf
         # At the end of the path the glideslope's apex and the direction to the site are undefined.
         low[-1, 2:] = -np.inf
         if d.sight is not None:
-            done = np.arange(n)[:, None] + np.cumsum(SHARES)
-            low[done.ravel() > d.sight.share * n + 1e-9, 3] = -np.inf
-        motion = np.zeros(n * STATES)
+            done = np.arange(intervals)[:, None] + np.cumsum(SHARES)
+            low[done.ravel() > d.sight.visible_fraction * intervals + 1e-9, 3] = -np.inf
+        motion = np.zeros(intervals * STATES)
         return np.concatenate((motion, low.ravel())), np.concatenate(
             (motion, np.full(low.size, np.inf))
         )
 
-    def read(self, x: Array, n: int) -> tuple[Array, Array, float]:
-        """Return states (n + 1, 15), controls (n, 4) and the final time, unscaled."""
-        scaled, shares, total = self.split(x, n)
+    def unscaled_path(self, variables: Array, intervals: int) -> tuple[Array, Array, float]:
+        """Return states (n + 1, 15), controls (n, 4) and final time, in physical units."""
+        scaled, shares, total = self.split(variables, intervals)
         states = scaled * state_units(self.units)
         states[:, :3] += self.descent.end_position
-        controls = shares * self.control
-        controls[:, 0] = np.clip(controls[:, 0], self.descent.least, self.descent.most)
+        controls = shares * self.max_control
+        controls[:, 0] = np.clip(
+            controls[:, 0], self.descent.min_thrust_command, self.descent.max_thrust_command
+        )
         return states, controls, float(total * self.units.time)
 
     @staticmethod
-    def split(x: Array, n: int) -> tuple[Array, Array, float]:
-        """Return scaled states (n + 1, 15), scaled commands (n, 4) and the final time."""
-        nodes = STATES * (n + 1)
-        return x[:nodes].reshape(n + 1, STATES), x[nodes:-1].reshape(n, CONTROLS), float(x[-1])
+    def split(variables: Array, intervals: int) -> tuple[Array, Array, float]:
+        """Split a vector of variables into states, commands and final time, all scaled.
+
+        States are (n + 1, 15) and commands (n, 4).
+        """
+        nodes = STATES * (intervals + 1)
+        return (
+            variables[:nodes].reshape(intervals + 1, STATES),
+            variables[nodes:-1].reshape(intervals, CONTROLS),
+            float(variables[-1]),
+        )

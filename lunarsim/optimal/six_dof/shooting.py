@@ -17,7 +17,13 @@ import numpy as np
 from lunarsim.optimal.errors import SolverError
 from lunarsim.optimal.six_dof.compiled_solver import compiled_library
 from lunarsim.optimal.six_dof.guess import InitialGuess, initial_guess
-from lunarsim.optimal.six_dof.motion import CONTROLS, SHARES, STATES, interval, limits
+from lunarsim.optimal.six_dof.motion import (
+    CONTROLS,
+    SHARES,
+    STATES,
+    interval_function,
+    limit_function,
+)
 from lunarsim.optimal.six_dof.path import RigidPath
 from lunarsim.optimal.six_dof.problem import RigidDescent
 from lunarsim.optimal.six_dof.scale import EFFORT, PARAMETERS, Scale
@@ -40,14 +46,14 @@ def shoot(
     max_iterations: int = 300,
     compiled: bool = False,
 ) -> RigidPath:
-    """Compute the minimum-propellant path of a rigid body.
+    """Compute the minimum-propellant path of a rigid body by direct multiple shooting.
 
     Parameters
     ----------
     descent
-        Problem.
+        Landing problem.
     intervals
-        N, with constant thrust and torques in each.
+        Number of intervals, with constant thrust and torques in each.
     guess
         Initial guess; None: the optimum of a point mass.
     max_iterations
@@ -70,12 +76,12 @@ def shoot(
     )
     start_time = time.perf_counter()
     guess = initial_guess(descent, intervals) if guess is None else guess.resample(intervals)
-    scale = Scale.of(descent, guess)
+    scale = Scale.for_descent(descent, guess)
     solver = _solver(intervals, max_iterations, compiled)
-    low, high = scale.bounds(intervals)
+    low, high = scale.variable_bounds(intervals)
     got = solver(
-        x0=scale.start(guess), p=scale.parameters, lbx=low, ubx=high,
-        **dict(zip(("lbg", "ubg"), scale.rows(intervals), strict=True)),
+        x0=scale.scaled_variables(guess), p=scale.parameters, lbx=low, ubx=high,
+        **dict(zip(("lbg", "ubg"), scale.constraint_bounds(intervals), strict=True)),
     )  # fmt: skip
     stats = solver.stats()
     if not stats["success"]:
@@ -84,7 +90,7 @@ def shoot(
             f"{stats['iter_count']} iterations."
         )
     x = np.asarray(got["x"]).ravel()
-    states, controls, duration = scale.read(x, intervals)
+    states, controls, duration = scale.unscaled_path(x, intervals)
     return RigidPath(
         descent, duration, states, controls[:, 0], controls[:, 1:], int(stats["iter_count"]),
         time.perf_counter() - start_time,
@@ -92,29 +98,36 @@ def shoot(
 
 
 @lru_cache(maxsize=8)
-def _solver(n: int, max_iterations: int, compiled: bool) -> Any:
-    """Return IPOPT for n intervals."""
+def _solver(intervals: int, max_iterations: int, compiled: bool) -> Any:
+    """Return the cached IPOPT solver for a number of intervals."""
     options = {**_OPTIONS, "ipopt.max_iter": max_iterations}
     if not compiled:
-        return casadi.nlpsol("six_dof", "ipopt", _program(n), options)
-    path = compiled_library(f"six_dof_{n}", lambda: casadi.nlpsol("six_dof", "ipopt", _program(n)))
+        return casadi.nlpsol("six_dof", "ipopt", _program(intervals), options)
+    path = compiled_library(
+        f"six_dof_{intervals}", lambda: casadi.nlpsol("six_dof", "ipopt", _program(intervals))
+    )
     return casadi.nlpsol("six_dof", "ipopt", str(path), options)
 
 
-def _program(n: int) -> dict[str, Any]:
-    """Return variables, parameters, cost and constraints of n intervals."""
-    x = casadi.MX.sym("x", STATES, n + 1)
-    v = casadi.MX.sym("v", CONTROLS, n)
+def _program(intervals: int) -> dict[str, Any]:
+    """Return the nonlinear program for `casadi.nlpsol`, for a number of intervals.
+
+    It consists of variables, parameters, cost and constraints.
+    """
+    x = casadi.MX.sym("x", STATES, intervals + 1)
+    v = casadi.MX.sym("v", CONTROLS, intervals)
     total = casadi.MX.sym("T")
     p = casadi.MX.sym("p", PARAMETERS)
-    controls = v * casadi.repmat(p[11:15], 1, n)
-    states = interval().map(n)(x[:, :n], controls, total / n, p[:11])
+    controls = v * casadi.repmat(p[11:15], 1, intervals)
+    states = interval_function().map(intervals)(
+        x[:, :intervals], controls, total / intervals, p[:11]
+    )
     ends = states[:, _STEPS - 1 :: _STEPS]
-    held = limits().map(n * _STEPS)(states, p[15:])
-    effort = casadi.sumsqr(v[1:, :]) / n
+    held = limit_function().map(intervals * _STEPS)(states, p[15:])
+    effort = casadi.sumsqr(v[1:, :]) / intervals
     return {
         "x": casadi.vertcat(casadi.vec(x), casadi.vec(v), total),
         "p": p,
-        "f": -x[13, n] + EFFORT * effort,
+        "f": -x[13, intervals] + EFFORT * effort,
         "g": casadi.vertcat(casadi.vec(ends - x[:, 1:]), casadi.vec(held)),
     }

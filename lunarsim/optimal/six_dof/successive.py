@@ -45,12 +45,15 @@ _MAX_DEFECT, _MAX_VIOLATION = 2e-5, 5e-3
 
 
 class SuccessiveConvexification:
-    """Solver that keeps and updates programs of one structure.
+    """Solver for the descent of a rigid body by a sequence of quadratic programs.
+
+    Each program is linearised at the path of the previous one. All have the same structure, so they
+    are updated instead of built.
 
     Parameters
     ----------
     intervals
-        N, with constant thrust and torques in each.
+        Number of intervals, with constant thrust and torques in each.
     max_programs
         Maximum number of programs.
 
@@ -74,7 +77,7 @@ class SuccessiveConvexification:
         Parameters
         ----------
         descent
-            Problem.
+            Landing problem.
         guess
             Initial guess; None: the optimum of a point mass.
 
@@ -87,10 +90,10 @@ class SuccessiveConvexification:
         """
         n, start_time = self.intervals, time.perf_counter()
         guess = initial_guess(descent, n) if guess is None else guess.resample(n)
-        scale = Scale.of(descent, guess)
-        x, v, total = scale.split(scale.start(guess), n)
+        scale = Scale.for_descent(descent, guess)
+        x, v, total = scale.split(scale.scaled_variables(guess), n)
         path, programs = self.iterate(scale, LinearisedPath.at(x, v, total / n, scale))
-        states, controls, duration = scale.read(
+        states, controls, duration = scale.unscaled_path(
             np.concatenate((path.x.ravel(), path.v.ravel(), [n * path.length])), n
         )
         return RigidPath(
@@ -98,17 +101,17 @@ class SuccessiveConvexification:
             time.perf_counter() - start_time,
         )  # fmt: skip
 
-    def iterate(self, scale: Scale, point: LinearisedPath) -> tuple[LinearisedPath, int]:
-        """Return the converged path and the number of programs."""
+    def iterate(self, scale: Scale, path: LinearisedPath) -> tuple[LinearisedPath, int]:
+        """Solve programs until convergence; return the path and the number of programs."""
         penalty, joining = _INITIAL_PENALTY, False
-        merits = [point.merit]
+        merits = [path.merit]
         for programs in range(1, self.max_programs + 1):
-            program = self._layout.build(scale, point, _JOINING_PENALTY if joining else penalty)
-            z = self._solve(program)
-            if z is None:
+            program = self._layout.build(scale, path, _JOINING_PENALTY if joining else penalty)
+            variables = self._solve(program)
+            if variables is None:
                 penalty, joining = 6.0 * penalty, False
                 continue
-            new = LinearisedPath.at(*self._layout.read(z, point.x[0]), scale)
+            new = LinearisedPath.at(*self._layout.split(variables, path.x[0]), scale)
             if joining and new.max_defect < _MAX_DEFECT and new.violation < _MAX_VIOLATION:
                 return new, programs
             reference_merit = max(merits[-_MEMORY:])
@@ -116,26 +119,26 @@ class SuccessiveConvexification:
             ratio = (reference_merit - new.merit) / max(predicted_gain, 1e-12)
             if not joining and ratio < _REJECT_RATIO and predicted_gain > 0.0:
                 penalty = min(6.0 * penalty, _MAX_PENALTY)
-                joining = penalty > _LONG_STEP_PENALTY and point.max_defect < _SMALL_DEFECT
+                joining = penalty > _LONG_STEP_PENALTY and path.max_defect < _SMALL_DEFECT
                 continue
             is_converged = (
-                abs(new.propellant_used - point.propellant_used)
+                abs(new.propellant_used - path.propellant_used)
                 < _CONVERGED_CHANGE * new.propellant_used
                 and new.max_defect < _SMALL_DEFECT
             )
             joining = is_converged and (joining or penalty <= _LONG_STEP_PENALTY)
             if ratio > _ACCEPT_RATIO:
                 penalty = max(penalty / 3.0, _MIN_PENALTY)
-            point = new
+            path = new
             merits.append(new.merit)
         raise SolverError(
             f"Successive convexification does not converge in {self.max_programs} programs: defect "
-            f"{point.max_defect:.1e}, constraint violation {point.violation:.1e}."
+            f"{path.max_defect:.1e}, constraint violation {path.violation:.1e}."
         )
 
-    def _solve(self, filled: QuadraticProgram) -> Array | None:
-        """Return the variables of a program, or None if QOCO fails."""
-        f = filled
+    def _solve(self, program: QuadraticProgram) -> Array | None:
+        """Return the solution of a program, or None if QOCO fails."""
+        f = program
         if self._solver is None:
             self._solver = qoco.QOCO()
             self._solver.setup(

@@ -17,22 +17,22 @@ from lunarsim.rocks.size_distribution import golombek_cover
 
 
 def test_rocks_of_all_sizes_cover_what_the_law_says():
-    rocks = ExpectedRocks.of(0.05, 0.5)
+    rocks = ExpectedRocks.golombek(0.05, 0.5)
     covered = float(rocks.number @ (np.pi * rocks.radius**2))
     assert covered == pytest.approx(golombek_cover(0.5, 0.05) - golombek_cover(4.0, 0.05), rel=1e-9)
-    assert rocks.hazard(0.0) == pytest.approx(covered, rel=0.01)
-    assert rocks.hazard(1.1) > 10.0 * covered
+    assert rocks.hazard_probability(0.0) == pytest.approx(covered, rel=0.01)
+    assert rocks.hazard_probability(1.1) > 10.0 * covered
 
 
 @pytest.mark.parametrize(("cover", "least"), [(0.0, 0.5), (-0.1, 0.5), (np.nan, 0.5), (0.05, 0.0),
                                               (0.05, 4.0), (0.05, np.nan)])  # fmt: skip
 def test_rocks_that_cannot_be_are_refused(cover, least):
     with pytest.raises(InputError):
-        ExpectedRocks.of(cover, least)
+        ExpectedRocks.golombek(cover, least)
 
 
 def test_a_look_that_misses_nothing_tells_all_and_one_that_misses_all_nothing():
-    rocks = ExpectedRocks.of(0.08, 0.5)
+    rocks = ExpectedRocks.golombek(0.08, 0.5)
     assert removed_uncertainty(rocks, 1.0, lambda q: 0.0 * q, 3.0) == pytest.approx(1.0)
     assert removed_uncertainty(rocks, 1.0, lambda q: 0.0 * q + 1.0, 3.0) == pytest.approx(0.0)
     told = removed_uncertainty(rocks, 1.0, DetectionRates().false_clear, np.linspace(0.0, 40.0, 81))
@@ -44,8 +44,8 @@ def test_a_look_that_misses_nothing_tells_all_and_one_that_misses_all_nothing():
 def test_it_is_the_mutual_information_of_hazard_and_look():
     """Drawn: of a million places, those with a hazard show one unless it is missed."""
     rng = np.random.default_rng(4)
-    rocks, missed = ExpectedRocks.of(0.1, 0.5), 0.3
-    hazard = rng.random(1_000_000) < rocks.hazard(1.1)
+    rocks, missed = ExpectedRocks.golombek(0.1, 0.5), 0.3
+    hazard = rng.random(1_000_000) < rocks.hazard_probability(1.1)
     shown = hazard & (rng.random(hazard.size) > missed)
     joint = np.array([[np.mean(hazard & shown), np.mean(hazard & ~shown)],
                       [np.mean(~hazard & shown), np.mean(~hazard & ~shown)]])  # fmt: skip

@@ -77,7 +77,7 @@ def scored(eyes, plans, nodes, vehicle, *, max_final_tilt=0.9, least=45.0):
     tables, figures, stations = as_arrays(eyes)
     out = np.empty((len(plans), 2))
     rows = np.array([[*n["at"], n["weight"], n["known"], n["needs"]] for n in nodes])
-    kernels.score(
+    kernels.score_paths(
         np.array([R, V]), TARGET, SPEED, plans, table(FINE), table(COARSE), POWERS,
         np.array(vehicle), np.tan(max_final_tilt), np.array([*SITE, SITE[2] + STANDING, least]),
         rows,

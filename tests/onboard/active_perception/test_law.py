@@ -30,7 +30,7 @@ def test_it_plans_over_the_site_and_pays_for_it(paper):
         assert isinstance(law, PlansArrival)
         assert isinstance(law, UsesHazardMap)
         assert np.isfinite(law.command(*asked, 0.0, 47.0)).all()
-    assert free.plan.known > cheap.plan.known + 0.03
+    assert free.plan.known_fraction > cheap.plan.known_fraction + 0.03
     assert cheap.plan.propellant < free.plan.propellant < cheap.plan.propellant + 1.5
     assert free.arrival == pytest.approx(free.plan.time_to_go + 0.3)
     assert free.events[-1][1] == "guidance-planned"
@@ -42,7 +42,7 @@ def test_knowledge_that_costs_too_much_is_not_bought(paper):
     for law in (dear, free):
         law.command(*asked, 0.0, 47.0)
     assert dear.plan.propellant < free.plan.propellant - 0.2
-    assert dear.plan.known < free.plan.known
+    assert dear.plan.known_fraction < free.plan.known_fraction
 
 
 def test_ground_that_is_known_is_not_looked_at_again(paper):
@@ -53,7 +53,7 @@ def test_ground_that_is_known_is_not_looked_at_again(paper):
     law.hazard_map_source = lambda: HazardMap(grid, sure, np.ones(grid.shape, bool))
     for one in (law, unknown):
         one.command(*asked, 0.0, 47.0)
-    assert law.plan.known > 0.99
+    assert law.plan.known_fraction > 0.99
     # There is nothing left to see: the cheapest path is taken.
     assert law.plan.propellant < unknown.plan.propellant
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from lunarsim.onboard.active_perception.guidance import InformationSeekingLaw
-from lunarsim.onboard.active_perception.planner import PathPlan, SeekingPlanner, vehicle_params
+from lunarsim.onboard.active_perception.planner import InformationPlanner, PathPlan, vehicle_params
 from lunarsim.onboard.active_perception.sensor_coverage import (
     build_coverage_models,
     footprint_radius,
@@ -28,7 +28,7 @@ def asked(paper):
 
 
 def planner(eye, looks=None, candidates=600, max_final_tilt=0.9):
-    return SeekingPlanner(
+    return InformationPlanner(
         [eye], [looks or MeasurementAltitudes()], candidates, PRICE, max_final_tilt
     )
 
@@ -118,7 +118,7 @@ def test_the_second_search_finds_what_is_better_than_the_best_of_the_first(asked
     one = planner(eye)
     first = worth(one, problem, one.sample_plans(problem, 47.0, 400)).max()
     plan = one.best(problem, 47.0, MOST, None)
-    assert plan.known - PRICE * plan.propellant > first + 1e-3
+    assert plan.known_fraction - PRICE * plan.propellant > first + 1e-3
 
 
 def test_what_is_flown_stays_unless_another_is_better(asked):
@@ -127,7 +127,7 @@ def test_what_is_flown_stays_unless_another_is_better(asked):
     few = planner(eye, candidates=30)
     alone = few.best(problem, 47.0, MOST, None)
     kept = few.best(problem, 47.0, MOST, flown)
-    value = [p.known - PRICE * p.propellant for p in (alone, flown, kept)]
+    value = [p.known_fraction - PRICE * p.propellant for p in (alone, flown, kept)]
     assert value[0] < value[1] - 1e-3
     assert value[2] >= value[1] - 1e-12
     assert isinstance(kept, PathPlan)

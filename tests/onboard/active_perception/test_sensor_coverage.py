@@ -14,9 +14,9 @@ from lunarsim.onboard.active_perception.sensor_coverage import (
     build_camera_model,
     build_coverage_models,
     build_lidar_model,
-    directions,
     mean_rock_height,
     position_variance,
+    table_directions,
 )
 from lunarsim.onboard.perception.shape_mixture import ShapeMixture
 from lunarsim.rocks.population import RockExpectation
@@ -44,7 +44,7 @@ def camera():
 
 def test_a_camera_is_as_sharp_as_the_shadow_model_says(camera):
     model = ShapeMixture(np.radians(20.0), "cube")
-    azimuth, depression = directions()
+    azimuth, depression = table_directions()
     for i, j in ((0, 12), (16, 20), (32, 30), (25, 8)):
         q = model.visible_pixels(0.4, azimuth[i, j], depression[i, j], 150.0 / 554.3)
         assert 0.4 * camera.sharpness[i, j] / (150.0 / 554.3) == pytest.approx(float(q))
@@ -78,7 +78,7 @@ def test_places_seen_at_a_grazing_angle_lie_astray(camera):
 
 def test_a_lidar_misses_what_no_return_falls_on():
     eye = build_lidar_model("flash", LidarInstrument(np.pi), briefing(), 0.5)
-    _, depression = directions()
+    _, depression = table_directions()
     np.testing.assert_allclose(eye.sharpness, np.sqrt(np.sin(depression)))
     # Returns on a disc of 0.25 m from 200 m, straight down: one every 0.156 m.
     sharpness = 1.0 / (200.0 * eye.pixel)
@@ -94,7 +94,7 @@ def test_a_lidar_misses_what_no_return_falls_on():
     assert eye.visible_fraction[0, 0] == 0.0
     assert eye.visible_fraction[0, -1] == pytest.approx(1.0)
     # Rocks before it hide so much of the ground at 30 deg.
-    rocks = ExpectedRocks.of(0.05, 0.3)
+    rocks = ExpectedRocks.golombek(0.05, 0.3)
     hidden = (
         2.0 * mean_rock_height(briefing().rocks) * rocks.number @ rocks.radius**2 * np.sqrt(3.0)
     )
@@ -105,7 +105,7 @@ def test_beyond_the_greatest_incidence_nothing_comes_back():
     eye = build_lidar_model(
         "flash", LidarInstrument(np.pi, max_incidence=np.radians(60.0)), briefing(), 0.5
     )
-    _, depression = directions()
+    _, depression = table_directions()
     assert (eye.sharpness[depression < np.radians(29.9)] == 0.0).all()
     assert (eye.sharpness[depression > np.radians(30.1)] > 0.0).all()
 

@@ -50,7 +50,7 @@ def test_lead_makes_up_for_a_first_order_lag():
     target = PhaseEnd(np.array([0.0, 0.0, 10.0]), np.array([0.0, 0.0, -2.0]))
 
     def miss(lead: float) -> tuple[float, float]:
-        law = PathGuidance(APOLLO, G, lead=lead)
+        law = PathGuidance(APOLLO, G, lag=lead)
         y = np.array([-60.0, 40.0, 120.0, 9.0, 0.0, -12.0, 0.0, 0.0, 0.0])
         for n in range(140):
             command = law.command(estimate(y[:3], y[3:6]), target, 0.1 * n, 14.0 - 0.1 * n)

@@ -141,7 +141,7 @@ def test_the_time_of_a_jerk_is_that_of_the_path(jerk):
         np.array([0.0, 0.0, 900.0]), np.array([120.0, 0.0, -30.0]), np.array([-2.0, 0, 0])
     )
     r, v = np.array([-90_000.0, 40.0, 5_000.0]), np.array([700.0, 0.0, -60.0])
-    t = time_to_go_for_jerk(estimate(r, v), end, jerk, 150.0, share=np.inf)
+    t = time_to_go_for_jerk(estimate(r, v), end, jerk, 150.0, max_change=np.inf)
     path, h = APOLLO.path(r, v, end, t), 1e-3
     slope = (path.at(t)[2] - path.at(t - h)[2])[0] / h
     assert slope == pytest.approx(jerk, abs=2e-6)

@@ -17,8 +17,10 @@ def test_rates_are_cut_lines():
 
 def test_edges_are_wider_by_the_root_of_squares_and_never_narrower():
     rates = DetectionRates(blur=0.5)
-    assert rates.wider(0.5) == rates.wider(0.0) == 1.0
-    assert rates.wider(1.2) == pytest.approx(((1.44 + 1.0 / 12.0) / (0.25 + 1.0 / 12.0)) ** 0.5)
+    assert rates.relative_edge_width(0.5) == rates.relative_edge_width(0.0) == 1.0
+    assert rates.relative_edge_width(1.2) == pytest.approx(
+        ((1.44 + 1.0 / 12.0) / (0.25 + 1.0 / 12.0)) ** 0.5
+    )
     for blur in (-0.1, float("nan"), float("inf")):
         with pytest.raises(InputError, match=r"rates\.blur"):
             DetectionRates(blur=blur)

@@ -148,7 +148,7 @@ def test_sides_equal_plain_sums():
     patch, ring = np.zeros((2, 30, 36), np.uint16)
     patch[5:12, 6:14], patch[15:25, 20:30] = 1, 2
     ring[3:14, 4:16], ring[13:27, 18:32] = 1, 2
-    found = kernels.two_sides(image, patch, ring, 2, 0.1)
+    found = kernels.sum_dark_and_bright(image, patch, ring, 2, 0.1)
     v, u = np.mgrid[:30, :36]
     for k in (1, 2):
         beside = (ring == k) & (patch == 0)

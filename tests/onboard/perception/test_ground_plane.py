@@ -17,7 +17,7 @@ from lunarsim.onboard.perception.detector import detect_rocks
 from lunarsim.onboard.perception.ground_plane import LEVEL, GroundPlane
 from lunarsim.onboard.perception.image_quality import ImageQualityCheck
 from lunarsim.onboard.perception.shadow_direction import measure_shadow_angle
-from lunarsim.onboard.perception.shadow_model import ShadowModel, near_elevation
+from lunarsim.onboard.perception.shadow_model import ShadowModel, tabulated_elevation
 from lunarsim.rocks.field import RockModel
 from lunarsim.rocks.size_distribution import sample_diameters
 from lunarsim.world.terrain import Terrain, place_rocks
@@ -80,9 +80,9 @@ def turn(scene, plane, sun):
         scene.counts, scene.camera, scene.state, sun, terrain=plane, model=scene.model
     )
     before = ImageQualityCheck().before_detection(scene.counts, scene.camera, scene.state)
-    onto = plane.direction(sun)
+    onto = plane.level_direction(sun)
     return measure_shadow_angle(
-        seen, plane.view(scene.camera.view(scene.state)),
+        seen, plane.level_view(scene.camera.view(scene.state)),
         np.column_stack((seen.terrain_xy, np.zeros(len(seen)))), onto,
         scene.model.under(float(np.arcsin(onto[2]))), before.metrics["noise"],
     )  # fmt: skip
@@ -111,7 +111,7 @@ def test_looks_are_as_sharp_as_shadows_along_the_plane_are_long(scene):
     xy = np.stack(np.meshgrid(evidence.grid.x[::4], evidence.grid.y[::4]), -1)
     place = np.dstack((xy, plane.heights(xy.reshape(-1, 2)).reshape(xy.shape[:2])))
     focal = float(np.sqrt(view.fx * view.fy))
-    model = scene.model.under(float(np.arcsin(plane.direction(scene.sun)[2])))
+    model = scene.model.under(float(np.arcsin(plane.level_direction(scene.sun)[2])))
     sharp = model.visible_pixels(
         1.0, *viewing_geometry(place, view.position, focal, scene.sun, plane)
     )
@@ -128,7 +128,7 @@ def test_ground_above_the_camera_shows_no_rocks(scene):
     """Lines of sight that go up meet it, from below."""
     rise = 2.0 * np.array(scene.state.position[:2]) / np.hypot(*scene.state.position[:2])
     over = GroundPlane.through((0.0, 0.0, 0.0), rise)
-    assert over.points(scene.state.position)[2] < 0.0
+    assert over.level_points(scene.state.position)[2] < 0.0
     assert len(read(scene, over)) == 0
 
 
@@ -191,18 +191,18 @@ def test_coordinates_in_which_a_plane_is_level():
     xy = rng.normal(0.0, 30.0, (20, 2))
     on = np.column_stack((xy, plane.heights(xy)))
     assert plane.heights(np.array([[3.0, -2.0]])) == pytest.approx(5.0)
-    np.testing.assert_allclose(plane.points(on)[:, 2], 0.0, atol=1e-12)
+    np.testing.assert_allclose(plane.level_points(on)[:, 2], 0.0, atol=1e-12)
     # A point comes to lie in the same pixel.
     axes = np.linalg.qr(rng.normal(size=(3, 3)))[0]
     view = View(np.array([1.0, 2.0, 90.0]), axes, 500.0, 500.0, 0.0, 0.0, 640, 480)
-    other = plane.view(view)
+    other = plane.level_view(view)
     np.testing.assert_allclose(
-        (plane.points(on) - other.position) @ other.enu_to_sensor.T,
+        (plane.level_points(on) - other.position) @ other.enu_to_sensor.T,
         (on - view.position) @ axes,
         atol=1e-9,
     )
-    assert plane.direction(np.array([0.0, 0.0, 1.0])) == pytest.approx([0.0, 0.0, 1.0])
-    assert LEVEL.view(view).axes is view.axes
+    assert plane.level_direction(np.array([0.0, 0.0, 1.0])) == pytest.approx([0.0, 0.0, 1.0])
+    assert LEVEL.level_view(view).axes is view.axes
 
 
 @pytest.mark.parametrize("gradient", [(0.0, 0.0), (0.2, -0.1), (-0.25, 0.1)])
@@ -233,13 +233,13 @@ def test_ground_shows_as_many_pixels_as_level_ground_of_its_aspect(gradient):
 
 def test_tables_are_made_for_few_suns():
     start = np.radians(20.0)
-    assert near_elevation(start, start) == start
+    assert tabulated_elevation(start, start) == start
     for degrees in np.linspace(5.0, 60.0, 40):
-        near = near_elevation(np.radians(degrees), start)
+        near = tabulated_elevation(np.radians(degrees), start)
         assert np.tan(near) / np.tan(np.radians(degrees)) == pytest.approx(1.0, abs=0.05)
     # Ground that slopes away from the Sun by more than it is high lies in its own shadow.
     for degrees, least in ((-6.0, 2.0), (0.0, 2.0), (1.9, 2.0), (85.0, 80.0)):
-        assert near_elevation(np.radians(degrees), start) == pytest.approx(np.radians(least))
+        assert tabulated_elevation(np.radians(degrees), start) == pytest.approx(np.radians(least))
     model = ShadowModel(start)
     assert model.under(start + 1e-4) is model
     assert model.under(np.radians(12.0)).patch(0.0, 1.0).length > model.patch(0.0, 1.0).length

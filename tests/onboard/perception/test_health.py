@@ -289,7 +289,7 @@ def test_half_a_picture_from_before_the_shutter_is_noticed(scene):
     ],
 )
 def test_settings_must_make_sense(name, value):
-    with pytest.raises(InputError, match=rf"health\.{name}"):
+    with pytest.raises(InputError, match=rf"image_quality\.{name}"):
         ImageQualitySettings(**{name: value})
 
 

@@ -9,7 +9,7 @@ from scipy.stats import norm
 from lunarsim.frames import direction_from_angles
 from lunarsim.onboard.perception import _image_quality_kernels as kernels
 from lunarsim.onboard.perception.detector import detect_rocks
-from lunarsim.onboard.perception.high_sun_direction import more_certain
+from lunarsim.onboard.perception.high_sun_direction import more_accurate_angle
 from lunarsim.onboard.perception.image_quality import (
     ImageQualityCheck,
     ImageRejection,
@@ -128,9 +128,9 @@ def _seen():
 def test_of_two_measurements_the_better_counts_and_none_if_they_contradict():
     good, poor = SunAngle(0.1, 0.05, 6.0, 30), SunAngle(0.0, 0.2, 3.0, 9)
     none = SunAngle(float("nan"), float("inf"), 0.0, 0)
-    assert more_certain(good, poor) is good and more_certain(poor, good) is good
-    assert more_certain(none, poor) is poor
-    assert not np.isfinite(more_certain(good, SunAngle(1.5, 0.1, 6.0, 30)).sigma)
+    assert more_accurate_angle(good, poor) is good and more_accurate_angle(poor, good) is good
+    assert more_accurate_angle(none, poor) is poor
+    assert not np.isfinite(more_accurate_angle(good, SunAngle(1.5, 0.1, 6.0, 30)).sigma)
 
 
 def test_faces_of_half_spheres_lie_towards_the_sun():
@@ -152,7 +152,7 @@ def test_black_and_lit_equal_plain_sums():
     patch, ring = np.zeros((2, 30, 36), np.uint16)
     patch[5:12, 6:14], patch[15:25, 20:30] = 1, 2
     ring[3:14, 4:16], ring[13:27, 18:32] = 1, 2
-    found = kernels.black_and_lit(relative, above, patch, ring, 2, 0.35, 0.15, 0.5, 0.1)
+    found = kernels.sum_black_and_lit(relative, above, patch, ring, 2, 0.35, 0.15, 0.5, 0.1)
     v, u = np.mgrid[:30, :36]
     for k in (1, 2):
         own, beside = patch == k, (ring == k) & (patch == 0)

@@ -54,7 +54,7 @@ def test_rocks_are_so_long_as_often_as_is_said(shape):
         m.probability_longer_than(1.1, np.ones(1), np.full(1, 0.1))[0] for m in mixture.models
     ]
     told = mixture.probability_longer_than(1.1, np.ones(1), np.full(1, 0.1))
-    assert told == pytest.approx(mixture.shape_shares @ by_shape)
+    assert told == pytest.approx(mixture.shape_fractions @ by_shape)
     assert by_shape[0] > 2.0 * by_shape[3]
 
 
@@ -65,7 +65,7 @@ def test_a_patch_may_be_that_of_a_longer_rock_where_rocks_are_long():
         rocks = RockModel(shape, burial=(0.0, 0.0))
         one = ShapeMixture.known(ShadowModel(sun, rocks))
         unit = one.patch(1.0, high)
-        read = one.read(
+        read = one.estimate_radius(
             unit.length[None], unit.width[None], np.array([1.0]), np.array([high]),
             np.array([0.02]), np.array([0.02]), 0.4,
         )  # fmt: skip

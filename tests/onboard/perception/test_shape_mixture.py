@@ -35,7 +35,7 @@ def taught(model, rng, told=None, slope=0.0):
     mixture = ShapeMixture(SUN, told)
     for _ in range(12):
         _, seen = patches(model, rng, slope=slope)
-        mixture.learn(mixture.read(*seen).weight, np.full(400, 8.0))
+        mixture.update_fractions(mixture.estimate_radius(*seen).weight, np.full(400, 8.0))
     return mixture
 
 
@@ -53,7 +53,7 @@ def test_one_known_shape_is_the_mean_by_inverse_variances():
     mixture = ShapeMixture.known(HALF_SPHERES)
     _, seen = patches(HALF_SPHERES, rng, 30)
     length, width, azimuth, depression, _, _, _ = seen
-    read = mixture.read(*seen)
+    read = mixture.estimate_radius(*seen)
     for k in range(30):
         unit = HALF_SPHERES.patch(azimuth[k], depression[k])
         by = np.array([length[k] / unit.length, width[k] / unit.width])
@@ -75,10 +75,10 @@ def test_one_known_shape_is_the_mean_by_inverse_variances():
 def test_shapes_are_told_by_the_shadows_whatever_the_mission_expects(models, name, told, off):
     rng = np.random.default_rng(2)
     mixture = taught(models[name], rng, told)
-    assert mixture.shape_shares.argmax() == NAMES.index(name)
-    assert mixture.shape_shares[NAMES.index(name)] > 0.6
+    assert mixture.shape_fractions.argmax() == NAMES.index(name)
+    assert mixture.shape_fractions[NAMES.index(name)] > 0.6
     r, seen = patches(models[name], rng)
-    read = mixture.read(*seen)
+    read = mixture.estimate_radius(*seen)
     assert np.median(read.radius / r) == pytest.approx(1.0, abs=off)
     z = (read.radius - r) / read.sigma
     # Where two shapes stay possible what they differ by errs alike in all rocks.
@@ -91,7 +91,7 @@ def test_no_rock_is_larger_than_the_largest_that_a_patch_may_stand_for(models, n
     rng = np.random.default_rng(3)
     mixture = taught(models[name], rng, "cube")
     r, seen = patches(models[name], rng, 2000)
-    assert np.mean(mixture.read(*seen).largest < r) < 0.05
+    assert np.mean(mixture.estimate_radius(*seen).largest < r) < 0.05
 
 
 def mostly_cubes(models):
@@ -101,7 +101,7 @@ def mostly_cubes(models):
     for _ in range(12):
         for name, count in (("cube", 350), ("round", 50)):
             _, seen = patches(models[name], rng, count, 0.07)
-            mixture.learn(mixture.read(*seen).weight, np.full(count, 8.0))
+            mixture.update_fractions(mixture.estimate_radius(*seen).weight, np.full(count, 8.0))
     return mixture, rng
 
 
@@ -109,14 +109,14 @@ def test_few_rocks_are_longer_than_their_patches_may_be(models):
     mixture, rng = mostly_cubes(models)
     r, seen = patches(models["round"], rng, 4000, 0.07)
     ratio = rng.uniform(*models["round"].shapes.axis_ratio, 4000)
-    assert np.mean(mixture.read(*seen).largest < r * ratio**-0.5) < 0.05
+    assert np.mean(mixture.estimate_radius(*seen).largest < r * ratio**-0.5) < 0.05
 
 
 def test_a_shape_is_possible_into_however_many_slopes_its_weight_is_divided(models):
     """Against a loop over patches, shapes and slopes: one shape on one slope read by itself."""
     mixture, rng = mostly_cubes(models)
     _, seen = patches(models["round"], rng, 300, 0.07)
-    read = mixture.read(*seen)
+    read = mixture.estimate_radius(*seen)
     of_shape = np.zeros(300, np.int64)
     for k in range(300):
         weight = read.weight[k].reshape(5, 3)
@@ -126,7 +126,7 @@ def test_a_shape_is_possible_into_however_many_slopes_its_weight_is_divided(mode
             for slope, mine in zip(mixture.slopes, of_slopes, strict=True):
                 one = ShapeMixture.known(mixture.models[m])
                 one.slopes = np.array([slope])
-                alone = one.read(*(a[k : k + 1] for a in seen[:-1]), seen[-1])
+                alone = one.estimate_radius(*(a[k : k + 1] for a in seen[:-1]), seen[-1])
                 if of_slopes.sum() > 0.03 and mine > 0.01:
                     reach = alone.radius[0] + 2.0 * alone.sigma[0]
                     largest = max(largest, mixture.models[m].elongation * reach)
@@ -141,7 +141,7 @@ def test_rounded_rocks_nearly_as_high_as_wide_are_not_taken_for_small_cubes(mode
     rng = np.random.default_rng(9)
     mixture = taught(models["tall"], rng, told)
     r, seen = patches(models["tall"], rng, 1000, radius=0.27)
-    read = mixture.read(*seen)
+    read = mixture.estimate_radius(*seen)
     chance = mixture.probability_longer_than(0.25, read.radius, read.sigma)
     assert np.mean(chance < 0.0025) < 0.01
     assert np.mean(read.largest < 0.25) < 0.02
@@ -154,19 +154,21 @@ def test_slopes_show_in_how_lengths_scatter(models):
     assert level.slope < 0.04
     assert rough.slope > 0.08
     _, seen = patches(models["cube"], rng, 200, radius=0.5)
-    assert np.median(rough.read(*seen).sigma) > 1.15 * np.median(level.read(*seen).sigma)
+    assert np.median(rough.estimate_radius(*seen).sigma) > 1.15 * np.median(
+        level.estimate_radius(*seen).sigma
+    )
 
 
 def test_the_told_shape_is_where_it_starts():
     cube, round_ = ShapeMixture(SUN, "cube"), ShapeMixture(SUN, "mixed")
-    assert cube.shape_shares[4] > 1.5 * cube.shape_shares[1]
-    assert round_.shape_shares[1] > 1.5 * round_.shape_shares[4]
+    assert cube.shape_fractions[4] > 1.5 * cube.shape_fractions[1]
+    assert round_.shape_fractions[1] > 1.5 * round_.shape_fractions[4]
     # Patches of too few pixels teach nothing.
-    before = cube.shares
-    cube.learn(np.eye(15)[:5], np.full(5, 3.0))
-    assert cube.shares == pytest.approx(before)
+    before = cube.hypothesis_fractions
+    cube.update_fractions(np.eye(15)[:5], np.full(5, 3.0))
+    assert cube.hypothesis_fractions == pytest.approx(before)
     assert cube.height == pytest.approx(
-        cube.shape_shares @ [m.height for m in cube.models], rel=1e-9
+        cube.shape_fractions @ [m.height for m in cube.models], rel=1e-9
     )
 
 
@@ -175,7 +177,7 @@ def test_what_was_learnt_of_shapes_holds_under_another_sun(models):
     mixture = taught(models["cube"], rng)
     other = mixture.under(np.radians(13.0))
     assert np.degrees(other.elevation) == pytest.approx(13.0, rel=0.05)
-    np.testing.assert_array_equal(other.shares, mixture.shares)
+    np.testing.assert_array_equal(other.hypothesis_fractions, mixture.hypothesis_fractions)
     assert (other.patch(1.0, 1.0).length > 1.2 * mixture.patch(1.0, 1.0).length).all()
     assert mixture.under(SUN) is mixture
 
@@ -185,14 +187,17 @@ def test_half_spheres_are_told_from_cubes_sunk_in_where_the_mission_expects_them
     rng = np.random.default_rng(12)
     r, seen = patches(HALF_SPHERES, rng, 1000)
     ratio = {
-        told: np.median(taught(HALF_SPHERES, rng, told).read(*seen).radius / r)
+        told: np.median(taught(HALF_SPHERES, rng, told).estimate_radius(*seen).radius / r)
         for told in ("hemisphere", None)
     }
     assert ratio["hemisphere"] == pytest.approx(1.0, abs=0.06)
     assert ratio[None] < 0.85
     # What is told in vain costs no rock: cubes sunk in are read as no smaller than they are.
     r, seen = patches(models["sunk"], rng, 1000)
-    assert np.median(taught(models["sunk"], rng, "hemisphere").read(*seen).radius / r) > 0.95
+    assert (
+        np.median(taught(models["sunk"], rng, "hemisphere").estimate_radius(*seen).radius / r)
+        > 0.95
+    )
     r, seen = patches(models["cube"], rng, 1000)
-    read = taught(models["cube"], rng, "hemisphere").read(*seen)
+    read = taught(models["cube"], rng, "hemisphere").estimate_radius(*seen)
     assert np.median(read.radius / r) == pytest.approx(1.0, abs=0.15)

@@ -197,8 +197,10 @@ class ClearEvidence:
             model_on_plane(self.model, plane, sun),
             model_on_plane(self._low_rocks, plane, sun),
         )
-        sharpness = model.visible_pixels(1.0, azimuth, depression, pixel * self.rates.wider(blur))
-        view, place = plane.view(view), plane.points(place)
+        sharpness = model.visible_pixels(
+            1.0, azimuth, depression, pixel * self.rates.relative_edge_width(blur)
+        )
+        view, place = plane.level_view(view), plane.level_points(place)
         is_visible = (view.position[2] > place[..., 2]) & self._is_position_known(
             xy, position_sigma
         )

@@ -243,7 +243,7 @@ class ShadowMapper(HazardMapper):
         """
         self.seen, self._residual = detections, None
         if isinstance(self.tracker.model, ShapeMixture):
-            self.tracker.model.learn(detections.shapes, detections.q)
+            self.tracker.model.update_fractions(detections.shapes, detections.q)
         plane = self._terrain.plane() or LEVEL
         is_recorded = (
             image.time
@@ -257,7 +257,7 @@ class ShadowMapper(HazardMapper):
             return False
         self.probability.terrain_height = self._height_in_view(image.camera)
         if blind is not None:
-            self._record_visible_terrain(detections.hiding(blind), image, sun, plane)
+            self._record_visible_terrain(detections.with_invalid(blind), image, sun, plane)
         return True
 
     def _record_visible_terrain(
@@ -361,9 +361,9 @@ class ShadowMapper(HazardMapper):
         points = np.column_stack((detections.terrain_xy, np.zeros(len(detections))))
         return measure_shadow_angle(
             detections,
-            plane.view(view),
+            plane.level_view(view),
             points,
-            plane.direction(sun),
+            plane.level_direction(sun),
             model_on_plane(model, plane, sun),
             pixel_noise,
         )

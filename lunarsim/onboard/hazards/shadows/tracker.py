@@ -175,7 +175,7 @@ class RockTracker:
             If the image is older than the last one.
         """
         s = self.settings
-        self._propagate(camera, plane.direction(unit_vector(sun)), time)
+        self._propagate(camera, plane.level_direction(unit_vector(sun)), time)
         variance = detections.radius_sigma**2 + (s.relative_radius_sigma * detections.radius) ** 2
         points = self.filter.terrain_points(camera, detections.pixel, s.region)
         split_count = self._split(detections, points, camera, variance)

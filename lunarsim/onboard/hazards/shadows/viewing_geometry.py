@@ -37,12 +37,12 @@ def viewing_geometry(
     horizontal = np.hypot(to_camera[..., 0], to_camera[..., 1])
     azimuth = np.arctan2(to_camera[..., 0], to_camera[..., 1]) - np.arctan2(sun[0], sun[1])
     pixel = np.hypot(horizontal, to_camera[..., 2]) / focal
-    if plane.level:
+    if plane.is_horizontal:
         return azimuth, np.arctan2(to_camera[..., 2], horizontal), pixel
-    levelled_to_camera = plane.levelled(to_camera)
+    levelled_to_camera = plane.level_vectors(to_camera)
     levelled_to_camera[..., 2] = np.maximum(levelled_to_camera[..., 2], _MIN_HEIGHT_M)
     return (
         azimuth,
         np.arctan2(levelled_to_camera[..., 2], horizontal),
-        plane.seen_pixel(pixel, to_camera, levelled_to_camera),
+        plane.equivalent_pixel(pixel, to_camera, levelled_to_camera),
     )

@@ -99,9 +99,9 @@ def test_the_sun_is_judged_along_the_measured_ground(scene):
     sun = direction_from_angles(AZIMUTH + np.radians(30.0), ELEVATION)
     plane = fit_terrain_plane(Slope(GRADIENT).drawn)
     seen = detect_rocks(counts, camera.model, state, sun, terrain=plane, model=MODEL)
-    onto = plane.direction(sun)
+    onto = plane.level_direction(sun)
     told = measure_shadow_angle(
-        seen, plane.view(camera.model.view(state)),
+        seen, plane.level_view(camera.model.view(state)),
         np.column_stack((seen.terrain_xy, np.zeros(len(seen)))), onto,
         MODEL.under(float(np.arcsin(onto[2]))),
         ImageQualityCheck().before_detection(counts, camera.model, state).metrics["noise"],
@@ -146,7 +146,7 @@ def missed(scene, radius, labels=None):
 def viewing_angles(scene):
     state, camera, _ = scene
     view = camera.model.view(state)
-    towards = PLANE.direction(SUN)
+    towards = PLANE.level_direction(SUN)
     model = MODEL.under(float(np.arcsin(towards[2])))
     focal = float(np.sqrt(view.fx * view.fy))
     return view, model, viewing_geometry(np.zeros((1, 3)), view.position, focal, SUN, PLANE)
