@@ -63,12 +63,16 @@ def lit_posts(z: Array, posting: float, sun: Array) -> NDArray[np.bool_]:
 
 @kernel(parallel=True)
 def scattered_irradiance(
-    z: Array, slope: Array, posting: float, shine: Array, azimuths: int, growth: float
+    z: Array,
+    slope: Array,
+    posting: float,
+    radiance_factor: Array,
+    azimuths: int,
+    distance_factor: float,
 ) -> Array:
-    """Return the irradiance (rows, cols) of a relief by the terrain that it faces.
+    """Return the irradiance (rows, cols) of a relief by sunlit terrain around it.
 
     The irradiance is relative to that of the Sun.
-
     Along each azimuth the terrain is sampled at increasing distances; a sample above all nearer
     ones is visible, and fills the band of elevation angles in between.
 
@@ -80,11 +84,11 @@ def scattered_irradiance(
         Gradient to the east and to the north at each grid point (rows, cols, 2).
     posting
         Grid spacing, m.
-    shine
+    radiance_factor
         Radiance factor I/F of every grid point, equal in all directions (rows, cols).
     azimuths
         Number of azimuths.
-    growth
+    distance_factor
         Factor between consecutive distances, except close to the grid point.
     """
     rows, cols = z.shape
@@ -115,8 +119,8 @@ def scattered_irradiance(
                             here - seen + 0.5 * (np.sin(2.0 * here) - np.sin(2.0 * seen))
                         ) + up * 0.5 * (top * top - sine * sine)
                         # Rounding may make the integral over a narrow band negative.
-                        total += interpolate(shine, row, column) * max(band, 0.0)
+                        total += interpolate(radiance_factor, row, column) * max(band, 0.0)
                         seen, sine = here, top
-                    distance = max(distance + 1.0, distance * growth)
+                    distance = max(distance + 1.0, distance * distance_factor)
             out[i, j] = 2.0 * total / azimuths
     return out
