@@ -131,7 +131,7 @@ class FramingCamera:
         if self.exposure_control == "fixed":
             return camera
         control = ExposureControl(
-            level=self.exposure_level, shortest=self.exposure_min,
+            bright_end_target=self.exposure_level, shortest=self.exposure_min,
             longest=self.exposure_max,
         )  # fmt: skip
         return AutoExposureCamera(camera, control)
