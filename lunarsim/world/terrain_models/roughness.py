@@ -88,7 +88,7 @@ class ReliefRoughness:
         if density == 0.0:
             return relief
         if self.crater_degradation == "diffusion":
-            return self.craters(relief, largest).on(relief)
+            return self.craters(relief, largest).add_to(relief)
         law = CraterLaw(density, self.crater_equilibrium_diameter)
         return add_craters(relief, rng, minimum=self.crater_min_diameter, maximum=largest, law=law)
 
@@ -110,7 +110,7 @@ class ReliefRoughness:
             return add_craters(relief, rng, minimum=min_diameter, maximum=max_diameter, law=law)
         return AgedCraters.draw(
             relief, rng, minimum=min_diameter, maximum=max_diameter, law=law
-        ).on(relief)
+        ).add_to(relief)
 
     def craters(self, relief: Heightfield, largest: float | None = None) -> AgedCraters:
         """Return the craters of a relief whose craters are degraded by diffusion.
