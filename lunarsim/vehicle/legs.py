@@ -51,8 +51,12 @@ class Legs:
         Time limit, s, for coming to rest or tipping over; later the lander counts as unsettled.
     """
 
-    stiffness: float = quantity(2e5, "N/m", gt=0, help="stiffness of a leg and of pad contact")
-    damping: float = quantity(5e3, "N s/m", gt=0, help="damping of a leg and of pad contact")
+    stiffness: float = quantity(
+        2e5, "N/m", gt=0, help="stiffness of each leg, along and across the terrain normal"
+    )
+    damping: float = quantity(
+        5e3, "N s/m", gt=0, help="damping of each leg, along and across the terrain normal"
+    )
     crush_force: float = quantity(1.2e4, "N", gt=0, help="crush force of the honeycomb")
     stroke: float = quantity(0.2, "m", gt=0, help="maximum crush length of the honeycomb")
     friction: float = quantity(0.7, gt=0, le=3, help="friction coefficient of pad and terrain")

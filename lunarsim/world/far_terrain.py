@@ -50,7 +50,7 @@ class FarTerrainSettings:
     )
     hurst: float = quantity(0.8, gt=0, lt=1, help="Hurst exponent of all nested terrain squares")
     margin: float = quantity(
-        0.3, gt=0, le=1, help="width of the blend between nested squares over half a side"
+        0.3, gt=0, le=1, help="width of the blend at the edge of a square, divided by half its side"
     )
     path: Path | None = quantity(
         None, help="elevation raster of the finest square; omitted: fractal terrain"

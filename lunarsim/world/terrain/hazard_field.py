@@ -107,7 +107,9 @@ def _scatter_objects(
                 break
         else:
             raise InputError(
-                "terrain.boulders", count, f"must be fewer: they do not fit on {size:g} m"
+                "terrain.boulders",
+                count,
+                f"must be fewer: they do not fit into a square of side {size:g} m",
             )
         placed = np.vstack((placed, [*p, d]))
     c, s = np.cos(turn), np.sin(turn)

@@ -314,12 +314,12 @@ class RasterHeights:
         numbers = [(z / self.scale.metres - self.scale.offset) / self.scale.scale for z, _ in found]
         if np.dtype(self.source.dtypes[0]).kind in "iu":
             numbers = [float(round(number)) for number in numbers]
-        shown = ", ".join(repr(float(number)).removesuffix(".0") for number in numbers)
-        declared = f"[{shown}]" if len(numbers) > 1 else shown
+        texts = [repr(float(number)).removesuffix(".0") for number in numbers]
+        declared = f"[{', '.join(texts)}]" if len(texts) > 1 else texts[0]
         raise InputError(
             "terrain.path", self.source.name,
-            f"has {sum(count for _, count in found)} points of value {shown}, {gap:.0f} m {side} "
-            "all others",
+            f"has {sum(count for _, count in found)} points of value {' or '.join(texts)}, "
+            f"{gap:.0f} m {side} all others",
             f"Set terrain.dtm_nodata = {declared}, or [] if these heights are real.",
         )  # fmt: skip
 

@@ -51,22 +51,28 @@ class ReliefRoughness:
     """
 
     preset: Literal["none", "mare", "highland", "polar"] = quantity(
-        "none", help="terrain type whose roughness and craters replace omitted keys"
+        "none", help="terrain type; gives the values of omitted roughness and crater keys"
     )
     hurst: float | None = quantity(None, gt=0, lt=1, help="Hurst exponent of the relief")
     rms_slope: float | None = quantity(
         None, "deg", ge=0, lt=45, help="RMS slope over a baseline of 1 m"
     )
     crater_density: float | None = quantity(
-        None, ge=0, le=0.3, help="craters of 1 m or more per m^2 in equilibrium; 0: no craters"
+        None,
+        ge=0,
+        le=0.3,
+        help="number per m^2 of craters of 1 m or more in equilibrium; 0: no craters",
     )
     crater_equilibrium_diameter: float = quantity(
-        200.0, "m", gt=0, help="diameter below which craters are in equilibrium"
+        200.0,
+        "m",
+        gt=0,
+        help="diameter below which new craters erase as many as they add (equilibrium)",
     )
     crater_min_diameter: float = quantity(2.0, "m", gt=0, help="minimum crater diameter")
     crater_degradation: Literal["uniform", "diffusion"] = quantity(
         "uniform",
-        help="crater wear: even (all depths equally likely) or diffusion (most are shallow)",
+        help="crater wear; uniform: all depths equally likely; diffusion: most are shallow",
     )
 
     def procedural_relief(
