@@ -15,15 +15,14 @@ from lunarsim.errors import InputError, check_types
 class ExposureControl:
     """Automatic exposure control from the histogram of the last image.
 
-    The "bright end" of the histogram is the count below which `bright_end_fraction` of the pixels
-    lie.
+    The "bright end" of the histogram is a high percentile of the counts.
 
     Attributes
     ----------
-    level
+    bright_end_target
         Target for the bright end of the histogram, as a fraction of full scale.
-    share
-        Fraction of the pixels that are darker than the bright end.
+    bright_end_fraction
+        Fraction of the pixels that are darker than the bright end; default 0.995.
     shortest, longest
         Limits of the exposure time, s.
     max_change_factor

@@ -16,8 +16,8 @@ from lunarsim.triangulation._geometry_kernels import in_circle, next_edge, orien
 def _fill_pockets(x, y, rows, cols, vertex, twin, used, border):
     """Add triangles in pockets of the outline until it is convex.
 
-    `border[v]` is the half-edge of the outline that starts at vertex v, or -1. Returns the number
-    of half-edges after the additions to `used`; -1 if the outline cannot be closed.
+    `border[v]` is the half-edge of the outline that starts at vertex v, or -1; `used` is the number
+    of half-edges so far. Returns their new number, or -1 if the outline cannot be closed.
     """
     # Start at a point of the hull: it is never in a pocket, so that one pass is sufficient.
     start = 0

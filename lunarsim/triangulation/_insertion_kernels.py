@@ -94,7 +94,7 @@ def _surround_by_ghosts(corner, ghost, vertex, twin):
 
 @kernel(inline=True)
 def _find_triangle(px, py, t, x, y, ghost, vertex, twin):
-    """Return the triangle that contains point p, by a walk from triangle t."""
+    """Return the triangle (ghost triangle) that contains p, by a walk from triangle t."""
     if vertex[3 * t + 2] == ghost:
         t = twin[3 * t] // 3
     came = -1

@@ -69,7 +69,7 @@ def _write_pixel_box(u0, v0, u1, v1, width, height, box, m):
 def visible_rocks(
     rocks, reach, foot, rock_indices, viewpoint, to_sensor, fx, fy, cx, cy, width, height, near
 ):
-    """Return boxes of pixels (m, 4) that rocks may cover; False (m,): covers none.
+    """Return boxes of pixels (m, 4) that rocks may cover, and which have any (m,).
 
     `rocks`, `reach` and `foot` are those of `RockTiles`; `rock_indices` (m,) selects the rocks.
     `viewpoint` (3,) is the camera, `to_sensor` (3, 3) the rotation from ENU, `fx` to `cy` are the

@@ -25,14 +25,8 @@ def interpolate(values: Array, row: float, column: float) -> float:
 def lit_posts(z: Array, posting: float, sun: Array) -> NDArray[np.bool_]:
     """Return which grid points (rows, cols) of a relief see the centre of the Sun.
 
-    Parameters
-    ----------
-    z
-        Elevations (rows, cols), m; NaN casts no shadow.
-    posting
-        Grid spacing, m.
-    sun
-        Unit vector to the Sun (3,), above the horizon.
+    `z` are elevations, m (NaN casts no shadow), `posting` is the grid spacing, m, and `sun` the
+    unit vector to the Sun (3,), above the horizon.
     """
     rows, cols = z.shape
     out = np.zeros(z.shape, np.bool_)
@@ -72,24 +66,13 @@ def scattered_irradiance(
 ) -> Array:
     """Return the irradiance (rows, cols) of a relief by sunlit terrain around it.
 
-    The irradiance is relative to that of the Sun.
-    Along each azimuth the terrain is sampled at increasing distances; a sample above all nearer
-    ones is visible, and fills the band of elevation angles in between.
+    The irradiance is relative to that of the Sun. `z` are elevations, m, and `slope`
+    (rows, cols, 2) their gradients to the east and to the north; `radiance_factor` is the I/F of
+    every grid point, equal in all directions.
 
-    Parameters
-    ----------
-    z
-        Elevations (rows, cols), m.
-    slope
-        Gradient to the east and to the north at each grid point (rows, cols, 2).
-    posting
-        Grid spacing, m.
-    radiance_factor
-        Radiance factor I/F of every grid point, equal in all directions (rows, cols).
-    azimuths
-        Number of azimuths.
-    distance_factor
-        Factor between consecutive distances, except close to the grid point.
+    Along each of `azimuths` azimuths the terrain is sampled at distances that grow by
+    `distance_factor`; a sample above all nearer ones is visible, and fills the band of elevation
+    angles in between.
     """
     rows, cols = z.shape
     out = np.zeros(z.shape)

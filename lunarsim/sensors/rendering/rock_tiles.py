@@ -27,8 +27,8 @@ class DrawnRocks:
     Attributes
     ----------
     box
-        Rectangle of pixels or texels covered by each rock (m, 4), float32: left, upper, right and
-        lower edge; the centre of the first pixel is at 0.
+        Box of pixels or texels that covers each rock (m, 4), float32: minimum column, minimum row,
+        maximum column, maximum row of its edges; the centre of the first pixel is at 0.
     rock_indices
         Indices of the rocks (m,).
     """

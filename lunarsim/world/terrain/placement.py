@@ -28,7 +28,7 @@ class CraterClusters:
     ----------
     x, y, radius
         Centres and radii (n,), m.
-    share
+    cluster_fraction
         Fraction of the rocks that lie around the craters; the others lie anywhere.
     """
 
