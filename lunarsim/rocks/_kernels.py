@@ -15,10 +15,9 @@ from lunarsim._jit import kernel
 
 @kernel()
 def rock_height(x, y, rocks, n, planes, count):
-    """Return the elevation, m, of the top of rock n at (x, y).
+    """Return the elevation (m) of rock n's top at (x, y); -inf outside its outline.
 
-    The result is -inf outside the outline of the rock. `rocks`, `planes` and `count` are the arrays
-    described in the module.
+    `rocks` are rows of `RockField.rows`; `planes` and `count` are those of `ShapeTable`.
     """
     dx = x - rocks[n, 0]
     dy = y - rocks[n, 1]
@@ -48,7 +47,10 @@ def rock_height(x, y, rocks, n, planes, count):
 
 @kernel(inner=True)
 def rock_normal(x, y, z, rocks, n, planes, count, out):
-    """Write the unit outward normal of rock n at (x, y, z) on its surface into `out`."""
+    """Write the unit outward normal of rock n at (x, y, z) on its surface into `out`.
+
+    `rocks` are rows of `RockField.rows`; `planes` and `count` are those of `ShapeTable`.
+    """
     c = rocks[n, 6]
     s = rocks[n, 7]
     dx = x - rocks[n, 0]
@@ -140,8 +142,8 @@ def _polyhedron_hit(ex, ey, ez, fx, fy, fz, planes, faces):
 def rock_hit(ox, oy, oz, dx, dy, dz, rocks, n, planes, count):
     """Return the distance, m, at which a ray enters rock n; inf if it misses.
 
-    The ray starts at (ox, oy, oz) in the direction (dx, dy, dz), ENU; `rocks`, `planes` and `count`
-    are the arrays described in the module.
+    The ray starts at (ox, oy, oz) in the direction (dx, dy, dz), ENU. `rocks` are rows of
+    `RockField.rows`; `planes` and `count` are those of `ShapeTable`.
     """
     c = rocks[n, 6]
     s = rocks[n, 7]

@@ -34,14 +34,14 @@ class ShapeTable:
     Attributes
     ----------
     planes
-        Half spaces n . q <= d of each shape (shapes, most, 4): unit normal n and offset d.
+        Half spaces n . q <= d of each shape (shapes, max count, 4): unit normal n and offset d.
     count
         Number of half spaces of each shape (shapes,); 0 for the hemisphere.
     reach
         Maximum distance of the outline from the axis (shapes,).
     vertices
-        Vertices of each polyhedron's outline and top (shapes, most, 3), padded with NaN: the body
-        is their convex hull, extruded downwards.
+        Vertices of each polyhedron's outline and top (shapes, max vertices, 3), padded with NaN:
+        the body is their convex hull, extruded downwards.
     """
 
     planes: NDArray[np.float64]

@@ -30,23 +30,18 @@ def quantize_increment(truth, matrix, offset, quantum, remainder, out):
 
 
 @kernel()
-def ideal_increments(rows, lift, angle, gained):
+def ideal_increments(states, gravity_increment, angle_increments, velocity_increments):
     """Compute the increments that an error-free IMU measures along a trajectory.
 
-    Parameters
-    ----------
-    rows
-        State vectors (n + 1, 15); the first is the state before the first sample.
-    lift
-        Gravity times the time step, m/s.
-    angle, gained
-        Output: angle (rad) and velocity (m/s) increments (n, 3), body axes.
+    `states` (n + 1, 15) begin before the first sample; `gravity_increment` is gravity times the
+    time step, m/s. The results (n, 3), rad and m/s, body axes, are written into the last two
+    arrays.
     """
     middle = np.empty(4)
     change = np.empty(3)
-    for n in range(rows.shape[0] - 1):
-        p, q = rows[n, 6:10], rows[n + 1, 6:10]
-        rotation_vector_between(p, q, angle[n])
+    for n in range(states.shape[0] - 1):
+        p, q = states[n, 6:10], states[n + 1, 6:10]
+        rotation_vector_between(p, q, angle_increments[n])
         dot = p[0] * q[0] + p[1] * q[1] + p[2] * q[2] + p[3] * q[3]
         sign = -1.0 if dot < 0.0 else 1.0
         size = 0.0
@@ -56,9 +51,9 @@ def ideal_increments(rows, lift, angle, gained):
         for k in range(4):
             middle[k] /= np.sqrt(size)
         for k in range(3):
-            change[k] = rows[n + 1, 3 + k] - rows[n, 3 + k]
-        change[2] += lift
-        rotate_to_body(middle, change, gained[n])
+            change[k] = states[n + 1, 3 + k] - states[n, 3 + k]
+        change[2] += gravity_increment
+        rotate_to_body(middle, change, velocity_increments[n])
 
 
 @kernel()

@@ -25,11 +25,9 @@ class RadarAltimeter:
     boresight: tuple[float, float, float] = quantity(
         (0.0, 0.0, -1.0), help="direction of the beam, unit vector in body axes"
     )
-    noise_ratio: float = quantity(
-        0.01, ge=0, help="standard deviation of the range noise over range"
-    )
+    noise_ratio: float = quantity(0.01, ge=0, help="range noise divided by range, 1 sigma")
     noise_floor: float = quantity(
-        0.1, "m", ge=0, help="constant range noise, 1 sigma, added in quadrature"
+        0.1, "m", ge=0, help="range noise independent of range, 1 sigma, added in quadrature"
     )
     max_range: float = quantity(3000.0, "m", gt=0, help="maximum range with a return")
     max_incidence: float = quantity(

@@ -285,7 +285,7 @@ class Camera(CameraModel):
 
     @cached_property
     def _source_pixels(self) -> tuple[Array, Array]:
-        """Pixel coordinates x, y (height, width) of each pixel before lens distortion."""
+        """Coordinates x, y (height, width) in an undistorted image that each pixel shows."""
         x, y = self.tangents
         assert self.cx is not None
         assert self.cy is not None

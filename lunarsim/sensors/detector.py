@@ -28,14 +28,16 @@ def illumination_falloff(camera: CameraModel, power: float) -> NDArray[np.float3
 
 
 @lru_cache(maxsize=4)
-def dark_current(shape: tuple[int, int], share: float, mean: float, seed: int) -> Array:
+def dark_current(
+    shape: tuple[int, int], hot_fraction: float, mean_current: float, seed: int
+) -> Array:
     """Sample the dark current (height, width), electrons/s, of a detector's pixels.
 
     Parameters
     ----------
     shape
         Height and width, pixels.
-    share, mean
+    hot_fraction, mean_current
         Fraction of hot pixels, and the mean of their exponentially distributed dark current,
         electrons per second.
     seed
@@ -43,8 +45,8 @@ def dark_current(shape: tuple[int, int], share: float, mean: float, seed: int) -
     """
     height, width = shape
     rng = np.random.default_rng([seed, width, height])
-    hot = rng.random(shape) < share
-    return np.where(hot, rng.exponential(1.0, shape) * mean, 0.0)
+    hot = rng.random(shape) < hot_fraction
+    return np.where(hot, rng.exponential(1.0, shape) * mean_current, 0.0)
 
 
 def counts_from_electrons(

@@ -82,7 +82,7 @@ class FramingCamera:
         0.8,
         gt=0,
         lt=1,
-        help="auto exposure: fraction of full scale for the bright end of the histogram",
+        help="auto exposure: target of the 99.5th percentile of counts over full scale",
     )
     exposure_min: float = quantity(
         1e-5, "s", gt=0, le=10, help="auto exposure: minimum exposure time"
@@ -131,7 +131,7 @@ class FramingCamera:
         if self.exposure_control == "fixed":
             return camera
         control = ExposureControl(
-            level=self.exposure_level, shortest=self.exposure_min,
+            bright_end_target=self.exposure_level, shortest=self.exposure_min,
             longest=self.exposure_max,
         )  # fmt: skip
         return AutoExposureCamera(camera, control)

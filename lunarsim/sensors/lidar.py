@@ -54,7 +54,7 @@ class FlashLidar:
         0.1, gt=0, lt=2, help="tangent of half the field-of-view angle"
     )
     noise_ratio: float = quantity(
-        0.05 / 3.0 / 500.0, ge=0, lt=0.1, help="standard deviation of the range noise over range"
+        0.05 / 3.0 / 500.0, ge=0, lt=0.1, help="range noise divided by range, 1 sigma"
     )
     max_range: float = quantity(2000.0, "m", gt=0, help="maximum range with a return")
     pixel_spacing: Literal["tangent", "angle"] = quantity(

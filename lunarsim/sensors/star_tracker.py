@@ -42,10 +42,18 @@ class StarTracker:
         3.0, "deg/s", gt=0, help="maximum angular rate at which stars are tracked"
     )
     min_elevation: float = quantity(
-        20.0, "deg", ge=0, le=90, help="minimum elevation of the boresight above the horizon"
+        20.0,
+        "deg",
+        ge=0,
+        le=90,
+        help="minimum elevation of the boresight at which stars are visible",
     )
     sun_exclusion_angle: float = quantity(
-        30.0, "deg", ge=0, le=90, help="minimum angle between boresight and Sun"
+        30.0,
+        "deg",
+        ge=0,
+        le=90,
+        help="minimum angle from boresight to Sun at which stars are visible",
     )
 
     measurement_type: ClassVar[type] = AttitudeReading

@@ -14,9 +14,10 @@ from lunarsim.triangulation._geometry_kernels import in_circle, next_edge, orien
 
 @kernel()
 def _fill_pockets(x, y, rows, cols, vertex, twin, used, border):
-    """Add triangles until the outline is convex; return the half-edges used.
+    """Add triangles in pockets of the outline until it is convex.
 
-    `border[v]` is the half-edge of the outline that starts at vertex v, or -1.
+    `border[v]` is the half-edge of the outline that starts at vertex v, or -1; `used` is the number
+    of half-edges so far. Returns their new number, or -1 if the outline cannot be closed.
     """
     # Start at a point of the hull: it is never in a pocket, so that one pass is sufficient.
     start = 0
@@ -70,7 +71,10 @@ def _previous_on_outline(vertex, twin, e):
 
 @kernel()
 def _runs_forward(x, y, first, step, count):
-    """Return whether every edge along a mesh side points towards its end."""
+    """Return whether every edge along a side of the mesh points to the side's end.
+
+    The side has the vertices `first`, `first` + `step`, ..., `count` of them.
+    """
     last = first + step * (count - 1)
     ux = x[last] - x[first]
     uy = y[last] - y[first]
@@ -81,15 +85,15 @@ def _runs_forward(x, y, first, step, count):
 
 
 @kernel(inline=True)
-def _pair(twin, e, f):
+def _link_twins(twin, e, f):
     """Link two half-edges as twins."""
     twin[e] = f
     twin[f] = e
 
 
 @kernel(inline=True)
-def _which_diagonal(x, y, a, b, c, d):
-    """Return 1 to cut quad abcd along ac, 2 along bd, 0 if either is inverted."""
+def _choose_diagonal(x, y, a, b, c, d):
+    """Return the Delaunay diagonal of quad abcd: 1 ac, 2 bd, 0 if neither is valid."""
     abc = orient(x[a], y[a], x[b], y[b], x[c], y[c])
     acd = orient(x[a], y[a], x[c], y[c], x[d], y[d])
     abd = orient(x[a], y[a], x[b], y[b], x[d], y[d])
@@ -117,18 +121,18 @@ def _cut_quad(t, a, b, c, d, diagonal, vertex, twin):
     if diagonal == 1:  # a b c, a c d
         vertex[t + 2] = c
         vertex[t + 3] = a
-        _pair(twin, t + 2, t + 3)
+        _link_twins(twin, t + 2, t + 3)
         return t + 1, t + 4, t + 5
     # a b d, b c d
     vertex[t + 2] = d
     vertex[t + 3] = b
-    _pair(twin, t + 1, t + 5)
+    _link_twins(twin, t + 1, t + 5)
     return t + 3, t + 4, t + 2
 
 
 @kernel()
 def _cut_quads(x, y, rows, cols, vertex, twin):
-    """Write two triangles for each quad of the mesh; return if none is folded."""
+    """Write two triangles for each quad of the mesh; return False if one is folded."""
     south = np.empty(cols - 1, np.int64)  # upper half-edges of the quads in the previous row
     for i in range(rows - 1):
         west = -1
@@ -137,23 +141,26 @@ def _cut_quads(x, y, rows, cols, vertex, twin):
             b = a + 1
             d = a + cols
             c = d + 1
-            diagonal = _which_diagonal(x, y, a, b, c, d)
+            diagonal = _choose_diagonal(x, y, a, b, c, d)
             if diagonal == 0:
                 return False
             t = 6 * (i * (cols - 1) + j)
             east, north, left = _cut_quad(t, a, b, c, d, diagonal, vertex, twin)
             if i > 0:
-                _pair(twin, t, south[j])
+                _link_twins(twin, t, south[j])
             if j > 0:
-                _pair(twin, left, west)
+                _link_twins(twin, left, west)
             south[j] = north
             west = east
     return True
 
 
 @kernel()
-def flip_mesh(points, rows, cols):
-    """Return the Delaunay triangles of a detector's mesh; none if it folds over."""
+def triangulate_mesh(points, rows, cols):
+    """Return the Delaunay triangles of a detector's mesh; none if it folds over.
+
+    `points` (rows * cols, 2) are given row by row.
+    """
     n = rows * cols
     nothing = np.empty((0, 3), np.int64)
     x = points[:, 0].copy()

@@ -48,7 +48,7 @@ def _exact_sign(m0, l0, m1, l1, m2, l2):
 
 @kernel()
 def in_circle(ax, ay, bx, by, cx, cy, px, py):
-    """Return 1 if p is inside the circle through a, b, c (CCW), 0 on it."""
+    """Return 1 if p is inside the circle through a, b, c (CCW), 0 on it, -1 outside."""
     ax -= px
     ay -= py
     bx -= px

@@ -14,7 +14,10 @@ from lunarsim.triangulation._geometry_kernels import in_circle, next_edge, orien
 
 @kernel()
 def hilbert_keys(points, bits):
-    """Return the position of every point along a Hilbert curve."""
+    """Return the positions (n,) of points (n, 2) along a Hilbert curve.
+
+    The curve covers a grid of 2^bits points per side.
+    """
     out = np.empty(points.shape[0], np.int64)
     for n in range(points.shape[0]):
         x = points[n, 0]
@@ -34,8 +37,11 @@ def hilbert_keys(points, bits):
 
 
 @kernel()
-def _conflicts(t, vertex, x, y, ghost, px, py):
-    """Return whether point p destroys triangle t."""
+def _in_circumcircle(t, vertex, x, y, ghost, px, py):
+    """Return whether point p lies inside the circumcircle of triangle t.
+
+    For a ghost triangle the circle is the half plane outside its hull edge.
+    """
     a = vertex[3 * t]
     b = vertex[3 * t + 1]
     c = vertex[3 * t + 2]
@@ -69,7 +75,10 @@ def _first_triangle(x, y, order):
 
 @kernel()
 def _surround_by_ghosts(corner, ghost, vertex, twin):
-    """Write the first triangle and a ghost triangle outside each of its edges."""
+    """Write the first triangle and a ghost triangle outside each of its edges.
+
+    A ghost triangle joins an edge of the hull to the `ghost` vertex at infinity.
+    """
     for e in range(3):
         vertex[e] = corner[e]
         t = e + 1  # ghost outside half-edge e
@@ -84,8 +93,8 @@ def _surround_by_ghosts(corner, ghost, vertex, twin):
 
 
 @kernel(inline=True)
-def _walk_to(px, py, t, x, y, ghost, vertex, twin):
-    """Walk from triangle t to a triangle that point p destroys."""
+def _find_triangle(px, py, t, x, y, ghost, vertex, twin):
+    """Return the triangle (ghost triangle) that contains p, by a walk from triangle t."""
     if vertex[3 * t + 2] == ghost:
         t = twin[3 * t] // 3
     came = -1
@@ -107,40 +116,40 @@ def _walk_to(px, py, t, x, y, ghost, vertex, twin):
 
 @kernel(inline=True)
 def _dig_cavity(px, py, t, x, y, ghost, vertex, twin, marked, stack, cavity, rim):
-    """List all triangles that p destroys, including t, and the cavity's rim.
+    """List the triangles whose circumcircle contains p (the cavity), and its rim.
 
-    The rim consists of the half-edges outside. Returns the numbers of triangles and of half-edges;
-    the marks are cleared.
+    `cavity` receives the triangles, including t, and `rim` the adjacent half-edges outside. Returns
+    their numbers; `marked` and `stack` are scratch.
     """
     top = 1
     stack[0] = t
     marked[t] = 1
-    holes = 0
-    edges = 0
+    cavity_size = 0
+    rim_size = 0
     while top > 0:
         top -= 1
         t = stack[top]
-        cavity[holes] = t
-        holes += 1
+        cavity[cavity_size] = t
+        cavity_size += 1
         for e in range(3 * t, 3 * t + 3):
             other = twin[e] // 3
             if marked[other] == 1:
                 continue
-            if _conflicts(other, vertex, x, y, ghost, px, py):
+            if _in_circumcircle(other, vertex, x, y, ghost, px, py):
                 marked[other] = 1
                 stack[top] = other
                 top += 1
             else:
-                rim[edges] = twin[e]
-                edges += 1
-    for h in range(holes):
+                rim[rim_size] = twin[e]
+                rim_size += 1
+    for h in range(cavity_size):
         marked[cavity[h]] = 0
-    return holes, edges
+    return cavity_size, rim_size
 
 
 @kernel(inline=True)
 def _write_fan_triangle(t, a, b, p, ghost, vertex):
-    """Write triangle a, b, p, ghost vertex last; return its half-edge a to b."""
+    """Write triangle t with vertices a, b, p, `ghost` last; return half-edge a to b."""
     if a == ghost:
         vertex[3 * t] = b
         vertex[3 * t + 1] = p
@@ -158,18 +167,18 @@ def _write_fan_triangle(t, a, b, p, ghost, vertex):
 
 
 @kernel(inline=True)
-def _fill_by_fan(p, holes, edges, count, ghost, vertex, twin, cavity, rim, fan):
-    """Fill the cavity by a fan from p; return last triangle and new total.
+def _fill_by_fan(p, cavity_size, rim_size, count, ghost, vertex, twin, cavity, rim, fan):
+    """Fill a cavity by triangles from p to its rim; return the last one and `count`.
 
-    Indices of destroyed triangles are reused. `fan` stores the new half-edge that starts at each
-    vertex of the rim.
+    The cavity has `cavity_size` triangles, whose indices are reused, and `rim_size` half-edges;
+    `count` is the number of all triangles. `fan` is scratch.
     """
     t = count
-    for h in range(edges):
+    for h in range(rim_size):
         outside = rim[h]
         a = vertex[next_edge(outside)]  # the rim's half-edge as seen from inside: a to b
         b = vertex[outside]
-        if h < holes:
+        if h < cavity_size:
             t = cavity[h]
         else:
             t = count
@@ -179,7 +188,7 @@ def _fill_by_fan(p, holes, edges, count, ghost, vertex, twin, cavity, rim, fan):
         twin[outside] = base
         fan[a] = base
         rim[h] = base
-    for h in range(edges):
+    for h in range(rim_size):
         base = rim[h]
         inward = next_edge(base)  # b to p
         neighbour = fan[vertex[inward]]  # half-edge of the rim that starts at b
@@ -191,7 +200,7 @@ def _fill_by_fan(p, holes, edges, count, ghost, vertex, twin, cavity, rim, fan):
 
 @kernel()
 def _without_ghosts(vertex, count, ghost):
-    """Return the triangles (m, 3) of the first `count` without ghost vertex."""
+    """Return those of the first `count` triangles (m, 3) that have no ghost vertex."""
     out = np.empty((count, 3), np.int64)
     kept = 0
     for t in range(count):
@@ -231,9 +240,11 @@ def insert_all(points, order):
         p = order[m]
         if p in corner:
             continue
-        t = _walk_to(x[p], y[p], last, x, y, ghost, vertex, twin)
-        holes, edges = _dig_cavity(
+        t = _find_triangle(x[p], y[p], last, x, y, ghost, vertex, twin)
+        cavity_size, rim_size = _dig_cavity(
             x[p], y[p], t, x, y, ghost, vertex, twin, marked, stack, cavity, rim
         )
-        last, count = _fill_by_fan(p, holes, edges, count, ghost, vertex, twin, cavity, rim, fan)
+        last, count = _fill_by_fan(
+            p, cavity_size, rim_size, count, ghost, vertex, twin, cavity, rim, fan
+        )
     return _without_ghosts(vertex, count, ghost)

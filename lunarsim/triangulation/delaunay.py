@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lunarsim.triangulation._flip_kernels import flip_mesh
+from lunarsim.triangulation._flip_kernels import triangulate_mesh
 from lunarsim.triangulation._insertion_kernels import hilbert_keys, insert_all
 
 _BITS = 25
@@ -110,7 +110,7 @@ def delaunay_of_image(xy: ArrayLike, shape: tuple[int, int]) -> IntArray:
         raise ValueError(f"xy must have the shape ({rows * cols}, 2), got {points.shape}.")
     seen = ~np.isnan(points).any(axis=1)
     if seen.all() and rows > 1 and cols > 1:
-        triangles = np.asarray(flip_mesh(_to_integers(points), rows, cols))
+        triangles = np.asarray(triangulate_mesh(_to_integers(points), rows, cols))
         if len(triangles):
             return triangles
     index = np.flatnonzero(seen)

@@ -17,51 +17,50 @@ SIMD_BATCH = 32
 
 @kernel(exact=True)
 def rates(
-    y, at, out, into, n, width, thrust_command, tx, ty, tz, gravity, exhaust, lag, dry, wet,
-    i_dry, i_wet, rig,
+    y, y_start, out, out_start, n, width, thrust_command, tx, ty, tz, gravity, exhaust, lag, dry,
+    wet, i_dry, i_wet, rig,
 ):  # fmt: skip
     """Write the state derivative of body n, on a flat Moon with uniform gravity.
 
-    `y` holds the states of `width` bodies in one flat array from index `at` on, row by row with
-    bodies side by side; `out` receives the derivatives from index `into` on. `thrust_command` is
-    the input of the engine's lag, N, with the time constant `lag`, s; `exhaust` is the exhaust
-    velocity, m/s. `tx`, `ty`, `tz` are torques about the origin of the body axes, N m; `dry`,
-    `wet`, `i_dry` and `i_wet` are masses and moments with tanks empty and full; `rig` is from
-    `build_rig`. The equations are those of
-    `Dynamics`. If `width` is a constant, the compiler sees that rows do not overlap and vectorises
-    over bodies.
+    `y` is a flat array with the states of `width` bodies from index `y_start` on: one row per state
+    variable, one column per body. `out` receives the derivatives from index `out_start` on.
+    `thrust_command` is the input of the engine's lag, N, with the time constant `lag`, s; `exhaust`
+    is the exhaust velocity, m/s. `tx`, `ty`, `tz` are torques about the origin of the body axes,
+    N m; `dry`, `wet`, `i_dry` and `i_wet` are masses and moments of inertia with tanks empty and
+    full; `rig` is from `build_rig`. The equations are those of `Dynamics`. If `width` is a
+    constant, the compiler sees that rows do not overlap and vectorises over bodies.
     """
-    qx = y[at + 6 * width + n]
-    qy = y[at + 7 * width + n]
-    qz = y[at + 8 * width + n]
-    qw = y[at + 9 * width + n]
-    wx = y[at + 10 * width + n]
-    wy = y[at + 11 * width + n]
-    wz = y[at + 12 * width + n]
-    thrust = y[at + 14 * width + n]
-    mass = y[at + 13 * width + n]
+    qx = y[y_start + 6 * width + n]
+    qy = y[y_start + 7 * width + n]
+    qz = y[y_start + 8 * width + n]
+    qw = y[y_start + 9 * width + n]
+    wx = y[y_start + 10 * width + n]
+    wy = y[y_start + 11 * width + n]
+    wz = y[y_start + 12 * width + n]
+    thrust = y[y_start + 14 * width + n]
+    mass = y[y_start + 13 * width + n]
     ex, ey, ez = thrust * rig[4], thrust * rig[5], thrust * rig[6]
     fx, fy, fz = ex + rig[0], ey + rig[1], ez + rig[2]
     ax, ay, az = fx / mass, fy / mass, fz / mass
-    out[into + n] = y[at + 3 * width + n]
-    out[into + width + n] = y[at + 4 * width + n]
-    out[into + 2 * width + n] = y[at + 5 * width + n]
+    out[out_start + n] = y[y_start + 3 * width + n]
+    out[out_start + width + n] = y[y_start + 4 * width + n]
+    out[out_start + 2 * width + n] = y[y_start + 5 * width + n]
     # The engine thrust alone is along body z, the third column of the direction cosine matrix.
-    out[into + 3 * width + n] = az * 2.0 * (qx * qz + qw * qy) + (
+    out[out_start + 3 * width + n] = az * 2.0 * (qx * qz + qw * qy) + (
         ax * (1.0 - 2.0 * (qy * qy + qz * qz)) + ay * 2.0 * (qx * qy - qw * qz)
     )
-    out[into + 4 * width + n] = az * 2.0 * (qy * qz - qw * qx) + (
+    out[out_start + 4 * width + n] = az * 2.0 * (qy * qz - qw * qx) + (
         ax * 2.0 * (qx * qy + qw * qz) + ay * (1.0 - 2.0 * (qx * qx + qz * qz))
     )
-    out[into + 5 * width + n] = (
+    out[out_start + 5 * width + n] = (
         az * (1.0 - 2.0 * (qx * qx + qy * qy))
         - gravity
         + (ax * 2.0 * (qx * qz - qw * qy) + ay * 2.0 * (qy * qz + qw * qx))
     )
-    out[into + 6 * width + n] = 0.5 * (qw * wx + qy * wz - qz * wy)
-    out[into + 7 * width + n] = 0.5 * (qw * wy + qz * wx - qx * wz)
-    out[into + 8 * width + n] = 0.5 * (qw * wz + qx * wy - qy * wx)
-    out[into + 9 * width + n] = -0.5 * (qx * wx + qy * wy + qz * wz)
+    out[out_start + 6 * width + n] = 0.5 * (qw * wx + qy * wz - qz * wy)
+    out[out_start + 7 * width + n] = 0.5 * (qw * wy + qz * wx - qx * wz)
+    out[out_start + 8 * width + n] = 0.5 * (qw * wz + qx * wy - qy * wx)
+    out[out_start + 9 * width + n] = -0.5 * (qx * wx + qy * wy + qz * wz)
     full = (mass - dry) / (wet - dry)
     ix = i_dry[0] + full * (i_wet[0] - i_dry[0])
     iy = i_dry[1] + full * (i_wet[1] - i_dry[1])
@@ -73,15 +72,15 @@ def rates(
     mx = rig[8] * ez - rig[9] * ey - (cy * fz - cz * fy)
     my = rig[9] * ex - rig[7] * ez - (cz * fx - cx * fz)
     mz = rig[7] * ey - rig[8] * ex - (cx * fy - cy * fx)
-    out[into + 10 * width + n] = (tx + mx - (iz - iy) * wy * wz) / ix
-    out[into + 11 * width + n] = (ty + my - (ix - iz) * wz * wx) / iy
-    out[into + 12 * width + n] = (tz + mz - (iy - ix) * wx * wy) / iz
-    out[into + 13 * width + n] = -thrust / exhaust - rig[3]
-    out[into + 14 * width + n] = (thrust_command - thrust) / lag if lag > 0.0 else 0.0
+    out[out_start + 10 * width + n] = (tx + mx - (iz - iy) * wy * wz) / ix
+    out[out_start + 11 * width + n] = (ty + my - (ix - iz) * wz * wx) / iy
+    out[out_start + 12 * width + n] = (tz + mz - (iy - ix) * wx * wy) / iz
+    out[out_start + 13 * width + n] = -thrust / exhaust - rig[3]
+    out[out_start + 14 * width + n] = (thrust_command - thrust) / lag if lag > 0.0 else 0.0
 
 
 @kernel(exact=True)
-def curve(y, at, out, into, n, width, gravity, rig):
+def add_round_moon_terms(y, y_start, out, out_start, n, width, gravity, rig):
     """Add the terms of a spherical, rotating Moon to the derivative from `rates`.
 
     Gravity varies with position, and the rotation adds Coriolis and centrifugal accelerations.
@@ -92,23 +91,23 @@ def curve(y, at, out, into, n, width, gravity, rig):
     wx = rig[18]
     wy = rig[19]
     wz = rig[20]
-    x = y[at + n]
-    z = y[at + 2 * width + n] + radius
-    vx = y[at + 3 * width + n]
-    vy = y[at + 4 * width + n]
-    vz = y[at + 5 * width + n]
-    square = x * x + y[at + width + n] * y[at + width + n] + z * z
+    x = y[y_start + n]
+    z = y[y_start + 2 * width + n] + radius
+    vx = y[y_start + 3 * width + n]
+    vy = y[y_start + 4 * width + n]
+    vz = y[y_start + 5 * width + n]
+    square = x * x + y[y_start + width + n] * y[y_start + width + n] + z * z
     pull = gravity * radius * radius / (square * np.sqrt(square))
     # Velocity of the frame at this position: spin x r.
-    fx = wy * z - wz * y[at + width + n]
+    fx = wy * z - wz * y[y_start + width + n]
     fy = wz * x - wx * z
-    fz = wx * y[at + width + n] - wy * x
+    fz = wx * y[y_start + width + n] - wy * x
     ux = 2.0 * vx + fx
     uy = 2.0 * vy + fy
     uz = 2.0 * vz + fz
-    out[into + 3 * width + n] -= pull * x + (wy * uz - wz * uy)
-    out[into + 4 * width + n] -= pull * y[at + width + n] + (wz * ux - wx * uz)
-    out[into + 5 * width + n] += gravity - pull * z - (wx * uy - wy * ux)
+    out[out_start + 3 * width + n] -= pull * x + (wy * uz - wz * uy)
+    out[out_start + 4 * width + n] -= pull * y[y_start + width + n] + (wz * ux - wx * uz)
+    out[out_start + 5 * width + n] += gravity - pull * z - (wx * uy - wy * ux)
 
 
 @kernel()
@@ -117,23 +116,22 @@ def derivative(y, out, thrust_command, torque, gravity, exhaust, lag, dry, wet, 
 
     `thrust_command` is the input of the engine's lag, N, with the time constant `lag`, s; `exhaust`
     is the exhaust velocity, m/s. `torque` (3,) is about the origin of the body axes, N m; `dry`,
-    `wet`, `i_dry` and `i_wet` are masses and moments with tanks empty and full; `rig` (21,) is from
-    `build_rig`.
+    `wet`, `i_dry` and `i_wet` are masses and moments of inertia with tanks empty and full; `rig`
+    (21,) is from `build_rig`.
     """
     rates(
         y, 0, out, 0, 0, 1, thrust_command, torque[0], torque[1], torque[2], gravity, exhaust, lag,
         dry, wet, i_dry, i_wet, rig,
     )  # fmt: skip
     if rig[17] > 0.0:
-        curve(y, 0, out, 0, 0, 1, gravity, rig)
+        add_round_moon_terms(y, 0, out, 0, 0, 1, gravity, rig)
 
 
 @kernel(exact=True)
 def _flat_step(y, dt, thrust_command, torque, params, inertia, rig, work, width):
     """Advance `width` bodies by one Runge-Kutta step of `dt` seconds in place.
 
-    The arrays of the bodies are flat: row by row with bodies side by side. The arguments are
-    otherwise those of `rk4_step`.
+    The arguments are those of `rk4_step`, with the arrays of the bodies flattened row by row.
     """
     size = 15 * width
     i_dry = (inertia[0, 0], inertia[0, 1], inertia[0, 2])
@@ -159,7 +157,7 @@ def _flat_step(y, dt, thrust_command, torque, params, inertia, rig, work, width)
             )  # fmt: skip
         if rig_values[17] > 0.0:
             for n in range(width):
-                curve(work, at, work, into, n, width, params[n], rig_values)
+                add_round_moon_terms(work, at, work, into, n, width, params[n], rig_values)
         if stage < 3:
             part = dt if stage == 2 else 0.5 * dt
             for j in range(size):
@@ -185,8 +183,8 @@ def rk4_step(y, dt, thrust_command, torque, params, inertia, rig, work):
 
     `thrust_command` (N,) and `torque` (3, N) are the commands of each body, `params` (5, N) its
     parameters (gravity, exhaust velocity, thrust lag, dry and wet mass); `inertia` (2, 3) are the
-    principal moments with tanks empty and full; `rig` (21,) is from `build_rig`; `work` is scratch
-    (5, 15, N). A batch of `SIMD_BATCH` bodies is vectorised.
+    principal moments of inertia, tanks empty and full; `rig` (21,) is from `build_rig`; `work` is
+    scratch (5, 15, N). A batch of `SIMD_BATCH` bodies is vectorised.
     """
     n = y.shape[1]
     flat, turn = y.reshape(15 * n), torque.reshape(3 * n)
@@ -202,8 +200,7 @@ def advance_bodies(y, dt, thrust_command, torque, params, inertia, rig, work):
     """Advance bodies (15, N) by one step, and limit their propellant, in place.
 
     The commanded thrust of an engine without propellant becomes 0. The arguments are those of
-    `rk4_step`: thrusts (N,), torques (3, N), parameters (5, N), moments (2, 3), `rig` (21,) and
-    scratch (5, 15, N).
+    `rk4_step`.
     """
     # Thruster propellant is summed elsewhere: allow for rounding.
     thruster_propellant = (1.0 - 1e-6) * rig[16]
@@ -222,7 +219,8 @@ def advance_body(y, dt, thrust, torque, params, inertia, rig, work):
 
     `thrust` is the input of the engine's lag, N, and `torque` (3,) about the body's origin, N m.
     `params`: gravity, exhaust velocity, thrust lag, dry and wet mass; `inertia` (2, 3): principal
-    moments with tanks empty and full; `rig` (21,): from `build_rig`; `work`: scratch (5, 15).
+    moments of inertia, tanks empty and full; `rig` (21,): from `build_rig`; `work`: scratch
+    (5, 15).
     """
     thrust_command = np.empty(1)
     thrust_command[0] = thrust

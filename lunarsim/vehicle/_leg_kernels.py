@@ -15,23 +15,25 @@ from lunarsim.vehicle._touchdown_kernels import height_at
 
 
 @kernel(inner=True)
-def crush_limit(leg, leg_params):
+def crush_limit(leg_state, leg_params):
     """Return the crush force of a leg, N; infinite once its stroke is used up.
 
-    `leg` (5,) is the state of the leg; `leg_params` (6,) are those of `compute_contact`.
+    `leg_state` (5,) begins with the crushed length, m; `leg_params` (6,) are those of
+    `compute_contact`.
     """
-    return leg_params[2] if leg[0] < leg_params[5] else np.inf
+    return leg_params[2] if leg_state[0] < leg_params[5] else np.inf
 
 
 @kernel()
-def compute_contact(y, pad, leg, leg_params, heights, frame, out):
+def compute_contact(y, pad, leg_state, leg_params, heights, frame, out):
     """Compute the contact force of a pad; return whether it is in contact.
 
-    `y` (15,) is the lander's state, `pad` (3,) the pad in body axes, m, and `leg` (5,) the state of
-    the leg. `leg_params` is stiffness, damping, crush force, friction, radius of the pad, stroke.
-    `heights` and `frame` are the terrain raster. `out` (12,): force (3), position (3), velocity (3)
-    of the pad, ENU; compression of spring and damper, its rate, and the normal force before the
-    crush limit.
+    `y` (15,) is the lander's state and `pad` (3,) the pad in body axes, m. `leg_state` (5,) is the
+    crushed length, the compression of spring and damper, and the contact point to which the pad
+    sticks (3,), NaN for a free pad. `leg_params` (6,) is stiffness, damping, crush force, friction,
+    radius of the pad, stroke. `heights` and `frame` are the raster of `TerrainPatch`. `out` (12,):
+    force (3), position (3), velocity (3) of the pad, ENU; compression of spring and damper, its
+    rate, and the normal force before the crush limit.
     """
     qx, qy, qz, qw = y[6], y[7], y[8], y[9]
     wx, wy, wz = y[10], y[11], y[12]
@@ -61,56 +63,56 @@ def compute_contact(y, pad, leg, leg_params, heights, frame, out):
         return False
     nz = 1.0 / np.sqrt(1.0 + gx * gx + gy * gy)
     nx, ny = -gx * nz, -gy * nz
-    pressed = (top - out[5]) * nz - leg[0]
+    pressed = (top - out[5]) * nz - leg_state[0]
     if pressed <= 0.0:
         return False
     into = -(out[6] * nx + out[7] * ny + out[8] * nz)
     out[9], out[10] = pressed, into
     out[11] = leg_params[0] * pressed + leg_params[1] * into
-    normal = min(max(out[11], 0.0), crush_limit(leg, leg_params))
-    add_friction(out, leg, leg_params, (nx, ny, nz), normal)
+    normal = min(max(out[11], 0.0), crush_limit(leg_state, leg_params))
+    add_friction(out, leg_state, leg_params, (nx, ny, nz), normal)
     return True
 
 
 @kernel(inner=True)
-def add_friction(out, leg, leg_params, n, normal):
+def add_friction(out, leg_state, leg_params, terrain_normal, normal_force):
     """Write the force of the terrain on a pad (normal and friction) into `out[:3]`.
 
-    Friction acts as a spring and damper at the contact point, up to the friction limit. `n` is the
-    terrain normal (3,) and `normal` the normal force, N; `leg`, `leg_params` and `out` are those of
-    `compute_contact`.
+    Friction acts as a spring and damper at the contact point, up to the friction limit.
+    `terrain_normal` is the terrain normal (3,) and `normal_force` the normal force, N; `leg_state`,
+    `leg_params` and `out` are those of `compute_contact`.
     """
     hold = np.zeros(3)
-    if np.isfinite(leg[2]):
+    if np.isfinite(leg_state[2]):
         off = np.empty(3)
         for k in range(3):
-            off[k] = leg_params[0] * (out[3 + k] - leg[2 + k]) + leg_params[1] * out[6 + k]
-        along = off[0] * n[0] + off[1] * n[1] + off[2] * n[2]
+            off[k] = leg_params[0] * (out[3 + k] - leg_state[2 + k]) + leg_params[1] * out[6 + k]
+        along = off[0] * terrain_normal[0] + off[1] * terrain_normal[1] + off[2] * terrain_normal[2]
         size = 0.0
         for k in range(3):
-            hold[k] = -(off[k] - along * n[k])
+            hold[k] = -(off[k] - along * terrain_normal[k])
             size += hold[k] * hold[k]
         size = np.sqrt(size)
-        if size > leg_params[3] * normal:
+        if size > leg_params[3] * normal_force:
             for k in range(3):
-                hold[k] *= leg_params[3] * normal / size
+                hold[k] *= leg_params[3] * normal_force / size
     for k in range(3):
-        out[k] = normal * n[k] + hold[k]
+        out[k] = normal_force * terrain_normal[k] + hold[k]
 
 
 @kernel(inner=True)
-def compute_loads(y, pads, legs, leg_params, heights, frame, rig, torque, out):
+def compute_loads(y, pads, leg_states, leg_params, heights, frame, rig, torque, out):
     """Compute force and torque of all legs on the body; return the absorbed power, W.
 
-    The total force is written into `rig[:3]` and the torque into `torque`, body axes. `pads`
-    (n, 3) are in body axes, m, `legs` (n, 5) the states of the legs; the other arguments are those
+    The total force is written into `rig[:3]` and the torque into `torque`, body axes. `pads` (n, 3)
+    are in body axes, m, `leg_states` (n, 5) the states of the legs; the other arguments are those
     of `compute_contact`.
     """
     power = 0.0
     total = np.zeros(3)
     turn = np.zeros(3)
     for n in range(pads.shape[0]):
-        if not compute_contact(y, pads[n], legs[n], leg_params, heights, frame, out):
+        if not compute_contact(y, pads[n], leg_states[n], leg_params, heights, frame, out):
             continue
         ax, ay, az = out[3] - y[0], out[4] - y[1], out[5] - y[2]
         turn[0] += ay * out[2] - az * out[1]
@@ -133,56 +135,53 @@ def compute_loads(y, pads, legs, leg_params, heights, frame, rig, torque, out):
 
 
 @kernel(inner=True)
-def update_yield(y, dt, pads, legs, leg_params, heights, frame, out):
+def update_yield(y, dt, pads, leg_states, leg_params, heights, frame, out):
     """Update crushed lengths and slipping contact points of the legs after a step.
 
-    `legs` (n, 5) are the states of the legs, in place, and `dt` is the step, s; the other
+    `leg_states` (n, 5) are the states of the legs, in place, and `dt` is the step, s; the other
     arguments are those of `compute_contact`.
     """
     for n in range(pads.shape[0]):
-        leg = legs[n]
-        if not compute_contact(y, pads[n], leg, leg_params, heights, frame, out):
-            leg[1] = 0.0
-            leg[2] = leg[3] = leg[4] = np.nan
+        leg_state = leg_states[n]
+        if not compute_contact(y, pads[n], leg_state, leg_params, heights, frame, out):
+            leg_state[1] = 0.0
+            leg_state[2] = leg_state[3] = leg_state[4] = np.nan
             continue
-        most = crush_limit(leg, leg_params)
+        most = crush_limit(leg_state, leg_params)
         give = 0.0
         if out[11] > most:
             # At the crush force, spring and damper relax towards it; the honeycomb crushes by the
             # rest.
             level = most / leg_params[0]
-            left = level + (leg[1] - level) * np.exp(-dt * leg_params[0] / leg_params[1])
+            left = level + (leg_state[1] - level) * np.exp(-dt * leg_params[0] / leg_params[1])
             give = max(out[9] - left, 0.0)
-            leg[0] += give
-        leg[1] = out[9] - give
-        normal = min(max(out[11], 0.0), crush_limit(leg, leg_params))
-        if not np.isfinite(leg[2]):
+            leg_state[0] += give
+        leg_state[1] = out[9] - give
+        normal = min(max(out[11], 0.0), crush_limit(leg_state, leg_params))
+        if not np.isfinite(leg_state[2]):
             for k in range(3):
-                leg[2 + k] = out[3 + k]
+                leg_state[2 + k] = out[3 + k]
             continue
         size = 0.0
         for k in range(3):
-            off = leg_params[0] * (out[3 + k] - leg[2 + k])
+            off = leg_params[0] * (out[3 + k] - leg_state[2 + k])
             size += off * off
         size = np.sqrt(size)
         if size > leg_params[3] * normal:
             for k in range(3):
-                leg[2 + k] = out[3 + k] - (out[3 + k] - leg[2 + k]) * leg_params[3] * normal / size
+                leg_state[2 + k] = (
+                    out[3 + k] - (out[3 + k] - leg_state[2 + k]) * leg_params[3] * normal / size
+                )
 
 
 @kernel()
-def settle(y, steps, dt, pads, legs, leg_params, heights, frame, figures, inertia, rig):
+def settle(y, steps, dt, pads, leg_states, leg_params, heights, frame, params, inertia, rig):
     """Simulate the motion of a lander on its legs, engine off, by Runge-Kutta steps.
 
-    `y` (15,) and the leg states `legs` (n, 5) advance in place by `steps` steps of `dt` seconds.
-    `pads` (n, 3) are in body axes, m; `leg_params`, `heights` and `frame` are those of
-    `compute_contact`. `figures` (5,) are gravity, exhaust velocity, thrust lag, dry and wet mass;
-    `inertia` (2, 3) are the moments with tanks empty and full; `rig` (21,) is from `build_rig`.
-
-    Returns
-    -------
-    absorbed
-        Energy absorbed by the legs, including stored energy, J.
+    `y` (15,) and the leg states `leg_states` (n, 5) advance in place by `steps` steps of `dt`
+    seconds. `pads` (n, 3) are in body axes, m; `leg_params`, `heights` and `frame` are those of
+    `compute_contact`, `params`, `inertia` and `rig` those of `advance_body`. Returns the energy
+    absorbed by the legs, including stored energy, J.
     """
     work = np.empty((5, 15))
     out = np.empty(12)
@@ -193,10 +192,10 @@ def settle(y, steps, dt, pads, legs, leg_params, heights, frame, figures, inerti
         for stage in range(4):
             here = y if stage == 0 else work[4]
             power[stage] = compute_loads(
-                here, pads, legs, leg_params, heights, frame, rig, torque, out
+                here, pads, leg_states, leg_params, heights, frame, rig, torque, out
             )
             derivative(
-                here, work[stage], 0.0, torque, figures[0], figures[1], 0.0, figures[3], figures[4],
+                here, work[stage], 0.0, torque, params[0], params[1], 0.0, params[3], params[4],
                 inertia[0], inertia[1], rig,
             )  # fmt: skip
             if stage < 3:
@@ -209,5 +208,5 @@ def settle(y, steps, dt, pads, legs, leg_params, heights, frame, figures, inerti
         norm = np.sqrt(y[6] * y[6] + y[7] * y[7] + y[8] * y[8] + y[9] * y[9])
         for s in range(6, 10):
             y[s] /= norm
-        update_yield(y, dt, pads, legs, leg_params, heights, frame, out)
+        update_yield(y, dt, pads, leg_states, leg_params, heights, frame, out)
     return absorbed

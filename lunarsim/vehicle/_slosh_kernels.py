@@ -45,33 +45,34 @@ def pendulum(tank, fill, bob):
 
 
 @kernel()
-def _subtract_bob(mass, bob, rate, matrix, right):
-    """Subtract a bob at rest from the body's matrix (6, 6) and right-hand side (6,).
+def _subtract_bob(mass, bob, rate, mass_matrix, right_side):
+    """Remove a bob at rest from the body's equations of motion.
 
-    `mass` and `bob` (3,) are mass, kg, and position from the centre of mass, m; `rate` (3,) is the
-    angular velocity, rad/s.
+    The equations are `mass_matrix` (6, 6) times linear and angular acceleration = `right_side`.
+    `mass` and `bob` (3,) are the bob's mass, kg, and position from the centre of mass, m; `rate`
+    (3,) is the angular velocity, rad/s.
     """
     square = bob[0] * bob[0] + bob[1] * bob[1] + bob[2] * bob[2]
     for k in range(3):
-        matrix[k, k] -= mass
-        matrix[3 + k, 3 + k] -= mass * square
+        mass_matrix[k, k] -= mass
+        mass_matrix[3 + k, 3 + k] -= mass * square
         for j in range(3):
-            matrix[3 + k, 3 + j] += mass * bob[k] * bob[j]
+            mass_matrix[3 + k, 3 + j] += mass * bob[k] * bob[j]
     for k in range(3):
         i = (k + 1) % 3
         j = (k + 2) % 3
-        matrix[i, 3 + j] -= mass * bob[k]
-        matrix[j, 3 + i] += mass * bob[k]
-        matrix[3 + j, i] -= mass * bob[k]
-        matrix[3 + i, j] += mass * bob[k]
+        mass_matrix[i, 3 + j] -= mass * bob[k]
+        mass_matrix[j, 3 + i] += mass * bob[k]
+        mass_matrix[3 + j, i] -= mass * bob[k]
+        mass_matrix[3 + i, j] += mass * bob[k]
     pull = np.empty(3)
     turn = np.empty(3)
     _cross(rate, bob, turn)
     _cross(rate, turn, pull)
     _cross(bob, pull, turn)
     for k in range(3):
-        right[k] += mass * pull[k]
-        right[3 + k] += mass * turn[k]
+        right_side[k] += mass * pull[k]
+        right_side[3 + k] += mass * turn[k]
 
 
 @kernel()
@@ -114,13 +115,15 @@ def _solve(matrix, right):
 
 
 @kernel()
-def _add_pendulum(t, s, rate, com, fill, thrust_acceleration, tanks, matrix, right):
+def _add_pendulum(
+    t, rod_states, rate, com, fill, thrust_acceleration, tanks, mass_matrix, right_side
+):
     """Replace the bob at rest of tank t by its pendulum in the equations of motion.
 
-    `s` (n, 6) are rod directions and their rates, `rate` (3,) is the angular velocity, `com` (3,)
-    the centre of mass, `fill` the remaining fraction of the liquid, `thrust_acceleration` that of
-    the body without gravity, m/s^2, and `tanks` (n, 7) is from `Slosh.table`; `matrix` (6, 6) and
-    `right` (6,) are changed in place.
+    `rod_states` (n, 6) are rod directions and their rates, `rate` (3,) is the angular velocity,
+    `com` (3,) the centre of mass, `fill` the remaining fraction of the liquid,
+    `thrust_acceleration` that of the body without gravity, m/s^2, and `tanks` (n, 7) is from
+    `Slosh.table`; `mass_matrix` and `right_side` are those of `_subtract_bob`.
     """
     bob, own, swing, drag, turn = (
         np.empty(3),
@@ -130,16 +133,16 @@ def _add_pendulum(t, s, rate, com, fill, thrust_acceleration, tanks, matrix, rig
         np.empty(3),
     )
     generalised = np.empty(6)
-    u = s[t, :3]
+    u = rod_states[t, :3]
     m, length = pendulum(tanks[t], fill, bob)
     square = 0.0
     for k in range(3):
         bob[k] -= com[k]
-        swing[k] = length * s[t, 3 + k]
-        square += s[t, 3 + k] * s[t, 3 + k]
+        swing[k] = length * rod_states[t, 3 + k]
+        square += rod_states[t, 3 + k] * rod_states[t, 3 + k]
         # Damping force of the liquid on the tank.
         drag[k] = 2.0 * tanks[t, 6] * np.sqrt(thrust_acceleration / length) * m * swing[k]
-    _subtract_bob(m, bob, rate, matrix, right)
+    _subtract_bob(m, bob, rate, mass_matrix, right_side)
     bob[2] += length  # the hinge
     _cross(bob, u, turn)
     for k in range(3):
@@ -150,47 +153,53 @@ def _add_pendulum(t, s, rate, com, fill, thrust_acceleration, tanks, matrix, rig
     pull = length * square - (u[0] * own[0] + u[1] * own[1] + u[2] * own[2])
     _cross(bob, drag, turn)
     for i in range(6):
-        right[i] += m * pull * generalised[i] + (drag[i] if i < 3 else turn[i - 3])
+        right_side[i] += m * pull * generalised[i] + (drag[i] if i < 3 else turn[i - 3])
         for j in range(6):
-            matrix[i, j] += m * generalised[i] * generalised[j]
+            mass_matrix[i, j] += m * generalised[i] * generalised[j]
 
 
 @kernel()
-def _rod_motion(t, s, rate, moved, com, fill, thrust_acceleration, tanks, sout):
-    """Write the rates of change of the rod of tank t into `sout[t]` (6,).
+def _rod_motion(
+    t, rod_states, rate, body_acceleration, com, fill, thrust_acceleration, tanks, rod_rates
+):
+    """Write the rates of change of the rod of tank t into `rod_rates[t]` (6,).
 
-    `moved` (6,) are acceleration and angular acceleration of the body; the other arguments are
-    those of `_add_pendulum`.
+    `body_acceleration` (6,) is linear and angular acceleration; the other arguments are those of
+    `_add_pendulum`.
     """
     bob, own, swing, turn = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     _, length = pendulum(tanks[t], fill, bob)
     slow = 2.0 * tanks[t, 6] * np.sqrt(thrust_acceleration / length)
     for k in range(3):
-        bob[k] += length * s[t, k] - com[k]
-        swing[k] = length * s[t, 3 + k]
+        bob[k] += length * rod_states[t, k] - com[k]
+        swing[k] = length * rod_states[t, 3 + k]
     bob[2] += length
     _inertial_acceleration(rate, bob, swing, own)
-    _cross(moved[3:], bob, turn)
+    _cross(body_acceleration[3:], bob, turn)
     along, square = 0.0, 0.0
     for k in range(3):
-        own[k] += moved[k] + turn[k]
-        along += s[t, k] * own[k]
-        square += s[t, 3 + k] * s[t, 3 + k]
+        own[k] += body_acceleration[k] + turn[k]
+        along += rod_states[t, k] * own[k]
+        square += rod_states[t, 3 + k] * rod_states[t, 3 + k]
     for k in range(3):
-        u = s[t, k]
-        sout[t, k] = s[t, 3 + k]
-        sout[t, 3 + k] = (along * u - own[k]) / length - square * u - slow * s[t, 3 + k]
+        u = rod_states[t, k]
+        rod_rates[t, k] = rod_states[t, 3 + k]
+        rod_rates[t, 3 + k] = (
+            (along * u - own[k]) / length - square * u - slow * rod_states[t, 3 + k]
+        )
 
 
 @kernel()
-def _correct_accelerations(s, out, specific_force, rate, mass, moments, com, fill, tanks, sout):
+def _correct_accelerations(
+    rod_states, out, specific_force, rate, mass, moments, com, fill, tanks, rod_rates
+):
     """Correct the accelerations of a body for the motion of its sloshing liquid.
 
     `specific_force` is the acceleration (3,), body axes, without gravity; `out` is dy/dt (15,).
-    Both are given for liquid at rest and are corrected in place. `s` (n, 6) are the direction u of
-    each pendulum's rod and its rate, body axes; `sout` (n, 6) receives their derivatives. `mass`,
-    `moments` (3,), `com` (3,) and `fill` are mass, principal moments, centre of mass and remaining
-    fraction of the liquid; `tanks` (n, 7) is from `Slosh.table`.
+    Both are given for liquid at rest and are corrected in place. `rod_states` (n, 6) are the
+    direction u of each pendulum's rod and its rate, body axes; `rod_rates` (n, 6) receives their
+    derivatives. `mass`, `moments` (3,), `com` (3,) and `fill` are mass, principal moments, centre
+    of mass and remaining fraction of the liquid; `tanks` (n, 7) is from `Slosh.table`.
     """
     matrix = np.zeros((6, 6))
     right = np.empty(6)
@@ -205,29 +214,31 @@ def _correct_accelerations(s, out, specific_force, rate, mass, moments, com, fil
         right[k] = mass * specific_force[k]
         right[3 + k] = moments[k] * out[10 + k]
     for t in range(tanks.shape[0]):
-        _add_pendulum(t, s, rate, com, fill, thrust_acceleration, tanks, matrix, right)
+        _add_pendulum(t, rod_states, rate, com, fill, thrust_acceleration, tanks, matrix, right)
     _solve(matrix, right)
     for k in range(3):
         specific_force[k] = right[k]
         out[10 + k] = right[3 + k]
     for t in range(tanks.shape[0]):
-        _rod_motion(t, s, rate, right, com, fill, thrust_acceleration, tanks, sout)
+        _rod_motion(t, rod_states, rate, right, com, fill, thrust_acceleration, tanks, rod_rates)
 
 
 @kernel()
-def rates(y, s, out, sout, thrust_command, torque, params, inertia, rig, tanks):
+def rates(
+    y, rod_states, state_rates, rod_rates, thrust_command, torque, params, inertia, rig, tanks
+):
     """Write the derivatives of the state (15,) and of the slosh pendulums (n, 6).
 
-    `y` and `s` are the state and the rods (direction and rate of each), `out` and `sout` their
-    derivatives; `tanks` (n, 7) is from `Slosh.table`; the other arguments are those of
-    `advance_body`.
+    `y` and `rod_states` are the state and the rods (direction and rate of each), `state_rates` and
+    `rod_rates` their derivatives; `tanks` (n, 7) is from `Slosh.table`; the other arguments are
+    those of `advance_body`.
     """
     dry, wet = params[3], params[4]
     derivative(
-        y, out, thrust_command, torque, params[0], params[1], params[2], dry, wet, inertia[0],
-        inertia[1], rig,
+        y, state_rates, thrust_command, torque, params[0], params[1], params[2], dry, wet,
+        inertia[0], inertia[1], rig,
     )  # fmt: skip
-    sout[:] = 0.0
+    rod_rates[:] = 0.0
     fill = (y[13] + rig[16] - dry) / (wet - dry)
     if fill < _MIN_FILL:
         return
@@ -238,24 +249,41 @@ def rates(y, s, out, sout, thrust_command, torque, params, inertia, rig, tanks):
         before[k] = specific_force[k]
         moments[k] = inertia[0, k] + full * (inertia[1, k] - inertia[0, k])
         com[k] = rig[10 + k] + full * (rig[13 + k] - rig[10 + k])
-    _correct_accelerations(s, out, specific_force, y[10:13], y[13], moments, com, fill, tanks, sout)
+    _correct_accelerations(
+        rod_states,
+        state_rates,
+        specific_force,
+        y[10:13],
+        y[13],
+        moments,
+        com,
+        fill,
+        tanks,
+        rod_rates,
+    )
     x, u, z, w = y[6], y[7], y[8], y[9]
     a, b, c = (
         specific_force[0] - before[0],
         specific_force[1] - before[1],
         specific_force[2] - before[2],
     )
-    out[3] += (1 - 2 * (u * u + z * z)) * a + 2 * (x * u - w * z) * b + 2 * (x * z + w * u) * c
-    out[4] += 2 * (x * u + w * z) * a + (1 - 2 * (x * x + z * z)) * b + 2 * (u * z - w * x) * c
-    out[5] += 2 * (x * z - w * u) * a + 2 * (u * z + w * x) * b + (1 - 2 * (x * x + u * u)) * c
+    state_rates[3] += (
+        (1 - 2 * (u * u + z * z)) * a + 2 * (x * u - w * z) * b + 2 * (x * z + w * u) * c
+    )
+    state_rates[4] += (
+        2 * (x * u + w * z) * a + (1 - 2 * (x * x + z * z)) * b + 2 * (u * z - w * x) * c
+    )
+    state_rates[5] += (
+        2 * (x * z - w * u) * a + 2 * (u * z + w * x) * b + (1 - 2 * (x * x + u * u)) * c
+    )
 
 
 @kernel()
-def advance(y, s, dt, thrust_command, torque, params, inertia, rig, tanks):
+def advance(y, rod_states, dt, thrust_command, torque, params, inertia, rig, tanks):
     """Advance a state and its slosh pendulums by one Runge-Kutta step in place.
 
-    `y` (15,) is the state and `s` (n, 6) the direction and rate of each rod; `tanks` (n, 7) is from
-    `Slosh.table`; the other arguments are those of `advance_body`.
+    `y` (15,) is the state and `rod_states` (n, 6) the direction and rate of each rod; `tanks`
+    (n, 7) is from `Slosh.table`; the other arguments are those of `advance_body`.
     """
     dry = params[3]
     if y[13] <= dry - (1.0 - 1e-6) * rig[16]:
@@ -263,8 +291,8 @@ def advance(y, s, dt, thrust_command, torque, params, inertia, rig, tanks):
         y[14] = 0.0
     if params[2] == 0.0:
         y[14] = thrust_command
-    n = s.shape[0]
-    at, swung = y.copy(), s.copy()
+    n = rod_states.shape[0]
+    at, swung = y.copy(), rod_states.copy()
     out, sout = np.empty(15), np.empty((n, 6))
     total, stotal = np.zeros(15), np.zeros((n, 6))
     for stage in range(4):
@@ -274,11 +302,11 @@ def advance(y, s, dt, thrust_command, torque, params, inertia, rig, tanks):
         total += weight * out
         stotal += weight * sout
         at[:] = y + part * out
-        swung[:] = s + part * sout
+        swung[:] = rod_states + part * sout
     y += dt / 6.0 * total
-    s += dt / 6.0 * stotal
+    rod_states += dt / 6.0 * stotal
     y[6:10] /= np.sqrt(np.sum(y[6:10] ** 2))
     for t in range(n):
-        s[t, :3] /= np.sqrt(np.sum(s[t, :3] ** 2))
-        s[t, 3:] -= np.sum(s[t, 3:] * s[t, :3]) * s[t, :3]
+        rod_states[t, :3] /= np.sqrt(np.sum(rod_states[t, :3] ** 2))
+        rod_states[t, 3:] -= np.sum(rod_states[t, 3:] * rod_states[t, :3]) * rod_states[t, :3]
     y[13] = max(y[13], dry - rig[16] - dt * rig[3])

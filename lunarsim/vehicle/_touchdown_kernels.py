@@ -167,7 +167,7 @@ def tip_margin(y, legs, slope, com_height, gravity, dry, wet, inertia):
 
     The margin is 1 - E / E_tip of `touchdown.tip_margin`; negative: the lander tips over. `y` (15,)
     is the state, `legs` (n, 3) are contact points, m, `slope` is in rad; `dry`, `wet` and `inertia`
-    (2, 3) are masses and moments with tanks empty and full.
+    (2, 3) are masses and moments of inertia with tanks empty and full.
     """
     full = (y[13] - dry) / (wet - dry)
     least = min(
@@ -201,21 +201,9 @@ def violated_limits(
 ):
     """Evaluate a touchdown; return its violated limits, one bit each (0: safe).
 
-    Parameters
-    ----------
-    y
-        State at the touchdown (15,).
-    pads, disc, spacing
-        Pad centres in body axes (n, 3), sample points of a pad (m, 2), and spacing of samples
-        between the legs, m.
-    z, frame
-        Terrain raster.
-    limits
-        Vertical and horizontal speed, tilt, rate, slope, roughness, belly clearance (7,), SI.
-    com_height, gravity, dry, wet, inertia
-        Lander parameters and gravity; `inertia` (2, 3) with tanks empty and full.
-    out
-        Output: vertical and horizontal speed, tilt, rate, slope, roughness and tip margin (7,).
+    `limits` (7,) are those of vertical and horizontal speed, tilt, angular rate, slope, roughness
+    and belly clearance, SI. `out` (7,) receives the values, with the tip-over margin in the last
+    place. The other arguments are those of `has_contact`, `fit_terrain` and `tip_margin`.
     """
     n = len(pads)
     legs = np.empty((n, 3))

@@ -73,21 +73,21 @@ class Actuators:
         limit = self.lander.engine.gimbal_limit
         self._gimbal_command = np.clip(gimbal, -limit, limit)
 
-    def set_throttle(self, wanted: float) -> float:
-        """Apply throttle limits and faults to a commanded thrust `wanted`, N.
+    def set_throttle(self, commanded_thrust: float) -> float:
+        """Set the throttle to a commanded thrust, N, within its limits and faults.
 
         Returns the resulting throttle setting, N; 0 shuts the engine down.
         """
         engine, stuck = self.lander.engine, self.faults.engine_stuck_from
         if stuck is not None and self._time >= stuck:
-            self._throttle = self.faults.throttle(self._time, self._throttle, wanted)
+            self._throttle = self.faults.throttle(self._time, self._throttle, commanded_thrust)
             return self._throttle
-        if wanted <= 0.0:
+        if commanded_thrust <= 0.0:
             self._throttle = 0.0
             return 0.0
-        if self._throttle and abs(wanted - self._throttle) < engine.dead_band:
+        if self._throttle and abs(commanded_thrust - self._throttle) < engine.dead_band:
             return self._throttle
-        thrust = min(max(wanted, self.lander.thrust_min), self.lander.thrust_max)
+        thrust = min(max(commanded_thrust, self.lander.thrust_min), self.lander.thrust_max)
         if engine.has_gap and thrust > engine.gap_lower:
             middle = 0.5 * (engine.gap_lower + engine.gap_upper)
             thrust = engine.gap_upper if thrust > middle else engine.gap_lower

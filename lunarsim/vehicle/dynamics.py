@@ -122,13 +122,15 @@ class Dynamics:
         """Principal moments of inertia (2, 3), kg m^2, with tanks empty and full."""
         return np.array([self.lander.inertia_dry, self.lander.inertia_full], dtype=np.float64)
 
-    def thrust(self, wanted: float) -> float:
-        """Return the thrust, N, for a command `wanted`, N.
+    def thrust(self, commanded_thrust: float) -> float:
+        """Return the thrust for a command, N: clipped to the throttle range, or 0.
 
-        A positive command is clipped to the throttle range; otherwise the thrust is 0.
+        A command of 0 or less gives 0.
         """
         return (
-            min(max(wanted, self.lander.thrust_min), self.lander.thrust_max) if wanted > 0 else 0.0
+            min(max(commanded_thrust, self.lander.thrust_min), self.lander.thrust_max)
+            if commanded_thrust > 0
+            else 0.0
         )
 
     def advance(self, state: State, thrust: float, torque: Array) -> State:

@@ -52,21 +52,22 @@ class Faults:
             raise InputError(
                 "faults.engine_stuck_at",
                 self.engine_stuck_at,
-                "must be omitted unless engine_stuck_from is set",
+                "must be omitted unless engine_stuck_from_s is set",
             )
 
-    def throttle(self, time: float, last: float | None, wanted: float) -> float:
-        """Apply the throttle fault to a commanded thrust `wanted`, N, at a time, s.
+    def throttle(
+        self, time: float, previous_setting: float | None, commanded_thrust: float
+    ) -> float:
+        """Return the throttle setting, N, for a commanded thrust, N, at a time, s.
 
-        Returns the throttle setting, N.
-
-        `last` is the previous setting, N; None: no command yet.
+        A stuck throttle keeps its `previous_setting`, N (None: no command yet), or the thrust set
+        by `engine_stuck_at`.
         """
         if self.engine_stuck_from is None or time < self.engine_stuck_from:
-            return wanted
+            return commanded_thrust
         if self.engine_stuck_at is not None:
             return self.engine_stuck_at
-        return wanted if last is None else last
+        return commanded_thrust if previous_setting is None else previous_setting
 
     def check_plain(self) -> None:
         """Raise `InputError` if thruster faults are set for a lander without thrusters."""

@@ -16,10 +16,9 @@ Array = NDArray[np.float64]
 class SloshPendulums:
     """Pendulums that model the sloshing propellant of one flight.
 
-    The model is described in `lunarsim.models.slosh`.
-    The position of a state is the point that is the centre of mass while the liquid rests, and the
-    velocity is that of this point. Mass and pivot of a pendulum follow the remaining propellant and
-    are constant within a step.
+    The model is described in `lunarsim.models.slosh`. The position and velocity of a lander's state
+    are those of the centre of mass that the lander has with its liquid at rest. Mass and pivot of a
+    pendulum follow the remaining propellant and are constant within a step.
 
     Parameters
     ----------

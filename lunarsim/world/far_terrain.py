@@ -50,7 +50,7 @@ class FarTerrainSettings:
     )
     hurst: float = quantity(0.8, gt=0, lt=1, help="Hurst exponent of all nested terrain squares")
     margin: float = quantity(
-        0.3, gt=0, le=1, help="width of the blend between nested squares over half a side"
+        0.3, gt=0, le=1, help="width of the blend at the edge of a square, divided by half its side"
     )
     path: Path | None = quantity(
         None, help="elevation raster of the finest square; omitted: fractal terrain"
@@ -144,12 +144,9 @@ def _load_measured(settings: FarTerrainSettings) -> Heightfield:
     return Heightfield(Grid(x0, y0, g.posting, g.rows, g.cols), z.z - middle)
 
 
-def _smoothstep(share: Array) -> Array:
-    """Return the cubic smoothstep 1 - 3 s^2 + 2 s^3 of s = `share`, clipped to 0..1.
-
-    The result falls from 1 at s = 0 to 0 at s = 1.
-    """
-    s = np.clip(share, 0.0, 1.0)
+def _smoothstep(x: Array) -> Array:
+    """Return 1 - 3 x^2 + 2 x^3, which falls smoothly from 1 at x <= 0 to 0 at x >= 1."""
+    s = np.clip(x, 0.0, 1.0)
     return np.asarray(1.0 - s * s * (3.0 - 2.0 * s))
 
 
@@ -188,22 +185,22 @@ class FarTerrain:
         unit = r[..., :2] / np.maximum(lateral, 1e-12)[..., None]
         return np.asarray(unit * arc[..., None])
 
-    def elevation(self, way: ArrayLike) -> Array:
+    def elevation(self, arc: ArrayLike) -> Array:
         """Return the terrain height above the sphere (...,), m, at surface points.
 
-        `way` (..., 2) are arc lengths east and north, as returned by `surface_arc`, m.
+        `arc` (..., 2) are arc lengths east and north, m, as returned by `surface_arc`.
         """
-        xy = np.asarray(way, dtype=np.float64)
-        flat = xy.reshape(-1, 2)
+        xy = np.asarray(arc, dtype=np.float64)
+        flat_arc = xy.reshape(-1, 2)
         west, east, south, north = self.terrain.bounds
-        edge = np.clip(flat, (west, south), (east, north))
-        beyond = np.hypot(*(flat - edge).T)
+        edge = np.clip(flat_arc, (west, south), (east, north))
+        beyond = np.hypot(*(flat_arc - edge).T)
         over = self.settings.margin * 0.5 * min(east - west, north - south)
         share = _smoothstep(beyond / over)
-        z = np.zeros(len(flat))
+        z = np.zeros(len(flat_arc))
         outside = beyond > 0.0
         if outside.any():
-            z[outside] = (1.0 - share[outside]) * self._levels(flat[outside])
+            z[outside] = (1.0 - share[outside]) * self._sum_levels(flat_arc[outside])
         near = share > 0.0
         if near.any():
             # The map is flat: the sphere curves down below it.
@@ -211,11 +208,11 @@ class FarTerrain:
             z[near] += share[near] * (self.terrain.elevation(edge[near]) + drop)
         return z.reshape(xy.shape[:-1])
 
-    def _levels(self, flat: Array) -> Array:
-        """Return the summed heights (n,), m, of all levels at arc lengths `flat` (n, 2)."""
-        z = np.zeros(len(flat))
+    def _sum_levels(self, arc: Array) -> Array:
+        """Return the summed heights (n,), m, of all levels at arc lengths `arc` (n, 2)."""
+        z = np.zeros(len(arc))
         for n, size in enumerate(self.settings.sizes):
-            max_offset = np.abs(flat).max(axis=1)
+            max_offset = np.abs(arc).max(axis=1)
             half = 0.5 * size
             inside = max_offset < half
             if not inside.any():
@@ -224,7 +221,7 @@ class FarTerrain:
             half = min(half, -one.grid.x0, -one.grid.y0)
             share = _smoothstep((max_offset / half - 1.0) / self.settings.margin + 1.0)
             g = one.grid
-            at = (flat[:, 1] - g.y0) / g.posting, (flat[:, 0] - g.x0) / g.posting
+            at = (arc[:, 1] - g.y0) / g.posting, (arc[:, 0] - g.x0) / g.posting
             z += share * ndimage.map_coordinates(one.z, at, order=1, mode="nearest")
         return z
 
@@ -251,13 +248,13 @@ class FarTerrain:
         """
         origin = np.asarray(origin, dtype=np.float64)
         rays = np.atleast_2d(np.asarray(direction, dtype=np.float64))
-        found = np.array([self._first(origin, ray, max_range) for ray in rays])
+        found = np.array([self._first_hit_range(origin, ray, max_range) for ray in rays])
         points = origin + np.where(np.isfinite(found), found, 0.0)[:, None] * rays
         normal = np.where(np.isfinite(found)[:, None], self._normal(points), np.nan)
         rock = np.where(np.isfinite(found), -1, -2).astype(np.int32)
         return RayHits(found, normal, rock)
 
-    def _first(self, origin: Array, ray: Array, max_range: float) -> float:
+    def _first_hit_range(self, origin: Array, ray: Array, max_range: float) -> float:
         """Return the range, m, at which one ray first hits the terrain; NaN if it misses.
 
         The clearance is sampled along the ray, and the first crossing is bisected.

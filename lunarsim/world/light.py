@@ -150,7 +150,7 @@ class Light:
     @property
     def diffuse_albedo(self) -> float:
         """Albedo under uniform diffuse light: reflected over incident irradiance."""
-        return float(_hemispheric(self._photometry_key)[1])
+        return float(_hemispherical_albedos(self._photometry_key)[1])
 
     def hemispheric_albedo(self, mu0: ArrayLike) -> Array:
         """Return the hemispherical albedo (reflected over incident irradiance).
@@ -158,7 +158,9 @@ class Light:
         `mu0` are the cosines of the incidence angle; the result has the same shape.
         """
         return np.asarray(
-            np.interp(np.asarray(mu0, float), _COSINES, _hemispheric(self._photometry_key)[0])
+            np.interp(
+                np.asarray(mu0, float), _COSINES, _hemispherical_albedos(self._photometry_key)[0]
+            )
         )
 
     @property
@@ -186,17 +188,17 @@ _COSINES = np.linspace(0.01, 1.0, 34)
 
 
 @lru_cache(maxsize=16)
-def _hemispheric(law: Light) -> tuple[Array, float]:
-    """Integrate the reflection model `law` over all emission directions.
+def _hemispherical_albedos(light: Light) -> tuple[Array, float]:
+    """Return hemispherical albedos at incidence cosines `_COSINES`; diffuse albedo.
 
-    Returns the hemispherical albedo at the cosines of incidence `_COSINES`, and the albedo under
-    uniform diffuse light.
+    The reflection model of `light` is integrated over all emission directions. The diffuse
+    albedo is that under uniform light.
     """
     mu, weight = np.polynomial.legendre.leggauss(24)
     mu, weight = 0.5 * (mu + 1.0), 0.5 * weight
     psi = np.pi * (np.arange(24) + 0.5) / 24
     mu0 = _COSINES[:, None, None]
     cos_g = mu0 * mu[:, None] + np.sqrt((1.0 - mu0**2) * (1.0 - mu[:, None] ** 2)) * np.cos(psi)
-    factor = law.radiance_factor(mu0, mu[:, None], cos_g).mean(-1)
+    factor = light.radiance_factor(mu0, mu[:, None], cos_g).mean(-1)
     albedo = 2.0 * (factor * mu * weight).sum(-1) / _COSINES
     return albedo, 2.0 * float(np.trapezoid(albedo * _COSINES, _COSINES))

@@ -69,14 +69,14 @@ class TerrainTruth:
         elevation = world.terrain.raster(grid)
         return cls(exact_safety(elevation, grid, lander), elevation, lander)
 
-    def within(self, bounds: Bounds, most_cells: int) -> TerrainTruth:
-        """Return the part within `bounds`, with at most `most_cells` cells per side.
+    def within(self, bounds: Bounds, max_cells: int) -> TerrainTruth:
+        """Return the part within `bounds`, with at most `max_cells` cells per side.
 
         `bounds` are the west, east, south and north edges, m. A larger part keeps only every k-th
         row and column.
         """
         rows, cols = _cells_within(self.safety.grid, bounds, 0)
-        step = -(-max(rows.stop - rows.start, cols.stop - cols.start) // most_cells)
+        step = -(-max(rows.stop - rows.start, cols.stop - cols.start) // max_cells)
         rows, cols = slice(rows.start, rows.stop, step), slice(cols.start, cols.stop, step)
         s = self.safety
         safety = SafetyMap(

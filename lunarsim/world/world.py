@@ -55,14 +55,14 @@ class World:
             np.where(missed, beyond.rock, hits.rock),
         )
 
-    def is_below_terrain(self, position: NDArray[np.float64], low: float) -> bool:
+    def is_below_terrain(self, position: NDArray[np.float64], min_elevation: float) -> bool:
         """Return whether a position (3,), ENU, m, is more than 1 m below the terrain.
 
-        Without far terrain, `low` is the elevation that the position is compared with, m.
+        Without far terrain, the limit is the terrain's `min_elevation`, m.
         """
         if self.far_terrain is not None:
             return bool(self.far_terrain.clearance(position) < -1.0)
-        return bool(self.height(position) < low - 1.0)
+        return bool(self.height(position) < min_elevation - 1.0)
 
     def height(self, position: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return heights (...,), m, of positions (..., 3), ENU, above the datum.

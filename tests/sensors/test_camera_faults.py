@@ -167,7 +167,7 @@ def test_part_builds_what_it_says():
     auto = FramingCamera(exposure_control="auto", hot_pixels=0.01, exposure_level=0.5)
     built = auto.build(np.random.default_rng(1), 0.1)
     assert isinstance(built, AutoExposureCamera)
-    assert built.control.level == 0.5
+    assert built.control.bright_end_target == 0.5
     other = auto.build(np.random.default_rng(2), 0.1)
     assert built.camera.detector_seed != other.camera.detector_seed
 

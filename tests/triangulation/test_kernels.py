@@ -28,7 +28,7 @@ def mesh(rows, cols, seed, noise=0.1):
 def test_a_mesh_is_flipped_without_help_from_insertion(rows, cols, turn):
     """Its caller inserts the points one by one where the mesh gives no triangles."""
     points = mesh(rows, cols, seed=rows) * turn
-    triangles = _flip_kernels.flip_mesh(points, rows, cols)
+    triangles = _flip_kernels.triangulate_mesh(points, rows, cols)
     assert edges(triangles) == edges(Delaunay(points).simplices)
     a, b, c = (points[triangles[:, k]] for k in range(3))
     u, v = b - a, c - a
@@ -39,7 +39,7 @@ def test_a_mesh_is_flipped_without_help_from_insertion(rows, cols, turn):
 def test_a_mesh_that_must_be_flipped_often(seed):
     points = mesh(12, 15, seed, noise=0.05)
     points[:, 0] += 3 * points[:, 1]  # sheared: the first diagonals are far from Delaunay
-    triangles = _flip_kernels.flip_mesh(points, 12, 15)
+    triangles = _flip_kernels.triangulate_mesh(points, 12, 15)
     assert edges(triangles) == edges(Delaunay(points).simplices)
 
 
@@ -47,7 +47,7 @@ def test_a_mesh_that_must_be_flipped_often(seed):
 def test_a_mesh_that_folds_over_is_refused(place):
     points = mesh(12, 9, seed=1)
     points[place] += (2**16) * np.array([3, 3]) * (1 if place < 50 else -1)
-    assert _flip_kernels.flip_mesh(points, 12, 9).shape == (0, 3)
+    assert _flip_kernels.triangulate_mesh(points, 12, 9).shape == (0, 3)
 
 
 @pytest.mark.parametrize(
@@ -55,7 +55,7 @@ def test_a_mesh_that_folds_over_is_refused(place):
 )
 def test_a_quad_with_a_triangle_of_no_area_is_refused(b, c, d):
     points = np.array([(0, 0), b, d, c], dtype=np.int64)
-    assert _flip_kernels.flip_mesh(points, 2, 2).shape == (0, 3)
+    assert _flip_kernels.triangulate_mesh(points, 2, 2).shape == (0, 3)
 
 
 @pytest.mark.parametrize("bits", [1, 2, 5])

@@ -15,7 +15,7 @@ from lunarsim.models._pinhole_kernels import to_pixel
 
 @kernel(parallel=True)
 def rock_feet(rocks, reach, z, x0, y0, p):
-    """Return an elevation (n,), m, below the complete relief under each rock.
+    """Return an elevation (n,), m, that is below all relief under each rock's outline.
 
     `reach` (n,) are the radii of the outlines, m; `z` are the elevations of the relief, with the
     first grid point (x0, y0) and the spacing `p`.
@@ -36,10 +36,10 @@ def rock_feet(rocks, reach, z, x0, y0, p):
 
 
 @kernel(exact=True)
-def _sides(rocks, n, reach):
-    """Return the half side vectors of the rectangle around rock n: four numbers, m.
+def _half_sides(rocks, n, reach):
+    """Return half of the sides of the rectangle around rock n's outline, four numbers.
 
-    The first vector is (s0, s1), the second (-s2, s3), east and north.
+    The numbers s0 to s3, m, are the vectors (s0, s1) and (-s2, s3), east and north.
     """
     scale = reach[n] / max(rocks[n, 3], rocks[n, 4])
     e = rocks[n, 3] * scale
@@ -48,8 +48,8 @@ def _sides(rocks, n, reach):
 
 
 @kernel()
-def _fit(u0, v0, u1, v1, width, height, box, m):
-    """Write the pixels with centres in a rectangle into `box[m]`; return if any.
+def _write_pixel_box(u0, v0, u1, v1, width, height, box, m):
+    """Write the box of pixels centred in a rectangle into `box[m]`; return if any.
 
     The rectangle spans columns u0 to u1 and rows v0 to v1 of an image of `width` x `height`.
     Centres are at integers. A margin of 0.005 pixels covers rounding of float32 in the shader.
@@ -67,16 +67,15 @@ def _fit(u0, v0, u1, v1, width, height, box, m):
 
 @kernel()
 def visible_rocks(
-    rocks, reach, foot, number, viewpoint, to_sensor, fx, fy, cx, cy, width, height, near
+    rocks, reach, foot, rock_indices, viewpoint, to_sensor, fx, fy, cx, cy, width, height, near
 ):
-    """Return boxes of pixels (m, 4) that rocks may cover, and which boxes have any.
+    """Return boxes of pixels (m, 4) that rocks may cover, and which have any (m,).
 
-    `rocks`, `reach` and `foot` are described in the module; `number` (m,) are the indices of the
-    rocks to test. `viewpoint` (3,) is the camera, `to_sensor` (3, 3) the rotation from ENU, `fx` to
-    `cy` are the focal lengths and principal point, and `near` is the minimum depth, m. A rock
-    between the centres of pixels has an empty box.
+    `rocks`, `reach` and `foot` are those of `RockTiles`; `rock_indices` (m,) selects the rocks.
+    `viewpoint` (3,) is the camera, `to_sensor` (3, 3) the rotation from ENU, `fx` to `cy` are the
+    focal lengths and principal point, and `near` is the minimum depth, m.
     """
-    count = number.size
+    count = rock_indices.size
     seen = np.zeros(count, np.bool_)
     box = np.empty((count, 4))
     left = np.hypot(fx, cx + 0.5)
@@ -84,7 +83,7 @@ def visible_rocks(
     upper = np.hypot(fy, cy + 0.5)
     lower = np.hypot(fy, height - 0.5 - cy)
     for m in range(count):
-        n = number[m]
+        n = rock_indices[m]
         dx = rocks[n, 0] - viewpoint[0]
         dy = rocks[n, 1] - viewpoint[1]
         dz = rocks[n, 2] - viewpoint[2]
@@ -102,7 +101,7 @@ def visible_rocks(
         )
         if outside:
             continue
-        sides = _sides(rocks, n, reach)
+        sides = _half_sides(rocks, n, reach)
         top = rocks[n, 2] + rocks[n, 5] - viewpoint[2]
         base = foot[n] - viewpoint[2]
         u0 = np.inf
@@ -129,7 +128,7 @@ def visible_rocks(
             u1 = max(u1, u)
             v0 = min(v0, v)
             v1 = max(v1, v)
-        seen[m] = _fit(u0, v0, u1, v1, width, height, box, m)
+        seen[m] = _write_pixel_box(u0, v0, u1, v1, width, height, box, m)
     return box, seen
 
 
@@ -141,7 +140,7 @@ def _is_read(u0, v0, u1, v1, width, height, normal, lower_bound, upper_bound):
     in strips with normals `normal` (k, 2) between `lower_bound` and `upper_bound` (k,), and at the
     border of the map.
     """
-    # As `ShadowMapReads.meet` has it.
+    # Same rule as `ShadowMapReads.may_shade`.
     if u0 < 4.0 or v0 < 4.0 or u1 > width - 4.0 or v1 > height - 4.0:
         return True
     for k in range(lower_bound.size):
@@ -155,11 +154,11 @@ def _is_read(u0, v0, u1, v1, width, height, normal, lower_bound, upper_bound):
 
 
 @kernel()
-def shading_rocks(
+def shadow_casting_rocks(
     rocks,
     reach,
     foot,
-    number,
+    rock_indices,
     viewpoint,
     lean,
     axes,
@@ -173,18 +172,18 @@ def shading_rocks(
 ):
     """Return boxes of texels (m, 4) that rocks may shadow, and which are needed (m,).
 
-    `rocks`, `reach` and `foot` are described in the module; `number` (m,) are the indices of the
-    rocks to test. `viewpoint` (3,) is the camera. `lean` (2,) is the displacement of the Sun's
-    rays per metre of height, `axes` (2, 2) transforms ENU to the axes of the shadow map, `corner`
-    is the map's corner in these axes, m, and `texel` the side of a texel, m. Texels outside the
-    strips of `ShadowMapReads` (`normal`, `lower_bound`, `upper_bound`) are not needed.
+    `rocks`, `reach` and `foot` are those of `RockTiles`; `rock_indices` (m,) selects the rocks.
+    `viewpoint` (3,) is the camera. `lean` (2,) is the displacement of the Sun's rays per metre of
+    height, `axes` (2, 2) transforms ENU to the axes of the shadow map, `corner` is the map's corner
+    in these axes, m, and `texel` the side of a texel, m. Texels outside the strips of
+    `ShadowMapReads` (`normal`, `lower_bound`, `upper_bound`) are not needed.
     """
-    count = number.size
+    count = rock_indices.size
     seen = np.zeros(count, np.bool_)
     box = np.empty((count, 4))
     for m in range(count):
-        n = number[m]
-        sides = _sides(rocks, n, reach)
+        n = rock_indices[m]
+        sides = _half_sides(rocks, n, reach)
         u0 = np.inf
         u1 = -np.inf
         v0 = np.inf
@@ -210,39 +209,40 @@ def shading_rocks(
         v0 /= texel
         v1 /= texel
         # Centres of texels are at half integers.
-        seen[m] = _fit(u0 - 0.5, v0 - 0.5, u1 - 0.5, v1 - 0.5, width, height, box, m) and _is_read(
-            u0, v0, u1, v1, width, height, normal, lower_bound, upper_bound
-        )
+        seen[m] = _write_pixel_box(
+            u0 - 0.5, v0 - 0.5, u1 - 0.5, v1 - 0.5, width, height, box, m
+        ) and _is_read(u0, v0, u1, v1, width, height, normal, lower_bound, upper_bound)
     return box, seen
 
 
 @kernel()
-def gather(box, number, drawn):
-    """Select the boxes (float32) and rock indices whose rocks are drawn.
+def select_boxes(box, rock_indices, drawn):
+    """Return the boxes (k, 4), float32, and the indices (k,) of the rocks to be drawn.
 
-    `box` (m, 4) are the boxes, `number` (m,) the rock indices and `drawn` (m,) the selection.
+    `box` (m, 4) and `rock_indices` (m,) are those of all tested rocks; `drawn` (m,) selects k
+    rocks.
     """
     picked = np.flatnonzero(drawn)
     out = np.empty((picked.size, 4), np.float32)
     for m in range(picked.size):
         for k in range(4):
             out[m, k] = box[picked[m], k]
-    return out, number[picked]
+    return out, rock_indices[picked]
 
 
 @kernel()
-def box_corners(box, number, picked):
-    """Return the corners of the picked boxes, with the index of the rock, for OpenGL.
+def box_corners(box, rock_indices, selected):
+    """Return the corners of the selected boxes, with the rock's index, for OpenGL.
 
     Rows (4 m, 3), float32: column, row and rock index of the corners lower left, lower right, upper
     left, upper right of each box. Columns and rows are relative to the image's corner.
     """
-    out = np.empty((4 * picked.size, 3), np.float32)
-    for m in range(picked.size):
-        n = picked[m]
+    out = np.empty((4 * selected.size, 3), np.float32)
+    for m in range(selected.size):
+        n = selected[m]
         for k in range(4):
             # The centre of the first pixel is at 0.
             out[4 * m + k, 0] = box[n, 2 * (k % 2)] + 0.5
             out[4 * m + k, 1] = box[n, 1 + 2 * (k // 2)] + 0.5
-            out[4 * m + k, 2] = number[n]
+            out[4 * m + k, 2] = rock_indices[n]
     return out

@@ -118,7 +118,7 @@ def tiles_that_shade(low, high, margin, viewpoint, lean, axes, corner, texel, wi
 
 
 @kernel()
-def rocks_of(order, start, kept):
+def rocks_in_tiles(order, start, kept):
     """Return the indices of the rocks in the selected tiles, in ascending order.
 
     Tile t contains the rocks `order[start[t]:start[t + 1]]`; `kept` (t,) is the selection.

@@ -25,14 +25,8 @@ def interpolate(values: Array, row: float, column: float) -> float:
 def lit_posts(z: Array, posting: float, sun: Array) -> NDArray[np.bool_]:
     """Return which grid points (rows, cols) of a relief see the centre of the Sun.
 
-    Parameters
-    ----------
-    z
-        Elevations (rows, cols), m; NaN casts no shadow.
-    posting
-        Grid spacing, m.
-    sun
-        Unit vector to the Sun (3,), above the horizon.
+    `z` are elevations, m (NaN casts no shadow), `posting` is the grid spacing, m, and `sun` the
+    unit vector to the Sun (3,), above the horizon.
     """
     rows, cols = z.shape
     out = np.zeros(z.shape, np.bool_)
@@ -63,29 +57,22 @@ def lit_posts(z: Array, posting: float, sun: Array) -> NDArray[np.bool_]:
 
 @kernel(parallel=True)
 def scattered_irradiance(
-    z: Array, slope: Array, posting: float, shine: Array, azimuths: int, growth: float
+    z: Array,
+    slope: Array,
+    posting: float,
+    radiance_factor: Array,
+    azimuths: int,
+    distance_factor: float,
 ) -> Array:
-    """Return the irradiance (rows, cols) of a relief by the terrain that it faces.
+    """Return the irradiance (rows, cols) of a relief by sunlit terrain around it.
 
-    The irradiance is relative to that of the Sun.
+    The irradiance is relative to that of the Sun. `z` are elevations, m, and `slope`
+    (rows, cols, 2) their gradients to the east and to the north; `radiance_factor` is the I/F of
+    every grid point, equal in all directions.
 
-    Along each azimuth the terrain is sampled at increasing distances; a sample above all nearer
-    ones is visible, and fills the band of elevation angles in between.
-
-    Parameters
-    ----------
-    z
-        Elevations (rows, cols), m.
-    slope
-        Gradient to the east and to the north at each grid point (rows, cols, 2).
-    posting
-        Grid spacing, m.
-    shine
-        Radiance factor I/F of every grid point, equal in all directions (rows, cols).
-    azimuths
-        Number of azimuths.
-    growth
-        Factor between consecutive distances, except close to the grid point.
+    Along each of `azimuths` azimuths the terrain is sampled at distances that grow by
+    `distance_factor`; a sample above all nearer ones is visible, and fills the band of elevation
+    angles in between.
     """
     rows, cols = z.shape
     out = np.zeros(z.shape)
@@ -115,8 +102,8 @@ def scattered_irradiance(
                             here - seen + 0.5 * (np.sin(2.0 * here) - np.sin(2.0 * seen))
                         ) + up * 0.5 * (top * top - sine * sine)
                         # Rounding may make the integral over a narrow band negative.
-                        total += interpolate(shine, row, column) * max(band, 0.0)
+                        total += interpolate(radiance_factor, row, column) * max(band, 0.0)
                         seen, sine = here, top
-                    distance = max(distance + 1.0, distance * growth)
+                    distance = max(distance + 1.0, distance * distance_factor)
             out[i, j] = 2.0 * total / azimuths
     return out

@@ -19,11 +19,11 @@ MOST = 16  # maximum number of pixels in a small rock's box
 
 
 @kernel()
-def split(box):
+def split_by_size(box):
     """Separate the screen boxes (m, 4) of small rocks from those of large rocks.
 
-    Returns the indices of boxes of at most 16 pixels, the number of their first pixel in a list of
-    all their pixels (its last element is the total number), and the indices of the other boxes.
+    Returns the indices (k,) of the boxes of at most 16 pixels, their cumulative numbers of pixels
+    (k + 1,), starting with 0, and the indices of the other boxes.
     """
     area = np.empty(box.shape[0], np.int64)
     for m in range(box.shape[0]):
@@ -35,23 +35,35 @@ def split(box):
 
 
 @kernel()
-def sight(
-    rocks, planes, count, box, number, small, start, viewpoint, to_sensor, fx, fy, cx, cy, near
+def trace_view_rays(
+    rocks,
+    planes,
+    count,
+    box,
+    rock_indices,
+    small,
+    start,
+    viewpoint,
+    to_sensor,
+    fx,
+    fy,
+    cx,
+    cy,
+    near,
 ):
     """Trace a ray through every pixel of small rocks in an image.
 
-    `rocks`, `planes` and `count` are rocks (n, 9) and the half spaces of their shapes; `box`,
-    `number`, `small` and `start` are boxes, rock indices and results of `split`; `viewpoint` (3,)
-    is the camera, `to_sensor` (3, 3) the rotation from ENU, `fx` to `cy` are the focal lengths and
-    principal point, and `near` is the minimum depth, m.
-    Returns rows (k, 7), float32: column, row, depth, normal (3) and rock index, and which rows are
-    hits (k,).
+    `rocks`, `planes` and `count` are rocks (n, 9) and the half spaces of their shapes; `box` and
+    `rock_indices` are those of `DrawnRocks`, `small` and `start` results of `split_by_size`.
+    `viewpoint` (3,) is the camera, `to_sensor` (3, 3) the rotation from ENU, `fx` to `cy` are the
+    focal lengths and principal point, and `near` is the minimum depth, m. Returns rows (k, 7),
+    float32: column, row, depth, normal (3) and rock index, and which rows are hits (k,).
     """
     out = np.empty((start[-1], 7), np.float32)
     hit = np.zeros(start[-1], np.bool_)
     for k in range(small.size):
         m = small[k]
-        n = number[m]
+        n = rock_indices[m]
         normal = np.empty(3)
         at = start[k]
         wide = round(box[m, 2] - box[m, 0])
@@ -90,12 +102,12 @@ def sight(
 
 
 @kernel()
-def shade(
+def trace_sun_rays(
     rocks,
     planes,
     count,
     box,
-    number,
+    rock_indices,
     small,
     start,
     viewpoint,
@@ -108,10 +120,10 @@ def shade(
 ):
     """Trace a ray to the Sun through every shadow map texel of small rocks.
 
-    `rocks`, `planes` and `count` are rocks (n, 9) and the half spaces of their shapes; `box`,
-    `number`, `small` and `start` are boxes, rock indices and results of `split`; `viewpoint` (3,)
-    is the camera. `lean`, `axes`, `corner` and `texel` describe the map as in `ShadowFrame`;
-    `highest` and `lowest` bound elevations relative to the camera, m. Returns rows
+    `rocks`, `planes` and `count` are rocks (n, 9) and the half spaces of their shapes; `box` and
+    `rock_indices` are those of `DrawnRocks`, `small` and `start` results of `split_by_size`.
+    `viewpoint` (3,) is the camera. `lean`, `axes`, `corner` and `texel` describe the map as in
+    `ShadowFrame`; `highest` and `lowest` bound elevations relative to the camera, m. Returns rows
     (k, 3), float32: column, row and depth (0 to 1) of the highest face away from the Sun, and which
     rows are hits (k,).
     """
@@ -119,7 +131,7 @@ def shade(
     hit = np.zeros(start[-1], np.bool_)
     for k in range(small.size):
         m = small[k]
-        n = number[m]
+        n = rock_indices[m]
         at = start[k]
         wide = round(box[m, 2] - box[m, 0])
         for p in range(start[k + 1] - at):

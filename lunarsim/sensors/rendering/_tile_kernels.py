@@ -13,10 +13,9 @@ _STEEP_VIEW_FACTOR = 4.0
 
 
 @kernel()
-def _extremes(z, i0, j0, i1, j1):
-    """Return minimum, maximum, steepest rise per cell, and gaps of a tile.
+def _tile_extremes(z, i0, j0, i1, j1):
+    """Return a tile's minimum, maximum, steepest rise per cell, and if it has no-data.
 
-    The last value is whether an elevation is missing.
     The tile spans grid points (i0, j0) to (i1, j1) of the elevations `z`, m.
     """
     low = np.inf
@@ -92,7 +91,7 @@ def tile_tables(z, side, levels, p):
             j0 = tj * side
             i1 = min(i0 + side, rows - 1)
             j1 = min(j0 + side, cols - 1)
-            lowest, highest, steepest, missing = _extremes(z, i0, j0, i1, j1)
+            lowest, highest, steepest, missing = _tile_extremes(z, i0, j0, i1, j1)
             low[ti, tj] = lowest
             top[ti, tj] = highest
             steep[ti, tj] = steepest / p
@@ -104,18 +103,18 @@ def tile_tables(z, side, levels, p):
 
 
 @kernel()
-def shadow_caster_blocks(z, first, side, blocks, p, sun, share):
+def shadow_caster_blocks(z, first, side, blocks, p, sun, slope_factor):
     """Return which blocks (m, blocks^2) of tiles have faces turned away from the Sun.
 
     `first` (m, 2) are the first column and row of each tile of `side` cells along a side; its
     `blocks` x `blocks` blocks are numbered row by row. `p` is the grid spacing, m, and `sun` (3,)
-    the unit vector to the Sun. A face counts if it rises towards the Sun by more than `share`, a
-    factor slightly below 1, times the rise of the Sun's rays.
+    the unit vector to the Sun. A face counts if it rises towards the Sun by more than
+    `slope_factor`, a factor slightly below 1, times the rise of the Sun's rays.
     """
     rows, cols = z.shape
     out = np.zeros((first.shape[0], blocks * blocks), np.bool_)
     wide = side // blocks
-    limit = share * sun[2] * p
+    limit = slope_factor * sun[2] * p
     for m in range(first.shape[0]):
         for i in range(first[m, 1], min(first[m, 1] + side, rows - 1)):
             for j in range(first[m, 0], min(first[m, 0] + side, cols - 1)):
@@ -153,7 +152,7 @@ def cell_corners(z, datum):
 
 
 @kernel()
-def _coarsest(error, n, max_error):
+def _coarsest_level(error, n, max_error):
     """Return the coarsest level of detail of tile n with errors up to `max_error`, m.
 
     `error` (levels, n) are the errors of all tiles, m.
@@ -165,7 +164,7 @@ def _coarsest(error, n, max_error):
 
 
 @kernel()
-def choose(low, high, error, viewpoint, axes, bounds, near, tolerance, shadow_tolerance):
+def choose_tiles(low, high, error, viewpoint, axes, bounds, near, tolerance, shadow_tolerance):
     """Select the visible tiles of a relief and their levels of detail for a camera.
 
     `low` and `high` (n, 3) are the tiles' bounding boxes, `error` (levels, n) their errors; `axes`
@@ -193,8 +192,8 @@ def choose(low, high, error, viewpoint, axes, bounds, near, tolerance, shadow_to
         # The shader corrects the displacement by coarse tiles for steeply descending rays.
         slant = run / max(viewpoint[2] - high[n, 2], 1e-9)
         steep = min(max(_STEEP_VIEW_FACTOR / max(slant * slant, 1.0), 1.0), _STEEP_VIEW_FACTOR)
-        level[n] = _coarsest(error, n, tolerance * steep * distance)
-        shadow_level[n] = _coarsest(error, n, shadow_tolerance * distance)
+        level[n] = _coarsest_level(error, n, tolerance * steep * distance)
+        shadow_level[n] = _coarsest_level(error, n, shadow_tolerance * distance)
         behind = left = right = above = below = 0
         for corner in range(8):
             e = (high[n, 0] if corner & 1 else low[n, 0]) - viewpoint[0]

@@ -16,14 +16,14 @@ Array = NDArray[np.float64]
 _MAX_SEARCH_BLOCKS = 128
 
 
-def disc_axes(frame: ShadowFrame, sun: Array, diameter: float) -> Array:
-    """Return the half axes (2,) of the Sun's disc in a shadow map, texels per metre.
+def sun_disc_axes(frame: ShadowFrame, sun: Array, diameter: float) -> Array:
+    """Return half the penumbra's width in a shadow map (2,), texels per metre.
 
-    The values are per metre of an occluder's height; `sun` (3,) is the unit vector to the Sun and
-    `diameter` its apparent diameter, rad.
-    The first axis is along the Sun's azimuth. An occluder at height h over a point hides parts of
-    the disc within h tan(r) / sin(e)^2 along the azimuth, and h tan(r) / sin(e) across, with the
-    radius r of the disc and the elevation e of the Sun; to first order in r.
+    The metres are the height of an occluder over the point; `sun` (3,) is the unit vector to the
+    Sun, and `diameter` its apparent diameter, rad. The first axis is along the Sun's azimuth. An
+    occluder at height h over a point hides parts of the disc within h tan(r) / sin(e)^2 along the
+    azimuth, and h tan(r) / sin(e) across, with the radius r of the disc and the elevation e of the
+    Sun; to first order in r.
     """
     radius = np.tan(0.5 * diameter)
     sine = max(float(sun[2]), float(radius))
@@ -32,6 +32,8 @@ def disc_axes(frame: ShadowFrame, sun: Array, diameter: float) -> Array:
 
 class PenumbraBounds:
     """Minimum and maximum depth of a shadow map around each of its blocks.
+
+    The bounds identify blocks that are completely lit or completely in shadow.
 
     Parameters
     ----------
@@ -58,7 +60,7 @@ class PenumbraBounds:
             name: ctx.vertex_array(programs[name], []) for name in ("bounds", "spread")
         }
 
-    def draw(self, frame: ShadowFrame, axes: Array, reach: float) -> None:
+    def draw(self, frame: ShadowFrame, axes: Array, half_width: float) -> None:
         """Compute minimum and maximum depth around each block of a drawn shadow map.
 
         Parameters
@@ -67,11 +69,11 @@ class PenumbraBounds:
             Frame of the map.
         axes
             Half axes of the Sun's disc per unit of depth (2,), texels.
-        reach
+        half_width
             Maximum half width of a penumbra, texels.
         """
         last = [-(-n // BLOCK) - 1 for n in frame.size]
-        far = int(min(np.ceil(reach / BLOCK) + 1, _MAX_SEARCH_BLOCKS))
+        far = int(min(np.ceil(half_width / BLOCK) + 1, _MAX_SEARCH_BLOCKS))
         self._shadow.texture.use(SHADOW)
         self._programs["bounds"]["last"] = (frame.size[0] - 1, frame.size[1] - 1)
         self._pass("bounds", 0, last)

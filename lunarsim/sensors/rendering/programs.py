@@ -69,7 +69,7 @@ BLOCK = 16
 ROCK_KINDS = ("half-sphere", "cube", "hull")
 
 
-def shade_name(*, coarse: bool, leaks: bool, truth: bool) -> str:
+def shading_program_name(*, coarse: bool, leaks: bool, truth: bool) -> str:
     """Return the name of the shader program that shades the relief.
 
     Parameters
@@ -79,7 +79,7 @@ def shade_name(*, coarse: bool, leaks: bool, truth: bool) -> str:
     leaks
         Whether light may leak through narrow ridges in the shadow map.
     truth
-        Whether range, normal and identity are also output.
+        Whether range, normal and rock index are also output.
     """
     return "shade" + "-coarse" * coarse + "-leaks" * leaks + "-truth" * truth
 
@@ -105,7 +105,7 @@ def geometry_programs(ctx: moderngl.Context, holes: tuple[str, ...]) -> dict[str
         "spread": ctx.program(shader("whole_vertex"), shader("spread_fragment")),
     }
     for kind in ROCK_KINDS:
-        shape, before, stem = _rock_kind(kind)
+        shape, before, stem = _rock_shader_parts(kind)
         programs[f"{kind}-shadow"] = ctx.program(
             shader("frame", "rock_vertex", defines=("SHADOW", *shape)),
             shader(*before, f"{stem}_shadow_fragment", defines=shape),
@@ -122,16 +122,18 @@ def shading_programs(ctx: moderngl.Context, model: ShadingModel) -> dict[str, mo
     for suffix, truth in (("", ()), ("-truth", ("TRUTH",))):
         for coarse, leaks in product((False, True), repeat=2):
             kind = (("COARSE",) if coarse else ()) + (("LEAKS",) if leaks else ())
-            programs[shade_name(coarse=coarse, leaks=leaks, truth=bool(truth))] = ctx.program(
-                shader(*before, "screen_vertex", defines=own),
-                shader(*lit, "paint", "shade_fragment", defines=(*truth, *kind, *own)),
+            programs[shading_program_name(coarse=coarse, leaks=leaks, truth=bool(truth))] = (
+                ctx.program(
+                    shader(*before, "screen_vertex", defines=own),
+                    shader(*lit, "paint", "shade_fragment", defines=(*truth, *kind, *own)),
+                )
             )
         programs[f"small-rocks{suffix}"] = ctx.program(
             shader(*before, *lit[1:], "small_rock_vertex", defines=(*truth, *own)),
             shader("paint", "small_rock_fragment", defines=truth),
         )
         for rock in ROCK_KINDS:
-            shape, first, stem = _rock_kind(rock)
+            shape, first, stem = _rock_shader_parts(rock)
             programs[rock + suffix] = ctx.program(
                 shader(*before, "rock_vertex", defines=(*shape, *own)),
                 shader(*lit, "paint", *first, f"{stem}_fragment", defines=(*shape, *truth, *own)),
@@ -139,10 +141,10 @@ def shading_programs(ctx: moderngl.Context, model: ShadingModel) -> dict[str, mo
     return _bind_inputs(programs)
 
 
-def _rock_kind(kind: str) -> tuple[tuple[str, ...], tuple[str, ...], str]:
-    """Return shader definitions, preceding sources and name prefix of a kind of rock.
+def _rock_shader_parts(kind: str) -> tuple[tuple[str, ...], tuple[str, ...], str]:
+    """Return the shader definitions and source files that draw a kind of rock.
 
-    `kind` is an element of `ROCK_KINDS`.
+    `kind` is an element of `ROCK_KINDS`. The third value is the stem of the main shader file.
     """
     if kind == "half-sphere":
         return (), ("half_sphere",), "half_sphere"

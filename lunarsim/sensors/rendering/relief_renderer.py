@@ -109,41 +109,48 @@ class ReliefRenderer:
                     self._draw_instances("relief-shadow", 0, rows[some], block)
 
     def _draw_instances(
-        self, name: str, k: int, rows: NDArray[np.void], block: int | None = None
+        self, name: str, level: int, instances: NDArray[np.void], block: int | None = None
     ) -> None:
         """Draw a tile mesh once per row of instance attributes.
 
-        `name` is the shader program, `k` the level of detail; `block` selects a part of the mesh.
+        `name` is the shader program, `level` the level of detail; `block` selects a part of the
+        mesh.
         """
-        if (name, k) not in self._vaos:
-            posts, triangles = tile_mesh(self._ctx, k)
+        if (name, level) not in self._vaos:
+            posts, triangles = tile_mesh(self._ctx, level)
             instance = (self._buffer, "4i 4i 16f/i", "tile", "edges", "placed")
-            self._vaos[name, k] = self._ctx.vertex_array(
+            self._vaos[name, level] = self._ctx.vertex_array(
                 self._programs[name], [(posts, "2i", "post"), instance], triangles
             )
-        self._buffer.orphan(rows.nbytes)
-        self._buffer.write(rows.tobytes())
+        self._buffer.orphan(instances.nbytes)
+        self._buffer.write(instances.tobytes())
         if block is None:
-            self._vaos[name, k].render(instances=len(rows))
+            self._vaos[name, level].render(instances=len(instances))
         else:
             count = 6 * (SIDE // BLOCKS) ** 2
-            self._vaos[name, k].render(vertices=count, first=count * block, instances=len(rows))
+            self._vaos[name, level].render(
+                vertices=count, first=count * block, instances=len(instances)
+            )
 
     def _instances(
-        self, matrix: Array, viewpoint: Array, picked: NDArray[np.int64], level: NDArray[np.int64]
+        self,
+        matrix: Array,
+        viewpoint: Array,
+        tile_indices: NDArray[np.int64],
+        level: NDArray[np.int64],
     ) -> NDArray[np.void]:
-        """Return the OpenGL instance attributes of the tiles with indices `picked`.
+        """Return the OpenGL instance attributes of the tiles with indices `tile_indices`.
 
         `matrix` (4, 4) transforms metres relative to the camera to clip coordinates; `level` (n,)
         are the levels of detail of all tiles. Positions are computed in float64.
         """
         g, tiles = self._grid, self.tiles
-        rows = np.empty(picked.size, _INSTANCE)
-        first = tiles.first[picked]
+        rows = np.empty(tile_indices.size, _INSTANCE)
+        first = tiles.first[tile_indices]
         rows["tile"][:, :2] = first
         rows["tile"][:, 2:] = np.array([g.cols, g.rows]) - 1 - first
-        rows["edges"] = np.maximum(level[tiles.neighbour[picked]], level[picked, None])
-        corner = np.empty((picked.size, 4))
+        rows["edges"] = np.maximum(level[tiles.neighbour[tile_indices]], level[tile_indices, None])
+        corner = np.empty((tile_indices.size, 4))
         corner[:, :2] = first * g.posting + np.array([g.x0, g.y0]) - viewpoint[:2]
         corner[:, 2] = self.datum - viewpoint[2]
         corner[:, 3] = 1.0

@@ -109,7 +109,7 @@ class ReliefTiles:
         tolerance, shadow_tolerance
             Maximum vertical error per metre of distance, in the image and in the shadow map.
         """
-        return TileChoice(*kernels.choose(
+        return TileChoice(*kernels.choose_tiles(
             self.low, self.high, self.error, viewpoint, np.ascontiguousarray(axes), bounds, near,
             tolerance, shadow_tolerance,
         ))  # fmt: skip

@@ -22,13 +22,13 @@ from lunarsim.sensors.rendered_image import RenderedImage
 from lunarsim.sensors.rendering.albedo_field import rock_albedos
 from lunarsim.sensors.rendering.context import gl_context, on_render_thread
 from lunarsim.sensors.rendering.frame_block import FRAME, frame_block
-from lunarsim.sensors.rendering.penumbra import PenumbraBounds, disc_axes
+from lunarsim.sensors.rendering.penumbra import PenumbraBounds, sun_disc_axes
 from lunarsim.sensors.rendering.programs import (
     BLOCK,
     DEPTHS,
     SHADOW,
     geometry_programs,
-    shade_name,
+    shading_program_name,
     shading_programs,
 )
 from lunarsim.sensors.rendering.relief_renderer import ReliefRenderer
@@ -126,7 +126,7 @@ class Renderer:
         self._check(view)
         sun = light.direction
         clip = self._clip(view)
-        choice = self._choose(view, sun, clip[0])
+        choice = self._choose_tiles(view, sun, clip[0])
         if truth:
             finest = np.zeros_like(choice.level)
             choice = replace(choice, level=finest, shadow_level=finest)
@@ -143,7 +143,7 @@ class Renderer:
         reach = self._set_penumbra(block, frame, light, bool(shades.any()))
         programs = self._set_surface(block, light, view, wide=reach > 1.0)
         self._upload_frame(block)
-        seen = self._rocks.seen(view, clip[0])
+        seen = self._rocks.visible_rocks(view, clip[0])
         with self._ctx.scope(target.image_buffer, moderngl.DEPTH_TEST):
             leaks = False
             if frame is not None:
@@ -156,10 +156,10 @@ class Renderer:
             matrix = _camera_matrix(view, *clip)
             self._ground.draw(matrix, view.position, choice.shown, choice.level)
             coarse = bool(choice.level[choice.shown].any())
-            over = target.over_mended if coarse else target.over
-            name = shade_name(coarse=coarse, leaks=leaks, truth=truth)
-            self._shade(target, over, coarse, programs[name])
-            over.use()
+            rock_buffer = target.over_mended if coarse else target.over
+            name = shading_program_name(coarse=coarse, leaks=leaks, truth=truth)
+            self._shade_relief(target, rock_buffer, coarse, programs[name])
+            rock_buffer.use()
             self._rocks.draw(programs, view, clip[0], seen, truth)
             return read_image(target, view, truth)
 
@@ -169,21 +169,21 @@ class Renderer:
         self._block.write(block.tobytes())
         self._block.bind_to_uniform_block(0)
 
-    def _shade(
+    def _shade_relief(
         self,
         target: ImageTarget,
-        over: moderngl.Framebuffer,
+        rock_buffer: moderngl.Framebuffer,
         coarse: bool,
         program: moderngl.Program,
     ) -> None:
         """Shade the relief; correct its depth if it was drawn at reduced resolution.
 
-        `target` are the framebuffers of the image, `over` is the one with the depth that rocks are
-        tested against, `coarse` is whether the resolution was reduced, and `program` the shader.
+        `target` are the framebuffers of the image; `rock_buffer` is the one into which rocks are
+        drawn later. `coarse` is whether the resolution was reduced, and `program` the shader.
         """
         if coarse:
-            over.use()
-            over.clear(depth=1.0)
+            rock_buffer.use()
+            rock_buffer.clear(depth=1.0)
             self._ctx.depth_func = "1"
         else:
             target.image_buffer.use()
@@ -232,7 +232,7 @@ class Renderer:
         left, right, upper, lower = view.border_tangents
         return float(np.hypot(max(-left, right), max(-upper, lower)))
 
-    def _choose(self, view: View, sun: Array, near: float) -> TileChoice:
+    def _choose_tiles(self, view: View, sun: Array, near: float) -> TileChoice:
         """Select the visible tiles of the relief and their levels of detail.
 
         `sun` (3,) is the unit vector to the Sun and `near` the minimum depth, m.
@@ -287,16 +287,16 @@ class Renderer:
         """
         if frame is None or light.diameter == 0.0:
             return 0.0
-        axes = disc_axes(frame, light.direction, light.diameter)
+        axes = sun_disc_axes(frame, light.direction, light.diameter)
         high = self._rocks.tallest
         if relief_shades:
             high += self._highest - self._lowest
         range_ = frame.heights[0] - frame.heights[1]
-        reach = float(axes.max()) * min(high, range_)
+        half_width = float(axes.max()) * min(high, range_)
         block["penumbra"][:2] = axes * range_
-        if reach > 1.0:
+        if half_width > 1.0:
             block["penumbra"][2:] = 1.0 / (BLOCK * np.array(self._penumbra_bounds().size))
-        return reach
+        return half_width
 
     def _shading_tiles(
         self, view: View, sun: Array, frame: ShadowFrame | None
@@ -309,16 +309,21 @@ class Renderer:
         return np.asarray(steep & frame.shades(self._corners, view.position))
 
     def _map_reads(
-        self, view: View, frame: ShadowFrame, choice: TileChoice, seen: DrawnRocks, reach: float
+        self,
+        view: View,
+        frame: ShadowFrame,
+        choice: TileChoice,
+        visible_rocks: DrawnRocks,
+        penumbra_half_width: float,
     ) -> ShadowMapReads:
         """Return which part of the shadow map an image reads.
 
-        `choice` are the visible tiles, `seen` the visible rocks, and `reach` is half the width of
-        the widest penumbra, texels.
+        `choice` are the visible tiles, and `penumbra_half_width` is that of the widest penumbra,
+        texels.
         """
-        if reach > 1.0:  # the search for penumbrae may read any texel
+        if penumbra_half_width > 1.0:  # the search for penumbrae may read any texel
             return ShadowMapReads.anywhere(frame)
-        low, high = self._rocks.heights(seen)
+        low, high = self._rocks.elevation_bounds(visible_rocks)
         low, high = min(low, float(choice.low[2])), max(high, float(choice.high[2]))
         if not np.isfinite([low, high]).all():
             return ShadowMapReads.anywhere(frame)
@@ -342,7 +347,7 @@ class Renderer:
         self._ctx.enable_only(moderngl.BLEND | moderngl.CULL_FACE)
         self._ctx.cull_face = "front"
         drawn = shades.copy()
-        drawn[shades] = reads.meet(frame.texels_of(self._corners[shades] - view.position))
+        drawn[shades] = reads.may_shade(frame.texels_of(self._corners[shades] - view.position))
         self._ground.draw_shadows(frame, sun, view.position, drawn, level)
         self._ctx.enable_only(moderngl.DEPTH_TEST)
         shadow.texture.use(SHADOW)

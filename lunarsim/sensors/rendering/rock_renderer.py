@@ -85,22 +85,22 @@ class RockRenderer:
             lines = len(self._texels) // _TEXTURE
             self._texture = float_texture(self._ctx, self._texels.reshape(lines, 3 * _TEXTURE, 4))
 
-    def seen(self, view: View, near: float) -> DrawnRocks:
+    def visible_rocks(self, view: View, near: float) -> DrawnRocks:
         """Return the rocks that are visible in a view with minimum depth `near`, m."""
-        return self._tiles.seen(view, near)
+        return self._tiles.visible(view, near)
 
-    def heights(self, seen: DrawnRocks) -> tuple[float, float]:
+    def elevation_bounds(self, visible: DrawnRocks) -> tuple[float, float]:
         """Return bounds of the elevation, m, of the visible parts of rocks.
 
         The bounds are infinite if the side of a rock continues beyond the relief.
         """
-        if self._bottomless[seen.number].any():
+        if self._bottomless[visible.rock_indices].any():
             return -np.inf, np.inf
-        lowest = self._foot[seen.number].min(initial=np.inf)
-        return float(lowest), float(self._top[seen.number].max(initial=-np.inf))
+        lowest = self._foot[visible.rock_indices].min(initial=np.inf)
+        return float(lowest), float(self._top[visible.rock_indices].max(initial=-np.inf))
 
     def draw(
-        self, programs: dict[str, moderngl.Program], view: View, near: float, seen: DrawnRocks,
+        self, programs: dict[str, moderngl.Program], view: View, near: float, visible: DrawnRocks,
         truth: bool,
     ) -> None:  # fmt: skip
         """Draw the visible rocks over an image of the relief.
@@ -113,18 +113,18 @@ class RockRenderer:
             Camera view of the image.
         near
             Minimum depth, m.
-        seen
+        visible
             Rocks that are visible in the image.
         truth
             Whether range, normal and identity are also output.
         """
         towards = np.ascontiguousarray(view.axes.T)
-        box, number = seen.box, seen.number
-        small, start, rest = small_rocks.split(box)
+        box, rock_indices = visible.box, visible.rock_indices
+        small, start, rest = small_rocks.split_by_size(box)
         suffix = "-truth" if truth else ""
-        self._draw_boxes(programs, suffix, box[rest], number[rest])
-        points, hit = small_rocks.sight(
-            self._rows, self._shapes.planes, self._shapes.count, box, number, small, start,
+        self._draw_boxes(programs, suffix, box[rest], rock_indices[rest])
+        points, hit = small_rocks.trace_view_rays(
+            self._rows, self._shapes.planes, self._shapes.count, box, rock_indices, small, start,
             view.position, towards, view.fx, view.fy, view.cx, view.cy, near,
         )  # fmt: skip
         self._draw_points(programs["small-rocks" + suffix], points[hit])
@@ -136,11 +136,11 @@ class RockRenderer:
 
         `frame` is the geometry of the map, and `reads` the part that the image reads.
         """
-        shading = self._tiles.shading(view, frame, reads)
-        box, number = shading.box, shading.number
-        small, start, rest = small_rocks.split(box)
-        points, hit = small_rocks.shade(
-            self._rows, self._shapes.planes, self._shapes.count, box, number, small, start,
+        shading = self._tiles.shadow_casters(view, frame, reads)
+        box, rock_indices = shading.box, shading.rock_indices
+        small, start, rest = small_rocks.split_by_size(box)
+        points, hit = small_rocks.trace_sun_rays(
+            self._rows, self._shapes.planes, self._shapes.count, box, rock_indices, small, start,
             view.position, frame.lean, frame.axes, frame.corner, frame.texel, *frame.heights,
         )  # fmt: skip
         shadow.buffer.viewport = (0, 0, *frame.size)
@@ -151,17 +151,17 @@ class RockRenderer:
             # Clear the complete map: drivers clear a part far more slowly.
             shadow.buffer.clear(1.0)
             self._draw_points(self._programs["small-rocks-shadow"], points[hit])
-        self._draw_boxes(self._programs, "-shadow", box[rest], number[rest])
+        self._draw_boxes(self._programs, "-shadow", box[rest], rock_indices[rest])
 
     def _draw_boxes(
         self, programs: dict[str, moderngl.Program], suffix: str, box: NDArray[np.float32],
-        number: NDArray[np.int32],
+        rock_indices: NDArray[np.int32],
     ) -> None:  # fmt: skip
-        kinds = self._kind[number]
+        kinds = self._kind[rock_indices]
         for k, kind in enumerate(ROCK_KINDS):
             picked = np.flatnonzero(kinds == k)
             if picked.size:
-                corners = kernels.box_corners(box, number, picked)
+                corners = kernels.box_corners(box, rock_indices, picked)
                 self._draw_corners(programs[kind + suffix], corners)
 
     def _draw_corners(self, program: moderngl.Program, corners: NDArray[np.float32]) -> None:

@@ -27,14 +27,14 @@ class DrawnRocks:
     Attributes
     ----------
     box
-        Pixels or texels covered by each rock (m, 4), float32: minimum column and row, maximum
-        column and row, of the edges; the centre of the first pixel is at 0.
-    number
+        Box of pixels or texels that covers each rock (m, 4), float32: minimum column, minimum row,
+        maximum column, maximum row of its edges; the centre of the first pixel is at 0.
+    rock_indices
         Indices of the rocks (m,).
     """
 
     box: NDArray[np.float32]
-    number: NDArray[np.int32]
+    rock_indices: NDArray[np.int32]
 
 
 @dataclass(frozen=True)
@@ -44,8 +44,8 @@ class RockTiles:
     Attributes
     ----------
     rocks, reach, foot
-        Rows (n, 9), outline radius (n,), m, and the elevation to which sides are drawn (n,), m, as
-        in `_cull_kernels`.
+        Rows of `RockField.rows` (n, 9), outline radius (n,), m, and the elevation down to which the
+        rock's sides are drawn (n,), m.
     order, start
         Tile t contains the rocks `order[start[t]:start[t + 1]]`; empty tiles are omitted.
     low, high
@@ -69,7 +69,7 @@ class RockTiles:
     def of(cls, rocks: Array, reach: Array, foot: Array) -> RockTiles:
         """Sort rocks (n, 9) into square tiles, and compute the bounds of each tile.
 
-        `reach` (n,) are outline radii and `foot` (n,) elevations to which sides are drawn, m.
+        `reach` (n,) are outline radii, and `foot` (n,) elevations down to which sides are drawn, m.
         """
         count = len(rocks)
         side = int(np.clip(np.sqrt(count / _ROCKS_PER_TILE), 1, _MAX_TILES_PER_SIDE))
@@ -83,7 +83,7 @@ class RockTiles:
         bounds = kernels.tile_bounds(rocks, reach, foot, order, start)
         return cls(rocks, reach, foot, order, start, *bounds)
 
-    def seen(self, view: View, near: float) -> DrawnRocks:
+    def visible(self, view: View, near: float) -> DrawnRocks:
         """Return the rocks that may cover pixels of a view, with their boxes of pixels.
 
         `near` is the minimum depth, m.
@@ -94,20 +94,20 @@ class RockTiles:
         kept = kernels.tiles_in_view(
             self.low, self.high, self.radius, view.position, towards, *lens
         )
-        number = kernels.rocks_of(self.order, self.start, kept)
+        rock_indices = kernels.rocks_in_tiles(self.order, self.start, kept)
         box, seen = cull.visible_rocks(
-            self.rocks, self.reach, self.foot, number, view.position, towards, *lens
+            self.rocks, self.reach, self.foot, rock_indices, view.position, towards, *lens
         )
-        return DrawnRocks(*cull.gather(box, number, seen))
+        return DrawnRocks(*cull.select_boxes(box, rock_indices, seen))
 
-    def shading(self, view: View, frame: ShadowFrame, reads: ShadowMapReads) -> DrawnRocks:
+    def shadow_casters(self, view: View, frame: ShadowFrame, reads: ShadowMapReads) -> DrawnRocks:
         """Return the rocks that may shadow texels of a shadow map that an image reads."""
         size = (float(frame.size[0]), float(frame.size[1]))
         map_ = (frame.lean, frame.axes, frame.corner, frame.texel, *size)
         kept = kernels.tiles_that_shade(self.low, self.high, self.margin, view.position, *map_)
-        number = kernels.rocks_of(self.order, self.start, kept)
-        box, seen = cull.shading_rocks(
-            self.rocks, self.reach, self.foot, number, view.position, *map_,
+        rock_indices = kernels.rocks_in_tiles(self.order, self.start, kept)
+        box, seen = cull.shadow_casting_rocks(
+            self.rocks, self.reach, self.foot, rock_indices, view.position, *map_,
             reads.normal, reads.lower_bound, reads.upper_bound,
         )  # fmt: skip
-        return DrawnRocks(*cull.gather(box, number, seen))
+        return DrawnRocks(*cull.select_boxes(box, rock_indices, seen))

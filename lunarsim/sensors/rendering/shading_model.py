@@ -40,11 +40,13 @@ class ShadingModel:
         if light.diameter > 0.0:
             found.append("SOFT")
         if light.scattered_light:
-            found += ["GLOW", f"BOUNCE {_number(light.diffuse_albedo)}"]
+            found += ["GLOW", f"BOUNCE {_glsl_number(light.diffuse_albedo)}"]
         if light.earthshine > 0.0 and light.earth[2] > 0.0:
-            found.append("EARTH " + ", ".join(map(_number, light.earthshine * light.earth)))
+            found.append("EARTH " + ", ".join(map(_glsl_number, light.earthshine * light.earth)))
         if light.albedo_variation > 0.0:
-            found.append(f"MOTTLE {_number(2.0 * ALBEDO_FIELD_RANGE * light.albedo_variation)}")
+            found.append(
+                f"MOTTLE {_glsl_number(2.0 * ALBEDO_FIELD_RANGE * light.albedo_variation)}"
+            )
         if light.boulder_albedo_variation > 0.0 or light.boulder_albedo != 1.0:
             found.append("BOULDERS")
         return cls(tuple(found))
@@ -59,7 +61,7 @@ class ShadingModel:
         return replace(self, defines=(*self.defines, *more))
 
     @property
-    def fine(self) -> bool:
+    def needs_fine_shading(self) -> bool:
         """Whether the light needs more than a point Sun on terrain of uniform albedo."""
         names = {line.split()[0] for line in self.defines}
         return bool(names & {"SOFT", "GLOW", "EARTH", "MOTTLE", "BOULDERS"})
@@ -71,7 +73,7 @@ class ShadingModel:
             files.append("hapke")
         if "SOFT" in self.defines:
             files.append("sun_disc")
-        return (*files, "fine_radiance" if self.fine else "radiance")
+        return (*files, "fine_radiance" if self.needs_fine_shading else "radiance")
 
 
 def spiral(count: int) -> Array:
@@ -105,10 +107,10 @@ def _hapke(light: Light) -> Iterable[str]:
         "W": law.w, "B": law.b, "C": law.c, "SURGE": law.surge, "WIDTH": law.surge_width,
         "TAN": float(np.tan(law.roughness)),
     }  # fmt: skip
-    return ("HAPKE", *(f"HAPKE_{name} {_number(value)}" for name, value in values.items()))
+    return ("HAPKE", *(f"HAPKE_{name} {_glsl_number(value)}" for name, value in values.items()))
 
 
-def _number(value: float) -> str:
+def _glsl_number(value: float) -> str:
     """Return a number as a GLSL literal."""
     return f"({float(value):.9e})"
 

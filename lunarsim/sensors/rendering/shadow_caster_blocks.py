@@ -39,7 +39,7 @@ class ShadowCasterBlocks:
         self._lee = np.zeros((len(tiles.first), BLOCKS * BLOCKS), np.bool_)
 
     def of(
-        self, picked: NDArray[np.int64], edges: NDArray[np.int32], sun: Array, texel: float
+        self, tile_indices: NDArray[np.int64], edges: NDArray[np.int32], sun: Array, texel: float
     ) -> NDArray[np.bool_]:
         """Return which blocks (m, 16) of tiles must be drawn into a shadow map.
 
@@ -47,7 +47,7 @@ class ShadowCasterBlocks:
 
         Parameters
         ----------
-        picked
+        tile_indices
             Indices of the tiles (m,).
         edges
             Levels of detail of their edges (m, 4); next to a coarser neighbour faces differ.
@@ -58,15 +58,15 @@ class ShadowCasterBlocks:
         """
         p = self._relief.grid.posting
         if texel > _MAX_TEXEL_POSTINGS * p:
-            return np.ones((len(picked), BLOCKS * BLOCKS), np.bool_)
+            return np.ones((len(tile_indices), BLOCKS * BLOCKS), np.bool_)
         if not np.array_equal(sun, self._sun):
             self._sun = np.array(sun)
             self._known[:] = False
-        new = picked[~self._known[picked]]
+        new = tile_indices[~self._known[tile_indices]]
         self._lee[new] = kernels.shadow_caster_blocks(
             self._relief.z, self._first[new], SIDE, BLOCKS, p, self._sun, 1.0 - _SLOPE_TOLERANCE
         )
         self._known[new] = True
-        lee = self._lee[picked]
+        lee = self._lee[tile_indices]
         lee[np.any(edges > 0, axis=1)] = True
         return lee

@@ -56,7 +56,13 @@ class ShadowFrame:
 
     @classmethod
     def of(
-        cls, view: View, sun: Array, choice: TileChoice, top: float, lowest: float, rock: float
+        cls,
+        view: View,
+        sun: Array,
+        choice: TileChoice,
+        top: float,
+        lowest: float,
+        tallest_rock: float,
     ) -> ShadowFrame:
         """Return the geometry of a shadow map that contains everything a view shows.
 
@@ -70,14 +76,14 @@ class ShadowFrame:
             Tiles of the relief in the view.
         top, lowest
             Maximum and minimum elevation of everything drawn, m.
-        rock
+        tallest_rock
             Height of the tallest rock, m.
         """
         horizontal = float(np.hypot(sun[0], sun[1]))
         lean = sun[:2] / sun[2]
         along = sun[:2] / horizontal if horizontal > 1e-9 else np.array([1.0, 0.0])
         axes = np.array([along, [-along[1], along[0]]])
-        corner, extent = _extent(view, choice, lean, axes, rock)
+        corner, extent = _extent(view, choice, lean, axes, tallest_rock)
         distance = max(choice.nearest, 1e-3)
         texel = distance / max(view.fx, view.fy) / _DETAIL
         texel = float(
@@ -125,17 +131,17 @@ class ShadowFrame:
 
 
 def _extent(
-    view: View, choice: TileChoice, lean: Array, axes: Array, rock: float
+    view: View, choice: TileChoice, lean: Array, axes: Array, tallest_rock: float
 ) -> tuple[Array, Array]:
     """Return corner (2,) and extent (2,) of the shadow map, m, in its axes.
 
-    `choice` are the visible tiles, `lean` and `axes` are those of `ShadowFrame`, and `rock` is the
-    height of the tallest rock, m.
+    `choice` are the visible tiles, `lean` and `axes` are those of `ShadowFrame`, and `tallest_rock`
+    is the height of the tallest rock, m.
 
     The map contains everything visible: the part of the view's pyramid between the minimum and
     maximum elevation of the tiles in view, and within these tiles.
     """
-    low, high = choice.low, choice.high + np.array([0.0, 0.0, rock])
+    low, high = choice.low, choice.high + np.array([0.0, 0.0, tallest_rock])
     u, v = view.border_tangents[:2], view.border_tangents[2:]
     border = np.array([[a, b, 1.0] for a in u for b in v]) @ view.axes.T
     # Rays that descend beyond the tiles, or not at all, end far beyond the tiles but at the same

@@ -34,7 +34,7 @@ _EDGES = np.array(
 
 @dataclass(frozen=True)
 class ShadowMapReads:
-    """Strips of a shadow map that contain all inner points an image reads.
+    """Part of a shadow map that an image reads: intersection of strips, and border.
 
     Attributes
     ----------
@@ -53,7 +53,7 @@ class ShadowMapReads:
 
     @classmethod
     def anywhere(cls, frame: ShadowFrame) -> ShadowMapReads:
-        """Return the object for an image that may read any texel of the map."""
+        """Return reads without strips: the image may read any texel of the map."""
         return cls(np.zeros((0, 2)), np.zeros(0), np.zeros(0), frame.size)
 
     @classmethod
@@ -80,14 +80,14 @@ class ShadowMapReads:
         room = _NEIGHBOURHOOD * np.abs(normal).sum(axis=1)
         return cls(normal, along.min(axis=0) - room, along.max(axis=0) + room, frame.size)
 
-    def meet(self, place: Array) -> NDArray[np.bool_]:
+    def may_shade(self, corners: Array) -> NDArray[np.bool_]:
         """Return which convex bodies (n,) may shadow texels that the image reads.
 
-        `place` (n, c, 2) are the c corners of each body on the map, texels.
+        `corners` (n, c, 2) are the c corners of each body on the map, in texels.
         """
-        along = place @ self.normal.T
+        along = corners @ self.normal.T
         within = ((along.max(1) >= self.lower_bound) & (along.min(1) <= self.upper_bound)).all(-1)
         # A point outside the map reads its border.
         last = np.array(self.size) - _NEIGHBOURHOOD - 1.0
-        border = ((place.min(1) < _NEIGHBOURHOOD + 1.0) | (place.max(1) > last)).any(-1)
+        border = ((corners.min(1) < _NEIGHBOURHOOD + 1.0) | (corners.max(1) > last)).any(-1)
         return np.asarray(within | border)

@@ -33,17 +33,17 @@ class ImageTarget:
 
     @classmethod
     def of(
-        cls, ctx: moderngl.Context, width: int, height: int, parts: tuple[int, ...]
+        cls, ctx: moderngl.Context, width: int, height: int, channels: tuple[int, ...]
     ) -> ImageTarget:
         """Create the framebuffers of an image of `width` x `height` pixels.
 
-        `parts` are the numbers of channels of the colour outputs.
+        `channels` are the numbers of channels of the colour outputs.
         """
         size = (width, height)
         depth, mended = ctx.depth_texture(size), ctx.depth_texture(size)
         depth.compare_func = ""
         disable_filtering(depth)
-        colours = tuple(ctx.texture(size, n, dtype="f4") for n in parts)
+        colours = tuple(ctx.texture(size, n, dtype="f4") for n in channels)
         return cls(
             depth,
             mended,

@@ -9,7 +9,7 @@ from lunarsim._jit import kernel, prange
 
 
 @kernel(parallel=True)
-def stamp(z, x0, y0, p, x, y, diameter, freshness, depth, rim_height, reach):
+def add_crater_profiles(z, x0, y0, p, x, y, diameter, freshness, depth, rim_height, reach):
     """Add the height profiles of fresh or eroded craters to a grid of elevations.
 
     `z` (rows, cols) are elevations, m, in place; its first point is (x0, y0) and its spacing `p`,
@@ -43,13 +43,13 @@ def stamp(z, x0, y0, p, x, y, diameter, freshness, depth, rim_height, reach):
 
 
 @kernel(parallel=True)
-def stamp_profiles(z, x0, y0, p, x, y, radius, depth, root, profiles, reach):
+def add_degraded_profiles(z, x0, y0, p, x, y, radius, depth, root_age, profiles, reach):
     """Add tabulated height profiles of degraded craters to a grid of elevations.
 
     `z` (rows, cols) are elevations, m, in place; its first point is (x0, y0) and its spacing `p`,
-    m. `x`, `y`, `radius` and fresh `depth` (n,), m, describe the craters; `root` (n,) is the square
-    root of their relative age, from 0 to 1. `profiles` (ages, radii) are heights over the fresh
-    depth, at uniform steps of `root` and of the distance up to `reach` crater radii.
+    m. `x`, `y`, `radius` and fresh `depth` (n,), m, describe the craters; `root_age` (n,) is the
+    square root of their relative age, from 0 to 1. `profiles` (ages, radii) are heights over the
+    fresh depth, at uniform steps of `root_age` and of the distance up to `reach` crater radii.
     """
     rows, cols = z.shape
     ages, radii = profiles.shape
@@ -63,7 +63,7 @@ def stamp_profiles(z, x0, y0, p, x, y, radius, depth, root, profiles, reach):
             half = np.sqrt(span)
             j0 = max(int(np.ceil((x[n] - half - x0) / p)), 0)
             j1 = min(int(np.floor((x[n] + half - x0) / p)), cols - 1)
-            u = root[n] * (ages - 1)
+            u = root_age[n] * (ages - 1)
             a = min(int(u), ages - 2)
             u -= a
             for j in range(j0, j1 + 1):

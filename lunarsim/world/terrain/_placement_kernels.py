@@ -30,24 +30,27 @@ def _size_classes(radius, area):
 
 
 @kernel()
-def _is_free(px, py, r, x, y, radius, west, south, sides, widths, heights, offset, head, follow):
+def _is_free(
+    px, py, r, x, y, radius, west, south, sides, widths, heights, offset, first_disc, next_disc
+):
     """Return whether a disc overlaps none of the discs already placed.
 
     The disc has its centre at (px, py) and radius `r`; `x`, `y` and `radius` are the placed discs.
-    Bucket class c has squares of side `sides[c]` from the corner (west, south), `widths[c]` x
-    `heights[c]` of them, whose lists start at `head[offset[c]]` and continue in `follow`.
+    Size class c has `widths[c]` x `heights[c]` square buckets of side `sides[c]` from the corner
+    (west, south). The linked list of a bucket starts in `first_disc`, for class c at index
+    `offset[c]`, and continues in `next_disc`.
     """
     for c in range(sides.size):
         j = int((px - west) / sides[c])
         i = int((py - south) / sides[c])
         for bi in range(max(i - 1, 0), min(i + 2, heights[c])):
             for bj in range(max(j - 1, 0), min(j + 2, widths[c])):
-                m = head[offset[c] + bi * widths[c] + bj]
+                m = first_disc[offset[c] + bi * widths[c] + bj]
                 while m >= 0:
                     reach = r + radius[m]
                     if (px - x[m]) ** 2 + (py - y[m]) ** 2 < reach * reach:
                         return False
-                    m = follow[m]
+                    m = next_disc[m]
     return True
 
 
@@ -87,33 +90,28 @@ def _buckets(sides, wide, high):
 
 @kernel()
 def drop_rocks(
-    radius, west, east, south, north, z, x0, y0, p, seed, tries, share, craters, farthest
+    radius, west, east, south, north, z, x0, y0, p, seed, tries, cluster_fraction, craters, farthest
 ):
     """Place discs (rocks) at random on a relief without overlap; radii must decrease.
 
     The map extends from west to east and south to north, m; `z` (rows, cols) are its elevations
     with the first point (x0, y0) and the spacing `p`. Random numbers start from `seed`; each disc
-    has `tries` attempts. A fraction
-    `share` of the discs lies around `craters` (rows: x, y, radius, cumulative fractions), up to
-    `farthest` crater radii away.
+    has `tries` attempts. A fraction of the discs, `cluster_fraction`, lies around `craters` (rows:
+    x, y, radius, cumulative fractions), up to `farthest` crater radii away. Returns x and y of the
+    centres, the relief's elevation below them, and the number of placed discs.
 
     Discs of similar size share a grid of buckets as wide as the largest of them, with one linked
     list per bucket. A smaller disc can only overlap discs in the nine buckets around it.
-
-    Returns
-    -------
-    x, y, base, placed
-        Centres, the relief's elevation below them, and the number of placed discs.
     """
     np.random.seed(seed)  # noqa: NPY002  (Numba's own state, private to compiled code)
     x, y, base = np.empty(radius.size), np.empty(radius.size), np.empty(radius.size)
     of, sides = _size_classes(radius, (east - west) * (north - south))
-    widths, heights, offset, head = _buckets(sides, east - west, north - south)
-    follow = np.full(radius.size, -1, np.int64)
+    widths, heights, offset, first_disc = _buckets(sides, east - west, north - south)
+    next_disc = np.full(radius.size, -1, np.int64)
     for n in range(radius.size):
         c = of[n]
         done = False
-        near = share > 0.0 and np.random.random() < share  # noqa: NPY002
+        near = cluster_fraction > 0.0 and np.random.random() < cluster_fraction  # noqa: NPY002
         for _ in range(tries):
             if near:
                 px, py = _draw_near_crater(craters, farthest)
@@ -123,14 +121,14 @@ def drop_rocks(
             terrain_height = relief_at(px, py, z, x0, y0, p)
             if np.isnan(terrain_height) or not _is_free(
                 px, py, radius[n], x, y, radius, west, south, sides[: c + 1], widths, heights,
-                offset, head, follow,
+                offset, first_disc, next_disc,
             ):  # fmt: skip
                 continue
             x[n], y[n], base[n] = px, py, terrain_height
             i, j = int((py - south) / sides[c]), int((px - west) / sides[c])
             bucket = offset[c] + i * widths[c] + j
-            follow[n] = head[bucket]
-            head[bucket] = n
+            next_disc[n] = first_disc[bucket]
+            first_disc[bucket] = n
             done = True
             break
         if not done:

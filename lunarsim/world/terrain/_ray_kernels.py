@@ -3,9 +3,9 @@
 
 The relief has a pyramid of maxima (Tevs, Ihrke and Seidel 2008): level 0 holds the highest point of
 each cell, level l that of 2^l x 2^l cells. All levels lie in one flat array `peak`; level l starts
-at `offset[l]` and has `high[l]` x `wide[l]` nodes. From the level of the buckets (`base`) upward
-the maxima include the rocks; `terrain_peak` holds the maxima of the buckets without them. Each
-bucket lists its rocks (`start`, `index`, in compressed rows).
+at `offset[l]` and has `level_rows[l]` x `level_cols[l]` nodes. From the level of the buckets
+(`base`) upward the maxima include the rocks; `terrain_peak` holds the maxima of the buckets without
+them. Each bucket lists its rocks (`start`, `index`, in compressed rows).
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ class Pyramid(NamedTuple):
         Maximum elevation in each square of each level, m; with rocks from level `base` upward.
     terrain_peak
         Maximum elevation in each bucket without rocks, m.
-    offset, high, wide
+    offset, level_rows, level_cols
         First index in `peak`, and numbers of rows and columns, of each level.
     """
 
@@ -38,8 +38,8 @@ class Pyramid(NamedTuple):
     peak: Any
     terrain_peak: Any
     offset: Any
-    high: Any
-    wide: Any
+    level_rows: Any
+    level_cols: Any
 
 
 class Rocks(NamedTuple):
@@ -86,30 +86,31 @@ class _Ray(NamedTuple):
 
 
 @kernel()
-def list_rocks(rocks, reach, x0, y0, side, high, wide):
+def list_rocks(rocks, reach, x0, y0, side, bucket_rows, bucket_cols):
     """List the rocks that touch each bucket, a square of `side` metres.
 
-    `rocks` (n, 9) are the rocks and `reach` (n,) the radii of their outlines, m. There are `high` x
-    `wide` buckets from the corner (x0, y0). Bucket k touches `index[start[k]:start[k + 1]]`.
+    `rocks` (n, 9) are the rocks and `reach` (n,) the radii of their outlines, m. There are
+    `bucket_rows` x `bucket_cols` buckets from the corner (x0, y0). Bucket k lists
+    `index[start[k]:start[k + 1]]`; `start` and `index` are returned.
     """
-    start = np.zeros(high * wide + 1, np.int64)
+    start = np.zeros(bucket_rows * bucket_cols + 1, np.int64)
     index = np.empty(0, np.int64)
     for fill in range(2):
         if fill == 1:
-            for bucket in range(high * wide):
+            for bucket in range(bucket_rows * bucket_cols):
                 start[bucket + 1] += start[bucket]
             index = np.empty(start[-1], np.int64)
-            for bucket in range(high * wide, 0, -1):
+            for bucket in range(bucket_rows * bucket_cols, 0, -1):
                 start[bucket] = start[bucket - 1]
             start[0] = 0
         for n in range(rocks.shape[0]):
             j0 = max(int(np.floor((rocks[n, 0] - reach[n] - x0) / side)), 0)
-            j1 = min(int(np.floor((rocks[n, 0] + reach[n] - x0) / side)), wide - 1)
+            j1 = min(int(np.floor((rocks[n, 0] + reach[n] - x0) / side)), bucket_cols - 1)
             i0 = max(int(np.floor((rocks[n, 1] - reach[n] - y0) / side)), 0)
-            i1 = min(int(np.floor((rocks[n, 1] + reach[n] - y0) / side)), high - 1)
+            i1 = min(int(np.floor((rocks[n, 1] + reach[n] - y0) / side)), bucket_rows - 1)
             for i in range(i0, i1 + 1):
                 for j in range(j0, j1 + 1):
-                    bucket = i * wide + j
+                    bucket = i * bucket_cols + j
                     if fill == 1:
                         index[start[bucket + 1]] = n
                     start[bucket + 1] += 1
@@ -117,37 +118,37 @@ def list_rocks(rocks, reach, x0, y0, side, high, wide):
 
 
 @kernel()
-def build_pyramid(z, rocks, start, index, base, offset, high, wide):
+def build_pyramid(z, rocks, start, index, base, offset, level_rows, level_cols):
     """Compute the surface maxima `peak` and `terrain_peak` of a `Pyramid`.
 
     `z` (rows, cols) are elevations, m; `rocks` (n, 9), `start` and `index` the rocks and their
-    bucket lists; `base`, `offset`, `high` and `wide` the layout of the levels.
+    bucket lists; `base`, `offset`, `level_rows` and `level_cols` the layout of the levels.
     """
-    peak = np.empty(offset[-1] + high[-1] * wide[-1], np.float32)
+    peak = np.empty(offset[-1] + level_rows[-1] * level_cols[-1], np.float32)
     lowest = np.float32(-np.inf)
-    for i in range(high[0]):
-        for j in range(wide[0]):
+    for i in range(level_rows[0]):
+        for j in range(level_cols[0]):
             best = lowest
             # A comparison with NaN is false, so that no-data is ignored.
             for r in range(2):
                 for c in range(2):
                     best = max(best, z[i + r, j + c])
-            peak[i * wide[0] + j] = best
-    terrain_peak = peak[: high[0] * wide[0]].copy()
+            peak[i * level_cols[0] + j] = best
+    terrain_peak = peak[: level_rows[0] * level_cols[0]].copy()
     for level in range(offset.size):
         if level > 0:
             below = level - 1
-            for i in range(high[level]):
-                for j in range(wide[level]):
+            for i in range(level_rows[level]):
+                for j in range(level_cols[level]):
                     best = lowest
-                    for r in range(2 * i, min(2 * i + 2, high[below])):
-                        for c in range(2 * j, min(2 * j + 2, wide[below])):
-                            best = max(best, peak[offset[below] + r * wide[below] + c])
-                    peak[offset[level] + i * wide[level] + j] = best
+                    for r in range(2 * i, min(2 * i + 2, level_rows[below])):
+                        for c in range(2 * j, min(2 * j + 2, level_cols[below])):
+                            best = max(best, peak[offset[below] + r * level_cols[below] + c])
+                    peak[offset[level] + i * level_cols[level] + j] = best
         if level == base:
             here = offset[level]
-            terrain_peak = peak[here : here + high[level] * wide[level]].copy()
-            for bucket in range(high[level] * wide[level]):
+            terrain_peak = peak[here : here + level_rows[level] * level_cols[level]].copy()
+            for bucket in range(level_rows[level] * level_cols[level]):
                 for m in range(start[bucket], start[bucket + 1]):
                     n = index[m]
                     # Rounded up: the bucket's maximum must never be below the rock's top.
@@ -206,10 +207,10 @@ def _cell_hit(ray, z, i, j, t0, t1):
 
 
 @kernel(inline=True)
-def _try_rocks(ray, t, bucket, best, which, rocks):
+def _try_rocks(ray, t, bucket, nearest_distance, nearest_rock, rocks):
     """Find the nearest hit of a ray on the rocks of a bucket, at distance t or more.
 
-    `best` and `which` are the nearest hit so far (distance, rock index); returns their new values.
+    `nearest_distance` and `nearest_rock` are the nearest hit so far; returns their new values.
     """
     for m in range(rocks.start[bucket], rocks.start[bucket + 1]):
         n = rocks.index[m]
@@ -217,10 +218,10 @@ def _try_rocks(ray, t, bucket, best, which, rocks):
             ray.ox, ray.oy, ray.oz, ray.dx, ray.dy, ray.dz, rocks.rows, n, rocks.planes, rocks.count
         )
         # A hit beyond this bucket is also valid.
-        if hit >= t - 1e-9 and hit < best:
-            best = hit
-            which = n
-    return best, which
+        if hit >= t - 1e-9 and hit < nearest_distance:
+            nearest_distance = hit
+            nearest_rock = n
+    return nearest_distance, nearest_rock
 
 
 @kernel(inline=True)
@@ -257,15 +258,8 @@ def _walk_cells(ray, z, base, t, t1, i, j):
     """Follow a ray from cell to cell until it hits the relief or leaves its bucket.
 
     The ray starts at distance t in cell (i, j) and ends at t1. `z` are the elevations; a bucket has
-    2^base cells along a side.
-
-    Returns
-    -------
-    hit
-        Result of the last `_cell_hit`: distance of the hit; inf: no hit; -1: below the surface.
-    t, i, j
-        Distance and cell where the walk ends; t is t1 or more at the end of the ray, inf off the
-        map.
+    2^base cells along a side. Returns the result of the last `_cell_hit`, and the distance and cell
+    where the walk ends. This distance is t1 or more at the end of the ray, and inf off the map.
     """
     rows, cols = z.shape
     su = 1 if ray.dx > 0.0 else -1
@@ -292,16 +286,15 @@ def _walk_cells(ray, z, base, t, t1, i, j):
 
 
 @kernel(inline=True)
-def _nearest_hit(hit, t, best, which):
+def _nearest_hit(relief_distance, t, rock_distance, rock_index):
     """Return the nearer of a relief hit and a rock hit: distance and rock index.
 
-    `hit` is the distance of the relief hit; -1 means that the ray is below the surface at t, so
-    that only a rock hit before t counts. `best` and `which` are the rock hit. The index is -1 for
-    relief and -2 for no hit.
+    A `relief_distance` of -1 means that the ray is below the surface at t: only a rock hit before t
+    counts. The returned index is -1 for relief and -2 for no hit.
     """
-    if hit < 0.0:
-        return (best, which) if best <= t else (np.inf, -2)
-    return (hit, -1) if hit < best else (best, which)
+    if relief_distance < 0.0:
+        return (rock_distance, rock_index) if rock_distance <= t else (np.inf, -2)
+    return (relief_distance, -1) if relief_distance < rock_distance else (rock_distance, rock_index)
 
 
 @kernel(inline=True)
@@ -315,8 +308,8 @@ def _steep_hit(ray, t, t1, z, pyramid, rocks):
     """
     rows, cols = z.shape
     base = pyramid.base
-    width = pyramid.wide[base]
-    height = pyramid.high[base]
+    width = pyramid.level_cols[base]
+    height = pyramid.level_rows[base]
     start_of_peaks = pyramid.offset[base]
     best = np.inf
     which = -2
@@ -361,17 +354,17 @@ def _steep_hit(ray, t, t1, z, pyramid, rocks):
 
 
 @kernel(inline=True)
-def _levels_up(here, there, level, base, last):
+def _levels_up(before, after, level, base, top_level):
     """Return the number of pyramid levels to ascend after a step to the next square.
 
-    `here` and `there` are the row or column before and after the step, `level` the present level,
-    `base` the level of the rock lists and `last` the highest level.
+    `before` and `after` are the square's row or column, `level` its level, and `base` the level of
+    the buckets that list the rocks.
     """
     # A step out of a bucket must enter the next one at the level of its list of rocks.
     shift = max(base - level, 1)
-    if (here >> shift) != (there >> shift):
-        return min(shift, last - level)
-    return 1 if (here >> 1) != (there >> 1) else 0
+    if (before >> shift) != (after >> shift):
+        return min(shift, top_level - level)
+    return 1 if (before >> 1) != (after >> 1) else 0
 
 
 @kernel(inline=True)
@@ -384,7 +377,7 @@ def _grazing_hit(ray, t, t1, z, pyramid, rocks):
     cell.
     """
     rows, cols = z.shape
-    base, _, _, _, high, wide = pyramid
+    base, _, _, _, level_rows, level_cols = pyramid
     last = pyramid.offset.size - 1
     down = ray.dz < 0.0
     level = base
@@ -395,7 +388,7 @@ def _grazing_hit(ray, t, t1, z, pyramid, rocks):
     while True:
         tu, tv = _exit_distances(ray, i, j, level)
         leave = max(min(min(tu, tv), t1), t)
-        bucket = i * wide[level] + j
+        bucket = i * level_cols[level] + j
         top = np.float64(pyramid.peak[pyramid.offset[level] + bucket])
         inside = ray.oz + (leave if down else t) * ray.dz <= top
         if inside and down:
@@ -410,8 +403,12 @@ def _grazing_hit(ray, t, t1, z, pyramid, rocks):
                 t = min(max(t, (bare - ray.oz) * ray.nz), leave)
         if inside and level > 0:
             level -= 1
-            j = min(max(int(ray.u + t * ray.du) >> level, 2 * j), min(2 * j + 1, wide[level] - 1))
-            i = min(max(int(ray.v + t * ray.dv) >> level, 2 * i), min(2 * i + 1, high[level] - 1))
+            j = min(
+                max(int(ray.u + t * ray.du) >> level, 2 * j), min(2 * j + 1, level_cols[level] - 1)
+            )
+            i = min(
+                max(int(ray.v + t * ray.dv) >> level, 2 * i), min(2 * i + 1, level_rows[level] - 1)
+            )
             continue
         if inside:
             hit = _cell_hit(ray, z, i, j, t, leave)
@@ -428,7 +425,7 @@ def _grazing_hit(ray, t, t1, z, pyramid, rocks):
             here = i
             i += 1 if ray.dy > 0.0 else -1
             there = i
-        if there < 0 or there >= (wide[level] if tu <= tv else high[level]):
+        if there < 0 or there >= (level_cols[level] if tu <= tv else level_rows[level]):
             return best, which
         rise = _levels_up(here, there, level, base, last)
         level += rise
@@ -437,7 +434,7 @@ def _grazing_hit(ray, t, t1, z, pyramid, rocks):
 
 
 @kernel(inline=True)
-def _ray_over_posts(ox, oy, oz, dx, dy, dz, x0, y0, p):
+def _ray_in_grid_units(ox, oy, oz, dx, dy, dz, x0, y0, p):
     """Return a ray in the grid units of a relief.
 
     The ray starts at (ox, oy, oz) in the direction (dx, dy, dz), m, ENU. The first grid point of
@@ -483,31 +480,32 @@ def _first_hit(ray, max_range, z, pyramid, rocks):
 
 @kernel(shared=True, allocates=False)
 def cast(
-    share, origin, direction, max_range, normals, z, frame,
-    base, peak, terrain_peak, offset, high, wide, rows, planes, count, start, index, hits,
+    thread_slice, origin, direction, max_range, normals, z, frame,
+    base, peak, terrain_peak, offset, level_rows, level_cols,
+    rows, planes, count, start, index, hits,
 ):  # fmt: skip
     """Intersect rays with relief and rocks; write the hits.
 
     `origin` (1 or n, 3) and `direction` (n, 3) are the rays, ENU; `hits` receives distance (n,),
     normal (n, 3; empty without `normals`) and rock index (n,). `z` are the elevations and `frame`
-    (x0, y0, spacing) their grid; `share` is (thread, number of threads). The fields of `Pyramid`
-    and `Rocks` are passed one by one: unpacking a tuple at every call would make single rays 25 %
-    slower.
+    (x0, y0, spacing) their grid; `thread_slice` is (thread, number of threads). The fields of
+    `Pyramid` and `Rocks` are passed one by one: unpacking a tuple at every call would make single
+    rays 25 % slower.
     """
     rays = direction.shape[0]
     x0, y0, p = frame
     distance, normal, rock = hits
     each = 1 if origin.shape[0] > 1 else 0
-    pyramid = Pyramid(base, peak, terrain_peak, offset, high, wide)
+    pyramid = Pyramid(base, peak, terrain_peak, offset, level_rows, level_cols)
     rocks = Rocks(rows, planes, count, start, index)
-    for n in range(share[0], rays, share[1]):
+    for n in range(thread_slice[0], rays, thread_slice[1]):
         ox = origin[n * each, 0]
         oy = origin[n * each, 1]
         oz = origin[n * each, 2]
         dx = direction[n, 0]
         dy = direction[n, 1]
         dz = direction[n, 2]
-        ray = _ray_over_posts(ox, oy, oz, dx, dy, dz, x0, y0, p)
+        ray = _ray_in_grid_units(ox, oy, oz, dx, dy, dz, x0, y0, p)
         best, which = _first_hit(ray, max_range, z, pyramid, rocks)
         rock[n] = which
         distance[n] = np.nan if which == -2 else best

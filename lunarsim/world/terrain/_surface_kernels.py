@@ -2,8 +2,9 @@
 """Compiled terrain queries at points.
 
 The relief is a grid of elevations `z` (rows, cols) whose point (0, 0) lies at (x0, y0). Squares of
-`leaf` x `leaf` cells are buckets: each lists the rocks whose outline touches it (`start`,
-`index`, in compressed rows). Rows of rock parameters are those of `lunarsim.rocks._kernels`.
+`bucket_cells` x `bucket_cells` cells are buckets: each lists the rocks whose outline touches it
+(`start`, `index`, in compressed rows). Rows of rock parameters are those of
+`lunarsim.rocks._kernels`.
 """
 
 from __future__ import annotations
@@ -42,18 +43,18 @@ def relief_at(x, y, z, x0, y0, p):
 
 
 @kernel()
-def _top_rock(x, y, x0, y0, p, leaf, rocks, planes, count, start, index, cols):
+def _top_rock(x, y, x0, y0, p, bucket_cells, rocks, planes, count, start, index, cols):
     """Return elevation and index of the highest rock at (x, y); (-inf, -1): no rock.
 
-    The first grid point is (x0, y0), the spacing `p`; buckets have `leaf` cells along a side. The
-    rocks are `rocks` (n, 9), their shapes `planes` and `count`, and the bucket lists `start` and
-    `index`; `cols` is the number of columns of the relief.
+    The first grid point is (x0, y0), the spacing `p`; buckets have `bucket_cells` cells along a
+    side. The rocks are `rocks` (n, 9), their shapes `planes` and `count`, and the bucket lists
+    `start` and `index`; `cols` is the number of columns of the relief.
     """
     best = -np.inf
     which = -1
-    width = (cols - 2) // leaf + 1
-    j = min(int((x - x0) / p), cols - 2) // leaf
-    i = int((y - y0) / p) // leaf
+    width = (cols - 2) // bucket_cells + 1
+    j = min(int((x - x0) / p), cols - 2) // bucket_cells
+    i = int((y - y0) / p) // bucket_cells
     height = (start.size - 1) // width
     if i >= height:
         i = height - 1
@@ -68,42 +69,46 @@ def _top_rock(x, y, x0, y0, p, leaf, rocks, planes, count, start, index, cols):
 
 
 @kernel()
-def _surface(x, y, z, x0, y0, p, leaf, rocks, planes, count, start, index):
+def _surface(x, y, z, x0, y0, p, bucket_cells, rocks, planes, count, start, index):
     terrain_height = relief_at(x, y, z, x0, y0, p)
     if np.isnan(terrain_height) or rocks.shape[0] == 0:
         return terrain_height
-    top, _ = _top_rock(x, y, x0, y0, p, leaf, rocks, planes, count, start, index, z.shape[1])
+    top, _ = _top_rock(
+        x, y, x0, y0, p, bucket_cells, rocks, planes, count, start, index, z.shape[1]
+    )
     return max(terrain_height, top)
 
 
 @kernel()
-def elevation_at(xy, z, x0, y0, p, leaf, rocks, planes, count, start, index):
+def elevation_at(xy, z, x0, y0, p, bucket_cells, rocks, planes, count, start, index):
     """Return the elevation (n,), m, of relief and rocks at points `xy` (n, 2).
 
-    The relief is `z` with the first point (x0, y0) and the spacing `p`; `leaf`, `rocks`, `planes`,
-    `count`, `start` and `index` are the rocks in buckets, as described in the module.
+    The relief is `z` with the first point (x0, y0) and the spacing `p`; `bucket_cells`, `rocks`,
+    `planes`, `count`, `start` and `index` are those of `_top_rock`.
     """
     out = np.empty(xy.shape[0])
     for i in range(xy.shape[0]):
         out[i] = _surface(
-            xy[i, 0], xy[i, 1], z, x0, y0, p, leaf, rocks, planes, count, start, index
+            xy[i, 0], xy[i, 1], z, x0, y0, p, bucket_cells, rocks, planes, count, start, index
         )
     return out
 
 
 @kernel(shared=True, allocates=False)
-def raster(share, gx, gy, gp, z, x0, y0, p, leaf, rocks, planes, count, start, index, out):
+def raster(
+    thread_slice, gx, gy, gp, z, x0, y0, p, bucket_cells, rocks, planes, count, start, index, out
+):
     """Write the elevation of relief and rocks at the cell centres of another grid.
 
-    `out` (rows, cols), float32, m, has its first centre at (gx, gy) and the spacing `gp`; `share`
-    is (thread, number of threads). The other arguments are those of `elevation_at`.
+    `out` (rows, cols), float32, m, has its first centre at (gx, gy) and the spacing `gp`;
+    `thread_slice` is (thread, number of threads). The other arguments are those of `elevation_at`.
     """
     rows, cols = out.shape
-    for i in range(share[0], rows, share[1]):
+    for i in range(thread_slice[0], rows, thread_slice[1]):
         y = gy + gp * i
         for j in range(cols):
             out[i, j] = _surface(
-                gx + gp * j, y, z, x0, y0, p, leaf, rocks, planes, count, start, index
+                gx + gp * j, y, z, x0, y0, p, bucket_cells, rocks, planes, count, start, index
             )
 
 
@@ -135,7 +140,7 @@ def relief_normal(x, y, z, x0, y0, p, out):
 
 
 @kernel()
-def normal_at(xy, z, x0, y0, p, leaf, rocks, planes, count, start, index):
+def normal_at(xy, z, x0, y0, p, bucket_cells, rocks, planes, count, start, index):
     """Return the unit normal (n, 3) of relief and rocks at points `xy` (n, 2).
 
     The arguments are those of `elevation_at`; the normal is NaN where the relief is unknown.
@@ -151,7 +156,7 @@ def normal_at(xy, z, x0, y0, p, leaf, rocks, planes, count, start, index):
         n = -1
         if rocks.shape[0] > 0:
             top, n = _top_rock(
-                x, y, x0, y0, p, leaf, rocks, planes, count, start, index, z.shape[1]
+                x, y, x0, y0, p, bucket_cells, rocks, planes, count, start, index, z.shape[1]
             )
         if top > terrain_height:
             rock_normal(x, y, top, rocks, n, planes, count, out[i])
@@ -161,22 +166,24 @@ def normal_at(xy, z, x0, y0, p, leaf, rocks, planes, count, start, index):
 
 
 @kernel(shared=True, allocates=False)
-def rock_raster(share, gx, gy, gp, z, x0, y0, p, leaf, rocks, planes, count, start, index, out):
+def rock_raster(
+    thread_slice, gx, gy, gp, z, x0, y0, p, bucket_cells, rocks, planes, count, start, index, out
+):
     """Write the index of the top rock at the cell centres of another grid.
 
     `out` (rows, cols) has its first centre at (gx, gy) and the spacing `gp`; cells without a rock
-    remain unchanged. `share` is (thread, number of threads). The other arguments are those of
-    `elevation_at`.
+    remain unchanged. `thread_slice` is (thread, number of threads). The other arguments are those
+    of `elevation_at`.
     """
     rows, cols = out.shape
-    for i in range(share[0], rows, share[1]):
+    for i in range(thread_slice[0], rows, thread_slice[1]):
         y = gy + gp * i
         for j in range(cols):
             x = gx + gp * j
             terrain_height = relief_at(x, y, z, x0, y0, p)
             if rocks.shape[0] > 0 and not np.isnan(terrain_height):
                 top, n = _top_rock(
-                    x, y, x0, y0, p, leaf, rocks, planes, count, start, index, z.shape[1]
+                    x, y, x0, y0, p, bucket_cells, rocks, planes, count, start, index, z.shape[1]
                 )
                 if top > terrain_height:
                     out[i, j] = n

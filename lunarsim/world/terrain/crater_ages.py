@@ -26,7 +26,7 @@ from scipy.optimize import brentq
 from scipy.special import i0e
 
 from lunarsim.errors import InputError
-from lunarsim.world.terrain._crater_kernels import stamp_profiles
+from lunarsim.world.terrain._crater_kernels import add_degraded_profiles
 from lunarsim.world.terrain.craters import CraterLaw, crater_profile, draw_sizes_and_positions
 from lunarsim.world.terrain.heightfield import Heightfield
 
@@ -83,7 +83,7 @@ def diffuse_profile(radius: ArrayLike, age: float) -> Array:
 
 
 def fresh_profile_depth() -> float:
-    """Return the depth (rim to floor), m, of a fresh crater profile of 2 m diameter."""
+    """Return the depth (rim to floor) of a fresh crater with a radius of 1 m, m."""
     rim, floor = crater_profile(np.array([1.0, 0.0]), 2.0, 1.0)
     return float(rim - floor)
 
@@ -160,12 +160,12 @@ class AgedCraters:
         diameter, x, y = draw_sizes_and_positions(relief, rng, PROFILE_RADII, minimum, maximum, law)
         return cls(x, y, diameter, rng.random(diameter.size))
 
-    def on(self, relief: Heightfield) -> Heightfield:
+    def add_to(self, relief: Heightfield) -> Heightfield:
         """Return `relief` with these craters added, shifted to zero mean."""
         depth = fresh_depth_ratio(self.diameter) * self.diameter
         z = relief.z.astype(np.float64)
         g = relief.grid
-        stamp_profiles(
+        add_degraded_profiles(
             z, g.x0, g.y0, g.posting, self.x, self.y, 0.5 * self.diameter, depth,
             np.sqrt(self.age), _profiles(), PROFILE_RADII,
         )  # fmt: skip

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lunarsim.errors import InputError
-from lunarsim.world.terrain._crater_kernels import stamp
+from lunarsim.world.terrain._crater_kernels import add_crater_profiles
 from lunarsim.world.terrain.heightfield import Heightfield
 
 Array = NDArray[np.float64]
@@ -120,7 +120,7 @@ def add_craters(
     freshness = rng.random(diameter.size)
     z = relief.z.astype(np.float64)
     g = relief.grid
-    stamp(
+    add_crater_profiles(
         z,
         g.x0,
         g.y0,

@@ -221,7 +221,7 @@ def load_terrain(
     ([[0.5, 1.5, 2.5], [-2.5, -1.5, -0.5]], (-2.0, 2.0, -1.0, 1.0))
     """
     with open_raster(Path(path)) as source:
-        z, step = _heights(source, posting, window, unit, nodata)
+        z, step = _square_grid_heights(source, posting, window, unit, nodata)
     rows, cols = z.shape
     grid = Grid(-0.5 * (cols - 1) * step, -0.5 * (rows - 1) * step, step, rows, cols)
     # Heights may be radii of the body: subtract the mean before rounding to single precision.
@@ -229,7 +229,7 @@ def load_terrain(
     return Heightfield(grid, (z - mean).astype(np.float32))
 
 
-def _heights(
+def _square_grid_heights(
     source: DatasetReader,
     posting: float | None,
     window: tuple[int, int, int, int] | None,

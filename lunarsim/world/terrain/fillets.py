@@ -14,7 +14,7 @@ from lunarsim.world.terrain.terrain import Terrain
 FILLET_WIDTH_RADII = 0.6
 
 
-def add_fillets(relief: Heightfield, rocks: RockField, share: float) -> Heightfield:
+def add_fillets(relief: Heightfield, rocks: RockField, height_ratio: float) -> Heightfield:
     """Raise the relief around rocks by fillets, soil that is piled up against them.
 
     The soil is highest at the outline, the ellipse of the rock's axes, and falls quadratically to
@@ -27,7 +27,7 @@ def add_fillets(relief: Heightfield, rocks: RockField, share: float) -> Heightfi
         Relief without the fillets.
     rocks
         Rocks on the relief.
-    share
+    height_ratio
         Height of the soil divided by the exposed height of the rock, from 0 to 0.5.
 
     Returns
@@ -35,13 +35,15 @@ def add_fillets(relief: Heightfield, rocks: RockField, share: float) -> Heightfi
     Heightfield
         Relief with the soil on the same grid.
     """
-    if not 0.0 <= share <= 0.5:
-        raise InputError("rocks.fillet_height_ratio", share, "must be from 0 to 0.5")
-    if share == 0.0 or len(rocks) == 0:
+    if not 0.0 <= height_ratio <= 0.5:
+        raise InputError("rocks.fillet_height_ratio", height_ratio, "must be from 0 to 0.5")
+    if height_ratio == 0.0 or len(rocks) == 0:
         return relief
     g = relief.grid
     terrain_height = Terrain(relief).elevation(np.column_stack((rocks.x, rocks.y)))
-    height = share * np.clip(np.nan_to_num(rocks.base + rocks.height - terrain_height), 0.0, None)
+    height = height_ratio * np.clip(
+        np.nan_to_num(rocks.base + rocks.height - terrain_height), 0.0, None
+    )
     soil = np.zeros(g.shape, np.float32)
     raise_fillets(
         soil, g.x0, g.y0, g.posting, rocks.x, rocks.y, rocks.a, rocks.b, np.cos(rocks.yaw),

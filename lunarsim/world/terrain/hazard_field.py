@@ -11,7 +11,7 @@ import numpy as np
 from lunarsim.errors import InputError
 from lunarsim.grid import Grid
 from lunarsim.rocks.field import RockField
-from lunarsim.world.terrain._crater_kernels import stamp
+from lunarsim.world.terrain._crater_kernels import add_crater_profiles
 from lunarsim.world.terrain.craters import APRON_RADII, DEPTH_RATIO, RIM_HEIGHT_RATIO
 from lunarsim.world.terrain.heightfield import Heightfield
 from lunarsim.world.terrain.relief import fractal_relief
@@ -64,7 +64,7 @@ def hazard_field(
     z = waves * (swell / waves.std()) + grass_sigma * rng.standard_normal(grid.shape)
     x, y, diameter = _scatter_objects(rng, craters, 2.0, 5.0, size, turn)
     fresh = np.full(craters, _FRESHNESS)
-    stamp(
+    add_crater_profiles(
         z,
         grid.x0,
         grid.y0,
@@ -107,7 +107,9 @@ def _scatter_objects(
                 break
         else:
             raise InputError(
-                "terrain.boulders", count, f"must be fewer: they do not fit on {size:g} m"
+                "terrain.boulders",
+                count,
+                f"must be fewer: they do not fit into a square of side {size:g} m",
             )
         placed = np.vstack((placed, [*p, d]))
     c, s = np.cos(turn), np.sin(turn)

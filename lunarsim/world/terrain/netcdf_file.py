@@ -88,17 +88,17 @@ def check_axes(source: DatasetReader) -> None:
 
 
 def _check_axis(
-    source: DatasetReader, dim: str, places: Any, attributes: dict[str, Any], map_step: float
+    source: DatasetReader, dim: str, coordinates: Any, attributes: dict[str, Any], map_step: float
 ) -> None:
     """Raise InputError if an axis has uneven steps or another step than the map.
 
-    `dim` is the name of the axis, `places` (n,) are its coordinates, and `map_step` is the step
-    that GDAL reads, in units of the coordinate reference system.
+    `dim` is the name of the axis, `coordinates` (n,) are its coordinates, and `map_step` is the
+    step that GDAL reads, in units of the coordinate reference system.
     """
     crs, unit = source.crs, str(attributes.get("units", "")).lower()
-    if len(places) < 2:
+    if len(coordinates) < 2:
         return
-    steps = np.diff(places)
+    steps = np.diff(coordinates)
     if crs is not None and crs.is_geographic:
         steps = (steps + 180.0) % 360.0 - 180.0
     step = float(steps.mean())

@@ -28,22 +28,22 @@ class CraterClusters:
     ----------
     x, y, radius
         Centres and radii (n,), m.
-    share
+    cluster_fraction
         Fraction of the rocks that lie around the craters; the others lie anywhere.
     """
 
     x: NDArray[np.float64]
     y: NDArray[np.float64]
     radius: NDArray[np.float64]
-    share: float
+    cluster_fraction: float
 
     def __post_init__(self) -> None:
-        if not 0.0 <= self.share <= 1.0:
-            raise InputError("rocks.cluster_fraction", self.share, "must be from 0 to 1")
-        if self.share > 0.0 and not self.radius.size:
+        if not 0.0 <= self.cluster_fraction <= 1.0:
+            raise InputError("rocks.cluster_fraction", self.cluster_fraction, "must be from 0 to 1")
+        if self.cluster_fraction > 0.0 and not self.radius.size:
             raise InputError(
                 "rocks.cluster_fraction",
-                self.share,
+                self.cluster_fraction,
                 "must be 0: no crater is large enough for blocks",
             )
 
@@ -104,7 +104,7 @@ def place_rocks(
     seed = int(rng.integers(2**32))
     x, y, terrain_height, placed = drop_rocks(
         reach[order], west, east, south, north, relief.z, g.x0, g.y0, g.posting, seed, tries,
-        clusters.share, clusters.rows(), _MAX_CLUSTER_RADII,
+        clusters.cluster_fraction, clusters.rows(), _MAX_CLUSTER_RADII,
     )  # fmt: skip
     if placed < reach.size:
         raise InputError(

@@ -273,17 +273,17 @@ class RasterHeights:
             raise InputError("terrain.path", self.source.name, "has no elevations")
         return z
 
-    def check(self, found: HeightStatistics) -> None:
+    def check(self, statistics: HeightStatistics) -> None:
         """Raise InputError for undeclared no-data values and implausible heights.
 
-        `found` are the statistics of the heights.
+        `statistics` are those of the heights to check.
         """
-        if not found.known:
+        if not statistics.known:
             return
-        low, high = found.z_range
+        low, high = statistics.z_range
         if self.no_data is None:
-            self._check_marker(found.lowest, high, "below")
-            self._check_marker(found.highest, low, "above")
+            self._check_marker(statistics.lowest, high, "below")
+            self._check_marker(statistics.highest, low, "above")
         if max(-low, high) > _MAX_HEIGHT_M or high - low > _MAX_RELIEF_M:
             raise InputError(
                 "terrain.path", self.source.name,

@@ -105,8 +105,9 @@ def _label_units(source: DatasetReader) -> Iterator[tuple[str, str]]:
 def _json_label(source: DatasetReader, domain: str) -> dict[str, Any]:
     """Return a label as GDAL parsed it; {} without a label.
 
-    `domain` is GDAL's name of the metadata. rasterio splits the text at the first colon.
+    `domain` is GDAL's name of the metadata.
     """
+    # rasterio splits the text at the first colon.
     text = ":".join(next(iter(source.tags(ns=domain).items()), ("", "")))
     try:
         label = json.loads(text)

@@ -61,7 +61,7 @@ class RasterTerrain(ReliefRoughness):
         None,
         "m",
         gt=0,
-        help="quantization step of the heights, to be smoothed; omitted: no smoothing",
+        help="quantization step of the heights, which is smoothed; omitted: no smoothing",
     )
     relief_scale: float = quantity(
         1.0, ge=0, help="factor on heights, c of Eq. 20 of the Gaussian DEM paper"

@@ -51,14 +51,17 @@ class ReliefRoughness:
     """
 
     preset: Literal["none", "mare", "highland", "polar"] = quantity(
-        "none", help="terrain type whose roughness and craters replace omitted keys"
+        "none", help="terrain type; gives the values of omitted roughness and crater keys"
     )
     hurst: float | None = quantity(None, gt=0, lt=1, help="Hurst exponent of the relief")
     rms_slope: float | None = quantity(
         None, "deg", ge=0, lt=45, help="RMS slope over a baseline of 1 m"
     )
     crater_density: float | None = quantity(
-        None, ge=0, le=0.3, help="craters of 1 m or more per m^2 in equilibrium; 0: no craters"
+        None,
+        ge=0,
+        le=0.3,
+        help="number per m^2 of craters of 1 m or more in equilibrium; 0: no craters",
     )
     crater_equilibrium_diameter: float = quantity(
         200.0,
@@ -91,7 +94,7 @@ class ReliefRoughness:
         if density == 0.0:
             return relief
         if self.crater_degradation == "diffusion":
-            return self.craters(relief, largest).on(relief)
+            return self.craters(relief, largest).add_to(relief)
         law = CraterLaw(density, self.crater_equilibrium_diameter)
         return add_craters(relief, rng, minimum=self.crater_min_diameter, maximum=largest, law=law)
 
@@ -113,7 +116,7 @@ class ReliefRoughness:
             return add_craters(relief, rng, minimum=min_diameter, maximum=max_diameter, law=law)
         return AgedCraters.draw(
             relief, rng, minimum=min_diameter, maximum=max_diameter, law=law
-        ).on(relief)
+        ).add_to(relief)
 
     def craters(self, relief: Heightfield, largest: float | None = None) -> AgedCraters:
         """Return the craters of a relief whose craters are degraded by diffusion.

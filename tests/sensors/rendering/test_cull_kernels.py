@@ -94,7 +94,7 @@ def test_boxes_hold_the_texels_of_the_shadows(seed):
     turn = rng.uniform(0.0, 6.0)
     normal = np.array([[np.cos(turn), np.sin(turn)]])[: seed % 2]
     least, most = np.array([[-1.0], [1.0]])[:, : seed % 2] + normal @ [20.0, 15.0]
-    box, seen = kernels.shading_rocks(
+    box, seen = kernels.shadow_casting_rocks(
         rocks, reach, foot, number, eye, lean, axes, corner, texel, WIDTH, HEIGHT, normal, least,
         most,
     )  # fmt: skip
@@ -124,7 +124,7 @@ def test_boxes_are_gathered_with_their_numbers():
     box = rng.normal(size=(20, 4))
     picked = rng.random(20) < 0.4
     named = np.sort(rng.choice(90, 20, replace=False)).astype(np.int32)
-    rows, number = kernels.gather(box, named, picked)
+    rows, number = kernels.select_boxes(box, named, picked)
     assert np.array_equal(number, named[picked])
     assert np.array_equal(rows, box[picked].astype("f4"))
 

@@ -46,8 +46,8 @@ def test_a_tile_straight_below_may_be_four_times_as_coarse():
     error = np.array([[0.0], [0.1], [0.39], [0.5]])
     low, high = np.array([[-1.0, -1.0, 0.0]]), np.array([[1.0, 1.0, 0.0]])
     args = (np.eye(3), np.array([-1.0, 1.0, -1.0, 1.0]), 0.1, 1e-3, 1e-3)
-    below = kernels.choose(low, high, error, np.array([0.0, 0.0, 100.0]), *args)
-    aside = kernels.choose(low, high, error, np.array([0.0, 400.0, 100.0]), *args)
+    below = kernels.choose_tiles(low, high, error, np.array([0.0, 0.0, 100.0]), *args)
+    aside = kernels.choose_tiles(low, high, error, np.array([0.0, 400.0, 100.0]), *args)
     assert below[1].tolist() == [2]
     assert below[2].tolist() == [1]
     assert aside[1].tolist() == aside[2].tolist() == [2]  # farther, but not mended

@@ -56,7 +56,7 @@ def test_all_that_a_view_shows_between_two_levels_is_read(seed):
     place = (point[:, :2] - point[:, 2:] * frame.lean) @ frame.axes.T
     texel = np.floor((place - frame.corner) / frame.texel)
     for shift in np.array([[-1, -1], [-1, 1], [1, -1], [1, 1]]):
-        assert reads.meet((texel + shift + 0.5)[:, None]).all()
+        assert reads.may_shade((texel + shift + 0.5)[:, None]).all()
 
 
 def test_what_lies_far_from_a_picture_is_not_read():
@@ -69,9 +69,9 @@ def test_what_lies_far_from_a_picture_is_not_read():
     reads = ShadowMapReads.of(view, frame, 0.0, 0.0)
     # It shows 100 m by 75 m about the middle; the map's border may be read by what lies beyond.
     place = np.array([[[800.0, 800.0]], [[1030.0, 800.0]], [[800.0, 400.0]], [[2.0, 400.0]]])
-    assert reads.meet(place).tolist() == [True, False, False, True]
+    assert reads.may_shade(place).tolist() == [True, False, False, True]
     across = np.array([[[1100.0, 500.0], [500.0, 1100.0]], [[1100.0, 500.0], [1200.0, 1100.0]]])
-    assert reads.meet(across).tolist() == [True, False]
+    assert reads.may_shade(across).tolist() == [True, False]
 
 
 @pytest.mark.parametrize("tilt", [1.5, 1.5707])
@@ -81,7 +81,7 @@ def test_nothing_is_known_of_a_view_that_shows_the_horizon(tilt):
     frame = frame_about(rng, view.position)
     reads = ShadowMapReads.of(view, frame, -1.0, 1.0)
     assert reads.normal.size == 0
-    assert reads.meet(rng.uniform(100.0, 900.0, (50, 1, 2))).all()
+    assert reads.may_shade(rng.uniform(100.0, 900.0, (50, 1, 2))).all()
 
 
 def test_nothing_is_known_of_a_view_from_below_what_it_shows():
@@ -102,23 +102,23 @@ def test_elevations_of_what_is_seen_of_rocks():
     inside = np.abs(np.stack((base.rocks.x, base.rocks.y))).max(axis=0) + 1.5 * size < 15.0
     within = np.flatnonzero(inside).astype(np.int32)[:20]
     assert within.size > 5
-    low, high = rocks.heights(DrawnRocks(np.zeros((len(within), 4), np.float32), within))
+    low, high = rocks.elevation_bounds(DrawnRocks(np.zeros((len(within), 4), np.float32), within))
     assert high == (base.rocks.base + base.rocks.height)[within].max()
     ground = base.relief.z.min()
     assert min(ground, base.rocks.base[within].min()) - 0.011 <= low
     assert low <= base.rocks.base[within].min()
     # A side that no ground hides goes down for ever.
     over = np.append(within, np.flatnonzero(~inside)[:1]).astype(np.int32)
-    assert rocks.heights(DrawnRocks(np.zeros((len(over), 4), np.float32), over)) == (
+    assert rocks.elevation_bounds(DrawnRocks(np.zeros((len(over), 4), np.float32), over)) == (
         -np.inf, np.inf,
     )  # fmt: skip
     z = base.relief.z.copy()
     z[0, 0] = np.nan
     holed = Terrain(Heightfield(base.relief.grid, z), base.rocks)
     rocks = RockRenderer(context, geometry_programs(context, ("HOLES",)), holed)
-    some = rocks.seen(replace(view, position=np.array([0.0, 0.0, 50.0])), 1.0)
-    assert some.number.size
-    assert rocks.heights(some) == (-np.inf, np.inf)
+    some = rocks.visible_rocks(replace(view, position=np.array([0.0, 0.0, 50.0])), 1.0)
+    assert some.rock_indices.size
+    assert rocks.elevation_bounds(some) == (-np.inf, np.inf)
 
 
 def drawn(terrain, view, light):

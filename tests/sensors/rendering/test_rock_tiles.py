@@ -80,13 +80,13 @@ def test_rocks_in_a_view_are_those_found_among_all(kind, seed):
     for turn in range(8):
         view = camera(rng, level=turn % 2 == 1)
         near = float(np.exp(rng.uniform(-4.0, 4.0)))
-        found = tiles.seen(view, near)
+        found = tiles.visible(view, near)
         every = np.arange(len(rocks), dtype=np.int32)
         box, seen = cull.visible_rocks(
             rocks, reach, foot, every, view.position, view.axes.T.copy(), view.fx, view.fy,
             view.cx, view.cy, float(view.width), float(view.height), near,
         )  # fmt: skip
-        assert np.array_equal(found.number, every[seen])
+        assert np.array_equal(found.rock_indices, every[seen])
         assert np.array_equal(found.box, box[seen].astype(np.float32))
 
 
@@ -98,14 +98,14 @@ def test_rocks_that_shade_are_those_found_among_all(kind, seed):
     tiles = RockTiles.of(rocks, reach, foot)
     for _ in range(8):
         view, frame = camera(rng, level=False), shadow_frame(rng)
-        found = tiles.shading(view, frame, ShadowMapReads.anywhere(frame))
+        found = tiles.shadow_casters(view, frame, ShadowMapReads.anywhere(frame))
         every = np.arange(len(rocks), dtype=np.int32)
         none = np.zeros(0)
-        box, seen = cull.shading_rocks(
+        box, seen = cull.shadow_casting_rocks(
             rocks, reach, foot, every, view.position, frame.lean, frame.axes, frame.corner,
             frame.texel, float(frame.size[0]), float(frame.size[1]), np.zeros((0, 2)), none, none,
         )  # fmt: skip
-        assert np.array_equal(found.number, every[seen])
+        assert np.array_equal(found.rock_indices, every[seen])
         assert np.array_equal(found.box, box[seen].astype(np.float32))
 
 
@@ -166,6 +166,6 @@ def test_few_rocks_are_looked_at_where_little_is_seen():
         tiles.low, tiles.high, tiles.radius, np.array([0.0, 0.0, 100.0]), axes, 500.0, 500.0,
         320.0, 240.0, 640.0, 480.0, 1.0,
     )  # fmt: skip
-    number = kernels.rocks_of(tiles.order, tiles.start, kept)
+    number = kernels.rocks_in_tiles(tiles.order, tiles.start, kept)
     assert 0 < number.size < 0.05 * few.sum()  # the picture holds 0.3 %
     assert (np.diff(number) > 0).all()

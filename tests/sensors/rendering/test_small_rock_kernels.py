@@ -17,7 +17,7 @@ def test_boxes_of_few_pixels_are_split_from_the_rest():
         [[0.5, 0.5, 4.5, 4.5], [-0.5, 1.5, 4.5, 5.5], [2.5, 2.5, 3.5, 5.5], [0.5, 0.5, 17.5, 1.5]],
         dtype=np.float32,
     )  # 16, 20, 3 and 17 pixels
-    small, start, rest = kernels.split(box)
+    small, start, rest = kernels.split_by_size(box)
     assert small.tolist() == [0, 2]
     assert start.tolist() == [0, 16, 19]
     assert rest.tolist() == [1, 3]
@@ -57,7 +57,7 @@ def test_rays_through_the_pixels(seed):
     middle = (rocks[number, :3] - eye) @ axes
     corner = np.floor(middle[:, :2] / middle[:, 2:] * focal + principal - size / 2) - 0.5
     box = np.hstack((corner, corner + size)).astype(np.float32)
-    rows, hit = kernels.sight(
+    rows, hit = kernels.trace_view_rays(
         rocks, table.planes, table.count, box, number, small, start, eye, axes.T.copy(),
         *focal, *principal, near,
     )  # fmt: skip
@@ -89,7 +89,7 @@ def test_nothing_is_met_nearer_than_near():
     box, none = np.array([[-0.5, -0.5, 0.5, 0.5]], dtype=np.float32), np.zeros(1, np.int32)
     down = sensor_axes([0.0, 0.0, -1.0]).T.copy()
     for near, wanted in ((1.49, True), (1.51, False)):
-        _, hit = kernels.sight(
+        _, hit = kernels.trace_view_rays(
             rock, table.planes, table.count, box, none, np.zeros(1, np.int64), np.array([0, 1]),
             np.array([0.0, 0.0, 2.0]), down, 10.0, 10.0, 0.0, 0.0, near,
         )  # fmt: skip
@@ -108,7 +108,7 @@ def test_rays_to_the_sun_through_the_texels(seed):
     ground = (above[:, :2] - above[:, 2:] * lean) @ axes.T
     low = np.floor((ground - corner) / texel - size / 2) - 0.5
     box = np.hstack((low, low + size)).astype(np.float32)
-    rows, hit = kernels.shade(
+    rows, hit = kernels.trace_sun_rays(
         rocks, table.planes, table.count, box, number, small, start, eye, lean, axes, corner,
         texel, highest, lowest,
     )  # fmt: skip

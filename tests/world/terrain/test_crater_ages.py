@@ -55,7 +55,7 @@ def test_ground_with_craters_is_the_sum_of_plain_ones():
     flat = Heightfield(grid, np.zeros(grid.shape, np.float32))
     law = CraterLaw(0.06, 200.0)
     craters = AgedCraters.draw(flat, np.random.default_rng(5), minimum=2.5, maximum=6.0, law=law)
-    found = craters.on(flat)
+    found = craters.add_to(flat)
 
     rng = np.random.default_rng(5)
     edge = 0.5 * PROFILE_RADII * 6.0

@@ -15,7 +15,7 @@ from lunarsim.world.terrain import (
     crater_profile,
     fractal_relief,
 )
-from lunarsim.world.terrain._crater_kernels import stamp
+from lunarsim.world.terrain._crater_kernels import add_crater_profiles
 from lunarsim.world.terrain.craters import APRON_RADII, DEPTH_RATIO, RIM_HEIGHT_RATIO
 
 
@@ -44,7 +44,7 @@ def test_stamping_agrees_with_the_profile(seed):
     x, y = rng.uniform(-20.0, 20.0, (2, 6))
     diameter, freshness = rng.uniform(1.0, 15.0, 6), rng.random(6)
     z = np.zeros(grid.shape)
-    stamp(
+    add_crater_profiles(
         z,
         grid.x0,
         grid.y0,
