@@ -212,4 +212,6 @@ class SiteEvaluator:
     def _miss_of(self, time_to_go: Array, status: DescentStatus) -> Array:
         """Return the expected landing miss for times-to-go (n,), s: 1 sigma per axis, m."""
         until = np.where(np.isfinite(time_to_go), time_to_go, status.time_to_go)
-        return self._dispersion.expected_misses(status.estimate, self._navigation.is_drifting, until)
+        return self._dispersion.expected_misses(
+            status.estimate, self._navigation.is_drifting, until
+        )
