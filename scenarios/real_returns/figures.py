@@ -94,7 +94,7 @@ def _squares(ax, heights: dict[str, HeightErrors]) -> None:
     """Plot the mean squared ratio of height error to predicted sigma by slope class."""
     place = np.arange(len(STRATA))
     for n, ((name, own), colour) in enumerate(zip(heights.items(), COLOURS, strict=False)):
-        values = [own.figures(k)["nees"] for k in place]
+        values = [own.statistics(k)["nees"] for k in place]
         ax.bar(place + 0.13 * (n - 2.5), values, 0.13, color=colour, label=name)
     ax.axhline(1.0, color="black", lw=1)
     ax.set_yscale("log")
