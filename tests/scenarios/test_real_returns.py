@@ -69,11 +69,11 @@ def test_heights_are_interpolated_and_split_by_stratum(script, scattered):
     own = judging.dem_errors(dem, wrong, slope)
     np.testing.assert_allclose(own.sigma, sigma, rtol=1e-5)
     assert np.unique(own.stratum).tolist() == [0, 3]
-    figures = own.figures()
+    figures = own.statistics()
     assert figures["nees"] == pytest.approx(1.0, abs=0.08)
     assert figures["beyond2"] == pytest.approx(0.0455, abs=0.015)
-    assert figures["n"] == own.figures(0)["n"] + own.figures(3)["n"]
-    assert np.isnan(own.figures(1)["rmse"])
+    assert figures["n"] == own.statistics(0)["n"] + own.figures(3)["n"]
+    assert np.isnan(own.statistics(1)["rmse"])
 
 
 def test_quadtree_cell_errors_match_the_scatter_of_their_returns(script):
@@ -86,13 +86,13 @@ def test_quadtree_cell_errors_match_the_scatter_of_their_returns(script):
     mapper = returns.quadtree_map(both[:20_000], grid, 2.0, 20_000 / 64.0**2)
     slope = np.full(grid.shape, 22.0)
     own = judging.quadtree_errors(mapper, both[20_000:], slope, grid)
-    figures = own.figures(1)
+    figures = own.statistics(1)
     assert figures["n"] > 300
     # Cells of 1.6 m contain 12.5 returns of each half.
     assert figures["rmse"] == pytest.approx(0.2 * np.sqrt(2.0 / 12.5), rel=0.2)
     assert figures["nees"] == pytest.approx(1.0, abs=0.2)
     lifted = judging.quadtree_errors(mapper, both[20_000:] + [0.0, 0.0, 0.3], slope, grid)
-    assert lifted.figures()["bias"] == pytest.approx(figures["bias"] - 0.3, abs=1e-6)
+    assert lifted.statistics()["bias"] == pytest.approx(figures["bias"] - 0.3, abs=1e-6)
 
 
 def test_scores_of_a_known_map(script):
