@@ -227,16 +227,9 @@ def draw_precision_recall(
 ) -> None:  # fmt: skip
     """Plot precision against recall for all thresholds, with the values of the paper.
 
-    Parameters
-    ----------
-    curves
-        One dict per configuration: counts by method name.
-    configurations
-        Range (m) and angle (deg) of each scan.
-    paper
-        Precision and recall of the baseline and the proposed method in the paper.
-    title, lowest, path
-        Title, minimum precision of the axis, and file of the figure.
+    `curves` holds the counts by method, one dictionary per scan; `configurations` are range (m) and
+    angle off nadir (deg) of the scans; `paper` holds precision and recall of the baseline and the
+    proposed method in the paper; `min_precision` is the lower end of the axis.
     """
     figure = new_figure(9.6, 9.6)
     axes = figure.subplots(3, 3, sharex=True, sharey=True)

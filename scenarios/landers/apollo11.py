@@ -114,10 +114,10 @@ def with_targets(scenario: Scenario, targets_file: str = FLOWN) -> Scenario:
 def with_ignition_start(scenario: Scenario, targets_file: str = FLOWN) -> Scenario:
     """Return a scenario that starts at the ignition point of a guidance target file.
 
-    RIGN and VIGN are the position and horizontal speed at throttle-up, compensated for the trim at
-    minimum thrust (IGNALG and DDUMCALC of Luminary 099; the other terms of the algorithm are zero
-    on a path through RIGN). Ignition is a coast of ZOOMTIME earlier. The coast is assumed to be
-    horizontal at RIGN because powered descent began at pericynthion.
+    The file gives position (RIGN) and horizontal speed (VIGN) at throttle-up. The speed is
+    corrected for the trim at minimum thrust, as in the Apollo software Luminary 099 (IGNALG and
+    DDUMCALC). The start is a coast of ZOOMTIME earlier. The coast is assumed to be horizontal at
+    RIGN because powered descent began at pericynthion.
     """
     t, moon = read_targets(targets_file), scenario.moon.make().gravity(scenario.gravity_m_s2)
     along, up = abs(t["RIGNZ"][0]), t["RIGNX"][2]

@@ -109,7 +109,7 @@ def skill_of(calibrated: np.ndarray) -> float:
 def landing_metrics(flights: Flights) -> Figures:
     """Return landing metrics by map and policy.
 
-    Each is compared flight by flight with the first map and policy.
+    Each combination is compared flight by flight with the first one.
     """
     first = [f.rows[next(iter(WAYS))]["safe"] for f in flights]
     out = {}

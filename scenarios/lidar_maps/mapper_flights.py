@@ -249,9 +249,8 @@ def truth_on_map_grid(
 ) -> np.ndarray:
     """Return the values of a truth raster at the cells of a map grid.
 
-    Cells outside the raster have the value at its edge.
-
-    `navigation_error` is the navigation error (map minus true position), m.
+    Cells outside the raster have the value at its edge. `navigation_error` is map minus true
+    position, m.
     """
     own = truth.safety.grid
     xy = grid.centres() - navigation_error[:2]
@@ -313,7 +312,7 @@ def evaluate_maps(
 ) -> dict[str, MapEvaluation]:
     """Evaluate several maps over the terrain that at least one of them has observed.
 
-    `navigation_error` is the navigation error (m), `strata` the terrain class of the truth cells.
+    `navigation_error` is map minus true position, m; `strata` is the class of the truth cells.
     Unobserved cells count as not called safe. Each map is evaluated on its own grid, because
     mappers can center their grids on different points.
     """

@@ -274,14 +274,8 @@ def nees_table(flights: list[ConsistencyFlight]) -> Table:
 def nis_table(flights: list[ConsistencyFlight], attribute: str, title: str) -> Table:
     """Return the table of NIS per degree of freedom by kind of measurement and epoch.
 
-    NIS is the normalised innovation squared.
-
-    Parameters
-    ----------
-    which
-        Attribute of `ConsistencyFlight` with the sums: "latest_nis" or "nis_between_epochs".
-    title
-        Description of these innovations in the title of the table.
+    NIS is the normalised innovation squared. `attribute` of the flights holds its sums:
+    "latest_nis" or "nis_between_epochs"; `title` describes them in the title of the table.
     """
     table = Table(title=f"NIS / degrees of freedom, {title}; !: outside {100 * LEVEL:g} % bounds")
     for heading in ("measurement", *(f"{share:.2f}" for share in EPOCHS), "bounds at last epoch",
@@ -308,13 +302,8 @@ def nis_table(flights: list[ConsistencyFlight], attribute: str, title: str) -> T
 def inconsistencies(flights: list[ConsistencyFlight], lower_factor: float) -> list[str]:
     """Return a text for each inconsistency between navigation errors and covariance.
 
-    Parameters
-    ----------
-    flights
-        Flights of one variant.
-    modest
-        Factor on the lower bound of NEES (normalised estimation error squared); below 1, larger
-        covariances are permitted.
+    `lower_factor` multiplies the lower bound of NEES (normalised estimation error squared). With a
+    value below 1, larger covariances are permitted.
     """
     out = []
     lost = sum(f.lost[0] for f in flights)

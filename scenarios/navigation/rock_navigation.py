@@ -146,8 +146,8 @@ def apply_faults(mapper: ShadowMapper, task: RockNavigationTask) -> None:
 class RockNavigationErrors:
     """Compute the current navigation errors of a flight in standard deviations.
 
-    The errors are those of `RockNavigationFlight.worst`: velocity, attitude, height above the
-    terrain, and position relative to the rocks.
+    The errors are those of `RockNavigationFlight.error_sigmas`: velocity, attitude, height above
+    the terrain, and position relative to the rocks.
     """
 
     def __init__(self, simulation: Simulation, mapper: ShadowMapper) -> None:

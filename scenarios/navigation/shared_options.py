@@ -76,13 +76,8 @@ def declared_table(
     """Return the table of flights with large navigation errors, by fault.
 
     It counts the flights over 5 sigma, and those of them that navigation did not declare lost.
-
-    Parameters
-    ----------
-    title, first
-        Title of the table and header of its first column.
-    rows
-        Name and flights of each fault or condition.
+    `first_header` is the header of the first column; `rows` holds the name and the flights of each
+    fault or condition.
     """
     table = Table(title=title)
     for heading in (first_header, "flights", "over 5 sigma\nat the end",

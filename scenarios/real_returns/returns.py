@@ -46,7 +46,7 @@ class AirborneCloud:
     area: float
 
     def spacing(self, fraction: float) -> float:
-        """Return the mean horizontal spacing of a fraction `fraction` of the returns, m."""
+        """Return the mean horizontal spacing if only a fraction of the returns is used, m."""
         return float(np.sqrt(self.area / (fraction * len(self.points))))
 
     def grid(self, posting: float) -> Grid:
@@ -56,7 +56,7 @@ class AirborneCloud:
         return Grid.centred(0.5 * (low + high), width, posting, height)
 
     def split(self, fraction: float, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-        """Return a random fraction `fraction` of the returns, and the others (n, 3), m."""
+        """Return a random fraction of the returns, and the other returns (n, 3), m."""
         chosen = np.zeros(len(self.points), np.bool_)
         chosen[rng.permutation(len(chosen))[: round(fraction * len(chosen))]] = True
         return self.points[chosen], self.points[~chosen]

@@ -158,9 +158,9 @@ def bias_after_first(descents: list[RockMeasurements]) -> Array:
     """Return the bias of the first good and the following measurements (n, 4).
 
     `descents` are the measurements of several descents. The bias is relative to the mean of later
-    measurements, from `SETTLED` to twice as many images after the first. Only rocks whose first
-    measurement is not good are used. Columns: bias along and across the Sun direction, pixels, and
-    its standard errors.
+    measurements, from `SETTLED` to twice as many images after the first. Only rocks that are not
+    measured well in the first image are used. Columns: bias along and across the Sun direction,
+    pixels, and its standard errors.
     """
     out = []
     for one in descents:

@@ -72,7 +72,7 @@ def test_heights_are_interpolated_and_split_by_stratum(script, scattered):
     figures = own.statistics()
     assert figures["nees"] == pytest.approx(1.0, abs=0.08)
     assert figures["beyond2"] == pytest.approx(0.0455, abs=0.015)
-    assert figures["n"] == own.statistics(0)["n"] + own.figures(3)["n"]
+    assert figures["n"] == own.statistics(0)["n"] + own.statistics(3)["n"]
     assert np.isnan(own.statistics(1)["rmse"])
 
 
