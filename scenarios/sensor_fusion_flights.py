@@ -208,10 +208,7 @@ def fly(task: FusionFlightTask) -> dict[str, Any]:
 class MapperTimer:
     """Measure the computing time of each mapper, without the mappers that it calls.
 
-    Parameters
-    ----------
-    mappers
-        Mappers by name; their methods are replaced by timed ones.
+    The methods of `mappers` (by name) are replaced by timed ones.
     """
 
     def __init__(self, mappers: dict[str, HazardMapper]) -> None:

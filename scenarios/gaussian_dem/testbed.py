@@ -91,12 +91,8 @@ def scan(
     """Scan the center of a testbed with a flash LiDAR at a given range and angle.
 
     `distance` is the range (m), `angle_deg` the angle off nadir (deg); the sensor points towards
-    +x.
-
-    Returns
-    -------
-    points, sigma, shape
-        Returns (n, 3), m; their standard deviation, m; rows and columns of the detector.
+    +x. Returns the points (n, 3), m, their standard deviation, m, and rows and columns of the
+    detector.
     """
     angle = np.deg2rad(angle_deg)
     position = distance * np.array([-np.sin(angle), 0.0, np.cos(angle)])

@@ -155,12 +155,9 @@ def problem_of(displacement: Array, velocity: Array, propellant_fraction: float)
 def solve_shard(task: DescentShardTask) -> dict[str, Array]:
     """Solve random minimum-propellant descents for one shard (file).
 
-    Returns
-    -------
-    shard
-        "observations" (k, N + 1, 7), "actions" (k, N, 3), "duration" (k,), s, and "propellant"
-        (k,), kg, of the k feasible descents; "out_of_reach" and "failed": numbers of infeasible
-        starts and of solver failures.
+    Returns "observations" (k, N + 1, 7), "actions" (k, N, 3), "duration" (k,), s, and "propellant"
+    (k,), kg, of the k feasible descents, and the numbers of infeasible starts ("out_of_reach") and
+    of solver failures ("failed").
     """
     rng = np.random.default_rng(np.random.SeedSequence(task.seed, spawn_key=(task.number,)))
     planner, starts = Planner(task.intervals), StartDistribution()

@@ -67,8 +67,7 @@ def _plot_terrain(axes: Any, maps: dict[str, Any]) -> Any:
 def draw_mapping(view: dict[str, Any], path: Path) -> None:
     """Plot true and mapped elevation and the error (Figures 10 to 12).
 
-    `view` holds the metrics and maps at one time; `path` is the output file.
-    Figure numbers are those of the quadtree paper.
+    `view` holds the metrics and maps at one time. Figure numbers are those of the quadtree paper.
     """
     maps = view["maps"]
     xy, size, error, true = maps["height"]
@@ -90,8 +89,7 @@ def draw_mapping(view: dict[str, Any], path: Path) -> None:
 def draw_slopes(view: dict[str, Any], path: Path) -> None:
     """Plot slope estimates and errors at the sites (Figures 13, 14).
 
-    `view` holds the metrics and maps at one time; `path` is the output file.
-    Figure numbers are those of the quadtree paper.
+    `view` holds the metrics and maps at one time. Figure numbers are those of the quadtree paper.
     """
     maps = view["maps"]
     selection, size = maps["selection"], maps["sizes"]
@@ -115,8 +113,7 @@ def draw_hazards(view: dict[str, Any], path: Path) -> None:
     """Plot the outlier ratio, hazards and their correctness (Figures 15 to 17).
 
     The outlier ratio is the fraction of points too far from the fitted surface. `view` holds the
-    metrics and maps at one time; `path` is the output file.
-    Figure numbers are those of the quadtree paper.
+    metrics and maps at one time. Figure numbers are those of the quadtree paper.
     """
     maps = view["maps"]
     figure = new_figure(13.0, 4.9)
@@ -183,8 +180,7 @@ def _plot_outline(axes: Any, hazard: Any, extent: Any, color: str = "black") -> 
 def draw_quadtrees(views: list[dict[str, Any]], path: Path) -> None:
     """Plot the cells of the quadtree at each time (Figures 19 and 20).
 
-    `views` holds the metrics and maps at each time; `path` is the output file.
-    Figure numbers are those of the quadtree paper.
+    `views` has metrics and maps at each time. Figure numbers are those of the quadtree paper.
     """
     figure = new_figure(9.6, 5.0)
     for axes, look in zip(figure.subplots(1, 2, sharex=True, sharey=True), views, strict=True):
@@ -221,8 +217,7 @@ def _plot_sites(axes: Any, view: dict[str, Any], *, legend: bool) -> None:
 def draw_sites(views: list[dict[str, Any]], path: Path) -> None:
     """Plot the ranked sites during and after the sweep (Figures 21, 22).
 
-    `views` holds the metrics and maps at each time; `path` is the output file.
-    Figure numbers are those of the quadtree paper.
+    `views` has metrics and maps at each time. Figure numbers are those of the quadtree paper.
     """
     figure = new_figure(10.4, 5.8)
     for axes, look in zip(figure.subplots(1, 2, sharex=True, sharey=True), views, strict=True):
@@ -243,9 +238,8 @@ def draw_sites(views: list[dict[str, Any]], path: Path) -> None:
 def draw_choice(view: dict[str, Any], path: Path) -> None:
     """Plot the sites on true hazards and on the interest map (Figures 18, 23).
 
-    The interest map holds the mission's interest in each place. `view` holds metrics and maps at
-    one evaluation time; `path` is the output file.
-    Figure numbers are those of the quadtree paper.
+    The interest map holds the mission's interest in each place. `view` holds the metrics and
+    maps at one time. Figure numbers are those of the quadtree paper.
     """
     maps = view["maps"]
     figure = new_figure(10.0, 4.9)

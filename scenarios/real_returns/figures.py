@@ -25,14 +25,8 @@ def draw(
 ) -> None:
     """Plot the errors on a map and by predicted sigma, and the reliability of p_safe.
 
-    Parameters
-    ----------
-    first, heights
-        Errors of the first split and of all splits, by map.
-    safety
-        Safety comparison, by mapped fraction of the returns.
-    path
-        File of the figure.
+    `first` and `heights` are the height errors of the first split and of all splits, by map;
+    `safety` is the safety comparison by mapped fraction of the returns.
     """
     figure = new_figure(13.5, 8.2)
     axes = figure.subplots(2, 3)

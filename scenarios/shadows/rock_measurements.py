@@ -182,15 +182,8 @@ def bias_after_first(descents: list[RockMeasurements]) -> Array:
 def random_walks(descents: list[RockMeasurements]) -> tuple[Array, Array]:
     """Estimate the random walk of measured rock centers as the view direction rotates.
 
-    It is in rock radii per square root of a radian. `descents` are the measurements of several
-    descents.
-
-    Returns
-    -------
-    own
-        Random walk of each rock, along and across the Sun direction (2,), without noise.
-    shared
-        Random walk common to all rocks, along and across (2,).
+    It is in rock radii per square root of a radian, along and across the Sun direction (2,).
+    Returns the random walk of each rock without noise, and that common to all rocks.
     """
     own, shared = [], []
     for one in descents:
