@@ -68,17 +68,17 @@ class ApolloDescentRun:
     results: dict[str, Any]
 
 
-def scenario_of(isp: float, terrain: str, load: str = apollo11.FLOWN) -> Scenario:
-    """Return the descent with the guidance targets of a load, from its ignition point.
+def scenario_of(isp: float, terrain: str, targets_file: str = apollo11.FLOWN) -> Scenario:
+    """Return the Apollo 11 descent from ignition with the guidance targets of a file.
 
-    `isp` is the specific impulse (s), `terrain` "random" or "measured", and `load` the file
-    with the guidance targets in `scenarios/data`.
+    `isp` is the specific impulse (s), `terrain` "random" or "measured", and `targets_file` a file
+    name in `scenarios/data`.
     """
     base = Scenario.load(HERE / "landers/apollo11.toml")
     base = base.changed(vehicle={"specific_impulse_s": isp})
     if terrain == "measured":
         base = base.changed(**MEASURED)
-    return apollo11.with_ignition_start(apollo11.with_load(base, load), load)
+    return apollo11.with_ignition_start(apollo11.with_targets(base, targets_file), targets_file)
 
 
 def with_pilot(scenario: Scenario, **pilot: float) -> Scenario:
@@ -111,7 +111,7 @@ def fly(name: str, scenario: Scenario, seed: int) -> ApolloDescentRun:
 
 def _record_differences(track: apollo11.DescentTrack) -> dict[str, float]:
     """Return RMS differences of altitude (m) and pitch (deg) from the record by phase."""
-    recorded, out = apollo11.record(), {}
+    recorded, out = apollo11.read_flight_record(), {}
     ends = (apollo11.LOCK_ON, apollo11.P64, apollo11.P66, apollo11.LANDING)
     for name, since, until in zip(("p63", "p64", "p66"), ends, ends[1:], strict=False):
         b = apollo11.record_difference(track, recorded, since, until)
@@ -120,7 +120,7 @@ def _record_differences(track: apollo11.DescentTrack) -> dict[str, float]:
 
 
 def _terrain_and_visibility(sim: Simulation, flight: Flight) -> dict[str, float]:
-    """Return terrain heights under the path while braking (m), and site visibility.
+    """Return terrain heights under the braking path (m), and visibility of the site.
 
     The visibility is the fraction of the approach phase with the site in the window.
     """
@@ -140,7 +140,7 @@ def _terrain_and_visibility(sim: Simulation, flight: Flight) -> dict[str, float]
 
 
 def look_angles(flight: Flight) -> np.ndarray:
-    """Return the angle of the landing site below the forward body axis (n,), rad."""
+    """Return the angle of the site below the forward body axis at all times (n,), rad."""
     from lunarsim.api import quat_rotate
     from lunarsim.frames import quat_conjugate
 
@@ -212,23 +212,26 @@ def _rms_text(results: dict[str, Any], unit: str) -> str:
 
 
 def _relative_to_report(results: dict[str, Any], reported: float = apollo11.REPORTED) -> str:
-    """Format the total propellant (kg) and its difference from the reported value (%)."""
+    """Format total propellant (kg) and its difference from the mission report (%).
+
+    `reported` is the propellant in the report, kg.
+    """
     total = results["propellant_kg"] + apollo11.INSERTION
     return f"{total:.0f}, {100.0 * (total / reported - 1.0):+.1f} %"
 
 
 def _relative_to_chart(results: dict[str, Any]) -> str:
-    """Format total propellant (kg) and its difference from the digitised chart (%)."""
+    """Format total propellant (kg) and its difference from the Apollo 11 chart (%)."""
     return _relative_to_report(results, apollo11.CHART)
 
 
 def _by_phase(results: dict[str, Any]) -> str:
-    """Format the propellant of braking, approach and last phase (kg)."""
+    """Format the propellant used in braking, approach and last phase (kg)."""
     return " / ".join(f"{results[f'{name}_kg']:.0f}" for name in ("braking", "approach", "last"))
 
 
 def _hover(run: ApolloDescentRun) -> str:
-    """Format the propellant for hovering until the landing time of the record."""
+    """Format the propellant (kg) for hovering until the landing time of Apollo 11."""
     results, mass = run.results, run.flight.trajectory["mass"]
     longer = apollo11.LANDING - results["duration_s"]
     flow = mass[-1] * run.sim.world.gravity / run.sim.lander.exhaust_velocity
@@ -274,11 +277,11 @@ def _hover(run: ApolloDescentRun) -> str:
     "--json", "file", type=click.Path(path_type=Path), help="File for the results of all runs."
 )
 def main(
-    isp: float, seed: int, ground: str, sample: bool, out: Path | None, file: Path | None
+    isp: float, seed: int, terrain: str, sample: bool, out: Path | None, json_file: Path | None
 ) -> None:
     """Fly the descent automatically and manually; compare it with the flight record."""
     console = plain_console(130)
-    base = scenario_of(isp, ground)
+    base = scenario_of(isp, terrain)
     console.print(f"Ignition {apollo11.uprange(base) / 1852.0:.1f} nautical miles uprange.")
     runs = [
         fly("P65", base, seed),
@@ -286,7 +289,7 @@ def main(
         fly("P66, flown on", with_pilot(base, **FLY_PAST_CRATER), seed),
     ]
     if sample:
-        runs.append(fly("P65, sample", scenario_of(isp, ground, apollo11.SAMPLE), seed))
+        runs.append(fly("P65, sample", scenario_of(isp, terrain, apollo11.SAMPLE), seed))
     console.print(table_of(runs))
     for run in runs[:3]:
         console.print(_hover(run))
@@ -301,8 +304,8 @@ def main(
         for run in runs:
             run.flight.save(out / run.name.replace(",", "").replace(" ", "-"))
         console.print(f"Figure: {draw_descent(runs[:3], look_angles, out / 'descent.png')}")
-    if file is not None:
-        file.write_text(json.dumps([run.results for run in runs], indent=1))
+    if json_file is not None:
+        json_file.write_text(json.dumps([run.results for run in runs], indent=1))
 
 
 if __name__ == "__main__":

@@ -21,7 +21,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 from scipy.stats import binomtest, wilcoxon
-from seeking_flights import ALTITUDES, PATHS, SENSORS, SeekingFlightTask, fly, sobol
+from seeking_flights import ALTITUDES, PATHS, SENSORS, SeekingFlightTask, fly, sample_conditions
 
 from lunarsim import InputError
 from lunarsim.campaign.flight_store import Flight, FlightStore
@@ -34,9 +34,9 @@ LAST = f"{ALTITUDES[-1]:g}"
 # Metrics of a flight in the tables.
 FIGURES: dict[str, Callable[[Flight], float]] = {
     "clear cells classified as clear": lambda f: f["levels"][LAST].get("clear", np.nan),
-    "safe sites known": lambda f: _share(f, LAST, "known_m2"),
-    "known and reachable": lambda f: _share(f, LAST, "known_in_reach_m2"),
-    "safe sites known at 100 m": lambda f: _share(f, "100", "known_m2"),
+    "safe sites known": lambda f: _fraction_of_safe_area(f, LAST, "known_m2"),
+    "known and reachable": lambda f: _fraction_of_safe_area(f, LAST, "known_in_reach_m2"),
+    "safe sites known at 100 m": lambda f: _fraction_of_safe_area(f, "100", "known_m2"),
     "recall at precision 0.99": lambda f: f["levels"][LAST].get("recall_at_099", np.nan),
     "unsafe sites called safe": lambda f: (
         f["levels"][LAST]["unsafe_called_safe"] / max(f["levels"][LAST]["unsafe"], 1)
@@ -47,12 +47,12 @@ FIGURES: dict[str, Callable[[Flight], float]] = {
 }
 
 
-def _share(flight: Flight, level: str, name: str) -> float:
-    """Return an area of a flight's map divided by the safe area; NaN if this is zero.
+def _fraction_of_safe_area(flight: Flight, altitude: str, name: str) -> float:
+    """Return an area of a flight's map divided by its safe area; NaN if that is zero.
 
-    `level` is the altitude of the map (text, m), `name` the key of the area (m^2).
+    `altitude` is that of the map (text, m), `name` the key of the area, e.g. "known_m2".
     """
-    of = flight["levels"][level]
+    of = flight["levels"][altitude]
     return float(of[name] / of["safe_m2"]) if of["safe_m2"] > 0.0 else float("nan")
 
 
@@ -83,7 +83,8 @@ def complete_fields(
 def compare_paths(rows: list[dict[str, Flight]]) -> dict[str, dict[str, str]]:
     """Format the mean of each metric for each path, and the paired differences.
 
-    `rows` holds the flights by path, one dictionary per field. Texts include 95 % intervals.
+    Returns texts with 95 % intervals by metric and path. `rows` holds the flights by path, one
+    dictionary per field.
     """
     out: dict[str, dict[str, str]] = {}
     for name, of in FIGURES.items():
@@ -115,18 +116,18 @@ def show(title: str, rows: list[dict[str, Flight]], console: Console) -> None:
         table.add_row(name, *line.values())
     console.print(table)
     lost = {p: sum(not row[p]["landed"] for row in rows) for p in PATHS}
-    hazards = {p: _hazards(row[p] for row in rows) for p in PATHS}
+    hazards = {p: _missed_hazards_text(row[p] for row in rows) for p in PATHS}
     console.print(
         f"Flights without touchdown: {lost}; hazards classified completely as clear: {hazards}"
     )
     for other in ("nominal", "modified"):
-        console.print(odds(rows, other))
+        console.print(paired_test_text(rows, other))
     back = sum(row["seeking"]["fallbacks"] for row in rows)
     console.print(f"Fallbacks of the guidance because no admissible path was found: {back}")
 
 
-def odds(rows: list[dict[str, Flight]], other: str) -> str:
-    """Test whether the seeking path is better than path `other`; return text.
+def paired_test_text(rows: list[dict[str, Flight]], other_path: str) -> str:
+    """Test whether the seeking path is better than another path; return a text.
 
     The guidance law `information-seeking` flies the seeking path. The tests are paired by field
     (sign test and Wilcoxon test). `rows` holds the flights by path, one dictionary per field.
@@ -134,29 +135,29 @@ def odds(rows: list[dict[str, Flight]], other: str) -> str:
     of = FIGURES["clear cells classified as clear"]
     if "clear" not in rows[0]["seeking"]["levels"][LAST]:
         of = FIGURES["recall at precision 0.99"]
-    more = np.array([of(row["seeking"]) - of(row[other]) for row in rows])
+    more = np.array([of(row["seeking"]) - of(row[other_path]) for row in rows])
     more = more[np.isfinite(more)]
     ahead, apart = int((more > 0.0).sum()), int((more != 0.0).sum())
     if apart == 0:
-        return f"equal to {other} in all fields"
+        return f"equal to {other_path} in all fields"
     won = mean_interval(more)
     word = "significantly positive" if won.mean - won.half > 0.0 else "not significantly positive"
     return (
-        f"better than {other} in {ahead} of {len(more)} fields, median {np.median(more):+.3f} "
+        f"better than {other_path} in {ahead} of {len(more)} fields, median {np.median(more):+.3f} "
         f"(sign test: p = {binomtest(ahead, apart).pvalue:.2g}, Wilcoxon test: "
         f"p = {wilcoxon(more).pvalue:.2g}); mean difference {word}"
     )
 
 
-def _hazards(flights: Any) -> str:
-    """Format the number of hazards classified completely as clear: "count of total"."""
+def _missed_hazards_text(flights: Any) -> str:
+    """Format the number of hazards on which all map cells are clear: "count of total"."""
     counts = [(f["levels"][LAST].get("hazards_clear", 0), f["levels"][LAST].get("hazards", 0))
               for f in flights]  # fmt: skip
     return f"{sum(c for c, _ in counts)} of {sum(n for _, n in counts)}"
 
 
 def show_losses(rows: list[dict[str, Flight]], console: Console) -> None:
-    """Print the fields in which the seeking path is worse than another path.
+    """Print Sun and terrain of the fields in which the seeking path is worse.
 
     The guidance law `information-seeking` flies the seeking path; the metric is the fraction of
     clear cells classified as clear. `rows` holds the flights by path, one dictionary per field.
@@ -209,7 +210,7 @@ def main(
     if points:
         everything = [
             SeekingFlightTask(p, k, seed, "camera", g)
-            for k, g in enumerate(sobol(points, seed))
+            for k, g in enumerate(sample_conditions(points, seed))
             for p in PATHS
         ]
     else:

@@ -39,25 +39,25 @@ def scenario_of(name: str | None, step: float) -> Scenario:
     return given.changed(simulation=clock)
 
 
-def table(tally: FlightSummary, seconds: float) -> str:
-    """Format the failure rates and the calibration of p_safe over all flights as text.
+def results_text(summary: FlightSummary, seconds: float) -> str:
+    """Format failure rates and calibration of p_safe over all flights as text.
 
     `seconds` is the wall time of the simulation.
     """
-    n = tally.flights
+    n = summary.flights
     lines = [
-        f"{n:,} descents of {tally.seconds / n:.1f} s in {seconds:.1f} s on "
+        f"{n:,} descents of {summary.seconds / n:.1f} s in {seconds:.1f} s on "
         f"{numba.get_num_threads()} threads: {n / seconds:,.0f} per second, "
-        f"{tally.seconds / seconds:,.0f} simulated s/s",
-        f"mean propellant of safe landings: {tally.propellant / max(tally.safe, 1):.2f} kg",
+        f"{summary.seconds / seconds:,.0f} simulated s/s",
+        f"mean propellant of safe landings: {summary.propellant / max(summary.safe, 1):.2f} kg",
         "", f"{'':<18} {'flights':>9} {'rate':>9}  95 % interval",
     ]  # fmt: skip
-    for name, count in (("not safe", n - tally.safe), *tally.failed.items()):
+    for name, count in (("not safe", n - summary.safe), *summary.failed.items()):
         low, high = Proportion(count, n).interval
         lines.append(f"{name:<18} {count:>9,} {count / n:>9.5f}  [{low:.5f}, {high:.5f}]")
     lines += ["", "reported p_safe   flights   safe fraction  95 % interval"]
     for k in range(10):
-        count, safe = int(tally.by_p_safe[k]), int(tally.safe_by_p_safe[k])
+        count, safe = int(summary.by_p_safe[k]), int(summary.safe_by_p_safe[k])
         if count:
             low, high = Proportion(safe, count).interval
             lines.append(
@@ -100,7 +100,7 @@ def main() -> int:
     except KeyboardInterrupt:
         cut = True
     if tally is not None:
-        print(table(tally, time.perf_counter() - start_s))
+        print(results_text(tally, time.perf_counter() - start_s))
     if cut:
         console.print(
             "interrupted"

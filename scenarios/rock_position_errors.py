@@ -79,9 +79,9 @@ def position_errors(simulation: Simulation) -> tuple[float, float, float, int] |
 
 
 def _mean_covariance(rocks: Any, index: NDArray[np.int64]) -> Array:
-    """Return the covariance (2, 2) of the mean rock position minus the lander's, m^2.
+    """Return the covariance (2, 2) of the rocks' mean position relative to the lander.
 
-    `rocks` is the filter of the rock tracker; `index` holds the numbers of the rocks.
+    It is in m^2. `rocks` is the filter of the rock tracker; `index` selects the rocks.
     """
     weights = np.zeros((2, rocks.state.size))
     for axis in range(2):

@@ -13,14 +13,9 @@ COLOURS = {"nominal": "tab:gray", "modified": "tab:orange", "seeking": "tab:blue
 
 
 def draw(rows: list[dict[str, Any]], path: Path) -> None:
-    """Plot the known, and known and reachable, fraction of safe sites by altitude.
+    """Plot the known and the reachable fraction of safe sites against altitude.
 
-    Parameters
-    ----------
-    rows
-        One dictionary per field: flights by path.
-    path
-        Output file of the image.
+    `rows` holds the flights by path, one dictionary per field; `path` is the output file.
     """
     import matplotlib
 
@@ -31,9 +26,15 @@ def draw(rows: list[dict[str, Any]], path: Path) -> None:
     for name in PATHS:
         flights = [row[name] for row in rows]
         colour, label = COLOURS[name], LABELS[name]
-        known = _mean(flights, "known_m2")
+        known = _mean_fractions(flights, "known_m2")
         left.plot(known, ALTITUDES, "--", color=colour, lw=1.2)
-        left.plot(_mean(flights, "known_in_reach_m2"), ALTITUDES, "o-", color=colour, label=label)
+        left.plot(
+            _mean_fractions(flights, "known_in_reach_m2"),
+            ALTITUDES,
+            "o-",
+            color=colour,
+            label=label,
+        )
         away = [
             np.mean([np.hypot(*f["levels"][f"{h:g}"]["place"][:2]) for f in flights])
             for h in ALTITUDES
@@ -53,10 +54,10 @@ def draw(rows: list[dict[str, Any]], path: Path) -> None:
     plt.close(figure)
 
 
-def _mean(flights: list[dict[str, Any]], name: str) -> list[float]:
-    """Return the mean of an area over the safe area at each altitude (fraction).
+def _mean_fractions(flights: list[dict[str, Any]], name: str) -> list[float]:
+    """Return the mean over flights of area / safe area at each altitude.
 
-    `name` is the key of the area in the flight results.
+    `name` is the key of the area, e.g. "known_m2".
     """
     return [
         float(np.mean([f["levels"][f"{h:g}"][name] / max(f["levels"][f"{h:g}"]["safe_m2"], 1.0)

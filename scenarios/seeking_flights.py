@@ -67,8 +67,8 @@ class SeekingFlightTask:
         return f"{self.sensors} / {self.field} / {self.path}"
 
 
-def sobol(count: int, seed: int) -> list[SunAndTerrain]:
-    """Return scrambled Sobol points over Sun azimuth and elevation, slope and cover.
+def sample_conditions(count: int, seed: int) -> list[SunAndTerrain]:
+    """Sample Sun azimuth and elevation, slope and cover by scrambled Sobol points.
 
     `count` is the number of points.
     """
@@ -78,9 +78,9 @@ def sobol(count: int, seed: int) -> list[SunAndTerrain]:
 
 
 def scenario_of(task: SeekingFlightTask) -> Scenario:
-    """Return the descent of a flight with a map of 60 m and two images per second.
+    """Return the scenario of a flight: shadow EKF descent with a smaller map.
 
-    Sites are selected between altitudes of 75 m and 50 m.
+    The map is 60 m wide; sites are selected between altitudes of 75 m and 50 m.
     """
     g = task.conditions
     start = "modified" if task.path == "modified" else "nominal"
@@ -182,7 +182,7 @@ def map_metrics(simulation: Simulation, *, with_cells: bool) -> dict[str, Any]:
     }
     out["recall_at_099"] = PrecisionRecall.of(p, safe).recall_at(0.99)
     if with_cells and "rocks" in computer.mappers:
-        out |= cells_of(simulation)
+        out |= shadow_cell_metrics(simulation)
     return out
 
 
@@ -199,8 +199,8 @@ def free_of_hazards(simulation: Simulation, xy: NDArray[np.float64]) -> NDArray[
     return out
 
 
-def cells_of(simulation: Simulation) -> dict[str, Any]:
-    """Return metrics of the shadow map cells, and completely missed hazards."""
+def shadow_cell_metrics(simulation: Simulation) -> dict[str, Any]:
+    """Return clear-cell metrics of the shadow map, and counts of missed hazards."""
     mapper = simulation.computer.mappers["rocks"]
     p = mapper.probability.probability(mapper.tracker)
     seen = mapper.probability.observed

@@ -62,7 +62,7 @@ class FusionFlightStore:
             )  # fmt: skip
         self.flights = flights
 
-    def keep(self, task: FusionFlightTask, flight: dict[str, Any]) -> None:
+    def add(self, task: FusionFlightTask, flight: dict[str, Any]) -> None:
         """Add the results of one flight and rewrite the file."""
         self.flights[task.key] = flight
         if self._path is not None:
@@ -71,26 +71,26 @@ class FusionFlightStore:
             atomic_write_text(self._path, json.dumps(data))
 
 
-def code() -> str:
-    """Return a digest of the source code of the package and of this study."""
+def study_digest() -> str:
+    """Return a digest of the source code of lunarsim and of this study."""
     own = Path(sensor_fusion_flights.__file__).read_bytes()
     return hashlib.sha256(code_digest().encode() + own).hexdigest()[:16]
 
 
 def fly_missing(
-    tasks: list[FusionFlightTask], jobs: int, kept: FusionFlightStore, console: Console
+    tasks: list[FusionFlightTask], jobs: int, store: FusionFlightStore, console: Console
 ) -> list[dict[str, Any]]:
     """Return the results of all flights; simulate only those that are not stored.
 
-    `jobs` is the number of processes; `kept` is the store, which receives the new flights.
+    `jobs` is the number of processes; new flights are added to `store`.
     """
-    missing = [task for task in tasks if task.key not in kept.flights]
+    missing = [task for task in tasks if task.key not in store.flights]
     with plain_progress(console) as progress:
         bar = progress.add_task("flights", total=len(tasks), completed=len(tasks) - len(missing))
         for index, flight in iterate_results(fly, missing, jobs):
-            kept.keep(missing[index], flight)
+            store.add(missing[index], flight)
             progress.advance(bar)
-    return [kept.flights[task.key] for task in tasks]
+    return [store.flights[task.key] for task in tasks]
 
 
 @click.command()
@@ -132,7 +132,7 @@ def main(
             f"must be numbers from 50 to 1500 (m), separated by commas, got {altitudes!r}",
             param_hint="--altitudes",
         )
-    settings = {"seed": seed, "altitudes": list(levels), "code": code()}
+    settings = {"seed": seed, "altitudes": list(levels), "code": study_digest()}
     kept = FusionFlightStore(json_file, settings)
     # Rows that share a world and field run consecutively: the cached world is built once.
     order = sorted(wanted, key=lambda name: ROWS[name].world)

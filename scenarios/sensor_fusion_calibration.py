@@ -31,7 +31,7 @@ Array = np.ndarray[Any, Any]
 FITS = ("none", "without the quadtree", "with the quadtree")
 
 
-def counts_of(flights: list[dict[str, Any]]) -> Array:
+def sum_site_counts(flights: list[dict[str, Any]]) -> Array:
     """Sum the site counts of flights by true safety and probability of two maps.
 
     The axes of the result are truth (unsafe, safe), bin of the fused probability, and bin of the
@@ -46,10 +46,9 @@ def counts_of(flights: list[dict[str, Any]]) -> Array:
 
 
 def probability_bins() -> tuple[Array, Array, Array]:
-    """Return fused and quadtree probabilities in each bin of the site counts.
+    """Return the probabilities of each bin of the site counts (n,).
 
-    Returns fused probability, quadtree probability, and whether the quadtree observed the sites
-    (n,).
+    These are fused probability, quadtree probability, and whether the quadtree observed the sites.
     """
     middle = expit(0.5 * (ODDS[1:] + ODDS[:-1]))
     p, q = np.meshgrid(middle, np.append(middle, 0.5), indexing="ij")
@@ -58,29 +57,30 @@ def probability_bins() -> tuple[Array, Array, Array]:
     return p.ravel(), q.ravel(), seen.ravel()
 
 
-def fit_calibration(counts: Array, with_quadtree: bool, lander: Lander) -> FusedCalibration:
-    """Fit the calibrated probability C to site counts of two maps.
+def fit_calibration(site_counts: Array, with_quadtree: bool, lander: Lander) -> FusedCalibration:
+    """Fit the calibrated p_safe of the fused map, C, to site counts of two maps.
 
-    `counts` of the fused map and the quadtree is the value of `counts_of`; `with_quadtree` uses the
-    quadtree as second input. Sites whose lander footprints overlap count as one.
+    `site_counts` of the fused map and the quadtree is the value of `sum_site_counts`;
+    `with_quadtree` uses the quadtree as second input. Sites whose lander footprints overlap count
+    as one.
     """
     p, q, seen = probability_bins()
-    unsafe, safe = counts.reshape(2, -1)
+    unsafe, safe = site_counts.reshape(2, -1)
     footprint = np.pi * (lander.leg_radius + 0.5 * lander.pad_diameter) ** 2
     return FusedCalibration.fit(
         p, q, seen & with_quadtree, safe, unsafe, site_weight=min(POSTING**2 / footprint, 1.0)
     )
 
 
-def loss_of(calibration: FusedCalibration, counts: Array) -> tuple[float, float]:
-    """Return Brier score and bias of a calibration on site counts.
+def evaluate_calibration(calibration: FusedCalibration, site_counts: Array) -> tuple[float, float]:
+    """Return Brier score and bias of a calibration of the fused map on site counts.
 
-    The bias is the mean calibrated probability C minus the safe fraction.
+    The bias is the mean calibrated p_safe minus the safe fraction.
     """
     p, q, seen = probability_bins()
-    unsafe, safe = counts.reshape(2, -1)
+    unsafe, safe = site_counts.reshape(2, -1)
     c = calibration.probability(p.astype(np.float32), q, seen).astype(np.float64)
-    n = max(counts.sum(), 1.0)
+    n = max(site_counts.sum(), 1.0)
     return (
         float((safe * (1.0 - c) ** 2 + unsafe * c**2).sum() / n),
         float((safe * (c - 1.0) + unsafe * c).sum() / n),
@@ -96,7 +96,7 @@ def main(file: Path, out: Path | None) -> None:
     try:
         flights = list(json.loads(file.read_text(encoding="utf-8"))["flights"].values())
         rows = {row: [f for f in flights if f["row"] == row] for row in (f["row"] for f in flights)}
-        all_counts = {row: counts_of(mine) for row, mine in rows.items()}
+        all_counts = {row: sum_site_counts(mine) for row, mine in rows.items()}
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise click.BadParameter(
             f"{file} is not a file of flights ({error!r})", param_hint="FILE"
@@ -119,7 +119,7 @@ def main(file: Path, out: Path | None) -> None:
                 FusedCalibration(),
                 *(fit_calibration(rest, second, lander) for second in (False, True)),
             ]
-            words = (loss_of(c, mine) for c in fits)
+            words = (evaluate_calibration(c, mine) for c in fits)
             table.add_row(row, *(f"{square:.4f}, {off:+.4f}" for square, off in words))
         overall = fit_calibration(np.sum(list(all_counts.values()), axis=0), True, lander)
     except InputError as error:

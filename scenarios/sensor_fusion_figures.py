@@ -29,34 +29,34 @@ COLOURS = {
 }  # fmt: skip
 
 
-def recall_of(evaluated: list[Counts]) -> float:
-    """Return the recall of pooled maps at precision `PRECISION` (0.99).
+def pooled_recall(evaluated: list[Counts]) -> float:
+    """Return the recall of several maps together at precision `PRECISION` (0.99).
 
     `evaluated` holds the site counts of each map.
     """
-    return curve_of(evaluated).recall_at(PRECISION)
+    return pooled_curve(evaluated).recall_at(PRECISION)
 
 
-def curve_of(evaluated: list[Counts]) -> PrecisionRecall:
+def pooled_curve(evaluated: list[Counts]) -> PrecisionRecall:
     """Return the precision-recall curve of the summed site counts of several maps."""
-    return PrecisionRecall(*(_pooled(evaluated, name) for name in ("unsafe", "safe")))
+    return PrecisionRecall(*(_sum_counts(evaluated, name) for name in ("unsafe", "safe")))
 
 
-def _pooled(evaluated: list[Counts], name: str) -> np.ndarray:
+def _sum_counts(evaluated: list[Counts], name: str) -> np.ndarray:
     """Sum one kind of counts (key `name`) over several maps."""
     return np.asarray(np.sum([j[name] for j in evaluated], axis=0))
 
 
-def figures_of(evaluated: list[Counts]) -> dict[str, float]:
-    """Return the quality metrics of one kind of map, pooled over the fields.
+def map_metrics(evaluated: list[Counts]) -> dict[str, float]:
+    """Return the quality metrics of one mapper's maps, pooled over the fields.
 
     `evaluated` holds the site counts of each field. A hazard counts as missed at p > 0.5.
     """
-    curve = curve_of(evaluated)
+    curve = pooled_curve(evaluated)
     quality: MapQuality = curve.at_half()
     unsafe = quality.false_safe + quality.rejected
-    objects, missed = _pooled(evaluated, "objects")
-    n, good, squares = _pooled(evaluated, "squares")
+    objects, missed = _sum_counts(evaluated, "objects")
+    n, good, squares = _sum_counts(evaluated, "squares")
     base = good / n if n else float("nan")
     spread = base * (1.0 - base)
     return {
@@ -65,20 +65,20 @@ def figures_of(evaluated: list[Counts]) -> dict[str, float]:
         "recall_at_precision": curve.recall_at(PRECISION),
         "missed_hazard": quality.false_safe / unsafe if unsafe else float("nan"),
         "missed_objects": missed / objects if objects else float("nan"),
-        "ece": calibration_error(_pooled(evaluated, "table")),
+        "ece": calibration_error(_sum_counts(evaluated, "table")),
         "skill": 1.0 - squares / n / spread if n and spread > 0.0 else float("nan"),
         "claimed": n / max(quality.evaluated, 1),
         "observed": float(np.mean([j["observed"] for j in evaluated])),
     }
 
 
-def large_share(evaluated: list[Counts], recall: float) -> float:
+def large_rock_fraction(evaluated: list[Counts], recall: float) -> float:
     """Return the fraction of terrain called safe with a large rock underneath.
 
-    The threshold on p_safe is the highest one with the given recall. NaN if no threshold reaches
-    this recall or if it is zero. `evaluated` holds the site counts of each field.
+    Terrain is called safe at the highest threshold of p_safe that reaches `recall`. NaN if none
+    does or if `recall` is zero. `evaluated` holds the site counts of each field.
     """
-    curve, large = curve_of(evaluated), _pooled(evaluated, "large")
+    curve, large = pooled_curve(evaluated), _sum_counts(evaluated, "large")
     found = np.cumsum(curve.safe[::-1])
     called = found + np.cumsum(curve.unsafe[::-1])
     enough = np.flatnonzero(found >= recall * max(found[-1], 1.0))
@@ -93,17 +93,17 @@ def best_single(flights: list[Flight], altitude: str) -> str:
 
     The flights are pooled; `altitude` is the text of the evaluation altitude (m).
     """
-    of = {n: recall_of([f["maps"][altitude][n] for f in flights]) for n in SINGLE}
+    of = {n: pooled_recall([f["maps"][altitude][n] for f in flights]) for n in SINGLE}
     return max(of, key=lambda name: of[name])
 
 
-def recall_gains(flights: list[Flight], altitude: str, other: str) -> list[float]:
-    """Return the recall of the fused map minus that of map `other`, per field.
+def recall_gains(flights: list[Flight], altitude: str, other_map: str) -> list[float]:
+    """Return the recall of the fused map minus that of map `other_map`, per field.
 
     Recall is at precision 0.99; `altitude` is the text of the evaluation altitude (m).
     """
-    pairs = ((f["maps"][altitude]["fused"], f["maps"][altitude][other]) for f in flights)
-    return [recall_of([a]) - recall_of([b]) for a, b in pairs]
+    pairs = ((f["maps"][altitude]["fused"], f["maps"][altitude][other_map]) for f in flights)
+    return [pooled_recall([a]) - pooled_recall([b]) for a, b in pairs]
 
 
 @dataclass(frozen=True)
@@ -116,56 +116,56 @@ class FusedMapComparison:
         Name of the study condition and altitude (m).
     best, gain
         Best single map; recall of the fused map minus that of the best one, per field.
-    over_form
-        Recall gain over a fused map with the Gaussian DEM as only input, per field.
-    left
+    gain_over_dem_only
+        Recall gain over a fused map whose only input is the Gaussian DEM, per field.
+    gain_over_remaining
         Recall gain over the map of the remaining sensor, per field; empty if none has failed.
     large_dem, large_fused
-        Fraction of terrain called safe with a large rock under the lander, for the LiDAR map and
-        the fused map, at the recall of the LiDAR map at p > 0.5.
+        Fraction of the terrain called safe that has a large rock under the lander, for Gaussian DEM
+        and fused map at equal recall (that of the Gaussian DEM at p > 0.5).
     """
 
     row: str
     altitude: str
     best: str
     gain: list[float]
-    over_form: list[float]
-    left: list[float]
+    gain_over_dem_only: list[float]
+    gain_over_remaining: list[float]
     large_dem: float
     large_fused: float
 
     @property
-    def missed(self) -> list[str]:
+    def unmet_requirements(self) -> list[str]:
         """Names of the study requirements that are not met; empty if all are met."""
         out = []
         if np.mean(self.gain) < -LESS_THAN_BEST:
             out.append(f"worse than {MAPS[self.best]}")
-        if self.left and np.mean(self.left) < -LESS_THAN_LEFT:
+        if self.gain_over_remaining and np.mean(self.gain_over_remaining) < -LESS_THAN_LEFT:
             out.append("worse than the remaining sensor")
         if self.altitude == FROM and self.large_fused > OF_LARGE * self.large_dem:
             out.append("large hazards")
         return out
 
 
-def comparisons(flights: list[Flight], dead_below: float) -> list[FusedMapComparison]:
+def comparisons(flights: list[Flight], failure_altitude: float) -> list[FusedMapComparison]:
     """Compare the fused map with the others for each study condition and altitude.
 
-    `dead_below` is the altitude (m) below which failed sensors stop.
+    `failure_altitude` is the altitude (m) below which failed sensors stop.
     """
     out = []
     for row, mine in by_row(flights).items():
-        left = ROWS[row].left if row in ROWS else ""
+        left = ROWS[row].remaining_map if row in ROWS else ""
         for altitude in common_altitudes(mine):
             best = best_single(mine, altitude)
-            failed = left and float(altitude) < dead_below
+            failed = left and float(altitude) < failure_altitude
             dem, fused = ([f["maps"][altitude][n] for f in mine] for n in ("dem", "fused"))
-            recall = curve_of(dem).at_half().recall
+            recall = pooled_curve(dem).at_half().recall
             out.append(
                 FusedMapComparison(
                     row, altitude, best,
                     recall_gains(mine, altitude, best), recall_gains(mine, altitude, "alone"),
                     recall_gains(mine, altitude, left) if failed else [],
-                    large_share(dem, recall), large_share(fused, recall),
+                    large_rock_fraction(dem, recall), large_rock_fraction(fused, recall),
                 )
             )  # fmt: skip
     return out
@@ -192,10 +192,10 @@ _COLUMNS = {
 }  # fmt: skip
 
 
-def show(flights: list[Flight], dead_below: float, console: Console) -> None:
+def show(flights: list[Flight], failure_altitude: float, console: Console) -> None:
     """Print the map metrics and the fused map comparison by condition and altitude.
 
-    `dead_below` is the altitude (m) below which failed sensors stop.
+    `failure_altitude` is the altitude (m) below which failed sensors stop.
     """
     for row, mine in by_row(flights).items():
         caption = f"All fields pooled; per field: mean recall at precision {PRECISION}"
@@ -207,7 +207,7 @@ def show(flights: list[Flight], dead_below: float, console: Console) -> None:
         for altitude in common_altitudes(mine):
             for name, words in MAPS.items():
                 maps = [one["maps"][altitude][name] for one in mine]
-                f, each = figures_of(maps), np.mean([recall_of([one]) for one in maps])
+                f, each = map_metrics(maps), np.mean([pooled_recall([one]) for one in maps])
                 cells = (f"{f[key]:.3f}" for key in _COLUMNS)
                 table.add_row(altitude, words, *cells, f"{each:.3f}")
         console.print(table)
@@ -220,10 +220,10 @@ def show(flights: list[Flight], dead_below: float, console: Console) -> None:
                 refused[why] = refused.get(why, 0) + count
         counts_text = ", ".join(f"{why} {count}" for why, count in sorted(refused.items()))
         console.print(f"Rejected images: {counts_text or 'none'}")
-    _show_comparison(comparisons(flights, dead_below), console)
+    _show_comparison(comparisons(flights, failure_altitude), console)
 
 
-def _show_comparison(found: list[FusedMapComparison], console: Console) -> None:
+def _show_comparison(rows: list[FusedMapComparison], console: Console) -> None:
     """Print how much recall the fused map gains over the other maps."""
     table = Table(
         title=f"Recall of the fused map minus others, at precision {PRECISION}, per field"
@@ -234,16 +234,17 @@ def _show_comparison(found: list[FusedMapComparison], console: Console) -> None:
         f"rocks over {LARGE} m: DEM", "fused", "aims not met",
     ):  # fmt: skip
         table.add_column(heading)
-    for c in found:
+    for c in rows:
         table.add_row(
             c.row, c.altitude, MAPS[c.best],
-            mean_interval(c.gain).text(3), mean_interval(c.over_form).text(3),
-            mean_interval(c.left).text(3) if c.left else "",
-            f"{c.large_dem:.4f}", f"{c.large_fused:.4f}", ", ".join(c.missed),
+            mean_interval(c.gain).text(3), mean_interval(c.gain_over_dem_only).text(3),
+            mean_interval(c.gain_over_remaining).text(3) if c.gain_over_remaining else "",
+            f"{c.large_dem:.4f}", f"{c.large_fused:.4f}", ", ".join(c.unmet_requirements),
         )  # fmt: skip
     console.print(table)
     for words, gains in (
-        ("the best single", [c.gain for c in found]), (MAPS["alone"], [c.over_form for c in found])
+        ("the best single", [c.gain for c in rows]),
+        (MAPS["alone"], [c.gain_over_dem_only for c in rows]),
     ):  # fmt: skip
         means = [float(np.mean(gain)) for gain in gains]
         console.print(
@@ -267,7 +268,7 @@ def draw(flights: list[Flight], path: Path) -> None:
     for axis, (row, mine) in zip(axes.flat, rows.items(), strict=False):
         altitudes = common_altitudes(mine)
         for name, words in MAPS.items():
-            found = [recall_of([f["maps"][a][name] for f in mine]) for a in altitudes]
+            found = [pooled_recall([f["maps"][a][name] for f in mine]) for a in altitudes]
             axis.plot(
                 range(len(altitudes)), found, "o--" if name == "alone" else "o-",
                 color=COLOURS[name], label=words,

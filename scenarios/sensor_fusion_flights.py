@@ -80,18 +80,18 @@ class FusionStudyRow:
     ----------
     world
         Name of the simulated terrain in `WORLDS`; rows with the same name share it.
-    drops
+    lidar_dropouts
         Whether half of the LiDAR returns are lost.
-    dead
+    failed_sensors
         Sensors that stop measuring below `DEAD_BELOW`.
-    left
-        Map of the sensor that remains after a failure; empty if no sensor fails completely.
+    remaining_map
+        Name in `MAPS` of the map of the sensor that remains after a failure; empty without one.
     """
 
     world: str
-    drops: bool = False
-    dead: tuple[str, ...] = ()
-    left: str = ""
+    lidar_dropouts: bool = False
+    failed_sensors: tuple[str, ...] = ()
+    remaining_map: str = ""
 
 
 ROWS: dict[str, FusionStudyRow] = {
@@ -101,9 +101,13 @@ ROWS: dict[str, FusionStudyRow] = {
     "cratered highland": FusionStudyRow("highland"),
     "15 % cover": FusionStudyRow("15 % cover"),
     "Sun at 5 deg": FusionStudyRow("Sun 5 deg"),
-    "LiDAR with 50 % drop-outs": FusionStudyRow("level", drops=True),
-    "cameras dead from 400 m on": FusionStudyRow("level", dead=("narrow", "wide"), left="dem"),
-    "LiDAR dead from 400 m on": FusionStudyRow("level", dead=("flash",), left="rocks"),
+    "LiDAR with 50 % drop-outs": FusionStudyRow("level", lidar_dropouts=True),
+    "cameras dead from 400 m on": FusionStudyRow(
+        "level", failed_sensors=("narrow", "wide"), remaining_map="dem"
+    ),
+    "LiDAR dead from 400 m on": FusionStudyRow(
+        "level", failed_sensors=("flash",), remaining_map="rocks"
+    ),
 }
 
 
@@ -182,7 +186,7 @@ def fly(task: FusionFlightTask) -> dict[str, Any]:
     scenario = scenario_of(row.world, task.altitudes)
     simulation = Simulation(scenario, seed, "no-divert", world=world_of(row.world, seed))
     mappers = simulation.computer.mappers
-    if row.drops:
+    if row.lidar_dropouts:
         for name in ("dem", "quadtree"):
             mappers[name].update = with_dropouts(mappers[name].update)  # type: ignore[method-assign]
     clock = MapperTimer({name: mappers[name] for name in MAPS})
@@ -192,10 +196,10 @@ def fly(task: FusionFlightTask) -> dict[str, Any]:
         simulation.step()
         if simulation.altitude < DEAD_BELOW:
             schedules = zip(scenario.tasking, simulation.computer.tasking, strict=True)
-            for part in (part for name, part in schedules if name in row.dead):
+            for part in (part for name, part in schedules if name in row.failed_sensors):
                 part.stop()
         if simulation.altitude <= waiting[0]:
-            evaluated[f"{waiting.pop(0):g}"] = judge(simulation)
+            evaluated[f"{waiting.pop(0):g}"] = count_all_sites(simulation)
     refused = mappers["rocks"].rejected_images  # type: ignore[attr-defined]
     return {"row": task.row, "field": task.field, "maps": evaluated, "ms": clock.mean_ms(),
             "refused": {fault.name: count for fault, count in refused.items()}}  # fmt: skip
@@ -204,10 +208,7 @@ def fly(task: FusionFlightTask) -> dict[str, Any]:
 class MapperTimer:
     """Measure the computing time of each mapper, without the mappers that it calls.
 
-    Parameters
-    ----------
-    mappers
-        Mappers by name; their methods are replaced by timed ones.
+    The methods of `mappers` (by name) are replaced by timed ones.
     """
 
     def __init__(self, mappers: dict[str, HazardMapper]) -> None:
@@ -248,7 +249,7 @@ def _evaluated_surface(
 ) -> TerrainSurface:
     """Compute the hazard map of a mapper, then return its terrain surface.
 
-    The time of the map then counts for its own mapper. `surface` is the mapper's method.
+    A timer then assigns the time of the map to its own mapper. `surface` is the mapper's method.
     """
     mapper.hazard_map()
     return surface()
@@ -322,31 +323,31 @@ def rock_heights(terrain: Any) -> Array:
 
 
 def has_rock_in_footprint(
-    xy: Array, middles: Array, radius: Array, footprint: float
+    xy: Array, centers: Array, radius: Array, footprint: float
 ) -> NDArray[np.bool_]:
     """Return whether a rock reaches into the lander's footprint at positions (n,).
 
-    `xy` (n, 2) are the positions, `middles` (k, 2) and `radius` (k,) those of the rocks and
-    `footprint` the radius of the footprint, m.
+    `xy` (n, 2) are the positions, `centers` (k, 2) and `radius` (k,) describe the rocks, and
+    `footprint` is the radius of the footprint, m.
     """
     out = np.zeros(len(xy), np.bool_)
-    if len(middles):
-        found = cKDTree(xy).query_ball_point(middles, radius + footprint)
+    if len(centers):
+        found = cKDTree(xy).query_ball_point(centers, radius + footprint)
         out[np.concatenate([np.asarray(own, np.int64) for own in found])] = True
     return out
 
 
-def judge(simulation: Simulation) -> dict[str, Any]:
-    """Count sites of all current maps by predicted and true safety, for JSON."""
+def count_all_sites(simulation: Simulation) -> dict[str, Any]:
+    """Count the sites of all current maps by predicted and true safety, for JSON."""
     truth = map_truth(simulation)
     drawn = {name: simulation.computer.mappers[name].hazard_map() for name in MAPS}
     found = {name: count_sites(one, truth) for name, one in drawn.items()}
-    found["fused"]["joint"] = joint(drawn["fused"], drawn["quadtree"], truth)
+    found["fused"]["joint"] = count_jointly(drawn["fused"], drawn["quadtree"], truth)
     return found
 
 
-def joint(fused: HazardMap, second: HazardMap, truth: MapTruth) -> list[Any]:
-    """Count sites by true safety and by the p_safe bins of two maps.
+def count_jointly(fused: HazardMap, second: HazardMap, truth: MapTruth) -> list[Any]:
+    """Count sites by true safety and by the p_safe of two maps, in bins.
 
     The result has the axes truth (unsafe, safe), bin of the fused map, bin of the second map; the
     bins are `ODDS`. The last bin of the second map counts sites that this map has not observed.
@@ -368,19 +369,19 @@ def _log_odds(p: Array) -> Array:
         return np.asarray(logit(p.astype(np.float64)))
 
 
-def count_sites(drawn: HazardMap, truth: MapTruth) -> dict[str, Any]:
+def count_sites(hazard_map: HazardMap, truth: MapTruth) -> dict[str, Any]:
     """Count the sites of one hazard map by p_safe and true safety, for JSON.
 
     The counts are those of precision-recall curves ("safe", "unsafe", "large" rocks underneath),
     high rocks called safe ("objects"), calibration ("table") and Brier score ("squares").
     """
-    p = drawn.p_safe_at(truth.xy)
-    layer = drawn.observed if drawn.in_domain is None else drawn.in_domain
-    claimed = _layer_at(drawn, layer, truth.xy)
+    p = hazard_map.p_safe_at(truth.xy)
+    layer = hazard_map.observed if hazard_map.in_domain is None else hazard_map.in_domain
+    claimed = _layer_at(hazard_map, layer, truth.xy)
     curve = PrecisionRecall.of(p, truth.safe)
     large = PrecisionRecall.of(p, truth.under_large)
     c, s = p[claimed], truth.safe[claimed].astype(np.float64)
-    over = drawn.p_safe_at(truth.objects) if len(truth.objects) else np.empty(0)
+    over = hazard_map.p_safe_at(truth.objects) if len(truth.objects) else np.empty(0)
     return {
         "unsafe": curve.unsafe.tolist(),
         "safe": curve.safe.tolist(),
@@ -388,13 +389,13 @@ def count_sites(drawn: HazardMap, truth: MapTruth) -> dict[str, Any]:
         "objects": [len(over), int((over > 0.5).sum())],
         "table": reliability(c, s).tolist(),
         "squares": [float(c.size), float(s.sum()), float(((c - s) ** 2).sum())],
-        "observed": float(_layer_at(drawn, drawn.observed, truth.xy).mean()),
+        "observed": float(_layer_at(hazard_map, hazard_map.observed, truth.xy).mean()),
     }
 
 
-def _layer_at(drawn: HazardMap, layer: NDArray[np.bool_], xy: Array) -> NDArray[np.bool_]:
+def _layer_at(hazard_map: HazardMap, layer: NDArray[np.bool_], xy: Array) -> NDArray[np.bool_]:
     """Return a boolean map layer at positions (n, 2), m; False outside the map."""
-    g = drawn.grid
+    g = hazard_map.grid
     row, col = g.cell(xy)
     found = layer[np.clip(row, 0, g.rows - 1), np.clip(col, 0, g.cols - 1)]
     return np.asarray(found & g.contains(xy))

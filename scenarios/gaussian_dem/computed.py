@@ -68,7 +68,9 @@ def sample_distance(distance: float, angle_deg: float) -> float:
     return float(np.sqrt(x * y))
 
 
-def baseline(points, grid: Grid, posting: float, phase: tuple[float, float] = (0.0, 0.0)):
+def conventional_dem_cells(
+    points, grid: Grid, posting: float, phase: tuple[float, float] = (0.0, 0.0)
+):
     """Return the conventional DEM of a scan, and its cell at each cell of `grid`.
 
     `points` (n, 3) are the LiDAR returns, m. The DEM has the grid spacing `posting` (m); `phase`
@@ -152,7 +154,7 @@ def table_4(seeds: int) -> dict[str, Any]:
     return {"rows": [table_4_row(r, a) for r, a in CONFIGURATIONS]}
 
 
-def density(error: np.ndarray, variance: np.ndarray | float) -> float:
+def negative_log_density(error: np.ndarray, variance: np.ndarray | float) -> float:
     """Return the mean negative log predictive density of DEM errors.
 
     `error` is the elevation error (m) of each cell and `variance` its predicted variance (m^2). Eq.
@@ -184,17 +186,18 @@ def table_5(seeds: int) -> dict[str, Any]:
             rmse, nlpd = [], []
             posting = sample_distance(distance, angle)
             for phase in PHASES:
-                coarse, nearest = baseline(one.points, one.grid, posting, phase)
+                coarse, nearest = conventional_dem_cells(one.points, one.grid, posting, phase)
                 error = (coarse.elevation[nearest] - truth)[inside].astype(float)
                 rmse.append(rms(error))
-                nlpd.append(density(error, one.sigma**2))
+                nlpd.append(negative_log_density(error, one.sigma**2))
                 if seed == 0 and phase == (0.0, 0.0):
                     one_shown = (coarse.elevation[nearest], one.grid, one.points)
                     shown["baseline"].append(one_shown)
             own = (one.dem.mean - truth)[inside].astype(float)
             values = (
                 statistics.mean(rmse), rms(own), statistics.mean(nlpd),
-                density(own, one.dem.variance[inside].astype(float)), min(rmse), max(rmse),
+                negative_log_density(own, one.dem.variance[inside].astype(float)),
+                min(rmse), max(rmse),
             )  # fmt: skip
             for column, value in zip(rows[n], values, strict=True):
                 column.append(value)
@@ -235,30 +238,32 @@ class ScanEvaluation:
     scan: ScannedDem
 
 
-def truth_of(field: TestbedField, one: ScannedDem) -> dict[str, np.ndarray]:
+def truth_of(field: TestbedField, scanned: ScannedDem) -> dict[str, np.ndarray]:
     """Return whether true slope and roughness are safe, on the grid of a scan.
 
-    `field` is the simulated testbed and `one` a scan of it. Returns a boolean map by kind of
+    `field` is the simulated testbed and `scanned` a scan of it. Returns a boolean map by kind of
     hazard.
     """
     return {
-        "slope": field.safety.slope[one.window] < LANDER.slope_limit,
-        "roughness": field.safety.roughness[one.window] < LANDER.roughness_limit,
+        "slope": field.safety.slope[scanned.window] < LANDER.slope_limit,
+        "roughness": field.safety.roughness[scanned.window] < LANDER.roughness_limit,
     }
 
 
-def judge(field: TestbedField, seed: int, n: int) -> ScanEvaluation:
-    """Scan a testbed in configuration `n` and compute its safety by all methods.
+def evaluate_scan(field: TestbedField, seed: int, configuration: int) -> ScanEvaluation:
+    """Scan a testbed in one configuration; compute its safety by all methods.
 
     The methods are the conventional DEM, the Gaussian DEM, and support planes on the Gaussian DEM.
-    `n` is an index of `CONFIGURATIONS`; `seed` and `n` seed the scan noise.
+    `configuration` is an index of `CONFIGURATIONS`; both numbers seed the scan noise.
     """
-    distance, angle = CONFIGURATIONS[n]
-    one = map_testbed(field, distance, angle, np.random.default_rng([seed, n]), **MARGIN)
+    distance, angle = CONFIGURATIONS[configuration]
+    scanned = map_testbed(
+        field, distance, angle, np.random.default_rng([seed, configuration]), **MARGIN
+    )
     # Occluded cells have the prior variance and therefore count as unsafe.
-    own = stochastic_safety(one.dem.mean, one.dem.variance, one.grid, LANDER)
-    planes = plane_stochastic_safety(one.dem.mean, one.dem.variance, one.grid, LANDER)
-    evaluated = own.observed & field.safety.observed[one.window]
+    own = stochastic_safety(scanned.dem.mean, scanned.dem.variance, scanned.grid, LANDER)
+    planes = plane_stochastic_safety(scanned.dem.mean, scanned.dem.variance, scanned.grid, LANDER)
+    evaluated = own.observed & field.safety.observed[scanned.window]
     p: dict[tuple[str, str], list[np.ndarray]] = {
         ("baseline", "slope"): [],
         ("baseline", "roughness"): [],
@@ -269,12 +274,12 @@ def judge(field: TestbedField, seed: int, n: int) -> ScanEvaluation:
     }
     for phase in HALF_PHASES:
         posting = sample_distance(distance, angle)
-        coarse, nearest = baseline(one.points, one.grid, posting, phase)
-        other = alhat_safety(coarse.elevation, coarse.grid, LANDER, sigma=one.sigma)
+        coarse, nearest = conventional_dem_cells(scanned.points, scanned.grid, posting, phase)
+        other = alhat_safety(coarse.elevation, coarse.grid, LANDER, sigma=scanned.sigma)
         evaluated &= other.observed[nearest]
         p["baseline", "slope"].append(other.p_slope[nearest])
         p["baseline", "roughness"].append(other.p_roughness[nearest])
-    return ScanEvaluation(p, truth_of(field, one), evaluated, own.p_safe, one)
+    return ScanEvaluation(p, truth_of(field, scanned), evaluated, own.p_safe, scanned)
 
 
 def table_6(seeds: int) -> dict[str, Any]:
@@ -296,7 +301,7 @@ def table_6(seeds: int) -> dict[str, Any]:
     for seed in track(range(seeds), description="table 6"):
         field = testbed(seed)
         for n in numbers:
-            one = judge(field, seed, n)
+            one = evaluate_scan(field, seed, n)
             seen = one.evaluated
             for (method, kind), maps in one.p.items():
                 truth = one.truth[kind]

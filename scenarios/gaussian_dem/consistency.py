@@ -79,8 +79,8 @@ def scan(terrain: Terrain, spacing: float, sigma: float, rng: np.random.Generato
     return np.column_stack((xy, terrain.elevation(xy) + sigma * rng.standard_normal(len(xy))))
 
 
-def descend(task: tuple[str, int, int, float]) -> np.ndarray:
-    """Return sums and counts of the NEES of the Gaussian DEM over one descent (3, 2).
+def nees_of_descent(task: tuple[str, int, int, float]) -> np.ndarray:
+    """Return the sums and the counts of the DEM's NEES over one descent (3, 2).
 
     NEES is the squared elevation error over the predicted variance. `task` holds terrain name, root
     seed, index of the descent, and a factor on the scan noise of `DESCENT`. The rows of the result
@@ -125,7 +125,7 @@ def main(seeds: int, seed: int, noise: float, jobs: int) -> None:
     """Print the NEES of measured, interpolated and rock cells for each terrain."""
     console = plain_console(120)
     tasks = [(name, seed, index, noise) for name in WORLDS for index in range(seeds)]
-    found = collect_results(descend, tasks, jobs, console, "descents")
+    found = collect_results(nees_of_descent, tasks, jobs, console, "descents")
     table = Table(title=f"NEES over {seeds} descents of {len(DESCENT)} scans (number of cells)")
     for heading in ("world", *STRATA):
         table.add_column(heading, justify="left" if heading == "world" else "right")

@@ -223,20 +223,13 @@ def draw_truth(field: Any, layer: np.ndarray, limit: float, label: str, path: Pa
 
 def draw_precision_recall(
     curves: list[dict[str, PrecisionRecall]], configurations: list[tuple[float, float]],
-    paper: list[list[tuple[float, float]]], title: str, lowest: float, path: Path,
+    paper: list[list[tuple[float, float]]], title: str, min_precision: float, path: Path,
 ) -> None:  # fmt: skip
     """Plot precision against recall for all thresholds, with the values of the paper.
 
-    Parameters
-    ----------
-    curves
-        One dict per configuration: counts by method name.
-    configurations
-        Range (m) and angle (deg) of each scan.
-    paper
-        Precision and recall of the baseline and the proposed method in the paper.
-    title, lowest, path
-        Title, minimum precision of the axis, and file of the figure.
+    `curves` holds the counts by method, one dictionary per scan; `configurations` are range (m) and
+    angle off nadir (deg) of the scans; `paper` holds precision and recall of the baseline and the
+    proposed method in the paper; `min_precision` is the lower end of the axis.
     """
     figure = new_figure(9.6, 9.6)
     axes = figure.subplots(3, 3, sharex=True, sharey=True)
@@ -254,7 +247,7 @@ def draw_precision_recall(
             ax.plot(recall, precision, "*", color=colour, mec="black", ms=9, label=name)
         ax.set_title(f"{distance:.0f} m, {angle:.0f} deg")
         ax.set_xlim(0.6, 1.003)
-        ax.set_ylim(lowest, 1.0 + 0.02 * (1.0 - lowest))
+        ax.set_ylim(min_precision, 1.0 + 0.02 * (1.0 - min_precision))
         ax.grid(alpha=0.3)
     for ax in axes[2]:
         ax.set_xlabel("Recall of safe cells")

@@ -76,7 +76,7 @@ def spectrum(cells: int) -> np.ndarray:
 def error_field(task: TerrainSampleTask, rng: np.random.Generator) -> np.ndarray:
     """Sample one correlated elevation error of the Gaussian DEM (rows, cols), m.
 
-    `task` selects the scan.
+    `task` gives the testbed and the scan configuration.
     """
     _, own = scan_testbed(task.configuration, task.seed)
     # Four times as wide as the map, so that the periodicity of the sample has no effect on it.
@@ -92,7 +92,7 @@ def error_field(task: TerrainSampleTask, rng: np.random.Generator) -> np.ndarray
     return np.asarray(drawn[: MAP.rows, : MAP.cols] - found.mean)
 
 
-def sample(task: TerrainSampleTask) -> np.ndarray:
+def count_safe_samples(task: TerrainSampleTask) -> np.ndarray:
     """Count the sampled terrains in which each map cell is safe (rows, cols).
 
     The terrains are the DEM plus sampled elevation errors; their safety is computed without
@@ -107,13 +107,15 @@ def sample(task: TerrainSampleTask) -> np.ndarray:
     return total
 
 
-def judge(configuration: int, seed: int, share: np.ndarray) -> dict[str, Any]:
+def compare_safety_tests(
+    configuration: int, seed: int, safe_fraction: np.ndarray
+) -> dict[str, Any]:
     """Compare two safety tests with the safe fraction of sampled terrains per cell.
 
-    `configuration` and `seed` select the scan; `share` (rows, cols) is the sampled safe fraction.
-    The result holds, by method, bias (mean p minus fraction), RMS difference, fraction of cells
-    with p more than 0.1 too high ("over") and calibration counts ("table"); also the mean sampled
-    and true safe fractions and the number of cells.
+    `configuration` and `seed` select the scan; `safe_fraction` (rows, cols) is the sampled safe
+    fraction. The result holds, by method, bias (mean p minus fraction), RMS difference, fraction of
+    cells with p more than 0.1 too high ("over") and calibration counts ("table"); also the mean
+    sampled and true safe fractions and the number of cells.
     """
     field, scan = scan_testbed(configuration, seed)
     dem = scan.dem
@@ -124,12 +126,14 @@ def judge(configuration: int, seed: int, share: np.ndarray) -> dict[str, Any]:
     truth = exact_safety(field.elevation, field.grid, LANDER).safe[scan.window]
     p = {"Eqs. 15-17": own.p_safe[evaluated], "support planes": planes.p_safe[evaluated]}
     return {
-        "sampled": float(share[evaluated].mean()),
+        "sampled": float(safe_fraction[evaluated].mean()),
         "true": float(truth[evaluated].mean()),
-        "bias": {m: float((p[m] - share[evaluated]).mean()) for m in METHODS},
-        "rms": {m: float(np.sqrt(((p[m] - share[evaluated]) ** 2).mean())) for m in METHODS},
-        "over": {m: float((p[m] > share[evaluated] + 0.1).mean()) for m in METHODS},
-        "table": {m: reliability(p[m], share[evaluated]) for m in METHODS},
+        "bias": {m: float((p[m] - safe_fraction[evaluated]).mean()) for m in METHODS},
+        "rms": {
+            m: float(np.sqrt(((p[m] - safe_fraction[evaluated]) ** 2).mean())) for m in METHODS
+        },
+        "over": {m: float((p[m] > safe_fraction[evaluated] + 0.1).mean()) for m in METHODS},
+        "table": {m: reliability(p[m], safe_fraction[evaluated]) for m in METHODS},
         "cells": int(evaluated.sum()),
     }
 
@@ -137,7 +141,7 @@ def judge(configuration: int, seed: int, share: np.ndarray) -> dict[str, Any]:
 def draw(results: list[dict[str, Any]], path: Path) -> None:
     """Plot sampled against predicted probability of safety, one panel per scan.
 
-    `results` are the dictionaries of `judge`; `path` is the output file.
+    `results` are the dictionaries of `compare_safety_tests`; `path` is the output file.
     """
     figure = new_figure(3.0 * len(results), 3.6)
     panels = figure.subplots(1, len(results), sharey=True)
@@ -171,7 +175,7 @@ def main(samples: int, seed: int, jobs: int, out: Path | None) -> None:
         for c in range(len(CONFIGURATIONS))
         for first in range(0, samples, 10)
     ]
-    counts = collect_results(sample, tasks, jobs, console, "tasks")
+    counts = collect_results(count_safe_samples, tasks, jobs, console, "tasks")
     if len(counts) < len(tasks):
         raise click.Abort
     table = Table(
@@ -186,7 +190,7 @@ def main(samples: int, seed: int, jobs: int, out: Path | None) -> None:
     results = []
     for c, (distance, angle) in enumerate(CONFIGURATIONS):
         own = [n for n, task in zip(counts, tasks, strict=True) if task.configuration == c]
-        result = judge(c, seed, sum(own) / samples)
+        result = compare_safety_tests(c, seed, sum(own) / samples)
         results.append(result)
         for m in METHODS:
             first = m == METHODS[0]

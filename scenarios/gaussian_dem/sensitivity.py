@@ -17,7 +17,7 @@ from typing import Any
 
 import click
 import numpy as np
-from computed import density, rms, truth_of
+from computed import negative_log_density, rms, truth_of
 from paper import PAPER_5, PAPER_6
 from rich.console import Console
 from rich.table import Table
@@ -59,24 +59,25 @@ def growth(setting: dict[str, float]) -> float:
 # --- the random field ---------------------------------------------------------------------
 
 
-def map_metrics(own: TestbedField, one: ScannedDem) -> dict[str, float]:
+def map_metrics(field: TestbedField, scanned: ScannedDem) -> dict[str, float]:
     """Return errors, precision and recall of one Gaussian DEM (keys: `METRICS`).
 
-    `own` is the simulated testbed and `one` a scan of it. The metrics are those of Tables 5 and 6
-    of the Gaussian DEM paper; "nlpd" is the negative log predictive density and "beyond" the
+    `field` is the simulated testbed and `scanned` a scan of it. The metrics are those of Tables 5
+    and 6 of the Gaussian DEM paper; "nlpd" is the negative log predictive density and "beyond" the
     fraction of errors above 3 sigma.
     """
-    inside = np.isfinite(one.dem.mean)
-    error = (one.dem.mean - own.elevation[one.window])[inside].astype(float)
-    variance = one.dem.variance[inside].astype(float)
-    safety = stochastic_safety(one.dem.mean, one.dem.variance, one.grid, LANDER)
-    seen = safety.observed & own.safety.observed[one.window]
-    truth = truth_of(own, one)
+    inside = np.isfinite(scanned.dem.mean)
+    error = (scanned.dem.mean - field.elevation[scanned.window])[inside].astype(float)
+    variance = scanned.dem.variance[inside].astype(float)
+    safety = stochastic_safety(scanned.dem.mean, scanned.dem.variance, scanned.grid, LANDER)
+    seen = safety.observed & field.safety.observed[scanned.window]
+    truth = truth_of(field, scanned)
     slope = MapQuality.of(safety.p_slope[seen] > 0.5, truth["slope"][seen])
     roughness = MapQuality.of(safety.p_roughness[seen] > 0.5, truth["roughness"][seen])
     beyond = float((np.abs(error) > 3.0 * np.sqrt(variance)).mean())
-    values = (rms(error), density(error, variance), beyond, slope.precision, roughness.precision,
-              slope.recall, roughness.recall)  # fmt: skip
+    nlpd = negative_log_density(error, variance)
+    values = (rms(error), nlpd, beyond, slope.precision, roughness.precision, slope.recall,
+              roughness.recall)  # fmt: skip
     return dict(zip(METRICS, values, strict=True))
 
 
@@ -99,10 +100,11 @@ def sweep_testbed(seed: int) -> list[list[list[float]]]:
     return out
 
 
-def count_rows_reached(values: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Count the scans (0 to 9) with metrics as good as in the paper, by prior.
+def count_scans_as_published(values: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Count for each prior the scans whose metric is at least as good as in the paper.
 
-    `values` holds each metric (priors of `GROWTHS`, 9 scan configurations) by name.
+    `values` holds each metric (priors of `GROWTHS`, 9 scan configurations) by name. The counts
+    (0 to 9) are by metric and prior.
     """
     five, six = np.array(PAPER_5), np.array(PAPER_6)
     rounded = {name: np.round(v, 4) for name, v in values.items()}
@@ -116,7 +118,7 @@ def count_rows_reached(values: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     }
 
 
-def show_field(results: list[Any], console: Console) -> dict[str, Any]:
+def show_prior_sweep(results: list[Any], console: Console) -> dict[str, Any]:
     """Print the metrics for each random field prior; return their means.
 
     `results` are the values of `sweep_testbed`, one per testbed. Returns the means (prior, scan
@@ -124,7 +126,7 @@ def show_field(results: list[Any], console: Console) -> dict[str, Any]:
     """
     mean = np.mean(np.array(results, dtype=float), axis=0)
     values = {name: mean[:, :, i] for i, name in enumerate(METRICS)}
-    rows = count_rows_reached(values)
+    rows = count_scans_as_published(values)
     table = Table(
         title=f"Random field for both tables, {len(results)} testbeds: number of the nine rows "
         "at the value of the paper or better"
@@ -141,7 +143,7 @@ def show_field(results: list[Any], console: Console) -> dict[str, Any]:
             f"{values['recall roughness'][i].mean():.4f}",
         )  # fmt: skip
     console.print(table)
-    show_best_field(values, rows, console)
+    show_best_prior(values, rows, console)
     least = GROWTHS[values["nlpd"].argmin(axis=0)]
     console.print("The minimum NLPD is at: " + ", ".join(
         f"{g:.0e} ({r:.0f} m, {a:.0f} deg)"
@@ -150,16 +152,16 @@ def show_field(results: list[Any], console: Console) -> dict[str, Any]:
     return {name: v.tolist() for name, v in values.items()}
 
 
-def show_best_field(
-    values: dict[str, np.ndarray], rows: dict[str, np.ndarray], console: Console
+def show_best_prior(
+    values: dict[str, np.ndarray], scan_counts: dict[str, np.ndarray], console: Console
 ) -> None:
     """Compare the priors of Tables 5 and 6 with the one that serves both tables best.
 
     This is the largest sigma_f^2 / length_scale with the maximum number of scans at the negative
     log predictive density (NLPD) of the paper. `values` are metrics (prior, configuration) by name;
-    `rows` the result of `count_rows_reached`.
+    `scan_counts` the result of `count_scans_as_published`.
     """
-    most = np.flatnonzero(rows["NLPD"] == rows["NLPD"].max())
+    most = np.flatnonzero(scan_counts["NLPD"] == scan_counts["NLPD"].max())
     own = {"Table 5": growth(DENSITY), "both": GROWTHS[most[-1]], "Table 6": growth(MARGIN)}
     table = Table(
         title="sigma_f^2 / length: " + ", ".join(f"{n} {g:.1e} m" for n, g in own.items())
@@ -183,7 +185,7 @@ def show_best_field(
     console.print(table)
 
 
-def draw_field(values: dict[str, Any], path: Path) -> None:
+def draw_prior_sweep(values: dict[str, Any], path: Path) -> None:
     """Plot error, density, precision and recall against sigma_f^2 / length_scale.
 
     `values` are metrics (prior, configuration) by name; `path` is the output file.
@@ -222,29 +224,33 @@ def draw_field(values: dict[str, Any], path: Path) -> None:
 class ScanVariant:
     """One changed property of the testbed scans from 1000 m.
 
-    `bed` and `lidar` are changed arguments of `testbed` and `FlashLidar`; `growth` is sigma_f^2 /
-    length_scale of the prior, m; `stated` is the standard deviation of a return that the DEM
-    assumes, m (None: the true one).
+    `testbed_changes` and `lidar_changes` are changed arguments of `testbed` and `FlashLidar`;
+    `growth` is sigma_f^2 / length_scale of the prior, m; `assumed_sigma` is the standard deviation
+    of a return that the DEM assumes, m (None: the true one).
     """
 
     name: str
-    bed: dict[str, Any] = field(default_factory=dict)
-    lidar: dict[str, Any] = field(default_factory=dict)
+    testbed_changes: dict[str, Any] = field(default_factory=dict)
+    lidar_changes: dict[str, Any] = field(default_factory=dict)
     growth: float = growth(MARGIN)
-    stated: float | None = None  # assumed standard deviation of a return, m; None: the true one
+    assumed_sigma: float | None = (
+        None  # assumed standard deviation of a return, m; None: the true one
+    )
 
 
 VARIANTS = (
     ScanVariant("as in Table 6"),
-    ScanVariant("no noise", lidar={"noise_ratio": 0.0}),
-    ScanVariant("no noise, its sigma stated", lidar={"noise_ratio": 0.0}, stated=0.1 / 3.0),
-    ScanVariant("half the spacing", lidar={"rows": 512, "cols": 512}),
-    ScanVariant("twice the spacing", lidar={"rows": 128, "cols": 128}),
+    ScanVariant("no noise", lidar_changes={"noise_ratio": 0.0}),
+    ScanVariant(
+        "no noise, its sigma stated", lidar_changes={"noise_ratio": 0.0}, assumed_sigma=0.1 / 3.0
+    ),
+    ScanVariant("half the spacing", lidar_changes={"rows": 512, "cols": 512}),
+    ScanVariant("twice the spacing", lidar_changes={"rows": 128, "cols": 128}),
     ScanVariant("1.5 x sigma_f^2 / length", growth=1.5 * growth(MARGIN)),
-    ScanVariant("rocks of 0.8 m", bed={"diameter": 0.8}),
-    ScanVariant("rocks of 1.5 m", bed={"diameter": 1.5}),
-    ScanVariant("250 rocks", bed={"rocks": 250}),
-    ScanVariant("1000 rocks", bed={"rocks": 1000}),
+    ScanVariant("rocks of 0.8 m", testbed_changes={"diameter": 0.8}),
+    ScanVariant("rocks of 1.5 m", testbed_changes={"diameter": 1.5}),
+    ScanVariant("250 rocks", testbed_changes={"rocks": 250}),
+    ScanVariant("1000 rocks", testbed_changes={"rocks": 1000}),
 )
 
 
@@ -257,7 +263,8 @@ class MissedSites:
     quality
         Precision and recall of the map over all sites.
     seen, unseen
-        Unsafe sites with and without a return above the roughness limit: number called safe, total.
+        Unsafe sites with and without a LiDAR return above the roughness limit nearby: number of
+        them called safe, and total number.
     """
 
     quality: MapQuality
@@ -272,13 +279,15 @@ def count_missed_sites(task: tuple[int, int]) -> list[MissedSites]:
     """
     index, seed = task
     variant = VARIANTS[index]
-    own = testbed(seed, **variant.bed)
+    own = testbed(seed, **variant.testbed_changes)
     out = []
     for n, (distance, angle) in enumerate(CONFIGURATIONS[-3:]):
         rng = np.random.default_rng([seed, n])
         setting = {"sigma_f": float(np.sqrt(variant.growth * LENGTH)), "length_scale": LENGTH}
-        lidar = FlashLidar(**variant.lidar)
-        one = map_testbed(own, distance, angle, rng, lidar=lidar, stated=variant.stated, **setting)
+        lidar = FlashLidar(**variant.lidar_changes)
+        one = map_testbed(
+            own, distance, angle, rng, lidar=lidar, assumed_sigma=variant.assumed_sigma, **setting
+        )
         safety = stochastic_safety(one.dem.mean, one.dem.variance, one.grid, LANDER)
         use = safety.observed & own.safety.observed[one.window]
         called = safety.p_roughness[use] > 0.5
@@ -298,8 +307,8 @@ def count_missed_sites(task: tuple[int, int]) -> list[MissedSites]:
     return out
 
 
-def share(part: int, total: int) -> float:
-    """Return the fraction `part / total`; NaN if `total` is zero."""
+def fraction(part: int, total: int) -> float:
+    """Return `part / total`; NaN if `total` is zero."""
     return float(part / total) if total else float("nan")
 
 
@@ -330,9 +339,9 @@ def show_misses(results: list[list[MissedSites]], seeds: int, console: Console) 
             wrong, all_unsafe = seen[0] + unseen[0], seen[1] + unseen[1]
             row = {
                 "unsafe": unsafe, "precision": precision.mean, "recall": recall.mean,
-                "called_safe": share(wrong, all_unsafe),
-                "unseen_of_called": share(unseen[0], wrong),
-                "seen_called_safe": share(*seen), "unseen_called_safe": share(*unseen),
+                "called_safe": fraction(wrong, all_unsafe),
+                "unseen_of_called": fraction(unseen[0], wrong),
+                "seen_called_safe": fraction(*seen), "unseen_called_safe": fraction(*unseen),
             }  # fmt: skip
             rows.append({"angle": angle, "scans": variant.name} | row)
             table.add_row(
@@ -362,9 +371,9 @@ def main(study: str, seeds: int, jobs: int, json_file: Path | None, out: Path | 
     kept: dict[str, Any] = {}
     if study in {"field", "all"}:
         results = collect_results(sweep_testbed, range(seeds), jobs, console, "testbeds")
-        kept["field"] = show_field(results, console) | {"growth": GROWTHS.tolist()}
+        kept["field"] = show_prior_sweep(results, console) | {"growth": GROWTHS.tolist()}
         if out is not None:
-            draw_field(kept["field"], out / "random_field.png")
+            draw_prior_sweep(kept["field"], out / "random_field.png")
     if study in {"misses", "all"}:
         tasks = [(v, s) for v in range(len(VARIANTS)) for s in range(seeds)]
         results = collect_results(count_missed_sites, tasks, jobs, console, "variants and testbeds")

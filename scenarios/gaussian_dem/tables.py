@@ -66,14 +66,14 @@ def print_3(result: dict[str, Any], console: Console) -> None:
         r = statistics.mean(row["recall"])
         table.add_row(
             str(row["c"]), f"{min(row['precision']):.4f}", "1.0000", str(row["false_safe"]),
-            spread(row["recall"]), f"{row['paper']:.4f}", f"{r - row['paper']:+.4f}",
-            spread(row["bounded"]),
+            mean_text(row["recall"]), f"{row['paper']:.4f}", f"{r - row['paper']:+.4f}",
+            mean_text(row["bounded"]),
         )  # fmt: skip
     console.print(table)
 
 
-def spread(values: list[float]) -> str:
-    """Format the mean and, for several values, half of its 95 % interval."""
+def mean_text(values: list[float]) -> str:
+    """Format a mean; for several values, with half the width of its 95 % interval."""
     if len(values) < 2:
         return f"{values[0]:.4f}"
     return mean_interval(values).text()
@@ -121,19 +121,19 @@ def print_5(result: dict[str, Any], console: Console) -> None:
     for (r, a), ours, paper in zip(CONFIGURATIONS, result["rows"], PAPER_5, strict=True):
         mean = [statistics.mean(v) for v in ours]
         base, own, nlpd_base, nlpd_own = (
-            f"{spread(v)} / {p:.4f}" for v, p in zip(ours[:4], paper, strict=True)
+            f"{mean_text(v)} / {p:.4f}" for v, p in zip(ours[:4], paper, strict=True)
         )
         phases = f"{mean[4]:.4f}, {mean[5]:.4f}"
         beats_paper = mean[1] < paper[1] and mean[3] < paper[3]
         beats_own = mean[1] < mean[4] and mean[3] < mean[2]
         table.add_row(
             f"{r:.0f}", f"{a:.0f}", base, phases, own, nlpd_base, nlpd_own,
-            yes(beats_paper), yes(beats_own),
+            yes_or_no(beats_paper), yes_or_no(beats_own),
         )  # fmt: skip
     console.print(table)
 
 
-def yes(value: bool) -> str:
+def yes_or_no(value: bool) -> str:
     """Return "yes" if `value` is true, else "no"."""
     return "yes" if value else "no"
 
@@ -159,10 +159,10 @@ def print_6(result: dict[str, Any], console: Console) -> None:
                 kind, method = heading.split()
                 ours = [q[which] for q in result["at_half"][f"{method} {kind}"][n]]
                 paper = PAPER_6[n][4 * which + column]
-                cells.append(f"{spread(ours)} / {paper:.4f}")
+                cells.append(f"{mean_text(ours)} / {paper:.4f}")
                 if method == "proposed":
                     reached &= round(statistics.mean(ours), 4) >= paper
-            table.add_row(f"{r:.0f}", f"{a:.0f}", *cells, yes(reached))
+            table.add_row(f"{r:.0f}", f"{a:.0f}", *cells, yes_or_no(reached))
         console.print(table)
     print_at_recall(result, console)
 
@@ -185,7 +185,7 @@ def print_at_recall(result: dict[str, Any], console: Console) -> None:
             recall = PAPER_6[n][5 + 2 * which]
             for method in METHODS:
                 own = [c.precision_at(recall) for c in result["curves"][kind, n, method]]
-                cells.append(spread(own))
+                cells.append(mean_text(own))
         error = calibration_error(np.array(result["reliability"][n]))
         table.add_row(f"{r:.0f}", f"{a:.0f}", *cells, f"{error:.3f}")
     console.print(table)
@@ -277,7 +277,7 @@ def draw(name: str, result: dict[str, Any], out: Path) -> None:
 
 
 @click.command()
-@click.option("--table", "which", type=click.Choice([*TABLES, "all"]), default="all",
+@click.option("--table", "number", type=click.Choice([*TABLES, "all"]), default="all",
               show_default=True, help="Number of the table to compute.")  # fmt: skip
 @click.option("--seeds", type=click.IntRange(min=1), default=1, show_default=True,
               help="Number of simulated terrains per table.")  # fmt: skip
@@ -285,11 +285,11 @@ def draw(name: str, result: dict[str, Any], out: Path) -> None:
               help="Output file of all values.")  # fmt: skip
 @click.option("--out", type=click.Path(path_type=Path, file_okay=False), default=None,
               help="Output folder of the figures (default: no figures).")  # fmt: skip
-def main(which: str, seeds: int, json_file: Path | None, out: Path | None) -> None:
+def main(number: str, seeds: int, json_file: Path | None, out: Path | None) -> None:
     """Print computed and published values of the tables of the Gaussian DEM paper."""
     console = plain_console(190)
     gathered = {}
-    for name in TABLES if which == "all" else (which,):
+    for name in TABLES if number == "all" else (number,):
         compute, show = TABLES[name]
         result = compute(seeds)
         show(result, console)

@@ -91,12 +91,8 @@ def scan(
     """Scan the center of a testbed with a flash LiDAR at a given range and angle.
 
     `distance` is the range (m), `angle_deg` the angle off nadir (deg); the sensor points towards
-    +x.
-
-    Returns
-    -------
-    points, sigma, shape
-        Returns (n, 3), m; their standard deviation, m; rows and columns of the detector.
+    +x. Returns the points (n, 3), m, their standard deviation, m, and rows and columns of the
+    detector.
     """
     angle = np.deg2rad(angle_deg)
     position = distance * np.array([-np.sin(angle), 0.0, np.cos(angle)])
@@ -132,16 +128,17 @@ def map_testbed(
     length_scale: float,
     grid: Grid | None = None,
     lidar: FlashLidar | None = None,
-    stated: float | None = None,
+    assumed_sigma: float | None = None,
 ) -> ScannedDem:
     """Scan a testbed and compute its Gaussian DEM.
 
     `distance` is the range (m), `angle_deg` the angle off nadir (deg). `sigma_f` and `length_scale`
     (m) are the random field prior. The DEM covers `grid`; by default this is the scanned area, at
-    most 100 m wide. `stated` replaces the true standard deviation of a return (m) in the DEM.
+    most 100 m wide. The DEM uses `assumed_sigma` instead of the true standard deviation of a
+    return, m.
     """
     points, sigma, shape = scan(field, distance, angle_deg, rng, lidar)
-    sigma = sigma if stated is None else stated
+    sigma = sigma if assumed_sigma is None else assumed_sigma
     grid = grid or view_grid(distance)
     dem = gaussian_dem(
         points, grid, sigma_f=sigma_f, length_scale=length_scale, sigma_eps=sigma, image_shape=shape

@@ -97,7 +97,8 @@ class LawFlight:
     fallbacks, plans
         Number of fallbacks to a simpler law and of trajectories planned by the optimal law.
     asked, infeasible
-        Number of evaluations of a network, and of outputs that violate the limits of the law.
+        Number of evaluations of the neural network of the law, and of its outputs that violate the
+        limits of the law; 0 without a network.
     """
 
     law: str
@@ -116,13 +117,13 @@ class LawFlight:
     infeasible: int
 
     @property
-    def over(self) -> float:
-        """Propellant to the end of the approach relative to the optimum, minus 1."""
+    def excess_to_approach_end(self) -> float:
+        """Propellant used to the end of the approach divided by the optimum, minus 1."""
         return self.approach / self.optimum - 1.0
 
     @property
     def excess_to_touchdown(self) -> float:
-        """Propellant to touchdown relative to optimum plus vertical descent, minus 1."""
+        """Propellant to touchdown divided by optimum plus vertical descent, minus 1."""
         return self.whole / (self.optimum + self.descent) - 1.0
 
 
@@ -144,8 +145,8 @@ def shared_world() -> World:
     return build_world(scenario_of("apollo", 0.0, 0.0), RandomStreams(1))
 
 
-def problem(flight: Simulation) -> Descent:
-    """Return the minimum-propellant problem from the true start to approach end."""
+def optimal_descent_problem(flight: Simulation) -> Descent:
+    """Return the minimum-propellant problem from the true state to the approach end."""
     briefing = flight.briefing
     lander, approach = briefing.lander, briefing.software.approach
     limits, end = approach.limits, approach.end(briefing.target, lander)
@@ -166,15 +167,15 @@ def fly(task: PropellantTask) -> list[LawFlight]:
         scenario = scenario_of(law, task.position_sigma, task.velocity_sigma)
         flight = Simulation(scenario, flight_seed(task.seed, task.flight), world=shared_world())
         if np.isnan(optimum):
-            optimum = _optimum(task, flight)
+            optimum = _minimum_propellant(task, flight)
         rows.append(_fly_law(law, task.flight, flight, optimum))
     return rows
 
 
-def _optimum(task: PropellantTask, flight: Simulation) -> float:
+def _minimum_propellant(task: PropellantTask, flight: Simulation) -> float:
     """Return the minimum propellant from a flight's true start, kg."""
     try:
-        return minimize_propellant(Planner(60), problem(flight)).propellant
+        return minimize_propellant(Planner(60), optimal_descent_problem(flight)).propellant
     except (InputError, SolverError) as error:
         raise InputError(
             "--position-sigma, --velocity-sigma", [task.position_sigma, task.velocity_sigma],
@@ -182,10 +183,10 @@ def _optimum(task: PropellantTask, flight: Simulation) -> float:
         ) from None  # fmt: skip
 
 
-def _steady(briefing: Briefing, mass: float) -> float:
-    """Return the propellant of the steady vertical descent after the approach, kg.
+def _vertical_descent_propellant(briefing: Briefing, mass: float) -> float:
+    """Return the propellant of the final vertical descent at constant speed, kg.
 
-    `mass` is the mass at its start, kg.
+    `mass` is the vehicle mass at its start, the end of the approach, kg.
     """
     approach = briefing.software.approach
     increment = briefing.surface_gravity * approach.vertical_altitude / approach.vertical_speed
@@ -207,7 +208,7 @@ def _fly_law(law: str, number: int, flight: Simulation, optimum: float) -> LawFl
     outcome = flight.outcome
     fell = sum(name == "guidance-fallback" for _, name, _ in computer.telemetry)
     return LawFlight(
-        law, number, optimum, _steady(computer.briefing, wet - optimum),
+        law, number, optimum, _vertical_descent_propellant(computer.briefing, wet - optimum),
         wet - at_end.mass, wet - flight.state.mass,
         float(np.linalg.norm(believed.position - end.position)),
         float(np.linalg.norm(at_end.velocity - end.velocity)),
@@ -239,7 +240,7 @@ def table_of(rows: list[LawFlight]) -> Table:
 
         over, down = (
             " / ".join(f"{100.0 * v:.2f}" for v in spread(name))
-            for name in ("over", "excess_to_touchdown")
+            for name in ("excess_to_approach_end", "excess_to_touchdown")
         )
         low, high = safe.interval
         table.add_row(
@@ -247,13 +248,13 @@ def table_of(rows: list[LawFlight]) -> Table:
             " / ".join(f"{v:.1f}" for v in spread("whole")[:2]),
             " / ".join(f"{v:.2f}" for v in spread("miss")[:2]),
             " / ".join(f"{v:.2f}" for v in spread("speed")[:2]),
-            str(sum(r.fallbacks > 0 for r in mine)), _answers(mine),
+            str(sum(r.fallbacks > 0 for r in mine)), _infeasible_text(mine),
         )  # fmt: skip
     return table
 
 
-def _answers(rows: list[LawFlight]) -> str:
-    """Format the number of infeasible network outputs; empty without a network."""
+def _infeasible_text(rows: list[LawFlight]) -> str:
+    """Format infeasible network outputs as "count of total"; empty without network."""
     asked = sum(r.asked for r in rows)
     return f"{sum(r.infeasible for r in rows)} of {asked:,}" if asked else ""
 

@@ -31,8 +31,8 @@ BASE_SCENARIO: dict[str, Any] = {
 _SIDE, _CELLS = 6.5, 260  # side of the grid divided by the height; cells per side
 
 
-def survey(simulation: Simulation) -> ReachabilityMap:
-    """Compute the currently reachable landing area around the site and its propellant."""
+def compute_reachable_area(simulation: Simulation) -> ReachabilityMap:
+    """Compute the sites reachable from the current state, and the propellant to each."""
     computer = simulation.computer
     side = _SIDE * max(computer.altitude, 40.0)
     grid = Grid.centred(computer.site, side, side / _CELLS)
@@ -59,7 +59,7 @@ def main(law: str, heights: tuple[float, ...], out: Path) -> None:
     for panel, height in zip(panels, sorted(heights, reverse=True), strict=True):
         while simulation.computer.altitude > height:
             simulation.step()
-        reach = survey(simulation)
+        reach = compute_reachable_area(simulation)
         drawn = show(panel, np.where(reach.reachable, reach.propellant, np.nan), reach.grid)
         figure.colorbar(drawn, ax=panel, label="Propellant (kg)", location="bottom")
         panel.plot(*simulation.computer.estimate.position[:2], "^", color="#D55E00", label="lander")

@@ -42,7 +42,7 @@ BASE_SCENARIO: dict[str, Any] = {
 }
 
 
-def fall(moon: Any, position: np.ndarray, velocity: np.ndarray) -> np.ndarray:
+def free_fall_position(moon: Any, position: np.ndarray, velocity: np.ndarray) -> np.ndarray:
     """Return the position (3,), m, after a free fall of 30 s.
 
     `moon` is the gravity model of the spherical Moon; None: flat terrain and uniform gravity.
@@ -56,7 +56,10 @@ def fall(moon: Any, position: np.ndarray, velocity: np.ndarray) -> np.ndarray:
 
 
 def model_differences() -> Table:
-    """Return the table of differences between spherical and flat Moon by distance."""
+    """Return the table of spherical minus flat Moon by distance from the site.
+
+    It compares terrain height, acceleration, and position after a free fall of 30 s.
+    """
     moon = RoundMoon().gravity(GRAVITY)
     table = Table(title="Rotating spherical Moon compared with flat terrain")
     for heading in ("distance (km)", "height (km)", "sphere below plane (m)",
@@ -69,7 +72,9 @@ def model_differences() -> Table:
         place = np.array([-r * np.sin(angle), 0.0, r * np.cos(angle) - moon.radius])
         velocity = np.array([40.0 * way, 0.0, -20.0]) if way < 40.0 else np.array([1e3, 0.0, -20.0])
         pull = moon.free_fall_acceleration(place, np.zeros(3)) + np.array([0.0, 0.0, GRAVITY])
-        apart = np.linalg.norm(fall(moon, place, velocity) - fall(None, place, velocity))
+        apart = np.linalg.norm(
+            free_fall_position(moon, place, velocity) - free_fall_position(None, place, velocity)
+        )
         below = moon.radius * (1.0 - np.cos(angle))
         table.add_row(
             f"{way:g}", f"{height:g}", f"{below:.2f}", f"{pull[0]:.5f}", f"{pull[2]:.5f}",

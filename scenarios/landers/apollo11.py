@@ -46,13 +46,13 @@ FLOWN, SAMPLE = "lm_targets_apollo11.csv", "lm_targets.csv"
 TRIM_ACCELERATION = 0.350132708
 
 
-def targets(load: str = FLOWN) -> Targets:
-    """Read the guidance targets of a load by name, in ENU; NaN without a value.
+def read_targets(targets_file: str = FLOWN) -> Targets:
+    """Read the guidance targets of an Apollo computer: east, north, up by name.
 
-    `load` is the file name in `scenarios/data`.
+    `targets_file` is a file name in `scenarios/data`. Components without a value are NaN.
     """
     out = {}
-    with (DATA / load).open() as file:
+    with (DATA / targets_file).open() as file:
         for row in csv.DictReader(file):
             up, cross, down = (
                 float(row[k]) if row[k] else np.nan for k in ("x_up", "y_cross", "z_downrange")
@@ -61,74 +61,75 @@ def targets(load: str = FLOWN) -> Targets:
     return out
 
 
-def scalar(t: Targets, name: str) -> float:
-    """Return the absolute value of a scalar target, whichever column holds it.
-
-    `t` are the targets of a load.
-    """
-    return next(abs(v) for v in t[name] if np.isfinite(v))
+def scalar_target(targets: Targets, name: str) -> float:
+    """Return the absolute value of the target `name`, which has a single component."""
+    return next(abs(v) for v in targets[name] if np.isfinite(v))
 
 
-def _jerk(t: Targets, of: str) -> float:
+def _final_jerk(targets: Targets, phase: str) -> float:
     """Return the target jerk along the velocity at the end of a phase, m/s^3.
 
-    `t` are the targets of a load and `of` the phase ("BRFG": braking, "APFG": approach). A load
-    gives eight times the jerk. The guidance law counts along the final velocity, which points
-    backwards at the end of Apollo 11's braking.
+    `phase` is "BRFG" (braking) or "APFG" (approach). The value in `targets` is eight times the
+    jerk. The result is positive along the final velocity, which points backwards at the end of
+    Apollo 11's braking.
     """
-    return t[f"J{of}*"][0] / 8.0 * float(np.sign(t[f"V{of}"][0]))
+    return targets[f"J{phase}*"][0] / 8.0 * float(np.sign(targets[f"V{phase}"][0]))
 
 
-def with_load(scenario: Scenario, load: str = FLOWN) -> Scenario:
-    """Return a scenario with the guidance targets of a load in all descent phases."""
-    t = targets(load)
+def with_targets(scenario: Scenario, targets_file: str = FLOWN) -> Scenario:
+    """Return a scenario with the guidance targets of a file in all descent phases."""
+    targets = read_targets(targets_file)
     high = scenario.vehicle.com_height_m
     braking = {
-        "end_position_m": t["RBRFG"],
-        "end_velocity_m_s": t["VBRFG"],
-        "end_acceleration_m_s2": t["ABRFG"],
-        "jerk_m_s3": _jerk(t, "BRFG"),
-        "end_time_to_go_s": scalar(t, "TENDBRAK"),
-        "min_thrust_time_s": scalar(t, "ZOOMTIME"),
+        "end_position_m": targets["RBRFG"],
+        "end_velocity_m_s": targets["VBRFG"],
+        "end_acceleration_m_s2": targets["ABRFG"],
+        "jerk_m_s3": _final_jerk(targets, "BRFG"),
+        "end_time_to_go_s": scalar_target(targets, "TENDBRAK"),
+        "min_thrust_time_s": scalar_target(targets, "ZOOMTIME"),
     }
     approach: dict[str, Any] = {
-        "vertical_altitude_m": t["RAPFG"][2] - high,
-        "vertical_speed_m_s": -t["VAPFG"][2],
-        "arrival_offset_m": t["RAPFG"][:2],
-        "arrival_velocity_m_s": t["VAPFG"][:2],
-        "arrival_acceleration_m_s2": t["AAPFG"],
-        "jerk_m_s3": _jerk(t, "APFG"),
-        "end_time_to_go_s": scalar(t, "TENDAPPR"),
+        "vertical_altitude_m": targets["RAPFG"][2] - high,
+        "vertical_speed_m_s": -targets["VAPFG"][2],
+        "arrival_offset_m": targets["RAPFG"][:2],
+        "arrival_velocity_m_s": targets["VAPFG"][:2],
+        "arrival_acceleration_m_s2": targets["AAPFG"],
+        "jerk_m_s3": _final_jerk(targets, "APFG"),
+        "end_time_to_go_s": scalar_target(targets, "TENDAPPR"),
         "time_to_go_s": None,
         "descent_speed_m_s": None,
     }
-    if load == SAMPLE:  # the sample load has no first guess of the P64 time and no P65 values
+    if (
+        targets_file == SAMPLE
+    ):  # the sample load has no first guess of the P64 time and no P65 values
         return scenario.changed(braking=braking, approach=approach)
-    approach["time_to_go_s"] = scalar(t, "TENDBRAK") + scalar(t, "DELTTFAP")
-    approach["descent_speed_m_s"] = -t["V2FG"][2]
-    descent = {"kind": "velocity-null", "time_constant_s": scalar(t, "TAUVERT")}
+    approach["time_to_go_s"] = scalar_target(targets, "TENDBRAK") + scalar_target(
+        targets, "DELTTFAP"
+    )
+    approach["descent_speed_m_s"] = -targets["V2FG"][2]
+    descent = {"kind": "velocity-null", "time_constant_s": scalar_target(targets, "TAUVERT")}
     return scenario.changed(braking=braking, approach=approach, terminal_descent=descent)
 
 
-def with_ignition_start(scenario: Scenario, load: str = FLOWN) -> Scenario:
-    """Return a scenario that starts at the ignition point of a target load.
+def with_ignition_start(scenario: Scenario, targets_file: str = FLOWN) -> Scenario:
+    """Return a scenario that starts at the ignition point of a guidance target file.
 
-    RIGN and VIGN are the position and horizontal speed at throttle-up, compensated for the trim at
-    minimum thrust (IGNALG and DDUMCALC of Luminary 099; the other terms of the algorithm are zero
-    on a path through RIGN). Ignition is a coast of ZOOMTIME earlier. The coast is assumed to be
-    horizontal at RIGN because powered descent began at pericynthion.
+    The file gives position (RIGN) and horizontal speed (VIGN) at throttle-up. The speed is
+    corrected for the trim at minimum thrust, as in the Apollo software Luminary 099 (IGNALG and
+    DDUMCALC). The start is a coast of ZOOMTIME earlier. The coast is assumed to be horizontal at
+    RIGN because powered descent began at pericynthion.
     """
-    t, moon = targets(load), scenario.moon.make().gravity(scenario.gravity_m_s2)
+    t, moon = read_targets(targets_file), scenario.moon.make().gravity(scenario.gravity_m_s2)
     along, up = abs(t["RIGNZ"][0]), t["RIGNX"][2]
     out = np.array([along, 0.0, up + moon.radius])
     level = np.array([-out[2], 0.0, out[0]]) / np.hypot(out[0], out[2])
-    zoom = scalar(t, "ZOOMTIME")
-    speed = scalar(t, "VIGN") + TRIM_ACCELERATION * zoom
+    zoom = scalar_target(t, "ZOOMTIME")
+    speed = scalar_target(t, "VIGN") + TRIM_ACCELERATION * zoom
     place, velocity = coast(moon, np.array([along, 0.0, up]), speed * level, -zoom)
     way = float(np.sign(t["VBRFG"][0]))
     end = (way * t["RBRFG"][0], way * t["VBRFG"][0], way * t["ABRFG"][0])
     here, guess = (way * place[0], way * velocity[0]), scenario.braking.time_to_go_s
-    left = jerk_time_to_go(*here, end, _jerk(t, "BRFG"), guess=guess)
+    left = jerk_time_to_go(*here, end, _final_jerk(t, "BRFG"), guess=guess)
     return scenario.changed(
         start={"position_m": place.tolist(), "velocity_m_s": velocity.tolist()},
         braking={"time_to_go_s": left},
@@ -176,8 +177,8 @@ class DescentTrack:
     pitch: Array
 
 
-def record() -> DescentTrack:
-    """Return altitude and pitch of the Apollo 11 flight record.
+def read_flight_record() -> DescentTrack:
+    """Read altitude and pitch of the Apollo 11 flight record from its file.
 
     The platform was aligned with the vertical of the site at landing. The inner gimbal angle is
     therefore the pitch from that vertical, without a term for the arc to the site. The Moon rotates
@@ -214,23 +215,23 @@ class RecordDifference:
     ----------
     altitude, pitch
         Root-mean-square difference, m and rad; NaN without data.
-    rows
+    samples
         Number of samples of the record with an altitude.
     """
 
     altitude: float
     pitch: float
-    rows: int
+    samples: int
 
 
 def record_difference(
-    flight: DescentTrack, recorded: DescentTrack, since: float, until: float
+    flight: DescentTrack, recorded: DescentTrack, start_time: float, end_time: float
 ) -> RecordDifference:
     """Return RMS differences of altitude and pitch between a flight and the record.
 
-    `since` and `until` bound the time since ignition, s.
+    `start_time` and `end_time` are in s since ignition.
     """
-    part = (recorded.time >= since) & (recorded.time < min(until, float(flight.time[-1])))
+    part = (recorded.time >= start_time) & (recorded.time < min(end_time, float(flight.time[-1])))
     off = {
         name: np.interp(recorded.time, flight.time, getattr(flight, name)) - getattr(recorded, name)
         for name in ("altitude", "pitch")
@@ -244,31 +245,34 @@ def record_difference(
     return RecordDifference(rms(off["altitude"][part]), rms(off["pitch"][part]), known)
 
 
-def event(flight: Flight, name: str) -> float:
-    """Return the time of the first event with a name, s; NaN if there is none."""
+def event_time(flight: Flight, name: str) -> float:
+    """Return the time of a flight's first event of a name, s; NaN if there is none."""
     return next((float(e["time"]) for e in flight.events if e["name"] == name), float("nan"))
 
 
-def value_at(flight: Flight, values: Array, time: float) -> float:
-    """Interpolate values (n,) along a flight at a time, s; NaN at time NaN."""
+def interpolate_at(flight: Flight, values: Array, time: float) -> float:
+    """Interpolate values (n,) at the trajectory times of a flight; NaN at time NaN.
+
+    `time` is in s.
+    """
     inside = np.isfinite(time)
     return float(np.interp(time, flight.trajectory["time"], values)) if inside else float("nan")
 
 
 def flight_summary(
-    flight: Flight, moon: CentralGravity, com_height: float, full: float
+    flight: Flight, moon: CentralGravity, com_height: float, max_throttle_thrust: float
 ) -> dict[str, Any]:
     """Return times, altitudes and propellant of the phases of an Apollo descent.
 
-    `com_height` is the height of the center of mass above the pads, m. `full` is the thrust of the
-    fixed maximum throttle setting, N.
+    `com_height` is the height of the center of mass above the pads, m. `max_throttle_thrust` is the
+    thrust of the fixed maximum throttle setting, N.
     """
     track, t = track_of(flight, moon, com_height), flight.trajectory
-    after = (t["time"] > 60.0) & (t["thrust"] < 0.99 * full)
+    after = (t["time"] > 60.0) & (t["thrust"] < 0.99 * max_throttle_thrust)
     recovery = float(t["time"][np.argmax(after)]) if after.any() else float("nan")
     spent = t["mass"][0] - t["mass"]
     jets = float(flight.events[-1].get("thruster_propellant_kg", 0.0))
-    approach, last = event(flight, "approach"), event(flight, "vertical-descent")
+    approach, last = event_time(flight, "approach"), event_time(flight, "vertical-descent")
     out: dict[str, Any] = {
         "safe": flight.outcome.safe,
         "failure_causes": list(flight.outcome.failure_causes),
@@ -276,11 +280,14 @@ def flight_summary(
         "propellant_kg": flight.propellant_used - jets,
         "thruster_propellant_kg": jets,
         "miss_m": float(np.hypot(*(flight.positions[-1, :2] - flight.target[:2]))),
-        "burnt_at_lock_on_kg": value_at(flight, spent, LOCK_ON),
+        "burnt_at_lock_on_kg": interpolate_at(flight, spent, LOCK_ON),
     }
     for name, time in (("recovery", recovery), ("approach", approach), ("last", last)):
-        out |= {f"{name}_s": time, f"{name}_altitude_m": value_at(flight, track.altitude, time)}
+        out |= {
+            f"{name}_s": time,
+            f"{name}_altitude_m": interpolate_at(flight, track.altitude, time),
+        }
     marks = [0.0, approach, last, flight.duration]
-    burnt = np.diff([value_at(flight, spent, time) for time in marks])
+    burnt = np.diff([interpolate_at(flight, spent, time) for time in marks])
     out |= dict(zip(("braking_kg", "approach_kg", "last_kg"), map(float, burnt), strict=True))
     return out

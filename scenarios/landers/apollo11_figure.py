@@ -21,13 +21,13 @@ def draw_descent(runs: Sequence[Any], look_angles: Callable[[Any], np.ndarray], 
     """
     figure = new_figure(11.0, 8.0)
     axes = figure.subplots(2, 2)
-    recorded = apollo11.record()
+    recorded = apollo11.read_flight_record()
     known = np.isfinite(recorded.altitude)
     black = {"color": "black", "linewidth": 1.0, "label": "record"}
     axes[0, 0].plot(recorded.time[known], recorded.altitude[known] / 1e3, **black)
     axes[0, 1].plot(recorded.time, np.rad2deg(recorded.pitch), **black)
     for run, colour in zip(runs, COLOURS, strict=False):
-        _plot_run(axes, run, colour, look_angles(run.flight))
+        _plot_descent(axes, run, colour, look_angles(run.flight))
     _plot_terrain(axes[0, 0], runs[0])
     for panel, label in zip(
         axes.ravel(),
@@ -50,16 +50,16 @@ def draw_descent(runs: Sequence[Any], look_angles: Callable[[Any], np.ndarray], 
     return path
 
 
-def _plot_run(axes: Any, run: Any, colour: str, look: np.ndarray) -> None:
-    """Plot altitude, pitch, throttle and look angle of one simulated descent."""
+def _plot_descent(axes: Any, run: Any, color: str, look_angle: np.ndarray) -> None:
+    """Plot altitude, pitch, throttle and look angle of one descent against time."""
     flight, lander = run.flight, run.sim.lander
     track = apollo11.track_of(flight, run.sim.world.moon, lander.com_height)
-    line = {"color": colour, "linewidth": 1.2, "label": run.name}
+    line = {"color": color, "linewidth": 1.2, "label": run.name}
     axes[0, 0].plot(track.time, track.altitude / 1e3, **line)
     axes[0, 1].plot(track.time, np.rad2deg(track.pitch), **line)
     axes[1, 0].plot(track.time, 100.0 * flight.trajectory["thrust"] / _FULL_THRUST_N, **line)
     approach = flight.trajectory["phase"] == 0
-    axes[1, 1].plot(track.time[approach], np.rad2deg(look[approach]), **line)
+    axes[1, 1].plot(track.time[approach], np.rad2deg(look_angle[approach]), **line)
 
 
 def _plot_terrain(panel: Any, run: Any) -> None:

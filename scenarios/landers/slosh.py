@@ -109,7 +109,7 @@ def fly(task: SloshTask) -> SloshFlight:
     )  # fmt: skip
 
 
-def report(console: Console, flown: list[SloshFlight]) -> None:
+def report(console: Console, flights: list[SloshFlight]) -> None:
     """Print medians over the flights for each kind of control and each set of tanks."""
     console.print(
         "| control | tanks | safe landings | attitude error, RMS (deg) | body rate, RMS (deg/s) | "
@@ -119,7 +119,7 @@ def report(console: Console, flown: list[SloshFlight]) -> None:
     console.print("|" + " --- |" * 10)
     for control in CONTROLS:
         for case in CASES:
-            some = [one for one in flown if (one.control, one.case) == (control, case)]
+            some = [one for one in flights if (one.control, one.case) == (control, case)]
             if not some:
                 continue
 

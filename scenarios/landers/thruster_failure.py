@@ -30,40 +30,42 @@ FAILURE_TIME_S = 5.0  # time of the failure, s
 TUNED_ON = (0, 1, 4, 5)
 
 
-def fly(control: str, shut: int | None, seed: int, watch: bool) -> tuple[bool, float, float, int]:
+def fly(
+    control: str, failed_thruster: int | None, seed: int, detects_faults: bool
+) -> tuple[bool, float, float, int]:
     """Simulate one flight with one thruster stuck shut from 5 s, or none.
 
-    `control` is the kind of attitude control, `shut` the number of the failed thruster (None: no
-    failure), and `watch` enables fault detection. Returns whether the landing was safe, the tilt at
-    touchdown (deg), the time of detection (s), and the number of working thrusters that were
-    isolated.
+    `control` is the kind of attitude control and `failed_thruster` the number of the thruster
+    (None: no failure); `detects_faults` enables fault detection. Returns whether the landing was
+    safe, the tilt at touchdown (deg), the time of detection (s), and the number of working
+    thrusters that were isolated.
     """
     faults = {
-        "jets_stuck_shut": [] if shut is None else [shut],
+        "jets_stuck_shut": [] if failed_thruster is None else [failed_thruster],
         "jets_stuck_from_s": FAILURE_TIME_S,
     }
     scenario = Scenario.from_dict({**BASE_SCENARIO, "control": {"kind": control}, "faults": faults})
     sim = Simulation(scenario, seed, "no-divert")
     loop = sim.computer.attitude_loop
     assert isinstance(loop, JetLoop)
-    if not watch:
+    if not detects_faults:
         loop.failure_detector.update = lambda *_: []  # type: ignore[method-assign]
     flight = sim.run()
     detections = [e for e in flight.events if e["name"] == "thruster-failed"]
-    noticed = next((e["time"] for e in detections if e["thruster"] == shut), np.nan)
+    noticed = next((e["time"] for e in detections if e["thruster"] == failed_thruster), np.nan)
     touchdown = flight.outcome.touchdown
     tilt = np.nan if touchdown is None else float(np.rad2deg(touchdown.tilt))
-    wrong = sum(e["thruster"] != shut for e in detections)
+    wrong = sum(e["thruster"] != failed_thruster for e in detections)
     return flight.outcome.safe, tilt, noticed, wrong
 
 
-def nominal(console: Console, control: str, flights: int, first: int) -> None:
+def fly_without_failure(console: Console, control: str, flights: int, first_seed: int) -> None:
     """Fly without thruster failure and print the rate of false alarms.
 
-    `control` is the kind of attitude control, `flights` the number of flights and `first` their
-    first seed.
+    `control` is the kind of attitude control, `flights` the number of flights and `first_seed`
+    their first seed.
     """
-    rows = [fly(control, None, first + n, watch=True) for n in range(flights)]
+    rows = [fly(control, None, first_seed + n, detects_faults=True) for n in range(flights)]
     alarms = Proportion(sum(row[3] > 0 for row in rows), flights)
     safe = sum(row[0] for row in rows)
     console.print(
@@ -108,7 +110,7 @@ def main(seeds: int, first_seed: int, held_out: bool, flights: int) -> None:
                 f"(maximum){when}"
             )
         if flights:
-            nominal(console, control, flights, first_seed)
+            fly_without_failure(console, control, flights, first_seed)
 
 
 if __name__ == "__main__":

@@ -148,14 +148,14 @@ def _map_metrics(simulation: Simulation, flight: Flight) -> dict[str, float]:
     }  # fmt: skip
 
 
-def report(console: Console, flown: list[ThrusterMapFlight], seed: int) -> None:
+def report(console: Console, flights: list[ThrusterMapFlight], seed: int) -> None:
     """Print mean metrics by kind of attitude control, and paired differences.
 
-    The differences are relative to the first kind and have 95 % intervals; `seed` is that of the
-    bootstrap.
+    The differences are relative to the ideal control and have 95 % bootstrap intervals; `seed` is
+    that of the bootstrap.
     """
-    ways = list(dict.fromkeys(one.way for one in flown))
-    of = {way: [one for one in flown if one.way == way] for way in ways}
+    ways = list(dict.fromkeys(one.way for one in flights))
+    of = {way: [one for one in flights if one.way == way] for way in ways}
     console.print("| | " + " | ".join(ways) + " | " + " | ".join(
         f"{way} minus {ways[0]} [95 % interval]" for way in ways[1:]) + " |")  # fmt: skip
     console.print("|" + " --- |" * (2 * len(ways)))

@@ -46,9 +46,9 @@ class TouchdownTask:
     """Settings of several simulated touchdowns on one terrain.
 
     `number` is the number of the terrain and `count` that of the touchdowns. `relief` is the RMS
-    slope (deg), `cover` the rock cover (fraction), `aside` the lateral speed (1 sigma per axis,
-    m/s), `com_height` the height of the center of mass above the pads (m) and `friction` the
-    coefficient between pads and terrain.
+    slope (deg), `cover` the rock cover (fraction), `lateral_speed_sigma` the lateral speed (1 sigma
+    per axis, m/s), `com_height` the height of the center of mass above the pads (m) and `friction`
+    the coefficient between pads and terrain.
     """
 
     number: int
@@ -57,7 +57,7 @@ class TouchdownTask:
     cover: float
     seed: int
     friction: float
-    aside: float
+    lateral_speed_sigma: float
     com_height: float
 
 
@@ -78,12 +78,12 @@ class TouchdownOutcome:
 
 
 def first_contact_state(
-    lander: Lander, terrain: Terrain, rng: np.random.Generator, aside: float = 0.25
+    lander: Lander, terrain: Terrain, rng: np.random.Generator, lateral_speed_sigma: float = 0.25
 ) -> State | None:
     """Sample a random state in which the first pad touches the terrain.
 
-    `aside` is the standard deviation of the lateral speed per axis, m/s. Returns None over unknown
-    terrain.
+    `lateral_speed_sigma` is the standard deviation of the lateral speed per axis, m/s. Returns None
+    over unknown terrain.
     """
     west, east, south, north = terrain.bounds
     room = 12.0
@@ -91,7 +91,9 @@ def first_contact_state(
     level = attitude_from_thrust([0.0, 0.0, 1.0], rng.uniform(0.0, 2.0 * np.pi))
     lean = np.deg2rad(1.5) * np.array([*rng.standard_normal(2), 0.0])
     attitude = quat_multiply(level, quat_from_rotation_vector(lean))
-    velocity = np.array([*(aside * rng.standard_normal(2)), -2.0 + 0.2 * rng.standard_normal()])
+    velocity = np.array(
+        [*(lateral_speed_sigma * rng.standard_normal(2)), -2.0 + 0.2 * rng.standard_normal()]
+    )
     rate = np.deg2rad(1.0) * rng.standard_normal(3)
     high = State(np.array([*xy, 0.0]), velocity, attitude, rate, 1200.0)
     pads = pad_contacts(lander, high, terrain)
@@ -101,7 +103,7 @@ def first_contact_state(
     return State(np.array([*xy, drop]), velocity, attitude, rate, 1200.0)
 
 
-def land(task: TouchdownTask) -> list[TouchdownOutcome]:
+def simulate_touchdowns(task: TouchdownTask) -> list[TouchdownOutcome]:
     """Evaluate touchdowns on one terrain by static criteria and simulated motion."""
     seed = flight_seed(task.seed, task.number)
     rocks = RockPopulation(cover=task.cover, min_diameter=0.2)
@@ -113,7 +115,7 @@ def land(task: TouchdownTask) -> list[TouchdownOutcome]:
     dynamics = Dynamics(lander, GRAVITY)
     found = []
     while len(found) < task.count:
-        state = first_contact_state(lander, terrain, rng, task.aside)
+        state = first_contact_state(lander, terrain, rng, task.lateral_speed_sigma)
         if state is None:
             continue
         static = evaluate_touchdown(lander, state, terrain, GRAVITY)
@@ -128,12 +130,12 @@ def land(task: TouchdownTask) -> list[TouchdownOutcome]:
     return found
 
 
-def confusion(landed: list[TouchdownOutcome]) -> dict[str, int]:
+def count_outcome_pairs(touchdowns: list[TouchdownOutcome]) -> dict[str, int]:
     """Count the touchdowns for each pair of outcomes by static criteria and by motion."""
     counts = Counter(
         f"static {'safe' if not one.static else 'unsafe'}, "
         f"motion {'safe' if not one.motion else 'unsafe'}"
-        for one in landed
+        for one in touchdowns
     )
     return dict(counts)
 
@@ -146,7 +148,7 @@ def confusion(landed: list[TouchdownOutcome]) -> dict[str, int]:
 @click.option("--relief", "reliefs", type=click.FloatRange(0.0, 25.0), multiple=True,
               default=RELIEFS, show_default=True,
               help="RMS slope of the terrain (deg); repeatable.")  # fmt: skip
-@click.option("--lateral-speed-sigma", "aside", type=click.FloatRange(0.0, 5.0), default=0.25,
+@click.option("--lateral-speed-sigma", type=click.FloatRange(0.0, 5.0), default=0.25,
 show_default=True,
               help="Lateral speed, 1 sigma per axis (m/s).")  # fmt: skip
 @click.option("--com-height", type=click.FloatRange(0.5, 6.0), default=Lander().com_height,
@@ -164,8 +166,8 @@ show_default=True,
     help="Output file of all values.",
 )
 def main(
-    touchdowns: int, friction: float, reliefs: tuple[float, ...], aside: float, com_height: float,
-    seed: int, jobs: int, out: Path | None,
+    touchdowns: int, friction: float, reliefs: tuple[float, ...], lateral_speed_sigma: float,
+    com_height: float, seed: int, jobs: int, out: Path | None,
 ) -> None:  # fmt: skip
     """Compare the static touchdown criteria with simulated motion on the legs."""
     console = plain_console(120)
@@ -175,21 +177,27 @@ def main(
         relief, cover = cases[len(tasks) % len(cases)]
         count = min(PER_GROUND, left)
         tasks.append(
-            TouchdownTask(len(tasks), count, relief, cover, seed, friction, aside, com_height)
+            TouchdownTask(
+                len(tasks), count, relief, cover, seed, friction, lateral_speed_sigma, com_height
+            )
         )
         left -= count
     landed = [
-        one for some in collect_results(land, tasks, jobs, console, "grounds") for one in some
+        one
+        for some in collect_results(simulate_touchdowns, tasks, jobs, console, "terrains")
+        for one in some
     ]
     report(console, landed)
     if out is not None:
         out.parent.mkdir(parents=True, exist_ok=True)
         rows = [asdict(one) for one in landed]
-        out.write_text(json.dumps({"confusion": confusion(landed), "touchdowns": rows}, indent=1))
+        out.write_text(
+            json.dumps({"confusion": count_outcome_pairs(landed), "touchdowns": rows}, indent=1)
+        )
 
 
-def report(console: Console, landed: list[TouchdownOutcome]) -> None:
-    """Print both outcomes by terrain, and why touchdowns safe by static criteria fail."""
+def report(console: Console, touchdowns: list[TouchdownOutcome]) -> None:
+    """Print both outcomes by terrain, and failures in motion that are safe statically."""
     table = Table(title="Touchdown outcomes by static criteria and by motion")
     for name in (
         "RMS slope (deg)",
@@ -201,14 +209,14 @@ def report(console: Console, landed: list[TouchdownOutcome]) -> None:
         "neither safe",
     ):
         table.add_column(name, justify="right")
-    for relief, cover in [*sorted({(one.relief, one.cover) for one in landed}), (None, None)]:
-        some = [o for o in landed if relief is None or (o.relief, o.cover) == (relief, cover)]
+    for relief, cover in [*sorted({(one.relief, one.cover) for one in touchdowns}), (None, None)]:
+        some = [o for o in touchdowns if relief is None or (o.relief, o.cover) == (relief, cover)]
         both = Counter((not o.static, not o.motion) for o in some)
         name = ("all", "") if relief is None else (f"{relief:g}", f"{cover:g}")
         cells = [both[True, True], both[True, False], both[False, True], both[False, False]]
         table.add_row(*name, str(len(some)), *map(str, cells))
     console.print(table)
-    safe = [one for one in landed if not one.static]
+    safe = [one for one in touchdowns if not one.static]
     tipped = sum("tip-over" in one.motion for one in safe)
     console.print(
         f"Static-safe touchdowns that tip over: {tipped} of {len(safe)}, "
@@ -218,7 +226,7 @@ def report(console: Console, landed: list[TouchdownOutcome]) -> None:
     why = dict(Counter(f for one in safe for f in one.motion))
     console.print(f"Failed motion criteria of static-safe touchdowns: {why}")
     console.print(
-        f"All touchdowns that tip over: {sum('tip-over' in one.motion for one in landed)}"
+        f"All touchdowns that tip over: {sum('tip-over' in one.motion for one in touchdowns)}"
     )
 
 

@@ -37,7 +37,7 @@ SEED, HELD_OUT_SEED = 501, 901
 def fly_covers(
     scenario: Scenario, covers: Iterable[float], seed: int, flights: int
 ) -> list[list[SampledFlight]]:
-    """Simulate flights over each rock cover and return their maps; print the progress.
+    """Simulate flights over terrain with each rock cover; return their hazard maps.
 
     `seed` is the root seed of the first cover, `flights` the number of flights per cover.
     """
@@ -50,8 +50,8 @@ def fly_covers(
     return out
 
 
-def check(surrogate: Surrogate, scenario: Scenario, flights: int) -> None:
-    """Print error statistics of the surrogate and the mapper on held-out terrain.
+def check_surrogate(surrogate: Surrogate, scenario: Scenario, flights: int) -> None:
+    """Compare the statistics of surrogate and mapper on held-out terrain; print them.
 
     `flights` is the number of flights per rock cover.
     """
@@ -101,7 +101,7 @@ def main() -> int:
             )
             surrogate.save(args.out)
             print(f"wrote {args.out}: {args.out.stat().st_size / 1e3:.0f} kB")
-        check(surrogate, scenario, args.flights)
+        check_surrogate(surrogate, scenario, args.flights)
     except InputError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2

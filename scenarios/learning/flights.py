@@ -21,7 +21,7 @@ class AgentFlights(NamedTuple):
 def fly_agent(
     agent: str, scenario: Scenario, perception: str, flights: int, worlds: int, seed: int
 ) -> AgentFlights:
-    """Fly an agent in Retarget-v0; return safe landings and propellant of each flight.
+    """Fly an agent in Retarget-v0; return landing outcome and propellant per flight.
 
     `perception` is the source of the hazard maps, `worlds` the number of terrains and `seed` their
     root seed. Flight i has the same start for all agents and all perceptions.

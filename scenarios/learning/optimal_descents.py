@@ -79,11 +79,11 @@ class StartDistribution:
     Attributes
     ----------
     height, aside
-        Height above and horizontal distance from the end point, m.
+        Height above the end point, and horizontal distance from it, m.
     elevation
-        Minimum elevation angle as seen from the end point, deg.
+        Minimum elevation angle of the start as seen from the end point, deg.
     closing
-        Horizontal distance divided by the closing speed, s.
+        Horizontal distance divided by the horizontal speed towards the end point, s.
     across, sink
         Lateral speed across the path, and descent rate, m/s.
     load
@@ -100,7 +100,7 @@ class StartDistribution:
 
     @classmethod
     def key(cls, task: DescentShardTask) -> str:
-        """Return a digest of start distribution, shard settings and release.
+        """Return a digest of start distribution, shard settings and lunarsim version.
 
         The digest is part of the file name of the shard.
         """
@@ -108,9 +108,9 @@ class StartDistribution:
         return hashlib.sha256(json.dumps(identity, sort_keys=True).encode()).hexdigest()[:16]
 
     def draw(self, rng: np.random.Generator) -> tuple[Array, Array, float]:
-        """Sample a start: displacement (3,), m, velocity (3,), m/s, propellant load.
+        """Sample a start: position (3,), m, velocity (3,), m/s, and propellant.
 
-        The displacement is from the end of the approach. The load is the propellant above the
+        The position is relative to the end of the approach. The propellant is the amount above the
         reserve, as a fraction of full tanks.
         """
         while True:
@@ -127,23 +127,24 @@ class StartDistribution:
 
 
 @cache
-def _default() -> Scenario:
+def _default_scenario() -> Scenario:
     """Return the scenario of the default lander."""
     return Scenario.from_dict({"name": "descents"})
 
 
-def problem_of(gap: Array, velocity: Array, load: float) -> Descent:
+def problem_of(displacement: Array, velocity: Array, propellant_fraction: float) -> Descent:
     """Return the minimum-propellant problem of the default lander from a start.
 
-    `gap` (3,) is the displacement from the end of the approach, m, `velocity` (3,) in m/s and
-    `load` the propellant fraction. The limits are those of the guidance law `optimal`.
+    `displacement` (3,) is from the end of the approach, m; `velocity` (3,) is in m/s;
+    `propellant_fraction` is the propellant above the reserve as a fraction of full tanks. The
+    limits are those of the guidance law `optimal`.
     """
-    scenario = _default()
+    scenario = _default_scenario()
     lander, approach, law = scenario.vehicle.make(), Approach(), OptimalLaw()
     margin = approach.throttle_margin * (lander.thrust_max - lander.thrust_min)
     dry = lander.dry_mass + approach.reserve
     return Descent(
-        gap, velocity, dry + load * (lander.wet_mass - dry), np.zeros(3),
+        displacement, velocity, dry + propellant_fraction * (lander.wet_mass - dry), np.zeros(3),
         np.array([0.0, 0.0, -approach.vertical_speed]), scenario.gravity_m_s2,
         lander.thrust_min + margin, lander.thrust_max - margin, lander.exhaust_velocity, dry,
         approach.max_tilt, approach.glideslope, _APEX_DEPTH_M,
@@ -151,15 +152,12 @@ def problem_of(gap: Array, velocity: Array, load: float) -> Descent:
     )  # fmt: skip
 
 
-def solve(task: DescentShardTask) -> dict[str, Array]:
+def solve_shard(task: DescentShardTask) -> dict[str, Array]:
     """Solve random minimum-propellant descents for one shard (file).
 
-    Returns
-    -------
-    shard
-        "observations" (k, N + 1, 7), "actions" (k, N, 3), "duration" (k,), s, and "propellant"
-        (k,), kg, of the k feasible descents; "out_of_reach" and "failed": the number of infeasible
-        starts and of starts that the solver failed on.
+    Returns "observations" (k, N + 1, 7), "actions" (k, N, 3), "duration" (k,), s, and "propellant"
+    (k,), kg, of the k feasible descents, and the numbers of infeasible starts ("out_of_reach") and
+    of solver failures ("failed").
     """
     rng = np.random.default_rng(np.random.SeedSequence(task.seed, spawn_key=(task.number,)))
     planner, starts = Planner(task.intervals), StartDistribution()
@@ -188,14 +186,14 @@ def solve(task: DescentShardTask) -> dict[str, Array]:
 def solve_all(
     tasks: list[DescentShardTask], folder: Path, jobs: int, console: Console
 ) -> list[Path]:
-    """Solve the shards (files) that a folder lacks; return the files of all shards."""
+    """Solve the shards whose files are missing in a folder; return all files."""
     folder.mkdir(parents=True, exist_ok=True)
     files = [folder / f"{task.number:05d}-{StartDistribution.key(task)}.npz" for task in tasks]
     todo = [k for k, file in enumerate(files) if not file.exists()]
     with plain_progress(console) as progress:
         bar = progress.add_task("shards", total=len(tasks), completed=len(tasks) - len(todo))
-        for at, shard in iterate_results(solve, [tasks[k] for k in todo], jobs):
-            atomic_write(files[todo[at]], lambda part, shard=shard: _save(part, shard))
+        for at, shard in iterate_results(solve_shard, [tasks[k] for k in todo], jobs):
+            atomic_write(files[todo[at]], lambda part, shard=shard: _save_shard(part, shard))
             progress.advance(bar)
     return files
 
@@ -218,43 +216,45 @@ def read_shard(file: Path) -> dict[str, Array]:
         ) from None
 
 
-def check_problem(folder: Path, hint: str = "Use another folder for --out.") -> None:
+def check_limits(folder: Path, remedy: str = "Use another folder for --out.") -> None:
     """Reject a folder whose shards (files of descents) were solved under other limits.
 
     Raises
     ------
     click.UsageError
-        If the limits differ or their file is invalid; the message ends with `hint`.
+        If the limits differ or their file is invalid; `remedy` is the end of the message.
     """
     file = folder / PROBLEM
     try:
         stored = json.loads(file.read_text(encoding="utf-8"))
     except ValueError as error:
-        raise click.UsageError(f"{file} is not a valid file of limits ({error}). {hint}") from None
+        raise click.UsageError(
+            f"{file} is not a valid file of limits ({error}). {remedy}"
+        ) from None
     if stored != _limits():
         raise click.UsageError(
             f"The shards in {folder} were solved under other limits of approach or law "
-            f"({file.name}). {hint}"
+            f"({file.name}). {remedy}"
         )
 
 
 def _limits() -> dict[str, Any]:
-    """Return the common parameters of all descent problems, as in their JSON file."""
+    """Return the limits that all descent problems have in common, for JSON."""
     asked = asdict(problem_of(np.array([100.0, 0.0, 100.0]), np.array([0.0, 0.0, -5.0]), 1.0))
     asked = {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in asked.items()}
     return json.loads(json.dumps(asked))  # type: ignore[no-any-return]
 
 
 def _write_limits(folder: Path) -> None:
-    """Write the problem limits into a new folder; reject one with other limits."""
+    """Write the problem limits into a folder; reject a folder with other limits."""
     if (folder / PROBLEM).exists():
-        check_problem(folder)
+        check_limits(folder)
         return
     folder.mkdir(parents=True, exist_ok=True)
     atomic_write_text(folder / PROBLEM, json.dumps(_limits(), indent=1) + "\n")
 
 
-def _save(path: Path, shard: dict[str, Array]) -> None:
+def _save_shard(path: Path, shard: dict[str, Array]) -> None:
     """Write a shard to a compressed NumPy file."""
     with path.open("wb") as file:
         np.savez_compressed(file, **shard)
@@ -263,9 +263,10 @@ def _save(path: Path, shard: dict[str, Array]) -> None:
 def write_dataset(
     files: list[Path], folder: Path, task: DescentShardTask, console: Console
 ) -> dict[str, Any]:
-    """Write all shards as one Minari data set; return the metrics of its summary.
+    """Write all shards as one Minari data set; return its summary values.
 
-    `task` gives the settings that all shards have in common.
+    They are, for example, numbers of descents and percentiles of propellant. `task` gives the
+    settings that all shards have in common.
     """
     import minari
     from minari.data_collector import EpisodeBuffer
@@ -307,32 +308,36 @@ def write_dataset(
 
 
 def _write_dataset_atomically(
-    files: list[Path], data: Path, task: DescentShardTask, console: Console
+    files: list[Path], target: Path, task: DescentShardTask, console: Console
 ) -> dict[str, Any]:
-    """Write the data set to a temporary folder; move it to `data` when complete."""
-    part = data.with_name(f".{data.name}.part")
+    """Write the data set to a temporary folder; rename it to `target` when complete.
+
+    Returns the summary values of the data set.
+    """
+    part = target.with_name(f".{target.name}.part")
     if part.exists():
         shutil.rmtree(part)
     with remove_contents_on_error(part):
         part.mkdir(parents=True)
         figures = write_dataset(files, part, task, console)
-    if data.exists():
-        data.rmdir()  # empty: checked by the caller
-    part.rename(data)
+    if target.exists():
+        target.rmdir()  # empty: checked by the caller
+    part.rename(target)
     return figures
 
 
-def _episodes(shard: Any, first: int, buffer: Any) -> list[Any]:
+def _episodes(shard: Any, first: int, buffer_class: Any) -> list[Any]:
     """Return the Minari episodes of a shard.
 
-    `first` is the number of the first episode, `buffer` the class of Minari's episode buffers.
+    `first` is the number of the first episode, `buffer_class` the class of Minari's episode
+    buffers.
     """
     out = []
     for k, (seen, done) in enumerate(zip(shard["observations"], shard["actions"], strict=True)):
         ends = np.arange(len(done)) == len(done) - 1
         left = np.linspace(float(shard["duration"][k]), 0.0, len(seen))
         out.append(
-            buffer(
+            buffer_class(
                 id=first + k, observations=seen, actions=done, rewards=np.diff(seen[:, 6]),
                 terminations=ends, truncations=np.zeros(len(done), bool),
                 infos={"time_to_go": left},

@@ -32,23 +32,27 @@ AGENTS = ("random", "no-divert", "safest", "nearest-safe", "fuel-aware", "few-si
 PERCEPTIONS = ("surrogate", "gaussian-dem")
 
 
-def side(d: Difference) -> int:
-    """Return the sign of a difference: 1 or -1, or 0 if its interval contains zero."""
-    return int(d.low > 0.0) - int(d.high < 0.0)
+def sign_of_difference(difference: Difference) -> int:
+    """Return the sign of a difference (1 or -1); 0 if its interval contains zero."""
+    return int(difference.low > 0.0) - int(difference.high < 0.0)
 
 
-def is_contradiction(ours: Difference, theirs: Difference) -> bool:
-    """Return whether the intervals of two differences exclude zero on opposite sides.
+def is_contradiction(on_surrogate: Difference, on_mapper: Difference) -> bool:
+    """Return whether surrogate and mapper rank two agents in opposite order.
 
-    The differences are those of a pair of agents on the surrogate and on the mapper.
+    The arguments are the differences of the agents with both kinds of maps. Their intervals must
+    exclude zero on opposite sides.
     """
-    return side(ours) * side(theirs) < 0
+    return sign_of_difference(on_surrogate) * sign_of_difference(on_mapper) < 0
 
 
-def shares(results: dict[tuple[str, str], AgentFlights], agents: tuple[str, ...]) -> None:
+def print_agent_results(
+    results: dict[tuple[str, str], AgentFlights], agents: tuple[str, ...]
+) -> None:
     """Print safe fraction and propellant of each agent on surrogate and mapper.
 
-    `results` holds the flights by agent and perception. The paired difference is also printed.
+    The table also has the paired difference between mapper and surrogate. `results` holds the
+    flights by agent and perception.
     """
     print("| agent | safe, surrogate [95 % interval] | safe, mapper | mapper minus surrogate | "
     "propellant, mean (kg), both |\n"
@@ -61,7 +65,7 @@ def shares(results: dict[tuple[str, str], AgentFlights], agents: tuple[str, ...]
               f"{d.high:+.3f}] | {ours.burnt.mean():.2f}, {theirs.burnt.mean():.2f} |")  # fmt: skip
 
 
-def pairs(
+def count_contradictions(
     results: dict[tuple[str, str], AgentFlights], agents: tuple[str, ...]
 ) -> dict[str, list[int]]:
     """Count the pairs of agents that surrogate and mapper rank in opposite order.
@@ -79,7 +83,7 @@ def pairs(
             both["propellant"].append(mean_difference(a.burnt, b.burnt, pair, rng))
         for name, (ours, theirs) in both.items():
             counts[name][0] += is_contradiction(ours, theirs)
-            counts[name][1] += side(ours) == side(theirs)
+            counts[name][1] += sign_of_difference(ours) == sign_of_difference(theirs)
             counts[name][2] += 1
     return counts
 
@@ -118,9 +122,9 @@ def main() -> int:
         print(f"error: {error}", file=sys.stderr)
         return 2
     print(f"{scenario.name}: {args.flights} flights over {args.worlds} worlds\n")
-    shares(results, agents)
+    print_agent_results(results, agents)
     print()
-    for name, (against, alike, count) in pairs(results, agents).items():
+    for name, (against, alike, count) in count_contradictions(results, agents).items():
         print(f"{name}: {count} pairs of agents; same order in {alike}, contradiction in {against}")
     return 0
 

@@ -32,35 +32,35 @@ from lunarsim_envs.evaluation.request import evaluation_study
 ENVS = ("Guidance-v0", "Control-v0", "Retarget-v0")
 
 
-def stack(shown: list[Any]) -> Any:
+def stack_items(items: list[Any]) -> Any:
     """Stack a list of observations or actions into arrays with time as the first axis.
 
     Dictionaries are stacked by key.
     """
-    if isinstance(shown[0], dict):
-        return {name: stack([one[name] for one in shown]) for name in shown[0]}
-    return np.stack([np.asarray(one) for one in shown])
+    if isinstance(items[0], dict):
+        return {name: stack_items([one[name] for one in items]) for name in items[0]}
+    return np.stack([np.asarray(one) for one in items])
 
 
-def episode(
-    env: gymnasium.Env[Any, Any], flies: Agent, name: str, streams: RandomStreams
+def fly_episode(
+    env: gymnasium.Env[Any, Any], agent: Agent, name: str, streams: RandomStreams
 ) -> dict[str, Any]:
-    """Fly one episode; return the arguments of a Minari buffer and the metadata.
+    """Fly one episode; return its data for a Minari buffer, and its metadata.
 
-    `flies` is the agent and `name` its name in error messages; `streams` gives the random numbers.
+    `name` is the agent's name in error messages; `streams` gives the random numbers.
 
     Raises
     ------
     InputError
         If the agent gives an action that the environment does not accept.
     """
-    flies.begin(streams.get("agent"))
+    agent.begin(streams.get("agent"))
     seed = int(streams.get("environment").integers(2**62))
     observation, info = env.reset(seed=seed)
     shown, done, rewards, costs, terms = [observation], [], [], [0.0], []
     over, late = False, False
     while not (over or late):
-        action = flies.act(observation, info)
+        action = agent.act(observation, info)
         try:
             observation, reward, over, late, info = env.step(action)
         except ValueError as error:
@@ -77,7 +77,8 @@ def episode(
     # The landing outcome, not the reward, because the reward depends on its weights.
     metadata |= {"safe": bool(info["safe"])}
     return {
-        "observations": stack(shown), "actions": stack(done), "rewards": np.array(rewards),
+        "observations": stack_items(shown), "actions": stack_items(done),
+        "rewards": np.array(rewards),
         "terminations": ends & over, "truncations": ends & late,
         "infos": {
             "cost": np.array(costs),
@@ -89,24 +90,24 @@ def episode(
     }  # fmt: skip
 
 
-def record(flown: EvaluationStudy, agent: str, episodes: int, folder: Path) -> int:
+def record_dataset(study: EvaluationStudy, agent: str, episodes: int, folder: Path) -> int:
     """Fly episodes and write a Minari data set; return the number of safe landings.
 
-    `flown` gives the environment and the root seed.
+    `study` gives the environment and the root seed.
     """
     from minari.data_collector import EpisodeBuffer
     from minari.dataset.minari_storage import MinariStorage
 
-    env = flown.make()
+    env = study.make()
     try:
-        flies, safe = agent_of(agent, env, trust_pickle=flown.trust_pickle), 0
+        flies, safe = agent_of(agent, env, trust_pickle=study.trust_pickle), 0
         folder.parent.mkdir(parents=True, exist_ok=True)
         # Minari cannot reopen its files from a relative path.
         storage = MinariStorage.new(
             folder.absolute(), env.observation_space, env.action_space, data_format="hdf5"
         )
         for number in range(episodes):
-            shown = episode(env, flies, agent, RandomStreams(flight_seed(flown.seed, number)))
+            shown = fly_episode(env, flies, agent, RandomStreams(flight_seed(study.seed, number)))
             metadata = shown.pop("metadata")
             storage.update_episodes([EpisodeBuffer(id=number, **shown)])
             storage.update_episode_metadata([metadata], [number])
@@ -114,8 +115,8 @@ def record(flown: EvaluationStudy, agent: str, episodes: int, folder: Path) -> i
         storage.update_metadata(
             {
                 "dataset_id": f"lunarsim/{folder.name}-v0", "algorithm_name": agent,
-                "description": f"Episodes of {flown.env}", "author": {"lunarsim"},
-                "lunarsim_version": __version__, "root_seed": flown.seed,
+                "description": f"Episodes of {study.env}", "author": {"lunarsim"},
+                "lunarsim_version": __version__, "root_seed": study.seed,
                 "minari_version": importlib.metadata.version("minari"),
             }
         )  # fmt: skip
@@ -179,7 +180,7 @@ def main(
             evaluation_study(env, scenario, changes, seed, **given), trust_pickle=trust_pickle
         )
         with remove_contents_on_error(out):
-            safe = record(flown, agent, episodes, out)
+            safe = record_dataset(flown, agent, episodes, out)
     except InputError as error:
         raise click.UsageError(str(error)) from error
     click.echo(f"{episodes} episodes, {safe} safe landings: {out}")

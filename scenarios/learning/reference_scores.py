@@ -36,7 +36,7 @@ AGENTS = {
 
 
 def study_of(name: str, seed: int) -> EvaluationStudy:
-    """Return the evaluation study of an environment name in `AGENTS`."""
+    """Return the settings of the evaluation in an environment; `name` is in `AGENTS`."""
     env, _, perception = name.partition(", ")
     if not perception:
         return EvaluationStudy(f"lunarsim/{env}", flat_scenario(), {}, seed)
@@ -44,14 +44,14 @@ def study_of(name: str, seed: int) -> EvaluationStudy:
     return EvaluationStudy(f"lunarsim/{env}", few, _WORLDS | {"perception": perception}, seed)
 
 
-def row(name: str, agent: AgentMetrics) -> str:
+def score_row(env: str, metrics: AgentMetrics) -> str:
     """Format the scores of one agent as a row of the Markdown table.
 
-    `name` is the environment.
+    `env` is the name of the environment.
     """
     return (
-        f"| {name} | `{agent.name}` | {agent.score.text(3)} | {agent.safe} | "
-        f"{agent.propellant.text(1)} | {agent.steps.value:.0f} |"
+        f"| {env} | `{metrics.name}` | {metrics.score.text(3)} | {metrics.safe} | "
+        f"{metrics.propellant.text(1)} | {metrics.steps.value:.0f} |"
     )
 
 
@@ -79,7 +79,7 @@ def main() -> int:
         for name in args.only or AGENTS:
             rows = fly(study_of(name, args.seed), AGENTS[name], args.episodes, args.jobs)
             for agent in agent_metrics(rows, args.seed):
-                print(row(name, agent), flush=True)
+                print(score_row(name, agent), flush=True)
     except InputError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2

@@ -24,9 +24,9 @@ def random_agent(observation: dict, info: dict, rng: np.random.Generator) -> int
 
 
 def rule_agent(observation: dict, info: dict, rng: np.random.Generator) -> int:
-    """Select the nearest site with nearly maximum p_safe, or keep the current one.
+    """Select the nearest site with p_safe of 0.95 or more, else the safest one.
 
-    Returns the action of Retarget-v0: 0 keeps the site, 1 + k selects candidate k.
+    The current site is kept (action 0) if that site is within 2 m; 1 + k selects candidate k.
     """
     sites = observation["sites"]
     good = (sites[:, 5] > 0) & (sites[:, 3] >= min(0.95, sites[:, 3].max()))

@@ -27,7 +27,7 @@ REFERENCE_AGENTS = ("zero", "hover", "random", "apollo")
 
 
 def compare(out: Path, settings: PpoSettings, episodes: int, console: Console) -> None:
-    """Print results of the trained agent and the reference agents on held-out flights.
+    """Fly the trained agent and the reference agents on held-out seeds; print results.
 
     `out` is the folder of the agent, `settings` are those of its training.
     """
@@ -62,12 +62,12 @@ def compare(out: Path, settings: PpoSettings, episodes: int, console: Console) -
               help="Number of environment steps over all parallel episodes.")  # fmt: skip
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True,
               help="Random seed of the training.")  # fmt: skip
-@click.option("--evaluation-interval", "looks", type=click.IntRange(min=1), default=20,
+@click.option("--evaluation-interval", type=click.IntRange(min=1), default=20,
 show_default=True,
               help="Number of updates between evaluations with checkpoint.")  # fmt: skip
 @click.option("--episodes", type=click.IntRange(min=1), default=200, show_default=True,
               help="Number of flights of the final comparison.")  # fmt: skip
-def main(out: Path, steps: int, seed: int, looks: int, episodes: int) -> None:
+def main(out: Path, steps: int, seed: int, evaluation_interval: int, episodes: int) -> None:
     """Train an agent of Guidance-v0 and compare it with reference agents."""
     console = plain_console(150, soft_wrap=True)
     try:
@@ -85,7 +85,7 @@ def main(out: Path, steps: int, seed: int, looks: int, episodes: int) -> None:
         )
 
     settings = replace(PpoSettings(), steps=steps, seed=seed)
-    run = train(settings, out, looks, report)
+    run = train(settings, out, evaluation_interval, report)
     (out / "curve.json").write_text(json.dumps(run.curve, indent=1), encoding="utf-8")
     draw_curve(run.curve, out / "curve.png")
     compare(out, settings, episodes, console)

@@ -20,7 +20,7 @@ from typing import Any
 import click
 import numpy as np
 from numpy.typing import NDArray
-from optimal_descents import PROBLEM, check_problem, problem_of, read_shard
+from optimal_descents import PROBLEM, check_limits, problem_of, read_shard
 from rich.console import Console
 
 from lunarsim import InputError, Scenario
@@ -50,17 +50,17 @@ _MIN_TIME_TO_GO_S = 1.0  # minimum time to go of training states, s: below it an
 class DescentNodes:
     """States and thrusts of k minimum-propellant descents with N intervals each.
 
-    `seen` (k, N + 1, 7) are position (m), velocity (m/s) and mass (kg) at the nodes, `done` (k, N,
-    3) thrust over mass (m/s^2) and `duration` (k,) the durations (s).
+    `nodes` (k, N + 1, 7) are position (m), velocity (m/s) and mass (kg) at the ends of the
+    intervals, `thrust_per_mass` (k, N, 3) is in m/s^2 and `duration` (k,) in s.
     """
 
-    seen: Array
-    done: Array
+    nodes: Array
+    thrust_per_mass: Array
     duration: Array
 
     @classmethod
     def load(cls, files: list[Path]) -> DescentNodes:
-        """Read the files (shards) of `optimal_descents.py` and concatenate their descents."""
+        """Read files (shards) of `optimal_descents.py`; concatenate their descents."""
         held = [read_shard(file) for file in files]
         counts = sorted({h["actions"].shape[1] for h in held})
         if len(counts) > 1:
@@ -72,20 +72,20 @@ class DescentNodes:
             *(np.concatenate([h[n] for h in held]) for n in ("observations", "actions", "duration"))
         )
 
-    def within(self, share: Array, gravity: float) -> tuple[Array, Array]:
+    def sample_intervals(self, elapsed_fraction: Array, gravity: float) -> tuple[Array, Array]:
         """Return network inputs (n, 6) and targets (n, 4) at one time in each interval.
 
-        `share` (k, N) is the elapsed fraction of each interval; `gravity` is in m/s^2. States near
-        the end of the descent are omitted.
+        The time is given by `elapsed_fraction` (k, N) of each interval; `gravity` is in m/s^2.
+        States near the end of the descent are omitted.
         """
-        step = (self.duration / self.done.shape[1])[:, None]
-        t = (share * step)[..., None]
-        state, push = self.seen[:, :-1], self.done
+        step = (self.duration / self.thrust_per_mass.shape[1])[:, None]
+        t = (elapsed_fraction * step)[..., None]
+        state, push = self.nodes[:, :-1], self.thrust_per_mass
         move = push - [0.0, 0.0, gravity]
         r, v = state[..., :3], state[..., 3:6]
-        mass = state[..., 6] + share * np.diff(self.seen[..., 6], axis=1)
+        mass = state[..., 6] + elapsed_fraction * np.diff(self.nodes[..., 6], axis=1)
         shown, axes = reduce_state(r + t * (v + 0.5 * t * move), v + t * move, mass)
-        left = self.duration[:, None] - step * (np.arange(push.shape[1]) + share)
+        left = self.duration[:, None] - step * (np.arange(push.shape[1]) + elapsed_fraction)
         turned = np.einsum("...ij,...j->...i", axes, push)
         # Without a cross speed, both sides are equivalent; the target is zero.
         turned[..., 1] = np.where(shown[..., 3] < 1e-6, 0.0, turned[..., 1])
@@ -95,14 +95,13 @@ class DescentNodes:
 
 
 def train_network(
-    learnt: DescentNodes, gravity: float, minutes: float, epochs: int, width: int, seed: int,
+    training: DescentNodes, gravity: float, minutes: float, epochs: int, width: int, seed: int,
     console: Console,
 ) -> tuple[list[tuple[Array, Array]], int]:  # fmt: skip
     """Train the network on descents; return its layers and the number of epochs.
 
-    `learnt` are the descents, `gravity` is in m/s^2, `minutes` the time limit (0: none), `epochs`
-    the maximum number of epochs and `width` the width of the hidden layers. The layers are pairs of
-    weights and biases.
+    `gravity` is in m/s^2, `minutes` the time limit (0: none), `epochs` the maximum number of epochs
+    and `width` the width of the hidden layers. The layers are pairs of weights and biases.
     """
     import torch
 
@@ -115,7 +114,8 @@ def train_network(
     optimiser = torch.optim.Adam(model.parameters(), 2e-3)
     began = clock.monotonic()
     for epoch in range(epochs):
-        shown, wanted = learnt.within(rng.random(learnt.done.shape[:2]), gravity)
+        fractions = rng.random(training.thrust_per_mass.shape[:2])
+        shown, wanted = training.sample_intervals(fractions, gravity)
         order = rng.permutation(len(shown))
         features = np.concatenate((shown / WIDE_SCALE, np.arcsinh(shown / FINE_SCALE)), axis=1)[
             order
@@ -140,13 +140,17 @@ def train_network(
     return [(weight.numpy(), bias.numpy()) for weight, bias in layers], epoch + 1
 
 
-def evaluate_network(network: OptimalNetwork, kept: DescentNodes, gravity: float) -> dict[str, Any]:
-    """Return the network's errors on held-out descents and its infeasible fraction.
+def evaluate_network(
+    network: OptimalNetwork, held_out: DescentNodes, gravity: float
+) -> dict[str, Any]:
+    """Return errors and infeasible fraction of a network on held-out descents.
 
-    `kept` are the descents, `gravity` is in m/s^2. Errors are the median and 95th percentile of
+    `gravity` is in m/s^2. Errors are the median and 95th percentile of
     thrust over mass (m/s^2) and time to go (s).
     """
-    shown, wanted = kept.within(np.full(kept.done.shape[:2], 0.5), gravity)
+    shown, wanted = held_out.sample_intervals(
+        np.full(held_out.thrust_per_mass.shape[:2], 0.5), gravity
+    )
     outputs = network(shown)
     off = outputs - wanted * OUTPUT_SCALE
     law, lander = NeuralOptimalLaw(), Scenario.from_dict({"name": "descents"}).vehicle.make()
@@ -158,7 +162,7 @@ def evaluate_network(network: OptimalNetwork, kept: DescentNodes, gravity: float
     )
     push = np.linalg.norm(off[:, :3], axis=1)
     return {
-        "descents": len(kept.duration),
+        "descents": len(held_out.duration),
         "infeasible": float(np.mean(broken | (outputs[:, 3] <= 0.0))),
         "thrust_m_s2": [float(v) for v in np.percentile(push, (50, 95))],
         "time_to_go_s": [float(v) for v in np.percentile(np.abs(off[:, 3]), (50, 95))],
@@ -224,7 +228,7 @@ def main(
             f"DESCENTS: must contain two or more shards of optimal_descents.py, got '{descents}'"
         )
     if (descents / "shards" / PROBLEM).exists():
-        check_problem(descents / "shards", "Solve the descents again.")
+        check_limits(descents / "shards", "Solve the descents again.")
     try:
         check_output("--out", out, ".npz")
         if metrics is not None:
@@ -237,7 +241,7 @@ def main(
     learnt, kept = DescentNodes.load(files[:-out_of]), DescentNodes.load(files[-out_of:])
     gravity = Scenario.from_dict({"name": "descents"}).gravity_m_s2
     layers, done = train_network(learnt, gravity, minutes, epochs, width, seed, console)
-    shown, _ = learnt.within(np.zeros(learnt.done.shape[:2]), gravity)
+    shown, _ = learnt.sample_intervals(np.zeros(learnt.thrust_per_mass.shape[:2]), gravity)
     low, high = shown.min(axis=0), shown.max(axis=0)
     beyond = _BOUND_MARGIN * (high - low)  # a start with full tanks lies on the bound
     network = OptimalNetwork(

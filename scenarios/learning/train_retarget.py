@@ -58,7 +58,7 @@ def compare(
     agent: str, policies: tuple[str, ...], scenario: Scenario, perception: str, flights: int,
     worlds: int,
 ) -> None:  # fmt: skip
-    """Print results of an agent and of policies on the same flights.
+    """Fly an agent and several policies from the same starts; print results.
 
     `perception` is the kind of hazard map, `worlds` the number of terrains. Paired differences are
     relative to the best policy.
@@ -95,7 +95,7 @@ def main() -> int:
     )
     parser.add_argument("--generations", type=int, default=25, help="generations of training")
     parser.add_argument(
-        "--propellant-weight", dest="price", type=float, default=CemSettings.propellant_weight,
+        "--propellant-weight", metavar="WEIGHT", type=float, default=CemSettings.propellant_weight,
         help="propellant weight per kg; a safe landing has weight 1 (%(default)s)",
     )  # fmt: skip
     parser.add_argument("--worlds", type=int, default=24, help="number of different terrains")
@@ -120,13 +120,15 @@ def main() -> int:
         for name in ("generations", "worlds", "flights"):
             if getattr(args, name) < 1:
                 raise InputError(f"--{name}", getattr(args, name), "must be 1 or more")
-        if not 0.0 <= args.price < 1.0:
+        if not 0.0 <= args.propellant_weight < 1.0:
             raise InputError(
-                "--propellant-weight", args.price, "must be at least 0 and less than 1"
+                "--propellant-weight", args.propellant_weight, "must be at least 0 and less than 1"
             )
         scenario = Scenario.load(found(Path(args.scenario)))
         if args.compare is None:
-            settings = CemSettings(generations=args.generations, propellant_weight=args.price)
+            settings = CemSettings(
+                generations=args.generations, propellant_weight=args.propellant_weight
+            )
             train_agent(scenario, settings, args.worlds, args.out)
         agent = args.compare or str(args.out)
         for perception in args.perception or ("surrogate", "gaussian-dem"):

@@ -26,8 +26,8 @@ import click
 import numpy as np
 from rich.console import Console
 from rich.table import Table
-from scene_cache import SceneSites, evaluated_scenes
-from worlds import LANDERS, RANGES, RELIEFS, ROCKS, UPRIGHT, LidarScene, scenes
+from scene_cache import SceneSites, load_or_evaluate
+from worlds import LANDERS, RANGES, RELIEFS, ROCKS, UPRIGHT, LidarScene, sample_matrix
 
 from lunarsim import exact_safety
 from lunarsim.campaign.pool import collect_results
@@ -62,11 +62,11 @@ SLOPES = (0.0, 0.5, 0.85, 1.15, np.inf)
 COVERS = (0.0, 0.002, 0.01, np.inf)
 
 
-def judge(scene: LidarScene) -> SceneSites:
-    """Simulate a LiDAR scan of a scene; return calibration inputs and truth of sites."""
+def evaluate_scene(scene: LidarScene) -> SceneSites:
+    """Simulate a LiDAR scan of a scene; evaluate a random sample of its sites."""
     terrain, grid, lander = scene.terrain(), scene.grid(), LANDERS[scene.lander]
     pool = SamplePool(grid)
-    scan, position = scene.flash(terrain)
+    scan, position = scene.simulate_scan(terrain)
     pool.add(scan.points(position, UPRIGHT), scan.height_sigma(UPRIGHT), scan.spacing(UPRIGHT))
     evidence = dem_site_evidence(pooled_dem(pool), lander, RockExpectation())
     truth = exact_safety(terrain.raster(grid), grid, lander)
@@ -89,7 +89,7 @@ def judge(scene: LidarScene) -> SceneSites:
 
 @dataclass(frozen=True)
 class PooledSites:
-    """Landing sites of many scenes, concatenated; fields (n, ...) of `SceneSites`."""
+    """Landing sites of many scenes: the arrays of `SceneSites`, concatenated (n, ...)."""
 
     features: np.ndarray
     known: np.ndarray
@@ -120,15 +120,15 @@ class PooledSites:
 
 def fit_model(
     evaluated: list[SceneSites],
-    rising: int = MONOTONE_FEATURES,
+    monotone_count: int = MONOTONE_FEATURES,
     note: str = "",
-    start: Ensemble | None = None,
+    initial: Ensemble | None = None,
 ) -> Ensemble:
     """Fit the calibrated safety probability to the sites in its domain.
 
     The result is an ensemble: one model for all sites, and one without each kind of relief, rocks,
-    lander and range. The weights of the last `rising` inputs are non-negative; `note` is stored in
-    the model; `start` is an ensemble whose weights start the iteration.
+    lander and range. The weights of the last `monotone_count` inputs are non-negative; `note` is
+    stored in the model; `initial` is an ensemble whose weights start the iteration.
     """
     s = PooledSites.of(evaluated)
     number = np.repeat(np.arange(len(evaluated)), [len(j.safe) for j in evaluated])[s.known]
@@ -138,23 +138,27 @@ def fit_model(
         for name in names
     }
     x, y = s.features[s.known], s.safe[s.known]
-    return Ensemble.fit(x, y, worlds, note, rising=rising, start=start)
+    return Ensemble.fit(x, y, worlds, note, rising=monotone_count, start=initial)
 
 
-def probability(
+def predict_safety(
     model: Ensemble,
     sites: PooledSites,
-    farther: float = NEAR_DOMAIN_LOG_ODDS_MARGIN,
+    outside_margin: float = NEAR_DOMAIN_LOG_ODDS_MARGIN,
     unsafe_limit: float = ALMOST_CERTAINLY_UNSAFE_P,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return p_safe of sites by a model, and whether the value is calibrated (n,).
+    """Return p_safe of sites by a model, and whether each value is calibrated (n,).
 
-    `farther` is the log-odds margin outside the calibrated domain. Sites with a probability up to
-    `unsafe_limit` are classified as certainly unsafe.
+    `outside_margin` is the log-odds margin outside the calibrated domain. Sites with a probability
+    of at most `unsafe_limit` are classified as certainly unsafe.
     """
     odds = model.evaluate_features(sites.features)
     p = conservative_probability(
-        odds.low, sites.observed_terrain_bound, sites.outside_domain_bound, sites.known, farther
+        odds.low,
+        sites.observed_terrain_bound,
+        sites.outside_domain_bound,
+        sites.known,
+        outside_margin,
     )
     return p, sites.known & odds.estimate(
         sites.observed_terrain_bound, unsafe_limit, sites.doomed
@@ -162,7 +166,7 @@ def probability(
 
 
 def nearest_range(scene: LidarScene) -> str:
-    """Return the range of the matrix ("120 m", ...) nearest to that of a scene."""
+    """Return the value of `RANGES` nearest to the range of a scene, as text ("120 m")."""
     return f"{RANGES[int(np.argmin(np.abs(np.log(np.divide(RANGES, scene.distance)))))]:.0f} m"
 
 
@@ -174,12 +178,12 @@ AXES: tuple[tuple[str, tuple[str, ...], Callable[[LidarScene], str]], ...] = (
 )
 
 
-def held_out_rows(
+def split_by_scene_type(
     evaluated: list[SceneSites],
 ) -> Iterator[tuple[str, list[SceneSites], list[SceneSites]]]:
-    """Yield each row of the matrix: name, scenes outside the row, scenes in it.
+    """Yield each scene type: its name, all other scenes, and its scenes.
 
-    A row is one relief, rock law, lander or range.
+    A scene type is one relief, rock law, lander or range.
     """
     for axis, names, of in AXES:
         for name in names:
@@ -193,10 +197,10 @@ def held_out_rows(
 FIGURES = ("base", "ece", "chance", "skill", "share", "gap", "surer", "right")
 
 
-def figures(p: np.ndarray, safe: np.ndarray) -> dict[str, float]:
-    """Return calibration metrics (`FIGURES`) of probabilities against truth (n,).
+def calibration_metrics(p: np.ndarray, safe: np.ndarray) -> dict[str, float]:
+    """Return the metrics `FIGURES` of probabilities against true safety (n,).
 
-    The values are NaN without sites.
+    They are, for example, calibration error and Brier skill; NaN without sites.
     """
     if not p.size:
         return dict.fromkeys(FIGURES, np.nan)
@@ -215,22 +219,22 @@ def figures(p: np.ndarray, safe: np.ndarray) -> dict[str, float]:
 
 
 def worst_stratum(
-    p: np.ndarray, claimed: np.ndarray, sites: PooledSites, least: int = 20
+    p: np.ndarray, is_calibrated: np.ndarray, sites: PooledSites, min_sites: int = 20
 ) -> tuple[float, str]:
     """Return the minimum Brier skill over classes of slope and cover, and its class.
 
-    `claimed` (n,) selects the sites with a calibrated p. Classes with fewer than `least` safe or
-    unsafe sites are ignored: their skill is undefined.
+    `is_calibrated` (n,) selects the sites with a calibrated p. Classes with fewer than `min_sites`
+    safe or unsafe sites are ignored.
     """
     worst = (np.inf, "")
-    k = claimed
+    k = is_calibrated
     for i in range(len(SLOPES) - 1):
         for j in range(len(COVERS) - 1):
             s, c = sites.slope[k], sites.cover[k]
             inside = (s >= SLOPES[i]) & (s < SLOPES[i + 1])
             inside &= (c >= COVERS[j]) & (c < COVERS[j + 1])
             safe = sites.safe[k][inside]
-            if min(safe.sum(), (~safe).sum()) < least:
+            if min(safe.sum(), (~safe).sum()) < min_sites:
                 continue
             own = brier_skill(p[k][inside], safe)
             if own < worst[0]:
@@ -239,21 +243,21 @@ def worst_stratum(
 
 
 @dataclass(frozen=True)
-class HeldOutRow:
-    """Predictions for a held-out row of the matrix by the fit without it.
+class HeldOutPrediction:
+    """Predicted safety of the sites of one scene type by a fit that excluded it.
 
-    `p` (n,) is p_safe and `claimed` (n,) whether the value is calibrated; `name` is the relief,
-    rock law, lander or range of the row.
+    `p` (n,) is p_safe and `is_calibrated` (n,) whether the value is calibrated; `name` is the scene
+    type, that is, a relief, rock law, lander or range.
     """
 
     name: str
     p: np.ndarray
-    claimed: np.ndarray
+    is_calibrated: np.ndarray
     sites: PooledSites
 
 
-def table_of(rows: list[HeldOutRow]) -> Table:
-    """Return the table of calibration metrics of held-out rows of the matrix."""
+def table_of(rows: list[HeldOutPrediction]) -> Table:
+    """Return the table of calibration metrics by held-out scene type."""
     table = Table(
         title="Calibration on sites in the domain; each row evaluated with the fit without it"
     )
@@ -269,8 +273,8 @@ def table_of(rows: list[HeldOutRow]) -> Table:
                     "min skill\nof a stratum", "stratum"):  # fmt: skip
         table.add_column(heading, justify="right")
     for row in rows:
-        p, k, sites = row.p, row.claimed, row.sites
-        f = figures(p[k], sites.safe[k])
+        p, k, sites = row.p, row.is_calibrated, row.sites
+        f = calibration_metrics(p[k], sites.safe[k])
         out = ~k & (p > 0.5)
         own = [f"{v[out].mean():.3f}" if out.any() else "-" for v in (p, sites.safe)]
         least, where = worst_stratum(p, k, sites)
@@ -283,8 +287,11 @@ def table_of(rows: list[HeldOutRow]) -> Table:
     return table
 
 
-def draw(rows: list[HeldOutRow], path: Path) -> None:
-    """Plot predicted against observed safety on held-out scenes by matrix axis."""
+def draw(rows: list[HeldOutPrediction], path: Path) -> None:
+    """Plot predicted against observed safety on held-out scenes.
+
+    The panels show all reliefs, all rock laws, all landers and all ranges.
+    """
     figure = new_figure(9.6, 9.6)
     for panel, axis in zip(
         figure.subplots(2, 2, sharex=True, sharey=True).ravel(),
@@ -292,8 +299,8 @@ def draw(rows: list[HeldOutRow], path: Path) -> None:
     ):  # fmt: skip
         plot_ideal(panel)
         mine = [r for r in rows if r.name.startswith(axis)]
-        p = np.concatenate([r.p[r.claimed] for r in mine])
-        safe = np.concatenate([r.sites.safe[r.claimed] for r in mine])
+        p = np.concatenate([r.p[r.is_calibrated] for r in mine])
+        safe = np.concatenate([r.sites.safe[r.is_calibrated] for r in mine])
         table = reliability(p, safe)
         label = f"{len(mine)} rows, each held out; ECE {calibration_error(table):.3f}"
         plot_reliability(panel, table, color=COLOURS[0], label=label)
@@ -305,32 +312,33 @@ def draw(rows: list[HeldOutRow], path: Path) -> None:
     save(figure, path)
 
 
-def options(count: int, own: str) -> Callable[[F], F]:
+def options(default_count: int, supplied_model: str) -> Callable[[F], F]:
     """Return a decorator that adds the command-line options of a calibration study.
 
-    `count` is the default number of scenes; `own` is the path of the model supplied with lunarsim.
+    `default_count` is the default number of scenes; `supplied_model` is the path of the model in
+    lunarsim.
     """
     first = click.IntRange(min=8)
     wanted = (
-        click.option("--scenes", "count", type=first, default=count, show_default=True,
+        click.option("--scenes", "count", type=first, default=default_count, show_default=True,
                      help="Number of scenes, spread evenly over the matrix."),
         click.option("--seed", type=click.IntRange(min=0), default=5, show_default=True,
                      help="Random seed of the scenes."),
         click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True,
                      help="Number of processes; does not change the results."),
-        click.option("--scenes-file", "file", type=click.Path(path_type=Path, dir_okay=False),
+        click.option("--scenes-file", type=click.Path(path_type=Path, dir_okay=False),
                      default=None,
                      help="Scene cache (.npz): read if it exists, else written."),
-        click.option("--save", "target", type=click.Path(path_type=Path, dir_okay=False),
+        click.option("--save", "model_file", type=click.Path(path_type=Path, dir_okay=False),
                      default=None,
-                     help=f"Output file of the model (supplied with lunarsim: {own})."),
-        click.option("--out", "folder", type=click.Path(path_type=Path, file_okay=False),
+                     help=f"Output file of the model (supplied with lunarsim: {supplied_model})."),
+        click.option("--out", "figure_folder", type=click.Path(path_type=Path, file_okay=False),
                      default=None, help="Output folder of the reliability diagram."),
-        click.option("--held-out-row", "row", type=click.Choice(tuple(_REPLACED)), default=None,
-        metavar="ROW",
+        click.option("--held-out-row", "scene_type", type=click.Choice(tuple(_REPLACED)),
+                     default=None, metavar="ROW",
                      help="Evaluate one row ('rocks posts') on new scenes "
                      "with the fit without this row."),
-        click.option("--new-scenes", "fresh", type=click.IntRange(min=1), default=120,
+        click.option("--new-scenes", "new_count", type=click.IntRange(min=1), default=120,
         show_default=True,
                      help="Number of new scenes for --held-out-row."),
     )  # fmt: skip
@@ -359,125 +367,138 @@ class CalibrationMethod:
     ----------
     command
         Script that runs the study.
-    evaluate, draw
-        Functions that map and evaluate a scene, and that sample scenes (count, seed).
-    rising
-        Number of inputs, the last ones, with non-negative weights.
-    farther, unsafe_limit
-        Log-odds margin outside the calibrated domain; maximum probability of sites classified as
-        certainly unsafe.
+    evaluate, sample
+        Function that maps and evaluates a scene; function of count and seed that samples scenes.
+    monotone_count
+        Number of inputs with non-negative weights; these are the last inputs.
+    outside_margin, unsafe_limit
+        Log-odds margin outside the calibrated domain; maximum probability of sites that are
+        classified as certainly unsafe.
     """
 
     command: str
     evaluate: Callable[[LidarScene], SceneSites]
-    draw: Callable[[int, int], list[LidarScene]]
-    rising: int
-    farther: float = NEAR_DOMAIN_LOG_ODDS_MARGIN
+    sample: Callable[[int, int], list[LidarScene]]
+    monotone_count: int
+    outside_margin: float = NEAR_DOMAIN_LOG_ODDS_MARGIN
     unsafe_limit: float = ALMOST_CERTAINLY_UNSAFE_P
 
-    def row(self, name: str, model: Ensemble, inside: list[SceneSites]) -> HeldOutRow:
-        """Evaluate a model on the scenes of one scene type that its fit excluded.
+    def predict_held_out(
+        self, name: str, model: Ensemble, scenes: list[SceneSites]
+    ) -> HeldOutPrediction:
+        """Predict the safety of the sites of a scene type with a fit that excluded it.
 
-        `name` is the scene type, for example "rocks posts"; `inside` are its evaluated scenes.
+        `name` is the scene type, for example "rocks posts"; `scenes` are its evaluated scenes.
         """
-        sites = PooledSites.of(inside)
-        return HeldOutRow(name, *probability(model, sites, self.farther, self.unsafe_limit), sites)
+        sites = PooledSites.of(scenes)
+        return HeldOutPrediction(
+            name, *predict_safety(model, sites, self.outside_margin, self.unsafe_limit), sites
+        )
 
 
 def report(
     method: CalibrationMethod,
     evaluated: list[SceneSites],
     note: str,
-    target: Path | None,
-    folder: Path | None,
+    model_file: Path | None,
+    figure_file: Path | None,
     jobs: int,
     console: Console,
 ) -> None:
-    """Fit to all scenes and save the model; evaluate each row with the fit without it.
+    """Fit and save the model; evaluate each scene type with a fit that excludes it.
 
-    `note` is stored in the model, `target` its file (None: not saved) and `folder` the file of the
-    figure (None: no figure).
+    `note` is stored in the model. Without `model_file` or `figure_file`, the model is not saved or
+    the figure not plotted.
     """
-    model = fit_model(evaluated, method.rising, note)
-    if target is not None:
-        model.save(target)
-    left = list(held_out_rows(evaluated))
-    fit = partial(fit_model, rising=method.rising, start=model)
+    model = fit_model(evaluated, method.monotone_count, note)
+    if model_file is not None:
+        model.save(model_file)
+    left = list(split_by_scene_type(evaluated))
+    fit = partial(fit_model, monotone_count=method.monotone_count, initial=model)
     models = [
         model,
         *collect_results(fit, [others for _, others, _ in left], jobs, console, "fits"),
     ]
     kept = [("nothing", evaluated), *((name, inside) for name, _, inside in left)]
     rows = [
-        method.row(name, own, inside)
+        method.predict_held_out(name, own, inside)
         for (name, inside), own in zip(kept, models, strict=False)
     ]  # fmt: skip
     console.print(table_of(rows))
-    rows = [row for row in rows if row.claimed.any()]
-    if folder is not None:
-        draw(rows, folder)
+    rows = [row for row in rows if row.is_calibrated.any()]
+    if figure_file is not None:
+        draw(rows, figure_file)
 
 
-def evaluate_row(
-    method: CalibrationMethod, evaluated: list[SceneSites], name: str, fresh: list[SceneSites]
-) -> HeldOutRow:
-    """Evaluate new scenes of a row with the fit to all scenes outside this row.
+def evaluate_scene_type(
+    method: CalibrationMethod, evaluated: list[SceneSites], name: str, new_scenes: list[SceneSites]
+) -> HeldOutPrediction:
+    """Predict the safety of new scenes of a type with a fit that excludes this type.
 
-    `fresh` are the new scenes.
+    `name` is the scene type; `new_scenes` are its evaluated new scenes.
     """
-    others = next((others for row, others, _ in held_out_rows(evaluated) if row == name), evaluated)
-    return method.row(name, fit_model(others, method.rising), fresh)
+    others = next(
+        (others for row, others, _ in split_by_scene_type(evaluated) if row == name), evaluated
+    )
+    return method.predict_held_out(name, fit_model(others, method.monotone_count), new_scenes)
 
 
-def fresh_scenes(method: CalibrationMethod, name: str, count: int, seed: int) -> list[LidarScene]:
-    """Sample new scenes of one row; none of them is in the matrix of the same seed."""
+def sample_new_scenes(
+    method: CalibrationMethod, name: str, count: int, seed: int
+) -> list[LidarScene]:
+    """Sample scenes of one type; none of them is in the study matrix of this seed.
+
+    `name` is the scene type.
+    """
     changes: dict[str, Any] = _REPLACED[name]
-    return [replace(scene, **changes) for scene in method.draw(count, seed + 1)]
+    return [replace(scene, **changes) for scene in method.sample(count, seed + 1)]
 
 
 def study(
-    method: CalibrationMethod, *, count: int, seed: int, jobs: int, file: Path | None,
-    target: Path | None,
-    folder: Path | None, row: str | None, fresh: int,
+    method: CalibrationMethod, *, count: int, seed: int, jobs: int, scenes_file: Path | None,
+    model_file: Path | None,
+    figure_folder: Path | None, scene_type: str | None, new_count: int,
 ) -> None:  # fmt: skip
     """Run a calibration study with the options of its command.
 
-    `count` is the number of scenes, `file` their cache, `target` the output file of the model and
-    `folder` that of the figure; `row` evaluates one row on `fresh` new scenes.
+    `count` is the number of scenes and `scenes_file` their cache. With `scene_type`, only this type
+    is evaluated, on `new_count` new scenes.
     """
-    if row is not None and (target is not None or folder is not None):
+    if scene_type is not None and (model_file is not None or figure_folder is not None):
         raise click.UsageError("--held-out-row: cannot be combined with --save or --out")
     console = plain_console(205)
-    evaluated = evaluated_scenes(method.evaluate, method.draw(count, seed), file, jobs, console)
+    evaluated = load_or_evaluate(
+        method.evaluate, method.sample(count, seed), scenes_file, jobs, console
+    )
     evaluated = [j for j in evaluated if len(j.safe)]
-    if row is not None:
-        deck = fresh_scenes(method, row, fresh, seed)
+    if scene_type is not None:
+        deck = sample_new_scenes(method, scene_type, new_count, seed)
         more = [
             j
             for j in collect_results(method.evaluate, deck, jobs, console, "scenes")
             if len(j.safe)
         ]
-        console.print(table_of([evaluate_row(method, evaluated, row, more)]))
+        console.print(table_of([evaluate_scene_type(method, evaluated, scene_type, more)]))
         return
     note = f"{method.command} --scenes {count} --seed {seed}"
-    path = None if folder is None else folder / f"{Path(method.command).stem}.png"
-    report(method, evaluated, note, target, path, jobs, console)
+    path = None if figure_folder is None else figure_folder / f"{Path(method.command).stem}.png"
+    report(method, evaluated, note, model_file, path, jobs, console)
 
 
-def draw_scenes(count: int, seed: int) -> list[LidarScene]:
-    """Return scenes of all ranges; `count` is their number."""
-    return list(scenes(count, seed))
+def sample_scenes(count: int, seed: int) -> list[LidarScene]:
+    """Return `count` scenes with all reliefs, rock laws, landers and ranges."""
+    return list(sample_matrix(count, seed))
 
 
 @click.command()
 @options(480, "lunarsim/safety/calibration.json")
-def main(**wanted: Any) -> None:
+def main(**values: Any) -> None:
     """Fit the safety probability of the Gaussian DEM; test it on held-out terrains."""
     study(
         CalibrationMethod(
-            "scenarios/lidar_maps/calibration.py", judge, draw_scenes, MONOTONE_FEATURES
+            "scenarios/lidar_maps/calibration.py", evaluate_scene, sample_scenes, MONOTONE_FEATURES
         ),
-        **wanted,
+        **values,
     )
 
 

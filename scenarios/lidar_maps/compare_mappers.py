@@ -58,20 +58,20 @@ def counts_of(evaluated: list[MapEvaluation]) -> np.ndarray:
     return np.array([j.counts for j in evaluated], dtype=np.float64)
 
 
-def ratio_interval(
-    counts: np.ndarray, of: Callable[[np.ndarray], np.ndarray]
+def metric_interval(
+    counts: np.ndarray, metric: Callable[[np.ndarray], np.ndarray]
 ) -> tuple[float, float, float]:
-    """Return a metric of summed counts and its bootstrap interval: value, low, high.
+    """Return a metric of summed counts with bootstrap interval: value, low, high.
 
-    `counts` (n, ...) holds one entry per flight; `of` computes the metric from counts with a
-    leading axis of samples.
+    `counts` (n, ...) holds one entry per flight; `metric` computes the metric of each entry along
+    the first axis of an array of counts.
     """
     rng = np.random.default_rng(0)
     drawn = rng.integers(0, len(counts), (RESAMPLES, len(counts)))
     weights = np.stack([np.bincount(d, minlength=len(counts)) for d in drawn]).astype(np.float64)
     with np.errstate(invalid="ignore", divide="ignore"):
-        value = float(of(counts.sum(axis=0)[None])[0])
-        spread = of(np.tensordot(weights, counts, 1))
+        value = float(metric(counts.sum(axis=0)[None])[0])
+        spread = metric(np.tensordot(weights, counts, 1))
     spread = spread[np.isfinite(spread)]
     if not spread.size:
         return value, float("nan"), float("nan")
@@ -79,35 +79,38 @@ def ratio_interval(
     return value, float(low), float(high)
 
 
-def precision(c: np.ndarray) -> np.ndarray:
+def precision(counts: np.ndarray) -> np.ndarray:
     """Return the fraction of cells called safe that are safe, from counts (..., 4).
 
     The counts are true safe, false safe, missed and rejected cells.
     """
-    return c[..., 0] / (c[..., 0] + c[..., 1])
+    return counts[..., 0] / (counts[..., 0] + counts[..., 1])
 
 
-def recall(c: np.ndarray) -> np.ndarray:
+def recall(counts: np.ndarray) -> np.ndarray:
     """Return the fraction of safe cells that are called safe, from counts (..., 4).
 
     The counts are true safe, false safe, missed and rejected cells.
     """
-    return c[..., 0] / (c[..., 0] + c[..., 2])
+    return counts[..., 0] / (counts[..., 0] + counts[..., 2])
 
 
-def skill_of(claim: np.ndarray) -> float:
-    """Return the Brier skill of calibrated cells relative to their safe fraction.
+def skill_of(calibrated: np.ndarray) -> float:
+    """Return the Brier skill of cells with a calibrated probability.
 
-    `claim` holds number, safe cells and sum of squared errors. NaN if all cells are safe or all are
-    unsafe.
+    `calibrated` holds their number, the number of safe ones and the sum of squared errors. NaN if
+    all cells are safe or all are unsafe.
     """
-    n, safe, squares = claim
+    n, safe, squares = calibrated
     base = safe / max(n, 1.0)
     return float(1.0 - squares / (n * base * (1.0 - base))) if 0 < base < 1 else float("nan")
 
 
-def landings(flights: Flights) -> Figures:
-    """Return landing metrics by map and policy, compared in pairs with the first."""
+def landing_metrics(flights: Flights) -> Figures:
+    """Return landing metrics by map and policy.
+
+    Each combination is compared flight by flight with the first one.
+    """
     first = [f.rows[next(iter(WAYS))]["safe"] for f in flights]
     out = {}
     for way in WAYS:
@@ -130,7 +133,7 @@ def landings(flights: Flights) -> Figures:
     return out
 
 
-def quality(evaluated: list[MapEvaluation]) -> dict[str, Any]:
+def quality_metrics(evaluated: list[MapEvaluation]) -> dict[str, Any]:
     """Return quality metrics of a mapper's maps at one decision; empty without maps.
 
     `evaluated` holds one evaluation per flight.
@@ -140,8 +143,8 @@ def quality(evaluated: list[MapEvaluation]) -> dict[str, Any]:
     counts = counts_of(evaluated)
     claims = np.sum([j.claimed for j in evaluated], axis=0)
     return {
-        "precision": ratio_interval(counts.sum(axis=1), precision),
-        "recall": ratio_interval(counts.sum(axis=1), recall),
+        "precision": metric_interval(counts.sum(axis=1), precision),
+        "recall": metric_interval(counts.sum(axis=1), recall),
         "claimed": float(claims[:, 0].sum() / max(counts.sum(), 1.0)),
         "ece": calibration_error(np.sum([j.table for j in evaluated], axis=0)),
         "skill": skill_of(claims.sum(axis=0)),
@@ -149,8 +152,8 @@ def quality(evaluated: list[MapEvaluation]) -> dict[str, Any]:
             name: {
                 "cells": float(counts[:, k].sum()),
                 "safe": MapQuality(*counts[:, k].sum(axis=0).astype(int)).safe_share,
-                "precision": ratio_interval(counts[:, k], precision),
-                "recall": ratio_interval(counts[:, k], recall),
+                "precision": metric_interval(counts[:, k], precision),
+                "recall": metric_interval(counts[:, k], recall),
                 "skill": skill_of(claims[k]),
             }
             for k, name in enumerate(STRATA)
@@ -158,14 +161,14 @@ def quality(evaluated: list[MapEvaluation]) -> dict[str, Any]:
     }
 
 
-def maps(flights: Flights) -> Figures:
+def map_metrics(flights: Flights) -> Figures:
     """Return map quality, computing time and memory by mapper."""
     out = {}
     for mapper in MAPPERS:
         mine = [f.maps[mapper] for f in flights]
         out[mapper] = {
-            "first": quality([m.first for m in mine if m.first is not None]),
-            "last": quality([m.last for m in mine if m.last is not None]),
+            "first": quality_metrics([m.first for m in mine if m.first is not None]),
+            "last": quality_metrics([m.last for m in mine if m.last is not None]),
             "seconds": float(np.mean([m.seconds for m in mine])),
             "megabytes": float(np.max([m.megabytes for m in mine])),
         }
@@ -206,7 +209,7 @@ def table_of(name: str, worlds: dict[str, Figures]) -> Table:
 
 
 def draw(worlds: dict[str, Figures], path: Path) -> None:
-    """Plot landings by map and policy, and precision and recall of the last maps.
+    """Plot safe landings by map and policy, and precision and recall of the last maps.
 
     `worlds` holds the results by name of the terrain; `path` is the output file.
     """
@@ -235,13 +238,18 @@ def draw(worlds: dict[str, Figures], path: Path) -> None:
     save(figure, path)
 
 
-def _plot_intervals(panel: Any, values: Any, n: int, of: int, colour: str, label: str) -> None:
-    """Plot values with intervals (k, 3) of series `n` of `of`, shifted vertically."""
+def _plot_intervals(
+    panel: Any, values: Any, series: int, series_count: int, color: str, label: str
+) -> None:
+    """Plot values with intervals (k, 3) as points with error bars in one row each.
+
+    The rows of the series number `series` of `series_count` are shifted to prevent overlap.
+    """
     v = np.array(values, dtype=np.float64)
-    y = np.arange(len(v)) + 0.18 * (n - 0.5 * (of - 1))
+    y = np.arange(len(v)) + 0.18 * (series - 0.5 * (series_count - 1))
     spread = np.maximum(np.stack((v[:, 0] - v[:, 1], v[:, 2] - v[:, 0])), 0.0)
     panel.errorbar(
-        v[:, 0], y, xerr=spread, fmt="o", color=colour, capsize=3, markersize=5, label=label
+        v[:, 0], y, xerr=spread, fmt="o", color=color, capsize=3, markersize=5, label=label
     )
 
 
@@ -273,7 +281,8 @@ def main(flights: int, worlds: str, seed: int, jobs: int, out: Path | None) -> N
     for task, flown in zip(tasks, done, strict=False):
         by_world.setdefault(task.world, []).append(flown)
     worlds_figures = {
-        world: {"landings": landings(own), "maps": maps(own)} for world, own in by_world.items()
+        world: {"landings": landing_metrics(own), "maps": map_metrics(own)}
+        for world, own in by_world.items()
     }
     for name in ROWS:
         console.print(table_of(name, worlds_figures))

@@ -15,14 +15,14 @@ WorldResults = dict[str, Any]
 TableRow = list[str]
 
 
-def number(value: float | None, form: str) -> str:
+def number_text(value: float | None, format_spec: str) -> str:
     """Format a number by a format specification; a dash for None or NaN."""
-    return "-" if value is None or not math.isfinite(value) else format(value, form)
+    return "-" if value is None or not math.isfinite(value) else format(value, format_spec)
 
 
-def interval(figure: Sequence[float | None]) -> str:
-    """Format a metric with its 95 % interval, given as value, lower and upper limit."""
-    value, low, high = (number(v, ".3f") for v in figure)
+def interval_text(limits: Sequence[float | None]) -> str:
+    """Format a metric with its 95 % interval; `limits` are value, low and high."""
+    value, low, high = (number_text(v, ".3f") for v in limits)
     return value if value == "-" else f"{value} [{low}, {high}]"
 
 
@@ -50,9 +50,9 @@ def map_rows(world: WorldResults) -> list[TableRow]:
         for n, (moment, q) in enumerate(entries):
             top = n == 0
             out.append([
-                MAPPERS[mapper] if top else "", moment, interval(q["precision"]),
-                interval(q["recall"]), f"{q['claimed']:.2f}", number(q["ece"], ".3f"),
-                number(q["skill"], "+.2f"), f"{f['seconds']:.2f}" if top else "",
+                MAPPERS[mapper] if top else "", moment, interval_text(q["precision"]),
+                interval_text(q["recall"]), f"{q['claimed']:.2f}", number_text(q["ece"], ".3f"),
+                number_text(q["skill"], "+.2f"), f"{f['seconds']:.2f}" if top else "",
                 f"{f['megabytes']:.1f}" if top else "",
             ])  # fmt: skip
     return out
@@ -67,8 +67,9 @@ def stratum_rows(world: WorldResults) -> list[TableRow]:
         entries = {m: s for m, q in last.items() if (s := q["strata"][stratum])["cells"]}
         for n, (mapper, s) in enumerate(entries.items()):
             out.append([
-                stratum if n == 0 else "", mapper, number(s["safe"], ".3f") if n == 0 else "",
-                interval(s["precision"]), interval(s["recall"]), number(s["skill"], "+.2f"),
+                stratum if n == 0 else "", mapper, number_text(s["safe"], ".3f") if n == 0 else "",
+                interval_text(s["precision"]), interval_text(s["recall"]),
+                number_text(s["skill"], "+.2f"),
             ])  # fmt: skip
     return out
 

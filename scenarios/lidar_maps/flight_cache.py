@@ -33,12 +33,12 @@ def load_or_fly(folder: Path, task: MapperFlightTask) -> MapperFlight:
         return _load(file, task)
     made = mapper_flights.fly(task)
     folder.mkdir(parents=True, exist_ok=True)
-    write_json(file, {"code": code_of(task.world), "task": asdict(task), **_tables(made)})
+    write_json(file, {"code": code_of(task.world), "task": asdict(task), **_flight_to_json(made)})
     return made
 
 
 def code_of(world: str) -> str:
-    """Return a digest of the source code and the scenario of a simulated terrain.
+    """Return a digest of the source code and of the scenario of a terrain.
 
     `world` is a name in `mapper_flights.WORLDS`.
     """
@@ -48,13 +48,13 @@ def code_of(world: str) -> str:
 
 
 def _file_name(world: str) -> str:
-    """Replace all characters of a terrain name that are not letters or digits."""
+    """Return a terrain name with "_" for all characters except letters and digits."""
     return "".join(c if c.isalnum() else "_" for c in world)
 
 
-def _tables(made: MapperFlight) -> dict[str, Any]:
+def _flight_to_json(flight: MapperFlight) -> dict[str, Any]:
     """Return a flight as nested dictionaries and lists for exact storage in JSON."""
-    return json.loads(json.dumps(asdict(made), default=np.ndarray.tolist))  # type: ignore[no-any-return]
+    return json.loads(json.dumps(asdict(flight), default=np.ndarray.tolist))  # type: ignore[no-any-return]
 
 
 def _load(file: Path, task: MapperFlightTask) -> MapperFlight:
@@ -67,17 +67,19 @@ def _load(file: Path, task: MapperFlightTask) -> MapperFlight:
                 f"or "
                 "choose another one with --out."
             )
-        return MapperFlight(kept["rows"], {name: _mapped(m) for name, m in kept["maps"].items()})
+        return MapperFlight(
+            kept["rows"], {name: _mapper_record(m) for name, m in kept["maps"].items()}
+        )
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise click.ClickException(f"{file} is not a saved flight ({error}). Delete it.") from None
 
 
-def _mapped(kept: dict[str, Any]) -> MapperRecord:
-    """Return the results of one mapper from their JSON form."""
-    ends = [_map_evaluation(kept[moment]) for moment in ("first", "last")]
-    return MapperRecord(*ends, seconds=kept["seconds"], megabytes=kept["megabytes"])
+def _mapper_record(stored: dict[str, Any]) -> MapperRecord:
+    """Convert the stored results of one mapper from JSON."""
+    ends = [_map_evaluation(stored[moment]) for moment in ("first", "last")]
+    return MapperRecord(*ends, seconds=stored["seconds"], megabytes=stored["megabytes"])
 
 
-def _map_evaluation(kept: dict[str, Any] | None) -> MapEvaluation | None:
-    """Return a map evaluation from its JSON form; None without one."""
-    return MapEvaluation(**{name: np.array(v) for name, v in kept.items()}) if kept else None
+def _map_evaluation(stored: dict[str, Any] | None) -> MapEvaluation | None:
+    """Convert a stored map evaluation from JSON; None if there is none."""
+    return MapEvaluation(**{name: np.array(v) for name, v in stored.items()}) if stored else None

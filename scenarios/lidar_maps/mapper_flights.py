@@ -72,7 +72,7 @@ STRATA = (
 
 @dataclass(frozen=True)
 class MapperFlightTask:
-    """Settings of the flights with all maps over one terrain.
+    """Settings of the flights over one terrain, one with each map and policy.
 
     `world` is a name in `WORLDS`; `flight` (index) and `seed` (root seed) determine the random
     numbers.
@@ -124,12 +124,12 @@ class MapperRecord:
 
 @dataclass(frozen=True)
 class MapperFlight:
-    """Results of the flights with all maps over one terrain.
+    """Results of the flights over one terrain, one with each map and policy.
 
     Attributes
     ----------
     rows
-        Flight metrics by map and policy (a name in `WAYS`).
+        Flight metrics by name of the map and policy in `WAYS`.
     maps
         Map evaluations by mapper.
     """
@@ -151,14 +151,14 @@ def with_mappers(scenario: Scenario, mappers: tuple[str, ...]) -> Scenario:
     17 of its paper) or "quadtree".
     """
     name = next(iter(scenario.mappers))
-    tables: dict[str, Any] = {m: _table(scenario, m) for m in mappers}
+    tables: dict[str, Any] = {m: _mapper_table(scenario, m) for m in mappers}
     if name not in tables:
         tables[name] = None
     return scenario.changed(mappers=tables, decisions={"map": mappers[0]})
 
 
-def _table(scenario: Scenario, mapper: str) -> dict[str, Any]:
-    """Return the table of a mapper with the grid of the scenario's first mapper."""
+def _mapper_table(scenario: Scenario, mapper: str) -> dict[str, Any]:
+    """Return the scenario table of a mapper, with the grid of the first mapper."""
     own = next(iter(scenario.mappers.values()))
     table = {"sensor": own.sensor, "size_m": own.size_m, "posting_m": own.posting_m}
     # As often as decisions are made.
@@ -221,23 +221,22 @@ def strata_of(world: World, truth: TerrainTruth) -> np.ndarray:
     return np.where(slope >= 1.0, 3, np.where(near, 2, np.where(slope >= 0.5, 1, 0)))
 
 
-def judge(
-    hazard_map: HazardMap, where: np.ndarray, safe: np.ndarray, strata: np.ndarray
+def evaluate_map(
+    hazard_map: HazardMap, selected: np.ndarray, safe: np.ndarray, strata: np.ndarray
 ) -> MapEvaluation:
     """Evaluate selected cells of a hazard map by their true safety and terrain class.
 
-    `where`, `safe` and `strata` (rows, cols) are the selection, the truth and the class of the
-    cells.
+    `selected` (rows, cols) marks the cells; `safe` and `strata` are their true safety and class.
     """
-    p = np.where(hazard_map.observed, hazard_map.p_safe, 0.0)[where].astype(np.float64)
-    s, k = safe[where], strata[where]
+    p = np.where(hazard_map.observed, hazard_map.p_safe, 0.0)[selected].astype(np.float64)
+    s, k = safe[selected], strata[selected]
     called = p > 0.5
     counts = np.stack(
         [np.bincount(k[c], minlength=len(STRATA))
          for c in (called & s, called & ~s, ~called & s, ~called & ~s)], axis=-1,
     )  # fmt: skip
     claim = hazard_map.observed if hazard_map.in_domain is None else hazard_map.in_domain
-    c = (claim & hazard_map.observed)[where]
+    c = (claim & hazard_map.observed)[selected]
     claimed = np.stack(
         [np.bincount(k[c], weights=w[c], minlength=len(STRATA))
          for w in (np.ones(p.size), s.astype(np.float64), (p - s) ** 2)], axis=-1,
@@ -245,15 +244,16 @@ def judge(
     return MapEvaluation(counts, claimed, reliability(p[c], s[c], EDGES))
 
 
-def raster_under(
-    grid: Grid, error: np.ndarray, truth: TerrainTruth, raster: np.ndarray
+def truth_on_map_grid(
+    grid: Grid, navigation_error: np.ndarray, truth: TerrainTruth, raster: np.ndarray
 ) -> np.ndarray:
-    """Return the values of a truth raster at the cells of a map; clipped at its edge.
+    """Return the values of a truth raster at the cells of a map grid.
 
-    `error` is the navigation error (map minus true position), m.
+    Cells outside the raster have the value at its edge. `navigation_error` is map minus true
+    position, m.
     """
     own = truth.safety.grid
-    xy = grid.centres() - error[:2]
+    xy = grid.centres() - navigation_error[:2]
     row, col = own.cell(xy)
     at = np.clip(row, 0, own.rows - 1), np.clip(col, 0, own.cols - 1)
     return raster[at]
@@ -263,7 +263,7 @@ Maps = dict[str, HazardMap]
 
 
 def fly(task: MapperFlightTask) -> MapperFlight:
-    """Simulate the flights with all maps over one terrain; return their results."""
+    """Simulate the flights over one terrain, one with each map and policy."""
     plain = scenario_of(task.world)
     world = build_world(plain, RandomStreams(flight_seed(task.seed, task.flight)))
     truth = TerrainTruth.of(world, plain.vehicle.make())
@@ -276,15 +276,15 @@ def fly(task: MapperFlightTask) -> MapperFlight:
             with_mappers(plain, carried), seed, policy, world=world, truth=truth
         )
         if n == 0:
-            maps = _with_all(simulation, strata_of(world, truth))
+            maps = _fly_all_mappers(simulation, strata_of(world, truth))
         else:
             simulation.run()
         rows[way] = evaluate(simulation.flight(), truth)
     return MapperFlight(rows, maps)
 
 
-def _with_all(simulation: Simulation, strata: np.ndarray) -> dict[str, MapperRecord]:
-    """Fly with all mappers and evaluate all maps at the first and the last decision.
+def _fly_all_mappers(simulation: Simulation, strata: np.ndarray) -> dict[str, MapperRecord]:
+    """Fly with all mappers; evaluate their maps at the first and the last decision.
 
     `strata` (rows, cols) is the terrain class of the truth cells.
     """
@@ -297,7 +297,7 @@ def _with_all(simulation: Simulation, strata: np.ndarray) -> dict[str, MapperRec
             if any(m.observed.any() for m in drawn.values()):
                 seen = [*seen[:1], (drawn, simulation.navigation_error)]
         simulation.step()
-    ends = [judge_all(*moment, simulation.truth, strata) for moment in seen[:1] + seen[-1:]]
+    ends = [evaluate_maps(*moment, simulation.truth, strata) for moment in seen[:1] + seen[-1:]]
     return {
         name: MapperRecord(
             *((ends[0][name], ends[-1][name]) if ends else (None, None)), clocks[name].seconds,
@@ -307,26 +307,28 @@ def _with_all(simulation: Simulation, strata: np.ndarray) -> dict[str, MapperRec
     }  # fmt: skip
 
 
-def judge_all(
-    maps: Maps, error: np.ndarray, truth: TerrainTruth, strata: np.ndarray
+def evaluate_maps(
+    maps: Maps, navigation_error: np.ndarray, truth: TerrainTruth, strata: np.ndarray
 ) -> dict[str, MapEvaluation]:
-    """Evaluate several maps over all terrain that any of them has observed.
+    """Evaluate several maps over the terrain that at least one of them has observed.
 
-    `error` is the navigation error (m), `strata` the terrain class of the truth cells. Unobserved
-    cells count as not called safe. Each map is evaluated on its own grid, because mappers can
-    center their grids on different points.
+    `navigation_error` is map minus true position, m; `strata` is the class of the truth cells.
+    Unobserved cells count as not called safe. Each map is evaluated on its own grid, because
+    mappers can center their grids on different points.
     """
     out = {}
     for name, drawn in maps.items():
-        where = np.logical_or.reduce([seen_under(drawn.grid, m) for m in maps.values()])
-        where &= truth.safety.grid.contains(drawn.grid.centres() - error[:2])
-        where &= raster_under(drawn.grid, error, truth, truth.safety.observed)
-        safe = raster_under(drawn.grid, error, truth, truth.safety.safe)
-        out[name] = judge(drawn, where, safe, raster_under(drawn.grid, error, truth, strata))
+        where = np.logical_or.reduce([observed_on_grid(drawn.grid, m) for m in maps.values()])
+        where &= truth.safety.grid.contains(drawn.grid.centres() - navigation_error[:2])
+        where &= truth_on_map_grid(drawn.grid, navigation_error, truth, truth.safety.observed)
+        safe = truth_on_map_grid(drawn.grid, navigation_error, truth, truth.safety.safe)
+        out[name] = evaluate_map(
+            drawn, where, safe, truth_on_map_grid(drawn.grid, navigation_error, truth, strata)
+        )
     return out
 
 
-def seen_under(grid: Grid, hazard_map: HazardMap) -> np.ndarray:
+def observed_on_grid(grid: Grid, hazard_map: HazardMap) -> np.ndarray:
     """Return whether a hazard map has observed each cell of a grid (rows, cols)."""
     own, xy = hazard_map.grid, grid.centres()
     row, col = own.cell(xy)

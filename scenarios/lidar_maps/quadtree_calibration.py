@@ -15,7 +15,7 @@ import click
 import numpy as np
 from calibration import SITES, CalibrationMethod, options, study
 from scene_cache import SceneSites
-from worlds import LANDERS, UPRIGHT, LidarScene, scenes
+from worlds import LANDERS, UPRIGHT, LidarScene, sample_matrix
 
 from lunarsim import exact_safety
 from lunarsim.onboard.hazards.quadtree import QuadtreeMap, SiteSelector, SiteSettings
@@ -38,15 +38,15 @@ ZONE = 1.35
 MIN_RANGE, MAX_RANGE = 80.0, 420.0
 
 
-def judge(scene: LidarScene) -> SceneSites:
-    """Build a quadtree from LiDAR scans of a scene; evaluate some of its sites."""
+def evaluate_scene(scene: LidarScene) -> SceneSites:
+    """Build a quadtree from LiDAR scans of a scene; evaluate a sample of its sites."""
     terrain, grid, lander = scene.terrain(), scene.grid(), LANDERS[scene.lander]
     west, east, _, _ = grid.extent
     level = float(terrain.elevation(np.zeros(2)))
     quadtree = QuadtreeMap((0.0, 0.0, level), east - west, 0.1)
     for n in range(FLASHES):
         nearer = replace(scene, distance=scene.distance * (1.0 - 0.08 * n))
-        scan, position = nearer.flash(terrain)
+        scan, position = nearer.simulate_scan(terrain)
         quadtree.insert(scan.points(position, UPRIGHT))
         noise = float(np.nanmedian(scan.height_sigma(UPRIGHT)))
     footprint = lander.leg_radius + 0.5 * lander.pad_diameter
@@ -78,24 +78,29 @@ def judge(scene: LidarScene) -> SceneSites:
     )
 
 
-def draw_scenes(count: int, seed: int) -> list[LidarScene]:
+def sample_scenes(count: int, seed: int) -> list[LidarScene]:
     """Sample scenes at ranges that give the point density of the quadtree paper."""
     rng = np.random.default_rng([seed, 98])
     reach = np.exp(rng.uniform(np.log(MIN_RANGE), np.log(MAX_RANGE), count))
-    deck = scenes(count, seed)
+    deck = sample_matrix(count, seed)
     return [replace(s, distance=float(r)) for s, r in zip(deck, reach, strict=True)]
 
 
 @click.command()
 @options(240, "lunarsim/onboard/hazards/quadtree/calibration.json")
-def main(**wanted: Any) -> None:
+def main(**values: Any) -> None:
     """Fit the safety probability of the quadtree; test it on held-out terrains."""
     command = "scenarios/lidar_maps/quadtree_calibration.py"
     study(
         CalibrationMethod(
-            command, judge, draw_scenes, MONOTONE_FEATURES, LOG_ODDS_MARGIN, MAX_CLAIMED_UNSAFE
+            command,
+            evaluate_scene,
+            sample_scenes,
+            MONOTONE_FEATURES,
+            LOG_ODDS_MARGIN,
+            MAX_CLAIMED_UNSAFE,
         ),
-        **wanted,
+        **values,
     )
 
 

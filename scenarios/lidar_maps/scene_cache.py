@@ -27,7 +27,7 @@ class SceneSites:
 
     `features` (n, features) are the inputs of the calibrated probability, `known` (n,) whether a
     site is in its domain. `observed_terrain_bound` is an upper bound of p_safe everywhere,
-    `outside_domain_bound` only outside the domain. Sites with `doomed` may be classified as
+    `outside_domain_bound` only outside the domain. Only sites with `doomed` may be classified as
     certainly unsafe. `cover` (rock cover of the scene) and `slope` (n,) select the stratum; `safe`
     (n,) is the truth.
     """
@@ -54,16 +54,16 @@ ARRAYS = (
 )
 
 
-def evaluated_scenes(
-    judge: Callable[[LidarScene], SceneSites],
-    deck: list[LidarScene],
+def load_or_evaluate(
+    evaluate: Callable[[LidarScene], SceneSites],
+    scenes: list[LidarScene],
     file: Path | None,
     jobs: int,
     console: Console,
 ) -> list[SceneSites]:
     """Read evaluated scenes from a file; if it is missing, compute and write them.
 
-    `judge` evaluates one scene; `deck` are the scenes.
+    `evaluate` maps one scene and evaluates its sites.
 
     Raises
     ------
@@ -71,14 +71,14 @@ def evaluated_scenes(
         If the file holds other scenes, or was computed with different code.
     """
     if file is None or not file.exists():
-        evaluated = collect_results(judge, deck, jobs, console, "scenes")
+        evaluated = collect_results(evaluate, scenes, jobs, console, "scenes")
         if file is not None:
             _save(evaluated, file)
         return evaluated
     evaluated = _load(file)
-    if [j.scene for j in evaluated] != deck:
+    if [j.scene for j in evaluated] != scenes:
         raise click.ClickException(f"{file} holds other scenes. Delete it or choose another file.")
-    first = judge(deck[0])
+    first = evaluate(scenes[0])
     same = first.cover == evaluated[0].cover and all(
         np.array_equal(getattr(first, name), getattr(evaluated[0], name), equal_nan=True)
         for name in ARRAYS

@@ -53,7 +53,7 @@ ANGLES = (0.0, 30.0, 60.0)
 
 @dataclass(frozen=True)
 class LidarScene:
-    """One cell of the matrix: terrain, lander and LiDAR scan.
+    """One test case of the calibration studies: terrain, lander and LiDAR scan.
 
     Attributes
     ----------
@@ -76,7 +76,7 @@ class LidarScene:
     seed: int
 
     def rng(self, stream: int) -> np.random.Generator:
-        """Return the random generator number `stream` of this scene."""
+        """Return the scene's random generator number `stream`."""
         return np.random.default_rng([self.seed, stream])
 
     def terrain(self) -> Terrain:
@@ -88,10 +88,10 @@ class LidarScene:
         """Return the map grid: the area covered by the scan, at most `MAX_MAP_SIDE` wide."""
         return Grid.centred((0.0, 0.0), min(MAX_MAP_SIDE, 0.2 * self.distance), POSTING)
 
-    def flash(self, terrain: Terrain) -> tuple[LidarScan, np.ndarray]:
-        """Simulate a LiDAR scan of the map center; return scan and position (3,), m.
+    def simulate_scan(self, terrain: Terrain) -> tuple[LidarScan, np.ndarray]:
+        """Simulate a LiDAR scan of the map center; return it and the sensor position.
 
-        The position is that of the sensor.
+        The position (3,) is in m.
         """
         angle, azimuth = np.deg2rad(self.angle_deg), self.rng(2).uniform(0.0, 2.0 * np.pi)
         away = np.array([np.cos(azimuth), np.sin(azimuth)])
@@ -115,14 +115,14 @@ def relief(name: str, seed: int) -> Heightfield:
     grid = Grid.centred((0.0, 0.0), SIDE, RELIEF_POSTING)
     rng = np.random.default_rng([seed, 0])
     if kind in {"hirise", "apollo15"}:
-        return _measured(kind, float(figure or 1.0))
+        return _measured_relief(kind, float(figure or 1.0))
     if kind in {"flat", "tilt"}:
         tilt, azimuth = np.tan(np.deg2rad(float(figure or 0.0))), rng.uniform(0.0, 2.0 * np.pi)
         xy = grid.centres()
         z = tilt * (np.cos(azimuth) * xy[..., 0] + np.sin(azimuth) * xy[..., 1])
         return Heightfield(grid, z.astype(np.float32))
     if kind in {"trenches", "pits"}:
-        return _cut(kind, rng)
+        return _trenches_or_pits(kind, rng)
     hurst = {"fractal": 0.85, "rough": 0.6, "craters": 0.9}[kind]
     slope = np.deg2rad(float(figure or 3.0))
     heightfield = fractal_relief(grid, rng, hurst=hurst, rms_slope=slope)
@@ -131,7 +131,7 @@ def relief(name: str, seed: int) -> Heightfield:
     return heightfield
 
 
-def _cut(kind: str, rng: np.random.Generator) -> Heightfield:
+def _trenches_or_pits(kind: str, rng: np.random.Generator) -> Heightfield:
     """Generate smooth terrain with parallel trenches or with pits of one size.
 
     `kind` is "trenches" or "pits".
@@ -157,7 +157,7 @@ def _cut(kind: str, rng: np.random.Generator) -> Heightfield:
 
 
 @lru_cache(maxsize=4)
-def _measured(kind: str, scale: float) -> Heightfield:
+def _measured_relief(kind: str, scale: float) -> Heightfield:
     """Load the relief "hirise" or "apollo15"; `scale` multiplies HiRISE heights."""
     part = {
         "hirise": RasterTerrain(
@@ -196,8 +196,8 @@ def rocks(name: str, heightfield: Heightfield, rng: np.random.Generator) -> Rock
     return place_rocks(heightfield, diameters, rng, model=model)
 
 
-def scenes(count: int, seed: int) -> Iterator[LidarScene]:
-    """Yield scenes that use every relief, rock law and lander equally often."""
+def sample_matrix(count: int, seed: int) -> Iterator[LidarScene]:
+    """Yield random scenes that use every relief, rock law and lander equally often."""
     rng = np.random.default_rng([seed, 99])
     decks: dict[str, list[str]] = {}
     for n in range(count):

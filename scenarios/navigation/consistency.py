@@ -82,21 +82,21 @@ CHECKS = ("expected", "shadows", "fits")
 class ConsistencyTask:
     """Settings of one simulated flight of the navigation consistency study.
 
-    `scenario` is the path of the file. `start` (m) and `speed` (m/s) replace the initial position
-    and velocity uncertainty, 1 sigma per axis, and `kind` the kind of navigation; None: that of the
-    scenario. `without` lists removed sensors, `changes` the texts "KEY=VALUE" of changed keys.
+    `scenario` is the path of the file. `position_sigma` (m) and `velocity_sigma` (m/s) replace the
+    initial uncertainty, 1 sigma per axis, and `kind` the kind of navigation; None: that of the
+    scenario. `changes` holds the texts "KEY=VALUE" of changed scenario keys.
     `flight` and `seed` (root seed) determine the random numbers; `policy` selects the landing
     sites.
     """
 
     scenario: str
-    start: float | None
+    position_sigma: float | None
     flight: int
     seed: int
     policy: str
     kind: str | None
-    speed: float | None = None
-    without: tuple[str, ...] = ()
+    velocity_sigma: float | None = None
+    removed_sensors: tuple[str, ...] = ()
     changes: tuple[str, ...] = ()
 
 
@@ -109,16 +109,16 @@ class ConsistencyFlight:
     error, covariance
         Errors of position (m), velocity (m/s) and attitude (rad), ENU, at the e epochs (e, 9), and
         their covariance (e, 9, 9).
-    latest, innovations
-        Sums of normalised squared innovations (NIS) before each epoch, by kind of measurement: of
-        the last cycle with a measurement, and of all cycles since the previous epoch.
-    totals
-        The same sums for the complete flight.
-    refused, inflated
+    latest_nis, nis_between_epochs
+        Sums of normalised squared innovations (NIS) before each epoch, by kind of measurement:
+        only the last cycle with a measurement, or all cycles since the previous epoch.
+    total_nis
+        Sums of NIS over the complete flight, by kind of measurement.
+    rejected, inflated
         Number of rejected measurements by kind; number of `covariance-inflated` events (suspect
         measurements).
     lost
-        Whether navigation declared itself lost at the end, and whether it ever did.
+        Whether navigation declared itself lost at the end, and at any time.
     start_error, map_error
         Position error at the start, and at touchdown, m.
     safe
@@ -127,10 +127,10 @@ class ConsistencyFlight:
 
     error: np.ndarray
     covariance: np.ndarray
-    latest: list[dict[str, Consistency]]
-    innovations: list[dict[str, Consistency]]
-    totals: dict[str, Consistency]
-    refused: dict[str, int]
+    latest_nis: list[dict[str, Consistency]]
+    nis_between_epochs: list[dict[str, Consistency]]
+    total_nis: dict[str, Consistency]
+    rejected: dict[str, int]
     inflated: int
     lost: tuple[bool, bool]
     start_error: float
@@ -141,12 +141,12 @@ class ConsistencyFlight:
 def fly(task: ConsistencyTask) -> ConsistencyFlight:
     """Simulate one flight and record navigation errors, covariances and innovations."""
     scenario = with_changes(Scenario.load(Path(task.scenario)), task.changes)
-    if task.start is not None:
-        scenario = scenario.changed(initial_uncertainty={"position_m": task.start})
-    if task.speed is not None:
-        scenario = scenario.changed(initial_uncertainty={"velocity_m_s": task.speed})
-    if task.without:
-        scenario = scenario.changed(sensors=dict.fromkeys(task.without))
+    if task.position_sigma is not None:
+        scenario = scenario.changed(initial_uncertainty={"position_m": task.position_sigma})
+    if task.velocity_sigma is not None:
+        scenario = scenario.changed(initial_uncertainty={"velocity_m_s": task.velocity_sigma})
+    if task.removed_sensors:
+        scenario = scenario.changed(sensors=dict.fromkeys(task.removed_sensors))
     if task.kind is not None:
         scenario = scenario.changed(navigation={"kind": task.kind})
     simulation = Simulation(scenario, flight_seed(task.seed, task.flight), task.policy)
@@ -161,15 +161,15 @@ def fly(task: ConsistencyTask) -> ConsistencyFlight:
     last: dict[str, Consistency] = {}
     start = float(np.linalg.norm(error_of(simulation)[:3]))
     while not simulation.done:
-        already = totals(navigation)
+        already = nis_sums(navigation)
         simulation.step()
-        new = difference(already, totals(navigation))
+        new = subtract_sums(already, nis_sums(navigation))
         last |= {kind: c for kind, c in new.items() if c.degrees}
         if due and not simulation.done and simulation.time >= due[0] - 1e-9:
             due.pop(0)
             errors.append(error_of(simulation))
             covariances.append(simulation.estimate.covariance)
-            before.append(totals(navigation))
+            before.append(nis_sums(navigation))
             latest.append(last)
             last = {}
     names = [name for _, name, _ in simulation.computer.telemetry]
@@ -177,9 +177,9 @@ def fly(task: ConsistencyTask) -> ConsistencyFlight:
         np.array(errors).reshape(-1, 9),
         np.array(covariances).reshape(-1, 9, 9),
         latest,
-        [difference(a, b) for a, b in pairwise(({}, *before))],
-        totals(navigation),
-        {k: w.rejected_count for k, w in navigation.monitors.items() if corrects(k)},
+        [subtract_sums(a, b) for a, b in pairwise(({}, *before))],
+        nis_sums(navigation),
+        {k: w.rejected_count for k, w in navigation.monitors.items() if corrects_state(k)},
         names.count("covariance-inflated"),
         (simulation.computer.estimate.lost, "lost" in names),
         start,
@@ -188,32 +188,32 @@ def fly(task: ConsistencyTask) -> ConsistencyFlight:
     )
 
 
-def corrects(kind: str) -> bool:
+def corrects_state(kind: str) -> bool:
     """Return whether a monitored quantity corrects the navigation state.
 
-    `kind` is its name; some monitored quantities are only checked.
+    `kind` is the name of the quantity. The filter only checks the other quantities.
     """
     return kind.rsplit(maxsplit=1)[-1] not in CHECKS
 
 
-def totals(navigation: Navigator | UnscentedFilter) -> dict[str, Consistency]:
-    """Return the sums of normalised squared innovations by kind of measurement."""
+def nis_sums(navigation: Navigator | UnscentedFilter) -> dict[str, Consistency]:
+    """Return the sums of normalised squared innovations (NIS) by kind of measurement."""
     return {
         kind: Consistency(w.nis_sum, w.dof)
-        for kind, w in navigation.monitors.items() if corrects(kind)
+        for kind, w in navigation.monitors.items() if corrects_state(kind)
     }  # fmt: skip
 
 
-def difference(
-    before: dict[str, Consistency], now: dict[str, Consistency]
+def subtract_sums(
+    before: dict[str, Consistency], after: dict[str, Consistency]
 ) -> dict[str, Consistency]:
-    """Subtract two sets of innovation sums: those at time `now` minus those `before`."""
+    """Return the innovation sums of a time interval, from those at its two ends."""
     none = Consistency()
     return {
         kind: Consistency(
             c.total - before.get(kind, none).total, c.degrees - before.get(kind, none).degrees
         )
-        for kind, c in now.items()
+        for kind, c in after.items()
     }
 
 
@@ -234,18 +234,20 @@ def error_of(simulation: Simulation) -> np.ndarray:
     )
 
 
-def nees_of(flights: list[ConsistencyFlight], epoch: int, keep: np.ndarray) -> Consistency:
+def nees_of(flights: list[ConsistencyFlight], epoch: int, components: np.ndarray) -> Consistency:
     """Return the NEES of selected state errors at an epoch, summed over the flights.
 
-    NEES is the normalised estimation error squared. `epoch` is an index of `EPOCHS`; `keep` holds
-    the indices of the selected errors among the nine. Flights that ended before the epoch are
-    omitted.
+    NEES is the normalised estimation error squared. `epoch` is an index of `EPOCHS`; `components`
+    holds the indices of the selected errors among position, velocity and attitude (9). Flights that
+    ended before the epoch are omitted.
     """
     found = Consistency()
     for f in flights:
         if len(f.error) > epoch:
-            own = f.covariance[epoch][np.ix_(keep, keep)]
-            found = found.plus(normalised_squared_error(f.error[epoch, keep], own), len(keep))
+            own = f.covariance[epoch][np.ix_(components, components)]
+            found = found.plus(
+                normalised_squared_error(f.error[epoch, components], own), len(components)
+            )
     return found
 
 
@@ -269,23 +271,17 @@ def nees_table(flights: list[ConsistencyFlight]) -> Table:
     return table
 
 
-def nis_table(flights: list[ConsistencyFlight], which: str, title: str) -> Table:
+def nis_table(flights: list[ConsistencyFlight], attribute: str, title: str) -> Table:
     """Return the table of NIS per degree of freedom by kind of measurement and epoch.
 
-    NIS is the normalised innovation squared.
-
-    Parameters
-    ----------
-    which
-        Attribute of `ConsistencyFlight` that holds the innovation sums: "latest" or "innovations".
-    title
-        Description of these innovations for the title of the table.
+    NIS is the normalised innovation squared. `attribute` of the flights holds its sums:
+    "latest_nis" or "nis_between_epochs"; `title` describes them in the title of the table.
     """
     table = Table(title=f"NIS / degrees of freedom, {title}; !: outside {100 * LEVEL:g} % bounds")
     for heading in ("measurement", *(f"{share:.2f}" for share in EPOCHS), "bounds at last epoch",
                     "rejected"):  # fmt: skip
         table.add_column(heading, justify="left" if heading == "measurement" else "right")
-    by_epoch = [[getattr(f, which)[k] for f in flights if len(f.innovations) > k]
+    by_epoch = [[getattr(f, attribute)[k] for f in flights if len(f.nis_between_epochs) > k]
                 for k in range(len(EPOCHS))]  # fmt: skip
     for kind in sorted({kind for at in by_epoch for one in at for kind in one}):
         cells, bounds = [], ""
@@ -298,21 +294,16 @@ def nis_table(flights: list[ConsistencyFlight], which: str, title: str) -> Table
             low, high = total.bounds(LEVEL)
             cells.append(f"{total.ratio:.2f}{'' if total.holds(LEVEL) else ' !'}")
             bounds = f"[{low:.2f}, {high:.2f}]"
-        refused = sum(f.refused.get(kind, 0) for f in flights)
+        refused = sum(f.rejected.get(kind, 0) for f in flights)
         table.add_row(kind, *cells, bounds, f"{refused}")
     return table
 
 
-def inconsistencies(flights: list[ConsistencyFlight], modest: float) -> list[str]:
+def inconsistencies(flights: list[ConsistencyFlight], lower_factor: float) -> list[str]:
     """Return a text for each inconsistency between navigation errors and covariance.
 
-    Parameters
-    ----------
-    flights
-        Flights of one variant.
-    modest
-        Factor on the lower bound of NEES (normalised estimation error squared); below 1, larger
-        covariances are permitted.
+    `lower_factor` multiplies the lower bound of NEES (normalised estimation error squared). With a
+    value below 1, larger covariances are permitted.
     """
     out = []
     lost = sum(f.lost[0] for f in flights)
@@ -325,8 +316,10 @@ def inconsistencies(flights: list[ConsistencyFlight], modest: float) -> list[str
             out.append(f"flight {n}: undeclared error of {off.max():.1f} sigma")
     for k, share in enumerate(EPOCHS):
         for part, keep in PARTS.items():
-            out += _outside(f"NEES of {part} at {share}", nees_of(flights, k, keep), modest, 1.0)
-        latest = [f.latest[k] for f in flights if len(f.latest) > k]
+            out += _bound_violation(
+                f"NEES of {part} at {share}", nees_of(flights, k, keep), lower_factor, 1.0
+            )
+        latest = [f.latest_nis[k] for f in flights if len(f.latest_nis) > k]
         for kind in sorted({kind for at in latest for kind in at}):
             found = [at[kind] for at in latest if kind in at]
             total = Consistency(sum(c.total for c in found), sum(c.degrees for c in found))
@@ -334,36 +327,40 @@ def inconsistencies(flights: list[ConsistencyFlight], modest: float) -> list[str
                 next((share for end, share in of.items() if kind.endswith(end)), 1.0)
                 for of in (MIN_NIS_FACTOR, MAX_NIS_FACTOR)
             )
-            out += _outside(f"NIS of {kind} at {share}", total, least, most)
+            out += _bound_violation(f"NIS of {kind} at {share}", total, least, most)
     return out
 
 
-def _outside(name: str, found: Consistency, modest: float, bold: float) -> list[str]:
-    """Return a text if a normalised error is outside its bounds, else an empty list.
+def _bound_violation(
+    name: str, measured: Consistency, lower_factor: float, upper_factor: float
+) -> list[str]:
+    """Return a text if a normalised squared error is outside its bounds, else no text.
 
-    `name` describes the quantity and `found` is its sum. `modest` and `bold` are factors on the
-    lower and the upper bound.
+    `name` describes the quantity and `measured` is its sum. `lower_factor` and `upper_factor`
+    multiply its lower and upper bound.
     """
-    low, high = found.bounds(LEVEL)
-    if modest * low <= found.ratio <= bold * high:
+    low, high = measured.bounds(LEVEL)
+    if lower_factor * low <= measured.ratio <= upper_factor * high:
         return []
-    return [f"{name}: {found.ratio:.3f} is outside {modest * low:.3f} to {bold * high:.3f}"]
+    return [
+        f"{name}: {measured.ratio:.3f} is outside "
+        f"{lower_factor * low:.3f} to {upper_factor * high:.3f}"
+    ]
 
 
-def safe_table(by_start: dict[str, list[ConsistencyFlight]]) -> Table:
-    """Return the table of landing results by initial navigation error.
+def safe_table(flights_by_variant: dict[str, list[ConsistencyFlight]]) -> Table:
+    """Return the table of landing results by variant of the study.
 
-    `by_start` holds the flights of each variant (initial error and kind of navigation) by its name;
-    the first variant is the reference of the others.
+    A variant is an initial error with a kind of navigation. The others are compared with the first.
     """
     table = Table(title="Landings")
     for heading in ("initial error\n(1 sigma per axis, m), kind", "initial error,\nmedian (m)",
                     "touchdown error,\nmedian (m)", "safe landings",
                     "against the first:\nbetter, worse (p)",
-                    "measurements\ndoubted", "lost at the\nend, ever"):  # fmt: skip
+                    "suspect\nmeasurements", "lost at the\nend, ever"):  # fmt: skip
         table.add_column(heading, justify="right")
-    first = [f.safe for f in next(iter(by_start.values()))]
-    for n, (start, flights) in enumerate(by_start.items()):
+    first = [f.safe for f in next(iter(flights_by_variant.values()))]
+    for n, (start, flights) in enumerate(flights_by_variant.items()):
         mine = [f.safe for f in flights]
         landed = Proportion(sum(mine), len(mine))
         low, high = landed.interval
@@ -395,9 +392,9 @@ def flight_to_json(flight: ConsistencyFlight) -> dict[str, Any]:
         nees[part] = sum(squares) / (len(keep) * len(squares)) if squares else None
     nis, last = (
         [{kind: [c.total, c.degrees] for kind, c in at.items() if c.degrees} for at in epochs]
-        for epochs in (flight.innovations, flight.latest)
+        for epochs in (flight.nis_between_epochs, flight.latest_nis)
     )
-    sums = {kind: c.ratio for kind, c in flight.totals.items() if c.degrees}
+    sums = {kind: c.ratio for kind, c in flight.total_nis.items() if c.degrees}
     return {
         "nees": nees, "nis": sums, "nis_at": nis, "nis_last": last, "error": flight.error.tolist(),
         "sigma": [np.sqrt(np.diag(c)).tolist() for c in flight.covariance],
@@ -423,7 +420,7 @@ def flight_to_json(flight: ConsistencyFlight) -> dict[str, Any]:
 )
 @click.option(
     "--position-sigma",
-    "starts",
+    "position_sigmas",
     type=click.FloatRange(min=1e-3),
     multiple=True,
     help="Initial position error, 1 sigma per axis (m); repeatable (default: as in the scenario).",
@@ -437,7 +434,7 @@ def flight_to_json(flight: ConsistencyFlight) -> dict[str, Any]:
 )
 @click.option(
     "--velocity-sigma",
-    "speeds",
+    "velocity_sigmas",
     type=click.FloatRange(min=1e-3),
     multiple=True,
     help="Initial velocity error, 1 sigma per axis (m/s); repeatable (default: of the scenario).",
@@ -450,7 +447,7 @@ def flight_to_json(flight: ConsistencyFlight) -> dict[str, Any]:
     metavar="KEY=VALUE",
     help="Set a scenario key; repeatable.",
 )
-@click.option("--check", "judge", type=click.FloatRange(min=0, max=1, min_open=True),
+@click.option("--check", "lower_factor", type=click.FloatRange(min=0, max=1, min_open=True),
 metavar="MODEST",
               help="Exit with status 1 if inconsistent; MODEST is a factor on "
                    "the lower NEES bound.")  # fmt: skip
@@ -463,14 +460,16 @@ metavar="MODEST",
 )
 @seed_and_jobs
 def main(
-    scenario: str, flights: int, starts: tuple[float, ...], kinds: tuple[str, ...],
-    speeds: tuple[float, ...], without: tuple[str, ...], changes: tuple[str, ...], policy: str,
-    judge: float | None, out: Path | None, seed: int, jobs: int,
+    scenario: str, flights: int, position_sigmas: tuple[float, ...], kinds: tuple[str, ...],
+    velocity_sigmas: tuple[float, ...], without: tuple[str, ...], changes: tuple[str, ...],
+    policy: str, lower_factor: float | None, out: Path | None, seed: int, jobs: int,
 ) -> None:  # fmt: skip
     """Fly a scenario and compare the reported navigation errors with the true ones."""
     console = plain_console(120)
     by_start: dict[str, list[ConsistencyFlight]] = {}
-    for kind, start, speed in product(kinds or (None,), starts or (None,), speeds or (None,)):
+    for kind, start, speed in product(
+        kinds or (None,), position_sigmas or (None,), velocity_sigmas or (None,)
+    ):
         tasks = [
             ConsistencyTask(scenario, start, n, seed, policy, kind, speed, without, changes)
             for n in range(flights)
@@ -482,19 +481,19 @@ def main(
     for name, flown in by_start.items():
         console.print(f"Initial error: {name}")
         console.print(nees_table(flown))
-        console.print(nis_table(flown, "latest", "of the last measurement before each epoch"))
+        console.print(nis_table(flown, "latest_nis", "of the last measurement before each epoch"))
         console.print(
-            nis_table(flown, "innovations", "of all measurements since the previous epoch")
+            nis_table(flown, "nis_between_epochs", "of all measurements since the previous epoch")
         )
     console.print(safe_table(by_start))
     if out is not None:
         written = {name: [flight_to_json(f) for f in flown] for name, flown in by_start.items()}
         out.write_text(json.dumps(written, indent=1))
-    if judge is not None:
+    if lower_factor is not None:
         wrong = [
             f"{name}: {w}"
             for name, flown in by_start.items()
-            for w in inconsistencies(flown, judge)
+            for w in inconsistencies(flown, lower_factor)
         ]
         for line in wrong:
             console.print(line)

@@ -38,19 +38,19 @@ STEP = 0.01  # interval of inertial samples, s
 
 @dataclass(frozen=True)
 class FaultState:
-    """Inputs of a function that applies an instrument fault to a measurement.
+    """Time, limits and random generator that an instrument fault depends on.
 
     Attributes
     ----------
-    since
+    elapsed
         Time since the start of the fault, s.
     limits
-        Limits of the outlier rejection of inertial samples.
+        Limits beyond which navigation rejects inertial samples.
     rng
         Random generator of the fault.
     """
 
-    since: float
+    elapsed: float
     limits: ImuSampleLimits
     rng: np.random.Generator
 
@@ -58,46 +58,48 @@ class FaultState:
 Tamper = Callable[[Any, FaultState], Any]
 
 
-def fault_of_kind(kind: type, change: Tamper) -> Tamper:
-    """Return a fault that changes the measurements of one class and no others.
+def fault_of_measurement(measurement_type: type, apply_fault: Tamper) -> Tamper:
+    """Return a fault that is applied to the measurements of one class only.
 
-    `kind` is the class and `change` the function of measurement and fault state.
+    `apply_fault` maps a measurement and the fault state to the faulty measurement.
     """
-    return lambda m, now: change(m, now) if isinstance(m, kind) else m
+    return lambda m, now: apply_fault(m, now) if isinstance(m, measurement_type) else m
 
 
-def lost_samples(m: InertialSamples, now: FaultState) -> InertialSamples:
+def drop_samples(samples: InertialSamples, fault: FaultState) -> InertialSamples:
     """Replace a random fifth of the inertial samples of a cycle with NaN."""
-    gone = now.rng.random(len(m.angle)) < 0.2
-    angle, velocity = m.angle.copy(), m.velocity.copy()
+    gone = fault.rng.random(len(samples.angle)) < 0.2
+    angle, velocity = samples.angle.copy(), samples.velocity.copy()
     angle[gone], velocity[gone] = np.nan, np.nan
-    return replace(m, angle=angle, velocity=velocity)
+    return replace(samples, angle=angle, velocity=velocity)
 
 
-def gyroscope_spike(m: InertialSamples, now: FaultState) -> InertialSamples:
+def add_gyroscope_spike(samples: InertialSamples, fault: FaultState) -> InertialSamples:
     """Rotate one inertial sample per cycle by slightly less than the rejection limit."""
-    angle = m.angle.copy()
+    angle = samples.angle.copy()
     angle[len(angle) // 2, 0] += (
-        0.95 * STEP * (now.limits.max_change[0] + 0.8 * now.limits.max_noise[0])
+        0.95 * STEP * (fault.limits.max_change[0] + 0.8 * fault.limits.max_noise[0])
     )
-    return replace(m, angle=angle)
+    return replace(samples, angle=angle)
 
 
-def beam_biases(*off: float) -> Tamper:
+def beam_biases(*biases: float) -> Tamper:
     """Return a fault that adds a constant bias to each Doppler beam.
 
-    `off` holds the bias of each beam, m/s.
+    `biases` are in m/s, one per beam.
     """
-    return fault_of_kind(DopplerReading, lambda m, now: replace(m, speed=m.speed + np.array(off)))
+    return fault_of_measurement(
+        DopplerReading, lambda m, now: replace(m, speed=m.speed + np.array(biases))
+    )
 
 
-def beam_drifts(*rate: float) -> Tamper:
+def beam_drifts(*drifts: float) -> Tamper:
     """Return a fault that adds a linear drift to each Doppler beam.
 
-    `rate` holds the drift of each beam, m/s^2.
+    `drifts` are in m/s^2, one per beam.
     """
-    return fault_of_kind(
-        DopplerReading, lambda m, now: replace(m, speed=m.speed + now.since * np.array(rate))
+    return fault_of_measurement(
+        DopplerReading, lambda m, now: replace(m, speed=m.speed + now.elapsed * np.array(drifts))
     )
 
 
@@ -108,10 +110,10 @@ def star_tracker_rotation(angle: float, rate: float = 0.0) -> Tamper:
     """
 
     def change(m: AttitudeReading, now: FaultState) -> AttitudeReading:
-        off = quat_from_rotation_vector(np.deg2rad([angle + rate * now.since, 0.0, 0.0]))
+        off = quat_from_rotation_vector(np.deg2rad([angle + rate * now.elapsed, 0.0, 0.0]))
         return replace(m, attitude=quat_multiply(m.attitude, off))
 
-    return fault_of_kind(AttitudeReading, change)
+    return fault_of_measurement(AttitudeReading, change)
 
 
 def accelerometer_bias(bias: float, rate: float = 0.0) -> Tamper:
@@ -119,23 +121,25 @@ def accelerometer_bias(bias: float, rate: float = 0.0) -> Tamper:
 
     `bias` is in m/s^2, `rate` in m/s^3.
     """
-    return fault_of_kind(
+    return fault_of_measurement(
         InertialSamples,
         lambda m, now: replace(
-            m, velocity=m.velocity + STEP * np.array([bias + rate * now.since, 0.0, 0.0])
+            m, velocity=m.velocity + STEP * np.array([bias + rate * now.elapsed, 0.0, 0.0])
         ),
     )
 
 
 FAULTS: dict[str, Tamper] = {
     "none": lambda m, now: m,
-    "altimeter 10 % long": fault_of_kind(
+    "altimeter 10 % long": fault_of_measurement(
         AltimeterReading, lambda m, now: replace(m, range=1.1 * m.range)
     ),
-    "altimeter 30 m short": fault_of_kind(
+    "altimeter 30 m short": fault_of_measurement(
         AltimeterReading, lambda m, now: replace(m, range=m.range - 30.0)
     ),
-    "altimeter dead": fault_of_kind(AltimeterReading, lambda m, now: replace(m, range=np.nan)),
+    "altimeter dead": fault_of_measurement(
+        AltimeterReading, lambda m, now: replace(m, range=np.nan)
+    ),
     "one beam off by 0.5 m/s": beam_biases(0.5, 0.0, 0.0),
     "one beam off by 0.1 m/s": beam_biases(0.1, 0.0, 0.0),
     "two beams off by 0.1 m/s": beam_biases(0.1, 0.1, 0.0),
@@ -144,10 +148,10 @@ FAULTS: dict[str, Tamper] = {
     "one beam drifts by 0.01 m/s2": beam_drifts(0.01, 0.0, 0.0),
     "all beams drift by 0.01 m/s2": beam_drifts(0.01, 0.01, 0.01),
     "all beams drift by 0.003 m/s2": beam_drifts(0.003, 0.003, 0.003),
-    "all beams 5 % slow": fault_of_kind(
+    "all beams 5 % slow": fault_of_measurement(
         DopplerReading, lambda m, now: replace(m, speed=0.95 * m.speed)
     ),
-    "velocimeter dead": fault_of_kind(
+    "velocimeter dead": fault_of_measurement(
         DopplerReading, lambda m, now: replace(m, speed=np.full_like(m.speed, np.nan))
     ),
     "tracker turned by 0.5 deg": star_tracker_rotation(0.5),
@@ -156,12 +160,12 @@ FAULTS: dict[str, Tamper] = {
     "stars drift by 0.02 deg/s": star_tracker_rotation(0.0, 0.02),
     "accelerometer off by 0.05 m/s2": accelerometer_bias(0.05),
     "accelerometer drifts by 0.1 m/s3": accelerometer_bias(0.0, 0.1),
-    "gyroscope off by 0.05 deg/s": fault_of_kind(
+    "gyroscope off by 0.05 deg/s": fault_of_measurement(
         InertialSamples,
         lambda m, now: replace(m, angle=m.angle + STEP * np.deg2rad([0.05, 0.0, 0.0])),
     ),
-    "gyroscope spikes each cycle": fault_of_kind(InertialSamples, gyroscope_spike),
-    "a fifth of the samples lost": fault_of_kind(InertialSamples, lost_samples),
+    "gyroscope spikes each cycle": fault_of_measurement(InertialSamples, add_gyroscope_spike),
+    "a fifth of the samples lost": fault_of_measurement(InertialSamples, drop_samples),
 }
 
 
@@ -200,7 +204,7 @@ class InstrumentFaultFlight:
     safe: bool
 
 
-def limits_of(briefing: Briefing) -> ImuSampleLimits:
+def imu_limits_of(briefing: Briefing) -> ImuSampleLimits:
     """Return the limits beyond which inertial samples of a vehicle are rejected.
 
     `briefing` holds the data about the vehicle that are known before flight.
@@ -223,7 +227,7 @@ def fly(task: InstrumentFaultTask) -> InstrumentFaultFlight:
     rng = np.random.default_rng([task.seed, task.flight])
     take_unchanged = navigation.take
 
-    limits = limits_of(simulation.briefing)
+    limits = imu_limits_of(simulation.briefing)
 
     def take_faulty(sensor: str, measurement: Any, time: float) -> None:
         if time >= FAULT_START_S:

@@ -44,12 +44,12 @@ FIXES = {
 class FixesComparisonTask:
     """Settings of one simulated flight with onboard instruments or position fixes.
 
-    `scenario` is a scenario name, `way` the navigation in `WAYS` ("fixes" or "inertial"). `flight`
+    `scenario` is a scenario name, `navigation` a name in `WAYS` ("fixes" or "inertial"). `flight`
     and `seed` (root seed) determine the random numbers; `policy` selects the landing sites.
     """
 
     scenario: str
-    way: str
+    navigation: str
     flight: int
     seed: int
     policy: str
@@ -85,8 +85,8 @@ class FixesComparisonFlight:
     seconds: float
 
 
-def scenario_of(name: str, way: str) -> Scenario:
-    """Load a scenario; replace instruments with position fixes if `way` is "fixes".
+def scenario_of(name: str, navigation: str) -> Scenario:
+    """Load a scenario; if `navigation` is "fixes", use fixes instead of instruments.
 
     `name` is the file name without extension.
     """
@@ -94,13 +94,15 @@ def scenario_of(name: str, way: str) -> Scenario:
     if scenario.terrain.kind == "fractal":
         # The published results are for terrain without detail below its grid spacing.
         scenario = scenario.changed(terrain={"detail_m": 0.0})
-    return scenario.changed(sensors=FIXES) if way == "fixes" else scenario
+    return scenario.changed(sensors=FIXES) if navigation == "fixes" else scenario
 
 
 def fly(task: FixesComparisonTask) -> FixesComparisonFlight:
     """Simulate one flight; measure the distance of touchdown from the selected site."""
     simulation = Simulation(
-        scenario_of(task.scenario, task.way), flight_seed(task.seed, task.flight), task.policy
+        scenario_of(task.scenario, task.navigation),
+        flight_seed(task.seed, task.flight),
+        task.policy,
     )
     start_s = time.perf_counter()
     flight = simulation.run()
@@ -119,13 +121,13 @@ def fly(task: FixesComparisonTask) -> FixesComparisonFlight:
     )  # fmt: skip
 
 
-def misses(mine: list[FixesComparisonFlight]) -> tuple[str, str]:
-    """Format the miss distances of flights, and their ratio to the expected ones.
+def miss_texts(flights: list[FixesComparisonFlight]) -> tuple[str, str]:
+    """Format the distances of touchdowns from the site, and their expected values.
 
     Returns two texts: median, 95th percentile and maximum miss (m); median expected miss (m) and
     RMS of the ratio of miss to expectation.
     """
-    miss, expected = np.array([(f.miss, f.expected) for f in mine]).T
+    miss, expected = np.array([(f.miss, f.expected) for f in flights]).T
     down = miss[np.isfinite(miss)]
     if len(down) == 0:
         return "no touchdown", ""
@@ -137,10 +139,10 @@ def misses(mine: list[FixesComparisonFlight]) -> tuple[str, str]:
     return f"{np.median(down):.2f}, {np.quantile(down, 0.95):.2f}, {down.max():.2f}", over
 
 
-def table_of(flown: dict[tuple[str, str], list[FixesComparisonFlight]]) -> Table:
+def table_of(flights: dict[tuple[str, str], list[FixesComparisonFlight]]) -> Table:
     """Return the table of landing results by scenario and kind of navigation.
 
-    `flown` holds the flights by scenario name and navigation ("fixes" or "inertial").
+    `flights` holds the flights by scenario name and navigation ("fixes" or "inertial").
     """
     table = Table(title="Onboard instruments compared with fixes over the same terrain")
     for left in ("scenario", "navigation"):
@@ -151,19 +153,19 @@ def table_of(flown: dict[tuple[str, str], list[FixesComparisonFlight]]) -> Table
                     "inflated,\nlost", "time per flight,\nmedian (s)",
                     "final position error,\nmedian (m)"):  # fmt: skip
         table.add_column(heading, justify="right")
-    for (name, way), mine in flown.items():
+    for (name, way), mine in flights.items():
         landed = Proportion(sum(f.safe for f in mine), len(mine))
         low, high = landed.interval
         pairs = ""
         if way == "inertial":
-            both = list(zip(mine, flown[name, "fixes"], strict=True))
+            both = list(zip(mine, flights[name, "fixes"], strict=True))
             won = sum(a.safe and not b.safe for a, b in both)
             lost = sum(b.safe and not a.safe for a, b in both)
             p = binomtest(won, won + lost).pvalue if won + lost else 1.0
             pairs = f"{won}, {lost} ({p:.2f})"
         table.add_row(
             name, way, f"{landed.count} of {landed.total} [{low:.2f}, {high:.2f}]", pairs,
-            *misses(mine),
+            *miss_texts(mine),
             f"{sum(f.inflated for f in mine)}, {sum(f.lost for f in mine)}",
             f"{np.median([f.seconds for f in mine]):.2f}",
             f"{np.median([f.error for f in mine]):.2f}",

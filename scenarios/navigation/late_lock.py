@@ -37,9 +37,9 @@ class LateLockTask:
 
     Attributes
     ----------
-    late
+    map_time
         Time at which navigation receives the map, s; infinite: never.
-    start
+    position_sigma
         Initial position error, 1 sigma per axis, m; None: that of the scenario.
     scenario
         Path of the scenario file.
@@ -49,8 +49,8 @@ class LateLockTask:
         Name of the retargeting policy.
     """
 
-    late: float
-    start: float | None
+    map_time: float
+    position_sigma: float | None
     scenario: str
     flight: int
     seed: int
@@ -65,16 +65,15 @@ class LateLockFlight:
     ----------
     lock
         Time at which navigation found its position on the map, s; NaN: never.
-    moved
-        Displacement of the landing site in the local frame at the lock, m.
-    jumped
-        Maximum jump of the position estimate in the local frame in one cycle, beyond the flown
-        distance, m.
+    site_displacement
+        Displacement of the landing site in the onboard frame at the lock, m.
+    max_jump
+        Maximum change of the position estimate in one cycle minus the distance flown, m.
     decisions
         Number of retargeting decisions with a map.
-    missed
+    miss
         Distance between touchdown and the selected site, m.
-    sigmas
+    error_sigmas
         Maximum position error on an axis in the last cycle, in standard deviations.
     lost
         Whether navigation declared itself lost at the end.
@@ -83,11 +82,11 @@ class LateLockFlight:
     """
 
     lock: float
-    moved: float
-    jumped: float
+    site_displacement: float
+    max_jump: float
     decisions: int
-    missed: float
-    sigmas: float
+    miss: float
+    error_sigmas: float
     lost: bool
     safe: bool
 
@@ -95,8 +94,8 @@ class LateLockFlight:
 def fly(task: LateLockTask) -> LateLockFlight:
     """Simulate one flight in which navigation receives the prior map at a given time."""
     scenario = Scenario.load(Path(task.scenario))
-    if task.start is not None:
-        scenario = scenario.changed(initial_uncertainty={"position_m": task.start})
+    if task.position_sigma is not None:
+        scenario = scenario.changed(initial_uncertainty={"position_m": task.position_sigma})
     simulation = Simulation(scenario, flight_seed(task.seed, task.flight), task.policy)
     computer = simulation.computer
     navigation = computer.navigation
@@ -105,7 +104,7 @@ def fly(task: LateLockTask) -> LateLockFlight:
     matcher = navigation.processors.pop(navigation.processors.index(navigation.matcher))
     jumped, decisions, sigmas = 0.0, 0, np.nan
     while not simulation.done:
-        if matcher not in navigation.processors and simulation.time >= task.late:
+        if matcher not in navigation.processors and simulation.time >= task.map_time:
             navigation.processors.insert(0, matcher)
         before = simulation.estimate
         if simulation.decision_due and computer.mapper is not None:
@@ -137,10 +136,10 @@ def max_error_sigma(simulation: Simulation) -> float:
     return float((error / np.sqrt(np.diag(simulation.estimate.covariance)[:3])).max())
 
 
-def summary(flown: dict[str, list[LateLockFlight]]) -> Table:
+def table_of(flights_by_variant: dict[str, list[LateLockFlight]]) -> Table:
     """Return the table of landing results by time of map availability.
 
-    `flown` holds the flights by time and initial error; the first entry is the reference.
+    A variant is a time with an initial error. The others are compared with the first.
     """
     table = Table(title="Landings by the time at which the map becomes available")
     for heading in ("map available from, initial error", "flights with\na lock",
@@ -150,23 +149,23 @@ def summary(flown: dict[str, list[LateLockFlight]]) -> Table:
                     "over 5 sigma,\nnot declared lost", "safe landings",
                     "against the first:\nbetter, worse (p)"):  # fmt: skip
         table.add_column(heading, justify="right")
-    first = [f.safe for f in next(iter(flown.values()))]
-    for n, (name, mine) in enumerate(flown.items()):
+    first = [f.safe for f in next(iter(flights_by_variant.values()))]
+    for n, (name, mine) in enumerate(flights_by_variant.items()):
         found = [f for f in mine if np.isfinite(f.lock)]
         safe = [f.safe for f in mine]
         low, high = Proportion(sum(safe), len(safe)).interval
         won = sum(a and not b for a, b in zip(safe, first, strict=True))
         lost = sum(b and not a for a, b in zip(safe, first, strict=True))
         p = binomtest(won, won + lost).pvalue if won + lost else 1.0
-        missed = [f.missed for f in mine]
+        missed = [f.miss for f in mine]
         table.add_row(
             name, f"{len(found)}",
             f"{np.median([f.lock for f in found]):.1f}" if found else "",
-            f"{np.median([f.moved for f in found]):.1f}" if found else "",
-            f"{max(f.jumped for f in mine):.2f}",
+            f"{np.median([f.site_displacement for f in found]):.1f}" if found else "",
+            f"{max(f.max_jump for f in mine):.2f}",
             f"{np.median([f.decisions for f in mine]):.0f}",
             f"{np.nanmedian(missed):.2f}, {np.nanmax(missed):.2f}",
-            f"{sum(f.sigmas > 5.0 and not f.lost for f in mine)}",
+            f"{sum(f.error_sigmas > 5.0 and not f.lost for f in mine)}",
             f"{sum(safe)} of {len(safe)} [{low:.2f}, {high:.2f}]",
             "" if n == 0 else f"{won}, {lost} ({p:.2f})",
         )  # fmt: skip
@@ -179,27 +178,27 @@ def summary(flown: dict[str, list[LateLockFlight]]) -> Table:
               help="Scenario with a prior map.")  # fmt: skip
 @click.option("--flights", type=click.IntRange(min=1), default=5, show_default=True,
               help="Number of flights per variant, over the same terrain.")  # fmt: skip
-@click.option("--map-time", "lates", type=click.FloatRange(min=0.0), multiple=True,
+@click.option("--map-time", "map_times", type=click.FloatRange(min=0.0), multiple=True,
               default=(0.0, 12.0, float("inf")), show_default=True,
               help="Time of map availability (s); inf: never. Repeatable.")  # fmt: skip
-@click.option("--position-sigma", "starts", type=click.FloatRange(min=1e-3), multiple=True,
+@click.option("--position-sigma", "position_sigmas", type=click.FloatRange(min=1e-3), multiple=True,
               help="Initial position error, 1 sigma per axis (m); repeatable "
               "(default: of the scenario).")  # fmt: skip
 @click.option("--policy", default="safest", show_default=True, help="Retargeting policy.")
 @seed_and_jobs
 def main(
-    scenario: str, flights: int, lates: tuple[float, ...], starts: tuple[float, ...], policy: str,
-    seed: int, jobs: int,
+    scenario: str, flights: int, map_times: tuple[float, ...], position_sigmas: tuple[float, ...],
+    policy: str, seed: int, jobs: int,
 ) -> None:  # fmt: skip
     """Compare landings for which the prior map is available early, late or never."""
     console = plain_console(150)
     flown: dict[str, list[LateLockFlight]] = {}
-    for start in starts or (None,):
-        for late in lates:
+    for start in position_sigmas or (None,):
+        for late in map_times:
             tasks = [LateLockTask(late, start, scenario, n, seed, policy) for n in range(flights)]
             name = f"{late:g} s" + ("" if start is None else f", {start:g} m")
             flown[name] = collect_results(fly, tasks, jobs, console, name)
-    console.print(summary(flown))
+    console.print(table_of(flown))
 
 
 if __name__ == "__main__":

@@ -44,12 +44,12 @@ SIGMA, TURN, DRIFT = 30.0, np.deg2rad(0.5), 0.05
 SIZE = 300.0
 
 
-def objects(rng: np.random.Generator) -> World:
+def make_hazard_field(rng: np.random.Generator) -> World:
     """Generate a hazard field: boulders and craters on horizontal terrain."""
     return World(hazard_field(rng), 9.81)
 
 
-def craters(rng: np.random.Generator) -> World:
+def make_craters(rng: np.random.Generator) -> World:
     """Generate fractal relief (RMS slope 2 deg) with craters wider than 1 m."""
     grid = Grid.centred((0.0, 0.0), 400.0, 0.5)
     relief = fractal_relief(grid, rng, hurst=0.9, rms_slope=np.deg2rad(2.0))
@@ -57,15 +57,15 @@ def craters(rng: np.random.Generator) -> World:
 
 
 @cache
-def apollo15() -> World:
-    """Return the measured relief of the Apollo 15 region with simulated detail."""
+def load_apollo15() -> World:
+    """Build the measured terrain of Apollo 15 with simulated detail; cached."""
     scenario = Scenario.load(SCENARIOS / "apollo15.toml")
     return build_world(scenario, RandomStreams(flight_seed(1, 0)))
 
 
-def measured(rng: np.random.Generator) -> World:
-    """Return the measured relief of the Apollo 15 region; `rng` is not used."""
-    return apollo15()
+def make_apollo15(rng: np.random.Generator) -> World:
+    """Return the measured relief of the Apollo 15 region; `rng` has no effect."""
+    return load_apollo15()
 
 
 @dataclass(frozen=True)
@@ -73,38 +73,40 @@ class MapCase:
     """Terrain and prior map of one case of the localisation study.
 
     `make_world` generates the terrain; `posting` is the grid spacing of the map and `sigma` its
-    noise (m); `wrong` holds further map defects as arguments of `simulate_survey`.
+    noise (m); `map_defects` holds further arguments of `simulate_survey`, such as voids.
     """
 
     make_world: Callable[[np.random.Generator], World]
     posting: float
     sigma: float
-    wrong: dict[str, Any] = field(default_factory=dict)
+    map_defects: dict[str, Any] = field(default_factory=dict)
 
     def __str__(self) -> str:
-        name = {objects: "objects", craters: "craters", measured: "Apollo 15"}[self.make_world]
-        wrong = ", ".join(f"{k.split('_')[0]} {v:g}" for k, v in self.wrong.items())
+        name = {make_hazard_field: "objects", make_craters: "craters", make_apollo15: "Apollo 15"}[
+            self.make_world
+        ]
+        wrong = ", ".join(f"{k.split('_')[0]} {v:g}" for k, v in self.map_defects.items())
         return f"{name} {self.posting:g} m, {self.sigma:g} m" + (f", {wrong}" if wrong else "")
 
 
 CASES = (
-    MapCase(objects, 0.5, 0.1),
-    MapCase(objects, 0.5, 0.1, {"outdated_fraction": 0.2}),
-    MapCase(objects, 0.5, 0.1, {"outdated_fraction": 0.3}),
-    MapCase(objects, 0.5, 0.1, {"void_fraction": 0.05}),
-    MapCase(objects, 0.5, 0.1, {"correlation": 2.0}),
-    MapCase(objects, 0.5, 0.3),
-    MapCase(objects, 1.0, 0.3),
-    MapCase(objects, 3.0, 0.1),
-    MapCase(craters, 0.5, 0.3),
-    MapCase(craters, 1.0, 0.3),
-    MapCase(craters, 1.0, 0.3, {"outdated_fraction": 0.2}),
-    MapCase(craters, 1.0, 0.3, {"void_fraction": 0.05}),
-    MapCase(craters, 1.0, 0.3, {"correlation": 3.0}),
-    MapCase(craters, 3.0, 0.3),
-    MapCase(measured, 1.0, 0.3),
-    MapCase(measured, 5.0, 0.3),
-    MapCase(measured, 5.0, 0.3, {"outdated_fraction": 0.2}),
+    MapCase(make_hazard_field, 0.5, 0.1),
+    MapCase(make_hazard_field, 0.5, 0.1, {"outdated_fraction": 0.2}),
+    MapCase(make_hazard_field, 0.5, 0.1, {"outdated_fraction": 0.3}),
+    MapCase(make_hazard_field, 0.5, 0.1, {"void_fraction": 0.05}),
+    MapCase(make_hazard_field, 0.5, 0.1, {"correlation": 2.0}),
+    MapCase(make_hazard_field, 0.5, 0.3),
+    MapCase(make_hazard_field, 1.0, 0.3),
+    MapCase(make_hazard_field, 3.0, 0.1),
+    MapCase(make_craters, 0.5, 0.3),
+    MapCase(make_craters, 1.0, 0.3),
+    MapCase(make_craters, 1.0, 0.3, {"outdated_fraction": 0.2}),
+    MapCase(make_craters, 1.0, 0.3, {"void_fraction": 0.05}),
+    MapCase(make_craters, 1.0, 0.3, {"correlation": 3.0}),
+    MapCase(make_craters, 3.0, 0.3),
+    MapCase(make_apollo15, 1.0, 0.3),
+    MapCase(make_apollo15, 5.0, 0.3),
+    MapCase(make_apollo15, 5.0, 0.3, {"outdated_fraction": 0.2}),
 )
 
 
@@ -133,9 +135,9 @@ class PlaceSearchResult:
         None.
     error, sigma
         Position error at the lock and its standard deviation, east, north and up (3,), m.
-    forecast
+    lock_predicted
         Whether a lock was predicted from the map before flight.
-    off
+    start_error
         Horizontal position error at the start, m.
     """
 
@@ -143,8 +145,8 @@ class PlaceSearchResult:
     scans: int
     error: np.ndarray
     sigma: np.ndarray
-    forecast: bool
-    off: float
+    lock_predicted: bool
+    start_error: float
 
 
 @dataclass
@@ -167,39 +169,39 @@ class SweepingLander:
         # Height correction, m: when it is known, the sweep is aimed with it.
         self.up = 0.0
 
-    def scan(self, count: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return the points of scan number `count` (n, 3) twice, m.
+    def scan(self, number: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return the estimated and the true points of a scan by its number (n, 3), m.
 
-        The first points are computed with the estimated state, the second with the true state.
+        They are computed with the estimated and with the true state of the vehicle.
         """
-        time = count / RATE
+        time = number / RATE
         true = self.target + START + VELOCITY * time
         believed = true - self.shift + self.drift * time
-        aim = self.target + sweep_aim_point(count) - believed - np.array([0.0, 0.0, self.up])
+        aim = self.target + sweep_aim_point(number) - believed - np.array([0.0, 0.0, self.up])
         mount = gimbal_mount(self.attitude, aim)
         state = State(true, VELOCITY, UPRIGHT, np.zeros(3), 1.0)
         scan = LIDAR.measure(self.world, state, time, self.rng, mount)
         return scan.points(believed, self.attitude), scan.points(true, UPRIGHT)
 
 
-def sweep_aim_point(count: int) -> np.ndarray:
-    """Return the aim point of scan `count` relative to the sweep center (3,), m."""
+def sweep_aim_point(scan_number: int) -> np.ndarray:
+    """Return the aim point of a scan relative to the center of the sweep (3,), m."""
     rows = 20
-    row, col = divmod(count, rows)
+    row, col = divmod(scan_number, rows)
     row %= rows
     col = col if row % 2 == 0 else rows - 1 - col
     return SWEPT * (np.array([row, col, 0.0]) / (rows - 1) - np.array([0.5, 0.5, 0.0]))
 
 
-def search(task: PlaceSearchTask) -> PlaceSearchResult:
-    """Simulate a LiDAR sweep and search for its position on the prior map."""
+def simulate_search(task: PlaceSearchTask) -> PlaceSearchResult:
+    """Simulate a LiDAR sweep; search for the lander's position on the prior map."""
     case = CASES[task.case]
     rng = np.random.default_rng([task.seed, task.case, task.number])
     world = case.make_world(rng)
-    xy = rng.uniform(-60.0, 60.0, 2) if case.make_world is measured else np.zeros(2)
+    xy = rng.uniform(-60.0, 60.0, 2) if case.make_world is make_apollo15 else np.zeros(2)
     target = np.append(xy, float(world.terrain.elevation(xy)))
     grid = Grid.centred(target, SIZE, case.posting)
-    prior = simulate_survey(world.terrain, grid, rng, sigma=case.sigma, **case.wrong)
+    prior = simulate_survey(world.terrain, grid, rng, sigma=case.sigma, **case.map_defects)
     places = PlaceSearch(MapFeatures(prior))
     forecast = forecast_lock(prior, (float(xy[0]), float(xy[1])), SWEPT, SIGMA).can_lock
     lander = SweepingLander(world, target, rng)
@@ -226,28 +228,28 @@ def is_lock(match: MapMatch) -> bool:
     return match.certainty >= 0.99999 and match.agreeing_fraction >= 0.6
 
 
-def row_of(case: MapCase, found: list[PlaceSearchResult]) -> list[str]:
+def row_of(case: MapCase, results: list[PlaceSearchResult]) -> list[str]:
     """Format the search results of one case as a row of the table."""
-    locked = [f for f in found if f.time is not None]
-    away = [f.off for f in found if f.time is None]
+    locked = [f for f in results if f.time is not None]
+    away = [f.start_error for f in results if f.time is None]
     missed = f"{min(away):.0f} to {max(away):.0f}" if away else ""
     if not locked:
-        return [str(case), f"0 of {len(found)}", "", "", "0", "", forecasts(found), missed]
+        return [str(case), f"0 of {len(results)}", "", "", "0", "", predicted_text(results), missed]
     time = [f.time for f in locked if f.time is not None]
     lateral = np.array([np.abs(f.error[:2]).max() for f in locked])
     over = np.array([np.abs(f.error[:2] / f.sigma[:2]).max() for f in locked])
     wrong = int(np.sum(lateral > np.maximum(2.0 * case.posting, 2.0)))
     return [
-        str(case), f"{len(locked)} of {len(found)}",
+        str(case), f"{len(locked)} of {len(results)}",
         f"{np.median(time):.1f} / {max(time):.1f}",
         f"{np.median([f.scans for f in locked]):.0f}", f"{wrong}",
-        f"{np.median(lateral):.2f} m, {over.max():.1f}", forecasts(found), missed,
+        f"{np.median(lateral):.2f} m, {over.max():.1f}", predicted_text(results), missed,
     ]  # fmt: skip
 
 
-def forecasts(found: list[PlaceSearchResult]) -> str:
+def predicted_text(results: list[PlaceSearchResult]) -> str:
     """Format the number of searches for which a lock was predicted: "count of total"."""
-    return f"{sum(f.forecast for f in found)} of {len(found)}"
+    return f"{sum(f.lock_predicted for f in results)} of {len(results)}"
 
 
 @click.command()
@@ -264,7 +266,7 @@ def main(searches: int, only: str, seconds: float, seed: int, jobs: int) -> None
     if not rows:
         raise click.UsageError(f"--only: must match one of {', '.join(map(str, CASES))}")
     tasks = [PlaceSearchTask(n, k, seed, seconds) for n in rows for k in range(searches)]
-    found = collect_results(search, tasks, jobs, console, "searches")
+    found = collect_results(simulate_search, tasks, jobs, console, "searches")
     table = Table(title=f"Searches with a time limit of {seconds:g} s")
     for heading in ("map", "locked", "lock time, median / max (s)", "scans", "wrong",
                     "error, median; max error / sigma", "predicted",

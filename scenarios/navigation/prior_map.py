@@ -44,16 +44,16 @@ class PriorMapFault:
 
     Attributes
     ----------
-    prior, scanner
+    map_changes, scanner_changes
         Changed keys of `[prior_map]` and of `[sensors.flash]`.
-    kept
+    is_delivered
         Function of scan time (s) and random generator that returns whether the scan is delivered;
         None: all scans are.
     """
 
-    prior: dict[str, Any]
-    scanner: dict[str, Any]
-    kept: Callable[[float, np.random.Generator], bool] | None = None
+    map_changes: dict[str, Any]
+    scanner_changes: dict[str, Any]
+    is_delivered: Callable[[float, np.random.Generator], bool] | None = None
 
 
 ROWS: dict[str, PriorMapFault] = {
@@ -79,11 +79,11 @@ ROWS: dict[str, PriorMapFault] = {
 class PriorMapTask:
     """Settings of one simulated flight with a fault of the prior map or the scanner.
 
-    `row` is the name of the fault in `ROWS`, `terrain` that of the terrain in `GROUNDS`; `flight`
-    and `seed` (root seed) determine the terrain and the noise.
+    `fault` is a name in `ROWS`, `terrain` a name in `GROUNDS`; `flight` and `seed` (root seed)
+    determine the terrain and the noise.
     """
 
-    row: str
+    fault: str
     terrain: str
     flight: int
     seed: int
@@ -95,13 +95,13 @@ class PriorMapFlight:
 
     Attributes
     ----------
-    row, terrain
+    fault, terrain
         Name of the fault and of the terrain.
-    worst
+    error_sigmas
         Maximum errors at the end in standard deviations: position, velocity, attitude.
     lock
         Time at which navigation found its position on the map, s; NaN: never.
-    lost, ever
+    lost, ever_lost
         Whether navigation declared itself lost at the end, and whether it ever did.
     inflated
         Number of `covariance-inflated` events (suspect measurements).
@@ -109,34 +109,38 @@ class PriorMapFlight:
         Whether the landing was safe.
     """
 
-    row: str
+    fault: str
     terrain: str
-    worst: tuple[float, float, float]
+    error_sigmas: tuple[float, float, float]
     lock: float
     lost: bool
-    ever: bool
+    ever_lost: bool
     inflated: int
     safe: bool
 
     @property
     def far(self) -> bool:
         """Whether an error exceeded five standard deviations at the end."""
-        return max(self.worst) > MAX_ERROR_SIGMA
+        return max(self.error_sigmas) > MAX_ERROR_SIGMA
 
 
 def fly(task: PriorMapTask) -> PriorMapFlight:
     """Simulate one flight with a fault of the prior map or the scanner."""
-    row = ROWS[task.row]
+    row = ROWS[task.fault]
     scenario = Scenario.load(SCENARIOS / "morpheus.toml")
     if GROUNDS[task.terrain]:
         scenario = scenario.changed(terrain=GROUNDS[task.terrain])
-    scenario = scenario.changed(prior_map=row.prior, sensors={"flash": row.scanner})
+    scenario = scenario.changed(prior_map=row.map_changes, sensors={"flash": row.scanner_changes})
     simulation = Simulation(scenario, flight_seed(task.seed, task.flight), "safest")
     navigation = simulation.computer.navigation
     take_unchanged, rng = navigation.take, np.random.default_rng([task.seed, task.flight])
 
     def take_faulty(sensor: str, measurement: Any, time: float) -> None:
-        if isinstance(measurement, LidarScan) and row.kept and not row.kept(time, rng):
+        if (
+            isinstance(measurement, LidarScan)
+            and row.is_delivered
+            and not row.is_delivered(time, rng)
+        ):
             return
         take_unchanged(sensor, measurement, time)
 
@@ -152,7 +156,7 @@ def fly(task: PriorMapTask) -> PriorMapFlight:
     worst = (float(off[:3].max()), float(off[3:6].max()), float(off[6:].max()))
     outcome = simulation.outcome
     return PriorMapFlight(
-        task.row, task.terrain, worst, locks[0] if locks else np.nan, lost, "lost" in names,
+        task.fault, task.terrain, worst, locks[0] if locks else np.nan, lost, "lost" in names,
         names.count("covariance-inflated"), outcome is not None and outcome.safe,
     )  # fmt: skip
 
@@ -182,12 +186,12 @@ def main(
     ]  # fmt: skip
     flown = collect_results(fly, tasks, jobs, console, "flights")
     for f in flown if cells else ():
-        off = ", ".join(f"{w:.1f}" for w in f.worst)
+        off = ", ".join(f"{w:.1f}" for w in f.error_sigmas)
         console.print(
-            f"{f.row}, {f.terrain}: {off} sigma, lock {f.lock:.1f} s, lost {f.lost} (ever "
-            f"{f.ever}), suspect {f.inflated}, safe {f.safe}"
+            f"{f.fault}, {f.terrain}: {off} sigma, lock {f.lock:.1f} s, lost {f.lost} (ever "
+            f"{f.ever_lost}), suspect {f.inflated}, safe {f.safe}"
         )
-    table = [(row, [f for f in flown if f.row == row]) for row in rows]
+    table = [(row, [f for f in flown if f.fault == row]) for row in rows]
     title = "Flights on a prior map; hazard field and craters pooled"
     console.print(declared_table(title, "fault", [*table, ("all", flown)]))
     write_flights(out, table)

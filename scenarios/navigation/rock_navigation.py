@@ -41,15 +41,15 @@ MAX_ERROR_SIGMA = 5.0  # standard deviations
 Tamper = Callable[[CameraImage, np.random.Generator], CameraImage | None]
 
 
-def black(image: CameraImage, rng: np.random.Generator) -> CameraImage:
-    """Return a black image with the time and camera of the given one."""
+def blacken(image: CameraImage, rng: np.random.Generator) -> CameraImage:
+    """Return a black image with the same time and camera; `rng` has no effect."""
     return CameraImage(image.time, np.zeros_like(image.counts), image.camera)
 
 
 FAULTS: dict[str, tuple[float, Tamper]] = {
     "half of the pictures lost": (np.inf, lambda p, rng: p if rng.random() < 0.5 else None),
     "no pictures for 4 s": (FAULT_END_S, lambda p, rng: None),
-    "black pictures for 4 s": (FAULT_END_S, black),
+    "black pictures for 4 s": (FAULT_END_S, blacken),
     "no more pictures": (np.inf, lambda p, rng: None),
 }
 
@@ -58,14 +58,14 @@ FAULTS: dict[str, tuple[float, Tamper]] = {
 class RockNavigationTask:
     """Settings of one simulated flight with navigation on tracked rocks.
 
-    `relief` is the RMS slope (deg), `cover` the rock cover (fraction), `sun` the error of the
-    assumed Sun azimuth (deg) and `fault` the name of the image fault in `FAULTS` ("": none).
-    `flight` and `seed` (root seed) determine the random numbers.
+    `relief` is the RMS slope (deg), `cover` the rock cover (fraction), `sun_azimuth_error` the
+    error of the Sun azimuth that the mapper assumes (deg) and `fault` the name of the image fault
+    in `FAULTS` ("": none). `flight` and `seed` (root seed) determine the random numbers.
     """
 
     relief: float
     cover: float
-    sun: float
+    sun_azimuth_error: float
     fault: str
     flight: int
     seed: int
@@ -77,29 +77,28 @@ class RockNavigationFlight:
 
     Attributes
     ----------
-    worst
+    error_sigmas
         Maximum errors at the end in standard deviations: velocity, attitude, height above the
         terrain, position relative to the rocks.
-    lost, ever
+    lost, ever_lost
         Whether navigation declared itself lost at the end, and whether it ever did.
     inflated
-        Number of `covariance-inflated` and `rocks-reset` events (restarted tracks) that concern
-        rocks.
+        Number of `covariance-inflated` and `rocks-reset` events of the rock measurements.
     safe
         Whether the landing was safe.
     """
 
     task: RockNavigationTask
-    worst: tuple[float, float, float, float]
+    error_sigmas: tuple[float, float, float, float]
     lost: bool
-    ever: bool
+    ever_lost: bool
     inflated: int
     safe: bool
 
     @property
     def far(self) -> bool:
         """Whether an error exceeded five standard deviations at the end."""
-        return max(self.worst) > MAX_ERROR_SIGMA
+        return max(self.error_sigmas) > MAX_ERROR_SIGMA
 
 
 def fly(task: RockNavigationTask) -> RockNavigationFlight:
@@ -114,11 +113,11 @@ def fly(task: RockNavigationTask) -> RockNavigationFlight:
     mapper = simulation.computer.mapper
     if not isinstance(mapper, ShadowMapper):
         raise click.UsageError("shadow_nominal.toml: must have a shadow mapper")
-    mislead(mapper, task)
+    apply_faults(mapper, task)
     errors = RockNavigationErrors(simulation, mapper)
     while not simulation.done:
         # Only in flight: no measurements are taken at rest.
-        worst, lost = errors.now(), simulation.computer.estimate.lost
+        worst, lost = errors.current(), simulation.computer.estimate.lost
         simulation.step()
     events = [(name, d.get("measurement", "")) for _, name, d in simulation.computer.telemetry]
     inflated = sum(
@@ -128,9 +127,9 @@ def fly(task: RockNavigationTask) -> RockNavigationFlight:
     return RockNavigationFlight(task, worst, lost, ever, inflated, simulation.outcome.safe)
 
 
-def mislead(mapper: ShadowMapper, task: RockNavigationTask) -> None:
-    """Rotate the Sun direction assumed by a shadow mapper, and apply the image fault."""
-    mapper.sun = rotation_about_up(np.deg2rad(task.sun)) @ mapper.sun
+def apply_faults(mapper: ShadowMapper, task: RockNavigationTask) -> None:
+    """Rotate the Sun direction that a shadow mapper assumes; add faults to its images."""
+    mapper.sun = rotation_about_up(np.deg2rad(task.sun_azimuth_error)) @ mapper.sun
     if not task.fault:
         return
     rng = np.random.default_rng([task.seed, task.flight])
@@ -145,10 +144,10 @@ def mislead(mapper: ShadowMapper, task: RockNavigationTask) -> None:
 
 
 class RockNavigationErrors:
-    """Compute navigation errors of a flight in standard deviations.
+    """Compute the current navigation errors of a flight in standard deviations.
 
-    The errors are those of `RockNavigationFlight.worst`: velocity, attitude, height above the
-    terrain, and position relative to the rocks.
+    The errors are those of `RockNavigationFlight.error_sigmas`: velocity, attitude, height above
+    the terrain, and position relative to the rocks.
     """
 
     def __init__(self, simulation: Simulation, mapper: ShadowMapper) -> None:
@@ -157,7 +156,7 @@ class RockNavigationErrors:
         self.rough, self.bare = terrain, Terrain(terrain.relief)
         self.rocks = cKDTree(np.column_stack((terrain.rocks.x, terrain.rocks.y)))
 
-    def now(self) -> tuple[float, float, float, float]:
+    def current(self) -> tuple[float, float, float, float]:
         """Return the current errors in standard deviations.
 
         They are the maxima over the axes of velocity and attitude, the height above the terrain,
@@ -175,9 +174,14 @@ class RockNavigationErrors:
         height = np.min(np.abs(above - (rocks.inertial.position[2] - rocks.terrain_height_below)))
         spread = np.sqrt(max(over @ rocks.covariance[np.ix_(at, at)] @ over, 1e-12))
         off_height = height / spread if np.isfinite(height) else 0.0
-        return float(off[:3].max()), float(off[3:].max()), float(off_height), self.among_rocks()
+        return (
+            float(off[:3].max()),
+            float(off[3:].max()),
+            float(off_height),
+            self.relative_to_rocks(),
+        )
 
-    def among_rocks(self) -> float:
+    def relative_to_rocks(self) -> float:
         """Return the position error relative to nearby rocks, in standard deviations."""
         tracker, rocks = self.mapper.tracker, self.mapper.tracker.filter
         away = np.hypot(*(rocks.xy - rocks.inertial.position[:2]).T)
@@ -209,22 +213,30 @@ def tasks_of(
     ]  # fmt: skip
 
 
-def rows_of(flown: list[RockNavigationFlight]) -> list[tuple[str, list[RockNavigationFlight]]]:
+def flights_by_condition(
+    flights: list[RockNavigationFlight],
+) -> list[tuple[str, list[RockNavigationFlight]]]:
     """Group the flights by condition: return names and flights of table rows."""
-    right = [f for f in flown if f.task.sun == 0.0 and not f.task.fault]
+    right = [f for f in flights if f.task.sun_azimuth_error == 0.0 and not f.task.fault]
     reliefs, covers = ({getattr(f.task, k) for f in right} for k in ("relief", "cover"))
     rows = [
         (f"relief of {r:g} deg", [f for f in right if f.task.relief == r]) for r in sorted(reliefs)
     ]
     rows += [(f"cover of {c:.0%}", [f for f in right if f.task.cover == c]) for c in sorted(covers)]
-    rows += [(f"Sun {s:g} deg off", [f for f in flown if f.task.sun == s]) for s in SUNS if s > 0.0]
-    rows += [(fault, [f for f in flown if f.task.fault == fault]) for fault in FAULTS]
-    return [row for row in (*rows, ("all", flown)) if row[1]]
+    rows += [
+        (f"Sun {s:g} deg off", [f for f in flights if f.task.sun_azimuth_error == s])
+        for s in SUNS
+        if s > 0.0
+    ]
+    rows += [(fault, [f for f in flights if f.task.fault == fault]) for fault in FAULTS]
+    return [row for row in (*rows, ("all", flights)) if row[1]]
 
 
-def name_of(task: RockNavigationTask) -> str:
-    """Return the name of a flight's fault, "none" without one."""
-    return task.fault or (f"Sun {task.sun:g} deg off" if task.sun else "none")
+def fault_name_of(task: RockNavigationTask) -> str:
+    """Return the name of a flight's fault; "none" if it has none."""
+    return task.fault or (
+        f"Sun {task.sun_azimuth_error:g} deg off" if task.sun_azimuth_error else "none"
+    )
 
 
 @click.command()
@@ -266,14 +278,15 @@ def main(
     flown = collect_results(fly, tasks, jobs, console, "flights")
     if cells:
         for f in flown:
-            t, off = f.task, ", ".join(f"{w:.1f}" for w in f.worst)
+            t, off = f.task, ", ".join(f"{w:.1f}" for w in f.error_sigmas)
             console.print(
-                f"relief {t.relief:g} cover {t.cover:g} Sun {t.sun:g} {t.fault or 'no fault'}: "
-                f"{off} sigma, lost {f.lost} (ever {f.ever}), suspect {f.inflated}, safe {f.safe}"
+                f"relief {t.relief:g} cover {t.cover:g} Sun {t.sun_azimuth_error:g} "
+                f"{t.fault or 'no fault'}: {off} sigma, lost {f.lost} (ever {f.ever_lost}), "
+                f"suspect {f.inflated}, safe {f.safe}"
             )
     title = "Flights with rock navigation; rows of relief and cover: correct Sun, no fault"
-    console.print(declared_table(title, "flights with", rows_of(flown)))
-    write_flights(out, [(name_of(f.task), [f]) for f in flown])
+    console.print(declared_table(title, "flights with", flights_by_condition(flown)))
+    write_flights(out, [(fault_name_of(f.task), [f]) for f in flown])
 
 
 if __name__ == "__main__":

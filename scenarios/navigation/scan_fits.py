@@ -18,7 +18,7 @@ from itertools import product
 
 import click
 import numpy as np
-from map_localisation import UPRIGHT, craters, objects
+from map_localisation import UPRIGHT, make_craters, make_hazard_field
 from rich.table import Table
 from shared_options import seed_and_jobs
 
@@ -35,7 +35,7 @@ from lunarsim.onboard.navigation.registration_settings import RegistrationSettin
 from lunarsim.sensors.lidar import FlashLidar
 from lunarsim.world.survey import simulate_survey
 
-GROUNDS = {"objects": objects, "craters": craters}
+GROUNDS = {"objects": make_hazard_field, "craters": make_craters}
 SIGMAS = (0.3, 1.0, 2.0)  # position, 1 sigma per axis, m
 STALE = (0.0, 0.2)
 POSTINGS = (0.5, 1.0)
@@ -49,13 +49,14 @@ MAX_ERROR_SIGMA = 5.0  # standard deviations
 class FitTask:
     """Settings of `PER_WORLD` scan-to-map fits over one simulated terrain.
 
-    `terrain` is a name in `GROUNDS`, `posting` the grid spacing of the map (m), `stale` its
-    outdated fraction; `world` (number) and `seed` determine terrain and noise.
+    `terrain` is a name in `GROUNDS`, `posting` the grid spacing of the map (m), `outdated_fraction`
+    the fraction of the map that differs from the terrain; `world` (number) and `seed` determine
+    terrain and noise.
     """
 
     terrain: str
     posting: float
-    stale: float
+    outdated_fraction: float
     world: int
     seed: int
 
@@ -80,16 +81,18 @@ class FitTrial:
     informative: bool
 
 
-def fits(task: FitTask) -> list[FitTrial]:
-    """Fit simulated LiDAR scans to the map of one terrain, and evaluate each fit."""
+def simulate_fits(task: FitTask) -> list[FitTrial]:
+    """Fit simulated LiDAR scans to a map of one terrain; evaluate each fit."""
     index = list(GROUNDS).index(task.terrain)
     rng = np.random.default_rng(
-        [task.seed, index, round(10 * task.posting), round(10 * task.stale), task.world]
+        [task.seed, index, round(10 * task.posting), round(10 * task.outdated_fraction), task.world]
     )
     world = GROUNDS[task.terrain](rng)
     grid = Grid.centred((0.0, 0.0), 300.0, task.posting)
     sigma = 0.1 if task.posting < 1.0 else 0.3
-    prior = simulate_survey(world.terrain, grid, rng, sigma=sigma, outdated_fraction=task.stale)
+    prior = simulate_survey(
+        world.terrain, grid, rng, sigma=sigma, outdated_fraction=task.outdated_fraction
+    )
     features = MapFeatures(prior)
     settings = RegistrationSettings()
     variance = np.full(grid.shape, 2.0 * prior.sigma**2 + settings.model_sigma**2)
@@ -98,7 +101,7 @@ def fits(task: FitTask) -> list[FitTrial]:
         place_sigma = SIGMAS[n % len(SIGMAS)]
         sigmas = np.array([*[place_sigma] * 3, *[TURN] * 3, *MIN_SCANNER_SIGMAS])
         error = sigmas * rng.standard_normal(11)
-        seen = flash(world, rng, error)
+        seen = simulate_scan(world, rng, error)
         result, _ = register_scan(seen, features, np.diag(sigmas**2), variance)
         out.append(
             evaluate_fit(seen, error, sigmas, result, settings.accepts_fit(result), task.posting)
@@ -106,7 +109,7 @@ def fits(task: FitTask) -> list[FitTrial]:
     return [FitTrial(SIGMAS[n % len(SIGMAS)], *f) for n, f in enumerate(out)]
 
 
-def flash(world, rng: np.random.Generator, error: np.ndarray) -> CorrectedScan:  # type: ignore[no-untyped-def]
+def simulate_scan(world, rng: np.random.Generator, error: np.ndarray) -> CorrectedScan:  # type: ignore[no-untyped-def]
     """Simulate a LiDAR scan of a random place with an erroneous state estimate.
 
     Adding `error` (11,) to the state corrects it: position (3, m), attitude (3, rad), scanner (5).
@@ -125,10 +128,10 @@ def flash(world, rng: np.random.Generator, error: np.ndarray) -> CorrectedScan: 
     return seen.moved(np.concatenate((np.zeros(6), -error[6:10], [0.0])))
 
 
-def evaluate_fit(seen, error, sigmas, result, accepted, posting):  # type: ignore[no-untyped-def]
+def evaluate_fit(scan, error, sigmas, result, accepted, posting):  # type: ignore[no-untyped-def]
     """Return whether a scan-to-map fit is accepted, wrong, and informative.
 
-    `seen` is the scan, `error` (11,) its true state error and `sigmas` (11,) the assumed standard
+    `scan` is the scan, `error` (11,) its true state error and `sigmas` (11,) the assumed standard
     deviations. `result` is the fit, `accepted` the decision on it and `posting` the grid spacing of
     the map (m). Only accepted fits count as wrong or informative.
     """
@@ -136,9 +139,9 @@ def evaluate_fit(seen, error, sigmas, result, accepted, posting):  # type: ignor
     both = np.eye(11) + result.information @ before
     found = before @ np.linalg.solve(both, result.vector)
     after = before @ np.linalg.inv(both)
-    points = seen.points()
-    middle = np.nanmean(points, axis=0) if np.isfinite(points).any() else seen.position
-    across = seen.point_jacobian(middle)[:2]
+    points = scan.points()
+    middle = np.nanmean(points, axis=0) if np.isfinite(points).any() else scan.position
+    across = scan.point_jacobian(middle)[:2]
     off = np.abs(across @ (error - found))
     own = np.sqrt(np.diag(across @ after @ across.T))
     first = np.sqrt(np.diag(across @ before @ across.T))
@@ -156,7 +159,7 @@ def main(count: int, seed: int, jobs: int) -> None:
     worlds = -(-count // PER_WORLD)
     rows = list(product(GROUNDS, POSTINGS, STALE))
     tasks = [FitTask(*row, n, seed) for row in rows for n in range(worlds)]
-    tried = collect_results(fits, tasks, jobs, console, "worlds")
+    tried = collect_results(simulate_fits, tasks, jobs, console, "worlds")
     table = Table(title="Fits of single flashes to a map")
     for heading in ("terrain, posting (m), outdated fraction, position sigma (m)", "fits",
     "accepted",
@@ -165,7 +168,8 @@ def main(count: int, seed: int, jobs: int) -> None:
     lines = {
         f"{terrain} {posting:g} {stale:g} {sigma:g}": [
             f for task, some in zip(tasks, tried, strict=True) for f in some
-            if (task.terrain, task.posting, task.stale, f.sigma) == (terrain, posting, stale, sigma)
+            if (task.terrain, task.posting, task.outdated_fraction, f.sigma)
+            == (terrain, posting, stale, sigma)
         ]
         for (terrain, posting, stale), sigma in product(rows, SIGMAS)
     }  # fmt: skip

@@ -13,8 +13,11 @@ from rich.table import Table
 F = TypeVar("F", bound=Callable[..., Any])
 
 
-class DeclaredFlight(Protocol):
-    """Interface of a flight result in the studies of undeclared navigation failures."""
+class FaultStudyFlight(Protocol):
+    """Interface of the flight results that the table of undeclared failures needs.
+
+    A navigation failure is undeclared if navigation does not declare itself lost.
+    """
 
     @property
     def far(self) -> bool:
@@ -52,7 +55,7 @@ def json_option(function: F) -> F:
                         help="Output file of all flights.")(function)  # fmt: skip
 
 
-def write_flights(out: Path | None, rows: Iterable[tuple[str, Sequence[DeclaredFlight]]]) -> None:
+def write_flights(out: Path | None, rows: Iterable[tuple[str, Sequence[FaultStudyFlight]]]) -> None:
     """Write the flight results of a study as JSON for `undeclared_failures.py`.
 
     `rows` holds the flights of each fault with its name. Nothing is written if `out` is None.
@@ -68,22 +71,19 @@ def write_flights(out: Path | None, rows: Iterable[tuple[str, Sequence[DeclaredF
 
 
 def declared_table(
-    title: str, first: str, rows: Iterable[tuple[str, Sequence[DeclaredFlight]]]
+    title: str, first_header: str, rows: Iterable[tuple[str, Sequence[FaultStudyFlight]]]
 ) -> Table:
-    """Return a table that counts, by fault, large errors and those not declared.
+    """Return the table of flights with large navigation errors, by fault.
 
-    Parameters
-    ----------
-    title, first
-        Title of the table and header of its first column.
-    rows
-        Name and flights of each fault or condition.
+    It counts the flights over 5 sigma, and those of them that navigation did not declare lost.
+    `first_header` is the header of the first column; `rows` holds the name and the flights of each
+    fault or condition.
     """
     table = Table(title=title)
-    for heading in (first, "flights", "over 5 sigma\nat the end", "of these, not\ndeclared lost",
-                    "declared lost\nat the end", "with suspect\nmeasurements",
-                    "safe landings"):  # fmt: skip
-        table.add_column(heading, justify="left" if heading == first else "right")
+    for heading in (first_header, "flights", "over 5 sigma\nat the end",
+                    "of these, not\ndeclared lost", "declared lost\nat the end",
+                    "with suspect\nmeasurements", "safe landings"):  # fmt: skip
+        table.add_column(heading, justify="left" if heading == first_header else "right")
     for name, mine in rows:
         table.add_row(
             name, str(len(mine)), str(sum(f.far for f in mine)),

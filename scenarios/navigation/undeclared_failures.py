@@ -19,15 +19,15 @@ from lunarsim.console import plain_console
 from lunarsim.evaluation.statistics import Proportion
 
 
-def count_text(count: int, of: int) -> str:
+def count_text(count: int, total: int) -> str:
     """Format "count of total" with the 95 % interval of the fraction.
 
-    `of` is the total; the result is "-" if it is zero.
+    The result is "-" if `total` is zero.
     """
-    if of == 0:
+    if total == 0:
         return "-"
-    low, high = Proportion(count, of).interval
-    return f"{count} of {of} [{low:.3f}, {high:.3f}]"
+    low, high = Proportion(count, total).interval
+    return f"{count} of {total} [{low:.3f}, {high:.3f}]"
 
 
 @click.command()

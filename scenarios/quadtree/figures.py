@@ -30,7 +30,7 @@ def draw_all(result: dict[str, Any], out: Path) -> None:
     draw_navigation(result, out / "navigation.png")
 
 
-def _cells(axes: Any, xy: Any, size: Any, value: Any, **options: Any) -> Any:
+def _plot_cells(axes: Any, xy: Any, size: Any, value: Any, **options: Any) -> Any:
     """Plot square cells (n,) colored by a value; cells without a value stay grey.
 
     `xy` (n, 2) are centers and `size` (n,) sides, m; `options` go to the matplotlib collection.
@@ -50,73 +50,72 @@ def _cells(axes: Any, xy: Any, size: Any, value: Any, **options: Any) -> Any:
     return patches
 
 
-def _frame(axes: Any, maps: dict[str, Any], title: str) -> None:
-    """Set the title and the limits of a map panel."""
+def _set_frame(axes: Any, maps: dict[str, Any], title: str) -> None:
+    """Set the title of a map panel, and its limits to the area of the maps."""
     map_axes(axes, title)
     west, east, south, north = maps["fine"].extent
     axes.set_xlim(west, east)
     axes.set_ylim(south, north)
 
 
-def _terrain(axes: Any, maps: dict[str, Any]) -> Any:
+def _plot_terrain(axes: Any, maps: dict[str, Any]) -> Any:
     """Plot the true elevation on a map panel; return the image."""
     low, high = np.nanpercentile(maps["elevation"], [0.2, 99.9])
     return show(axes, maps["elevation"], maps["fine"], cmap="cividis", vmin=low, vmax=high)
 
 
-def draw_mapping(look: dict[str, Any], path: Path) -> None:
+def draw_mapping(view: dict[str, Any], path: Path) -> None:
     """Plot true and mapped elevation and the error (Figures 10 to 12).
 
-    `look` holds metrics and maps at one evaluation time; `path` is the output file.
-    Figure numbers are those of the quadtree paper.
+    `view` holds the metrics and maps at one time. Figure numbers are those of the quadtree paper.
     """
-    maps = look["maps"]
+    maps = view["maps"]
     xy, size, error, true = maps["height"]
     figure = new_figure(13.0, 4.4)
     truth, mapped, wrong = figure.subplots(1, 3, sharex=True, sharey=True)
-    image = _terrain(truth, maps)
+    image = _plot_terrain(truth, maps)
     figure.colorbar(image, ax=truth, label="Elevation (m)", shrink=0.8)
-    _frame(truth, maps, "truth")
+    _set_frame(truth, maps, "truth")
     low, high = image.get_clim()
-    cells = _cells(mapped, xy, size, true + error, cmap="cividis", vmin=low, vmax=high)
+    cells = _plot_cells(mapped, xy, size, true + error, cmap="cividis", vmin=low, vmax=high)
     figure.colorbar(cells, ax=mapped, label="Elevation (m)", shrink=0.8)
-    _frame(mapped, maps, f"map at {look['time']:.0f} s")
-    cells = _cells(wrong, xy, size, error, cmap="RdBu_r", vmin=-0.15, vmax=0.15)
+    _set_frame(mapped, maps, f"map at {view['time']:.0f} s")
+    cells = _plot_cells(wrong, xy, size, error, cmap="RdBu_r", vmin=-0.15, vmax=0.15)
     figure.colorbar(cells, ax=wrong, label="Map minus truth (m)", shrink=0.8, extend="both")
-    _frame(wrong, maps, f"error, RMS {look['map_error_rms']:.3f} m")
+    _set_frame(wrong, maps, f"error, RMS {view['map_error_rms']:.3f} m")
     save(figure, path)
 
 
-def draw_slopes(look: dict[str, Any], path: Path) -> None:
+def draw_slopes(view: dict[str, Any], path: Path) -> None:
     """Plot slope estimates and errors at the sites (Figures 13, 14).
 
-    `look` holds metrics and maps at one evaluation time; `path` is the output file.
-    Figure numbers are those of the quadtree paper.
+    `view` holds the metrics and maps at one time. Figure numbers are those of the quadtree paper.
     """
-    maps = look["maps"]
+    maps = view["maps"]
     selection, size = maps["selection"], maps["sizes"]
     figure = new_figure(9.4, 4.4)
     left, right = figure.subplots(1, 2, sharex=True, sharey=True)
     xy = selection.position[:, :2]
-    cells = _cells(left, xy, size, np.rad2deg(selection.slope), cmap="viridis", vmin=0.0, vmax=5.0)
+    cells = _plot_cells(
+        left, xy, size, np.rad2deg(selection.slope), cmap="viridis", vmin=0.0, vmax=5.0
+    )
     figure.colorbar(cells, ax=left, label="Slope (deg)", shrink=0.8, extend="max")
-    _frame(left, maps, f"slope of the fitted planes at {look['time']:.0f} s")
-    cells = _cells(right, xy, size, maps["slope"], cmap="magma_r", vmin=0.0, vmax=2.0)
+    _set_frame(left, maps, f"slope of the fitted planes at {view['time']:.0f} s")
+    cells = _plot_cells(right, xy, size, maps["slope"], cmap="magma_r", vmin=0.0, vmax=2.0)
     figure.colorbar(
         cells, ax=right, label="Angle to the true normal (deg)", shrink=0.8, extend="max"
     )
-    _frame(right, maps, f"slope error, maximum {look['slope_error_max']:.1f} deg")
+    _set_frame(right, maps, f"slope error, maximum {view['slope_error_max']:.1f} deg")
     save(figure, path)
 
 
-def draw_hazards(look: dict[str, Any], path: Path) -> None:
+def draw_hazards(view: dict[str, Any], path: Path) -> None:
     """Plot the outlier ratio, hazards and their correctness (Figures 15 to 17).
 
-    The outlier ratio is the fraction of points too far from the fitted surface. `look` holds
-    metrics and maps at one evaluation time; `path` is the output file.
-    Figure numbers are those of the quadtree paper.
+    The outlier ratio is the fraction of points too far from the fitted surface. `view` holds the
+    metrics and maps at one time. Figure numbers are those of the quadtree paper.
     """
-    maps = look["maps"]
+    maps = view["maps"]
     figure = new_figure(13.0, 4.9)
     ratio, over, right = figure.subplots(1, 3, sharex=True, sharey=True)
     raster, half = maps["ratios"], 0.5 * maps["side"]
@@ -128,12 +127,12 @@ def draw_hazards(look: dict[str, Any], path: Path) -> None:
         vmin=0.0, vmax=0.1,
     )  # fmt: skip
     figure.colorbar(image, ax=ratio, label="Exceptions / points", shrink=0.8, extend="max")
-    _outline(ratio, raster > maps["limit"], extent)
-    _frame(ratio, maps, "exception ratio; hazards outlined")
-    image = _terrain(over, maps)
+    _plot_outline(ratio, raster > maps["limit"], extent)
+    _set_frame(ratio, maps, "exception ratio; hazards outlined")
+    image = _plot_terrain(over, maps)
     figure.colorbar(image, ax=over, label="True elevation (m)", shrink=0.8)
-    _outline(over, raster > maps["limit"], extent, colour="white")
-    _frame(over, maps, "hazards on the true terrain")
+    _plot_outline(over, raster > maps["limit"], extent, color="white")
+    _set_frame(over, maps, "hazards on the true terrain")
     estimated, hazard = maps["estimated"], maps["hazard"]
     evaluated = np.isfinite(estimated) & np.isfinite(hazard)
     classes = np.where(
@@ -144,12 +143,12 @@ def draw_hazards(look: dict[str, Any], path: Path) -> None:
         right, classes, maps["fine"], cmap=ListedColormap(["#a6cee3", "#33a02c", "#e31a1c"]),
         vmin=-0.5, vmax=2.5,
     )  # fmt: skip
-    _frame(right, maps, "compared with the truth")
+    _set_frame(right, maps, "compared with the truth")
     right.legend(
         handles=[
             Patch(color="#a6cee3", label="correct"),
-            Patch(color="#33a02c", label=f"false hazard: {look['false_m2']:.0f} m²"),
-            Patch(color="#e31a1c", label=f"missed hazard: {look['missed_m2']:.1f} m²"),
+            Patch(color="#33a02c", label=f"false hazard: {view['false_m2']:.0f} m²"),
+            Patch(color="#e31a1c", label=f"missed hazard: {view['missed_m2']:.1f} m²"),
             Patch(color=GREY, label="too few points"),
         ],
         loc="upper center",
@@ -159,8 +158,8 @@ def draw_hazards(look: dict[str, Any], path: Path) -> None:
     save(figure, path)
 
 
-def _outline(axes: Any, hazard: Any, extent: Any, colour: str = "black") -> None:
-    """Plot the edges of hazardous squares, given as a boolean map (rows, cols).
+def _plot_outline(axes: Any, hazard: Any, extent: Any, color: str = "black") -> None:
+    """Plot the edges of hazardous squares; `hazard` is a boolean map (rows, cols).
 
     `extent` is its west, east, south and north limit, m.
     """
@@ -175,31 +174,32 @@ def _outline(axes: Any, hazard: Any, extent: Any, colour: str = "black") -> None
     for row, col in zip(*np.nonzero(padded[1:, 1:-1] != padded[:-1, 1:-1]), strict=True):
         y = south + row * dy
         lines.append([(west + col * dx, y), (west + (col + 1) * dx, y)])
-    axes.add_collection(LineCollection(lines, colors=colour, linewidths=0.7))
+    axes.add_collection(LineCollection(lines, colors=color, linewidths=0.7))
 
 
-def draw_quadtrees(looks: list[dict[str, Any]], path: Path) -> None:
+def draw_quadtrees(views: list[dict[str, Any]], path: Path) -> None:
     """Plot the cells of the quadtree at each time (Figures 19 and 20).
 
-    `looks` hold metrics and maps at the evaluation times; `path` is the output file.
-    Figure numbers are those of the quadtree paper.
+    `views` has metrics and maps at each time. Figure numbers are those of the quadtree paper.
     """
     figure = new_figure(9.6, 5.0)
-    for axes, look in zip(figure.subplots(1, 2, sharex=True, sharey=True), looks, strict=True):
+    for axes, look in zip(figure.subplots(1, 2, sharex=True, sharey=True), views, strict=True):
         xy, size = look["maps"]["cells"]
         half = 0.5 * size[:, None, None]
         corners = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1), (-1, -1)])
         axes.add_collection(
             LineCollection(xy[:, None, :] + half * corners, colors="black", linewidths=0.15)
         )
-        _frame(axes, look["maps"], f"quadtree at {look['time']:.0f} s, down to the 8th division")
+        _set_frame(
+            axes, look["maps"], f"quadtree at {look['time']:.0f} s, down to the 8th division"
+        )
     save(figure, path)
 
 
-def _sites(axes: Any, look: dict[str, Any], *, legend: bool) -> None:
+def _plot_sites(axes: Any, view: dict[str, Any], *, legend: bool) -> None:
     """Plot the ranked landing sites and their landing zones on a map panel."""
-    zone = look["maps"]["zone"]
-    for rank, site in enumerate(look["sites"]):
+    zone = view["maps"]["zone"]
+    for rank, site in enumerate(view["sites"]):
         x, y = site["position"][:2]
         colour = COLOURS[(rank + 1) % len(COLOURS)]
         label = (
@@ -210,40 +210,38 @@ def _sites(axes: Any, look: dict[str, Any], *, legend: bool) -> None:
         axes.plot(x, y, "o", color=colour, ms=4, mec="white", mew=0.5, label=label)
         box = Rectangle((x - zone, y - zone), 2 * zone, 2 * zone, fill=False, ec=colour, lw=1.6)
         axes.add_patch(box)
-    if legend and look["sites"]:
+    if legend and view["sites"]:
         axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.15), ncols=2, title="site")
 
 
-def draw_sites(looks: list[dict[str, Any]], path: Path) -> None:
+def draw_sites(views: list[dict[str, Any]], path: Path) -> None:
     """Plot the ranked sites during and after the sweep (Figures 21, 22).
 
-    `looks` hold metrics and maps at the evaluation times; `path` is the output file.
-    Figure numbers are those of the quadtree paper.
+    `views` has metrics and maps at each time. Figure numbers are those of the quadtree paper.
     """
     figure = new_figure(10.4, 5.8)
-    for axes, look in zip(figure.subplots(1, 2, sharex=True, sharey=True), looks, strict=True):
+    for axes, look in zip(figure.subplots(1, 2, sharex=True, sharey=True), views, strict=True):
         maps = look["maps"]
-        image = _terrain(axes, maps)
+        image = _plot_terrain(axes, maps)
         half = 0.5 * maps["side"]
         cx, cy = maps["centre"][:2]
         extent = (cx - half, cx + half, cy - half, cy + half)
-        _outline(axes, maps["ratios"] > maps["limit"], extent, colour="white")
+        _plot_outline(axes, maps["ratios"] > maps["limit"], extent, color="white")
         grey = np.where(np.isnan(maps["ratios"]), 1.0, np.nan)
         axes.imshow(grey, origin="lower", extent=extent, cmap=ListedColormap([GREY]), alpha=0.75)
-        _sites(axes, look, legend=True)
+        _plot_sites(axes, look, legend=True)
         figure.colorbar(image, ax=axes, label="True elevation (m)", shrink=0.8)
-        _frame(axes, maps, f"sites at {look['time']:.0f} s (grey: not observed)")
+        _set_frame(axes, maps, f"sites at {look['time']:.0f} s (grey: not observed)")
     save(figure, path)
 
 
-def draw_choice(look: dict[str, Any], path: Path) -> None:
+def draw_choice(view: dict[str, Any], path: Path) -> None:
     """Plot the sites on true hazards and on the interest map (Figures 18, 23).
 
-    The interest map holds the mission's interest in each place. `look` holds metrics and maps at
-    one evaluation time; `path` is the output file.
-    Figure numbers are those of the quadtree paper.
+    The interest map holds the mission's interest in each place. `view` holds the metrics and
+    maps at one time. Figure numbers are those of the quadtree paper.
     """
-    maps = look["maps"]
+    maps = view["maps"]
     figure = new_figure(10.0, 4.9)
     left, right = figure.subplots(1, 2, sharex=True, sharey=True)
     left.set_facecolor(GREY)
@@ -251,8 +249,8 @@ def draw_choice(look: dict[str, Any], path: Path) -> None:
         left, maps["hazard"], maps["fine"], cmap=ListedColormap(["#a6cee3", "#e31a1c"]),
         vmin=-0.5, vmax=1.5,
     )  # fmt: skip
-    _sites(left, look, legend=False)
-    _frame(left, maps, "sites and true hazards")
+    _plot_sites(left, view, legend=False)
+    _set_frame(left, maps, "sites and true hazards")
     left.legend(
         handles=[Patch(color="#a6cee3", label="safe"), Patch(color="#e31a1c", label="hazard"),
                  Patch(color=GREY, label="no true surface mesh")],
@@ -261,8 +259,8 @@ def draw_choice(look: dict[str, Any], path: Path) -> None:
     interest = maps["interest"]
     image = show(right, interest.value, interest.grid, cmap="RdYlBu", vmin=0.0, vmax=1.0)
     figure.colorbar(image, ax=right, label="Interest", shrink=0.8)
-    _sites(right, look, legend=False)
-    _frame(right, maps, "sites and interest")
+    _plot_sites(right, view, legend=False)
+    _set_frame(right, maps, "sites and interest")
     save(figure, path)
 
 

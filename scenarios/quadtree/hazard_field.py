@@ -66,7 +66,7 @@ class HazardFieldTask:
     keep_maps: bool
 
 
-def interest_map(scenario: Scenario) -> InterestMap:
+def make_interest_map(scenario: Scenario) -> InterestMap:
     """Return a map of the mission's interest in each place (0 to 1) for a scenario.
 
     The interest has its maximum in the north-east; it is zero in the south-west corner.
@@ -81,9 +81,9 @@ def interest_map(scenario: Scenario) -> InterestMap:
 
 
 def make_simulation(task: HazardFieldTask, folder: Path) -> Simulation:
-    """Create the flight over one field; its interest map is a file in `folder`."""
+    """Create the simulation over one field; write its interest map into `folder`."""
     scenario = Scenario.load(SCENARIOS / "morpheus.toml")
-    interest = interest_map(scenario)
+    interest = make_interest_map(scenario)
     g, path = interest.grid, folder / "interest.npz"
     np.savez(path, value=interest.value, x0=g.x0, y0=g.y0, posting=g.posting)
     sites: dict[str, Any] = {"interest_path": str(path)}
@@ -100,7 +100,9 @@ def fly(task: HazardFieldTask) -> dict[str, Any]:
     track: list[tuple[float, ...]] = []
     while pending:
         simulation.step()
-        track.append((simulation.time, *navigation_error(simulation), *deviations(simulation)))
+        track.append(
+            (simulation.time, *navigation_error(simulation), *navigation_sigmas(simulation))
+        )
         if simulation.time >= pending[0] - 1e-9:
             looks.append(evaluate_map(simulation, pending.pop(0), task.keep_maps))
     tree = simulation.computer.mappers["sites"].map
@@ -128,10 +130,10 @@ def navigation_error(simulation: Simulation) -> np.ndarray:
     )
 
 
-def deviations(simulation: Simulation) -> np.ndarray:
-    """Return the standard deviations of position (m) and attitude (rad) (6,).
+def navigation_sigmas(simulation: Simulation) -> np.ndarray:
+    """Return the estimated 1 sigma of position (m) and attitude (rad) errors (6,).
 
-    The values belong to the errors of `navigation_error`.
+    The order is that of `navigation_error`.
     """
     return np.sqrt(np.diag(simulation.estimate.covariance)[np.r_[0:3, 6:9]])
 
@@ -169,17 +171,17 @@ def evaluate_map(simulation: Simulation, time: float, keep_maps: bool) -> dict[s
 
 
 def figure_data(
-    mapper: QuadtreeMapper, selection: SiteSelection, actual: QuadtreeTruth
+    mapper: QuadtreeMapper, selection: SiteSelection, truth: QuadtreeTruth
 ) -> dict[str, Any]:
     """Return the map arrays and settings that the figures need.
 
-    `selection` is the site selection on the map of `mapper`; `actual` is the true terrain.
+    `selection` is the site selection on the map of `mapper`.
     """
     tree, selector = mapper.map, mapper.selector
     return {
-        "elevation": actual.elevation,
-        "hazard": actual.hazard,
-        "fine": actual.grid,
+        "elevation": truth.elevation,
+        "hazard": truth.hazard,
+        "fine": truth.grid,
         "selection": selection,
         "sizes": tree.sizes(selection.nodes),
         "cells": cells_of(tree),
@@ -237,10 +239,10 @@ def summarise(results: list[dict[str, Any]]) -> dict[str, Any]:
     return out
 
 
-def show(summary: dict[str, Any], first: dict[str, Any], console: Console) -> None:
+def show(summary: dict[str, Any], first_result: dict[str, Any], console: Console) -> None:
     """Print the metrics of all fields, and the ranked sites of the first field.
 
-    `summary` is the value of `summarise` and `first` the result of the first field.
+    `summary` is the value of `summarise` and `first_result` the result of the first field.
     """
     n, lock = summary["fields"], summary["lock_time_median_s"]
     console.print(
@@ -281,8 +283,10 @@ def show(summary: dict[str, Any], first: dict[str, Any], console: Console) -> No
     for label, key, form, paper in rows:
         table.add_row(label, *(form.format(one[key]) for one in summary["looks"]), paper)
     console.print(table)
-    for one in first["looks"]:
-        sites = Table(title=f"Field {first['field']}: sites at {one['time']:.0f} s, local frame")
+    for one in first_result["looks"]:
+        sites = Table(
+            title=f"Field {first_result['field']}: sites at {one['time']:.0f} s, local frame"
+        )
         for heading in ("rank", "east (m)", "north (m)", "score", "interest", "slope (deg)",
                         "roughness (m)", "time-to-go (s)", "delta-v (m/s)",
                         "propellant (kg)"):  # fmt: skip

@@ -23,7 +23,7 @@ JERK, SNAP = 0.25, 0.05
 
 @dataclass(frozen=True)
 class QuadtreeTruth:
-    """The true terrain in the local frame, that is, shifted by the navigation error.
+    """The true terrain in the frame of the map (shifted by the navigation error).
 
     Attributes
     ----------
@@ -32,19 +32,19 @@ class QuadtreeTruth:
     elevation
         Elevation (rows, cols), m.
     hazard
-        1 where the terrain deviates from the mesh by more than the roughness limit, else 0; NaN
-        without a mesh (rows, cols).
+        1 where the terrain deviates from the mesh by more than the roughness limit, else 0
+        (rows, cols); NaN without a mesh.
     mesh
-        True surface mesh: triangles between the means of squares of the true elevation.
-    frame
-        Transformation from the true frame to the local one.
+        True surface mesh of triangles; its vertices are mean true elevations of square cells.
+    true_to_local
+        Transformation from the true (site) frame to the frame of the map.
     """
 
     grid: Grid
     elevation: np.ndarray
     hazard: np.ndarray
     mesh: TruthMesh
-    frame: SiteToLocal
+    true_to_local: SiteToLocal
 
 
 def terrain_truth_of(mapper: QuadtreeMapper, simulation: Simulation) -> QuadtreeTruth:
@@ -64,11 +64,11 @@ def evaluated_sites(
     simulation: Simulation,
     selection: SiteSelection,
     settings: SiteSettings,
-    actual: QuadtreeTruth,
+    truth: QuadtreeTruth,
 ) -> list[dict[str, Any]]:
-    """Return the ranked landing sites with their flight cost and their true safety.
+    """Return the ranked landing sites with their propellant and their true safety.
 
-    `settings` are those of the site selection; `actual` is the true terrain.
+    `settings` are those of the site selection.
     """
     com = np.array([0.0, 0.0, simulation.lander.com_height])
     cost = site_cost(
@@ -86,9 +86,9 @@ def evaluated_sites(
             "propellant": float(cost.propellant[i]),
             "increment": float(cost.delta_v[i]),
             "time_to_go": float(cost.time_to_go[i]),
-            "hazard_m2": zone_hazard(site.position, actual, settings.zone_half_side),
+            "hazard_m2": hazard_area_in_zone(site.position, truth, settings.zone_half_side),
             "exactly_safe": bool(
-                simulation.truth.is_safe_at(actual.frame.to_site(site.position)[:2])
+                simulation.truth.is_safe_at(truth.true_to_local.to_site(site.position)[:2])
             ),
         }
         for i, site in enumerate(selection.ranked)
@@ -96,13 +96,13 @@ def evaluated_sites(
 
 
 def map_errors(
-    mapper: QuadtreeMapper, actual: QuadtreeTruth
+    mapper: QuadtreeMapper, terrain_truth: QuadtreeTruth
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Return center, side, elevation error and true elevation of quadtree cells, m.
 
     The cells (n,) are the smallest ones with sides of 0.4 to 0.8 m; errors are map minus truth.
     """
-    tree, fine = mapper.map, actual.grid
+    tree, fine = mapper.map, terrain_truth.grid
     nodes = tree.band(4.0 * tree.min_cell_size, 8.0 * tree.min_cell_size)
     xy, side = tree.centres(nodes), tree.sizes(nodes)
     truth = np.full(len(nodes), np.nan)
@@ -113,7 +113,9 @@ def map_errors(
         good = (row >= 0) & (col >= 0) & (row + n <= fine.rows) & (col + n <= fine.cols)
         rows = row[good, None] + np.arange(n)
         cols = col[good, None] + np.arange(n)
-        truth[mine[good]] = actual.elevation[rows[:, :, None], cols[:, None, :]].mean(axis=(1, 2))
+        truth[mine[good]] = terrain_truth.elevation[rows[:, :, None], cols[:, None, :]].mean(
+            axis=(1, 2)
+        )
     return xy, side, tree.elevation(nodes) - truth, truth
 
 
@@ -129,14 +131,14 @@ def slope_errors(mapper: QuadtreeMapper, selection: SiteSelection, mesh: TruthMe
 
 
 def hazard_confusion(
-    mapper: QuadtreeMapper, actual: QuadtreeTruth
+    mapper: QuadtreeMapper, truth: QuadtreeTruth
 ) -> tuple[dict[str, float], np.ndarray]:
     """Compare the mapped hazard cells with the true ones.
 
-    Returns areas and counts by name (evaluated, hazardous, missed, false; m^2), and the mapped
-    hazard (rows, cols): 1, 0, or NaN where cells have too few points (grey in the paper).
+    Returns areas (evaluated, hazardous, missed, false; m^2) and counts by name, and the mapped
+    hazard (rows, cols): 1, 0, or NaN where cells have too few points.
     """
-    fine, hazard = actual.grid, actual.hazard
+    fine, hazard = truth.grid, truth.hazard
     hazards, tree = mapper.selector.hazards, mapper.map
     square = tree.side / len(hazards)
     corner = tree.centre[:2] - 0.5 * tree.side
@@ -146,7 +148,7 @@ def hazard_confusion(
     evaluated = np.isfinite(estimated) & np.isfinite(hazard)
     quality = MapQuality.of(estimated[evaluated] == 0.0, hazard[evaluated] == 0.0)
     area = fine.posting**2
-    objects, wholly = missed_objects(hazard == 1.0, estimated)
+    objects, wholly = count_missed_hazards(hazard == 1.0, estimated)
     return {
         "objects": objects,
         "objects_missed": wholly,
@@ -157,24 +159,24 @@ def hazard_confusion(
     }, estimated
 
 
-def missed_objects(hazard: np.ndarray, estimated: np.ndarray) -> tuple[int, int]:
-    """Count evaluated connected hazards, and those that the map misses completely.
+def count_missed_hazards(true_hazard: np.ndarray, mapped_hazard: np.ndarray) -> tuple[int, int]:
+    """Count the true connected hazards, and those that the map misses completely.
 
-    `hazard` is the true hazard map; `estimated` is 1, 0, or NaN where the map has no value.
+    `mapped_hazard` is 1, 0, or NaN where the map has no value; hazards there are not counted.
     """
-    label, count = ndimage.label(hazard, structure=np.ones((3, 3)))
+    label, count = ndimage.label(true_hazard, structure=np.ones((3, 3)))
     evaluated, called = (
         np.bincount(label[where], minlength=count + 1)[1:] > 0
-        for where in (np.isfinite(estimated), estimated == 1.0)
+        for where in (np.isfinite(mapped_hazard), mapped_hazard == 1.0)
     )
     return int(evaluated.sum()), int((evaluated & ~called).sum())
 
 
-def zone_hazard(position: np.ndarray, actual: QuadtreeTruth, zone: float) -> float:
+def hazard_area_in_zone(site: np.ndarray, truth: QuadtreeTruth, half_side: float) -> float:
     """Return the area of true hazards in the square landing zone at a site, m^2.
 
-    `zone` is half the side of the landing zone, m.
+    `half_side` is half the side of the zone, m.
     """
-    g = actual.grid
-    near = np.ix_(np.abs(g.y - position[1]) <= zone, np.abs(g.x - position[0]) <= zone)
-    return float((actual.hazard[near] == 1.0).sum() * g.posting**2)
+    g = truth.grid
+    near = np.ix_(np.abs(g.y - site[1]) <= half_side, np.abs(g.x - site[0]) <= half_side)
+    return float((truth.hazard[near] == 1.0).sum() * g.posting**2)

@@ -19,10 +19,10 @@ from figures import draw
 from held_out_comparison import (
     HeightErrors,
     SafetyComparison,
-    judge_heights,
-    judge_safety,
-    scores,
-    strata_of,
+    compare_heights,
+    compare_safety,
+    metrics_by_slope,
+    safety_metrics,
 )
 from returns import SLOPE_LIMIT_DEG, STRATA, AirborneCloud, load
 from rich.console import Console
@@ -41,20 +41,20 @@ def pool_heights(maps: list[HeightErrors]) -> HeightErrors:
     return HeightErrors(*(np.concatenate([getattr(m, name) for m in maps]) for name in names))
 
 
-def pool_safety(verdicts: list[SafetyComparison]) -> SafetyComparison:
-    """Concatenate the sites of several random splits; average their safe fractions.
+def pool_safety(comparisons: list[SafetyComparison]) -> SafetyComparison:
+    """Combine the safety comparisons of several random splits.
 
-    `verdicts` are the safety comparisons of the splits.
+    The sites are concatenated; the fractions are averaged.
     """
-    first = verdicts[0]
+    first = comparisons[0]
     means = (
-        float(np.mean([getattr(v, name) for v in verdicts]))
+        float(np.mean([getattr(v, name) for v in comparisons]))
         for name in ("agreement", "dense_share", "held_share")
     )
     return SafetyComparison(
-        {m: np.concatenate([v.p[m] for v in verdicts]) for m in first.p},
-        np.concatenate([v.safe for v in verdicts]),
-        np.concatenate([v.stratum for v in verdicts]),
+        {m: np.concatenate([v.p[m] for v in comparisons]) for m in first.p},
+        np.concatenate([v.safe for v in comparisons]),
+        np.concatenate([v.stratum for v in comparisons]),
         *means,
         first.scale,
         first.maps,
@@ -75,9 +75,9 @@ def show_heights(
     kept: dict[str, Any] = {}
     for name in results[0]:
         every = pool_heights([r[name] for r in results])
-        own = [r[name].figures() for r in results]
-        rows = [("all", every.figures())]
-        rows += [(label, every.figures(k)) for k, label in enumerate(STRATA)]
+        own = [r[name].statistics() for r in results]
+        rows = [("all", every.statistics())]
+        rows += [(label, every.statistics(k)) for k, label in enumerate(STRATA)]
         kept[name] = dict(rows) | {"by split": own}
         for label, f in rows:
             nees = f"{f['nees']:.2f}"
@@ -91,28 +91,32 @@ def show_heights(
     return kept
 
 
-def show_safety(verdicts: SafetyComparison, share: float, console: Console) -> dict[str, Any]:
-    """Print the quality of p_safe by map and slope class; return the values.
+def show_safety(
+    comparison: SafetyComparison, mapped_fraction: float, console: Console
+) -> dict[str, Any]:
+    """Print the quality metrics of p_safe by map and slope class; return them.
 
-    `verdicts` holds the sites of all splits; `share` is the mapped fraction of the returns.
+    `mapped_fraction` is the fraction of the returns in the maps.
     """
     console.print(
-        f"Fraction {share:.2f} of the returns mapped; lander scale {verdicts.scale:.2f}, slope "
+        f"Fraction {mapped_fraction:.2f} of the returns mapped; "
+        f"lander scale {comparison.scale:.2f}, slope "
         f"limit "
         f"{SLOPE_LIMIT_DEG:.0f} deg. The exact safety on mapped and on held-out returns "
-        f"agrees at {verdicts.agreement:.3f} of the sites; safe fraction on all returns "
-        f"{verdicts.dense_share:.3f}, on held-out returns {verdicts.held_share:.3f}"
+        f"agrees at {comparison.agreement:.3f} of the sites; safe fraction on all returns "
+        f"{comparison.dense_share:.3f}, on held-out returns {comparison.held_share:.3f}"
     )
     table = Table(
-        title=f"p_safe compared with the exact safety on held-out returns, {share:.2f} mapped"
+        title=f"p_safe compared with the exact safety on held-out returns, "
+        f"{mapped_fraction:.2f} mapped"
     )
     for heading in ("map", "slope", "sites", "safe (fraction)", "mean p", "ECE", "Brier skill",
                     "precision, p > 0.5", "recall", "safe fraction at p > 0.95"):  # fmt: skip
         table.add_column(heading, justify="right")
     kept: dict[str, Any] = {}
-    for name in verdicts.p:
-        rows = [("all", scores(verdicts.p[name], verdicts.safe))]
-        rows += list(zip(STRATA, strata_of(verdicts, name), strict=True))
+    for name in comparison.p:
+        rows = [("all", safety_metrics(comparison.p[name], comparison.safe))]
+        rows += list(zip(STRATA, metrics_by_slope(comparison, name), strict=True))
         kept[name] = dict(rows)
         for label, s in rows:
             table.add_row(
@@ -127,19 +131,22 @@ def show_safety(verdicts: SafetyComparison, share: float, console: Console) -> d
 def study(
     cloud: AirborneCloud, splits: int, title: str, console: Console
 ) -> tuple[dict[str, Any], Any]:
-    """Evaluate heights and safety of the maps on random splits of an airborne cloud.
+    """Test mapped heights and p_safe on random splits of an airborne LiDAR cloud.
 
     Returns the metrics for JSON and the data for the figure. `title` names the returns in the
     tables.
     """
     heights = [
-        judge_heights(cloud, seed) for seed in track(range(splits), description=f"heights, {title}")
+        compare_heights(cloud, seed)
+        for seed in track(range(splits), description=f"heights, {title}")
     ]
     kept: dict[str, Any] = {"heights": show_heights(heights, title, console), "safety": {}}
     safety = {}
     for share in SHARES:
         name = f"safety, {share:.2f} mapped, {title}"
-        runs = [judge_safety(cloud, share, seed) for seed in track(range(splits), description=name)]
+        runs = [
+            compare_safety(cloud, share, seed) for seed in track(range(splits), description=name)
+        ]
         safety[share] = pool_safety(runs)
         kept["safety"][str(share)] = show_safety(safety[share], share, console)
     return kept, (heights[0],
@@ -163,7 +170,7 @@ def main(splits: int, quick: bool, json_file: Path | None, out: Path | None) -> 
     kept, drawn = study(load(limit=limit), splits, "ground returns", console)
     result = {"ground": kept}
     if not quick:
-        every = [judge_heights(load(ground_only=False), seed) for seed in range(splits)]
+        every = [compare_heights(load(ground_only=False), seed) for seed in range(splits)]
         result["every class"] = show_heights(every, "returns of every class", console)
     if json_file is not None:
         json_file.parent.mkdir(parents=True, exist_ok=True)

@@ -25,14 +25,8 @@ def draw(
 ) -> None:
     """Plot the errors on a map and by predicted sigma, and the reliability of p_safe.
 
-    Parameters
-    ----------
-    first, heights
-        Errors of the first split and of all splits, by map.
-    safety
-        Safety comparison, by mapped fraction of the returns.
-    path
-        File of the figure.
+    `first` and `heights` are the height errors of the first split and of all splits, by map;
+    `safety` is the safety comparison by mapped fraction of the returns.
     """
     figure = new_figure(13.5, 8.2)
     axes = figure.subplots(2, 3)
@@ -94,7 +88,7 @@ def _squares(ax, heights: dict[str, HeightErrors]) -> None:
     """Plot the mean squared ratio of height error to predicted sigma by slope class."""
     place = np.arange(len(STRATA))
     for n, ((name, own), colour) in enumerate(zip(heights.items(), COLOURS, strict=False)):
-        values = [own.figures(k)["nees"] for k in place]
+        values = [own.statistics(k)["nees"] for k in place]
         ax.bar(place + 0.13 * (n - 2.5), values, 0.13, color=colour, label=name)
     ax.axhline(1.0, color="black", lw=1)
     ax.set_yscale("log")

@@ -13,13 +13,13 @@ from returns import (
     STRATA,
     AirborneCloud,
     fit_prior,
-    one_map,
-    pooled_map,
+    one_step_dem,
     quadtree_map,
     scaled_lander,
-    slope_of,
-    stratum,
-    without_trend,
+    slope_class,
+    smoothed_slope,
+    stepwise_dem,
+    subtract_local_planes,
 )
 from scipy import ndimage
 
@@ -59,13 +59,13 @@ class HeightErrors:
     stratum: np.ndarray
     xy: np.ndarray
 
-    def figures(self, which: int | None = None) -> dict[str, float]:
-        """Return statistics of the errors: count, bias, RMSE, NEES, and outlier fractions.
+    def statistics(self, slope_class: int | None = None) -> dict[str, float]:
+        """Return count, bias, RMSE, NEES and outlier fractions of the errors.
 
         NEES is the mean squared ratio of error to sigma; the fractions are those beyond 2 and 3
-        sigma. `which` selects a slope class (index into `STRATA`); None: all.
+        sigma. `slope_class` is an index into `STRATA`; None: all classes.
         """
-        use = slice(None) if which is None else self.stratum == which
+        use = slice(None) if slope_class is None else self.stratum == slope_class
         error, ratio = self.error[use], self.error[use] / self.sigma[use]
         if not error.size:
             return dict.fromkeys(("bias", "rmse", "nees", "beyond2", "beyond3"), np.nan) | {"n": 0}
@@ -79,10 +79,10 @@ class HeightErrors:
         }
 
 
-def bilinear(raster: np.ndarray, grid: Grid, xy: np.ndarray) -> np.ndarray:
-    """Interpolate a raster at positions (n, 2) between cell centers (n,).
+def interpolate_raster(raster: np.ndarray, grid: Grid, xy: np.ndarray) -> np.ndarray:
+    """Interpolate a raster bilinearly at positions (n, 2); return values (n,).
 
-    The result is NaN next to unknown cells.
+    A value is NaN next to unknown cells.
     """
     place = ((xy[:, 1] - grid.y0) / grid.posting, (xy[:, 0] - grid.x0) / grid.posting)
     return np.asarray(
@@ -90,31 +90,33 @@ def bilinear(raster: np.ndarray, grid: Grid, xy: np.ndarray) -> np.ndarray:
     )
 
 
-def heights_of(dem: GaussianDem, held: np.ndarray, slope: np.ndarray) -> HeightErrors:
-    """Return the errors of a Gaussian DEM at held-out returns.
+def dem_errors(dem: GaussianDem, held_out: np.ndarray, slope: np.ndarray) -> HeightErrors:
+    """Return the height errors of a Gaussian DEM at held-out LiDAR returns.
 
-    `held` (n, 3) are the returns, m; `slope` is the terrain slope on the DEM grid (rows, cols),
+    `held_out` (n, 3) are the returns, m; `slope` is the terrain slope on the DEM grid (rows, cols),
     deg.
     """
     seen = np.where(dem.observed, dem.mean, np.nan)
-    mean = bilinear(seen, dem.grid, held[:, :2])
-    variance = bilinear(np.where(dem.observed, dem.variance, np.nan), dem.grid, held[:, :2])
-    row, col = dem.grid.cell(held[:, :2])
-    inside = dem.grid.contains(held[:, :2])
-    where = np.full(len(held), -1)
-    where[inside] = stratum(slope[row[inside], col[inside]])
+    mean = interpolate_raster(seen, dem.grid, held_out[:, :2])
+    variance = interpolate_raster(
+        np.where(dem.observed, dem.variance, np.nan), dem.grid, held_out[:, :2]
+    )
+    row, col = dem.grid.cell(held_out[:, :2])
+    inside = dem.grid.contains(held_out[:, :2])
+    where = np.full(len(held_out), -1)
+    where[inside] = slope_class(slope[row[inside], col[inside]])
     use = np.isfinite(mean) & np.isfinite(variance) & (where >= 0)
     sigma = np.sqrt(variance[use] + SIGMA**2)
-    return HeightErrors(mean[use] - held[use, 2], sigma, where[use], held[use, :2])
+    return HeightErrors(mean[use] - held_out[use, 2], sigma, where[use], held_out[use, :2])
 
 
-def heights_of_cells(
-    mapper: QuadtreeMapper, held: np.ndarray, slope: np.ndarray, grid: Grid
+def quadtree_errors(
+    mapper: QuadtreeMapper, held_out: np.ndarray, slope: np.ndarray, grid: Grid
 ) -> HeightErrors:
-    """Return the errors of quadtree cells against held-out returns in the same cells.
+    """Return the height errors of quadtree cells from the held-out returns in them.
 
-    `held` (n, 3) are the returns, m; `slope` is the terrain slope on `grid` (rows, cols), deg. The
-    predicted sigma is that of the difference of two means, from the variance in the cell.
+    `held_out` (n, 3) are the returns, m; `slope` is the terrain slope on `grid` (rows, cols), deg.
+    The predicted sigma is that of the difference of two means, from the variance in the cell.
     """
     tree = mapper.map
     nodes = tree.band(*mapper.selector.settings.site_band)
@@ -123,8 +125,10 @@ def heights_of_cells(
     for size in np.unique(side):
         mine = np.flatnonzero(side == size)
         corner = xy[mine].min(axis=0) - 0.5 * size
-        place = {tuple(k): n for n, k in zip(mine, cells(xy[mine], corner, size), strict=True)}
-        for key, z in zip(cells(held, corner, size), held[:, 2], strict=True):
+        place = {
+            tuple(k): n for n, k in zip(mine, cell_indices(xy[mine], corner, size), strict=True)
+        }
+        for key, z in zip(cell_indices(held_out, corner, size), held_out[:, 2], strict=True):
             n = place.get(tuple(key))
             if n is not None:
                 count[n] += 1
@@ -138,13 +142,13 @@ def heights_of_cells(
     inner = squares / (number + count - 2)
     sigma = np.sqrt(inner * (1.0 / number + 1.0 / count))
     row, col = grid.cell(xy[use])
-    where = stratum(slope[np.clip(row, 0, grid.rows - 1), np.clip(col, 0, grid.cols - 1)])
+    where = slope_class(slope[np.clip(row, 0, grid.rows - 1), np.clip(col, 0, grid.cols - 1)])
     good = (sigma > 0.0) & (where >= 0)
     error = tree.elevation(nodes)[use] - mean
     return HeightErrors(error[good], sigma[good], where[good], xy[use][good])
 
 
-def cells(xy: np.ndarray, corner: np.ndarray, size: float) -> np.ndarray:
+def cell_indices(xy: np.ndarray, corner: np.ndarray, size: float) -> np.ndarray:
     """Return column and row (n, 2) of points in a raster of squares.
 
     `corner` is the south-west corner of the raster and `size` the side of a square, m.
@@ -152,27 +156,27 @@ def cells(xy: np.ndarray, corner: np.ndarray, size: float) -> np.ndarray:
     return np.floor((xy[:, :2] - corner) / size).astype(np.int64)
 
 
-def judge_heights(cloud: AirborneCloud, seed: int) -> dict[str, HeightErrors]:
-    """Map a random half of the returns by each method; test on the other half.
+def compare_heights(cloud: AirborneCloud, seed: int) -> dict[str, HeightErrors]:
+    """Map a random half of the LiDAR returns by each method; test on the others.
 
     Returns the height errors by name of the method.
     """
     rng = np.random.default_rng([seed, 0])
     mapped, held = cloud.split(0.5, rng)
     grid = cloud.grid(POSTING)
-    slope = slope_of(cloud, grid)
-    own = fit_prior(without_trend(mapped), rng)
+    slope = smoothed_slope(cloud, grid)
+    own = fit_prior(subtract_local_planes(mapped), rng)
     apart = cloud.spacing(0.5)
     out = {
-        "field of Table 6": heights_of(one_map(mapped, grid, SHIPPED), held, slope),
-        "fitted": heights_of(one_map(mapped, grid, fit_prior(mapped, rng)), held, slope),
-        "fitted without trend": heights_of(one_map(mapped, grid, own), held, slope),
-        "as flights do": heights_of(pooled_map(mapped, grid, apart, 1), held, slope),
-        "as flights do, 4 parts": heights_of(pooled_map(mapped, grid, apart, 4), held, slope),
+        "field of Table 6": dem_errors(one_step_dem(mapped, grid, SHIPPED), held, slope),
+        "fitted": dem_errors(one_step_dem(mapped, grid, fit_prior(mapped, rng)), held, slope),
+        "fitted without trend": dem_errors(one_step_dem(mapped, grid, own), held, slope),
+        "as flights do": dem_errors(stepwise_dem(mapped, grid, apart, 1), held, slope),
+        "as flights do, 4 parts": dem_errors(stepwise_dem(mapped, grid, apart, 4), held, slope),
     }
     factor = cloud.spacing(0.5) / SCAN_SPACING
     mapper = quadtree_map(mapped, grid, factor, 1.0 / cloud.spacing(0.5) ** 2)
-    out["quadtree cells"] = heights_of_cells(mapper, held, slope, grid)
+    out["quadtree cells"] = quadtree_errors(mapper, held, slope, grid)
     return out
 
 
@@ -187,7 +191,7 @@ class SafetyComparison:
     safe, stratum
         Exact safety on the held-out returns (n,); slope class as index into `STRATA` (n,).
     agreement
-        Fraction of sites for which the exact safety on the mapped returns is the same.
+        Fraction of sites for which mapped and held-out returns give the same exact safety.
     dense_share, held_share
         Fraction of sites exactly safe on all returns, and on the held-out returns.
     scale
@@ -206,20 +210,20 @@ class SafetyComparison:
     maps: Any = None
 
 
-def judge_safety(cloud: AirborneCloud, share: float, seed: int) -> SafetyComparison:
-    """Map a fraction of the returns and test p_safe for a scaled lander on the others.
+def compare_safety(cloud: AirborneCloud, mapped_fraction: float, seed: int) -> SafetyComparison:
+    """Map a fraction of the LiDAR returns; test p_safe on the others.
 
-    `share` is the mapped fraction.
+    The lander is scaled with the spacing of the mapped returns.
     """
     rng = np.random.default_rng([seed, 1])
-    mapped, held = cloud.split(share, rng)
-    factor = cloud.spacing(share) / SCAN_SPACING
+    mapped, held = cloud.split(mapped_fraction, rng)
+    factor = cloud.spacing(mapped_fraction) / SCAN_SPACING
     lander = scaled_lander(Lander(), factor)
     grid = cloud.grid(0.1 * factor)
-    own = fit_prior(without_trend(mapped), rng)
+    own = fit_prior(subtract_local_planes(mapped), rng)
     # All lengths scale, including the amplitude and the correlation length of the field.
     shipped = {name: factor * value for name, value in SHIPPED.items()}
-    held_out = exact_on(held, grid, lander, own)
+    held_out = exact_safety_of_returns(held, grid, lander, own)
     use = held_out.observed.copy()
     rasters = {}
     for form, test, name, setting in (
@@ -227,16 +231,16 @@ def judge_safety(cloud: AirborneCloud, share: float, seed: int) -> SafetyCompari
         ("planes", plane_stochastic_safety, "field of Table 6", shipped),
         ("planes", plane_stochastic_safety, "fitted", own),
     ):
-        dem = one_map(mapped, grid, setting)
+        dem = one_step_dem(mapped, grid, setting)
         seen = np.where(dem.observed, dem.mean, np.float32(np.nan))
         safety = test(seen, dem.variance, grid, lander)
         use &= safety.observed
         rasters[f"{form}, {name}"] = safety.p_safe
-    again = exact_on(mapped, grid, lander, own)
-    dense = exact_on(cloud.points, grid, lander, own)
+    again = exact_safety_of_returns(mapped, grid, lander, own)
+    dense = exact_safety_of_returns(cloud.points, grid, lander, own)
     use &= again.observed & dense.observed
     use &= (np.arange(grid.rows) % STRIDE == 0)[:, None] & (np.arange(grid.cols) % STRIDE == 0)
-    mapper = quadtree_map(mapped, grid, factor, 1.0 / cloud.spacing(share) ** 2)
+    mapper = quadtree_map(mapped, grid, factor, 1.0 / cloud.spacing(mapped_fraction) ** 2)
     tree, sites = mapper.hazard_map(), mapper.select()
     size = mapper.map.sizes(sites.nodes)
     eligible = rasterize_cells(grid, sites.position[:, :2], size, sites.status == ELIGIBLE, np.nan)
@@ -246,7 +250,7 @@ def judge_safety(cloud: AirborneCloud, share: float, seed: int) -> SafetyCompari
     return SafetyComparison(
         p,
         held_out.safe[use],
-        stratum(slope_of(cloud, grid))[use],
+        slope_class(smoothed_slope(cloud, grid))[use],
         float((again.safe == held_out.safe)[use].mean()),
         float(dense.safe[use].mean()),
         float(held_out.safe[use].mean()),
@@ -255,16 +259,19 @@ def judge_safety(cloud: AirborneCloud, share: float, seed: int) -> SafetyCompari
     )
 
 
-def exact_on(points: np.ndarray, grid: Grid, lander: Lander, setting: dict[str, float]) -> Any:
+def exact_safety_of_returns(
+    points: np.ndarray, grid: Grid, lander: Lander, prior: dict[str, float]
+) -> Any:
     """Return the exact safety of the surface interpolated through LiDAR returns.
 
-    `points` (n, 3) are the returns, m; `setting` are the parameters of the Gaussian DEM.
+    `points` (n, 3) are the returns, m; `prior` holds `sigma_f` and `length_scale` of the Gaussian
+    DEM (m).
     """
-    dem = one_map(points, grid, setting)
+    dem = one_step_dem(points, grid, prior)
     return exact_safety(np.where(dem.observed, dem.mean, np.nan), grid, lander)
 
 
-def scores(p: np.ndarray, safe: np.ndarray) -> dict[str, float]:
+def safety_metrics(p: np.ndarray, safe: np.ndarray) -> dict[str, float]:
     """Return quality metrics of p_safe against the true safety of sites (n,).
 
     They are count, safe fraction, mean p, calibration error (ECE), Brier skill, precision and
@@ -287,9 +294,11 @@ def scores(p: np.ndarray, safe: np.ndarray) -> dict[str, float]:
     return dict(zip(names, values, strict=True))
 
 
-def strata_of(verdicts: SafetyComparison, method: str) -> list[dict[str, float]]:
+def metrics_by_slope(comparison: SafetyComparison, method: str) -> list[dict[str, float]]:
     """Return the quality metrics of p_safe of one method for each slope class."""
     return [
-        scores(verdicts.p[method][verdicts.stratum == k], verdicts.safe[verdicts.stratum == k])
+        safety_metrics(
+            comparison.p[method][comparison.stratum == k], comparison.safe[comparison.stratum == k]
+        )
         for k in range(len(STRATA))
     ]

@@ -45,9 +45,9 @@ class AirborneCloud:
     points: np.ndarray
     area: float
 
-    def spacing(self, share: float) -> float:
-        """Return the mean horizontal spacing of a fraction `share` of the returns, m."""
-        return float(np.sqrt(self.area / (share * len(self.points))))
+    def spacing(self, fraction: float) -> float:
+        """Return the mean horizontal spacing if only a fraction of the returns is used, m."""
+        return float(np.sqrt(self.area / (fraction * len(self.points))))
 
     def grid(self, posting: float) -> Grid:
         """Return a grid over all returns with cells of side `posting`, m."""
@@ -55,15 +55,15 @@ class AirborneCloud:
         width, height = high - low
         return Grid.centred(0.5 * (low + high), width, posting, height)
 
-    def split(self, share: float, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-        """Return a random fraction `share` of the returns, and the others (n, 3), m."""
+    def split(self, fraction: float, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+        """Return a random fraction of the returns, and the other returns (n, 3), m."""
         chosen = np.zeros(len(self.points), np.bool_)
-        chosen[rng.permutation(len(chosen))[: round(share * len(chosen))]] = True
+        chosen[rng.permutation(len(chosen))[: round(fraction * len(chosen))]] = True
         return self.points[chosen], self.points[~chosen]
 
 
 def load(ground_only: bool = True, limit: float | None = None) -> AirborneCloud:
-    """Load the airborne cloud, or its part near the center.
+    """Load the airborne LiDAR cloud, or its part near the center.
 
     `ground_only` keeps only terrain returns, without those from objects. `limit` is the maximum
     distance from the center (m), east and north; None: all.
@@ -80,8 +80,8 @@ def load(ground_only: bool = True, limit: float | None = None) -> AirborneCloud:
     return AirborneCloud(points, 25.0 * len(squares))
 
 
-def slope_of(cloud: AirborneCloud, grid: Grid) -> np.ndarray:
-    """Return the slope of terrain smoothed over 3 m (rows, cols), deg; NaN unknown."""
+def smoothed_slope(cloud: AirborneCloud, grid: Grid) -> np.ndarray:
+    """Return the slope of terrain smoothed over 3 m (rows, cols), deg; NaN if unknown."""
     dem = gaussian_dem(cloud.points, grid, sigma_eps=SIGMA, **SHIPPED)
     known = dem.observed
     z = np.where(known, dem.mean, 0.0).astype(np.float64)
@@ -92,7 +92,7 @@ def slope_of(cloud: AirborneCloud, grid: Grid) -> np.ndarray:
     return np.where(known, np.rad2deg(np.arctan(np.hypot(north, east))), np.nan)
 
 
-def stratum(slope: np.ndarray) -> np.ndarray:
+def slope_class(slope: np.ndarray) -> np.ndarray:
     """Return the class of slopes (deg) as an index into `STRATA`; -1 where unknown."""
     index = np.digitize(slope, EDGES_DEG) - 1
     return np.where(np.isfinite(slope), index, -1)
@@ -107,8 +107,8 @@ def fit_prior(points: np.ndarray, rng: np.random.Generator) -> dict[str, float]:
     return {"sigma_f": fit.sigma_f, "length_scale": fit.length_scale}
 
 
-def without_trend(points: np.ndarray, neighbours: int = 25) -> np.ndarray:
-    """Replace heights of points by heights above the plane of their neighbours.
+def subtract_local_planes(points: np.ndarray, neighbours: int = 25) -> np.ndarray:
+    """Replace each point's height by its height above the plane of its neighbours.
 
     `points` and the result are (n, 3), m; `neighbours` is the number of points per plane.
     """
@@ -121,50 +121,52 @@ def without_trend(points: np.ndarray, neighbours: int = 25) -> np.ndarray:
     return np.column_stack((points[:, :2], -plane))
 
 
-def one_map(points: np.ndarray, grid: Grid, setting: dict[str, float]) -> GaussianDem:
+def one_step_dem(points: np.ndarray, grid: Grid, prior: dict[str, float]) -> GaussianDem:
     """Compute the Gaussian DEM of all returns in one step.
 
-    `points` (n, 3), m; `setting` holds `sigma_f` and `length_scale`.
+    `points` (n, 3), m; `prior` holds `sigma_f` and `length_scale`.
     """
-    return gaussian_dem(points, grid, sigma_eps=SIGMA, **setting)
+    return gaussian_dem(points, grid, sigma_eps=SIGMA, **prior)
 
 
-def pooled_map(points: np.ndarray, grid: Grid, spacing: float, parts: int) -> GaussianDem:
+def stepwise_dem(points: np.ndarray, grid: Grid, spacing: float, steps: int) -> GaussianDem:
     """Compute the Gaussian DEM of returns that are inserted in several steps.
 
-    This is the method used in flight, with the scatter of the terrain around each triangle.
-    `spacing` is the mean spacing of all returns, m; `parts` is the number of steps.
+    This is the method of the onboard mapper.
+    `spacing` is the mean spacing of all returns, m.
     """
     pool = SamplePool(grid)
-    for n in range(parts):
-        pool.add(points[n::parts], SIGMA, spacing * np.sqrt(parts))
+    for n in range(steps):
+        pool.add(points[n::steps], SIGMA, spacing * np.sqrt(steps))
     return pooled_dem(pool)
 
 
-def scaled_lander(lander: Lander, factor: float) -> Lander:
-    """Return a lander scaled by `factor`, with the slope limit of this mountain."""
+def scaled_lander(lander: Lander, scale: float) -> Lander:
+    """Return a lander with lengths times `scale` and the slope limit of this study."""
     return replace(
         lander,
-        leg_radius=factor * lander.leg_radius,
-        pad_diameter=factor * lander.pad_diameter,
-        roughness_limit=factor * lander.roughness_limit,
+        leg_radius=scale * lander.leg_radius,
+        pad_diameter=scale * lander.pad_diameter,
+        roughness_limit=scale * lander.roughness_limit,
         slope_limit=np.deg2rad(SLOPE_LIMIT_DEG),
     )
 
 
-def quadtree_map(points: np.ndarray, grid: Grid, factor: float, density: float) -> QuadtreeMapper:
+def quadtree_map(
+    points: np.ndarray, grid: Grid, lander_scale: float, density: float
+) -> QuadtreeMapper:
     """Return a quadtree mapper that contains the returns, with scaled cell sizes.
 
-    `factor` scales the lander; the cell sizes are scaled by the nearest power of two. `density` is
-    the density of the returns (1/m^2); cells need half of it.
+    `lander_scale` multiplies the lengths of the lander, and the nearest power of two the cell
+    sizes. `density` is that of the returns (1/m^2); a cell needs at least half of it.
     """
-    times = 2.0 ** round(np.log2(factor))
+    times = 2.0 ** round(np.log2(lander_scale))
     paper = SiteSettings()
     settings = SiteSettings(
         slope_limit=np.deg2rad(SLOPE_LIMIT_DEG),
-        roughness_limit=factor * paper.roughness_limit,
+        roughness_limit=lander_scale * paper.roughness_limit,
         min_density=0.5 * density,
-        zone_half_side=factor * paper.zone_half_side,
+        zone_half_side=lander_scale * paper.zone_half_side,
         mesh_band=tuple(times * size for size in paper.mesh_band),
         hazard_band=tuple(times * size for size in paper.hazard_band),
         site_band=tuple(times * size for size in paper.site_band),
@@ -174,7 +176,7 @@ def quadtree_map(points: np.ndarray, grid: Grid, factor: float, density: float) 
         settings,
         elevation=float(np.median(points[:, 2])),
         min_cell_size=0.1 * times,
-        lander=scaled_lander(Lander(), factor),
+        lander=scaled_lander(Lander(), lander_scale),
     )
     mapper.map.insert(points)
     mapper.select()

@@ -43,18 +43,19 @@ class ShadowCell:
     shape, expected_shape
         True and expected rock shape.
     elevation, turn
-        Sun elevation, and azimuth from behind the camera (0) to in front of it (180), deg.
+        Sun elevation, and Sun azimuth relative to the direction behind the camera (180: in front
+        of it), deg.
     relief
         RMS slope at 1 m, deg, or "hirise" for the measured crop.
     height, slenderness
         True mean height / width of the rocks (before the cut-off at 1), and mean ratio of their
-        shorter to their longer axis; None: default of the rocks. Unknown to the mission.
+        shorter to their longer axis; None: default. The mission does not know them.
     min_diameter
         Minimum rock diameter, m.
     craters
         Equilibrium density of craters of 1 m and more, 1/m^2; 0: none.
     blur
-        Point spread of the camera, 1 sigma, pixels; known to the mission.
+        Point spread of the camera, 1 sigma, pixels; the mission knows it.
     pixels
         Factor on the camera pixels per side relative to the experiment of the shadow EKF paper.
     """
@@ -74,7 +75,7 @@ class ShadowCell:
     blur: float = 0.6
     pixels: int = 1
 
-    def within_goal(self) -> bool:
+    def recall_goal_applies(self) -> bool:
         """Return whether the recall requirement applies to this test case.
 
         It applies to a cover up to 8 %, Sun elevations of 10 to 45 deg and relief up to 4 deg, for
@@ -88,7 +89,7 @@ class ShadowCell:
         )
 
     def scenario(self, path: str = "modified") -> Scenario:
-        """Return a reduced descent of the shadow EKF paper over the terrain of this cell.
+        """Return the scenario of this test case: a short descent of the shadow EKF paper.
 
         `path` is the descent, "nominal" or "modified". The map is 80 m wide and the camera takes
         two images per second, which needs a fifteenth of the time of the complete experiment.
@@ -131,8 +132,8 @@ HOME = ShadowCell("home")
 ASIDE = ShadowCell("aside", shape="mixed", elevation=30.0, turn=120.0)
 
 
-def _lines() -> list[ShadowCell]:
-    """Return the test cases that differ from the home cell in one factor."""
+def _one_factor_cells() -> list[ShadowCell]:
+    """Return the test cases that differ from the reference case `HOME` in one factor."""
     cells = [
         replace(HOME, name=f"cover {c:g}", cover=c, expected_cover=c)
         for c in (0.02, 0.03, 0.08, 0.10, 0.15)
@@ -167,8 +168,8 @@ def _lines() -> list[ShadowCell]:
     ]
 
 
-def _array() -> list[ShadowCell]:
-    """Return the 25 test cases of the orthogonal array."""
+def _orthogonal_array_cells() -> list[ShadowCell]:
+    """Return 25 test cases, an orthogonal array of six factors with five levels."""
     cells = []
     for a, b in product(range(5), repeat=2):
         cover, shape, shift, sun, turn, relief = (
@@ -193,9 +194,14 @@ def _array() -> list[ShadowCell]:
 UNRESOLVED = ("rocks from 0.15 m", "array 03", "array 04", "array 11", "array 30")
 
 
-def _sharper(cells: list[ShadowCell]) -> list[ShadowCell]:
-    """Return the insufficiently resolved test cases with half the pixel size."""
+def _higher_resolution_cells(cells: list[ShadowCell]) -> list[ShadowCell]:
+    """Return the test cases in `UNRESOLVED` with half the pixel size."""
     return [replace(c, name=f"{c.name}, sharp", pixels=2) for c in cells if c.name in UNRESOLVED]
 
 
-CELLS = (HOME, *_lines(), *_array(), *_sharper([*_lines(), *_array()]))
+CELLS = (
+    HOME,
+    *_one_factor_cells(),
+    *_orthogonal_array_cells(),
+    *_higher_resolution_cells([*_one_factor_cells(), *_orthogonal_array_cells()]),
+)

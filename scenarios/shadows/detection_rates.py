@@ -67,18 +67,18 @@ LIGHTS: dict[str, dict[str, Any]] = {
 def make_world(
     shape: str, elevation: float, rng: np.random.Generator, light: str = "plain"
 ) -> World:
-    """Generate a horizontal field of rocks by Golombek's law with 5 % cover.
+    """Generate a rock field on horizontal terrain by Golombek's law with 5 % cover.
 
     `elevation` is that of the Sun (rad); `light` is a name in `LIGHTS`.
     """
     grid = Grid.centred((0.0, 0.0), FIELD, 2.0)
     relief = Heightfield(grid, np.zeros(grid.shape, np.float32))
     diameters = sample_diameters(FIELD**2, 0.05, 0.3, 3.0, rng)
-    rocks = place_rocks(relief, diameters, rng, model=model_of(shape))
+    rocks = place_rocks(relief, diameters, rng, model=rock_model_of(shape))
     return World(Terrain(relief, rocks), 1.622, Light(0.0, elevation, **LIGHTS[light]))
 
 
-def model_of(shape: str) -> RockModel:
+def rock_model_of(shape: str) -> RockModel:
     """Return the population of rocks of one shape without burial."""
     return RockModel(shape, burial=(0.0, 0.0))  # type: ignore[arg-type]
 
@@ -86,9 +86,9 @@ def model_of(shape: str) -> RockModel:
 def take_image(world: World, model: ShapeMixture, rng: np.random.Generator) -> dict[str, Any]:
     """Simulate one image; return shadow size and detection result of each rock.
 
-    `q` is the square root of the expected number of shadow pixels. The result holds, by name, q and
-    the flags missed and merged of the rocks in view, q and flag false of the detections, and q and
-    flag cleared of the hazards.
+    The shadow size `q` is the square root of the expected number of shadow pixels. The result
+    holds, by name: for rocks in view q and the flags "missed" and "merged"; for detections "seen_q"
+    and the flag "false"; for hazards "hazard_q" and the flag "cleared".
     """
     altitude = np.exp(rng.uniform(np.log(25.0), np.log(250.0)))
     depression = rng.uniform(np.radians(22.0), np.pi / 2)
@@ -138,26 +138,26 @@ def take_image(world: World, model: ShapeMixture, rng: np.random.Generator) -> d
     merged = ~found & (patch > 0) & (size[patch] > 1.7 * q**2) & (size[patch] >= 4)
     hazard = inside & (2.0 * rocks.a >= MIN_HAZARD_DIAMETER) & (len(seen) > 0)
     return {
-        "hazard_q": q[hazard], "cleared": (cleared_rocks(world, view, seen,
+        "hazard_q": q[hazard], "cleared": (is_cleared(world, view, seen,
         model) & ~found)[hazard],
         "q": q[inside], "missed": (~found & ~merged)[inside], "merged": merged[inside],
         "seen_q": seen.q, "false": false,
     }  # fmt: skip
 
 
-def cleared_rocks(
-    world: World, view: View, seen: Detections, model: ShapeMixture
+def is_cleared(
+    world: World, view: View, detections: Detections, model: ShapeMixture
 ) -> NDArray[np.bool_]:
-    """Return at which rock positions (n,) one image gives evidence against a rock.
+    """Return for each rock (n,) whether one image gives evidence that it is absent.
 
-    `seen` are the detections in the image. The position of a rock is the area within half its
-    radius of the center.
+    This is evidence of lit terrain, and none of a shadow, within half the rock's radius of its
+    center. `detections` are those in the image.
     """
     rocks = world.terrain.rocks
     grid = Grid.centred((0.0, 0.0), FIELD, 0.25)
     sizes = MIN_HAZARD_DIAMETER * 1.4 ** np.arange(4)
     evidence = ClearEvidence(grid, model, sizes, np.ones(4), DetectionRates())
-    evidence.add_image(view, world.light.direction, seen, lambda xy: np.zeros(len(xy)))
+    evidence.add_image(view, world.light.direction, detections, lambda xy: np.zeros(len(xy)))
     of = np.clip(np.searchsorted(0.5 * sizes, rocks.a, side="right") - 1, 0, 3)
     centre = grid.centres().reshape(-1, 2)
     near = cKDTree(centre).query_ball_point(
@@ -169,26 +169,28 @@ def cleared_rocks(
     )
 
 
-def rate(q: NDArray[Any], hit: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Return the fraction of hits and the number of samples in each bin of `EDGES`.
+def rates_by_size(q: NDArray[Any], flag: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Return the fraction of samples with a flag, and their number, by bin of q.
 
-    `q` (n,) is the square root of the number of shadow pixels, `hit` (n,) the flag that is counted.
+    `q` (n,) is the square root of the number of shadow pixels; `EDGES` holds the bin limits.
     """
     number, _ = np.histogram(q, EDGES)
-    hits, _ = np.histogram(q[hit], EDGES)
+    hits, _ = np.histogram(q[flag], EDGES)
     return hits / np.maximum(number, 1), number
 
 
-def fit(middle: NDArray[Any], values: NDArray[Any], number: NDArray[Any]) -> list[float]:
+def fit_least_squares(
+    bin_centers: NDArray[Any], rates: NDArray[Any], counts: NDArray[Any]
+) -> list[float]:
     """Fit a clipped line to rates by least squares; return its start, slope and floor.
 
-    `middle` are bin centers of q, `values` the rates and `number` the numbers of samples. The line
-    is clip(start + slope q, floor, 1).
+    `bin_centers` are values of q (square root of the number of shadow pixels); `counts` are the
+    numbers of samples. The line is clip(start + slope q, floor, 1).
     """
-    weight = np.sqrt(np.minimum(number, 500.0))
+    weight = np.sqrt(np.minimum(counts, 500.0))
 
     def off(x: NDArray[Any]) -> NDArray[Any]:
-        return weight * (np.clip(x[0] + x[1] * middle, x[2], 1.0) - values)
+        return weight * (np.clip(x[0] + x[1] * bin_centers, x[2], 1.0) - rates)
 
     best = min(
         (
@@ -201,21 +203,22 @@ def fit(middle: NDArray[Any], values: NDArray[Any], number: NDArray[Any]) -> lis
     return [float(v) for v in best.x]
 
 
-def fit_likelihood(middle: NDArray[Any], values: NDArray[Any], number: NDArray[Any]) -> list[float]:
+def fit_maximum_likelihood(
+    bin_centers: NDArray[Any], rates: NDArray[Any], counts: NDArray[Any]
+) -> list[float]:
     """Fit a clipped line by maximum likelihood; return its start, slope and floor.
 
-    `middle` are bin centers of q, `values` the rates and `number` the numbers of samples. A map
-    must not clear a hazard, so the difference between rates of 1 % and 3 % matters; least squares
-    would be dominated by the large rates. A rock that covers no pixel is always cleared: the line
-    starts at 1 or more.
+    The arguments are those of `fit_least_squares`. The likelihood gives small rates more weight:
+    whether 1 % or 3 % of the hazards are cleared matters. The line starts at 1 or more because a
+    rock that covers no pixel is always cleared.
     """
-    hits = values * number
+    hits = rates * counts
 
     def off(x: NDArray[Any]) -> float:
         if not (x[0] >= 1.0 and x[1] <= 0.0 and 1e-3 <= x[2] <= 0.5):
             return np.inf
-        p = np.clip(x[0] + x[1] * middle, x[2], 1.0 - 1e-9)
-        return -float((hits * np.log(p) + (number - hits) * np.log1p(-p)).sum())
+        p = np.clip(x[0] + x[1] * bin_centers, x[2], 1.0 - 1e-9)
+        return -float((hits * np.log(p) + (counts - hits) * np.log1p(-p)).sum())
 
     starts = [(a, b, c) for a in (1.0, 1.1, 1.3) for b in (-0.2, -0.3, -0.45) for c in (0.01, 0.03)]
     settings = {"xatol": 1e-5, "fatol": 1e-6, "maxiter": 4000}
@@ -285,16 +288,16 @@ def main(
         np.concatenate([one[name] for one in looks])
         for name in ("q", "missed", "merged", "seen_q", "false", "hazard_q", "cleared")
     )
-    missed, rocks = rate(q, lost)
-    merged, _ = rate(q, run)
-    made_up, detections = rate(seen_q, false)
-    clear, hazards = rate(hazard_q, gone)
+    missed, rocks = rates_by_size(q, lost)
+    merged, _ = rates_by_size(q, run)
+    made_up, detections = rates_by_size(seen_q, false)
+    clear, hazards = rates_by_size(hazard_q, gone)
     middle = 0.5 * (EDGES[1:] + EDGES[:-1])
     many, some, few = rocks >= 30, detections >= 30, hazards >= 30
     lines = {
-        "missed": fit(middle[many], missed[many], rocks[many]),
-        "false": fit(middle[some], made_up[some], detections[some]),
-        "cleared": fit_likelihood(middle[few], clear[few], hazards[few]),
+        "missed": fit_least_squares(middle[many], missed[many], rocks[many]),
+        "false": fit_least_squares(middle[some], made_up[some], detections[some]),
+        "cleared": fit_maximum_likelihood(middle[few], clear[few], hazards[few]),
     }
     data = {
         "edges": EDGES.tolist(), "rocks": rocks.tolist(), "missed": missed.tolist(),

@@ -29,18 +29,18 @@ def draw_all(results: list[dict[str, Any]], out: Path) -> None:
     draw_contours(first, out / "contours.png")
     draw_slice(first, out / "slice.png")
     draw_reliability(results, out / "reliability.png")
-    draw_forms(out / "forms.png")
+    draw_cover_models(out / "forms.png")
 
 
-def draw_paths(first: dict[str, dict[str, Any]], path: Path) -> None:
+def draw_paths(first_flights: dict[str, dict[str, Any]], path: Path) -> None:
     """Plot both descents from the side and from above (shadow EKF paper, Figure 4).
 
-    `first` holds the first flight of each path by its name.
+    `first_flights` holds the first flight by name of the path.
     """
     figure = new_figure(9.0, 3.8)
     side, top = figure.subplots(1, 2)
     for name, colour in zip(PATHS, COLOURS, strict=False):
-        track = first[name]["track"]
+        track = first_flights[name]["track"]
         along = track[:, :2] @ np.array([1.0, 1.0]) / np.sqrt(2.0)
         side.plot(along, track[:, 2], color=colour, label=name)
         top.plot(track[:, 0], track[:, 1], color=colour, label=name)
@@ -56,12 +56,12 @@ def draw_paths(first: dict[str, dict[str, Any]], path: Path) -> None:
     save(figure, path)
 
 
-def draw_classes(first: dict[str, dict[str, Any]], path: Path) -> None:
+def draw_classes(first_flights: dict[str, dict[str, Any]], path: Path) -> None:
     """Plot clear, unknown and occupied cells by altitude (shadow EKF paper, Figure 7).
 
-    `first` holds the first flight of each path by its name.
+    `first_flights` holds the first flight by name of the path.
     """
-    altitudes = list(first["nominal"]["levels"])
+    altitudes = list(first_flights["nominal"]["levels"])
     figure = new_figure(3.0 * len(altitudes), 7.0)
     figure.suptitle("Three map classes by altitude, first field")
     axes = figure.subplots(2, len(altitudes), sharex=True, sharey=True)
@@ -69,9 +69,10 @@ def draw_classes(first: dict[str, dict[str, Any]], path: Path) -> None:
     norm = BoundaryNorm([0.0, 0.0025, 0.8, 1.0], 3)
     for row, name in enumerate(PATHS):
         for column, altitude in enumerate(altitudes):
-            level = first[name]["levels"][altitude]
+            level = first_flights[name]["levels"][altitude]
             ax = axes[row, column]
-            ax.imshow(level["map"], origin="lower", extent=_about(level), cmap=colours, norm=norm,
+            extent = _extent_about_center(level)
+            ax.imshow(level["map"], origin="lower", extent=extent, cmap=colours, norm=norm,
                       interpolation="nearest")  # fmt: skip
             ax.set_title(f"{name}, {altitude:.0f} m")
             if row == 1:
@@ -89,32 +90,35 @@ def draw_classes(first: dict[str, dict[str, Any]], path: Path) -> None:
     save(figure, path)
 
 
-def _about(level: dict[str, Any]) -> tuple[float, float, float, float]:
+def _extent_about_center(view: dict[str, Any]) -> tuple[float, float, float, float]:
     """Return the extent of a map relative to its center: west, east, south, north, m.
 
-    `level` is the map with its data at one altitude.
+    `view` holds the map at one altitude.
     """
-    west, east, south, north = level["extent"]
+    west, east, south, north = view["extent"]
     x, y = 0.5 * (west + east), 0.5 * (south + north)
     return west - x, east - x, south - y, north - y
 
 
-def draw_contours(first: dict[str, dict[str, Any]], path: Path, half: float = 20.0) -> None:
+def draw_contours(
+    first_flights: dict[str, dict[str, Any]], path: Path, half_side: float = 20.0
+) -> None:
     """Plot the last maps and true rocks around the site (shadow EKF paper, Figure 6).
 
-    `first` holds the first flight of each path by its name; `half` is half the side of the view, m.
+    `first_flights` holds the first flight by name of the path; `half_side` is half the side of the
+    view, m.
     """
     figure = new_figure(9.6, 4.9)
     figure.suptitle("Hazard probability around the site, first field")
     axes = figure.subplots(1, 2, sharex=True, sharey=True)
     levels = [0.0025, 0.01, 0.05, 0.2, 0.4, 0.6, 0.8, 1.0]
     for ax, name in zip(axes, PATHS, strict=True):
-        level = first[name]["levels"][50.0]
-        west, east, south, north = _about(level)
+        level = first_flights[name]["levels"][50.0]
+        west, east, south, north = _extent_about_center(level)
         rows, cols = level["map"].shape
         x = west + (np.arange(cols) + 0.5) * (east - west) / cols
         y = south + (np.arange(rows) + 0.5) * (north - south) / rows
-        i, j = np.flatnonzero(abs(y) <= half), np.flatnonzero(abs(x) <= half)
+        i, j = np.flatnonzero(abs(y) <= half_side), np.flatnonzero(abs(x) <= half_side)
         p = level["map"][np.ix_(i, j)]
         shown = ax.contourf(x[j], y[i], np.maximum(p, 1e-5), [0.0, *levels], cmap="magma_r",
                             norm=BoundaryNorm([0.0, *levels], 256))  # fmt: skip
@@ -131,26 +135,28 @@ def draw_contours(first: dict[str, dict[str, Any]], path: Path, half: float = 20
     save(figure, path)
 
 
-def draw_slice(first: dict[str, dict[str, Any]], path: Path) -> None:
+def draw_slice(first_flights: dict[str, dict[str, Any]], path: Path) -> None:
     """Plot hazard probability along a line by altitude (shadow EKF paper, Figure 5).
 
-    `first` holds the first flight of each path by its name.
+    `first_flights` holds the first flight by name of the path.
     """
     figure = new_figure(9.6, 4.4)
     axes = figure.subplots(1, 2, sharex=True, sharey=True)
     # The line with the maximum number of hazards near the site.
-    occupied = first["modified"]["levels"][50.0]["occupied"]
+    occupied = first_flights["modified"]["levels"][50.0]["occupied"]
     rows, cols = occupied.shape
     near = slice(cols // 2 - 60, cols // 2 + 60)
     middle = slice(rows // 2 - 60, rows // 2 + 60)
     line = rows // 2 - 60 + int(np.argmax(occupied[middle, near].sum(1)))
     for ax, name in zip(axes, PATHS, strict=True):
-        for colour, (altitude, level) in zip(COLOURS, first[name]["levels"].items(), strict=False):
-            west, east, *_ = _about(level)
+        for colour, (altitude, level) in zip(
+            COLOURS, first_flights[name]["levels"].items(), strict=False
+        ):
+            west, east, *_ = _extent_about_center(level)
             x = west + (np.arange(cols) + 0.5) * (east - west) / cols
             ax.plot(x[near], np.maximum(level["map"][line, near], 1e-5), color=colour,
                     label=f"from {altitude:.0f} m")  # fmt: skip
-        truth = first[name]["levels"][50.0]["occupied"][line, near]
+        truth = first_flights[name]["levels"][50.0]["occupied"][line, near]
         ax.fill_between(
             x[near], 1e-5, 1.0, where=truth, step="mid", color="#bbbbbb", label="hazard"
         )
@@ -214,8 +220,11 @@ def draw_rates(data: dict[str, Any], shape: str, path: Path) -> None:
     save(figure, path)
 
 
-def draw_forms(path: Path) -> None:
-    """Plot the coverage probability of a rock, exact and as in the shadow EKF paper."""
+def draw_cover_models(path: Path) -> None:
+    """Plot the probability that a rock of uncertain position covers a point.
+
+    The exact value is compared with the approximation of the shadow EKF paper.
+    """
     figure = new_figure(8.4, 3.4)
     axes = figure.subplots(1, 2, sharey=True)
     d = np.linspace(0.0, 2.0, 401)

@@ -78,10 +78,9 @@ def make_terrain(task: ImageCheckTask, rng: np.random.Generator) -> Terrain:
 
 
 def check_images(task: ImageCheckTask) -> list[dict[str, Any]]:
-    """Return the check result of every image of a field, good and faulty.
+    """Simulate good and faulty images of a field, and check each of them.
 
-    Each result holds the conditions, the fault, and the reason of rejection ("counts" if the image
-    is accepted).
+    A result holds the conditions, the name of the fault, and the text of `check_result`.
     """
     rng = np.random.default_rng(np.random.SeedSequence(task.seed, spawn_key=(task.number,)))
     terrain = make_terrain(task, rng)
@@ -103,40 +102,40 @@ def check_images(task: ImageCheckTask) -> list[dict[str, Any]]:
             sun = direction_from_angles(light.azimuth + turn, light.elevation)
             health = ImageQualityCheck()
             health.sun.confirmed = name == SEEN
-            checked = judge(image, camera, state, sun, aim[2], health)
+            checked = check_result(image, camera, state, sun, aim[2], health)
             rows.append(cell | {"fault": name, "verdict": checked})
     return rows
 
 
-def judge(
+def check_result(
     image: Counts,
     camera: Camera,
     state: State,
     sun: Any,
-    height: float,
-    health: ImageQualityCheck,
+    terrain_height: float,
+    check: ImageQualityCheck,
 ) -> str:
     """Return why the image check rejects an image; "counts" if the image is accepted.
 
-    `sun` (3,) is the assumed direction to the Sun, `height` the terrain height (m) and `health` the
-    check. Reasons without an alarm are in parentheses.
+    `sun` (3,) is the assumed direction to the Sun and `terrain_height` is in m. Reasons without an
+    alarm are in parentheses.
     """
-    checked = health.before_detection(image, camera, state)
+    checked = check.before_detection(image, camera, state)
     if checked.good:
         # The rock population is unknown to the check.
         model = ShadowModel(float(np.arcsin(sun[2])))
-        seen = detect_rocks(image, camera, state, sun, terrain=height, model=model)
-        points = np.column_stack((seen.terrain_xy, np.full(len(seen), height)))
+        seen = detect_rocks(image, camera, state, sun, terrain=terrain_height, model=model)
+        points = np.column_stack((seen.terrain_xy, np.full(len(seen), terrain_height)))
         noise = checked.metrics["noise"]
         turn = measure_shadow_angle(seen, camera.view(state), points, sun, model, noise)
-        checked = health.after_detection(seen, turn, noise)
+        checked = check.after_detection(seen, turn, noise)
     if checked.fault is None:
         return "counts"
     return f"{'' if checked.alarm else '('}{checked.fault.name}{'' if checked.alarm else ')'}"
 
 
 def faulty_images(counts: Counts, rng: np.random.Generator) -> list[tuple[str, Any, float]]:
-    """Return faulty versions of an image: name, image, Sun rotation (rad)."""
+    """Return faulty versions of an image: fault, image, error of the Sun azimuth, rad."""
     grey, shape = counts.astype(np.float32), counts.shape
     out: list[tuple[str, Any, float]] = [
         ("black", np.zeros_like(counts), 0.0), ("white", np.full_like(counts, 255), 0.0),
@@ -145,11 +144,13 @@ def faulty_images(counts: Counts, rng: np.random.Generator) -> list[tuple[str, A
     ]  # fmt: skip
     for share in (0.1, 0.3):
         noise = share * np.median(grey) * rng.standard_normal(shape)
-        out.append((f"under noise of {share}", read(grey + noise, rng), 0.0))
+        out.append((f"under noise of {share}", add_read_noise(grey + noise, rng), 0.0))
     for sigma in (1.0, 1.5, 2.0, 3.0):
-        out.append((f"defocus {sigma} px", read(cv2.GaussianBlur(grey, (0, 0), sigma), rng), 0.0))
+        out.append(
+            (f"defocus {sigma} px", add_read_noise(cv2.GaussianBlur(grey, (0, 0), sigma), rng), 0.0)
+        )
     for length in (4, 6, 8, 12):
-        out.append((f"smear {length} px", read(smear(grey, length, rng), rng), 0.0))
+        out.append((f"smear {length} px", add_read_noise(smear_image(grey, length, rng), rng), 0.0))
     half = counts.copy()
     rows, cols = shape
     half[(np.s_[rows // 2 :], np.s_[: rows // 2], np.s_[:, cols // 2 :], np.s_[:, : cols // 2])[
@@ -160,19 +161,19 @@ def faulty_images(counts: Counts, rng: np.random.Generator) -> list[tuple[str, A
     return out
 
 
-def read(grey: Any, rng: np.random.Generator) -> Counts:
+def add_read_noise(gray_values: Any, rng: np.random.Generator) -> Counts:
     """Add read noise to gray values and round them to counts (0 to 255)."""
-    noisy = grey + 0.6 * rng.standard_normal(grey.shape)
+    noisy = gray_values + 0.6 * rng.standard_normal(gray_values.shape)
     return np.asarray(np.rint(noisy).clip(0, 255), np.uint8)
 
 
-def smear(grey: NDArray[np.float32], length: int, rng: np.random.Generator) -> Any:
-    """Smear an image by `length` pixels in a random direction."""
+def smear_image(gray_values: NDArray[np.float32], length: int, rng: np.random.Generator) -> Any:
+    """Smear an image by `length` pixels in a random direction, as by motion."""
     angle = rng.uniform(0.0, np.pi)
     kernel = np.zeros((2 * length + 1,) * 2, np.float32)
     for t in np.linspace(-0.5, 0.5, 100) * length:
         kernel[length + round(t * np.sin(angle)), length + round(t * np.cos(angle))] += 0.01
-    return cv2.filter2D(grey, -1, kernel)
+    return cv2.filter2D(gray_values, -1, kernel)
 
 
 def show(rows: list[dict[str, Any]], console: Console) -> None:

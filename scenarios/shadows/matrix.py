@@ -66,7 +66,11 @@ def fly(task: ShadowMatrixTask) -> dict[str, Any]:
     simulation = Simulation(scenario, flight_seed(task.seed, task.field))
     while not simulation.done and simulation.altitude > ALTITUDE:
         simulation.step()
-    out = {"cell": asdict(task.cell), **judge(simulation), **choice(simulation)}
+    out = {
+        "cell": asdict(task.cell),
+        **evaluate_map(simulation),
+        **evaluate_safest_site(simulation),
+    }
     simulation.computer.stop_sensors()
     while not simulation.done:
         simulation.step()
@@ -74,12 +78,14 @@ def fly(task: ShadowMatrixTask) -> dict[str, Any]:
     out["landed"] = outcome is not None and outcome.touchdown is not None
     out["on_hazard"] = False
     if outcome is not None and outcome.touchdown is not None:
-        out["on_hazard"] = bool(reach_into(simulation, outcome.touchdown.position[None, :2]).any())
+        out["on_hazard"] = bool(
+            has_hazard_in_footprint(simulation, outcome.touchdown.position[None, :2]).any()
+        )
     return out
 
 
-def choice(simulation: Simulation) -> dict[str, Any]:
-    """Return the site selected by the policy `safest`, and the hazard there.
+def evaluate_safest_site(simulation: Simulation) -> dict[str, Any]:
+    """Return whether the site that the policy `safest` selects is on a hazard.
 
     The decision is not executed. If the policy does not divert, the current site is its choice,
     unless the map shows no reachable site.
@@ -91,23 +97,23 @@ def choice(simulation: Simulation) -> dict[str, Any]:
     return {
         "chosen": bool(shown.candidates.reachable.any()),
         "diverts": decision.site is not None,
-        "site_on_hazard": bool(reach_into(simulation, place).any()),
+        "site_on_hazard": bool(has_hazard_in_footprint(simulation, place).any()),
     }
 
 
-def hazards_of(simulation: Simulation) -> NDArray[np.bool_]:
-    """Return which true rocks have the minimum hazard diameter or more (n,)."""
+def is_hazard(simulation: Simulation) -> NDArray[np.bool_]:
+    """Return whether each true rock is a hazard (n,): minimum hazard diameter or more."""
     least = simulation.scenario.mappers["rocks"].min_hazard_diameter_m
     return np.asarray(2.0 * simulation.world.terrain.rocks.a >= least)
 
 
-def reach_into(simulation: Simulation, xy: NDArray[np.float64]) -> NDArray[np.bool_]:
+def has_hazard_in_footprint(simulation: Simulation, xy: NDArray[np.float64]) -> NDArray[np.bool_]:
     """Return whether a hazard lies under the lander at true positions `xy` (n, 2), m.
 
-    Each hazard is represented by its circumscribed disc.
+    Each hazard counts as its circumscribed disc.
     """
     rocks = simulation.world.terrain.rocks
-    large = hazards_of(simulation)
+    large = is_hazard(simulation)
     centre = np.column_stack((rocks.x, rocks.y))[large]
     reach = rocks.reach()[large] + simulation.computer.mappers["rocks"].footprint
     out = np.zeros(len(xy), bool)
@@ -116,17 +122,17 @@ def reach_into(simulation: Simulation, xy: NDArray[np.float64]) -> NDArray[np.bo
     return out
 
 
-def judge(simulation: Simulation) -> dict[str, Any]:
+def evaluate_map(simulation: Simulation) -> dict[str, Any]:
     """Compare the current shadow map with the true rocks, in the onboard frame.
 
     A map cell is classified as clear if it is observed and its hazard probability is below the
-    threshold. Returns class counts and calibration counts for JSON.
+    threshold. Returns, for JSON, counts of the cells by class and of the calibration.
     """
     mapper = simulation.computer.mappers["rocks"]
     p = mapper.probability.probability(mapper.tracker)
     seen = mapper.probability.observed
     rock = simulation.world.terrain.rock_raster(mapper.grid.moved(-simulation.navigation_error))
-    large = hazards_of(simulation)
+    large = is_hazard(simulation)
     occupied = (rock >= 0) & large[np.maximum(rock, 0)]
     clear = (p < CLEAR_BELOW) & seen
     # Per hazard: its cells on the map, and those of them classified as clear.
@@ -142,7 +148,7 @@ def judge(simulation: Simulation) -> dict[str, Any]:
         "observed": float(seen.mean()),
         "rocks": mapper.tracker.filter.count,
         "blind_landing": float(
-            reach_into(simulation, middles - simulation.navigation_error[:2]).mean()
+            has_hazard_in_footprint(simulation, middles - simulation.navigation_error[:2]).mean()
         ),
         "lost": bool(simulation.estimate.lost),
     }
@@ -152,7 +158,7 @@ def judge(simulation: Simulation) -> dict[str, Any]:
 
 
 def has_flight(results: FlightStore, task: ShadowMatrixTask) -> bool:
-    """Return whether the results contain the flight of exactly this test case."""
+    """Return whether the results contain this flight with the same test case."""
     done = results.flights.get(task.key)
     return done is not None and done.get("cell") == asdict(task.cell)
 
@@ -160,8 +166,8 @@ def has_flight(results: FlightStore, task: ShadowMatrixTask) -> bool:
 # --- the table -------------------------------------------------------------------------------
 
 
-def pool_flights(flights: list[dict[str, Any]]) -> dict[str, float]:
-    """Return the map quality metrics of one test case over its fields."""
+def pooled_metrics(flights: list[dict[str, Any]]) -> dict[str, float]:
+    """Return the map quality metrics of one test case, pooled over its flights."""
     of = reduce(Classification.__add__, (Classification(**f["classes"]) for f in flights))
     table = np.sum([f["reliability"] for f in flights], axis=0)
     objects = sum(f["objects"] for f in flights)
@@ -182,23 +188,23 @@ def pool_flights(flights: list[dict[str, Any]]) -> dict[str, float]:
     }
 
 
-def missed_goals(cell: ShadowCell, figures: dict[str, float]) -> str:
+def missed_requirements(cell: ShadowCell, metrics: dict[str, float]) -> str:
     """Return the names of the requirements that a test case misses; empty if none.
 
-    `figures` are the metrics of `pool_flights`.
+    `metrics` is the value of `pooled_metrics`.
     """
     misses = []
-    if figures["clear_false"] > MAX_FALSE_CLEAR:
+    if metrics["clear_false"] > MAX_FALSE_CLEAR:
         misses.append("area")
-    if figures["objects_clear"] > MAX_MISSED_HAZARDS:
+    if metrics["objects_clear"] > MAX_MISSED_HAZARDS:
         misses.append("objects")
-    if cell.within_goal() and not figures["clear_recall"] >= MIN_RECALL:
+    if cell.recall_goal_applies() and not metrics["clear_recall"] >= MIN_RECALL:
         misses.append("recall")
     return ", ".join(misses)
 
 
 def show(tasks: list[ShadowMatrixTask], results: FlightStore, console: Console) -> None:
-    """Print the map quality of each test case and the totals."""
+    """Print the map quality of each test case, and totals over all cases."""
     first = tasks[0]
     table = Table(
         title=f"Shadow maps at {ALTITUDE:.0f} m: {first.path} path, {first.method} method, seed"
@@ -219,8 +225,8 @@ def show(tasks: list[ShadowMatrixTask], results: FlightStore, console: Console) 
         flights = [results.flights[t.key] for t in mine if has_flight(results, t)]
         if not flights:
             continue
-        f = pool_flights(flights)
-        lacks = missed_goals(cell, f)
+        f = pooled_metrics(flights)
+        lacks = missed_requirements(cell, f)
         shown, missing = shown + 1, missing + bool(lacks)
         total = {key: value + f[key] for key, value in total.items()}
         blind += [f["blind_landing"]] * len(flights)
@@ -249,12 +255,12 @@ def show(tasks: list[ShadowMatrixTask], results: FlightStore, console: Console) 
 
 
 @click.command()
-@click.option("--cells", "patterns", default="*", show_default=True,
+@click.option("--cells", "cell_patterns", default="*", show_default=True,
               help="Names of cells (test cases) with * and ?, separated by commas.")  # fmt: skip
 @click.option("--fields", type=click.IntRange(min=1), default=4, show_default=True,
               help="Number of rock fields per cell.")  # fmt: skip
 @click.option("--seed", type=int, default=1, show_default=True, help="Root random seed.")
-@click.option("--path", "way", type=click.Choice(("nominal", "modified")), default="modified",
+@click.option("--path", type=click.Choice(("nominal", "modified")), default="modified",
               show_default=True, help="Descent of the shadow EKF paper.")  # fmt: skip
 @click.option("--method", type=click.Choice(tuple(METHODS)), default="own", show_default=True,
               help="Rock shapes: inferred, as expected, or the paper's method.")  # fmt: skip
@@ -263,26 +269,26 @@ def show(tasks: list[ShadowMatrixTask], results: FlightStore, console: Console) 
 @click.option("--json", "json_file", type=click.Path(path_type=Path, dir_okay=False), default=None,
               help="File of flights; a later run resumes from it.")  # fmt: skip
 def main(
-    patterns: str,
+    cell_patterns: str,
     fields: int,
     seed: int,
-    way: str,
+    path: str,
     method: str,
     jobs: int,
     json_file: Path | None,
 ) -> None:
     """Fly the test cases and print the quality of their shadow maps."""
     console = plain_console(150)
-    wanted = [p.strip() for p in patterns.split(",")]
+    wanted = [p.strip() for p in cell_patterns.split(",")]
     cells = [c for c in CELLS if any(fnmatch(c.name, p) for p in wanted)]
     if not cells:
         raise click.BadParameter(
-            f"must match one of {', '.join(c.name for c in CELLS)}, got {patterns!r}",
+            f"must match one of {', '.join(c.name for c in CELLS)}, got {cell_patterns!r}",
             param_hint="--cells",
         )
     try:
         results = FlightStore(
-            json_file, {"seed": seed, "path": way, "method": method, "of": "map and site"}
+            json_file, {"seed": seed, "path": path, "method": method, "of": "map and site"}
         )
     except InputError as error:
         raise click.BadParameter(str(error), param_hint="--json") from None
@@ -292,7 +298,7 @@ def main(
         )
     # Field by field: after an interruption every cell has some flights.
     everything = [
-        ShadowMatrixTask(cell, k, seed, way, method) for k in range(fields) for cell in cells
+        ShadowMatrixTask(cell, k, seed, path, method) for k in range(fields) for cell in cells
     ]
     tasks = [t for t in everything if not has_flight(results, t)]
     with plain_progress(console) as progress:

@@ -84,7 +84,7 @@ def fly(task: ShadowPathTask) -> dict[str, Any]:
         simulation.step()
         track.append(simulation.state.position - simulation.computer.briefing.target)
         if pending and simulation.altitude <= pending[0]:
-            levels[pending.pop(0)] = judge(simulation)
+            levels[pending.pop(0)] = evaluate_map(simulation)
             if not pending:
                 # The maps are complete: the rest of the flight only gives propellant and duration.
                 simulation.computer.stop_sensors()
@@ -99,10 +99,10 @@ def fly(task: ShadowPathTask) -> dict[str, Any]:
     }
 
 
-def judge(simulation: Simulation) -> dict[str, Any]:
+def evaluate_map(simulation: Simulation) -> dict[str, Any]:
     """Compare the current shadow map with the true rocks, in the onboard frame.
 
-    Returns class counts, calibration counts, the map and the true hazards.
+    Returns counts of the cells by class, calibration counts, the map and the true hazard cells.
     """
     mapper = simulation.computer.mappers["rocks"]
     probability = mapper.probability.probability(mapper.tracker)
@@ -122,7 +122,7 @@ def judge(simulation: Simulation) -> dict[str, Any]:
 
 
 def compare_means(nominal: list[float], modified: list[float]) -> dict[str, MeanInterval]:
-    """Return the means over fields of a metric for both paths and the difference."""
+    """Return means with intervals of a metric: nominal, modified, and difference."""
     return {
         "nominal": mean_interval(nominal),
         "modified": mean_interval(modified),
@@ -131,7 +131,7 @@ def compare_means(nominal: list[float], modified: list[float]) -> dict[str, Mean
 
 
 def summarise(results: list[dict[str, Any]]) -> dict[str, Any]:
-    """Return mean map metrics by altitude and path, and paired differences.
+    """Return mean map metrics by altitude for both paths, and paired differences.
 
     `results` are the values of `fly`.
     """

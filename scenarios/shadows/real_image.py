@@ -40,17 +40,16 @@ MAX_DISTANCE_PX = 2.5
 SIZES = ((1, 1), (2, 2), (3, 3), (4, 9))
 
 
-def load() -> np.ndarray:
-    """Load the real image as radiance factor I/F (400, 400)."""
+def load_image() -> np.ndarray:
+    """Load the real lunar image as radiance factor I/F (400, 400)."""
     with np.load(DATA / f"{NAME}_iof_400.npz") as data:
         return data["iof"]
 
 
-def detect(image: np.ndarray) -> Detections:
+def detect_in_image(image: np.ndarray) -> Detections:
     """Detect rocks by their shadows in a real image with the default settings.
 
-    The image is mirrored and its north is not needed: "east" is along samples here, "north" against
-    lines.
+    The axes of the result are those of the image: "east" is along samples, "north" against lines.
     """
     height, width = image.shape
     down = np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]])
@@ -68,15 +67,15 @@ def detect(image: np.ndarray) -> Detections:
     return detect_rocks(image, camera, state, sun)
 
 
-def middles(seen: Detections) -> np.ndarray:
+def shadow_centers(detections: Detections) -> np.ndarray:
     """Return the centers of the detected rock shadows (n, 2), column and row."""
     return np.array(
-        [np.argwhere(seen.labels == label).mean(0)[::-1] for label in seen.label]
+        [np.argwhere(detections.labels == label).mean(0)[::-1] for label in detections.label]
     ).reshape(-1, 2)
 
 
-def compare(seen: Detections, labels: dict[str, Any]) -> dict[str, Any]:
-    """Match the detections in the labelled window with the labels one to one.
+def match_labels(detections: Detections, labels: dict[str, Any]) -> dict[str, Any]:
+    """Match detections in the labelled window with the labelled shadows one to one.
 
     `labels` is the content of the label file. Returns numbers of detections, matches and labels,
     and for each label its shadow width (pixels) and whether it was detected.
@@ -84,9 +83,9 @@ def compare(seen: Detections, labels: dict[str, Any]) -> dict[str, Any]:
     window = labels["window"]
     low = np.array([window["column"], window["row"]])
     high = low + np.array([window["columns"], window["rows"]])
-    found = middles(seen)
+    found = shadow_centers(detections)
     inside = ((found >= low) & (found < high)).all(1)
-    found, size = found[inside], seen.q[inside]
+    found, size = found[inside], detections.q[inside]
     labelled = np.array(labels["shadows"])
     distance = cdist(found, labelled[:, :2])
     # The detected center of a large shadow can differ more.
@@ -102,11 +101,11 @@ def compare(seen: Detections, labels: dict[str, Any]) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def draw(image: np.ndarray, seen: Detections, result: dict[str, Any], window: dict[str, int],
+def draw(image: np.ndarray, detections: Detections, result: dict[str, Any], window: dict[str, int],
          path: Path) -> None:  # fmt: skip
     """Plot the detections over the image, and the labelled window in detail.
 
-    `result` is the value of `compare`; `window` gives first row and column and size, pixels.
+    `result` is the value of `match_labels`; `window` gives first row and column and size, pixels.
     """
     figure = new_figure(11.0, 5.6)
     full, part = figure.subplots(1, 2)
@@ -115,7 +114,7 @@ def draw(image: np.ndarray, seen: Detections, result: dict[str, Any], window: di
         ax.imshow(image, cmap="gray", vmin=low, vmax=high, interpolation="nearest")
         ax.set_xlabel("Sample (0.545 m)")
         ax.set_ylabel("Line (0.58 m)")
-        for (u, v), r in zip(seen.pixel, seen.radius, strict=True):
+        for (u, v), r in zip(detections.pixel, detections.radius, strict=True):
             ax.add_patch(Circle((u, v), r / SAMPLE, fill=False, color=COLOURS[4], linewidth=1.0))
     ends = (window["columns"], window["rows"])
     corner = (window["column"] - 0.5, window["row"] - 0.5)
@@ -123,7 +122,7 @@ def draw(image: np.ndarray, seen: Detections, result: dict[str, Any], window: di
     full.annotate("", xy=(80, 345), xytext=(80 - 45 * 0.82, 345 + 45 * 0.57),
                    arrowprops={"arrowstyle": "->", "color": COLOURS[4]})  # fmt: skip
     full.text(86, 352, "published shadow direction", color=COLOURS[4])
-    full.set_title(f"{len(seen)} rocks detected in {NAME}")
+    full.set_title(f"{len(detections)} rocks detected in {NAME}")
     top, left = window["row"], window["column"]
     dark, bright = np.percentile(image[top : top + ends[1], left : left + ends[0]], [0.5, 97])
     part.images[0].set_clim(dark, bright)
@@ -149,8 +148,8 @@ def draw(image: np.ndarray, seen: Detections, result: dict[str, Any], window: di
 def main(json_file: Path | None, out: Path | None) -> None:
     """Detect rocks in a real image; compare shadow direction and rocks with labels."""
     console = plain_console(100)
-    image = load()
-    seen = detect(image)
+    image = load_image()
+    seen = detect_in_image(image)
     angle, half, number = mean_direction(shadow_directions(image, seen))
     stated = np.arctan2(STATED[1], STATED[0])
     console.print(
@@ -160,7 +159,7 @@ def main(json_file: Path | None, out: Path | None) -> None:
         f"{np.degrees(stated):.1f} deg"
     )
     labels = json.loads((DATA / f"{NAME}_labels.json").read_text(encoding="utf-8"))
-    result = compare(seen, labels)
+    result = match_labels(seen, labels)
     precision = Proportion(result["true"], result["finds"])
     recall = Proportion(result["true"], result["labels"])
     console.print(

@@ -21,7 +21,7 @@ from itertools import pairwise
 
 import click
 import numpy as np
-from detection_rates import SHAPES, make_world, model_of
+from detection_rates import SHAPES, make_world, rock_model_of
 from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import track
@@ -61,31 +61,31 @@ class RockMeasurements:
 
     Attributes
     ----------
-    off, sigma
-        Error along and across the Sun direction, m, and standard deviation of the detector
-        (images, rocks, 2); NaN without a measurement.
+    error, sigma
+        Position error along and across the Sun direction, m, and its standard deviation by the
+        detector (images, rocks, 2); NaN without a measurement.
     pixel
         Size of a pixel on the terrain along and across, m (images, rocks, 2).
-    sight
+    direction
         Unit vectors from the camera to the rocks (images, rocks, 3).
-    ratio
+    radius_ratio
         Measured over true radius (images, rocks).
     radius
         True radius, m (rocks,).
-    good
-        Measurements that can start a track (images, rocks).
+    can_start_track
+        Whether the measurement is good enough to start a track (images, rocks).
     """
 
-    off: Array
+    error: Array
     sigma: Array
     pixel: Array
-    sight: Array
-    ratio: Array
+    direction: Array
+    radius_ratio: Array
     radius: Array
-    good: NDArray[np.bool_]
+    can_start_track: NDArray[np.bool_]
 
 
-def descend(world: World, model: ShadowModel, rng: np.random.Generator) -> RockMeasurements:
+def measure_descent(world: World, model: ShadowModel, rng: np.random.Generator) -> RockMeasurements:
     """Simulate a descent towards a field and measure the rocks in each image.
 
     `model` predicts shadows for the Sun elevation and rock shape.
@@ -135,16 +135,16 @@ def descend(world: World, model: ShadowModel, rng: np.random.Generator) -> RockM
     return RockMeasurements(off, sigma, pixel, sight, ratio, rocks.a, good)
 
 
-def successive_changes(looks: list[RockMeasurements]) -> Array:
+def successive_changes(descents: list[RockMeasurements]) -> Array:
     """Return the change of measured rock positions between successive images (n, 5).
 
-    `looks` are the measurements of several descents. Columns: rock radius in pixels; change along
-    and across the Sun direction over its standard deviation; change along and across in pixels,
-    scaled to a single measurement.
+    `descents` are the measurements of several descents. Columns: rock radius in pixels; change
+    along and across the Sun direction over its standard deviation; change along and across in
+    pixels, scaled to a single measurement.
     """
     out = []
-    for one in looks:
-        change = np.diff(one.off, axis=0)
+    for one in descents:
+        change = np.diff(one.error, axis=0)
         change -= np.nanmedian(change, axis=1, keepdims=True)
         sigma = np.hypot(one.sigma[1:], one.sigma[:-1])
         pixel = np.sqrt(2.0) * one.pixel[1:]
@@ -154,22 +154,22 @@ def successive_changes(looks: list[RockMeasurements]) -> Array:
     return rows[np.isfinite(rows).all(1)]
 
 
-def after_the_first(looks: list[RockMeasurements]) -> Array:
+def bias_after_first(descents: list[RockMeasurements]) -> Array:
     """Return the bias of the first good and the following measurements (n, 4).
 
-    `looks` are the measurements of several descents. The reference is the mean of the measurements
-    `SETTLED` to twice as many images after the first. Only rocks that were first seen below the
-    quality limit are used. Columns: along and across the Sun direction, pixels, and their standard
-    errors.
+    `descents` are the measurements of several descents. The bias is relative to the mean of later
+    measurements, from `SETTLED` to twice as many images after the first. Only rocks that are not
+    measured well in the first image are used. Columns: bias along and across the Sun direction,
+    pixels, and its standard errors.
     """
     out = []
-    for one in looks:
-        for rock in np.flatnonzero(one.good.any(axis=0) & ~one.good[0]):
-            first = int(np.argmax(one.good[:, rock]))
-            late = one.off[first + SETTLED : first + 2 * SETTLED, rock]
+    for one in descents:
+        for rock in np.flatnonzero(one.can_start_track.any(axis=0) & ~one.can_start_track[0]):
+            first = int(np.argmax(one.can_start_track[:, rock]))
+            late = one.error[first + SETTLED : first + 2 * SETTLED, rock]
             if len(late) < SETTLED or np.isfinite(late[:, 0]).sum() < SETTLED // 2:
                 continue
-            row = one.off[first : first + SETTLED, rock] - np.nanmean(late, axis=0)
+            row = one.error[first : first + SETTLED, rock] - np.nanmean(late, axis=0)
             out.append(row / one.pixel[first, rock])
     if len(out) < 2:
         return np.full((SETTLED, 4), np.nan)
@@ -179,23 +179,17 @@ def after_the_first(looks: list[RockMeasurements]) -> Array:
     return np.concatenate((np.nanmean(rows, axis=0), error), axis=1)
 
 
-def random_walks(looks: list[RockMeasurements]) -> tuple[Array, Array]:
+def random_walks(descents: list[RockMeasurements]) -> tuple[Array, Array]:
     """Estimate the random walk of measured rock centers as the view direction rotates.
 
-    It is in radii per square root of a radian. `looks` are the measurements of several descents.
-
-    Returns
-    -------
-    own
-        Random walk of each rock, along and across the Sun direction (2,), without noise.
-    shared
-        Random walk common to all rocks, along and across (2,).
+    It is in rock radii per square root of a radian, along and across the Sun direction (2,).
+    Returns the random walk of each rock without noise, and that common to all rocks.
     """
     own, shared = [], []
-    for one in looks:
-        dot = np.einsum("kij,kij->ki", one.sight[LAG:], one.sight[:-LAG])
+    for one in descents:
+        dot = np.einsum("kij,kij->ki", one.direction[LAG:], one.direction[:-LAG])
         turn = np.arccos(np.clip(dot, -1.0, 1.0))
-        change = (one.off[LAG:] - one.off[:-LAG]) / one.radius[:, None]
+        change = (one.error[LAG:] - one.error[:-LAG]) / one.radius[:, None]
         noise = (one.sigma[LAG:] ** 2 + one.sigma[:-LAG] ** 2) / one.radius[:, None] ** 2
         for move, sigma, angle in zip(change, noise, turn, strict=True):
             both = np.isfinite(move).all(1) & (np.abs(move) < 1.2).all(1)
@@ -211,19 +205,19 @@ def random_walks(looks: list[RockMeasurements]) -> tuple[Array, Array]:
     return roots[0], roots[1]
 
 
-def shapes(looks: list[RockMeasurements]) -> tuple[float, float, int]:
-    """Return errors that averaging over images does not remove, and the rock count.
+def persistent_errors(descents: list[RockMeasurements]) -> tuple[float, float, int]:
+    """Return the errors that remain after averaging over images, and the rock count.
 
     These are the scatter of mean radius / true radius between rocks, and the RMS error of the mean
     position per axis, in radii. Only rocks with `MIN_MEASUREMENTS` measurements or more are used,
-    and the noise is subtracted. `looks` are the measurements of several descents.
+    and the noise is subtracted. `descents` are the measurements of several descents.
     """
     sizes, places = [], []
-    for one in looks:
-        count = np.isfinite(one.ratio).sum(axis=0)
+    for one in descents:
+        count = np.isfinite(one.radius_ratio).sum(axis=0)
         some = count >= MIN_MEASUREMENTS
-        ratio = one.ratio[:, some]
-        place = one.off[:, some] / one.radius[some, None]
+        ratio = one.radius_ratio[:, some]
+        place = one.error[:, some] / one.radius[some, None]
         noise = np.nanvar(ratio, axis=0, ddof=1) / count[some]
         spread = (np.nanvar(place, axis=0, ddof=1) / count[some, None]).mean(axis=1)
         sizes.append(np.column_stack((np.nanmean(ratio, axis=0), noise)))
@@ -237,12 +231,12 @@ def shapes(looks: list[RockMeasurements]) -> tuple[float, float, int]:
     return float(np.sqrt(max(left, 0.0))), float(np.sqrt(max(place.mean(), 0.0))), len(size)
 
 
-def show(looks: list[RockMeasurements], console: Console) -> None:
+def show(descents: list[RockMeasurements], console: Console) -> None:
     """Print noise, bias of the first measurement, random walk and remaining errors.
 
-    `looks` are the measurements of several descents.
+    `descents` are the measurements of several descents.
     """
-    rows = successive_changes(looks)
+    rows = successive_changes(descents)
     table = Table(title="Change between successive measurements")
     for heading in ("radius (pixels)", "measurements", "along the Sun (pixels)", "across (pixels)",
                     "along / predicted", "across / predicted"):  # fmt: skip
@@ -260,16 +254,16 @@ def show(looks: list[RockMeasurements], console: Console) -> None:
     )
     for heading in ("measurement", "along the Sun (pixels)", "across (pixels)"):
         table.add_column(heading, justify="right")
-    for k, (along, across, e, f) in enumerate(after_the_first(looks)):
+    for k, (along, across, e, f) in enumerate(bias_after_first(descents)):
         table.add_row(f"{k + 1}", f"{along:+.2f} ± {e:.2f}", f"{across:+.2f} ± {f:.2f}")
     console.print(table)
-    own, shared = random_walks(looks)
+    own, shared = random_walks(descents)
     console.print(
         f"Random walk with the view rotation (radii per sqrt(rad)): per rock {own[0]:.2f} along "
         f"the Sun, "
         f"{own[1]:.2f} across; common {shared[0]:.2f} along, {shared[1]:.2f} across"
     )
-    radius, centre, rocks = shapes(looks)
+    radius, centre, rocks = persistent_errors(descents)
     console.print(
         f"Remaining error after {MIN_MEASUREMENTS} measurements or more ({rocks} rocks): radius "
         f"{radius:.2f} (relative), center "
@@ -290,11 +284,11 @@ def show(looks: list[RockMeasurements], console: Console) -> None:
 def main(fields: int, shape: str, sun_elevation: float, seed: int) -> None:
     """Measure the errors of rock centers between images and between views."""
     elevation = np.radians(sun_elevation)
-    model = ShadowModel(elevation, model_of(shape))
+    model = ShadowModel(elevation, rock_model_of(shape))
     looks = []
     for k in track(range(fields), description="fields"):
         rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(k,)))
-        looks.append(descend(make_world(shape, elevation, rng), model, rng))
+        looks.append(measure_descent(make_world(shape, elevation, rng), model, rng))
     show(looks, plain_console(120))
 
 

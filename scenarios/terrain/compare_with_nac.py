@@ -49,13 +49,13 @@ REGION = 40.0
 DARK = 0.55
 
 
-def light(full: bool, seed: int) -> Light:
-    """Return the Sun of the real image as a point source, or with all light effects.
+def make_light(full_effects: bool, seed: int) -> Light:
+    """Return the light of the real image: a point Sun, or all light effects.
 
-    `full` enables the effects; `seed` is that of the albedo variation.
+    `full_effects` enables the effects; `seed` is that of the albedo variation.
     """
     plain = Light(AZIMUTH, ELEVATION)
-    if not full:
+    if not full_effects:
         return plain
     return replace(
         plain, photometry="hapke", diameter=SUN_DIAMETER_RAD, scattered_light=True,
@@ -65,7 +65,7 @@ def light(full: bool, seed: int) -> Light:
     )  # fmt: skip
 
 
-def camera() -> Camera:
+def make_camera() -> Camera:
     """Return a camera with the pixels of the real image, 12 bits up to an I/F of 0.3.
 
     I/F is the radiance factor: radiance relative to a white diffuse surface under the Sun overhead.
@@ -77,22 +77,22 @@ def camera() -> Camera:
     )  # fmt: skip
 
 
-def render(name: str, full: bool, seed: int) -> Array:
+def render(scenario_name: str, full_effects: bool, seed: int) -> Array:
     """Render I/F (400, 400) of a scenario's terrain as seen by the real camera.
 
-    `name` is the scenario; `full` enables all light effects.
+    `full_effects` enables all light effects.
     """
-    scenario = Scenario.load(ROOT / f"{name}.toml")
+    scenario = Scenario.load(ROOT / f"{scenario_name}.toml")
     if hasattr(scenario.terrain, "size_m"):
         scenario = scenario.changed(terrain={"size_m": 260.0})
     world = build_world(scenario, RandomStreams(flight_seed(seed, 0)))
-    world = World(world.terrain, world.gravity, light(full, seed))
+    world = World(world.terrain, world.gravity, make_light(full_effects, seed))
     x, y = scenario.target.position_m
     height = float(world.terrain.elevation([x, y])) + ALTITUDE
     state = State(
         np.array([x, y, height]), np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]), np.zeros(3), 1.0
     )
-    nac = camera()
+    nac = make_camera()
     counts = nac.expose(world, state, 0.0, np.random.default_rng(seed)).counts
     return counts / (2**nac.bits - 1) * nac.full_well / (nac.sensitivity * nac.exposure)
 
@@ -102,14 +102,19 @@ def divide_by_local_mean(image: Array) -> Array:
     return np.asarray(image / ndimage.gaussian_filter(image, REGION, mode="reflect"))
 
 
-def spectrum(flat: Array) -> tuple[Array, Array]:
+def spectrum(normalised: Array) -> tuple[Array, Array]:
     """Return the power spectrum of a normalised image, averaged over rings.
 
     Returns wave numbers (cycles/m), which grow by a constant ratio, and power (m^2).
     """
     window = np.outer(np.hanning(SIDE), np.hanning(SIDE))
     window /= np.sqrt(np.mean(window**2))
-    power = np.abs(np.fft.fft2((flat - flat.mean()) * window)) ** 2 * SAMPLE * LINE / SIDE**2
+    power = (
+        np.abs(np.fft.fft2((normalised - normalised.mean()) * window)) ** 2
+        * SAMPLE
+        * LINE
+        / SIDE**2
+    )
     k = np.hypot(np.fft.fftfreq(SIDE, SAMPLE)[None, :], np.fft.fftfreq(SIDE, LINE)[:, None])
     edges = np.geomspace(0.02, 0.85, 14)
     ring = np.digitize(k.ravel(), edges)
@@ -117,12 +122,12 @@ def spectrum(flat: Array) -> tuple[Array, Array]:
     return np.sqrt(edges[1:] * edges[:-1]), np.array(mean)
 
 
-def correlation(flat: Array) -> tuple[Array, Array]:
+def correlation(normalised: Array) -> tuple[Array, Array]:
     """Return the autocorrelation of a normalised image along and across the shadows.
 
     Returns distances (n,), m, and the two correlations (2, n).
     """
-    f = np.fft.fft2(flat - flat.mean())
+    f = np.fft.fft2(normalised - normalised.mean())
     auto = np.fft.ifft2(np.abs(f) ** 2).real
     auto = np.fft.fftshift(auto / auto[0, 0])
     distance = np.arange(0.0, 15.0, 0.5)
@@ -135,12 +140,12 @@ def correlation(flat: Array) -> tuple[Array, Array]:
     return distance, np.array(out)
 
 
-def shadow_lengths(flat: Array) -> Array:
+def shadow_lengths(normalised: Array) -> Array:
     """Return the length of each dark patch along the shadow direction (n,), m.
 
-    `flat` is a normalised image; patches of a single pixel are omitted.
+    `normalised` is an image divided by its local mean; patches of one pixel are omitted.
     """
-    patches, count = ndimage.label(flat < DARK, np.ones((3, 3)))
+    patches, count = ndimage.label(normalised < DARK, np.ones((3, 3)))
     along = SHADOWS / np.hypot(*SHADOWS)
     lengths = []
     for at in ndimage.find_objects(patches)[:count]:
@@ -151,7 +156,7 @@ def shadow_lengths(flat: Array) -> Array:
     return np.array(lengths)
 
 
-def figures(image: Array) -> dict[str, Any]:
+def image_metrics(image: Array) -> dict[str, Any]:
     """Return histogram, spectrum, correlation and shadow metrics of an image."""
     flat = divide_by_local_mean(image)
     k, power = spectrum(flat)
@@ -174,23 +179,23 @@ def figures(image: Array) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def histogram_distance(one: Array, other: Array) -> float:
+def histogram_distance(first: Array, second: Array) -> float:
     """Return the mean difference of the sorted pixel values of two normalised images."""
     return float(
         np.mean(
             np.abs(
-                np.sort(divide_by_local_mean(one).ravel())
-                - np.sort(divide_by_local_mean(other).ravel())
+                np.sort(divide_by_local_mean(first).ravel())
+                - np.sort(divide_by_local_mean(second).ravel())
             )
         )
     )
 
 
-def smooth_part(image: Array) -> tuple[float, float]:
-    """Return spread and correlation length (m) of a smooth part of the real image.
+def smooth_area_statistics(image: Array) -> tuple[float, float]:
+    """Return relative brightness spread and correlation length (m) of a smooth area.
 
-    The correlation length is at 1/e. The spread is an upper limit of the albedo variation, because
-    it includes unresolved relief.
+    `image` is the real image. The correlation length is at 1/e. The spread is an upper limit of the
+    albedo variation, because it includes unresolved relief.
     """
     part = divide_by_local_mean(image)[60:380, 260:390]
     part = part - part.mean()
@@ -215,24 +220,24 @@ ROWS = (
 )  # fmt: skip
 
 
-def show(found: dict[str, dict[str, Any]], console: Console) -> None:
+def show(metrics: dict[str, dict[str, Any]], console: Console) -> None:
     """Print a table of the metrics of all images.
 
-    `found` holds the metrics by name of the image.
+    `metrics` holds the values of `image_metrics` by name of the image.
     """
     table = Table(title="Rendered images compared with M143947267L")
     table.add_column("")
-    for name in found:
+    for name in metrics:
         table.add_column(name, justify="right")
     for key, title, form in ROWS:
-        table.add_row(title, *(format(one[key], form) for one in found.values()))
+        table.add_row(title, *(format(one[key], form) for one in metrics.values()))
     console.print(table)
 
 
-def draw(images: dict[str, Array], found: dict[str, dict[str, Any]], path: Path) -> None:
+def draw(images: dict[str, Array], metrics: dict[str, dict[str, Any]], path: Path) -> None:
     """Plot the images with their histograms, power spectra and autocorrelations.
 
-    `found` holds the metrics by name of the image; `path` is the output file.
+    `metrics` holds the values of `image_metrics` by name of the image; `path` is the output file.
     """
     count = len(images)
     figure = new_figure(3.1 * count, 6.6)
@@ -252,7 +257,7 @@ def draw(images: dict[str, Array], found: dict[str, dict[str, Any]], path: Path)
         histogram.hist(divide_by_local_mean(image).ravel(), np.linspace(0.0, 2.0, 80),
         histtype="step",
                        color=colour, linewidth=width, density=True, label=name)  # fmt: skip
-        power.loglog(found[name]["wave_numbers"], found[name]["power"], color=colour,
+        power.loglog(metrics[name]["wave_numbers"], metrics[name]["power"], color=colour,
                      linewidth=width)  # fmt: skip
         distance, both = correlation(divide_by_local_mean(image))
         auto.plot(distance, both[0], color=colour, linewidth=width)
@@ -268,24 +273,24 @@ def draw(images: dict[str, Array], found: dict[str, dict[str, Any]], path: Path)
     save(figure, path)
 
 
-def compare(grounds: tuple[str, ...], seed: int) -> tuple[dict[str, Array], dict[str, Any]]:
-    """Render terrains with plain and full light; return images and metrics by name.
+def compare(scenarios: tuple[str, ...], seed: int) -> tuple[dict[str, Array], dict[str, Any]]:
+    """Render terrains with a point Sun and with all light effects; compute metrics.
 
-    `grounds` are scenario names. The real image comes first.
+    `scenarios` are scenario names. Returns images and metrics by name; the real image is first.
     """
     with np.load(REAL) as data:
         images = {"real": data["iof"].astype(np.float64)}
-    for name in grounds:
+    for name in scenarios:
         for full in (False, True):
             images[f"{name}, {'full' if full else 'plain'}"] = render(name, full, seed)
-    found = {name: figures(image) for name, image in images.items()}
+    found = {name: image_metrics(image) for name, image in images.items()}
     for name, image in images.items():
         found[name]["histogram_distance"] = histogram_distance(image, images["real"])
     return images, found
 
 
 @click.command()
-@click.option("--terrain", "grounds", multiple=True, default=GROUNDS, show_default=True,
+@click.option("--terrain", "scenarios", multiple=True, default=GROUNDS, show_default=True,
               help="Scenario of the terrain; repeatable.")  # fmt: skip
 @click.option(
     "--seed", default=1, show_default=True, help="Random seed of rocks, albedo and noise."
@@ -294,12 +299,12 @@ def compare(grounds: tuple[str, ...], seed: int) -> tuple[dict[str, Array], dict
               help="Output file of all metrics (JSON).")  # fmt: skip
 @click.option("--out", type=click.Path(path_type=Path, file_okay=False), default=None,
               help="Output folder of the figure (default: none).")  # fmt: skip
-def main(grounds: tuple[str, ...], seed: int, json_file: Path | None, out: Path | None) -> None:
+def main(scenarios: tuple[str, ...], seed: int, json_file: Path | None, out: Path | None) -> None:
     """Compare rendered terrain images with a real LROC narrow-angle camera image."""
-    images, found = compare(grounds, seed)
+    images, found = compare(scenarios, seed)
     console = plain_console(150)
     show(found, console)
-    spread, length = smooth_part(images["real"])
+    spread, length = smooth_area_statistics(images["real"])
     console.print(
         f"Smooth terrain of the real image: spread {spread:.3f}, correlation 1/e at {length:.1f} m"
     )

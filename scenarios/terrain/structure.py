@@ -26,23 +26,17 @@ from lunarsim.world.terrain_models.measured import RasterTerrain
 LAGS = (0.25, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0, 32.0)
 
 
-def differences(relief: Heightfield, lag: float, box: tuple[float, ...]) -> tuple[float, float]:
-    """Return the RMS first and second difference of elevations over a lag, m.
+def rms_differences(
+    relief: Heightfield, distance: float, box: tuple[float, ...]
+) -> tuple[float, float]:
+    """Return the RMS first and second difference of elevations over a distance, m.
 
-    The result is NaN if the lag is not a multiple of the grid spacing.
-
-    Parameters
-    ----------
-    relief
-        Terrain.
-    lag
-        Horizontal distance, m.
-    box
-        West, east, south and north limit of the used area, m.
+    `distance` is horizontal, m; the result is NaN if it is not a multiple of the grid spacing.
+    `box` is the west, east, south and north limit of the used area, m.
     """
     grid = relief.grid
-    step = round(lag / grid.posting)
-    if step < 1 or abs(step * grid.posting - lag) > 1e-6:
+    step = round(distance / grid.posting)
+    if step < 1 or abs(step * grid.posting - distance) > 1e-6:
         return float("nan"), float("nan")
     west, east, south, north = box
     inside = np.ix_((grid.y >= south) & (grid.y <= north), (grid.x >= west) & (grid.x <= east))
@@ -59,8 +53,8 @@ def differences(relief: Heightfield, lag: float, box: tuple[float, ...]) -> tupl
     return one, two
 
 
-def reliefs(raster: RasterTerrain) -> dict[str, Heightfield]:
-    """Return a measured relief as filed, refined, and with generated detail, by name."""
+def relief_versions(raster: RasterTerrain) -> dict[str, Heightfield]:
+    """Return a measured relief by name: as stored, refined, and with generated detail."""
     filed = load_terrain(raster.path, posting=raster.dtm_posting, window=raster.dtm_window)
     return {
         "as filed": filed.scaled(raster.relief_scale),
@@ -110,8 +104,8 @@ def main(scenario: Path, box: tuple[float, ...], json_file: Path | None, out: Pa
     raster = Scenario.load(scenario).terrain.make()
     if not isinstance(raster, RasterTerrain):
         raise click.BadParameter(f"{scenario}: must have measured terrain", param_hint="--scenario")
-    found = reliefs(raster)
-    rows = {n: np.array([differences(r, lag, box) for lag in LAGS]) for n, r in found.items()}
+    found = relief_versions(raster)
+    rows = {n: np.array([rms_differences(r, lag, box) for lag in LAGS]) for n, r in found.items()}
     # Rounding to height steps adds the variance of each value in a difference.
     step = (raster.height_step or 0.0) * raster.relief_scale
     noise = step**2 / 12.0 * np.array([2.0, 6.0])

@@ -60,7 +60,7 @@ def judged(flights, p, safe, large=None, objects=()):
 def test_map_metrics(figures, flights):
     truth = [True] * 8 + [False] * 2
     good = judged(flights, [0.9] * 8 + [0.6, 0.1], truth, objects=(8.0, 9.0))
-    f = figures.figures_of([good, good])
+    f = figures.map_metrics([good, good])
     assert f["precision"] == pytest.approx(8 / 9)
     assert f["recall"] == 1.0
     assert f["recall_at_precision"] == 1.0
@@ -84,8 +84,8 @@ def test_fused_map_is_compared_with_the_best_other_map_per_field(figures, flight
     assert figures.best_single(made, "100") == "rocks"
     assert figures.recall_gains(made, "100", "rocks") == pytest.approx([0.6, 0.0])
     (found,) = figures.comparisons(made, 400.0)
-    assert (found.best, found.left, found.missed) == ("rocks", [], [])
-    assert found.over_form == pytest.approx([0.0, -0.6])
+    assert (found.best, found.gain_over_remaining, found.unmet_requirements) == ("rocks", [], [])
+    assert found.gain_over_dem_only == pytest.approx([0.0, -0.6])
 
 
 def flight(row, altitude, flights, **maps):
@@ -99,14 +99,14 @@ def test_large_rocks_are_counted_at_the_recall_of_the_lidar_map(figures, flights
     large = ~truth
     dem = judged(flights, [0.9, 0.9, 0.8, 0.7, 0.1, 0.75, 0.2, 0.2], truth, large)
     fused = judged(flights, [0.9, 0.9, 0.9, 0.9, 0.2, 0.1, 0.1, 0.1], truth, large)
-    assert figures.large_share([dem], 0.8) == pytest.approx(1 / 5)
-    assert figures.large_share([fused], 0.8) == 0.0
-    assert np.isnan(figures.large_share([dem], 0.0))
+    assert figures.large_rock_fraction([dem], 0.8) == pytest.approx(1 / 5)
+    assert figures.large_rock_fraction([fused], 0.8) == 0.0
+    assert np.isnan(figures.large_rock_fraction([dem], 0.0))
     others = dict.fromkeys(("dem", "quadtree", "rocks", "alone"), dem)
     for last, aims in ((fused, []), (dem, ["large hazards"])):
         (found,) = figures.comparisons([flight("made", "1000", flights, **others, fused=last)], 4e2)
         assert found.large_dem == pytest.approx(1 / 5)
-        assert found.missed == aims
+        assert found.unmet_requirements == aims
 
 
 def test_fused_map_is_compared_with_the_remaining_sensor_after_a_failure(figures, flights):
@@ -117,8 +117,8 @@ def test_fused_map_is_compared_with_the_remaining_sensor_after_a_failure(figures
         maps = dict.fromkeys(flights.MAPS, none) | {left: whole}
         for altitude, gap in (("500", []), ("200", [-1.0])):
             (found,) = figures.comparisons([flight(row, altitude, flights, **maps)], 400.0)
-            assert found.left == gap
-            assert ("worse than the remaining sensor" in found.missed) == bool(gap)
+            assert found.gain_over_remaining == gap
+            assert ("worse than the remaining sensor" in found.unmet_requirements) == bool(gap)
 
 
 def test_time_of_a_requested_surface_counts_for_its_own_mapper(flights, monkeypatch):
@@ -162,8 +162,8 @@ def test_every_row_is_a_valid_scenario(flights):
         scenario = flights.scenario_of(row.world, (1000.0, 100.0))
         assert scenario.start.make().position[2] == pytest.approx(1200.0)
         assert scenario.mappers["rocks"].make().sensors == ("narrow", "wide")
-        assert set(row.dead) <= set(scenario.tasking)
-        assert row.left in ("", *flights.MAPS)
+        assert set(row.failed_sensors) <= set(scenario.tasking)
+        assert row.remaining_map in ("", *flights.MAPS)
 
 
 @pytest.mark.parametrize(
@@ -218,7 +218,7 @@ def test_joint_site_counts_of_two_maps(flights):
     p, q = np.float32([[0.9, 0.9, 0.1, 1.0]]), np.float32([[0.6, 0.6, 0.2, 0.0]])
     fused, second = HazardMap(grid, p, seen), HazardMap(grid, q, seen & (q > 0.0))
     xy, safe = grid.centres().reshape(-1, 2), np.array([True, False, False, True])
-    counts = np.array(flights.joint(fused, second, flights.MapTruth(xy, safe, ~safe, xy)))
+    counts = np.array(flights.count_jointly(fused, second, flights.MapTruth(xy, safe, ~safe, xy)))
     assert counts.sum() == 4
     row, col = (np.searchsorted(flights.ODDS, np.log(v / (1 - v))) - 1 for v in (0.9, 0.6))
     assert counts[0, row, col] == counts[1, row, col] == 1
@@ -245,7 +245,7 @@ def test_calibration_stage_is_fitted_to_flights(study, script, flights, tmp_path
     told = json.loads((tmp_path / "c.json").read_text())
     weights = told["intercept"], told["slope"], told["other"]
     assert weights == pytest.approx((0.0, 0.9, 0.4), abs=0.02)
-    none, _, both = (fit.loss_of(c, counts)[0] for c in (
+    none, _, both = (fit.evaluate_calibration(c, counts)[0] for c in (
         fit.FusedCalibration(), fit.fit_calibration(counts, False, fit.Lander()),
         fit.FusedCalibration(*weights)))  # fmt: skip
     assert both < none

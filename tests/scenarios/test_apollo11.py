@@ -34,7 +34,7 @@ def _close(ours, theirs):
 
 def test_scenario_file_contains_the_load(study):
     plain = Scenario.load(FILE)
-    loaded = study.apollo11.with_ignition_start(study.apollo11.with_load(plain))
+    loaded = study.apollo11.with_ignition_start(study.apollo11.with_targets(plain))
     for table in ("start", "braking", "approach"):
         _close(getattr(plain, table).model_dump(), getattr(loaded, table).model_dump())
     assert plain.terminal_descent.table == loaded.terminal_descent.table
@@ -117,7 +117,7 @@ def test_coast_from_ignition_reaches_the_throttle_up_state_of_the_load(study):
 
 def test_first_guess_of_braking_solves_its_cubic(study):
     """In the form of the computer: along z, negative time, starred values."""
-    plain, t = Scenario.load(FILE), study.apollo11.targets()
+    plain, t = Scenario.load(FILE), study.apollo11.read_targets()
     time = -plain.braking.time_to_go_s / 8.0
     z, speed = -plain.start.position_m[0], -plain.start.velocity_m_s[0]
     j, a, v = (-t[f"{of}BRFG*"][0] for of in "JAV")
@@ -130,14 +130,14 @@ def test_first_guess_of_braking_solves_its_cubic(study):
 
 @pytest.mark.parametrize("load", ["FLOWN", "SAMPLE"])
 def test_starred_values_are_the_cubic_coefficients_for_an_eighth_of_the_time(study, load):
-    t = study.apollo11.targets(getattr(study.apollo11, load))
+    t = study.apollo11.read_targets(getattr(study.apollo11, load))
     for of in ("BRFG", "APFG"):
         assert t[f"V{of}*"][0] == pytest.approx(18.0 / 8.0 * t[f"V{of}"][0], rel=2e-3)
         assert t[f"A{of}*"][0] == pytest.approx(6.0 * t[f"A{of}"][0], rel=1e-5)
 
 
 def test_record_is_read_unchanged(study):
-    told = study.apollo11.record()
+    told = study.apollo11.read_flight_record()
     known = np.isfinite(told.altitude)
     assert (len(told.time), int(known.sum())) == (391, 215)
     assert told.time[0] == study.apollo11.LOCK_ON
@@ -148,13 +148,13 @@ def test_record_is_read_unchanged(study):
 
 def test_known_differences_are_recovered(study):
     a = study.apollo11
-    told = a.record()
+    told = a.read_flight_record()
     good = np.isfinite(told.altitude)
     height = np.interp(told.time, told.time[good], told.altitude[good])
     ours = a.DescentTrack(told.time, height + 30.0, told.pitch - 0.02)
     found = a.record_difference(ours, told, a.LOCK_ON, a.P64)
     assert (found.altitude, found.pitch) == pytest.approx((30.0, 0.02))
-    assert 0 < found.rows < good.sum()
+    assert 0 < found.samples < good.sum()
     # The record after the end of the flight is not compared.
     short = a.DescentTrack(told.time[:50], height[:50], told.pitch[:50])
     assert np.isnan(a.record_difference(short, told, a.P66, a.LANDING).altitude)

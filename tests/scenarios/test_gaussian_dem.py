@@ -102,7 +102,7 @@ def test_phase_only_moves_the_baseline_cells(script):
     points = np.column_stack((x.ravel(), y.ravel(), 0.5 * x.ravel()))
     inner = np.abs(grid.x) < 4.0
     for phase in ((0.0, 0.0), (0.5, 0.0), (0.25, 0.75)):
-        coarse, nearest = computed.baseline(points, grid, 0.8, phase)
+        coarse, nearest = computed.conventional_dem_cells(points, grid, 0.8, phase)
         error = (coarse.elevation[nearest] - 0.5 * grid.centres()[..., 0])[:, inner]
         # The slope over half a cell, plus a margin for the sample positions.
         assert np.abs(error).max() < 0.5 * 0.4 + 0.05
@@ -114,7 +114,7 @@ def test_table_6_counts_each_cell_once_per_map(script, monkeypatch):
     computed = script("gaussian_dem", "computed")
     monkeypatch.setattr(computed, "CONFIGURATIONS", [(200.0, 60.0)])
     result = computed.table_6(1)
-    one = computed.judge(computed.testbed(0), 0, 0)
+    one = computed.evaluate_scan(computed.testbed(0), 0, 0)
     seen, truth = one.evaluated, one.truth["roughness"]
     for method, maps in (("proposed", 1), ("baseline", 4)):
         (curve,) = result["curves"]["roughness", 0, method]
@@ -162,7 +162,7 @@ def test_random_field_is_swept_over_both_tables(script, monkeypatch, tmp_path):
     rows[3:, 2, study.METRICS.index("nlpd")] += 0.1
     rows[2, 5, study.METRICS.index("recall slope")] -= 0.1
     values = {name: rows[:, :, i] for i, name in enumerate(study.METRICS)}
-    count = study.count_rows_reached(values)
+    count = study.count_scans_as_published(values)
     assert count["NLPD"].tolist() == [9, 9, 9] + [8] * (len(study.GROWTHS) - 3)
     assert count["recall slope"][:4].tolist() == [9, 9, 8, 9]
     monkeypatch.setattr(study, "sweep_testbed", lambda seed: rows.tolist())

@@ -32,13 +32,13 @@ def test_propellant_of_laws_is_compared_with_the_optimum(script, tmp_path):
 
 def test_infeasible_starts_and_invalid_files_are_rejected(script, tmp_path, monkeypatch):
     study = script("guidance", "propellant")
-    problem = study.problem
+    problem = study.optimal_descent_problem
 
     def short_of_fuel(flight):
         d = problem(flight)
         return replace(d, dry_mass=d.mass - 0.5)
 
-    monkeypatch.setattr(study, "problem", short_of_fuel)
+    monkeypatch.setattr(study, "optimal_descent_problem", short_of_fuel)
     for options, told in (
         ([], "must give feasible starts (flight 0 of seed 1)"),
         (["--json", str(tmp_path / "none" / "x.json")], "an existing folder"),
@@ -56,7 +56,7 @@ def test_spherical_and_flat_moon_are_compared(script):
     assert "1 flights from a distance of 600 m" in done.output
     # Close to the site both models give the same fall.
     r, v = np.array([-300.0, 0.0, 900.0]), np.array([20.0, 0.0, -20.0])
-    fell = study.fall(None, r, v)
+    fell = study.free_fall_position(None, r, v)
     assert fell == pytest.approx(r + 30.0 * v - [0.0, 0.0, 0.5 * 1.622 * 900.0], abs=1e-6)
 
 

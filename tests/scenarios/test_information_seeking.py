@@ -58,11 +58,11 @@ def test_difference_is_significant_if_its_interval_is_above_zero(study):
         {"nominal": 0.22, "modified": 0.80, "seeking": 0.71},
         {"nominal": 0.19, "modified": 0.50, "seeking": 0.69},
     )]  # fmt: skip
-    assert "mean difference significantly positive" in study.odds(few, "nominal")
-    assert "mean difference not significantly positive" in study.odds(few, "modified")
+    assert "mean difference significantly positive" in study.paired_test_text(few, "nominal")
+    assert "mean difference not significantly positive" in study.paired_test_text(few, "modified")
     # A NaN metric excludes its field.
     few[0]["seeking"]["levels"][study.LAST]["clear"] = float("nan")
-    assert "in 2 of 2 fields" in study.odds(few, "nominal")
+    assert "in 2 of 2 fields" in study.paired_test_text(few, "nominal")
 
 
 def test_field_counts_if_all_paths_have_flown_it(study):
@@ -76,10 +76,10 @@ def test_field_counts_if_all_paths_have_flown_it(study):
 
 
 def test_sobol_points_lie_within_their_bounds(study):
-    points = study.sobol(60, 3)
+    points = study.sample_conditions(60, 3)
     assert len(set(points)) == 60
-    assert points == study.sobol(60, 3)
-    assert points != study.sobol(60, 4)
+    assert points == study.sample_conditions(60, 3)
+    assert points != study.sample_conditions(60, 4)
     rows = np.array([(g.azimuth, g.elevation, g.slope, g.cover) for g in points])
     assert (rows >= [0.0, 5.0, 0.0, 0.02]).all()
     assert (rows <= [360.0, 40.0, 4.0, 0.15]).all()

@@ -43,7 +43,7 @@ def test_failed_thruster_with_and_without_detection(script):
     out = CliRunner().invoke(study.main, ["--help"]).output
     assert "--held-out" in out
     shut = []
-    study.fly = lambda control, thruster, seed, watch: (
+    study.fly = lambda control, thruster, seed, detects_faults: (
         shut.append((thruster, seed)) or (True, 1.0, 9.0, int(thruster is None))
     )
     done = CliRunner().invoke(

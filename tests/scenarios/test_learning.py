@@ -37,7 +37,7 @@ def test_every_environment_has_reference_scores(script):
 def test_rankings_contradict_if_both_intervals_exclude_zero(script):
     study = script("learning", "ranking")
     ahead, behind, unsure = _between(0.1, 0.3), _between(-0.3, -0.1), _between(-0.1, 0.2)
-    assert [study.side(d) for d in (ahead, behind, unsure)] == [1, -1, 0]
+    assert [study.sign_of_difference(d) for d in (ahead, behind, unsure)] == [1, -1, 0]
     assert study.is_contradiction(ahead, behind) and study.is_contradiction(behind, ahead)
     assert not study.is_contradiction(ahead, ahead) and not study.is_contradiction(ahead, unsure)
 
@@ -56,7 +56,7 @@ def test_pairs_are_counted_by_both_perceptions(script):
         ("three", model): study.AgentFlights(bad, dear),
         ("three", mapper): study.AgentFlights(bad, dear),
     }  # fmt: skip
-    counts = study.pairs(told, ("one", "two", "three"))
+    counts = study.count_contradictions(told, ("one", "two", "three"))
     # One and two swap in safety; one is ahead of three only on the model, two only on the mapper.
     assert counts["safe"] == [1, 0, 3]
     assert counts["propellant"] == [0, 3, 3]

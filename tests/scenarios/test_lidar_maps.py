@@ -30,19 +30,19 @@ from tests.made_mapper import Slow
 
 def first(module, **changes):
     """Return a small scene at short range."""
-    scene = next(iter(module.scenes(8, 1)))
+    scene = next(iter(module.sample_matrix(8, 1)))
     return replace(scene, distance=140.0, angle_deg=0.0, relief="fractal-6", **changes)
 
 
 def test_every_part_of_the_matrix_is_used(script):
     worlds = script("lidar_maps", "worlds")
-    deck = list(worlds.scenes(240, 3))
+    deck = list(worlds.sample_matrix(240, 3))
     for name, cards in (
         ("relief", worlds.RELIEFS), ("rocks", worlds.ROCKS), ("lander", tuple(worlds.LANDERS)),
     ):  # fmt: skip
         counts = [sum(getattr(s, name) == card for s in deck) for card in cards]
         assert max(counts) - min(counts) <= 1, name
-    assert deck == list(worlds.scenes(240, 3))
+    assert deck == list(worlds.sample_matrix(240, 3))
     assert len({s.seed for s in deck}) == 240
 
 
@@ -61,7 +61,7 @@ def test_time_of_the_requested_surface_counts_for_the_mapper(script, monkeypatch
 def test_scene_evaluation_is_repeatable(script, name):
     study = script("lidar_maps", name)
     scene = first(study, rocks="golombek-5", lander="small")
-    a, b = study.judge(scene), study.judge(scene)
+    a, b = study.evaluate_scene(scene), study.evaluate_scene(scene)
     assert np.array_equal(a.features, b.features)
     assert np.array_equal(a.safe, b.safe)
     assert len(a.safe) > 20
@@ -93,29 +93,29 @@ def test_scene_cache_is_exact_and_rejects_other_scenes(script, tmp_path):
         )  # fmt: skip
 
     deck, other = (
-        [kept.LidarScene(**asdict(s)) for s in worlds.scenes(8, seed)] for seed in (3, 4)
+        [kept.LidarScene(**asdict(s)) for s in worlds.sample_matrix(8, seed)] for seed in (3, 4)
     )
     file, console = tmp_path / "scenes.npz", Console(quiet=True)
-    first = kept.evaluated_scenes(judge, deck, file, 1, console)
+    first = kept.load_or_evaluate(judge, deck, file, 1, console)
     drawn.clear()
-    again = kept.evaluated_scenes(judge, deck, file, 1, console)
+    again = kept.load_or_evaluate(judge, deck, file, 1, console)
     assert drawn == deck[:1]
     for one, same in zip(first, again, strict=True):
         assert (one.scene, one.cover) == (same.scene, same.cover)
         assert all(np.array_equal(getattr(one, n), getattr(same, n)) for n in kept.ARRAYS)
     with pytest.raises(click.ClickException, match="other scenes"):
-        kept.evaluated_scenes(judge, other, file, 1, console)
+        kept.load_or_evaluate(judge, other, file, 1, console)
     with pytest.raises(click.ClickException, match="another version"):
-        kept.evaluated_scenes(lambda s: judge(s, 1e-6), deck, file, 1, console)
+        kept.load_or_evaluate(lambda s: judge(s, 1e-6), deck, file, 1, console)
     file.write_bytes(file.read_bytes()[:300])
     with pytest.raises(click.ClickException, match="not a file of scenes"):
-        kept.evaluated_scenes(judge, deck, file, 1, console)
+        kept.load_or_evaluate(judge, deck, file, 1, console)
 
 
 def test_held_out_rows_are_evaluated_by_a_fit_without_them(script):
     study = script("lidar_maps", "calibration")
     rng = np.random.default_rng(1)
-    deck = list(study.scenes(24, 2))
+    deck = list(study.sample_matrix(24, 2))
 
     def judged(scene):
         x = rng.uniform(0.0, 1.0, (60, COUNT)).astype(np.float32)
@@ -126,7 +126,7 @@ def test_held_out_rows_are_evaluated_by_a_fit_without_them(script):
         return study.SceneSites(scene, x, known, ones, ones, ones, doomed, 0.005, safe)
 
     scenes = [judged(s) for s in deck]
-    rows = list(study.held_out_rows(scenes))
+    rows = list(study.split_by_scene_type(scenes))
     assert {name.split()[0] for name, _, _ in rows} == {"relief", "rocks", "lander", "range"}
     for _, others, kept in rows:
         assert len(others) + len(kept) == 24
@@ -136,9 +136,9 @@ def test_held_out_rows_are_evaluated_by_a_fit_without_them(script):
     model = study.fit_model(others)
     assert name not in model.without
     assert set(model.without) <= {row for row, _, _ in rows}
-    plain, _ = study.probability(model, sites, LOG_ODDS_MARGIN)
-    assert study.figures(plain, sites.safe)["skill"] > 0.0
-    p, claimed = study.probability(model, sites)
+    plain, _ = study.predict_safety(model, sites, LOG_ODDS_MARGIN)
+    assert study.calibration_metrics(plain, sites.safe)["skill"] > 0.0
+    p, claimed = study.predict_safety(model, sites)
     assert (p <= plain).all()
     assert np.array_equal(
         p[claimed & (p >= ALMOST_CERTAINLY_SAFE_P)],
@@ -147,15 +147,15 @@ def test_held_out_rows_are_evaluated_by_a_fit_without_them(script):
     assert not claimed[~sites.known].any()
     # Sites that cannot be classified as unsafe are claimed only if they are certainly safe.
     assert not claimed[~sites.doomed & (p < ALMOST_CERTAINLY_SAFE_P)].any()
-    assert study.probability(model, replace(sites, doomed=~sites.doomed))[1][
+    assert study.predict_safety(model, replace(sites, doomed=~sites.doomed))[1][
         claimed & (p >= ALMOST_CERTAINLY_SAFE_P)
     ].all()
     assert (p <= expit(sites.features @ np.array(model.weights).T).min(axis=1) + 1e-9).all()
     # A constant has no calibration error and no skill.
-    flat = study.figures(np.full(len(p), sites.safe.mean()), sites.safe)
+    flat = study.calibration_metrics(np.full(len(p), sites.safe.mean()), sites.safe)
     assert flat["ece"] < 0.01
     assert flat["skill"] == pytest.approx(0.0, abs=1e-9)
-    assert study.table_of([study.HeldOutRow(name, p, claimed, sites)]).row_count == 1
+    assert study.table_of([study.HeldOutPrediction(name, p, claimed, sites)]).row_count == 1
 
 
 @pytest.fixture
@@ -237,7 +237,7 @@ def test_map_evaluation_counts_cells(script):
     hazard_map = HazardMap(grid, np.where(seen, p, 0).astype(np.float32), seen, in_domain=known)
     safe, where = rng.random(grid.shape) < 0.4, rng.random(grid.shape) < 0.9
     strata = rng.integers(0, 4, grid.shape)
-    judged = flown.judge(hazard_map, where, safe, strata)
+    judged = flown.evaluate_map(hazard_map, where, safe, strata)
     for k in range(4):
         hits = false = missed = rejected = 0
         number = good = squares = 0.0
@@ -267,7 +267,9 @@ def test_map_is_compared_with_the_terrain_under_it(script):
     x, y = grid.centres()[..., 0], grid.centres()[..., 1]
     hazard_map = HazardMap(grid, (x < 3.0).astype(np.float32), np.ones(grid.shape, bool))
     error = np.array([2.0, 0.0, 0.5])
-    judged = flown.judge_all({"one": hazard_map}, error, truth, np.where(east < -1.0, 1, 0))["one"]
+    judged = flown.evaluate_maps({"one": hazard_map}, error, truth, np.where(east < -1.0, 1, 0))[
+        "one"
+    ]
     known, west = y > -3.0, x < 1.0
     hits, rejected = known & (x < 3.0), known & (x >= 3.0)
     assert judged.counts.sum(axis=0).tolist() == [hits.sum(), 0, 0, rejected.sum()]
@@ -287,7 +289,7 @@ def test_maps_on_different_grids_are_evaluated_on_the_same_terrain(script):
         x, y = grid.centres()[..., 0], grid.centres()[..., 1]
         seen = (np.abs(x) < 5.0) & (np.abs(y) < 5.0)
         maps[name] = HazardMap(grid, ((x < 1.0) & seen).astype(np.float32), seen)
-    judged = flown.judge_all(maps, np.zeros(3), truth, np.zeros(own.shape, int))
+    judged = flown.evaluate_maps(maps, np.zeros(3), truth, np.zeros(own.shape, int))
     for name in maps:
         hits, false, missed, _ = judged[name].counts.sum(axis=0)
         assert (false, missed) == (0, 0)

@@ -93,8 +93,10 @@ def test_consistent_and_inconsistent_flights_are_distinguished(script):
 def test_monitored_quantities_are_no_measurements(script):
     study = script("navigation", "consistency")
     kinds = ["rocks' places", "flash map", "flash scans", "stars attitude", "speed of beam 1"]
-    assert all(study.corrects(kind) for kind in kinds)
-    assert not any(study.corrects(k) for k in ("rocks' expected", "rocks' shadows", "flash fits"))
+    assert all(study.corrects_state(kind) for kind in kinds)
+    assert not any(
+        study.corrects_state(k) for k in ("rocks' expected", "rocks' shadows", "flash fits")
+    )
 
 
 def test_check_exits_with_1_if_errors_are_inconsistent(script, monkeypatch):
@@ -138,7 +140,7 @@ def test_flights_with_faults_are_written_and_summed(script, tmp_path, monkeypatc
 def test_fits_with_the_assumed_error_are_correct_and_errors_are_detected(script, monkeypatch):
     study = script("navigation", "scan_fits")
     tasks = [study.FitTask(*row, 0, 11) for row in (("objects", 0.5, 0.0), ("craters", 1.0, 0.2))]
-    tried = [f for task in tasks for f in study.fits(task)]
+    tried = [f for task in tasks for f in study.simulate_fits(task)]
     assert sum(f.accepted for f in tried) > 10
     assert not any(f.wrong for f in tried)
 
@@ -146,16 +148,17 @@ def test_fits_with_the_assumed_error_are_correct_and_errors_are_detected(script,
         return np.zeros(len(covariance)), False, np.zeros((2, 2))
 
     monkeypatch.setattr("lunarsim.onboard.navigation.registration._initial_error", blind)
-    assert any(f.wrong for task in tasks for f in study.fits(task))
+    assert any(f.wrong for task in tasks for f in study.simulate_fits(task))
 
 
 def test_flight_on_an_outdated_map_is_evaluated(script, tmp_path):
     study = script("navigation", "prior_map")
-    assert all(row.startswith("none") == (not r.prior.keys() - {"posting_m", "sigma_m"}
-               and not r.scanner and r.kept is None) for row, r in study.ROWS.items())  # fmt: skip
-    kept = study.ROWS["no flashes for 4 s"].kept
+    for name, row in study.ROWS.items():
+        changed = row.map_changes.keys() - {"posting_m", "sigma_m"} or row.scanner_changes
+        assert name.startswith("none") == (not changed and row.is_delivered is None)
+    is_delivered = study.ROWS["no flashes for 4 s"].is_delivered
     rng = np.random.default_rng(0)
-    assert [kept(t, rng) for t in (5.9, 6.0, 9.9, 10.0)] == [True, False, False, True]
+    assert [is_delivered(t, rng) for t in (5.9, 6.0, 9.9, 10.0)] == [True, False, False, True]
 
 
 # --- slow tests ---------------------------------------------------------------------------------

@@ -83,10 +83,10 @@ def test_results_do_not_depend_on_processes_or_interruptions(small, tmp_path):
     figures = [json.loads((f / "figures.json").read_text()) for f in (whole, broken)]
     assert figures[0] == figures[1]
     tasks = [small.DescentShardTask(k, 3 if k < 2 else 1, 1, 40) for k in range(3)]
-    again = small.solve(tasks[1])
+    again = small.solve_shard(tasks[1])
     stored = np.load(sorted((whole / "shards").glob("*.npz"))[1])
     assert np.array_equal(again["observations"], stored["observations"])
-    other = small.solve(replace(tasks[1], seed=2))
+    other = small.solve_shard(replace(tasks[1], seed=2))
     assert not np.array_equal(other["observations"], stored["observations"])
     assert small.StartDistribution.key(tasks[1]) != small.StartDistribution.key(
         replace(tasks[1], intervals=30)
@@ -112,7 +112,7 @@ def test_invalid_requests_are_rejected(small, tmp_path, monkeypatch):
 
 
 def test_interrupt_keeps_finished_shards(small, tmp_path, monkeypatch):
-    solve, left = small.solve, [2]
+    solve, left = small.solve_shard, [2]
 
     def broken(task):
         if left[0] == 0:
@@ -120,7 +120,7 @@ def test_interrupt_keeps_finished_shards(small, tmp_path, monkeypatch):
         left[0] -= 1
         return solve(task)
 
-    monkeypatch.setattr(small, "solve", broken)
+    monkeypatch.setattr(small, "solve_shard", broken)
     done = CliRunner().invoke(small.main, ["--descents", "7", "--out", str(tmp_path)])
     assert done.exit_code == 1
     assert "run the same command again to resume" in done.output

@@ -42,8 +42,8 @@ def test_cloud_split_and_spacing(script):
 def test_trend_of_a_plane_is_removed_completely(script, scattered):
     returns = script("real_returns", "returns")
     bumps = scattered + [0.0, 0.0, 1.0] * (np.arange(4000) == 77)[:, None]
-    np.testing.assert_allclose(returns.without_trend(scattered)[:, 2], 0.0, atol=1e-8)
-    assert returns.without_trend(bumps)[77, 2] == pytest.approx(1.0, abs=0.2)
+    np.testing.assert_allclose(returns.subtract_local_planes(scattered)[:, 2], 0.0, atol=1e-8)
+    assert returns.subtract_local_planes(bumps)[77, 2] == pytest.approx(1.0, abs=0.2)
 
 
 def test_only_lengths_of_the_lander_are_scaled(script):
@@ -64,16 +64,16 @@ def test_heights_are_interpolated_and_split_by_stratum(script, scattered):
     wrong = scattered.copy()
     sigma = np.sqrt(0.0375 + judging.SIGMA**2)
     wrong[:, 2] += sigma * np.random.default_rng(1).standard_normal(4000)
-    exact = judging.heights_of(dem, scattered, slope)
+    exact = judging.dem_errors(dem, scattered, slope)
     assert np.abs(exact.error).max() < 1e-4
-    own = judging.heights_of(dem, wrong, slope)
+    own = judging.dem_errors(dem, wrong, slope)
     np.testing.assert_allclose(own.sigma, sigma, rtol=1e-5)
     assert np.unique(own.stratum).tolist() == [0, 3]
-    figures = own.figures()
+    figures = own.statistics()
     assert figures["nees"] == pytest.approx(1.0, abs=0.08)
     assert figures["beyond2"] == pytest.approx(0.0455, abs=0.015)
-    assert figures["n"] == own.figures(0)["n"] + own.figures(3)["n"]
-    assert np.isnan(own.figures(1)["rmse"])
+    assert figures["n"] == own.statistics(0)["n"] + own.statistics(3)["n"]
+    assert np.isnan(own.statistics(1)["rmse"])
 
 
 def test_quadtree_cell_errors_match_the_scatter_of_their_returns(script):
@@ -85,21 +85,21 @@ def test_quadtree_cell_errors_match_the_scatter_of_their_returns(script):
     grid = Grid.centred((0.0, 0.0), 64.0, 0.5)
     mapper = returns.quadtree_map(both[:20_000], grid, 2.0, 20_000 / 64.0**2)
     slope = np.full(grid.shape, 22.0)
-    own = judging.heights_of_cells(mapper, both[20_000:], slope, grid)
-    figures = own.figures(1)
+    own = judging.quadtree_errors(mapper, both[20_000:], slope, grid)
+    figures = own.statistics(1)
     assert figures["n"] > 300
     # Cells of 1.6 m contain 12.5 returns of each half.
     assert figures["rmse"] == pytest.approx(0.2 * np.sqrt(2.0 / 12.5), rel=0.2)
     assert figures["nees"] == pytest.approx(1.0, abs=0.2)
-    lifted = judging.heights_of_cells(mapper, both[20_000:] + [0.0, 0.0, 0.3], slope, grid)
-    assert lifted.figures()["bias"] == pytest.approx(figures["bias"] - 0.3, abs=1e-6)
+    lifted = judging.quadtree_errors(mapper, both[20_000:] + [0.0, 0.0, 0.3], slope, grid)
+    assert lifted.statistics()["bias"] == pytest.approx(figures["bias"] - 0.3, abs=1e-6)
 
 
 def test_scores_of_a_known_map(script):
     judging = script("real_returns", "held_out_comparison")
     p = np.array([0.9, 0.9, 0.1, 0.1, np.nan])
     safe = np.array([True, False, False, False, True])
-    s = judging.scores(p, safe)
+    s = judging.safety_metrics(p, safe)
     assert (s["n"], s["share"], s["precision"], s["recall"]) == (4, 0.25, 0.5, 1.0)
     # Brier: (0.01 + 0.81 + 0.01 + 0.01) / 4 = 0.21 against a base of 0.1875.
     assert s["skill"] == pytest.approx(1.0 - 0.21 / 0.1875)

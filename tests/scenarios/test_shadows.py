@@ -221,23 +221,25 @@ def test_chosen_site_is_evaluated_at_its_true_position(matrix, monkeypatch, off)
     monkeypatch.setattr(Simulation, "navigation_error", error)
     decision = Decision(site=rock + error + [off, 0.0, 0.0], reason="told")
     monkeypatch.setattr(Simulation, "ask", lambda self, policy, shown: decision)
-    monkeypatch.setattr(matrix, "reach_into", lambda s, xy: np.hypot(*(xy - rock[:2]).T) < 1.0)
-    found = matrix.choice(simulation)
+    monkeypatch.setattr(
+        matrix, "has_hazard_in_footprint", lambda s, xy: np.hypot(*(xy - rock[:2]).T) < 1.0
+    )
+    found = matrix.evaluate_safest_site(simulation)
     assert found["diverts"] and found["site_on_hazard"] is (off == 0.0)
     monkeypatch.setattr(Simulation, "ask", lambda self, policy, shown: Decision.keep("safe"))
     simulation.computer.site = rock + error
-    found = matrix.choice(simulation)
+    found = matrix.evaluate_safest_site(simulation)
     assert not found["diverts"] and found["site_on_hazard"]
 
 
 def test_matrix_names_missed_goals(matrix):
     good = {"clear_false": 0.001, "objects_clear": 0.0, "clear_recall": 0.7}
     cell = matrix.ShadowCell("x")
-    assert matrix.missed_goals(cell, good) == ""
+    assert matrix.missed_requirements(cell, good) == ""
     bad = {"clear_false": 0.003, "objects_clear": 0.05, "clear_recall": 0.5}
-    assert matrix.missed_goals(cell, bad) == "area, objects, recall"
+    assert matrix.missed_requirements(cell, bad) == "area, objects, recall"
     far = matrix.ShadowCell("x", relief=8.0)
-    assert matrix.missed_goals(far, bad | {"clear_false": float("nan")}) == "objects"
+    assert matrix.missed_requirements(far, bad | {"clear_false": float("nan")}) == "objects"
 
 
 def test_faulty_images_are_rejected_and_most_good_ones_accepted(script):

@@ -34,12 +34,12 @@ def test_differences_separate_slope_and_curvature(script):
     x, y = grid.centres()[..., 0], grid.centres()[..., 1]
     box = (-8.0, 8.0, -8.0, 8.0)
     tilted = Heightfield(grid, (0.4 * x).astype(np.float32))
-    first, second = study.differences(tilted, 2.0, box)
+    first, second = study.rms_differences(tilted, 2.0, box)
     assert first == pytest.approx(0.8 / np.sqrt(2.0), rel=1e-5)
     assert second < 1e-5
     bowl = Heightfield(grid, (0.1 * y**2).astype(np.float32))
-    assert study.differences(bowl, 2.0, box)[1] == pytest.approx(0.8 / np.sqrt(2.0), rel=1e-4)
-    assert np.isnan(study.differences(tilted, 0.25, box)).all()
+    assert study.rms_differences(bowl, 2.0, box)[1] == pytest.approx(0.8 / np.sqrt(2.0), rel=1e-4)
+    assert np.isnan(study.rms_differences(tilted, 0.25, box)).all()
 
 
 def test_detail_of_apollo_15_continues_the_relief(script, tmp_path):
@@ -94,7 +94,7 @@ def test_spectrum_keeps_the_variance_of_white_noise(script):
 def test_rendered_images_are_close_to_the_real_image(script):
     study = script("terrain", "compare_with_nac")
     images, found = study.compare(("highland", "golombek"), 7)
-    spread, length = study.smooth_part(images["real"])
+    spread, length = study.smooth_area_statistics(images["real"])
     assert spread == pytest.approx(0.056, abs=0.002)
     assert length == pytest.approx(4.2, abs=1.0)
     real = found.pop("real")

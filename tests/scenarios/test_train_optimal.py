@@ -29,20 +29,24 @@ def shards(script, tmp_path):
     folder = tmp_path / "set" / "shards"
     folder.mkdir(parents=True)
     for k in range(2):
-        np.savez(folder / f"{k}.npz", **descents.solve(descents.DescentShardTask(k, 3, 5, 12)))
+        np.savez(
+            folder / f"{k}.npz", **descents.solve_shard(descents.DescentShardTask(k, 3, 5, 12))
+        )
     return tmp_path / "set"
 
 
 def test_states_between_nodes_lie_on_the_descent(study, shards):
     descents = study.DescentNodes.load(sorted((shards / "shards").glob("*.npz")))
     gravity = study.problem_parameters()[0]
-    start, wanted = descents.within(np.zeros(descents.done.shape[:2]), gravity)
-    end, _ = descents.within(np.full(descents.done.shape[:2], 1.0 - 1e-9), gravity)
-    first = descents.seen[0]
+    start, wanted = descents.sample_intervals(np.zeros(descents.thrust_per_mass.shape[:2]), gravity)
+    late = np.full(descents.thrust_per_mass.shape[:2], 1.0 - 1e-9)
+    end, _ = descents.sample_intervals(late, gravity)
+    first = descents.nodes[0]
     assert start[0, 0] == pytest.approx(np.hypot(*first[0, :2]))
     assert end[0, 0] == pytest.approx(np.hypot(*first[1, :2]), rel=1e-6)
     assert end[0, [1, 4, 5]] == pytest.approx(first[1, [2, 5, 6]], rel=1e-6)
-    assert np.linalg.norm(wanted[0, :3]) == pytest.approx(np.linalg.norm(descents.done[0, 0]))
+    thrust = np.linalg.norm(descents.thrust_per_mass[0, 0])
+    assert np.linalg.norm(wanted[0, :3]) == pytest.approx(thrust)
     assert wanted[0, 3] * 20.0 == pytest.approx(descents.duration[0])
 
 
@@ -86,7 +90,7 @@ def test_the_same_seed_gives_the_same_weights(study, shards, tmp_path):
 def test_shards_of_several_runs_are_rejected(study, script, shards):
     descents = script("learning", "optimal_descents")
     other = shards / "shards" / "other.npz"
-    np.savez(other, **descents.solve(descents.DescentShardTask(0, 3, 5, 10)))
+    np.savez(other, **descents.solve_shard(descents.DescentShardTask(0, 3, 5, 10)))
     with pytest.raises(click.UsageError, match=r"\[10, 12\] intervals"):
         study.DescentNodes.load(sorted((shards / "shards").glob("*.npz")))
 
