@@ -5,7 +5,7 @@
     flight = lunarsim.fly("hirise", policy="safest", seed=1)
     print(flight)
 
-All public names are listed in docs/api.md; contracts for custom parts are in `lunarsim.api`.
+All public names are listed in docs/reference/api.md; contracts for custom parts are in `lunarsim.api`.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Minimum-propellant descents: benchmark of laws, planner of the optimal law.
 
-`docs/theory/optimal.md` has the equations. A problem is a `Descent`; a `Planner` keeps compiled
+`docs/explanation/theory/optimal.md` has the equations. A problem is a `Descent`; a `Planner` keeps compiled
 programs; `minimize_propellant` and `minimize_landing_error` search the final time.
 """
 

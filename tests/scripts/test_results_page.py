@@ -18,7 +18,7 @@ def results(monkeypatch):
 
 
 def test_page_is_generated_from_the_stored_files(results):
-    shown = (ROOT / "docs" / "results-by-seed.md").read_text(encoding="utf-8")
+    shown = (ROOT / "docs" / "validation" / "results-by-seed.md").read_text(encoding="utf-8")
     assert shown == results.page()
     kept = sorted(results.STORED.glob("*.json"))
     assert len(kept) >= 2
