@@ -10,7 +10,7 @@ All public names are listed in docs/reference/api.md; contracts for custom parts
 
 from __future__ import annotations
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 from lunarsim._lazy import lazy_names
 from lunarsim.forks import watch_forks
