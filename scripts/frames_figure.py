@@ -31,7 +31,8 @@ def main() -> None:
     _axes(ax, lander, tilt, 85.0, ("x body (forward)", "z body (thrust)"))
     aim = np.array([150.0, 0.0]) - lander
     aim = 120.0 * aim / np.linalg.norm(aim)
-    ax.annotate("", np.add(lander, aim), lander, arrowprops={"arrowstyle": "->", "color": "tab:green"})
+    ax.annotate("", np.add(lander, aim), lander,
+                arrowprops={"arrowstyle": "->", "color": "tab:green"})  # fmt: skip
     ax.text(lander[0] + aim[0] - 8.0, lander[1] + aim[1], "z sensor (boresight)", color="tab:green",
             ha="right")  # fmt: skip
     ax.annotate("", (600.0, 40.0), (480.0, 40.0), arrowprops={"arrowstyle": "->", "color": "0.4"})
