@@ -5,7 +5,7 @@
     flight = lunarsim.fly("hirise", policy="safest", seed=1)
     print(flight)
 
-All public names are listed in docs/reference/api.md; contracts for custom parts are in `lunarsim.api`.
+docs/reference/api.md lists all public names; `lunarsim.api` has the contracts for custom parts.
 """
 
 from __future__ import annotations
