@@ -264,7 +264,7 @@ def show(data: dict[str, Any], title: str, console: Console) -> None:
 )
 @click.option("--sun-elevation", default=20.0, show_default=True, help="Sun elevation (deg).")
 @click.option("--light", type=click.Choice(tuple(LIGHTS)), default="plain", show_default=True,
-              help="Light: point Sun, or all effects that docs/ describes.")  # fmt: skip
+              help="Light: point Sun (plain), or all light effects.")  # fmt: skip
 @click.option("--seed", type=int, default=1, show_default=True, help="Root random seed.")
 @click.option("--out", type=click.Path(path_type=Path, file_okay=False), default=None,
               help="Output folder of figure and data (default: none).")  # fmt: skip
