@@ -37,7 +37,7 @@ lock:                   ## the tested versions of dependencies (without PyTorch)
 	$(BIN)/uv pip compile --quiet --upgrade --universal --python-version 3.11 --no-annotate \
 		$(foreach extra,ray report sensitivity data onnx bench docs dev,--extra $(extra)) \
 		--custom-compile-command "make lock" pyproject.toml -o requirements.lock
-	$(BIN)/python scripts/licences_page.py > docs/licences.md
+	$(BIN)/python scripts/licences_page.py > docs/about/licences.md
 
 $(STAMP): pyproject.toml requirements.lock scripts/setup.sh
 	sh scripts/setup.sh $(VENV)

@@ -5,12 +5,12 @@
     flight = lunarsim.fly("hirise", policy="safest", seed=1)
     print(flight)
 
-All public names are listed in docs/api.md; contracts for custom parts are in `lunarsim.api`.
+docs/reference/api.md lists all public names; `lunarsim.api` has the contracts for custom parts.
 """
 
 from __future__ import annotations
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 from lunarsim._lazy import lazy_names
 from lunarsim.forks import watch_forks

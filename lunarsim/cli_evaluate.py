@@ -92,7 +92,8 @@ def evaluate(
       FILE.npz                            network, evaluated with NumPy only
       FILE.onnx                           exported network; needs the extra `onnx`
       FILE.zip                            Stable-Baselines3 model; needs --trust-pickle
-      module:Name                         any callable: observation, info -> action
+      module:Name                         custom guidance law or policy, or any
+                                        callable: observation, info -> action
 
     Episode i has the same world, start state and noise for every agent. The score is the return
     without shaping rewards. The first table gives fractions with 95 % Wilson intervals and means

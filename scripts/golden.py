@@ -7,7 +7,7 @@ case writes, and compares later digests with them.
     python scripts/golden.py check                 # compare the working tree with the record
     python scripts/golden.py check --complete      # also cameras, all instruments and a report
 
-Results are bit-identical only on one machine (see docs/reproducibility.md). A recording is
+Results are bit-identical only on one machine (see docs/howto/reproducibility.md). A recording is
 therefore kept in the ignored folder `out/golden` and never committed. Each state of the source has
 its own folder of compiled kernels, and each case runs with a fixed number of threads. Figures are
 not compared.

@@ -1,4 +1,4 @@
-"""Print the licences page: `python scripts/licences_page.py > docs/licences.md`.
+"""Print the licences page: `python scripts/licences_page.py > docs/about/licences.md`.
 
 The script asks pip which packages the project and each extra would install, without installing
 them. It needs pip 25 or later, which reports licences that are SPDX expressions.
@@ -98,7 +98,7 @@ def table(packages: dict[str, dict[str, Any]]) -> str:
 
 
 def page() -> str:
-    """Return the page docs/licences.md in Markdown."""
+    """Return the page docs/about/licences.md in Markdown."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     base = resolve_packages("")
     out = [HEAD.format(python=f"{sys.version_info.major}.{sys.version_info.minor}"), table(base)]

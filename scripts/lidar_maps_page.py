@@ -1,4 +1,4 @@
-"""Update the tables of docs/lidar-maps.md: `python scripts/lidar_maps_page.py`.
+"""Update the tables of docs/validation/lidar-maps.md: `python scripts/lidar_maps_page.py`.
 
 `scenarios/lidar_maps/compare_mappers.py --out DIR` writes DIR/figures.json. `--store FILE --command
 "..."` stores its results by world in `docs/results/lidar_maps` and updates the rows of these
@@ -132,7 +132,7 @@ def store(results: dict[str, Any], command: str) -> None:
               help="File figures.json of the study.")  # fmt: skip
 @click.option("--command", default="", help="Command that wrote the file.")
 def main(results_file: Path | None, command: str) -> None:
-    """Update the tables of docs/lidar-maps.md; optionally store new results."""
+    """Update the tables of docs/validation/lidar-maps.md; optionally store new results."""
     if results_file is not None:
         if not command:
             raise click.UsageError("--command: must be given with --store")

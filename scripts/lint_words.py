@@ -1,6 +1,7 @@
 """Check names, first lines of docstrings and words of prose: `python scripts/lint_words.py`.
 
-Prints file, line, finding and the better word. Exceptions with a reason are in
+Prints file, line, finding and the better word for all files, or for those that are named as
+arguments. Also finds pages with too many words. Exceptions with a reason are in
 `scripts/allowed_words.toml`; an exception that matches nothing is a finding too.
 """
 
@@ -20,7 +21,11 @@ from typing import NamedTuple
 ROOT = Path(__file__).resolve().parent.parent
 EXCEPTIONS = ROOT / "scripts" / "allowed_words.toml"
 CODE = ("lunarsim", "envs", "scenarios", "scripts")
-PAGES = ("README.md", "CONTRIBUTING.md")
+# Pages that quote other texts or old names: not checked.
+QUOTING_PAGES = ("docs/about/licences.md", "docs/about/renamed.md")
+# Generated pages may be longer than a reader reads at once.
+LONG_PAGES = ("docs/reference/", *QUOTING_PAGES)
+MAX_PAGE_WORDS = 2000
 
 # Word (a regular expression) and what to write.
 WORDS = {
@@ -78,10 +83,11 @@ def main() -> None:
     exceptions = tomllib.loads(EXCEPTIONS.read_text(encoding="utf-8"))["exception"]
     phrases = [re.compile(one["phrase"], re.I) for one in exceptions if "phrase" in one]
     places = {(one["file"], one["word"].lower()) for one in exceptions if "file" in one}
-    files = _files()
+    files = sys.argv[1:] or _files()
     found = [finding for file in files for finding in _in_file(file, phrases)]
     found += list(_repeated_classes(files))
     shown = [one for one in found if (one.file, one.word.lower()) not in places]
+    places = {place for place in places if place[0] in files or not sys.argv[1:]}
     unused = places - {(one.file, one.word.lower()) for one in found}
     for one in shown:
         print(one)
@@ -96,16 +102,22 @@ def main() -> None:
 def _files() -> list[str]:
     """Return the paths of all files to check, relative to the repository."""
     found = [path for folder in CODE for path in sorted((ROOT / folder).rglob("*.py"))]
-    found += [ROOT / page for page in PAGES if (ROOT / page).exists()]
-    return [path.relative_to(ROOT).as_posix() for path in found if path.name != "lint_words.py"]
+    found += [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
+    names = [path.relative_to(ROOT).as_posix() for path in found if path.exists()]
+    return [name for name in names if name not in ("scripts/lint_words.py", *QUOTING_PAGES)]
 
 
 def _in_file(file: str, phrases: list[re.Pattern[str]]) -> Iterator[Finding]:
     """Yield the findings of one file; `phrases` are permitted."""
     text = (ROOT / file).read_text(encoding="utf-8")
     if not file.endswith(".py"):
-        for line, prose in enumerate(text.splitlines(), 1):
-            yield from _words(file, line, prose, phrases)
+        # Code between fences is not prose; its lines are kept for the line numbers.
+        prose = re.sub(r"^```.*?^```", lambda m: "\n" * m[0].count("\n"), text, flags=re.M | re.S)
+        for line, words in enumerate(prose.splitlines(), 1):
+            yield from _words(file, line, words, phrases)
+        if len(text.split()) > MAX_PAGE_WORDS and not file.startswith(LONG_PAGES):
+            excess = f"{len(text.split())} words; at most {MAX_PAGE_WORDS}. Split the page"
+            yield Finding(file, 1, "length", excess)
         return
     for token in tokenize.generate_tokens(io.StringIO(text).readline):
         if token.type == tokenize.COMMENT:

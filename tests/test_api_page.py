@@ -1,4 +1,4 @@
-"""docs/api.md: the list of public names, each with a directive and an example that runs."""
+"""docs/reference/api.md lists the public names, each with a directive and an example that runs."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ import lunarsim.api
 from lunarsim.parts.module_permission import ALLOW_MODULES_VARIABLE
 from tests.worlds import ROOT
 
-PAGE = ROOT / "docs" / "api.md"
+PAGE = ROOT / "docs" / "reference" / "api.md"
 PUBLIC_MODULES = {"lunarsim": lunarsim, "lunarsim.api": lunarsim.api}
 PUBLIC_NAMES = {*lunarsim.__all__, *lunarsim.api.__all__}
 MAX_IMPORT_TIME_S = 0.1
@@ -73,7 +73,7 @@ def test_examples_give_what_they_say(page, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "__main__", session)
     monkeypatch.setenv(ALLOW_MODULES_VARIABLE, "")
     monkeypatch.chdir(tmp_path)
-    test = doctest.DocTest(page.examples, {}, "docs/api.md", str(PAGE), 0, None)
+    test = doctest.DocTest(page.examples, {}, "docs/reference/api.md", str(PAGE), 0, None)
     test.globs = vars(session)  # not a copy: classes find their module's names
     report: list[str] = []
     result = doctest.DocTestRunner().run(test, out=report.append, clear_globs=False)
@@ -83,7 +83,7 @@ def test_examples_give_what_they_say(page, tmp_path, monkeypatch):
 
 def test_every_public_name_is_used_in_an_example(page):
     missing = PUBLIC_NAMES - names_in_code("".join(example.source for example in page.examples))
-    assert not missing, f"docs/api.md: no example uses {sorted(missing)}"
+    assert not missing, f"docs/reference/api.md: no example uses {sorted(missing)}"
 
 
 def test_the_page_documents_the_public_names_and_no_others(page):

@@ -50,7 +50,7 @@ def test_one_allowed_version_is_locked(locked, extra, wanted, python):
 
 
 def test_the_page_of_licences_names_a_licence_of_all_that_is_locked(locked):
-    page = (ROOT / "docs" / "licences.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs" / "about" / "licences.md").read_text(encoding="utf-8")
     rows = [row.strip("| ").split(" | ") for row in page.splitlines() if row.startswith("| ")]
     licences = {canonicalize_name(row[0]): row[-1] for row in rows}
     here = {"python_version": "3.11", "python_full_version": "3.11.7", "sys_platform": "linux"}

@@ -58,8 +58,7 @@ def _code(path: Path) -> list[str]:
 
 
 PAGES = [
-    ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md")),
-    *sorted((ROOT / "docs" / "notebooks").glob("*.md")),
+    ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md")),
 ]  # fmt: skip
 
 

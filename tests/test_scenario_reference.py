@@ -33,12 +33,6 @@ def test_every_key_has_a_meaning():
     assert not without
 
 
-def test_the_page_is_what_the_command_prints():
-    printed = CliRunner().invoke(main, ["scenario", "reference", "--markdown"]).output
-    page = (ROOT / "docs" / "scenario-reference.md").read_text(encoding="utf-8")
-    assert page.endswith(printed)
-
-
 def test_a_part_that_cannot_be_loaded_is_named_and_the_rest_is_printed(monkeypatch):
     def points(group, search_path):
         own = {"lunarsim.policy": [EntryPoint("lost", "no_such_module:Policy", group)]}

@@ -1,7 +1,7 @@
 """Minimum-propellant descents: benchmark of laws, planner of the optimal law.
 
-`docs/theory/optimal.md` has the equations. A problem is a `Descent`; a `Planner` keeps compiled
-programs; `minimize_propellant` and `minimize_landing_error` search the final time.
+`docs/explanation/theory/optimal.md` has the equations. A problem is a `Descent`; a `Planner` keeps
+compiled programs; `minimize_propellant` and `minimize_landing_error` search the final time.
 """
 
 from lunarsim.optimal.errors import InfeasibleError, RelaxationError, SolverError

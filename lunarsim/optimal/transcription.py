@@ -2,8 +2,8 @@
 
 Acikmese and Ploen, "Convex programming approach to powered descent guidance for Mars landing",
 Journal of Guidance, Control, and Dynamics 30(5), 2007, with pointing as in Acikmese, Carson and
-Blackmore, IEEE Transactions on Control Systems Technology 21(6), 2013. `docs/theory/optimal.md`
-derives the differences from these papers:
+Blackmore, IEEE Transactions on Control Systems Technology 21(6), 2013.
+`docs/explanation/theory/optimal.md` derives the differences from these papers:
 
 - Thrust over mass is constant in each of N intervals. It is a difference of velocities, and its
   bound is a difference of logarithms of mass; neither is a variable. Seven variables per node

@@ -53,7 +53,7 @@ ALL = "all"
 MIN_HAZARD_DIAMETER = 0.5
 # Number of images of one field.
 IMAGES_PER_FIELD = 8
-# Light settings: only the Sun direction, or all effects of docs/rendering.md.
+# Light settings: only the Sun direction, or all effects of docs/explanation/rendering.md.
 LIGHTS: dict[str, dict[str, Any]] = {
     "plain": {},
     "full": {
@@ -267,7 +267,7 @@ def show(data: dict[str, Any], title: str, console: Console) -> None:
 )
 @click.option("--sun-elevation", default=20.0, show_default=True, help="Sun elevation (deg).")
 @click.option("--light", type=click.Choice(tuple(LIGHTS)), default="plain", show_default=True,
-              help="Light: point Sun, or all effects of docs/rendering.md.")  # fmt: skip
+              help="Light: point Sun (plain), or all light effects.")  # fmt: skip
 @click.option("--seed", type=int, default=1, show_default=True, help="Root random seed.")
 @click.option("--out", type=click.Path(path_type=Path, file_okay=False), default=None,
               help="Output folder of figure and data (default: none).")  # fmt: skip

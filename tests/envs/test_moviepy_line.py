@@ -1,4 +1,4 @@
-"""The line of docs/environments.md that installs MoviePy names all that it needs."""
+"""The line of docs/howto/agents.md that installs MoviePy names all that it needs."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _LINE = re.compile(r"`pip install (--no-deps moviepy [^`]+)`")
 
 
 def test_the_line_names_what_moviepy_imports():
-    (line,) = _LINE.findall((ROOT / "docs" / "environments.md").read_text(encoding="utf-8"))
+    (line,) = _LINE.findall((ROOT / "docs" / "howto" / "agents.md").read_text(encoding="utf-8"))
     # proglog imports tqdm.
     assert {"imageio", "imageio-ffmpeg", "proglog", "tqdm", "decorator"} <= set(line.split())
 
@@ -24,7 +24,7 @@ def test_the_line_names_what_moviepy_imports():
 @pytest.mark.slow
 def test_moviepy_is_imported_after_the_line(tmp_path):
     """In an environment that sees the packages of this one, as a user's does."""
-    (line,) = _LINE.findall((ROOT / "docs" / "environments.md").read_text(encoding="utf-8"))
+    (line,) = _LINE.findall((ROOT / "docs" / "howto" / "agents.md").read_text(encoding="utf-8"))
     venv.create(tmp_path / "v", with_pip=True)
     version = f"python{sys.version_info.major}.{sys.version_info.minor}"
     seen = tmp_path / "v" / "lib" / version / "site-packages" / "seen.pth"

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
+import pandas as pd
 import pytest
+from click.testing import CliRunner
 
+from lunarsim.cli import main
 from lunarsim.simulation import Simulation
 
 OWN = "own_law:LinearLaw"
@@ -25,3 +28,15 @@ def test_it_flies_to_the_site(small):
 def test_its_settings_are_checked(small):
     with pytest.raises(ValueError, match=r"guidance\.min_time_to_go_s: .*got -1"):
         small.changed(guidance={"kind": OWN, "min_time_to_go_s": -1.0})
+
+
+def test_it_flies_the_environment_as_an_agent(outside, tmp_path, monkeypatch):
+    monkeypatch.delenv("LUNARSIM_ALLOW_MODULES")
+    arguments = ["evaluate", "Guidance-v0", "--episodes", "2", "--jobs", "1"]
+    arguments += ["--agent", "e-guidance", "--agent", OWN, "--out", str(tmp_path / "out")]
+    done = CliRunner().invoke(main, arguments)
+    assert done.exit_code == 0, done.output
+    rows = pd.read_parquet(tmp_path / "out" / "results.parquet")
+    assert rows["safe"].all()
+    built_in, custom = (group["propellant_kg"].to_numpy() for _, group in rows.groupby("agent"))
+    np.testing.assert_allclose(custom, built_in, rtol=0.05)

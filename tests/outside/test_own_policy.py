@@ -38,3 +38,13 @@ def test_objects_compete_in_any_number_of_processes(small, tmp_path):
     assert list(table["policy"]) == ["first-come", "no-divert"] * 2
     first, second = ((tmp_path / j / "results.parquet").read_bytes() for j in "12")
     assert first == second
+
+
+def test_it_flies_the_environment_as_an_agent(outside, tmp_path, monkeypatch):
+    monkeypatch.delenv("LUNARSIM_ALLOW_MODULES")
+    arguments = ["evaluate", "Retarget-v0", "--perception", "truth", "--episodes", "2"]
+    arguments += ["--jobs", "1", "--agent", OWN, "--out", str(tmp_path / "out")]
+    done = CliRunner().invoke(main, arguments)
+    assert done.exit_code == 0, done.output
+    rows = pd.read_parquet(tmp_path / "out" / "results.parquet")
+    assert set(rows["agent"]) == {"FirstCome"} and len(rows) == 2

@@ -63,3 +63,19 @@ def test_an_exception_has_a_use(check):
     assert check(text, exception) == []
     (line,) = check('"""Return an image."""\n', exception)
     assert "nothing in lunarsim/other.py needs the exception 'picture'" in line
+
+
+@pytest.mark.parametrize(
+    ("page", "text", "word"),
+    [
+        ("docs/page.md", "# Maps\n\nThe map tells it.\n", "docs/page.md:3:"),
+        ("docs/page.md", "word " * 2001, "Split the page"),
+        ("docs/reference/page.md", "word " * 2001, ""),
+        ("docs/page.md", "```\nThe map tells it.\n```\n", ""),
+    ],
+)
+def test_pages_are_checked_but_for_code_and_generated_length(check, tmp_path, page, text, word):
+    (tmp_path / page).parent.mkdir(parents=True)
+    (tmp_path / page).write_text(text)
+    lines = check('"""Return an image."""\n')
+    assert len(lines) == bool(word) and all(word in line for line in lines)

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable
+from dataclasses import fields, is_dataclass
 from typing import Any
 
 import gymnasium
 import numpy as np
 
 from lunarsim.errors import InputError
-from lunarsim.parts.registry import import_part_module
+from lunarsim.parts.registry import CONTRACTS, import_part_module
 
 
 class CallableAgent:
@@ -49,6 +50,37 @@ def _accepts_argument_count(call: Callable[..., Any], count: int) -> bool:
     return True
 
 
+def _imported(name: str) -> Any:
+    """Import the object ``module:Name``; the working directory is searched last."""
+    module, _, attribute = name.partition(":")
+    try:
+        return getattr(import_part_module(module), attribute)
+    except (ImportError, AttributeError, SyntaxError) as error:
+        message = str(error).split("\n")[0]
+        raise InputError(
+            "--agent", name,
+            f"cannot be imported ({type(error).__name__}: {message})",
+            "Put the module into the working directory or install it.",
+        ) from error  # fmt: skip
+
+
+def contract_of_custom_part(name: str) -> str | None:
+    """Return "guidance" or "policy" if ``module:Name`` is a part of that kind, otherwise None.
+
+    Raises
+    ------
+    InputError
+        If the name cannot be imported.
+    """
+    found = _imported(name)
+    if isinstance(found, type) and is_dataclass(found):
+        members = {field.name for field in fields(found)} | set(dir(found))
+        for contract in ("guidance", "policy"):
+            if members.issuperset(CONTRACTS[contract].required_members):
+                return contract
+    return None
+
+
 def custom_agent(env: gymnasium.Env[Any, Any], name: str) -> Any:
     """Import a user's agent by its name ``module:Name``, for an environment.
 
@@ -60,16 +92,7 @@ def custom_agent(env: gymnasium.Env[Any, Any], name: str) -> Any:
     InputError
         If the name cannot be imported, or the object cannot be called in this way.
     """
-    module, _, attribute = name.partition(":")
-    try:
-        found = getattr(import_part_module(module), attribute)
-    except (ImportError, AttributeError, SyntaxError) as error:
-        message = str(error).split("\n")[0]
-        raise InputError(
-            "--agent", name,
-            f"cannot be imported ({type(error).__name__}: {message})",
-            "Put the module into the working directory or install it.",
-        ) from error  # fmt: skip
+    found = _imported(name)
     if isinstance(found, type) and not _accepts_argument_count(found, 1):
         raise InputError(
             "--agent", name, "must be a class that takes the environment as its only argument"

@@ -8,9 +8,10 @@ from typing import Any
 import gymnasium
 
 from lunarsim.errors import InputError, suggestion
+from lunarsim.parts.module_permission import allow_modules
 from lunarsim.parts.registry import kinds
 from lunarsim_envs.agents.agent_interface import Agent
-from lunarsim_envs.agents.custom_agents import custom_agent
+from lunarsim_envs.agents.custom_agents import contract_of_custom_part, custom_agent
 from lunarsim_envs.agents.guidance_laws import GuidanceLawAgent, PolynomialLawAgent
 from lunarsim_envs.agents.network import Network, NetworkAgent
 from lunarsim_envs.agents.onnx_network import OnnxAgent
@@ -96,7 +97,8 @@ def agent_of(agent: str, env: gymnasium.Env[Any, Any], *, trust_pickle: bool = F
     ----------
     agent
         Name from `known_agents`, network file (``.npz``, ``.onnx``), Stable-Baselines3 file
-        (``.zip``), or ``module:Name`` of a callable (`custom_agents.custom_agent`).
+        (``.zip``), or ``module:Name`` of a callable (`custom_agents.custom_agent`), a guidance law
+        or a policy.
     env
         Environment to fly.
     trust_pickle
@@ -116,8 +118,12 @@ def agent_of(agent: str, env: gymnasium.Env[Any, Any], *, trust_pickle: bool = F
             return OnnxAgent(env, path)
         return Sb3Agent(env, path, trust_pickle=trust_pickle)
     if ":" in agent:
-        made: Agent = custom_agent(env, agent)
-        return made
+        contract = contract_of_custom_part(agent)
+        if contract is None:
+            made: Agent = custom_agent(env, agent)
+            return made
+        allow_modules(agent.partition(":")[0])  # the user of the agent's name permits its module
+        return GuidanceLawAgent(env, agent) if contract == "guidance" else PolicyAgent(env, agent)
     if agent in BUILT_IN:
         built: Agent = BUILT_IN[agent](env)
         return built

@@ -1,6 +1,6 @@
 """Load digital terrain models into a local east, north, up frame.
 
-The formats and rules are described in docs/terrain-files.md.
+The formats and rules are described in docs/howto/terrain-files.md.
 """
 
 from __future__ import annotations
