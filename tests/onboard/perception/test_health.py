@@ -294,18 +294,19 @@ def test_settings_must_make_sense(name, value):
 
 
 def test_limits_are_those_of_the_page():
-    page = (ROOT / "docs" / "shadow-filter.md").read_text(encoding="utf-8")
-    rows = dict(re.findall(r"^\| (\w+) \| [^|]+\| ([^|]*?) \|$", page, re.MULTILINE))
+    page = (ROOT / "docs" / "explanation" / "shadow-images.md").read_text(encoding="utf-8")
+    rows = dict(re.findall(r"^\| ([\w ]+) \| [^|]+\| ([^|]*?) \|$", page, re.MULTILINE))
     s = ImageQualitySettings()
-    told = {
-        "numbers": [100 * s.max_missing_fraction], "exposure": [s.min_lit_counts,
+    limits_by_check = {
+        "finite pixels": [100 * s.max_missing_fraction], "exposure": [s.min_lit_counts,
         100 * s.max_saturated_fraction],
-        "gaps": [100 * s.max_missing_fraction], "stuck": [100 * s.max_repeated_fraction],
+        "missing lines": [100 * s.max_missing_fraction],
+        "repeated image": [100 * s.max_repeated_fraction],
         "noise": [100 * s.max_noise],
-        "dark": [100 * s.max_dark_fraction], "shadows": [s.min_shadows],
+        "dark area": [100 * s.max_dark_fraction], "shadows": [s.min_shadows],
         "focus": [s.max_edge_width_ratio],
         "smear": [s.max_smear_ratio], "veil": [s.max_shadow_brightness],
-        "Sun": [np.degrees(s.confirm_angle)],
+        "Sun direction": [np.degrees(s.confirm_angle)],
     }  # fmt: skip
-    for name, limits in told.items():
+    for name, limits in limits_by_check.items():
         assert [float(n) for n in re.findall(r"[\d.]+", rows[name])] == pytest.approx(limits), name
