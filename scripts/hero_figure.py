@@ -1,0 +1,119 @@
+"""Draw the first figure of the README: `python scripts/hero_figure.py docs/images/hero.png`.
+
+Left: rendered terrain with the path of one flight and its divert. Right: the hazard map of the
+flight and the exact safety of the same terrain.
+"""
+
+from __future__ import annotations
+
+import sys
+
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import ListedColormap
+from numpy.typing import NDArray
+
+import lunarsim
+
+Array = NDArray[np.float64]
+
+_SCENARIO, _SEED = "mare", 8
+_CHANGES = {"rocks": {"cover": 0.02}}
+# View of the rendered image: altitude of the camera (m), angles of its boresight (deg).
+_ALTITUDE, _OFF_NADIR_DEG, _HEADING_DEG = 75.0, 50.0, 90.0
+_SUN = {"sun_elevation_deg": 20.0, "sun_azimuth_deg": 300.0}
+_FOV_DEG = 60.0
+_SIDE = 35.0  # half side of the map panels, m
+_PURPLE, _ORANGE = "#d16ba5", "#ff7f0e"
+
+
+def main() -> None:
+    """Write the figure to the path in the first argument."""
+    scenario = lunarsim.load_scenario(_SCENARIO).changed(**_CHANGES)
+    simulation = lunarsim.Simulation(scenario, lunarsim.flight_seed(_SEED, 0), "safest")
+    flight = simulation.run()
+    figure = plt.figure(figsize=(12.0, 4.4), layout="constrained")
+    grid = figure.add_gridspec(1, 3, width_ratios=(1.55, 1.0, 1.0))
+    _draw_descent(figure.add_subplot(grid[0]), scenario, simulation, flight)
+    _draw_maps(figure.add_subplot(grid[1]), figure.add_subplot(grid[2]), simulation, flight)
+    figure.savefig(sys.argv[1], dpi=110)
+
+
+def _draw_descent(
+    ax: Axes, scenario: lunarsim.Scenario, simulation: lunarsim.Simulation, flight: lunarsim.Flight
+) -> None:
+    """Draw the rendered terrain and the true path, target, divert and touchdown on it."""
+    image = lunarsim.render(
+        scenario, altitude=_ALTITUDE, off_nadir_deg=_OFF_NADIR_DEG, heading_deg=_HEADING_DEG,
+        seed=_SEED, ideal=True, **_SUN,
+    )  # fmt: skip
+    rows, cols = image.counts.shape
+    ax.imshow(image.counts, cmap="gray", vmax=np.percentile(image.counts, 99.7))
+    terrain = simulation.world.terrain
+    centre = np.array(scenario.target.position_m)
+    centre = np.array([*centre, float(terrain.elevation(tuple(centre)))])
+
+    def on_image(points: Array) -> Array:
+        """Project points (n, 3) into the image, pixels (n, 2); NaN outside of it."""
+        heading, off = np.deg2rad(_HEADING_DEG), np.deg2rad(_OFF_NADIR_DEG)
+        forward = np.array([np.sin(heading), np.cos(heading), 0.0])
+        right = np.array([forward[1], -forward[0], 0.0])
+        boresight = np.sin(off) * forward - np.array([0.0, 0.0, np.cos(off)])
+        camera = centre - boresight * _ALTITUDE / np.cos(off)
+        away = points - camera
+        depth = away @ boresight
+        focal = 0.5 * cols / np.tan(np.deg2rad(0.5 * _FOV_DEG))
+        x = 0.5 * (cols - 1) + focal * (away @ right) / depth
+        y = 0.5 * (rows - 1) + focal * (away @ np.cross(boresight, right)) / depth
+        inside = (depth > 0) & (x > 0) & (x < cols - 1) & (y > 0) & (y < rows - 1)
+        return np.where(inside[:, None], np.column_stack((x, y)), np.nan)
+
+    path = flight.positions
+    shadow = path.copy()
+    shadow[:, 2] = [float(terrain.elevation((x, y))) for x, y in path[:, :2]]
+    ax.plot(*on_image(path).T, color=_ORANGE, lw=2.2, label="path")
+    ax.plot(*on_image(shadow).T, color=_ORANGE, lw=1.0, ls=":", label="ground track")
+    first, last = (site - flight.map_error for site in (flight.sites[0], flight.sites[-1]))
+    ax.plot(*on_image(np.array([first, last])).T, color=_PURPLE, lw=1.8, label="divert")
+    ax.plot(*on_image(first[None]).T, "x", color="white", ms=10, mew=2.5, label="target")
+    touchdown = flight.outcome.touchdown
+    assert touchdown is not None
+    ax.plot(*on_image(touchdown.position[None]).T, "o", mfc="none", mec=_ORANGE, ms=13, mew=2.5,
+            label="touchdown")  # fmt: skip
+    ax.legend(loc="lower left", fontsize=8, framealpha=0.85)
+    ax.set(xticks=[], yticks=[], title="Rendered descent and divert")
+
+
+def _draw_maps(
+    left: Axes, right: Axes, simulation: lunarsim.Simulation, flight: lunarsim.Flight
+) -> None:
+    """Draw the hazard map, its calibrated domain, and the exact safety of the terrain."""
+    hazard_map, truth = flight.hazard_map, simulation.truth
+    assert hazard_map is not None
+    dx, dy = flight.map_error[:2]
+    west, east, south, north = hazard_map.grid.extent
+    extent = (west - dx, east - dx, south - dy, north - dy)
+    shown = np.where(hazard_map.observed, hazard_map.p_safe, np.nan)
+    drawn = left.imshow(shown, origin="lower", extent=extent, vmin=0.0, vmax=1.0, cmap="viridis")
+    left.figure.colorbar(drawn, ax=left, label="p_safe", fraction=0.046, location="bottom")
+    outside = np.where(hazard_map.observed & ~hazard_map.in_domain, 1.0, np.nan)
+    left.contourf(outside, levels=[0.5, 1.5], colors="none", hatches=["////"], extent=extent)
+    exact = truth.safety
+    right.imshow(exact.safe, origin="lower", extent=exact.grid.extent, interpolation="nearest",
+                 cmap=ListedColormap(["#e08030", "#8cc4e8"]))  # fmt: skip
+    aim, touchdown = flight.sites[0] - flight.map_error, flight.outcome.touchdown
+    assert touchdown is not None
+    x, y = 0.5 * (aim + touchdown.position)[:2]
+    for ax in (left, right):
+        ax.plot([aim[0], touchdown.position[0]], [aim[1], touchdown.position[1]], color=_PURPLE)
+        ax.plot(*aim[:2], "x", color="white", ms=10, mew=2.5)
+        ax.plot(*touchdown.position[:2], "o", mfc="none", mec=_ORANGE, ms=13, mew=2.5)
+        ax.set(xlim=(x - _SIDE, x + _SIDE), ylim=(y - _SIDE, y + _SIDE), xlabel="East (m)")
+    domain = hazard_map.in_domain[hazard_map.observed].mean()
+    left.set(ylabel="North (m)", title=f"Hazard map ({domain:.0%} in its domain)")
+    right.set(title="Exact safety (blue: safe)")
+
+
+if __name__ == "__main__":
+    main()
