@@ -1,4 +1,4 @@
-"""Generated tables of the page on LiDAR maps."""
+"""Generated tables of the pages on LiDAR maps."""
 
 from __future__ import annotations
 
@@ -51,31 +51,37 @@ def _world():
 
 
 def _page(pages):
-    out = [pages.mark("commands") + "\n\n- old: `x`. Shortfalls: none.\n"]
+    out = [pages.mark("commands") + "\n\n- `x`\n  - old: none.\n"]
     for name, head in HEADS.items():
         out.append(f"{pages.mark(name)}\n\n{head}\n| --- |\n| kept | 1 |\n|  | 2 |\n| new | 3 |\n")
     return "Words.\n\n" + "\nMore.\n\n".join(out) + "\nEnd.\n"
 
 
-def test_page_matches_the_stored_results(pages):
-    shown = pages.PAGE.read_text(encoding="utf-8")
+def test_pages_match_the_stored_results(pages):
     kept = pages.load()
     assert kept
-    assert shown == pages.update_page(shown, kept)
-    for world, file in kept.items():
-        assert f"- {world}: `{file['command']}`. Shortfalls: " in shown
-        assert len(file["figures"]["landings"]) == 4
-        for rows in (f(file["figures"]) for f in pages.ROWS.values()):
-            for row in rows:
-                assert " | ".join(row) in shown
+    parts = [part for names in pages.PAGES.values() for part in names]
+    assert sorted(parts) == ["commands", *sorted(pages.ROWS)]
+    for page, names in pages.PAGES.items():
+        shown = page.read_text(encoding="utf-8")
+        assert shown == pages.update_page(shown, kept, names)
+        for world, file in kept.items():
+            assert len(file["figures"]["landings"]) == 4
+            if "commands" in names:
+                assert f"- `{file['command']}`\n" in shown
+                assert f"  - {world}: " in shown
+            for rows in (pages.ROWS[name](file["figures"]) for name in names if name in HEADS):
+                for row in rows:
+                    assert " | ".join(row) in shown
 
 
 def test_changed_metric_changes_the_page(pages):
-    shown = pages.PAGE.read_text(encoding="utf-8")
+    page, parts = next(iter(pages.PAGES.items()))
+    shown = page.read_text(encoding="utf-8")
     kept = copy.deepcopy(pages.load())
     world = next(iter(kept.values()))["figures"]
     next(iter(world["landings"].values()))["landed"] -= 1
-    assert pages.update_page(shown, kept) != shown
+    assert pages.update_page(shown, kept, parts) != shown
 
 
 def test_rows_contain_metrics_intervals_and_dashes(pages):
@@ -100,8 +106,7 @@ def test_rows_contain_metrics_intervals_and_dashes(pages):
 def test_shortfalls_of_a_world_are_listed(pages):
     assert pages.shortfalls(pages.finite(_world())) == [
         "two: 3 of 10 not safe",
-        "quadtree: claims with an error of 0.031",
-        "quadtree: claims with a skill of -0.50",
+        "quadtree: ECE 0.031, Brier skill -0.50",
     ]
     fine = _world()
     fine["landings"].pop("two")
@@ -113,18 +118,19 @@ def test_shortfalls_of_a_world_are_listed(pages):
 
 def test_new_results_replace_only_the_rows_of_their_world(pages, tmp_path, monkeypatch):
     monkeypatch.setattr(pages, "STORED", tmp_path / "kept")
-    monkeypatch.setattr(pages, "PAGE", tmp_path / "page.md")
-    pages.PAGE.write_text(_page(pages))
+    file = tmp_path / "page.md"
+    monkeypatch.setattr(pages, "PAGES", {file: ("commands", *HEADS)})
+    file.write_text(_page(pages))
     (tmp_path / "figures.json").write_text(json.dumps({"new": _world()}))
     arguments = ["--store", str(tmp_path / "figures.json"), "--command", "python a.py"]
     pages.main(arguments, standalone_mode=False)
-    page = pages.PAGE.read_text()
+    page = file.read_text()
     assert "NaN" not in (tmp_path / "kept" / "new.json").read_text()
     assert page.count("| kept | 1 |\n|  | 2 |\n") == 3
     assert "| new | 3 |" not in page
     assert "| new | one | 10 |" in page
-    assert "- new: `python a.py`. Shortfalls: two: 3 of 10 not safe; " in page
-    assert "- old" not in page
+    assert "- `python a.py`\n  - new: two: 3 of 10 not safe; " in page
+    assert "- old" not in page and "`x`" not in page
     assert page.startswith("Words.\n") and page.endswith("\nEnd.\n")
     pages.main([], standalone_mode=False)
-    assert pages.PAGE.read_text() == page
+    assert file.read_text() == page
