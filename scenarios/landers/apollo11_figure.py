@@ -65,7 +65,7 @@ def _plot_run(axes: Any, run: Any, colour: str, look: np.ndarray) -> None:
 def _plot_terrain(panel: Any, run: Any) -> None:
     """Plot the terrain height under the vehicle, multiplied by 10."""
     about, positions = run.sim.world.far_terrain, run.flight.positions[::20]
-    height = about.elevation(about.way(positions))
+    height = about.elevation(about.surface_arc(positions))
     panel.plot(
         run.flight.trajectory["time"][::20], 10.0 * height / 1e3, color="0.55", linewidth=1.0,
         label="terrain height (P65), x 10",
