@@ -18,7 +18,7 @@ import lunarsim
 
 Array = NDArray[np.float64]
 
-_SCENARIO, _SEED = "mare", 8
+_SCENARIO, _SEED = "mare", 10
 _CHANGES = {"rocks": {"cover": 0.02}}
 # View of the rendered image: altitude of the camera (m), angles of its boresight (deg).
 _ALTITUDE, _OFF_NADIR_DEG, _HEADING_DEG = 75.0, 50.0, 90.0
