@@ -1,4 +1,6 @@
-"""Print the licences page: `python scripts/licences_page.py > docs/about/licences.md`.
+"""Print the page of licences in Markdown.
+
+    python scripts/licences_page.py > docs/about/licences.md
 
 The script asks pip which packages the project and each extra would install, without installing
 them. It needs pip 25 or later, which reports licences that are SPDX expressions.

@@ -63,7 +63,7 @@ def draw(
     image = show(axes[1, 2], classes, grid, cmap=palette, vmin=-0.5, vmax=3.5)
     bar = figure.colorbar(image, ax=axes[1, 2], shrink=0.8, ticks=range(4))
     bar.ax.set_yticklabels(["unsafe", "unsafe, called safe", "safe, called unsafe", "safe"])
-    map_axes(axes[1, 2], f"p > 0.5, {_SHOWN[0]}, fraction {share:.2f} mapped")
+    map_axes(axes[1, 2], f"p > 0.5, {_SHOWN[0]},\nfraction {share:.2f} mapped")
     save(figure, path)
 
 
