@@ -18,10 +18,10 @@ import lunarsim
 
 Array = NDArray[np.float64]
 
-_SCENARIO, _SEED = "mare", 10
+_SCENARIO, _SEED = "mare", 4
 _CHANGES = {"rocks": {"cover": 0.02}}
 # View of the rendered image: altitude of the camera (m), angles of its boresight (deg).
-_ALTITUDE, _OFF_NADIR_DEG, _HEADING_DEG = 75.0, 50.0, 90.0
+_ALTITUDE, _OFF_NADIR_DEG, _HEADING_DEG = 45.0, 58.0, 0.0
 _SUN = {"sun_elevation_deg": 20.0, "sun_azimuth_deg": 300.0}
 _FOV_DEG = 60.0
 _SIDE = 35.0  # half side of the map panels, m
@@ -33,7 +33,7 @@ def main() -> None:
     scenario = lunarsim.load_scenario(_SCENARIO).changed(**_CHANGES)
     simulation = lunarsim.Simulation(scenario, lunarsim.flight_seed(_SEED, 0), "safest")
     flight = simulation.run()
-    figure = plt.figure(figsize=(12.0, 4.4), layout="constrained")
+    figure = plt.figure(figsize=(12.0, 4.0), layout="constrained")
     grid = figure.add_gridspec(1, 3, width_ratios=(1.55, 1.0, 1.0))
     _draw_descent(figure.add_subplot(grid[0]), scenario, simulation, flight)
     _draw_maps(figure.add_subplot(grid[1]), figure.add_subplot(grid[2]), simulation, flight)
@@ -44,6 +44,8 @@ def _draw_descent(
     ax: Axes, scenario: lunarsim.Scenario, simulation: lunarsim.Simulation, flight: lunarsim.Flight
 ) -> None:
     """Draw the rendered terrain and the true path, target, divert and touchdown on it."""
+    aim = np.round(0.5 * (flight.sites[0] + flight.sites[-1])[:2] - flight.map_error[:2], 1)
+    scenario = scenario.changed(target={"position_m": aim.tolist()})  # the centre of the image
     image = lunarsim.render(
         scenario, altitude=_ALTITUDE, off_nadir_deg=_OFF_NADIR_DEG, heading_deg=_HEADING_DEG,
         seed=_SEED, ideal=True, **_SUN,
@@ -81,7 +83,7 @@ def _draw_descent(
     assert touchdown is not None
     ax.plot(*on_image(touchdown.position[None]).T, "o", mfc="none", mec=_ORANGE, ms=13, mew=2.5,
             label="touchdown")  # fmt: skip
-    ax.legend(loc="lower left", fontsize=8, framealpha=0.85)
+    ax.legend(loc="upper right", fontsize=8, framealpha=0.85)
     ax.set(xticks=[], yticks=[], title="Rendered descent and divert")
 
 
@@ -96,7 +98,7 @@ def _draw_maps(
     extent = (west - dx, east - dx, south - dy, north - dy)
     shown = np.where(hazard_map.observed, hazard_map.p_safe, np.nan)
     drawn = left.imshow(shown, origin="lower", extent=extent, vmin=0.0, vmax=1.0, cmap="viridis")
-    left.figure.colorbar(drawn, ax=left, label="p_safe", fraction=0.046, location="bottom")
+    left.figure.colorbar(drawn, ax=left, label="p_safe", fraction=0.046)
     outside = np.where(hazard_map.observed & ~hazard_map.in_domain, 1.0, np.nan)
     left.contourf(outside, levels=[0.5, 1.5], colors="none", hatches=["////"], extent=extent)
     exact = truth.safety
@@ -110,8 +112,7 @@ def _draw_maps(
         ax.plot(*aim[:2], "x", color="white", ms=10, mew=2.5)
         ax.plot(*touchdown.position[:2], "o", mfc="none", mec=_ORANGE, ms=13, mew=2.5)
         ax.set(xlim=(x - _SIDE, x + _SIDE), ylim=(y - _SIDE, y + _SIDE), xlabel="East (m)")
-    domain = hazard_map.in_domain[hazard_map.observed].mean()
-    left.set(ylabel="North (m)", title=f"Hazard map ({domain:.0%} in its domain)")
+    left.set(ylabel="North (m)", title="Hazard map (hatched: outside its domain)")
     right.set(title="Exact safety (blue: safe)")
 
 

@@ -375,7 +375,7 @@ def test_time_reversal_and_invalid_terrain_are_rejected():
         with pytest.raises(InputError, match="time"):
             aiding.take("down", AltimeterReading(0.0, 100.0, 1.0), time)
     for changes in ({"sigma": -1.0}, {"relief": np.nan}, {"elevation": np.inf}):
-        with pytest.raises(InputError, match="ground"):
+        with pytest.raises(InputError, match="terrain_prior"):
             TerrainPrior(**changes)
 
 

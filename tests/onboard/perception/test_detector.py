@@ -360,10 +360,10 @@ def test_real_image_gives_boulders():
     """LROC M143947267L with default settings: as `scenarios/shadows/real_image.py` prints."""
     from scenarios.shadows import real_image as real
 
-    image = real.load()
-    seen = real.detect(image)
+    image = real.load_image()
+    seen = real.detect_in_image(image)
     labels = json.loads((real.DATA / f"{real.NAME}_labels.json").read_text())
-    result = real.compare(seen, labels)
+    result = real.match_labels(seen, labels)
     wide = result["width"] >= 3
     assert result["true"] / result["finds"] >= 0.9
     assert result["hit"][wide].mean() >= 0.75

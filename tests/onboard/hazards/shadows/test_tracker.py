@@ -244,7 +244,7 @@ def test_what_the_model_has_wrong_of_long_shadows_grows_with_them(elevation, lon
     monkeypatch.setattr(
         tracker.filter,
         "add_view_noise",
-        lambda sun, *wander, closing, pixel: given.append((*wander, closing)),
+        lambda sun, *wander, scale_sigma, pixel_size: given.append((*wander, scale_sigma)),
     )
     terrain, sun = flat_terrain(400.0, 10.0), direction_from_angles(1.2, np.radians(elevation))
     state, camera, counts = picture(terrain, (0.0, 0.0, 60.0), (1.2, elevation))
