@@ -1,4 +1,4 @@
-"""Draw the reference frames: `python scripts/frames_figure.py docs/images/frames.png`."""
+"""Draw the reference frames: `frames_figure.py docs/images/frames.png`."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def _axes(
     ax: Axes, origin: tuple[float, float], tilt: float, length: float, names: tuple[str, str],
     style: str = "-",
 ) -> None:  # fmt: skip
-    """Draw the x and z axes of a frame that is turned by `tilt` (rad) from east and up."""
+    """Draw the x and z axes of a frame turned by `tilt` (rad) from east and up."""
     directions = ((np.cos(tilt), np.sin(tilt)), (-np.sin(tilt), np.cos(tilt)))
     for name, axis, direction in zip(names, _COLORS, directions, strict=True):
         tip = np.add(origin, length * np.array(direction))

@@ -1,4 +1,4 @@
-"""Draw the first figure of the README: `python scripts/hero_figure.py docs/images/hero.png`.
+"""Draw the first figure of the README: `hero_figure.py docs/images/hero.png`.
 
 Left: rendered terrain with the path of one flight and its divert. Right: the hazard map of the
 flight and the exact safety of the same terrain.

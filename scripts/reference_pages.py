@@ -1,4 +1,4 @@
-"""Write the generated pages of docs/reference: `python scripts/reference_pages.py [--images]`.
+"""Write the generated pages of docs/reference: `reference_pages.py [--images]`.
 
 The pages list commands, environments and scenario tables. Their text is the help of the commands,
 the docstrings of the environments and the meanings of scenario keys. `--images` also draws a frame

@@ -54,7 +54,7 @@ def _parsed(words):
     while isinstance(command, click.Group) and words and words[0] in command.commands:
         name, command, words = words[0], command.commands[words[0]], words[1:]
     if isinstance(command, click.Group):
-        assert not words or words == ["--help"], words
+        assert words in ([], ["--help"], ["--version"]), words
         return
     if "--help" in words:
         words = [word for word in words if word != "--help"]

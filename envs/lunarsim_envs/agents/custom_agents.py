@@ -65,7 +65,7 @@ def _imported(name: str) -> Any:
 
 
 def contract_of_custom_part(name: str) -> str | None:
-    """Return "guidance" or "policy" if ``module:Name`` is a part of that kind, otherwise None.
+    """Return "guidance" or "policy" if ``module:Name`` is such a part, or None.
 
     Raises
     ------
