@@ -175,7 +175,7 @@ def shadows(results: dict[str, Any]) -> list[SeedMetric]:
 
 
 def real_returns(results: dict[str, Any]) -> list[SeedMetric]:
-    """Extract the accuracy of heights at held-out LiDAR returns (study of real returns).
+    """Extract height accuracy at held-out LiDAR returns (study of real returns).
 
     Metrics are RMSE, mean square of error / sigma, and fraction beyond 2 sigma, with one value per
     split into fitted and held-out returns; for the map settings of flights and for those of Table 6

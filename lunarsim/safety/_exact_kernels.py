@@ -393,7 +393,8 @@ def _exact_tile(
     """Write the maximum tan(slope) and roughness of the `selected` sites of a tile.
 
     The maximum is over headings and support planes. With `classify_only`, a site is finished when a
-    limit is exceeded. `window` and `footprint_max` are from `_prepare_tile`; the other arguments are as in `exact`.
+    limit is exceeded. `window` and `footprint_max` are from `_prepare_tile`; the other arguments
+    are as in `exact`.
     """
     columns = window.shape[2]
     flat = window.reshape(5, window.shape[1] * columns)

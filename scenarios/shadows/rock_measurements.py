@@ -210,7 +210,8 @@ def persistent_errors(descents: list[RockMeasurements]) -> tuple[float, float, i
 
     These are the standard deviation of mean radius / true radius over all rocks, and the RMS error
     of the mean position per axis, in radii, without the mean error of each descent. Only rocks with
-    `MIN_MEASUREMENTS` measurements or more are used, and the noise is subtracted. `descents` are the measurements of several descents.
+    `MIN_MEASUREMENTS` measurements or more are used, and the noise is subtracted. `descents` are
+    the measurements of several descents.
     """
     sizes, places = [], []
     for one in descents:

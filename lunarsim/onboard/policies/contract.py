@@ -177,8 +177,8 @@ class Decision:
         the approach, the minimum-propellant path is flown and "time-scale-refused" is recorded. A
         time scale is also refused if navigation is lost, before or after the approach, or if the
         mission or the guidance law sets the time-to-go; it then counts as None. A path that is
-        replanned later, because it violates limits or navigation locks, is the
-        minimum-propellant path.
+        replanned later, because it violates limits or navigation locks, is the minimum-propellant
+        path.
 
     Raises
     ------

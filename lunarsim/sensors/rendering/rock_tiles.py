@@ -28,7 +28,7 @@ class DrawnRocks:
     ----------
     box
         Box of pixels or texels that covers each rock (m, 4), float32: minimum column, minimum row,
-        maximum column, maximum row; pixel centres have whole numbers, from 0.
+        maximum column, maximum row; pixel centres have integer coordinates, from 0.
     rock_indices
         Indices of the rocks (m,).
     """

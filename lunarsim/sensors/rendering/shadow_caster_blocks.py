@@ -51,8 +51,8 @@ class ShadowCasterBlocks:
         tile_indices
             Indices of the tiles (m,).
         edges
-            Levels of detail of the neighbours' edges (m, 4); a tile with a coarser neighbour is
-            drawn as a whole.
+            Levels of detail of the neighbours' edges (m, 4); all blocks of a tile with a coarser
+            neighbour are drawn.
         sun
             Unit vector to the Sun (3,), ENU.
         texel
