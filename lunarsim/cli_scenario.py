@@ -78,7 +78,7 @@ def show(name: str) -> None:
 @scenario.command()
 @click.argument("file", type=PATH)
 def upgrade(file: Path) -> None:
-    """Rename the keys in FILE that had other names earlier.
+    """Replace old names of keys in FILE by the present names.
 
     FILE is a scenario or a campaign file. Only names change; comments and layout stay. The command
     prints each change.

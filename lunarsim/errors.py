@@ -164,7 +164,8 @@ def check_writable(out: Path) -> None:
         raise InputError(
             "--out",
             str(out),
-            f"must be writable, but {there} is not ({error.strerror})",
+            "must be a new or existing folder that accepts new files",
+            f"{there} does not ({error.strerror}). Choose another folder.",
         ) from None
 
 

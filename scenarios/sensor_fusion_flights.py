@@ -372,8 +372,10 @@ def _log_odds(p: Array) -> Array:
 def count_sites(hazard_map: HazardMap, truth: MapTruth) -> dict[str, Any]:
     """Count the sites of one hazard map by p_safe and true safety, for JSON.
 
-    The counts are those of precision-recall curves ("safe", "unsafe", "large" rocks underneath),
-    high rocks called safe ("objects"), calibration ("table") and Brier score ("squares").
+    By p_safe: "unsafe" and "safe" sites, and "large", the sites over a large rock. "objects":
+    number of high rocks, and of those with p_safe over 0.5. For observed sites (in the domain, if
+    the map has one): "table" is the calibration table, "squares" the number of sites, of safe
+    sites, and the sum of squared errors for the Brier score. "observed" is the observed fraction.
     """
     p = hazard_map.p_safe_at(truth.xy)
     layer = hazard_map.observed if hazard_map.in_domain is None else hazard_map.in_domain

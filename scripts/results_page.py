@@ -175,10 +175,11 @@ def shadows(results: dict[str, Any]) -> list[SeedMetric]:
 
 
 def real_returns(results: dict[str, Any]) -> list[SeedMetric]:
-    """Extract height errors at held-out LiDAR returns from the study of real returns.
+    """Extract height accuracy at held-out LiDAR returns (study of real returns).
 
-    Each split into fitted and held-out returns gives a value, for the map with the settings of
-    flights and with those of the paper.
+    Metrics are RMSE, mean square of error / sigma, and fraction beyond 2 sigma, with one value per
+    split into fitted and held-out returns; for the map settings of flights and for those of Table 6
+    of the Gaussian DEM paper.
     """
     out = []
     for name in ("as flights do", "field of Table 6"):

@@ -39,14 +39,15 @@ class RareFailureEstimate:
     arm
         Name of the arm.
     flights, failures, without_outcome
-        Number of flights with an outcome; failures among them; flights without an outcome.
+        Number of flights with an outcome; failures among them (with method subset, in the last
+        level only); flights without an outcome.
     value, low, high
         Probability of failure under the nominal dispersions, and its 95 % interval.
     equivalent_flights
         Number of plain Monte Carlo flights with the same standard error; NaN without failures.
     effective_failures
         Effective number of failures (Kish 1965): 1 if the weight of one failure exceeds all others.
-        With method subset, the number of different worlds in the last level.
+        With method subset, the number of different worlds among the flights of the last level.
     """
 
     arm: str

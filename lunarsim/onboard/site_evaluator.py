@@ -88,7 +88,7 @@ class SiteEvaluator:
         return self._mappers.get(self.decision_map_name)
 
     def record_update(self, updated_mappers: set[str], time: float) -> None:
-        """Record the time of a measurement that is mapped into the decision map.
+        """Record the time of a measurement if it changed the map used for decisions.
 
         `updated_mappers` are the names of the mappers that received a measurement at `time`, s.
         """

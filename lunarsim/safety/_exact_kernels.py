@@ -390,9 +390,11 @@ def _exact_tile(
     window, footprint_max, selected, footprint, polygon_blocks, posting, slope_limit,
     roughness_limit, classify_only, slope_out, rough_out,
 ):  # fmt: skip
-    """Write tan(slope) and roughness of the `selected` sites of a tile.
+    """Write the maximum tan(slope) and roughness of the `selected` sites of a tile.
 
-    `window` and `footprint_max` are from `_prepare_tile`; the other arguments are as in `exact`.
+    The maximum is over headings and support planes. With `classify_only`, a site is finished when a
+    limit is exceeded. `window` and `footprint_max` are from `_prepare_tile`; the other arguments
+    are as in `exact`.
     """
     columns = window.shape[2]
     flat = window.reshape(5, window.shape[1] * columns)

@@ -58,12 +58,19 @@ class CalibrationDomain:
     def of(
         cls, hazards: ArrayLike, tilting: ArrayLike, noise: ArrayLike, spacing: ArrayLike
     ) -> CalibrationDomain:
-        """Return the domain that covers nearly all of the given sites, slightly extended.
+        """Return the domain that covers nearly all of the given sites.
+
+        It includes 99 % of their hazards and of their tilting. The ranges of their noise and
+        spacing are extended by a factor of 1.25.
 
         Parameters
         ----------
-        hazards, tilting, noise, spacing
-            Values for each site (n,), defined as the attributes are; at least one site.
+        hazards, tilting
+            Expected number of unobserved rocks above the roughness limit, and of rocks that tilt
+            the lander too far, of each site (n,).
+        noise, spacing
+            Noise over the roughness limit, and sample spacing over the radius of the legs, of each
+            site (n,). At least one site.
         """
         h, t = (float(np.quantile(np.asarray(v), _COVERED_QUANTILE)) for v in (hazards, tilting))
         ranges = [

@@ -94,8 +94,8 @@ class ScenarioCalibration:
     Attributes
     ----------
     inside, outside
-        Stage for sites in the domain of the regression supplied with lunarsim, and for sites
-        outside this domain, where the lower result of both stages is used.
+        Stages for sites inside and outside the domain of the regression supplied with lunarsim.
+        Outside, the probability is the lower one of both stages.
     domain
         Range of the sites to which the stages were fitted.
     lander
@@ -107,9 +107,10 @@ class ScenarioCalibration:
     flights, sites, seed
         Numbers of flights and sites of the fit, and root seed.
     before, after
-        Accuracy metrics of the calibration supplied with lunarsim, and of this calibration, for the
-        scenario's sites in the domain of each of the two. Each flight is evaluated with a fit to
-        the other flights. None: not available.
+        Accuracy metrics of the supplied calibration, and of this calibration by cross-validation:
+        each flight is evaluated with a fit to the other flights. Both are given for the sites in
+        the domain of the supplied calibration ("packaged_domain") and in that of this one
+        ("refit_domain"). None: not available.
     """
 
     inside: CalibrationStage

@@ -222,5 +222,5 @@ def _rock_number(diameter: ArrayLike, cover: float) -> Array:
 
 @lru_cache(maxsize=8)
 def _log_rock_number(cover: float) -> Array:
-    """Return the log of the number of rocks above each diameter of `_TABLE` (n,)."""
+    """Return the log of rocks per square metre above each diameter of `_TABLE` (n,)."""
     return np.asarray(np.log(np.maximum(golombek_number(_TABLE, cover), 1e-300)))

@@ -54,7 +54,10 @@ def with_values(scenario: Scenario, values: Mapping[str, Any], where: str) -> Sc
         field = f"{where}.{key}"
         steps, new = path_of(key, value), value
         if not all(steps):
-            raise InputError(field, value, "must be a scenario key such as rocks.cover")
+            raise InputError(
+                field, value, "must be a scenario key such as rocks.cover, without empty parts",
+                show_value=False,
+            )  # fmt: skip
         if len(steps) > 1 and steps[-1].isdigit():
             steps, index = steps[:-1], int(steps[-1])
             current = nested_value(change, steps) or nested_value(data, steps)

@@ -14,6 +14,7 @@ from lunarsim.errors import InputError
 MAX_TOML_BYTES = 2**22
 # Maximum depth of nested tables. A scenario has 4, an arm of a campaign some more.
 _MAX_DEPTH = 40
+_LARGE_INTEGER = "an integer has more than 64 bits"
 # Matches keys with more parts than that: the memory of tomllib grows with the square of the number.
 _DEEP_KEY = re.compile(
     r"""(?:(?:(?<![\w-])[\w-]++|"[^"\n]*"|'[^'\n]*')[ \t]*\.[ \t]*)""" f"{{{_MAX_DEPTH}}}"
@@ -67,11 +68,21 @@ def parsed_toml(text: str, name: str = "scenario", shown: str = "text") -> dict[
     if len(text) > MAX_TOML_BYTES or _DEEP_KEY.search(text):
         raise InputError(name, shown, "must be a TOML file, not too large nor nested too deep")
     try:
-        tables = tomllib.loads(text)
+        tables = _load(text)
         _check_values(tables)
-    except (ValueError, RecursionError) as error:  # numbers of 5,000 digits raise ValueError
+    except (ValueError, RecursionError) as error:
         raise InputError(name, shown, f"must be a TOML file ({error})") from None
     return tables
+
+
+def _load(text: str) -> dict[str, Any]:
+    """Parse TOML text; raise `ValueError` with a text for users if it is invalid."""
+    try:
+        return tomllib.loads(text)
+    except tomllib.TOMLDecodeError:
+        raise
+    except ValueError:  # Python does not convert integers of more than 4,300 digits.
+        raise ValueError(_LARGE_INTEGER) from None
 
 
 def _check_values(value: Any, depth: int = 0) -> None:
@@ -82,7 +93,7 @@ def _check_values(value: Any, depth: int = 0) -> None:
     if depth > _MAX_DEPTH:
         raise ValueError("nested too deep")
     if isinstance(value, int) and not -(2**63) <= value < 2**63:
-        raise ValueError("an integer has more than 64 bits")
+        raise ValueError(_LARGE_INTEGER)
     if isinstance(value, Mapping | list):
         for one in value.values() if isinstance(value, Mapping) else value:
             _check_values(one, depth + 1)

@@ -56,6 +56,9 @@ class TruthOracle:
     ) -> Decision:
         """Keep a site with enough clearance; else choose the nearest reachable one.
 
+        Without a site of the required clearance, 0.8 of the maximum clearance is enough. If no site
+        is reachable, the site is kept.
+
         Parameters
         ----------
         observation

@@ -20,7 +20,8 @@ SLOPE, ROUGHNESS, BELLY, TIP_OVER = 32, 64, 128, 256
 def height_at(z, frame, x, y):
     """Interpolate the height, m, of a terrain raster at (x, y); NaN outside its grid.
 
-    `z` (rows, cols) are heights; `frame` (3,) is east and north of point (0, 0) and the spacing, m.
+    `z` (rows, cols) are heights, m; `frame` (3,) is the position east and north of grid point
+    z[0, 0], and the spacing, m.
     """
     rows, cols = z.shape
     u = (x - frame[0]) / frame[2]

@@ -254,7 +254,8 @@ def evaluate_scan(field: TestbedField, seed: int, configuration: int) -> ScanEva
     """Scan a testbed in one configuration; compute its safety by all methods.
 
     The methods are the conventional DEM, the Gaussian DEM, and support planes on the Gaussian DEM.
-    `configuration` is an index of `CONFIGURATIONS`; both numbers seed the scan noise.
+    `configuration` is an index of `CONFIGURATIONS`. `seed` and `configuration` together seed the
+    scan noise.
     """
     distance, angle = CONFIGURATIONS[configuration]
     scanned = map_testbed(

@@ -49,8 +49,9 @@ METRICS = ("rmse", "nlpd", "beyond", "precision slope", "precision roughness", "
 
 
 def growth(setting: dict[str, float]) -> float:
-    """Return the growth rate sigma_f^2 / length_scale of a random field prior, m.
+    """Return sigma_f^2 / length_scale, m, of a random field prior.
 
+    It is the rate at which the height variance grows with distance.
     `setting` holds `sigma_f` and `length_scale` (m).
     """
     return setting["sigma_f"] ** 2 / setting["length_scale"]

@@ -62,7 +62,10 @@ def read_targets(targets_file: str = FLOWN) -> Targets:
 
 
 def scalar_target(targets: Targets, name: str) -> float:
-    """Return the absolute value of the target `name`, which has a single component."""
+    """Return the magnitude of the target `name`, which has one component.
+
+    The sign is dropped.
+    """
     return next(abs(v) for v in targets[name] if np.isfinite(v))
 
 

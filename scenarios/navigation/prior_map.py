@@ -176,7 +176,10 @@ def fly(task: PriorMapTask) -> PriorMapFlight:
 def main(
     flights: int, only: tuple[str, ...], out: Path | None, cells: bool, seed: int, jobs: int
 ) -> None:
-    """Fly with faults of the prior map and the scanner; count undeclared failures."""
+    """Fly with faults of prior map and scanner; count large errors not declared.
+
+    Large errors exceed five standard deviations at the end of a flight.
+    """
     console = plain_console(120)
     rows = list(only or ROWS)
     # Every fault has its own terrain.

@@ -208,9 +208,10 @@ def random_walks(descents: list[RockMeasurements]) -> tuple[Array, Array]:
 def persistent_errors(descents: list[RockMeasurements]) -> tuple[float, float, int]:
     """Return the errors that remain after averaging over images, and the rock count.
 
-    These are the scatter of mean radius / true radius between rocks, and the RMS error of the mean
-    position per axis, in radii. Only rocks with `MIN_MEASUREMENTS` measurements or more are used,
-    and the noise is subtracted. `descents` are the measurements of several descents.
+    These are the standard deviation of mean radius / true radius over all rocks, and the RMS error
+    of the mean position per axis, in radii, without the mean error of each descent. Only rocks with
+    `MIN_MEASUREMENTS` measurements or more are used, and the noise is subtracted. `descents` are
+    the measurements of several descents.
     """
     sizes, places = [], []
     for one in descents:

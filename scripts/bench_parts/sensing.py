@@ -156,7 +156,10 @@ def _small_square_of_cubes(count: int):
 
 
 def lidar() -> None:
-    """Time 65,536 LiDAR rays from 500 m relative to Embree, one thread each."""
+    """Time 65,536 LiDAR rays from 500 m; compare with Embree, one thread each.
+
+    Embree is a ray tracer.
+    """
     import numpy as np
 
     from lunarsim.grid import Grid

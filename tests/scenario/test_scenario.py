@@ -249,6 +249,24 @@ def test_a_file_that_python_cannot_hold_is_refused(tmp_path, text):
         Scenario.load(path)
 
 
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ("rocks = " + "9" * 5000, "an integer has more than 64 bits"),
+        ("rocks = " + "9" * 20, "an integer has more than 64 bits"),
+        ("rocks = ", "Invalid value (at end of document)"),
+    ],
+    ids=["5,000 digits", "20 digits", "no value"],
+)
+def test_a_file_that_is_not_toml_gets_a_reason(tmp_path, text, reason):
+    path = tmp_path / "s.toml"
+    path.write_text(text)
+    with pytest.raises(InputError) as caught:
+        Scenario.load(path)
+    expected = f"scenario: must be a TOML file ({reason}), got {str(path)!r}."
+    assert str(caught.value) == expected
+
+
 IMU, FIX, CAMERA = {"kind": "imu"}, {"kind": "navigation-fix"}, {"kind": "camera"}
 
 

@@ -157,7 +157,10 @@ def scenarios_by_cover(scenario: Scenario, covers: Sequence[float]) -> list[Scen
     for cover in covers:
         if cover in [one.rocks.cover for one in made]:
             raise InputError(
-                "covers", cover, "must not repeat a cover, nor contain the cover of the scenario"
+                "covers",
+                cover,
+                "must differ from each other and from the scenario's rocks.cover",
+                "Delete the repeated value.",
             )
         made.append(scenario.changed(rocks={"cover": cover}))
     return made

@@ -81,8 +81,9 @@ class ReachMap(NamedTuple):
 class ReachLander(NamedTuple):
     """Lander for which reachability is computed: state (2, 3), mass and guidance law.
 
-    `state` is position and velocity; `paths` is from `path_coefficients`; `speed` (m/s),
-    `max_acceleration` (m/s^2) and `params` are arguments of `is_unreachable`.
+    `state` is position (m) and velocity (m/s), `mass` in kg; `paths` is from `path_coefficients`;
+    `speed` is the norm of the velocity, `max_acceleration` (m/s^2) bounds the lander's
+    acceleration, and `params` are the guidance parameters at this mass.
     """
 
     state: np.ndarray

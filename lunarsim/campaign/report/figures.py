@@ -217,7 +217,10 @@ def differences_plot(differences: list[Difference]) -> Plot:
 
 
 def rare_plot(estimates: list[RareFailureEstimate]) -> Plot:
-    """Plot the estimated probability of failure of each arm with its interval."""
+    """Plot the estimated probability of failure of each arm with its interval.
+
+    An arm is a variant of the scenario in a campaign; arms without failures are omitted.
+    """
     traces = [
         {"type": "scatter", "mode": "markers", "x": [s.value], "y": [s.arm], "arm": s.arm,
          "error_x": {"type": "data", "symmetric": False, "array": [s.high - s.value],

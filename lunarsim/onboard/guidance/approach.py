@@ -25,7 +25,7 @@ class Approach:
     Attributes
     ----------
     vertical_altitude, vertical_speed
-        Pad altitude (m) and downward speed (m/s) at the end of the approach.
+        Altitude of the footpads (m) and downward speed (m/s) at the end of the approach.
     descent_speed
         Speed of the vertical descent, m/s; None: `vertical_speed`.
     arrival_acceleration
@@ -42,7 +42,8 @@ class Approach:
     end_time_to_go
         Time-to-go at which the approach ends and the vertical descent begins, s.
     takeover_altitude
-        Pad altitude at which the approach ends regardless of time-to-go, as in a pilot takeover, m.
+        Altitude of the footpads at which the approach ends regardless of time-to-go, as in a pilot
+        takeover, m.
     max_tilt, glideslope, reserve, throttle_margin
         Path constraints: maximum tilt of the thrust and minimum elevation of the path seen from its
         end, rad, propellant reserve, kg, and fraction of the thrust range reserved for feedback at
@@ -50,7 +51,7 @@ class Approach:
     """
 
     vertical_altitude: float = quantity(
-        10.0, "m", gt=0, help="pad altitude at the end of the approach"
+        10.0, "m", gt=0, help="altitude of the footpads at the end of the approach"
     )
     vertical_speed: float = quantity(
         2.0, "m/s", gt=0, help="downward speed at the end of the approach"
@@ -82,7 +83,10 @@ class Approach:
     )
     end_time_to_go: float = quantity(0.0, "s", ge=0, help="time-to-go at which the approach ends")
     takeover_altitude: float = quantity(
-        0.0, "m", ge=0, help="pad altitude at which the approach ends regardless of time-to-go"
+        0.0,
+        "m",
+        ge=0,
+        help="altitude of the footpads at which the approach ends regardless of time-to-go",
     )
     max_tilt: float = quantity(40.0, "deg", gt=0, lt=85, help="maximum tilt of the thrust")
     glideslope: float = quantity(
@@ -121,7 +125,10 @@ class Approach:
         return self.time_to_go is None and self.jerk is None
 
     def is_finished(self, altitude: float, time_to_go: float) -> bool:
-        """Return whether the approach ends at a pad altitude (m) and time-to-go (s)."""
+        """Return whether the approach ends at an altitude and a time-to-go, s.
+
+        `altitude` is that of the footpads, m.
+        """
         end = max(self.vertical_altitude, self.takeover_altitude)
         return altitude <= end or time_to_go <= self.end_time_to_go
 

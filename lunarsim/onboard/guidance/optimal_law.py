@@ -247,7 +247,8 @@ class OptimalGuidance:
         """Return why no path was found: "infeasible" or "solver"; empty in a fallback.
 
         "infeasible" means that no path exists at any tried final time around the expected one
-        (`expected`, s). During a fallback the reason has already been reported.
+        (`expected`, s). "solver" means that the solver failed although a path may exist. During a
+        fallback the reason has already been reported.
         """
         if self._is_fallback:
             return ""

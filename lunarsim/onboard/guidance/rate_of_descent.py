@@ -57,9 +57,14 @@ class RateOfDescent:
 
     time_constant: float = quantity(1.5, "s", gt=0, help="time constant of the vertical speed")
     click: float = quantity(
-        0.3048, "m/s", gt=0, help="change of the commanded rate of descent by one click"
+        0.3048,
+        "m/s",
+        gt=0,
+        help="change of the commanded rate of descent by one click of the switch",
     )
-    click_interval: float = quantity(1.0, "s", gt=0, help="minimum time between two clicks")
+    click_interval: float = quantity(
+        1.0, "s", gt=0, help="minimum time between two clicks of the rate-of-descent switch"
+    )
     descent_time: float = quantity(
         10.0, "s", gt=0, help="time by which height is divided to get the desired rate of descent"
     )

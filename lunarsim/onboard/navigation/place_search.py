@@ -354,8 +354,9 @@ class PlaceSearch:
     def _apply_tile(self, tile: _SampledTile, prior_distance: Array, mean_log_ratio: float) -> None:
         """Multiply the posterior of the places by the likelihood of a tile.
 
-        `prior_distance` is the result of `_prior_distance`; `mean_log_ratio` is the logarithm of
-        the tile's mean likelihood ratio over the map.
+        `prior_distance` (rows, cols) is half the squared Mahalanobis distance of each place from
+        the prior mean. `mean_log_ratio` is the logarithm of the mean likelihood ratio of the tile
+        over the map.
         """
         log = self._log - prior_distance
         row, col = np.nonzero(log >= log.max() - _MAX_LOG_DEFICIT)

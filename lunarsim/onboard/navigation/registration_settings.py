@@ -21,7 +21,7 @@ class RegistrationSettings:
         map grid point and the map height, apart from the map's noise, m. Causes are occlusion by
         rocks and uneven sampling.
     min_squares
-        Minimum number of squares for a registration.
+        Minimum number of grid squares with scan heights for a registration.
     min_agreement
         Minimum fraction of squares that agree with the map.
     max_misfit

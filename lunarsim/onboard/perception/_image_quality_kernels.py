@@ -94,9 +94,10 @@ def edge_slopes(image, labels, count, stride, min_range):
     """Return the maximum relative brightness slope at the edge of each dark patch.
 
     The result (count + 1, 5), 1/pixels, is for four directions and for the steepest; 0 for no edge.
-    A slope is divided by the brightness range of the edge. Along a direction this is the range
-    along it, or half of the range all around if this is larger. For the steepest slope it is the
-    range all around. Edges with a range below `min_range` are ignored.
+    A slope is divided by the brightness range of the edge within 3 pixels. The steepest slope is
+    divided by the range in all directions. A slope along one direction is divided by the range
+    along it, but by at least half of the range in all directions. Edges with a range below
+    `min_range` are ignored.
 
     `labels` (height, width) are the patches in `image`, from 1 to `count`, 0 for none. Only patches
     whose label is a multiple of `stride` are measured.

@@ -306,9 +306,10 @@ def _half_spheres(elevation: float) -> ShadowModel:
 def _no_detections(
     labels: NDArray[np.int32], excluded_labels: NDArray[np.int32], segmentation: Segmentation
 ) -> Detections:
-    """Return detections without rocks, in which all dark patches are excluded.
+    """Return detections without rocks: no dark patch is taken as the shadow of a rock.
 
-    `labels` (height, width) are the dark patches, and `excluded_labels` (n,) their numbers.
+    `labels` (height, width) are the dark patches. `excluded_labels` (n,) are the numbers of all
+    patches; the terrain under them counts as hidden.
     """
     none = np.empty(0)
     return Detections(

@@ -40,11 +40,11 @@ class EdgeWidths:
     number
         Number of shadows with measured edges.
     sharpest
-        Width of the sharpest fifth of the shadows along the steepest slope; infinite without a
-        shadow.
+        Width across the edge, where brightness changes most, of the sharpest fifth of the shadows
+        (20 % quantile); infinite without a shadow.
     least_sharp_direction
-        Width of the sharpest fifth along each of four directions; the maximum over the directions.
-        It exceeds `sharpest` under motion blur.
+        The same along each of four image directions; the maximum over the directions. It exceeds
+        `sharpest` under motion blur.
     """
 
     number: int

@@ -61,8 +61,8 @@ _AXIS_MODEL_SIGMA_RAD = float(np.deg2rad(3.0))
 def shadow_directions(image: ArrayLike, seen: Detections, rocks: Index | None = None) -> Array:
     """Return the image direction from each rock's lit face to its shadow (n, 2).
 
-    The directions are unit vectors, right and down. The lit face is the centroid of the pixels
-    around a patch that are brighter than the terrain. NaN where there is none.
+    The directions are unit vectors, right and down. The lit face is the weighted mean of the
+    pixels near the rock's dark patch that are brighter than lit terrain. NaN where there is none.
 
     Parameters
     ----------
@@ -72,6 +72,11 @@ def shadow_directions(image: ArrayLike, seen: Detections, rocks: Index | None = 
         Detected rocks.
     rocks
         Indices of the rocks to evaluate (n,); default: all.
+
+    Raises
+    ------
+    InputError
+        If the image does not have the shape of the detections.
     """
     grey = np.asarray(image, dtype=np.float64)
     if grey.shape != seen.labels.shape:
@@ -175,7 +180,10 @@ def _select_angle(by_faces: SunAngle, by_axes: SunAngle, faces: NDArray[np.compl
 
 
 def _face_angle(faces: NDArray[np.complex128]) -> SunAngle:
-    """Return the mean angle of lit faces, given as unit vectors (n,)."""
+    """Return the mean angle from expected to measured face directions.
+
+    `faces` (n,) are these angles as complex unit vectors, from `_face_errors`.
+    """
     angle, sigma = mean_angle(faces)
     return _sun_angle(faces, angle, sigma)
 

@@ -171,12 +171,14 @@ class Decision:
         Whether the lander aborts the landing and climbs away.
     time_scale
         Time-to-go to the site, divided by that of the minimum-propellant path from the current
-        state. None: a new site gets the minimum-propellant path, a kept site keeps its arrival
-        time. With 1, the path to a kept site is planned again. If the path would violate a limit of
-        the approach, the minimum-propellant path is flown and "time-scale-refused" is recorded. The
-        same holds if the mission or a guidance law that plans its own arrival sets the time-to-go.
-        A path that is replanned later, because it violates limits or navigation locks, is the
-        minimum-propellant path.
+        state. None: a new site gets the minimum-propellant path. A kept site keeps its arrival
+        time, except at the first decision, when its path is planned again if the time-to-go is
+        free. With 1, the path to a kept site is planned again. If the path would violate a limit of
+        the approach, the minimum-propellant path is flown and "time-scale-refused" is recorded. A
+        time scale is also refused if navigation is lost, before or after the approach, or if the
+        mission or the guidance law sets the time-to-go; it then counts as None. A path that is
+        replanned later, because it violates limits or navigation locks, is the minimum-propellant
+        path.
 
     Raises
     ------

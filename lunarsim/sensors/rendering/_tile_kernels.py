@@ -75,8 +75,8 @@ def tile_tables(z, side, levels, p):
 
     Tile (i, j) spans `side` cells from grid point (i * side, j * side) of the elevations `z`, m,
     with spacing `p`. The error at level l, one of `levels`, is the maximum vertical distance
-    between the relief and the relief through every 2^l-th point; it is infinite where an elevation
-    is missing.
+    between the relief and the relief through every 2^l-th point; from level 1 it is infinite where
+    an elevation is missing.
     """
     rows, cols = z.shape
     high = (rows - 2) // side + 1

@@ -28,7 +28,7 @@ class DrawnRocks:
     ----------
     box
         Box of pixels or texels that covers each rock (m, 4), float32: minimum column, minimum row,
-        maximum column, maximum row of its edges; the centre of the first pixel is at 0.
+        maximum column, maximum row; pixel centres have integer coordinates, from 0.
     rock_indices
         Indices of the rocks (m,).
     """
@@ -51,8 +51,8 @@ class RockTiles:
     low, high
         Corners of the bounding box (t, 3) of the rocks' positions and elevations, m.
     radius, margin
-        Maximum radius of a sphere around a rock, and maximum lateral extent of a rock from its
-        position (t,), m.
+        Radius of the largest sphere around a rock's base that contains the rock, and maximum
+        lateral extent of a rock from its position, for each tile (t,), m.
     """
 
     rocks: Array

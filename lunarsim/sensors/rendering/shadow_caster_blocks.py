@@ -41,16 +41,18 @@ class ShadowCasterBlocks:
     def of(
         self, tile_indices: NDArray[np.int64], edges: NDArray[np.int32], sun: Array, texel: float
     ) -> NDArray[np.bool_]:
-        """Return which blocks (m, 16) of tiles must be drawn into a shadow map.
+        """Return which blocks (m, 16) of each tile must be drawn into a shadow map.
 
-        The tiles are drawn at their finest level of detail.
+        These have a face turned away from the Sun. If texels are coarse, all blocks are drawn. The
+        tiles are drawn at their finest level of detail.
 
         Parameters
         ----------
         tile_indices
             Indices of the tiles (m,).
         edges
-            Levels of detail of their edges (m, 4); next to a coarser neighbour faces differ.
+            Levels of detail of the neighbours' edges (m, 4); all blocks of a tile with a coarser
+            neighbour are drawn.
         sun
             Unit vector to the Sun (3,), ENU.
         texel

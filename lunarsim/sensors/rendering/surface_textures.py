@@ -23,7 +23,8 @@ _MAX_CACHED_LIGHTS = 4
 class SurfaceTextures:
     """Textures of albedo variation and scattered light of one terrain.
 
-    A texture is created when a light first needs it; the last few are cached.
+    A texture is created when a light first needs it. Scattered light is cached for the last few
+    lights, albedo variation for the last one.
 
     Parameters
     ----------

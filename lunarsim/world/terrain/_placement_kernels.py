@@ -56,10 +56,10 @@ def _is_free(
 
 @kernel()
 def _draw_near_crater(craters, farthest):
-    """Sample a point (x, y) near a random crater, with a density of distance^-3.
+    """Sample a point (x, y) around a random crater.
 
-    `craters` (4, n) are x, y, radius and cumulative selection probability; points lie between the
-    rim and `farthest` crater radii.
+    Points lie between the rim and `farthest` crater radii from the centre; points per area decrease
+    as distance^-3. `craters` (4, n) are x, y, radius and cumulative selection probability.
     """
     k = min(np.searchsorted(craters[3], np.random.random()), craters.shape[1] - 1)  # noqa: NPY002
     # A ring of width dr has an area proportional to r dr: the number within r goes as 1 - R / r.

@@ -308,7 +308,11 @@ class ShadowMapper(HazardMapper):
         return sigma
 
     def _forget_lost_rocks(self) -> None:
-        """Discard recorded clear terrain after the tracker has dropped all rocks."""
+        """Discard terrain recorded as clear if the tracker has dropped all rocks.
+
+        Recorded terrain moves with the tracked rocks, so its position is unknown without them.
+        Clear terrain is free of hazards.
+        """
         if self.tracker.renewals > self._renewals:
             self._renewals = self.tracker.renewals
             self.probability.forget()

@@ -273,8 +273,8 @@ class RockTracker:
     def _propagate(self, camera: CameraModel, sun: Array, time: float) -> None:
         """Add the process noise since the last image to the filter.
 
-        `sun` (3,) is the direction towards the Sun relative to the terrain plane; `time` is that of
-        the image, s.
+        It covers the errors of shadow model and radius. `sun` (3,) is the direction to the Sun in
+        axes of the terrain plane (third axis: its normal); `time` is that of the image, s.
         """
         s = self.settings
         if not self._last_time <= time < np.inf:
