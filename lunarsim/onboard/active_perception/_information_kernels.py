@@ -256,16 +256,9 @@ def score_paths(
         ):
             continue
         if not evaluate_path(
-            state,
-            target,
-            end_state,
-            paths[n, 0],
-            limit_table,
-            powers,
-            vehicle_params,
-            terms,
+            state, target, end_state, paths[n, 0], limit_table, powers, vehicle_params, terms,
             path_cost,
-        ):
+        ):  # fmt: skip
             continue
         for g in range(nodes.shape[0]):
             known_fraction[g] = nodes[g, KNOWN_FRACTION]

@@ -221,19 +221,9 @@ def search_one(
 
 @kernel(shared=True)
 def search_sites(
-    thread_slice,
-    state,
-    targets,
-    final,
-    first,
-    last,
-    coarse_count,
-    coarse_table,
-    table,
-    powers,
-    params,
-    out,
-):
+    thread_slice, state, targets, final, first, last, coarse_count, coarse_table, table, powers,
+    params, out,
+):  # fmt: skip
     """Find the admissible time-to-go with minimum delta-v for each target (n, 3).
 
     `out` (n, 4) receives delta-v, m/s (inf if no time is admissible), time, s, maximum thrust, N,
@@ -263,11 +253,8 @@ def search_sites(
             spans[0, k] = first[n] if good else 1.0
             spans[1, k] = np.log(last[n] / first[n]) if good else 0.0
             spans[2, k] = spans[1, k] / max(coarse_count - 1, 1)
-            work[_EAST + k], work[_NORTH + k], work[_UP + k] = (
-                targets[n, 0],
-                targets[n, 1],
-                targets[n, 2],
-            )
+            site = targets[n]
+            work[_EAST + k], work[_NORTH + k], work[_UP + k] = site[0], site[1], site[2]
         search_lanes(work, state, final, spans, coarse_count, 0, coarse_table, powers, params, best)
         for k in range(SIMD_WIDTH):
             if best[k] < 0 and valid[k] and spans[2, k] > 0.0:
@@ -277,17 +264,9 @@ def search_sites(
                 valid[k] = False
         if wanted:
             search_lanes(
-                work,
-                state,
-                final,
-                spans,
-                3 * (coarse_count - 1),
-                3,
-                coarse_table,
-                powers,
-                params,
+                work, state, final, spans, 3 * (coarse_count - 1), 3, coarse_table, powers, params,
                 best,
-            )
+            )  # fmt: skip
         some = False
         for k in range(SIMD_WIDTH):
             log_ratio[k] = max(best[k], 0) * spans[2, k]
