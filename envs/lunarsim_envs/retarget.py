@@ -75,8 +75,9 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], Any]):
     perceptions ``"onboard"``, ``"shadows"``, ``"quadtree"`` and ``"fused"``, the environment runs
     the same `lunarsim.simulation.Simulation` as the command line. With ``"truth"``, ``"surrogate"``
     and ``"gaussian-dem"``, compiled kernels run the same guidance laws, attitude loop, vehicle and
-    touchdown evaluation over a pool of worlds (simulated terrains with rocks), a hundred times
-    faster. Navigation is then the true state plus a drift (no drift with ``"truth"``).
+    touchdown evaluation over a pool of worlds (simulated terrains with rocks). They are over 200
+    times as fast with ``"truth"`` and ``"surrogate"``, and 3 times with ``"gaussian-dem"``, which
+    simulates scans. Navigation is then the true state plus a drift (no drift with ``"truth"``).
 
     ## Action Space
 
