@@ -99,12 +99,14 @@ class DescentReward:
     )
     propellant: float = quantity(0.001, ge=0, help="Penalty per kilogram of propellant")
     miss: float = quantity(
-        0.01, ge=0, help="Penalty per metre of a safe touchdown from the target, up to 50 m"
+        0.01,
+        ge=0,
+        help="Penalty per metre of distance from the target to a safe touchdown, up to 50 m",
     )
     severity: float = quantity(
         0.0,
         ge=0,
-        help="Maximum penalty for a crash, reached at the distance and speed of the planned start",
+        help="Maximum penalty for a crash; it applies as far and as fast as the planned start",
     )
     excess: float = quantity(
         0.0, ge=0, help="Penalty for exceeding a touchdown limit by a factor of e"

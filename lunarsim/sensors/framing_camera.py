@@ -82,7 +82,7 @@ class FramingCamera:
         0.8,
         gt=0,
         lt=1,
-        help="auto exposure: target of the 99.5th percentile of counts over full scale",
+        help="auto exposure: desired 99.5th percentile of counts, as a fraction of full scale",
     )
     exposure_min: float = quantity(
         1e-5, "s", gt=0, le=10, help="auto exposure: minimum exposure time"

@@ -86,7 +86,9 @@ class InformationSeekingLaw(PathLaw):
         1.5, "kg", ge=0, help="Propellant allowed for observation, above that of the cheapest path"
     )
     propellant_weight: float = quantity(
-        0.02, ge=0, help="Fraction of hazard uncertainty that is worth one kilogram of propellant"
+        0.02,
+        ge=0,
+        help="Fraction of the map's hazard uncertainty whose removal is worth 1 kg of propellant",
     )
     min_rock_diameter: float = quantity(
         0.5, "m", gt=0, lt=4, help="Minimum diameter of a rock that is a hazard"

@@ -128,7 +128,7 @@ class FuelAware:
         0.5, ge=0, help="Log odds of safety that the full mission value of a site is worth"
     )
     propellant_weight: float = quantity(
-        0.25, ge=0, help="Log odds of safety that one kilogram of propellant is worth"
+        0.25, ge=0, help="Gain in log odds of safety that is worth one kilogram of propellant"
     )
     hysteresis: float = quantity(0.7, ge=0, help="Minimum gain in log odds of safety for a divert")
     name: str = hidden("fuel-aware")
@@ -178,7 +178,7 @@ class ScoreboardChoice:
     """
 
     propellant_weight: float = quantity(
-        0.0, ge=0, help="Score of the mapper's ranking that one kilogram of propellant is worth"
+        0.0, ge=0, help="Gain in the mapper's site score that is worth one kilogram of propellant"
     )
     hysteresis: float = quantity(0.2, ge=0, help="Minimum gain of the score for a divert")
     name: str = hidden("scoreboard")
