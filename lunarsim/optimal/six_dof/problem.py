@@ -230,7 +230,7 @@ class RigidDescent:
             if most is not None and value > most:
                 raise InputError(
                     f"optimal.start.{name}", round(float(np.rad2deg(value)), 3),
-                    f"must be at most {np.rad2deg(most):.3f} deg, as limited by the descent problem",
+                    f"must be at most {np.rad2deg(most):.3f} deg, the limit of the problem",
                 )  # fmt: skip
         slope = np.tan(self.glideslope or 0.0) * np.hypot(at[0], at[1]) - self.drop
         if self.glideslope is not None and at[2] < slope:
