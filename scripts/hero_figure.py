@@ -15,6 +15,7 @@ from matplotlib.colors import ListedColormap
 from numpy.typing import NDArray
 
 import lunarsim
+from lunarsim.simulation.image_rendering import camera_pointing_state, first_camera
 
 Array = NDArray[np.float64]
 
@@ -23,7 +24,6 @@ _CHANGES = {"rocks": {"cover": 0.02}}
 # View of the rendered image: altitude of the camera (m), angles of its boresight (deg).
 _ALTITUDE, _OFF_NADIR_DEG, _HEADING_DEG = 45.0, 58.0, 0.0
 _SUN = {"sun_elevation_deg": 20.0, "sun_azimuth_deg": 300.0}
-_FOV_DEG = 60.0
 _SIDE = 35.0  # half side of the map panels, m
 _PURPLE, _ORANGE = "#d16ba5", "#ff7f0e"
 
@@ -53,23 +53,19 @@ def _draw_descent(
     rows, cols = image.counts.shape
     ax.imshow(image.counts, cmap="gray", vmax=np.percentile(image.counts, 99.7))
     terrain = simulation.world.terrain
-    centre = np.array(scenario.target.position_m)
-    centre = np.array([*centre, float(terrain.elevation(tuple(centre)))])
+    camera = first_camera(scenario)
+    pose = camera_pointing_state(
+        camera, simulation.world, scenario.target.position_m, _ALTITUDE,
+        np.deg2rad(_OFF_NADIR_DEG), np.deg2rad(_HEADING_DEG),
+    )  # fmt: skip
+    view = camera.view(pose)
 
     def on_image(points: Array) -> Array:
         """Project points (n, 3) into the image, pixels (n, 2); NaN outside of it."""
-        heading, off = np.deg2rad(_HEADING_DEG), np.deg2rad(_OFF_NADIR_DEG)
-        forward = np.array([np.sin(heading), np.cos(heading), 0.0])
-        right = np.array([forward[1], -forward[0], 0.0])
-        boresight = np.sin(off) * forward - np.array([0.0, 0.0, np.cos(off)])
-        camera = centre - boresight * _ALTITUDE / np.cos(off)
-        away = points - camera
-        depth = away @ boresight
-        focal = 0.5 * cols / np.tan(np.deg2rad(0.5 * _FOV_DEG))
-        x = 0.5 * (cols - 1) + focal * (away @ right) / depth
-        y = 0.5 * (rows - 1) + focal * (away @ np.cross(boresight, right)) / depth
-        inside = (depth > 0) & (x > 0) & (x < cols - 1) & (y > 0) & (y < rows - 1)
-        return np.where(inside[:, None], np.column_stack((x, y)), np.nan)
+        away = (points - view.position) @ view.enu_to_sensor.T
+        pixels = view.pinhole.project(away)
+        inside = (away[:, 2] > 0) & (pixels > 0).all(1) & (pixels < (cols - 1, rows - 1)).all(1)
+        return np.where(inside[:, None], pixels, np.nan)
 
     path = flight.positions
     shadow = path.copy()
