@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import rasterio
 from click.testing import CliRunner
 from scipy.stats import norm
 
@@ -145,8 +146,6 @@ def test_other_code_of_a_part_from_elsewhere_is_another_campaign(tmp_path, monke
 
 
 def test_another_ground_under_the_same_path_is_another_campaign(tmp_path):
-    rasterio = pytest.importorskip("rasterio")
-
     def identity(height: float) -> dict[str, object]:
         with rasterio.open(
             tmp_path / "g.tif", "w", driver="GTiff", height=60, width=60, count=1, dtype="float32",

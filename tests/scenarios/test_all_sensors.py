@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import json
 from dataclasses import dataclass
 from types import SimpleNamespace
@@ -36,7 +37,7 @@ def study(script):
 
 @pytest.fixture
 def figures(study):
-    return pytest.importorskip("sensor_fusion_figures")
+    return importlib.import_module("sensor_fusion_figures")
 
 
 @pytest.fixture
