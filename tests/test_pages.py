@@ -135,7 +135,7 @@ def test_generated_pages_are_current():
 def test_notebooks_hold_python_and_pictures(path):
     """The build of the site runs them: see the slow test below."""
     cells = _blocks(path, "{code-cell}")
-    assert len(cells) >= 4
+    assert len(cells) >= 5
     assert "plt.subplots" in "".join(cells)
     for cell in cells:
         ast.parse(cell)
