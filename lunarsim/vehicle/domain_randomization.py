@@ -47,16 +47,44 @@ class DomainRandomization:
         Minimum remaining fraction of thrust or torque; latest time of a failure, s.
     """
 
-    payload: float = quantity(0.0, "kg", ge=0, le=1e4, help="half range of the payload mass")
+    payload: float = quantity(
+        0.0,
+        "kg",
+        ge=0,
+        le=1e4,
+        help="maximum random change of the lander's dry mass; each flight draws a change between "
+        "minus and plus this value",
+    )
     specific_impulse: float = quantity(
-        0.0, "s", ge=0, le=100, help="half range of the specific impulse"
+        0.0,
+        "s",
+        ge=0,
+        le=100,
+        help="maximum random change of the specific impulse; each flight draws a change between "
+        "minus and plus this value",
     )
     thrust_scale: float = quantity(
-        0.0, ge=0, le=0.5, help="half range of the thrust, relative to its nominal value"
+        0.0,
+        ge=0,
+        le=0.5,
+        help="maximum random change of the thrust, as a fraction of its nominal value; each flight "
+        "draws a change between minus and plus this value",
     )
-    thrust_lag: float = quantity(0.0, "s", ge=0, le=2, help="half range of the engine's lag")
+    thrust_lag: float = quantity(
+        0.0,
+        "s",
+        ge=0,
+        le=2,
+        help="maximum random change of the engine's time constant; each flight draws a change "
+        "between minus and plus this value",
+    )
     thrust_offset: float = quantity(
-        0.0, "m", ge=0, le=0.5, help="half range of the engine axis offset from the centre of mass"
+        0.0,
+        "m",
+        ge=0,
+        le=0.5,
+        help="maximum random distance of the engine axis from the centre of mass, along body x and "
+        "body y; each flight draws an offset between minus and plus this value",
     )
     position_noise: float = quantity(
         0.0, "m", ge=0, le=1e3, help="noise of the observed position, 1 sigma per axis"
@@ -70,18 +98,47 @@ class DomainRandomization:
     rate_noise: float = quantity(
         0.0, "deg/s", ge=0, le=30, help="noise of the observed angular rate, 1 sigma per axis"
     )
-    sensing_delay: float = quantity(0.0, "s", ge=0, le=5, help="maximum delay of observations")
-    actuation_delay: float = quantity(0.0, "s", ge=0, le=5, help="maximum delay of commands")
+    sensing_delay: float = quantity(
+        0.0,
+        "s",
+        ge=0,
+        le=5,
+        help="maximum delay of observations; each flight draws a delay between 0 and this value",
+    )
+    actuation_delay: float = quantity(
+        0.0,
+        "s",
+        ge=0,
+        le=5,
+        help="maximum delay of commands; each flight draws a delay between 0 and this value",
+    )
     engine_failure: float = quantity(
-        0.0, ge=0, le=1, help="probability of an engine failure per flight"
+        0.0,
+        ge=0,
+        le=1,
+        help="probability per flight that the engine loses part of its thrust at a random time",
     )
     torque_failure: float = quantity(
-        0.0, ge=0, le=1, help="probability of a torque failure per flight"
+        0.0,
+        ge=0,
+        le=1,
+        help="probability per flight that the control torque about one body axis becomes weaker at "
+        "a random time",
     )
     min_remaining_fraction: float = quantity(
-        0.5, ge=0, le=1, help="minimum remaining fraction of thrust or torque after a failure"
+        0.5,
+        ge=0,
+        le=1,
+        help="minimum fraction of thrust or torque that remains after a failure; the fraction is "
+        "random, up to 1",
     )
-    latest_failure: float = quantity(30.0, "s", gt=0, le=1e4, help="latest time of a failure")
+    latest_failure: float = quantity(
+        30.0,
+        "s",
+        gt=0,
+        le=1e4,
+        help="latest time in the flight at which a failure of thrust or torque can begin",
+    )
 
     def __post_init__(self) -> None:
         check_bounds(self, "domain_randomization")
