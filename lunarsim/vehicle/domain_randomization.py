@@ -52,39 +52,37 @@ class DomainRandomization:
         "kg",
         ge=0,
         le=1e4,
-        help="maximum random change of the lander's dry mass; each flight draws a change between "
-        "minus and plus this value",
+        help="maximum random change of the lander's dry mass, plus or minus; new in each flight",
     )
     specific_impulse: float = quantity(
         0.0,
         "s",
         ge=0,
         le=100,
-        help="maximum random change of the specific impulse; each flight draws a change between "
-        "minus and plus this value",
+        help="maximum random change of the specific impulse, plus or minus; new in each flight",
     )
     thrust_scale: float = quantity(
         0.0,
         ge=0,
         le=0.5,
-        help="maximum random change of the thrust, as a fraction of its nominal value; each flight "
-        "draws a change between minus and plus this value",
+        help="maximum random change of the thrust, plus or minus, as a fraction of its nominal "
+        "value; new in each flight",
     )
     thrust_lag: float = quantity(
         0.0,
         "s",
         ge=0,
         le=2,
-        help="maximum random change of the engine's time constant; each flight draws a change "
-        "between minus and plus this value",
+        help="maximum random change of the engine's time constant, plus or minus; new in each "
+        "flight",
     )
     thrust_offset: float = quantity(
         0.0,
         "m",
         ge=0,
         le=0.5,
-        help="maximum random distance of the engine axis from the centre of mass, along body x and "
-        "body y; each flight draws an offset between minus and plus this value",
+        help="maximum random offset of the engine axis from the centre of mass, along body x and "
+        "body y, plus or minus; new in each flight",
     )
     position_noise: float = quantity(
         0.0, "m", ge=0, le=1e3, help="noise of the observed position, 1 sigma per axis"
@@ -103,14 +101,16 @@ class DomainRandomization:
         "s",
         ge=0,
         le=5,
-        help="maximum delay of observations; each flight draws a delay between 0 and this value",
+        help="maximum delay of observations; the delay is random in each flight, between 0 and "
+        "this value",
     )
     actuation_delay: float = quantity(
         0.0,
         "s",
         ge=0,
         le=5,
-        help="maximum delay of commands; each flight draws a delay between 0 and this value",
+        help="maximum delay of commands; the delay is random in each flight, between 0 and this "
+        "value",
     )
     engine_failure: float = quantity(
         0.0,
@@ -130,7 +130,7 @@ class DomainRandomization:
         ge=0,
         le=1,
         help="minimum fraction of thrust or torque that remains after a failure; the fraction is "
-        "random, up to 1",
+        "random, between this value and 1",
     )
     latest_failure: float = quantity(
         30.0,

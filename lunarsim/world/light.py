@@ -82,8 +82,8 @@ class Light:
     )
     photometry: Literal["lambert", "lunar-lambert", "hapke"] = quantity(
         "lunar-lambert",
-        help="reflection model of the terrain: lambert, lunar-lambert (McEwen 1991) or hapke (with "
-        "the hapke keys)",
+        help="reflection model of the terrain: lambert, lunar-lambert (McEwen 1991) or hapke (set "
+        "by the keys that begin with hapke)",
     )
     hapke_b: float = quantity(
         0.26,

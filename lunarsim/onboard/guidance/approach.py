@@ -96,7 +96,7 @@ class Approach:
         "m",
         ge=0,
         help="height of the footpads above the site at which the approach ends, whatever the "
-        "time-to-go; 0: vertical_altitude_m",
+        "time-to-go; 0: the approach ends at vertical_altitude_m",
     )
     max_tilt: float = quantity(
         40.0, "deg", gt=0, lt=85, help="maximum angle of the thrust from the vertical"

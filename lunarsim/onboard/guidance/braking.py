@@ -92,8 +92,8 @@ class Braking:
     )
     keeps_thrust_direction: bool = quantity(
         False,
-        help="what remains if the commanded thrust exceeds its limits; true: its direction; false: "
-        "its vertical component",
+        help="what is preserved when a thrust command beyond the thrust limits is reduced; true: "
+        "its direction; false: its vertical component",
     )
     min_thrust_time: float = quantity(
         0.0, "s", ge=0, help="duration of minimum thrust at the start of braking; 0: none"

@@ -32,8 +32,8 @@ class DecisionSettings:
 
     map: str = quantity(
         "",
-        help="Name of the mapper whose map is used for decisions; empty: the first that combines "
-        "other maps, or else the first mapper",
+        help="Name of the mapper whose map is used for decisions; empty: the first mapper that "
+        "combines other maps, or else the first mapper",
     )
     first_altitude: float = quantity(
         400.0,
