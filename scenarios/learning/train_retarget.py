@@ -85,8 +85,8 @@ def compare(
         print(f"  {what:<15} {d.value:+.3f} [{d.low:+.3f}, {d.high:+.3f}], p {d.p:.3g}")
 
 
-def main() -> int:
-    """Train a site-selecting agent, or compare one with policies."""
+def _parse_arguments() -> argparse.Namespace:
+    """Parse the options of the command line."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument(
         "--scenario",
@@ -128,7 +128,12 @@ def main() -> int:
         help="source of the hazard maps in the comparison, as for `lunarsim evaluate`; repeat the "
         "option for several sources",
     )
-    args = parser.parse_args()
+    return parser.parse_args()
+
+
+def main() -> int:
+    """Train a site-selecting agent, or compare one with policies."""
+    args = _parse_arguments()
     assert lunarsim_envs.__name__
     try:
         if args.out is None and args.compare is None:
