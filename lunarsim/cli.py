@@ -43,7 +43,7 @@ _POLICIES = "no-divert,safest,nearest-safe,fuel-aware,truth-oracle"
 @click.group(cls=ErrorReportingGroup, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(lunarsim.__version__, prog_name="lunarsim")
 def main() -> None:
-    """Simulate lunar landings: terrain, LiDAR, hazard map, divert, touchdown.
+    """Simulate lunar landings with hazard maps and diverts.
 
     \b
     Start here:
@@ -63,19 +63,20 @@ for _command in (campaign, sweep, replay, terrain, scenario, parts, evaluate):
 @scenario_options
 @click.option(
     "--policy", default=None, show_default="policy of the scenario",
-    help="Policy that chooses the landing site: a name from `lunarsim parts policy`, or "
-    "module:Class.",
+    help="Policy that selects the landing site: a name from `lunarsim parts policy`, or a Python "
+    "class module:Class.",
 )  # fmt: skip
 @click.option(
     "--guidance", default=None, show_default="guidance law of the scenario",
-    help="Guidance law with its default settings: a name from `lunarsim parts guidance`, or "
-    "module:Class.",
+    help="Guidance law: a name from `lunarsim parts guidance`, or a Python class module:Class. A "
+    "law other than the scenario's has its default settings.",
 )  # fmt: skip
 @SEED
 @FLIGHT
 @click.option(
     "--out", type=PATH, default=None,
-    help="New folder for the scenario, the flight record and the figures.",
+    help="New folder for the scenario, the flight record and the figures. Default: no files are "
+    "written.",
 )  # fmt: skip
 def fly(
     scenario: Path, changes: tuple[str, ...], policy: str | None, guidance: str | None, seed: int,
@@ -132,26 +133,36 @@ def fly(
 @click.option(
     "--policies", default=None,
     show_default=f"{_POLICIES}; with --guidance: policy of the scenario",
-    help="Policies to compare, separated by commas.",
+    help="Policies to compare, separated by commas: names from `lunarsim parts policy`, or Python "
+    "classes module:Class.",
 )  # fmt: skip
 @click.option(
     "--guidance", "laws", multiple=True, metavar="LAW",
-    help="Guidance law to compare: a name from `lunarsim parts guidance`, or module:Class. "
-    "Repeat the option for each law.",
+    help="Guidance law to compare: a name from `lunarsim parts guidance`, or a Python class "
+    "module:Class. Repeat the option for each law.",
 )  # fmt: skip
 @click.option(
-    "--flights", type=int, default=20, show_default=True, help="Number of flights per policy."
+    "--flights",
+    type=int,
+    default=20,
+    show_default=True,
+    help="Number of flights per policy and guidance law.",
 )
 @SEED
 @click.option(
     "--jobs", type=int, default=os.cpu_count() or 1, show_default="number of cores",
-    help="Number of processes. Results do not depend on it.",
+    help="Number of parallel processes. It does not change the results.",
 )  # fmt: skip
 @click.option(
     "--out", type=PATH, required=True,
     help="New folder for results.parquet, the flight records and the figures.",
 )  # fmt: skip
-@click.option("--figures/--no-figures", default=True, show_default=True, help="Draw figures.")
+@click.option(
+    "--figures/--no-figures",
+    default=True,
+    show_default=True,
+    help="Whether to draw figures of the comparison and of single flights.",
+)
 @cache_options
 def compare(
     scenario: Path, changes: tuple[str, ...], policies: str | None, laws: tuple[str, ...],
@@ -215,33 +226,41 @@ def compare(
 @main.command()
 @scenario_options
 @click.option(
-    "--flights", type=int, default=12, show_default=True, help="Number of flights, at least 2."
+    "--flights",
+    type=int,
+    default=12,
+    show_default=True,
+    help="Number of calibration flights, 2 or more.",
 )
 @click.option(
     "--seed", type=IntRange(min=0), default=1, show_default=True,
-    help="Root seed of these flights. No seed of `fly` or `compare` gives the same flights.",
+    help="Seed from which the random numbers of these flights derive. No seed of `fly` or "
+    "`compare` gives the same flights.",
 )  # fmt: skip
 @click.option(
     "--jobs", type=int, default=os.cpu_count() or 1, show_default="number of cores",
-    help="Number of processes. Results do not depend on it.",
+    help="Number of parallel processes. It does not change the results.",
 )  # fmt: skip
 @click.option(
     "--sites", type=int, default=300, show_default=True,
-    help="Number of random sites per map that a divert decision used.",
+    help="Number of random sites that are sampled from each map on which a divert decision is "
+    "based.",
 )  # fmt: skip
 @click.option(
     "--mapper", default=None, show_default="the mapper that decisions use, or the only one",
-    help="Name of the gaussian-dem mapper to calibrate.",
+    help="Name of the mapper to calibrate; its kind must be gaussian-dem.",
 )  # fmt: skip
 @click.option(
-    "--out", type=PATH, required=True, help="JSON file to write.",
+    "--out", type=PATH, required=True, help="JSON file to write with the calibration.",
 )  # fmt: skip
-@click.option("--force", is_flag=True, help="Overwrite an existing file.")
+@click.option("--force", is_flag=True, help="Overwrite the file --out if it exists.")
 def calibrate(
     scenario: Path, changes: tuple[str, ...], flights: int, seed: int, jobs: int, sites: int,
     mapper: str | None, out: Path, force: bool,
 ) -> None:  # fmt: skip
-    """Calibrate the Gaussian DEM's p_safe to one scenario's terrain.
+    """Calibrate a Gaussian DEM mapper to SCENARIO's terrain.
+
+    The calibration is that of p_safe, the probability of a safe landing at a site.
 
     The command flies SCENARIO with its own policy and samples random sites of the maps that divert
     decisions used. It then fits the last stage of the calibration to the observed fraction of truly
@@ -300,17 +319,22 @@ def calibrate(
 )  # fmt: skip
 @click.option(
     "--off-nadir", type=float, default=0.0, show_default=True,
-    help="Off-nadir angle of the boresight (deg). The target stays in the image centre.",
+    help="Angle between the viewing direction and straight down (deg). The target stays in the "
+    "image centre.",
 )  # fmt: skip
 @click.option(
     "--heading", type=float, default=0.0, show_default=True,
-    help="Azimuth of the top of the image, clockwise from north (deg).",
+    help="Direction at the top of the image, clockwise from north (deg).",
 )  # fmt: skip
 @click.option(
     "--exposure", type=FloatRange(0.0, 100.0, min_open=True), default=None,
     help="Exposure time (s). Default: the brightest terrain is just below saturation.",
 )  # fmt: skip
-@click.option("--ideal", is_flag=True, help="Disable blur, noise and distortion; use 16 bits.")
+@click.option(
+    "--ideal",
+    is_flag=True,
+    help="Render without blur, noise and distortion, with 16 bits per pixel.",
+)
 @SEED
 @FLIGHT
 @click.option(
@@ -318,7 +342,8 @@ def calibrate(
 )  # fmt: skip
 @click.option(
     "--truth", type=PATH, default=None,
-    help="NPZ file to write: true radiance, range, normal and object ID of every pixel.",
+    help="NPZ file to write, with true radiance, range, surface normal and object ID of every "
+    "pixel. Default: none.",
 )  # fmt: skip
 def render(
     scenario: Path, changes: tuple[str, ...], altitude: float, sun_elevation: float | None,
@@ -326,7 +351,7 @@ def render(
     off_nadir: float, heading: float, exposure: float | None, ideal: bool, seed: int,
     flight: int, out: Path, truth: Path | None,
 ) -> None:  # fmt: skip
-    """Render an image of SCENARIO's terrain with its camera."""
+    """Render a camera image of SCENARIO's terrain."""
     from lunarsim.simulation.image_rendering import render as render_image
 
     check_output("--out", out, ".png")

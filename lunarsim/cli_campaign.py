@@ -36,21 +36,23 @@ if TYPE_CHECKING:
 _FOLDER = click.argument("folder", type=PATH)
 _JOBS = click.option(
     "--jobs", type=IntRange(min=1), default=os.cpu_count() or 1,
-    show_default="number of cores", help="Number of processes. Results do not depend on it.",
+    show_default="number of cores",
+    help="Number of parallel processes. It does not change the results.",
 )  # fmt: skip
 _OUT = click.option(
     "--out", type=PATH, required=True,
-    help="Folder for results: a new one, or one of the same campaign, which is then continued.",
+    help="Results folder. If it has results of the same campaign, that campaign is continued.",
 )  # fmt: skip
 _RETRY = click.option(
     "--retry-failed", is_flag=True,
-    help="Repeat flights that raised an error, exceeded their time limit or were killed.",
+    help="Fly flights of an earlier run again if they raised an error, exceeded their time limit "
+    "or were killed.",
 )  # fmt: skip
 
 
 @click.group()
 def campaign() -> None:
-    """Run and analyse many flights that one file defines.
+    """Run and analyse campaigns: many flights from one file.
 
     \b
       lunarsim campaign plan SPEC             # list the inputs of every flight
@@ -65,7 +67,7 @@ def campaign() -> None:
 @ALLOW_MODULE
 @click.option(
     "--out", type=PATH, default=None, show_default="standard output",
-    help="CSV or Parquet file to write.",
+    help="File to write: CSV (.csv) or Parquet (.parquet).",
 )  # fmt: skip
 def plan(spec: Path, out: Path | None) -> None:
     """Write the inputs of every flight of SPEC without flying.
@@ -106,13 +108,14 @@ def plan(spec: Path, out: Path | None) -> None:
 @_OUT
 @click.option(
     "--engine", type=click.Choice(["local", "ray"]), default="local", show_default=True,
-    help="Where flights run: processes of this machine, or a Ray cluster.",
+    help="Where flights run: local (processes on this machine) or ray (a Ray cluster).",
 )  # fmt: skip
 @_JOBS
 @click.option(
     "--address",
     default=None,
-    help="Address of a running Ray cluster. Default: start one on this machine.",
+    help="Address of a running Ray cluster, with --engine ray. Default: start a cluster on this "
+    "machine.",
 )
 @cache_options
 @_RETRY
@@ -120,7 +123,7 @@ def run_command(
     spec: Path, out: Path, engine: str, jobs: int, address: str | None, cache: Path | None,
     cache_size: float, retry_failed: bool,
 ) -> None:  # fmt: skip
-    """Fly the campaign SPEC, or continue it.
+    """Fly all flights of campaign SPEC, or the missing ones.
 
     SPEC is the TOML file of the campaign. If the folder has results of an unfinished run,
     the same command continues it.
@@ -137,15 +140,19 @@ def run_command(
 @scenario_options
 @click.option(
     "--over", "over", multiple=True, required=True,
-    help="Scenario key with the values to fly: KEY=A,B,C or KEY=LOW:HIGH:COUNT. Repeat to fly all "
-    "combinations.",
+    help="Scenario key and its values: KEY=A,B,C, or KEY=LOW:HIGH:COUNT for COUNT evenly spaced "
+    "values. Repeat the option to fly all combinations of several keys.",
 )  # fmt: skip
 @click.option(
     "--flights", type=IntRange(min=1), default=20, show_default=True,
-    help="Number of flights per combination.",
+    help="Number of flights per combination of values.",
 )  # fmt: skip
 @click.option(
-    "--seed", type=IntRange(min=0), default=1, show_default=True, help="Root random seed."
+    "--seed",
+    type=IntRange(min=0),
+    default=1,
+    show_default=True,
+    help="Seed from which all random numbers derive.",
 )
 @_OUT
 @_JOBS
@@ -155,7 +162,7 @@ def sweep(
     scenario: Path, changes: tuple[str, ...], over: tuple[str, ...], flights: int, seed: int,
     out: Path, jobs: int, cache: Path | None, cache_size: float, retry_failed: bool,
 ) -> None:  # fmt: skip
-    """Fly SCENARIO for all combinations of some key values.
+    """Fly SCENARIO with all combinations of given key values.
 
     All combinations use the same random numbers. This is a short form of `lunarsim campaign run`.
 
@@ -280,10 +287,12 @@ def _format_duration(seconds: float) -> str:
 
 @campaign.command()
 @_FOLDER
-@click.option("--out", type=PATH, required=True, help="CSV or Parquet file to write.")
-@click.option("--timing", is_flag=True, help="Add columns with wall-clock times.")
+@click.option(
+    "--out", type=PATH, required=True, help="File to write: CSV (.csv) or Parquet (.parquet)."
+)
+@click.option("--timing", is_flag=True, help="Add columns with the computing time of each flight.")
 def export(folder: Path, out: Path, timing: bool) -> None:
-    """Write all results of a campaign to one table."""
+    """Write all results of the campaign in FOLDER to a table."""
     from lunarsim.campaign.results import export as write
 
     click.echo(f"{out}: {write(folder, out, timing=timing)} rows")
@@ -313,14 +322,14 @@ def report(folder: Path, out: Path | None) -> None:
 @_FOLDER
 @click.option(
     "--metric", default="safe", show_default=True,
-    help="Result column to analyse (numbers or true/false).",
+    help="Result column to analyse; its values are numbers or true/false.",
 )  # fmt: skip
 @click.option(
     "--resamples", type=IntRange(min=20), default=100, show_default=True,
-    help="Number of bootstrap resamples for the intervals.",
+    help="Number of bootstrap samples for the 95 % intervals.",
 )  # fmt: skip
 def sensitivity(folder: Path, metric: str, resamples: int) -> None:
-    """Print sensitivity indices of a metric to dispersed keys.
+    """Print how sensitive a result is to each dispersed key.
 
     Campaigns with method = "saltelli" give Sobol indices. All others give PAWN indices: the
     distance by which the metric's distribution moves when one key is fixed to a tenth of its
@@ -354,23 +363,23 @@ def sensitivity(folder: Path, metric: str, resamples: int) -> None:
 @_FOLDER
 @click.option(
     "--metric", default="safe", show_default=True,
-    help="Result column that defines failures: true/false (false is a failure), or numbers with "
-    "--above or --below.",
+    help="Result column that defines failures. In a true/false column, false is a failure; a "
+    "column of numbers needs --above or --below.",
 )  # fmt: skip
 @click.option(
     "--above",
     type=float,
     default=None,
-    help="Flights whose metric is above this limit are failures.",
+    help="Limit of the metric above which a flight counts as a failure.",
 )
 @click.option(
     "--below",
     type=float,
     default=None,
-    help="Flights whose metric is below this limit are failures.",
+    help="Limit of the metric below which a flight counts as a failure.",
 )
 def rare(folder: Path, metric: str, above: float | None, below: float | None) -> None:
-    """Estimate the failure probability from a rare-event campaign.
+    """Estimate the failure probability of rare-event campaigns.
 
     The campaign in FOLDER must use method "importance" or "subset". The estimate holds for the
     dispersions in the campaign file and has a 95 % interval. "Equivalent flights" is the number of
@@ -424,17 +433,20 @@ def _print_levels(results: Results) -> None:
 @click.argument("second", type=PATH, metavar="B")
 @click.option(
     "--margin", type=FloatRange(0.0, 1.0, min_open=True), default=0.05, show_default=True,
-    help="Maximum difference of the success fraction that counts as equivalent.",
+    help="Maximum difference between the success fractions of A and B that counts as equivalent.",
 )  # fmt: skip
 @click.option(
-    "--metric", default="safe", show_default=True, help="Result column to compare (true/false)."
+    "--metric",
+    default="safe",
+    show_default=True,
+    help="Result column to compare; its values are true (success) or false.",
 )
 @click.option(
     "--require-equivalent", is_flag=True,
-    help="Exit with code 1 also if an arm is not shown to be equivalent.",
+    help="Exit with code 1 also if a variant of the campaign (arm) is not shown to be equivalent.",
 )  # fmt: skip
 def diff(first: Path, second: Path, margin: float, metric: str, require_equivalent: bool) -> None:
-    """Compare campaigns A and B, paired by flight.
+    """Compare the results of campaigns A and B flight by flight.
 
     An arm is one variant of a campaign. The exit code is 1 if an arm of B is worse. "Worse" means
     that McNemar's exact test is significant at 5 % after Holm's correction over all arms.
@@ -476,13 +488,19 @@ def diff(first: Path, second: Path, margin: float, metric: str, require_equivale
 @_FOLDER
 @ALLOW_MODULE
 @click.option(
-    "--flight", required=True, help="ID of the flight: index and arm number, for example 12-0."
+    "--flight",
+    required=True,
+    help="ID of the flight: flight index, hyphen and number of the variant (arm), for example "
+    "12-0.",
 )
 @click.option(
-    "--out", type=PATH, default=None, help="New folder for the flight record and the figures."
+    "--out",
+    type=PATH,
+    default=None,
+    help="New folder for the flight record and the figures. Default: no files are written.",
 )
 def replay(folder: Path, flight: str, out: Path | None) -> None:
-    """Repeat one flight of a campaign and compare results.
+    """Repeat a flight of a campaign and compare its results.
 
     The exit code is 1 if the repeated flight differs from its row in FOLDER.
     """

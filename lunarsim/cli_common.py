@@ -89,14 +89,18 @@ def _exit_with_message(
 _FILE = click.argument("scenario", type=PATH)
 _SET = click.option(
     "--set", "changes", multiple=True, metavar="KEY=VALUE",
-    help="Set a scenario key, for example sun.elevation_deg=5. Repeatable.",
+    help="Set a scenario key, for example sun.elevation_deg=5. Repeat the option for several keys.",
 )  # fmt: skip
 SEED = click.option(
-    "--seed", type=IntRange(min=0), default=1, show_default=True, help="Root random seed."
+    "--seed",
+    type=IntRange(min=0),
+    default=1,
+    show_default=True,
+    help="Seed from which all random numbers derive.",
 )
 FLIGHT = click.option(
     "--flight", type=IntRange(min=0), default=0, show_default=True,
-    help="Flight index. Seed and index together fix the world and the noise.",
+    help="Index of the flight. Terrain, start and noise follow from --seed and --flight.",
 )  # fmt: skip
 
 
@@ -112,7 +116,8 @@ def _allow(ctx: click.Context, _: click.Parameter, names: tuple[str, ...]) -> No
 
 ALLOW_MODULE = click.option(
     "--allow-module", multiple=True, metavar="MODULE", expose_value=False, callback=_allow,
-    help="Allow files to run code of this Python module. Repeatable.",
+    help="Allow scenario files and other input files to run code of this Python module or package. "
+    "Repeatable.",
 )  # fmt: skip
 
 
@@ -130,11 +135,12 @@ def scenario_options(command: F) -> F:
 
 _CACHE = click.option(
     "--cache", type=PATH, default=None, show_default="lunarsim/worlds in the user's cache folder",
-    help="Folder that caches true terrain maps between campaigns.",
+    help="Folder that stores true terrain maps, so that later runs need not compute them again.",
 )  # fmt: skip
 _CACHE_SIZE = click.option(
     "--cache-size", type=FloatRange(min=0.0), default=4.0, show_default=True,
-    help="Maximum size of the cache (GiB); 0 disables it. Results do not depend on it.",
+    help="Maximum size of the folder of true terrain maps (GiB); 0: store no maps. It does not "
+    "change the results.",
 )  # fmt: skip
 
 

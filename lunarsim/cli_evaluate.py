@@ -28,35 +28,38 @@ from lunarsim.errors import InputError, check_folder
 @click.argument("env")
 @click.option(
     "--agent", "agents", multiple=True, required=True, metavar="NAME|FILE|module:Name",
-    help="Agent to evaluate. Repeatable.",
+    help="Agent to evaluate, in one of the forms listed above. Repeat the option for each agent.",
 )  # fmt: skip
 @click.option(
     "--trust-pickle", is_flag=True,
-    help="Allow .zip agents (pickles). Loading them can run any code.",
+    help="Allow agents in .zip files. They contain Python pickles, which can run any code when "
+    "they are loaded.",
 )  # fmt: skip
 @click.option(
     "--scenario", type=PATH, default=None, show_default="scenario of the environment",
-    help="TOML file, or a name from `lunarsim scenario list`.",
+    help="Scenario of the episodes: a TOML file, or a name from `lunarsim scenario list`.",
 )  # fmt: skip
 @click.option(
     "--set", "values", multiple=True, metavar="KEY=VALUE",
-    help="Set a scenario key, for example sun.elevation_deg=5. Repeatable.",
+    help="Set a scenario key, for example sun.elevation_deg=5. Repeat the option for several keys.",
 )  # fmt: skip
 @ALLOW_MODULE
 @click.option(
     "--perception", default=None, metavar="NAME", show_default="perception of the environment",
-    help="Source of the hazard map in Retarget-v0: onboard, truth, surrogate, gaussian-dem, "
-    "shadows, quadtree or fused.",
+    help="Source of the hazard map in Retarget-v0: onboard (mappers of the scenario), truth (true "
+    "safety), surrogate (statistical model of map errors), or one mapper: gaussian-dem, shadows, "
+    "quadtree or fused.",
 )  # fmt: skip
 @click.option(
     "--observation", "parts", multiple=True, metavar="PART",
     show_default="observation of the environment",
-    help="Component of the observation that the agents were trained with. Repeatable.",
+    help="Component of the observation; give all those with which the agents were trained. Repeat "
+    "the option for each component.",
 )  # fmt: skip
 @click.option(
     "--action", "decided", multiple=True, metavar="PART", show_default="site",
-    help="Component of the action that the agents choose in Retarget-v0: site or time_scale (time "
-    "scale of the divert). Repeatable.",
+    help="Component of the action in Retarget-v0: site (landing site) or time_scale (factor on the "
+    "time-to-go). Repeat the option for each component.",
 )  # fmt: skip
 @click.option(
     "--episodes", type=IntRange(min=1), default=100, show_default=True,
@@ -66,14 +69,15 @@ from lunarsim.errors import InputError, check_folder
 @click.option(
     "--jobs", type=IntRange(min=1), default=os.cpu_count() or 1,
     show_default="number of cores",
-    help="Number of processes. Results do not depend on it.",
+    help="Number of parallel processes. It does not change the results.",
 )  # fmt: skip
 @click.option(
     "--within", type=FloatRange(min=0.0, min_open=True), default=10.0, show_default=True,
-    help="Maximum distance from the target at which a landing counts as on target (m).",
+    help="Distance from the target up to which a landing counts as on target (m).",
 )  # fmt: skip
 @click.option(
-    "--out", type=PATH, default=None, help="New folder for results.parquet and summary.json."
+    "--out", type=PATH, default=None,
+    help="New folder for results.parquet and summary.json. Default: no files are written."
 )  # fmt: skip
 def evaluate(
     env: str, agents: tuple[str, ...], trust_pickle: bool, scenario: Path | None,

@@ -13,9 +13,9 @@ from lunarsim.errors import check_output
 @click.command()
 @click.argument("contract", required=False)
 def parts(contract: str | None) -> None:
-    """List the parts a scenario can use.
+    """List the components that a scenario can select.
 
-    A part is a component that a scenario selects by its `kind`, for example a guidance law.
+    A component (part) is what a scenario selects by its `kind`, for example a guidance law.
     CONTRACT selects one group of parts, for example guidance or policy.
     """
     from lunarsim.scenario.reference import parts_list
@@ -32,7 +32,7 @@ def scenario() -> None:
 @scenario.command()
 @click.option("--markdown", is_flag=True, help="Print Markdown tables instead of plain text.")
 def reference(markdown: bool) -> None:
-    """Print all scenario keys: defaults, units, bounds, meaning."""
+    """Print default, unit and meaning of all scenario keys."""
     from lunarsim.scenario.reference import reference_text
 
     click.echo(reference_text(markdown=markdown))
@@ -41,7 +41,7 @@ def reference(markdown: bool) -> None:
 @scenario.command()
 @scenario_options
 def check(scenario: Path, changes: tuple[str, ...]) -> None:
-    """Check SCENARIO and print it with all defaults.
+    """Check SCENARIO and print it with all default values.
 
     SCENARIO is a TOML file or a name from `lunarsim scenario list`. The command also reads the
     terrain files that the scenario names. It prints warnings, and an estimate of memory and time,
@@ -78,7 +78,7 @@ def show(name: str) -> None:
 @scenario.command()
 @click.argument("file", type=PATH)
 def upgrade(file: Path) -> None:
-    """Replace old names of keys in FILE by the present names.
+    """Replace outdated names of keys in FILE by current names.
 
     FILE is a scenario or a campaign file. Only names change; comments and layout stay. The command
     prints each change.
@@ -96,10 +96,10 @@ def upgrade(file: Path) -> None:
 @click.argument("name")
 @click.option(
     "--out", type=PATH, default=None, show_default="NAME.toml in the working folder",
-    help="TOML file to write. Data files are copied to the same folder.",
+    help="TOML file to write. Data files of the scenario are copied to the same folder.",
 )  # fmt: skip
 def new(name: str, out: Path | None) -> None:
-    """Copy scenario NAME of lunarsim and its data files."""
+    """Copy supplied scenario NAME and its data files."""
     from lunarsim.scenario import shipped
 
     source = shipped.path_of(name)

@@ -24,27 +24,30 @@ if TYPE_CHECKING:
 
 @click.group(cls=ErrorReportingGroup)
 def terrain() -> None:
-    """Inspect measured and procedural terrain."""
+    """Describe, plot and export terrain."""
 
 
 @terrain.command()
 @click.argument("file", type=PATH)
 @click.option(
     "--window", type=int, nargs=4, metavar="TOP BOTTOM LEFT RIGHT",
-    help="Part of the raster: first and last row, first and last column.",
+    help="Part of the raster to describe: first row, end row, first column, end column, without "
+    "the end row and column. Default: all.",
 )  # fmt: skip
-@click.option("--unit", help="Unit of the heights: m, km, ft or us-ft.")
+@click.option(
+    "--unit", help="Unit of the heights: m, km, ft or us-ft. Default: unit stated in the file."
+)
 @click.option(
     "--nodata",
     type=float,
     multiple=True,
-    help="Value that marks grid points without data. Repeatable.",
+    help="Value that marks missing heights, in addition to those stated in the file. Repeatable.",
 )
 def info(
     file: Path, window: tuple[int, int, int, int] | None, unit: str | None,
     nodata: tuple[float, ...],
 ) -> None:  # fmt: skip
-    """Describe the terrain model FILE (GeoTIFF, PDS, ...)."""
+    """Describe the elevation raster FILE (GeoTIFF, PDS, ...)."""
     from rich.table import Table
 
     from lunarsim.console import plain_console
@@ -95,7 +98,7 @@ def _description(dtm_info: DtmInfo) -> Iterator[tuple[str, str]]:
 @FLIGHT
 @click.option("--out", type=PATH, required=True, help="PNG file to write.")
 def preview(scenario: Path, changes: tuple[str, ...], seed: int, flight: int, out: Path) -> None:
-    """Plot SCENARIO's terrain: hillshade, slopes, rocks."""
+    """Plot hillshade, slopes and rocks of SCENARIO's terrain."""
     from lunarsim.rng import RandomStreams, flight_seed
     from lunarsim.simulation.worlds import build_world
     from lunarsim.viz.terrain import draw_terrain
@@ -116,14 +119,14 @@ def preview(scenario: Path, changes: tuple[str, ...], seed: int, flight: int, ou
 )
 @click.option(
     "--size", type=float, default=60.0, show_default=True,
-    help="Side of the mapped square around the target (m).",
+    help="Side of the square around the target that the maps cover (m).",
 )  # fmt: skip
 @click.option("--out", type=PATH, required=True, help="NetCDF file (.nc) to write.")
 def truth(
     scenario: Path, changes: tuple[str, ...], seed: int, flight: int, posting: float, size: float,
     out: Path,
 ) -> None:  # fmt: skip
-    """Write true maps of SCENARIO's terrain to NetCDF.
+    """Write true maps of SCENARIO's terrain to a NetCDF file.
 
     The maps are elevation, slope, rocks, true safety and shadow.
     """

@@ -249,10 +249,15 @@ def _hover(run: ApolloDescentRun) -> str:
     type=click.FloatRange(301.0, 305.0),
     default=303.0,
     show_default=True,
-    help="Specific impulse (s): computer 301, engine maximum 305.",
+    help="Specific impulse of the engine (s), from 301 (value in the Apollo computer) to 305 "
+    "(maximum of the engine).",
 )
 @click.option(
-    "--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Root random seed."
+    "--seed",
+    type=click.IntRange(min=0),
+    default=1,
+    show_default=True,
+    help="Seed from which all random numbers derive.",
 )
 @click.option(
     "--terrain",
@@ -260,21 +265,24 @@ def _hover(run: ApolloDescentRun) -> str:
     type=click.Choice(["random", "measured"]),
     default="random",
     show_default=True,
-    help="Terrain: random, or measured at other places of the Moon.",
+    help="Terrain under the descent: random, or measured at other places of the Moon.",
 )
 @click.option(
     "--sample/--no-sample",
     default=True,
     show_default=True,
-    help="Also fly with the sample guidance targets listed for Apollo 10.",
+    help="Whether to fly also with the sample guidance targets that are listed for Apollo 10.",
 )
 @click.option(
     "--out",
     type=click.Path(path_type=Path, file_okay=False),
-    help="Output folder of the figure and flights.",
+    help="Folder for the figure and the flight records. Default: none.",
 )
 @click.option(
-    "--json", "file", type=click.Path(path_type=Path), help="File for the results of all runs."
+    "--json",
+    "file",
+    type=click.Path(path_type=Path),
+    help="JSON file for the results of all runs. Default: none.",
 )
 def main(
     isp: float, seed: int, terrain: str, sample: bool, out: Path | None, json_file: Path | None

@@ -177,20 +177,29 @@ def show_losses(rows: list[dict[str, Flight]], console: Console) -> None:
 
 @click.command()
 @click.option("--fields", type=click.IntRange(min=1), default=20, show_default=True,
-              help="Number of rock fields in the set-up of the shadow EKF paper.")  # fmt: skip
+              help="Number of random rock fields in the set-up of the shadow EKF "
+              "paper.")  # fmt: skip
 @click.option("--sobol", "points", type=click.IntRange(min=0, max=4096), default=0,
-              help="Number of Sobol points (Sun, slope, cover) instead of fields.")  # fmt: skip
+              help="Number of Sobol points (combinations of Sun, terrain slope and rock cover) to "
+              "fly instead of rock fields; 0: none.")  # fmt: skip
 @click.option("--sensors", type=click.Choice((*SENSORS, "all")), default="all", show_default=True,
-              help="Sensors; Sobol points use the camera.")  # fmt: skip
+              help="Sensors that observe the terrain; with --sobol, only the camera is "
+              "possible.")  # fmt: skip
 @click.option(
-    "--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Root random seed."
+    "--seed",
+    type=click.IntRange(min=0),
+    default=1,
+    show_default=True,
+    help="Seed from which all random numbers derive.",
 )
 @click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True,
-              help="Number of processes; does not change the results.")  # fmt: skip
+              help="Number of parallel processes; it does not change the results.")  # fmt: skip
 @click.option("--json", "json_file", type=click.Path(path_type=Path, dir_okay=False), default=None,
-              help="File of flights; a later run resumes from it.")  # fmt: skip
+              help="JSON file for the flights; if it exists, its flights are not repeated. "
+              "Default: none.")  # fmt: skip
 @click.option("--figure", type=click.Path(path_type=Path, dir_okay=False), default=None,
-              help="File for the figure of safe sites against altitude.")  # fmt: skip
+              help="Image file for the figure of safe sites against altitude. Default: no "
+              "figure.")  # fmt: skip
 def main(
     fields: int, points: int, sensors: str, seed: int, jobs: int, json_file: Path | None,
     figure: Path | None,

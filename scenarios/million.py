@@ -71,12 +71,21 @@ def main() -> int:
     """Fly a million descents (or --flights) and print failure rates and calibration."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--flights", type=int, default=1_000_000, help="number of flights")
-    parser.add_argument("--seed", type=int, default=1, help="root random seed")
-    parser.add_argument("--worlds", type=int, default=32, help="number of random terrains")
     parser.add_argument(
-        "--scenario", help="scenario file or name; default: rolling terrain, 12 %% rock cover"
+        "--seed", type=int, default=1, help="seed from which all random numbers derive"
     )
-    parser.add_argument("--step", type=float, default=0.02, help="integration step (s)")
+    parser.add_argument(
+        "--worlds",
+        type=int,
+        default=32,
+        help="number of random terrains over which the flights are distributed",
+    )
+    parser.add_argument(
+        "--scenario",
+        help="scenario: TOML file, or a name from `lunarsim scenario list` (default: rolling "
+        "terrain with 12 %% rock cover)",
+    )
+    parser.add_argument("--step", type=float, default=0.02, help="time step of the integration (s)")
     args = parser.parse_args()
     console = plain_console(stderr=True)
     tally, cut, start_s = None, False, 0.0

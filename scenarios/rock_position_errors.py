@@ -92,10 +92,16 @@ def _mean_covariance(rocks: Any, index: NDArray[np.int64]) -> Array:
 
 @click.command()
 @click.option("--fields", type=click.IntRange(min=1), default=4, show_default=True,
-              help="Number of fields per terrain.")  # fmt: skip
-@click.option("--seed", type=int, default=1, show_default=True, help="Root random seed.")
+              help="Number of random rock fields for each terrain.")  # fmt: skip
+@click.option(
+    "--seed",
+    type=int,
+    default=1,
+    show_default=True,
+    help="Seed from which all random numbers derive.",
+)
 @click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True,
-              help="Number of processes; does not change the results.")  # fmt: skip
+              help="Number of parallel processes; it does not change the results.")  # fmt: skip
 def main(fields: int, seed: int, jobs: int) -> None:
     """Fly and print the position errors of tracked rocks by terrain and altitude."""
     altitudes = (1000.0, 700.0, 500.0, 200.0, 100.0)

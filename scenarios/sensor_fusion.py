@@ -95,18 +95,28 @@ def fly_missing(
 
 @click.command()
 @click.option("--fields", type=click.IntRange(min=1), default=10, show_default=True,
-              help="Number of simulated fields per study condition (row).")  # fmt: skip
+              help="Number of simulated rock fields for each study condition (row of the results "
+              "table).")  # fmt: skip
 @click.option("--rows", default="all", show_default=True,
-              help="Names of study conditions (rows), separated by semicolons.")  # fmt: skip
+              help="Names of the study conditions (rows of the results table) to fly, separated by "
+              "semicolons, or all.")  # fmt: skip
 @click.option("--altitudes", default="1000,500,200,100", show_default=True,
-              help="Altitudes of map evaluation (m).")  # fmt: skip
-@click.option("--seed", type=int, default=1, show_default=True, help="Root random seed.")
+              help="Altitudes at which the maps are evaluated (m), separated by "
+              "commas.")  # fmt: skip
+@click.option(
+    "--seed",
+    type=int,
+    default=1,
+    show_default=True,
+    help="Seed from which all random numbers derive.",
+)
 @click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True,
-              help="Number of processes; does not change the results.")  # fmt: skip
+              help="Number of parallel processes; it does not change the results.")  # fmt: skip
 @click.option("--json", "json_file", type=click.Path(path_type=Path, dir_okay=False), default=None,
-              help="File of flights; stored flights are not repeated.")  # fmt: skip
+              help="JSON file for the flights; if it exists, its flights are not repeated. "
+              "Default: none.")  # fmt: skip
 @click.option("--out", type=click.Path(path_type=Path, file_okay=False), default=None,
-              help="Output folder of the figure.")  # fmt: skip
+              help="Folder for the figure. Default: no figure.")  # fmt: skip
 def main(
     fields: int,
     rows: str,

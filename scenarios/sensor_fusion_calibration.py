@@ -90,7 +90,7 @@ def evaluate_calibration(calibration: FusedCalibration, site_counts: Array) -> t
 @click.command()
 @click.argument("file", type=click.Path(path_type=Path, exists=True, dir_okay=False))
 @click.option("--out", type=click.Path(path_type=Path, dir_okay=False), default=None,
-              help="Output file of the fit to all study conditions (rows).")  # fmt: skip
+              help="File for the fit to all study conditions. Default: none.")  # fmt: skip
 def main(file: Path, out: Path | None) -> None:
     """Fit C, the calibrated p_safe, to the flights in FILE; test on held-out rows."""
     try:

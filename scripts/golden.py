@@ -49,19 +49,25 @@ def main() -> None:
 
 
 _COMPLETE = click.option(
-    "--complete", is_flag=True, help="Add cases of cameras, instruments and a campaign report."
+    "--complete",
+    is_flag=True,
+    help="Run also the cases of cameras, instruments and a campaign report.",
 )
-_JOBS = click.option("--jobs", default=2, show_default=True, help="Number of parallel cases.")
+_JOBS = click.option(
+    "--jobs", default=2, show_default=True, help="Number of cases that run in parallel."
+)
 _THREADS = click.option(
     "--threads",
     default=1,
     show_default=True,
-    help="Threads per case; does not change the results.",
+    help="Number of threads per case; it does not change the results.",
 )
 
 
 @main.command()
-@click.option("--at", "revision", default=None, help="Git revision (default: the working tree).")
+@click.option(
+    "--at", "revision", default=None, help="Git revision to run (default: the working tree)."
+)
 @_COMPLETE
 @_JOBS
 @_THREADS

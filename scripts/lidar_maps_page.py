@@ -145,8 +145,9 @@ def store(results: dict[str, Any], command: str) -> None:
 
 @click.command()
 @click.option("--store", "results_file", type=click.Path(path_type=Path, exists=True), default=None,
-              help="File figures.json of the study.")  # fmt: skip
-@click.option("--command", default="", help="Command that wrote the file.")
+              help="File figures.json of a study, whose results are stored. Default: store "
+              "nothing.")  # fmt: skip
+@click.option("--command", default="", help="Command that wrote the file of --store, for the page.")
 def main(results_file: Path | None, command: str) -> None:
     """Update the tables of the pages on LiDAR maps; optionally store new results."""
     if results_file is not None:

@@ -260,20 +260,38 @@ def _report(
 
 
 @click.command(context_settings={"show_default": True})
-@click.option("--only", default="", help="Use only faults whose name contains this text.")
 @click.option(
-    "--count", default=240, type=click.IntRange(1), help="Number of faults over all files."
-)
-@click.option("--seed", default=1, help="Random seed of the selection.")
-@click.option("--jobs", default=1, type=click.IntRange(1), help="Number of parallel trials.")
-@click.option(
-    "--limit", default=600.0, type=click.FloatRange(1.0), help="Time limit of a trial (s)."
+    "--only", default="", help="Use only faults whose name contains this text. Default: all faults."
 )
 @click.option(
-    "--results", default=ROOT / "out" / "mutants.jsonl", help="File of the results.",
+    "--count",
+    default=240,
+    type=click.IntRange(1),
+    help="Number of faults to select, over all files.",
+)
+@click.option("--seed", default=1, help="Random seed of the selection of faults.")
+@click.option(
+    "--jobs",
+    default=1,
+    type=click.IntRange(1),
+    help="Number of faults that are tested in parallel.",
+)
+@click.option(
+    "--limit",
+    default=600.0,
+    type=click.FloatRange(1.0),
+    help="Time limit of the test of one fault (s).",
+)
+@click.option(
+    "--results", default=ROOT / "out" / "mutants.jsonl",
+    help="File in which the results are stored (.jsonl).",
     type=click.Path(path_type=Path, dir_okay=False),
 )  # fmt: skip
-@click.option("--resume/--restart", default=True, help="Reuse or delete the stored results.")
+@click.option(
+    "--resume/--restart",
+    default=True,
+    help="Whether to continue from the stored results or to delete them.",
+)
 @click.option(
     "--list", "show", is_flag=True, help="Print the selected faults without running them."
 )

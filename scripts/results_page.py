@@ -290,8 +290,9 @@ def page() -> str:
 
 @click.command()
 @click.option("--store", "study", type=(click.Choice(list(STUDIES)), click.Path(path_type=Path)),
-              help="Name of a study and the file that it wrote.")  # fmt: skip
-@click.option("--command", default="", help="Command that wrote the file.")
+              help="Name of a study and the file that it wrote, whose results are stored. Default: "
+              "print the page.")  # fmt: skip
+@click.option("--command", default="", help="Command that wrote the file of --store, for the page.")
 def main(study: tuple[str, Path] | None, command: str) -> None:
     """Print docs/validation/results-by-seed.md, or store the results of a study."""
     if study is None:

@@ -227,7 +227,7 @@ def test_reference_tells_every_key_of_every_kind(form):
     for table in ("[start]", "[target]", "[prior_map] (optional)", "[simulation]"):
         assert table in done.output
     row = next(line for line in done.output.splitlines() if "heading_deg" in line)
-    assert "90" in row and "deg" in row and "Azimuth of body x" in row
+    assert "90" in row and "deg" in row and "Azimuth of the lander's x axis" in row
 
 
 def test_check_prints_the_scenario_whole_or_what_is_wrong(tmp_path):

@@ -99,11 +99,18 @@ class CampaignSettings:
     )
     seed: int = quantity(1, ge=0, lt=2**63, help="seed from which all random numbers derive")
     method: str = quantity("monte-carlo", help="method that samples the random scenario values")
-    time_limit: float | None = quantity(None, "s", gt=0, help="wall-clock limit of a flight")
-    time_budget: float | None = quantity(
-        None, "s", gt=0, help="wall-clock time after which no flight starts"
+    time_limit: float | None = quantity(
+        None, "s", gt=0, help="wall-clock time limit of a flight; omitted: none"
     )
-    records: str = quantity("none", help="flights with complete records: none, failures or all")
+    time_budget: float | None = quantity(
+        None,
+        "s",
+        gt=0,
+        help="wall-clock time of the campaign after which no flight starts; omitted: none",
+    )
+    records: str = quantity(
+        "none", help="flights whose complete records are stored: none, failures or all"
+    )
     figures: bool = quantity(
         False, help="whether to plot the first flight of each variant and every failed flight"
     )

@@ -44,7 +44,8 @@ class SubsetSettings:
         0.1,
         ge=0.05,
         le=0.5,
-        help="fraction of a level's flights, closest to failure, that start the next level",
+        help="fraction of a level's flights from which the next level starts; they are those "
+        "closest to failure",
     )
     levels: int = quantity(6, ge=1, le=20, help="maximum number of levels of the subset simulation")
     same_world: float = quantity(

@@ -96,7 +96,7 @@ class RoundMoon:
     )
     spin: float = quantity(1.5250414e-4, "deg/s", ge=0, lt=1, help="rotation rate of the Moon")
     latitude: float = quantity(
-        0.0, "deg", ge=-90, le=90, help="latitude of the site frame's origin"
+        0.0, "deg", ge=-90, le=90, help="latitude of the site frame's origin; positive: north"
     )
 
     def __post_init__(self) -> None:

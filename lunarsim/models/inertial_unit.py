@@ -27,18 +27,34 @@ class TriadErrors:
         Quantization step, u; 0: none. The remainder is carried to the next sample.
     """
 
-    bias: float = quantity(0.0, ge=0, help="bias at power-on, 1 sigma per axis (rad/s or m/s^2)")
+    bias: float = quantity(
+        0.0,
+        ge=0,
+        help="bias at power-on, 1 sigma per axis (gyroscopes: rad/s; accelerometers: m/s^2)",
+    )
     random_walk: float = quantity(
-        0.0, ge=0, help="angle random walk (rad/sqrt(s)) or velocity random walk (m/s/sqrt(s))"
+        0.0,
+        ge=0,
+        help="white noise: angle random walk of gyroscopes (rad/sqrt(s)), velocity random walk of "
+        "accelerometers (m/s/sqrt(s))",
     )
     bias_walk: float = quantity(
-        0.0, ge=0, help="random walk of the bias (rad/s or m/s^2, per sqrt(s))"
+        0.0,
+        ge=0,
+        help="random walk of the bias (gyroscopes: rad/s per sqrt(s); accelerometers: m/s^2 per "
+        "sqrt(s))",
     )
     scale_factor: float = quantity(0.0, ge=0, help="relative scale factor error, 1 sigma per axis")
     misalignment: float = quantity(
-        0.0, ge=0, help="misalignment of each axis to each other axis, 1 sigma (rad)"
+        0.0,
+        ge=0,
+        help="misalignment of each measurement axis towards each other axis, 1 sigma (rad)",
     )
-    quantum: float = quantity(0.0, ge=0, help="quantization step (rad or m/s); 0: none")
+    quantum: float = quantity(
+        0.0,
+        ge=0,
+        help="quantization step of each sample (gyroscopes: rad; accelerometers: m/s); 0: none",
+    )
 
     def __post_init__(self) -> None:
         check_bounds(self, "imu")

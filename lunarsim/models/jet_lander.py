@@ -40,19 +40,38 @@ class DescentEngine:
     pivot_depth: float = quantity(
         0.8, "m", ge=0, help="depth of the gimbal pivot below the body's origin"
     )
-    gimbal_limit: float = quantity(6.0, "deg", ge=0, lt=45, help="maximum gimbal angle per axis")
-    gimbal_rate: float = quantity(2.0, "deg/s", ge=0, help="maximum gimbal rate")
+    gimbal_limit: float = quantity(
+        6.0,
+        "deg",
+        ge=0,
+        lt=45,
+        help="maximum gimbal angle of the engine about body x and about body y; 0: no gimbal",
+    )
+    gimbal_rate: float = quantity(
+        2.0, "deg/s", ge=0, help="maximum angular rate of the engine's gimbal"
+    )
     throttle_step: float = quantity(
         0.0, "N", ge=0, help="quantization step of the thrust; 0: continuous"
     )
     dead_band: float = quantity(
-        0.0, "N", ge=0, help="minimum change of commanded thrust that moves the throttle"
+        0.0,
+        "N",
+        ge=0,
+        help="minimum change of the commanded thrust to which the throttle responds; 0: every "
+        "change",
     )
     gap_lower: float = quantity(
-        0.0, "N", ge=0, help="lower end of a forbidden thrust interval; 0: no such interval"
+        0.0,
+        "N",
+        ge=0,
+        help="lower limit of the thrust range in which the engine cannot run; 0: no such range",
     )
     gap_upper: float = quantity(
-        0.0, "N", ge=0, help="the only thrust above a forbidden interval; 0: no such interval"
+        0.0,
+        "N",
+        ge=0,
+        help="upper limit of the thrust range in which the engine cannot run, and the only thrust "
+        "available above that range; 0: no such range",
     )
 
     def __post_init__(self) -> None:
@@ -96,10 +115,14 @@ class JetLander(Lander):
         DescentEngine(), help="geometry, gimbal and throttle of the engine"
     )
     com_dry: tuple[float, float, float] = quantity(
-        (0.0, 0.0, 0.0), "m", help="centre of mass with empty tanks, body axes"
+        (0.0, 0.0, 0.0),
+        "m",
+        help="centre of mass with empty tanks, relative to the body's origin (body axes)",
     )
     com_full: tuple[float, float, float] = quantity(
-        (0.0, 0.0, 0.0), "m", help="centre of mass with full tanks, body axes"
+        (0.0, 0.0, 0.0),
+        "m",
+        help="centre of mass with full tanks, relative to the body's origin (body axes)",
     )
     slosh: Slosh = quantity(Slosh(), help="tanks with sloshing propellant")
     torque_max: tuple[float, float, float] = field(init=False, default=(0.0, 0.0, 0.0))

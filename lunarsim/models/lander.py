@@ -67,27 +67,33 @@ class Lander:
     propellant_mass: float = quantity(400.0, "kg", gt=0, help="propellant mass in full tanks")
     inertia_dry: tuple[float, float, float] | None = quantity(
         None, "kg m^2", gt=0,
-            help="moments of inertia, tanks empty; omitted: 1, 1 and 1.18 m^2 times dry_mass_kg",
+            help="moments of inertia about body x, y and z with empty tanks; omitted: 1, 1 and "
+            "1.18 m^2 times dry_mass_kg",
     )  # fmt: skip
     inertia_full: tuple[float, float, float] | None = quantity(
         None, "kg m^2", gt=0,
-            help="moments of inertia, tanks full; omitted: dry + 0.75 m^2 times propellant_mass_kg",
+            help="moments of inertia about body x, y and z with full tanks; omitted: "
+            "inertia_dry_kg_m2 plus 0.75 m^2 times propellant_mass_kg",
     )  # fmt: skip
     thrust_min: float = quantity(600.0, "N", ge=0, help="minimum thrust of the running engine")
     thrust_max: float = quantity(6000.0, "N", gt=0, help="maximum thrust of the engine")
     specific_impulse: float = quantity(311.0, "s", gt=0, help="specific impulse of the engine")
     thrust_lag: float = quantity(
-        0.1, "s", ge=0, help="time constant of the thrust's first-order lag"
+        0.1, "s", ge=0, help="time constant of the engine's first-order response to thrust commands"
     )
     torque_max: tuple[float, float, float] = quantity(
         (600.0, 600.0, 300.0), "N m", gt=0, help="maximum control torque about each body axis"
     )
     legs: Literal[3, 4] = quantity(4, help="number of legs")
-    leg_radius: float = quantity(2.35, "m", gt=0, help="radius of the circle of pad centres")
-    pad_diameter: float = quantity(0.3, "m", gt=0, help="diameter of each pad")
-    com_height: float = quantity(1.6, "m", gt=0, help="height of the centre of mass above the pads")
+    leg_radius: float = quantity(
+        2.35, "m", gt=0, help="radius of the circle through the centres of the landing pads"
+    )
+    pad_diameter: float = quantity(0.3, "m", gt=0, help="diameter of each landing pad")
+    com_height: float = quantity(
+        1.6, "m", gt=0, help="height of the centre of mass above the landing pads"
+    )
     belly_clearance: float = quantity(
-        0.25, "m", gt=0, help="height of the body's underside above the pads"
+        0.25, "m", gt=0, help="height of the body's underside above the landing pads"
     )
     slope_limit: float = quantity(
         10.0, "deg", gt=0, lt=45, help="maximum terrain slope of a safe site"

@@ -51,7 +51,12 @@ class Slosh:
         If fractions and tanks differ in number, or the fractions do not add up to 1.
     """
 
-    tanks: Points = quantity((), "m", help="centre of each tank's floor; omitted: no slosh")
+    tanks: Points = quantity(
+        (),
+        "m",
+        help="centre of each tank's floor, relative to the body's origin (body axes); omitted: no "
+        "slosh",
+    )
     propellant_fractions: tuple[float, ...] = quantity(
         (), ge=0, le=1, help="fraction of the propellant in each tank; omitted: equal fractions"
     )

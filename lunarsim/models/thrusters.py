@@ -50,7 +50,7 @@ class Thrusters:
     force: float = quantity(60.0, "N", gt=0, help="force of each thruster")
     specific_impulse: float = quantity(290.0, "s", gt=0, help="specific impulse of the thrusters")
     propellant: float = quantity(
-        20.0, "kg", ge=0, help="thruster propellant, included in the dry mass"
+        20.0, "kg", ge=0, help="propellant of the thrusters; dry_mass_kg includes it"
     )
     min_on_time: float = quantity(0.02, "s", gt=0, le=1, help="minimum firing time of a thruster")
     cluster_radius: float = quantity(
@@ -59,9 +59,15 @@ class Thrusters:
     cluster_height: float = quantity(
         0.0, "m", help="height of the thruster clusters above the body's origin"
     )
-    positions: Points = quantity((), "m", help="thruster positions; omitted: four clusters of four")
+    positions: Points = quantity(
+        (),
+        "m",
+        help="position of each thruster (body axes); omitted: four clusters of four thrusters",
+    )
     directions: Points = quantity(
-        (), help="force directions of the thrusters; given together with positions"
+        (),
+        help="direction of the force of each thruster (body axes); required if positions_m is "
+        "given",
     )
 
     def __post_init__(self) -> None:

@@ -110,16 +110,23 @@ class RockModel:
     """
 
     shape: Shape = quantity(
-        "hemisphere", help="shape of the rocks; mixed: ellipsoids and irregular boulders"
+        "hemisphere",
+        help="shape of the rocks; irregular: faceted convex boulders; mixed: ellipsoids and "
+        "irregular boulders in equal numbers",
     )
     height_ratio: tuple[float, float] = quantity(
-        (0.5, 0.1), help="height over diameter of rocks, mean and standard deviation"
+        (0.5, 0.1),
+        help="exposed height of a rock divided by its diameter: mean and standard deviation; not "
+        "used for hemispheres and cubes",
     )
     burial: tuple[float, float] = quantity(
-        (0.0, 0.5), help="buried fraction of the height, minimum and maximum; not for hemispheres"
+        (0.0, 0.5),
+        help="buried fraction of a rock's height: minimum and maximum; not used for hemispheres",
     )
     axis_ratio: tuple[float, float] = quantity(
-        (0.6, 1.0), help="shorter over longer horizontal axis of a rock, minimum and maximum"
+        (0.6, 1.0),
+        help="shorter horizontal axis of a rock divided by its longer one: minimum and maximum; "
+        "not used for hemispheres and cubes",
     )
 
     def __post_init__(self) -> None:

@@ -36,21 +36,34 @@ class RockPopulation(RockModel):
     """
 
     cover: float = quantity(
-        0.05, ge=0, le=0.2, help="fraction k of the terrain covered by true rocks of all sizes"
+        0.05,
+        ge=0,
+        le=0.2,
+        help="fraction of the terrain area that true rocks of all sizes cover (Golombek's k); 0: "
+        "no rocks",
     )
     min_diameter: float = quantity(0.15, "m", ge=0.01, help="minimum diameter of generated rocks")
     max_diameter: float = quantity(3.0, "m", gt=0, help="maximum diameter of generated rocks")
     cluster_fraction: float = quantity(
-        0.0, ge=0, le=1, help="fraction of the rocks that lie around craters"
+        0.0,
+        ge=0,
+        le=1,
+        help="fraction of the rocks that lie around craters; the other rocks lie at random places",
     )
     min_block_crater_diameter: float = quantity(
-        25.0, "m", gt=0, help="minimum diameter of craters with rocks around them"
+        25.0, "m", gt=0, help="minimum diameter of craters that have rocks around them"
     )
     fillet_height_ratio: float = quantity(
-        0.0, ge=0, le=0.5, help="height of soil banked against rocks over their exposed height"
+        0.0,
+        ge=0,
+        le=0.5,
+        help="height of the soil banked against a rock, divided by the rock's exposed height; 0: "
+        "none",
     )
     cube_area: Literal["square", "disc"] = quantity(
-        "square", help="area of a cube of side D in the cover; square: D^2; disc: pi D^2 / 4"
+        "square",
+        help="area that a cube of side D contributes to the rock cover: square (D^2) or disc (pi "
+        "D^2 / 4)",
     )
 
     def __post_init__(self) -> None:
@@ -78,7 +91,10 @@ class RockExpectation(RockModel):
     """Settings of the rocks that the mission expects: Golombek distribution, shapes."""
 
     cover: float = quantity(
-        0.05, gt=0, le=0.2, help="expected fraction k of the terrain covered by rocks"
+        0.05,
+        gt=0,
+        le=0.2,
+        help="fraction of the terrain area that the mission expects rocks to cover (Golombek's k)",
     )
 
     def __post_init__(self) -> None:

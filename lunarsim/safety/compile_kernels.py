@@ -41,7 +41,7 @@ def exit_with_parent(parent: int) -> None:
 
 
 @click.command()
-@click.option("--exact", is_flag=True, help="Also compile the exact test.")
+@click.option("--exact", is_flag=True, help="Also compile the exact safety test.")
 @click.option(
     "--parent",
     type=int,

@@ -42,13 +42,21 @@ class Start:
         help="Planned start velocity (ENU)",
     )
     heading: float = quantity(
-        90.0, "deg", help="Azimuth of body x, clockwise from north, constant during the flight"
+        90.0,
+        "deg",
+        help="Azimuth of the lander's x axis, clockwise from north; constant during the flight",
     )
     position_sigma: float = quantity(
-        10.0, "m", ge=0, help="Dispersion of the true start position, 1 sigma per axis"
+        10.0,
+        "m",
+        ge=0,
+        help="Random deviation of the true start position from the plan, 1 sigma per axis",
     )
     velocity_sigma: float = quantity(
-        0.5, "m/s", ge=0, help="Dispersion of the true start velocity, 1 sigma per axis"
+        0.5,
+        "m/s",
+        ge=0,
+        help="Random deviation of the true start velocity from the plan, 1 sigma per axis",
     )
 
 
@@ -65,16 +73,33 @@ class InitialUncertainty:
     """
 
     position: float = quantity(
-        5.0, "m", ge=0, le=1e5, help="Initial position uncertainty, 1 sigma per axis"
+        5.0,
+        "m",
+        ge=0,
+        le=1e5,
+        help="Uncertainty of the onboard position estimate at the start, 1 sigma per axis",
     )
     velocity: float = quantity(
-        0.02, "m/s", ge=0, le=1e3, help="Initial velocity uncertainty, 1 sigma per axis"
+        0.02,
+        "m/s",
+        ge=0,
+        le=1e3,
+        help="Uncertainty of the onboard velocity estimate at the start, 1 sigma per axis",
     )
     attitude: float = quantity(
-        0.03, "deg", ge=0, le=30, help="Initial attitude uncertainty, 1 sigma per axis"
+        0.03,
+        "deg",
+        ge=0,
+        le=30,
+        help="Uncertainty of the onboard attitude estimate at the start, 1 sigma per axis",
     )
     target_elevation: float = quantity(
-        0.0, "m", ge=0, le=1e4, help="Uncertainty of the target elevation, 1 sigma"
+        0.0,
+        "m",
+        ge=0,
+        le=1e4,
+        help="Uncertainty of the elevation of the planned landing site in the onboard data, 1 "
+        "sigma",
     )
 
 
@@ -91,13 +116,16 @@ class PlannedSite:
     """
 
     position: tuple[float, float] = quantity(
-        (0.0, 0.0), "m", help="East and north coordinate of the planned landing site"
+        (0.0, 0.0),
+        "m",
+        help="Coordinates of the planned landing site, east and north of the middle of the terrain",
     )
     scatter: tuple[float, float] = quantity(
         (0.0, 0.0),
         "m",
         ge=0,
-        help="Half widths of the target's uniform random offset, east and north",
+        help="Maximum random offset of the planned landing site, east and north; uniform and new "
+        "for each flight",
     )
 
 
@@ -116,12 +144,18 @@ class SimulationClock:
     """
 
     step: float = quantity(
-        0.01, "s", ge=1e-4, le=1, help="Time step of integration, IMU and attitude loop"
+        0.01,
+        "s",
+        ge=1e-4,
+        le=1,
+        help="Time step of the integration, of the IMU and of the attitude control",
     )
     cycle: float = quantity(
-        0.1, "s", gt=0, le=1, help="Control cycle: period of the onboard computer"
+        0.1, "s", gt=0, le=1, help="Period of the control cycle of the onboard computer"
     )
-    max_time: float = quantity(300.0, "s", gt=0, le=1e5, help="Time limit of a flight")
+    max_time: float = quantity(
+        300.0, "s", gt=0, le=1e5, help="Simulated time after which a flight is stopped"
+    )
 
     def __post_init__(self) -> None:
         steps = self.cycle / self.step

@@ -34,34 +34,49 @@ class SiteReward:
     safe: float = quantity(1.0, help="Reward for a safe landing")
     unsafe: float = quantity(-1.0, help="Reward for any outcome other than a safe landing")
     propellant: float = quantity(
-        1.0, ge=0, help="Penalty for using all propellant; less use costs proportionally less"
+        1.0, ge=0, help="Penalty for using all propellant; proportionally smaller if some remains"
     )
     invalid: float = quantity(
-        0.05, ge=0, help="Penalty for selecting an unavailable site, up to ten times per flight"
+        0.05,
+        ge=0,
+        help="Penalty each time the agent selects an unavailable site, at most ten times per "
+        "flight",
     )
     speed: float = quantity(
         0.0,
         ge=0,
-        help="Penalty for a safe touchdown at a speed limit, proportionally less below it",
+        help="Penalty for a safe touchdown with a speed at its limit, vertical or horizontal; "
+        "proportionally smaller at lower speed",
     )
     tilt: float = quantity(
         0.0,
         ge=0,
-        help="Penalty for a safe touchdown at the tilt limit, proportionally less below it",
+        help="Penalty for a safe touchdown with a tilt at its limit; proportionally smaller at "
+        "smaller tilt",
     )
     hazard: float = quantity(
         0.0,
         ge=0,
-        help="Penalty for a safe touchdown at the slope or roughness limit, less below it",
+        help="Penalty for a safe touchdown on terrain with slope or roughness at its limit; "
+        "proportionally smaller on smoother terrain",
     )
     information: float = quantity(
-        0.0, ge=0, help="Reward for removing all uncertainty of the map; a part earns its share"
+        0.0,
+        ge=0,
+        help="Reward for removing all uncertainty of the hazard map; each decision earns the "
+        "fraction that it removes",
     )
     shaping: float = quantity(
-        0.0, ge=0, help="Weight of reward shaping by p_safe of the current site; 0 disables it"
+        0.0,
+        ge=0,
+        help="Weight of reward shaping by the current site's probability of a safe landing; 0: no "
+        "shaping",
     )
     discount: float = quantity(
-        0.99, gt=0, le=1, help="Discount factor of the learner, used for shaping"
+        0.99,
+        gt=0,
+        le=1,
+        help="Discount factor in the reward shaping; it must be that of the learning algorithm",
     )
 
     def __post_init__(self) -> None:
@@ -95,27 +110,35 @@ class DescentReward:
 
     safe: float = quantity(1.0, help="Reward for a touchdown within all limits")
     crash: float = quantity(
-        -1.0, help="Reward for any outcome other than a safe touchdown or the time limit"
+        -1.0, help="Reward for every outcome except a safe touchdown and reaching the time limit"
     )
-    propellant: float = quantity(0.001, ge=0, help="Penalty per kilogram of propellant")
+    propellant: float = quantity(0.001, ge=0, help="Penalty per kilogram of propellant used")
     miss: float = quantity(
         0.01,
         ge=0,
-        help="Penalty per metre of distance from the target to a safe touchdown, up to 50 m",
+        help="Penalty per metre between a safe touchdown and the target; more than 50 m counts as "
+        "50 m",
     )
     severity: float = quantity(
         0.0,
         ge=0,
-        help="Maximum penalty for a crash; it applies as far and as fast as the planned start",
+        help="Maximum additional penalty for a crash; smaller for a crash that is slower and "
+        "nearer to the target",
     )
     excess: float = quantity(
-        0.0, ge=0, help="Penalty for exceeding a touchdown limit by a factor of e"
+        0.0,
+        ge=0,
+        help="Additional penalty for exceeding a touchdown limit by a factor of 2.72; it grows "
+        "with the logarithm of the factor",
     )
     shaping: float = quantity(
-        1.0, ge=0, help="Weight of potential-based reward shaping; 0 disables it"
+        1.0, ge=0, help="Weight of potential-based reward shaping; 0: no shaping"
     )
     discount: float = quantity(
-        0.99, gt=0, le=1, help="Discount factor of the learner, used for shaping"
+        0.99,
+        gt=0,
+        le=1,
+        help="Discount factor in the reward shaping; it must be that of the learning algorithm",
     )
 
     def __post_init__(self) -> None:

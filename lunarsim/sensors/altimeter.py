@@ -27,11 +27,20 @@ class RadarAltimeter:
     )
     noise_ratio: float = quantity(0.01, ge=0, help="range noise divided by range, 1 sigma")
     noise_floor: float = quantity(
-        0.1, "m", ge=0, help="range noise independent of range, 1 sigma, added in quadrature"
+        0.1,
+        "m",
+        ge=0,
+        help="part of the range noise that does not depend on range, 1 sigma; added in quadrature",
     )
-    max_range: float = quantity(3000.0, "m", gt=0, help="maximum range with a return")
+    max_range: float = quantity(
+        3000.0, "m", gt=0, help="maximum range at which the sensor receives a return"
+    )
     max_incidence: float = quantity(
-        60.0, "deg", gt=0, le=90, help="maximum angle of beam and surface normal with a return"
+        60.0,
+        "deg",
+        gt=0,
+        le=90,
+        help="maximum angle between beam and surface normal at which the sensor receives a return",
     )
 
     measurement_type: ClassVar[type] = AltimeterReading

@@ -27,17 +27,21 @@ class FramingCamera:
         (0.0, 0.0, 0.0, 0.0, 0.0), help="Brown-Conrady coefficients k1, k2, p1, p2, k3"
     )
     exposure: float = quantity(
-        2e-3, "s", gt=0, le=100, help="exposure time (of the first image with auto exposure)"
+        2e-3,
+        "s",
+        gt=0,
+        le=100,
+        help="exposure time; with automatic exposure, only that of the first image",
     )
     sensitivity: float = quantity(
         5e7,
         "e-/s",
         gt=0,
         le=1e15,
-        help="electrons per second in a pixel at radiance factor I/F = 1",
+        help="electrons per second in a pixel that views terrain with a radiance factor I/F of 1",
     )
     blur_sigma: float = quantity(
-        0.6, "px", ge=0, le=20, help="standard deviation of the point spread function"
+        0.6, "px", ge=0, le=20, help="standard deviation of the point spread function; 0: no blur"
     )
     motion_blur: bool = quantity(True, help="whether rotation of the lander blurs the image")
     shot_noise: bool = quantity(True, help="whether photon shot noise is simulated")
@@ -45,9 +49,9 @@ class FramingCamera:
         12.0, "e-", ge=0, le=1e6, help="read noise of the detector, 1 sigma"
     )
     full_well: float = quantity(
-        20_000.0, "e-", ge=1, le=1e9, help="electrons that saturate a pixel"
+        20_000.0, "e-", ge=1, le=1e9, help="number of electrons that saturates a pixel"
     )
-    bits: int = quantity(8, ge=1, le=16, help="bits of the analog-to-digital converter")
+    bits: int = quantity(8, ge=1, le=16, help="number of bits of the analog-to-digital converter")
     gain: float = quantity(
         1.0, gt=0, le=100, help="amplifier gain; at 1, a pixel at full well gives the maximum count"
     )
@@ -55,10 +59,11 @@ class FramingCamera:
         0.0,
         ge=0,
         le=10,
-        help="exponent of the cosine law of light falloff; 0: no falloff, 4: natural law",
+        help="exponent of the cosine law by which light decreases towards the image edges; 0: no "
+        "decrease; 4: natural vignetting",
     )
     stray_light: float = quantity(
-        0.0, ge=0, le=0.5, help="fraction of the light spread uniformly over the image"
+        0.0, ge=0, le=0.5, help="fraction of the light that is spread uniformly over the image"
     )
     hot_pixels: float = quantity(
         0.0, ge=0, le=0.1, help="fraction of pixels with high dark current"
@@ -67,31 +72,47 @@ class FramingCamera:
         2e5, "e-/s", ge=0, le=1e12, help="mean dark current of hot pixels"
     )
     shutter: Literal["global", "rolling"] = quantity(
-        "global", help="shutter type; global: all lines at once; rolling: one after another"
+        "global",
+        help="shutter type: global (exposes all image lines at once) or rolling (one line after "
+        "another)",
     )
     line_time: float = quantity(
-        2e-5, "s", ge=0, le=1e-2, help="time between lines of a rolling shutter"
+        2e-5,
+        "s",
+        ge=0,
+        le=1e-2,
+        help="time between the exposures of two neighbouring image lines with a rolling shutter",
     )
     antialias: int = quantity(
-        1, ge=1, le=4, help="antialiasing: rays along each side of a pixel, which are averaged"
+        1,
+        ge=1,
+        le=4,
+        help="number of rays along each side of a pixel, which are averaged against aliasing; 1: "
+        "one ray per pixel",
     )
     exposure_control: Literal["fixed", "auto"] = quantity(
-        "fixed", help="exposure mode; auto: from the histogram of the last image"
+        "fixed",
+        help="exposure mode: fixed (exposure_s) or auto (from the histogram of the previous image)",
     )
     exposure_level: float = quantity(
         0.8,
         gt=0,
         lt=1,
-        help="auto exposure: desired 99.5th percentile of counts, as a fraction of full scale",
+        help="desired 99.5th percentile of the pixel counts with automatic exposure, as a fraction "
+        "of the maximum count",
     )
     exposure_min: float = quantity(
-        1e-5, "s", gt=0, le=10, help="auto exposure: minimum exposure time"
+        1e-5, "s", gt=0, le=10, help="minimum exposure time with automatic exposure"
     )
     exposure_max: float = quantity(
-        0.05, "s", gt=0, le=10, help="auto exposure: maximum exposure time"
+        0.05, "s", gt=0, le=10, help="maximum exposure time with automatic exposure"
     )
     gimbal_limit: float = quantity(
-        180.0, "deg", gt=0, le=180, help="maximum angle of the boresight from body -z"
+        180.0,
+        "deg",
+        gt=0,
+        le=180,
+        help="maximum angle between the boresight and body -z to which the gimbal can turn",
     )
 
     measurement_type: ClassVar[type] = CameraImage

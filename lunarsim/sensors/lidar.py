@@ -48,35 +48,49 @@ class FlashLidar:
         Additional constant errors that are unknown to the onboard computer, m, rad, s.
     """
 
-    rows: int = quantity(256, ge=2, le=4096, help="rows of the detector")
-    cols: int = quantity(256, ge=2, le=4096, help="columns of the detector")
+    rows: int = quantity(256, ge=2, le=4096, help="number of pixel rows of the detector")
+    cols: int = quantity(256, ge=2, le=4096, help="number of pixel columns of the detector")
     half_fov_tangent: float = quantity(
         0.1, gt=0, lt=2, help="tangent of half the field-of-view angle"
     )
     noise_ratio: float = quantity(
         0.05 / 3.0 / 500.0, ge=0, lt=0.1, help="range noise divided by range, 1 sigma"
     )
-    max_range: float = quantity(2000.0, "m", gt=0, help="maximum range with a return")
+    max_range: float = quantity(
+        2000.0, "m", gt=0, help="maximum range at which the sensor receives a return"
+    )
     pixel_spacing: Literal["tangent", "angle"] = quantity(
-        "tangent", help="quantity in which pixels are uniformly spaced (tangent: pinhole)"
+        "tangent",
+        help="spacing of the pixels: tangent (equal steps in the image plane, as in a pinhole "
+        "camera) or angle (equal steps in angle)",
     )
     max_incidence: float = quantity(
-        90.0, "deg", gt=0, le=90, help="maximum angle of ray and surface normal with a return"
+        90.0,
+        "deg",
+        gt=0,
+        le=90,
+        help="maximum angle between laser ray and surface normal at which the sensor receives a "
+        "return",
     )
     photons: float | None = quantity(
         None,
         gt=0,
-        help="mean photons of a return from 500 m at normal incidence; omitted: no return is lost",
+        help="mean number of photons in a return from 500 m at normal incidence; a pixel without "
+        "photons has no return; omitted: no return is lost",
     )
     divergence: float = quantity(
         0.0,
         "mrad",
         ge=0,
         lt=100,
-        help="half angle of the laser beam at 1/e^2 of its peak intensity",
+        help="half angle of the laser beam at 1/e^2 of its peak intensity; 0: a line",
     )
     gimbal_limit: float = quantity(
-        180.0, "deg", gt=0, le=180, help="maximum angle of the boresight from body -z"
+        180.0,
+        "deg",
+        gt=0,
+        le=180,
+        help="maximum angle between the boresight and body -z to which the gimbal can turn",
     )
 
     range_sigma: float = quantity(
@@ -84,36 +98,47 @@ class FlashLidar:
         "m",
         ge=0,
         lt=10,
-        help="1 sigma of a range bias drawn once per flight; the onboard computer knows this sigma",
+        help="range bias that is random in each flight, 1 sigma; the onboard computer knows this "
+        "sigma",
     )
     boresight_sigma: float = quantity(
         0.0,
         "deg",
         ge=0,
         lt=5,
-        help="1 sigma per axis of a boresight misalignment drawn once per flight; the onboard "
-        "computer knows this sigma",
+        help="misalignment of the boresight that is random in each flight, 1 sigma per axis; the "
+        "onboard computer knows this sigma",
     )
     latency_sigma: float = quantity(
         0.0,
         "s",
         ge=0,
         lt=1,
-        help="1 sigma of a time stamp error drawn once per flight; the onboard computer knows "
-        "this sigma",
+        help="error of the time stamps that is random in each flight, 1 sigma; the onboard "
+        "computer knows this sigma",
     )
     range_bias: float = quantity(
-        0.0, "m", ge=-10, le=10, help="additional range bias, unknown to the onboard computer"
+        0.0,
+        "m",
+        ge=-10,
+        le=10,
+        help="additional range bias, equal in all flights and unknown to the onboard computer",
     )
     boresight_bias: float = quantity(
         0.0,
         "deg",
         ge=-5,
         le=5,
-        help="additional boresight bias about sensor x, unknown to the onboard computer",
+        help="additional rotation of the boresight about the sensor's x axis, equal in all flights "
+        "and unknown to the onboard computer",
     )
     latency_bias: float = quantity(
-        0.0, "s", ge=0, lt=1, help="additional time stamp bias, unknown to the onboard computer"
+        0.0,
+        "s",
+        ge=0,
+        lt=1,
+        help="additional error of the time stamps, equal in all flights and unknown to the onboard "
+        "computer",
     )
 
     measurement_type: ClassVar[type] = LidarScan

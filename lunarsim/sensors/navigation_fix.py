@@ -37,16 +37,30 @@ class NavigationFixErrors:
     """
 
     position_bias: float = quantity(
-        5.0, "m", ge=0, help="constant position error, 1 sigma per axis"
+        5.0, "m", ge=0, help="position error that is constant during a flight, 1 sigma per axis"
     )
     position_drift: float = quantity(
-        0.1, "m", ge=0, help="Gauss-Markov position error, 1 sigma per axis"
+        0.1,
+        "m",
+        ge=0,
+        help="position error that drifts during a flight (Gauss-Markov process), 1 sigma per axis",
     )
-    drift_time: float = quantity(60.0, "s", gt=0, help="time constant of the Gauss-Markov errors")
+    drift_time: float = quantity(
+        60.0,
+        "s",
+        gt=0,
+        help="time constant of the drifting errors of position and velocity (Gauss-Markov "
+        "processes)",
+    )
     velocity: float = quantity(
-        0.02, "m/s", ge=0, help="Gauss-Markov velocity error, 1 sigma per axis"
+        0.02,
+        "m/s",
+        ge=0,
+        help="velocity error that drifts during a flight (Gauss-Markov process), 1 sigma per axis",
     )
-    attitude: float = quantity(0.03, "deg", ge=0, help="constant attitude error, 1 sigma per axis")
+    attitude: float = quantity(
+        0.03, "deg", ge=0, help="attitude error that is constant during a flight, 1 sigma per axis"
+    )
 
     measurement_type: ClassVar[type] = NavigationFix
     is_tasked: ClassVar[bool] = False

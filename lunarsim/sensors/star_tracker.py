@@ -27,10 +27,13 @@ class StarTracker:
     """
 
     boresight: tuple[float, float, float] = quantity(
-        (0.0, 0.6, 0.8), help="direction in which the star tracker points, body axes"
+        (0.0, 0.6, 0.8), help="direction in which the star tracker points, unit vector in body axes"
     )
     cross_boresight_noise: float = quantity(
-        0.0014, "deg", gt=0, help="attitude noise about axes across the boresight, 1 sigma"
+        0.0014,
+        "deg",
+        gt=0,
+        help="attitude noise about each of the two axes perpendicular to the boresight, 1 sigma",
     )
     roll_noise: float = quantity(
         0.0153, "deg", gt=0, help="attitude noise about the boresight, 1 sigma"
@@ -39,21 +42,24 @@ class StarTracker:
         0.005, "deg", ge=0, help="constant misalignment of the star tracker, 1 sigma per axis"
     )
     max_angular_rate: float = quantity(
-        3.0, "deg/s", gt=0, help="maximum angular rate at which stars are tracked"
+        3.0,
+        "deg/s",
+        gt=0,
+        help="maximum angular rate of the lander at which the star tracker works",
     )
     min_elevation: float = quantity(
         20.0,
         "deg",
         ge=0,
         le=90,
-        help="minimum elevation of the boresight at which stars are visible",
+        help="minimum angle of the boresight above the horizon at which the star tracker works",
     )
     sun_exclusion_angle: float = quantity(
         30.0,
         "deg",
         ge=0,
         le=90,
-        help="minimum angle from boresight to Sun at which stars are visible",
+        help="minimum angle between boresight and Sun at which the star tracker works",
     )
 
     measurement_type: ClassVar[type] = AttitudeReading

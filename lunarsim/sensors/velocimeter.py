@@ -35,7 +35,10 @@ class DopplerVelocimeter:
     """
 
     beams: int = quantity(
-        3, ge=3, le=8, help="number of beams, uniform in azimuth, the first towards body x"
+        3,
+        ge=3,
+        le=8,
+        help="number of beams, evenly spaced around body -z; the first is tilted towards body x",
     )
     cone: float = quantity(22.5, "deg", gt=0, lt=80, help="angle of each beam from body -z")
     speed_noise: float = quantity(0.03, "m/s", gt=0, help="speed noise per beam, 1 sigma")
@@ -44,19 +47,27 @@ class DopplerVelocimeter:
         "m/s",
         ge=0,
         lt=10,
-        help="initial speed bias per beam, 1 sigma, known to the navigation filter",
+        help="bias of each beam's speed at the start, 1 sigma; the navigation filter knows this "
+        "sigma",
     )
     speed_random_walk: float = quantity(
         0.005,
         "m/s",
         ge=0,
         lt=10,
-        help="random walk of the speed bias in 1 s, 1 sigma, known to the navigation filter",
+        help="random walk of each beam's speed bias in 1 s, 1 sigma; the navigation filter knows "
+        "this sigma",
     )
     range_noise: float = quantity(2.0, "m", gt=0, help="range noise per beam, 1 sigma")
-    max_range: float = quantity(5000.0, "m", gt=0, help="maximum range with a return")
+    max_range: float = quantity(
+        5000.0, "m", gt=0, help="maximum range at which the sensor receives a return"
+    )
     max_incidence: float = quantity(
-        75.0, "deg", gt=0, le=90, help="maximum angle of beam and surface normal with a return"
+        75.0,
+        "deg",
+        gt=0,
+        le=90,
+        help="maximum angle between beam and surface normal at which the sensor receives a return",
     )
 
     measurement_type: ClassVar[type] = DopplerReading

@@ -37,7 +37,11 @@ class TruthOracle:
     """
 
     min_clearance: float = quantity(
-        1.0, "m", ge=0, help="required distance from the site to the nearest unsafe cell"
+        1.0,
+        "m",
+        ge=0,
+        help="minimum distance between the landing site and the nearest unsafe cell of the true "
+        "map",
     )
     name: str = hidden("truth-oracle")
 

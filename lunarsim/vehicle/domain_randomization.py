@@ -47,16 +47,42 @@ class DomainRandomization:
         Minimum remaining fraction of thrust or torque; latest time of a failure, s.
     """
 
-    payload: float = quantity(0.0, "kg", ge=0, le=1e4, help="half range of the payload mass")
+    payload: float = quantity(
+        0.0,
+        "kg",
+        ge=0,
+        le=1e4,
+        help="maximum random change of the lander's dry mass, plus or minus; new in each flight",
+    )
     specific_impulse: float = quantity(
-        0.0, "s", ge=0, le=100, help="half range of the specific impulse"
+        0.0,
+        "s",
+        ge=0,
+        le=100,
+        help="maximum random change of the specific impulse, plus or minus; new in each flight",
     )
     thrust_scale: float = quantity(
-        0.0, ge=0, le=0.5, help="half range of the thrust, relative to its nominal value"
+        0.0,
+        ge=0,
+        le=0.5,
+        help="maximum random change of the thrust, plus or minus, as a fraction of its nominal "
+        "value; new in each flight",
     )
-    thrust_lag: float = quantity(0.0, "s", ge=0, le=2, help="half range of the engine's lag")
+    thrust_lag: float = quantity(
+        0.0,
+        "s",
+        ge=0,
+        le=2,
+        help="maximum random change of the engine's time constant, plus or minus; new in each "
+        "flight",
+    )
     thrust_offset: float = quantity(
-        0.0, "m", ge=0, le=0.5, help="half range of the engine axis offset from the centre of mass"
+        0.0,
+        "m",
+        ge=0,
+        le=0.5,
+        help="maximum random offset of the engine axis from the centre of mass, along body x and "
+        "body y, plus or minus; new in each flight",
     )
     position_noise: float = quantity(
         0.0, "m", ge=0, le=1e3, help="noise of the observed position, 1 sigma per axis"
@@ -70,18 +96,49 @@ class DomainRandomization:
     rate_noise: float = quantity(
         0.0, "deg/s", ge=0, le=30, help="noise of the observed angular rate, 1 sigma per axis"
     )
-    sensing_delay: float = quantity(0.0, "s", ge=0, le=5, help="maximum delay of observations")
-    actuation_delay: float = quantity(0.0, "s", ge=0, le=5, help="maximum delay of commands")
+    sensing_delay: float = quantity(
+        0.0,
+        "s",
+        ge=0,
+        le=5,
+        help="maximum delay of observations; the delay is random in each flight, between 0 and "
+        "this value",
+    )
+    actuation_delay: float = quantity(
+        0.0,
+        "s",
+        ge=0,
+        le=5,
+        help="maximum delay of commands; the delay is random in each flight, between 0 and this "
+        "value",
+    )
     engine_failure: float = quantity(
-        0.0, ge=0, le=1, help="probability of an engine failure per flight"
+        0.0,
+        ge=0,
+        le=1,
+        help="probability per flight that the engine loses part of its thrust at a random time",
     )
     torque_failure: float = quantity(
-        0.0, ge=0, le=1, help="probability of a torque failure per flight"
+        0.0,
+        ge=0,
+        le=1,
+        help="probability per flight that the control torque about one body axis becomes weaker at "
+        "a random time",
     )
     min_remaining_fraction: float = quantity(
-        0.5, ge=0, le=1, help="minimum remaining fraction of thrust or torque after a failure"
+        0.5,
+        ge=0,
+        le=1,
+        help="minimum fraction of thrust or torque that remains after a failure; the fraction is "
+        "random, between this value and 1",
     )
-    latest_failure: float = quantity(30.0, "s", gt=0, le=1e4, help="latest time of a failure")
+    latest_failure: float = quantity(
+        30.0,
+        "s",
+        gt=0,
+        le=1e4,
+        help="latest time in the flight at which a failure of thrust or torque can begin",
+    )
 
     def __post_init__(self) -> None:
         check_bounds(self, "domain_randomization")

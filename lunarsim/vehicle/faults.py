@@ -30,14 +30,27 @@ class Faults:
         the start.
     """
 
-    jets_stuck_shut: tuple[int, ...] = quantity((), ge=0, help="indices of thrusters stuck shut")
-    jets_stuck_open: tuple[int, ...] = quantity((), ge=0, help="indices of thrusters stuck open")
-    jets_stuck_from: float = quantity(0.0, "s", ge=0, help="start of the thruster faults")
+    jets_stuck_shut: tuple[int, ...] = quantity(
+        (), ge=0, help="indices of the thrusters that are stuck shut, counted from 0; empty: none"
+    )
+    jets_stuck_open: tuple[int, ...] = quantity(
+        (), ge=0, help="indices of the thrusters that are stuck open, counted from 0; empty: none"
+    )
+    jets_stuck_from: float = quantity(
+        0.0, "s", ge=0, help="time in the flight at which the thruster faults begin"
+    )
     engine_stuck_from: float | None = quantity(
-        None, "s", ge=0, help="time from which the throttle is stuck; omitted: never"
+        None,
+        "s",
+        ge=0,
+        help="time in the flight from which the engine's throttle is stuck; omitted: never",
     )
     engine_stuck_at: float | None = quantity(
-        None, "N", ge=0, help="thrust of the stuck engine; omitted: last commanded thrust"
+        None,
+        "N",
+        ge=0,
+        help="thrust of the engine while its throttle is stuck; omitted: the last thrust before "
+        "the fault",
     )
 
     def __post_init__(self) -> None:

@@ -56,19 +56,31 @@ class Legs:
         2e5,
         "N/m",
         gt=0,
-        help="stiffness of each leg along the terrain normal, and of its sticking pad sideways",
+        help="stiffness of each leg along the terrain normal, and of its pad parallel to the "
+        "terrain while the pad does not slide",
     )
     damping: float = quantity(
         5e3,
         "N s/m",
         gt=0,
-        help="damping of each leg along the terrain normal, and of its sticking pad sideways",
+        help="damping of each leg along the terrain normal, and of its pad parallel to the terrain "
+        "while the pad does not slide",
     )
-    crush_force: float = quantity(1.2e4, "N", gt=0, help="crush force of the honeycomb")
-    stroke: float = quantity(0.2, "m", gt=0, help="maximum crush length of the honeycomb")
-    friction: float = quantity(0.7, gt=0, le=3, help="friction coefficient of pad and terrain")
+    crush_force: float = quantity(
+        1.2e4, "N", gt=0, help="force at which the honeycomb of a leg is crushed"
+    )
+    stroke: float = quantity(
+        0.2, "m", gt=0, help="maximum length by which the honeycomb of a leg can be crushed"
+    )
+    friction: float = quantity(
+        0.7, gt=0, le=3, help="friction coefficient between pads and terrain"
+    )
     max_time: float = quantity(
-        40.0, "s", gt=0, help="time limit for coming to rest or tipping over"
+        40.0,
+        "s",
+        gt=0,
+        help="time after first contact within which the lander must come to rest or tip over; "
+        "otherwise it counts as unsettled",
     )
 
     def __post_init__(self) -> None:

@@ -40,29 +40,54 @@ class FarTerrainSettings:
     """
 
     sizes: tuple[float, ...] = quantity(
-        (40_960.0, 1_024_000.0), "m", gt=0, help="sides of the nested terrain squares, finest first"
+        (40_960.0, 1_024_000.0),
+        "m",
+        gt=0,
+        help="sides of the nested terrain squares around the map; the square with the finest grid "
+        "is first",
     )
     postings: tuple[float, ...] = quantity(
-        (40.0, 1_000.0), "m", gt=0, help="grid spacing of each nested terrain square"
+        (40.0, 1_000.0),
+        "m",
+        gt=0,
+        help="grid spacing of each nested terrain square, in the order of sizes_m",
     )
     rms_slopes: tuple[float, ...] = quantity(
-        (3.0, 1.0), "deg", ge=0, lt=45, help="RMS slope of each nested square over its grid spacing"
+        (3.0, 1.0),
+        "deg",
+        ge=0,
+        lt=45,
+        help="RMS slope of each nested terrain square over a baseline of its grid spacing, in the "
+        "order of sizes_m",
     )
     hurst: float = quantity(0.8, gt=0, lt=1, help="Hurst exponent of all nested terrain squares")
     margin: float = quantity(
-        0.3, gt=0, le=1, help="width of the blend at the edge of a square, divided by half its side"
+        0.3,
+        gt=0,
+        le=1,
+        help="width of the strip along a square's edge in which terrains blend, divided by half "
+        "the square's side",
     )
     path: Path | None = quantity(
-        None, help="elevation raster of the finest square; omitted: fractal terrain"
+        None,
+        help="elevation raster file of the terrain square with the finest grid, relative to the "
+        "scenario file; omitted: fractal terrain",
     )
     dtm_posting: float | None = quantity(
-        None, "m", gt=0, help="grid spacing of a raster without georeferencing"
+        None,
+        "m",
+        gt=0,
+        help="grid spacing of the elevation raster; required if the file has no georeferencing; "
+        "omitted: as in the file",
     )
     dtm_unit: str | None = quantity(
-        None, help="unit of the heights, overrides the file's: m, km, ft, us-ft"
+        None,
+        help="unit of the raster's heights: m, km, ft or us-ft; omitted: unit stated in the file",
     )
     dtm_nodata: Numbers | None = quantity(
-        None, help="raster values that mean 'no height'; [] if all values are heights"
+        None,
+        help="raster values that mark missing heights, in addition to those stated in the file; "
+        "[]: no other values; omitted: values that resemble such marks are refused",
     )
 
     def __post_init__(self) -> None:

@@ -67,51 +67,99 @@ class Light:
     elevation: float = quantity(
         20.0, "deg", ge=-90, le=90, help="elevation of the Sun above the horizon"
     )
-    albedo: float = quantity(0.12, gt=0, le=1, help="normal albedo of the terrain")
+    albedo: float = quantity(
+        0.12,
+        gt=0,
+        le=1,
+        help="mean normal albedo of the terrain: radiance factor I/F if lit and viewed from above",
+    )
     ambient: float = quantity(
-        0.0, ge=0, le=1, help="radiance factor I/F of shadows divided by the albedo"
+        0.0,
+        ge=0,
+        le=1,
+        help="uniform radiance factor I/F of shadowed terrain, divided by the albedo; 0: black "
+        "shadows",
     )
     photometry: Literal["lambert", "lunar-lambert", "hapke"] = quantity(
-        "lunar-lambert", help="reflection model of the terrain"
+        "lunar-lambert",
+        help="reflection model of the terrain: lambert, lunar-lambert (McEwen 1991) or hapke (set "
+        "by the keys that begin with hapke)",
     )
     hapke_b: float = quantity(
-        0.26, ge=0, le=0.9, help="Hapke's b: width of the phase function's lobes"
+        0.26,
+        ge=0,
+        le=0.9,
+        help="Hapke parameter b: width of the forward and backward lobes of the phase function",
     )
     hapke_c: float = quantity(
         0.08,
         ge=-1,
         le=1,
-        help="Hapke's c: weight of the backward minus that of the forward lobe (phase function)",
+        help="Hapke parameter c: weight of the backward lobe minus weight of the forward lobe of "
+        "the phase function",
     )
-    hapke_surge: float = quantity(2.01, ge=0, le=5, help="amplitude B0 of the opposition surge")
+    hapke_surge: float = quantity(
+        2.01, ge=0, le=5, help="Hapke parameter B0: amplitude of the opposition surge"
+    )
     hapke_surge_width: float = quantity(
-        0.07, gt=0, le=1, help="angular width h of the opposition surge"
+        0.07,
+        gt=0,
+        le=1,
+        help="Hapke parameter h: angular width of the opposition surge (tangent of half the phase "
+        "angle at half amplitude)",
     )
     hapke_roughness: float = quantity(
-        23.4, "deg", ge=1, le=45, help="Hapke's roughness: mean slope of unresolved relief"
+        23.4,
+        "deg",
+        ge=1,
+        le=45,
+        help="Hapke parameter for roughness: mean slope of relief that is too small for an image "
+        "to resolve",
     )
     diameter: float = quantity(
-        0.0, "deg", ge=0, le=2, help="apparent diameter of the Sun; 0: a point source"
+        0.0,
+        "deg",
+        ge=0,
+        le=2,
+        help="apparent diameter of the Sun, 0.533 deg in reality; 0: a point source with sharp "
+        "shadows",
     )
-    scattered_light: bool = quantity(False, help="whether lit terrain illuminates other terrain")
+    scattered_light: bool = quantity(
+        False, help="whether lit terrain illuminates other terrain by one reflection"
+    )
     earthshine: float = quantity(
-        0.0, ge=0, le=1e-3, help="irradiance from the Earth over that from the Sun"
+        0.0,
+        ge=0,
+        le=1e-3,
+        help="irradiance from the Earth divided by irradiance from the Sun; 0: no earthshine; "
+        "1.2e-4: full Earth",
     )
     earth_azimuth: float = quantity(0.0, "deg", help="azimuth of the Earth, clockwise from north")
     earth_elevation: float = quantity(
         60.0, "deg", ge=-90, le=90, help="elevation of the Earth above the horizon"
     )
     albedo_variation: float = quantity(
-        0.0, ge=0, le=0.3, help="relative variation of the terrain's albedo, 1 sigma"
+        0.0,
+        ge=0,
+        le=0.3,
+        help="standard deviation of the terrain's albedo, divided by its mean; 0: uniform albedo",
     )
     albedo_correlation_length: float = quantity(
-        5.0, "m", ge=0.1, le=100, help="correlation length of the albedo variation"
+        5.0,
+        "m",
+        ge=0.1,
+        le=100,
+        help="distance at which the correlation of the terrain's albedo falls to exp(-1)",
     )
     boulder_albedo: float = quantity(
-        1.0, ge=0.2, le=4, help="mean albedo of rocks over that of the terrain"
+        1.0, ge=0.2, le=4, help="mean albedo of rocks divided by the mean albedo of the terrain"
     )
     boulder_albedo_variation: float = quantity(
-        0.0, ge=0, le=0.5, help="relative variation of albedo among rocks, 1 sigma"
+        0.0,
+        ge=0,
+        le=0.5,
+        help="standard deviation of the albedo among rocks, divided by its mean; 0: all rocks have "
+        "the same albedo",
     )
     albedo_seed: int = hidden(0)
 

@@ -27,26 +27,43 @@ _BUMP_WIDTH_M = 2.0
 class PriorMapSurvey:
     """Settings of the survey that provides the prior elevation map carried on board."""
 
-    size: float = quantity(300.0, "m", gt=0, help="side of the square map around the target")
+    size: float = quantity(300.0, "m", gt=0, help="side of the square prior map around the target")
     posting: float = quantity(0.5, "m", gt=0, help="grid spacing of the prior map")
-    sigma: float = quantity(0.1, "m", gt=0, help="height noise at each grid point, 1 sigma")
+    sigma: float = quantity(
+        0.1, "m", gt=0, help="height error of the prior map at each grid point, 1 sigma"
+    )
     offset: tuple[float, float, float] = quantity(
         (0.0, 0.0, 0.0), "m", help="constant position error of the prior map (ENU)"
     )
     outdated_fraction: float = quantity(
-        0.0, ge=0, lt=1, help="fraction of the prior map that is out of date"
+        0.0,
+        ge=0,
+        lt=1,
+        help="fraction of the prior map's area whose terrain has changed since the survey; the map "
+        "does not mark it",
     )
     outdated_patch_side: float = quantity(
-        12.0, "m", gt=0, help="side of each square out-of-date patch"
+        12.0, "m", gt=0, help="side of each square patch of the prior map that is out of date"
     )
     outdated_height_sigma: float = quantity(
-        0.4, "m", ge=0, help="height error inside out-of-date patches, 1 sigma"
+        0.4,
+        "m",
+        ge=0,
+        help="height error of the prior map inside patches that are out of date, 1 sigma",
     )
     correlation: float = quantity(
-        0.0, "m", ge=0, le=50, help="correlation length of the height noise"
+        0.0,
+        "m",
+        ge=0,
+        le=50,
+        help="correlation length of the prior map's height error; 0: grid points have independent "
+        "errors",
     )
     void_fraction: float = quantity(
-        0.0, ge=0, lt=1, help="fraction of grid points without an elevation"
+        0.0,
+        ge=0,
+        lt=1,
+        help="fraction of the prior map's grid points that have no elevation, chosen at random",
     )
 
     def __post_init__(self) -> None:

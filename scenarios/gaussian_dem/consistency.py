@@ -112,15 +112,20 @@ def nees_of_descent(task: tuple[str, int, int, float]) -> np.ndarray:
     type=click.IntRange(min=1),
     default=4,
     show_default=True,
-    help="Number of descents over each kind of terrain.",
+    help="Number of descents over each kind of terrain, with one random seed each.",
 )
 @click.option(
-    "--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Root random seed."
+    "--seed",
+    type=click.IntRange(min=0),
+    default=1,
+    show_default=True,
+    help="Seed from which all random numbers derive.",
 )
 @click.option("--noise", type=click.FloatRange(min=0.0, min_open=True), default=1.0,
-              show_default=True, help="Factor on the noise of the LiDAR samples.")  # fmt: skip
+              show_default=True,
+              help="Factor by which the noise of the LiDAR samples is multiplied.")  # fmt: skip
 @click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True,
-              help="Number of processes; does not change the results.")  # fmt: skip
+              help="Number of parallel processes; it does not change the results.")  # fmt: skip
 def main(seeds: int, seed: int, noise: float, jobs: int) -> None:
     """Print the NEES of measured, interpolated and rock cells for each terrain."""
     console = plain_console(120)

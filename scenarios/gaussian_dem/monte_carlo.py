@@ -160,13 +160,15 @@ def draw(results: list[dict[str, Any]], path: Path) -> None:
 
 @click.command()
 @click.option("--samples", type=click.IntRange(min=2), default=100, show_default=True,
-              help="Number of terrains per configuration.")  # fmt: skip
+              help="Number of sampled terrains for each scan configuration (distance and "
+              "angle).")  # fmt: skip
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True,
-              help="Random seed of the testbed and the samples.")  # fmt: skip
+              help="Random seed of the simulated test field and of the sampled "
+              "terrains.")  # fmt: skip
 @click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True,
-              help="Number of processes; does not change the results.")  # fmt: skip
+              help="Number of parallel processes; it does not change the results.")  # fmt: skip
 @click.option("--out", type=click.Path(path_type=Path, file_okay=False), default=None,
-              help="Output folder of the figure.")  # fmt: skip
+              help="Folder for the figure. Default: no figure.")  # fmt: skip
 def main(samples: int, seed: int, jobs: int, out: Path | None) -> None:
     """Compare stochastic safety with exact safety on sampled terrain."""
     console = plain_console(150)

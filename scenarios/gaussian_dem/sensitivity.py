@@ -357,15 +357,16 @@ def show_misses(results: list[list[MissedSites]], seeds: int, console: Console) 
 @click.command()
 @click.option("--study", type=click.Choice(["field", "misses", "all"]), default="all",
               show_default=True,
-              help="Study: prior (field), missed hazards (misses), or both.")  # fmt: skip
+              help="Study to run: field (prior of the terrain), misses (hazards missed from 1000 "
+              "m) or all.")  # fmt: skip
 @click.option("--seeds", type=click.IntRange(min=1), default=4, show_default=True,
-              help="Number of testbeds.")  # fmt: skip
+              help="Number of simulated test fields, with one random seed each.")  # fmt: skip
 @click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True,
-              help="Number of processes; does not change the results.")  # fmt: skip
+              help="Number of parallel processes; it does not change the results.")  # fmt: skip
 @click.option("--json", "json_file", type=click.Path(path_type=Path, dir_okay=False), default=None,
-              help="Output file of all values.")  # fmt: skip
+              help="JSON file for all results. Default: none.")  # fmt: skip
 @click.option("--out", type=click.Path(path_type=Path, file_okay=False), default=None,
-              help="Output folder of the figure.")  # fmt: skip
+              help="Folder for the figure. Default: no figure.")  # fmt: skip
 def main(study: str, seeds: int, jobs: int, json_file: Path | None, out: Path | None) -> None:
     """Study the prior (`field`) and hazards missed from 1000 m (`misses`)."""
     console = plain_console(190)

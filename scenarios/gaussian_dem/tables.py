@@ -278,13 +278,15 @@ def draw(name: str, result: dict[str, Any], out: Path) -> None:
 
 @click.command()
 @click.option("--table", "number", type=click.Choice([*TABLES, "all"]), default="all",
-              show_default=True, help="Number of the table to compute.")  # fmt: skip
+              show_default=True,
+              help="Number of the table in the Gaussian DEM paper to compute, or all.")  # fmt: skip
 @click.option("--seeds", type=click.IntRange(min=1), default=1, show_default=True,
-              help="Number of simulated terrains per table.")  # fmt: skip
+              help="Number of simulated terrains for each table, with one random seed "
+              "each.")  # fmt: skip
 @click.option("--json", "json_file", type=click.Path(path_type=Path, dir_okay=False), default=None,
-              help="Output file of all values.")  # fmt: skip
+              help="JSON file for all results. Default: none.")  # fmt: skip
 @click.option("--out", type=click.Path(path_type=Path, file_okay=False), default=None,
-              help="Output folder of the figures (default: no figures).")  # fmt: skip
+              help="Folder for the figures. Default: no figures.")  # fmt: skip
 def main(number: str, seeds: int, json_file: Path | None, out: Path | None) -> None:
     """Print computed and published values of the tables of the Gaussian DEM paper."""
     console = plain_console(190)

@@ -261,19 +261,29 @@ def _infeasible_text(rows: list[LawFlight]) -> str:
 
 @click.command()
 @click.option("--flights", type=click.IntRange(min=1), default=20, show_default=True,
-              help="Number of starts; each is flown with every law.")  # fmt: skip
+              help="Number of start states; every law flies each of them.")  # fmt: skip
 @click.option(
-    "--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Root random seed."
+    "--seed",
+    type=click.IntRange(min=0),
+    default=1,
+    show_default=True,
+    help="Seed from which all random numbers derive.",
 )
 @click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True,
-              help="Number of processes; does not change the results.")  # fmt: skip
+              help="Number of parallel processes; it does not change the results.")  # fmt: skip
 @click.option("--laws", multiple=True, type=click.Choice(sorted(kinds("guidance"))),
-              help="Guidance law; repeatable (default: all).")  # fmt: skip
+              help="Guidance law to fly; repeat the option for several laws (default: "
+              "all).")  # fmt: skip
 @click.option("--position-sigma", type=click.FloatRange(min=0.0), default=20.0, show_default=True,
-              help="Scatter of the start position, 1 sigma per axis (m).")  # fmt: skip
+              help="Random deviation of the start position, 1 sigma per axis (m).")  # fmt: skip
 @click.option("--velocity-sigma", type=click.FloatRange(min=0.0), default=1.5, show_default=True,
-              help="Scatter of the start velocity, 1 sigma per axis (m/s).")  # fmt: skip
-@click.option("--json", "out", type=click.Path(path_type=Path), help="Output file of all flights.")
+              help="Random deviation of the start velocity, 1 sigma per axis (m/s).")  # fmt: skip
+@click.option(
+    "--json",
+    "out",
+    type=click.Path(path_type=Path),
+    help="JSON file for the results of all flights. Default: none.",
+)
 def main(
     flights: int,
     seed: int,

@@ -43,12 +43,14 @@ def compute_reachable_area(simulation: Simulation) -> ReachabilityMap:
 
 @click.command()
 @click.option("--law", type=click.Choice(list(kinds("guidance"))), default="apollo",
-              show_default=True, help="Guidance law.")  # fmt: skip
+              show_default=True,
+              help="Guidance law whose reachable landing area is plotted.")  # fmt: skip
 @click.option("--height", "heights", type=click.FloatRange(20.0, 1000.0), multiple=True,
               default=(400.0, 200.0, 100.0, 50.0), show_default=True,
-              help="Height above the site (m).")  # fmt: skip
+              help="Height above the site at which the area is computed (m); repeat the option for "
+              "several heights.")  # fmt: skip
 @click.option("--out", type=click.Path(dir_okay=False, path_type=Path), default="reach.png",
-              show_default=True, help="Output file of the figure.")  # fmt: skip
+              show_default=True, help="Image file for the figure.")  # fmt: skip
 def main(law: str, heights: tuple[float, ...], out: Path) -> None:
     """Plot the reachable landing area of one guidance law at several heights."""
     simulation = Simulation(

@@ -85,13 +85,13 @@ def model_differences() -> Table:
 
 @click.command()
 @click.option("--flights", type=click.IntRange(min=1), default=5, show_default=True,
-              help="Number of flights on each model.")  # fmt: skip
+              help="Number of flights on the flat and on the spherical Moon.")  # fmt: skip
 @click.option(
     "--seed",
     type=click.IntRange(min=0),
     default=1,
     show_default=True,
-    help="Seed of the first flight.",
+    help="Random seed of the first flight; each further flight adds 1.",
 )
 def main(flights: int, seed: int) -> None:
     """Print the differences of both Moon models, and compare flights on them."""

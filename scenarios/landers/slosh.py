@@ -142,22 +142,22 @@ def report(console: Console, flights: list[SloshFlight]) -> None:
     type=click.IntRange(min=1),
     default=10,
     show_default=True,
-    help="Number of flights per set of tanks and kind of control.",
+    help="Number of flights for each set of tanks and kind of attitude control.",
 )
 @click.option(
     "--seed",
     type=click.IntRange(min=0),
     default=1,
     show_default=True,
-    help="Seed of the first flight.",
+    help="Random seed of the first flight; each further flight adds 1.",
 )
 @click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True,
-              help="Number of processes; does not change the results.")  # fmt: skip
+              help="Number of parallel processes; it does not change the results.")  # fmt: skip
 @click.option(
     "--json",
     "out",
     type=click.Path(dir_okay=False, path_type=Path),
-    help="Output file of all values.",
+    help="JSON file for all results. Default: none.",
 )
 def main(flights: int, seed: int, jobs: int, out: Path | None) -> None:
     """Fly the same descents with and without propellant slosh."""

@@ -79,13 +79,18 @@ def fly_without_failure(console: Console, control: str, flights: int, first_seed
     type=click.IntRange(min=1),
     default=3,
     show_default=True,
-    help="Number of seeds per failed thruster.",
+    help="Number of flights for each failed thruster, with one random seed each.",
 )
 @click.option("--first-seed", type=click.IntRange(min=0), default=1, show_default=True,
-              help="Seed of the first flight.")  # fmt: skip
-@click.option("--held-out", is_flag=True, help="Fail thrusters that the tuning did not use.")
+              help="Random seed of the first flight; each further flight adds 1.")  # fmt: skip
+@click.option(
+    "--held-out",
+    is_flag=True,
+    help="Use only failed thrusters for which the fault detection was not tuned.",
+)
 @click.option("--nominal", "flights", type=click.IntRange(min=0), default=0, show_default=True,
-              help="Number of extra flights without failure per kind of control.")  # fmt: skip
+              help="Number of additional flights without failure for each kind of attitude "
+              "control.")  # fmt: skip
 def main(seeds: int, first_seed: int, held_out: bool, flights: int) -> None:
     """Fly with a failed thruster, with and without fault detection."""
     console = plain_console(160)

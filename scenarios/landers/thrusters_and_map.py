@@ -179,18 +179,22 @@ def report(console: Console, flights: list[ThrusterMapFlight], seed: int) -> Non
     type=click.IntRange(min=2),
     default=20,
     show_default=True,
-    help="Number of flights per variant.",
+    help="Number of flights for each variant of the attitude control.",
 )
 @click.option(
-    "--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Root random seed."
+    "--seed",
+    type=click.IntRange(min=0),
+    default=1,
+    show_default=True,
+    help="Seed from which all random numbers derive.",
 )
 @click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True,
-              help="Number of processes; does not change the results.")  # fmt: skip
+              help="Number of parallel processes; it does not change the results.")  # fmt: skip
 @click.option(
     "--json",
     "out",
     type=click.Path(dir_okay=False, path_type=Path),
-    help="Output file of all values.",
+    help="JSON file for all results. Default: none.",
 )
 def main(flights: int, seed: int, jobs: int, out: Path | None) -> None:
     """Fly descents with ideal and thruster control; compare the maps."""

@@ -147,23 +147,28 @@ def count_outcome_pairs(touchdowns: list[TouchdownOutcome]) -> dict[str, int]:
               show_default=True, help="Friction coefficient between pads and terrain.")  # fmt: skip
 @click.option("--relief", "reliefs", type=click.FloatRange(0.0, 25.0), multiple=True,
               default=RELIEFS, show_default=True,
-              help="RMS slope of the terrain (deg); repeatable.")  # fmt: skip
+              help="RMS slope of the terrain (deg); repeat the option for several "
+              "slopes.")  # fmt: skip
 @click.option("--lateral-speed-sigma", type=click.FloatRange(0.0, 5.0), default=0.25,
 show_default=True,
-              help="Lateral speed, 1 sigma per axis (m/s).")  # fmt: skip
+              help="Random lateral speed at touchdown, 1 sigma per axis (m/s).")  # fmt: skip
 @click.option("--com-height", type=click.FloatRange(0.5, 6.0), default=Lander().com_height,
-              show_default=True, help="Height of the center of mass above the pads "
-              "(m).")  # fmt: skip
+              show_default=True,
+              help="Height of the centre of mass above the landing pads (m).")  # fmt: skip
 @click.option(
-    "--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Root random seed."
+    "--seed",
+    type=click.IntRange(min=0),
+    default=1,
+    show_default=True,
+    help="Seed from which all random numbers derive.",
 )
 @click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True,
-              help="Number of processes; does not change the results.")  # fmt: skip
+              help="Number of parallel processes; it does not change the results.")  # fmt: skip
 @click.option(
     "--json",
     "out",
     type=click.Path(dir_okay=False, path_type=Path),
-    help="Output file of all values.",
+    help="JSON file for all results. Default: none.",
 )
 def main(
     touchdowns: int, friction: float, reliefs: tuple[float, ...], lateral_speed_sigma: float,

@@ -20,7 +20,9 @@ from lunarsim_envs.agents.sb3_agents import load_model
 
 @click.command()
 @click.argument("agent", type=click.Path(exists=True, dir_okay=False, path_type=Path))
-@click.option("--out", type=click.Path(path_type=Path), required=True, help="Output file (.onnx).")
+@click.option(
+    "--out", type=click.Path(path_type=Path), required=True, help="ONNX file to write (.onnx)."
+)
 def main(agent: Path, out: Path) -> None:
     """Export the policy of AGENT (Stable-Baselines3 .zip) to ONNX."""
     import torch

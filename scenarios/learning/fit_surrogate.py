@@ -75,11 +75,17 @@ def check_surrogate(surrogate: Surrogate, scenario: Scenario, flights: int) -> N
 def main() -> int:
     """Fit the surrogate of a mapper, or check one against the mapper."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--scenario", help="scenario file or name (default: that of Retarget-v0)")
-    parser.add_argument("--flights", type=int, default=10, help="number of flights per rock cover")
-    parser.add_argument("--out", type=Path, help="output file (.npz)")
     parser.add_argument(
-        "--check", action="store_true", help="skip the fit and check an existing file"
+        "--scenario",
+        help="scenario: TOML file, or a name from `lunarsim scenario list` (default: scenario of "
+        "Retarget-v0)",
+    )
+    parser.add_argument(
+        "--flights", type=int, default=10, help="number of flights for each value of the rock cover"
+    )
+    parser.add_argument("--out", type=Path, help="file for the surrogate (.npz)")
+    parser.add_argument(
+        "--check", action="store_true", help="do not fit a surrogate, but check the existing file"
     )
     args = parser.parse_args()
     try:

@@ -348,16 +348,21 @@ def _episodes(shard: Any, first: int, buffer_class: Any) -> list[Any]:
 
 @click.command()
 @click.option("--descents", type=click.IntRange(min=1), default=1000, show_default=True,
-              help="Number of feasible descents.")  # fmt: skip
+              help="Number of descents to store; infeasible descents do not count.")  # fmt: skip
 @click.option("--intervals", type=click.IntRange(8, 200), default=40, show_default=True,
-              help="Number of constant-thrust intervals per descent.")  # fmt: skip
+              help="Number of time intervals with constant thrust in each descent.")  # fmt: skip
 @click.option(
-    "--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Root random seed."
+    "--seed",
+    type=click.IntRange(min=0),
+    default=1,
+    show_default=True,
+    help="Seed from which all random numbers derive.",
 )
 @click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True,
-              help="Number of processes; does not change the results.")  # fmt: skip
+              help="Number of parallel processes; it does not change the results.")  # fmt: skip
 @click.option("--out", type=click.Path(path_type=Path, file_okay=False), required=True,
-              help="Output folder of the shards and the data set (`data`).")  # fmt: skip
+              help="Folder for the parts of the data set (shards) and for the complete data set, "
+              "`data`.")  # fmt: skip
 def main(descents: int, intervals: int, seed: int, jobs: int, out: Path) -> None:
     """Solve minimum-propellant descents and write them as a Minari data set."""
     console = plain_console(110, soft_wrap=True)

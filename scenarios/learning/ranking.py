@@ -91,14 +91,29 @@ def count_contradictions(
 def main() -> int:
     """Fly the agents on surrogate and mapper and print both rankings."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--scenario", default="few_sites", help="scenario file or name")
-    parser.add_argument("--flights", type=int, default=300, help="number of flights")
-    parser.add_argument("--worlds", type=int, default=24, help="number of different terrains")
-    parser.add_argument("--seed", type=int, default=7001, help="root seed of terrains and flights")
+    parser.add_argument(
+        "--scenario",
+        default="few_sites",
+        help="scenario: TOML file, or a name from `lunarsim scenario list`",
+    )
+    parser.add_argument("--flights", type=int, default=300, help="number of flights per agent")
+    parser.add_argument(
+        "--worlds",
+        type=int,
+        default=24,
+        help="number of random terrains over which the flights are distributed",
+    )
+    parser.add_argument(
+        "--seed",
+        type=int,
+        default=7001,
+        help="seed from which the random numbers of terrains and flights derive",
+    )
     parser.add_argument(
         "--agent",
         action="append",
-        help="agent to compare; repeatable (default: all agents supplied with lunarsim)",
+        help="agent to compare; repeat the option for several agents (default: all supplied with "
+        "lunarsim)",
     )
     args = parser.parse_args()
     assert lunarsim_envs.__name__

@@ -128,41 +128,62 @@ def record_dataset(study: EvaluationStudy, agent: str, episodes: int, folder: Pa
 @click.command()
 @click.argument("env", type=click.Choice(ENVS))
 @click.option(
-    "--agent", default="random", show_default=True, help="Agent: name, file or module:Name."
+    "--agent",
+    default="random",
+    show_default=True,
+    help="Agent that flies the episodes: a name, a file, or a Python object module:Name, as for "
+    "`lunarsim evaluate`.",
 )
 @click.option("--episodes", type=click.IntRange(min=1), default=100, show_default=True,
-              help="Number of recorded episodes.")  # fmt: skip
+              help="Number of episodes to record.")  # fmt: skip
 @click.option(
-    "--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Root random seed."
+    "--seed",
+    type=click.IntRange(min=0),
+    default=1,
+    show_default=True,
+    help="Seed from which all random numbers derive.",
 )
 @click.option(
     "--scenario",
     type=click.Path(path_type=Path),
-    help="Scenario file or name (default: that of the environment).",
+    help="Scenario: TOML file, or a name from `lunarsim scenario list` (default: scenario of the "
+    "environment).",
 )
 @click.option(
     "--set",
     "changes",
     metavar="KEY=VALUE",
     multiple=True,
-    help="Set a scenario key (rocks.cover=0.1); repeatable.",
+    help="Set a scenario key, for example rocks.cover=0.1. Repeat the option for several keys.",
 )
-@click.option("--perception", help="Source of the hazard maps of Retarget-v0.")
+@click.option(
+    "--perception", help="Source of the hazard map in Retarget-v0, as for `lunarsim evaluate`."
+)
 @click.option(
     "--observation",
     metavar="PART",
     multiple=True,
-    help="Component of the observation; repeatable (default: as in the environment).",
+    help="Component of the observation; repeat the option for several components (default: those "
+    "of the environment).",
 )
 @click.option(
     "--action",
     metavar="PART",
     multiple=True,
-    help="Component of the action of Retarget-v0; repeatable (default: the site).",
+    help="Component of the action in Retarget-v0; repeat the option for several components "
+    "(default: site).",
 )
-@click.option("--trust-pickle", is_flag=True, help="Load .zip agents, which can execute code.")
 @click.option(
-    "--out", type=click.Path(path_type=Path), required=True, help="Output folder (must not exist)."
+    "--trust-pickle",
+    is_flag=True,
+    help="Allow an agent in a .zip file. It contains a Python pickle, which can run any code when "
+    "it is loaded.",
+)
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path),
+    required=True,
+    help="New folder for the recorded episodes.",
 )
 def main(
     env: str, agent: str, trust_pickle: bool, episodes: int, seed: int, scenario: Path | None,

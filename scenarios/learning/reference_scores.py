@@ -59,10 +59,14 @@ def main() -> int:
     """Fly the agents in each environment and print a table of their scores."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--episodes", type=int, default=100, help="number of episodes per agent")
-    parser.add_argument("--seed", type=int, default=1, help="root random seed")
-    parser.add_argument("--jobs", type=int, default=1, help="number of processes")
     parser.add_argument(
-        "--only", action="append", help="environment to run; repeatable (default: all)"
+        "--seed", type=int, default=1, help="seed from which all random numbers derive"
+    )
+    parser.add_argument("--jobs", type=int, default=1, help="number of parallel processes")
+    parser.add_argument(
+        "--only",
+        action="append",
+        help="environment to run; repeat the option for several environments (default: all)",
     )
     args = parser.parse_args()
     assert lunarsim_envs.__name__

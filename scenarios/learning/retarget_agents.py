@@ -49,11 +49,17 @@ def rule_agent(observation: dict, info: dict, rng: np.random.Generator) -> int:
     type=click.IntRange(min=0),
     default=1,
     show_default=True,
-    help="Seed of the first flight.",
+    help="Random seed of the first flight; each further flight adds 1.",
 )
-@click.option("--scenario", default=None, help="Scenario file or name (default: rolling highland).")
+@click.option(
+    "--scenario",
+    default=None,
+    help="Scenario: TOML file, or a name from `lunarsim scenario list` (default: rolling "
+    "highland).",
+)
 @click.option("--video", type=click.Path(path_type=Path), default=None,
-              help="MP4 or GIF of the last flight of the rule-based agent.")  # fmt: skip
+              help="MP4 or GIF file for a video of the last flight of the rule-based agent. "
+              "Default: no video.")  # fmt: skip
 def main(episodes: int, seed: int, scenario: str | None, video: Path | None) -> None:
     """Fly both agents over the same terrains and print their results."""
     mode = None if video is None else "rgb_array_list"

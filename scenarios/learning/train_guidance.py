@@ -56,7 +56,7 @@ def compare(out: Path, settings: PpoSettings, episodes: int, console: Console) -
     "--out",
     type=click.Path(path_type=Path),
     required=True,
-    help="Output folder; a run saved in this folder is resumed.",
+    help="Folder for the results. If it has a saved training run, that run is continued.",
 )
 @click.option("--steps", type=click.IntRange(min=1), default=PpoSettings.steps, show_default=True,
               help="Number of environment steps over all parallel episodes.")  # fmt: skip
@@ -64,9 +64,10 @@ def compare(out: Path, settings: PpoSettings, episodes: int, console: Console) -
               help="Random seed of the training.")  # fmt: skip
 @click.option("--evaluation-interval", type=click.IntRange(min=1), default=20,
 show_default=True,
-              help="Number of updates between evaluations with checkpoint.")  # fmt: skip
+              help="Number of training updates between two evaluations; each evaluation saves a "
+              "checkpoint.")  # fmt: skip
 @click.option("--episodes", type=click.IntRange(min=1), default=200, show_default=True,
-              help="Number of flights of the final comparison.")  # fmt: skip
+              help="Number of flights per agent in the final comparison.")  # fmt: skip
 def main(out: Path, steps: int, seed: int, evaluation_interval: int, episodes: int) -> None:
     """Train an agent of Guidance-v0 and compare it with reference agents."""
     console = plain_console(150, soft_wrap=True)

@@ -192,24 +192,29 @@ def problem_parameters() -> Array:
     type=click.IntRange(min=1),
     default=100,
     show_default=True,
-    help="Maximum number of epochs.",
+    help="Maximum number of training epochs.",
 )
 @click.option("--minutes", type=click.FloatRange(min=0.0), default=0.0, show_default=True,
-              help="Time limit (min); 0: none (reproducible weights).")  # fmt: skip
+              help="Time limit of the training (min); 0: no limit, so that the weights are "
+              "reproducible.")  # fmt: skip
 @click.option("--width", type=click.IntRange(8, 256), default=96, show_default=True,
-              help="Width of the three hidden layers.")  # fmt: skip
+              help="Number of neurons in each of the three hidden layers.")  # fmt: skip
 @click.option(
-    "--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Root random seed."
+    "--seed",
+    type=click.IntRange(min=0),
+    default=1,
+    show_default=True,
+    help="Seed from which all random numbers derive.",
 )
 @click.option("--out", type=click.Path(path_type=Path, dir_okay=False),
 default=DEFAULT_NETWORK_PATH,
               show_default="the file supplied with lunarsim",
-              help="Output file of the weights (.npz).")  # fmt: skip
+              help="File for the weights of the network (.npz).")  # fmt: skip
 @click.option(
     "--json",
     "metrics",
     type=click.Path(path_type=Path, dir_okay=False),
-    help="Output file of the metrics.",
+    help="JSON file for the metrics. Default: none.",
 )
 def main(
     descents: Path,

@@ -85,34 +85,55 @@ def compare(
         print(f"  {what:<15} {d.value:+.3f} [{d.low:+.3f}, {d.high:+.3f}], p {d.p:.3g}")
 
 
-def main() -> int:
-    """Train a site-selecting agent, or compare one with policies."""
+def _parse_arguments() -> argparse.Namespace:
+    """Parse the options of the command line."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--scenario", default="few_sites", help="scenario file or name")
-    parser.add_argument("--out", type=Path, help="output file of the network (.npz)")
     parser.add_argument(
-        "--compare", metavar="AGENT", help="skip the training and compare this agent"
+        "--scenario",
+        default="few_sites",
+        help="scenario: TOML file, or a name from `lunarsim scenario list`",
     )
-    parser.add_argument("--generations", type=int, default=25, help="generations of training")
+    parser.add_argument("--out", type=Path, help="file for the trained network (.npz)")
+    parser.add_argument(
+        "--compare", metavar="AGENT", help="do not train, but compare this existing agent"
+    )
+    parser.add_argument(
+        "--generations", type=int, default=25, help="number of generations of the training"
+    )
     parser.add_argument(
         "--propellant-weight", metavar="WEIGHT", type=float, default=CemSettings.propellant_weight,
-        help="propellant weight per kg; a safe landing has weight 1 (%(default)s)",
+        help="penalty per kilogram of propellant in the training; a safe landing is worth 1 "
+        "(default: %(default)s)",
     )  # fmt: skip
-    parser.add_argument("--worlds", type=int, default=24, help="number of different terrains")
-    parser.add_argument("--flights", type=int, default=300, help="number of compared flights")
+    parser.add_argument(
+        "--worlds",
+        type=int,
+        default=24,
+        help="number of random terrains over which the flights are distributed",
+    )
+    parser.add_argument(
+        "--flights", type=int, default=300, help="number of flights in the comparison"
+    )
     parser.add_argument(
         "--policy",
         action="append",
         choices=POLICIES,
-        help="policy to compare with; repeatable (default: all)",
+        help="policy to compare with the agent; repeat the option for several policies (default: "
+        "all)",
     )
     parser.add_argument(
         "--perception",
         action="append",
         choices=PERCEPTIONS,
-        help="source of the hazard maps in the comparison; repeatable",
+        help="source of the hazard maps in the comparison, as for `lunarsim evaluate`; repeat the "
+        "option for several sources",
     )
-    args = parser.parse_args()
+    return parser.parse_args()
+
+
+def main() -> int:
+    """Train a site-selecting agent, or compare one with policies."""
+    args = _parse_arguments()
     assert lunarsim_envs.__name__
     try:
         if args.out is None and args.compare is None:

@@ -321,26 +321,29 @@ def options(default_count: int, supplied_model: str) -> Callable[[F], F]:
     first = click.IntRange(min=8)
     wanted = (
         click.option("--scenes", "count", type=first, default=default_count, show_default=True,
-                     help="Number of scenes, spread evenly over the matrix."),
+                     help="Number of simulated scenes, spread evenly over all kinds of terrain, "
+                     "lander, range, angle and noise."),
         click.option("--seed", type=click.IntRange(min=0), default=5, show_default=True,
-                     help="Random seed of the scenes."),
+                     help="Random seed of the simulated scenes."),
         click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True,
-                     help="Number of processes; does not change the results."),
+                     help="Number of parallel processes; it does not change the results."),
         click.option("--scenes-file", type=click.Path(path_type=Path, dir_okay=False),
                      default=None,
-                     help="Scene cache (.npz): read if it exists, else written."),
+                     help="File of the evaluated scenes (.npz): read if it exists, otherwise "
+                     "written. Default: none."),
         click.option("--save", "model_file", type=click.Path(path_type=Path, dir_okay=False),
                      default=None,
                      help=f"Output file of the model (supplied with lunarsim: {supplied_model})."),
         click.option("--out", "figure_folder", type=click.Path(path_type=Path, file_okay=False),
-                     default=None, help="Output folder of the reliability diagram."),
+                     default=None, help="Folder for the reliability diagram. Default: no diagram."),
         click.option("--held-out-row", "scene_type", type=click.Choice(tuple(_REPLACED)),
                      default=None, metavar="ROW",
-                     help="Evaluate one row ('rocks posts') on new scenes "
-                     "with the fit without this row."),
+                     help="Fit without one kind of scene, named by the row of the results table "
+                     "(for example 'rocks posts'), and evaluate the fit on new scenes of this "
+                     "kind."),
         click.option("--new-scenes", "new_count", type=click.IntRange(min=1), default=120,
         show_default=True,
-                     help="Number of new scenes for --held-out-row."),
+                     help="Number of new scenes that --held-out-row evaluates."),
     )  # fmt: skip
 
     def decorate(function: F) -> F:

@@ -257,14 +257,19 @@ def _plot_intervals(
 @click.option("--flights", type=click.IntRange(min=2), default=10, show_default=True,
               help="Number of flights per terrain.")  # fmt: skip
 @click.option("--worlds", default="; ".join(WORLDS), show_default=True,
-              help="Names of terrains, separated by semicolons.")  # fmt: skip
+              help="Names of the terrains to fly over, separated by semicolons.")  # fmt: skip
 @click.option(
-    "--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Root random seed."
+    "--seed",
+    type=click.IntRange(min=0),
+    default=1,
+    show_default=True,
+    help="Seed from which all random numbers derive.",
 )
 @click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True,
-              help="Number of processes; changes only the run times.")  # fmt: skip
+              help="Number of parallel processes; it changes only the run times.")  # fmt: skip
 @click.option("--out", type=click.Path(path_type=Path, file_okay=False), default=None,
-              help="Output folder of figures.json, figure and flights.")  # fmt: skip
+              help="Folder for figures.json (results), the figure and the flights. Default: "
+              "none.")  # fmt: skip
 def main(flights: int, worlds: str, seed: int, jobs: int, out: Path | None) -> None:
     """Fly with each LiDAR map over each terrain; compare maps and landings."""
     console = plain_console(200)

@@ -409,54 +409,67 @@ def flight_to_json(flight: ConsistencyFlight) -> dict[str, Any]:
     type=click.Path(exists=True, dir_okay=False),
     default=str(SCENARIOS / "instruments.toml"),
     show_default="instruments.toml",
-    help="Scenario file.",
+    help="Scenario to fly (TOML file).",
 )
 @click.option(
     "--flights",
     type=click.IntRange(min=2),
     default=10,
     show_default=True,
-    help="Number of flights per variant (initial error and kind of navigation).",
+    help="Number of flights for each combination of initial error and kind of navigation.",
 )
 @click.option(
     "--position-sigma",
     "position_sigmas",
     type=click.FloatRange(min=1e-3),
     multiple=True,
-    help="Initial position error, 1 sigma per axis (m); repeatable (default: as in the scenario).",
+    help="Initial position error, 1 sigma per axis (m); repeat the option for several values "
+    "(default: value of the scenario).",
 )
 @click.option(
     "--kind",
     "kinds",
     type=click.Choice(("inertial", "ukf")),
     multiple=True,
-    help="Kind of navigation; repeatable, over the same terrain (default: that of the scenario).",
+    help="Kind of navigation filter: inertial or ukf; repeat the option to fly both over the same "
+    "terrain (default: kind of the scenario).",
 )
 @click.option(
     "--velocity-sigma",
     "velocity_sigmas",
     type=click.FloatRange(min=1e-3),
     multiple=True,
-    help="Initial velocity error, 1 sigma per axis (m/s); repeatable (default: of the scenario).",
+    help="Initial velocity error, 1 sigma per axis (m/s); repeat the option for several values "
+    "(default: value of the scenario).",
 )
-@click.option("--without", multiple=True, help="Sensor to remove; repeatable.")
+@click.option(
+    "--without",
+    multiple=True,
+    help="Name of a sensor to remove from the scenario; repeat the option for several sensors.",
+)
 @click.option(
     "--set",
     "changes",
     multiple=True,
     metavar="KEY=VALUE",
-    help="Set a scenario key; repeatable.",
+    help="Set a scenario key, for example rocks.cover=0.1. Repeat the option for several keys.",
 )
 @click.option("--check", "lower_factor", type=click.FloatRange(min=0, max=1, min_open=True),
-metavar="MODEST",
-              help="Exit with status 1 if inconsistent; MODEST is a factor on "
-                   "the lower NEES bound.")  # fmt: skip
-@click.option("--policy", default="safest", show_default=True, help="Retargeting policy.")
+metavar="FACTOR",
+              help="Exit with status 1 if errors and reported uncertainties disagree. FACTOR "
+              "multiplies the lower bound of the normalised estimation error squared; below 1, it "
+              "accepts conservative uncertainties.")  # fmt: skip
+@click.option(
+    "--policy",
+    default="safest",
+    show_default=True,
+    help="Policy that selects the landing site: a name from `lunarsim parts policy`.",
+)
 @click.option(
     "--json",
     "out",
     type=click.Path(path_type=Path),
-    help="Output file of all flights, by initial error.",
+    help="JSON file for the results of all flights, by initial error. Default: none.",
 )
 @seed_and_jobs
 def main(

@@ -255,13 +255,13 @@ def fly(task: InstrumentFaultTask) -> InstrumentFaultFlight:
     type=click.IntRange(min=1),
     default=4,
     show_default=True,
-    help="Number of flights per terrain slope and fault.",
+    help="Number of flights for each combination of terrain slope and fault.",
 )
 @click.option(
     "--only",
     type=click.Choice(list(FAULTS)),
     multiple=True,
-    help="Name of a fault to fly; repeatable (default: all).",
+    help="Name of a fault to simulate; repeat the option for several faults (default: all).",
 )
 @json_option
 @seed_and_jobs

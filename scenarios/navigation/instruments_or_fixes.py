@@ -176,19 +176,28 @@ def table_of(flights: dict[tuple[str, str], list[FixesComparisonFlight]]) -> Tab
 @click.command()
 @click.option(
     "--flights", type=click.IntRange(min=1), default=10, show_default=True,
-    help="Number of flights per scenario and kind of navigation.",
+    help="Number of flights for each combination of scenario and kind of navigation.",
 )  # fmt: skip
 @click.option(
     "--only", type=click.Choice(SCENARIO_NAMES), multiple=True,
-    help="Name of a scenario to fly; repeatable (default: all).",
+    help="Name of a scenario to fly; repeat the option for several scenarios (default: all).",
 )  # fmt: skip
-@click.option("--policy", default="safest", show_default=True, help="Retargeting policy.")
 @click.option(
-    "--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Root random seed."
+    "--policy",
+    default="safest",
+    show_default=True,
+    help="Policy that selects the landing site: a name from `lunarsim parts policy`.",
+)
+@click.option(
+    "--seed",
+    type=click.IntRange(min=0),
+    default=1,
+    show_default=True,
+    help="Seed from which all random numbers derive.",
 )
 @click.option(
     "--jobs", type=click.IntRange(min=1), default=1, show_default=True,
-    help="Number of processes; changes only the run times.",
+    help="Number of parallel processes; it changes only the run times.",
 )  # fmt: skip
 def main(flights: int, only: tuple[str, ...], policy: str, seed: int, jobs: int) -> None:
     """Compare landings with onboard instruments and with position fixes, by scenario."""

@@ -175,16 +175,23 @@ def table_of(flights_by_variant: dict[str, list[LateLockFlight]]) -> Table:
 @click.command()
 @click.option("--scenario", type=click.Path(exists=True, dir_okay=False),
               default=str(SCENARIOS / "morpheus.toml"), show_default="morpheus.toml",
-              help="Scenario with a prior map.")  # fmt: skip
+              help="Scenario to fly (TOML file); it must have a prior map.")  # fmt: skip
 @click.option("--flights", type=click.IntRange(min=1), default=5, show_default=True,
-              help="Number of flights per variant, over the same terrain.")  # fmt: skip
+              help="Number of flights for each variant; all variants fly over the same "
+              "terrain.")  # fmt: skip
 @click.option("--map-time", "map_times", type=click.FloatRange(min=0.0), multiple=True,
               default=(0.0, 12.0, float("inf")), show_default=True,
-              help="Time of map availability (s); inf: never. Repeatable.")  # fmt: skip
+              help="Time in the flight from which the prior map is available (s); inf: never. "
+              "Repeat the option for several times.")  # fmt: skip
 @click.option("--position-sigma", "position_sigmas", type=click.FloatRange(min=1e-3), multiple=True,
-              help="Initial position error, 1 sigma per axis (m); repeatable "
-              "(default: of the scenario).")  # fmt: skip
-@click.option("--policy", default="safest", show_default=True, help="Retargeting policy.")
+              help="Initial position error, 1 sigma per axis (m); repeat the option for several "
+              "values (default: value of the scenario).")  # fmt: skip
+@click.option(
+    "--policy",
+    default="safest",
+    show_default=True,
+    help="Policy that selects the landing site: a name from `lunarsim parts policy`.",
+)
 @seed_and_jobs
 def main(
     scenario: str, flights: int, map_times: tuple[float, ...], position_sigmas: tuple[float, ...],

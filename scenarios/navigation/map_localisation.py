@@ -254,10 +254,12 @@ def predicted_text(results: list[PlaceSearchResult]) -> str:
 
 @click.command()
 @click.option("--searches", type=click.IntRange(min=1), default=10, show_default=True,
-              help="Number of searches per map.")  # fmt: skip
-@click.option("--only", default="", help="Select maps whose name contains this text.")
+              help="Number of position searches on each map.")  # fmt: skip
+@click.option(
+    "--only", default="", help="Use only maps whose name contains this text. Default: all maps."
+)
 @click.option("--seconds", type=click.FloatRange(min=1.0), default=15.0, show_default=True,
-              help="Time limit of a search (s).")  # fmt: skip
+              help="Time limit of a position search (s).")  # fmt: skip
 @seed_and_jobs
 def main(searches: int, only: str, seconds: float, seed: int, jobs: int) -> None:
     """Search for the lander's position on prior maps; print time, error and success."""

@@ -164,14 +164,14 @@ def fly(task: PriorMapTask) -> PriorMapFlight:
 @click.command()
 @click.option(
     "--flights", type=click.IntRange(min=1), default=2, show_default=True,
-    help="Number of flights per terrain and fault.",
+    help="Number of flights for each combination of terrain and fault.",
 )  # fmt: skip
 @click.option(
     "--only", type=click.Choice(list(ROWS)), multiple=True,
-    help="Name of a fault to fly; repeatable (default: all).",
+    help="Name of a fault to simulate; repeat the option for several faults (default: all).",
 )  # fmt: skip
 @json_option
-@click.option("--cells", is_flag=True, help="Also print every flight.")
+@click.option("--cells", is_flag=True, help="Print the results of every flight also.")
 @seed_and_jobs
 def main(
     flights: int, only: tuple[str, ...], out: Path | None, cells: bool, seed: int, jobs: int

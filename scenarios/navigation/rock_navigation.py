@@ -245,7 +245,7 @@ def fault_name_of(task: RockNavigationTask) -> str:
     type=click.IntRange(min=1),
     default=1,
     show_default=True,
-    help="Number of flights per combination of conditions (64 combinations).",
+    help="Number of flights for each of the 64 combinations of conditions.",
 )
 @click.option(
     "--relief",
@@ -254,7 +254,7 @@ def fault_name_of(task: RockNavigationTask) -> str:
     multiple=True,
     default=RELIEFS,
     show_default=True,
-    help="RMS slope of the terrain (deg); repeatable.",
+    help="RMS slope of the terrain (deg); repeat the option for several slopes.",
 )
 @click.option(
     "--cover",
@@ -263,11 +263,11 @@ def fault_name_of(task: RockNavigationTask) -> str:
     multiple=True,
     default=COVERS,
     show_default=True,
-    help="Rock cover (fraction); repeatable.",
+    help="Fraction of the terrain covered by rocks; repeat the option for several values.",
 )
 @json_option
 @seed_and_jobs
-@click.option("--cells", is_flag=True, help="Also print every flight.")
+@click.option("--cells", is_flag=True, help="Print the results of every flight also.")
 def main(
     flights: int, seed: int, reliefs: tuple[float, ...], covers: tuple[float, ...], jobs: int,
     out: Path | None, cells: bool,

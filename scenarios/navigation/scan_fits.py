@@ -151,7 +151,7 @@ def evaluate_fit(scan, error, sigmas, result, accepted, posting):  # type: ignor
 
 @click.command()
 @click.option("--fits", "count", type=click.IntRange(min=1), default=200, show_default=True,
-              help="Minimum number of fits per kind of terrain and map.")  # fmt: skip
+              help="Minimum number of fits for each combination of terrain and map.")  # fmt: skip
 @seed_and_jobs
 def main(count: int, seed: int, jobs: int) -> None:
     """Fit LiDAR scans to maps and count the wrong fits that are accepted."""

@@ -43,16 +43,18 @@ class FaultStudyFlight(Protocol):
 def seed_and_jobs(function: F) -> F:
     """Decorate a command with the options `--seed` and `--jobs`."""
     jobs = click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True,
-                        help="Number of processes; does not change the results.")  # fmt: skip
+                        help="Number of parallel processes; it does not change the "
+                        "results.")  # fmt: skip
     seed = click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True,
-                        help="Root random seed.")  # fmt: skip
+                        help="Seed from which all random numbers derive.")  # fmt: skip
     return seed(jobs(function))
 
 
 def json_option(function: F) -> F:
     """Decorate a command with the option `--json`, the output file of all flights."""
     return click.option("--json", "out", type=click.Path(path_type=Path, dir_okay=False),
-                        help="Output file of all flights.")(function)  # fmt: skip
+                        help="JSON file for the results of all flights. Default: "
+                        "none.")(function)  # fmt: skip
 
 
 def write_flights(out: Path | None, rows: Iterable[tuple[str, Sequence[FaultStudyFlight]]]) -> None:

@@ -304,14 +304,21 @@ def show(summary: dict[str, Any], first_result: dict[str, Any], console: Console
 
 @click.command()
 @click.option("--fields", type=click.IntRange(min=1), default=1, show_default=True,
-              help="Number of hazard fields.")  # fmt: skip
-@click.option("--seed", type=int, default=1, show_default=True, help="Root random seed.")
+              help="Number of simulated hazard fields.")  # fmt: skip
+@click.option(
+    "--seed",
+    type=int,
+    default=1,
+    show_default=True,
+    help="Seed from which all random numbers derive.",
+)
 @click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True,
-              help="Number of processes; does not change the results.")  # fmt: skip
+              help="Number of parallel processes; it does not change the results.")  # fmt: skip
 @click.option("--json", "json_file", type=click.Path(path_type=Path, dir_okay=False), default=None,
-              help="Output file of all values.")  # fmt: skip
+              help="JSON file for all results. Default: none.")  # fmt: skip
 @click.option("--out", type=click.Path(path_type=Path, file_okay=False), default=None,
-              help="Output folder of figures of the first field.")  # fmt: skip
+              help="Folder for figures of the first hazard field. Default: no "
+              "figures.")  # fmt: skip
 def main(fields: int, seed: int, jobs: int, json_file: Path | None, out: Path | None) -> None:
     """Sweep hazard fields by LiDAR; compare maps and sites with the truth."""
     console = plain_console(140)

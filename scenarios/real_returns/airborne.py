@@ -156,13 +156,15 @@ def study(
 
 @click.command()
 @click.option("--splits", type=click.IntRange(min=1), default=4, show_default=True,
-              help="Number of random splits of the returns.")  # fmt: skip
+              help="Number of random splits of the LiDAR returns into mapped and held-out "
+              "returns.")  # fmt: skip
 @click.option("--quick", is_flag=True,
-              help="Use only ground returns within 24 m of the center.")  # fmt: skip
+              help="Use only terrain returns within 24 m of the centre, for a shorter "
+              "run.")  # fmt: skip
 @click.option("--json", "json_file", type=click.Path(path_type=Path, dir_okay=False), default=None,
-              help="Output file of all values.")  # fmt: skip
+              help="JSON file for all results. Default: none.")  # fmt: skip
 @click.option("--out", type=click.Path(path_type=Path, file_okay=False), default=None,
-              help="Output folder of the figure.")  # fmt: skip
+              help="Folder for the figure. Default: no figure.")  # fmt: skip
 def main(splits: int, quick: bool, json_file: Path | None, out: Path | None) -> None:
     """Map measured LiDAR returns with both mappers; test on held-out returns."""
     console = plain_console(170)

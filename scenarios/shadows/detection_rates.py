@@ -263,14 +263,26 @@ def show(data: dict[str, Any], title: str, console: Console) -> None:
     type=click.Choice((ALL, *SHAPES)),
     default=ALL,
     show_default=True,
-    help="Rock shape; all: shapes alternate between fields.",
+    help="Rock shape; all: each rock field has another shape in turn.",
 )
-@click.option("--sun-elevation", default=20.0, show_default=True, help="Sun elevation (deg).")
+@click.option(
+    "--sun-elevation",
+    default=20.0,
+    show_default=True,
+    help="Elevation of the Sun above the horizon (deg).",
+)
 @click.option("--light", type=click.Choice(tuple(LIGHTS)), default="plain", show_default=True,
-              help="Light: point Sun (plain), or all light effects.")  # fmt: skip
-@click.option("--seed", type=int, default=1, show_default=True, help="Root random seed.")
+              help="Light: plain (the Sun is a point source) or full (all light "
+              "effects).")  # fmt: skip
+@click.option(
+    "--seed",
+    type=int,
+    default=1,
+    show_default=True,
+    help="Seed from which all random numbers derive.",
+)
 @click.option("--out", type=click.Path(path_type=Path, file_okay=False), default=None,
-              help="Output folder of figure and data (default: none).")  # fmt: skip
+              help="Folder for the figure and its data. Default: none.")  # fmt: skip
 def main(
     images: int, shape: str, sun_elevation: float, light: str, seed: int, out: Path | None
 ) -> None:

@@ -211,15 +211,25 @@ def show(rows: list[dict[str, Any]], console: Console) -> None:
 
 @click.command()
 @click.option("--fields", type=click.IntRange(min=1), default=1, show_default=True,
-              help="Number of fields per rock cover and terrain slope.")  # fmt: skip
+              help="Number of rock fields for each combination of rock cover and terrain "
+              "slope.")  # fmt: skip
 @click.option(
-    "--faults/--no-faults", default=True, show_default=True, help="Also check faulty images."
+    "--faults/--no-faults",
+    default=True,
+    show_default=True,
+    help="Whether to check faulty images also.",
 )
-@click.option("--seed", type=int, default=7, show_default=True, help="Root random seed.")
+@click.option(
+    "--seed",
+    type=int,
+    default=7,
+    show_default=True,
+    help="Seed from which all random numbers derive.",
+)
 @click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True,
-              help="Number of processes; does not change the results.")  # fmt: skip
+              help="Number of parallel processes; it does not change the results.")  # fmt: skip
 @click.option("--json", "json_file", type=click.Path(path_type=Path, dir_okay=False), default=None,
-              help="Output file of all results.")  # fmt: skip
+              help="JSON file for all results. Default: none.")  # fmt: skip
 def main(fields: int, faults: bool, seed: int, jobs: int, json_file: Path | None) -> None:
     """Check good and faulty images; print how often each is accepted or rejected."""
     console = plain_console(140)

@@ -256,18 +256,28 @@ def show(tasks: list[ShadowMatrixTask], results: FlightStore, console: Console) 
 
 @click.command()
 @click.option("--cells", "cell_patterns", default="*", show_default=True,
-              help="Names of cells (test cases) with * and ?, separated by commas.")  # fmt: skip
+              help="Names of the test cases to fly, separated by commas; * and ? match any text "
+              "and any character.")  # fmt: skip
 @click.option("--fields", type=click.IntRange(min=1), default=4, show_default=True,
-              help="Number of rock fields per cell.")  # fmt: skip
-@click.option("--seed", type=int, default=1, show_default=True, help="Root random seed.")
+              help="Number of rock fields for each test case.")  # fmt: skip
+@click.option(
+    "--seed",
+    type=int,
+    default=1,
+    show_default=True,
+    help="Seed from which all random numbers derive.",
+)
 @click.option("--path", type=click.Choice(("nominal", "modified")), default="modified",
-              show_default=True, help="Descent of the shadow EKF paper.")  # fmt: skip
+              show_default=True,
+              help="Descent path of the shadow EKF paper: nominal or modified.")  # fmt: skip
 @click.option("--method", type=click.Choice(tuple(METHODS)), default="own", show_default=True,
-              help="Rock shapes: inferred, as expected, or the paper's method.")  # fmt: skip
+              help="Rock shapes of the mapper; own: inferred from shadows; paper: hemispheres; "
+              "otherwise those that the mission expects.")  # fmt: skip
 @click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True,
-              help="Number of processes; does not change the results.")  # fmt: skip
+              help="Number of parallel processes; it does not change the results.")  # fmt: skip
 @click.option("--json", "json_file", type=click.Path(path_type=Path, dir_okay=False), default=None,
-              help="File of flights; a later run resumes from it.")  # fmt: skip
+              help="JSON file for the flights; if it exists, its flights are not repeated. "
+              "Default: none.")  # fmt: skip
 def main(
     cell_patterns: str,
     fields: int,

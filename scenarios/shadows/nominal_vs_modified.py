@@ -185,19 +185,27 @@ def show(summary: dict[str, Any], console: Console) -> None:
 
 @click.command()
 @click.option("--fields", type=click.IntRange(min=1), default=2, show_default=True,
-              help="Number of rock fields, each flown on both paths.")  # fmt: skip
-@click.option("--seed", type=int, default=1, show_default=True, help="Root random seed.")
+              help="Number of rock fields; each is flown on the nominal and on the modified "
+              "path.")  # fmt: skip
+@click.option(
+    "--seed",
+    type=int,
+    default=1,
+    show_default=True,
+    help="Seed from which all random numbers derive.",
+)
 @click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True,
-              help="Number of processes; does not change the results.")  # fmt: skip
+              help="Number of parallel processes; it does not change the results.")  # fmt: skip
 @click.option("--shapes", type=click.Choice(SHAPES), default=None,
-              help="Expected rock shape (default: as in the scenario).")  # fmt: skip
+              help="Rock shape that the mission expects (default: shape in the "
+              "scenario).")  # fmt: skip
 @click.option("--method", type=click.Choice(tuple(METHODS)), default="own", show_default=True,
-              help="Rock shapes: inferred, as expected, or the "
-              "paper's method.")  # fmt: skip
+              help="Rock shapes of the mapper; own: inferred from shadows; paper: hemispheres; "
+              "otherwise those that the mission expects.")  # fmt: skip
 @click.option("--json", "json_file", type=click.Path(path_type=Path, dir_okay=False), default=None,
-              help="Output file of all values.")  # fmt: skip
+              help="JSON file for all results. Default: none.")  # fmt: skip
 @click.option("--out", type=click.Path(path_type=Path, file_okay=False), default=None,
-              help="Output folder of figures (default: none).")  # fmt: skip
+              help="Folder for the figures. Default: no figures.")  # fmt: skip
 def main(
     fields: int,
     seed: int,

@@ -142,9 +142,9 @@ def draw(image: np.ndarray, detections: Detections, result: dict[str, Any], wind
 
 @click.command()
 @click.option("--json", "json_file", type=click.Path(path_type=Path, dir_okay=False), default=None,
-              help="Output file of the metrics.")  # fmt: skip
+              help="JSON file for the metrics. Default: none.")  # fmt: skip
 @click.option("--out", type=click.Path(path_type=Path, file_okay=False), default=None,
-              help="Output folder of the figure (default: none).")  # fmt: skip
+              help="Folder for the figure. Default: no figure.")  # fmt: skip
 def main(json_file: Path | None, out: Path | None) -> None:
     """Detect rocks in a real image; compare shadow direction and rocks with labels."""
     console = plain_console(100)

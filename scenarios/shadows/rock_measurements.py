@@ -274,13 +274,17 @@ def show(descents: list[RockMeasurements], console: Console) -> None:
 
 @click.command()
 @click.option("--fields", type=click.IntRange(min=1), default=4, show_default=True,
-              help="Number of fields, each with its own path.")  # fmt: skip
+              help="Number of rock fields; each has a different descent path.")  # fmt: skip
 @click.option("--shape", type=click.Choice(SHAPES), default="cube", show_default=True,
-              help="Rock shape, known to the detector.")  # fmt: skip
+              help="Shape of the rocks; the detector knows it.")  # fmt: skip
 @click.option("--sun-elevation", type=click.FloatRange(2.0, 80.0), default=20.0, show_default=True,
-              help="Sun elevation (deg).")  # fmt: skip
+              help="Elevation of the Sun above the horizon (deg).")  # fmt: skip
 @click.option(
-    "--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Root random seed."
+    "--seed",
+    type=click.IntRange(min=0),
+    default=1,
+    show_default=True,
+    help="Seed from which all random numbers derive.",
 )
 def main(fields: int, shape: str, sun_elevation: float, seed: int) -> None:
     """Measure the errors of rock centers between images and between views."""

@@ -291,14 +291,15 @@ def compare(scenarios: tuple[str, ...], seed: int) -> tuple[dict[str, Array], di
 
 @click.command()
 @click.option("--terrain", "scenarios", multiple=True, default=GROUNDS, show_default=True,
-              help="Scenario of the terrain; repeatable.")  # fmt: skip
+              help="Scenario whose terrain is rendered; repeat the option for several "
+              "scenarios.")  # fmt: skip
 @click.option(
-    "--seed", default=1, show_default=True, help="Random seed of rocks, albedo and noise."
+    "--seed", default=1, show_default=True, help="Random seed of rocks, albedo and image noise."
 )
 @click.option("--json", "json_file", type=click.Path(path_type=Path, dir_okay=False), default=None,
-              help="Output file of all metrics (JSON).")  # fmt: skip
+              help="JSON file for all metrics. Default: none.")  # fmt: skip
 @click.option("--out", type=click.Path(path_type=Path, file_okay=False), default=None,
-              help="Output folder of the figure (default: none).")  # fmt: skip
+              help="Folder for the figure. Default: no figure.")  # fmt: skip
 def main(scenarios: tuple[str, ...], seed: int, json_file: Path | None, out: Path | None) -> None:
     """Compare rendered terrain images with a real LROC narrow-angle camera image."""
     images, found = compare(scenarios, seed)

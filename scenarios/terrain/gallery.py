@@ -192,10 +192,12 @@ def draw_shadow_crops(out: Path) -> str:
 @click.command(context_settings={"help_option_names": ["-h", "--help"]})
 @click.option(
     "--out", type=click.Path(path_type=Path), default=GALLERY,
-    show_default="docs/images/gallery", help="Output folder of the images.",
+    show_default="docs/images/gallery", help="Folder for the images.",
 )  # fmt: skip
 @click.option(
-    "--only", type=click.Choice([*SCENES, "rocks", "shadows"]), help="Generate only this image."
+    "--only",
+    type=click.Choice([*SCENES, "rocks", "shadows"]),
+    help="Name of a single image to render. Default: all images.",
 )
 def main(out: Path, only: str | None) -> None:
     """Render the terrain gallery of the documentation."""

@@ -46,10 +46,12 @@ def render_image(world, light: Light, altitude: float) -> NDArray[np.float32]:
 
 
 @click.command()
-@click.option("--scenario", default="highland", show_default=True, help="Scenario of the terrain.")
+@click.option(
+    "--scenario", default="highland", show_default=True, help="Scenario whose terrain is rendered."
+)
 @click.option("--seed", default=1, show_default=True, help="Random seed of rocks and albedo.")
 @click.option("--out", type=click.Path(path_type=Path, file_okay=False), required=True,
-              help="Output folder of the image.")  # fmt: skip
+              help="Folder for the image.")  # fmt: skip
 def main(scenario: str, seed: int, out: Path) -> None:
     """Render one terrain with an increasing number of light effects."""
     world = build_world(

@@ -91,14 +91,14 @@ def draw(rows: dict[str, np.ndarray], posting: float, path: Path) -> None:
 @click.command()
 @click.option("--scenario", type=click.Path(path_type=Path, exists=True, dir_okay=False),
               default=Path(__file__).parents[1] / "apollo15.toml", show_default="apollo15.toml",
-              help="Scenario with measured terrain.")  # fmt: skip
+              help="Scenario to analyse (TOML file); its terrain must be measured.")  # fmt: skip
 @click.option("--box", nargs=4, type=float, default=(-256.0, 24.0, -256.0, 256.0),
               show_default=True,
-              help="West, east, south, north limit of the area (m).")  # fmt: skip
+              help="West, east, south and north limits of the analysed area (m).")  # fmt: skip
 @click.option("--json", "json_file", type=click.Path(path_type=Path, dir_okay=False), default=None,
-              help="Output file of all values (JSON).")  # fmt: skip
+              help="JSON file for all results. Default: none.")  # fmt: skip
 @click.option("--out", type=click.Path(path_type=Path, file_okay=False), default=None,
-              help="Output folder of the figure.")  # fmt: skip
+              help="Folder for the figure. Default: no figure.")  # fmt: skip
 def main(scenario: Path, box: tuple[float, ...], json_file: Path | None, out: Path | None) -> None:
     """Print the roughness of measured terrain with and without detail."""
     raster = Scenario.load(scenario).terrain.make()

@@ -77,28 +77,39 @@ class InformationSeekingLaw(PathLaw):
         Maximum tilt of the thrust below the altitude of the last decision, rad.
     """
 
-    interval: float = quantity(2.0, "s", gt=0, le=60, help="Time between plans")
-    candidates: int = quantity(3000, ge=30, le=100_000, help="Number of paths evaluated for a plan")
+    interval: float = quantity(2.0, "s", gt=0, le=60, help="Time between two plans of the path")
+    candidates: int = quantity(
+        3000, ge=30, le=100_000, help="Number of candidate paths that are evaluated for each plan"
+    )
     nodes_per_side: int = quantity(
-        8, ge=2, le=40, help="Number of evaluated terrain squares along a side of the map"
+        8,
+        ge=2,
+        le=40,
+        help="Number of terrain squares along each side of the map, in which hazard information is "
+        "evaluated",
     )
     propellant_allowance: float = quantity(
-        1.5, "kg", ge=0, help="Propellant allowed for observation, above that of the cheapest path"
+        1.5,
+        "kg",
+        ge=0,
+        help="Maximum propellant that paths may use for better observations, in addition to that "
+        "of the minimum-propellant path",
     )
     propellant_weight: float = quantity(
         0.02,
         ge=0,
-        help="Fraction of the map's hazard uncertainty whose removal is worth 1 kg of propellant",
+        help="Fraction of the map's hazard uncertainty that a path must remove to justify using "
+        "one kilogram of propellant",
     )
     min_rock_diameter: float = quantity(
-        0.5, "m", gt=0, lt=4, help="Minimum diameter of a rock that is a hazard"
+        0.5, "m", gt=0, lt=4, help="Minimum diameter at which a rock counts as a hazard"
     )
     max_final_tilt: float = quantity(
         25.0,
         "deg",
         ge=0,
         lt=85,
-        help="Maximum tilt of the thrust below the altitude of the last decision",
+        help="Maximum angle of the thrust from the vertical after the last landing-site decision",
     )
 
     @property

@@ -27,7 +27,12 @@ class ProportionalDerivative:
 
     frequency: float = quantity(4.0, "rad/s", gt=0, help="natural frequency of the attitude loop")
     damping: float = quantity(0.9, ge=0.3, le=3, help="damping ratio of the attitude loop")
-    slew_limit: float = quantity(15.0, "deg/s", gt=0, help="maximum angular rate per axis")
+    slew_limit: float = quantity(
+        15.0,
+        "deg/s",
+        gt=0,
+        help="maximum angular rate about each body axis that the attitude control commands",
+    )
 
     torques: ClassVar[bool] = True
 
@@ -66,7 +71,7 @@ class IdealAttitude:
         Maximum rate, rad/s.
     """
 
-    slew_limit: float = quantity(15.0, "deg/s", gt=0, help="maximum angular rate")
+    slew_limit: float = quantity(15.0, "deg/s", gt=0, help="maximum angular rate of the lander")
 
     torques: ClassVar[bool] = False
 

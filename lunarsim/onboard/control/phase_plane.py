@@ -42,12 +42,23 @@ class PhasePlane:
     """
 
     dead_band: float = quantity(
-        0.3, "deg", gt=0, help="attitude error within which no thruster fires"
+        0.3,
+        "deg",
+        gt=0,
+        help="attitude error about an axis below which no thruster fires (dead band)",
     )
     rate_band: float = quantity(
-        0.5, "deg/s", gt=0, help="tolerated angular rate within the dead band"
+        0.5,
+        "deg/s",
+        gt=0,
+        help="maximum angular rate about an axis at which no thruster fires within the dead band",
     )
-    slew_limit: float = quantity(10.0, "deg/s", gt=0, help="maximum angular rate of a slew")
+    slew_limit: float = quantity(
+        10.0,
+        "deg/s",
+        gt=0,
+        help="maximum angular rate of a rotation to a new attitude, about each axis",
+    )
     period: float = quantity(0.1, "s", gt=0, le=1, help="time between thruster commands")
 
     torques: ClassVar[bool] = True

@@ -41,9 +41,14 @@ class QuaternionFeedback:
 
     frequency: float = quantity(2.0, "rad/s", gt=0, help="natural frequency of the attitude loop")
     damping: float = quantity(0.9, ge=0.3, le=3, help="damping ratio of the attitude loop")
-    slew_limit: float = quantity(10.0, "deg/s", gt=0, help="maximum angular rate")
+    slew_limit: float = quantity(
+        10.0, "deg/s", gt=0, help="maximum angular rate that the attitude control commands"
+    )
     braking: float = quantity(
-        0.08, "rad/s^2", gt=0, help="angular acceleration available to stop a rotation"
+        0.08,
+        "rad/s^2",
+        gt=0,
+        help="angular acceleration that the control law expects to have for stopping a rotation",
     )
     period: float = quantity(0.1, "s", gt=0, le=1, help="time between thruster commands")
 

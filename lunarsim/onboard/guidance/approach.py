@@ -51,19 +51,26 @@ class Approach:
     """
 
     vertical_altitude: float = quantity(
-        10.0, "m", gt=0, help="altitude of the footpads at the end of the approach"
+        10.0, "m", gt=0, help="height of the footpads above the site at the end of the approach"
     )
     vertical_speed: float = quantity(
         2.0, "m/s", gt=0, help="downward speed at the end of the approach"
     )
     descent_speed: float | None = quantity(
-        None, "m/s", gt=0, help="speed of the vertical descent; omitted: same as vertical_speed"
+        None,
+        "m/s",
+        gt=0,
+        help="speed of the vertical descent that follows the approach; omitted: vertical_speed_m_s",
     )
     arrival_acceleration: tuple[float, float, float] = quantity(
-        (0.0, 0.0, 0.0), "m/s^2", help="acceleration at the end of the approach (ENU)"
+        (0.0, 0.0, 0.0),
+        "m/s^2",
+        help="acceleration of the lander at the end of the approach, gravity included (ENU)",
     )
     arrival_offset: tuple[float, float] = quantity(
-        (0.0, 0.0), "m", help="horizontal offset of the approach's end from the site (east, north)"
+        (0.0, 0.0),
+        "m",
+        help="horizontal position of the end of the approach relative to the site (east, north)",
     )
     arrival_velocity: tuple[float, float] = quantity(
         (0.0, 0.0), "m/s", help="horizontal velocity at the end of the approach (east, north)"
@@ -73,34 +80,44 @@ class Approach:
         "s",
         ge=1,
         le=10_000,
-        help="initial time-to-go of the approach; omitted: that with minimum propellant",
+        help="time-to-go at the start of the approach; omitted: the time with minimum propellant",
     )
     jerk: float | None = quantity(
         None,
         "m/s^3",
-        help="downrange jerk at the end of the approach, from which the time-to-go is computed; "
-        "omitted: the initial time-to-go counts down",
+        help="required downrange jerk at the end of the approach; the time-to-go is computed from "
+        "it in every control cycle; omitted: the initial time-to-go counts down",
     )
-    end_time_to_go: float = quantity(0.0, "s", ge=0, help="time-to-go at which the approach ends")
+    end_time_to_go: float = quantity(
+        0.0, "s", ge=0, help="time-to-go at which the approach ends and the vertical descent begins"
+    )
     takeover_altitude: float = quantity(
         0.0,
         "m",
         ge=0,
-        help="altitude of the footpads at which the approach ends regardless of time-to-go",
+        help="height of the footpads above the site at which the approach ends, whatever the "
+        "time-to-go; 0: the approach ends at vertical_altitude_m",
     )
-    max_tilt: float = quantity(40.0, "deg", gt=0, lt=85, help="maximum tilt of the thrust")
+    max_tilt: float = quantity(
+        40.0, "deg", gt=0, lt=85, help="maximum angle of the thrust from the vertical"
+    )
     glideslope: float = quantity(
         8.0,
         "deg",
         ge=0,
         lt=80,
-        help="minimum angle of the path above the horizontal, seen from its end",
+        help="minimum angle between the horizontal and the line from the end of the approach to "
+        "the lander",
     )
     reserve: float = quantity(
-        15.0, "kg", ge=0, help="propellant reserve at the end of the approach"
+        15.0, "kg", ge=0, help="propellant that must remain at the end of the approach"
     )
     throttle_margin: float = quantity(
-        0.08, ge=0, lt=0.5, help="fraction of the thrust range reserved for feedback at each end"
+        0.08,
+        ge=0,
+        lt=0.5,
+        help="fraction of the thrust range that planned paths leave free for feedback, at minimum "
+        "and at maximum thrust",
     )
 
     def __post_init__(self) -> None:

@@ -26,7 +26,15 @@ class AugmentedApolloLaw(FractionalPolynomialLaw):
         Gain k_r of the position error: 6 gives E-guidance, 12 the Apollo law.
     """
 
-    gamma: float = quantity(1.0, ge=1, le=1, help="fixed at 1 for augmented Apollo guidance")
+    gamma: float = quantity(
+        1.0,
+        ge=1,
+        le=1,
+        help="exponent of time-to-go in the acceleration; always 1 for augmented Apollo guidance",
+    )
     gain: float = quantity(
-        8.0, ge=6, le=200, help="gain k_r of the position error: 6 is E-guidance, 12 the Apollo law"
+        8.0,
+        ge=6,
+        le=200,
+        help="feedback gain k_r of the position error; 6 gives E-guidance, 12 gives the Apollo law",
     )

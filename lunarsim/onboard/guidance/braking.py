@@ -52,36 +52,51 @@ class Braking:
         Time at minimum thrust after the start, s.
     """
 
-    law: str = quantity("apollo", help="kind of guidance law for braking")
+    law: str = quantity(
+        "apollo",
+        help="guidance law for braking, with its default settings: a name from `lunarsim parts "
+        "guidance`",
+    )
     end_position: tuple[float, float, float] = quantity(
-        (-600.0, 0.0, 500.0), "m", help="aim point of braking, from the site (ENU)"
+        (-600.0, 0.0, 500.0), "m", help="aim point of braking, relative to the landing site (ENU)"
     )
     end_velocity: tuple[float, float, float] = quantity(
-        (28.0, 0.0, -18.0), "m/s", help="velocity at the end of braking (ENU)"
+        (28.0, 0.0, -18.0), "m/s", help="velocity at the aim point of braking (ENU)"
     )
     end_acceleration: tuple[float, float, float] = quantity(
-        (0.0, 0.0, 0.0), "m/s^2", help="acceleration at the end of braking, gravity included (ENU)"
+        (0.0, 0.0, 0.0),
+        "m/s^2",
+        help="acceleration of the lander at the aim point of braking, gravity included (ENU)",
     )
     time_to_go: float = quantity(
-        60.0, "s", gt=0, le=10_000, help="initial time-to-go to the aim point of braking"
+        60.0, "s", gt=0, le=10_000, help="time-to-go to the aim point at the start of braking"
     )
     jerk: float | None = quantity(
         None,
         "m/s^3",
-        help="downrange jerk at the end of braking, from which the time-to-go is computed; "
-        "omitted: the initial time-to-go counts down",
+        help="required downrange jerk at the aim point of braking; the time-to-go is computed from "
+        "it in every control cycle; omitted: the initial time-to-go counts down",
     )
     end_time_to_go: float = quantity(
-        2.0, "s", ge=0, help="time-to-go to the aim point of braking at which the approach begins"
+        2.0,
+        "s",
+        ge=0,
+        help="time-to-go to the aim point at which braking ends and the approach begins",
     )
     max_tilt: float = quantity(
-        80.0, "deg", gt=0, lt=180, help="maximum tilt of the thrust from the site's vertical"
+        80.0,
+        "deg",
+        gt=0,
+        lt=180,
+        help="maximum angle of the thrust from the vertical at the landing site",
     )
     keeps_thrust_direction: bool = quantity(
-        False, help="whether saturated thrust keeps its direction, not its vertical component"
+        False,
+        help="what is preserved when a thrust command beyond the thrust limits is reduced; true: "
+        "its direction; false: its vertical component",
     )
     min_thrust_time: float = quantity(
-        0.0, "s", ge=0, help="duration of minimum thrust at the start of braking"
+        0.0, "s", ge=0, help="duration of minimum thrust at the start of braking; 0: none"
     )
 
     def __post_init__(self) -> None:

@@ -98,14 +98,14 @@ class FractionalPolynomialLaw(PathLaw):
     """
 
     gamma: float = quantity(
-        0.5, ge=0, le=10, help="one of the two powers of time-to-go in the acceleration"
+        0.5, ge=0, le=10, help="one of the two exponents of time-to-go in the acceleration"
     )
     gain: float = quantity(
         8.0,
         gt=0,
         le=200,
-        help="gain k_r of the position error, at least 2 (gamma + 2); the other power is "
-        "k_r / (gamma + 2) - 2",
+        help="feedback gain k_r of the position error, at least 2 (gamma + 2); the second exponent "
+        "of time-to-go in the acceleration is k_r / (gamma + 2) - 2",
     )
 
     def __post_init__(self) -> None:

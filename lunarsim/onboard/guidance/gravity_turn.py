@@ -71,12 +71,20 @@ class GravityTurn:
     """
 
     final_speed: float = quantity(
-        1.5, "m/s", gt=0, help="speed of the vertical descent after the turn"
+        1.5,
+        "m/s",
+        gt=0,
+        help="speed at which the gravity turn ends and the vertical descent continues",
     )
     stop_height: float = quantity(
-        3.0, "m", ge=0, help="height above terrain at which the turn aims for zero speed"
+        3.0,
+        "m",
+        ge=0,
+        help="height above the terrain at which the gravity turn is planned to reach zero speed",
     )
-    max_tilt: float = quantity(60.0, "deg", gt=0, lt=85, help="maximum tilt of the thrust")
+    max_tilt: float = quantity(
+        60.0, "deg", gt=0, lt=85, help="maximum angle of the thrust from the vertical"
+    )
 
     def build(self, briefing: Briefing, lag: float) -> GravityTurnLaw:
         """Build the guidance law of one flight.

@@ -33,7 +33,9 @@ class ModifiedApolloLaw(ApolloLaw):
     """
 
     jerk: float = quantity(0.25, "m/s^3", gt=0, help="maximum jerk along the path")
-    snap: float = quantity(0.05, "m/s^4", gt=0, help="maximum snap along the path")
+    snap: float = quantity(
+        0.05, "m/s^4", gt=0, help="maximum snap (time derivative of jerk) along the path"
+    )
 
     def cost(
         self,

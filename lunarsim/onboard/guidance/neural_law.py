@@ -66,25 +66,30 @@ class NeuralOptimalLaw(PathLaw):
     """
 
     handover: float = quantity(
-        3.0, "s", gt=0, help="time-to-go below which E-guidance replaces the network"
+        3.0, "s", gt=0, help="time-to-go below which E-guidance replaces the neural network"
     )
     interval: float = quantity(
-        1.0, "s", gt=0, le=60, help="time after a fallback until the network is tried again"
+        1.0,
+        "s",
+        gt=0,
+        le=60,
+        help="time between a switch to the Apollo law as fallback and the next use of the neural "
+        "network",
     )
     thrust_tolerance: float = quantity(
         0.05,
         ge=0,
         le=1,
-        help="violation of the thrust limits up to which the network's output is clipped, not "
-        "rejected, fraction of the maximum thrust",
+        help="violation of the thrust limits, as a fraction of the maximum thrust, up to which the "
+        "network's command is clipped; a larger violation rejects the command",
     )
     tilt_tolerance: float = quantity(
         3.0,
         "deg",
         ge=0,
         lt=45,
-        help="violation of the tilt limit up to which the network's output is clipped, not "
-        "rejected",
+        help="violation of the tilt limit up to which the network's command is clipped; a larger "
+        "violation rejects the command",
     )
 
     @property

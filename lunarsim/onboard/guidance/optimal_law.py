@@ -76,25 +76,38 @@ class OptimalLaw(PathLaw):
     """
 
     min_time_to_go: float = quantity(
-        3.0, "s", gt=0, help="time-to-go below which the last plan is tracked to its end"
+        3.0,
+        "s",
+        gt=0,
+        help="time-to-go below which the lander makes no new plan and follows the last plan to its "
+        "end",
     )
-    interval: float = quantity(1.0, "s", gt=0, le=60, help="time between plans")
+    interval: float = quantity(1.0, "s", gt=0, le=60, help="time between two plans of the path")
     intervals: int = quantity(
-        30, ge=8, le=200, help="number of constant-thrust intervals of a plan"
+        30, ge=8, le=200, help="number of time intervals with constant thrust in a plan"
     )
-    iterations: int = quantity(400, ge=1, help="maximum solver iterations of a plan")
+    iterations: int = quantity(
+        400,
+        ge=1,
+        help="maximum number of solver iterations for a plan; a plan that needs more is rejected",
+    )
     frequency: float = quantity(
-        0.5, "rad/s", ge=0, le=3, help="natural frequency of the plan tracking"
+        0.5, "rad/s", ge=0, le=3, help="natural frequency of the feedback loop that tracks the plan"
     )
     max_final_tilt: float = quantity(
-        10.0, "deg", ge=0, lt=85, help="maximum tilt at the end of the approach"
+        10.0,
+        "deg",
+        ge=0,
+        lt=85,
+        help="maximum angle of the thrust from the vertical at the end of the approach",
     )
     tilt_rate: float = quantity(
         15.0,
         "deg/s",
         gt=0,
         le=180,
-        help="rate at which the tilt limit grows backward in time from the end of the approach",
+        help="increase of the tilt limit per second before the end of the approach, where the "
+        "limit is max_final_tilt_deg",
     )
 
     @property

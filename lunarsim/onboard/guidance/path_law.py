@@ -63,7 +63,10 @@ class PathLaw(ABC):
     """
 
     min_time_to_go: float = quantity(
-        1.5, "s", gt=0, help="time-to-go below which the last path is flown open loop"
+        1.5,
+        "s",
+        gt=0,
+        help="time-to-go below which the lander follows its last path without feedback",
     )
 
     @property

@@ -55,45 +55,69 @@ class RateOfDescent:
         Distance of the pilot's aim point beyond the site, along the initial horizontal velocity, m.
     """
 
-    time_constant: float = quantity(1.5, "s", gt=0, help="time constant of the vertical speed")
+    time_constant: float = quantity(
+        1.5,
+        "s",
+        gt=0,
+        help="time constant with which the vertical speed approaches the commanded rate of descent",
+    )
     click: float = quantity(
         0.3048,
         "m/s",
         gt=0,
-        help="change of the commanded rate of descent by one click of the switch",
+        help="change of the commanded rate of descent by one click of the pilot's switch",
     )
     click_interval: float = quantity(
-        1.0, "s", gt=0, help="minimum time between two clicks of the rate-of-descent switch"
+        1.0, "s", gt=0, help="minimum time between two clicks of the pilot's rate-of-descent switch"
     )
     descent_time: float = quantity(
-        10.0, "s", gt=0, help="time by which height is divided to get the desired rate of descent"
+        10.0,
+        "s",
+        gt=0,
+        help="ratio of the height above the site to the rate of descent that the pilot wants",
     )
-    max_rate: float = quantity(4.5, "m/s", gt=0, help="maximum desired rate of descent")
+    max_rate: float = quantity(
+        4.5, "m/s", gt=0, help="maximum rate of descent that the pilot wants"
+    )
     check_interval: float = quantity(
-        0.5, "s", gt=0, help="time between the pilot's checks of horizontal velocity"
+        0.5, "s", gt=0, help="time between two checks of the horizontal velocity by the pilot"
     )
     velocity_time: float = quantity(
         8.0,
         "s",
         gt=0,
-        help="time by which the distance to the aim point is divided to get the desired speed",
+        help="ratio of the horizontal distance from the aim point to the horizontal speed that the "
+        "pilot wants",
     )
     zero_speed_height: float = quantity(
-        10.0, "m", ge=0, help="height below which no horizontal speed is desired"
+        10.0,
+        "m",
+        ge=0,
+        help="height above the site below which the pilot wants zero horizontal speed",
     )
     correction_time: float = quantity(
-        3.0, "s", gt=0, help="time to remove a horizontal velocity error"
+        3.0,
+        "s",
+        gt=0,
+        help="time in which the pilot wants to remove an error of the horizontal velocity",
     )
-    max_tilt: float = quantity(15.0, "deg", gt=0, lt=60, help="maximum tilt of the thrust")
+    max_tilt: float = quantity(
+        15.0, "deg", gt=0, lt=60, help="maximum angle of the thrust from the vertical"
+    )
     hold_height_speed: float | None = quantity(
         None,
         "m/s",
         gt=0,
-        help="horizontal speed above which the pilot holds height; omitted: never",
+        help="horizontal speed above which the pilot stops the descent and holds the height; "
+        "omitted: never",
     )
 
     overshoot: float = quantity(
-        0.0, "m", ge=0, help="distance of the aim point beyond the site, along initial velocity"
+        0.0,
+        "m",
+        ge=0,
+        help="distance of the pilot's aim point beyond the site, along the initial horizontal "
+        "velocity",
     )
 
     def __post_init__(self) -> None:

@@ -32,9 +32,11 @@ class VelocityNull:
     """
 
     time_constant: float = quantity(
-        5.0, "s", gt=0, help="time constant with which a velocity error decreases"
+        5.0, "s", gt=0, help="time constant with which an error of the velocity decreases"
     )
-    max_tilt: float = quantity(20.0, "deg", gt=0, lt=60, help="maximum tilt of the thrust")
+    max_tilt: float = quantity(
+        20.0, "deg", gt=0, lt=60, help="maximum angle of the thrust from the vertical"
+    )
 
     def __post_init__(self) -> None:
         check_bounds(self, "terminal_descent")

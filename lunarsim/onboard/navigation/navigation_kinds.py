@@ -31,7 +31,12 @@ class InertialNavigation:
     """
 
     terrain_slope: float = quantity(
-        5.0, "deg", ge=0, le=45, help="typical slope of the overflown terrain"
+        5.0,
+        "deg",
+        ge=0,
+        le=45,
+        help="typical slope of the terrain below the flight path, from which the filter computes "
+        "the uncertainty of terrain height",
     )
 
     needs: ClassVar[tuple[type, ...]] = (InertialSamples,)
@@ -80,13 +85,18 @@ class PriorMapNavigation:
 
 @dataclass(frozen=True)
 class RockNavigation(InertialNavigation):
-    """Settings of `InertialNavigation` extended by rocks as landmarks.
+    """Settings of inertial navigation that also uses rocks as landmarks.
 
     The camera detects the rocks by their shadows.
     """
 
     terrain_slope: float = quantity(
-        6.0, "deg", ge=0, le=45, help="typical slope of the overflown terrain"
+        6.0,
+        "deg",
+        ge=0,
+        le=45,
+        help="typical slope of the terrain below the flight path, from which the filter computes "
+        "the uncertainty of terrain height",
     )
 
     rocks: ClassVar[bool] = True

@@ -96,11 +96,21 @@ class UnscentedNavigation:
     """Settings of the unscented filter: position, velocity, accelerometer bias, mass."""
 
     terrain_slope: float = quantity(
-        5.0, "deg", ge=0, le=45, help="typical slope of the overflown terrain"
+        5.0,
+        "deg",
+        ge=0,
+        le=45,
+        help="typical slope of the terrain below the flight path, from which the filter computes "
+        "the uncertainty of terrain height",
     )
-    mass_sigma: float = quantity(1.0, "kg", gt=0, help="1-sigma error of the initial mass")
+    mass_sigma: float = quantity(
+        1.0, "kg", gt=0, help="uncertainty of the lander's mass at the start, 1 sigma"
+    )
     thrust_sigma: float = quantity(
-        0.01, gt=0, le=1, help="relative 1-sigma error of the thrust against its command"
+        0.01,
+        gt=0,
+        le=1,
+        help="deviation of the thrust from its command, as a fraction of the command, 1 sigma",
     )
 
     needs: ClassVar[tuple[type, ...]] = (InertialSamples,)

@@ -31,21 +31,37 @@ class DecisionSettings:
     """
 
     map: str = quantity(
-        "", help="Mapper whose map is used for decisions; empty: first mapper combining maps"
+        "",
+        help="Name of the mapper whose map is used for decisions; empty: the first mapper that "
+        "combines other maps, or else the first mapper",
     )
     first_altitude: float = quantity(
-        400.0, "m", gt=0, help="Altitude of the first decision above the site"
+        400.0,
+        "m",
+        gt=0,
+        help="Height above the site at which the first landing-site decision is made",
     )
     last_altitude: float = quantity(
-        50.0, "m", gt=0, help="Altitude of the last decision above the site"
+        50.0,
+        "m",
+        gt=0,
+        help="Height above the site at which the last landing-site decision is made",
     )
-    interval: float = quantity(1.0, "s", gt=0, help="Time between two decisions")
+    interval: float = quantity(1.0, "s", gt=0, help="Time between two landing-site decisions")
     candidates: int = quantity(
-        16, ge=1, le=256, help="Number of candidate sites selected by safety"
+        16,
+        ge=1,
+        le=256,
+        help="Maximum number of candidate sites for each decision; the safest sites of the map are "
+        "selected",
     )
     separation: float = quantity(3.0, "m", gt=0, help="Minimum distance between candidate sites")
     touchdown_sigma: float = quantity(
-        0.3, "m", ge=0, help="Landing error relative to the map without drift, 1 sigma per axis"
+        0.3,
+        "m",
+        ge=0,
+        help="Expected landing error if the position estimate does not drift relative to the map, "
+        "1 sigma per axis",
     )
 
     def __post_init__(self) -> None:

@@ -55,9 +55,16 @@ class Safest:
     """
 
     value_weight: float = quantity(
-        0.5, ge=0, help="Log odds of safety that the full mission value of a site is worth"
+        0.5,
+        ge=0,
+        help="Advantage of a site of mission value 1 over a site of value 0, in log odds of a safe "
+        "landing",
     )
-    hysteresis: float = quantity(0.7, ge=0, help="Minimum gain in log odds of safety for a divert")
+    hysteresis: float = quantity(
+        0.7,
+        ge=0,
+        help="Minimum improvement of a site's score for a divert, in log odds of a safe landing",
+    )
     name: str = hidden("safest")
 
     def decide(self, observation: Observation) -> Decision:
@@ -87,7 +94,10 @@ class NearestSafe:
     """
 
     p_safe_min: float = quantity(
-        0.95, gt=0, lt=1, help="Probability of a safe landing above which a site is safe enough"
+        0.95,
+        gt=0,
+        lt=1,
+        help="Minimum probability of a safe landing at a site that the policy accepts as safe",
     )
     name: str = hidden("nearest-safe")
 
@@ -125,12 +135,22 @@ class FuelAware:
     """
 
     value_weight: float = quantity(
-        0.5, ge=0, help="Log odds of safety that the full mission value of a site is worth"
+        0.5,
+        ge=0,
+        help="Advantage of a site of mission value 1 over a site of value 0, in log odds of a safe "
+        "landing",
     )
     propellant_weight: float = quantity(
-        0.25, ge=0, help="Gain in log odds of safety that is worth one kilogram of propellant"
+        0.25,
+        ge=0,
+        help="Improvement in log odds of a safe landing that justifies using one kilogram of "
+        "propellant",
     )
-    hysteresis: float = quantity(0.7, ge=0, help="Minimum gain in log odds of safety for a divert")
+    hysteresis: float = quantity(
+        0.7,
+        ge=0,
+        help="Minimum improvement of a site's score for a divert, in log odds of a safe landing",
+    )
     name: str = hidden("fuel-aware")
 
     def decide(self, observation: Observation) -> Decision:
@@ -178,9 +198,14 @@ class ScoreboardChoice:
     """
 
     propellant_weight: float = quantity(
-        0.0, ge=0, help="Gain in the mapper's site score that is worth one kilogram of propellant"
+        0.0,
+        ge=0,
+        help="Improvement of the mapper's site score that justifies using one kilogram of "
+        "propellant; 0: propellant matters only for sites with equal score",
     )
-    hysteresis: float = quantity(0.2, ge=0, help="Minimum gain of the score for a divert")
+    hysteresis: float = quantity(
+        0.2, ge=0, help="Minimum improvement of the mapper's site score for a divert"
+    )
     name: str = hidden("scoreboard")
 
     def decide(self, observation: Observation) -> Decision:
@@ -221,10 +246,14 @@ class SafestOrAbort(Safest):
     """
 
     p_safe_min: float = quantity(
-        0.5, ge=0, le=1, help="Probability of a safe landing below which the lander aborts"
+        0.5,
+        ge=0,
+        le=1,
+        help="Minimum probability of a safe landing at the selected site; the lander aborts if it "
+        "is lower",
     )
     abort_altitude: float = quantity(
-        80.0, "m", gt=0, help="Height above the site below which an abort is allowed"
+        80.0, "m", gt=0, help="Height above the site below which the lander can abort"
     )
     name: str = hidden("safest-or-abort")
 

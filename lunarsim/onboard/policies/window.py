@@ -34,14 +34,18 @@ class CrewWindow:
     """
 
     azimuth: float = quantity(
-        0.0, "deg", ge=-180, le=180, help="Azimuth of the window from body x towards body y"
+        0.0,
+        "deg",
+        ge=-180,
+        le=180,
+        help="Direction of the window: angle from body x towards body y",
     )
     upper_edge: float = quantity(
         -5.0,
         "deg",
         ge=-90,
         le=90,
-        help="Angle of the window's upper edge below the forward direction",
+        help="Angle of the window's upper edge below the forward direction; negative: above it",
     )
     lower_edge: float = quantity(
         65.0,
@@ -55,7 +59,7 @@ class CrewWindow:
         "deg",
         gt=0,
         le=90,
-        help="Angle from the middle of the window to its left and right edges",
+        help="Horizontal angle from the middle of the window to its left or right edge",
     )
 
     def __post_init__(self) -> None:

@@ -52,10 +52,15 @@ class AtAltitudes:
     """
 
     altitudes: tuple[float, ...] = quantity(
-        (350.0, 160.0), "m", gt=0, help="Altitudes above the site of single measurements"
+        (350.0, 160.0),
+        "m",
+        gt=0,
+        help="Heights above the site at which the sensor makes one measurement each",
     )
     boresight: Literal["site", "nadir"] = quantity(
-        "site", help="Direction in which the sensor points: landing site or straight down"
+        "site",
+        help="Direction in which the sensor points: site (to the landing site) or nadir (straight "
+        "down)",
     )
 
     def __post_init__(self) -> None:
@@ -94,10 +99,10 @@ class Periodic:
 
     rate: float = quantity(10.0, "Hz", gt=0, help="Measurement rate")
     first_altitude: float = quantity(
-        400.0, "m", gt=0, help="Altitude of the first measurement above the site"
+        400.0, "m", gt=0, help="Height above the site at which measurements begin"
     )
     last_altitude: float = quantity(
-        0.0, "m", ge=0, help="Altitude above the site where measurements end"
+        0.0, "m", ge=0, help="Height above the site at which measurements end"
     )
 
     def __post_init__(self) -> None:
@@ -139,14 +144,14 @@ class Sweep:
 
     size: float = quantity(90.0, "m", gt=0, help="Side of the scanned square around the site")
     duration: float = quantity(
-        20.0, "s", gt=0, help="Duration of the scan before the dwell on the site"
+        20.0, "s", gt=0, help="Duration of the scan; after it the sensor points at the site"
     )
     rate: float = quantity(20.0, "Hz", gt=0, help="Measurement rate during the scan")
     dwell_rate: float = quantity(
-        5.0, "Hz", gt=0, help="Measurement rate during the dwell on the site"
+        5.0, "Hz", gt=0, help="Measurement rate after the scan, while the sensor points at the site"
     )
     last_altitude: float = quantity(
-        15.0, "m", ge=0, help="Altitude above the site below which there are no measurements"
+        15.0, "m", ge=0, help="Height above the site at which measurements end"
     )
 
     @property

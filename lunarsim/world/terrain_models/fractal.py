@@ -39,8 +39,8 @@ class FractalTerrain(ReliefRoughness):
     posting: float = quantity(0.25, "m", gt=0, help="grid spacing of the relief")
     detail: float | None = quantity(
         None, "m", ge=0,
-        help="grid spacing of refined relief with added roughness and craters; 0: none; omitted: "
-        "none, or with a preset the larger of 0.05 m and size_m / 4000",
+        help="grid spacing of a finer relief with additional roughness and small craters; 0: no "
+        "finer relief; omitted: 0 without preset, otherwise the larger of 0.05 m and size_m / 4000",
     )  # fmt: skip
 
     def __post_init__(self) -> None:

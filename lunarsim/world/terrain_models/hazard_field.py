@@ -21,14 +21,23 @@ class HazardFieldTerrain:
     The rock settings of the scenario are not used.
     """
 
-    size: float = quantity(160.0, "m", gt=0, help="side of the square of grassland")
+    size: float = quantity(160.0, "m", gt=0, help="side of the square of flat grassland")
     posting: float = quantity(0.25, "m", gt=0, help="grid spacing of the relief")
-    field: float = quantity(100.0, "m", gt=0, help="side of the hazard field in the grassland")
-    field_rotation: float = quantity(
-        20.0, "deg", help="rotation of the hazard field, counter-clockwise from east"
+    field: float = quantity(
+        100.0,
+        "m",
+        gt=0,
+        help="side of the square inside the grassland that has boulders and craters",
     )
-    boulders: int = quantity(300, ge=0, help="number of boulders, 0.4 to 1 m across")
-    craters: int = quantity(24, ge=0, help="number of craters, 2 to 5 m across")
+    field_rotation: float = quantity(
+        20.0,
+        "deg",
+        help="rotation of the square with boulders and craters, counter-clockwise from east",
+    )
+    boulders: int = quantity(
+        300, ge=0, help="number of boulders, which have diameters of 0.4 to 1 m"
+    )
+    craters: int = quantity(24, ge=0, help="number of craters, which have diameters of 2 to 5 m")
 
     def __post_init__(self) -> None:
         check_posts(self.size, self.posting)

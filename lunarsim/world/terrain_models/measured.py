@@ -44,37 +44,52 @@ class RasterTerrain(ReliefRoughness):
         through the points is smoother than real terrain.
     """
 
-    path: Path | None = quantity(None, help="elevation raster file, relative to the scenario file")
+    path: Path | None = quantity(
+        None, help="file of the elevation raster, relative to the scenario file"
+    )
     dtm_posting: float | None = quantity(
-        None, "m", gt=0, help="grid spacing of a raster without georeferencing"
+        None,
+        "m",
+        gt=0,
+        help="grid spacing of the elevation raster; required if the file has no georeferencing; "
+        "omitted: as in the file",
     )
     dtm_window: tuple[int, int, int, int] | None = quantity(
-        None, help="part to read: first and last row, first and last column; last ones excluded"
+        None,
+        help="part of the raster to read: first row, end row, first column, end column, without "
+        "the end row and column; omitted: all",
     )
     dtm_unit: str | None = quantity(
-        None, help="unit of the heights, overrides the file's: m, km, ft, us-ft"
+        None,
+        help="unit of the raster's heights: m, km, ft or us-ft; omitted: unit stated in the file",
     )
     dtm_nodata: Numbers | None = quantity(
-        None, help="raster values that mean 'no height'; [] if all values are heights"
+        None,
+        help="raster values that mark missing heights, in addition to those stated in the file; "
+        "[]: no other values; omitted: values that resemble such marks are refused",
     )
     height_step: float | None = quantity(
         None,
         "m",
         gt=0,
-        help="quantization step of the heights, which is smoothed; omitted: no smoothing",
+        help="quantization step of the raster's heights; relief is smoothed within half a step; "
+        "omitted: no smoothing",
     )
     relief_scale: float = quantity(
-        1.0, ge=0, help="factor on heights, c of Eq. 20 of the Gaussian DEM paper"
+        1.0, ge=0, help="factor by which the raster's heights are multiplied"
     )
     mirrored_size: float | None = quantity(
         None,
         "m",
         gt=0,
-        help="side of the square to which mirroring at the edges extends the raster",
+        help="side of the square to which the raster is extended by mirroring at its edges; "
+        "omitted: no extension",
     )
-    posting: float = quantity(0.25, "m", gt=0, help="grid spacing of the refined relief")
+    posting: float = quantity(
+        0.25, "m", gt=0, help="grid spacing of the relief that is interpolated from the raster"
+    )
     detail: bool = quantity(
-        True, help="whether roughness and craters are added between raster points"
+        True, help="whether roughness and craters are added between the raster's grid points"
     )
 
     def __post_init__(self) -> None:

@@ -51,28 +51,39 @@ class ReliefRoughness:
     """
 
     preset: Literal["none", "mare", "highland", "polar"] = quantity(
-        "none", help="terrain type; gives the values of omitted roughness and crater keys"
+        "none",
+        help="terrain type that sets hurst, rms_slope_deg and crater_density if they are omitted; "
+        "none: RMS slope of 2.5 deg, no craters",
     )
-    hurst: float | None = quantity(None, gt=0, lt=1, help="Hurst exponent of the relief")
+    hurst: float | None = quantity(
+        None, gt=0, lt=1, help="Hurst exponent of the relief; omitted: value of the preset"
+    )
     rms_slope: float | None = quantity(
-        None, "deg", ge=0, lt=45, help="RMS slope over a baseline of 1 m"
+        None,
+        "deg",
+        ge=0,
+        lt=45,
+        help="RMS slope of the relief over a baseline of 1 m; omitted: value of the preset",
     )
     crater_density: float | None = quantity(
         None,
         ge=0,
         le=0.3,
-        help="number per m^2 of craters of 1 m or more in equilibrium; 0: no craters",
+        help="number of craters per m^2 with a diameter of at least 1 m, in equilibrium; 0: no "
+        "craters; omitted: value of the preset",
     )
     crater_equilibrium_diameter: float = quantity(
         200.0,
         "m",
         gt=0,
-        help="diameter below which as many craters erode as form; a larger value adds large ones",
+        help="diameter below which as many craters erode as form (equilibrium); a larger value "
+        "adds large craters",
     )
     crater_min_diameter: float = quantity(2.0, "m", gt=0, help="minimum crater diameter")
     crater_degradation: Literal["uniform", "diffusion"] = quantity(
         "uniform",
-        help="crater wear: uniform (all depths equally likely) or diffusion (most are shallow)",
+        help="wear of the craters: uniform (all depths are equally likely) or diffusion (small "
+        "craters are shallow)",
     )
 
     def procedural_relief(

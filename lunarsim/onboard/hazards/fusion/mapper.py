@@ -55,20 +55,25 @@ class FusedMapperSettings:
     """
 
     inputs: tuple[str, ...] = quantity(
-        (), help="names of the fused mappers; omitted: all other mappers"
+        (), help="names of the mappers whose maps are combined; omitted: all other mappers"
     )
     terrain_prior: float = quantity(
         0.9,
         ge=0,
         lt=1,
-        help="probability that slope and roughness of unmeasured terrain are within limits",
+        help="probability that slope and roughness of unmeasured terrain are within the lander's "
+        "limits",
     )
 
     calibration_path: Path | None = quantity(
-        None, help="calibration file of the fused map, relative to the scenario file"
+        None,
+        help="file of the calibration that is applied to the fused map, relative to the scenario "
+        "file; omitted: no calibration",
     )
     calibration_mapper: str = quantity(
-        "", help="another elevation mapper whose probability enters the calibration; empty: none"
+        "",
+        help="name of a second elevation mapper whose probability is an input of the calibration; "
+        "empty: none",
     )
     interval: float = quantity(
         1.0, "s", ge=0, le=10, help="minimum time between two updates of the map"

@@ -65,15 +65,17 @@ class GaussianDemMapperSettings:
     size: float = quantity(100.0, "m", gt=0, help="side of the square map centred on the target")
     safety: Judgement = quantity(
         "calibrated",
-        help="safety test: 'calibrated' (probability), 'level' (Eqs. 15 to 17 of the Gaussian DEM "
-        "paper) or 'planes' (the same with the support planes of the legs)",
+        help="safety test: calibrated (calibrated probability of a safe landing), level "
+        "(conservative comparison of the highest and lowest terrain below the lander) or planes "
+        "(like level, but with the planes on which the legs rest)",
     )
     interval: float = quantity(
         1.0, "s", ge=0, le=10, help="minimum time between two updates of the map"
     )
     calibration_path: Path | None = quantity(
         None,
-        help="calibration file from `lunarsim calibrate`, relative to the scenario file",
+        help="calibration file written by `lunarsim calibrate`, relative to the scenario file; "
+        "omitted: calibration supplied with lunarsim",
     )
 
     accepts: ClassVar[type] = LidarScan

@@ -56,13 +56,15 @@ class QuadtreeMapperSettings:
     sensor: str = quantity("flash", help="name of the LiDAR whose scans are mapped")
     posting: float = quantity(0.2, "m", gt=0, help="side of a map cell")
     size: float = quantity(100.0, "m", gt=0, help="side of the square map centred on the target")
-    min_cell_size: float = quantity(0.1, "m", gt=0, help="minimum cell side of the quadtree")
-    split_count: int = quantity(8, ge=2, help="number of points at which a cell splits")
-    interval: float = quantity(1.0, "s", gt=0, help="time between two site selections")
+    min_cell_size: float = quantity(0.1, "m", gt=0, help="minimum side of a quadtree cell")
+    split_count: int = quantity(
+        8, ge=2, help="number of LiDAR points at which a quadtree cell is split into four"
+    )
+    interval: float = quantity(1.0, "s", gt=0, help="time between two selections of landing sites")
     interest_path: Path | None = quantity(
         None,
-        help="map of the value of landing places to the mission (.npz of value, x0, y0, posting), "
-        "relative to the scenario file; omitted: 1 everywhere",
+        help="file with a map of the mission value of landing places, 0 to 1 (.npz with value, x0, "
+        "y0, posting), relative to the scenario file; omitted: value 1 everywhere",
     )
     sites: SiteSettings = quantity(SiteSettings(), help="criteria for landing sites")
 

@@ -55,47 +55,88 @@ class SiteSettings:
         and thus penalizes well observed terrain.
     """
 
-    slope_limit: float = quantity(5.0, "deg", gt=0, lt=45, help="maximum slope (lambda_theta)")
+    slope_limit: float = quantity(
+        5.0,
+        "deg",
+        gt=0,
+        lt=45,
+        help="maximum slope of a landing site (lambda_theta of the quadtree paper)",
+    )
     roughness_limit: float = quantity(
         0.3,
         "m",
         gt=0,
-        help="distance from the terrain plane above which a point is a hazard "
-        "(exception; lambda_d)",
+        help="distance from the terrain plane above which a LiDAR point counts as a hazard "
+        "(lambda_d of the quadtree paper)",
     )
-    min_density: float = quantity(5.0, "1/m^2", ge=0, help="minimum point density (lambda_rho)")
+    min_density: float = quantity(
+        5.0,
+        "1/m^2",
+        ge=0,
+        help="minimum density of LiDAR points in a cell that is used (lambda_rho of the quadtree "
+        "paper)",
+    )
     exception_limit: float = quantity(
         0.015,
         ge=0,
         lt=1,
-        help="maximum fraction of hazard points (exceptions) in a cell (lambda_e)",
+        help="maximum fraction of hazard points among the LiDAR points of a cell (lambda_e of the "
+        "quadtree paper)",
     )
     zone_half_side: float = quantity(
-        2.5, "m", gt=0, help="half side of the landing zone (lambda_z)"
+        2.5,
+        "m",
+        gt=0,
+        help="half the side of the square landing zone (lambda_z of the quadtree paper)",
     )
     interest_weight: float = quantity(
-        1.0, ge=0, help="weight of (1 - value to the mission) in the site score (Eq. 9)"
+        1.0,
+        ge=0,
+        help="weight of (1 - mission value) in the site score, in which low values are good (Eq. 9 "
+        "of the quadtree paper)",
     )
     slope_weight: float = quantity(
-        1000.0, ge=0, help="weight of (1 - cosine of the slope) in the site score (Eq. 9)"
+        1000.0,
+        ge=0,
+        help="weight of (1 - cosine of the slope) in the site score, in which low values are good "
+        "(Eq. 9 of the quadtree paper)",
     )
     roughness_weight: float = quantity(
-        100.0, ge=0, help="weight of the roughness, in m, in the site score (Eq. 9)"
+        100.0,
+        ge=0,
+        help="weight of the roughness (m) in the site score, in which low values are good (Eq. 9 "
+        "of the quadtree paper)",
     )
     mesh_band: tuple[float, float] = quantity(
-        (6.4, 12.8), "m", gt=0, help="sides of the smallest and largest cells of the terrain mesh"
+        (6.4, 12.8),
+        "m",
+        gt=0,
+        help="sides of the smallest and largest quadtree cells that form the terrain mesh",
     )
-    margin: float = quantity(0.3, "m", ge=0, help="margin around observed hazards")
+    margin: float = quantity(
+        0.3, "m", ge=0, help="minimum distance between the landing zone and observed hazards"
+    )
     hazard_band: tuple[float, float] = quantity(
-        (1.6, 1.6), "m", gt=0, help="sides of the smallest and largest cells searched for hazards"
+        (1.6, 1.6),
+        "m",
+        gt=0,
+        help="sides of the smallest and largest quadtree cells that are searched for hazards",
     )
     site_band: tuple[float, float] = quantity(
-        (0.8, 1.6), "m", gt=0, help="sides of the smallest and largest cells that become sites"
+        (0.8, 1.6),
+        "m",
+        gt=0,
+        help="sides of the smallest and largest quadtree cells that can become landing sites",
     )
-    count: int = quantity(5, ge=1, help="number of ranked sites")
-    separation: float = quantity(5.0, "m", ge=0, help="minimum distance between ranked sites")
+    count: int = quantity(5, ge=1, help="maximum number of landing sites in the ranking")
+    separation: float = quantity(
+        5.0, "m", ge=0, help="minimum distance between two landing sites in the ranking"
+    )
     roughness: Literal["rms", "printed"] = quantity(
-        "rms", help="roughness measure: rms (root mean square distance), or Eq. 8 as printed"
+        "rms",
+        help="roughness measure: rms (root mean square distance of points from the plane) or "
+        "printed (sum of the distances divided by the square root of their number, Eq. 8 of the "
+        "quadtree paper)",
     )
 
     def __post_init__(self) -> None:

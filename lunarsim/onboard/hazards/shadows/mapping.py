@@ -72,31 +72,39 @@ class ShadowMapping:
 
     sensor: str = quantity("camera", help="Name of the camera whose images are mapped")
     sensors: tuple[str, ...] = quantity(
-        (), help="Names of several cameras whose images are mapped, instead of one sensor"
+        (),
+        help="Names of the cameras whose images are mapped, if there are several; empty: only the "
+        "camera that sensor names",
     )
     posting: float = quantity(0.2, "m", gt=0, help="Cell size of the map")
-    size: float = quantity(100.0, "m", gt=0, help="Side of the square map around the target")
+    size: float = quantity(100.0, "m", gt=0, help="Side of the square map centred on the target")
     min_hazard_diameter: float = quantity(
-        0.5, "m", gt=0, lt=4, help="Minimum diameter of a rock that is a hazard"
+        0.5, "m", gt=0, lt=4, help="Minimum diameter at which a rock counts as a hazard"
     )
-    interval: float = quantity(1.0, "s", gt=0, help="Time between two evaluations of the map")
+    interval: float = quantity(1.0, "s", gt=0, help="Minimum time between two updates of the map")
     clear_terrain_interval: float = quantity(
         0.4,
         "s",
         ge=0,
         le=10,
-        help="Minimum time between images from which terrain without rocks is recorded",
+        help="Minimum time between two images of a camera that are used to mark terrain as free of "
+        "rocks; every image is used to track rocks",
     )
     shapes: Literal["inferred", "expected", "hemisphere"] = quantity(
         "inferred",
-        help="Rock shapes of the shadow model: inferred from shadows, expected by the mission, or "
-        "hemisphere (paper)",
+        help="Rock shapes that the shadow model assumes: inferred (from the shadows), expected "
+        "(those of the table expected_rocks) or hemisphere",
     )
     terrain_mapper: str = quantity(
-        "", help="Name of the mapper that measures the terrain; omitted: horizontal terrain"
+        "",
+        help="Name of the mapper that measures the terrain on which rocks stand and shadows fall; "
+        "omitted: the terrain is assumed to be horizontal",
     )
     cover_model: Literal["rice", "gaussian"] = quantity(
-        "rice", help="Distribution for the probability that a rock covers a point (paper: gaussian)"
+        "rice",
+        help="Distribution of the distance between a point and a rock's true centre, for the "
+        "probability that the rock covers the point: rice (exact for round rocks) or gaussian "
+        "(approximation of the shadow EKF paper)",
     )
 
     accepts: ClassVar[type] = CameraImage
