@@ -123,7 +123,7 @@ def matching_manifest(folder: Path, plan: Plan) -> dict[str, Any] | None:
         if manifest.get(key) != ours:
             raise InputError(
                 "--out", str(folder),
-                f"was flown with {key} {manifest.get(key)}, but this is {ours}",
+                f"holds flights of another lunarsim ({key} {manifest.get(key)} there, {ours} here)",
                 "Use a new folder.",
             )  # fmt: skip
     _check_packages(folder, manifest)
@@ -132,8 +132,8 @@ def matching_manifest(folder: Path, plan: Plan) -> dict[str, Any] | None:
         if last >= plan.flights:
             raise InputError(
                 "flights", plan.flights,
-                f"must be {last + 1} or more, as many as {folder} already has",
-                "Or use a new folder.",
+                f"must be {last + 1} or more, because {folder} already has {last + 1} flights",
+                "Increase flights, or use a new folder.",
             )  # fmt: skip
     planned = json.loads(json.dumps(new_manifest(plan)))
     there, here = ({key: tables[key] for key in _FIXED_FIELDS} for tables in (manifest, planned))
@@ -227,7 +227,7 @@ def _reason(error: ValidationError) -> str:
 
 def _damaged(folder: Path, reason: str) -> InputError:
     return InputError(
-        "folder", str(folder), f"manifest.json is damaged ({reason[:100]})",
+        "folder", str(folder), f"contains a damaged manifest.json ({reason[:100]})",
         "Restore it from a copy, or use a new folder.",
     )  # fmt: skip
 
