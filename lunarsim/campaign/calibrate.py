@@ -171,7 +171,10 @@ def gaussian_mapper(scenario: Scenario, name: str | None = None) -> str:
             raise InputError("mappers", ", ".join(mappers), problem, remedy, show_value=False)
     if name not in fit:
         raise InputError(
-            "--mapper", name, f"must be the name of a mapper of kind 'gaussian-dem' ({words})"
+            "--mapper",
+            name,
+            "must be the name of a mapper of kind 'gaussian-dem'",
+            f"Mappers of this kind: {words}.",
         )
     safety = mappers[name].safety
     if safety != "calibrated":

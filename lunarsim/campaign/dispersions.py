@@ -252,7 +252,7 @@ class Correlation:
             if value != mirrored:
                 raise InputError(
                     f"matrix[{i}][{j}]", value,
-                    f"must be equal to matrix[{j}][{i}], which is {mirrored}",
+                    f"must be {mirrored}, as in matrix[{j}][{i}], because the matrix is symmetric",
                 )  # fmt: skip
         least = float(np.linalg.eigvalsh(matrix)[0])
         if least <= 1e-10:

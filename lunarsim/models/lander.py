@@ -185,11 +185,13 @@ class Lander:
             raise InputError(
                 "vehicle.thrust_max_n",
                 self.thrust_max,
-                f"must be more than the weight of {weight:.0f} N to hover",
+                f"must be more than the weight of {weight:.0f} N, "
+                "otherwise the lander cannot hover",
             )
         if self.thrust_min >= self.dry_mass * gravity:
             raise InputError(
                 "vehicle.thrust_min_n",
                 self.thrust_min,
-                f"must be less than the dry weight of {self.dry_mass * gravity:.0f} N, to descend",
+                f"must be less than the dry weight of {self.dry_mass * gravity:.0f} N, "
+                "otherwise the lander cannot descend",
             )

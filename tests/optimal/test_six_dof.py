@@ -151,7 +151,7 @@ def test_what_cannot_be_is_refused():
     ahead = SiteVisibility(np.array([1.0, 0.0, 0.0]), 0.01)
     for changes, name in (
         ({"max_tilt": 1e-3}, "start.attitude"), ({"max_rate": 1e-4}, "start.rate"),
-        ({"glideslope": 1.55}, "start.position"), ({"sight": ahead}, "start.sight"),
+        ({"glideslope": 1.55}, "start.position"), ({"sight": ahead}, "sight.half_angle"),
     ):  # fmt: skip
         with pytest.raises(InputError, match=name):
             replace(far, **changes)

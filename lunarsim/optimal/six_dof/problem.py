@@ -249,8 +249,8 @@ class RigidDescent:
                 unit = "deg/s" if name == "rate" else "deg"
                 raise InputError(
                     f"optimal.start.{name}", value,
-                    f"must have {what} of at most {limit}, which is {np.rad2deg(most):.3f} {unit}, "
-                    f"but has {np.rad2deg(value):.3f} {unit}", show_value=False,
+                    f"must give {what} of at most {np.rad2deg(most):.3f} {unit}, the value of "
+                    f"{limit}, but gives {np.rad2deg(value):.3f} {unit}", show_value=False,
                 )  # fmt: skip
         slope = np.tan(self.glideslope or 0.0) * np.hypot(at[0], at[1]) - self.drop
         if self.glideslope is not None and at[2] < slope:
