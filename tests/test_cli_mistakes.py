@@ -68,7 +68,10 @@ OWN = {
         ([], ["SCENARIO", "fly --help"]),
     ],
     "compare": [
-        ([GOOD, "--out", "new", "--policies", "safest,safest"], ["--policies", "each policy only once"]),
+        (
+            [GOOD, "--out", "new", "--policies", "safest,safest"],
+            ["--policies", "each policy only once"],
+        ),
         ([GOOD, "--out", "new", "--policies", "safset"], ["'safset'", "Did you mean 'safest'"]),
         ([GOOD, "--out", "new", "--flights", "0"], ["--flights: ", "got 0", "1 or more"]),
         ([GOOD, "--out", "new", "--jobs", "0"], ["--jobs: ", "got 0", "1 or more"]),
@@ -195,7 +198,10 @@ OWN = {
     "scenario show": [(["hiris"], ["NAME: ", "got 'hiris'", "Did you mean 'hirise'"])],
     "scenario new": [
         (["hiris"], ["NAME: ", "got 'hiris'", "Did you mean 'hirise'"]),
-        (["hirise", "--out", "wrong.toml"], ["--out: ", "got 'wrong.toml'", "a file that does not exist yet"]),
+        (
+            ["hirise", "--out", "wrong.toml"],
+            ["--out: ", "got 'wrong.toml'", "a file that does not exist yet"],
+        ),
         (["hirise", "--out", "x.txt"], ["--out: ", "got 'x.txt'", ".toml"]),
         (["hirise", "--out", "none/x.toml"], ["--out: ", "got 'none/x.toml'", "existing folder"]),
     ],

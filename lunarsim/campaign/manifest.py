@@ -19,6 +19,7 @@ from lunarsim.campaign.plan import MAX_FLIGHTS, Plan
 from lunarsim.campaign.rows import KINDS, schema_of
 from lunarsim.errors import InputError, check_folder
 from lunarsim.json_files import read_json
+from lunarsim.scenario.errors import plain_problem
 from lunarsim.untrusted_folders import check_no_links, read_bounded_bytes
 
 FORMAT = 2
@@ -222,7 +223,7 @@ def _reason(error: ValidationError) -> str:
     field = ".".join(map(str, first["loc"])) or "manifest"
     if first["type"] == "literal_error":
         return f"{field} has an unknown kind of column"
-    return f"{field}: {first['msg']}"
+    return f"{field}: {plain_problem(first)}"
 
 
 def _damaged(folder: Path, reason: str) -> InputError:

@@ -93,7 +93,7 @@ def input_error(
         return unknown_key_error(
             field, first["input"], layout.MOVED_KEYS.get(path) or key_hint(key, keys)
         )
-    problem = _problem(first)
+    problem = plain_problem(first)
     wants_number = unit and first["type"].endswith(("_type", "_parsing"))
     remedy = f"Give a plain number {_unit_phrase(unit)}." if wants_number else ""
     if wants_number and first["type"] in ("tuple_type", "list_type"):
@@ -106,7 +106,7 @@ def _key_text(step: int | str) -> str:
     return f"[{step}]" if isinstance(step, int) else f".{step}"
 
 
-def _problem(error: Any) -> str:
+def plain_problem(error: Any) -> str:
     """Return the problem that an error of pydantic reports, as a clause."""
     bounds = error.get("ctx", {})
     if error["type"] == "greater_than" and bounds["gt"] == 0:

@@ -143,7 +143,7 @@ def test_what_cannot_be_is_refused():
         ({"end_position": [0.0, np.nan, 0.0]}, "end_position"), ({"reserve": 400.0}, "mass"),
         ({"drop": -1.0}, "drop"), ({"glideslope": 2.0}, "glideslope"),
         ({"start": State(np.full(3, np.nan), np.zeros(3), np.array([0, 0, 0, 1.0]), np.zeros(3),
-                         1500.0)}, "start"),
+                         1500.0)}, r"start\.position\[0\]: must be finite, got nan"),
     ):  # fmt: skip
         with pytest.raises(InputError, match=name):
             descent(rng, **changes)
