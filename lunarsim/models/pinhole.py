@@ -124,7 +124,7 @@ class View:
 
 
 def check_finite_position(position: NDArray[np.float64]) -> None:
-    """Raise InputError naming the first coordinate of a camera's position that is not finite."""
+    """Raise InputError if a coordinate of a camera's position is not finite."""
     for i, coordinate in enumerate(position):
         if not np.isfinite(coordinate):
             raise InputError(f"camera.position[{i}]", float(coordinate), "must be finite")

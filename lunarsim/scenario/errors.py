@@ -102,7 +102,7 @@ def input_error(
 
 
 def _key_text(step: int | str) -> str:
-    """Return the text of a key, or of an index of a list, at the end of a path of keys."""
+    """Return the text of a key or list index at the end of a path."""
     return f"[{step}]" if isinstance(step, int) else f".{step}"
 
 
@@ -118,7 +118,7 @@ def plain_problem(error: Any) -> str:
 
 
 def key_hint(key: str, known: Iterable[str]) -> str:
-    """Return a sentence with the known key closest to an unknown one, or where to find all."""
+    """Return a remedy for an unknown key: the closest key, or all keys."""
     hint = suggestion(key, known)
     if len(hint) > _MAX_HINT_LENGTH:
         return "All keys are listed by `lunarsim scenario reference`."
@@ -153,13 +153,13 @@ def unknown_key_error(field: str, value: object, remedy: str) -> InputError:
 
 
 def _is_union(model: type[PartSettings], key: str) -> bool:
-    """Return whether a key accepts several types, which pydantic then names in its errors."""
+    """Return whether a key accepts several types (named in pydantic's errors)."""
     found = model.model_fields.get(key)
     return found is not None and get_origin(found.annotation) in (Union, UnionType)
 
 
 def _elements(model: type[PartSettings], key: str, depth: int) -> tuple[Any, ...]:
-    """Return the element types of a list of fixed length that is a key's value or inside it.
+    """Return the element types of a list of fixed length in a key's value.
 
     `depth` is the number of indices from the value to the list. The result is empty for any other
     value.
@@ -177,7 +177,7 @@ def _elements(model: type[PartSettings], key: str, depth: int) -> tuple[Any, ...
 def _table_at(
     model: type[PartSettings], location: tuple[Any, ...]
 ) -> tuple[type[PartSettings], int]:
-    """Return the settings class of the innermost table at a path of keys, and its depth."""
+    """Return settings class and depth of the innermost table at a path."""
     for depth, step in enumerate(location):
         field = model.model_fields.get(str(step))
         if field is None or not isinstance(field.annotation, type):

@@ -114,7 +114,7 @@ def _scatter_objects(
             raise InputError(
                 f"terrain.{name}",
                 count,
-                f"must be smaller, because so many do not fit into a square of side {size:g} m",
+                f"must be smaller, because only {len(placed)} fit into a square of side {size:g} m",
             )
         placed = np.vstack((placed, [*p, d]))
     c, s = np.cos(turn), np.sin(turn)
