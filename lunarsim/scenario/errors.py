@@ -28,10 +28,10 @@ _PROBLEMS = {
     "dict_type": "must be a table",
     "model_type": "must be a table",
     "model_attributes_type": "must be a table",
-    "greater_than": "must be more than {gt:g}",
-    "greater_than_equal": "must be {ge:g} or more",
-    "less_than": "must be less than {lt:g}",
-    "less_than_equal": "must be at most {le:g}",
+    "greater_than": "must be more than {gt}",
+    "greater_than_equal": "must be {ge} or more",
+    "less_than": "must be less than {lt}",
+    "less_than_equal": "must be at most {le}",
 }
 # Maximum number of characters of a list of known keys.
 _MAX_HINT_LENGTH = 120
@@ -108,8 +108,11 @@ def _key_text(step: int | str) -> str:
 
 def plain_problem(error: Any) -> str:
     """Return the problem that an error of pydantic reports, as a clause."""
-    bounds = error.get("ctx", {})
-    if error["type"] == "greater_than" and bounds["gt"] == 0:
+    bounds = {
+        name: f"{bound:g}" if isinstance(bound, float) else bound
+        for name, bound in error.get("ctx", {}).items()
+    }
+    if error["type"] == "greater_than" and float(bounds["gt"]) == 0.0:
         return "must be positive"
     if error["type"] in _PROBLEMS:
         return _PROBLEMS[error["type"]].format(**bounds)
