@@ -6,6 +6,7 @@ indices, which have the same random numbers; a row of the results is one flight 
 
 from __future__ import annotations
 
+import reprlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
@@ -15,6 +16,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import NDArray
 
+from lunarsim.campaign.manifest import first_difference
 from lunarsim.campaign.outcomes import FLOWN
 from lunarsim.campaign.results import Results
 from lunarsim.errors import InputError, suggestion
@@ -78,9 +80,9 @@ def column(
     return np.asarray(values if rows is None else values[rows], dtype=np.float64)
 
 
-def metrics(results: Results, kind: str) -> list[str]:
-    """Return the names of the metrics of a kind: "bool", "int", "float" or "text"."""
-    return [name for name, k in results.manifest["columns"].items() if k == kind]
+def metrics(results: Results, *kinds: str) -> list[str]:
+    """Return the names of the metrics of some kinds: "bool", "int", "float" or "text"."""
+    return [name for name, kind in results.manifest["columns"].items() if kind in kinds]
 
 
 def arm_rows(results: Results) -> dict[str, NDArray[np.bool_]]:
@@ -167,7 +169,10 @@ def differences(results: Results, metric: str = "safe") -> list[Difference]:
     kind = results.manifest["columns"].get(metric)
     if kind not in ("bool", "float", "int"):
         raise InputError(
-            "metric", metric, "is unknown", suggestion(metric, results.manifest["columns"])
+            "metric",
+            metric,
+            "must be a numeric or boolean column of the results",
+            suggestion(metric, metrics(results, "bool", "int", "float")),
         )
     rng = np.random.default_rng(design_seed(int(results.manifest["seed"])))
     flights = int(results.table["flight"].to_numpy().max(initial=-1)) + 1
@@ -237,13 +242,19 @@ def compare_campaigns(
         results.check_equal_weights(field)
     for name in ("seed", "arms", *_DRAW_FIELDS):
         ours, theirs = (_shared_value(results, name) for results in (first, second))
-        if ours != theirs:
+        found = first_difference(ours, theirs, name)
+        if found is not None:
+            key, a, b = found
             raise InputError(
-                "B", str(second.folder), f"must have the same {name} as A: {ours}, not {theirs}"
-            )
+                "B", b, f"must have the same {key} as A, {reprlib.repr(a)}, but has "
+                f"{reprlib.repr(b)}", show_value=False,
+            )  # fmt: skip
     if first.manifest["columns"].get(metric) != "bool":
         raise InputError(
-            "--metric", metric, "is unknown", suggestion(metric, metrics(first, "bool"))
+            "--metric",
+            metric,
+            "must be a boolean column of the results",
+            suggestion(metric, metrics(first, "bool")),
         )
     made = []
     for arm in first.arms:
@@ -251,7 +262,10 @@ def compare_campaigns(
         flights = sorted(a.keys() & b.keys())
         if not flights:
             raise InputError(
-                "B", str(second.folder), f"must share flights with A, but has none in arm {arm!r}"
+                "B",
+                str(second.folder),
+                f"must have a flight of arm {arm!r} that A has too",
+                show_value=False,
             )
         hits = np.array([(a[i], b[i]) for i in flights], dtype=bool)
         made.append(share_difference(hits[:, 0], hits[:, 1], (arm, arm), level=0.9))

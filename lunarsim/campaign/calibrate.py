@@ -125,7 +125,11 @@ def calibrate(
     parts = [part for index in range(flights) for part in found[index]]
     if not sum(map(len, parts)):
         raise InputError(
-            "sites", 0, "no decision map observed any terrain", "Check the LiDAR schedule."
+            "sites",
+            0,
+            "cannot be drawn, because no map that a decision used has observed terrain",
+            "Check when the LiDAR scans ([tasking]).",
+            show_value=False,
         )
     everything = SiteSamples.joined(parts)
     check_site_counts(everything)
@@ -159,19 +163,24 @@ def gaussian_mapper(scenario: Scenario, name: str | None = None) -> str:
         name = decides if decides in fit else (fit[0] if len(fit) == 1 else None)
         if name is None:
             problem = (
-                "must contain one mapper of kind gaussian-dem"
+                "must contain a mapper of kind 'gaussian-dem'"
                 if not fit
-                else f"there are several mappers of kind gaussian-dem ({words})"
+                else f"contains several mappers of kind 'gaussian-dem' ({words})"
             )
-            remedy = "Add [mappers.NAME]." if not fit else "Choose one with --mapper."
-            raise InputError("mappers", ", ".join(mappers), problem, remedy)
+            remedy = "Add it as [mappers.NAME]." if not fit else "Choose one with --mapper."
+            raise InputError("mappers", ", ".join(mappers), problem, remedy, show_value=False)
     if name not in fit:
         raise InputError(
-            "--mapper", name, f"must be a mapper of kind gaussian-dem (available: {words})"
+            "--mapper",
+            name,
+            "must be the name of a mapper of kind 'gaussian-dem'",
+            f"Mappers of this kind: {words}.",
         )
     safety = mappers[name].safety
     if safety != "calibrated":
-        raise InputError(f"mappers.{name}.safety", safety, 'must be "calibrated" to be refitted')
+        raise InputError(
+            f"mappers.{name}.safety", safety, 'must be "calibrated" to use a calibration'
+        )
     return name
 
 

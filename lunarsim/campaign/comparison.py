@@ -110,23 +110,29 @@ def check_request(
         resolve("guidance", law, "--guidance")
     laws = [guidance_name(law) for law in guidance]
     if len(set(laws)) < len(laws):
-        raise InputError("--guidance", ",".join(laws), "must name each guidance law once")
+        raise InputError("--guidance", ",".join(laws), "must name each guidance law only once")
     for policy in policies:
         if isinstance(policy, str):
             resolve("policy", policy, "--policies")
         elif not (hasattr(policy, "decide") and isinstance(getattr(policy, "name", None), str)):
             raise InputError(
-                "policies", policy, "must be an object with `name` and `decide(observation)`"
+                "policies",
+                policy,
+                "must be names, or objects with `name` and `decide(observation)`",
             )
     if flights > MAX_FLIGHTS:
         raise InputError("--flights", flights, f"must be at most {MAX_FLIGHTS}")
     if not policies:
         raise InputError(
-            "--policies", "", "must name at least one policy", "List them: lunarsim parts policy."
+            "--policies",
+            "",
+            "must name at least one policy",
+            "List all policies: `lunarsim parts policy`.",
+            show_value=False,
         )
     names = [policy_name(policy) for policy in policies]
     if len(set(names)) < len(names):
-        raise InputError("--policies", ",".join(names), "must name each policy once")
+        raise InputError("--policies", ",".join(names), "must name each policy only once")
     if flights < 1:
         raise InputError("--flights", flights, "must be 1 or more")
     if jobs < 1:

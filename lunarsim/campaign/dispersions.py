@@ -40,10 +40,7 @@ EXTENSIBLE_METHODS = ("monte-carlo", "importance")
 _STREAM_METHODS = (*EXTENSIBLE_METHODS, "subset")
 # Draws stay this far from 0 and 1, where normal scores are infinite.
 _MIN_PROBABILITY = 2.0**-53
-_SCALE_PROBLEM = (
-    "must be from 1 to 8: a smaller scale misses failures on every side, and the flights "
-    "cannot reveal it"
-)
+_SCALE_REMEDY = "A scale below 1 misses failures on every side."
 # Minimum probability of a normal distribution between its bounds.
 _MIN_BOUNDED_MASS = 1e-12
 
@@ -87,18 +84,19 @@ class TruncatedNormal:
             raise InputError(
                 "low",
                 None,
-                "needs a bound: low, high or both",
-                "Without bounds, use kind = normal.",
+                "is required if high is omitted",
+                'Without bounds, use kind = "normal".',
+                show_value=False,
             )
         low, high = self._scores()
         if not low < high:
-            raise InputError("low", self.low, f"must be below high ({self.high})")
+            raise InputError("low", self.low, f"must be less than high, which is {self.high}")
         mass = ndtr(-low) - ndtr(-high) if low > 0.0 else ndtr(high) - ndtr(low)
         if mass < _MIN_BOUNDED_MASS:
             raise InputError(
-                "low", self.low,
-                f"must leave a probability above {_MIN_BOUNDED_MASS:g} between low and high",
-                "Decrease low or increase high.",
+                "high" if self.low is None else "low", self.high if self.low is None else self.low,
+                f"must give a probability above {_MIN_BOUNDED_MASS:g} between low and high, with "
+                "this mean and sigma", "Move the bound closer to the mean.",
             )  # fmt: skip
 
     def _scores(self) -> tuple[float, float]:
@@ -127,7 +125,7 @@ class Uniform:
 
     def __post_init__(self) -> None:
         if not self.low < self.high:
-            raise InputError("low", self.low, f"must be below high ({self.high})")
+            raise InputError("low", self.low, f"must be less than high, which is {self.high}")
 
     def at(self, u: float) -> float:
         """Return the quantile of the distribution at the probability `u`, in (0, 1)."""
@@ -197,10 +195,15 @@ def distribution(key: str, table: Any) -> Distribution:
     values = dict(table)
     kind = values.pop("kind", None)
     if not isinstance(kind, str) or kind not in KINDS:
+        if kind is None:
+            known = f"Known names: {', '.join(KINDS)}."
+            raise InputError(f"{path}.kind", kind, "is required", known, show_value=False)
         raise InputError(f"{path}.kind", kind, "is unknown", suggestion(str(kind), KINDS))
     for name in _REQUIRED_FIELDS[kind]:
         if name not in values:
-            raise InputError(f"{path}.{name}", None, f"kind {kind!r} requires a value")
+            raise InputError(
+                f"{path}.{name}", None, f"is required for kind {kind!r}", show_value=False
+            )
     of: type = KINDS[kind]
     model = settings_of(of)
     try:
@@ -229,7 +232,7 @@ class Correlation:
 
     def __post_init__(self) -> None:
         if len(self.keys) < 2 or len(set(self.keys)) < len(self.keys):
-            raise InputError("keys", list(self.keys), "must be two or more keys, each once")
+            raise InputError("keys", list(self.keys), "must be two or more different keys")
         try:
             matrix = np.array(self.matrix, dtype=np.float64)
         except ValueError:
@@ -237,13 +240,28 @@ class Correlation:
         given = [list(row) for row in self.matrix]
         count = len(self.keys)
         if matrix.shape != (count, count):
-            raise InputError("matrix", given, f"must be {count} rows of {count} numbers")
-        if not np.array_equal(matrix, matrix.T) or not np.allclose(np.diag(matrix), 1.0, atol=0.0):
-            raise InputError("matrix", given, "must be symmetric with ones on the diagonal")
+            raise InputError(
+                "matrix", given, f"must be {count} rows of {count} numbers, one per key"
+            )
+        for i, j in zip(*np.triu_indices(count), strict=True):
+            value, mirrored = float(matrix[i, j]), float(matrix[j, i])
+            if i == j and not np.isclose(value, 1.0, atol=0.0):
+                raise InputError(
+                    f"matrix[{i}][{i}]", value, "must be 1, the correlation of a key with itself"
+                )
+            if value != mirrored:
+                raise InputError(
+                    f"matrix[{i}][{j}]", value,
+                    f"must be {mirrored}, as in matrix[{j}][{i}], because the matrix is symmetric",
+                )  # fmt: skip
         least = float(np.linalg.eigvalsh(matrix)[0])
         if least <= 1e-10:
             raise InputError(
-                "matrix", given, f"must be positive definite (minimum eigenvalue {least:.3g})"
+                "matrix",
+                given,
+                f"must be positive definite, but its minimum eigenvalue is {least:.3g}",
+                "Decrease the correlations.",
+                show_value=False,
             )
 
     @cached_property
@@ -279,14 +297,20 @@ class Importance:
     def __post_init__(self) -> None:
         for name, table in (("shifts", self.shifts), ("scales", self.scales)):
             for key, value in (table or {}).items():
-                fits = -8.0 <= value <= 8.0 if name == "shifts" else 1.0 <= value <= 8.0
-                if not fits:
-                    expected = "must be from -8 to 8 sigmas" if name == "shifts" else _SCALE_PROBLEM
-                    raise InputError(name, {key: value}, expected)
+                low = -8.0 if name == "shifts" else 1.0
+                if not low <= value <= 8.0:
+                    raise InputError(
+                        name, value,
+                        f"must be between {low:g} and 8, but that of {key} is {value:g}",
+                        _SCALE_REMEDY if name == "scales" else "", show_value=False,
+                    )  # fmt: skip
         shifts, scales = self.shifts or {}, self.scales or {}
         if not any(shifts.values()) and all(v == 1.0 for v in scales.values()):
             raise InputError(
-                "shifts", dict(shifts), "must contain a shift that is not 0, or a scale above 1"
+                "shifts",
+                dict(shifts),
+                "must contain a shift other than 0 if all scales are 1",
+                show_value=False,
             )
 
     def sample(self, keys: Sequence[str], uniforms: Array, is_nominal: bool) -> tuple[Array, float]:
@@ -335,8 +359,8 @@ class Dispersions:
             raise InputError("method", self.method, "is unknown", suggestion(self.method, METHODS))
         if self.method != "monte-carlo" and not self.distributions:
             raise InputError(
-                "method", self.method, "must be monte-carlo if nothing is drawn",
-                "Add [dispersions].",
+                "method", self.method, 'must be "monte-carlo" without a table [dispersions]',
+                "Add [dispersions] or change the method.",
             )  # fmt: skip
         if self.method == "saltelli":
             self._check_blocks()
@@ -347,21 +371,22 @@ class Dispersions:
             for key in group.keys:
                 field = f"correlations.{i}.keys"
                 if key not in self.distributions:
-                    raise InputError(field, key, "is unknown", suggestion(key, self.distributions))
+                    raise InputError(
+                        field, key, "must be keys of [dispersions]",
+                        suggestion(key, self.distributions),
+                    )  # fmt: skip
                 if isinstance(self.distributions[key], Choice):
                     raise InputError(
-                        field, key, "must be a key whose values have an order, not a choice"
+                        field, key, "must be keys whose values have an order, not of kind 'choice'"
                     )
                 if key in seen:
-                    raise InputError(field, key, "must be in one group only")
+                    raise InputError(
+                        field, key, "must be keys that are in no other [[correlations]]"
+                    )
                 seen.add(key)
 
     def _check_importance(self) -> None:
-        if (self.method == "importance") != (self.importance is not None):
-            raise InputError(
-                "importance", self.method,
-                "[importance] is required with method importance, and allowed only with it",
-            )  # fmt: skip
+        self._check_table("importance", self.importance is not None)
         if self.importance is not None:
             for name in ("shifts", "scales"):
                 for key in getattr(self.importance, name) or {}:
@@ -369,16 +394,24 @@ class Dispersions:
                         raise InputError(
                             f"importance.{name}",
                             key,
-                            "is unknown",
+                            "must have keys of [dispersions]",
                             suggestion(key, self.distributions),
                         )
 
+    def _check_table(self, name: str, is_given: bool) -> None:
+        """Raise InputError unless the table of the method `name` is given exactly with it."""
+        if (self.method == name) == is_given:
+            return
+        problem = (
+            f"is allowed only with method = {name!r}, but method is {self.method!r}"
+            if is_given
+            else f"is required with method = {name!r}"
+        )
+        remedy = f"Delete [{name}]." if is_given else f"Add a table [{name}]."
+        raise InputError(name, self.method, problem, remedy, show_value=False)
+
     def _check_subset(self) -> None:
-        if (self.method == "subset") != (self.subset is not None):
-            raise InputError(
-                "subset", self.method,
-                "[subset] is required with method subset, and allowed only with it",
-            )  # fmt: skip
+        self._check_table("subset", self.subset is not None)
         if self.subset is not None:
             self.subset.check_flights(self.flights)
 
@@ -386,17 +419,19 @@ class Dispersions:
         if self.correlations:
             keys = list(self.correlations[0].keys)
             raise InputError(
-                "correlations", keys, "must be empty with method saltelli, whose indices need "
-                "independent keys",
-                "Use another method; sensitivity is then by PAWN, which allows correlations.",
+                "correlations", keys,
+                "must be omitted with method = 'saltelli', which needs independent keys",
+                "Or use another method: PAWN sensitivity indices allow correlations.",
+                show_value=False,
             )  # fmt: skip
         blocks, rest = divmod(self.flights, self.block)
         if rest or blocks < 2 or blocks & (blocks - 1):
             below = 1 << max(1, blocks.bit_length() - 1)
             raise InputError(
                 "flights", self.flights,
-                f"must be {self.block} (keys + 3) times a power of two of at least 2: "
-                f"{self.block * below} or {2 * self.block * below}",
+                f"must be a power of two (2 or more) times {self.block}, the number of dispersed "
+                "keys "
+                f"plus 3: for instance {self.block * below} or {2 * self.block * below}",
             )  # fmt: skip
 
     @property

@@ -73,10 +73,14 @@ def flatten_keys(table: Any, path: str, value_types: type | tuple[type, ...]) ->
             below = flatten_keys(value, f"{path}.{key}", value_types)
             inner = {f"{key}.{rest}": v for rest, v in below.items()}
         else:
-            raise InputError(f"{path}.{key}", value, "must be a list of values")
+            problem = "must be a list of values" if value_types is list else "must be a number"
+            raise InputError(f"{path}.{key}", value, problem)
         for name in inner:
             if name in found:
-                raise InputError(f"{path}.{name}", inner[name], "must be given once")
+                raise InputError(
+                    f"{path}.{name}", inner[name], "must be given only once, dotted or in a table",
+                    show_value=False,
+                )  # fmt: skip
         found |= inner
     return found
 
@@ -102,10 +106,10 @@ def product(factors: Mapping[str, Sequence[Any]]) -> list[tuple[str, dict[str, A
             check_plain(f"factors.{key}", level)
         words = [json.dumps(level) for level in levels]
         if len(set(words)) < len(words):
-            raise InputError(f"factors.{key}", list(levels), "must contain each value once")
+            raise InputError(f"factors.{key}", list(levels), "must contain each value only once")
     count = int(np.prod([float(len(levels)) for levels in factors.values()])) if factors else 1
     if count > MAX_ARMS:
-        raise InputError("factors", count, f"must give at most {MAX_ARMS} combinations")
+        raise InputError("factors", count, f"must give at most {MAX_ARMS} arms")
     combinations = itertools.product(*factors.values())
     return [(_arm_name(values), values) for c in combinations
             for values in [dict(zip(factors, c, strict=True))]]  # fmt: skip
@@ -168,9 +172,15 @@ def parse_arms(tables: Any) -> list[tuple[str, dict[str, Any]]]:
     found = []
     for i, table in enumerate(tables):
         path = f"arms.{i}"
-        if not isinstance(table, Mapping) or set(table) - {"name", "set"}:
+        if not isinstance(table, Mapping):
             raise InputError(path, table, "must be a table with the keys name and set")
-        name = table.get("name")
+        for key in set(table) - {"name", "set"}:
+            raise InputError(
+                f"{path}.{key}", table[key], "is an unknown key", "Known names: name, set.", False
+            )
+        if "name" not in table:
+            raise InputError(f"{path}.name", None, "is required", show_value=False)
+        name = table["name"]
         if not isinstance(name, str) or not name:
             raise InputError(f"{path}.name", name, "must be a text that is not empty")
         values = table.get("set", {})
@@ -196,14 +206,17 @@ def build_arms(
     for name, _ in combinations:
         if len(folder_name(name).encode()) > _MAX_FOLDER_NAME_BYTES:
             raise InputError(
-                field, name,
-                f"must have a name of at most {_MAX_FOLDER_NAME_BYTES} bytes for its folder",
-                "Name combinations with [[arms]].",
+                field, name[:40] + "...",
+                f"must have names of at most {_MAX_FOLDER_NAME_BYTES} bytes, because they name "
+                "folders", "Give shorter names with [[arms]].",
             )  # fmt: skip
         if folders[folder_name(name)] > 1:
-            raise InputError(field, name, "must have a unique name")
+            raise InputError(
+                field, name, "must have a unique name for each arm and its folder",
+                "Give other names with [[arms]].",
+            )  # fmt: skip
     if len(combinations) > MAX_ARMS:
-        raise InputError(field, len(combinations), f"must be at most {MAX_ARMS} combinations")
+        raise InputError(field, len(combinations), f"must give at most {MAX_ARMS} arms")
     return tuple(Arm(n, values, with_values(scenario, values, field)) for n, values in combinations)
 
 
@@ -237,7 +250,10 @@ def parse_factors(texts: Sequence[str]) -> dict[str, list[Any]]:
             raise InputError("--over", text, "must be KEY=A,B,C or KEY=LOW:HIGH:COUNT")
         if key in factors:
             raise InputError(
-                "--over", text, "must give each key once", "Give all its values in one --over."
+                "--over",
+                text,
+                "must give each key only once",
+                "Give all values of a key in one --over.",
             )
         factors[key] = (
             _parse_range(text, values) if values.count(":") == 2 else _parse_list(text, values)
@@ -291,7 +307,7 @@ def _parse_range(text: str, values: str) -> list[Any]:
     except ValueError:
         # "module:Class" has one colon, so it is not parsed as a range.
         raise InputError(
-            "--over", text, "must be LOW:HIGH:COUNT: two numbers and an integer"
+            "--over", text, "must be KEY=LOW:HIGH:COUNT with two numbers and an integer"
         ) from None
     if number < 2 or not np.isfinite(ends).all() or ends[0] >= ends[1]:
         raise InputError("--over", text, "must have LOW below HIGH, and a COUNT of 2 or more")

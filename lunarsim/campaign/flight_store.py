@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from lunarsim.campaign.files import code_digest, write_json
+from lunarsim.campaign.manifest import first_difference
 from lunarsim.errors import InputError
 
 Flight = dict[str, Any]
@@ -49,15 +50,17 @@ class FlightStore:
             data = json.loads(path.read_text(encoding="utf-8"))
         except (OSError, ValueError) as error:
             raise InputError(
-                "flights.file", str(path), f"must be a complete JSON file: {error}"
+                "flights.file", str(path), f"must be a complete JSON file ({error})"
             ) from None
         flights = data.get("flights") if isinstance(data, dict) else None
         if not isinstance(flights, dict) or not all(isinstance(f, dict) for f in flights.values()):
             raise InputError("flights.file", str(path), "must be a file of stored flights")
-        if data.get("settings") != self._settings:
+        difference = first_difference(data.get("settings"), self._settings, "settings")
+        if difference is not None:
             raise InputError(
                 "flights.file", str(path),
-                f"must hold flights of {self._settings}, not of {data.get('settings')}",
+                "must hold flights with the same settings, but "
+                + "{} differs: {!r} there, {!r} here".format(*difference),
             )  # fmt: skip
         self.flights = flights
         code = data.get("code")

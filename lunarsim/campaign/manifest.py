@@ -19,6 +19,7 @@ from lunarsim.campaign.plan import MAX_FLIGHTS, Plan
 from lunarsim.campaign.rows import KINDS, schema_of
 from lunarsim.errors import InputError, check_folder
 from lunarsim.json_files import read_json
+from lunarsim.scenario.errors import plain_problem
 from lunarsim.untrusted_folders import check_no_links, read_bounded_bytes
 
 FORMAT = 2
@@ -123,7 +124,7 @@ def matching_manifest(folder: Path, plan: Plan) -> dict[str, Any] | None:
         if manifest.get(key) != ours:
             raise InputError(
                 "--out", str(folder),
-                f"was flown with {key} {manifest.get(key)}, but this is {ours}",
+                f"holds flights of another lunarsim ({key} {manifest.get(key)} there, {ours} here)",
                 "Use a new folder.",
             )  # fmt: skip
     _check_packages(folder, manifest)
@@ -132,8 +133,8 @@ def matching_manifest(folder: Path, plan: Plan) -> dict[str, Any] | None:
         if last >= plan.flights:
             raise InputError(
                 "flights", plan.flights,
-                f"must be {last + 1} or more, as many as {folder} already has",
-                "Or use a new folder.",
+                f"must be {last + 1} or more, because {folder} already has {last + 1} flights",
+                "Increase flights, or use a new folder.",
             )  # fmt: skip
     planned = json.loads(json.dumps(new_manifest(plan)))
     there, here = ({key: tables[key] for key in _FIXED_FIELDS} for tables in (manifest, planned))
@@ -222,12 +223,12 @@ def _reason(error: ValidationError) -> str:
     field = ".".join(map(str, first["loc"])) or "manifest"
     if first["type"] == "literal_error":
         return f"{field} has an unknown kind of column"
-    return f"{field}: {first['msg']}"
+    return f"{field}: {plain_problem(first)}"
 
 
 def _damaged(folder: Path, reason: str) -> InputError:
     return InputError(
-        "folder", str(folder), f"manifest.json is damaged ({reason[:100]})",
+        "folder", str(folder), f"contains a damaged manifest.json ({reason[:100]})",
         "Restore it from a copy, or use a new folder.",
     )  # fmt: skip
 

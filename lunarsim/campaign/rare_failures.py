@@ -91,16 +91,28 @@ def estimate_failure_shares(
             "folder", str(results.folder), "must be a campaign of method importance or subset"
         )
     if results.is_subset:
-        if metric != "safe" or above is not None or below is not None:
-            expected = "must be omitted: with method subset the spec defines the failure"
-            raise InputError("--metric", metric, expected)
+        given = {"--metric": metric, "--above": above, "--below": below}
+        omitted = {"--metric": "safe", "--above": None, "--below": None}
+        for name, value in given.items():
+            if value != omitted[name]:
+                raise InputError(
+                    name, value,
+                    "must be omitted, because the spec defines the failure with method = 'subset'",
+                )  # fmt: skip
         return [_subset_failure_share(results)]
     kinds = {n: kind for n, kind in results.manifest["columns"].items() if kind != "text"}
     if metric not in kinds:
-        raise InputError("--metric", metric, "is unknown", suggestion(metric, kinds))
+        raise InputError(
+            "--metric", metric, "must be a numeric or boolean column of the results",
+            suggestion(metric, kinds),
+        )  # fmt: skip
     limits = above is not None or below is not None
     if limits == (kinds[metric] == "bool"):
-        expected = "must be a numeric column with --above or --below, or a boolean one without"
+        expected = (
+            "must be a numeric column with --above or --below"
+            if limits
+            else "must be a boolean column without --above and --below"
+        )
         raise InputError("--metric", metric, expected)
     values, weights = column(results, metric), column(results, WEIGHT)
     if limits:

@@ -91,7 +91,7 @@ def _draws(plan: Plan, results: Results, index: int) -> dict[str, Any]:
         return plan.draws(index)
     except LookupError:
         raise InputError(
-            "--flight", index, "depends on flights that have not been flown",
+            "--flight", index, "must not depend on flights that have not been flown",
             "Choose one from the column id of the results.",
         ) from None  # fmt: skip
 
@@ -100,7 +100,8 @@ def _parse_flight_id(flight: str, flights: int, arms: int) -> tuple[int, int]:
     index, _, arm = flight.partition("-")
     if not (index.isdecimal() and arm.isdecimal() and int(index) < flights and int(arm) < arms):
         raise InputError(
-            "--flight", flight, f"must be INDEX-ARM, from 0-0 to {flights - 1}-{arms - 1}",
+            "--flight", flight,
+            f"must be INDEX-ARM, with INDEX from 0 to {flights - 1} and ARM from 0 to {arms - 1}",
             "Choose one from the column id of the results.",
         )  # fmt: skip
     return int(index), int(arm)

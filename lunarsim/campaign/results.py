@@ -141,7 +141,7 @@ def load_results(folder: str | Path, columns: Sequence[str] | None = None) -> Re
     if manifest["state"] in ("complete", "stopped") and len(table) < int(manifest["rows"]):
         raise InputError(
             "folder", str(folder),
-            f"has {len(table)} of its {manifest['rows']} rows",
+            f"has only {len(table)} of its {manifest['rows']} rows",
             "Fly the others with the same spec: lunarsim campaign run.",
         )  # fmt: skip
     arm = np.array([place[name] for name in table["arm"].to_pylist()], dtype=np.int64)

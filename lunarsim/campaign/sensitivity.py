@@ -74,8 +74,9 @@ def check_installed() -> None:
         raise InputError(
             "sensitivity",
             "SALib",
-            "the package is missing",
+            "needs the package SALib, which is not installed",
             'Install it: pip install "lunarsim[sensitivity]".',
+            show_value=False,
         ) from None
 
 
@@ -106,7 +107,10 @@ def sensitivities(
         raise InputError("folder", str(results.folder), "must be a campaign with [dispersions]")
     known = [n for n, kind in results.manifest["columns"].items() if kind != "text"]
     if metric not in known:
-        raise InputError("--metric", metric, "is unknown", suggestion(metric, known))
+        raise InputError(
+            "--metric", metric, "must be a numeric or boolean column of the results",
+            suggestion(metric, known),
+        )  # fmt: skip
     check_installed()
     flown = pc.equal(results.table["outcome"], FLOWN).to_numpy(zero_copy_only=False)
     values = np.where(flown, column(results, metric), np.nan)

@@ -126,7 +126,8 @@ class CampaignSettings:
             below = 1 << (self.flights.bit_length() - 1)
             raise InputError(
                 "flights", self.flights,
-                f"must be a power of two for Sobol points, for instance {below} or {2 * below}",
+                f"must be a power of two with method = 'sobol', for instance {below} or "
+                f"{2 * below}",
             )  # fmt: skip
 
 
@@ -151,7 +152,10 @@ class StopSettings:
     def __post_init__(self) -> None:
         known = [name for name, kind in COLUMNS.items() if kind == "bool"]
         if self.metric not in known:
-            raise InputError("metric", self.metric, "is unknown", suggestion(self.metric, known))
+            raise InputError(
+                "metric", self.metric, "must be a boolean column of the results",
+                suggestion(self.metric, known),
+            )  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -221,19 +225,19 @@ class CampaignSpec:
         stop = None if tables["stop"] is None else _build("stop", StopSettings, tables["stop"])
         if stop is not None and head.method != "monte-carlo":
             raise InputError(
-                "stop", head.method, "requires method monte-carlo",
-                "Other methods have a fixed number of flights.",
+                "stop", head.method, "is allowed only with method = 'monte-carlo', but method is "
+                f"{head.method!r}", "Delete [stop].", show_value=False,
             )  # fmt: skip
         if head.method == "subset" and len(arms) > 1:
             raise InputError(
                 "factors" if arms[0].values and tables["arms"] is None else "arms", len(arms),
-                "must be a single arm with method subset", "Write a spec for each arm.",
+                "must give only one arm with method = 'subset'", "Write a spec for each arm.",
             )  # fmt: skip
         spec = cls(head, scenario, arms, dispersions, stop, factors)
         if spec.max_flights * len(arms) > MAX_FLIGHTS:
             most = (
-                f"must be at most {MAX_FLIGHTS // len(arms)} flights for each of {len(arms)} arms, "
-                "all levels included"
+                f"must give at most {MAX_FLIGHTS} flights in total, but all arms and levels "
+                f"together have {spec.max_flights * len(arms)}"
             )
             raise InputError("flights", head.flights, most)
         spec.check_draws()
@@ -279,7 +283,10 @@ class CampaignSpec:
             for key, value in set_by_arms.items():
                 if _overlap(_key_path(name, texts.get(name, [0.0])), _key_path(key, [value])):
                     raise InputError(
-                        f"dispersions.{name}", name, f"must not be set by arms too (as {key})"
+                        f"dispersions.{name}",
+                        name,
+                        f"must not be random, because arms set {key}",
+                        show_value=False,
                     )
         drawn = [
             self.dispersions.draws(i) for i in range(min(self.head.flights, _MAX_CHECKED_DRAWS))
@@ -402,7 +409,10 @@ def parse_distributions(table: Any) -> dict[str, Any]:
     found = {}
     for key, value in _distribution_tables(table):
         if key in found:
-            raise InputError(f"dispersions.{key}", value, "must be given once")
+            raise InputError(
+                f"dispersions.{key}", value, "must be given only once, dotted or in a table",
+                show_value=False,
+            )  # fmt: skip
         found[key] = distribution(key, value)
     return found
 
@@ -490,7 +500,8 @@ def _build(path: str, settings_class: type, table: Any) -> Any:
         if found.field.startswith(".") and "unknown key" in found.problem:
             key = found.field.removeprefix(".")
             hint = suggestion(key, [*model.model_fields, *_TABLES])
-            raise InputError(key, found.value, "is an unknown key", hint, False) from None
+            problem = "is an unknown key at the top level of the campaign"
+            raise InputError(key, found.value, problem, hint, False) from None
         raise found.with_field(found.field.removeprefix(".")) from None
     except InputError as error:
         raise error.with_field(before + error.field) from None
@@ -541,7 +552,9 @@ def _check_no_overlap(keys: Iterable[str], values: Mapping[str, Sequence[Any]], 
     """
     for a, b in itertools.combinations(keys, 2):
         if _overlap(_key_path(a, values.get(a, [0.0])), _key_path(b, values.get(b, [0.0]))):
-            raise InputError(f"{field}.{b}", b, f"must not be set together with {a}")
+            raise InputError(
+                f"{field}.{b}", b, f"must not be set together with {a}", show_value=False
+            )
 
 
 def _extremes(values: list[Any]) -> list[Any]:

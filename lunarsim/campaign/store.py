@@ -423,6 +423,6 @@ def _lock_folder(folder: Path) -> IO[str]:
     except OSError:
         lock.close()
         raise InputError(
-            "--out", str(folder), "another process is writing to this folder"
+            "--out", str(folder), "must not be a folder to which another process is writing"
         ) from None
     return lock

@@ -67,7 +67,7 @@ def load_chains(results: Results) -> SubsetChains:
     if orphans and results.manifest["state"] == "complete":
         raise InputError(
             "folder", str(results.folder),
-            f"flight {orphans[0]} does not match the flights that it depends on",
+            f"contains flight {orphans[0]}, which does not match the flights that it depends on",
             "Fly it again with the same spec: lunarsim campaign run.",
         )  # fmt: skip
     return chains

@@ -55,16 +55,22 @@ class SubsetSettings:
     def __post_init__(self) -> None:
         known = [name for name, kind in COLUMNS.items() if kind == "float"]
         if self.metric not in known:
-            raise InputError("metric", self.metric, "is unknown", suggestion(self.metric, known))
+            raise InputError(
+                "metric", self.metric, "must be a numeric column of the results",
+                suggestion(self.metric, known),
+            )  # fmt: skip
         if (self.above is None) == (self.below is None):
             raise InputError(
                 "below",
                 self.below,
-                "is required if above is omitted, and must be omitted otherwise",
+                "is required if above is omitted"
+                if self.below is None
+                else "must be omitted if above is given",
+                show_value=self.below is not None,
             )
         if abs(self.steps * self.keep - 1.0) > 1e-9:
             raise InputError(
-                "keep", self.keep, "must be one over an integer, for instance 0.1, 0.2 or 0.25"
+                "keep", self.keep, "must be 1 divided by an integer, for instance 0.1, 0.2 or 0.25"
             )
 
     @property
@@ -79,6 +85,6 @@ class SubsetSettings:
             up = max(least, -(-flights // self.steps) * self.steps)
             raise InputError(
                 "flights", flights,
-                f"must be a multiple of {self.steps} and {least} or more with method subset",
+                f"must be {least} or more and a multiple of {self.steps}, which is 1 / subset.keep",
                 f"Use {up}.",
             )  # fmt: skip

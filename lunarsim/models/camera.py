@@ -54,8 +54,9 @@ class CameraModel:
 
     def __post_init__(self) -> None:
         check_types("camera", self)
-        if self.width < 1 or self.height < 1:
-            raise InputError("camera.pixels", (self.width, self.height), "must be at least 1 x 1")
+        for name in ("width", "height"):
+            if getattr(self, name) < 1:
+                raise InputError(f"camera.{name}", getattr(self, name), "must be 1 or more")
         for name in ("fx", "fy"):
             if not (np.isfinite(getattr(self, name)) and getattr(self, name) > 0.0):
                 raise InputError(
@@ -65,13 +66,16 @@ class CameraModel:
         proper = mount.shape == (3, 3) and np.allclose(mount @ mount.T, np.eye(3), atol=1e-6)
         if not (proper and np.linalg.det(mount) > 0.0):
             raise InputError(
-                "camera.mount", np.array(self.mount).tolist(), "must be a rotation matrix (3, 3)"
+                "camera.mount",
+                np.array(self.mount).tolist(),
+                "must be a rotation matrix (3, 3)",
+                show_value=False,
             )
         for name, middle in (("cx", 0.5 * (self.width - 1)), ("cy", 0.5 * (self.height - 1))):
             if getattr(self, name) is None:
                 object.__setattr__(self, name, middle)
             elif not np.isfinite(getattr(self, name)):
-                raise InputError(f"camera.{name}", getattr(self, name), "must be finite (pixels)")
+                raise InputError(f"camera.{name}", getattr(self, name), "must be finite")
         for name, number in (("distortion", 5), ("offset", 3)):
             value = getattr(self, name)
             if len(value) != number or not np.isfinite(value).all():

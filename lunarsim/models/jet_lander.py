@@ -76,14 +76,16 @@ class DescentEngine:
 
     def __post_init__(self) -> None:
         check_bounds(self, "engine")
-        if (
-            self.gap_lower > 0.0 or self.gap_upper > 0.0
-        ) and not 0.0 < self.gap_lower < self.gap_upper:
+        if self.gap_lower > 0.0 and not self.gap_lower < self.gap_upper:
             raise InputError(
-                "engine.gap_upper",
-                self.gap_upper,
-                f"must exceed gap_lower, which is {self.gap_lower} N",
-            )
+                "engine.gap_upper", self.gap_upper,
+                f"must be more than gap_lower, which is {self.gap_lower:g} N",
+            )  # fmt: skip
+        if self.gap_upper > 0.0 and not self.gap_lower > 0.0:
+            raise InputError(
+                "engine.gap_lower", self.gap_lower,
+                f"must be positive, because gap_upper is {self.gap_upper:g} N",
+            )  # fmt: skip
 
     @property
     def has_gap(self) -> bool:
@@ -138,14 +140,20 @@ class JetLander(Lander):
         if self.thrusters.propellant >= self.dry_mass:
             raise InputError(
                 "vehicle.thrusters.propellant_kg", self.thrusters.propellant,
-                f"must be less than the dry mass of {self.dry_mass} kg, which includes this mass",
+                f"must be less than vehicle.dry_mass_kg, which is {self.dry_mass:g} and includes "
+                "this "
+                "mass",
             )  # fmt: skip
         gap = self.engine
-        if gap.has_gap and not self.thrust_min < gap.gap_lower < gap.gap_upper <= self.thrust_max:
+        if gap.has_gap and not self.thrust_min < gap.gap_lower:
+            raise InputError(
+                "vehicle.engine.gap_lower_n", gap.gap_lower,
+                f"must be more than vehicle.thrust_min_n, which is {self.thrust_min:g}",
+            )  # fmt: skip
+        if gap.has_gap and not gap.gap_upper <= self.thrust_max:
             raise InputError(
                 "vehicle.engine.gap_upper_n", gap.gap_upper,
-                "must leave a gap within the throttle range of "
-                f"{self.thrust_min} to {self.thrust_max} N",
+                f"must be at most vehicle.thrust_max_n, which is {self.thrust_max:g}",
             )  # fmt: skip
         for name in ("com_dry", "com_full"):
             self._check_com(f"vehicle.{name}_m", getattr(self, name))
@@ -161,17 +169,20 @@ class JetLander(Lander):
         arm = engine.pivot_depth + com[2]
         if engine.gimbal_limit > 0.0 and arm < 0.0:
             raise InputError(
-                field, com, f"must be above the engine's pivot at {-engine.pivot_depth} m"
+                f"{field}[2]",
+                com[2],
+                f"must be {-engine.pivot_depth:g} or more, because the engine's pivot is at that "
+                "height",
             )
         # An offset along y causes torque about body x, and one along x causes torque about body y.
         gimbal_authority = abs(arm) * np.tan(engine.gimbal_limit)
-        for offset, torque in ((com[1], self.torque_max[0]), (com[0], self.torque_max[1])):
+        for i, torque in ((1, self.torque_max[0]), (0, self.torque_max[1])):
             limit = gimbal_authority + torque / self.thrust_min if self.thrust_min > 0.0 else np.inf
-            if abs(offset) > limit:
+            if abs(com[i]) > limit:
                 raise InputError(
-                    field, com,
-                    f"must be within {limit:.3g} m of the engine's axis on that side",
-                    "Farther away, gimbal and thrusters cannot balance the minimum thrust.",
+                    f"{field}[{i}]", com[i], f"must be between {-limit:.3g} and {limit:.3g}",
+                    "Farther from the engine's axis, gimbal and thrusters cannot balance the "
+                    "minimum thrust.",
                 )  # fmt: skip
 
     def _check_slosh(self, fill: float) -> None:
@@ -197,9 +208,10 @@ class JetLander(Lander):
         if not least > 0.0:
             raise InputError(
                 "vehicle.slosh.tanks_m", self.slosh.tanks,
-                f"must be nearer to the centre of mass {tuple(float(v) for v in com)} m",
+                "must be nearer to the centre of mass, which is at "
+                f"({', '.join(f'{v:.3g}' for v in com)}) m",
                 f"At {100.0 * fill:.0f} % propellant the sloshing liquid has more inertia than "
-                "the lander.",
+                "the lander.", show_value=False,
             )  # fmt: skip
 
     def com(self, mass: float) -> Array:

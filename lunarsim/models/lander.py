@@ -119,7 +119,7 @@ class Lander:
         if self.thrust_min >= self.thrust_max:
             raise InputError(
                 "vehicle.thrust_min", self.thrust_min,
-                f"must be less than thrust_max, which is {self.thrust_max} N",
+                f"must be less than thrust_max, which is {self.thrust_max:g} N",
             )  # fmt: skip
         self._set_default_inertia()
         for name in ("inertia_dry", "inertia_full"):
@@ -128,12 +128,12 @@ class Lander:
                 raise InputError(
                     f"vehicle.{name}",
                     getattr(self, name),
-                    "must be positive, and no moment may exceed the sum of the other two",
+                    "must be three moments, none larger than the sum of the other two",
                 )
         if self.pad_diameter >= self.leg_radius:
             raise InputError(
                 "vehicle.pad_diameter", self.pad_diameter,
-                f"must be less than leg_radius, which is {self.leg_radius} m",
+                f"must be less than leg_radius, which is {self.leg_radius:g} m",
             )  # fmt: skip
 
     def _set_default_inertia(self) -> None:
@@ -191,7 +191,8 @@ class Lander:
             raise InputError(
                 "vehicle.thrust_max_n",
                 self.thrust_max,
-                f"must exceed the weight of {weight:.0f} N, otherwise the lander cannot hover",
+                f"must be more than the weight of {weight:.0f} N, "
+                "otherwise the lander cannot hover",
             )
         if self.thrust_min >= self.dry_mass * gravity:
             raise InputError(

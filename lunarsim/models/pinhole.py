@@ -12,6 +12,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from lunarsim.errors import InputError
+
 Array = NDArray[np.float64]
 
 _IDENTITY = np.eye(3)
@@ -119,3 +121,10 @@ class View:
         uu, vv = self.pinhole.tangents(self.width, self.height)
         rays = np.stack((uu, vv, np.ones_like(uu)), axis=-1) @ self.axes.T
         return np.asarray(rays / np.linalg.norm(rays, axis=-1, keepdims=True))
+
+
+def check_finite_position(position: NDArray[np.float64]) -> None:
+    """Raise InputError if a coordinate of a camera's position is not finite."""
+    for i, coordinate in enumerate(position):
+        if not np.isfinite(coordinate):
+            raise InputError(f"camera.position[{i}]", float(coordinate), "must be finite")

@@ -73,7 +73,7 @@ class Slosh:
             raise InputError(
                 "slosh.propellant_fractions",
                 len(self.propellant_fractions),
-                f"must have {len(self.tanks)} values, one per tank",
+                f"must have {len(self.tanks)} values, one per tank of tanks_m",
             )
         if self.propellant_fractions and abs(sum(self.propellant_fractions) - 1.0) > 1e-6:
             raise InputError(

@@ -75,16 +75,18 @@ class Thrusters:
         if len(self.positions) != len(self.directions):
             raise InputError(
                 "thrusters.directions", len(self.directions),
-                f"must have {len(self.positions)} vectors, one per position",
+                f"must have {len(self.positions)} vectors, one per thruster of positions_m",
             )  # fmt: skip
-        for d in self.directions:
+        for i, d in enumerate(self.directions):
             if not np.linalg.norm(d) > 0.0:
-                raise InputError("thrusters.directions", d, "must not be zero")
+                raise InputError(f"thrusters.directions[{i}]", d, "must not be a zero vector")
         if not _spans_all_torques(self.torques):
             raise InputError(
                 "thrusters.positions",
                 self.positions,
-                "must be thruster positions that allow torques in both directions about every axis",
+                "must allow torques in both directions about every body axis",
+                "Add thrusters, or change positions and directions.",
+                show_value=False,
             )
 
     @property

@@ -103,7 +103,9 @@ def collocate(
     ):
         if getattr(descent, name) != other:
             raise InputError(
-                f"optimal.{name}", getattr(descent, name), f"must be {other} for collocation"
+                f"optimal.{name}",
+                getattr(descent, name),
+                f"must be {other}, because `collocate` does not support this constraint",
             )
     if duration is not None and not (is_number(duration) and duration > 0.0):
         raise InputError("optimal.duration", duration, "must be positive and finite")

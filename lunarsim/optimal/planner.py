@@ -105,7 +105,9 @@ class Planner:
             raise InputError(
                 "optimal.half_spaces",
                 half_spaces.normals.shape,
-                f"must have half-spaces for {self.intervals} intervals",
+                f"must have half-spaces for {self.intervals} intervals, but has them for "
+                f"{len(half_spaces.normals)}",
+                show_value=False,
             )
         if log_mass is None:
             log_mass = self._guess_log_mass(descent, duration)

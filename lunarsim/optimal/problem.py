@@ -36,13 +36,13 @@ class Cone:
     drop: float = 0.0
 
     def __post_init__(self) -> None:
-        expected = "must be one or more finite normals (n, 3)"
+        expected = "must be an array (n, 3) of one or more finite normals"
         rows = len(self.normals) if np.ndim(self.normals) == 2 else 0
         object.__setattr__(self, "normals", numbers("cone", self.normals, (rows, 3), expected))
         if rows == 0:
             raise InputError("optimal.cone", self.normals.shape, expected)
         if not (is_number(self.drop) and self.drop >= 0.0):
-            raise InputError("optimal.cone", self.drop, "must have a drop of 0 m or more")
+            raise InputError("optimal.cone.drop", self.drop, "must be 0 or more and finite")
 
 
 @dataclass(frozen=True)
@@ -113,13 +113,19 @@ class Descent:
     def __post_init__(self) -> None:
         for name in ("position", "velocity", "end_position", "end_velocity"):
             value = numbers(name, getattr(self, name), (3,), "must be three finite coordinates")
-            if np.abs(value).max() > LARGEST:
-                raise InputError(f"optimal.{name}", value, f"must be at most {LARGEST:g}")
+            for i, component in enumerate(value):
+                if abs(component) > LARGEST:
+                    raise InputError(
+                        f"optimal.{name}[{i}]", float(component),
+                        f"must be between {-LARGEST:g} and {LARGEST:g}",
+                    )  # fmt: skip
             object.__setattr__(self, name, value)
         for name in ("mass", "gravity", "thrust_max", "exhaust_velocity", "dry_mass"):
             value = getattr(self, name)
             if not (is_number(value) and 0.0 < value <= LARGEST):
-                raise InputError(f"optimal.{name}", value, f"must be positive, at most {LARGEST:g}")
+                raise InputError(
+                    f"optimal.{name}", value, f"must be positive and at most {LARGEST:g}"
+                )
         for name in (
             "thrust_min",
             "drop",
@@ -130,25 +136,33 @@ class Descent:
         ):
             value = getattr(self, name)
             if not (is_number(value) and 0.0 <= value <= LARGEST):
-                raise InputError(f"optimal.{name}", value, f"must be from 0 to {LARGEST:g}")
+                raise InputError(f"optimal.{name}", value, f"must be between 0 and {LARGEST:g}")
         if not self.thrust_min < self.thrust_max:
             raise InputError(
-                "optimal.thrust_min", self.thrust_min, f"must be less than {self.thrust_max} N"
+                "optimal.thrust_min",
+                self.thrust_min,
+                f"must be less than thrust_max, which is {self.thrust_max} N",
             )
         if not self.dry_mass < self.mass:
             raise InputError(
-                "optimal.mass", self.mass, f"must exceed the final mass of {self.dry_mass} kg"
+                "optimal.mass",
+                self.mass,
+                f"must be more than dry_mass, which is {self.dry_mass} kg",
             )
         if self.region > 0.0 and self.thrust_slack > 0.0:
             raise InputError(
-                "optimal.thrust_slack", self.thrust_slack, "must be 0 N if `region` is above 0 m"
+                "optimal.thrust_slack", self.thrust_slack, "must be 0 if `region` is more than 0"
             )
         if not (self.cone is None or isinstance(self.cone, Cone)):
             raise InputError("optimal.cone", type(self.cone).__name__, "must be a Cone or None")
         for name in ("max_tilt", "glideslope", "max_final_tilt"):
             angle = getattr(self, name)
             if angle is not None and not (is_number(angle) and 0.0 <= angle < 0.5 * np.pi):
-                raise InputError(f"optimal.{name}", angle, "must be from 0 to 90 deg, in rad")
+                raise InputError(
+                    f"optimal.{name}",
+                    angle,
+                    "must be 0 or more and less than pi/2 rad (90 degrees)",
+                )
 
     @property
     def displacement(self) -> Array:

@@ -60,12 +60,17 @@ class TerrainRaster:
             )
         if np.asarray(self.elevation).dtype.kind not in "fiu":
             raise InputError(
-                "optimal.elevation", "an array without numbers", "must be finite heights in m"
+                "optimal.elevation",
+                str(np.asarray(self.elevation).dtype),
+                "must be an array of numbers",
             )
         missing = int((~np.isfinite(self.elevation)).sum())
         if missing:
             raise InputError(
-                "optimal.elevation", f"{missing} grid points without data", "must be finite"
+                "optimal.elevation",
+                missing,
+                f"must be finite, but {missing} values are not",
+                show_value=False,
             )
 
     @property
@@ -139,7 +144,10 @@ class TerrainRaster:
         if np.isnan(height).any():
             at = points[np.isnan(height)][0]
             raise InputError(
-                "optimal.terrain", self.grid.extent, f"must cover the path, which passes {at[:2]}"
+                "optimal.terrain",
+                self.grid.extent,
+                f"must cover the path, which passes the point ({at[0]:.1f}, {at[1]:.1f}) m",
+                show_value=False,
             )
         return float((points[:, 2] - height).min())
 
@@ -177,7 +185,11 @@ class TerrainRaster:
         near = posts[np.hypot(*(posts[:, :2] - centre[:2]).T) <= reach]
         if len(near) < 3:
             raise InputError(
-                "optimal.terrain", centre[:2].tolist(), "must have elevations under the path"
+                "optimal.terrain",
+                centre[:2].tolist(),
+                "must have at least three elevations near the path at the point "
+                f"({centre[0]:.1f}, {centre[1]:.1f}) m",
+                show_value=False,
             )
         rows = np.column_stack((near[:, :2] - centre[:2], np.ones(len(near))))
         slope = np.linalg.lstsq(rows, near[:, 2], rcond=None)[0][:2]
@@ -241,7 +253,9 @@ def minimize_propellant_over_terrain(
         if best is None or (found is not None and found.increment < best.increment):
             best = found
     if best is None:
-        raise SolverError(f"No path {clearance} m above the terrain in {rounds} linearisations.")
+        raise SolverError(
+            f"No path {clearance} m above the terrain was found in {rounds} linearisations."
+        )
     return best
 
 
@@ -264,7 +278,7 @@ def _initial_paths(
 
 def _check_clearance(clearance: float) -> None:
     if not (is_number(clearance) and clearance >= 0.0):
-        raise InputError("optimal.clearance", clearance, "must be 0 m or more, and finite")
+        raise InputError("optimal.clearance", clearance, "must be 0 or more and finite")
 
 
 def _check_ends(descent: Descent, terrain: TerrainRaster, clearance: float) -> None:
@@ -272,15 +286,17 @@ def _check_ends(descent: Descent, terrain: TerrainRaster, clearance: float) -> N
 
     Too low means less than `clearance` (m) above the terrain.
     """
-    for name, what in (("end_position", "the end"), ("position", "the start")):
+    for name in ("end_position", "position"):
         at = getattr(descent, name)
         height = float(terrain.height(at[None])[0])
         if np.isnan(height):
-            raise InputError(f"optimal.{name}", at.tolist(), f"{what} must be on the terrain grid")
+            raise InputError(f"optimal.{name}", at.tolist(), "must be on the grid of the terrain")
         if not at[2] >= height + clearance - 1e-9:
             raise InputError(
                 f"optimal.{name}", at.tolist(),
-                f"{what} must be at least {clearance} m above the terrain at {height:.2f} m",
+                f"must be at least {clearance} m above the terrain, but is {at[2] - height:.2f} "
+                "m above",
+                show_value=False,
             )  # fmt: skip
 
 

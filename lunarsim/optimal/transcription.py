@@ -67,9 +67,9 @@ class ProgramStructure:
 
     def __post_init__(self) -> None:
         if self.intervals < 4:
-            raise InputError("optimal.intervals", self.intervals, "must be at least 4")
+            raise InputError("optimal.intervals", self.intervals, "must be 4 or more")
         if self.free and self.thrust_slack:
-            raise InputError("optimal.thrust_slack", True, "must be false if the end is a region")
+            raise InputError("optimal.thrust_slack", True, "must be False if the end is a region")
 
 
 @dataclass(frozen=True)

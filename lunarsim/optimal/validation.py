@@ -32,7 +32,7 @@ def count(name: str, value: Any, minimum: int) -> int:
         If the value is not an integer or is below the minimum.
     """
     if not isinstance(value, Integral) or isinstance(value, bool) or value < minimum:
-        raise InputError(f"optimal.{name}", value, f"must be an integer of at least {minimum}")
+        raise InputError(f"optimal.{name}", value, f"must be an integer of {minimum} or more")
     return int(value)
 
 
@@ -50,6 +50,9 @@ def numbers(name: str, value: Any, shape: tuple[int, ...], expected: str) -> Arr
         found = np.asarray(value)
     except ValueError:  # nested sequences of unequal length
         raise InputError(f"optimal.{name}", value, expected) from None
-    if found.dtype.kind not in "fiu" or found.shape != shape or not np.isfinite(found).all():
+    if found.dtype.kind not in "fiu" or found.shape != shape:
         raise InputError(f"optimal.{name}", value if found.size < 10 else found.shape, expected)
+    for index in np.argwhere(~np.isfinite(found)):
+        place = "".join(f"[{i}]" for i in index)
+        raise InputError(f"optimal.{name}{place}", float(found[tuple(index)]), "must be finite")
     return found.astype(np.float64)

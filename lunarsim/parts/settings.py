@@ -53,8 +53,11 @@ class PartSettings(BaseModel):
         wrong = error.field.rpartition(".")[2]
         for key, (name, _) in keys.items():
             if wrong in (name, key):
-                return InputError(key, getattr(self, key), error.problem, error.remedy)
-        return error.with_field(wrong)
+                return InputError(
+                    key, getattr(self, key), error.problem, error.remedy, error.show_value
+                )
+        below = error.field.partition(".")[2]
+        return error.with_field(below if below.partition(".")[0] in keys else wrong)
 
 
 def _build_value(key: str, value: Any) -> Any:

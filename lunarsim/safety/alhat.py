@@ -41,7 +41,7 @@ def alhat_safety(
         is not positive.
     """
     if not (np.isfinite(sigma) and sigma > 0.0):
-        raise InputError("sigma", sigma, "must be a positive length in metres")
+        raise InputError("sigma", sigma, "must be positive and finite")
     exact = exact_safety(elevation, grid, lander)
     with np.errstate(invalid="ignore"):
         p_slope = (exact.slope < lander.slope_limit).astype(np.float32)

@@ -146,7 +146,10 @@ class MapEvidence:
             grid = getattr(self, name).grid
             if grid != self.level.grid:
                 raise InputError(
-                    f"calibration.{name}", grid, f"must be a map on the grid {self.level.grid}"
+                    f"calibration.{name}",
+                    grid,
+                    "must have the same grid as `level`",
+                    show_value=False,
                 )
         if np.shape(self.density) != self.level.grid.shape:
             shape = np.shape(self.density)
@@ -156,9 +159,7 @@ class MapEvidence:
         for name in ("noise", "spacing"):
             value = getattr(self, name)
             if not (np.isfinite(value) and value > 0.0):
-                raise InputError(
-                    f"calibration.{name}", value, "must be a positive length in metres"
-                )
+                raise InputError(f"calibration.{name}", value, "must be positive and finite")
 
     @property
     def observed(self) -> BoolMap:

@@ -48,7 +48,7 @@ class CalibrationDomain:
         for f in fields(self):
             value = getattr(self, f.name)
             if not (np.isfinite(value).all() and np.min(value) >= 0.0):
-                raise InputError(f"domain.{f.name}", value, "must be finite and 0 or more")
+                raise InputError(f"domain.{f.name}", value, "must be 0 or more and finite")
             if np.ndim(value) and value[0] > value[1]:
                 raise InputError(
                     f"domain.{f.name}", value, "must be a minimum and a maximum, in this order"

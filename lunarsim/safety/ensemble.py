@@ -290,7 +290,10 @@ class Ensemble:
                 raise ValueError("without must be a list of names")
             note = str(data.get("note", ""))
         except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
-            raise InputError("calibration", name, f"must be a calibration file ({error})") from None
+            reason = f"{error} is missing" if isinstance(error, KeyError) else error
+            raise InputError(
+                "calibration", name, f"must be a calibration file ({reason})"
+            ) from None
         if len(weights) < 2 or len(weights) != len(worlds) + 1:
             raise InputError(
                 "calibration",

@@ -90,7 +90,7 @@ def exact_safety(
             and np.isrealobj(heading)
             and np.isfinite(heading)
         ):
-            raise InputError("heading", heading, "must be a finite azimuth in rad")
+            raise InputError("heading", heading, "must be a finite number, an azimuth in rad")
         index = footprint.nearest_heading(lander, grid.posting, heading)
         footprint = footprint.one_heading(index)
     height = prepare_elevation("elevation", elevation, grid, footprint)

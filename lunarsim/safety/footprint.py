@@ -146,7 +146,7 @@ class Footprint:
             If the side is not positive.
         """
         if not (np.isfinite(side) and side > 0.0):
-            raise InputError("block_side", side, "must be a positive length in metres")
+            raise InputError("block_side", side, "must be positive and finite")
         return max(1, min(round(side / posting), self.reach))
 
     def one_heading(self, index: int) -> Footprint:
@@ -333,13 +333,15 @@ def _footprint(legs: int, leg_radius: float, pad_radius: float, posting: float) 
     radius = leg_radius / posting
     if radius < 1.0:
         raise InputError(
-            "grid.posting", posting, f"must be less than the leg radius of {leg_radius} m"
+            "grid.posting",
+            posting,
+            f"must be less than vehicle.leg_radius, which is {leg_radius:g} m",
         )
     if radius > MAX_LEG_DISTANCE_CELLS:
         raise InputError(
             "vehicle.leg_radius",
             leg_radius,
-            f"must be at most {MAX_LEG_DISTANCE_CELLS} cells of {posting} m",
+            f"must be at most {MAX_LEG_DISTANCE_CELLS} grid spacings of {posting:g} m",
             "Use a larger grid spacing or a smaller lander.",
         )
     cells = _distinct_headings(legs, radius)
@@ -398,6 +400,6 @@ def footprint_of(lander: Lander, posting: float) -> Footprint:
     footprint = _footprint(lander.legs, lander.leg_radius, 0.5 * lander.pad_diameter, posting)
     if footprint.min_triangle_height <= 0.0:
         raise InputError(
-            "grid.posting", posting, "must be smaller: three legs are in one line of cells"
+            "grid.posting", posting, "must be smaller, because three legs are in one line of cells"
         )
     return footprint

@@ -60,7 +60,10 @@ class Logistic:
         x, y = np.asarray(features, dtype=np.float64), np.asarray(outcome, dtype=np.float64)
         if not 0.0 < y.mean() < 1.0:
             raise InputError(
-                "calibration.safe", float(y.mean()), "must include both safe and unsafe sites"
+                "calibration.safe",
+                float(y.mean()),
+                "must include both safe and unsafe sites, but all sites are equal",
+                show_value=False,
             )
 
         lower_bounds = np.r_[np.full(x.shape[1] - rising, -np.inf), np.zeros(rising)]

@@ -82,7 +82,7 @@ def prepare_variance(values: ArrayLike, grid: Grid, footprint: Footprint) -> NDA
     raster = _cast(np.float32, raster)
     minimum = float(np.fmin.reduce(raster, axis=None))
     if minimum < 0.0:
-        raise InputError("variance", minimum, "must not be negative")
+        raise InputError("variance", minimum, "must be 0 or more")
     return _contiguous(raster)
 
 
@@ -118,9 +118,11 @@ def _check_shape(name: str, raster: NDArray[Any], grid: Grid, footprint: Footpri
             f"{name}.shape", raster.shape, f"must be the shape of the grid, {grid.shape}"
         )
     if min(grid.shape) <= 2 * footprint.reach:
-        side = (2 * footprint.reach + 1) * grid.posting
+        rows = 2 * footprint.reach + 1
         raise InputError(
-            "grid.shape", grid.shape, f"must be larger than the footprint, {side:.2f} m"
+            "grid.shape",
+            grid.shape,
+            f"must have at least {rows} rows and columns, the size of the lander's footprint",
         )
 
 

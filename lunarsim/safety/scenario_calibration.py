@@ -70,7 +70,7 @@ class CalibrationStage:
         if not (np.isfinite(self.slope) and self.slope >= 0.0):
             raise InputError(
                 "calibration.slope", self.slope,
-                "must be finite and 0 or more: higher log odds must not make a site less safe",
+                "must be 0 or more and finite",
             )  # fmt: skip
 
     @classmethod
@@ -166,8 +166,10 @@ class ScenarioCalibration:
             raise InputError(
                 "sites",
                 len(safe),
-                f"must include at least {MIN_SITES_PER_CLASS} safe and {MIN_SITES_PER_CLASS} "
-                f"unsafe sites",
+                f"must include {MIN_SITES_PER_CLASS} or more safe and {MIN_SITES_PER_CLASS} or "
+                "more "
+                f"unsafe sites, but include {int(safe.sum())} safe and {int((~safe).sum())} unsafe",
+                show_value=False,
             )
         inside = fits[0] or CalibrationStage()
         return cls(inside, fits[1] or inside, domain, lander_safety_params(lander), model.digest)
@@ -207,7 +209,8 @@ class ScenarioCalibration:
         if model.digest != self.regression:
             raise InputError(
                 "calibration.regression", self.regression,
-                f"must be {model.digest}, the regression of this version", _REFIT_REMEDY,
+                f"must be {model.digest}, the regression of this version of lunarsim",
+                _REFIT_REMEDY,
             )  # fmt: skip
 
     # --- files ----------------------------------------------------------------------------
@@ -282,7 +285,7 @@ def _entry(data: dict[str, Any], key: str, kind: type) -> Any:
     """Return the value under a key of a calibration file, of the type `kind`."""
     if key not in data:
         raise InputError(
-            f"calibration.{key}", None, "must be in the calibration file", _WRITE_REMEDY
+            f"calibration.{key}", None, "is missing from the calibration file", _WRITE_REMEDY, False
         )
     value = data[key]
     if not isinstance(value, kind) or isinstance(value, bool):
@@ -305,7 +308,11 @@ def _number(data: dict[str, Any], key: str, value: Any = None) -> float:
     if value is None:
         if key not in data:
             raise InputError(
-                f"calibration.{key}", None, "must be in the calibration file", _WRITE_REMEDY
+                f"calibration.{key}",
+                None,
+                "is missing from the calibration file",
+                _WRITE_REMEDY,
+                False,
             )
         value = data[key]
     number = isinstance(value, int | float) and not isinstance(value, bool)

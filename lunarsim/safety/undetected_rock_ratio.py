@@ -103,11 +103,13 @@ class UndetectedRockRatio:
             raise InputError(
                 "undetected_rock_ratio.ratio",
                 float(self.ratio.min()),
-                "must be finite and 0 or more",
+                "must be 0 or more and finite",
             )
         if not (np.isfinite(self.height_ratio) and self.height_ratio > 0.0):
             raise InputError(
-                "undetected_rock_ratio.height_ratio", self.height_ratio, "must be positive"
+                "undetected_rock_ratio.height_ratio",
+                self.height_ratio,
+                "must be positive and finite",
             )
 
     @property

@@ -134,7 +134,7 @@ def _parse_value(change: str, value: str) -> Any:
             ) from None  # fmt: skip
         return value
     if list(found) != ["value"]:
-        raise InputError(_OPTION, change, "must be one key and one value")
+        raise InputError(_OPTION, change, "must have one key and one value")
     return found["value"]
 
 
@@ -161,7 +161,10 @@ def _with_element(current: Any, index: int, value: Any, field: str) -> list[Any]
             "Omit the index.", show_value=False,
         )  # fmt: skip
     if index >= len(current):
-        raise InputError(field, value, f"must have an index from 0 to {len(current) - 1}")
+        problem = f"must have an index from 0 to {len(current) - 1}, the last of the list"
+        if not current:
+            problem = "ends in an index, but the list is empty"
+        raise InputError(field, value, problem, show_value=False)
     new = list(current)
     new[index] = value
     return new

@@ -145,7 +145,9 @@ def _check_names(table: str, parts: Mapping[str, PartTable]) -> None:
     for name in parts:
         if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_-]*", name):
             raise InputError(
-                table, name, "must have names of letters, digits, _ and -, starting with a letter"
+                table,
+                name,
+                "must have names that start with a letter and consist of letters, digits, _ and -",
             )
 
 
@@ -236,7 +238,8 @@ def _check_sun_elevation(field: str, elevation: float) -> None:
     if not least - 1e-9 <= elevation <= most + 1e-9:
         raise InputError(
             "sun.elevation_deg", elevation,
-            f"must be from {least:.0f} to {most:.0f}, because {field} maps rocks by their shadows",
+            f"must be between {least:.0f} and {most:.0f} degrees, because {field} maps rocks by "
+            "their shadows",
         )  # fmt: skip
 
 
@@ -339,8 +342,8 @@ def _check_control(scenario: CheckedTables, sensors: dict[str, Any]) -> None:
         most = min(0.15 / step, 0.2 / (damping * step) if damping else np.inf)
         raise InputError(
             "control.frequency_rad_s", frequency,
-            f"must be at most {most:g} with damping {damping:g} and an attitude loop period of "
-            f"{step:g} s",
+            f"must be at most {most:g} if control.damping is {damping:g} and simulation.step_s is "
+            f"{step:g}",
         )  # fmt: skip
 
 
@@ -351,15 +354,17 @@ def _check_actuators(scenario: CheckedTables) -> None:
     field, kind = "control.kind", scenario.control.kind
     if jets and not control.torques:
         raise InputError(
-            field, kind, f"must command torques, because a vehicle of kind "
-            f"{scenario.vehicle.kind!r} is turned by thrusters"
+            field, kind,
+            f"must be a control that commands torques, because the thrusters turn a vehicle "
+            f"of kind {scenario.vehicle.kind!r}", "Use control.kind = 'pd', for instance."
         )  # fmt: skip
     if not jets and hasattr(control, "rate_change"):
         raise InputError(
             field,
             kind,
-            f"commands thruster firings and needs a vehicle of kind "
-            f"{_kinds_of('vehicle', JetLander)}",
+            f"needs a vehicle of kind {_kinds_of('vehicle', JetLander)}, because this control "
+            "commands "
+            "thrusters",
         )
     if scenario.faults is not None:
         faults = scenario.faults.make()
@@ -373,19 +378,21 @@ def _check_actuators(scenario: CheckedTables) -> None:
     period, step = getattr(control, "period", 0.1), scenario.simulation.make().step
     if abs(period / step - round(period / step)) > 1e-6 or period < step:
         raise InputError(
-            "control.period_s", period, f"must be a multiple of the simulation step, {step} s"
+            "control.period_s",
+            period,
+            f"must be a multiple of simulation.step_s, which is {step:g} s",
         )
     if lander.thrusters.min_on_time > period:
         raise InputError(
             "vehicle.thrusters.min_on_time_s", lander.thrusters.min_on_time,
-            f"must be at most the control period of {period} s",
+            f"must be at most control.period_s, which is {period:g} s",
         )  # fmt: skip
     gain = 2.0 * getattr(control, "damping", 0.0) * getattr(control, "frequency", 0.0)
     if gain * period > 0.6:
         raise InputError(
             "control.frequency_rad_s", control.frequency,
-            f"must be at most {0.3 / (control.damping * period):g} with a control period of "
-            f"{period:g} s",
+            f"must be at most {0.3 / (control.damping * period):g} if control.damping is "
+            f"{control.damping:g} and control.period_s is {period:g}",
         )  # fmt: skip
 
 
@@ -421,7 +428,8 @@ def _check_tasking(scenario: CheckedTables, sensors: dict[str, Any]) -> None:
             if key.endswith("_hz") and rate * cycle > 1.0 + 1e-9:
                 raise InputError(
                     f"tasking.{name}.{key}", rate,
-                    f"must be at most {1.0 / cycle:g} Hz, one measurement per control cycle",
+                    f"must be at most {1.0 / cycle:g}, one measurement per control cycle "
+                    f"(simulation.cycle_s = {cycle:g})",
                 )  # fmt: skip
 
 
@@ -438,8 +446,9 @@ def _check_all_used(scenario: CheckedTables, sensors: dict[str, Any]) -> None:
         if name not in used and not (wanted and issubclass(sensor.measurement_type, wanted)):
             raise InputError(
                 f"sensors.{name}", scenario.sensors[name].kind,
-                "is not used by any mapper, and navigation of kind "
-                f"{scenario.navigation.kind!r} does not accept {sensor.measurement_type.__name__}",
+                "is not used: no mapper names it, and navigation of kind "
+                f"{scenario.navigation.kind!r} "
+                f"does not use sensors of kind {scenario.sensors[name].kind!r}",
                 "Delete the sensor, or name it in a mapper.", show_value=False,
             )  # fmt: skip
     if scenario.prior_map is not None and not _has_sensor_for(sensors, LidarScan):

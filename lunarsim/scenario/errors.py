@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any, get_args, get_origin
+from collections.abc import Iterable
+from types import UnionType
+from typing import Any, Union, get_args, get_origin
 
 from pydantic import ValidationError
 
@@ -12,16 +14,27 @@ from lunarsim.parts.settings import unit_of
 from lunarsim.scenario import layout
 from lunarsim.scenario.renamed_keys import current_path
 
-# Requirements in the words of pydantic, and clauses that replace them.
-_PLAIN_WORDS = {
-    "a valid boolean": "true or false",
-    "a valid number": "a number",
-    "a valid integer": "an integer",
-    "a valid string": "a string",
-    "a valid tuple": "a list",
-    "a valid list": "a list",
-    "a valid dictionary": "a table",
+# Types of pydantic errors, and the problems that replace pydantic's messages.
+_PROBLEMS = {
+    "missing": "is required",
+    "bool_type": "must be true or false",
+    "float_type": "must be a number",
+    "int_type": "must be an integer",
+    "finite_number": "must be finite",
+    "string_type": "must be a text in quotes",
+    "path_type": "must be a file path in quotes",
+    "tuple_type": "must be a list",
+    "list_type": "must be a list",
+    "dict_type": "must be a table",
+    "model_type": "must be a table",
+    "model_attributes_type": "must be a table",
+    "greater_than": "must be more than {gt}",
+    "greater_than_equal": "must be {ge} or more",
+    "less_than": "must be less than {lt}",
+    "less_than_equal": "must be at most {le}",
 }
+# Maximum number of characters of a list of known keys.
+_MAX_HINT_LENGTH = 120
 # Units of scenario values whose symbol could be misread, spelled out.
 _SPELLED_UNITS = {
     "px": "pixels",
@@ -51,18 +64,25 @@ def input_error(
     """
     first = error.errors(include_url=False)[0]
     location = [str(step) for step in first["loc"]]
-    steps = (f"[{step}]" if isinstance(step, int) else f".{step}" for step in first["loc"])
-    field = path + "".join(steps)
-    count = len(_elements(model, location[0])) if location else 0
+    field = path + "".join(_key_text(step) for step in first["loc"])
+    table, depth = _table_at(model, first["loc"])
+    key = location[depth] if depth < len(location) else ""
+    unit = unit_of(table, key)
+    if any(isinstance(step, str) for step in first["loc"][depth + 1 :]) and _is_union(table, key):
+        field = path + "".join(_key_text(step) for step in first["loc"][: depth + 1])
+        return InputError(field, first["input"], "must be a number or a list of numbers")
+    # Only the last index of a missing element is not the index of a list.
+    of_list = first["loc"][:-1] if first["type"] == "missing" else first["loc"]
+    count = len(_elements(table, key, len(of_list) - depth - 1))
     if count and first["type"] in ("tuple_type", "too_long", "missing"):
-        unit = unit_of(model, location[0])
         wanted = f"must be a list of {count} values" + (
             f" in {_SPELLED_UNITS.get(unit, unit)}" if unit else ""
         )
-        return InputError(f"{path}.{location[0]}", first["input"], wanted)
+        field = path + "".join(_key_text(step) for step in of_list)
+        return InputError(field, first["input"], wanted)
     if first["type"] == "extra_forbidden":
         key = location[-1]
-        keys = sorted(_table_at(model, first["loc"][:-1]).model_fields)
+        keys = sorted(table.model_fields)
         elsewhere = _kinds_with(contract, key) if contract and len(location) == 1 else []
         if elsewhere:
             whose = " or ".join(repr(name) for name in elsewhere)
@@ -71,18 +91,41 @@ def input_error(
                 f"Delete the key, or use it with {path}.kind = {whose}.", False,
             )  # fmt: skip
         return unknown_key_error(
-            field, first["input"], layout.MOVED_KEYS.get(path) or suggestion(key, keys)
+            field, first["input"], layout.MOVED_KEYS.get(path) or key_hint(key, keys)
         )
-    message = str(first["msg"]).removeprefix("Value error, ").replace("Input should", "must")
-    if first["type"] == "path_type":
-        message = "must be a file path in quotes"
-    for words, plain in _PLAIN_WORDS.items():
-        message = message.replace(words, plain)
-    problem = "is required" if message == "Field required" else message[0].lower() + message[1:]
-    unit = unit_of(model, location[0]) if location else ""
+    problem = plain_problem(first)
     wants_number = unit and first["type"].endswith(("_type", "_parsing"))
     remedy = f"Give a plain number {_unit_phrase(unit)}." if wants_number else ""
-    return InputError(field, first["input"], problem, remedy)
+    if wants_number and first["type"] in ("tuple_type", "list_type"):
+        remedy = f"Give a list of numbers {_unit_phrase(unit)}."
+    return InputError(field, first["input"], problem, remedy, first["type"] != "missing")
+
+
+def _key_text(step: int | str) -> str:
+    """Return the text of a key or list index at the end of a path."""
+    return f"[{step}]" if isinstance(step, int) else f".{step}"
+
+
+def plain_problem(error: Any) -> str:
+    """Return the problem that an error of pydantic reports, as a clause."""
+    bounds = {
+        name: f"{bound:g}" if isinstance(bound, float) else bound
+        for name, bound in error.get("ctx", {}).items()
+    }
+    if error["type"] == "greater_than" and float(bounds["gt"]) == 0.0:
+        return "must be positive"
+    if error["type"] in _PROBLEMS:
+        return _PROBLEMS[error["type"]].format(**bounds)
+    message = str(error["msg"]).removeprefix("Value error, ").replace("Input should", "must")
+    return message[0].lower() + message[1:]
+
+
+def key_hint(key: str, known: Iterable[str]) -> str:
+    """Return a remedy for an unknown key: the closest key, or all keys."""
+    hint = suggestion(key, known)
+    if len(hint) > _MAX_HINT_LENGTH:
+        return "All keys are listed by `lunarsim scenario reference`."
+    return hint
 
 
 def _unit_phrase(unit: str) -> str:
@@ -104,33 +147,48 @@ def unknown_key_error(field: str, value: object, remedy: str) -> InputError:
     """
     new = current_path(field)
     if new == field:
-        return InputError(field, value, "is an unknown key", remedy, show_value=False)
+        place = "" if "." in field else " at the top level of the scenario"
+        return InputError(field, value, f"is an unknown key{place}", remedy, show_value=False)
     return InputError(
         field, value, f"was renamed to {new}",
         "Use the new name, or run `lunarsim scenario upgrade FILE`.", show_value=False,
     )  # fmt: skip
 
 
-def _elements(model: type[PartSettings], key: str) -> tuple[Any, ...]:
-    """Return the element types of a key whose value is a list of fixed length.
+def _is_union(model: type[PartSettings], key: str) -> bool:
+    """Return whether a key accepts several types (named in pydantic's errors)."""
+    found = model.model_fields.get(key)
+    return found is not None and get_origin(found.annotation) in (Union, UnionType)
 
-    The result is empty for a key with any other value.
+
+def _elements(model: type[PartSettings], key: str, depth: int) -> tuple[Any, ...]:
+    """Return the element types of a list of fixed length in a key's value.
+
+    `depth` is the number of indices from the value to the list. The result is empty for any other
+    value.
     """
     found = model.model_fields.get(key)
-    for kind in () if found is None else (found.annotation, *get_args(found.annotation)):
-        if get_origin(kind) is tuple and Ellipsis not in get_args(kind):
-            return get_args(kind)
+    kind: Any = None if found is None else found.annotation
+    for _ in range(depth):
+        kind = get_args(kind)[0] if get_origin(kind) is tuple else None
+    for one in get_args(kind) if get_origin(kind) in (Union, UnionType) else (kind,):
+        if get_origin(one) is tuple and Ellipsis not in get_args(one):
+            return get_args(one)
     return ()
 
 
-def _table_at(model: type[PartSettings], location: tuple[Any, ...]) -> type[PartSettings]:
-    """Return the settings class of the nested table at the keys in `location`."""
-    for step in location:
+def _table_at(
+    model: type[PartSettings], location: tuple[Any, ...]
+) -> tuple[type[PartSettings], int]:
+    """Return settings class and depth of the innermost table at a path."""
+    for depth, step in enumerate(location):
         field = model.model_fields.get(str(step))
         if field is None or not isinstance(field.annotation, type):
-            return model
+            return model, depth
+        if not issubclass(field.annotation, PartSettings) or depth + 1 == len(location):
+            return model, depth
         model = field.annotation
-    return model
+    return model, len(location)
 
 
 def _kinds_with(contract: str, key: str) -> list[str]:

@@ -15,6 +15,7 @@ MAX_TOML_BYTES = 2**22
 # Maximum depth of nested tables. A scenario has 4, an arm of a campaign some more.
 _MAX_DEPTH = 40
 _LARGE_INTEGER = "an integer has more than 64 bits"
+_TOO_DEEP = f"tables are nested more than {_MAX_DEPTH} levels deep"
 # Matches keys with more parts than that: the memory of tomllib grows with the square of the number.
 _DEEP_KEY = re.compile(
     r"""(?:(?:(?<![\w-])[\w-]++|"[^"\n]*"|'[^'\n]*')[ \t]*\.[ \t]*)""" f"{{{_MAX_DEPTH}}}"
@@ -43,10 +44,10 @@ def read_toml(path: Path, name: str) -> dict[str, Any]:
     try:
         text = path.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError as error:
-        raise InputError(name, str(path), f"must be a TOML file in UTF-8 ({error})") from None
+        raise InputError(name, str(path), f"must be a text file in UTF-8 ({error})") from None
     tables = parsed_toml(text, name, str(path))
     if not tables:
-        raise InputError(name, str(path), "must have at least one key")
+        raise InputError(name, str(path), "must contain at least one key")
     return tables
 
 
@@ -65,13 +66,15 @@ def parsed_toml(text: str, name: str = "scenario", shown: str = "text") -> dict[
     InputError
         If the text is not TOML, is nested too deep, or has an integer of more than 64 bits.
     """
-    if len(text) > MAX_TOML_BYTES or _DEEP_KEY.search(text):
-        raise InputError(name, shown, "must be a TOML file, not too large nor nested too deep")
+    if len(text) > MAX_TOML_BYTES:
+        raise InputError(name, shown, f"must have at most {MAX_TOML_BYTES} bytes")
+    if _DEEP_KEY.search(text):
+        raise InputError(name, shown, f"must be a valid TOML file ({_TOO_DEEP})")
     try:
         tables = _load(text)
         _check_values(tables)
     except (ValueError, RecursionError) as error:
-        raise InputError(name, shown, f"must be a TOML file ({error})") from None
+        raise InputError(name, shown, f"must be a valid TOML file ({error})") from None
     return tables
 
 
@@ -91,7 +94,7 @@ def _check_values(value: Any, depth: int = 0) -> None:
     `depth` is the depth of `value` in the file. TOML excludes integers above 64 bits.
     """
     if depth > _MAX_DEPTH:
-        raise ValueError("nested too deep")
+        raise ValueError(_TOO_DEEP)
     if isinstance(value, int) and not -(2**63) <= value < 2**63:
         raise ValueError(_LARGE_INTEGER)
     if isinstance(value, Mapping | list):

@@ -161,12 +161,13 @@ class SimulationClock:
         steps = self.cycle / self.step
         if steps < 1.0 or abs(steps - round(steps)) > 1e-6:
             raise InputError(
-                "cycle", self.cycle, f"must be a multiple of the simulation step of {self.step} s"
+                "cycle", self.cycle, f"must be a multiple of step_s, which is {self.step:g} s"
             )
         if self.max_time / self.cycle > _MAX_CYCLES:
             raise InputError(
                 "max_time", self.max_time,
-                f"must be at most {_MAX_CYCLES} control cycles of {self.cycle} s",
+                f"must be at most {_MAX_CYCLES * self.cycle:g}: {_MAX_CYCLES} control cycles "
+                f"with cycle_s = {self.cycle:g}",
             )  # fmt: skip
 
     @property

@@ -125,8 +125,9 @@ def check_memory(scenario: Any) -> None:
         remedy = _REMEDIES.get(key) or _REMEDIES[last]
         raise InputError(
             key, value,
-            f"is too large, because a flight would use {format_bytes(found.total)} of memory "
-            f"(limit {format_bytes(MAX_MEMORY_BYTES)})",
+            f"needs too much memory: a flight would use {format_bytes(found.total)}, but the "
+            "limit is "
+            f"{format_bytes(MAX_MEMORY_BYTES)}",
             remedy,
         )  # fmt: skip
 

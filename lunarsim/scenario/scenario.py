@@ -16,12 +16,12 @@ import tomli_w
 from pydantic import ValidationError
 
 from lunarsim.atomic_files import atomic_write_text
-from lunarsim.errors import InputError, suggestion
+from lunarsim.errors import InputError
 from lunarsim.messages.briefing import FlightSoftware
 from lunarsim.parts import PartSettings, kinds, module_permission, resolve, settings_of
 from lunarsim.scenario import layout
 from lunarsim.scenario.checks import check
-from lunarsim.scenario.errors import input_error, unknown_key_error
+from lunarsim.scenario.errors import input_error, key_hint, unknown_key_error
 from lunarsim.scenario.files import parsed_toml, read_toml
 from lunarsim.scenario.resource_estimate import check_memory
 
@@ -139,7 +139,7 @@ class Scenario:
         for key, value in data.items():
             if key not in known:
                 moved = layout.MOVED_TABLES.get(key)
-                hint = f"Use {moved} instead." if moved else suggestion(key, known)
+                hint = f"Use {moved} instead." if moved else key_hint(key, known)
                 raise unknown_key_error(key, value, hint)
         values: dict[str, Any] = {
             "name": _text(data, "name", "unnamed"),
@@ -346,7 +346,7 @@ def _merged(old: Any, change: Any) -> Any:
 def _text(data: Mapping[str, Any], key: str, default: str) -> str:
     value = data.get(key, default)
     if not isinstance(value, str):
-        raise InputError(key, value, "must be a string in quotes")
+        raise InputError(key, value, "must be a text in quotes")
     if any(unicodedata.category(c) == "Cc" and c not in "\n\t" for c in value):
         raise InputError(key, value, "must not contain control characters")
     return value
@@ -355,7 +355,7 @@ def _text(data: Mapping[str, Any], key: str, default: str) -> str:
 def _number(data: Mapping[str, Any], key: str, default: float) -> float:
     value = data.get(key, default)
     if isinstance(value, bool) or not isinstance(value, int | float) or not 0.0 < value < 1e3:
-        raise InputError(key, value, "must be a positive number in m/s^2 below 1000")
+        raise InputError(key, value, "must be a positive number below 1000, in m/s^2")
     return float(value)
 
 
@@ -373,10 +373,9 @@ def _selected_part(
     data = dict(_mapping(path, value))
     kind = data.pop("kind", default)
     if not isinstance(kind, str):
-        raise InputError(
-            f"{path}.kind", kind, f"must be the name of a kind of {contract}",
-            f"Known names: {', '.join(kinds(contract))}.",
-        )  # fmt: skip
+        problem = "is required" if kind is None else "must be a text in quotes"
+        known = f"Known names: {', '.join(kinds(contract))}."
+        raise InputError(f"{path}.kind", kind, problem, known, kind is not None)
     part_class = resolve(contract, kind, f"{path}.kind")
     return SelectedPart(kind, _table(path, part_class, data, folder, contract, kind))
 

@@ -38,7 +38,9 @@ def path_of(name: str) -> Path:
     """
     known = names()
     if name not in known:
-        raise InputError("NAME", name, "is not a packaged scenario", _hint(name, known))
+        raise InputError(
+            "NAME", name, "must be the name of a packaged scenario", _hint(name, known)
+        )
     return known[name]
 
 
@@ -67,7 +69,7 @@ def found(given: Path, base_folder: Path | None = None) -> Path:
         return known[str(given)]
     others = [str(given.parent / p.name) for p in path.parent.glob("*.toml") if p.is_file()]
     near = _hint(str(given), [*known, *others])
-    if not near.startswith(("Did you mean", "It is now")):
+    if not near.startswith(("Did you mean", "Its new name")):
         near = "Names of packaged scenarios: `lunarsim scenario list`."
     raise InputError("scenario", str(path), "must be an existing TOML file", near)
 
@@ -75,7 +77,7 @@ def found(given: Path, base_folder: Path | None = None) -> Path:
 def _hint(name: str, known: Iterable[str]) -> str:
     """Return a sentence with the new name of a renamed scenario or the closest name."""
     new = RENAMED_SCENARIOS.get(Path(name).stem)
-    return f"It is now {new}." if new else suggestion(name, list(known))
+    return f"Its new name is {new}." if new else suggestion(name, list(known))
 
 
 def description_of(path: Path) -> str:
@@ -106,7 +108,7 @@ def copy_to(name: str, target: Path) -> list[Path]:
     pairs += [(source.parent / path, target.parent / path) for path in _data_files(tables)]
     for old, new in pairs:
         if new.exists() and (new == target or new.read_bytes() != old.read_bytes()):
-            raise InputError("--out", str(new), "must be a new file, but it exists")
+            raise InputError("--out", str(new), "must be a file that does not exist yet")
     with ExitStack() as undo:
         for old, new in pairs:
             if new.exists():

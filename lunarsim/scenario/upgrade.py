@@ -114,8 +114,8 @@ def upgrade_text(text: str) -> tuple[str, list[str]]:
         parsed_toml(out, "FILE")
     except InputError:
         raise InputError(
-            "FILE", ", ".join(changes)[:120], "has an old and the new name of one key",
-            "Delete one of them.",
+            "FILE", changes, "contains both the old and the new name of a key "
+            f"({', '.join(changes)[:100]})", "Delete the old key.", show_value=False,
         ) from None  # fmt: skip
     return out, changes
 

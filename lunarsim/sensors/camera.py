@@ -15,7 +15,7 @@ from lunarsim.errors import InputError
 from lunarsim.frames import is_rotation, quat_from_rotation_vector, quat_multiply, quat_to_matrix
 from lunarsim.messages.measurements import CameraImage
 from lunarsim.models.camera import CameraModel
-from lunarsim.models.pinhole import View
+from lunarsim.models.pinhole import View, check_finite_position
 from lunarsim.sensors.detector import counts_from_electrons, dark_current, illumination_falloff
 from lunarsim.sensors.rendered_image import RenderedImage
 from lunarsim.vehicle.state import State
@@ -114,15 +114,19 @@ class Camera(CameraModel):
         super().__post_init__()
         for name in ("exposure", "sensitivity", "full_well", "gain"):
             if not (np.isfinite(getattr(self, name)) and getattr(self, name) > 0.0):
-                raise InputError(f"camera.{name}", getattr(self, name), "must be positive")
+                raise InputError(
+                    f"camera.{name}", getattr(self, name), "must be positive and finite"
+                )
         for name in ("blur_sigma", "read_noise", "vignetting", "hot_current", "line_time"):
             if not (np.isfinite(getattr(self, name)) and getattr(self, name) >= 0.0):
-                raise InputError(f"camera.{name}", getattr(self, name), "must be 0 or more")
+                raise InputError(
+                    f"camera.{name}", getattr(self, name), "must be 0 or more and finite"
+                )
         if not (isinstance(self.bits, int) and 1 <= self.bits <= 16):
             raise InputError("camera.bits", self.bits, "must be an integer from 1 to 16")
         for name in ("stray_light", "hot_pixels"):
             if not 0.0 <= getattr(self, name) <= 1.0:
-                raise InputError(f"camera.{name}", getattr(self, name), "must be from 0 to 1")
+                raise InputError(f"camera.{name}", getattr(self, name), "must be between 0 and 1")
         if self.detector_seed < 0:
             raise InputError("camera.detector_seed", self.detector_seed, "must be 0 or more")
         if self.shutter not in ("global", "rolling"):
@@ -137,7 +141,9 @@ class Camera(CameraModel):
         `width` and `height` are the size of the image, pixels; `more` are other fields.
         """
         if not (isinstance(degrees, float | int | np.floating) and 0.0 < degrees < 170.0):
-            raise InputError("camera.field_of_view_deg", degrees, "must be between 0 and 170")
+            raise InputError(
+                "camera.field_of_view_deg", degrees, "must be more than 0 and less than 170"
+            )
         focal = 0.5 * width / np.tan(0.5 * np.deg2rad(degrees))
         return cls(width, height, focal, focal, **more)  # type: ignore[arg-type]
 
@@ -279,7 +285,10 @@ class Camera(CameraModel):
         )  # fmt: skip
         if over > 2.0 * max(self.width, self.height):
             raise InputError(
-                "camera.distortion", self.distortion, "must be invertible within the image"
+                "camera.distortion",
+                self.distortion,
+                "must be invertible over the complete image",
+                "Use weaker distortion or a narrower field of view.",
             )
         return int(np.ceil(over)) + 2
 
@@ -352,10 +361,11 @@ class Camera(CameraModel):
 
 def _check_pose(state: State) -> None:
     """Raise InputError unless position and attitude of a state are valid."""
-    if not np.isfinite(state.position).all():
-        raise InputError("camera.position", list(state.position), "must be finite (metres)")
+    check_finite_position(state.position)
     if not is_rotation(state.attitude):
-        raise InputError("camera.attitude", list(state.attitude), "must be a unit quaternion")
+        raise InputError(
+            "camera.attitude", np.asarray(state.attitude).tolist(), "must be a unit quaternion"
+        )
 
 
 def _propagate(state: State, time: float) -> State:

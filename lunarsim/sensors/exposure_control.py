@@ -48,10 +48,14 @@ class ExposureControl:
         if not 0.0 < self.shortest <= self.longest < np.inf:
             bounds = (self.shortest, self.longest)
             raise InputError(
-                "camera.exposure_bounds", bounds, "must be two positive times, shortest first"
+                "camera.exposure_bounds",
+                bounds,
+                "must be two positive times, the shorter one first",
             )
         if not 1.0 < self.max_change_factor < np.inf:
-            raise InputError("camera.exposure_change", self.max_change_factor, "must be above 1")
+            raise InputError(
+                "camera.exposure_change", self.max_change_factor, "must be more than 1 and finite"
+            )
 
     def next_exposure(
         self, counts: NDArray[np.unsignedinteger[Any]], bits: int, exposure: float

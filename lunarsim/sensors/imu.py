@@ -97,7 +97,7 @@ class Imu:
         accelerometers: TriadErrors = TACTICAL_ACCELEROMETERS,
     ) -> None:
         if not (np.isfinite(rate) and rate > 0.0):
-            raise InputError("imu.rate", rate, "must be a positive sampling rate (Hz)")
+            raise InputError("imu.rate", rate, "must be positive and finite")
         self.step = 1.0 / rate
         first, second = rng.spawn(2)
         self.gyroscopes = _Triad(gyroscopes, self.step, first)

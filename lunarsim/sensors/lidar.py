@@ -151,8 +151,9 @@ class FlashLidar:
         if self.rows * self.cols > _MAX_PIXELS:
             raise InputError(
                 "lidar.rows", self.rows,
-                f"must be at most {_MAX_PIXELS // self.cols} with {self.cols} columns: at most "
-                f"{_MAX_PIXELS} returns per scan",
+                f"must be at most {_MAX_PIXELS // self.cols} if cols is {self.cols}, because a "
+                "scan has "
+                f"at most {_MAX_PIXELS} returns",
             )  # fmt: skip
 
     def build(self, rng: np.random.Generator, step: float) -> FlashLidar | BiasedLidar:

@@ -94,11 +94,12 @@ class FarTerrainSettings:
         check_bounds(self, "far_terrain")
         for name in ("postings", "rms_slopes"):
             if len(getattr(self, name)) != len(self.sizes):
+                count = len(getattr(self, name))
                 raise InputError(
-                    f"far_terrain.{name}",
-                    getattr(self, name),
-                    f"must have one value per element of sizes ({len(self.sizes)})",
-                )
+                    f"far_terrain.{name}", getattr(self, name),
+                    f"must have as many values as sizes_m, which has {len(self.sizes)}, but has "
+                    f"{count}", show_value=False,
+                )  # fmt: skip
         for size, posting in zip(self.sizes, self.postings, strict=True):
             check_raster_size("far_terrain.sizes", size, posting, _MAX_POSTS_PER_SIDE, "points")
 
@@ -155,7 +156,7 @@ def _load_measured(settings: FarTerrainSettings) -> Heightfield:
             text.replace("terrain.", "far_terrain.")
             for text in (error.field, error.problem, error.remedy)
         )
-        raise InputError(field, error.value, problem, remedy) from None
+        raise InputError(field, error.value, problem, remedy, error.show_value) from None
     if not np.isfinite(z.z).all():
         raise InputError(
             "far_terrain.path",

@@ -166,7 +166,7 @@ def hapke_of_albedo(
         If no single-scattering albedo w gives the normal albedo.
     """
     if not 0.0 <= albedo <= 1.0:
-        raise InputError("sun.albedo", albedo, "must be from 0 to 1")
+        raise InputError("sun.albedo", albedo, "must be between 0 and 1")
 
     def excess(w: float) -> float:
         law = Hapke(w, b, c, surge, surge_width, roughness)
@@ -175,7 +175,7 @@ def hapke_of_albedo(
     if excess(1.0 - 1e-9) < 0.0:
         max_albedo = albedo + excess(1.0 - 1e-9)
         raise InputError(
-            "sun.albedo", albedo, f"must be at most {max_albedo:.3f} with this phase function"
+            "sun.albedo", albedo, f"must be at most {max_albedo:.3f} with these Hapke parameters"
         )
     w = brentq(excess, 0.0, 1.0 - 1e-9, xtol=1e-12)
     return Hapke(float(w), b, c, surge, surge_width, roughness)

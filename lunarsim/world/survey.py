@@ -133,10 +133,12 @@ def simulate_survey(
     """
     if not 0.0 <= outdated_fraction < 1.0:
         raise InputError(
-            "prior_map.outdated_fraction", outdated_fraction, "must be from 0 to below 1"
+            "prior_map.outdated_fraction", outdated_fraction, "must be 0 or more and less than 1"
         )
     if not 0.0 <= void_fraction < 1.0:
-        raise InputError("prior_map.void_fraction", void_fraction, "must be from 0 to below 1")
+        raise InputError(
+            "prior_map.void_fraction", void_fraction, "must be 0 or more and less than 1"
+        )
     fine = Grid(
         grid.x0 - grid.posting * (0.5 - 0.5 / _SAMPLES),
         grid.y0 - grid.posting * (0.5 - 0.5 / _SAMPLES),

@@ -99,9 +99,11 @@ def truth_grid(world: World, centre: tuple[float, float], size: float, posting: 
         If a value is not positive or the square extends beyond the terrain.
     """
     if not (np.isfinite(posting) and posting > 0.0):
-        raise InputError("--posting", posting, "must be more than 0 (metres)")
+        raise InputError("--posting", posting, "must be positive and finite")
     if not (np.isfinite(size) and size >= 10.0 * posting):
-        raise InputError("--size", size, f"must be at least ten cells, {10.0 * posting:g} m")
+        raise InputError(
+            "--size", size, f"must be at least ten times --posting, {10.0 * posting:g} m"
+        )
     check_raster_size("--size", size, posting, _MAX_CELLS_PER_SIDE)
     west, east, south, north = world.terrain.bounds
     half = 0.5 * size

@@ -130,9 +130,13 @@ def test_a_calibration_that_does_not_fit_is_refused(scenario, done, tmp_path):
     ("tables", "options", "says"),
     [
         ({"mappers": {"dem": DEM | {"safety": "level"}}}, [], r"mappers.dem.safety: must be"),
-        ({"mappers": {"q": {"kind": "quadtree"}}}, [], "one mapper of kind gaussian-dem"),
-        ({"mappers": {"q": {"kind": "quadtree"}, "dem": DEM}}, ["--mapper", "q"], "available: dem"),
-        ({}, ["--mapper", "other"], "available: dem"),
+        ({"mappers": {"q": {"kind": "quadtree"}}}, [], "a mapper of kind 'gaussian-dem'"),
+        (
+            {"mappers": {"q": {"kind": "quadtree"}, "dem": DEM}},
+            ["--mapper", "q"],
+            "Mappers of this kind: dem",
+        ),
+        ({}, ["--mapper", "other"], "Mappers of this kind: dem"),
         ({}, ["--flights", "1"], "2 or more"),
         ({}, ["--sites", "0"], "1 or more"),
         ({}, ["--jobs", "0"], "1 or more"),
@@ -155,7 +159,7 @@ def test_which_mapper_is_meant():
     decides = TABLES | {"mappers": two, "decisions": {"map": "b"}}
     assert gaussian_mapper(Scenario.from_dict(decides)) == "b"
     decides = Scenario.from_dict(TABLES | {"mappers": two, "decisions": {"map": "q"}})
-    with pytest.raises(InputError, match=r"several mappers of kind gaussian-dem .a, b."):
+    with pytest.raises(InputError, match=r"several mappers of kind 'gaussian-dem' .a, b."):
         gaussian_mapper(decides)
     assert gaussian_mapper(decides, "b") == "b"
     one = TABLES | {"mappers": {"q": {"kind": "quadtree"}, "b": DEM}}

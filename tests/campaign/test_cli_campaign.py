@@ -81,7 +81,10 @@ def test_a_flight_is_flown_again_to_the_same_end(swept, tmp_path):
     assert (tmp_path / "flight" / "flight.json").exists()
     for wrong in ("9-0", "1-4", "1", "a-b"):
         refused = run("replay", swept, "--flight", wrong)
-        assert refused.exit_code == 2 and "from 0-0 to 1-3" in refused.output
+        assert (
+            refused.exit_code == 2
+            and "with INDEX from 0 to 1 and ARM from 0 to 3" in refused.output
+        )
 
 
 def test_a_replay_that_ends_otherwise_says_so(swept, tmp_path):

@@ -158,7 +158,8 @@ def test_several_policies_and_laws_are_every_pair(scenario):
 
 
 @pytest.mark.parametrize(
-    ("laws", "said"), [(["apolo"], "--guidance"), (["apollo", "apollo"], "each guidance law once")]
+    ("laws", "said"),
+    [(["apolo"], "--guidance"), (["apollo", "apollo"], "each guidance law only once")],
 )
 def test_laws_that_will_not_do_are_refused(scenario, laws, said):
     with pytest.raises(InputError, match=said):

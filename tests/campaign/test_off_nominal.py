@@ -65,7 +65,7 @@ def test_rows_that_are_gone_are_told_of_and_flown_again(tmp_path):
 @pytest.mark.parametrize(
     ("key", "value", "says"),
     [("format", 0, "of format"), ("columns", {"safe": "complex"}, "unknown kind"),
-     ("arms", [], "has rows of arms"), ("inputs", None, "is damaged")],
+     ("arms", [], "has rows of arms"), ("inputs", None, "a damaged manifest")],
 )  # fmt: skip
 def test_a_manifest_that_does_not_fit_is_refused(tmp_path, key, value, says):
     run(plan(flights=3), InlineEngine(), tmp_path / "c")

@@ -40,8 +40,8 @@ def test_a_policy_of_a_notebook_is_refused_with_reason_and_remedy(tmp_path):
     done = subprocess.run(command, check=False, capture_output=True, text=True)
     last = done.stderr.strip().splitlines()[-1]
     assert done.returncode == 1
-    assert "Mine is defined in a notebook" in last
-    assert "Move it into a module file, or use jobs = 1" in last
+    assert "uses Mine, which worker processes cannot import from a notebook" in last
+    assert "Move Mine into a module file, or use jobs = 1" in last
     assert not out.exists()
 
 
@@ -62,7 +62,9 @@ def main(monkeypatch):
 
 def test_objects_within_others_and_functions_are_found(main):
     for value in ([Inner()], {"a": (Inner,)}, "__main__:Inner", [{"kind": "__main__:Inner"}]):
-        with pytest.raises(InputError, match="Inner is defined in a notebook"):
+        with pytest.raises(
+            InputError, match="uses Inner, which worker processes cannot import from a notebook"
+        ):
             check_picklable("policies", value)
 
 
@@ -77,7 +79,9 @@ def test_a_script_can_be_imported_by_workers(main, tmp_path):
 
 
 def test_what_cannot_be_pickled_is_refused_in_one_sentence():
-    with pytest.raises(InputError, match=r"can be pickled \(.+\), got .+\. Use jobs = 1"):
+    with pytest.raises(
+        InputError, match=r"pickle can send to worker processes \(.+\), got .+\. Use jobs = 1"
+    ):
         check_picklable("policies", lambda: None)
 
 
@@ -85,5 +89,7 @@ def test_scenarios_that_name_a_class_of_a_notebook_are_refused(main, monkeypatch
     monkeypatch.setenv("LUNARSIM_ALLOW_MODULES", "__main__")
     main.Own = dataclass(frozen=True)(type("Own", (NoDivert,), {"__module__": "__main__"}))
     scenario = Scenario.from_dict(TINY_FLIGHT | {"policy": {"kind": "__main__:Own"}})
-    with pytest.raises(InputError, match="Own is defined in a notebook"):
+    with pytest.raises(
+        InputError, match="uses Own, which worker processes cannot import from a notebook"
+    ):
         check_picklable("arm 'all'", scenario)

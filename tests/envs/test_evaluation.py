@@ -205,10 +205,11 @@ def test_any_number_of_processes_gives_the_same_rows():
 def test_names_of_a_notebook_are_refused_before_processes_start(monkeypatch):
     monkeypatch.setitem(sys.modules, "__main__", types.ModuleType("__main__"))
     with pytest.raises(
-        InputError, match=r"^--agent: Mine is defined in a notebook.* got '__main__:Mine'"
+        InputError,
+        match=r"^--agent: uses Mine, which worker processes cannot import from a notebook",
     ):
         fly(asked(), ["__main__:Mine"], 11, jobs=2)
     monkeypatch.setattr(Wanted, "__module__", "__main__")
-    with pytest.raises(InputError, match=r"^env: .*got '__main__:Wanted'.* or use jobs = 1"):
+    with pytest.raises(InputError, match=r"^env: uses Wanted, .* or use jobs = 1"):
         fly(asked(), ["zero"], 11, jobs=2)
     assert len(fly(asked(), ["zero"], 11, jobs=1)) == 11

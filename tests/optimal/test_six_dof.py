@@ -143,7 +143,7 @@ def test_what_cannot_be_is_refused():
         ({"end_position": [0.0, np.nan, 0.0]}, "end_position"), ({"reserve": 400.0}, "mass"),
         ({"drop": -1.0}, "drop"), ({"glideslope": 2.0}, "glideslope"),
         ({"start": State(np.full(3, np.nan), np.zeros(3), np.array([0, 0, 0, 1.0]), np.zeros(3),
-                         1500.0)}, "start"),
+                         1500.0)}, r"start\.position\[0\]: must be finite, got nan"),
     ):  # fmt: skip
         with pytest.raises(InputError, match=name):
             descent(rng, **changes)
@@ -151,7 +151,7 @@ def test_what_cannot_be_is_refused():
     ahead = SiteVisibility(np.array([1.0, 0.0, 0.0]), 0.01)
     for changes, name in (
         ({"max_tilt": 1e-3}, "start.attitude"), ({"max_rate": 1e-4}, "start.rate"),
-        ({"glideslope": 1.55}, "start.position"), ({"sight": ahead}, "start.sight"),
+        ({"glideslope": 1.55}, "start.position"), ({"sight": ahead}, "sight.half_angle"),
     ):  # fmt: skip
         with pytest.raises(InputError, match=name):
             replace(far, **changes)

@@ -34,5 +34,7 @@ def test_the_filter_takes_its_readings(small):
 
 def test_a_sensor_that_nobody_takes_is_named(small):
     sensors = small.to_dict()["sensors"] | {"laser": {"kind": OWN}}
-    with pytest.raises(InputError, match=r"sensors\.laser.*AltimeterReading"):
+    with pytest.raises(
+        InputError, match=r"sensors\.laser.*sensors of kind .own_sensor:LaserAltimeter"
+    ):
         small.changed(sensors=sensors)

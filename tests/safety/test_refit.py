@@ -203,7 +203,7 @@ def test_a_side_with_too_few_sites_is_left_as_it_is():
         z[known], safe[known], known[known], WIDE, LANDER, packaged_ensemble()
     )
     assert only.outside == only.inside != CalibrationStage(0.0, 1.0)
-    with pytest.raises(InputError, match="20 safe"):
+    with pytest.raises(InputError, match="20 or more safe"):
         ScenarioCalibration.fit(z[safe], safe[safe], known[safe], WIDE, LANDER, packaged_ensemble())
 
 

@@ -44,7 +44,7 @@ def test_a_path_is_relative_to_the_working_directory(tmp_path, monkeypatch):
         ("rocks.cover", "--set", "must be KEY=VALUE"),
         ("rocks.cover=", "--set", "must be KEY=VALUE"),
         ("=3", "--set", "must be KEY=VALUE"),
-        ("rocks.cover=0.9", "--set rocks.cover", "less than or equal to 0.2"),
+        ("rocks.cover=0.9", "--set rocks.cover", "at most 0.2"),
         ('rocks.cover="0.05"', "--set rocks.cover", "must be a number"),
         ("rocks.cover=true", "--set rocks.cover", "must be a number"),
         ("rocks.cover=nan", "--set rocks.cover", "finite"),

@@ -36,10 +36,10 @@ def test_a_copy_is_the_scenario_with_its_data(name, tmp_path):
 def test_nothing_is_written_over(tmp_path):
     shipped.copy_to("hirise", tmp_path / "a.toml")
     shipped.copy_to("hirise", tmp_path / "b.toml")  # the same data again
-    with pytest.raises(InputError, match="a new file"):
+    with pytest.raises(InputError, match="a file that does not exist yet"):
         shipped.copy_to("hirise", tmp_path / "a.toml")
     (tmp_path / "data" / "hirise_dteec_010228_1490_crop.tif").write_bytes(b"mine")
-    with pytest.raises(InputError, match="a new file"):
+    with pytest.raises(InputError, match="a file that does not exist yet"):
         shipped.copy_to("hirise", tmp_path / "c.toml")
     assert not (tmp_path / "c.toml").exists()
 

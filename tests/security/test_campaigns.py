@@ -88,7 +88,7 @@ def test_no_flipped_bit_of_a_manifest_changes_a_value(folder):
             # The name of the digest may be damaged, or the space between values.
             assert {key: read_manifest(folder)[key] for key in values} == values
         except InputError as error:
-            assert "manifest.json is damaged" in str(error)
+            assert "a damaged manifest.json" in str(error)
             noticed += 1
     assert noticed > 300
 
@@ -99,7 +99,7 @@ def test_a_changed_value_of_a_manifest_is_noticed(folder):
     for key, value in (("seed", 3), ("rows", 79), ("state", "running"), ("engine", "other")):
         path.write_text(json.dumps(tables | {key: value}))
         for read in (load_results, lambda folder: run(plan(), InlineEngine(), folder)):
-            with pytest.raises(InputError, match=r"manifest\.json is damaged \(.*digest"):
+            with pytest.raises(InputError, match=r"a damaged manifest\.json \(.*digest"):
                 read(folder)
     # Folders of versions that wrote no digest are read.
     path.write_text(json.dumps({key: tables[key] for key in tables if key != "digest"}))
@@ -133,7 +133,7 @@ def test_fields_of_a_manifest_have_types(folder, key, value):
     clash = ("inputs", *(["columns"] if value else []))
     for read in (load_results, lambda folder: run(plan(), InlineEngine(), folder)):
         with pytest.raises(
-            InputError, match=f"manifest.json is damaged.*{'occurs twice' if key in clash else key}"
+            InputError, match=f"a damaged manifest.json.*{'occurs twice' if key in clash else key}"
         ):
             read(folder)
     ends_well(folder, *COMMANDS)
@@ -142,7 +142,7 @@ def test_fields_of_a_manifest_have_types(folder, key, value):
 @pytest.mark.parametrize("text", [b"[" * 100_000, b"\xff\xfe", b"", b"1" * 5000, b'{"a": NaN}'])
 def test_deep_or_odd_json_is_one_error(folder, text):
     (folder / "manifest.json").write_bytes(text)
-    with pytest.raises(InputError, match=r"manifest\.json is damaged"):
+    with pytest.raises(InputError, match=r"a damaged manifest\.json"):
         load_results(folder)
 
 
@@ -260,7 +260,7 @@ def test_a_manifest_of_a_million_arms_is_refused_at_once(folder):
 def test_names_for_a_terminal_and_draws_without_a_column_are_refused(folder, change):
     (folder / "manifest.json").write_text(json.dumps(manifest(folder) | change))
     ends_well(folder, *COMMANDS)
-    with pytest.raises(InputError, match=r"manifest\.json is damaged.*(name|have no column)"):
+    with pytest.raises(InputError, match=r"a damaged manifest\.json.*(name|have no column)"):
         load_results(folder)
 
 

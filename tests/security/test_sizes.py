@@ -27,7 +27,7 @@ def test_a_terrain_of_gigabytes_is_refused(tmp_path):
         path.write_text(tomli_w.dumps(TINY_FLIGHT | {"terrain": terrain}))
         done = call("scenario", "check", path)
         assert done.exit_code == 2, done.output
-        for words in ("terrain.size_m", "54.2 GiB", "limit 16 GiB", "larger posting_m"):
+        for words in ("terrain.size_m", "54.2 GiB", "the limit is 16 GiB", "larger posting_m"):
             assert words in done.stderr
     Scenario.from_dict(TINY_FLIGHT | {"terrain": {"size_m": 2600.0, "posting_m": 0.25}})
 
@@ -63,7 +63,7 @@ def test_a_raster_of_gigabytes_is_refused_by_its_header(rasters, terrain, words)
     for command in (("scenario", "check"), ("fly",)):
         done = call(*command, path)
         assert done.exit_code == 2, done.output
-        for word in (*words, "limit 16 GiB"):
+        for word in (*words, "the limit is 16 GiB"):
             assert word in done.stderr
 
 
@@ -83,7 +83,7 @@ def test_rocks_and_surroundings_of_gigabytes_are_refused(tmp_path, tables, words
     path.write_text(tomli_w.dumps(TINY_FLIGHT | tables))
     done = call("scenario", "check", path)
     assert done.exit_code == 2, done.output
-    for word in (*words, "limit 16 GiB"):
+    for word in (*words, "the limit is 16 GiB"):
         assert word in done.stderr
 
 
@@ -140,6 +140,6 @@ def test_the_estimate_counts_a_raster_around_the_terrain(rasters):
         assert estimate(Scenario.from_dict(tables, rasters)).memory["far_terrain.path"] == memory
     tables["far_terrain"]["path"] = "large.tif"
     with pytest.raises(
-        InputError, match=r"far_terrain\.path.*limit 16 GiB.*\. Use a smaller raster"
+        InputError, match=r"far_terrain\.path.*the limit is 16 GiB.*\. Use a smaller raster"
     ):
         Scenario.from_dict(tables, rasters)

@@ -37,14 +37,18 @@ def check_picklable(field: str, value: object) -> None:
     except Exception as error:  # pickling hooks may raise anything
         reason = str(error).split("\n")[0]
         raise InputError(
-            field, kind, f"must be an object that can be pickled ({reason})", "Use jobs = 1."
+            field,
+            kind,
+            f"must be an object that pickle can send to worker processes ({reason})",
+            "Use jobs = 1.",
         ) from None
     main_names = found.main_names + sender.main_names
     if main_names and not _is_main_importable():
         raise InputError(
             field, kind,
-            f"{main_names[0]} is defined in a notebook or an interactive session, which "
-            "worker processes cannot import", "Move it into a module file, or use jobs = 1.",
+            f"uses {main_names[0]}, which worker processes cannot import from a notebook or an "
+            "interactive session", f"Move {main_names[0]} into a module file, or use jobs = 1.",
+            show_value=False,
         )  # fmt: skip
 
 

@@ -65,8 +65,9 @@ class RayEngine:
             raise InputError(
                 "--engine",
                 "ray",
-                "Ray is not installed",
+                "needs the package ray, which is not installed",
                 'Install it: pip install "lunarsim[ray]".',
+                show_value=False,
             ) from None
         self._ray: Any = ray
         self.address, self.jobs, self.time_limit = address, jobs, time_limit
@@ -98,10 +99,16 @@ class RayEngine:
         except Exception as error:  # Ray raises many types
             reason = str(error).strip().split("\n")[0]
             if self.address is None:
-                raise InputError("--engine", "ray", f"Ray does not start here ({reason})") from None
+                raise InputError(
+                    "--engine",
+                    "ray",
+                    f"cannot start Ray on this machine ({reason})",
+                    show_value=False,
+                ) from None
             raise InputError(
                 "--address", self.address,
-                f"must be a running Ray cluster of the same version ({reason})",
+                "must be a running Ray cluster with the same versions of Ray and Python "
+                f"({reason})",
             ) from None  # fmt: skip
 
     def _run_groups(
@@ -170,8 +177,9 @@ class RayEngine:
         if isinstance(received, NodeMismatch):
             raise InputError(
                 "--address", self.address,
-                f"node {received.worker} has other code or packages: {received.differences}",
-                "Install the same versions on all nodes.",
+                "must be a cluster with the same software on all nodes, but node "
+                f"{received.worker} "
+                f"differs: {received.differences}", "Install the same versions.", show_value=False,
             )  # fmt: skip
         return received
 
@@ -283,4 +291,6 @@ def _check_reachable(address: str) -> None:
     try:
         socket.create_connection((host, int(port)), timeout=_CONNECT_TIMEOUT_S).close()
     except (OSError, OverflowError) as error:
-        raise InputError("--address", address, f"does not respond ({error})") from None
+        raise InputError(
+            "--address", address, f"must be an address that responds ({error})"
+        ) from None

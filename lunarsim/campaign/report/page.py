@@ -72,8 +72,8 @@ def write_report(folder: str | Path, out: Path) -> Results:
         from plotly.offline import get_plotlyjs  # noqa: PLC0415
     except ImportError as error:
         raise InputError(
-            "report", error.name, "a package is missing",
-            'Install it: pip install "lunarsim[report]".',
+            "report", error.name, f"needs the package {error.name}, which is not installed",
+            'Install it: pip install "lunarsim[report]".', show_value=False,
         ) from None  # fmt: skip
     results = load_results(folder)
     if not len(results.table):

@@ -50,7 +50,10 @@ def compiled_library(name: str, build_solver: Callable[[], Any]) -> Path:
     compiler_path = find_compiler()
     if compiler_path is None:
         raise InputError(
-            "optimal.compiled", True, "must be false without a C compiler", "Set CC to a compiler."
+            "optimal.compiled",
+            True,
+            "must be False without a C compiler",
+            "Install one, or name it in the environment variable CC.",
         )
     with tempfile.TemporaryDirectory() as folder:
         source = Path(folder) / f"{name}.c"

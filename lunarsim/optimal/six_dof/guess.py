@@ -98,7 +98,9 @@ def remaining_guess(path: RigidPath, elapsed: float) -> InitialGuess:
     n, left = len(path.thrust), path.duration - elapsed
     if not 0.0 <= elapsed < path.duration:
         raise InputError(
-            "optimal.elapsed", elapsed, f"must be 0 or more and less than {path.duration:.1f} s"
+            "optimal.elapsed",
+            elapsed,
+            f"must be 0 or more and less than the duration of the path, {path.duration:.1f} s",
         )
     old = np.linspace(0.0, path.duration, n + 1)
     new = np.linspace(elapsed, path.duration, n + 1)

@@ -82,7 +82,9 @@ class SiteVisibility:
         object.__setattr__(self, "axis", axis / np.linalg.norm(axis))
         if not (is_number(self.half_angle) and 0.0 < self.half_angle < 0.5 * np.pi):
             raise InputError(
-                "optimal.sight.half_angle", self.half_angle, "must be from 0 to 90 deg, in rad"
+                "optimal.sight.half_angle",
+                self.half_angle,
+                "must be more than 0 and less than pi/2 rad (90 degrees)",
             )
         if not (is_number(self.visible_fraction) and 0.0 < self.visible_fraction <= 1.0):
             raise InputError(
@@ -90,6 +92,12 @@ class SiteVisibility:
                 self.visible_fraction,
                 "must be more than 0 and at most 1",
             )
+
+
+# Shape of each value of an initial state.
+_START_SHAPES = {
+    "position": (3,), "velocity": (3,), "attitude": (4,), "rate": (3,), "mass": (), "thrust": (),
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -163,22 +171,27 @@ class RigidDescent:
             )
         self._check_figures()
         try:
-            state = self.start_vector
+            _ = self.start_vector
         except (AttributeError, TypeError, ValueError):
             raise InputError(
                 "optimal.start", type(self.start).__name__, "must be a State"
             ) from None
-        numbers("start", state, (15,), "must be a state of finite numbers")
+        for name, shape in _START_SHAPES.items():
+            words = f"must be {shape[0]} finite numbers" if shape else "must be a finite number"
+            numbers(f"start.{name}", getattr(self.start, name), shape, words)
         if abs(np.linalg.norm(self.start.attitude) - 1.0) > 1e-6:
             raise InputError(
                 "optimal.start.attitude",
-                np.asarray(self.start.attitude).tolist(),
-                "must be a unit quaternion",
+                float(np.linalg.norm(self.start.attitude)),
+                "must be a unit quaternion, but its norm is "
+                f"{np.linalg.norm(self.start.attitude):.6g}",
+                show_value=False,
             )
         if not self.dry_mass < self.start.mass:
             raise InputError(
                 "optimal.start.mass", self.start.mass,
-                f"must exceed the final mass of {self.dry_mass} kg",
+                "must be more than the final mass (lander.dry_mass plus reserve), "
+                f"{self.dry_mass} kg",
             )  # fmt: skip
         self._check_start()
 
@@ -190,8 +203,9 @@ class RigidDescent:
             and low <= self.min_thrust_command < self.max_thrust_command <= high
         ):
             raise InputError(
-                "optimal.thrust_max", list(given),
-                f"must be a range within the engine's, {low} to {high} N",
+                "optimal.thrust_max", given,
+                "must be a range (thrust_min, thrust_max) within the lander's throttle range, "
+                f"{low} to {high} N",
             )  # fmt: skip
         if not (is_number(self.gravity) and self.gravity > 0.0):
             raise InputError("optimal.gravity", self.gravity, "must be positive and finite")
@@ -202,41 +216,48 @@ class RigidDescent:
         for name in ("drop", "reserve"):
             if not (is_number(getattr(self, name)) and getattr(self, name) >= 0.0):
                 raise InputError(
-                    f"optimal.{name}", getattr(self, name), "must be 0 or more, and finite"
+                    f"optimal.{name}", getattr(self, name), "must be 0 or more and finite"
                 )
         for name in ("max_tilt", "glideslope"):
             angle = getattr(self, name)
             if angle is not None and not (is_number(angle) and 0.0 < angle < 0.5 * np.pi):
-                raise InputError(f"optimal.{name}", angle, "must be from 0 to 90 deg, in rad")
+                raise InputError(
+                    f"optimal.{name}",
+                    angle,
+                    "must be more than 0 and less than pi/2 rad (90 degrees)",
+                )
         rate = self.max_rate
         if rate is not None and not (is_number(rate) and rate > 0.0):
-            raise InputError(
-                "optimal.max_rate", self.max_rate, "must be positive and finite, in rad/s"
-            )
+            raise InputError("optimal.max_rate", self.max_rate, "must be positive and finite")
 
     def _check_start(self) -> None:
         """Raise InputError if the initial state violates a constraint."""
         at = self.start.position - self.end_position
         body = Rotation.from_quat(self.start.attitude)
-        held: list[tuple[str, float, float | None]] = [
-            ("attitude", angle_between(body.apply([0.0, 0.0, 1.0]), np.array([0.0, 0.0, 1.0])),
-             self.max_tilt),
-            ("rate", float(np.linalg.norm(self.start.rate)), self.max_rate),
+        up = np.array([0.0, 0.0, 1.0])
+        rate = float(np.linalg.norm(self.start.rate))
+        held: list[tuple[str, str, float, str, float | None]] = [
+            ("attitude", "a tilt", angle_between(body.apply(up), up), "max_tilt", self.max_tilt),
+            ("rate", "a norm", rate, "max_rate", self.max_rate),
         ]  # fmt: skip
         if self.sight is not None:
             off = angle_between(body.apply(self.sight.axis), -at)
-            held.append(("sight", off, self.sight.half_angle))
-        for name, value, most in held:
+            angle = "an angle between sight.axis and the site"
+            held.append(("attitude", angle, off, "sight.half_angle", self.sight.half_angle))
+        for name, what, value, limit, most in held:
             if most is not None and value > most:
+                unit = "deg/s" if name == "rate" else "deg"
                 raise InputError(
-                    f"optimal.start.{name}", round(float(np.rad2deg(value)), 3),
-                    f"must be at most {np.rad2deg(most):.3f} deg, the limit of the problem",
+                    f"optimal.start.{name}", value,
+                    f"must give {what} of at most {np.rad2deg(most):.3f} {unit}, the value of "
+                    f"{limit}, but gives {np.rad2deg(value):.3f} {unit}", show_value=False,
                 )  # fmt: skip
         slope = np.tan(self.glideslope or 0.0) * np.hypot(at[0], at[1]) - self.drop
         if self.glideslope is not None and at[2] < slope:
             raise InputError(
                 "optimal.start.position", self.start.position.tolist(),
-                f"must be above the glideslope, {slope:.1f} m or more over the end",
+                f"must be at least {slope:.1f} m above the end, because of `glideslope`, but is "
+                f"{at[2]:.1f} m above the end", show_value=False,
             )  # fmt: skip
 
     @property

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lunarsim.errors import InputError, RenderingError
-from lunarsim.models.pinhole import View
+from lunarsim.models.pinhole import View, check_finite_position
 from lunarsim.sensors.rendered_image import RenderedImage
 from lunarsim.sensors.rendering.albedo_field import rock_albedos
 from lunarsim.sensors.rendering.context import gl_context, on_render_thread
@@ -77,8 +77,9 @@ class Renderer:
         max_size = int(ctx.info["GL_MAX_TEXTURE_SIZE"])
         if max(relief.z.shape) > max_size:
             raise RenderingError(
-                f"The relief has {relief.z.shape} grid points, but this device holds at most "
-                f"{max_size} per side."
+                f"The relief has {' x '.join(map(str, relief.z.shape))} grid points, but this "
+                "graphics "
+                f"device allows at most {max_size} per side."
             )
         holes = () if np.isfinite(relief.z).all() else ("HOLES",)
         self._programs = geometry_programs(ctx, holes)
@@ -198,12 +199,12 @@ class Renderer:
 
     def _check(self, view: View) -> None:
         """Raise InputError if the camera's pose is not valid or is below the terrain."""
-        if not np.isfinite(view.position).all():
-            raise InputError(
-                "camera.position", [float(x) for x in view.position], "must be finite (metres)"
-            )
+        check_finite_position(view.position)
         if not np.allclose(view.axes.T @ view.axes, np.eye(3), atol=1e-3):
-            raise InputError("camera.axes", view.axes.tolist(), "must be a rotation matrix (3, 3)")
+            raise InputError(
+                "camera.axes", view.axes.tolist(), "must be a rotation matrix (3, 3)",
+                show_value=False,
+            )  # fmt: skip
 
         e, n, up = view.position
         g = self._relief.grid
@@ -214,7 +215,9 @@ class Renderer:
             if up <= terrain_height:
                 raise InputError(
                     "camera.position", [float(x) for x in view.position],
-                    f"must be above the terrain, which is at {terrain_height:.2f} m",
+                    f"must be above the terrain at {terrain_height:.2f} m, but has a height of "
+                    f"{up:.2f} m",
+                    show_value=False,
                 )  # fmt: skip
 
     def _clip(self, view: View) -> tuple[float, float]:

@@ -67,7 +67,7 @@ def diffuse_profile(radius: ArrayLike, age: float) -> Array:
         ``1/(2 age) exp(-(r^2 + s^2)/(4 age)) I0(r s / (2 age)) s ds``.
     """
     if not (np.isfinite(age) and age >= 0.0):
-        raise InputError("age", age, "must be a finite kappa t / R^2 of 0 or more")
+        raise InputError("age", age, "must be 0 or more and finite")
     r = np.asarray(radius, dtype=np.float64)
     fresh = crater_profile(r, 2.0, 1.0) / fresh_profile_depth()
     if age < 1e-4:

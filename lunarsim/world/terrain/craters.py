@@ -44,9 +44,9 @@ class CraterLaw:
 
     def __post_init__(self) -> None:
         if not 0.0 < self.density <= 0.3:
-            raise InputError("craters.density", self.density, "must be above 0 and at most 0.3")
+            raise InputError("craters.density", self.density, "must be more than 0 and at most 0.3")
         if not self.saturation > 0.0:
-            raise InputError("craters.saturation", self.saturation, "must be positive (metres)")
+            raise InputError("craters.saturation", self.saturation, "must be positive")
 
     def number(self, diameter: ArrayLike) -> Array:
         """Return the number per square metre of craters of `diameter` (m) or more."""
@@ -62,7 +62,9 @@ class CraterLaw:
         """
         if not 0.0 < minimum < maximum:
             raise InputError(
-                "craters.min_diameter_m", minimum, f"must be more than 0 and less than {maximum}"
+                "craters.min_diameter_m",
+                minimum,
+                f"must be positive and less than the maximum diameter, {maximum:g} m",
             )
         max_number, min_number = float(self.number(minimum)), float(self.number(maximum))
         count = int(rng.poisson(area * (max_number - min_number)))

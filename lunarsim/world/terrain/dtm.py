@@ -243,7 +243,7 @@ def _square_grid_heights(
     """
     part = _window(window, source)
     if min(part.width, part.height) < 2:
-        shape = (int(part.height), int(part.width))
+        shape = f"{int(part.height)} x {int(part.width)}"
         raise InputError(
             "terrain.path", source.name, f"must have at least 2 x 2 points, but has {shape}"
         )
@@ -254,13 +254,19 @@ def _square_grid_heights(
         z, step = frame.orientation().apply(heights.read(part)), square
     elif square is not None and square == frame.nominal_posting:
         raise InputError(
-            "terrain.dtm_posting_m", posting, f"must be omitted: the file states {square:.4g} m"
+            "terrain.dtm_posting_m",
+            posting,
+            f"must be omitted, because the file states a grid spacing of {square:.4g} m",
         )
     else:
         step = posting or frame.mean_posting
         z = _resampled(frame, heights.read(part), step, posting)
     if not np.isfinite(z).any():
-        raise InputError("terrain.path", source.name, "has no elevations")
+        raise InputError(
+            "terrain.path",
+            source.name,
+            "must contain elevations, but all its values mean 'no height'",
+        )
     return z, step
 
 
@@ -282,7 +288,8 @@ def _window(window: tuple[int, int, int, int] | None, source: DatasetReader) -> 
     if not (0 <= top < bottom <= rows and 0 <= left < right <= cols):
         raise InputError(
             "terrain.dtm_window", tuple(window),
-            f"must have increasing rows from 0 to {rows} and increasing columns from 0 to {cols}",
+            "must be [first row, last row, first column, last column], increasing, with rows up to "
+            f"{rows} and columns up to {cols}",
         )  # fmt: skip
     return Window(left, top, right - left, bottom - top)
 
@@ -297,10 +304,12 @@ def _resampled(
     """
     wide, high = frame.extent()
     cols, rows = (int(length / step + 1e-6) + 1 for length in (wide, high))
-    check_count("terrain.dtm_posting_m", posting, rows, cols, "Use a wider spacing.")
+    check_count("terrain.dtm_posting_m", step, rows, cols, "Use a larger spacing.")
     if min(rows, cols) < 2:
         raise InputError(
-            "terrain.dtm_posting_m", posting, "must be fine enough for at least 2 x 2 points"
+            "terrain.dtm_posting_m",
+            step,
+            "must be smaller, because the raster must have at least 2 x 2 points",
         )
     last_row, last_col = z.shape[0] - 1.0, z.shape[1] - 1.0
     spline = GappySpline(np.pad(z, _SPLINE_MARGIN, constant_values=np.nan), extrapolate_slopes=True)

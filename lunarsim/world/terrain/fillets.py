@@ -36,7 +36,7 @@ def add_fillets(relief: Heightfield, rocks: RockField, height_ratio: float) -> H
         Relief with the soil on the same grid.
     """
     if not 0.0 <= height_ratio <= 0.5:
-        raise InputError("rocks.fillet_height_ratio", height_ratio, "must be from 0 to 0.5")
+        raise InputError("rocks.fillet_height_ratio", height_ratio, "must be between 0 and 0.5")
     if height_ratio == 0.0 or len(rocks) == 0:
         return relief
     g = relief.grid

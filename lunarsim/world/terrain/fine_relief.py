@@ -51,7 +51,8 @@ def add_fine_roughness(
         raise InputError(
             "terrain.detail",
             posting,
-            f"must be above 0 and at most {relief.grid.posting:g} m",
+            "must be positive and at most the grid spacing of the relief, "
+            f"{relief.grid.posting:g} m",
         )
     fine = relief.refined(posting)
     step = fine.grid.posting
@@ -61,7 +62,7 @@ def add_fine_roughness(
         raise InputError(
             "terrain.detail",
             posting,
-            f"must be coarse enough for {_MAX_TILE_POSTS} points to span {2.0 * baseline:g} m",
+            f"must be larger, because {_MAX_TILE_POSTS} points must span {2.0 * baseline:g} m",
         )
     tile = _short_waves(side, step, relief.grid.posting, rng, hurst, rms_slope, baseline)
     rows, cols = fine.grid.shape

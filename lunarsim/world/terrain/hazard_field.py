@@ -56,13 +56,16 @@ def hazard_field(
         Standard deviation of the long-wavelength relief, m.
     """
     if not 0.0 < size <= surround:
-        raise InputError("terrain.size_m", size, f"must be positive and at most {surround} m")
-    if boulders < 0 or craters < 0:
-        raise InputError("terrain.boulders", (boulders, craters), "must be 0 or more")
+        raise InputError(
+            "terrain.field_m", size, f"must be positive and at most size_m, which is {surround:g}"
+        )
+    for name, count in (("boulders", boulders), ("craters", craters)):
+        if count < 0:
+            raise InputError(f"terrain.{name}", count, "must be 0 or more")
     grid = Grid.centred((0.0, 0.0), surround, posting)
     waves = fractal_relief(grid, rng, hurst=0.95, rms_slope=np.deg2rad(1.0)).z.astype(np.float64)
     z = waves * (swell / waves.std()) + grass_sigma * rng.standard_normal(grid.shape)
-    x, y, diameter = _scatter_objects(rng, craters, 2.0, 5.0, size, turn)
+    x, y, diameter = _scatter_objects(rng, "craters", craters, 2.0, 5.0, size, turn)
     fresh = np.full(craters, _FRESHNESS)
     add_crater_profiles(
         z,
@@ -78,13 +81,14 @@ def hazard_field(
         APRON_RADII,
     )
     relief = Heightfield(grid, (z - z.mean()).astype(np.float32))
-    x, y, diameter = _scatter_objects(rng, boulders, 0.4, 1.0, size, turn)
+    x, y, diameter = _scatter_objects(rng, "boulders", boulders, 0.4, 1.0, size, turn)
     terrain_height = Terrain(relief).elevation(np.column_stack((x, y)))
     return Terrain(relief, RockField.hemispheres(x, y, terrain_height, 0.5 * diameter))
 
 
 def _scatter_objects(
     rng: np.random.Generator,
+    name: str,
     count: int,
     min_diameter: float,
     max_diameter: float,
@@ -94,7 +98,8 @@ def _scatter_objects(
     """Sample east, north and diameter (m) of discs without overlap, largest first.
 
     The number of discs of diameter D or more falls as D^-2. The discs lie on a square of side
-    `size`, m, that is rotated by `turn`, rad, counter-clockwise.
+    `size`, m, that is rotated by `turn`, rad, counter-clockwise. An error names the key `name` of
+    the terrain.
     """
     u = rng.random(count)
     diameter = np.sort(1.0 / np.sqrt(u / min_diameter**2 + (1.0 - u) / max_diameter**2))[::-1]
@@ -107,9 +112,9 @@ def _scatter_objects(
                 break
         else:
             raise InputError(
-                "terrain.boulders",
+                f"terrain.{name}",
                 count,
-                f"must be fewer: they do not fit into a square of side {size:g} m",
+                f"must be smaller, because only {len(placed)} fit into a square of side {size:g} m",
             )
         placed = np.vstack((placed, [*p, d]))
     c, s = np.cos(turn), np.sin(turn)

@@ -48,9 +48,12 @@ class Heightfield:
         if min(self.z.shape) < 2:
             raise InputError("heightfield.z", self.z.shape, "must have at least 2 x 2 points")
         if np.any(np.isinf(self.z)):
-            raise InputError("heightfield.z", "inf", "must be finite, or NaN for no data")
+            raise InputError("heightfield.z", np.inf, "must be finite, or NaN where it is unknown")
         if not np.any(np.isfinite(self.z)):
-            raise InputError("heightfield.z", "all no-data", "must have at least one elevation")
+            raise InputError(
+                "heightfield.z", np.nan, "must have at least one elevation, but all values are NaN",
+                show_value=False,
+            )  # fmt: skip
 
     @property
     def bounds(self) -> tuple[float, float, float, float]:
@@ -99,7 +102,7 @@ class Heightfield:
             Quantization step of the elevations, m.
         """
         if not (np.isfinite(step) and step > 0.0):
-            raise InputError("terrain.height_step_m", step, "must be a positive step in metres")
+            raise InputError("terrain.height_step_m", step, "must be positive and finite")
         measured = self.z.astype(np.float64)
         known = np.isfinite(measured)
         z = np.where(known, measured, 0.0)

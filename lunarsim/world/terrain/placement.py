@@ -39,12 +39,14 @@ class CraterClusters:
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.cluster_fraction <= 1.0:
-            raise InputError("rocks.cluster_fraction", self.cluster_fraction, "must be from 0 to 1")
+            raise InputError(
+                "rocks.cluster_fraction", self.cluster_fraction, "must be between 0 and 1"
+            )
         if self.cluster_fraction > 0.0 and not self.radius.size:
             raise InputError(
                 "rocks.cluster_fraction",
                 self.cluster_fraction,
-                "must be 0: no crater is large enough for blocks",
+                "must be 0, because no crater is larger than rocks.min_block_crater_diameter_m",
             )
 
     def rows(self) -> NDArray[np.float64]:
@@ -109,8 +111,9 @@ def place_rocks(
     if placed < reach.size:
         raise InputError(
             "rocks.cover",
-            f"{placed} of {reach.size} rocks placed",
-            "must be smaller: the other rocks do not fit without overlap",
+            placed,
+            f"must be smaller, because only {placed} of {reach.size} rocks fit without overlap",
+            show_value=False,
         )
     return RockField(
         x,

@@ -65,7 +65,9 @@ def open_raster(path: Path) -> Iterator[DatasetReader]:
                 yield source
         except InputError as error:
             if error.field == "terrain.path":  # report the path as the user gave it
-                raise InputError(error.field, str(path), error.problem, error.remedy) from None
+                raise InputError(
+                    error.field, str(path), error.problem, error.remedy, error.show_value
+                ) from None
             raise
         except _ERRORS as error:
             reason = error.__cause__ or error
@@ -124,12 +126,12 @@ def _check_proj() -> None:
             if name in os.environ:
                 raise InputError(
                     name, os.environ[name],
-                    "must not lead PROJ to a folder without the proj.db of the installed rasterio",
+                    "must not name a folder without the file proj.db of the installed rasterio",
                     f"Unset this environment variable: `unset {name}`.",
                 ) from None  # fmt: skip
         raise InputError(
             "rasterio", rasterio.__version__,
-            f"must include the data of PROJ, which is missing ({error})", "Reinstall rasterio.",
+            f"must include the data of PROJ, which are missing ({error})", "Reinstall rasterio.",
         ) from None  # fmt: skip
 
 
@@ -149,7 +151,8 @@ def _check_siblings(path: Path) -> None:
         if part.name.startswith(path.stem) or os.fsencode(part.name) in start:
             raise InputError(
                 "terrain.path", str(path),
-                f"must not have the special file {part.name} in its folder", "Remove that file.",
+                f"must not have the pipe or device {part.name} in its folder",
+                f"Remove {part.name}.",
             )  # fmt: skip
 
 
@@ -182,4 +185,8 @@ def _check_band(path: Path, source: DatasetReader) -> None:
             "bands", "Extract band N: `gdal_translate -b N FILE out.tif`.",
         )  # fmt: skip
     if "complex" in source.dtypes[0]:
-        raise InputError("terrain.path", str(path), "must not have complex heights")
+        raise InputError(
+            "terrain.path",
+            str(path),
+            "must have heights that are real numbers, not complex numbers",
+        )

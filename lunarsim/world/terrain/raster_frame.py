@@ -347,7 +347,11 @@ def _body(crs: CRS) -> dict[str, Any]:
     number = r"([-+.\deE]+)"
     found = re.search(rf'(?:ELLIPSOID|SPHEROID)\["[^"]*",{number},{number}', crs.to_wkt())
     if found is None:
-        raise InputError("terrain.path", crs.to_string()[:60], "must state an ellipsoid")
+        raise InputError(
+            "terrain.path",
+            crs.to_string()[:60],
+            "must have a coordinate reference system with an ellipsoid",
+        )
     radius, inverse_flattening = (float(text) for text in found.groups())
     if inverse_flattening == 0.0 or crs.to_dict().get("proj") == "eqc":
         return {"R": radius}

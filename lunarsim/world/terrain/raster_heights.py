@@ -115,7 +115,8 @@ class HeightScale:
         if not (np.isfinite(scale) and np.isfinite(offset) and scale != 0.0):
             raise InputError(
                 "terrain.path", source.name,
-                f"has an unusable scale {scale:g} or offset {offset:g} of heights",
+                f"must have a finite scale other than 0 and a finite offset, not {scale:g} and "
+                f"{offset:g}",
             )  # fmt: skip
         if has_downward_heights(source):
             raise InputError(
@@ -270,7 +271,11 @@ class RasterHeights:
             z[top : top + len(block)] = block
         self.check(found)
         if not found.known:
-            raise InputError("terrain.path", self.source.name, "has no elevations")
+            raise InputError(
+                "terrain.path",
+                self.source.name,
+                "must contain elevations, but all its values mean 'no height'",
+            )
         return z
 
     def check(self, statistics: HeightStatistics) -> None:

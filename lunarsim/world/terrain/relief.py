@@ -45,7 +45,10 @@ def fractal_relief(
     if not 0.0 < hurst < 1.0:
         raise InputError("terrain.hurst", hurst, "must be between 0 and 1")
     if not 0.0 <= rms_slope < np.pi / 4:
-        raise InputError("terrain.rms_slope", rms_slope, "must be between 0 and 45 deg")
+        raise InputError(
+            "terrain.rms_slope", float(np.rad2deg(rms_slope)),
+            "must be 0 or more and less than 45 degrees",
+        )  # fmt: skip
     rows, cols = 2 * grid.rows, 2 * grid.cols
     ky = np.fft.fftfreq(rows, grid.posting)[:, None]
     kx = np.fft.rfftfreq(cols, grid.posting)[None, :]
@@ -56,7 +59,11 @@ def fractal_relief(
     step = max(1, round(baseline / grid.posting))
     if min(grid.shape) <= step:
         side = min(grid.shape) * grid.posting
-        raise InputError("terrain.size_m", side, f"must be more than {baseline} m")
+        raise InputError(
+            "terrain.size_m",
+            side,
+            f"must be more than {baseline:g} m, the length over which the slope is measured",
+        )
     length = step * grid.posting
     mean_square = np.mean(((z[:, step:] - z[:, :-step]) / length) ** 2) + np.mean(
         ((z[step:, :] - z[:-step, :]) / length) ** 2
@@ -90,7 +97,10 @@ def add_detail(measured: Heightfield, detail: Heightfield) -> Heightfield:
     """
     fine = measured.refined(detail.grid.posting)
     if fine.grid != detail.grid:
-        raise InputError("terrain.detail", detail.grid.shape, f"must have the grid {fine.grid}")
+        raise InputError(
+            "terrain.detail", detail.grid, "must have the grid of `measured.refined`",
+            show_value=False,
+        )  # fmt: skip
     factor = round(measured.grid.posting / fine.grid.posting)
     coarse = Heightfield(measured.grid, detail.z[::factor, ::factor])
     added = detail.z.astype(np.float64) - coarse.refined(detail.grid.posting).z

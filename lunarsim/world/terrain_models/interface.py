@@ -73,7 +73,7 @@ def add_rocks(
                 raise InputError(
                     "rocks.cluster_fraction",
                     rocks.cluster_fraction,
-                    "must be 0 for terrain whose craters are not known",
+                    "must be 0, because the craters of this terrain are not known",
                 )
             found = craters()
             old = found.diameter >= rocks.min_block_crater_diameter
@@ -90,9 +90,7 @@ def check_posts(size: float, posting: float) -> None:
     """
     check_raster_size("size", size, posting, MAX_POSTS_PER_SIDE, "points")
     if round(size / posting) < MIN_POSTS_PER_SIDE:
-        raise InputError(
-            "posting", posting, f"must be at most half of size_m: {size / MIN_POSTS_PER_SIDE:g}"
-        )
+        raise InputError("posting", posting, f"must be at most half of size_m, which is {size:g}")
 
 
 def check_terrain_size(terrain: Terrain, footprint: float) -> None:
@@ -105,5 +103,5 @@ def check_terrain_size(terrain: Terrain, footprint: float) -> None:
         raise InputError(
             "terrain",
             f"{east - west:.1f} x {north - south:.1f} m",
-            f"must be at least twice as wide as the lander's footprint, {footprint:.1f} m",
+            f"must be at least {2.0 * footprint:.1f} m wide, twice the lander's footprint",
         )

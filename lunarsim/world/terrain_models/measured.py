@@ -94,7 +94,7 @@ class RasterTerrain(ReliefRoughness):
 
     def __post_init__(self) -> None:
         if self.path is None:
-            raise InputError("path", None, "must name a raster file")
+            raise InputError("path", None, "is required", "Name a raster file.", show_value=False)
 
     def check_files(self) -> None:
         """Raise InputError if the raster is unreadable or does not fit these settings."""

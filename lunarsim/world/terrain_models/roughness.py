@@ -143,8 +143,10 @@ class ReliefRoughness:
         if density == 0.0 or self.crater_degradation != "diffusion":
             raise InputError(
                 "rocks.cluster_fraction",
-                f"crater_degradation {self.crater_degradation!r}, crater_density {density}",
-                'must be 0 unless the terrain has craters with crater_degradation = "diffusion"',
+                self.crater_degradation,
+                "must be 0 on terrain without craters that degrade by diffusion",
+                'Or set terrain.crater_degradation = "diffusion" and terrain.crater_density > 0.',
+                show_value=False,
             )
         law = CraterLaw(density, self.crater_equilibrium_diameter)
         rng = np.random.default_rng([_RELIEF_SEED, 1])

@@ -397,7 +397,7 @@ def test_a_centre_of_mass_that_nothing_holds_is_refused(name):
             com[axis] = sense * (most + 1e-6)
             with pytest.raises(InputError, match="engine's axis") as refused:
                 JetLander(**{name: tuple(com)})
-            assert refused.value.field == f"vehicle.{name}_m"
+            assert refused.value.field == f"vehicle.{name}_m[{axis}]"
     JetLander(**{name: (0.0, 0.0, -0.79)})
     JetLander(**{name: (0.0, 0.0, -0.81)}, engine=DescentEngine(gimbal_limit=0.0))
     with pytest.raises(InputError, match="pivot"):

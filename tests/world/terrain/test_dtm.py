@@ -113,7 +113,7 @@ def test_bad_files(tmp_path):
     with pytest.raises(InputError, match="no coordinate reference"):
         load_terrain(nowhere)
     empty = write(tmp_path / "nan.tif", np.full((4, 4), np.nan))
-    with pytest.raises(InputError, match="has no elevations"):
+    with pytest.raises(InputError, match="must contain elevations"):
         load_terrain(empty)
     with pytest.raises(InputError, match="must be omitted"):
         load_terrain(write(tmp_path / "ok.tif", np.ones((4, 4))), posting=5.0)

@@ -28,5 +28,5 @@ def test_relief_refuses_nonsense():
         fractal_relief(grid, rng, hurst=1.5, rms_slope=0.1)
     with pytest.raises(InputError, match="rms_slope"):
         fractal_relief(grid, rng, hurst=0.5, rms_slope=2.0)
-    with pytest.raises(InputError, match="all no-data"):
+    with pytest.raises(InputError, match="all values are NaN"):
         Heightfield(grid, np.full(grid.shape, np.nan, np.float32))
