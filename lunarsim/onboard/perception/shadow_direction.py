@@ -81,7 +81,7 @@ def shadow_directions(image: ArrayLike, seen: Detections, rocks: Index | None = 
     grey = np.asarray(image, dtype=np.float64)
     if grey.shape != seen.labels.shape:
         raise InputError(
-            "image", grey.shape, f"must have the shape of the detections, {seen.labels.shape}"
+            "image", grey.shape, f"must have the shape {seen.labels.shape} of the detections"
         )
     relative = grey / lit_terrain_brightness(grey.astype(np.float32), DetectorSettings().window)
     index = np.arange(len(seen)) if rocks is None else rocks
