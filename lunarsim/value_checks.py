@@ -28,16 +28,33 @@ def as_real_array(field: str, values: ArrayLike) -> NDArray[np.float64]:
     return np.asarray(values, dtype=np.float64)
 
 
-def check_shape(field: str, value: Any, shape: tuple[int, ...]) -> None:
+def check_shape(field: str, value: Any, shape: tuple[int, ...], why: str = "") -> None:
     """Raise InputError unless an array has a given shape.
+
+    Parameters
+    ----------
+    field
+        Name of the array in the error.
+    value
+        Number or array.
+    shape
+        Required shape.
+    why
+        End of the problem in the error, if the shape is not fixed: "like the grid", "for 3 beams".
 
     Raises
     ------
     InputError
-        If `value` has another shape; the error names `field` and shows the shape.
+        If `value` has another shape; the error shows the shape.
+
+    Examples
+    --------
+    >>> check_shape("map.value", np.zeros((2, 3)), (2, 4), "like the grid")
+    Traceback (most recent call last):
+    lunarsim.errors.InputError: map.value: must have shape (2, 4) like the grid, got (2, 3).
     """
     if np.shape(value) != shape:
-        raise InputError(field, np.shape(value), f"must have shape {shape}")
+        raise InputError(field, np.shape(value), f"must have shape {shape} {why}".rstrip())
 
 
 def check_finite(field: str, value: ArrayLike) -> None:

@@ -115,32 +115,23 @@ class HazardMap:
     in_domain: BoolMap | None = None
 
     def __post_init__(self) -> None:
-        for name in ("p_safe", "observed", "elevation", "variance"):
-            layer = getattr(self, name)
-            if layer is not None:
-                check_shape(f"map.{name}", layer, self.grid.shape)
-            if isinstance(layer, np.ma.MaskedArray):
-                raise InputError(
-                    f"map.{name}", type(layer), "must not be a masked array", show_value=False
-                )
-        for name, kind in (("eligible", np.bool_), ("value", np.floating), ("in_domain", np.bool_)):
+        kinds = {"eligible": np.bool_, "value": np.floating, "in_domain": np.bool_}
+        for name in ("p_safe", "observed", "elevation", "variance", *kinds):
             layer = getattr(self, name)
             if layer is None:
                 continue
-            check_shape(f"map.{name}", layer, self.grid.shape)
+            check_shape(f"map.{name}", layer, self.grid.shape, "like the grid")
             if isinstance(layer, np.ma.MaskedArray):
                 raise InputError(
                     f"map.{name}", type(layer), "must not be a masked array", show_value=False
                 )
-            if not np.issubdtype(layer.dtype, kind):
+            kind = kinds.get(name)
+            if kind and not np.issubdtype(layer.dtype, kind):
                 wanted = "booleans" if kind is np.bool_ else "floating-point numbers"
                 raise InputError(f"map.{name}", layer.dtype.name, f"must be an array of {wanted}")
-        for name in ("p_safe", "value"):
-            layer = getattr(self, name)
-            if layer is None:
-                continue
-            is_valid = (layer >= 0.0) & (layer <= 1.0)
-            check_elements(f"map.{name}", layer, is_valid, "must be between 0 and 1")
+            if name in ("p_safe", "value"):
+                is_valid = (layer >= 0.0) & (layer <= 1.0)
+                check_elements(f"map.{name}", layer, is_valid, "must be between 0 and 1")
 
     @classmethod
     def unobserved(cls, grid: Grid) -> HazardMap:

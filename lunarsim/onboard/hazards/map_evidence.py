@@ -53,8 +53,9 @@ class RockTracks:
     def __post_init__(self) -> None:
         for f in fields(self):
             value = getattr(self, f.name)
-            wanted = (len(self.radius), 2) if f.name == "xy" else (len(self.radius),)
-            check_shape(f"rocks.{f.name}", value, wanted)
+            n = len(self.radius)
+            wanted = (n, 2) if f.name == "xy" else (n,)
+            check_shape(f"rocks.{f.name}", value, wanted, f"for {n} rocks")
             check_finite(f"rocks.{f.name}", value)
 
 
@@ -101,7 +102,10 @@ class TerrainEvidence:
                 "must be a HazardMap if compute_map is omitted",
             )
         if self.residual_heights is not None:
-            check_shape("evidence.residual_heights", self.residual_heights, self.surface.grid.shape)
+            check_shape(
+                "evidence.residual_heights", self.residual_heights, self.surface.grid.shape,
+                "like the grid of surface",
+            )  # fmt: skip
 
     @cached_property
     def hazard_map(self) -> HazardMap:
@@ -155,10 +159,13 @@ class RockEvidence:
     def __post_init__(self) -> None:
         field, p = "evidence.undetected_probability", self.undetected_probability
         if p is not None:
-            check_shape(field, p, self.hazard_map.grid.shape)
+            check_shape(field, p, self.hazard_map.grid.shape, "like the grid of hazard_map")
             check_elements(field, p, (p >= 0.0) & (p <= 1.0), "must be between 0 and 1")
-        wanted = (len(self.diameter), *self.hazard_map.grid.shape)
-        check_shape("evidence.undetected_ratio", self.undetected_ratio, wanted)
+        check_shape(
+            "evidence.undetected_ratio", self.undetected_ratio,
+            (len(self.diameter), *self.hazard_map.grid.shape),
+            f"for {len(self.diameter)} diameters",
+        )  # fmt: skip
 
 
 FusionEvidence = TerrainEvidence | RockEvidence

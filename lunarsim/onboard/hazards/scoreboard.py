@@ -40,7 +40,7 @@ class Scoreboard:
 
     def __post_init__(self) -> None:
         n = len(self.score)
-        check_shape("scoreboard.position", self.position, (n, 3))
+        check_shape("scoreboard.position", self.position, (n, 3), f"for {n} scores")
         for name in ("position", "score", "current_site_score"):
             values = np.asarray(getattr(self, name))
             check_elements(f"scoreboard.{name}", values, ~np.isnan(values), "must not be NaN")

@@ -299,7 +299,8 @@ class AidingMeasurements:
         if beams is None:
             return
         for name in ("speed", "speed_sigma", "range", "range_sigma"):
-            check_shape(f"{sensor}.{name}", getattr(reading, name), (len(beams),))
+            n = len(beams)
+            check_shape(f"{sensor}.{name}", getattr(reading, name), (n,), f"for {n} beams")
         self._add_bias_noise(sensor, time)
         outcomes = {
             k: self._speed(sensor, k, reading, beams)

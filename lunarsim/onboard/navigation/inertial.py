@@ -101,12 +101,7 @@ def checked_increments(angle: ArrayLike, velocity: ArrayLike) -> tuple[Array, Ar
                 f"inertial.{name}", values.shape, "must have shape (n, 3)",
                 "Mark missing samples by NaN.",
             )  # fmt: skip
-    if len(out[0]) != len(out[1]):
-        raise InputError(
-            "inertial.velocity",
-            out[1].shape,
-            f"must have the shape {out[0].shape} of inertial.angle",
-        )
+    check_shape("inertial.velocity", out[1], out[0].shape, "like inertial.angle")
     return out
 
 

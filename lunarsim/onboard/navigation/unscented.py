@@ -376,7 +376,8 @@ class UnscentedFilter(Navigation):
     def _speeds(self, sensor: str, reading: DopplerReading) -> UpdateOutcome:
         beams = self._beam_sets[sensor]
         for name in ("speed", "speed_sigma"):
-            check_shape(f"{sensor}.{name}", getattr(reading, name), (len(beams),))
+            n = len(beams)
+            check_shape(f"{sensor}.{name}", getattr(reading, name), (n,), f"for {n} beams")
         speed, sigma = np.asarray(reading.speed), np.asarray(reading.speed_sigma)
         has_return = np.isfinite(speed) & np.isfinite(sigma) & (sigma > 0.0)
         if not has_return.any():

@@ -259,11 +259,7 @@ def detect_rocks(
     settings = settings or DetectorSettings()
     direction = unit_vector(sun)
     _check_pose(pose)
-    if np.shape(image) != (camera.height, camera.width):
-        raise InputError(
-            "image", np.shape(image),
-            f"must have the shape ({camera.height}, {camera.width}) of the camera's detector",
-        )  # fmt: skip
+    check_shape("image", image, (camera.height, camera.width), "like the detector of the camera")
     segmentation = segment(image, gamma=settings.gamma, window=settings.window)
     plane = terrain if isinstance(terrain, GroundPlane) else GroundPlane(float(terrain))
     view, onto = plane.level_view(camera.view(pose)), plane.level_direction(direction)

@@ -135,7 +135,7 @@ class InterestMap:
         value = np.array(self.value, dtype=np.float64)  # a private copy
         value.flags.writeable = False
         object.__setattr__(self, "value", value)
-        check_shape("interest", value, self.grid.shape)
+        check_shape("interest", value, self.grid.shape, "like the grid")
         is_valid = (value >= 0.0) & (value <= 1.0)
         check_elements("interest", value, is_valid, "must be between 0 and 1")
 

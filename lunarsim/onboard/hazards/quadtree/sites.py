@@ -404,7 +404,7 @@ def select_separated(score: Array, xy: Array, count: int, separation: float) -> 
     InputError
         If a score is NaN, or if the numbers of positions and scores differ.
     """
-    check_shape("sites.xy", xy, (len(score), 2))
+    check_shape("sites.xy", xy, (len(score), 2), f"for {len(score)} scores")
     check_elements(
         "sites.score", score, ~np.isnan(score), "must not be NaN", "Use inf to exclude a site."
     )
