@@ -62,7 +62,7 @@ class AtAltitudes:
     def __post_init__(self) -> None:
         if not self.altitudes:
             raise InputError(
-                "altitudes_m", (), "must contain one altitude or more", show_value=False
+                "altitudes_m", (), "must contain at least one altitude", show_value=False
             )
 
     @property

@@ -129,8 +129,9 @@ class FusedCalibration:
         for name, count in (("safe", good.sum()), ("unsafe", bad.sum())):
             if not count > 0.0:
                 raise InputError(
-                    name, count, f"must count one {name} site or more", show_value=False
-                )
+                    name, count, "must be more than 0 for some group",
+                    "A fit needs safe and unsafe sites.", show_value=False,
+                )  # fmt: skip
         identity = np.array([0.0, 1.0, 0.0])
         columns = np.column_stack((np.ones_like(x), x, y))
 
@@ -164,7 +165,9 @@ class FusedCalibration:
         missing = [key for key in _KEYS if key not in data]
         if missing:
             raise InputError(
-                "calibration", str(path), f"must be a file with the keys {', '.join(missing)}"
+                "calibration",
+                str(path),
+                f"must be a file that contains {', '.join(map(repr, missing))}",
             )
         return cls(**{key: data[key] for key in _KEYS})
 

@@ -235,7 +235,7 @@ class FusedMapper(HazardMapper):
         interval: float = 0.0,
     ) -> None:
         if not mappers:
-            raise InputError("mappers", mappers, "must contain one mapper or more")
+            raise InputError("mappers", mappers, "must not be empty", show_value=False)
         self._mappers = dict(mappers)
         self._calibration_mapper = dict(calibration_mapper or {})
         self.priors = priors
