@@ -10,6 +10,10 @@ from dataclasses import fields
 from numbers import Integral, Real
 from pathlib import Path
 
+# Longer values are shortened in error messages.
+_MAX_SHOWN_CHARACTERS = 100
+_MAX_SHOWN_ELEMENTS = 16
+
 
 class InputError(ValueError):
     """Error that reports an unusable value given by the user.
@@ -71,7 +75,7 @@ def check_types(prefix: str, settings: object) -> None:
     Raises
     ------
     InputError
-        If a field has another type; the error names the first such field.
+        If a field has another type; the error names the first such field or element.
     """
     for one in fields(settings):  # type: ignore[arg-type]
         value, kind = getattr(settings, one.name), str(one.type)
@@ -80,6 +84,8 @@ def check_types(prefix: str, settings: object) -> None:
         for begins, right, expected in _KINDS:
             if kind.startswith(begins) and not right(value):
                 raise InputError(f"{prefix}.{one.name}", value, expected)
+        if kind.startswith("tuple[float"):
+            _check_numbers(f"{prefix}.{one.name}", value, kind)
 
 
 def _is_flag(value: object) -> bool:
@@ -95,26 +101,45 @@ def _is_integer(value: object) -> bool:
     return isinstance(value, Integral) and not _is_flag(value)
 
 
-def _are_numbers(value: object) -> bool:
-    return isinstance(value, Iterable) and all(_is_number(v) for v in value)
+def _check_numbers(field: str, value: object, kind: str) -> None:
+    """Check that a value is a sequence of numbers, of the length that its annotation states."""
+    count = 0 if "..." in kind else kind.count("float")
+    if isinstance(value, str) or not isinstance(value, Iterable):
+        expected = f"must be {count} numbers" if count else "must be a sequence of numbers"
+        raise InputError(field, value, expected)
+    numbers = list(value)
+    for i, number in enumerate(numbers):
+        if not _is_number(number):
+            raise InputError(f"{field}[{i}]", number, "must be a number")
+    if count and len(numbers) != count:
+        raise InputError(field, value, f"must be {count} numbers")
 
 
 _KINDS = (
     ("float", _is_number, "must be a number"),
     ("int", _is_integer, "must be an integer"),
     ("bool", _is_flag, "must be true or false"),
-    ("tuple[float", _are_numbers, "must be a sequence of numbers"),
 )
 
 
 def _format_value(value: object) -> str:
-    """Return the repr of a value for an error message, shortened if it is too long."""
+    """Return a value as an error message shows it: plain, and without its middle if it is long."""
+    if isinstance(value, type):
+        return value.__name__
+    if hasattr(value, "dtype") and hasattr(value, "tolist"):  # array or number of NumPy
+        if getattr(value, "size", 1) > _MAX_SHOWN_ELEMENTS:
+            return f"an array of shape {getattr(value, 'shape', ())}"
+        value = value.tolist()
     try:
-        return repr(value)
+        text = repr(value)
     except RecursionError:
-        return reprlib.repr(value)
+        text = reprlib.repr(value)
     except ValueError:  # an integer of more than 4,300 digits
         return f"a value of type {type(value).__name__} that is too long to show"
+    if len(text) <= _MAX_SHOWN_CHARACTERS:
+        return text
+    half = _MAX_SHOWN_CHARACTERS // 2
+    return f"{text[:half]} ... {text[-half:]}"
 
 
 class NoThreadError(RuntimeError):
@@ -164,8 +189,8 @@ def check_writable(out: Path) -> None:
         raise InputError(
             "--out",
             str(out),
-            "must be a new or existing folder that accepts new files",
-            f"{there} does not ({error.strerror}). Choose another folder.",
+            "must be a folder where you can create files",
+            _explain_denial(there, error),
         ) from None
 
 
@@ -189,15 +214,24 @@ def check_output(field: str, path: Path, suffix: str) -> None:
     if path.suffix.lower() != suffix:
         raise InputError(field, str(path), f"must be a file name that ends in {suffix}")
     if not path.parent.is_dir():
-        raise InputError(field, str(path), "must be in an existing folder")
+        raise InputError(
+            field, str(path), "must be in an existing folder", f"Create {path.parent} first."
+        )
     if path.is_dir():
         raise InputError(field, str(path), "must be a file, not a folder")
     try:
         tempfile.TemporaryFile(dir=path.parent).close()
     except OSError as error:
         raise InputError(
-            field, str(path), f"must be in a writable folder ({error.strerror})"
+            field,
+            str(path),
+            "must be in a folder where you can create files",
+            _explain_denial(path.parent, error),
         ) from None
+
+
+def _explain_denial(folder: Path, error: OSError) -> str:
+    return f"{folder} does not allow this ({error.strerror}). Choose another folder."
 
 
 def suggestion(name: str, known: Iterable[str]) -> str:

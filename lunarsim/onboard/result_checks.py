@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import reprlib
 from typing import Any
 
 import numpy as np
@@ -33,14 +32,10 @@ def wrong_result_error(
     time
         Time of the call, s; None if unknown.
     """
-    shown = value.tolist() if isinstance(value, np.ndarray) else value
-    short = reprlib.repr(shown)
-    if "..." in short:
-        shown = short
     kind = type(part)
     name = "external" if part is None else f"{kind.__module__}:{kind.__qualname__}"
     when = "" if time is None else f" (at {time:.1f} s)"
-    return InputError(table, shown, f"{name}.{method} must return {expected}{when}")
+    return InputError(table, value, f"{name}.{method} must return {expected}{when}")
 
 
 def checked_vector(

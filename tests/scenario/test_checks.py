@@ -174,7 +174,7 @@ WRONG = {
     ),
     "a fused map of itself": (
         {"mappers": {"dem": DEM, "all": {"kind": "fused", "inputs": ["dem", "all"]}}},
-        "mappers.all.inputs", "all", "provides elevations or rocks",
+        "mappers.all.inputs", "all", "provide elevations or rocks",
     ),
     "a fused map of a mapper twice": (
         {"mappers": {"dem": DEM, "all": {"kind": "fused", "inputs": ["dem", "dem"]}}},
@@ -182,11 +182,11 @@ WRONG = {
     ),
     "a fused map of two maps of the same returns": (
         {"mappers": {"dem": DEM, "other": DEM, "all": {"kind": "fused"}}},
-        "mappers.all.inputs", ("dem", "other"), "one mapper of elevations",
+        "mappers.all.inputs", ("dem", "other"), "only one mapper that provides elevations",
     ),
     "a fused map of nothing": (
         {"mappers": {"all": {"kind": "fused"}}},
-        "mappers.all.inputs", (), "at least one other mapper",
+        "mappers.all.inputs", (), "must name another mapper",
     ),
 }  # fmt: skip
 

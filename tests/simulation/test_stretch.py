@@ -145,5 +145,5 @@ def test_what_is_no_stretch_is_refused(time_scale):
 
 
 def test_an_abort_has_no_stretch():
-    with pytest.raises(InputError, match=r"decision\.time_scale: must be None for an abort"):
+    with pytest.raises(InputError, match=r"decision\.time_scale: must be None if abort is True"):
         replace(Decision.climb_away("up"), time_scale=1.1)

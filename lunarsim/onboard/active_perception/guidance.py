@@ -34,6 +34,7 @@ from lunarsim.onboard.hazards.hazard_map import HazardMap
 from lunarsim.onboard.navigation.estimate import Estimate
 from lunarsim.onboard.tasking.contract import MeasurementAltitudes
 from lunarsim.parts.quantity import quantity
+from lunarsim.value_checks import check_finite
 
 Array = NDArray[np.float64]
 
@@ -162,8 +163,9 @@ class InformationSeekingGuidance:
         if not sensors:
             raise InputError(
                 "guidance.kind", "information-seeking",
-                "needs a camera or LiDAR that is tasked and that a mapper uses",
-                "A camera needs a Sun elevation between 2 and 80 deg.",
+                "'information-seeking' needs a camera or LiDAR with a table [tasking.NAME] "
+                "and a mapper that uses it",
+                "A camera also needs a Sun elevation between 2 and 80 deg.", show_value=False,
             )  # fmt: skip
         schedules = [
             _measurement_altitudes(briefing.software.tasking[sensor.name]) for sensor in sensors
@@ -195,8 +197,7 @@ class InformationSeekingGuidance:
         from the onboard computer, s.
         """
         require_finite_state(estimate, end)
-        if not np.isfinite(time_to_go):
-            raise InputError("guidance.time_to_go", time_to_go, "must be a finite time in s")
+        check_finite("guidance.time_to_go", time_to_go)
         self._lag_model.advance(time)
         moved = self._end is not None and _horizontal_distance(self._end, end) > _DIVERT_DISTANCE_M
         if self.arrival is None or moved:

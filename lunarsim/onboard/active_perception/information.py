@@ -71,7 +71,9 @@ class ExpectedRocks:
         """
         if not 0.0 < min_diameter < MAX_ROCK_DIAMETER_M:
             raise InputError(
-                "min_diameter", min_diameter, f"must be between 0 and {MAX_ROCK_DIAMETER_M} m"
+                "min_diameter",
+                min_diameter,
+                f"must be more than 0 and less than {MAX_ROCK_DIAMETER_M:g} m",
             )
         edges = np.geomspace(min_diameter, MAX_ROCK_DIAMETER_M, _SIZES + 1)
         diameter = np.sqrt(edges[1:] * edges[:-1])

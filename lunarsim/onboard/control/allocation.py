@@ -14,8 +14,8 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from lunarsim.errors import InputError
 from lunarsim.models.thrusters import Thrusters
+from lunarsim.value_checks import check_finite
 
 Array = NDArray[np.float64]
 
@@ -108,10 +108,7 @@ class ThrusterAllocation:
         InputError
             If the torque is not finite.
         """
-        if not np.isfinite(torque).all():
-            raise InputError(
-                "control.torque", np.asarray(torque).tolist(), "must be three finite numbers in N m"
-            )
+        check_finite("control.torque", torque)
         thrust = self._inverses @ torque
         # First basis whose cone holds the torque; rounding may leave small negative thrusts.
         best = int(np.argmax(thrust.min(axis=1) >= -1e-9 * max(1.0, float(np.abs(torque).max()))))

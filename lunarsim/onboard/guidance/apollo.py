@@ -13,11 +13,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lunarsim.errors import InputError
 from lunarsim.onboard.guidance.contract import PhaseEnd
 from lunarsim.onboard.guidance.path_law import PathLaw
 from lunarsim.onboard.guidance.paths import APOLLO, PathShape
 from lunarsim.onboard.navigation.estimate import Estimate
+from lunarsim.value_checks import check_finite
 
 
 @dataclass(frozen=True)
@@ -62,11 +62,11 @@ def jerk_time_to_go(
     r_f, v_f, a_f = end
     c = np.array([jerk, -6.0 * a_f, 18.0 * v_f + 6.0 * velocity, -24.0 * (r_f - position)])
     if not (np.isfinite(c).all() and np.isfinite(guess)):
-        raise InputError(
-            "guidance.time_to_go",
-            (c.tolist(), guess),
-            "coefficients of the cubic and guess must be finite",
-        )
+        for name, value in (
+            ("position", position), ("velocity", velocity), ("end", end), ("jerk", jerk),
+            ("guess", guess),
+        ):  # fmt: skip
+            check_finite(name, value)
     roots = np.roots(c)
     real = roots.real[np.abs(roots.imag) <= 1e-9 * np.maximum(1.0, np.abs(roots))]
     real = real[real > 0.0]

@@ -125,7 +125,8 @@ class Approach:
         if self.jerk is not None and not any(self.arrival_velocity):
             raise InputError(
                 "approach.arrival_velocity", self.arrival_velocity,
-                "must not be zero if jerk is set, because it defines downrange",
+                "must not be zero if jerk_m_s3 is set",
+                "Its direction is the downrange direction.",
             )  # fmt: skip
 
     @property

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from lunarsim.errors import InputError
 from lunarsim.onboard.hazards.hazard_map import HazardMap
 from lunarsim.onboard.navigation.estimate import Estimate
+from lunarsim.value_checks import check_finite
 
 Array = NDArray[np.float64]
 
@@ -50,7 +51,7 @@ class PhaseEnd:
                 "end.frame",
                 self.frame,
                 "must be 'local'",
-                "Convert with navigation's site_to_local.",
+                "Convert the end with the method site_to_local of the navigation.",
             )
 
 
@@ -62,12 +63,11 @@ def require_finite_state(estimate: Estimate, end: PhaseEnd | None = None) -> Non
     InputError
         If the state's position, velocity or mass, or the end's position or velocity is not finite.
     """
-    values = [estimate.position, estimate.velocity]
+    for name in ("position", "velocity", "mass"):
+        check_finite(f"guidance.estimate.{name}", getattr(estimate, name))
     if end is not None:
-        values += [end.position, end.velocity]
-    if not (np.isfinite(estimate.mass) and all(np.isfinite(x).all() for x in values)):
-        state = (estimate.position.tolist(), estimate.velocity.tolist(), estimate.mass)
-        raise InputError("guidance.estimate", state, "must have finite coordinates and mass")
+        for name in ("position", "velocity"):
+            check_finite(f"guidance.end.{name}", getattr(end, name))
 
 
 class GuidanceLaw(Protocol):

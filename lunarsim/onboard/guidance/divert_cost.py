@@ -16,6 +16,7 @@ from lunarsim.onboard.guidance import _reach_kernels as k
 from lunarsim.onboard.guidance.contract import PhaseEnd
 from lunarsim.onboard.guidance.paths import APOLLO, PathShape
 from lunarsim.onboard.navigation.estimate import Estimate
+from lunarsim.value_checks import check_finite
 
 Array = NDArray[np.float64]
 
@@ -270,7 +271,6 @@ def _check_inputs(estimate: Estimate, end: PhaseEnd, gravity: float) -> None:
         ("end.velocity", end.velocity),
         ("end.acceleration", end.acceleration),
     ):
-        if not np.isfinite(value).all():
-            raise InputError(f"guidance.{name}", np.asarray(value).tolist(), "must be finite")
+        check_finite(f"guidance.{name}", value)
     if not (np.isfinite(gravity) and gravity > 0.0):
         raise InputError("guidance.gravity", gravity, "must be positive and finite")

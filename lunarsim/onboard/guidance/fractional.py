@@ -35,15 +35,18 @@ def fractional_shape(gamma: float, gain: float) -> PathShape:
         If gamma is negative, or the gain is too small or makes the powers equal.
     """
     least = 2.0 * (gamma + 2.0)
-    if not gamma >= 0.0:
-        raise InputError("guidance.gamma", gamma, "must be 0 or more")
+    if not 0.0 <= gamma < np.inf:
+        raise InputError("guidance.gamma", gamma, "must be 0 or more, and finite")
     if not least <= gain < np.inf:
-        raise InputError("guidance.gain", gain, f"must be at least 2 (gamma + 2) = {least:g}")
+        raise InputError(
+            "guidance.gain", gain, f"must be finite and at least {least:g} if gamma is {gamma:g}"
+        )
     other = gain / (gamma + 2.0) - 2.0
     if abs(other - gamma) < 1e-6:
         raise InputError(
             "guidance.gain", gain,
-            f"must not be (gamma + 2)^2 = {(gamma + 2.0) ** 2:g}, which makes both powers equal",
+            f"must not be {(gamma + 2.0) ** 2:g} if gamma is {gamma:g}",
+            "Otherwise the two powers of the path are equal.",
         )  # fmt: skip
     return PathShape(min(gamma, other), max(gamma, other))
 

@@ -23,6 +23,7 @@ from lunarsim.onboard.guidance.contract import PhaseEnd, require_finite_state
 from lunarsim.onboard.guidance.vertical import VerticalDescent
 from lunarsim.onboard.navigation.estimate import Estimate
 from lunarsim.parts.quantity import quantity
+from lunarsim.value_checks import check_finite
 
 Array = NDArray[np.float64]
 
@@ -47,8 +48,10 @@ def gravity_turn_thrust(height: float, velocity: Array, gravity: float) -> float
         If the height is not positive or an argument is not finite.
     """
     speed = float(np.linalg.norm(velocity))
-    if not (np.isfinite(speed) and np.isfinite(height) and height > 0.0):
-        raise InputError("guidance.height", height, "must be positive, and all values finite")
+    if not np.isfinite(speed):
+        check_finite("guidance.velocity", velocity)
+    if not 0.0 < height < np.inf:
+        raise InputError("guidance.height", height, "must be positive and finite")
     if speed == 0.0:
         return 1.0
     c = -float(velocity[2]) / speed

@@ -14,6 +14,7 @@ from lunarsim.onboard.guidance import _jerk_kernels as k
 from lunarsim.onboard.guidance.contract import PhaseEnd
 from lunarsim.onboard.guidance.paths import APOLLO, PolynomialPath
 from lunarsim.onboard.navigation.estimate import Estimate
+from lunarsim.value_checks import check_finite
 
 Array = NDArray[np.float64]
 
@@ -55,7 +56,7 @@ def max_jerk_and_snap(path: PolynomialPath) -> tuple[float, float]:
     """
     if path.powers != APOLLO.powers:
         raise InputError(
-            "guidance.powers", path.powers, f"must be {APOLLO.powers}, those of a quartic path"
+            "guidance.powers", path.powers, f"must be {APOLLO.powers}, the powers of a quartic path"
         )
     first, second = path.terms
     ends = (first, first + 2.0 * second)
@@ -150,14 +151,14 @@ def site_cost(
     """
     sites = np.atleast_2d(np.asarray(sites, dtype=np.float64)).reshape(-1, 3)
     for name, value in (
-        ("sites", sites), ("position", estimate.position), ("velocity", estimate.velocity),
+        ("sites", sites),
+        ("estimate.position", estimate.position), ("estimate.velocity", estimate.velocity),
         ("arrival_velocity", np.asarray(arrival_velocity, dtype=np.float64)),
     ):  # fmt: skip
-        if not np.isfinite(value).all():
-            raise InputError(f"guidance.{name}", value.tolist(), "must be finite")
+        check_finite(f"guidance.{name}", value)
     for name, number in (
         ("gravity", gravity), ("exhaust_velocity", exhaust_velocity),
-        ("mass", estimate.mass),
+        ("estimate.mass", estimate.mass),
     ):  # fmt: skip
         if not (np.isfinite(number) and number > 0.0):
             raise InputError(f"guidance.{name}", number, "must be positive and finite")

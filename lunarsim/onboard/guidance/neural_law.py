@@ -18,7 +18,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lunarsim.errors import InputError
 from lunarsim.messages.briefing import Briefing
 from lunarsim.onboard.guidance.apollo import ApolloLaw
 from lunarsim.onboard.guidance.contract import PhaseEnd, require_finite_state
@@ -30,6 +29,7 @@ from lunarsim.onboard.guidance.path_law import PathLaw
 from lunarsim.onboard.guidance.paths import APOLLO, PathShape
 from lunarsim.onboard.navigation.estimate import Estimate
 from lunarsim.parts.quantity import quantity
+from lunarsim.value_checks import check_finite
 
 Array = NDArray[np.float64]
 
@@ -156,8 +156,7 @@ class NeuralGuidance:
             If the estimate, the end or the time-to-go is not finite.
         """
         require_finite_state(estimate, end)
-        if not np.isfinite(time_to_go):
-            raise InputError("guidance.time_to_go", time_to_go, "must be finite")
+        check_finite("guidance.time_to_go", time_to_go)
         self._lag_model.advance(time)
         if self._end is None or _horizontal_distance(self._end, end) > _DIVERT_DISTANCE_M:
             self._end, self._next_attempt, self._is_terminal = end, -np.inf, False

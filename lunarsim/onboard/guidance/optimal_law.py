@@ -34,6 +34,7 @@ from lunarsim.optimal.path import OptimalPath
 from lunarsim.optimal.planner import Planner
 from lunarsim.optimal.problem import Descent
 from lunarsim.parts.quantity import quantity
+from lunarsim.value_checks import check_finite
 
 Array = NDArray[np.float64]
 
@@ -343,5 +344,4 @@ def _horizontal_distance(a: PhaseEnd, b: PhaseEnd) -> float:
 def _check(estimate: Estimate, end: PhaseEnd, time_to_go: float) -> None:
     """Raise InputError if the state, the end or the time-to-go is not finite."""
     require_finite_state(estimate, end)
-    if not np.isfinite(time_to_go):
-        raise InputError("guidance.time_to_go", time_to_go, "must be finite")
+    check_finite("guidance.time_to_go", time_to_go)

@@ -135,7 +135,7 @@ class OptimalNetwork:
         try:
             arrays = read_arrays(path, _MAX_FILE_BYTES)
             if str(arrays.pop("format")) != _FORMAT:
-                raise ValueError("unknown format")
+                raise ValueError("it has another format")
             layers = sum(name.startswith("weight_") for name in arrays)
             wide = {name: np.asarray(array, np.float64) for name, array in arrays.items()}
             network = cls(
@@ -145,8 +145,9 @@ class OptimalNetwork:
             )
             network._check()
         except (KeyError, ValueError, TypeError, AttributeError) as error:
+            reason = f"it has no array {error}" if isinstance(error, KeyError) else error
             raise InputError(
-                "guidance.weights", str(path), f"must be a network file ({error})",
+                "guidance.weights", str(path), f"must be a file of network weights ({reason})",
                 "Write one with scenarios/learning/train_optimal.py.",
             ) from None  # fmt: skip
         return network
@@ -155,16 +156,16 @@ class OptimalNetwork:
         """Raise ValueError if layers have inconsistent shapes or values are not finite."""
         scales = (self.far, self.near, self.low, self.high)
         if any(a.shape != (INPUTS,) for a in scales) or not self.weights:
-            raise ValueError("layers or input scales are missing")
+            raise ValueError("it has no layers, or its input scales have a wrong shape")
         if self.scale.shape != (OUTPUTS,) or self.problem.shape != (_PROBLEM_SIZE,):
-            raise ValueError("outputs or problem have a wrong shape")
+            raise ValueError("its output scale or its landing problem has a wrong shape")
         width = 2 * INPUTS
-        for weight, bias in zip(self.weights, self.biases, strict=True):
+        for n, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
             if bias.ndim != 1 or weight.shape != (len(bias), width):
-                raise ValueError(f"a layer of shape {weight.shape} has {width} inputs")
+                raise ValueError(f"weight_{n} or bias_{n} has a wrong shape")
             width = len(bias)
         if width != OUTPUTS:
-            raise ValueError(f"there are {width} outputs instead of {OUTPUTS}")
+            raise ValueError(f"the network has {width} outputs instead of {OUTPUTS}")
         arrays = (*scales, self.scale, self.problem, *self.weights, *self.biases)
         if not all(np.isfinite(a).all() for a in arrays):
-            raise ValueError("some values are not finite")
+            raise ValueError("some numbers are not finite")

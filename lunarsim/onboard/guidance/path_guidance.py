@@ -7,11 +7,11 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from lunarsim.errors import InputError
 from lunarsim.models.gravity import GravityModel
 from lunarsim.onboard.guidance.contract import PhaseEnd
 from lunarsim.onboard.guidance.paths import PathShape, PolynomialPath
 from lunarsim.onboard.navigation.estimate import Estimate
+from lunarsim.value_checks import check_finite
 
 Array = NDArray[np.float64]
 
@@ -112,8 +112,7 @@ class PathGuidance:
         """
         self._lag_model.advance(time)
         path_time = time_to_go - self._lag
-        if not np.isfinite(path_time):
-            raise InputError("guidance.time_to_go", time_to_go, "must be finite")
+        check_finite("guidance.time_to_go", time_to_go)
         if path_time >= self.min_time_to_go or self._last is None:
             position, velocity = self._lag_model.predict(estimate)
             path_time = max(path_time, self.min_time_to_go)

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from lunarsim.errors import InputError
 from lunarsim.onboard.guidance.contract import PhaseEnd
+from lunarsim.value_checks import check_finite
 
 Array = NDArray[np.float64]
 
@@ -84,7 +85,9 @@ class PathShape:
     def __post_init__(self) -> None:
         if not (0.0 <= self.low < self.high < np.inf):
             raise InputError(
-                "guidance.powers", (self.low, self.high), "must satisfy 0 <= low < high"
+                "guidance.powers",
+                (self.low, self.high),
+                "must be two finite numbers of 0 or more in ascending order",
             )
 
     @property
@@ -114,9 +117,11 @@ class PathShape:
         if not 0.0 < time_to_go < np.inf:
             raise InputError("guidance.time_to_go", time_to_go, "must be positive and finite")
         r, v = np.asarray(position, dtype=np.float64), np.asarray(velocity, dtype=np.float64)
-        wanted = (end.position, end.velocity, end.acceleration)
-        if not all(np.isfinite(x).all() for x in (r, v, *wanted)):
-            raise InputError("guidance.estimate", (r.tolist(), v.tolist()), "must be finite")
+        for name, value in (
+            ("position", r), ("velocity", v), ("end.position", end.position),
+            ("end.velocity", end.velocity), ("end.acceleration", end.acceleration),
+        ):  # fmt: skip
+            check_finite(f"guidance.{name}", value)
         low, high = self.powers
         # Contributions of both powers to the mean acceleration, and to the displacement over
         # time^2.

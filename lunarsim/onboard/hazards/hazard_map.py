@@ -11,6 +11,7 @@ from scipy import ndimage
 
 from lunarsim.errors import InputError
 from lunarsim.grid import Grid
+from lunarsim.value_checks import check_elements, check_shape
 
 Array = NDArray[np.float64]
 FloatMap = NDArray[np.float32]
@@ -114,39 +115,23 @@ class HazardMap:
     in_domain: BoolMap | None = None
 
     def __post_init__(self) -> None:
-        for name in ("p_safe", "observed", "elevation", "variance"):
+        kinds = {"eligible": np.bool_, "value": np.floating, "in_domain": np.bool_}
+        for name in ("p_safe", "observed", "elevation", "variance", *kinds):
             layer = getattr(self, name)
-            if layer is not None and layer.shape != self.grid.shape:
-                raise InputError(
-                    f"map.{name}",
-                    layer.shape,
-                    f"must have the shape of the grid, {self.grid.shape}",
-                )
+            if layer is None:
+                continue
+            check_shape(f"map.{name}", layer, self.grid.shape, "like the grid")
             if isinstance(layer, np.ma.MaskedArray):
-                raise InputError(f"map.{name}", type(layer), "must not be a masked array")
-        for name, kind in (("eligible", np.bool_), ("value", np.floating), ("in_domain", np.bool_)):
-            layer = getattr(self, name)
-            if layer is None:
-                continue
-            if np.shape(layer) != self.grid.shape:
                 raise InputError(
-                    f"map.{name}",
-                    np.shape(layer),
-                    f"must have the shape of the grid, {self.grid.shape}",
+                    f"map.{name}", type(layer), "must not be a masked array", show_value=False
                 )
-            if isinstance(layer, np.ma.MaskedArray) or not np.issubdtype(layer.dtype, kind):
-                raise InputError(
-                    f"map.{name}", type(layer), f"must be a plain array of {kind.__name__}"
-                )
-        for name in ("p_safe", "value"):
-            layer = getattr(self, name)
-            if layer is None:
-                continue
-            is_invalid = ~((layer >= 0.0) & (layer <= 1.0))
-            if is_invalid.any():
-                raise InputError(
-                    f"map.{name}", float(layer[is_invalid][0]), "must be between 0 and 1"
-                )
+            kind = kinds.get(name)
+            if kind and not np.issubdtype(layer.dtype, kind):
+                wanted = "booleans" if kind is np.bool_ else "floating-point numbers"
+                raise InputError(f"map.{name}", layer.dtype.name, f"must be an array of {wanted}")
+            if name in ("p_safe", "value"):
+                is_valid = (layer >= 0.0) & (layer <= 1.0)
+                check_elements(f"map.{name}", layer, is_valid, "must be between 0 and 1")
 
     @classmethod
     def unobserved(cls, grid: Grid) -> HazardMap:
@@ -218,7 +203,7 @@ class HazardMap:
             If `sigma` is negative or not finite.
         """
         if not (np.isfinite(sigma) and sigma >= 0.0):
-            raise InputError("sigma", sigma, "must be 0 or more, in metres")
+            raise InputError("sigma", sigma, "must be 0 or more, and finite")
         p = np.where(self.observed, self.p_safe, np.float32(0.0))
         if sigma == 0.0:
             return p
@@ -247,8 +232,8 @@ class HazardMap:
             If an error is negative or not finite.
         """
         sigma = np.asarray(sigma, np.float64)
-        if not (np.isfinite(sigma).all() and (sigma >= 0.0).all()):
-            raise InputError("sigma", sigma.tolist(), "must all be 0 or more, in metres")
+        is_valid = np.isfinite(sigma) & (sigma >= 0.0)
+        check_elements("sigma", sigma, is_valid, "must be 0 or more, and finite")
         p = np.where(self.observed, self.p_safe, np.float32(0.0))
         out = np.zeros(len(xy))
         rows, cols = self.grid.cell(xy)

@@ -18,6 +18,7 @@ from lunarsim.errors import InputError
 from lunarsim.onboard.hazards.hazard_map import HazardMap, TerrainSurface
 from lunarsim.safety.calibration import MapEvidence
 from lunarsim.safety.scenario_calibration import ScenarioCalibration
+from lunarsim.value_checks import check_elements, check_finite, check_shape
 
 Array = NDArray[np.float64]
 
@@ -52,11 +53,10 @@ class RockTracks:
     def __post_init__(self) -> None:
         for f in fields(self):
             value = getattr(self, f.name)
-            wanted = (len(self.radius), 2) if f.name == "xy" else (len(self.radius),)
-            if np.shape(value) != wanted:
-                raise InputError(f"rocks.{f.name}", np.shape(value), f"must have shape {wanted}")
-            if not np.isfinite(value).all():
-                raise InputError(f"rocks.{f.name}", value[~np.isfinite(value)][0], "must be finite")
+            n = len(self.radius)
+            wanted = (n, 2) if f.name == "xy" else (n,)
+            check_shape(f"rocks.{f.name}", value, wanted, f"for {n} rocks")
+            check_finite(f"rocks.{f.name}", value)
 
 
 @dataclass(frozen=True)
@@ -99,16 +99,13 @@ class TerrainEvidence:
             raise InputError(
                 "evidence.surface",
                 type(self.surface),
-                "must be a HazardMap",
-                "Otherwise give compute_map.",
+                "must be a HazardMap if compute_map is omitted",
             )
-        wanted = self.surface.grid.shape
-        if self.residual_heights is not None and self.residual_heights.shape != wanted:
-            raise InputError(
-                "evidence.residual_heights",
-                self.residual_heights.shape,
-                f"must have shape {wanted}",
-            )
+        if self.residual_heights is not None:
+            check_shape(
+                "evidence.residual_heights", self.residual_heights, self.surface.grid.shape,
+                "like the grid of surface",
+            )  # fmt: skip
 
     @cached_property
     def hazard_map(self) -> HazardMap:
@@ -160,29 +157,15 @@ class RockEvidence:
     expected_detections: float = 0.0
 
     def __post_init__(self) -> None:
-        if (
-            self.undetected_probability is not None
-            and self.undetected_probability.shape != self.hazard_map.grid.shape
-        ):
-            wanted_here = f"must have shape {self.hazard_map.grid.shape}"
-            raise InputError(
-                "evidence.undetected_probability", self.undetected_probability.shape, wanted_here
-            )
-        if self.undetected_probability is not None:
-            invalid = self.undetected_probability[
-                ~((self.undetected_probability >= 0.0) & (self.undetected_probability <= 1.0))
-            ]
-            if invalid.size:
-                raise InputError(
-                    "evidence.undetected_probability", float(invalid[0]), "must be between 0 and 1"
-                )
-        wanted = (len(self.diameter), *self.hazard_map.grid.shape)
-        if self.undetected_ratio.shape != wanted:
-            raise InputError(
-                "evidence.undetected_ratio",
-                self.undetected_ratio.shape,
-                f"must have shape {wanted}",
-            )
+        field, p = "evidence.undetected_probability", self.undetected_probability
+        if p is not None:
+            check_shape(field, p, self.hazard_map.grid.shape, "like the grid of hazard_map")
+            check_elements(field, p, (p >= 0.0) & (p <= 1.0), "must be between 0 and 1")
+        check_shape(
+            "evidence.undetected_ratio", self.undetected_ratio,
+            (len(self.diameter), *self.hazard_map.grid.shape),
+            f"for {len(self.diameter)} diameters",
+        )  # fmt: skip
 
 
 FusionEvidence = TerrainEvidence | RockEvidence

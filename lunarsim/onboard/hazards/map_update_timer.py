@@ -25,7 +25,7 @@ class MapUpdateTimer:
 
     def __init__(self, interval: float) -> None:
         if not 0.0 <= interval < np.inf:
-            raise InputError("interval", interval, "must be 0 or more, in seconds")
+            raise InputError("interval", interval, "must be 0 or more, and finite")
         self._interval_s = interval
         self._time_s: float | None = None
         self._next_update_s = -np.inf

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from pathlib import Path
 from typing import Any, ClassVar, Protocol
 
 import numpy as np
@@ -226,10 +227,26 @@ def check_map_size(size: float, posting: float, lander: Lander) -> None:
         Naming ``size_m`` or ``posting_m``.
     """
     if posting > 0.5 * lander.leg_radius:
-        raise InputError("posting_m", posting, f"must be at most {0.5 * lander.leg_radius} m")
+        raise InputError(
+            "posting_m", posting, f"must be at most {0.5 * lander.leg_radius:g}, which is half of "
+            f"vehicle.leg_radius_m ({lander.leg_radius:g})",
+        )  # fmt: skip
     if size < 4.0 * lander.leg_radius + 1.0:
-        raise InputError("size_m", size, f"must be at least {4.0 * lander.leg_radius + 1.0:.1f} m")
+        raise InputError(
+            "size_m", size, f"must be at least {4.0 * lander.leg_radius + 1.0:g}, which is 4 times "
+            f"vehicle.leg_radius_m ({lander.leg_radius:g}) plus 1 m",
+        )  # fmt: skip
     check_raster_size("size_m", size, posting, _MAX_CELLS_PER_SIDE)
+
+
+def calibration_path_error(path: Path | str, error: InputError) -> InputError:
+    """Return the error of an invalid calibration file; it names the key `calibration_path`.
+
+    `error` is that of the reading function.
+    """
+    if error.field == "calibration":  # about the file itself
+        return error.with_field("calibration_path")
+    return InputError("calibration_path", str(path), "must be a valid calibration", str(error))
 
 
 def map_grid(centre: Array, size: float, posting: float, lander: Lander) -> Grid:

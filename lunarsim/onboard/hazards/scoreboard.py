@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lunarsim.errors import InputError
+from lunarsim.value_checks import check_elements, check_shape
 
 Array = NDArray[np.float64]
 
@@ -40,10 +40,7 @@ class Scoreboard:
 
     def __post_init__(self) -> None:
         n = len(self.score)
-        if np.shape(self.position) != (n, 3):
-            raise InputError(
-                "scoreboard.position", np.shape(self.position), f"must have shape ({n}, 3)"
-            )
+        check_shape("scoreboard.position", self.position, (n, 3), f"for {n} scores")
         for name in ("position", "score", "current_site_score"):
-            if np.isnan(getattr(self, name)).any():
-                raise InputError(f"scoreboard.{name}", "NaN", "must be a number")
+            values = np.asarray(getattr(self, name))
+            check_elements(f"scoreboard.{name}", values, ~np.isnan(values), "must not be NaN")

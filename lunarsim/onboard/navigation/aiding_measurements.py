@@ -42,6 +42,7 @@ from lunarsim.onboard.navigation.measurement_models import (
     update_with_speeds,
 )
 from lunarsim.onboard.navigation.terrain_prior import TERRAIN, TerrainPrior
+from lunarsim.value_checks import check_shape, check_time
 
 Array = NDArray[np.float64]
 
@@ -137,7 +138,10 @@ def check_scalar_reading(sensor: str, reading: AltimeterReading) -> None:
     for name in ("range", "sigma"):
         shape = np.shape(getattr(reading, name))
         if shape:
-            raise InputError(f"{sensor}.{name}", shape, "must be one number")
+            raise InputError(
+                f"{sensor}.{name}", shape, f"must be one number, not an array of shape {shape}",
+                show_value=False,
+            )  # fmt: skip
 
 
 class AidingMeasurements:
@@ -265,10 +269,7 @@ class AidingMeasurements:
         InputError
             If time runs backwards, or the arrays of a reading have wrong shapes.
         """
-        if not time >= self._time:
-            raise InputError(
-                "time", time, f"must be finite and not before the last time ({self._time} s)"
-            )
+        check_time("time", time, self._time)
         self._time = time
         if used:
             return False
@@ -298,11 +299,8 @@ class AidingMeasurements:
         if beams is None:
             return
         for name in ("speed", "speed_sigma", "range", "range_sigma"):
-            shape = np.shape(getattr(reading, name))
-            if shape != (len(beams),):
-                raise InputError(
-                    f"{sensor}.{name}", shape, f"must have shape ({len(beams)},), one per beam"
-                )
+            n = len(beams)
+            check_shape(f"{sensor}.{name}", getattr(reading, name), (n,), f"for {n} beams")
         self._add_bias_noise(sensor, time)
         outcomes = {
             k: self._speed(sensor, k, reading, beams)

@@ -7,6 +7,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import cho_factor, cho_solve
 
 from lunarsim.errors import InputError
+from lunarsim.value_checks import check_elements
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -41,9 +42,8 @@ def inflate(p: Array, columns: ArrayLike, factor: float, max_sigma: ArrayLike) -
         If the factor is below 1 or not finite, or a standard deviation is negative or NaN.
     """
     if not 1.0 <= factor < np.inf:
-        raise InputError("factor", factor, "must be a finite number of 1 or more")
-    if not (np.asarray(max_sigma) >= 0.0).all():
-        raise InputError("max_sigma", max_sigma, "must be non-negative standard deviations")
+        raise InputError("factor", factor, "must be 1 or more, and finite")
+    check_elements("max_sigma", max_sigma, np.asarray(max_sigma) >= 0.0, "must be 0 or more")
     at = np.asarray(columns, dtype=np.int64)
     explained = _explained_covariance(p, at)
     covariance = p[np.ix_(at, at)]

@@ -27,8 +27,10 @@ from lunarsim.onboard.navigation.inertial import (
     VELOCITY,
     StartSigmas,
     StrapdownState,
+    checked_increments,
 )
 from lunarsim.onboard.navigation.schmidt_kalman_covariance import SchmidtKalmanCovariance
+from lunarsim.value_checks import check_finite, check_shape
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -203,7 +205,7 @@ class ErrorState(SchmidtKalmanCovariance):
         InputError
             If the arrays are not (n, 3) or differ in length; the state is then unchanged.
         """
-        turns, pushes = _checked_samples(angle, velocity)
+        turns, pushes = checked_increments(np.atleast_2d(angle), np.atleast_2d(velocity))
         transition, noise = self.inertial.propagate(turns, pushes)
         p, n = self._current_covariance(INERTIAL - 1), INERTIAL
         with one_blas_thread():
@@ -337,8 +339,8 @@ class ErrorState(SchmidtKalmanCovariance):
             If the error is not `size` finite numbers; nothing is changed then.
         """
         error = np.asarray(error, np.float64)
-        if error.shape != (self.size,) or not np.isfinite(error).all():
-            raise InputError("navigation.error", error.shape, f"must be {self.size} finite numbers")
+        check_shape("navigation.error", error, (self.size,))
+        check_finite("navigation.error", error)
         change = error[VELOCITY]
         if np.abs(change).max() > _MIN_VELOCITY_CORRECTION_M_S:
             lever = np.cross(np.eye(3), change) @ quat_to_matrix(self.inertial.attitude)
@@ -408,28 +410,6 @@ def _as_measurements(
     return rows, measured, axes @ (measured / np.sqrt(1.0 + gain))
 
 
-def _checked_samples(angle: ArrayLike, velocity: ArrayLike) -> tuple[Array, Array]:
-    """Return increments of angle, rad, and velocity, m/s, as two arrays (n, 3).
-
-    Other shapes raise an `InputError`.
-    """
-    out = []
-    for name, values in (("angle", angle), ("velocity", velocity)):
-        array = np.atleast_2d(np.asarray(values, dtype=np.float64))
-        if array.ndim != 2 or array.shape[1] != 3:
-            shape = np.shape(values)
-            raise InputError(
-                f"inertial.{name}", shape, "must be an array (n, 3)", "Mark missing samples by NaN."
-            )  # fmt: skip
-        out.append(array)
-    if len(out[0]) != len(out[1]):
-        lengths = tuple(len(a) for a in out)
-        raise InputError(
-            "inertial.samples", lengths, "must have as many angle as velocity increments"
-        )
-    return out[0], out[1]
-
-
 def _covariance(name: str, given: ArrayLike) -> Array:
     own = np.atleast_2d(np.asarray(given, dtype=np.float64))
     good = own.ndim == 2 and own.shape[0] == own.shape[1] and np.isfinite(own).all()
@@ -437,6 +417,6 @@ def _covariance(name: str, given: ArrayLike) -> Array:
     good = good and own.size > 0 and np.allclose(own, own.T)
     if not (good and np.linalg.eigvalsh(own).min() >= -1e-12 * np.abs(own).max()):
         raise InputError(
-            name, np.shape(given), "must be a symmetric positive semi-definite covariance"
+            name, given, "must be a finite, symmetric and positive semi-definite matrix"
         )
     return own

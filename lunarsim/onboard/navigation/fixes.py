@@ -7,12 +7,12 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from lunarsim.errors import InputError
 from lunarsim.frames import SiteToLocal, is_rotation
 from lunarsim.messages.briefing import Briefing, InitialStateEstimate
 from lunarsim.messages.measurements import InertialSamples, NavigationFix
 from lunarsim.onboard.navigation.estimate import Estimate, Navigation, NavigationEvent
 from lunarsim.onboard.navigation.measurement_sequencer import MeasurementSequencer
+from lunarsim.value_checks import check_shape
 
 # Maximum age of a fix before navigation is lost, s.
 _MAX_FIX_AGE_S = 2.0
@@ -107,8 +107,6 @@ def _is_valid(fix: NavigationFix) -> bool:
     """
     shapes = {"position": (3,), "velocity": (3,), "attitude": (4,), "covariance": (9, 9)}
     for name, shape in shapes.items():
-        shape_given = np.shape(getattr(fix, name))
-        if shape_given != shape:
-            raise InputError(f"fix.{name}", shape_given, f"must have shape {shape}")
+        check_shape(f"fix.{name}", getattr(fix, name), shape)
     finite = all(np.isfinite(getattr(fix, name)).all() for name in shapes)
     return bool(finite and is_rotation(fix.attitude) and (np.diag(fix.covariance) >= 0.0).all())

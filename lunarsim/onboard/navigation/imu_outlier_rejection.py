@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from lunarsim.errors import InputError
 from lunarsim.models.inertial_unit import TriadErrors
 from lunarsim.models.lander import Lander
+from lunarsim.value_checks import check_elements, check_shape
 
 Array = NDArray[np.float64]
 
@@ -85,9 +86,9 @@ class ImuSampleLimits:
             If the step is not positive, the rate is negative, or either is not finite.
         """
         if not 0.0 < step < np.inf:
-            raise InputError("step", step, "must be a positive time in seconds")
+            raise InputError("step", step, "must be positive and finite")
         if not 0.0 <= slew < np.inf:
-            raise InputError("slew", slew, "must be a non-negative rate in rad/s")
+            raise InputError("slew", slew, "must be 0 or more, and finite")
         rotation = (
             np.asarray(lander.torque_max) / np.asarray(lander.inertia_dry) * step + 2.0 * slew
         )
@@ -150,11 +151,11 @@ class ImuOutlierDetector:
 
     def __init__(self, limits: ImuSampleLimits, step: float) -> None:
         if not 0.0 < step < np.inf:
-            raise InputError("step", step, "must be a positive time in seconds")
+            raise InputError("step", step, "must be positive and finite")
         for name in ("max_change", "max_noise", "maximum"):
             limit = np.asarray(getattr(limits, name))
-            if limit.shape != (6,) or not (limit >= 0.0).all():
-                raise InputError(f"limits.{name}", limit, "must be six non-negative numbers")
+            check_shape(f"limits.{name}", limit, (6,))
+            check_elements(f"limits.{name}", limit, limit >= 0.0, "must be 0 or more")
         self.limits = limits
         self._step = step
         # Last accepted sample and the number of steps since; last rejected sample and the number

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from lunarsim.errors import InputError
 from lunarsim.frames import is_rotation, normalised, quat_multiply, quat_to_matrix
@@ -20,6 +20,7 @@ from lunarsim.onboard.navigation.imu_outlier_rejection import (
     ImuOutlierDetector,
     ImuSampleLimits,
 )
+from lunarsim.value_checks import check_elements, check_finite, check_shape
 
 Array = NDArray[np.float64]
 
@@ -52,7 +53,7 @@ class StartSigmas:
         for name in ("position", "velocity", "attitude"):
             value = getattr(self, name)
             if not (np.isfinite(value) and value > 0.0):
-                raise InputError(f"navigation.{name}", value, "must be a positive number")
+                raise InputError(f"navigation.{name}", value, "must be positive and finite")
 
 
 def _check_start(
@@ -64,32 +65,44 @@ def _check_start(
     m/s, `gravity` in m/s^2 and `step` in s. An `InputError` is raised if a value is not finite or
     out of range.
     """
-    start = np.concatenate((position, velocity, attitude)).astype(np.float64)
-    if start.shape != (10,) or not np.isfinite(start).all():
-        raise InputError("navigation.start", start.tolist(), "must be ten finite numbers")
-    if not is_rotation(start[6:]):
-        raise InputError("navigation.attitude", start[6:].tolist(), "must be a unit quaternion")
-    if np.abs(start[:3]).max() > _MAX_DISTANCE_M:
-        raise InputError(
-            "navigation.position",
-            start[:3].tolist(),
-            f"must be at most {_MAX_DISTANCE_M:g} m in magnitude per axis",
-        )
-    if np.abs(start[3:6]).max() > _MAX_SPEED_M_S:
-        raise InputError(
-            "navigation.velocity",
-            start[3:6].tolist(),
-            f"must be at most {_MAX_SPEED_M_S:g} m/s in magnitude per axis",
-        )
+    for name, value, limit, unit in (
+        ("position", position, _MAX_DISTANCE_M, "m"), ("velocity", velocity, _MAX_SPEED_M_S, "m/s")
+    ):  # fmt: skip
+        check_shape(f"navigation.{name}", value, (3,))
+        check_finite(f"navigation.{name}", value)
+        is_valid = np.abs(value) <= limit
+        problem = f"must be between {-limit:g} and {limit:g} {unit}"
+        check_elements(f"navigation.{name}", value, is_valid, problem)
+    if not is_rotation(attitude):
+        raise InputError("navigation.attitude", attitude, "must be a unit quaternion (4,)")
     if not 0.0 < gravity <= _MAX_GRAVITY_M_S2:
         raise InputError(
             "navigation.gravity",
             gravity,
-            f"must be positive (downward) and at most {_MAX_GRAVITY_M_S2:g} m/s^2",
+            f"must be positive and at most {_MAX_GRAVITY_M_S2:g} m/s^2",
         )
     if not (np.isfinite(step) and step > 0.0):
-        raise InputError("navigation.step", step, "must be a positive number of seconds")
-    return start
+        raise InputError("navigation.step", step, "must be positive and finite")
+    return np.concatenate((position, velocity, attitude)).astype(np.float64)
+
+
+def checked_increments(angle: ArrayLike, velocity: ArrayLike) -> tuple[Array, Array]:
+    """Return increments of angle, rad, and velocity, m/s, as two arrays (n, 3).
+
+    Raises
+    ------
+    InputError
+        If an array has another shape or the lengths differ.
+    """
+    out = np.asarray(angle, np.float64), np.asarray(velocity, np.float64)
+    for name, values in zip(("angle", "velocity"), out, strict=True):
+        if values.ndim != 2 or values.shape[1] != 3:
+            raise InputError(
+                f"inertial.{name}", values.shape, "must have shape (n, 3)",
+                "Mark missing samples by NaN.",
+            )  # fmt: skip
+    check_shape("inertial.velocity", out[1], out[0].shape, "like inertial.angle")
+    return out
 
 
 class StrapdownState:
@@ -179,7 +192,7 @@ class StrapdownState:
                 "sensors",
                 sorted(briefing.instruments),
                 "must include an inertial unit",
-                "Add an inertial unit or choose a navigation that needs none.",
+                "Add an inertial unit, or choose another navigation.kind.",
             )
         s = briefing.start
         sigmas = StartSigmas(
@@ -331,10 +344,8 @@ class StrapdownState:
             If the error is not 15 finite numbers; the state is then unchanged.
         """
         error = np.asarray(error, np.float64)
-        if error.shape != (INERTIAL,) or not np.isfinite(error).all():
-            raise InputError(
-                "navigation.error", error.tolist(), f"must be {INERTIAL} finite numbers"
-            )
+        check_shape("navigation.error", error, (INERTIAL,))
+        check_finite("navigation.error", error)
         self._x[0:9] += error[0:9]
         gibbs = np.concatenate((0.5 * error[ATTITUDE], [1.0]))
         self._x[9:13] = normalised(quat_multiply(self._x[9:13], gibbs))

@@ -90,15 +90,15 @@ class InnovationMonitorSettings:
         ):
             value = getattr(self, name)
             if value is not None and not 0.0 < value < np.inf:
-                raise InputError(f"monitor.{name}", value, "must be a positive number")
+                raise InputError(f"monitor.{name}", value, "must be positive and finite")
         for name in ("max_rejected_share", "false_alarm_probability"):
             value = getattr(self, name)
             if not 0.0 < value < 1.0:
-                raise InputError(f"monitor.{name}", value, "must be between 0 and 1")
+                raise InputError(f"monitor.{name}", value, "must be more than 0 and less than 1")
         for name in ("max_inflations", "max_drifts"):
             value = getattr(self, name)
             if value is not None and not 0.0 <= value < np.inf:
-                raise InputError(f"monitor.{name}", value, "must be a non-negative number")
+                raise InputError(f"monitor.{name}", value, "must be 0 or more, and finite")
 
 
 @dataclass

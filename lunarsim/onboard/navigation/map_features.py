@@ -57,11 +57,13 @@ class FeatureSettings:
     def __post_init__(self) -> None:
         for name in ("changed_probability", "outlier"):
             if not 0.0 < getattr(self, name) < 1.0:
-                raise InputError(f"features.{name}", getattr(self, name), "must be between 0 and 1")
+                raise InputError(
+                    f"features.{name}", getattr(self, name), "must be more than 0 and less than 1"
+                )
         for name in ("width", "model_sigma", "correlation_length"):
             if not 0.0 < getattr(self, name) < np.inf:
                 raise InputError(
-                    f"features.{name}", getattr(self, name), "must be a positive number"
+                    f"features.{name}", getattr(self, name), "must be positive and finite"
                 )
 
 

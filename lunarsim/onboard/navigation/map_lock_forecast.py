@@ -121,11 +121,11 @@ def _check_arguments(side: float, place_sigma: float, certainty: float) -> None:
     `side` and `place_sigma` are in m; `certainty` is a probability.
     """
     if not (np.isfinite(side) and side > 0.0):
-        raise InputError("side_m", side, "must be a positive length in metres")
+        raise InputError("side_m", side, "must be positive and finite")
     if not (np.isfinite(place_sigma) and place_sigma > 0.0):
-        raise InputError("place_sigma_m", place_sigma, "must be a positive length in metres")
+        raise InputError("place_sigma_m", place_sigma, "must be positive and finite")
     if not 0.0 < certainty < 1.0:
-        raise InputError("certainty", certainty, "must be a probability between 0 and 1")
+        raise InputError("certainty", certainty, "must be more than 0 and less than 1")
 
 
 def _cut_window(

@@ -8,10 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from lunarsim.errors import InputError
 from lunarsim.messages.briefing import Briefing
 from lunarsim.messages.measurements import CameraImage, InertialSamples
 from lunarsim.models.instruments import InertialInstrument
+from lunarsim.onboard.navigation.inertial import checked_increments
+from lunarsim.value_checks import check_time
 
 # Tolerance for time stamps after the current time, from rounding of summed steps, s.
 _TIME_TOLERANCE_S = 1e-6
@@ -175,10 +176,7 @@ class MeasurementSequencer:
         InputError
             If `time` is before the current time, or not finite.
         """
-        if not (np.isfinite(time) and time >= self._now):
-            raise InputError(
-                "time", time, f"must be finite and not before the last time ({self._now} s)"
-            )
+        check_time("time", time, self._now)
         self._now = time
 
     def _fill_gaps(
@@ -210,16 +208,5 @@ class MeasurementSequencer:
 
 def _check_samples(samples: InertialSamples) -> InertialSamples:
     """Return inertial samples as two float arrays (n, 3) after checking the shapes."""
-    angle, velocity = (np.asarray(of, np.float64) for of in (samples.angle, samples.velocity))
-    for name, of in (("angle", angle), ("velocity", velocity)):
-        if of.ndim != 2 or of.shape[1] != 3:
-            shape = of.shape
-            raise InputError(
-                f"inertial.{name}", shape, "must be an array (n, 3)", "Mark missing samples by NaN."
-            )  # fmt: skip
-    if len(angle) != len(velocity):
-        lengths = (len(angle), len(velocity))
-        raise InputError(
-            "inertial.samples", lengths, "must have as many angle as velocity increments"
-        )
+    angle, velocity = checked_increments(samples.angle, samples.velocity)
     return replace(samples, angle=angle, velocity=velocity)

@@ -77,8 +77,8 @@ class PriorMapNavigation:
         """
         if briefing.prior_map is None:
             raise InputError(
-                "prior_map", None, "must be a table for this navigation",
-                "Give a prior map or choose another navigation.",
+                "prior_map", None, "is required for this navigation",
+                "Add a table [prior_map], or choose another navigation.kind.", show_value=False,
             )  # fmt: skip
         return _navigator(briefing, TerrainPrior().relief)
 

@@ -14,6 +14,7 @@ from lunarsim.errors import InputError
 from lunarsim.onboard.navigation.features import subtract_plane
 from lunarsim.onboard.navigation.map_features import FeatureTile, MapFeatures
 from lunarsim.onboard.navigation.submap import Submap
+from lunarsim.value_checks import check_finite, check_shape, check_time
 
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -58,7 +59,7 @@ class SearchSettings:
         for f in fields(self):
             value = getattr(self, f.name)
             if not 0.0 < value < np.inf:
-                raise InputError(f"search.{f.name}", value, "must be a positive number")
+                raise InputError(f"search.{f.name}", value, "must be positive and finite")
 
 
 @dataclass(frozen=True)
@@ -201,10 +202,7 @@ class PlaceSearch:
             If time runs backwards, or an argument is not finite or out of range.
         """
         _check_prior(mean, covariance, speed_sigma)
-        if not (np.isfinite(time) and (self._time is None or time >= self._time)):
-            raise InputError(
-                "time", time, f"must be finite and not before the last time ({self._time} s)"
-            )
+        check_time("time", time, -np.inf if self._time is None else self._time)
         self._extend_places(mean, covariance)
         self._blur(time, speed_sigma)
         prior_distance = self._prior_distance(mean, covariance)
@@ -509,16 +507,16 @@ class PlaceSearch:
 
 def _check_prior(mean: Array, covariance: Array, speed_sigma: float) -> None:
     """Raise an `InputError` if an argument of `PlaceSearch.search` is invalid."""
-    if np.shape(mean) != (2,) or not np.isfinite(mean).all():
-        raise InputError("mean", mean, "must be two finite numbers in m")
+    check_shape("mean", mean, (2,))
+    check_finite("mean", mean)
     p = np.asarray(covariance, dtype=np.float64)
     fits = p.shape == (2, 2) and np.isfinite(p).all() and np.allclose(p, p.T, rtol=1e-6)
     if not (fits and p[0, 0] > 0.0 and np.linalg.det(p) > 0.0):
         raise InputError(
-            "covariance", covariance, "must be a positive definite matrix (2, 2) in m^2"
+            "covariance", covariance, "must be a symmetric positive definite matrix (2, 2)"
         )
     if not 0.0 <= speed_sigma < np.inf:
-        raise InputError("speed_sigma", speed_sigma, "must be a non-negative number in m/s")
+        raise InputError("speed_sigma", speed_sigma, "must be 0 or more, and finite")
 
 
 def _cut_square(raster: NDArray[Any], row: int, col: int, side: int) -> NDArray[Any]:

@@ -77,7 +77,7 @@ class RegistrationSettings:
             raise InputError(
                 "navigation.odometry_postings",
                 self.odometry_postings,
-                "must be two positive lengths in ascending order",
+                "must be two positive lengths, the shorter length first",
             )
         for name in (
             "min_agreement",
@@ -88,12 +88,12 @@ class RegistrationSettings:
         ):
             value = getattr(self, name)
             if not 0.0 < value <= 1.0:
-                raise InputError(f"navigation.{name}", value, "must be above 0 and at most 1")
+                raise InputError(f"navigation.{name}", value, "must be more than 0 and at most 1")
         for name in ("model_sigma", "min_squares", "max_misfit", "height_sigma", "search_s",
                      "lost_s", "max_accumulation_s", "odometry_sigma"):  # fmt: skip
             value = getattr(self, name)
             if not 0.0 < value < np.inf:
-                raise InputError(f"navigation.{name}", value, "must be a positive number")
+                raise InputError(f"navigation.{name}", value, "must be positive and finite")
 
     def accepts_fit(self, fit: MapFit) -> bool:
         """Return whether a fit is good: enough grid squares agree, with small residuals."""

@@ -507,9 +507,11 @@ class RockFilter(RockStates):
         by_pose = -(back @ sight.jacobian_by_pose)
         by_height = -(back @ sight.jacobian_by_rock[:, :, 2:])[:, :, 0]
         own = back @ pixel_covariance @ np.swapaxes(back, 1, 2)
-        if not (np.isfinite(by_pose).all() and np.isfinite(own).all()):
+        is_valid = np.isfinite(by_pose).all(axis=(1, 2)) & np.isfinite(own).all(axis=(1, 2))
+        if not is_valid.all():
+            n = int(np.argmin(is_valid))
             raise InputError(
-                "rocks", points.tolist(), "must be points on the terrain in front of the camera"
+                f"rocks[{n}]", points[n], "must be a terrain point in front of the camera"
             )
         return by_pose, by_height, own
 

@@ -68,9 +68,10 @@ class RockStates:
     def __init__(self, state: ErrorState, terrain_prior: TerrainPrior, capacity: int) -> None:
         if state.tail:
             raise InputError(
-                "navigation.rocks",
+                "state.tail",
                 state.tail,
-                "must be 0: rocks are the only errors after the blocks",
+                "must be 0 before rocks are added",
+                "Use an error state without rocks.",
             )
         self.state = state
         self.state.reserve(ROCK_DIM * capacity)

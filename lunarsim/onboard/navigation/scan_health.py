@@ -87,8 +87,9 @@ def _range_image(scan: LidarScan) -> Array:
     """Return the ranges as an image (rows, cols)."""
     if int(np.prod(scan.shape)) != np.size(scan.range):
         raise InputError(
-            "scan.shape", scan.shape, f"must have {np.size(scan.range)} pixels, as many as ranges"
-        )
+            "scan.shape", scan.shape,
+            f"rows times columns must be {np.size(scan.range)}, the number of ranges",
+        )  # fmt: skip
     return np.reshape(scan.range, scan.shape)
 
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from lunarsim.errors import InputError
 from lunarsim.messages.briefing import Briefing
+from lunarsim.value_checks import check_finite
 
 # Name of the block of the terrain height relative to the target elevation, and the length (m) that
 # scales its random walk: over this distance heights differ by the slope times this length.
@@ -42,9 +43,8 @@ class TerrainPrior:
     def __post_init__(self) -> None:
         for name, value in (("sigma", self.sigma), ("relief", self.relief)):
             if value is not None and not (np.isfinite(value) and value >= 0.0):
-                raise InputError(f"terrain_prior.{name}", value, "must be a non-negative number")
-        if not np.isfinite(self.elevation):
-            raise InputError("terrain_prior.elevation", self.elevation, "must be a finite height")
+                raise InputError(f"terrain_prior.{name}", value, "must be 0 or more, and finite")
+        check_finite("terrain_prior.elevation", self.elevation)
 
     @classmethod
     def of(cls, briefing: Briefing, relief: float) -> TerrainPrior:

@@ -58,6 +58,7 @@ from lunarsim.onboard.navigation.inertial import (
     INERTIAL,
     StartSigmas,
     StrapdownState,
+    checked_increments,
 )
 from lunarsim.onboard.navigation.innovation_monitor import InnovationMonitor, MonitorResult
 from lunarsim.onboard.navigation.measurement_models import (
@@ -69,6 +70,7 @@ from lunarsim.onboard.navigation.measurement_models import (
 from lunarsim.onboard.navigation.measurement_sequencer import MeasurementSequencer
 from lunarsim.onboard.navigation.terrain_prior import TerrainPrior
 from lunarsim.parts.quantity import check_bounds, quantity
+from lunarsim.value_checks import check_shape
 
 Array = NDArray[np.float64]
 
@@ -172,7 +174,7 @@ class UnscentedFilter(Navigation):
     ) -> None:
         for name, value in (("mass", mass), ("exhaust_velocity", exhaust_velocity)):
             if not (np.isfinite(value) and value > 0.0):
-                raise InputError(f"navigation.{name}", value, "must be a positive number")
+                raise InputError(f"navigation.{name}", value, "must be positive and finite")
         self.inertial = inertial
         self.settings = settings or UnscentedNavigation()
         self.events: list[NavigationEvent] = []
@@ -271,7 +273,7 @@ class UnscentedFilter(Navigation):
         """
         for name, value in (("thrust", thrust), ("seconds", seconds)):
             if not (np.isfinite(value) and value >= 0.0):
-                raise InputError(f"navigation.{name}", value, "must be a non-negative number")
+                raise InputError(f"navigation.{name}", value, "must be 0 or more, and finite")
         before = thrust if self._thrust is None else self._thrust
         left = float(np.exp(-seconds / self._lag)) if self._lag > 0.0 else 0.0
         share = self._lag / seconds * (1.0 - left) if seconds > 0.0 else 0.0
@@ -290,14 +292,7 @@ class UnscentedFilter(Navigation):
         InputError
             If the arrays are not (n, 3) or differ in length.
         """
-        samples = [np.asarray(part, dtype=np.float64) for part in (angle, velocity)]
-        for name, part in zip(("angle", "velocity"), samples, strict=True):
-            if part.ndim != 2 or part.shape[1] != 3 or len(part) != len(samples[0]):
-                raise InputError(
-                    f"inertial.{name}",
-                    np.shape(part),
-                    "must be an array (n, 3), with equal n for angle and velocity",
-                )
+        samples = checked_increments(angle, velocity)
         if len(samples[0]) == 0:
             return
         seconds = len(samples[0]) * self.inertial.step
@@ -391,11 +386,8 @@ class UnscentedFilter(Navigation):
     def _speeds(self, sensor: str, reading: DopplerReading) -> UpdateOutcome:
         beams = self._beam_sets[sensor]
         for name in ("speed", "speed_sigma"):
-            shape = np.shape(getattr(reading, name))
-            if shape != (len(beams),):
-                raise InputError(
-                    f"{sensor}.{name}", shape, f"must have shape ({len(beams)},), one per beam"
-                )
+            n = len(beams)
+            check_shape(f"{sensor}.{name}", getattr(reading, name), (n,), f"for {n} beams")
         speed, sigma = np.asarray(reading.speed), np.asarray(reading.speed_sigma)
         has_return = np.isfinite(speed) & np.isfinite(sigma) & (sigma > 0.0)
         if not has_return.any():
@@ -417,10 +409,8 @@ class UnscentedFilter(Navigation):
 
     def _attitude(self, sensor: str, reading: AttitudeReading) -> UpdateOutcome:
         q, r = np.asarray(reading.attitude, float), np.asarray(reading.covariance, float)
-        if q.shape != (4,) or r.shape != (3, 3):
-            raise InputError(
-                "attitude", (q.shape, r.shape), "must be a quaternion (4,) and a covariance (3, 3)"
-            )
+        check_shape(f"{sensor}.attitude", q, (4,))
+        check_shape(f"{sensor}.covariance", r, (3, 3))
         mount = self._mounts.get(sensor, 0.0)
         own = r + mount**2 * np.eye(3)
         if not is_rotation(q) or not is_symmetric(own):

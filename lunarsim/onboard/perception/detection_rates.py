@@ -49,15 +49,14 @@ class DetectionRates:
         check_types("rates", self)
         for name in ("missed", "false", "false_clear_line"):
             _, slope, floor = getattr(self, name)
-            if not (slope <= 0.0 and 0.0 < floor < 1.0):
+            if not slope <= 0.0:
                 raise InputError(
-                    f"rates.{name}",
-                    getattr(self, name),
-                    "must have a slope of at most 0 and a floor between 0 and 1",
+                    f"rates.{name}[1]", slope, "must be 0 or less, because it is a slope"
                 )
-
+            if not 0.0 < floor < 1.0:
+                raise InputError(f"rates.{name}[2]", floor, "must be more than 0 and less than 1")
         if not (np.isfinite(self.blur) and self.blur >= 0.0):
-            raise InputError("rates.blur", self.blur, "must be 0 or positive, in pixels")
+            raise InputError("rates.blur", self.blur, "must be 0 or more, and finite")
 
     def relative_edge_width(self, blur: float) -> float:
         """Return the edge width of a camera relative to that of these rates, at least 1.

@@ -30,6 +30,7 @@ from lunarsim.onboard.perception.sun_direction import (
     observation_scatter_factor,
     unit_vector,
 )
+from lunarsim.value_checks import check_elements, check_finite, check_shape
 
 Array = NDArray[np.float64]
 
@@ -97,18 +98,18 @@ class DetectorSettings:
         for name in ("window", "min_edge_fraction", "min_deep_fraction", "min_fill_fraction"):
             value = getattr(self, name)
             if not 0.0 < value <= 1.0:
-                raise InputError(f"detector.{name}", value, "must be above 0 and at most 1")
+                raise InputError(f"detector.{name}", value, "must be more than 0 and at most 1")
         for name, least in (("observation_sigma", 1e-9), ("small_patch_sigma", 0.0)):
-            pair = np.ravel(getattr(self, name))
-            if not (len(pair) == 2 and np.isfinite(pair).all() and (pair >= least).all()):
-                what = "positive" if least else "non-negative"
-                raise InputError(
-                    f"detector.{name}", getattr(self, name), f"must be two {what} numbers in pixels"
-                )
+            pair = np.asarray(getattr(self, name))
+            problem = "must be positive and finite" if least else "must be 0 or more, and finite"
+            is_valid = np.isfinite(pair) & (pair >= least)
+            check_elements(f"detector.{name}", pair, is_valid, problem)
         low, high = self.canny
         if not 0.0 < low < high < np.inf:
             raise InputError(
-                "detector.canny", self.canny, "must be two positive numbers in ascending order"
+                "detector.canny",
+                self.canny,
+                "must be two positive numbers, the smaller number first",
             )
 
 
@@ -258,12 +259,7 @@ def detect_rocks(
     settings = settings or DetectorSettings()
     direction = unit_vector(sun)
     _check_pose(pose)
-    if np.shape(image) != (camera.height, camera.width):
-        raise InputError(
-            "image",
-            np.shape(image),
-            f"must have the camera's size ({camera.height}, {camera.width})",
-        )
+    check_shape("image", image, (camera.height, camera.width), "like the detector of the camera")
     segmentation = segment(image, gamma=settings.gamma, window=settings.window)
     plane = terrain if isinstance(terrain, GroundPlane) else GroundPlane(float(terrain))
     view, onto = plane.level_view(camera.view(pose)), plane.level_direction(direction)
@@ -291,8 +287,8 @@ def _mixture_of(
 
 def _check_pose(pose: Pose) -> None:
     """Raise InputError if the pose of the camera is not finite or not a rotation."""
-    if np.shape(pose.position) != (3,) or not np.isfinite(pose.position).all():
-        raise InputError("pose.position", pose.position, "must be three finite numbers in m (ENU)")
+    check_shape("pose.position", pose.position, (3,))
+    check_finite("pose.position", pose.position)
     if not is_rotation(pose.attitude):
         raise InputError("pose.attitude", pose.attitude, "must be a unit quaternion (4,)")
 

@@ -175,7 +175,9 @@ class ImageQualitySettings:
     def __post_init__(self) -> None:
         check_types("image_quality", self)
         if not (np.isfinite(self.blur_sigma) and self.blur_sigma >= 0.0):
-            raise InputError("image_quality.blur_sigma", self.blur_sigma, "must be 0 or positive")
+            raise InputError(
+                "image_quality.blur_sigma", self.blur_sigma, "must be 0 or more, and finite"
+            )
         for name in (
             "max_saturated_fraction",
             "max_dark_fraction",
@@ -184,7 +186,9 @@ class ImageQualitySettings:
         ):
             if not 0.0 < getattr(self, name) <= 1.0:
                 raise InputError(
-                    f"image_quality.{name}", getattr(self, name), "must be above 0 and at most 1"
+                    f"image_quality.{name}",
+                    getattr(self, name),
+                    "must be more than 0 and at most 1",
                 )
         for name in ("min_lit_counts", "max_noise", "min_shadows", "max_shadow_brightness",
         "max_edge_width_ratio",
@@ -200,13 +204,15 @@ class ImageQualitySettings:
         for name in ("contradict_agreement", "confirm_agreement"):
             if getattr(self, name) > 1.0:
                 raise InputError(f"image_quality.{name}", getattr(self, name), "must be at most 1")
-        if not self.confirm_angle <= self.contradict_angle <= np.pi:
-            turns = (self.confirm_angle, self.contradict_angle)
+        if self.contradict_angle > np.pi:
             raise InputError(
-                "image_quality.confirm_angle, contradict_angle",
-                turns,
-                "must be ascending angles of at most pi rad",
+                "image_quality.contradict_angle", self.contradict_angle, "must be at most pi rad"
             )
+        if self.confirm_angle > self.contradict_angle:
+            raise InputError(
+                "image_quality.confirm_angle", self.confirm_angle,
+                f"must be at most contradict_angle, which is {self.contradict_angle:g} rad",
+            )  # fmt: skip
 
 
 @dataclass

@@ -81,10 +81,10 @@ def segment(image: ArrayLike, *, gamma: float = 0.7, window: float = 0.12) -> Se
         If the image does not have two axes or is not numeric.
     """
     raw = np.asarray(image)
-    if raw.ndim != 2 or raw.size == 0 or raw.dtype.kind not in "uifb":
-        raise InputError(
-            "image", f"{raw.dtype} {raw.shape}", "must be a numeric array (height, width)"
-        )
+    if raw.dtype.kind not in "uifb":
+        raise InputError("image", raw.dtype.name, "must be an array of real numbers")
+    if raw.ndim != 2 or raw.size == 0:
+        raise InputError("image", raw.shape, "must have shape (height, width) and contain pixels")
     if not (np.isfinite(gamma) and gamma > 0.0):
         raise InputError("gamma", gamma, "must be positive and finite")
     valid = np.isfinite(raw) if raw.dtype.kind == "f" else np.ones(raw.shape, bool)

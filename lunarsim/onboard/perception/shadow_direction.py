@@ -8,7 +8,6 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lunarsim.errors import InputError
 from lunarsim.models.pinhole import View
 from lunarsim.onboard.perception import _image_quality_kernels as kernels
 from lunarsim.onboard.perception.detector import Detections, DetectorSettings
@@ -25,6 +24,7 @@ from lunarsim.onboard.perception.sun_angle import (
     mean_angle,
     viewing_angles,
 )
+from lunarsim.value_checks import check_shape
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -79,10 +79,7 @@ def shadow_directions(image: ArrayLike, seen: Detections, rocks: Index | None = 
         If the image does not have the shape of the detections.
     """
     grey = np.asarray(image, dtype=np.float64)
-    if grey.shape != seen.labels.shape:
-        raise InputError(
-            "image", grey.shape, f"must have the shape of the detections, {seen.labels.shape}"
-        )
+    check_shape("image", grey, seen.labels.shape, "like the image of the detections")
     relative = grey / lit_terrain_brightness(grey.astype(np.float32), DetectorSettings().window)
     index = np.arange(len(seen)) if rocks is None else rocks
     out = np.full((len(index), 2), np.nan)

@@ -124,7 +124,7 @@ class ShadowModel:
             raise InputError(
                 "sun.elevation",
                 elevation,
-                "must be a number from 0.035 to 1.396 rad (2 to 80 deg)",
+                "must be a number between 0.035 and 1.396 rad (2 and 80 deg)",
             )
         self.elevation = elevation
         self.shapes = shapes or RockModel()

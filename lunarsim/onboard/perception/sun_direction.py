@@ -26,7 +26,7 @@ def unit_vector(sun: ArrayLike) -> Array:
     """
     direction = np.asarray(sun, dtype=np.float64)
     if direction.shape != (3,) or not abs(np.linalg.norm(direction) - 1.0) < 1e-6:
-        raise InputError("sun", sun, "must be a unit vector (3,) in ENU")
+        raise InputError("sun", sun, "must be a unit vector (3,)")
     return direction
 
 

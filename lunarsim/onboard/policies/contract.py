@@ -15,6 +15,7 @@ from lunarsim.onboard.hazards.scoreboard import Scoreboard
 from lunarsim.onboard.navigation.estimate import Estimate
 from lunarsim.onboard.policies.reachability import ReachabilityMap
 from lunarsim.onboard.result_checks import checked_vector, wrong_result_error
+from lunarsim.value_checks import check_elements
 
 Array = NDArray[np.float64]
 
@@ -67,18 +68,16 @@ class Candidates:
         for name in ("p_safe", "distance", "propellant", "value", "score", "source"):
             if len(getattr(self, name)) != n:
                 raise InputError(
-                    f"candidates.{name}", len(getattr(self, name)), f"must have {n} elements"
+                    f"candidates.{name}",
+                    len(getattr(self, name)),
+                    f"must have as many elements as position, which has {n}",
                 )
         for name, upper in (("p_safe", 1.0), ("value", 1.0), ("distance", np.inf),
                            ("propellant", np.inf)):  # fmt: skip
             values = np.asarray(getattr(self, name), dtype=np.float64)
-            is_wrong = ~((values >= 0.0) & (values <= upper))
-            if is_wrong.any():
-                raise InputError(
-                    f"candidates.{name}",
-                    float(values[is_wrong][0]),
-                    f"must be between 0 and {upper:g}",
-                )
+            is_valid = (values >= 0.0) & (values <= upper)
+            problem = "must be 0 or more" if upper == np.inf else f"must be between 0 and {upper:g}"
+            check_elements(f"candidates.{name}", values, is_valid, problem)
 
     def __len__(self) -> int:
         return len(self.position)
@@ -149,8 +148,8 @@ class Observation:
         if np.isnan(self.site_propellant):
             raise InputError(
                 "observation.site_propellant",
-                "NaN",
-                "must be a number in kg",
+                self.site_propellant,
+                "must not be NaN",
                 "Use inf for a site out of reach.",
             )
 
@@ -201,15 +200,17 @@ class Decision:
 
     def __post_init__(self) -> None:
         if self.abort and self.site is not None:
-            raise InputError("decision.site", self.site, "must be None for an abort")
+            raise InputError("decision.site", self.site, "must be None if abort is True")
         if self.time_scale is None:
             return
         if self.abort:
-            raise InputError("decision.time_scale", self.time_scale, "must be None for an abort")
+            raise InputError(
+                "decision.time_scale", self.time_scale, "must be None if abort is True"
+            )
         is_number = isinstance(self.time_scale, Real) and not isinstance(self.time_scale, bool)
         if not (is_number and np.isfinite(self.time_scale) and self.time_scale > 0.0):
             raise InputError(
-                "decision.time_scale", self.time_scale, "must be positive and finite, or None"
+                "decision.time_scale", self.time_scale, "must be None, or positive and finite"
             )
 
     @classmethod

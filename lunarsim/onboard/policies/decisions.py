@@ -67,7 +67,7 @@ class DecisionSettings:
     def __post_init__(self) -> None:
         if self.last_altitude >= self.first_altitude:
             raise InputError(
-                "last_altitude",
+                "last_altitude_m",
                 self.last_altitude,
-                f"must be less than first_altitude, {self.first_altitude:g} m",
+                f"must be less than first_altitude_m, which is {self.first_altitude:g}",
             )

@@ -25,7 +25,8 @@ def _check_rate(sensor: str, key: str, rate: float, briefing: Briefing) -> None:
         raise InputError(
             f"tasking.{sensor}.{key}",
             rate,
-            f"must be at most {1.0 / briefing.cycle:g} Hz, one measurement per control cycle",
+            f"must be at most {1.0 / briefing.cycle:g}, one measurement per control cycle "
+            f"(simulation.cycle_s = {briefing.cycle:g})",
         )
 
 
@@ -65,7 +66,9 @@ class AtAltitudes:
 
     def __post_init__(self) -> None:
         if not self.altitudes:
-            raise InputError("altitudes", (), "must contain at least one altitude in m")
+            raise InputError(
+                "altitudes_m", (), "must contain at least one altitude", show_value=False
+            )
 
     @property
     def measurement_altitudes(self) -> MeasurementAltitudes:
@@ -109,7 +112,7 @@ class Periodic:
         if not self.last_altitude < self.first_altitude:
             raise InputError(
                 "last_altitude_m", self.last_altitude,
-                f"must be less than first_altitude_m, {self.first_altitude:g} m",
+                f"must be less than first_altitude_m, which is {self.first_altitude:g}",
             )  # fmt: skip
 
     @property

@@ -119,7 +119,7 @@ def test_costs_of_what_is_no_number_are_refused(changes, field):
     with pytest.raises(InputError, match=f"guidance.{field}"):
         site_cost(estimate, **given | changes)
     lost = replace(estimate, position=np.array([np.nan, 0.0, 0.0]))
-    with pytest.raises(InputError, match=r"guidance\.position"):
+    with pytest.raises(InputError, match=r"guidance\.estimate\.position\[0\]"):
         site_cost(lost, **given)
 
 

@@ -261,7 +261,7 @@ def test_time_to_go_by_the_jerk_at_the_end():
     )
     assert found == pytest.approx(37.0, rel=1e-9)
     assert np.isnan(jerk_time_to_go(0.0, 1.0, (-10.0, 5.0, 0.0), 1.0, guess=3.0))
-    with pytest.raises(InputError, match="time_to_go"):
+    with pytest.raises(InputError, match="position"):
         jerk_time_to_go(np.nan, 1.0, (-10.0, 5.0, 0.0), 1.0, guess=3.0)
 
 

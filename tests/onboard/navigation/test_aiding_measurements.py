@@ -356,7 +356,7 @@ def test_gate_has_equal_probability_for_any_beam_count():
     [
         ("doppler", DopplerReading(0.0, np.zeros(2), np.ones(3), np.ones(3), np.ones(3)), "speed"),
         ("doppler", DopplerReading(0.0, np.zeros(3), np.ones(2), np.ones(3), np.ones(3)), "range"),
-        ("stars", AttitudeReading(0.0, UPRIGHT, np.eye(2)), "attitude"),
+        ("stars", AttitudeReading(0.0, UPRIGHT, np.eye(2)), "covariance"),
     ],
 )
 def test_readings_with_wrong_shape_are_rejected_without_change(sensor, measurement, field):

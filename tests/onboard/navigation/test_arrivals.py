@@ -42,7 +42,7 @@ def scan(time: float) -> LidarScan:
 def test_the_clock_does_not_run_backwards(time):
     arrivals, _ = made()
     arrivals.advance(1.0)
-    with pytest.raises(InputError, match=r"time: must be finite and not before"):
+    with pytest.raises(InputError, match=r"time: must be (finite|at least the last time)"):
         arrivals.advance(time)
     with pytest.raises(InputError, match="time"):
         arrivals.admit("flash", scan(0.0), time)
@@ -222,7 +222,7 @@ def test_stale_measurements_are_rejected():
 @pytest.mark.parametrize(
     ("angle", "velocity", "field"),
     [((10, 2), (10, 2), "angle"), ((10, 3), (10, 2), "velocity"), ((3,), (3,), "angle"),
-     ((9, 3), (10, 3), "samples")],
+     ((9, 3), (10, 3), "velocity")],
 )  # fmt: skip
 def test_samples_with_wrong_shape_are_rejected_and_missing(angle, velocity, field):
     arrivals, told = made()
@@ -297,5 +297,7 @@ def test_scan_with_invalid_rays_is_ignored(ray, place):
 
 def test_reading_with_several_ranges_is_rejected():
     navigation = flown(lambda k: [("imu", samples(0.1 * k))])
-    with pytest.raises(InputError, match=r"down\.range: must be one number, got \(2,\)"):
+    with pytest.raises(
+        InputError, match=r"down\.range: must be one number, not an array of shape \(2,\)"
+    ):
         navigation.take("down", AltimeterReading(2.0, np.ones(2), np.ones(2)), 2.0)

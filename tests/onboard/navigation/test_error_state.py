@@ -171,7 +171,7 @@ def test_indefinite_covariance_is_reported_and_not_used():
 @pytest.mark.parametrize(
     ("angle", "velocity", "field"),
     [
-        (np.zeros((10, 3)), np.zeros((9, 3)), "samples"),
+        (np.zeros((10, 3)), np.zeros((9, 3)), "velocity"),
         (np.zeros((10, 2)), np.zeros((10, 2)), "angle"),
         (np.zeros((10, 3)), np.zeros((10, 4)), "velocity"),
         (np.zeros((2, 10, 3)), np.zeros((2, 10, 3)), "angle"),

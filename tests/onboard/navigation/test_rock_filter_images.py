@@ -149,7 +149,7 @@ def test_rocks_stand_behind_the_blocks_of_a_state_that_others_share():
     state.measure([[1.0]], [15], [2.0], [1.0])
     assert f.terrain_height_below == pytest.approx(1.8)
     assert f.xyz[0, 2] == pytest.approx(1.8)
-    with pytest.raises(InputError, match=r"navigation\.rocks"):
+    with pytest.raises(InputError, match=r"state\.tail"):
         RockFilter(state, AidingMeasurements(state, {}, level, events))
 
 

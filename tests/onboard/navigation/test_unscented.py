@@ -235,7 +235,7 @@ def test_an_attitude_that_errs_by_more_than_a_turn_tells_nothing(spread):
         ("imu", InertialSamples(0.1, np.zeros((10, 2)), np.zeros((10, 2))), "inertial"),
         ("imu", InertialSamples(0.1, np.zeros((10, 3)), np.zeros((9, 3))), "inertial"),
         ("doppler", DopplerReading(0.1, *np.ones((4, 2))), "speed"),
-        ("stars", AttitudeReading(0.1, TILT, np.eye(2)), "attitude"),
+        ("stars", AttitudeReading(0.1, TILT, np.eye(2)), "covariance"),
         ("stars", AttitudeReading(0.1, TILT[:3], np.eye(3)), "attitude"),
     ],
 )

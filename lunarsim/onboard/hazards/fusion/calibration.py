@@ -67,7 +67,8 @@ class FusedCalibration:
             if getattr(self, name) < 0.0:
                 raise InputError(
                     f"calibration.{name}", getattr(self, name),
-                    "must be 0 or more, so that a safer input map never makes a site less safe",
+                    "must be 0 or more",
+                    "A negative weight would make a site less safe if an input map is safer.",
                 )  # fmt: skip
 
     def probability(
@@ -125,12 +126,12 @@ class FusedCalibration:
         """
         x, y = _log_odds(p), np.where(is_second_observed, _log_odds(p_second), 0.0)
         good, bad = (site_weight * np.asarray(n, dtype=np.float64) for n in (safe, unsafe))
-        if not (good.sum() > 0.0 and bad.sum() > 0.0):
-            raise InputError(
-                "calibration.safe",
-                (good.sum(), bad.sum()),
-                "must include both safe and unsafe sites",
-            )
+        for name, count in (("safe", good.sum()), ("unsafe", bad.sum())):
+            if not count > 0.0:
+                raise InputError(
+                    name, count, "must be more than 0 for some group",
+                    "A fit needs safe and unsafe sites.", show_value=False,
+                )  # fmt: skip
         identity = np.array([0.0, 1.0, 0.0])
         columns = np.column_stack((np.ones_like(x), x, y))
 
@@ -163,7 +164,11 @@ class FusedCalibration:
         data = read_json_with_format(path, "calibration", _FORMAT)
         missing = [key for key in _KEYS if key not in data]
         if missing:
-            raise InputError("calibration", str(path), f"must contain {', '.join(missing)}")
+            raise InputError(
+                "calibration",
+                str(path),
+                f"must be a file that contains {', '.join(map(repr, missing))}",
+            )
         return cls(**{key: data[key] for key in _KEYS})
 
 

@@ -82,7 +82,7 @@ def fuse_evidence(
     """
     if elevations is None:
         if rocks is None:
-            raise InputError("evidence", None, "must be given for at least one mapper")
+            raise InputError("elevations, rocks", None, "must not both be None", show_value=False)
         return _rock_map(rocks, rocks.hazard_map.grid, priors.terrain_prior)
     if rocks is None:
         return _elevation_map(elevations, priors)

@@ -21,7 +21,7 @@ from lunarsim.onboard.hazards.fusion.resampling import resample_to_grid
 from lunarsim.onboard.hazards.hazard_map import HazardMap, TerrainSurface, lookup_elevation
 from lunarsim.onboard.hazards.map_evidence import RockEvidence, TerrainEvidence
 from lunarsim.onboard.hazards.map_update_timer import MapUpdateTimer
-from lunarsim.onboard.hazards.mapper import HazardMapper
+from lunarsim.onboard.hazards.mapper import HazardMapper, calibration_path_error
 from lunarsim.onboard.navigation.estimate import Estimate, Navigation
 from lunarsim.parts.quantity import check_bounds, quantity
 
@@ -89,13 +89,13 @@ class FusedMapperSettings:
             raise InputError(
                 "calibration_mapper",
                 self.calibration_mapper,
-                "must be omitted without calibration_path",
+                "must be omitted if calibration_path is omitted",
             )
         if found is not None and found.other > 0.0 and not self.calibration_mapper:
             raise InputError(
                 "calibration_path", str(self.calibration_path),
-                f"must not use a second map (weight {found.other:g}) without calibration_mapper",
-                "Set calibration_mapper.",
+                "must be a calibration for one map if calibration_mapper is omitted",
+                "Set calibration_mapper, which provides the second map.",
             )  # fmt: skip
 
     def calibration(self) -> FusedCalibration | None:
@@ -105,11 +105,7 @@ class FusedMapperSettings:
         try:
             return FusedCalibration.load(self.calibration_path)
         except InputError as error:
-            raise InputError(
-                "calibration_path",
-                str(self.calibration_path),
-                f"must be a valid calibration ({error})",
-            ) from None
+            raise calibration_path_error(self.calibration_path, error) from None
 
     def fused_mappers(self, parts: Mapping[str, Any]) -> dict[str, type]:
         """Return the names of the fused mappers with the types of their fusion data.
@@ -129,27 +125,27 @@ class FusedMapperSettings:
         names = self.inputs or tuple(n for n in others if n != self.calibration_mapper)
         if not names:
             raise InputError(
-                "inputs",
-                self.inputs,
-                "must name at least one other mapper",
-                "Add a table [mappers.NAME].",
-            )
+                "inputs", self.inputs, "must name another mapper", "Add a table [mappers.NAME].",
+                show_value=False,
+            )  # fmt: skip
         found: dict[str, type] = {}
         for name in names:
             if name not in parts:
-                raise InputError("inputs", name, "is unknown", suggestion(name, others))
+                raise InputError(
+                    "inputs", name, "must name a mapper of the scenario", suggestion(name, others)
+                )
             published = getattr(parts[name], "publishes", None)
             if published not in _EVIDENCE_NAMES:
                 raise InputError(
-                    "inputs", name, "must be a mapper that provides elevations or rocks"
+                    "inputs", name, "must name mappers that provide elevations or rocks"
                 )
             if name in found:
-                raise InputError("inputs", names, f"must name each mapper once, not {name!r} twice")
+                raise InputError("inputs", names, "must name each mapper once")
             if published in found.values():
                 raise InputError(
                     "inputs", names,
-                    f"must name at most one mapper of {_EVIDENCE_NAMES[published]}, "
-                    "because two maps of the same data are not independent",
+                    f"must name only one mapper that provides {_EVIDENCE_NAMES[published]}",
+                    "Two maps of the same data are not independent.",
                 )  # fmt: skip
             found[name] = published
         self._check_calibration_mapper(parts, found)
@@ -169,14 +165,19 @@ class FusedMapperSettings:
             raise InputError(
                 "calibration_mapper",
                 self.calibration_mapper,
-                "is unknown",
+                "must name a mapper of the scenario",
                 suggestion(self.calibration_mapper, others),
             )
         published = getattr(parts[self.calibration_mapper], "publishes", None)
-        if self.calibration_mapper in fused or published is not TerrainEvidence:
+        if self.calibration_mapper in fused:
             raise InputError(
                 "calibration_mapper", self.calibration_mapper,
-                "must be an elevation mapper that is not one of the fused inputs",
+                "must not name a mapper that is fused", "Remove the name from inputs.",
+            )  # fmt: skip
+        if published is not TerrainEvidence:
+            raise InputError(
+                "calibration_mapper", self.calibration_mapper,
+                "must name a mapper that provides elevations",
             )  # fmt: skip
 
     def build(
@@ -239,7 +240,7 @@ class FusedMapper(HazardMapper):
         interval: float = 0.0,
     ) -> None:
         if not mappers:
-            raise InputError("inputs", (), "must name at least one other mapper")
+            raise InputError("mappers", mappers, "must not be empty", show_value=False)
         self._mappers = dict(mappers)
         self._calibration_mapper = dict(calibration_mapper or {})
         self.priors = priors
@@ -268,8 +269,9 @@ class FusedMapper(HazardMapper):
         """
         raise InputError(
             "measurement",
-            type(measurement).__name__,
-            "must not be given to a fused mapper, which has no sensor",
+            type(measurement),
+            "must not be given to a fused mapper",
+            "A fused mapper has no sensor.",
         )
 
     def hazard_map(self) -> HazardMap:

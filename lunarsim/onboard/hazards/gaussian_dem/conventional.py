@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from lunarsim.errors import InputError
 from lunarsim.grid import Grid
 from lunarsim.onboard.hazards.gaussian_dem import _kernels as k
+from lunarsim.value_checks import as_real_array, check_elements
 
 
 @dataclass(frozen=True)
@@ -38,35 +39,19 @@ def check_points(points: ArrayLike) -> NDArray[np.float64]:
 
     Raises
     ------
-    ValueError
+    InputError
         If the array is not (n, 3) of real numbers, or contains infinities.
     """
-    cloud = np.ascontiguousarray(as_real_array(points))
+    cloud = np.ascontiguousarray(as_real_array("points", points))
     if cloud.ndim != 2 or cloud.shape[1] != 3:
-        raise ValueError("must have shape (n, 3): east, north, up")
+        raise InputError("points", cloud.shape, "must have shape (n, 3): east, north, up")
     is_finite = finite_rows(cloud)
     if is_finite.all():
         return cloud
-    if np.isinf(cloud).any():
-        raise ValueError("must not contain infinities; use NaN for rays without a return")
+    check_elements(
+        "points", cloud, ~np.isinf(cloud), "must not be infinite", "Use NaN for a missing point."
+    )
     return cloud[is_finite]
-
-
-def as_real_array(values: ArrayLike) -> NDArray[np.float64]:
-    """Convert values to an array of float64, with NaN for masked values.
-
-    Raises
-    ------
-    ValueError
-        If the values are complex, text or logical.
-    """
-    if np.iscomplexobj(values):
-        raise ValueError("must be real numbers, not complex numbers")
-    if np.asarray(values).dtype.kind not in "fiuO":
-        raise ValueError(f"must be real numbers, not values of type {np.asarray(values).dtype}")
-    if isinstance(values, np.ma.MaskedArray):
-        return np.asarray(np.ma.filled(values.astype(np.float64), np.nan))
-    return np.asarray(values, dtype=np.float64)
 
 
 def finite_rows(points: NDArray[np.float64]) -> NDArray[np.bool_]:
@@ -98,9 +83,10 @@ def conventional_dem(points: ArrayLike, grid: Grid) -> ConventionalDem:
     base = base_height(cloud)
     height, weight = k.splat(cloud, base, grid.x0, grid.y0, grid.posting, grid.rows, grid.cols)
     if not weight.any():
-        raise ValueError(
-            f"points: at least one must lie on the grid, got {len(cloud)} off the grid"
-        )
+        raise InputError(
+            "points", points, f"must include a point on the grid, but all {len(cloud)} are off it",
+            show_value=False,
+        )  # fmt: skip
     with np.errstate(invalid="ignore"):
         z = np.where(weight > 0.0, base + height.astype(np.float64) / weight, np.nan)
     k.fill_holes(z)
@@ -125,8 +111,8 @@ def check_heights(cloud: NDArray[np.float64]) -> None:
     if abs(worst) > _MAX_HEIGHT_M:
         raise InputError(
             "points", worst,
-            f"heights must be within {_MAX_HEIGHT_M:.0f} m of the origin of the frame",
-            "Use a local frame.",
+            f"heights must be between {-_MAX_HEIGHT_M:.0f} and {_MAX_HEIGHT_M:.0f} m",
+            "Use a frame with its origin near the terrain.",
         )  # fmt: skip
 
 

@@ -47,7 +47,8 @@ def full_regression(
     cloud = check_points(points)
     if len(cloud) > _MAX_POINTS:
         raise ValueError(
-            f"points: must be at most {_MAX_POINTS} for full regression, got {len(cloud)}"
+            f"points: must be at most {_MAX_POINTS} points, got {len(cloud)}. "
+            "Use gaussian_dem for more points."
         )
     prior = sigma_f * sigma_f
     gram = prior * np.exp(-cdist(cloud[:, :2], cloud[:, :2]) / length_scale)
@@ -56,7 +57,7 @@ def full_regression(
         factor = cho_factor(gram, lower=True)
     except np.linalg.LinAlgError:
         raise ValueError(
-            f"sigma_eps: must be positive if points coincide, got {sigma_eps}. "
+            f"sigma_eps: must be positive if two points coincide, got {sigma_eps}. "
             "The kernel matrix is singular."
         ) from None
     base = float(cloud[:, 2].mean())

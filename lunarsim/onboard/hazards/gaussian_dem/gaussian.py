@@ -12,13 +12,13 @@ from lunarsim.errors import InputError
 from lunarsim.grid import Grid
 from lunarsim.onboard.hazards.gaussian_dem import _kernels as k
 from lunarsim.onboard.hazards.gaussian_dem.conventional import (
-    as_real_array,
     base_height,
     check_heights,
     check_points,
     finite_rows,
 )
 from lunarsim.triangulation import delaunay, delaunay_of_image
+from lunarsim.value_checks import as_real_array
 
 FloatMap = NDArray[np.float32]
 BoolMap = NDArray[np.bool_]
@@ -109,7 +109,7 @@ def gaussian_dem(
     (True, True)
     """
     _check_parameters(sigma_f, length_scale, sigma_eps)
-    raw = as_real_array(points)
+    raw = as_real_array("points", points)
     cloud = check_points(raw)
     base = base_height(cloud)
     check_heights(cloud)
@@ -227,7 +227,10 @@ class _Mesh:
         if image_shape is None:
             return cls._of_cloud(raw, cloud, spacing)
         if len(raw) != image_shape[0] * image_shape[1]:
-            raise ValueError(f"image_shape: must hold {len(raw)} points, got {image_shape}")
+            raise ValueError(
+                f"image_shape: rows times columns must be {len(raw)}, the number of points, "
+                f"got {image_shape}."
+            )
         triangles = delaunay_of_image(_xy_of_finite(raw), image_shape)
         pixels = np.arange(len(raw))
         pixel_spacing = _pixel_spacing(raw, image_shape) if spacing is None else spacing

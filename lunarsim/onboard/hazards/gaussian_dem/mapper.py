@@ -20,7 +20,12 @@ from lunarsim.onboard.hazards.gaussian_dem.samples import SamplePool
 from lunarsim.onboard.hazards.hazard_map import HazardMap, TerrainSurface
 from lunarsim.onboard.hazards.map_evidence import TerrainEvidence
 from lunarsim.onboard.hazards.map_update_timer import MapUpdateTimer
-from lunarsim.onboard.hazards.mapper import HazardMapper, is_off_centre, map_grid
+from lunarsim.onboard.hazards.mapper import (
+    HazardMapper,
+    calibration_path_error,
+    is_off_centre,
+    map_grid,
+)
 from lunarsim.onboard.hazards.unleveled_scans import UnleveledScans
 from lunarsim.onboard.navigation.estimate import Estimate, Navigation
 from lunarsim.parts.quantity import check_bounds, quantity
@@ -86,7 +91,7 @@ class GaussianDemMapperSettings:
         if self.calibration_path is not None and self.safety != "calibrated":
             raise InputError(
                 "calibration_path", str(self.calibration_path),
-                f"must be omitted with safety = {self.safety!r}", "Use safety = 'calibrated'.",
+                f"must be omitted if safety is {self.safety!r}", "Use safety = 'calibrated'.",
             )  # fmt: skip
         self.calibration()
 
@@ -98,11 +103,7 @@ class GaussianDemMapperSettings:
             found = ScenarioCalibration.load(self.calibration_path)
             found.check_regression(packaged_ensemble())
         except InputError as error:
-            raise InputError(
-                "calibration_path",
-                str(self.calibration_path),
-                f"must be a valid calibration ({error})",
-            ) from None
+            raise calibration_path_error(self.calibration_path, error) from None
         return found
 
     def build(self, briefing: Briefing, navigation: Navigation) -> GaussianDemMapper:
@@ -159,10 +160,10 @@ class GaussianDemMapper(HazardMapper):
     ) -> None:
         footprint_of(lander, grid.posting)
         if not isinstance(safety, str) or safety not in ("calibrated", "level", "planes"):
-            raise InputError("safety", safety, "must be calibrated, level or planes")
+            raise InputError("safety", safety, "must be 'calibrated', 'level' or 'planes'")
         if refit is not None:
             if safety != "calibrated":
-                raise InputError("safety", safety, "must be calibrated if refit is given")
+                raise InputError("safety", safety, "must be 'calibrated' if refit is given")
             refit.check(lander, packaged_ensemble())
         self.grid = grid
         self.lander = lander

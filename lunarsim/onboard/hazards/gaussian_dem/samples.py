@@ -15,13 +15,13 @@ from lunarsim.errors import InputError
 from lunarsim.grid import Grid
 from lunarsim.onboard.hazards.gaussian_dem import _sample_kernels as k
 from lunarsim.onboard.hazards.gaussian_dem.conventional import (
-    as_real_array,
     base_height,
     check_heights,
     check_points,
     finite_rows,
 )
 from lunarsim.onboard.hazards.unleveled_scans import rotate_about
+from lunarsim.value_checks import as_real_array, check_finite, check_shape
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -96,16 +96,13 @@ class SamplePool:
             If points are infinite or beyond 8 km in height, or if a standard deviation or spacing
             is not positive.
         """
-        try:
-            raw = as_real_array(points)
-            cloud = check_points(raw)
-        except ValueError as error:
-            raise InputError("points", np.shape(points), str(error)) from None
+        raw = as_real_array("points", points)
+        cloud = check_points(raw)
         if not len(cloud):
             return 0
         finite = finite_rows(raw)
         noise, gaps = (
-            _check_positive(name, np.broadcast_to(as_real_array(values), len(raw))[finite])
+            _check_positive(name, np.broadcast_to(as_real_array(name, values), len(raw))[finite])
             for name, values in (("sigma", sigma), ("spacing", spacing))
         )
         check_heights(cloud)
@@ -200,8 +197,8 @@ class SamplePool:
         r, c = np.asarray(turn, np.float64), np.asarray(pivot, np.float64)
         if not (r.shape == (3, 3) and np.allclose(r @ r.T, np.eye(3), atol=1e-6)):
             raise InputError("turn", turn, "must be a rotation matrix (3, 3)")
-        if not (c.shape == (3,) and np.isfinite(c).all()):
-            raise InputError("pivot", pivot, "must be a finite point (3,)")
+        check_shape("pivot", c, (3,))
+        check_finite("pivot", c)
         out = SamplePool(self.grid)
         if self.base is None:
             return out

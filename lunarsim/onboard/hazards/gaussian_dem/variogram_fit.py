@@ -79,10 +79,12 @@ def fit_hyperparameters(
     start = time.perf_counter()
     cloud = check_points(points)
     if len(cloud) < 100:
-        raise ValueError(f"points: must be at least 100 for a variogram, got {len(cloud)}")
+        raise ValueError(f"points: must be at least 100 points, got {len(cloud)}.")
     distance, square = _sample_pairs(cloud, rng, pairs, largest_lag)
     if not distance.size:
-        raise ValueError(f"largest_lag: must exceed the distance of some points, got {largest_lag}")
+        raise ValueError(
+            f"largest_lag: must be more than the distance of the closest points, got {largest_lag}."
+        )
     lag, variogram, count = _bin_pairs(distance, square, largest_lag)
     sigma_f, length = _fit_model(lag, variogram, count, sigma_eps, largest_lag)
     return FieldFit(

@@ -136,7 +136,7 @@ class QuadtreeMapper(HazardMapper):
         rocks: RockExpectation | None = None,
     ) -> None:
         if not 0.0 <= interval < np.inf:
-            raise InputError("interval", interval, "must be 0 or more, in seconds")
+            raise InputError("interval", interval, "must be 0 or more, and finite")
         self._quadtree = (min_cell_size, split_count)
         self._settings = settings
         self._interest = interest
@@ -160,15 +160,16 @@ class QuadtreeMapper(HazardMapper):
         min_cell_size, split_count = self._quadtree
         self.grid = grid
         west, east, south, north = grid.extent
+        side, pad = max(east - west, north - south), self._lander.pad_diameter
         self.map = QuadtreeMap(
-            (*grid.centre, elevation), max(east - west, north - south), min_cell_size,
+            (*grid.centre, elevation), side, min_cell_size,
             split_count=split_count,
         )  # fmt: skip
-        footprint = self._lander.leg_radius + 0.5 * self._lander.pad_diameter
-        if 2.0 * footprint > max(east - west, north - south):
+        footprint = self._lander.leg_radius + 0.5 * pad
+        if 2.0 * footprint > side:
             raise InputError(
-                "vehicle.leg_radius", self._lander.leg_radius,
-                f"must fit on the map of {max(east - west, north - south):g} m",
+                "vehicle.leg_radius_m", self._lander.leg_radius,
+                f"must be at most {0.5 * (side - pad):g} on a map with a side of {side:g} m",
             )  # fmt: skip
         self.selector = SiteSelector(
             self.map, self._settings, self._interest, thorough=True, footprint=footprint

@@ -13,6 +13,7 @@ from lunarsim.array_files import read_arrays
 from lunarsim.errors import InputError
 from lunarsim.grid import Grid
 from lunarsim.parts.quantity import check_bounds, quantity
+from lunarsim.value_checks import check_elements, check_shape
 
 Array = NDArray[np.float64]
 
@@ -145,10 +146,10 @@ class SiteSettings:
             low, high = getattr(self, name)
             if low > high:
                 raise InputError(
-                    f"sites.{name}", (low, high), "must be two sizes in ascending order, in metres"
+                    f"sites.{name}_m", (low, high), "must be two sizes, the smaller size first"
                 )
         if self.roughness not in {"rms", "printed"}:
-            raise InputError("sites.roughness", self.roughness, "must be rms or printed")
+            raise InputError("sites.roughness", self.roughness, "must be 'rms' or 'printed'")
 
 
 @dataclass(frozen=True)
@@ -169,21 +170,15 @@ class InterestMap:
     def __post_init__(self) -> None:
         if isinstance(self.value, np.ma.MaskedArray):
             raise InputError(
-                "interest",
-                type(self.value),
-                "must not be a masked array",
-                "Use 0 to exclude a place.",
-            )
+                "interest", type(self.value), "must not be a masked array",
+                "Use 0 to exclude a place.", show_value=False,
+            )  # fmt: skip
         value = np.array(self.value, dtype=np.float64)  # a private copy
         value.flags.writeable = False
         object.__setattr__(self, "value", value)
-        if value.shape != self.grid.shape:
-            raise InputError(
-                "interest", value.shape, f"must have the shape of the grid, {self.grid.shape}"
-            )
-        wrong = ~((value >= 0.0) & (value <= 1.0))
-        if wrong.any():
-            raise InputError("interest", float(value[wrong][0]), "must be between 0 and 1")
+        check_shape("interest", value, self.grid.shape, "like the grid")
+        is_valid = (value >= 0.0) & (value <= 1.0)
+        check_elements("interest", value, is_valid, "must be between 0 and 1")
 
     @classmethod
     def load(cls, path: Path) -> InterestMap:
@@ -199,13 +194,14 @@ class InterestMap:
             value = np.asarray(file["value"], dtype=np.float64)
             x0, y0, posting = (float(file[name]) for name in ("x0", "y0", "posting"))
         except (KeyError, ValueError, TypeError) as error:
+            reason = f"it has no array {error}" if isinstance(error, KeyError) else error
             raise InputError(
                 "sites.interest_path",
                 str(path),
-                f"must be a NumPy archive with value, x0, y0 and posting ({error})",
+                f"must be a file .npz with the arrays value, x0, y0 and posting ({reason})",
             ) from None
         if value.ndim != 2:
-            raise InputError("interest", value.shape, "must be an array of rows and columns")
+            raise InputError("interest", value.shape, "must have shape (rows, columns)")
         return cls(Grid(x0, y0, posting, *value.shape), value)
 
     def at(self, xy: Array) -> Array:

@@ -8,13 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from lunarsim.errors import InputError
 from lunarsim.onboard.hazards.quadtree import _hazard_kernels as h
 from lunarsim.onboard.hazards.quadtree import _site_kernels as k
 from lunarsim.onboard.hazards.quadtree._tree_kernels import band
 from lunarsim.onboard.hazards.quadtree.mesh import TerrainMesh
 from lunarsim.onboard.hazards.quadtree.settings import InterestMap, SiteSettings
 from lunarsim.onboard.hazards.quadtree.tree import Nodes, QuadtreeMap
+from lunarsim.value_checks import check_elements, check_shape
 
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -404,10 +404,10 @@ def select_separated(score: Array, xy: Array, count: int, separation: float) -> 
     InputError
         If a score is NaN, or if the numbers of positions and scores differ.
     """
-    if np.shape(xy) != (len(score), 2):
-        raise InputError("sites.xy", np.shape(xy), f"must have shape ({len(score)}, 2)")
-    if np.isnan(score).any():
-        raise InputError("sites.score", "NaN", "must be a number", "Use inf to exclude a site.")
+    check_shape("sites.xy", xy, (len(score), 2), f"for {len(score)} scores")
+    check_elements(
+        "sites.score", score, ~np.isnan(score), "must not be NaN", "Use inf to exclude a site."
+    )
     chosen: list[int] = []
     for i in np.argsort(score, kind="stable"):
         if len(chosen) == count or not np.isfinite(score[i]):

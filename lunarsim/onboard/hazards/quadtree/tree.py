@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from lunarsim.errors import InputError
 from lunarsim.onboard.hazards.quadtree import _insertion_kernels, _sum_kernels
 from lunarsim.onboard.hazards.quadtree import _tree_kernels as k
+from lunarsim.value_checks import as_real_array, check_elements, check_finite
 
 Array = NDArray[np.float64]
 Nodes = NDArray[np.int32]
@@ -67,12 +68,13 @@ class QuadtreeMap:
     ) -> None:
         if not (np.isfinite(min_cell_size) and min_cell_size > 0.0):
             raise InputError(
-                "quadtree.min_cell_size_m", min_cell_size, "must be positive, in metres"
+                "quadtree.min_cell_size_m", min_cell_size, "must be positive and finite"
             )
         if not (np.isfinite(side) and side >= min_cell_size):
             raise InputError(
-                "quadtree.side_m", side, f"must be at least one cell of {min_cell_size} m"
-            )
+                "quadtree.side_m", side,
+                f"must be finite and at least min_cell_size, which is {min_cell_size:g} m",
+            )  # fmt: skip
         if split_count < 2:
             raise InputError("quadtree.split_count", split_count, "must be 2 or more")
         depths = max(1, int(np.ceil(np.log2(side / min_cell_size) - 1e-9)))
@@ -80,13 +82,12 @@ class QuadtreeMap:
             raise InputError(
                 "quadtree.min_cell_size_m",
                 min_cell_size,
-                f"must be at least {side / 2**_MAX_DEPTH:g} m for a side of {side:g} m",
+                f"must be at least {side / 2**_MAX_DEPTH:g} m for a map side of {side:g} m",
             )
         centre_enu = np.zeros(3)
         given = np.asarray(centre, dtype=np.float64)
         centre_enu[: given.size] = given
-        if not np.isfinite(centre_enu).all():
-            raise InputError("quadtree.centre", centre_enu.tolist(), "must be finite")
+        check_finite("quadtree.centre", centre_enu)
         self.centre = centre_enu
         self.min_cell_size = float(min_cell_size)
         self.depths = depths
@@ -142,9 +143,10 @@ class QuadtreeMap:
             )
             if left_out[2] > len(xyz):
                 raise InputError(
-                    "quadtree.points", f"{left_out[2]} of {left_out[2] + len(xyz)} farther",
-                    f"most heights must be within {_MAX_HEIGHT_M:g} m of the map "
-                    f"elevation {self.centre[2]:g} m",
+                    "quadtree.points", points,
+                    f"most heights must be within {_MAX_HEIGHT_M:g} m of the map elevation, "
+                    f"{self.centre[2]:g} m, but {left_out[2]} of {left_out[2] + len(xyz)} are not",
+                    "Correct the map elevation.", show_value=False,
                 )  # fmt: skip
             self._insert_sorted(xyz, key)
             added += len(xyz)
@@ -303,24 +305,14 @@ _RUN_ARRAYS = ("start", "length", "following")
 
 def _check_points(points: ArrayLike) -> Array:
     """Return points as an array (n, 3); raise InputError if they are invalid."""
-    if np.iscomplexobj(points):
-        raise InputError("quadtree.points", "complex numbers", "must be real coordinates in metres")
-    if np.asarray(points).dtype.kind not in "fiuO":
-        problem = "must be real coordinates in metres"
-        raise InputError("quadtree.points", str(np.asarray(points).dtype), problem)
-    if isinstance(points, np.ma.MaskedArray):
-        points = np.ma.filled(points.astype(np.float64), np.nan)
-    points = np.ascontiguousarray(points, dtype=np.float64)
-    if points.ndim != 2 or points.shape[1] != 3:
-        raise InputError("quadtree.points", points.shape, "must have shape (n, 3)")
-    infinite = np.flatnonzero(np.isinf(points).any(axis=1))
-    if infinite.size:
-        raise InputError(
-            "quadtree.points",
-            points[infinite[0]].tolist(),
-            "must be finite, or NaN for a missing point",
-        )
-    return points
+    array = np.ascontiguousarray(as_real_array("quadtree.points", points))
+    if array.ndim != 2 or array.shape[1] != 3:
+        raise InputError("quadtree.points", array.shape, "must have shape (n, 3): east, north, up")
+    check_elements(
+        "quadtree.points", array, ~np.isinf(array), "must not be infinite",
+        "Use NaN for a missing point.",
+    )  # fmt: skip
+    return array
 
 
 def _enlarge_arrays(tree: k.Tree, names: tuple[str, ...], size: int, used: int) -> k.Tree:

@@ -52,6 +52,7 @@ from lunarsim.onboard.perception.shadow_direction import measure_shadow_angle
 from lunarsim.onboard.perception.shape_mixture import ShapeMixture
 from lunarsim.onboard.perception.sun_angle import SunAngle
 from lunarsim.onboard.perception.sun_direction import unit_vector
+from lunarsim.value_checks import check_time
 
 Array = NDArray[np.float64]
 
@@ -195,11 +196,7 @@ class ShadowMapper(HazardMapper):
             If the image is older than the last one.
         """
         image, rocks = measurement, self.tracker.filter
-        if not image.time >= self._time:
-            raise InputError(
-                "image.time", image.time,
-                f"must not be before the last image at {self._time} s",
-            )  # fmt: skip
+        check_time("image.time", image.time, self._time)
         self._time = image.time
         self.refresh(image.time)
         health = self.health.before_detection(image.counts, image.camera, estimate)
@@ -534,9 +531,10 @@ def _check_sun(sun: ArrayLike, elevation: float) -> None:
     `sun` (3,) is the direction towards the Sun, and `elevation` that of the model, rad.
     """
     direction = unit_vector(sun)
-    if not abs(float(np.arcsin(direction[2])) - elevation) < _MAX_SUN_ELEVATION_ERROR_RAD:
+    given = float(np.arcsin(direction[2]))
+    if not abs(given - elevation) < _MAX_SUN_ELEVATION_ERROR_RAD:
         raise InputError(
-            "sun",
-            sun,
-            f"must have an elevation of {np.rad2deg(elevation):.1f} deg, as in the shadow model",
-        )
+            "sun", sun,
+            f"must have the elevation of the shadow model, {np.rad2deg(elevation):.2f} deg, "
+            f"not {np.rad2deg(given):.2f} deg", show_value=False,
+        )  # fmt: skip

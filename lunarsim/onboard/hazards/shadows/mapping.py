@@ -116,7 +116,7 @@ class ShadowMapping:
             raise InputError("sensors", self.sensors, "must name each camera once")
         if self.sensors and self.sensor not in ("camera", *self.sensors):
             raise InputError(
-                "sensor", self.sensor, f"must be omitted or one of sensors, {self.sensors}"
+                "sensor", self.sensor, "must be omitted or name one of the cameras in sensors"
             )
 
     def check_terrain_mapper(self, parts: Mapping[str, Any]) -> None:
@@ -139,7 +139,7 @@ class ShadowMapping:
             raise InputError(
                 "terrain_mapper",
                 self.terrain_mapper,
-                "is unknown",
+                "must name a mapper that provides elevations",
                 suggestion(self.terrain_mapper, able),
             )
 
@@ -165,8 +165,9 @@ class ShadowMapping:
         """
         if not isinstance(navigation, Navigator) or navigation.rocks is None:
             raise InputError(
-                "navigation.kind", type(navigation).__name__, 'must be "rocks" for a shadow mapper'
-            )
+                "navigation.kind", type(navigation), "must be 'rocks' if a mapper detects shadows",
+                show_value=False,
+            )  # fmt: skip
         lander = briefing.lander
         grid = map_grid(briefing.target, self.size, self.posting, lander)
         elevation = float(np.arcsin(np.clip(briefing.sun[2], -1.0, 1.0)))

@@ -29,7 +29,7 @@ def checked_form(form: str) -> Form:
     for known in get_args(Form):
         if form == known:
             return known  # type: ignore[no-any-return]
-    raise InputError("cover_model", form, f"must be {' or '.join(get_args(Form))}")
+    raise InputError("cover_model", form, f"must be {' or '.join(map(repr, get_args(Form)))}")
 
 
 def cover_probability(

@@ -59,10 +59,12 @@ class HazardPrior:
     def __post_init__(self) -> None:
         check_types("prior", self)
         golombek_cover(1.0, self.cover)  # raises for a cover that is not a fraction
-        if not 0.0 < self.min_diameter < self.max_diameter < np.inf:
+        if not 0.0 < self.max_diameter < np.inf:
+            raise InputError("prior.max_diameter", self.max_diameter, "must be positive and finite")
+        if not 0.0 < self.min_diameter < self.max_diameter:
             raise InputError(
                 "prior.min_diameter", self.min_diameter,
-                f"must be between 0 and {self.max_diameter} m",
+                f"must be positive and less than max_diameter, which is {self.max_diameter:g} m",
             )  # fmt: skip
 
 

@@ -34,6 +34,7 @@ from lunarsim.onboard.perception.sun_direction import (
     shadow_length_ratio,
     unit_vector,
 )
+from lunarsim.value_checks import check_elements, check_time
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -135,11 +136,9 @@ class RockTracker:
         xy = np.asarray(xy, dtype=np.float64).reshape(-1, 2)
         n = len(xy)
         arrays = [np.broadcast_to(np.asarray(v, float), n) for v in (sigma, radius, radius_sigma)]
-        if not all(np.isfinite(a).all() and (a > 0.0).all() for a in arrays):
-            raise InputError(
-                "rocks.known", None, "must have positive, finite radii and standard deviations",
-                show_value=False,
-            )  # fmt: skip
+        for name, array in zip(("sigma", "radius", "radius_sigma"), arrays, strict=True):
+            is_valid = np.isfinite(array) & (array > 0.0)
+            check_elements(name, array, is_valid, "must be positive and finite")
         self.filter.add_known(xy, arrays[0], arrays[1], arrays[2] ** 2)
         self.existence = np.concatenate((self.existence, np.full(n, 0.99)))
         self.hits = np.concatenate((self.hits, np.ones(n, np.int64)))
@@ -277,14 +276,12 @@ class RockTracker:
         axes of the terrain plane (third axis: its normal); `time` is that of the image, s.
         """
         s = self.settings
-        if not self._last_time <= time < np.inf:
-            raise InputError(
-                "image.time", time, f"must not be before the last image at {self._time} s"
-            )
+        check_time("image.time", time, self._last_time)
         if not np.hypot(*sun[:2]) > 0.0:
             raise InputError(
-                "sun", sun, "must not point to the zenith, where shadows have no direction"
-            )
+                "sun", sun, "must not be normal to the terrain",
+                "Shadows then have no direction.",
+            )  # fmt: skip
         # Under a low Sun, observations are less accurate along it only, so the limit for new rocks
         # scales with the scatter. The error of the shadow model along the Sun grows with the shadow
         # length.

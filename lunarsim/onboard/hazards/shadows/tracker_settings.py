@@ -8,6 +8,7 @@ import numpy as np
 
 from lunarsim.errors import InputError, check_types
 from lunarsim.onboard.navigation.rock_filter import MapRegion
+from lunarsim.value_checks import check_elements
 
 
 @dataclass(frozen=True)
@@ -86,7 +87,9 @@ class TrackerSettings:
                      "radius_floor", "max_normalised_innovation", "min_expected_rocks", "large",
                      "max_rocks", "max_position_updates"):  # fmt: skip
             if not 0.0 <= getattr(self, name) < np.inf:
-                raise InputError(f"tracker.{name}", getattr(self, name), "must be 0 or positive")
+                raise InputError(
+                    f"tracker.{name}", getattr(self, name), "must be 0 or more, and finite"
+                )
         if not 0.0 <= self.min_found_fraction <= 1.0:
             raise InputError(
                 "tracker.min_found_fraction", self.min_found_fraction, "must be between 0 and 1"
@@ -95,12 +98,11 @@ class TrackerSettings:
             limits = np.shape(self.region) == (4,)
             if not (limits and self.region[0] < self.region[1] and self.region[2] < self.region[3]):
                 raise InputError(
-                    "tracker.region", self.region, "must have west < east and south < north"
+                    "tracker.region",
+                    self.region,
+                    "must be west, east, south and north in this order",
                 )
-        shares = np.ravel((*np.atleast_1d(self.view_wander), self.common_pixels))
-        if not (len(shares) == 4 and np.isfinite(shares).all() and (shares >= 0.0).all()):
-            given = (self.view_wander, self.common_pixels)
-            raise InputError(
-                "tracker.view_wander, tracker.common_pixels", given,
-                "must be three numbers and one number, each 0 or positive",
-            )  # fmt: skip
+        for name in ("view_wander", "common_pixels"):
+            shares = np.asarray(getattr(self, name))
+            is_valid = np.isfinite(shares) & (shares >= 0.0)
+            check_elements(f"tracker.{name}", shares, is_valid, "must be 0 or more, and finite")

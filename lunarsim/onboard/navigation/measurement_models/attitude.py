@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lunarsim.errors import InputError
 from lunarsim.frames import (
     is_rotation,
     normalised,
@@ -17,6 +16,7 @@ from lunarsim.frames import (
 )
 from lunarsim.onboard.navigation.error_state import MAP, ErrorState, UpdateOutcome
 from lunarsim.onboard.navigation.inertial import ATTITUDE
+from lunarsim.value_checks import check_shape
 
 # Second-order errors are added if they exceed this fraction of the noise variance.
 _MIN_SECOND_ORDER_SHARE = 1e-2
@@ -54,10 +54,8 @@ def update_with_attitude(
         If an array has a wrong shape.
     """
     q, r = np.asarray(attitude, np.float64), np.asarray(covariance, np.float64)
-    if q.shape != (4,) or r.shape != (3, 3):
-        raise InputError(
-            "attitude", (q.shape, r.shape), "must be a quaternion (4,) and a covariance (3, 3)"
-        )
+    check_shape("attitude", q, (4,))
+    check_shape("covariance", r, (3, 3))
     if not (is_rotation(q) and is_symmetric(r)):
         return UpdateOutcome(np.nan, 3, False)
     estimated = state.inertial.attitude

@@ -49,7 +49,7 @@ def test_a_fit_finds_what_the_second_map_knows():
     assert told.other == 0.0
     few = FusedCalibration.fit(expit(x), expit(y), seen, safe, ~safe, site_weight=1e-6)
     assert (few.intercept, few.slope, few.other) == pytest.approx((0.0, 1.0, 0.0), abs=0.05)
-    with pytest.raises(InputError, match="both safe and unsafe"):
+    with pytest.raises(InputError, match="safe and unsafe sites"):
         FusedCalibration.fit([0.5], [0.5], [True], [3], [0])
 
 
@@ -57,7 +57,7 @@ def test_a_fit_finds_what_the_second_map_knows():
     ("content", "told"),
     [
         (None, "an existing file"), ("{", "JSON"), ("[]", "format"),
-        ({"intercept": 0.0, "slope": 1.0}, "must contain other"),
+        ({"intercept": 0.0, "slope": 1.0}, "contains 'other'"),
         ({"intercept": 0.0, "slope": -1.0, "other": 0.0}, "0 or more"),
         ({"intercept": "x", "slope": 1.0, "other": 0.0}, "a number"),
         ({"intercept": 0.0, "slope": 1e999, "other": 0.0}, "finite"),
@@ -98,7 +98,7 @@ def test_a_feature_is_a_second_map_of_elevations_with_a_weight(tmp_path):
     file = tmp_path / "c.json"
     with pytest.raises(InputError, match=r"calibration_mapper: .* got 'tree'"):
         FusedMapperSettings(calibration_mapper="tree")
-    with pytest.raises(InputError, match="without calibration_mapper"):
+    with pytest.raises(InputError, match="if calibration_mapper is omitted"):
         FusedMapperSettings(calibration_path=file)
     part = FusedMapperSettings(calibration_path=file, calibration_mapper="tree")
     parts = {"dem": GaussianDemMapperSettings(), "tree": QuadtreeMapperSettings(), "all": part}

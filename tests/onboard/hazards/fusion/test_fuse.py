@@ -109,7 +109,7 @@ def test_a_map_of_rocks_alone_is_its_own_times_what_is_expected_of_the_ground():
     assert np.array_equal(alone.p_safe, np.float32(0.9) * own.hazard_map.p_safe)
     assert alone.observed.all()
     assert not alone.in_domain.any()
-    with pytest.raises(InputError, match="evidence"):
+    with pytest.raises(InputError, match="elevations, rocks: must not both"):
         fuse_evidence(None, None, TERMS)
     for prior in (1.0, -0.1, np.nan):
         with pytest.raises(InputError, match="terrain_prior"):

@@ -158,7 +158,7 @@ def test_ground_that_was_drawn_before_it_was_judged_is_another_when_it_is_drawn_
 def test_it_takes_no_measurement_and_is_made_of_something():
     with pytest.raises(InputError, match="measurement"):
         FusedMapper({"own": Made()}, TERMS).update(1.0, None)
-    with pytest.raises(InputError, match="inputs"):
+    with pytest.raises(InputError, match="mappers: must not be empty"):
         FusedMapper({}, TERMS)
 
 
@@ -171,7 +171,7 @@ def test_left_out_it_is_made_of_all_that_publish():
     assert list(parts["all"].fused_mappers(parts)) == ["dem", "eye"]
     assert list(FusedMapperSettings(("eye",)).fused_mappers(parts)) == ["eye"]
     parts["mine"] = SimpleNamespace(sensor="flash")
-    with pytest.raises(InputError, match="provides elevations or rocks"):
+    with pytest.raises(InputError, match="provide elevations or rocks"):
         FusedMapperSettings(("mine",)).fused_mappers(parts)
 
 

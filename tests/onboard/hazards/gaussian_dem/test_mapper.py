@@ -179,7 +179,7 @@ def test_a_lander_larger_than_any_map_is_refused_before_it_is_drawn():
     "safety", ["typo", "", None, "Calibrated", ["calibrated"], np.array("level")]
 )
 def test_a_safety_that_there_is_not_is_refused(safety):
-    with pytest.raises(InputError, match="calibrated, level or planes"):
+    with pytest.raises(InputError, match="'calibrated', 'level' or 'planes'"):
         GaussianDemMapper(GRID, Lander(), safety=safety)
 
 

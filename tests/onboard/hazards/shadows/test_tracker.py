@@ -70,7 +70,7 @@ def test_doubles_are_merged_and_ghosts_pruned():
 
 
 def test_known_rocks_must_be_numbers():
-    with pytest.raises(InputError, match=r"rocks\.known"):
+    with pytest.raises(InputError, match=r"sigma\[0\]: must be positive and finite"):
         tracker_at((0.0, 0.0, 50.0)).add_known([[0.0, 0.0]], -1.0, 1.0, 0.1)
 
 
