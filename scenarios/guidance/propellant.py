@@ -179,7 +179,7 @@ def _minimum_propellant(task: PropellantTask, flight: Simulation) -> float:
     except (InputError, SolverError) as error:
         raise InputError(
             "--position-sigma, --velocity-sigma", [task.position_sigma, task.velocity_sigma],
-            f"must give feasible starts (flight {task.flight} of seed {task.seed})", str(error),
+            f"must be smaller, because flight {task.flight} has no feasible descent", str(error),
         ) from None  # fmt: skip
 
 
