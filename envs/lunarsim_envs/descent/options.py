@@ -68,7 +68,8 @@ def apply_options(
             cover = float(_checked_numbers(key, value, np.zeros(1))[0])
         elif key in KEYS:
             raise InputError(
-                f"options.{key}", value, "must be omitted, because this environment does not simulate the Sun",
+                f"options.{key}", value,
+                "must be omitted, because this environment does not simulate the Sun",
                 show_value=False,
             )  # fmt: skip
         else:
