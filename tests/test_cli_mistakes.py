@@ -124,7 +124,7 @@ OWN = {
          ["--agent: ", "got 'json:gone'", "AttributeError"]),
         (["Guidance-v0", "--agent", "safest"], ["--agent: ", "got 'safest'", "needs Retarget-v0"]),
         (["Control-v0", "--agent", "apollo"], ["--agent: ", "got 'apollo'", "needs Guidance-v0"]),
-        (["Guidance-v0", "--agent", "zero", "--agent", "zero"], ["--agent", "name that no other agent has"]),
+        (["Guidance-v0", "--agent", "zero", "--agent", "zero"], ["--agent", "no other agent has"]),
         (["Guidanse-v0", "--agent", "zero"], ["Did you mean 'lunarsim/Guidance-v0'"]),
         (["gone:x-v0", "--agent", "zero"], ["env: ", "got 'gone:x-v0'", "can be imported"]),
         (["Guidance-v0", "--agent", "zero", "--episodes", "0"], ["--episodes", "0", "x>=1"]),

@@ -99,8 +99,8 @@ def draw_start(
         raise InputError(
             "start.position_m[2]",
             start.position[2],
-            f"must be larger, because the terrain below the start is {elevation - site[2]:.0f} m "
-            "above the target",
+            f"must be above {elevation - site[2] + lander.com_height:.1f} m, the height of a "
+            "lander on the terrain below, also with the error position_sigma_m",
         )
     mass = lander.wet_mass
     up = attitude_from_thrust([0.0, 0.0, 1.0], start.heading)

@@ -184,7 +184,7 @@ def test_a_network_is_its_layers_and_comes_back_from_its_file(env, tmp_path):
         ({"weights": network().weights[:2], "biases": network().biases[:2]}, "actions with 4"),
         ({"far": np.ones(14, np.float32)}, "scales are missing"),
         ({"weights": tuple(w * np.nan for w in network().weights)}, "not finite"),
-        ({"weights": network().weights[1:], "biases": network().biases[1:]}, "a layer has weights of shape"),
+        ({"weights": network().weights[1:], "biases": network().biases[1:]}, "weights of shape"),
     ],
     ids=str,
 )  # fmt: skip

@@ -143,7 +143,8 @@ def test_the_whole_computer_refuses_what_no_scenario_may_say(options, says):
         ({"target_m": [0.0, -6.0], "target_scatter_m": [0.0, 3.0]}, r"_m\[1\]: .* -5 and 5"),
         ({"target_m": [-6.0, 0.0], "target_scatter_m": [3.0, 0.0]}, r"_m\[0\]: .* -5 and 5"),
         ({"target_scatter_m": [-1.0, 0.0]}, r"scatter_m\[0\]: must be between 0 and 5000"),
-        ({"sun_elevation_deg": 5.0}, "simulate the Sun"), ({"covers": 0.05}, "Did you mean 'cover'"),
+        ({"sun_elevation_deg": 5.0}, "simulate the Sun"),
+        ({"covers": 0.05}, "Did you mean 'cover'"),
     ],
 )  # fmt: skip
 @pytest.mark.parametrize("kind", [GuidanceEnv, ControlEnv, RetargetVectorEnv])

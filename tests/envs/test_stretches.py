@@ -234,7 +234,7 @@ def test_actions_that_are_none_are_refused_and_change_nothing(action):
     env = made()
     env.reset(seed=1)
     before = env.flight.time
-    with pytest.raises(ValueError, match="site from 0 to 20, time_scale from 0 to 4"):
+    with pytest.raises(ValueError, match=r"for site, time_scale, got|between 0 and"):
         env.step(action)
     assert env.flight.time == before
     batch = RetargetVectorEnv(2, action=BOTH, **SITE)
@@ -294,7 +294,7 @@ def test_a_part_of_ones_own(monkeypatch):
         with pytest.raises(InputError, match=says):
             actions.register(part)
     for part, says in (
-        (ActionComponent("c", "time_scale", 2, "", lambda s, c: s.site), r"action 'c': must have shape"),
+        (ActionComponent("c", "time_scale", 2, "", lambda s, c: s.site), "'c': must have shape"),
         (ActionComponent("d", "time_scale", 2, "", lambda s, c: -1.0 * c), "positive and finite"),
         (ActionComponent("e", "time_scale", 2, "", slow.of, lambda s: s.here > 0), "open"),
     ):  # fmt: skip

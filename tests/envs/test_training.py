@@ -131,7 +131,7 @@ def test_a_batch_is_what_stable_baselines3_takes(tmp_path):
             assert seen[lane, 2] == 40.0 if lane < 4 else seen[lane, 2] < 36.0
         assert not any(told[lane] for lane in np.flatnonzero(~over))
     assert ends > 8
-    with pytest.raises(ValueError, match="must be AutoresetMode.SAME_STEP"):
+    with pytest.raises(ValueError, match=r"must be AutoresetMode\.SAME_STEP"):
         Sb3VecEnv(batch(IDS[0], 8))
     with warnings.catch_warnings():
         warnings.simplefilter("error")

@@ -246,7 +246,8 @@ class SiteActions:
         given = _array(action)
         if given.shape != shape or given.dtype.kind not in "iu":
             raise ValueError(
-                f"{field}: must be integers of shape {shape}, got {_given_text(action)}."
+                f"{field}: must be integers of shape {shape} for "
+                f"{', '.join(part.name for part in self.parts)}, got {_given_text(action)}."
             )
         wide = given.reshape(-1, len(self.parts))
         outside = (wide < 0) | (wide >= np.array(self.counts))
