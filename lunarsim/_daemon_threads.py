@@ -64,8 +64,8 @@ class DaemonThreads:
                 if started:
                     break
                 raise NoThreadError(
-                    f"no thread starts ({error}). If the main thread has ended, let it wait for "
-                    "the others: thread.join()"
+                    f"Python cannot start a thread ({error}). If the main thread has ended, let it "
+                    "wait for the other threads: thread.join()"
                 ) from None
         self._calls = calls
         return calls

@@ -10,6 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lunarsim.errors import error_reason
+
 # Maximum uncompressed size of an archive, bytes. The largest file of the package has 3 MB.
 MAX_ARRAY_BYTES = 64_000_000
 
@@ -38,7 +40,7 @@ def read_arrays(path: Path, max_bytes: int = MAX_ARRAY_BYTES) -> dict[str, NDArr
     except (MemoryError, RecursionError):
         raise ValueError("an array is larger than the file") from None
     except Exception as error:  # zipfile, zlib and NumPy raise many types on damaged files
-        raise ValueError(str(error).split("\n")[0] or type(error).__name__) from None
+        raise ValueError(error_reason(error)) from None
 
 
 def _read_member(file: zipfile.ZipFile, member: zipfile.ZipInfo) -> bytes:
@@ -48,7 +50,7 @@ def _read_member(file: zipfile.ZipFile, member: zipfile.ZipInfo) -> bytes:
     that NumPy does not use raise an error, because they cannot be limited.
     """
     if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
-        raise ValueError("the compression method is not one that NumPy uses")
+        raise ValueError("NumPy does not use this compression method")
     with file.open(member) as stream:
         return stream.read(member.file_size)
 

@@ -114,7 +114,7 @@ def evaluate(
     from lunarsim_envs.evaluation.tables import agents_table, differences_table
 
     if within == float("inf"):
-        raise InputError("--within", within, "must be a finite distance in m")
+        raise InputError("--within", within, "must be finite")
     if out is not None:
         check_folder(out)
     given: dict[str, Any] = {} if perception is None else {"perception": perception}

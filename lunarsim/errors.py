@@ -142,6 +142,13 @@ def _format_value(value: object) -> str:
     return f"{text[:half]} ... {text[-half:]}"
 
 
+def error_reason(error: Exception) -> str:
+    """Return the first line of an error's message; for a `KeyError`, that the key is missing."""
+    if isinstance(error, KeyError):
+        return f"{error} is missing"
+    return str(error).split("\n", maxsplit=1)[0] or type(error).__name__
+
+
 class NoThreadError(RuntimeError):
     """Error: no thread can be started any more in this process."""
 

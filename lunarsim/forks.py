@@ -35,8 +35,8 @@ def check() -> None:
     """
     if _state["is_unsafe"]:
         raise RuntimeError(
-            "This process was forked after a flight; OpenMP and OpenGL do not survive that. Start "
-            'processes with multiprocessing.get_context("spawn"), environments with '
+            "A process that is forked after a flight cannot use OpenMP or OpenGL. Start it with "
+            'multiprocessing.get_context("spawn"), or environments with '
             'vector_kwargs={"context": "spawn"}.'
         )
 

@@ -51,8 +51,8 @@ def check_raster_size(
     if not count <= max_cells_per_side:
         raise InputError(
             field, size,
-            f"must be at most {max_cells_per_side} {what} of {posting:g} m per side, "
-            f"but is {count:.4g} ({format_bytes(4.0 * count * count)})",
+            f"must be at most {max_cells_per_side * posting:g} m, {max_cells_per_side} {what} of "
+            f"{posting:g} m (this size needs {format_bytes(4.0 * count * count)})",
         )  # fmt: skip
 
 
@@ -81,7 +81,7 @@ class Grid:
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.posting) and self.posting > 0.0):
-            raise InputError("grid.posting", self.posting, "must be a positive length in m")
+            raise InputError("grid.posting", self.posting, "must be positive and finite")
         if self.rows < 1 or self.cols < 1:
             raise InputError("grid.shape", self.shape, "must have at least one row and one column")
 

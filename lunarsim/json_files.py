@@ -24,7 +24,7 @@ def read_json(path: Path) -> Any:
         found = json.loads(path.read_text(encoding="utf-8"))
         json.dumps(found, ensure_ascii=False).encode()  # fails for unpaired surrogates
     except RecursionError:
-        raise ValueError("nested too deep") from None
+        raise ValueError("its values are nested too deep") from None
     except OSError as error:
         raise ValueError(error.strerror or "the file cannot be read") from None
     return found

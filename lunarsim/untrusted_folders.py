@@ -47,5 +47,7 @@ def read_bounded_bytes(path: Path) -> bytes:
         If the file has more than `MAX_FILE_BYTES` bytes.
     """
     if path.stat().st_size > MAX_FILE_BYTES:
-        raise InputError("folder", str(path), f"must have at most {MAX_FILE_BYTES} bytes")
+        raise InputError(
+            "folder", str(path), f"must not contain a file of more than {MAX_FILE_BYTES} bytes"
+        )
     return path.read_bytes()

@@ -207,7 +207,7 @@ def main(
     """Fly the three paths over the same fields and compare their maps."""
     console = plain_console(150)
     if points and sensors not in {"all", "camera"}:
-        raise click.BadParameter("must be camera (or all) with --sobol", param_hint="--sensors")
+        raise click.BadParameter("must be 'camera' or 'all' with --sobol", param_hint="--sensors")
     try:
         results = FlightStore(json_file, {"seed": seed, "sobol": points > 0})
     except InputError as error:

@@ -57,8 +57,8 @@ class FusionFlightStore:
         if there != settings or not isinstance(flights, dict):
             other = [key for key, value in settings.items() if there.get(key) != value]
             raise click.BadParameter(
-                f"{path} holds flights with another {' and '.join(other) or 'study'}. Delete it or "
-                "name another file.", param_hint="--json",
+                f"{path} contains flights with another {' and '.join(other) or 'study'}. Delete "
+                "this file or name another one.", param_hint="--json",
             )  # fmt: skip
         self.flights = flights
 

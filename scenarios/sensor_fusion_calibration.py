@@ -103,8 +103,8 @@ def main(file: Path, out: Path | None) -> None:
         ) from None
     if len(all_counts) < 2:
         raise click.BadParameter(
-            f"{file} must hold flights of two study conditions (rows) or more: each row is "
-            f"evaluated by a fit to the other rows",
+            f"{file} must contain flights of two or more study conditions (rows), because each "
+            "row is evaluated by a fit to the other rows",
             param_hint="FILE",
         )
     console, lander = plain_console(140), Lander()

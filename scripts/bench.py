@@ -63,7 +63,7 @@ def main(parts: tuple[str, ...]) -> None:
     """Run the benchmarks named by PARTS (default: all) and print times and ratios."""
     unknown = [name for name in parts if name not in PARTS]
     if unknown:
-        raise click.UsageError(f"PARTS: must be among {', '.join(PARTS)}, got {unknown[0]}")
+        raise click.UsageError(f"PARTS: must be among {', '.join(PARTS)}, got {unknown[0]!r}.")
     print(
         f"{os.cpu_count()} cores, {numba.get_num_threads()} threads; reference: SciPy triangulates "
         f"the returns of one scan in {reference_ms():.0f} ms"

@@ -89,19 +89,18 @@ def check(complete: bool, jobs: int, threads: int) -> None:
     """Compare results of the working tree with the record; status 1 if changed."""
     path = OUT / "recorded.json"
     if not path.is_file():
-        raise click.UsageError("no record exists. Run `golden.py record --at REVISION` first.")
+        raise click.UsageError("No record exists. Run `golden.py record --at REVISION` first.")
     recorded = json.loads(path.read_text(encoding="utf-8"))
     if recorded["machine"] != _machine():
         raise click.UsageError(
-            "the record is from another machine or other packages. Record again with --at. "
-            "Recorded: "
-            f"{recorded['machine']}, here: {_machine()}"
+            "The record is from another machine or other packages. Record again with --at. "
+            f"Recorded: {recorded['machine']}, here: {_machine()}"
         )
     cases = COMPLETE if complete else CASES
     missing = [name for name in cases if name not in recorded["cases"]]
     if missing:
         raise click.UsageError(
-            f"cases not recorded: {', '.join(missing)}. Record with the same options."
+            f"The record lacks cases: {', '.join(missing)}. Record with the same options."
         )
     found = _run(ROOT, cases, jobs, threads)
     lines = [line for name in cases for line in changes(name, recorded["cases"][name], found[name])]

@@ -152,7 +152,7 @@ def main(results_file: Path | None, command: str) -> None:
     """Update the tables of the pages on LiDAR maps; optionally store new results."""
     if results_file is not None:
         if not command:
-            raise click.UsageError("--command: must be given with --store")
+            raise click.UsageError("--command: must be given together with --store")
         store(json.loads(results_file.read_text(encoding="utf-8")), command)
     stored = load()
     for page, parts in PAGES.items():

@@ -136,7 +136,7 @@ def tests_of(path: str) -> list[str]:
     found = list(_TESTS.get(path, (mirrored,)))
     for test in found:
         if not (ROOT / test).exists():
-            raise BrokenTestsError(f"{test}: must exist, it contains the tests of {path}")
+            raise BrokenTestsError(f"{test}: must exist, because it contains the tests of {path}")
     return found
 
 

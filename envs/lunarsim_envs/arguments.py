@@ -48,9 +48,7 @@ def scenario_argument(source: Any, changes: Any, default: Scenario) -> Scenario:
         )
     named = {} if changes is None else changes
     if not isinstance(named, Mapping) or not all(isinstance(key, str) for key in named):
-        raise InputError(
-            "changes", changes, "must map keys to values, such as {'rocks.cover': 0.1}"
-        )
+        raise InputError("changes", changes, "must be a dictionary, such as {'rocks.cover': 0.1}")
     return with_values(scenario, named, "changes")
 
 
@@ -60,7 +58,7 @@ def checked_int(field: str, value: Any, minimum: int) -> int:
     Otherwise an `InputError` for the argument `field` is raised.
     """
     if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < minimum:
-        raise InputError(field, value, f"must be an integer of at least {minimum}")
+        raise InputError(field, value, f"must be an integer of {minimum} or more")
     return int(value)
 
 
@@ -96,7 +94,7 @@ def checked_weights(weights: Any, weights_class: type[Weights]) -> Weights | Non
         raise InputError(
             "weights",
             weights,
-            f"must be {weights_class.__module__}.{weights_class.__name__} or None",
+            f"must be a {weights_class.__module__}.{weights_class.__name__}, or None",
         )
     return weights
 
@@ -109,7 +107,7 @@ def checked_options(options: Any) -> dict[str, Any]:
     named = {} if options is None else options
     if not isinstance(named, Mapping) or not all(isinstance(key, str) for key in named):
         raise InputError(
-            "options", options, "must map names to values, such as {'position_m': (0, 0, 500)}"
+            "options", options, "must be a dictionary, such as {'position_m': (0, 0, 500)}"
         )
     return dict(named)
 

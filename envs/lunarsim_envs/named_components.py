@@ -20,19 +20,22 @@ def named_parts(field: str, names: Sequence[str], known: Mapping[str, Part]) -> 
     """
     listed = isinstance(names, Sequence) and not isinstance(names, (str, bytes))
     if not listed or not len(names) or not all(isinstance(name, str) for name in names):
-        raise InputError(field, names, "must be a non-empty list of names")
+        raise InputError(field, names, "must be a list of one name or more")
     for name in names:
         if name not in known:
-            raise InputError(field, name, "is not a known component", suggestion(name, known))
-    if len(set(names)) < len(names):
-        raise InputError(field, list(names), "must not repeat a name")
+            raise InputError(
+                field, name, "must contain only known components", suggestion(name, known)
+            )
+    for name in names:
+        if names.count(name) > 1:
+            raise InputError(field, name, "must contain each name only once")
     return [known[name] for name in names]
 
 
 def check_new(name: str, known: Mapping[str, Any]) -> None:
     """Raise an `InputError` if a component of `known` has the name of a new component."""
     if name in known:
-        raise InputError("name", name, "is already registered")
+        raise InputError("name", name, "must not be the name of a registered component")
 
 
 def check_shape(field: str, value: Any, shape: tuple[int, ...]) -> None:
@@ -41,4 +44,8 @@ def check_shape(field: str, value: Any, shape: tuple[int, ...]) -> None:
     The first axis counts landers; `field` is the name of the component in the error.
     """
     if np.shape(value) != shape:
-        raise InputError(field, np.shape(value), f"must be an array of shape {shape}")
+        raise InputError(
+            field,
+            np.shape(value),
+            f"must have shape {shape}, in which the first axis counts landers",
+        )

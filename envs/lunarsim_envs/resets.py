@@ -19,11 +19,13 @@ def reset_mask(option: Any, lanes: int) -> NDArray[np.bool_]:
     if option is None:
         return np.ones(lanes, np.bool_)
     mask = np.asarray(option)
-    if mask.shape != (lanes,) or mask.dtype != np.bool_ or not mask.any():
+    if mask.shape != (lanes,) or mask.dtype != np.bool_:
         raise ValueError(
-            f"options['reset_mask']: must be {lanes} booleans with at least one true, "
-            f"got {option!r}."
+            f"options['reset_mask']: must be {lanes} booleans, got shape {mask.shape} and type "
+            f"{mask.dtype}."
         )
+    if not mask.any():
+        raise ValueError("options['reset_mask']: must be True for at least one environment.")
     return mask
 
 
@@ -56,10 +58,18 @@ def lane_seeds(
             raise ValueError(f"seed: must be 0 or more, got {seed!r}.")
         return [int(seed) + int(lane) for lane in lanes]
     if not isinstance(seed, (Sequence, np.ndarray)) or isinstance(seed, (str, bytes)):
-        raise ValueError(f"seed: must be an integer, one per environment or None, got {seed!r}.")
+        raise ValueError(
+            f"seed: must be an integer, a list with one integer per environment, or None, "
+            f"got {seed!r}."
+        )
     if len(seed) != len(mask):
-        raise ValueError(f"seed: must have length {len(mask)}, got length {len(seed)}.")
-    each = [seed[int(lane)] for lane in lanes]
-    if not all(one is None or (isinstance(one, (int, np.integer)) and one >= 0) for one in each):
-        raise ValueError(f"seed: must contain integers of 0 or more, or None, got {seed!r}.")
-    return [None if one is None else int(one) for one in each]
+        raise ValueError(
+            f"seed: must have {len(mask)} values, one per environment, got {len(seed)} values."
+        )
+    for lane in lanes:
+        one = seed[int(lane)]
+        if one is not None and not (isinstance(one, (int, np.integer)) and one >= 0):
+            raise ValueError(
+                f"seed[{lane}]: must be an integer of 0 or more, or None, got {one!r}."
+            )
+    return [None if seed[int(lane)] is None else int(seed[int(lane)]) for lane in lanes]

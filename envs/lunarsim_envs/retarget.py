@@ -28,6 +28,7 @@ from lunarsim_envs.frame_renderer import FrameRenderer
 from lunarsim_envs.frame_window import FrameWindow, available_render_modes
 from lunarsim_envs.rewards import RewardWeights, SiteRewards, sum_terms
 from lunarsim_envs.sites.actions import DEFAULT_ACTION, SiteActions
+from lunarsim_envs.sites.field_of_view import deciding_mapper
 from lunarsim_envs.sites.flights import KernelFlight
 from lunarsim_envs.sites.observations import DEFAULT, SiteObservationLayout
 from lunarsim_envs.sites.perception import FULL_SIMULATION, PERCEPTIONS, create_flight
@@ -63,8 +64,7 @@ def retarget_scenario(
         If the scenario has no mapper.
     """
     scenario = scenario_argument(source, changes, default_scenario())
-    if not scenario.mappers:
-        raise InputError("mappers", {}, "must have at least one table [mappers.NAME]")
+    deciding_mapper(scenario)
     return scenario
 
 
@@ -234,7 +234,9 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], Any]):
         world_seed = checked_int("world_seed", world_seed, 0)
         if views and (render_mode is None or perception not in FULL_SIMULATION):
             named = ", ".join(map(repr, FULL_SIMULATION))
-            raise InputError("views", views, f"needs a render_mode and a perception from {named}")
+            raise InputError(
+                "views", views, f"needs a render_mode and one of the perceptions {named}"
+            )
         # The class always lists "human", because Gymnasium checks the class before the instance.
         self.metadata = self.metadata | {"render_modes": available_render_modes(modes)}
         self.scenario = retarget_scenario(scenario, changes)

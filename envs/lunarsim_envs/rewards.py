@@ -54,8 +54,9 @@ class RewardWeights(SiteReward):
         if not self.safe > least:
             raise InputError(
                 "weights.safe", self.safe,
-                f"must be more than {least:g}, otherwise a crash may return more than a safe "
-                "landing",
+                f"must be above {least:g}, otherwise a crash may have a higher total reward than a "
+                "safe landing",
+                "The other weights of [site_reward], except shaping, set this limit.",
             )  # fmt: skip
 
 

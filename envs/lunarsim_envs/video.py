@@ -123,9 +123,9 @@ def save_video(frames: Sequence[NDArray[np.uint8]], path: str | Path, fps: float
     path = Path(path)
     shapes = {frame.shape for frame in frames}
     if len(shapes) != 1:
-        raise InputError("frames", sorted(shapes), "must be one or more images of one size")
+        raise InputError("frames", sorted(shapes), "must be one or more images of the same size")
     if not 0.1 <= fps <= 100.0:
-        raise InputError("fps", fps, "must be from 0.1 to 100 frames per second")
+        raise InputError("fps", fps, "must be between 0.1 and 100 (images per second)")
     writers = {".gif": _gif, ".mp4": _mp4}
     if path.suffix.lower() not in writers:
         raise InputError("path", str(path), "must be a file name that ends in .gif or .mp4")
@@ -146,7 +146,9 @@ def _mp4(frames: Sequence[NDArray[np.uint8]], path: Path, fps: float) -> None:
     try:
         film = cv2.VideoWriter(str(named), cv2.VideoWriter.fourcc(*"mp4v"), fps, (cols, rows))
         if not film.isOpened():
-            raise InputError("path", str(path), "this OpenCV cannot write MP4", "Use .gif.")
+            raise InputError(
+                "path", str(path), "must end in .gif, because the installed OpenCV cannot write MP4"
+            )
         for frame in frames:
             film.write(cv2.cvtColor(frame, cv2.COLOR_RGB2BGR))
         film.release()

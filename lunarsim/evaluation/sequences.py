@@ -35,7 +35,7 @@ def share_confidence_sequence(count: int, total: int, level: float = 0.95) -> tu
     (0.591, 0.996)
     """
     if not 0 <= count <= total:
-        raise ValueError(f"count: must be from 0 to {total}, got {count}.")
+        raise ValueError(f"count: must be between 0 and total ({total}), got {count}.")
     if total == 0:
         return 0.0, 1.0
     failures = total - count

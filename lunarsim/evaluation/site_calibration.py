@@ -318,10 +318,10 @@ def check_site_counts(sites: SiteSamples) -> None:
     safe, known = sites.safe, sites.known
     if not (has_enough_sites(safe[known]) or has_enough_sites(safe[~known])):
         raise InputError(
-            "safe sites", f"{safe.sum()} of {len(safe)}",
-            f"must be at least {MIN_SITES_PER_CLASS} safe and {MIN_SITES_PER_CLASS} unsafe "
-            "sites, even without one of the flights",
-            "Use more flights or sites, or a scenario with both kinds of terrain.",
+            "sites", len(safe),
+            f"must include {MIN_SITES_PER_CLASS} safe and {MIN_SITES_PER_CLASS} unsafe sites, also "
+            f"without any one flight, but {safe.sum()} of {len(safe)} are safe",
+            "Use more flights, or a scenario with both kinds of terrain.", show_value=False,
         )  # fmt: skip
 
 

@@ -33,7 +33,7 @@ class TruthMesh:
             raise InputError(
                 "truth.spacing",
                 spacing,
-                f"must be from {grid.posting} m to half the side of the map",
+                f"must be between the posting of the map ({grid.posting} m) and half its side",
             )
         self.spacing = n * grid.posting
         self.z = z[: rows * n, : cols * n].reshape(rows, n, cols, n).mean(axis=(1, 3))

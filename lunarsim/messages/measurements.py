@@ -118,7 +118,9 @@ class LidarScan:
         shape = self.shape
         if not (np.shape(shape) == (2,) and all(isinstance(k, int | np.integer) for k in shape)
                 and min(shape) >= 0):  # fmt: skip
-            raise InputError("scan.shape", shape, "must be two integers: rows and columns")
+            raise InputError(
+                "scan.shape", shape, "must be two integers of 0 or more: rows and columns"
+            )
         n = int(np.prod(shape))
         wanted = {"range": (n,), "sigma": (n,), "direction": (n, 3), "mount": (3, 3)}
         for name, size in wanted.items():
@@ -152,24 +154,27 @@ class LidarScan:
         self.check_arrays()
         returned = ~np.isnan(self.range)
         for name in ("range", "sigma"):
-            values = getattr(self, name)[returned]
-            wrong = ~((values > 0.0) & np.isfinite(values))
+            values = getattr(self, name)
+            wrong = returned & ~((values > 0.0) & np.isfinite(values))
             if wrong.any():
-                problem = "must be positive and finite for returns"
-                raise InputError(
-                    f"scan.{name}", float(values[wrong][0]), problem, "Use NaN for no return."
-                )
+                i = int(wrong.argmax())
+                problem = "must be positive and finite"
+                remedy = f"If the ray has no return, set scan.range[{i}] to NaN."
+                raise InputError(f"scan.{name}[{i}]", float(values[i]), problem, remedy)
         if not np.allclose(self.mount @ self.mount.T, np.eye(3), atol=1e-6):
-            raise InputError(
-                "scan.mount", np.asarray(self.mount).tolist(), "must be a rotation matrix (3, 3)"
-            )
-        if not (np.shape(position) == (3,) and np.isfinite(position).all()):
-            raise InputError(
-                "estimate.position", np.asarray(position).tolist(), "must be finite, shape (3,)"
-            )
-        if not (np.shape(attitude) == (4,) and abs(np.linalg.norm(attitude) - 1.0) < 1e-3):
-            problem = "must be a unit quaternion (4,)"
-            raise InputError("estimate.attitude", np.asarray(attitude).tolist(), problem)
+            problem = "must be a rotation matrix, so that mount @ mount.T is the identity"
+            raise InputError("scan.mount", self.mount, problem, show_value=False)
+        if np.shape(position) != (3,):
+            raise InputError("estimate.position", np.shape(position), "must have shape (3,)")
+        for i, value in enumerate(np.asarray(position).tolist()):
+            if not np.isfinite(value):
+                raise InputError(f"estimate.position[{i}]", value, "must be finite")
+        if np.shape(attitude) != (4,):
+            raise InputError("estimate.attitude", np.shape(attitude), "must have shape (4,)")
+        norm = float(np.linalg.norm(attitude))
+        if not abs(norm - 1.0) < 1e-3:
+            problem = f"must be a unit quaternion, but its norm is {norm:g}"
+            raise InputError("estimate.attitude", attitude, problem, show_value=False)
 
     def points(self, position: Array, attitude: Array) -> Array:
         """Return the measured points (rows * cols, 3) in ENU, m; NaN without a return.
@@ -186,7 +191,9 @@ class LidarScan:
         """
         count = np.shape(self.direction)[:1]
         if np.shape(self.range) != count:
-            raise InputError("scan.range", np.shape(self.range), f"must have shape {count}")
+            raise InputError(
+                "scan.range", np.shape(self.range), f"must have shape {count}, one range per ray"
+            )
         parts = (position, quat_to_matrix(attitude) @ self.mount, self.direction, self.range)
         return np.asarray(ray_points(*(np.ascontiguousarray(of, np.float64) for of in parts)))
 

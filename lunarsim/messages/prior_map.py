@@ -40,19 +40,24 @@ class PriorMap:
     def __post_init__(self) -> None:
         if self.elevation.shape != self.grid.shape:
             raise InputError(
-                "prior.elevation", self.elevation.shape, f"must have shape {self.grid.shape}"
+                "prior.elevation",
+                self.elevation.shape,
+                f"must have the shape {self.grid.shape} of its grid",
             )
-        if np.isinf(self.elevation).any() or not np.isfinite(self.elevation).any():
+        if np.isinf(self.elevation).any():
             raise InputError(
-                "prior.elevation", self.elevation,
-                "must be finite, or NaN where there is no data, and not NaN everywhere",
-                "Give elevations in m.", show_value=False,
+                "prior.elevation", self.elevation, "must not contain infinite values",
+                "Use NaN where there is no data.", show_value=False,
             )  # fmt: skip
+        if np.isnan(self.elevation).all():
+            raise InputError(
+                "prior.elevation", self.elevation, "must not be NaN everywhere", show_value=False
+            )
         if not (np.isfinite(self.sigma) and self.sigma > 0.0):
             raise InputError("prior.sigma_m", self.sigma, "must be positive and finite")
         if not (np.isfinite(self.correlation) and self.correlation >= 0.0):
             raise InputError(
-                "prior.correlation_m", self.correlation, "must be 0 or more, and finite"
+                "prior.correlation_m", self.correlation, "must be 0 or more and finite"
             )
 
     @property

@@ -76,17 +76,24 @@ class Quantity:
 
     @property
     def expected(self) -> str:
-        """Bounds and unit in words, for error messages: "more than 0 and at most 1 m"."""
-        words = [
-            f"{word} {bound:g}"
-            for word, bound in (
-                ("more than", self.gt), ("at least", self.ge), ("less than", self.lt),
-                ("at most", self.le),
-            )
-            if bound is not None
-        ]  # fmt: skip
+        """Bounds and unit in words, for error messages: "between 0 and 1 m"."""
         unit = "" if self.unit in ("", "1") else f" {self.unit}"
-        return (" and ".join(words) or "a finite number") + unit
+
+        def bound(value: float) -> str:
+            return f"{value:g}{unit}" if value else "0"
+
+        if self.ge is not None and self.le is not None:
+            return f"between {self.ge:g} and {bound(self.le)}"
+        limits = []
+        if self.gt is not None:
+            limits.append(f"above {bound(self.gt)}" if self.gt else "positive")
+        if self.ge is not None:
+            limits.append(f"{bound(self.ge)} or more")
+        if self.lt is not None:
+            limits.append(f"less than {bound(self.lt)}")
+        if self.le is not None:
+            limits.append(f"at most {bound(self.le)}")
+        return " and ".join(limits) or "a finite number"
 
     def allows(self, value: float) -> bool:
         """Return whether a number in the scenario's unit is finite and within bounds."""
@@ -161,7 +168,7 @@ def quantity(
     (50.0, 0.1745)
     """
     if unit not in _SUFFIXES:
-        raise ValueError(f"unit {unit!r} must be one of {', '.join(map(repr, _SUFFIXES))}")
+        raise ValueError(f"unit: must be one of {', '.join(map(repr, _SUFFIXES))}, got {unit!r}.")
     q = Quantity(default, unit, gt, ge, lt, le, help)
     return field(default=q.to_si(default), metadata={_METADATA_KEY: q})
 
@@ -198,7 +205,7 @@ def check_direction(field: str, vector: Any) -> None:
         If `vector` is not a unit vector; the error names `field`.
     """
     if np.shape(vector) != (3,) or not np.isclose(np.linalg.norm(vector), 1.0, atol=1e-6):
-        raise InputError(field, vector, "must be a unit vector")
+        raise InputError(field, vector, "must be three numbers that form a vector of length 1")
 
 
 def check_bounds(part: Any, table: str) -> None:
@@ -225,11 +232,11 @@ def check_bounds(part: Any, table: str) -> None:
         if q is None or q.hidden or value is None:
             continue
         if str(f.type).startswith(("float", "int")) and isinstance(value, str | bytes):
-            raise InputError(
-                f"{table}.{f.name}", value, f"must be a number ({q.expected}), not text"
-            )
+            raise InputError(f"{table}.{f.name}", value, "must be a number")
         given = q.from_si(tuple(value) if isinstance(value, list | np.ndarray) else value)
-        for one in given if isinstance(given, tuple) else (given,):
+        for i, one in enumerate(given if isinstance(given, tuple) else (given,)):
             if isinstance(one, Real) and not q.allows(float(one)):
-                raise InputError(f"{table}.{f.name}", given, f"must be {q.expected}")
+                index = f"[{i}]" if isinstance(given, tuple) else ""
+                expected = q.expected if np.isfinite(one) else "finite"
+                raise InputError(f"{table}.{f.name}{index}", one, f"must be {expected}")
     check_types(table, part)

@@ -186,7 +186,7 @@ def kinds(contract: str) -> dict[str, str]:
             raise InputError(
                 f"entry point lunarsim.{contract}",
                 point.name,
-                f"must be a unique name, but {found[point.name]} has the same name",
+                f"must have another name than {found[point.name]}",
             )
         found[point.name] = point.value
     return found
@@ -252,6 +252,10 @@ def resolve(contract: str, kind: str, field: str | None = None) -> type:
     return found(contract, kind, field)
 
 
+# Remedy for a class or function that cannot be imported.
+IMPORT_REMEDY = "Check the name; the module must be installed or in the working directory."
+
+
 def import_part_module(module: str) -> ModuleType:
     """Import a module by name; the working directory is searched last.
 
@@ -281,20 +285,24 @@ def _resolve(contract: str, kind: str, field: str) -> type:
         message = str(error).split("\n")[0]
         raise InputError(
             field, kind,
-            f"must be a class that can be imported ({type(error).__name__}: {message})",
-            "Run in its directory or install its package.",
+            f"must name a class that can be imported ({type(error).__name__}: {message})",
+            IMPORT_REMEDY,
         ) from error  # fmt: skip
     if not (isinstance(found, type) and dataclasses.is_dataclass(found)):
-        raise InputError(field, kind, f"must be a dataclass, but {where} is not")
+        raise InputError(field, where, "must name a dataclass")
     if not found.__dataclass_params__.frozen:  # type: ignore[attr-defined]
-        raise InputError(field, kind, f"must be a frozen dataclass, but {where} is not frozen")
+        raise InputError(field, where, "must name a frozen dataclass")
     names = {f.name for f in dataclasses.fields(found)}
     missing = [
         n for n in CONTRACTS[contract].required_members if n not in names and not hasattr(found, n)
     ]
     if missing:
-        raise InputError(field, kind, f"must be a {contract}, but {where} has no {missing[0]!r}")
+        raise InputError(
+            field, where, f"must name a class with {missing[0]!r}, which every {contract} needs"
+        )
     reserved = names & RESERVED
     if reserved:
-        raise InputError(field, kind, f"must not have a field named {min(reserved)!r}")
+        raise InputError(
+            field, where, f"must name a class without the reserved field {min(reserved)!r}"
+        )
     return found

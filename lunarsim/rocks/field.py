@@ -141,11 +141,11 @@ class RockModel:
             raise InputError(
                 "rocks.height_ratio",
                 self.height_ratio,
-                "must be a mean from 0.2 to 1 and a standard deviation of 0 or more",
+                "must be a mean between 0.2 and 1, and a standard deviation of 0 or more",
             )
         if not 0.0 <= self.burial[0] <= self.burial[1] <= 0.9:
             raise InputError(
-                "rocks.burial", self.burial, "must be a minimum and a maximum from 0 to 0.9"
+                "rocks.burial", self.burial, "must be a minimum and a maximum between 0 and 0.9"
             )
         if not 0.0 < self.axis_ratio[0] <= self.axis_ratio[1] <= 1.0:
             raise InputError(

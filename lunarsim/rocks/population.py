@@ -100,7 +100,7 @@ class RockExpectation(RockModel):
     def __post_init__(self) -> None:
         super().__post_init__()
         if not 0.0 < self.cover <= 0.2:
-            raise InputError("rocks.cover", self.cover, "must be more than 0 and at most 0.2")
+            raise InputError("rocks.cover", self.cover, "must be above 0 and at most 0.2")
 
     @classmethod
     def or_default(cls, rocks: RockExpectation | None) -> RockExpectation:
@@ -114,7 +114,7 @@ class RockExpectation(RockModel):
         if rocks is None:
             return cls()
         if not isinstance(rocks, cls):
-            raise InputError("rocks", rocks, "must be a RockExpectation, or None for its defaults")
+            raise InputError("rocks", rocks, "must be a RockExpectation or None")
         return rocks
 
     def model(self) -> RockModel:

@@ -89,7 +89,7 @@ def _fly_with_actuators(
     """
     actuators = plant.actuators
     if actuators is None or not isinstance(loop, JetLoop):
-        raise TypeError("a lander with thrusters requires an attitude loop that commands firings")
+        raise TypeError("the attitude loop of a lander with thrusters must be a JetLoop")
     throttle = actuators.set_throttle(thrust)
 
     def advance(state: State) -> tuple[State, Array]:

@@ -19,7 +19,7 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from lunarsim.errors import InputError
+from lunarsim.errors import InputError, error_reason
 from lunarsim.grid import Grid
 from lunarsim.json_files import read_json
 from lunarsim.scenario.files import parsed_toml
@@ -121,14 +121,12 @@ def _reason(error: Exception) -> str:
         return f"{'.'.join(map(str, first['loc']))}: {first['msg']}"
     if isinstance(error, InputError):
         return error.problem
-    if isinstance(error, KeyError):
-        return f"{error} is missing"
-    return str(error).split("\n", maxsplit=1)[0] or type(error).__name__
+    return error_reason(error)
 
 
 def _damaged(path: Path, reason: str) -> InputError:
     return InputError(
-        "flight", str(path), f"is not a complete record of this version ({reason[:100]})",
+        "flight", str(path), f"must be a complete record of this version ({reason[:100]})",
         "Restore it from a copy, or fly again.",
     )  # fmt: skip
 
@@ -151,15 +149,15 @@ def read_record(folder: Path) -> dict[str, Any]:
         tables: dict[str, Any] = read_json(file)
         if "verdict" in tables:
             raise InputError(
-                "flight", str(folder), "is a record of an earlier version",
-                "Rename its keys: `python scripts/migrate_stored.py FOLDER`.",
+                "flight", str(folder), "must not be a record of an earlier version",
+                "Convert the record by `python scripts/migrate_stored.py FOLDER`.",
             )  # fmt: skip
         checked = FlightRecord.model_validate(tables)
         parsed_toml(checked.scenario)
     for name, digest in checked.digests.items():
         with reading(folder / name):
             if digest_of(_inside(folder, folder / name)) != digest:
-                raise ValueError("its digest differs from the one in flight.json")
+                raise ValueError("the file was changed: its digest differs from flight.json")
     return tables
 
 
@@ -207,7 +205,7 @@ def read_columns(
             raise ValueError(f"more than {MAX_EXPANDED_BYTES} bytes when decompressed")
         table = f.read(names)
         if len(table) < min_rows:
-            raise ValueError(f"only {len(table)} rows")
+            raise ValueError(f"the file has {len(table)} rows, but needs {min_rows}")
         if any(column.null_count for column in table.columns):
             raise ValueError("values are missing")
         return {name: np.array(table[name].to_numpy()) for name in names}
@@ -256,7 +254,7 @@ def read_layers(
         shape = found["p_safe"].shape
         for name, layer in found.items():
             if layer.shape != shape or layer.dtype.kind not in "fi":
-                raise ValueError(f"layer {name} is {layer.dtype} of shape {layer.shape}")
+                raise ValueError(f"layer {name} has type {layer.dtype} and shape {layer.shape}")
         if shape != tuple(_local_dataset(file, name).size for name in "yx"):
             raise ValueError(f"layers of shape {shape} do not fit the axes y and x")
         if 8 * math.prod(shape) > MAX_EXPANDED_BYTES:
@@ -270,7 +268,7 @@ def read_layers(
         grid = Grid(float(x0), float(y0), float(posting), *shape)
         error = np.array(a["navigation_error_m"], dtype=np.float64)
         if error.shape != (3,) or not np.isfinite(error).all():
-            raise ValueError("navigation_error_m is not three finite numbers")
+            raise ValueError("navigation_error_m must be three finite numbers")
         return grid, layers, error
 
 

@@ -48,11 +48,13 @@ def camera_pointing_state(
     """
     terrain_height = float(world.terrain.elevation(target))
     if not np.isfinite(terrain_height):
-        raise InputError("target.position_m", target, "must be a point with known elevation")
+        raise InputError(
+            "target.position_m", np.asarray(target).tolist(), "must be a point with known elevation"
+        )
     if not 0.0 < altitude < _MAX_ALTITUDE_M:
         raise InputError("--altitude", altitude, f"must be above 0 and below {_MAX_ALTITUDE_M:g} m")
     if not np.isfinite(heading):
-        raise InputError("--heading", float(np.rad2deg(heading)), "must be a finite angle in deg")
+        raise InputError("--heading", float(np.rad2deg(heading)), "must be finite")
     if not 0.0 <= off_nadir < np.deg2rad(85.0):
         raise InputError(
             "--off-nadir", float(np.rad2deg(off_nadir)), "must be 0 or more and below 85 deg"

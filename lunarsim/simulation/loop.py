@@ -52,7 +52,9 @@ def make_policy(scenario: Scenario, policy: RetargetingPolicy | str | None) -> A
         made = table.make()
     if getattr(made, "knows_truth", False) and "truth" not in made.name:
         raise InputError(
-            "policy", made.name, "must have 'truth' in its name, because it uses the truth"
+            "policy",
+            made.name,
+            "must have 'truth' in its name, because this policy uses the true hazard map",
         )
     return made
 
@@ -123,7 +125,7 @@ class Simulation:
             raise InputError(
                 "domain_randomization",
                 "given",
-                "must be omitted: only Guidance-v0 and Control-v0 randomise the lander",
+                "must be omitted, because only Guidance-v0 and Control-v0 randomise the lander",
                 "Use: lunarsim evaluate Guidance-v0 --scenario FILE --agent apollo.",
                 show_value=False,
             )

@@ -42,28 +42,39 @@ def draw_target(
     """
     offset = streams.get("target").uniform(-1.0, 1.0, 2) * np.asarray(target.scatter)
     xy = np.asarray(target.position) + offset
-    west, east, south, north = terrain.bounds
-    reach = np.abs(target.scatter)
-    low, high = target.position - reach, target.position + reach
-    margin = lander.leg_radius + lander.pad_diameter
-    if (
-        low[0] < west + margin
-        or high[0] > east - margin
-        or low[1] < south + margin
-        or high[1] > north - margin
-    ):
-        raise InputError(
-            "target.position_m",
-            target.position,
-            f"must be {west + margin + reach[0]:.0f} to {east - margin - reach[0]:.0f} m east and "
-            f"{south + margin + reach[1]:.0f} to {north - margin - reach[1]:.0f} m north, so that "
-            "the target with its scatter is on the terrain",
-        )
+    check_target_area(target, terrain, lander)
     # The mission knows the terrain elevation at its site, but not the rocks.
     elevation = float(Terrain(terrain.relief).elevation(xy))
     if not np.isfinite(elevation):
-        raise InputError("target.position_m", tuple(xy), "must be a point with known elevation")
+        raise InputError("target.position_m", xy.tolist(), "must be a point with known elevation")
     return np.array([xy[0], xy[1], elevation])
+
+
+def check_target_area(target: PlannedSite, terrain: Terrain, lander: Lander) -> None:
+    """Check that a lander at any target within the scatter is completely on the terrain.
+
+    Raises
+    ------
+    InputError
+        If the target may be too close to the edge of the terrain, or outside.
+    """
+    west, east, south, north = terrain.bounds
+    margin = lander.leg_radius + lander.pad_diameter
+    for i, (low, high) in enumerate(((west + margin, east - margin),
+                                     (south + margin, north - margin))):  # fmt: skip
+        position, scatter = target.position[i], abs(target.scatter[i])
+        if 2.0 * scatter > high - low:
+            raise InputError(
+                f"target.scatter_m[{i}]", scatter,
+                f"must be at most {0.5 * (high - low):.1f} m, so that every target is on the "
+                "terrain",
+            )  # fmt: skip
+        if position - scatter < low or position + scatter > high:
+            raise InputError(
+                f"target.position_m[{i}]", position,
+                f"must be between {low + scatter:.1f} and {high - scatter:.1f} m, so that the "
+                "target with its scatter is on the terrain",
+            )  # fmt: skip
 
 
 def draw_start(
@@ -86,9 +97,10 @@ def draw_start(
         elevation, level = world.terrain.z_range[1], float(world.height(position))
     if level - lander.com_height <= elevation:
         raise InputError(
-            "start.position_m",
-            start.position,
-            f"must be above the terrain, which is {elevation - site[2]:.0f} m above the target",
+            "start.position_m[2]",
+            start.position[2],
+            f"must be above {elevation - site[2] + lander.com_height:.1f} m, the height of a "
+            "lander on the terrain below, also with the error position_sigma_m",
         )
     mass = lander.wet_mass
     up = attitude_from_thrust([0.0, 0.0, 1.0], start.heading)
@@ -188,8 +200,9 @@ def plan(scenario: Scenario, world: World, streams: RandomStreams) -> tuple[Stat
     if world.gravity != scenario.gravity_m_s2:
         # The computer uses the gravity of the scenario.
         raise InputError(
-            "world.gravity", world.gravity, f"must equal the scenario's {scenario.gravity_m_s2}"
-        )
+            "world.gravity", world.gravity,
+            f"must equal gravity_m_s2 of the scenario ({scenario.gravity_m_s2})",
+        )  # fmt: skip
     lander: Lander = scenario.vehicle.make()
     lander.check_hover(scenario.gravity_m_s2)
     start: Start = scenario.start.make()

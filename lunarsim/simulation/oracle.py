@@ -49,7 +49,9 @@ class TruthOracle:
 
     def decide(self, observation: Observation) -> Decision:
         """Raise `RuntimeError`, because this policy needs the true landing safety."""
-        raise RuntimeError("the truth oracle decides by decide_by_truth, which the loop calls")
+        raise RuntimeError(
+            "this policy needs the true hazard map; call decide_by_truth instead of decide"
+        )
 
     def decide_by_truth(
         self,

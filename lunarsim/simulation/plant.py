@@ -133,8 +133,8 @@ class Plant:
                 raise InputError(
                     f"sensors.{name}",
                     type(unit).__name__,
-                    "must be an Imu, because the sensor measures InertialSamples",
-                    "Return an Imu from the method build of the sensor.",
+                    "must build an Imu, because its measurements are InertialSamples",
+                    "Return an Imu from its method `build`.",
                 )
         self.imus: dict[str, Imu] = {n: u for n, u in units if isinstance(u, Imu)}
         self._instruments = {n: i for n, i in made.items() if n not in self.imus}

@@ -79,20 +79,21 @@ def unreachable(
     if ends >= above[2] > plain.vertical_altitude + lander.com_height:
         return InputError(
             "approach.vertical_altitude_m", approach.vertical_altitude,
-            f"must be lower: the start's centre of mass is {above[2]:g} m above the target",
+            f"must be less than {above[2] - lander.com_height:.4g} m, the height of the lander at "
+            "the start (start.position_m)",
         )  # fmt: skip
     case = _ReachabilityCase(start, target, software, approach, lander, gravity)
     causes = [(f, v) for f, v, relaxed in _relaxed_cases(case) if relaxed.feasible]
     if not causes:
         return InputError(
-            "start.position_m", tuple(float(v) for v in above),
-            "no path to the target satisfies the thrust, tilt, glideslope and propellant limits",
-            "Start elsewhere, or relax several limits.",
+            "start.position_m", tuple(round(float(v), 1) for v in above),
+            "must be a point from which a path leads to the target",
+            "Start elsewhere, or relax the limits of thrust, tilt, glideslope and propellant.",
         )  # fmt: skip
     (field, value), *others = causes
-    also = "".join(f", or {other} = {v}" for other, v in others)
+    also = "".join(f", or {other} ({v})" for other, v in others)
     return InputError(
-        field, value, "leaves no path from the start to the target", f"Relax this value{also}."
+        field, value, "must allow a path from the start to the target", f"Relax this value{also}."
     )
 
 

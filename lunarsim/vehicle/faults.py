@@ -89,7 +89,7 @@ class Faults:
                 raise InputError(
                     f"faults.{name}", getattr(self, name),
                     "must be empty for a vehicle without thrusters",
-                    "Omit it, or use a vehicle of kind 'jet-lander'.",
+                    "Otherwise use a vehicle of kind 'jet-lander'.",
                 )  # fmt: skip
 
     def check_engine(self, thrust_min: float, thrust_max: float) -> None:
@@ -98,7 +98,8 @@ class Faults:
         if stuck and not thrust_min <= stuck <= thrust_max:
             raise InputError(
                 "faults.engine_stuck_at_n", stuck,
-                f"must be 0 or within the throttle range of {thrust_min} to {thrust_max} N",
+                f"must be 0, or between vehicle.thrust_min_n ({thrust_min}) and "
+                f"vehicle.thrust_max_n ({thrust_max})",
             )  # fmt: skip
 
     def check_count(self, count: int) -> None:
@@ -107,5 +108,7 @@ class Faults:
             for number in getattr(self, name):
                 if number >= count:
                     raise InputError(
-                        f"faults.{name}", number, f"must be less than {count}, the thruster count"
+                        f"faults.{name}",
+                        number,
+                        f"must be less than {count}, the number of thrusters",
                     )

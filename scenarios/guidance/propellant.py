@@ -179,7 +179,8 @@ def _minimum_propellant(task: PropellantTask, flight: Simulation) -> float:
     except (InputError, SolverError) as error:
         raise InputError(
             "--position-sigma, --velocity-sigma", [task.position_sigma, task.velocity_sigma],
-            f"must give feasible starts (flight {task.flight} of seed {task.seed})", str(error),
+            f"must give every flight a feasible descent, but flight {task.flight} has none",
+            str(error),
         ) from None  # fmt: skip
 
 

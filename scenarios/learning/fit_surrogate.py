@@ -92,7 +92,7 @@ def main() -> int:
         if args.flights < 4:
             raise InputError("--flights", args.flights, "must be 4 or more")
         if not args.check and args.out is None:
-            raise InputError("--out", None, "must be a file name unless --check is given")
+            raise InputError("--out", None, "must be given without --check", show_value=False)
         scenario = (
             default_scenario()
             if args.scenario is None

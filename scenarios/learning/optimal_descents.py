@@ -233,8 +233,8 @@ def check_limits(folder: Path, remedy: str = "Use another folder for --out.") ->
         ) from None
     if stored != _limits():
         raise click.UsageError(
-            f"The shards in {folder} were solved under other limits of approach or law "
-            f"({file.name}). {remedy}"
+            f"The shards in {folder} were solved with other limits of the descent, as "
+            f"{file.name} states. {remedy}"
         )
 
 
@@ -367,10 +367,10 @@ def main(descents: int, intervals: int, seed: int, jobs: int, out: Path) -> None
     """Solve minimum-propellant descents and write them as a Minari data set."""
     console = plain_console(110, soft_wrap=True)
     if importlib.util.find_spec("minari") is None or importlib.util.find_spec("h5py") is None:
-        raise click.UsageError("minari or h5py is missing. Install the extra `data`.")
+        raise click.UsageError("The package minari or h5py is missing. Install the extra `data`.")
     data = out / "data"
     if data.exists() and any(data.iterdir()):
-        raise click.UsageError(f"--out: must be a folder without a data set, but {data} exists")
+        raise click.UsageError(f"--out: must be a folder without a data set, but contains {data}")
     full, rest = divmod(descents, SHARD)
     counts = [SHARD] * full + [rest] * (rest > 0)
     tasks = [DescentShardTask(k, count, seed, intervals) for k, count in enumerate(counts)]

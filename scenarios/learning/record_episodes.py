@@ -64,9 +64,7 @@ def fly_episode(
         try:
             observation, reward, over, late, info = env.step(action)
         except ValueError as error:
-            raise InputError(
-                "--agent", name, f"must give actions that the environment accepts ({error})"
-            ) from error
+            raise InputError("--agent", name, "must return valid actions", str(error)) from error
         shown.append(observation)
         done.append(action)
         rewards.append(float(reward))
@@ -191,10 +189,10 @@ def main(
 ) -> None:  # fmt: skip
     """Record EPISODES of ENV, flown by AGENT."""
     if importlib.util.find_spec("minari") is None or importlib.util.find_spec("h5py") is None:
-        raise click.UsageError("minari or h5py is missing. Install the extra `data`.")
+        raise click.UsageError("The package minari or h5py is missing. Install the extra `data`.")
     try:
         if out.exists():
-            raise InputError("--out", str(out), "must be a folder that does not exist")
+            raise InputError("--out", str(out), "must be a new folder")
         check(agent, trust_pickle=trust_pickle)
         given = {name: value for name, value in arguments.items() if value}
         flown = replace(

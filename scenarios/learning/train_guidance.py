@@ -75,7 +75,9 @@ def main(out: Path, steps: int, seed: int, evaluation_interval: int, episodes: i
         from lunarsim_envs.training.curve import draw_curve
         from lunarsim_envs.training.guidance import HeldOutResult, TrainingRun, train
     except ModuleNotFoundError as error:
-        raise click.UsageError(f"{error.name} is missing. Install the extra `rl`.") from None
+        raise click.UsageError(
+            f"The package {error.name} is missing. Install the extra `rl`."
+        ) from None
 
     def report(run: TrainingRun, seen: HeldOutResult) -> None:
         spent = "-" if math.isnan(seen.propellant) else f"{seen.propellant:.1f} kg"

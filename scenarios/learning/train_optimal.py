@@ -65,8 +65,8 @@ class DescentNodes:
         counts = sorted({h["actions"].shape[1] for h in held})
         if len(counts) > 1:
             raise click.UsageError(
-                f"shards in {files[0].parent} have {counts} intervals. Keep the shards of one run "
-                f"only."
+                f"The shards in {files[0].parent} have different numbers of intervals: "
+                f"{', '.join(map(str, counts))}. Keep the shards of one run only."
             )
         return cls(
             *(np.concatenate([h[n] for h in held]) for n in ("observations", "actions", "duration"))
@@ -241,7 +241,7 @@ def main(
     except InputError as error:
         raise click.UsageError(str(error)) from None
     if importlib.util.find_spec("torch") is None:
-        raise click.UsageError("torch is missing. Install the extra `rl`.")
+        raise click.UsageError("The package torch is missing. Install the extra `rl`.")
     out_of = max(len(files) // 20, 1)
     learnt, kept = DescentNodes.load(files[:-out_of]), DescentNodes.load(files[-out_of:])
     gravity = Scenario.from_dict({"name": "descents"}).gravity_m_s2

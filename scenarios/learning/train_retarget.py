@@ -137,13 +137,13 @@ def main() -> int:
     assert lunarsim_envs.__name__
     try:
         if args.out is None and args.compare is None:
-            raise InputError("--out", None, "must be a file name unless --compare is given")
+            raise InputError("--out", None, "must be given without --compare", show_value=False)
         for name in ("generations", "worlds", "flights"):
             if getattr(args, name) < 1:
                 raise InputError(f"--{name}", getattr(args, name), "must be 1 or more")
         if not 0.0 <= args.propellant_weight < 1.0:
             raise InputError(
-                "--propellant-weight", args.propellant_weight, "must be at least 0 and less than 1"
+                "--propellant-weight", args.propellant_weight, "must be 0 or more and less than 1"
             )
         scenario = Scenario.load(found(Path(args.scenario)))
         if args.compare is None:

@@ -152,9 +152,7 @@ def fly(task: ConsistencyTask) -> ConsistencyFlight:
     simulation = Simulation(scenario, flight_seed(task.seed, task.flight), task.policy)
     navigation = simulation.computer.navigation
     if not isinstance(navigation, Navigator | UnscentedFilter):
-        raise click.UsageError(
-            f"{task.scenario}: navigation must have an error state (inertial or ukf)"
-        )
+        raise click.UsageError(f"{task.scenario}: navigation.kind must be 'inertial' or 'ukf'")
     planned = simulation.computer.time_to_go
     due = [share * planned for share in EPOCHS]
     errors, covariances, before, latest = [], [], [], []

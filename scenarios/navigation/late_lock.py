@@ -100,7 +100,9 @@ def fly(task: LateLockTask) -> LateLockFlight:
     computer = simulation.computer
     navigation = computer.navigation
     if not isinstance(navigation, Navigator) or navigation.matcher is None:
-        raise click.UsageError(f"{task.scenario}: must contain a prior map for navigation")
+        raise click.UsageError(
+            f"{task.scenario}: must contain the table [prior_map] for navigation"
+        )
     matcher = navigation.processors.pop(navigation.processors.index(navigation.matcher))
     jumped, decisions, sigmas = 0.0, 0, np.nan
     while not simulation.done:

@@ -266,7 +266,9 @@ def main(searches: int, only: str, seconds: float, seed: int, jobs: int) -> None
     console = plain_console(180)
     rows = [n for n, case in enumerate(CASES) if only in str(case)]
     if not rows:
-        raise click.UsageError(f"--only: must match one of {', '.join(map(str, CASES))}")
+        raise click.UsageError(
+            f"--only: must be part of a case, got {only!r}. Cases: {', '.join(map(str, CASES))}"
+        )
     tasks = [PlaceSearchTask(n, k, seed, seconds) for n in rows for k in range(searches)]
     found = collect_results(simulate_search, tasks, jobs, console, "searches")
     table = Table(title=f"Searches with a time limit of {seconds:g} s")

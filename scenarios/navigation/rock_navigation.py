@@ -112,7 +112,7 @@ def fly(task: RockNavigationTask) -> RockNavigationFlight:
     simulation = Simulation(scenario, flight_seed(task.seed, task.flight), "safest")
     mapper = simulation.computer.mapper
     if not isinstance(mapper, ShadowMapper):
-        raise click.UsageError("shadow_nominal.toml: must have a shadow mapper")
+        raise click.UsageError("shadow_nominal.toml: the first mapper must be of the kind 'shadow'")
     apply_faults(mapper, task)
     errors = RockNavigationErrors(simulation, mapper)
     while not simulation.done:

@@ -66,11 +66,14 @@ def load_equivalents(path: Path) -> list[EquivalentMutant]:
     for n, entry in enumerate(entries, 1):
         known = isinstance(entry, dict) and set(entry) == {"fault", "code", "reason"}
         if not known or not all(isinstance(v, str) and v.strip() for v in entry.values()):
-            raise BrokenListError(f"{path}: entry {n}: must have exactly fault, code and reason")
+            raise BrokenListError(
+                f"{path}: entry {n}: must have the keys fault, code and reason, and no others"
+            )
         place = entry["fault"].rsplit(":", 3)
         if len(place) != 4 or not (place[1].isdigit() and place[2].isdigit()):
             raise BrokenListError(
-                f"{path}: entry {n}: must be file:line:column:operator, got {entry['fault']!r}"
+                f"{path}: entry {n}: fault must have the form file:line:column:operator, "
+                f"got {entry['fault']!r}"
             )
         found.append(EquivalentMutant(**entry))
     return found

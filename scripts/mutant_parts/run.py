@@ -70,7 +70,9 @@ class MutationRun:
                 try:
                     result = MutantResult(**json.loads(line))
                 except (TypeError, json.JSONDecodeError) as error:
-                    raise ValueError(f"{kept}: line {n}: must be the result of a fault") from error
+                    raise ValueError(
+                        f"{kept}: line {n}: must be the JSON result of a fault"
+                    ) from error
                 self._kept[result.fault] = result
         self._digests = {
             path: (_digest([root / path]), _digest([root / t for t in names]))

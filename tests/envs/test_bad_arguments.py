@@ -44,7 +44,7 @@ def test_arguments_that_are_none_are_refused(kind, more, arguments, says):
         (RetargetEnv, {"perception": ["truth"]}, "perception"),
         (RetargetEnv, {"perception": None}, "perception"),
         (RetargetVectorEnv, {"perception": ["truth"]}, "perception"),
-        (RetargetVectorEnv, {"perception": "onboard"}, "only single environments"),
+        (RetargetVectorEnv, {"perception": "onboard"}, "a single environment"),
         (RetargetEnv, {"perception": "surrogate", "surrogate": 3}, "surrogate"),
         (RetargetEnv, {"views": 1}, "views"),
         (GuidanceEnv, {"privileged": "no"}, "privileged"),

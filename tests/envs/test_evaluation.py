@@ -92,7 +92,7 @@ def test_progress_is_told_of_every_episode():
 
 
 def test_an_action_that_does_not_fit_is_the_agents_mistake():
-    with pytest.raises(InputError, match="an invalid action"):
+    with pytest.raises(InputError, match="must return valid actions"):
         list(fly_episodes(asked(), "tests.envs.test_evaluation:wide", range(1)))
 
 

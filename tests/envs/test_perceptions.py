@@ -123,7 +123,7 @@ def test_what_does_not_go_together_is_refused():
     other = Scenario.from_dict({"navigation": {"kind": "ukf"}})
     with pytest.raises(InputError, match=r"navigation\.kind: .*got 'ukf'"):
         with_perception(other, "shadows")
-    with pytest.raises(InputError, match="flies only single environments"):
+    with pytest.raises(InputError, match="Use a single environment"):
         RetargetVectorEnv(2, scenario=LOW, perception="fused")
     with pytest.raises(InputError, match="fused"):
         gymnasium.make(ID, scenario=LOW, perception="fuse")

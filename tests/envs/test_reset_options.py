@@ -134,14 +134,17 @@ def test_the_whole_computer_refuses_what_no_scenario_may_say(options, says):
 @pytest.mark.parametrize(
     ("options", "says"),
     [
-        ({"cover": 0.05}, "argument covers"), ({"cover": "many"}, "finite number"),
-        ({"target_m": [9.0, 0.0]}, "including target_scatter_m"),
-        ({"target_m": [2.0, 0.0]}, r"-8 to 8 m east"), ({"target_m": [0.0]}, "2 finite"),
-        ({"target_m": [0.0, 6.0], "target_scatter_m": [0.0, 3.0]}, "-8 to 8 m north"),
-        ({"target_m": [0.0, -6.0], "target_scatter_m": [0.0, 3.0]}, "-8 to 8 m north"),
-        ({"target_m": [-6.0, 0.0], "target_scatter_m": [3.0, 0.0]}, "-8 to 8 m east"),
-        ({"target_scatter_m": [-1.0, 0.0]}, "0 or more"),
-        ({"sun_elevation_deg": 5.0}, "on the Sun"), ({"covers": 0.05}, "Did you mean 'cover'"),
+        ({"cover": 0.05}, "argument `covers`"), ({"cover": "many"}, "must be a number"),
+        ({"target_m": [9.0, 0.0]}, r"target_m\[0\]: .*target area of the scenario, got 9"),
+        ({"target_m": [2.0, 0.0]}, r"target_m\[0\]: must be 0, so that"),
+        ({"target_m": [0.0]}, "must be 2 numbers"),
+        ({"target_scatter_m": [9.0, 0.0]}, r"scatter_m\[0\]: must be at most target\.scatter_m"),
+        ({"target_m": [0.0, 6.0], "target_scatter_m": [0.0, 3.0]}, r"_m\[1\]: .* -5 and 5"),
+        ({"target_m": [0.0, -6.0], "target_scatter_m": [0.0, 3.0]}, r"_m\[1\]: .* -5 and 5"),
+        ({"target_m": [-6.0, 0.0], "target_scatter_m": [3.0, 0.0]}, r"_m\[0\]: .* -5 and 5"),
+        ({"target_scatter_m": [-1.0, 0.0]}, r"scatter_m\[0\]: must be between 0 and 5000"),
+        ({"sun_elevation_deg": 5.0}, "simulate the Sun"),
+        ({"covers": 0.05}, "Did you mean 'cover'"),
     ],
 )  # fmt: skip
 @pytest.mark.parametrize("kind", [GuidanceEnv, ControlEnv, RetargetVectorEnv])

@@ -273,7 +273,7 @@ def test_films_of_nothing_are_refused(tmp_path):
     frame = np.zeros((8, 8, 3), np.uint8)
     for frames, name, fps, words in (
         ([], "a.gif", 2.0, "frames"),
-        ([frame, frame[:4]], "a.gif", 2.0, "one size"),
+        ([frame, frame[:4]], "a.gif", 2.0, "the same size"),
         ([frame], "a.avi", 2.0, "a.avi"),
         ([frame], "a.gif", 0.0, "fps"),
     ):

@@ -182,7 +182,7 @@ def test_a_part_of_ones_own():
         env = made(observation=[name])
         observation, _ = env.reset(seed=1)
         assert observation[name] == pytest.approx(env.unwrapped.flight.inputs.site[0, :1])
-        with pytest.raises(InputError, match="is already registered"):
+        with pytest.raises(InputError, match="name of a registered component"):
             observations.register(own)
     finally:
         del observations.PARTS[name]
@@ -192,7 +192,7 @@ def test_a_part_of_ones_own():
     ("settings", "word"),
     [
         ({"perception": "thruth"}, "truth"),
-        ({"observation": ["site", "site"]}, "not repeat"),
+        ({"observation": ["site", "site"]}, "only once"),
         ({"observation": ["hazards"]}, "hazard"),
         ({"worlds": 0}, "worlds"),
         ({"changes": {"guidance.kind": "gravity-turn"}}, "guidance"),

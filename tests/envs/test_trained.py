@@ -89,5 +89,5 @@ def test_it_refuses_what_it_was_not_trained_for():
 def test_a_file_that_is_cut_short_is_refused(tmp_path):
     path = tmp_path / "cut.npz"
     path.write_bytes(packaged_agents()["ppo"].read_bytes()[:2000])
-    with pytest.raises(InputError, match="a network written by"):
+    with pytest.raises(InputError, match="a network trained with"):
         agent_of(str(path), GuidanceEnv(changes=LOW))

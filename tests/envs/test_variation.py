@@ -170,8 +170,8 @@ def test_a_copy_goes_on_like_the_one_it_is_of():
     ("keys", "says"),
     [
         ({"payload_kg": -1.0}, "payload_kg"), ({"payload_kg": 1100.0},
-        r"domain_randomization\.payload.*less than 1100"),
-        ({"thrust_lag_s": 0.09}, r"thrust_lag.*less than 0\.08"),
+        r"domain_randomization\.payload.*less than vehicle\.dry_mass_kg \(1100\)"),
+        ({"thrust_lag_s": 0.09}, r"thrust_lag.*less than vehicle\.thrust_lag_s minus 0\.02 s"),
         ({"min_remaining_fraction": 1.5}, "min_remaining_fraction"),
         ({"payloads_kg": 1.0}, "payload_kg"), ({"engine_failure": "often"}, "engine_failure"),
     ],

@@ -49,11 +49,11 @@ def test_names_and_paths_give_classes():
     [
         ("safset", "Did you mean 'safest'?"),
         ("x", "Known names: fuel-aware, nearest-safe"),
-        ("no.such.module:Thing", "must be a class that can be imported (ModuleNotFoundError"),
+        ("no.such.module:Thing", "must name a class that can be imported (ModuleNotFoundError"),
         (f"{__name__}:Missing", "can be imported (AttributeError"),
-        (f"{__name__}:NoDataclass", "must be a dataclass, but "),
-        (f"{__name__}:pytest", "must be a dataclass, but "),
-        (":", 'must be a registered name or "module:Class"'),
+        (f"{__name__}:NoDataclass", "must name a dataclass"),
+        (f"{__name__}:pytest", "must name a dataclass"),
+        (":", 'must be a known kind or "module:Class"'),
     ],
 )
 def test_what_is_no_part_is_explained(kind, says):
@@ -94,7 +94,9 @@ def test_entry_points_add_names_but_take_none(monkeypatch):
     assert "mine" not in kinds("mapper")
     assert resolve("policy", "mine", "entry-point") is MyPolicy
     extra.append(EntryPoint("safest", "other:Safest", "lunarsim.policy"))
-    with pytest.raises(InputError, match=r"must be a unique name, but lunarsim\.onboard\.policies"):
+    with pytest.raises(
+        InputError, match=r"must have another name than lunarsim\.onboard\.policies"
+    ):
         kinds("policy")
 
 
@@ -122,11 +124,11 @@ class Greedy:
 @pytest.mark.parametrize(
     ("contract", "name", "words"),
     [
-        ("policy", "Thawed", "not frozen"),
-        ("policy", "Greedy", "must not have a field named 'kind'"),
-        ("navigation", "MyPolicy", "has no 'build'"),
-        ("control", "MyPolicy", "has no 'torques'"),
-        ("sensor", "MyPolicy", "has no 'measurement_type'"),
+        ("policy", "Thawed", "must name a frozen dataclass"),
+        ("policy", "Greedy", "a class without the reserved field 'kind'"),
+        ("navigation", "MyPolicy", "a class with 'build', which every navigation needs"),
+        ("control", "MyPolicy", "a class with 'torques'"),
+        ("sensor", "MyPolicy", "a class with 'measurement_type'"),
     ],
 )
 def test_what_is_no_part_of_the_contract_is_refused(contract, name, words):

@@ -40,7 +40,7 @@ def test_infeasible_starts_and_invalid_files_are_rejected(script, tmp_path, monk
 
     monkeypatch.setattr(study, "optimal_descent_problem", short_of_fuel)
     for options, told in (
-        ([], "must give feasible starts (flight 0 of seed 1)"),
+        ([], "must give every flight a feasible descent, but flight 0 has none"),
         (["--json", str(tmp_path / "none" / "x.json")], "an existing folder"),
     ):
         done = CliRunner().invoke(study.main, ["--flights", "1", "--laws", "optimal", *options])

@@ -245,7 +245,7 @@ def test_equivalents_are_matched_by_code_and_stale_ones_reported(tmp_path, fault
     [
         (
             "[[equivalent]]\nfault = 'a.py:1:2:sign'\ncode = 'x'",
-            "entry 1: must have exactly",
+            "entry 1: must have the keys",
         ),
         ("[[equivalent]]\nfault = 'a.py:sign'\ncode = 'x'\nreason = 'y'", "got 'a.py:sign'"),
         ("[[equivalent", "list.toml"),
@@ -270,7 +270,7 @@ def test_listed_faults_exist():
     [
         (["--count", "0"], "--count"),
         (["--only", "no such file"], "must be part of a fault name, got 'no such file'"),
-        (["--results", "RESULTS"], "line 1: must be the result"),
+        (["--results", "RESULTS"], "line 1: must be the JSON result"),
     ],
 )
 def test_invalid_input_exits_with_two(tmp_path, arguments, message):

@@ -61,7 +61,8 @@ def test_a_world_of_another_gravity_is_refused(small_scenario):
     assert Simulation(small_scenario, 1, world=world).world is world
     heavy = replace(world, gravity=1.7)
     with pytest.raises(
-        InputError, match=r"world\.gravity: must equal the scenario's 1\.62.*got 1\.7"
+        InputError,
+        match=r"world\.gravity: must equal gravity_m_s2 of the scenario \(1\.62.*got 1\.7",
     ):
         Simulation(small_scenario, 1, world=heavy)
     other = small_scenario.changed(gravity_m_s2=1.7)

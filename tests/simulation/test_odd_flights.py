@@ -127,7 +127,7 @@ def test_a_ridge_in_the_way_is_met(law, monkeypatch):
 def test_a_start_below_its_target_is_refused():
     with pytest.raises(InputError) as refused:
         Simulation(blind(start={"position_m": [-120.0, 0.0, 4.0]}), 1, "no-divert")
-    assert refused.value.field == "start.position_m"
+    assert refused.value.field == "start.position_m[2]"
 
 
 @pytest.mark.parametrize(

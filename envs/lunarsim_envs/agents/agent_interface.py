@@ -30,7 +30,9 @@ def incompatible_agent_error(
     `requirement` names the environment or property that the agent requires.
     """
     spec = env.spec.id if env.spec is not None else type(env.unwrapped).__name__
-    return InputError("--agent", name, f"cannot fly {spec}, because the agent needs {requirement}")
+    return InputError(
+        "--agent", name, f"must fit the environment {spec}", f"This agent needs {requirement}."
+    )
 
 
 def check_sites(name: str, env: Any) -> None:

@@ -11,7 +11,7 @@ import gymnasium
 import numpy as np
 
 from lunarsim.errors import InputError
-from lunarsim.parts.registry import CONTRACTS, import_part_module
+from lunarsim.parts.registry import CONTRACTS, IMPORT_REMEDY, import_part_module
 
 
 class CallableAgent:
@@ -59,8 +59,8 @@ def _imported(name: str) -> Any:
         message = str(error).split("\n")[0]
         raise InputError(
             "--agent", name,
-            f"cannot be imported ({type(error).__name__}: {message})",
-            "Put the module into the working directory or install it.",
+            f"must name an object that can be imported ({type(error).__name__}: {message})",
+            IMPORT_REMEDY,
         ) from error  # fmt: skip
 
 
@@ -103,5 +103,7 @@ def custom_agent(env: gymnasium.Env[Any, Any], name: str) -> Any:
     if not callable(made):
         raise InputError("--agent", name, "must be a function, a class or a callable object")
     if not (_accepts_argument_count(made, 1) or _accepts_argument_count(made, 2)):
-        raise InputError("--agent", name, "must accept (observation, info) or (observation)")
+        raise InputError(
+            "--agent", name, "must accept the arguments (observation, info) or (observation)"
+        )
     return CallableAgent(made)

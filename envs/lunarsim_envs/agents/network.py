@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from lunarsim.array_files import read_arrays
 from lunarsim.atomic_arrays import atomic_write_arrays
-from lunarsim.errors import InputError
+from lunarsim.errors import InputError, error_reason
 from lunarsim_envs.agents.agent_interface import incompatible_agent_error
 from lunarsim_envs.descent.env import DescentEnv
 
@@ -75,7 +75,7 @@ class Network:
         try:
             held = read_arrays(path)
             if str(held["format"]) != _FORMAT:
-                raise ValueError(f"the format is {held['format']}")
+                raise ValueError(f"the format must be {_FORMAT}, not {held['format']}")
             layers = sum(name.startswith("weight_") for name in held)
             network = cls(
                 held["far"], held["near"],
@@ -86,7 +86,9 @@ class Network:
             network._check()
         except (KeyError, ValueError, TypeError, AttributeError) as error:
             raise InputError(
-                "--agent", str(path), f"must be a network written by lunarsim_envs ({error})"
+                "--agent",
+                str(path),
+                f"must be a network trained with lunarsim ({error_reason(error)})",
             ) from None
         return network
 
@@ -97,7 +99,7 @@ class Network:
             raise ValueError("layers or scales are missing")
         for weight, bias in zip(self.weights, self.biases, strict=True):
             if weight.shape != (len(bias), width):
-                raise ValueError(f"a layer of shape {weight.shape} has {width} inputs")
+                raise ValueError(f"a layer has weights of shape {weight.shape}, but {width} inputs")
             if not (np.isfinite(weight).all() and np.isfinite(bias).all()):
                 raise ValueError("a layer has values that are not finite")
             width = len(bias)

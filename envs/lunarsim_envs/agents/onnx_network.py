@@ -34,10 +34,10 @@ def _load_session(path: Path) -> Any:
         import onnxruntime  # noqa: PLC0415  (an extra)
     except ImportError:
         raise InputError(
-            "--agent", str(path), "needs onnxruntime", "Install the extra `onnx`."
+            "--agent", str(path), "needs the package onnxruntime", "Install the extra `onnx`."
         ) from None
     if path.stat().st_size > MAX_BYTES:
-        raise InputError("--agent", str(path), f"must have at most {MAX_BYTES / 1e6:g} MB")
+        raise InputError("--agent", str(path), f"must be a file of at most {MAX_BYTES / 1e6:g} MB")
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = options.inter_op_num_threads = 1
     options.log_severity_level = 4
@@ -96,9 +96,11 @@ class OnnxAgent:
         names = list(space) if isinstance(space, gymnasium.spaces.Dict) else None
         seen = [name for name in self._inputs if name != _MASK]
         if names is None and len(seen) != 1:
-            raise self._error(f"one input apart from {_MASK}, not {', '.join(seen) or 'none'}")
+            raise self._error(
+                f"one input in addition to {_MASK}, not with {', '.join(seen) or 'none'}"
+            )
         if names is not None and not set(seen) <= set(names):
-            raise self._error(f"inputs from {', '.join(names)}, not {', '.join(seen)}")
+            raise self._error(f"no inputs except {', '.join(names)}, not with {', '.join(seen)}")
         sizes = _option_counts(self._space)
         mask = np.ones(sum(sizes)) if sizes else np.ones(1)
         self.act(_zero_observation(space), {_MASK: mask})
@@ -127,7 +129,9 @@ class OnnxAgent:
         for name, kind in self._inputs.items():
             if name == _MASK:
                 if _MASK not in info:
-                    raise self._error(f"no input {_MASK}, which this environment does not provide")
+                    raise self._error(
+                        f"no input {_MASK}, because this environment has no action masks"
+                    )
                 value = info[_MASK]
             else:
                 value = observation[name] if isinstance(observation, dict) else observation
@@ -142,7 +146,7 @@ class OnnxAgent:
             return np.asarray(self._session.run(None, fed, options)[0]).ravel()
         except Exception as error:  # onnxruntime has a separate exception type for each status
             if options.terminate:
-                raise self._error(f"an output within {MAX_SECONDS:g} s") from None
+                raise self._error(f"a computation time of at most {MAX_SECONDS:g} s") from None
             raise self._error(f"inputs that fit this environment ({_first_line(error)})") from None
         finally:
             timer.cancel()
@@ -168,7 +172,9 @@ class OnnxAgent:
             chosen = action[0] if isinstance(space, gymnasium.spaces.Discrete) else action
             if space.contains(chosen):
                 return chosen
-        raise self._error(f"an output for {space}, not {output.size} {output.dtype} values")
+        raise self._error(
+            f"an output for {space}, not with {output.size} values of type {output.dtype}"
+        )
 
 
 def _zero_observation(space: gymnasium.Space[Any]) -> Any:

@@ -82,10 +82,12 @@ def check(agent: str, *, trust_pickle: bool = False) -> None:
             check_trust(agent, trust_pickle)
     elif ":" not in agent and agent not in known_agents():
         near = suggestion(agent, known_agents())
+        if not near.startswith("Did"):
+            near = "`lunarsim evaluate --help` describes the agents."
         raise InputError(
             "--agent",
             agent,
-            "must be a known name, a file (.npz, .onnx, .zip) or module:Name",
+            "must be the name of an agent, a file (.npz, .onnx, .zip) or module:Name",
             near,
         )
 

@@ -42,11 +42,11 @@ def _algorithm(path: Path) -> Any:
                 return getattr(importlib.import_module(package), name)
             except ImportError:
                 raise InputError(
-                    "--agent", str(path), f"needs {package}", "Install the extra `rl`."
+                    "--agent", str(path), f"needs the package {package}", "Install the extra `rl`."
                 ) from None
     known = ", ".join(name for _, _, name in _ALGORITHMS)
     raise InputError(
-        "--agent", str(path), f"must be an agent of {known}, but its policy is from {policy}"
+        "--agent", str(path), f"must be trained by {known}, but its policy is from {policy}"
     )
 
 
@@ -77,8 +77,8 @@ def check_trust(file: str, trust_pickle: bool) -> None:
     if not trust_pickle:
         raise InputError(
             "--agent", file,
-            "is a pickle, which can run any code when it is loaded",
-            "If you trust the file, add --trust-pickle (Python: trust_pickle=True).",
+            "must be a file that you trust, because it can run any code when it is loaded",
+            "If you trust it, add --trust-pickle (in Python: trust_pickle=True).",
         )  # fmt: skip
 
 
@@ -119,12 +119,14 @@ class Sb3Agent:
     ) -> None:
         check_trust(str(path), trust_pickle)
         self._model = load_model(path)
-        for what in ("observation_space", "action_space"):
-            own, others = (_space_text(getattr(one, what)) for one in (env, self._model))
+        for what in ("observation", "action"):
+            own, others = (_space_text(getattr(one, f"{what}_space")) for one in (env, self._model))
             if own != others:
                 raise InputError(
-                    "--agent", str(path), f"must be trained with {what} {own}, not {others}"
-                )
+                    "--agent", str(path),
+                    f"must be trained with the {what} space of this environment, {own}, "
+                    f"not {others}",
+                )  # fmt: skip
         self._masked = type(self._model).__name__ == "MaskablePPO"
         self._memory: Any = None
         self._first = True

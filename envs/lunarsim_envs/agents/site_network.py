@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from lunarsim.array_files import read_arrays
 from lunarsim.atomic_arrays import atomic_write_arrays
-from lunarsim.errors import InputError
+from lunarsim.errors import InputError, error_reason
 from lunarsim_envs.agents.agent_interface import check_sites, incompatible_agent_error
 from lunarsim_envs.retarget import RetargetEnv
 from lunarsim_envs.sites.observations import SITES
@@ -123,7 +123,7 @@ class SiteNetwork:
         try:
             found = read_arrays(path)
             if str(found["format"]) != FORMAT:
-                raise ValueError(f"the format is {found['format']}")
+                raise ValueError(f"the format must be {FORMAT}, not {found['format']}")
             made = cls(*(found[name] for name in ("linear", "inner", "bias", "outer")))
             k, hidden = len(FEATURES), len(made.bias)
             shapes = made.linear.shape, made.inner.shape, made.outer.shape
@@ -131,7 +131,9 @@ class SiteNetwork:
                 raise ValueError("layers have inconsistent shapes or values that are not finite")
         except (KeyError, ValueError, TypeError, AttributeError) as error:
             raise InputError(
-                "--agent", str(path), f"must be a network from train_retarget.py ({error})"
+                "--agent",
+                str(path),
+                f"must be a network from train_retarget.py ({error_reason(error)})",
             ) from None
         return made
 

@@ -63,16 +63,15 @@ class Actions:
         given = np.asarray(action)
         if given.shape != shape or given.dtype.kind not in "fiu":
             raise ValueError(
-                f"action: must be numbers from -1 to 1 of shape {shape}, got shape {given.shape} "
-                f"and type {given.dtype}."
+                f"action: must be numbers between -1 and 1 of shape {shape}, got shape "
+                f"{given.shape} and type {given.dtype}."
             )
         wide = given.astype(np.float64).reshape(-1, size)
-        most = np.abs(wide).max(initial=0.0)
-        if not most <= 1.0 + _ROUNDING:
-            problem = (
-                "a value that is not finite" if not np.isfinite(most) else f"magnitude {most:g}"
-            )
-            raise ValueError(f"action: must be from -1 to 1, got {problem}.")
+        outside = ~(np.abs(wide) <= 1.0 + _ROUNDING)
+        if outside.any():
+            first = np.argwhere(outside.reshape(shape))[0].tolist()
+            value = given[tuple(first)].item()
+            raise ValueError(f"action{first}: must be between -1 and 1, got {value:.7g}.")
         return np.asarray(self.offset + self.scale * np.clip(wide, -1.0, 1.0))
 
     def action(self, physical: ArrayLike) -> NDArray[np.float32]:

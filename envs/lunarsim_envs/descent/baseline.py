@@ -41,7 +41,7 @@ class PolynomialGuidance:
             raise InputError("descents", "Control-v0", "must be from a Guidance-v0 environment")
         names = [part.name for part in descents.shown.parts[:2]]
         if names != ["position", "velocity"]:
-            raise InputError("observation", names, "must begin with position and velocity")
+            raise InputError("observation", names, "must begin with 'position' and 'velocity'")
         self._actions = descents.actions
         dynamics = descents.lanes.craft.dynamics
         self._gravity = dynamics.gravity

@@ -86,17 +86,15 @@ class VehicleParams:
         lander, control = scenario.vehicle.make(), scenario.control.make()
         if isinstance(lander, JetLander):
             raise InputError("vehicle.kind", "jet-lander", "must be 'lander' in this environment")
-        if scenario.legs is not None:
-            raise InputError("legs", "given", "is not supported in this environment", "Omit it.")
-        if scenario.faults is not None:
-            raise InputError(
-                "faults",
-                "given",
-                "is not supported in this environment",
-                "Use [domain_randomization].",
-            )
-        if scenario.moon is not None:
-            raise InputError("moon", "given", "is not supported in this environment", "Omit it.")
+        for table, remedy in (
+            ("legs", ""), ("faults", "Use the table [domain_randomization] for failures."),
+            ("moon", ""),
+        ):  # fmt: skip
+            if getattr(scenario, table) is not None:
+                raise InputError(
+                    table, None, "must be omitted, because this environment does not support it",
+                    remedy, show_value=False,
+                )  # fmt: skip
         if type(control) is not ProportionalDerivative:
             raise InputError(
                 "control.kind", type(control).__name__, "must be 'pd' in this environment"
@@ -132,8 +130,10 @@ class VehicleParams:
         steps = 1.0 / (rate * self.dynamics.step)
         if not (steps >= 1.0 and abs(steps - round(steps)) < 1e-6):
             raise InputError(
-                "rate_hz", rate, f"must have a period that is a multiple of {self.dynamics.step} s"
-            )
+                "rate_hz", rate,
+                f"must have a period (1 / rate_hz) that is a multiple of simulation.step_s "
+                f"({self.dynamics.step:g} s)",
+            )  # fmt: skip
         return round(steps)
 
 
@@ -146,16 +146,19 @@ def _check_ranges(
     """
     if randomization is None:
         return
-    for name, unit, maximum in (
-        ("payload", "kg", lander.dry_mass), ("specific_impulse", "s", lander.specific_impulse),
-        ("thrust_lag", "s", lander.thrust_lag - 2.0 * time_step),
+    two_steps = 2.0 * time_step
+    for key, value, maximum, limit in (
+        ("payload_kg", randomization.payload, lander.dry_mass, "vehicle.dry_mass_kg"),
+        ("specific_impulse_s", randomization.specific_impulse, lander.specific_impulse,
+         "vehicle.specific_impulse_s"),
+        ("thrust_lag_s", randomization.thrust_lag, lander.thrust_lag - two_steps,
+         f"vehicle.thrust_lag_s minus {two_steps:g} s"),
     ):  # fmt: skip
-        value = getattr(randomization, name)
         if value > 0.0 and not value < maximum:
             raise InputError(
-                f"domain_randomization.{name}_{unit}",
+                f"domain_randomization.{key}",
                 value,
-                f"must be 0, or less than {max(maximum, 0.0):g} {unit} for this lander",
+                f"must be 0, or less than {limit} ({max(maximum, 0.0):g})",
             )
 
 

@@ -61,12 +61,10 @@ def register(part: ObservationComponent) -> None:
         If the name exists, the size is less than 1, or the bounds are empty.
     """
     check_new(part.name, PARTS)
-    if part.size < 1 or not part.low < part.high:
-        raise InputError(
-            part.name,
-            (part.size, part.low, part.high),
-            "must have a size of 1 or more, and a lower bound below its upper bound",
-        )
+    if part.size < 1:
+        raise InputError(f"{part.name}.size", part.size, "must be 1 or more")
+    if not part.low < part.high:
+        raise InputError(f"{part.name}.low", part.low, f"must be less than high ({part.high})")
     PARTS[part.name] = part
 
 
@@ -158,7 +156,7 @@ class ObservationLayout:
         """Compute the observations of all landers of a batch (n, size)."""
         each = [p.of(lanes) for p in self.parts]
         for part, value in () if self._checked else zip(self.parts, each, strict=True):
-            check_shape(f"observation: {part.name}", value, (lanes.count, part.size))
+            check_shape(f"observation {part.name!r}", value, (lanes.count, part.size))
         self._checked = True
         observation = np.concatenate(each, axis=1).astype(np.float32)
         return np.clip(observation, self._low, self._high, out=observation)

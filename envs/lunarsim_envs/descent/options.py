@@ -69,13 +69,13 @@ def apply_options(
         elif key in KEYS:
             raise InputError(
                 f"options.{key}", value,
-                "has no effect, because only onboard perception depends on the Sun",
-                "Omit it.",
+                "must be omitted, because this environment does not simulate the Sun",
+                show_value=False,
             )  # fmt: skip
         else:
-            raise InputError(f"options.{key}", value, "is an unknown option", suggestion(key, KEYS))
+            raise _unknown_option(key)
     world_range = lanes.worlds.span(cover)
-    check_start_height(start, lanes)
+    check_start_height(start, lanes, "options.position_m[2]")
     _check_target_area(target_area, lanes)
     lanes.starts[mask], lanes.target_areas[mask] = start, target_area
     lanes.world_ranges[mask] = world_range
@@ -98,15 +98,24 @@ def scenario_with_options(options: Mapping[str, Any] | None, scenario: Scenario)
     """
     for key, value in checked_options(options).items():
         if key not in KEYS:
-            raise InputError(f"options.{key}", value, "is an unknown option", suggestion(key, KEYS))
+            raise _unknown_option(key)
         plain = value.tolist() if isinstance(value, (np.ndarray, np.generic)) else value
         if plain is None:
-            raise InputError(f"options.{key}", value, "must have a value", "Otherwise omit it.")
+            raise InputError(
+                f"options.{key}", value, "must not be None", "Omit the option for its default.",
+                show_value=False,
+            )  # fmt: skip
         try:
             scenario = with_values(scenario, {KEYS[key]: plain}, "options")
         except InputError as error:
-            raise InputError(f"options.{key}", value, error.problem, error.remedy) from error
+            raise error.with_field(error.field.replace(KEYS[key], key)) from error
     return scenario
+
+
+def _unknown_option(key: str) -> InputError:
+    return InputError(
+        f"options.{key}", None, "is an unknown option", suggestion(key, KEYS), show_value=False
+    )
 
 
 def _checked_numbers(key: str, value: Any, template: Array) -> Array:
@@ -119,19 +128,18 @@ def _checked_numbers(key: str, value: Any, template: Array) -> Array:
     listed = [plain] if len(template) == 1 else several
     kinds = int, float, np.integer, np.floating
     are_numbers = all(isinstance(one, kinds) and not isinstance(one, bool) for one in listed)
-    numbers = np.array(listed, dtype=np.float64) if are_numbers else np.full(1, np.nan)
-    if numbers.shape != template.shape or not np.isfinite(numbers).all():
-        what = (
-            "must be a finite number"
-            if len(template) == 1
-            else f"must be {len(template)} finite numbers"
-        )
-        raise InputError(f"options.{key}", value, what)
-    if np.abs(numbers).max() > MOST:
-        raise InputError(f"options.{key}", value, f"must have a magnitude of at most {MOST:g}")
-    if key.endswith(("_sigma_m", "_sigma_m_s", "_scatter_m")) and numbers.min() < 0.0:
-        raise InputError(f"options.{key}", value, "must be 0 or more")
-    return np.asarray(numbers)
+    numbers = np.array(listed if are_numbers else [], dtype=np.float64)
+    several = len(template) > 1
+    if not are_numbers or numbers.shape != template.shape:
+        expected = f"{len(template)} numbers" if several else "a number"
+        raise InputError(f"options.{key}", value, f"must be {expected}")
+    least = 0.0 if key.endswith(("_sigma_m", "_sigma_m_s", "_scatter_m")) else -MOST
+    for i, number in enumerate(numbers.tolist()):
+        if not least <= number <= MOST:
+            field = f"options.{key}[{i}]" if several else f"options.{key}"
+            bounds = f"between {least:g} and {MOST:g}" if np.isfinite(number) else "finite"
+            raise InputError(field, number, f"must be {bounds}")
+    return numbers
 
 
 def _check_target_area(target_area: Array, lanes: DescentBatch) -> None:
@@ -139,29 +147,38 @@ def _check_target_area(target_area: Array, lanes: DescentBatch) -> None:
 
     `target_area` (4,) has centre and half widths, east and north, m.
     """
-    middle, scatter = lanes.craft.target_area[:2], lanes.craft.target_area[2:]
-    low, high = middle - scatter, middle + scatter
-    if np.any(target_area[:2] - target_area[2:] < low - 1e-9) or np.any(
-        target_area[:2] + target_area[2:] > high + 1e-9
-    ):
-        raise InputError(
-            "options.target_m", (*target_area[:2].tolist(), *target_area[2:].tolist()),
-            f"must be within the scenario's target area, {low[0]:g} to {high[0]:g} m east and "
-            f"{low[1]:g} to {high[1]:g} m north, including target_scatter_m",
-        )  # fmt: skip
+    middle, largest = lanes.craft.target_area[:2], lanes.craft.target_area[2:]
+    for i in range(2):
+        target, scatter = target_area[[i, 2 + i]].tolist()
+        room = largest[i] - scatter
+        if room < -1e-9:
+            raise InputError(
+                f"options.target_scatter_m[{i}]", scatter,
+                f"must be at most target.scatter_m[{i}] of the scenario ({largest[i]:g})",
+            )  # fmt: skip
+        if abs(target - middle[i]) > room + 1e-9:
+            low, high = middle[i] - room, middle[i] + room
+            bounds = f"between {low:g} and {high:g}" if room > 1e-9 else f"{low:g}"
+            raise InputError(
+                f"options.target_m[{i}]", target,
+                f"must be {bounds}, so that targets stay in the target area of the scenario",
+            )  # fmt: skip
 
 
-def check_start_height(start: Array, lanes: DescentBatch) -> None:
+def check_start_height(
+    start: Array, lanes: DescentBatch, field: str = "start.position_m[2]"
+) -> None:
     """Check that flights start above the terrain of all worlds.
 
     `start` (8,) has the planned position, velocity and their standard deviations, as
     `VehicleParams.start`. The planned height minus five standard deviations must be above the
-    highest terrain; otherwise an `InputError` is raised.
+    highest terrain; otherwise an `InputError` for `field` is raised.
     """
     low, high = lanes.worlds.levels[:, 0].min(), lanes.worlds.levels[:, 1].max()
     least = high - low + lanes.craft.dynamics.lander.com_height + 5.0 * start[6]
     if start[2] <= least:
         raise InputError(
-            "position_m", tuple(start[:3].tolist()),
-            f"must have a height above {least:.1f} m, five standard deviations above the terrain",
+            field, float(start[2]),
+            f"must be above {least:.1f} m, which is five times position_sigma_m above the highest "
+            "terrain",
         )  # fmt: skip

@@ -45,8 +45,9 @@ class DescentWeights(DescentReward):
         if not self.safe > least:
             raise InputError(
                 "weights.safe", self.safe,
-                f"must be more than {least:g}, otherwise a crash may return more than a safe "
-                "landing far from the target",
+                f"must be above {least:g}, otherwise a crash may have a higher total reward than a "
+                "safe landing",
+                "The weights crash, propellant and miss of [descent_reward] set this limit.",
             )  # fmt: skip
 
 

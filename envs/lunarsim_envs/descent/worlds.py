@@ -12,6 +12,7 @@ from lunarsim.errors import InputError
 from lunarsim.grid import Grid, format_bytes
 from lunarsim.rng import RandomStreams, flight_seed
 from lunarsim.scenario import Scenario
+from lunarsim.simulation.mission import check_target_area
 from lunarsim.simulation.worlds import build_world
 from lunarsim.world import World
 from lunarsim.world.terrain import Terrain
@@ -103,7 +104,8 @@ class WorldPool:
                 if size > _MOST_BYTES:
                     raise InputError(
                         "worlds", count,
-                        f"must be smaller, because the worlds need {format_bytes(size)}",
+                        f"must be smaller: the worlds need {format_bytes(size)}, more than "
+                        f"{format_bytes(_MOST_BYTES)}",
                         "A smaller target.scatter_m also helps.",
                     )  # fmt: skip
             terrains.append(world.terrain.raster(grids[0]))
@@ -114,7 +116,7 @@ class WorldPool:
             raise InputError(
                 "target.scatter_m",
                 scenario.target.make().scatter,
-                "must keep all targets on terrain with data",
+                "must be smaller, because some targets are on terrain without data",
             )
         levels = np.stack((np.nanmin(height, (1, 2)), np.nanmax(height, (1, 2))), axis=1)
         frames = [np.array([g.x0, g.y0, g.posting]) for g in grids]
@@ -139,8 +141,8 @@ class WorldPool:
             raise InputError(
                 "options.cover",
                 cover,
-                f"must be one of {known}",
-                "Add the value to the argument covers of the environment.",
+                f"must be one of the covers of the environment ({known})",
+                "Add this value to the argument `covers`.",
             )
         return k * count, count
 
@@ -159,8 +161,8 @@ def scenarios_by_cover(scenario: Scenario, covers: Sequence[float]) -> list[Scen
             raise InputError(
                 "covers",
                 cover,
-                "must differ from each other and from the scenario's rocks.cover",
-                "Delete the repeated value.",
+                "must contain each cover only once, and not rocks.cover of the scenario",
+                "Delete this value.",
             )
         made.append(scenario.changed(rocks={"cover": cover}))
     return made
@@ -173,14 +175,7 @@ def _grids(scenario: Scenario, terrain: Terrain) -> tuple[Grid, Grid]:
     west, east, south, north = terrain.bounds
     low = np.maximum(middle - scatter - _ASIDE, [west, south])
     high = np.minimum(middle + scatter + _ASIDE, [east, north])
-    lander = scenario.vehicle.make()
-    room = lander.leg_radius + lander.pad_diameter
-    if np.any(middle - scatter - room < low) or np.any(middle + scatter + room > high):
-        raise InputError(
-            "target.scatter_m", target.scatter,
-            f"must keep targets {room:.1f} m inside the map, {west:.0f} to {east:.0f} m east and "
-            f"{south:.0f} to {north:.0f} m north",
-        )  # fmt: skip
+    check_target_area(target, terrain, scenario.vehicle.make())
 
     def grid(low: NDArray[np.float64], high: NDArray[np.float64], posting: float) -> Grid:
         cols, rows = (np.floor((high - low) / posting + 1e-6).astype(int) + 1).tolist()

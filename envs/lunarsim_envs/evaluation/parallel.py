@@ -35,12 +35,15 @@ def check_agents(study: EvaluationStudy, agents: Sequence[str]) -> None:
         If there are no agents, or one of them fails a check.
     """
     if not agents:
-        raise InputError("--agent", "", "must be given at least once")
+        raise InputError("--agent", None, "must be given at least once", show_value=False)
     for agent in agents:
         check(agent, trust_pickle=study.trust_pickle)
     names = [label(agent) for agent in agents]
-    if len(set(names)) < len(names):
-        raise InputError("--agent", ", ".join(names), "must have distinct names")
+    for name in names:
+        if names.count(name) > 1:
+            raise InputError(
+                "--agent", name, "must have a name that no other agent has", "Rename one of them."
+            )
     env = study.make()
     try:
         for agent in agents:

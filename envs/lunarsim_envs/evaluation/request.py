@@ -36,13 +36,18 @@ def _environment_id(env_name: str) -> str:
         try:
             importlib.import_module(module)
         except ImportError as error:
-            raise InputError("env", env_name, f"the module cannot be imported ({error})") from None
+            raise InputError(
+                "env",
+                env_name,
+                f"must name a module that can be imported ({error})",
+                "Install the module, or add its folder to PYTHONPATH.",
+            ) from None
     for candidate in (name, f"lunarsim/{name}"):
         if candidate in gymnasium.registry:
             return f"{module}:{candidate}" if module else candidate
     known = [one for one in gymnasium.registry if one.startswith("lunarsim/")]
     near = suggestion(name if "/" in name else f"lunarsim/{name}", known)
-    raise InputError("env", env_name, "is not a registered environment", near)
+    raise InputError("env", env_name, "must be a registered environment", near)
 
 
 def _check_perception(perception: str, create_default: Any) -> None:
@@ -55,7 +60,9 @@ def _check_perception(perception: str, create_default: Any) -> None:
             "--perception", perception, "is unknown", suggestion(perception, PERCEPTIONS)
         )
     if create_default is flat_scenario:
-        raise InputError("--perception", perception, "applies only to Retarget-v0", "Omit it.")
+        raise InputError(
+            "--perception", perception, "applies only to Retarget-v0", "Omit this option."
+        )
 
 
 def evaluation_study(
@@ -85,10 +92,11 @@ def evaluation_study(
     own = _DEFAULTS.get(name.rpartition(":")[2])
     if "observation" in arguments and own is None:
         given = ", ".join(arguments["observation"])
-        raise InputError("--observation", given, f"does not apply to {name}", "Omit it.")
+        raise InputError("--observation", given, f"does not apply to {name}", "Omit this option.")
     if "action" in arguments and own is not default_scenario:
         raise InputError(
-            "--action", ", ".join(arguments["action"]), "applies only to Retarget-v0", "Omit it."
+            "--action", ", ".join(arguments["action"]), "applies only to Retarget-v0",
+            "Omit this option.",
         )  # fmt: skip
     if "perception" in arguments:
         _check_perception(arguments["perception"], own)
@@ -98,7 +106,9 @@ def evaluation_study(
     elif own is not None:
         flown = own()
     elif changes:
-        raise InputError("--set", changes[0], f"needs --scenario, because {name} has no default")
+        raise InputError(
+            "--set", changes[0], f"needs --scenario, because {name} has no default scenario"
+        )
     if flown is not None:
         flown = with_changes(flown, tuple(changes))
     return EvaluationStudy(name, flown, dict(arguments), seed)

@@ -76,9 +76,9 @@ def register(part: ActionComponent) -> None:
     """
     check_new(part.name, PARTS)
     if part.sets not in ("site", "time_scale"):
-        raise InputError(f"{part.name}: sets", part.sets, "must be 'site' or 'time_scale'")
+        raise InputError(f"{part.name}.sets", part.sets, "must be 'site' or 'time_scale'")
     if part.count < 2:
-        raise InputError(f"{part.name}: count", part.count, "must be at least 2")
+        raise InputError(f"{part.name}.count", part.count, "must be 2 or more")
     PARTS[part.name] = part
 
 
@@ -148,6 +148,15 @@ def _array(actions: Any) -> NDArray[Any]:
         return np.array(None)
 
 
+def _given_text(action: Any) -> str:
+    """Return a single number for an error message, or shape and type of an array."""
+    given = _array(action)
+    if given.ndim:
+        return f"shape {given.shape} and type {given.dtype}"
+    ragged = isinstance(action, Sequence) and given.item() is None
+    return "lists of unequal lengths" if ragged else repr(given.item())
+
+
 class SiteActions:
     """Decode actions that consist of named components into site decisions.
 
@@ -171,7 +180,7 @@ class SiteActions:
         for one in set(sets):
             if sets.count(one) > 1:
                 raise InputError(
-                    "action", list(names), f"must have only one component that sets the {one}"
+                    "action", list(names), f"must not have two components that set the {one}"
                 )
         self.counts = [part.count for part in self.parts]
         self.space: spaces.Discrete[Any] | spaces.MultiDiscrete[Any]
@@ -214,16 +223,12 @@ class SiteActions:
         ValueError
             If the action is invalid.
         """
-        if len(self.parts) == 1:
-            if not self.space.contains(action):
-                raise ValueError(
-                    f"action: must be an integer from 0 to {self.counts[0] - 1}, got {action!r}."
-                )
-            return np.array([[int(action)]])
-        given = _array(action)
-        if given.shape != (len(self.parts),) or given.dtype.kind not in "iu" or self._out(given):
-            raise ValueError(f"action: must be {self._bounds}, got {action!r}.")
-        return given.astype(np.int64)[None]
+        if len(self.parts) > 1:
+            return self._checked("action", action, (len(self.parts),))
+        if not self.space.contains(action):
+            bounds = f"must be an integer between 0 and {self.counts[0] - 1}"
+            raise ValueError(f"action: {bounds}, got {_given_text(action)}.")
+        return np.array([[int(action)]])
 
     def checked_batch_choices(self, actions: Any, count: int) -> Choice:
         """Check the actions of `count` environments; return the choices (n, components).
@@ -233,30 +238,27 @@ class SiteActions:
         ValueError
             If the actions are invalid.
         """
-        one = len(self.parts) == 1
-        shape = (count,) if one else (count, len(self.parts))
-        given = _array(actions)
-        wanted = f"integers from 0 to {self.counts[0] - 1}" if one else f"times {self._bounds}"
+        shape = (count,) if len(self.parts) == 1 else (count, len(self.parts))
+        return self._checked("actions", actions, shape)
+
+    def _checked(self, field: str, action: Any, shape: tuple[int, ...]) -> Choice:
+        """Check shape, type and bounds of actions; return the choices (n, components)."""
+        given = _array(action)
         if given.shape != shape or given.dtype.kind not in "iu":
             raise ValueError(
-                f"actions: must be {count} {wanted}, got shape {given.shape} and type "
-                f"{given.dtype}."
+                f"{field}: must be integers of shape {shape} for "
+                f"{', '.join(part.name for part in self.parts)}, got {_given_text(action)}."
             )
-        wide = given.reshape(count, len(self.parts))
-        if self._out(wide):
-            limits = (wide.min(axis=0), wide.max(axis=0))
-            low, high = (str(v[0] if one else v.tolist()) for v in limits)
-            raise ValueError(f"actions: must be {count} {wanted}, got values from {low} to {high}.")
+        wide = given.reshape(-1, len(self.parts))
+        outside = (wide < 0) | (wide >= np.array(self.counts))
+        if outside.any():
+            index = np.argwhere(outside.reshape(shape))[0].tolist()
+            k = index[-1] if len(self.parts) > 1 else 0
+            raise ValueError(
+                f"{field}{index}: must be between 0 and {self.counts[k] - 1} (component "
+                f"{self.parts[k].name!r}), got {given[tuple(index)]}."
+            )
         return wide.astype(np.int64)
-
-    @property
-    def _bounds(self) -> str:
-        """Description of valid actions with several components, for messages."""
-        ranges = (f"{part.name} from 0 to {part.count - 1}" for part in self.parts)
-        return f"{len(self.parts)} integers, {', '.join(ranges)}"
-
-    def _out(self, given: NDArray[Any]) -> bool:
-        return bool(((given < 0) | (given >= np.array(self.counts))).any())
 
     def masks(self, inputs: SiteInputs) -> Mask:
         """Return which choices are available (n, total number of choices).
@@ -270,7 +272,7 @@ class SiteActions:
         if part.open is None:
             return _all_available(inputs, part.count)
         mask = np.asarray(part.open(inputs), dtype=np.bool_)
-        check_shape(f"action: {part.name}: open", mask, (len(inputs.site), part.count))
+        check_shape(f"action {part.name!r}, open", mask, (len(inputs.site), part.count))
         return mask
 
     def decisions(self, chosen: Choice, inputs: SiteInputs) -> SiteDecisions:
@@ -285,14 +287,13 @@ class SiteActions:
         decided = {"site": np.full((n, 3), np.nan), "time_scale": np.full(n, np.nan)}
         for part, own in zip(self.parts, chosen.T, strict=True):
             value = np.array(part.of(inputs, own), dtype=np.float64)
-            check_shape(f"action: {part.name}", value, decided[part.sets].shape)
+            check_shape(f"action {part.name!r}", value, decided[part.sets].shape)
             decided[part.sets] = value
-        if (decided["time_scale"] <= 0.0).any() or np.isinf(decided["time_scale"]).any():
-            raise InputError(
-                "action: time_scale",
-                decided["time_scale"].tolist(),
-                "must be positive and finite, or NaN",
-            )
+        scale = decided["time_scale"]
+        wrong = (scale <= 0.0) | np.isinf(scale)
+        if wrong.any():
+            problem = "must be positive and finite, or NaN"
+            raise InputError("time_scale", scale[wrong][0].item(), problem)
         lost = invalid & np.isfinite(decided["time_scale"])
         for value in decided.values():
             value[invalid] = np.nan

@@ -92,21 +92,24 @@ def _check_supported(scenario: Scenario, guidance: Any) -> None:
     if not plain or guidance.feedback(scenario.gravity_m_s2) is not None:
         kind = scenario.guidance.kind
         raise InputError(
-            "guidance.kind", kind, "must be apollo or e-guidance for compiled kernels",
+            "guidance.kind", kind, "must be 'apollo' or 'e-guidance' for this perception",
             "Otherwise use perception='onboard'.",
         )  # fmt: skip
     for table in ("braking", "window", "terminal_descent", "domain_randomization", "prior_map"):
         if getattr(scenario, table) is not None:
+            remedy = (
+                "" if table == "domain_randomization" else "Otherwise use perception='onboard'."
+            )
             raise InputError(
-                table, "given", "is not supported by compiled kernels",
-                "Omit the table, or use perception='onboard'.",
-            )  # fmt: skip
+                table, None, "must be omitted for this perception", remedy, show_value=False
+            )
     if not scenario.approach.make().has_free_time_to_go:
         raise InputError(
             "approach.time_to_go_s",
-            "given",
-            "is not supported by compiled kernels",
-            "Omit the key, or use perception='onboard'.",
+            None,
+            "must be omitted for this perception",
+            "Otherwise use perception='onboard'.",
+            show_value=False,
         )
 
 

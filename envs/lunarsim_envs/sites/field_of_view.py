@@ -22,7 +22,10 @@ def fov_and_footprint(scenario: Scenario) -> Array:
     sensor = scenario.mappers[name].make().sensor
     lidar = scenario.sensors[sensor].make()
     if not isinstance(lidar, FlashLidar):
-        raise InputError(f"sensors.{sensor}.kind", type(lidar).__name__, "must be flash-lidar")
+        kind = scenario.sensors[sensor].kind
+        raise InputError(
+            f"sensors.{sensor}.kind", kind, "must be 'flash-lidar' for this perception"
+        )
     lander = scenario.vehicle.make()
     return np.array([lidar.half_fov_tangent, lander.leg_radius + 0.5 * lander.pad_diameter])
 
@@ -36,7 +39,9 @@ def deciding_mapper(scenario: Scenario) -> str:
         If the scenario has no mapper.
     """
     if not scenario.mappers:
-        raise InputError("mappers", {}, "must have at least one table [mappers.NAME]")
+        raise InputError(
+            "mappers", {}, "must contain at least one table [mappers.NAME]", show_value=False
+        )
     return scenario.decisions.make().map or next(iter(scenario.mappers))
 
 
@@ -49,11 +54,15 @@ def scan_altitudes(scenario: Scenario) -> Array:
     sensor = scenario.mappers[deciding_mapper(scenario)].make().sensor
     tasking = scenario.tasking.get(sensor)
     if tasking is None or tasking.kind != "at-altitudes":
-        kind = None if tasking is None else tasking.kind
-        raise InputError(f"tasking.{sensor}.kind", kind, "must be at-altitudes")
+        raise InputError(
+            f"tasking.{sensor}.kind", None if tasking is None else tasking.kind,
+            "must be 'at-altitudes' for this perception", show_value=tasking is not None,
+        )  # fmt: skip
     made = tasking.make()
     if made.boresight != "site":
-        raise InputError(f"tasking.{sensor}.boresight", made.boresight, "must be site")
+        raise InputError(
+            f"tasking.{sensor}.boresight", made.boresight, "must be 'site' for this perception"
+        )
     return np.array(sorted(made.altitudes, reverse=True))
 
 

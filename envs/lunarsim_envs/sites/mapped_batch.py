@@ -106,7 +106,7 @@ def gaussian_dem_of(scenario: Scenario) -> GaussianDemMapperSettings:
         kind = scenario.mappers[name].kind
         raise InputError(
             f"mappers.{name}.kind", kind,
-            "must be gaussian-dem for this perception",
-            "perception='onboard' supports all mappers.",
+            "must be 'gaussian-dem' for this perception",
+            "Otherwise use perception='onboard'.",
         )  # fmt: skip
     return part

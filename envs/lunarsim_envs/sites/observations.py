@@ -76,11 +76,11 @@ def register(part: SiteObservationComponent) -> None:
     """
     check_new(part.name, PARTS)
     space = part.space
-    if not part.shape or not (space.low < space.high).all():
+    if not part.shape:
+        raise InputError(f"{part.name}.shape", part.shape, "must have one axis or more")
+    if not (space.low < space.high).all():
         raise InputError(
-            part.name,
-            (part.shape, part.low, part.high),
-            "must have one axis or more, and lower bounds below its upper bounds",
+            f"{part.name}.low", part.low, "must be less than high everywhere", show_value=False
         )
     PARTS[part.name] = part
 
@@ -211,7 +211,7 @@ class SiteObservationLayout:
         observation = {}
         for part in self.parts:
             value = np.array(part.of(inputs), dtype=np.float32)
-            check_shape(f"observation: {part.name}", value, (len(inputs.site), *part.shape))
+            check_shape(f"observation {part.name!r}", value, (len(inputs.site), *part.shape))
             low, high = self._bounds[part.name]
             np.maximum(value, low, out=value)
             observation[part.name] = np.minimum(value, high, out=value)

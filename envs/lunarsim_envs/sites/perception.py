@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from lunarsim.errors import InputError, suggestion
+from lunarsim.errors import InputError
 from lunarsim.scenario import Scenario
 from lunarsim_envs.arguments import checked_covers
 from lunarsim_envs.descent.worlds import scenarios_by_cover
@@ -78,14 +78,16 @@ def create_batch(
         If the perception is unknown, or kernels do not support the scenario.
     """
     if not isinstance(perception, str) or perception not in KERNELS:
-        near = suggestion(str(perception), PERCEPTIONS)
-        if perception in FULL_SIMULATION:
-            near = "The full simulation flies only single environments."
-        raise InputError("perception", perception, f"must be one of {', '.join(KERNELS)}", near)
+        remedy = (
+            "Use a single environment for this perception." if perception in FULL_SIMULATION else ""
+        )
+        raise InputError("perception", perception, f"must be one of {', '.join(KERNELS)}", remedy)
     if isinstance(surrogate, Surrogate):
         model = surrogate
     elif not isinstance(surrogate, str | Path | None):
-        raise InputError("surrogate", surrogate, "must be a Surrogate or the path of its file")
+        raise InputError(
+            "surrogate", surrogate, "must be a Surrogate, the path of its file, or None"
+        )
     else:
         model = Surrogate.load(SHIPPED if surrogate is None else Path(surrogate))
     view = fov_and_footprint(scenario)

@@ -71,7 +71,7 @@ def _quadtree(scenario: Scenario) -> dict[str, Any]:
     if part.kind != "gaussian-dem":
         raise InputError(
             f"mappers.{before}.kind", part.kind,
-            "must be quadtree or gaussian-dem for the perception 'quadtree'",
+            "must be 'quadtree' or 'gaussian-dem' for perception='quadtree'",
         )  # fmt: skip
     lander = scenario.vehicle.make()
     sites = {
@@ -96,7 +96,7 @@ def _fused(scenario: Scenario) -> dict[str, Any]:
     if not reliefs:
         raise InputError(
             "mappers", sorted(part.kind for part in scenario.mappers.values()),
-            "must include gaussian-dem or quadtree for the perception 'fused'",
+            "must include the kind 'gaussian-dem' or 'quadtree' for perception='fused'",
         )  # fmt: skip
     rocks = [name for name, part in scenario.mappers.items() if part.kind == "shadow"]
     given: dict[str, Any] = {"mappers": {}} if rocks else _camera(scenario)

@@ -68,7 +68,7 @@ class SiteWorldPool:
             inside the map.
         """
         if count < 1:
-            raise InputError("worlds", count, "must be at least 1")
+            raise InputError("worlds", count, "must be 1 or more")
         tables = ("terrain", "rocks", "vehicle", "target", "sun", "gravity_m_s2")
         held = scenario.to_dict()
         key = repr(([held.get(name) for name in tables], count, seed, tuple(covers)))

@@ -90,7 +90,7 @@ def batches(
         If `flights` is less than 1, or kernels do not support the scenario.
     """
     if flights < 1:
-        raise InputError("--flights", flights, "must be at least 1")
+        raise InputError("--flights", flights, "must be 1 or more")
     one = create_batch(1, "surrogate", scenario, worlds, 0, surrogate)
     many = SparseDescentBatch(
         min(lanes, flights), without_site_decisions(scenario), one.pool, errors=one.errors,

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from lunarsim.array_files import read_arrays
 from lunarsim.atomic_arrays import atomic_write_arrays
-from lunarsim.errors import InputError
+from lunarsim.errors import InputError, error_reason
 from lunarsim.scenario import Scenario
 from lunarsim_envs.sites import hazard
 from lunarsim_envs.sites._map_kernels import MapErrorModel
@@ -113,7 +113,7 @@ class Surrogate:
         try:
             held = read_arrays(path)
             if str(held["format"]) != _FORMAT:
-                raise ValueError(f"the format is {held['format']}")
+                raise ValueError(f"the format must be {_FORMAT}, not {held['format']}")
             made = cls(
                 held["shares"], held["tables"].astype(np.float64), held["common"], held["weights"],
                 held["stretch"], float(held["kept"]), held["drift"],
@@ -124,21 +124,21 @@ class Surrogate:
             raise InputError(
                 "surrogate",
                 str(path),
-                f"must be a file from scenarios/learning/fit_surrogate.py ({error})",
+                f"must be a file from scenarios/learning/fit_surrogate.py ({error_reason(error)})",
             ) from None
         return made
 
     def _check(self) -> None:
         shape = (len(self.shares), len(self.altitudes), hazard.COUNT, NODES)
         if self.tables.shape != shape or self.common.shape != shape[:2]:
-            raise ValueError(f"tables have shape {self.tables.shape}, not {shape}")
+            raise ValueError(f"tables must have shape {shape}, not {self.tables.shape}")
         if not ((self.tables >= 0.0) & (self.tables <= 1.0)).all():
-            raise ValueError("tables have values outside 0 to 1")
+            raise ValueError("values of tables must be between 0 and 1")
         if self.stretch.shape != shape[:2] or not (self.stretch > 0.0).all():
-            raise ValueError("stretch has a wrong shape or values that are not positive")
+            raise ValueError("stretch must have the shape of tables and positive values")
         wide = (*shape[:2], len(LENGTHS))
         if self.weights.shape != wide or np.abs(self.weights.sum(axis=2) - 1.0).max() > 1e-6:
-            raise ValueError("weights have a wrong shape or do not sum to 1")
+            raise ValueError("weights must have the shape of tables and a sum of 1")
 
     def check(self, scenario: Scenario) -> None:
         """Check that the surrogate holds for the mapper and sensor of a scenario.
@@ -154,14 +154,19 @@ class Surrogate:
         taken = theirs["tasking"].get("altitudes_m", [])
         if taken and taken == mine["tasking"]["altitudes_m"][: len(taken)]:
             mine["tasking"]["altitudes_m"] = taken
-        for name in mine:
-            if mine[name] != theirs[name]:
-                raise InputError(
-                    f"perception: [{name}]", theirs[name],
-                    f"must be the same as for the surrogate, {mine[name]}",
-                    "Fit a surrogate by scenarios/learning/fit_surrogate.py, or use "
-                    "perception='gaussian-dem'.",
-                )  # fmt: skip
+        mapper = deciding_mapper(scenario)
+        sensor = scenario.mappers[mapper].make().sensor
+        tables = {"mapper": f"mappers.{mapper}", "sensor": f"sensors.{sensor}"}
+        tables |= {"tasking": f"tasking.{sensor}", "expected_rocks": "expected_rocks"}
+        for name, table in tables.items():
+            for key in sorted(mine[name].keys() | theirs[name].keys()):
+                own, other = mine[name].get(key), theirs[name].get(key)
+                if own != other:
+                    raise InputError(
+                        f"{table}.{key}", other, f"must be {own!r}, as in the fit of the surrogate",
+                        "Fit another by scenarios/learning/fit_surrogate.py, or use "
+                        "perception='gaussian-dem'.",
+                    )  # fmt: skip
 
     def _noise(self, posting: float) -> NDArray[np.float32]:
         held = self.weights.tobytes(), self.stretch.astype(np.float64).tobytes()

@@ -124,7 +124,9 @@ def quantile_tables(samples: Sequence[MapSample]) -> Array:
     sizes = hazard.size_class(kind)
     known = np.flatnonzero(np.bincount(sizes, minlength=len(hazard.SIZES) + 1) >= 1)
     if not len(known):
-        raise InputError("samples", len(samples), "must include a site with known truth")
+        raise InputError(
+            "samples", samples, "must include a site with known true safety", show_value=False
+        )
     out = np.empty((hazard.COUNT, NODES))
     for c in range(hazard.COUNT):
         size = int(hazard.size_class(np.array([c], np.uint8))[0])
@@ -184,7 +186,7 @@ def _scan_correlation(scores: Sequence[Sequence[Array]]) -> float:
     first, second = scores
     if len(first) != len(second):
         raise InputError(
-            "scans", (len(first), len(second)), "must be equal numbers of first and second maps"
+            "scans", (len(first), len(second)), "must have as many first maps as second maps"
         )
     pairs = np.concatenate([
         np.stack((a, b), axis=-1).reshape(-1, 2) for a, b in zip(first, second, strict=True)

@@ -127,7 +127,11 @@ class TrainingRun:
         out.mkdir(parents=True, exist_ok=True)
         kept = out / "settings.json"
         if kept.exists() and PpoSettings.load(kept) != settings:
-            raise InputError("--out", str(out), "must be a new folder, or have the same settings")
+            raise InputError(
+                "--out",
+                str(out),
+                "must be a new folder, or a folder of a training with the same settings",
+            )
         if (out / "checkpoint" / "state.json").exists():
             self._resume()
         else:

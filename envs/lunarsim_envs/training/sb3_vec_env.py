@@ -12,7 +12,7 @@ from stable_baselines3.common.vec_env import VecEnv
 
 from lunarsim.errors import InputError
 
-_SHARED = "is not supported, because all lanes share one vector environment"
+_SHARED = "is not supported for this attribute, because all environments share one object"
 
 
 def _lane_observation(shown: Any, lane: Any) -> Any:
@@ -48,7 +48,7 @@ class Sb3VecEnv(VecEnv):  # type: ignore[misc]
     ) -> None:  # fmt: skip
         mode = batch.metadata.get("autoreset_mode")
         if mode is not gymnasium.vector.AutoresetMode.SAME_STEP:
-            raise ValueError(f"autoreset_mode: must be 'SameStep', got {mode}.")
+            raise ValueError(f"autoreset_mode: must be AutoresetMode.SAME_STEP, got {mode}.")
         self.batch, self.starts = batch, tuple(starts)
         self.render_mode = None
         super().__init__(batch.num_envs, batch.single_observation_space, batch.single_action_space)
@@ -77,7 +77,9 @@ class Sb3VecEnv(VecEnv):  # type: ignore[misc]
         given = self._options
         if len(given) != self.num_envs or not all(isinstance(one, dict) for one in given):
             raise InputError(
-                "set_options", given, f"must be a dictionary, or {self.num_envs} dictionaries"
+                "set_options",
+                given,
+                f"must be a dictionary, or a list of {self.num_envs} dictionaries",
             )
         alike: dict[tuple[int, int], list[int]] = {}
         for lane, own in enumerate(given):
@@ -121,7 +123,7 @@ class Sb3VecEnv(VecEnv):  # type: ignore[misc]
         """Return an attribute of the vector environment, once per lane of `indices`."""
         value = getattr(self.batch, attr_name, None if attr_name == "render_mode" else ...)
         if value is ...:
-            raise AttributeError(attr_name)
+            raise AttributeError(f"the vector environment has no attribute {attr_name!r}")
         return [value] * len(list(self._get_indices(indices)))
 
     def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:

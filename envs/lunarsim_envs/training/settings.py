@@ -87,13 +87,15 @@ class PpoSettings:
         for field in fields(self):
             value = getattr(self, field.name)
             if not np.isfinite(value):
-                raise InputError(field.name, value, "must be a finite number")
+                raise InputError(field.name, value, "must be finite")
         for name in ("steps", "lanes", "horizon", "batch", "epochs", "width", "shares"):
             if getattr(self, name) < 1:
-                raise InputError(name, getattr(self, name), "must be at least 1")
+                raise InputError(name, getattr(self, name), "must be 1 or more")
         if self.lanes < self.shares:
             raise InputError(
-                "lanes", self.lanes, f"must be at least {self.shares}, one per start distance"
+                "lanes",
+                self.lanes,
+                f"must be {self.shares} or more, which is the number of start distances (shares)",
             )
         if not 0.0 < self.nearest <= 1.0:
             raise InputError("nearest", self.nearest, "must be above 0 and at most 1")
