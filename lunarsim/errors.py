@@ -102,7 +102,7 @@ def _is_integer(value: object) -> bool:
 
 
 def _check_numbers(field: str, value: object, kind: str) -> None:
-    """Check that a value is a sequence of numbers, of the length that its annotation states."""
+    """Check a sequence of numbers and the length that its annotation states."""
     count = 0 if "..." in kind else kind.count("float")
     if isinstance(value, str) or not isinstance(value, Iterable):
         expected = f"must be {count} numbers" if count else "must be a sequence of numbers"
@@ -123,7 +123,7 @@ _KINDS = (
 
 
 def _format_value(value: object) -> str:
-    """Return a value as an error message shows it: plain, and without its middle if it is long."""
+    """Return the text of a value, without its middle if it is long."""
     if isinstance(value, type):
         return value.__name__
     if hasattr(value, "dtype") and hasattr(value, "tolist"):  # array or number of NumPy
@@ -143,7 +143,7 @@ def _format_value(value: object) -> str:
 
 
 def error_reason(error: Exception) -> str:
-    """Return the first line of an error's message; for a `KeyError`, that the key is missing."""
+    """Return the first line of the message of an error, or which key is missing."""
     if isinstance(error, KeyError):
         return f"{error} is missing"
     return str(error).split("\n", maxsplit=1)[0] or type(error).__name__

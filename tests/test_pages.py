@@ -168,7 +168,7 @@ def _run(line, folder):
     assert done.returncode == 0, (line, done.stderr)
 
 
-# Pages whose commands run in order in one folder, and words of lines that need what a reader brings.
+# Pages whose commands run in order in one folder, and words of lines that need more files.
 RUN = {
     "README.md": (),
     "docs/get-started/worlds.md": (),
