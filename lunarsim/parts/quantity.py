@@ -237,6 +237,6 @@ def check_bounds(part: Any, table: str) -> None:
         for i, one in enumerate(given if isinstance(given, tuple) else (given,)):
             if isinstance(one, Real) and not q.allows(float(one)):
                 index = f"[{i}]" if isinstance(given, tuple) else ""
-                expected = q.expected if np.isfinite(one) else "finite"
+                expected = q.expected if np.isfinite(float(one)) else "finite"
                 raise InputError(f"{table}.{f.name}{index}", one, f"must be {expected}")
     check_types(table, part)
