@@ -143,7 +143,7 @@ def _format_value(value: object) -> str:
 
 
 def error_reason(error: Exception) -> str:
-    """Return the first line of the message of an error, or which key is missing."""
+    """Return the first line of an error's message, or which key is missing."""
     if isinstance(error, KeyError):
         return f"{error} is missing"
     return str(error).split("\n", maxsplit=1)[0] or type(error).__name__

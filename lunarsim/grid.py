@@ -51,8 +51,9 @@ def check_raster_size(
     if not count <= max_cells_per_side:
         raise InputError(
             field, size,
-            f"must be at most {max_cells_per_side * posting:g} m, {max_cells_per_side} {what} of "
-            f"{posting:g} m (this size needs {format_bytes(4.0 * count * count)})",
+            f"must be at most {max_cells_per_side * posting:g} m ({max_cells_per_side} {what} of "
+            f"{posting:g} m)",
+            f"This size needs {format_bytes(4.0 * count * count)}.",
         )  # fmt: skip
 
 

@@ -43,8 +43,14 @@ OF_A_SCENARIO = [
     ([GOOD, "--set", "rocks=0.08"], ["--set rocks: ", "got 0.08", "a table [rocks]"]),
     ([GOOD, "--set", "rocks.cover"], ["--set", "KEY=VALUE"]),
     ([GOOD, "--set", "rocks.covr=0.1"], ["--set rocks.covr", "Did you mean 'cover'"]),
-    ([GOOD, "--set", "terrain.size_m=1e9"], ["1000000000.0", "55.5 EiB", "at most 20000 points"]),
-    ([GOOD, "--set", "mappers.dem.size_m=1e6"], ["1000000.0", "90.9 TiB", "at most 8000 cells"]),
+    (
+        [GOOD, "--set", "terrain.size_m=1e9"],
+        ["1000000000.0", "55.5 EiB", "at most 5000 m (20000 points of 0.25 m)"],
+    ),
+    (
+        [GOOD, "--set", "mappers.dem.size_m=1e6"],
+        ["1000000.0", "90.9 TiB", "at most 1600 m (8000 cells of 0.2 m)"],
+    ),
 ]
 # Of every command: arguments of its own, and what the line must hold.
 OWN = {

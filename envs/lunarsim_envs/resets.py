@@ -66,10 +66,10 @@ def lane_seeds(
         raise ValueError(
             f"seed: must have {len(mask)} values, one per environment, got {len(seed)} values."
         )
-    chosen = [seed[int(lane)] for lane in lanes]
-    for lane, one in zip(lanes, chosen, strict=True):
+    each = [seed[int(lane)] for lane in lanes]
+    for lane, one in zip(lanes, each, strict=True):
         if one is not None and not (isinstance(one, (int, np.integer)) and one >= 0):
             raise ValueError(
                 f"seed[{lane}]: must be an integer of 0 or more, or None, got {one!r}."
             )
-    return [None if one is None else int(one) for one in chosen]
+    return [None if one is None else int(one) for one in each]

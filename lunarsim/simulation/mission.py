@@ -51,7 +51,7 @@ def draw_target(
 
 
 def check_target_area(target: PlannedSite, terrain: Terrain, lander: Lander) -> None:
-    """Check that a lander at any scattered target is completely on the terrain.
+    """Check that a lander at any target in the scatter is on the terrain.
 
     Raises
     ------

@@ -278,7 +278,7 @@ def test_worlds_that_cannot_be_are_refused():
     with pytest.raises(InputError, match="GiB"):
         WorldPool.of(ROUGH, 10_000, 1)
     far = Scenario.from_dict(TABLES | {"target": {"position_m": [75.0, 0.0], "scatter_m": [9, 0]}})
-    with pytest.raises(InputError, match=r"target\.scatter_m"):
+    with pytest.raises(InputError, match=r"target\.position_m\[0\]: .*with its scatter"):
         WorldPool.of(far, 1, 1)
 
 

@@ -270,7 +270,7 @@ def test_changes_are_checked_too():
         (
             map_lander(prior_map={"size_m": 1e5, "posting_m": 0.1}),
             "prior_map.size_m",
-            "at most 400 m, 4000 points of 0.1 m",
+            "at most 400 m (4000 points of 0.1 m)",
         ),
     ],
 )

@@ -132,5 +132,5 @@ def test_invalid_actions_are_attributed_to_the_agent(script, tmp_path, monkeypat
         "import numpy as np\ndef nans(shown):\n    return np.full(3, np.nan)\n"
     )
     done = recorded(script, "Guidance-v0", "--agent", "agent_of_nans:nans", "--out", "some")
-    assert done.exit_code == 2 and "must give actions" in done.output
+    assert done.exit_code == 2 and "must return valid actions" in done.output
     assert not Path("some").exists()

@@ -124,12 +124,11 @@ def _checked_numbers(key: str, value: Any, template: Array) -> Array:
     `key` is the name of the option. Standard deviations and scatters must not be negative.
     """
     plain = value.tolist() if isinstance(value, (np.ndarray, np.generic)) else value
-    several = list(plain) if isinstance(plain, Sequence) else []
-    listed = [plain] if len(template) == 1 else several
+    several = len(template) > 1
+    listed = [plain] if not several else list(plain) if isinstance(plain, Sequence) else []
     kinds = int, float, np.integer, np.floating
     are_numbers = all(isinstance(one, kinds) and not isinstance(one, bool) for one in listed)
     numbers = np.array(listed if are_numbers else [], dtype=np.float64)
-    has_index = len(template) > 1
     if not are_numbers or numbers.shape != template.shape:
         expected = f"{len(template)} numbers" if has_index else "a number"
         raise InputError(f"options.{key}", value, f"must be {expected}")
