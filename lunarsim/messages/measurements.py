@@ -161,8 +161,9 @@ class LidarScan:
                 problem = "must be positive and finite"
                 remedy = f"If the ray has no return, set scan.range[{i}] to NaN."
                 raise InputError(f"scan.{name}[{i}]", float(values[i]), problem, remedy)
-        if not np.allclose(self.mount @ self.mount.T, np.eye(3), atol=1e-6):
-            problem = "must be a rotation matrix, so that mount @ mount.T is the identity"
+        is_orthogonal = np.allclose(self.mount @ self.mount.T, np.eye(3), atol=1e-6)
+        if not (is_orthogonal and np.linalg.det(self.mount) > 0.0):
+            problem = "must be a rotation matrix, with mount @ mount.T = identity, determinant 1"
             raise InputError("scan.mount", self.mount, problem, show_value=False)
         if np.shape(position) != (3,):
             raise InputError("estimate.position", np.shape(position), "must have shape (3,)")

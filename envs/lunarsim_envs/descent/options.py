@@ -130,12 +130,12 @@ def _checked_numbers(key: str, value: Any, template: Array) -> Array:
     are_numbers = all(isinstance(one, kinds) and not isinstance(one, bool) for one in listed)
     numbers = np.array(listed if are_numbers else [], dtype=np.float64)
     if not are_numbers or numbers.shape != template.shape:
-        expected = f"{len(template)} numbers" if has_index else "a number"
+        expected = f"{len(template)} numbers" if several else "a number"
         raise InputError(f"options.{key}", value, f"must be {expected}")
     least = 0.0 if key.endswith(("_sigma_m", "_sigma_m_s", "_scatter_m")) else -MOST
     for i, number in enumerate(numbers.tolist()):
         if not least <= number <= MOST:
-            field = f"options.{key}[{i}]" if has_index else f"options.{key}"
+            field = f"options.{key}[{i}]" if several else f"options.{key}"
             bounds = f"between {least:g} and {MOST:g}" if np.isfinite(number) else "finite"
             raise InputError(field, number, f"must be {bounds}")
     return numbers

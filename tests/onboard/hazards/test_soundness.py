@@ -159,6 +159,7 @@ BAD_SCANS = [
     ("sigma", lambda s: 0.0 * s.sigma, "scan.sigma[0]"),
     ("shape", lambda s: (127, 128), "scan.range"),
     ("mount", lambda s: 2.0 * s.mount, "scan.mount"),
+    ("mount", lambda s: s.mount @ np.diag([1.0, 1.0, -1.0]), "scan.mount"),
     ("mount", lambda s: np.full((3, 3), np.nan), "scan.mount"),
 ]
 BAD_POSES = [
