@@ -184,7 +184,7 @@ def test_a_folder_of_anything_else_is_refused_and_left_alone(tmp_path):
     for key, value in (("version", "0.0.9"), ("code", "0" * 12), ("format", 99)):
         manifest = json.loads((tmp_path / "c" / "manifest.json").read_text())
         write_manifest(tmp_path / "c", manifest | {key: value})
-        with pytest.raises(InputError, match=rf"flown with {key} {value}"):
+        with pytest.raises(InputError, match=rf"{key} {value} there"):
             run(plan(flights=2), InlineEngine(), tmp_path / "c")
         (tmp_path / "c" / "manifest.json").write_bytes(kept[tmp_path / "c" / "manifest.json"])
     for name, value, says in (

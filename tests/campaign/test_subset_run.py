@@ -153,7 +153,7 @@ def test_real_flights_are_drawn_flown_and_flown_again(tmp_path):
     later = table[table["level"] == 1]
     again = replay(folder, later["id"].iloc[-1])
     assert again.differences == []
-    with pytest.raises(InputError, match="depends on flights") as refused:
+    with pytest.raises(InputError, match="must not depend on flights") as refused:
         replay(folder, "35-0")
     assert refused.value.field == "--flight"
     (share,) = estimate_failure_shares(found)

@@ -148,9 +148,9 @@ def test_a_part_of_ones_own_is_copied_and_must_keep_to_its_shape(monkeypatch):
     other = pickle.loads(pickle.dumps(env))
     action = np.zeros(3, np.float32)
     assert np.array_equal(env.step(action)[0], other.step(action)[0])
-    with pytest.raises(InputError, match=r"two: must be an array of shape \(1, 2\)"):
+    with pytest.raises(InputError, match=r"'two': must have shape \(1, 2\)"):
         RetargetEnv(observation=["two"], **SITE).reset(seed=1)
-    with pytest.raises(InputError, match=r"flat: must be an array of shape \(1, 1\)"):
+    with pytest.raises(InputError, match=r"'flat': must have shape \(1, 1\)"):
         GuidanceEnv(changes=LOW, observation=["flat"]).reset(seed=1)
 
 

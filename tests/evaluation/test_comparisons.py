@@ -149,5 +149,5 @@ def test_a_confidence_sequence_at_its_ends():
     assert mirrored == pytest.approx((1.0 - high, 1.0))
     low, high = share_confidence_sequence(500_000, 1_000_000)
     assert low < 0.5 < high and 0.002 < high - low < 0.006
-    with pytest.raises(ValueError, match="from 0 to 3"):
+    with pytest.raises(ValueError, match=r"between 0 and total \(3\)"):
         share_confidence_sequence(4, 3)

@@ -185,7 +185,7 @@ def test_without_both_kinds_of_sites_there_is_no_fit():
     with pytest.raises(InputError, match="20 safe and 20 unsafe"):
         safe.fitted(LANDER)
     # One flight holds all that is unsafe.
-    with pytest.raises(InputError, match="without one of the flights"):
+    with pytest.raises(InputError, match="also without any one flight"):
         judged(safe, sites(1, shift=60.0), sites(2))
 
 
