@@ -130,12 +130,11 @@ class LidarScan:
                 raise InputError(f"scan.{name}", np.shape(value), problem)
             kind = type(value).__name__
             if isinstance(value, np.ndarray) and not isinstance(value, np.ma.MaskedArray):
-                kind = str(value.dtype)
+                kind = value.dtype.name
                 if value.dtype.kind in "fiu":
                     continue
-            raise InputError(
-                f"scan.{name}", kind, "must be an array of real numbers", "Use NaN for no return."
-            )
+            problem = f"must be an array of real numbers, not of type {kind}"
+            raise InputError(f"scan.{name}", kind, problem, "Use NaN for no return.", False)
 
     def check(self, position: Array, attitude: Array) -> None:
         """Raise InputError if the scan or the lander's pose at the flash is invalid.

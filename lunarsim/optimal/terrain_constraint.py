@@ -58,18 +58,16 @@ class TerrainRaster:
             raise InputError(
                 "optimal.elevation", np.shape(self.elevation), f"must have shape {self.grid.shape}"
             )
-        if np.asarray(self.elevation).dtype.kind not in "fiu":
-            raise InputError(
-                "optimal.elevation",
-                str(np.asarray(self.elevation).dtype),
-                "must be an array of numbers",
-            )
+        kind = np.asarray(self.elevation).dtype
+        if kind.kind not in "fiu":
+            problem = f"must be an array of real numbers, not of type {kind.name}"
+            raise InputError("optimal.elevation", kind, problem, show_value=False)
         missing = int((~np.isfinite(self.elevation)).sum())
         if missing:
             raise InputError(
                 "optimal.elevation",
                 missing,
-                f"must be finite, but {missing} values are not",
+                f"must be finite everywhere, but is not at {missing} of its points",
                 show_value=False,
             )
 

@@ -93,7 +93,8 @@ def _real_numbers(name: str, values: ArrayLike) -> NDArray[Any]:
     """
     raster: NDArray[Any] = np.ma.getdata(values)
     if raster.dtype.kind not in "iuf":
-        raise InputError(name, raster.dtype.name, "must be an array of real numbers")
+        problem = f"must be an array of real numbers, not of type {raster.dtype.name}"
+        raise InputError(name, raster.dtype, problem, show_value=False)
     mask = np.ma.getmask(values)
     if np.any(mask):
         raster = raster.astype(np.float64)

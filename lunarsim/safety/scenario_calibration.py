@@ -200,7 +200,7 @@ class ScenarioCalibration:
             if not np.isclose(value, self.lander[key], rtol=1e-9, atol=0.0):
                 raise InputError(
                     f"vehicle.{key}", value,
-                    f"must be {self.lander[key]:g}, as in the calibration of {self.scenario!r}",
+                    f"must be {self.lander[key]:g}, as in the calibration file",
                     _REFIT_REMEDY,
                 )  # fmt: skip
 

@@ -131,7 +131,7 @@ def test_bad_terrain_is_refused():
         TerrainRaster(GRID, np.zeros((3, 3)))
     holed = np.zeros(GRID.shape)
     holed[3, 4] = np.nan
-    with pytest.raises(InputError, match="1 values are not"):
+    with pytest.raises(InputError, match="not at 1 of its points"):
         TerrainRaster(GRID, holed)
     with pytest.raises(InputError, match="end_position"):
         minimize_propellant_over_terrain(

@@ -102,7 +102,7 @@ def fly_episodes(study: EvaluationStudy, agent: str, episodes: range) -> Iterato
                     observation, reward, ended, late, info = env.step(action)
                 except ValueError as error:
                     raise InputError(
-                        "--agent", agent, "must return valid actions", str(error)
+                        "--agent", agent, f"must return valid actions ({error})"
                     ) from error
                 total, steps, over = total + float(reward), steps + 1, ended or late
                 for name, term in info.get("reward_terms", {}).items():

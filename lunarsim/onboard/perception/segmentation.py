@@ -82,7 +82,8 @@ def segment(image: ArrayLike, *, gamma: float = 0.7, window: float = 0.12) -> Se
     """
     raw = np.asarray(image)
     if raw.dtype.kind not in "uifb":
-        raise InputError("image", raw.dtype.name, "must be an array of real numbers")
+        problem = f"must be an array of real numbers, not of type {raw.dtype.name}"
+        raise InputError("image", raw.dtype, problem, show_value=False)
     if raw.ndim != 2 or raw.size == 0:
         raise InputError("image", raw.shape, "must have shape (height, width) and contain pixels")
     if not (np.isfinite(gamma) and gamma > 0.0):
