@@ -105,7 +105,7 @@ def test_invalid_requests_are_rejected_without_output(script, tmp_path, given, w
 
 def test_existing_folders_are_not_overwritten(script, tmp_path):
     done = recorded(script, "Guidance-v0", "--out", tmp_path)
-    assert done.exit_code == 2 and "must be a folder that does not exist" in done.output
+    assert done.exit_code == 2 and "must be a new folder" in done.output
 
 
 @pytest.mark.parametrize(
