@@ -161,8 +161,8 @@ def test_true_share_of_safe_ground_predicts_blind_landings(small_scenario):
     ("tables", "field"),
     [
         ({"vehicle": {"thrust_max_n": 2000.0}}, "vehicle.thrust_max_n"),
-        ({"start": {"position_m": (0.0, 0.0, -5.0)}}, "start.position_m"),
-        ({"start": {"position_m": (-3000.0, 0.0, 100.0)}}, "start.position_m[2]"),
+        ({"start": {"position_m": (0.0, 0.0, -5.0)}}, "start.position_m[2]"),
+        ({"start": {"position_m": (-3000.0, 0.0, 100.0)}}, "start.position_m"),
         ({"target": {"position_m": (500.0, 0.0)}}, "target.position_m[0]"),
         ({"terrain": {"size_m": 6.0}}, "terrain"),
         ({"mappers": {"dem": {"size_m": 5.0}}}, "mappers.dem.size_m"),
