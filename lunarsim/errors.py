@@ -102,7 +102,7 @@ def _is_integer(value: object) -> bool:
 
 
 def _check_numbers(field: str, value: object, kind: str) -> None:
-    """Check that a value is a sequence of numbers, of the length that its annotation states."""
+    """Check that a value is a sequence of numbers of the annotated length."""
     count = 0 if "..." in kind else kind.count("float")
     if isinstance(value, str) or not isinstance(value, Iterable):
         expected = f"must be {count} numbers" if count else "must be a sequence of numbers"
@@ -123,7 +123,7 @@ _KINDS = (
 
 
 def _format_value(value: object) -> str:
-    """Return a value as an error message shows it: plain, and without its middle if it is long."""
+    """Return the text of a value, without its middle if it is long."""
     if isinstance(value, type):
         return value.__name__
     if hasattr(value, "dtype") and hasattr(value, "tolist"):  # array or number of NumPy

@@ -240,7 +240,7 @@ def check_map_size(size: float, posting: float, lander: Lander) -> None:
 
 
 def calibration_path_error(path: Path | str, error: InputError) -> InputError:
-    """Return the error of an invalid calibration file; it names the key `calibration_path`.
+    """Return an error of `calibration_path` for an invalid calibration file.
 
     `error` is that of the reading function.
     """
