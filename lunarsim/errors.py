@@ -126,6 +126,8 @@ def _format_value(value: object) -> str:
     """Return the text of a value, without its middle if it is long."""
     if isinstance(value, type):
         return value.__name__
+    if isinstance(value, Path):
+        value = str(value)
     if hasattr(value, "dtype") and hasattr(value, "tolist"):  # array or number of NumPy
         if getattr(value, "size", 1) > _MAX_SHOWN_ELEMENTS:
             return f"an array of shape {getattr(value, 'shape', ())}"

@@ -122,7 +122,7 @@ def test_a_calibration_that_does_not_fit_is_refused(scenario, done, tmp_path):
     (tmp_path / "old.json").write_text(json.dumps(data | {"regression": "0" * 16}))
     with pytest.raises(InputError, match=r"mappers\.dem\.calibration_path.*regression"):
         scenario.changed(mappers={"dem": {"calibration_path": str(tmp_path / "old.json")}})
-    with pytest.raises(InputError, match=r"mappers\.dem\.calibration_path.*safety = 'level'"):
+    with pytest.raises(InputError, match=r"mappers\.dem\.calibration_path.*safety is 'level'"):
         scenario.changed(mappers={"dem": own["dem"] | {"safety": "level"}})
 
 

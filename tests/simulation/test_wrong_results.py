@@ -207,11 +207,15 @@ def test_part_and_value_are_named(changes, field, part, said):
 
 
 @pytest.mark.parametrize(
-    ("part", "value"), [("NanMapping", pytest.approx(NAN, nan_ok=True)), ("SmallMapping", (79, 80))]
+    ("part", "field", "value"),
+    [
+        ("NanMapping", "p_safe[0, 0]", pytest.approx(NAN, nan_ok=True)),
+        ("SmallMapping", "p_safe", (79, 80)),
+    ],
 )
-def test_the_mapper_of_wrong_arrays_is_named(part, value):
+def test_the_mapper_of_wrong_arrays_is_named(part, field, value):
     scenario = Scenario.from_dict(TINY_FLIGHT | {"mappers": {"dem": DEM | _of(part)}})
     with pytest.raises(InputError) as refused:
         Simulation(scenario, 1, "safest").run()
-    assert refused.value.field == "mappers.dem.p_safe"
+    assert refused.value.field == f"mappers.dem.{field}"
     assert refused.value.value == value
