@@ -96,9 +96,10 @@ def check_elements(
     Traceback (most recent call last):
     lunarsim.errors.InputError: sigma[1]: must be 0 or more, got -2.0.
     """
-    if np.all(is_valid):
+    valid = np.asarray(is_valid)
+    if valid.all():
         return
-    index = tuple(np.argwhere(~np.asarray(is_valid))[0].tolist())
+    index = tuple(np.argwhere(~valid)[0].tolist())
     name = f"{field}[{', '.join(map(str, index))}]" if index else field
     raise InputError(name, np.asarray(values)[index].item(), problem, remedy)
 

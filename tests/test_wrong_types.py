@@ -70,7 +70,7 @@ def test_what_has_no_end_is_refused():
     for factor in (np.inf, 1.0):
         with pytest.raises(InputError, match=r"camera\.exposure_change"):
             ExposureControl(max_change_factor=factor)
-    with pytest.raises(InputError, match=r"prior\.min_diameter"):
+    with pytest.raises(InputError, match=r"prior\.max_diameter"):
         HazardPrior(max_diameter=np.inf)
 
 

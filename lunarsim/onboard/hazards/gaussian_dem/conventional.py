@@ -84,7 +84,7 @@ def conventional_dem(points: ArrayLike, grid: Grid) -> ConventionalDem:
     height, weight = k.splat(cloud, base, grid.x0, grid.y0, grid.posting, grid.rows, grid.cols)
     if not weight.any():
         raise InputError(
-            "points", points, f"must include a point on the grid, but all {len(cloud)} are off it",
+            "points", points, f"must include a point on the grid, but all {len(cloud)} lie outside",
             show_value=False,
         )  # fmt: skip
     with np.errstate(invalid="ignore"):

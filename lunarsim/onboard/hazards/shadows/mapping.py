@@ -165,8 +165,8 @@ class ShadowMapping:
         """
         if not isinstance(navigation, Navigator) or navigation.rocks is None:
             raise InputError(
-                "navigation.kind", type(navigation), "must be 'rocks' if a mapper detects shadows",
-                show_value=False,
+                "navigation.kind", type(navigation),
+                "must be 'rocks' if a mapper is of kind 'shadow'", show_value=False,
             )  # fmt: skip
         lander = briefing.lander
         grid = map_grid(briefing.target, self.size, self.posting, lander)

@@ -100,7 +100,7 @@ class TrackerSettings:
                 raise InputError(
                     "tracker.region",
                     self.region,
-                    "must be west, east, south and north in this order",
+                    "must be (west, east, south, north) with west < east and south < north",
                 )
         for name in ("view_wander", "common_pixels"):
             shares = np.asarray(getattr(self, name))
