@@ -19,12 +19,17 @@ def read_json(path: Path) -> Any:
         If the file cannot be read, is not JSON in UTF-8, is nested too deep or is too large.
     """
     try:
-        if path.stat().st_size > MAX_JSON_BYTES:
-            raise ValueError(f"the file has more than {MAX_JSON_BYTES} bytes")
-        found = json.loads(path.read_text(encoding="utf-8"))
+        is_too_large = path.stat().st_size > MAX_JSON_BYTES
+        found = None if is_too_large else json.loads(path.read_text(encoding="utf-8"))
         json.dumps(found, ensure_ascii=False).encode()  # fails for unpaired surrogates
     except RecursionError:
         raise ValueError("its values are nested too deep") from None
     except OSError as error:
         raise ValueError(error.strerror or "the file cannot be read") from None
+    except (json.JSONDecodeError, UnicodeError):
+        raise
+    except ValueError:
+        raise ValueError("an integer has too many digits") from None
+    if is_too_large:
+        raise ValueError(f"the file has more than {MAX_JSON_BYTES} bytes")
     return found

@@ -90,9 +90,7 @@ def input_error(
                 field, first["input"], f"is not a key of kind {kind!r}",
                 f"Delete the key, or use it with {path}.kind = {whose}.", False,
             )  # fmt: skip
-        return unknown_key_error(
-            field, first["input"], layout.MOVED_KEYS.get(path) or key_hint(key, keys)
-        )
+        return unknown_key_error(field, first["input"], _other_table(key) or key_hint(key, keys))
     problem = plain_problem(first)
     wants_number = unit and first["type"].endswith(("_type", "_parsing"))
     remedy = f"Give a plain number {_unit_phrase(unit)}." if wants_number else ""
@@ -126,6 +124,20 @@ def key_hint(key: str, known: Iterable[str]) -> str:
     if len(hint) > _MAX_HINT_LENGTH:
         return "All keys are listed by `lunarsim scenario reference`."
     return hint
+
+
+def _other_table(key: str) -> str:
+    """Return a remedy that names the tables which have a key; empty if none has it."""
+    fixed = [t for t, cls in (layout.FIXED | layout.OPTIONAL).items() if key in _keys_of(cls)]
+    contracts = layout.OPTIONAL_SELECTED | {t: c for t, (c, _) in layout.SELECTED.items()}
+    selected = [table for table, contract in contracts.items() if _kinds_with(contract, key)]
+    named = [f"{t}.NAME" for t, (c, _) in layout.NAMED.items() if _kinds_with(c, key)]
+    tables = [f"[{table}]" for table in fixed + selected + named]
+    return f"Tables with this key: {', '.join(tables)}." if tables else ""
+
+
+def _keys_of(cls: type) -> set[str]:
+    return set(settings_of(cls).model_fields)
 
 
 def _unit_phrase(unit: str) -> str:

@@ -90,13 +90,6 @@ MOVED_TABLES: dict[str, str] = {
     "prior": "[prior_map]",
     "sites": "[mappers.NAME.sites] with kind = 'quadtree'",
 }
-# Tables whose keys have moved since earlier versions: hint for unknown keys.
-MOVED_KEYS: dict[str, str] = {
-    "guidance": "Keys of paths and end states are now in [approach], those of the attitude in "
-    "[control].",
-    "navigation": "Keys of position and velocity errors are now in [sensors.NAME] with "
-    "kind = 'navigation-fix', and in [initial_uncertainty].",
-}
 
 
 def default_kind(table: str, data: Mapping[str, Any]) -> str:

@@ -53,7 +53,7 @@ class ReliefRoughness:
     preset: Literal["none", "mare", "highland", "polar"] = quantity(
         "none",
         help="terrain type that sets hurst, rms_slope_deg and crater_density if they are omitted; "
-        "none: RMS slope of 2.5 deg, no craters",
+        "with the preset none, the RMS slope is 2.5 deg and there are no craters",
     )
     hurst: float | None = quantity(
         None, gt=0, lt=1, help="Hurst exponent of the relief; omitted: value of the preset"
@@ -76,8 +76,8 @@ class ReliefRoughness:
         200.0,
         "m",
         gt=0,
-        help="diameter below which as many craters erode as form (equilibrium); a larger value "
-        "adds large craters",
+        help="diameter below which as many craters erode as form (equilibrium); larger values "
+        "model older terrain, which has more large craters",
     )
     crater_min_diameter: float = quantity(2.0, "m", gt=0, help="minimum crater diameter")
     crater_degradation: Literal["uniform", "diffusion"] = quantity(
