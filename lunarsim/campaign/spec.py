@@ -231,7 +231,8 @@ class CampaignSpec:
         if head.method == "subset" and len(arms) > 1:
             raise InputError(
                 "factors" if arms[0].values and tables["arms"] is None else "arms", len(arms),
-                "must give only one arm with method = 'subset'", "Write a spec for each arm.",
+                "must contain exactly one arm if method = 'subset'",
+                "Write a separate campaign file for each arm.",
             )  # fmt: skip
         spec = cls(head, scenario, arms, dispersions, stop, factors)
         if spec.max_flights * len(arms) > MAX_FLIGHTS:

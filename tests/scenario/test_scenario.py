@@ -151,10 +151,10 @@ def test_a_kind_without_keys_says_so():
     assert caught.value.remedy == "There are no known names."
 
 
-def test_moved_keys_say_where_they_went():
-    with pytest.raises(InputError, match=r"\[initial_uncertainty\]"):
+def test_an_unknown_key_names_the_tables_that_have_it():
+    with pytest.raises(InputError, match=r"\[sensors\.NAME\]"):
         Scenario.from_dict({"navigation": {"kind": "fixes", "position_bias_m": 1.0}})
-    with pytest.raises(InputError, match=r"\[approach\]"):
+    with pytest.raises(InputError, match=r"\[approach\], \[braking\]"):
         Scenario.from_dict({"guidance": {"max_tilt_deg": 30.0}})
 
 

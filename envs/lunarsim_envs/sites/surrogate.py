@@ -163,9 +163,10 @@ class Surrogate:
                 own, other = mine[name].get(key), theirs[name].get(key)
                 if own != other:
                     raise InputError(
-                        f"{table}.{key}", other, f"must be {own!r}, as in the fit of the surrogate",
-                        "Fit another by scenarios/learning/fit_surrogate.py, or use "
-                        "perception='gaussian-dem'.",
+                        f"{table}.{key}", other,
+                        f"must be {own!r}, for which the perception surrogate was fitted",
+                        "Fit a surrogate for this scenario with scenarios/learning/"
+                        "fit_surrogate.py, or use perception='gaussian-dem'.",
                     )  # fmt: skip
 
     def _noise(self, posting: float) -> NDArray[np.float32]:

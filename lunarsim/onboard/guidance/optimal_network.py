@@ -145,7 +145,7 @@ class OptimalNetwork:
             )
             network._check()
         except (KeyError, ValueError, TypeError, AttributeError) as error:
-            reason = f"it has no array {error}" if isinstance(error, KeyError) else error
+            reason = f"the array {error} is missing" if isinstance(error, KeyError) else error
             raise InputError(
                 "guidance.weights", str(path), f"must be a file of network weights ({reason})",
                 "Write one with scenarios/learning/train_optimal.py.",

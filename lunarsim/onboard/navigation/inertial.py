@@ -98,8 +98,8 @@ def checked_increments(angle: ArrayLike, velocity: ArrayLike) -> tuple[Array, Ar
     for name, values in zip(("angle", "velocity"), out, strict=True):
         if values.ndim != 2 or values.shape[1] != 3:
             raise InputError(
-                f"inertial.{name}", values.shape, "must have shape (n, 3)",
-                "Mark missing samples by NaN.",
+                f"inertial.{name}", values.shape, "must have shape (n, 3), one row per sample",
+                "If a sample is missing, set its row to NaN.",
             )  # fmt: skip
     check_shape("inertial.velocity", out[1], out[0].shape, "like inertial.angle")
     return out

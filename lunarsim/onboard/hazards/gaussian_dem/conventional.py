@@ -44,7 +44,9 @@ def check_points(points: ArrayLike) -> NDArray[np.float64]:
     """
     cloud = np.ascontiguousarray(as_real_array("points", points))
     if cloud.ndim != 2 or cloud.shape[1] != 3:
-        raise InputError("points", cloud.shape, "must have shape (n, 3): east, north, up")
+        raise InputError(
+            "points", cloud.shape, "must have shape (n, 3), with columns east, north, up"
+        )
     is_finite = finite_rows(cloud)
     if is_finite.all():
         return cloud

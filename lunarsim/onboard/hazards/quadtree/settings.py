@@ -194,7 +194,7 @@ class InterestMap:
             value = np.asarray(file["value"], dtype=np.float64)
             x0, y0, posting = (float(file[name]) for name in ("x0", "y0", "posting"))
         except (KeyError, ValueError, TypeError) as error:
-            reason = f"it has no array {error}" if isinstance(error, KeyError) else error
+            reason = f"the array {error} is missing" if isinstance(error, KeyError) else error
             raise InputError(
                 "sites.interest_path",
                 str(path),

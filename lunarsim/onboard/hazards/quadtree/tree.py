@@ -307,7 +307,9 @@ def _check_points(points: ArrayLike) -> Array:
     """Return points as an array (n, 3); raise InputError if they are invalid."""
     array = np.ascontiguousarray(as_real_array("quadtree.points", points))
     if array.ndim != 2 or array.shape[1] != 3:
-        raise InputError("quadtree.points", array.shape, "must have shape (n, 3): east, north, up")
+        raise InputError(
+            "quadtree.points", array.shape, "must have shape (n, 3), with columns east, north, up"
+        )
     check_elements(
         "quadtree.points", array, ~np.isinf(array), "must not be infinite",
         "Use NaN for a missing point.",
