@@ -61,6 +61,31 @@ class InputError(ValueError):
         return InputError(field, self.value, self.problem, self.remedy, self.show_value)
 
 
+def missing_package(field: str, package: str, extra: str) -> InputError:
+    """Return the error that an optional package is not installed.
+
+    Parameters
+    ----------
+    field
+        Name of the command, option or argument that needs the package.
+    package
+        Name of the package.
+    extra
+        Extra of lunarsim that contains it.
+
+    Examples
+    --------
+    >>> print(missing_package("sensitivity", "SALib", "sensitivity"))
+    sensitivity: needs the package SALib, which is not installed. Install the extra `sensitivity` \
+of lunarsim: `pip install ".[sensitivity]"` in its clone.
+    """
+    return InputError(
+        field, package, f"needs the package {package}, which is not installed",
+        f'Install the extra `{extra}` of lunarsim: `pip install ".[{extra}]"` in its clone.',
+        show_value=False,
+    )  # fmt: skip
+
+
 def check_types(prefix: str, settings: object) -> None:
     """Check that numeric and boolean fields of a dataclass have the annotated type.
 

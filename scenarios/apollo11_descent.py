@@ -181,7 +181,7 @@ def table_of(runs: list[ApolloDescentRun]) -> Table:
         "altitude_m")),
         ("pitch difference from the record, RMS (deg): P63 / P64", lambda t: _rms_text(t,
         "pitch_deg")),
-        ("the same while P66 was flown manually (m / deg)",
+        ("the same during P66 of the record (m / deg)",
          lambda t: f"{t['p66_altitude_m']:.0f} / {t['p66_pitch_deg']:.1f}"),
         ("terrain height while braking, RMS / minimum / maximum (m)",
          lambda t: f"{t['ground_rms_m']:.0f} / {t['ground_least_m']:.0f} / "

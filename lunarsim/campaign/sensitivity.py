@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from lunarsim.campaign.analysis import arm_rows, column
 from lunarsim.campaign.outcomes import FLOWN
 from lunarsim.campaign.results import Results
-from lunarsim.errors import InputError, suggestion
+from lunarsim.errors import InputError, missing_package, suggestion
 from lunarsim.rng import design_seed
 from lunarsim.scenario.changes import path_of
 
@@ -71,13 +71,7 @@ def check_installed() -> None:
     try:
         import SALib  # noqa: F401, PLC0415  (an extra)
     except ImportError:
-        raise InputError(
-            "sensitivity",
-            "SALib",
-            "needs the package SALib, which is not installed",
-            'Install it: pip install "lunarsim[sensitivity]".',
-            show_value=False,
-        ) from None
+        raise missing_package("sensitivity", "SALib", "sensitivity") from None
 
 
 def sensitivities(

@@ -40,7 +40,7 @@ class RockPopulation(RockModel):
         ge=0,
         le=0.2,
         help="fraction of the terrain area that true rocks of all sizes cover (Golombek's k); 0: "
-        "no rocks",
+        "no rocks; expected_rocks.cover does not follow it",
     )
     min_diameter: float = quantity(0.15, "m", ge=0.01, help="minimum diameter of generated rocks")
     max_diameter: float = quantity(3.0, "m", gt=0, help="maximum diameter of generated rocks")
@@ -94,7 +94,8 @@ class RockExpectation(RockModel):
         0.05,
         gt=0,
         le=0.2,
-        help="fraction of the terrain area that the mission expects rocks to cover (Golombek's k)",
+        help="fraction of the terrain area that the mission expects rocks to cover (Golombek's k); "
+        "it does not follow rocks.cover",
     )
 
     def __post_init__(self) -> None:

@@ -151,16 +151,16 @@ def _add_colour_bar(figure: Any, drawn: Any, panel: Any, label: str) -> Any:
 
 
 def _hatch_bounds(panel: Any, hazard_map: HazardMap, grid: Grid) -> None:
-    """Hatch the cells outside the calibrated domain, where p_safe is only a bound.
+    """Hatch the cells outside the calibrated domain, where p_safe is heuristic.
 
     `grid` is the grid of the map in the true frame.
     """
     if hazard_map.in_domain is None:
         return
-    bound = hazard_map.observed & ~hazard_map.in_domain
-    if bound.any():
+    outside = hazard_map.observed & ~hazard_map.in_domain
+    if outside.any():
         hatched = panel.contourf(
-            grid.x, grid.y, bound.astype(float), levels=[0.5, 1.5], colors="none", hatches=["///"]
+            grid.x, grid.y, outside.astype(float), levels=[0.5, 1.5], colors="none", hatches=["///"]
         )
         hatched.set(edgecolor="0.8", linewidth=0.0)
 

@@ -6,7 +6,7 @@ python scenarios/learning/export_onnx.py out/ppo/checkpoint/model.zip --out out/
 lunarsim evaluate Guidance-v0 --agent out/ppo.onnx
 
 The input file is a pickle, which can execute any code: export only agents that you trained. The
-script needs the extras `rl` and `onnx`: pip install "lunarsim[rl,onnx]".
+script needs the extras `rl` and `onnx`: pip install ".[rl,onnx]".
 """
 
 from __future__ import annotations

@@ -4,7 +4,7 @@ python scenarios/learning/train_guidance.py --out out/ppo
 python scenarios/learning/train_guidance.py --out out/ppo     # resume after an interruption
 lunarsim evaluate Guidance-v0 --agent out/ppo/agent.npz --agent apollo
 
-It needs the extra `rl`: pip install "lunarsim[rl]", with PyTorch for processors without CUDA from
+It needs the extra `rl`: pip install ".[rl]", with PyTorch for processors without CUDA from
 https://download.pytorch.org/whl/cpu. Output files: settings.json, agent.npz (flown without
 PyTorch), curve.json, curve.png and checkpoint/.
 """

@@ -167,7 +167,7 @@ def lidar() -> None:
 
     if importlib.util.find_spec("embreex") is None:
         raise SystemExit(
-            'error: embreex is missing. Install it with: pip install "lunarsim[bench]"'
+            'error: embreex is missing. Install it in the clone: pip install ".[bench]"'
         )
     rng = np.random.default_rng(0)
     side, posting = 2001, 0.1

@@ -39,7 +39,7 @@ def test_an_address_that_does_not_answer_is_refused(address):
 
 def test_without_ray_the_extra_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "ray", None)
-    with pytest.raises(InputError, match=r"pip install \"lunarsim\[ray\]\""):
+    with pytest.raises(InputError, match=r"pip install \"\.\[ray\]\""):
         make_engine("ray", 1, None, None)
 
 

@@ -143,7 +143,7 @@ def test_what_cannot_be_told_is_said(tmp_path, monkeypatch):
     assert done.exit_code == 0 and "fewer than 50" in done.output
     monkeypatch.setitem(sys.modules, "SALib", None)
     done = CliRunner().invoke(main, ["campaign", "sensitivity", str(tmp_path / "c")])
-    assert done.exit_code == 2 and 'pip install "lunarsim[sensitivity]"' in done.output
+    assert done.exit_code == 2 and 'pip install ".[sensitivity]"' in done.output
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,7 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from lunarsim.errors import InputError
+from lunarsim.errors import InputError, missing_package
 
 MAX_BYTES = 64_000_000
 # Time limit of one evaluation, s; it stops networks with endless loops.
@@ -33,9 +33,7 @@ def _load_session(path: Path) -> Any:
     try:
         import onnxruntime  # noqa: PLC0415  (an extra)
     except ImportError:
-        raise InputError(
-            "--agent", str(path), "needs the package onnxruntime", "Install the extra `onnx`."
-        ) from None
+        raise missing_package("--agent", "onnxruntime", "onnx") from None
     if path.stat().st_size > MAX_BYTES:
         raise InputError("--agent", str(path), f"must be a file of at most {MAX_BYTES / 1e6:g} MB")
     options = onnxruntime.SessionOptions()

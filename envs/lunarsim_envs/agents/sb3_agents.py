@@ -11,7 +11,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 
-from lunarsim.errors import InputError
+from lunarsim.errors import InputError, missing_package
 
 # Module of the policy class, and an algorithm that loads it. Agents with the same policy class act
 # alike, so any algorithm with that policy can load the file.
@@ -41,9 +41,7 @@ def _algorithm(path: Path) -> Any:
             try:
                 return getattr(importlib.import_module(package), name)
             except ImportError:
-                raise InputError(
-                    "--agent", str(path), f"needs the package {package}", "Install the extra `rl`."
-                ) from None
+                raise missing_package("--agent", package, "rl") from None
     known = ", ".join(name for _, _, name in _ALGORITHMS)
     raise InputError(
         "--agent", str(path), f"must be trained by {known}, but its policy is from {policy}"

@@ -18,7 +18,7 @@ from lunarsim.campaign.engines.worker import limit_to_one_thread
 from lunarsim.campaign.files import code_digest, environment, environment_differences
 from lunarsim.campaign.outcomes import KILLED, TIMEOUT, Finished, attempt, import_function
 from lunarsim.campaign.plan import Group, Work
-from lunarsim.errors import InputError
+from lunarsim.errors import InputError, missing_package
 
 # Maximum time until an interrupt is noticed, s.
 _POLL_INTERVAL_S = 0.2
@@ -62,13 +62,7 @@ class RayEngine:
         try:
             import ray  # noqa: PLC0415  (an extra)
         except ImportError:
-            raise InputError(
-                "--engine",
-                "ray",
-                "needs the package ray, which is not installed",
-                'Install it: pip install "lunarsim[ray]".',
-                show_value=False,
-            ) from None
+            raise missing_package("--engine", "ray", "ray") from None
         self._ray: Any = ray
         self.address, self.jobs, self.time_limit = address, jobs, time_limit
 

@@ -29,7 +29,7 @@ from lunarsim.campaign.report.figures import (
 from lunarsim.campaign.results import Results, failures, load_results
 from lunarsim.campaign.sensitivity import Sensitivity, sensitivities
 from lunarsim.campaign.subset_estimate import completion_remark, level_table_rows, load_chains
-from lunarsim.errors import InputError, check_output
+from lunarsim.errors import InputError, check_output, missing_package
 from lunarsim.evaluation.sequences import share_confidence_sequence
 from lunarsim.untrusted_folders import read_bounded_bytes
 
@@ -71,10 +71,7 @@ def write_report(folder: str | Path, out: Path) -> Results:
         import jinja2  # noqa: PLC0415  (an extra)
         from plotly.offline import get_plotlyjs  # noqa: PLC0415
     except ImportError as error:
-        raise InputError(
-            "report", error.name, f"needs the package {error.name}, which is not installed",
-            'Install it: pip install "lunarsim[report]".', show_value=False,
-        ) from None  # fmt: skip
+        raise missing_package("report", str(error.name), "report") from None
     results = load_results(folder)
     if not len(results.table):
         raise InputError("folder", str(folder), "must hold a campaign with at least one flight")

@@ -383,5 +383,7 @@ def _engineering_unit(source: DatasetReader) -> float:
 
 
 def _name(crs: CRS) -> str:
+    """Return the name of a reference system; PROJ parameters if it has none."""
     names = str(crs.to_wkt()).split('"')
-    return names[1] if len(names) > 1 else "unnamed"
+    name = names[1] if len(names) > 1 else "unnamed"
+    return crs.to_proj4() or name if name in ("unknown", "unnamed") else name

@@ -218,3 +218,9 @@ def test_a_turned_raster_is_turned_back(tmp_path):
     ridge_file(path, crs, transform, (150, 150), lambda x, y: (x, y))
     relief = load_terrain(path, posting=5.0)
     assert_ridge(relief)
+
+
+def test_info_describes_an_unnamed_reference_by_its_parameters(tmp_path):
+    path = tmp_path / "a.tif"
+    write(path, np.zeros((8, 8)), crs="+proj=eqc +R=1737400 +units=m")
+    assert "+proj=eqc" in read_info(path).frame

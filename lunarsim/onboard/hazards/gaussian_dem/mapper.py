@@ -128,7 +128,7 @@ class GaussianDemMapper(HazardMapper):
     lander
         Geometry and limits of the lander.
     safety
-        ``"calibrated"``: calibrated probability, and a bound outside the calibrated domain (see
+        ``"calibrated"``: calibrated probability; outside its domain a heuristic value (see
         `lunarsim.safety.calibration`). ``"level"``: conservative test of Eqs. 15 to 17 of the
         Gaussian DEM paper, which compares highest and lowest terrain. ``"planes"``: the same test
         with the actual support planes of the legs, which keeps safe sites on sloping terrain.
