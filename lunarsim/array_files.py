@@ -40,6 +40,8 @@ def read_arrays(path: Path, max_bytes: int = MAX_ARRAY_BYTES) -> dict[str, NDArr
     except (MemoryError, RecursionError):
         raise ValueError("an array is larger than the file") from None
     except Exception as error:  # zipfile, zlib and NumPy raise many types on damaged files
+        if "pickle" in str(error):
+            raise ValueError("it contains Python objects instead of numbers") from None
         raise ValueError(error_reason(error)) from None
 
 

@@ -443,7 +443,7 @@ def _print_levels(results: Results) -> None:
 )
 @click.option(
     "--require-equivalent", is_flag=True,
-    help="Exit with code 1 also if a variant of the campaign (arm) is not shown to be equivalent.",
+    help="Exit with code 1 also if an arm of B is not shown to be equivalent to the same arm of A.",
 )  # fmt: skip
 def diff(first: Path, second: Path, margin: float, metric: str, require_equivalent: bool) -> None:
     """Compare the results of campaigns A and B flight by flight.

@@ -56,7 +56,7 @@ class RewardWeights(SiteReward):
                 "weights.safe", self.safe,
                 f"must be above {least:g}, otherwise a crash may have a higher total reward than a "
                 "safe landing",
-                "The other weights of [site_reward], except shaping, set this limit.",
+                "This limit depends on the other keys of [site_reward], except shaping.",
             )  # fmt: skip
 
 

@@ -22,6 +22,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from lunarsim.errors import InputError, error_reason
 from lunarsim.grid import Grid
 from lunarsim.json_files import read_json
+from lunarsim.scenario.errors import plain_problem
 from lunarsim.scenario.files import parsed_toml
 from lunarsim.untrusted_folders import check_no_links
 
@@ -118,7 +119,7 @@ def _reason(error: Exception) -> str:
     """Return the first line of an error's message, with the invalid field if known."""
     if isinstance(error, ValidationError):
         first = error.errors()[0]
-        return f"{'.'.join(map(str, first['loc']))}: {first['msg']}"
+        return f"{'.'.join(map(str, first['loc']))} {plain_problem(first)}"
     if isinstance(error, InputError):
         return error.problem
     return error_reason(error)
@@ -126,7 +127,7 @@ def _reason(error: Exception) -> str:
 
 def _damaged(path: Path, reason: str) -> InputError:
     return InputError(
-        "flight", str(path), f"must be a complete record of this version ({reason[:100]})",
+        "flight", str(path), f"must be a complete flight record, but {reason[:100]}",
         "Restore it from a copy, or fly again.",
     )  # fmt: skip
 

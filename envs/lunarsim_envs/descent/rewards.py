@@ -47,7 +47,7 @@ class DescentWeights(DescentReward):
                 "weights.safe", self.safe,
                 f"must be above {least:g}, otherwise a crash may have a higher total reward than a "
                 "safe landing",
-                "The weights crash, propellant and miss of [descent_reward] set this limit.",
+                "This limit depends on the keys crash, propellant and miss of [descent_reward].",
             )  # fmt: skip
 
 

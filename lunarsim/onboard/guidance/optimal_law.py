@@ -107,8 +107,8 @@ class OptimalLaw(PathLaw):
         "deg/s",
         gt=0,
         le=180,
-        help="increase of the tilt limit per second before the end of the approach, where the "
-        "limit is max_final_tilt_deg",
+        help="rate of the tilt limit: at t seconds before the end of the approach, the limit is "
+        "max_final_tilt_deg plus this rate times t, up to max_tilt_deg of the approach",
     )
 
     @property

@@ -70,9 +70,9 @@ class GaussianDemMapperSettings:
     size: float = quantity(100.0, "m", gt=0, help="side of the square map centred on the target")
     safety: Judgement = quantity(
         "calibrated",
-        help="safety test: calibrated (calibrated probability of a safe landing), level "
-        "(conservative comparison of the highest and lowest terrain below the lander) or planes "
-        "(like level, but with the planes on which the legs rest)",
+        help="safety test: calibrated (calibrated probability that slope, roughness and belly "
+        "clearance are within the limits), level (uncalibrated, from the highest and lowest terrain below a "
+        "horizontal lander) or planes (uncalibrated, from the planes on which the legs can rest)",
     )
     interval: float = quantity(
         1.0, "s", ge=0, le=10, help="minimum time between two updates of the map"
