@@ -71,8 +71,9 @@ class GaussianDemMapperSettings:
     safety: Judgement = quantity(
         "calibrated",
         help="safety test: calibrated (calibrated probability that slope, roughness and belly "
-        "clearance are within the limits), level (uncalibrated, from the highest and lowest "
-        "terrain below a horizontal lander) or planes (uncalibrated, from the planes on which the legs can rest)",
+        "clearance are within the limits), level (uncalibrated, from the highest and "
+        "lowest terrain below a horizontal lander) or planes (uncalibrated, from the "
+        "planes on which the legs can rest)",
     )
     interval: float = quantity(
         1.0, "s", ge=0, le=10, help="minimum time between two updates of the map"
