@@ -99,8 +99,8 @@ def draw_start(
         raise InputError(
             "start.position_m[2]",
             start.position[2],
-            f"must be above {elevation - site[2] + lander.com_height:.1f} m plus the random start "
-            "error of this flight, otherwise the flight starts inside the terrain",
+            f"must be above {elevation - site[2] + lander.com_height:.1f} m after the random start "
+            "error is added, otherwise the lander starts inside the terrain",
         )
     mass = lander.wet_mass
     up = attitude_from_thrust([0.0, 0.0, 1.0], start.heading)
