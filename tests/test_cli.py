@@ -112,7 +112,7 @@ def test_compare_prints_a_row_a_policy(tmp_path):
         ("[tasking.camera]\nkind = 'periodic'", ["tasking.camera", "the name of a sensor"]),
         ('[terrain]\nkind = "dtm"\npath = "gone.tif"', ["terrain.path", "gone.tif", "existing"]),
         ('[terrain]\nkind = "dtm"\npath = "bad.toml"', ["terrain.path", "GTiff"]),
-        ("[start]\nposition_m = [0, 0, -10]", ["start.position_m[2]", "otherwise the lander starts inside the terrain"]),
+        ("[start]\nposition_m = [0, 0, -10]", ["start.position_m[2]", "starts inside the terrain"]),
         ("[target]\nposition_m = [900, 0]", ["target.position_m", "is on the terrain"]),
     ],
 )
