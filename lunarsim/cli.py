@@ -260,7 +260,7 @@ def calibrate(
 ) -> None:  # fmt: skip
     """Calibrate a Gaussian DEM mapper to SCENARIO's terrain.
 
-    The calibration is that of p_safe, the probability of a safe landing at a site.
+    The calibration is that of p_safe, the probability of safe terrain at a site.
 
     The command flies SCENARIO with its own policy and samples random sites of the maps that divert
     decisions used. It then fits the last stage of the calibration to the observed fraction of truly

@@ -109,8 +109,11 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], Any]):
 
     - ``estimate`` (10,): estimated position relative to the current site (m), velocity (m/s) and
       attitude quaternion (scalar last), ENU.
-    - ``hazard_map`` (2, 48, 48): mean p_safe (probability of a safe landing) and observed fraction
-      in equal blocks of the hazard map; row 0 is south, column 0 is west.
+    - ``hazard_map`` (2, 48, 48): mean p_safe (probability of safe terrain) and observed fraction
+      in equal blocks of the hazard map; row 0 is south, column 0 is west. p_safe is the probability
+      that no limit of slope, roughness and belly clearance is violated; it excludes touchdown
+      speed, tilt and position error. Outside the calibrated domain of the map (`render` states
+      this), it has no calibrated frequency.
     - ``sites`` (20, 6): offset from the current site east, north, up (m), p_safe, propellant to
       reach it (kg), 1 if available. Rows without a site are zero.
     - ``to_go`` (3,): time-to-go (s), remaining propellant (kg), altitude above the site (m).

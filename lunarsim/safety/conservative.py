@@ -31,7 +31,7 @@ class StochasticSafety:
     p_slope, p_roughness
         Probabilities that slope and roughness are below their limits (rows, cols).
     p_safe
-        Product of both (rows, cols), the probability of a safe landing; 0 where not observed.
+        Product of both (rows, cols), the probability of safe terrain; 0 where not observed.
     observed
         False where the footprint leaves the map or covers unknown terrain (rows, cols).
     """

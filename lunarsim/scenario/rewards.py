@@ -69,7 +69,7 @@ class SiteReward:
     shaping: float = quantity(
         0.0,
         ge=0,
-        help="Weight of reward shaping by the current site's probability of a safe landing; 0: no "
+        help="Weight of reward shaping by the current site's probability of safe terrain; 0: no "
         "shaping",
     )
     discount: float = quantity(

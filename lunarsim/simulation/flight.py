@@ -122,7 +122,7 @@ class Flight:
         LiDAR returns, local frame, and scan time (n, 4), thinned, float32.
     candidates
         Candidate sites of the last decision (n, 5), float32: position in the local frame, m,
-        probability of a safe landing, and propellant, kg.
+        probability of safe terrain, and propellant, kg.
     """
 
     scenario: str

@@ -249,6 +249,9 @@ class GuidanceEnv(DescentEnv):
       one that leads to the target with constant deceleration. Its discounted sum depends only on
       the start state, if the learner uses the discount factor of the weights.
 
+    The undiscounted return with the default weights, which includes shaping, is higher for flying
+    away than for landing: compare agents by their score, which excludes shaping.
+
     Apart from shaping, every crash returns less than any safe landing. Weights that violate this
     are refused.
 

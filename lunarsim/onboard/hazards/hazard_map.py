@@ -171,7 +171,7 @@ class HazardMap:
         return np.asarray(layer[np.clip(row, 0, g.rows - 1), np.clip(col, 0, g.cols - 1)])
 
     def p_safe_at(self, xy: ArrayLike) -> NDArray[np.float64]:
-        """Return the probability of a safe landing in the cells at points (..., 2).
+        """Return the probability of safe terrain in the cells at points (..., 2).
 
         `xy` is in the estimated ENU frame, m. The result (...,) is 0 off the map.
         """
@@ -187,7 +187,7 @@ class HazardMap:
         return lookup_elevation(self, xy)
 
     def dispersed_p_safe(self, sigma: float) -> FloatMap:
-        """Return the probability of a safe landing when aiming at each cell (rows, cols).
+        """Return the probability of safe terrain when aiming at each cell (rows, cols).
 
         The touchdown point is Gaussian about the aim point. The result is p_safe averaged over the
         touchdown point, as in the ALHAT programme. Unobserved terrain counts as unsafe.
@@ -213,7 +213,7 @@ class HazardMap:
         return np.where(self.observed, smooth, np.float32(0.0)).astype(np.float32)
 
     def dispersed_p_safe_at(self, xy: Array, sigma: Array) -> Array:
-        """Return the probability of a safe landing when aiming at points (n, 2).
+        """Return the probability of safe terrain when aiming at points (n, 2).
 
         The touchdown point is Gaussian about the aim point. The result (n,) is p_safe averaged over
         the touchdown point; it is 0 off the map. Unlike `dispersed_p_safe`, the method evaluates

@@ -145,7 +145,7 @@ def candidate_sites(
 def _is_safest_unreachable(aim: FloatMap, feasible: NDArray[np.bool_]) -> bool:
     """Return whether an unreachable site is safer than all reachable ones.
 
-    `aim` is the probability of a safe landing at each site (n,); `feasible` marks reachable sites.
+    `aim` is the probability of safe terrain at each site (n,); `feasible` marks reachable sites.
     The result is False if a reachable site has a probability of at least 0.99.
     """
     best = float(np.max(aim[feasible], initial=0.0))
@@ -179,7 +179,7 @@ def _proposed_sites(
 ) -> tuple[Array, list[str]]:
     """Return the safest and the nearest safe sites (n, 3), m, and the rule of each.
 
-    `aim` is the probability of a safe landing at each cell; `site` is the current site (3,), m;
+    `aim` is the probability of safe terrain at each cell; `site` is the current site (3,), m;
     `count` and `separation` (m) are those of the safest sites.
     """
     grid = hazard_map.grid
@@ -195,7 +195,7 @@ def _proposed_cells(
 ) -> tuple[NDArray[np.int64], list[str]]:
     """Return the safest cells and the nearest cell above each p_safe threshold.
 
-    `aim` (probability of a safe landing) and `distance` (m) are given for each cell (rows, cols);
+    `aim` (probability of safe terrain) and `distance` (m) are given for each cell (rows, cols);
     `posting` is the side of a cell, m. `count` and `separation` (m) are those of the safest cells.
     The result is row and column (n, 2), and the source "MAPPER: RULE" of each cell.
     """

@@ -42,7 +42,7 @@ class NoDivert:
 
 @dataclass(frozen=True)
 class Safest:
-    """Policy that diverts to the site with the highest probability of a safe landing.
+    """Policy that diverts to the site with the highest probability of safe terrain.
 
     Attributes
     ----------
@@ -63,7 +63,7 @@ class Safest:
     hysteresis: float = quantity(
         0.7,
         ge=0,
-        help="Minimum improvement of a site's score for a divert, in log odds of a safe landing",
+        help="Minimum improvement of a site's score for a divert, in log odds of safe terrain",
     )
     name: str = hidden("safest")
 
@@ -90,14 +90,14 @@ class NearestSafe:
     Attributes
     ----------
     p_safe_min
-        Minimum probability of a safe landing.
+        Minimum probability of safe terrain.
     """
 
     p_safe_min: float = quantity(
         0.95,
         gt=0,
         lt=1,
-        help="Minimum probability of a safe landing at a site that the policy accepts as safe",
+        help="Minimum probability of safe terrain at a site that the policy accepts as safe",
     )
     name: str = hidden("nearest-safe")
 
@@ -143,13 +143,13 @@ class FuelAware:
     propellant_weight: float = quantity(
         0.25,
         ge=0,
-        help="Improvement in log odds of a safe landing that justifies using one kilogram of "
+        help="Improvement in log odds of safe terrain that justifies using one kilogram of "
         "propellant",
     )
     hysteresis: float = quantity(
         0.7,
         ge=0,
-        help="Minimum improvement of a site's score for a divert, in log odds of a safe landing",
+        help="Minimum improvement of a site's score for a divert, in log odds of safe terrain",
     )
     name: str = hidden("fuel-aware")
 
@@ -249,7 +249,7 @@ class SafestOrAbort(Safest):
         0.5,
         ge=0,
         le=1,
-        help="Minimum probability of a safe landing at the selected site; the lander aborts if it "
+        help="Minimum probability of safe terrain at the selected site; the lander aborts if it "
         "is lower",
     )
     abort_altitude: float = quantity(

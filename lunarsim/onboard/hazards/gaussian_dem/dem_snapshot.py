@@ -74,7 +74,7 @@ class DemSnapshot:
 
     @cached_property
     def hazard_map(self) -> HazardMap:
-        """Hazard map with the calibrated probability of a safe landing."""
+        """Hazard map with the calibrated probability of safe terrain."""
         p, known = calibrated_safety(self.site_evidence, refit=self.scenario_calibration)
         return HazardMap(
             self.grid, p, self.observed, self.elevation, self.variance, in_domain=known

@@ -1,4 +1,4 @@
-"""Calibrated probability of a safe landing at sites of the quadtree.
+"""Calibrated probability of safe terrain at sites of the quadtree.
 
 The limits of the paper decide which sites are eligible; they are not a probability. The probability
 uses two kinds of features. The lander is placed on the mean terrain under its legs at every

@@ -137,7 +137,7 @@ class SiteSelector:
     interest
         Value of a landing at each place to the mission; default: 1 everywhere.
     thorough
-        Evaluate the roughness of rejected sites too, as needed for a probability of a safe landing.
+        Evaluate the roughness of rejected sites too, as needed for a probability of safe terrain.
     footprint
         Half side of the footprint of the lander, m; default: 0.6 times that of the zone.
     """
