@@ -86,7 +86,7 @@ def touchdown_limit_ratios(lander: Lander, touchdown: ArrayLike) -> Array:
 def map_information(p: NDArray[np.float32], observed: Mask) -> float:
     """Return how certain a hazard map is, from 0 (unknown) to 1 (all cells certain).
 
-    `p` (rows, cols) is the probability of a safe landing and `observed` (rows, cols) marks observed
+    `p` (rows, cols) is the probability of safe terrain and `observed` (rows, cols) marks observed
     cells. The result is the mean over all cells of 1 - 4 p (1 - p), with 0 for unobserved cells.
     """
     return float(np.where(observed, (2.0 * p.astype(np.float64) - 1.0) ** 2, 0.0).mean())
@@ -164,7 +164,7 @@ class SiteRewards:
         mass
             True mass (n,), kg.
         p_here
-            p_safe (probability of a safe landing) of the current site (n,).
+            p_safe (probability of safe terrain) of the current site (n,).
         p, seen
             Maps of p_safe and of observed cells (n, rows, cols).
         """

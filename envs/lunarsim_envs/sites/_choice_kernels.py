@@ -26,7 +26,7 @@ _MOST = 30.0
 class CandidateSites(NamedTuple):
     """Candidate landing sites of n landers, at most m each.
 
-    Position (n, m, 3), p_safe (probability of a safe landing), distance from the current site (m)
+    Position (n, m, 3), p_safe (probability of safe terrain), distance from the current site (m)
     and propellant to reach the candidate (kg), each (n, m); `number` (n,) of candidates. `here` (n,
     3) describes the current site: p_safe (NaN if not observed), propellant to reach it, kg, and
     expected miss, m.

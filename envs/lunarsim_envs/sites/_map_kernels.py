@@ -52,7 +52,7 @@ class MapErrorModel(NamedTuple):
 class Maps(NamedTuple):
     """Hazard maps of n landers: p_safe, observed mask and height, m (n, rows, cols).
 
-    `p` is p_safe, the probability of a safe landing; `seen` marks observed cells. `corner` (n, 2)
+    `p` is p_safe, the probability of safe terrain; `seen` marks observed cells. `corner` (n, 2)
     and `posting`: position of cell (0, 0) and spacing of cells, m. `averaged` (n, rows, cols) is
     p_safe averaged over the expected miss `averaged_miss` (n,), m (NaN: not computed).
     `miss_params` (3,): touchdown sigma, m, drift velocity sigma, m/s, and duration of the vertical

@@ -31,7 +31,7 @@ class SiteInputs:
     time_to_go, propellant
         Time to the end of the approach, s, and remaining propellant, kg (n,).
     position_of, p_safe, distance, cost
-        Candidate sites (n, m, 3); their p_safe (probability of a safe landing), distance from the
+        Candidate sites (n, m, 3); their p_safe (probability of safe terrain), distance from the
         current site, and propellant to reach them, inf out of reach (n, m).
     count
         Number of candidates (n,).

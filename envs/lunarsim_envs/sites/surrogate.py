@@ -43,7 +43,7 @@ _FIELDS, _SIDE = 6, 256
 class Surrogate:
     """Statistical model of the p_safe maps that a mapper makes of known true terrain.
 
-    p_safe is the probability of a safe landing at a site. A class groups sites by true hazard size
+    p_safe is the probability of safe terrain at a site. A class groups sites by true hazard size
     and distance to the safety edge (`hazard`).
 
     Attributes

@@ -70,7 +70,7 @@ class GaussianDemMapperSettings:
     size: float = quantity(100.0, "m", gt=0, help="side of the square map centred on the target")
     safety: Judgement = quantity(
         "calibrated",
-        help="safety test: calibrated (calibrated probability of a safe landing), level "
+        help="safety test: calibrated (calibrated probability of safe terrain), level "
         "(conservative comparison of the highest and lowest terrain below the lander) or planes "
         "(like level, but with the planes on which the legs rest)",
     )
