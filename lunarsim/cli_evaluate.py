@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import shlex
+import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -45,7 +47,7 @@ from lunarsim.errors import InputError, check_folder
 )  # fmt: skip
 @ALLOW_MODULE
 @click.option(
-    "--perception", default=None, metavar="NAME", show_default="perception of the environment",
+    "--perception", default=None, metavar="NAME", show_default="onboard",
     help="Source of the hazard map in Retarget-v0: onboard (mappers of the scenario), truth (true "
     "safety), surrogate (statistical model of map errors), or one mapper: gaussian-dem, shadows, "
     "quadtree or fused.",
@@ -101,13 +103,17 @@ def evaluate(
 
     Episode i has the same world, start state and noise for every agent. The score is the return
     without shaping rewards. The first table gives fractions with 95 % Wilson intervals and means
-    with bootstrap intervals. The second gives paired differences, with p-values corrected for
-    multiple comparisons.
+    with bootstrap intervals. The second gives paired differences. Their intervals (Newcombe,
+    bootstrap) hold for one pair each. The p-values (McNemar test, t-test) are corrected for all
+    pairs of a metric (Holm). So p can be above 0.05 while an interval excludes zero: rely on p.
+    Options must match the training of the agents: --perception,
+    --observation, --action and, apart from tests on other terrain, --scenario.
 
     \b
     Example:
       lunarsim evaluate Guidance-v0 --agent apollo --agent polynomial --episodes 50
     """  # noqa: D301
+    from lunarsim.campaign.files import environment
     from lunarsim_envs.evaluation.parallel import WorkersDieError, check_agents, fly
     from lunarsim_envs.evaluation.request import evaluation_study
     from lunarsim_envs.evaluation.results import add_on_target, agent_metrics, differences, write
@@ -137,6 +143,7 @@ def evaluate(
     found, between = agent_metrics(rows, seed), differences(rows, seed) if len(agents) > 1 else {}
     if out is not None:
         given |= {"env": asked.env, "episodes": episodes, "seed": seed, "within_m": within}
+        given |= {"command": shlex.join(["lunarsim", *sys.argv[1:]]), "environment": environment()}
         with remove_contents_on_error(out):
             write(out, rows, given, found, between)
             if asked.scenario is not None:

@@ -109,11 +109,8 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], Any]):
 
     - ``estimate`` (10,): estimated position relative to the current site (m), velocity (m/s) and
       attitude quaternion (scalar last), ENU.
-    - ``hazard_map`` (2, 48, 48): mean p_safe (probability of safe terrain) and observed fraction
-      in equal blocks of the hazard map; row 0 is south, column 0 is west. p_safe is the probability
-      that no limit of slope, roughness and belly clearance is violated; it excludes touchdown
-      speed, tilt and position error. Outside the calibrated domain of the map (`render` states
-      this), it has no calibrated frequency.
+    - ``hazard_map`` (2, 48, 48): mean p_safe and observed fraction in equal blocks of the hazard
+      map; row 0 is south, column 0 is west.
     - ``sites`` (20, 6): offset from the current site east, north, up (m), p_safe, propellant to
       reach it (kg), 1 if available. Rows without a site are zero.
     - ``to_go`` (3,): time-to-go (s), remaining propellant (kg), altitude above the site (m).
@@ -126,21 +123,59 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], Any]):
       (m).
     - ``hazard_crop`` (2, 33, 33): p_safe and observed mask around the current site, 1 m spacing.
 
+    p_safe is the probability, given the measurements, that a touchdown centred there at any heading
+    breaks none of the limits of slope, roughness and belly clearance. It excludes speed, tilt,
+    tip-over and position error. ``sites``, ``candidates`` and ``site`` average it over the expected
+    position error.
+
+    - *Extent of the map.* In the default scenario the map is a square of 100 m with blocks of 2.1
+      m. It is centred on the first current site and does not move when the lander diverts: the
+      current site is then at the sum of the offsets of the chosen rows, within centimetres.
+      ``hazard_crop`` moves with the current site. Axes are ENU.
+    - *Rows.* Rows are sorted by falling p_safe. A site can change its row between two steps. Rows
+      are ``decisions.candidates`` (16) sites with the highest p_safe, up to four nearest sites
+      above p_safe of 0.99, 0.95, 0.8 and 0.5, and sites that the mapper ranks, at most 20 in all.
+    - *Availability.* A site is unavailable if the lander cannot reach it within the limits of
+      [approach] (thrust, tilt, glideslope, reserve). Its propellant is then 5000 kg.
+    - *Before the first map* all values of the map and of ``sites`` are zero. In the default
+      scenario, the map usually comes with the third step.
+    - *Time-to-go.* The first step plans the minimum-propellant path again, also with action 0. The
+      time-to-go then changes by several seconds. In later steps action 0 lets it count down.
+    - *Calibrated domain.* The observation does not contain the layer ``in_domain`` of the map,
+      which marks cells with a calibrated p_safe. It is ``env.unwrapped.seen.hazard_map.in_domain``
+      (None with kernels). The title "Map is outside its calibrated domain" of a frame means that no
+      observed cell is in the domain: use p_safe only to rank sites.
+
     `lunarsim_envs.sites.observations.register` adds custom components.
+
+    ## Info
+
+    - At every step and at `reset`: ``time``, s since the start, and ``action_mask``.
+    - At every step: ``reward_terms``, ``cost``, and ``time_scale_refused`` if the action has a
+      ``time_scale``.
+    - At the end of an episode: ``safe``, ``failure_causes`` and ``propellant_kg`` used since the
+      start. In a vector environment, ``failure_causes`` has one bit for each limit in
+      `lunarsim_envs.descent.batch.LIMITS`.
+
+    ``env.unwrapped.action_masks()`` returns the mask as booleans.
 
     ## Rewards
 
     The reward is the sum of the terms in ``info["reward_terms"]``:
 
     - ``touchdown``: +1 for a safe landing, -1 for any other outcome except the time limit.
-    - ``propellant``: -1 for using all propellant, in proportion.
+    - ``propellant``: minus the propellant used since the last decision, as a fraction of a full
+      tank (``vehicle.propellant_mass_kg``). Propellant used before the first decision is not
+      charged.
     - ``invalid``: -0.05 for an unavailable row, at most ten times per flight.
     - ``speed``, ``tilt``, ``hazard``: penalties for a safe touchdown close to the limits of speed,
       tilt, and slope or roughness under the pads; zero weight by default.
     - ``information``: reward for map information gained since the last decision; zero weight by
       default.
-    - ``shaping``: difference of a potential, p_safe of the current site; zero weight by default.
-      Its discounted sum depends only on the first decision point.
+    - ``shaping``: discount times p_safe of the current site after the step, minus p_safe before it;
+      zero weight by default. If the learner uses the same discount, the discounted sum over an
+      episode is minus p_safe at the first decision, whatever the agent does. Shaping therefore does
+      not change which policy is optimal.
 
     Apart from shaping, every crash returns less than any safe landing. Weights that violate this
     are refused. ``info["cost"]``, for constrained methods, is 1 if an episode terminates without a
@@ -168,18 +203,19 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], Any]):
     ## Arguments
 
     - ``scenario``: a `lunarsim.scenario.Scenario`, the path of a TOML file or the name of a
-      scenario that is supplied with lunarsim.
+      scenario that is supplied with lunarsim. Default: rolling highlands with 7 % rock cover.
     - ``changes``: changed values by key, for example ``{"rocks.cover": 0.1}``.
-    - ``perception``: source of the hazard map. ``"onboard"``: mapper and navigation of the
-      scenario. ``"truth"``: true safety within the LiDAR's field of view. ``"surrogate"``:
-      statistical model of the spatial errors of the mapper ``gaussian-dem``. ``"gaussian-dem"``:
-      this mapper with simulated scans. ``"shadows"``, ``"quadtree"``, ``"fused"``: an onboard
-      mapper of this kind, which is added to the scenario if needed
-      (`lunarsim_envs.sites.perception_scenarios.with_perception`).
+    - ``perception``: source of the hazard map. ``"onboard"`` (default of single environments):
+      mapper and navigation of the scenario. ``"truth"``: true safety within the LiDAR's field of
+      view. ``"surrogate"`` (default of vector environments): statistical model of the spatial
+      errors of the mapper ``gaussian-dem``. ``"gaussian-dem"``: this mapper with simulated scans.
+      ``"shadows"``, ``"quadtree"``, ``"fused"``: an onboard mapper of this kind, which is added to
+      the scenario if needed (`lunarsim_envs.sites.perception_scenarios.with_perception`).
     - ``surrogate``: file of a custom surrogate from ``scenarios/learning/fit_surrogate.py``.
-    - ``observation``, ``action``: names of the components.
-    - ``worlds``, ``world_seed``: with kernels, number of worlds in the pool and their root seed.
-      The cache of campaigns keeps the true maps.
+    - ``observation``, ``action``: names of the components. Default action: ``["site"]``.
+    - ``worlds``, ``world_seed``: with kernels, number of worlds in the pool and their root seed
+      (defaults: 16 and 0). The cache of campaigns keeps the true maps. ``lunarsim evaluate`` uses
+      the defaults: train with another ``world_seed`` to evaluate on held-out worlds.
     - ``covers``: additional rock covers for ``reset(options={"cover": ...})``. The pool has
       ``worlds`` worlds for each cover.
     - ``weights``: `lunarsim_envs.rewards.RewardWeights`. Default: the table [site_reward] of the
@@ -191,10 +227,9 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], Any]):
     - ``views``: adds a chase view over the rendered terrain, the onboard camera view and gauges to
       frames (needs OpenGL; not with kernels).
     - ``num_envs``, ``autoreset_mode``, ``max_episode_steps`` with ``gymnasium.make_vec(...,
-      vectorization_mode="vector_entry_point")``: number of flights in kernels, by default with
-      perception ``"surrogate"``; "NextStep", "SameStep" or "Disabled"; number of steps until
-      truncation. Environment i with seed s gives the same episodes as a single environment with
-      seed s + i.
+      vectorization_mode="vector_entry_point")``: number of flights in kernels; "NextStep",
+      "SameStep" or "Disabled"; number of steps until truncation. Environment i with seed s gives
+      the same episodes as a single environment with seed s + i.
 
     ## Version History
 

@@ -16,7 +16,7 @@ class SiteReward:
     safe, unsafe
         Reward for a safe landing, and for any other outcome.
     propellant
-        Penalty for using all propellant; smaller amounts are penalised in proportion.
+        Penalty per full tank of propellant used after the first decision.
     invalid
         Penalty for selecting an unavailable site, up to ten times per flight.
     speed, tilt, hazard
@@ -34,7 +34,7 @@ class SiteReward:
     safe: float = quantity(1.0, help="Reward for a safe landing")
     unsafe: float = quantity(-1.0, help="Reward for any outcome other than a safe landing")
     propellant: float = quantity(
-        1.0, ge=0, help="Penalty for using all propellant; proportionally smaller if some remains"
+        1.0, ge=0, help="Penalty per full tank of propellant used after the first decision"
     )
     invalid: float = quantity(
         0.05,
@@ -69,8 +69,7 @@ class SiteReward:
     shaping: float = quantity(
         0.0,
         ge=0,
-        help="Weight of reward shaping by the current site's probability of safe terrain; 0: no "
-        "shaping",
+        help="Weight of reward shaping by p_safe of the current site; 0: no shaping",
     )
     discount: float = quantity(
         0.99,

@@ -28,7 +28,8 @@ def plot_reliability(
     style
         Options of the line, for instance colour and label.
     """
-    axes.plot(*bin_frequencies(table[table[:, 0] >= min_count]), "o-", **{"ms": 4, **style})
+    given = {"marker": "o", "ms": 4, **style}
+    axes.plot(*bin_frequencies(table[table[:, 0] >= min_count]), **given)
 
 
 def plot_ideal(axes: Any, **style: Any) -> None:

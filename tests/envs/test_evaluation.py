@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import platform
 import sys
 import types
 from dataclasses import replace
@@ -21,6 +22,7 @@ from lunarsim_envs.evaluation.episodes import fly_episodes
 from lunarsim_envs.evaluation.parallel import fly
 from lunarsim_envs.evaluation.request import evaluation_study
 from lunarsim_envs.evaluation.results import add_on_target, agent_metrics, differences
+from lunarsim_envs.evaluation.tables import agents_table
 from tests.envs.site_scene import SMALL
 from tests.low_descents import LOW
 
@@ -157,6 +159,29 @@ def test_the_command_writes_what_it_prints(tmp_path):
     assert str(Proportion(safe, 4)) in told[0]
     assert "Safe within 30 m" in told[0] and "polynomial - zero" in told[0]
     assert (tmp_path / "one" / "scenario.toml").exists()
+    assert summary["environment"]["python"] == platform.python_version()
+    assert summary["command"].startswith("lunarsim ")
+
+
+def test_columns_without_values_are_omitted():
+    rows = fly(asked(), ["zero"], 4, jobs=1)
+    headings = [column.header for column in agents_table(agent_metrics(rows, 1), 10.0).columns]
+    assert not any("Safe within" in heading for heading in headings)
+    rows = add_on_target(rows, 10.0)
+    headings = [column.header for column in agents_table(agent_metrics(rows, 1), 10.0).columns]
+    assert "Safe within 10 m" in headings
+
+
+def test_an_environment_of_the_working_directory_is_found(tmp_path, monkeypatch):
+    """Like agents: an installed command does not search the working directory."""
+    (tmp_path / "found_beside.py").write_text(
+        "import gymnasium\nfrom tests.envs.test_evaluation import Wanted\n"
+        "gymnasium.register(id='beside/Wanted-v0', entry_point=Wanted)\n"
+    )
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", [p for p in sys.path if p != str(tmp_path)])
+    study = evaluation_study("found_beside:beside/Wanted-v0", None, (), 1)
+    assert len(fly(study, ["zero"], 2, jobs=1)) == 2
 
 
 def test_a_scenario_is_asked_for_where_an_environment_tells_none():

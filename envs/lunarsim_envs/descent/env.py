@@ -249,11 +249,10 @@ class GuidanceEnv(DescentEnv):
       one that leads to the target with constant deceleration. Its discounted sum depends only on
       the start state, if the learner uses the discount factor of the weights.
 
-    The undiscounted return with the default weights, which includes shaping, is higher for flying
-    away than for landing: compare agents by their score, which excludes shaping.
-
     Apart from shaping, every crash returns less than any safe landing. Weights that violate this
-    are refused.
+    are refused. The undiscounted return with shaping is higher for flying away than for landing:
+    train with the discount factor of the weights (0.99), and compare agents by the score, which
+    excludes shaping.
 
     ``info["cost"]``, for constrained methods, is 1 at a crash and 0 otherwise.
 
@@ -295,8 +294,8 @@ class GuidanceEnv(DescentEnv):
     - ``render_mode``: ``"rgb_array"`` returns images of the descent plane with gauges; ``"human"``
       shows them in a window; None disables rendering. Vector environments do not render.
     - ``worlds``, ``world_seed``: number of worlds (simulated terrains with rocks) in the pool and
-      their root seed. Each flight uses one of them. The terrain is a raster with a grid spacing of
-      0.1 m around the targets.
+      their root seed (defaults: 1 and 0). Each flight uses one of them. The terrain is a raster
+      with a grid spacing of 0.1 m around the targets.
     - ``covers``: additional rock covers for ``reset(options={"cover": ...})``. The pool has
       ``worlds`` worlds for each cover.
     - ``privileged``: adds ``info["privileged"]`` (28,) for asymmetric critics: the true state with

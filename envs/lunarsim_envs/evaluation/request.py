@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -10,6 +9,7 @@ from typing import Any
 import gymnasium
 
 from lunarsim.errors import InputError, suggestion
+from lunarsim.parts.registry import import_part_module
 from lunarsim.scenario import Scenario
 from lunarsim.scenario.changes import with_changes
 from lunarsim.scenario.shipped import found
@@ -34,13 +34,13 @@ def _environment_id(env_name: str) -> str:
     module, _, name = env_name.rpartition(":")
     if module:
         try:
-            importlib.import_module(module)
+            import_part_module(module)
         except ImportError as error:
             raise InputError(
                 "env",
                 env_name,
                 f"must name a module that can be imported ({error})",
-                "Install the module, or add its folder to PYTHONPATH.",
+                "Install the module, or start lunarsim in its folder.",
             ) from None
     for candidate in (name, f"lunarsim/{name}"):
         if candidate in gymnasium.registry:

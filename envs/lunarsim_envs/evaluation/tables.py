@@ -27,20 +27,27 @@ def _table(headings: tuple[str, ...]) -> Table:
 def agents_table(metrics: list[AgentMetrics], max_distance: float) -> Table:
     """Return the table of metrics that `lunarsim evaluate` prints, one row per agent.
 
-    `max_distance` is the maximum distance of an on-target landing from the target, m.
+    `max_distance` is the maximum distance of an on-target landing from the target, m. Columns
+    without any value, such as the miss distance in ``Retarget-v0``, are omitted.
     """
-    table = _table(
-        ("Agent", "Episodes", "Landed safely [95 % CI]", f"Safe within {max_distance:g} m",
-         "Score, mean", "Propellant (kg)\nsafe landings", "Miss (m)\nsafe landings", "Steps,\nmean")
+    headings = (
+        "Agent", "Episodes", "Landed safely [95 % CI]", f"Safe within {max_distance:g} m",
+        "Score, mean", "Propellant (kg)\nsafe landings", "Miss (m)\nsafe landings", "Steps,\nmean",
     )  # fmt: skip
-    for agent in metrics:
-        table.add_row(
+    rows = [
+        (
             agent.name, str(agent.episodes),
             "-" if agent.safe is None else str(agent.safe),
             "-" if agent.on_target is None else str(agent.on_target),
             agent.score.text(3), agent.propellant.text(1), agent.miss.text(1),
             f"{agent.steps.value:.0f}",
-        )  # fmt: skip
+        )
+        for agent in metrics
+    ]  # fmt: skip
+    shown = [k for k in range(len(headings)) if any(row[k] != "-" for row in rows)]
+    table = _table(tuple(headings[k] for k in shown))
+    for row in rows:
+        table.add_row(*(row[k] for k in shown))
     return table
 
 
@@ -56,7 +63,15 @@ def _interval(difference: Difference) -> str:
 
 def differences_table(paired_differences: dict[str, list[Difference]]) -> Table:
     """Return the table of paired differences, one row per pair of agents and metric."""
-    table = _table(("Paired difference", "Metric", "Pairs", "Difference [95 % CI]", "p (Holm)"))
+    table = _table(
+        (
+            "Paired difference",
+            "Metric",
+            "Pairs",
+            "Difference [95 % CI]\nof one pair",
+            "p, all pairs\n(Holm)",
+        )
+    )
     for metric, many in paired_differences.items():
         for d in many:
             table.add_row(

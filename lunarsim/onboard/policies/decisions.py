@@ -52,8 +52,8 @@ class DecisionSettings:
         16,
         ge=1,
         le=256,
-        help="Maximum number of candidate sites for each decision; the safest sites of the map are "
-        "selected",
+        help="Maximum number of candidate sites with the highest p_safe; the nearest site at each "
+        "of four levels of p_safe, and sites that the mapper ranks, are added",
     )
     separation: float = quantity(3.0, "m", gt=0, help="Minimum distance between candidate sites")
     touchdown_sigma: float = quantity(

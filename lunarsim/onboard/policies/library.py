@@ -57,13 +57,12 @@ class Safest:
     value_weight: float = quantity(
         0.5,
         ge=0,
-        help="Advantage of a site of mission value 1 over a site of value 0, in log odds of a safe "
-        "landing",
+        help="Advantage of a site of mission value 1 over a site of value 0, in log odds of p_safe",
     )
     hysteresis: float = quantity(
         0.7,
         ge=0,
-        help="Minimum improvement of a site's score for a divert, in log odds of safe terrain",
+        help="Minimum improvement of a site's score for a divert, in log odds of p_safe",
     )
     name: str = hidden("safest")
 
@@ -90,14 +89,14 @@ class NearestSafe:
     Attributes
     ----------
     p_safe_min
-        Minimum probability of safe terrain.
+        Minimum p_safe.
     """
 
     p_safe_min: float = quantity(
         0.95,
         gt=0,
         lt=1,
-        help="Minimum probability of safe terrain at a site that the policy accepts as safe",
+        help="Minimum p_safe (probability of safe terrain) of a site that is accepted as safe",
     )
     name: str = hidden("nearest-safe")
 
@@ -137,19 +136,17 @@ class FuelAware:
     value_weight: float = quantity(
         0.5,
         ge=0,
-        help="Advantage of a site of mission value 1 over a site of value 0, in log odds of a safe "
-        "landing",
+        help="Advantage of a site of mission value 1 over a site of value 0, in log odds of p_safe",
     )
     propellant_weight: float = quantity(
         0.25,
         ge=0,
-        help="Improvement in log odds of safe terrain that justifies using one kilogram of "
-        "propellant",
+        help="Improvement in log odds of p_safe that justifies using one kilogram of propellant",
     )
     hysteresis: float = quantity(
         0.7,
         ge=0,
-        help="Minimum improvement of a site's score for a divert, in log odds of safe terrain",
+        help="Minimum improvement of a site's score for a divert, in log odds of p_safe",
     )
     name: str = hidden("fuel-aware")
 
@@ -238,7 +235,7 @@ class SafestOrAbort(Safest):
     Attributes
     ----------
     p_safe_min
-        Probability of a safe landing below which the lander aborts.
+        p_safe below which the lander aborts.
     abort_altitude
         Estimated height of the centre of mass above the site, m. The lander can abort only below
         this height; above it, the map may still improve. Below this height, a current site out of
@@ -249,8 +246,8 @@ class SafestOrAbort(Safest):
         0.5,
         ge=0,
         le=1,
-        help="Minimum probability of safe terrain at the selected site; the lander aborts if it "
-        "is lower",
+        help="Minimum p_safe (probability of safe terrain) of the selected site; the lander aborts "
+        "if it is lower",
     )
     abort_altitude: float = quantity(
         80.0, "m", gt=0, help="Height above the site below which the lander can abort"
