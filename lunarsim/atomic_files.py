@@ -75,9 +75,9 @@ def read_json_with_format(path: Path, field: str, tag: str, hint: str = "") -> d
     try:
         data = read_json(path)
     except ValueError as error:
-        raise InputError(field, str(path), f"must be a JSON file ({error}){hint}") from None
+        raise InputError(field, str(path), f"must be a JSON file{hint} ({error})") from None
     if not isinstance(data, dict) or data.get("format") != tag:
-        raise InputError(field, str(path), f"must be a file with format = {tag!r}{hint}")
+        raise InputError(field, str(path), f"must be a file{hint} with format = {tag!r}")
     return data
 
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any, TypeVar
 
-import numpy as np
-
 from lunarsim.errors import InputError, suggestion
 
 Part = TypeVar("Part")
+# End of the error about an array of a component with a wrong shape.
+PER_LANDER = "(first axis: landers)"
 
 
 def named_parts(field: str, names: Sequence[str], known: Mapping[str, Part]) -> list[Part]:
@@ -36,16 +36,3 @@ def check_new(name: str, known: Mapping[str, Any]) -> None:
     """Raise an `InputError` if a component of `known` has the name of a new component."""
     if name in known:
         raise InputError("name", name, "must not be the name of a registered component")
-
-
-def check_shape(field: str, value: Any, shape: tuple[int, ...]) -> None:
-    """Raise an `InputError` if values of a component do not have the expected shape.
-
-    The first axis counts landers; `field` is the name of the component in the error.
-    """
-    if np.shape(value) != shape:
-        raise InputError(
-            field,
-            np.shape(value),
-            f"must have shape {shape}, in which the first axis counts landers",
-        )

@@ -179,8 +179,9 @@ class JetLander(Lander):
         for i, torque in ((1, self.torque_max[0]), (0, self.torque_max[1])):
             limit = gimbal_authority + torque / self.thrust_min if self.thrust_min > 0.0 else np.inf
             if abs(com[i]) > limit:
+                shown = np.floor(limit * 1e4) / 1e4  # rounded inwards
                 raise InputError(
-                    f"{field}[{i}]", com[i], f"must be between {-limit:.3g} and {limit:.3g}",
+                    f"{field}[{i}]", com[i], f"must be between {-shown:g} and {shown:g}",
                     "Farther from the engine's axis, gimbal and thrusters cannot balance the "
                     "minimum thrust.",
                 )  # fmt: skip

@@ -287,7 +287,7 @@ class Ensemble:
             weights = tuple(tuple(_weight(w) for w in row) for row in data["weights"])
             worlds = data["without"]
             if not (isinstance(worlds, list) and all(isinstance(w, str) for w in worlds)):
-                raise ValueError("without must be a list of names")
+                raise ValueError("its key 'without' must be a list of names")
             note = str(data.get("note", ""))
         except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
             reason = f"{error} is missing" if isinstance(error, KeyError) else error

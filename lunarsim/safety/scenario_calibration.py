@@ -237,7 +237,7 @@ class ScenarioCalibration:
             If the file is missing, is not a calibration, or has an invalid number.
         """
         data = read_json_with_format(
-            path, "calibration", _FORMAT, " (written by `lunarsim calibrate`)"
+            path, "calibration", _FORMAT, " written by `lunarsim calibrate`"
         )
         return cls._parsed(data)
 

@@ -13,8 +13,9 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from lunarsim.errors import InputError
+from lunarsim.value_checks import check_shape
 from lunarsim_envs.descent.batch import DescentBatch
-from lunarsim_envs.named_components import check_new, check_shape, named_parts
+from lunarsim_envs.named_components import PER_LANDER, check_new, named_parts
 
 Array = NDArray[np.float64]
 
@@ -156,7 +157,7 @@ class ObservationLayout:
         """Compute the observations of all landers of a batch (n, size)."""
         each = [p.of(lanes) for p in self.parts]
         for part, value in () if self._checked else zip(self.parts, each, strict=True):
-            check_shape(f"observation {part.name!r}", value, (lanes.count, part.size))
+            check_shape(f"observation {part.name!r}", value, (lanes.count, part.size), PER_LANDER)
         self._checked = True
         observation = np.concatenate(each, axis=1).astype(np.float32)
         return np.clip(observation, self._low, self._high, out=observation)

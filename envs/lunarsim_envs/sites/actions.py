@@ -14,7 +14,8 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from lunarsim.errors import InputError
-from lunarsim_envs.named_components import check_new, check_shape, named_parts
+from lunarsim.value_checks import check_shape
+from lunarsim_envs.named_components import PER_LANDER, check_new, named_parts
 from lunarsim_envs.sites.observations import SITES
 from lunarsim_envs.sites.site_inputs import SiteInputs
 
@@ -272,7 +273,7 @@ class SiteActions:
         if part.open is None:
             return _all_available(inputs, part.count)
         mask = np.asarray(part.open(inputs), dtype=np.bool_)
-        check_shape(f"action {part.name!r}, open", mask, (len(inputs.site), part.count))
+        check_shape(f"action {part.name!r}, open", mask, (len(inputs.site), part.count), PER_LANDER)
         return mask
 
     def decisions(self, chosen: Choice, inputs: SiteInputs) -> SiteDecisions:
@@ -287,7 +288,7 @@ class SiteActions:
         decided = {"site": np.full((n, 3), np.nan), "time_scale": np.full(n, np.nan)}
         for part, own in zip(self.parts, chosen.T, strict=True):
             value = np.array(part.of(inputs, own), dtype=np.float64)
-            check_shape(f"action {part.name!r}", value, decided[part.sets].shape)
+            check_shape(f"action {part.name!r}", value, decided[part.sets].shape, PER_LANDER)
             decided[part.sets] = value
         scale = decided["time_scale"]
         wrong = (scale <= 0.0) | np.isinf(scale)

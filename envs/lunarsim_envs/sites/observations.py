@@ -14,7 +14,8 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from lunarsim.errors import InputError
-from lunarsim_envs.named_components import check_new, check_shape, named_parts
+from lunarsim.value_checks import check_shape
+from lunarsim_envs.named_components import PER_LANDER, check_new, named_parts
 from lunarsim_envs.sites.site_inputs import CROP_CELLS, MAP_CELLS, SiteInputs
 
 Array = NDArray[Any]
@@ -211,7 +212,9 @@ class SiteObservationLayout:
         observation = {}
         for part in self.parts:
             value = np.array(part.of(inputs), dtype=np.float32)
-            check_shape(f"observation {part.name!r}", value, (len(inputs.site), *part.shape))
+            check_shape(
+                f"observation {part.name!r}", value, (len(inputs.site), *part.shape), PER_LANDER
+            )
             low, high = self._bounds[part.name]
             np.maximum(value, low, out=value)
             observation[part.name] = np.minimum(value, high, out=value)

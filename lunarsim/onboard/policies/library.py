@@ -57,7 +57,8 @@ class Safest:
     value_weight: float = quantity(
         0.5,
         ge=0,
-        help="Advantage of a site of mission value 1 over a site of value 0, in log odds of p_safe",
+        help="Weight of the mission value in the score of a site, which is the log odds of p_safe "
+        "plus weight times value",
     )
     hysteresis: float = quantity(
         0.7,
@@ -136,7 +137,8 @@ class FuelAware:
     value_weight: float = quantity(
         0.5,
         ge=0,
-        help="Advantage of a site of mission value 1 over a site of value 0, in log odds of p_safe",
+        help="Weight of the mission value in the score of a site, which is the log odds of p_safe "
+        "plus weight times value",
     )
     propellant_weight: float = quantity(
         0.25,

@@ -106,8 +106,8 @@ def _not_a_raster(path: Path, error: Exception) -> InputError:
         problem = "must not be a VRT, which refers to other files"
     elif path.suffix.lower() in (".img", ".dat"):
         label = path.with_suffix(".lbl").name
-        problem = f"must be a raster of {formats}, or have a label {label} ({error})"
-        return InputError("terrain.path", str(path), problem)
+        problem = f"must be a raster of {formats}, or have a label {label}"
+        return InputError("terrain.path", str(path), problem, f"Reason: {error}.")
     elif b"PDS_VERSION_ID" in start or b"Product_Observational" in start:
         problem = f"is a label that does not lead to a raster ({error})"
         return InputError("terrain.path", str(path), problem)
