@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import platform
+import shlex
 import sys
 import types
 from dataclasses import replace
@@ -135,13 +136,14 @@ def test_differences_are_of_the_same_episodes():
     )
 
 
-def test_the_command_writes_what_it_prints(tmp_path):
+def test_the_command_writes_what_it_prints(tmp_path, monkeypatch):
     told = []
     for name in ("one", "two"):
         words = ["evaluate", "Guidance-v0", "--agent", "zero", "--agent", "polynomial"]
         for value in SETS:
             words += ["--set", value]
         words += ["--episodes", "4", "--jobs", "1", "--within", "30", "--out", str(tmp_path / name)]
+        monkeypatch.setattr(sys, "argv", ["/bin/lunarsim", *words])
         done = CliRunner().invoke(main, words)
         assert done.exit_code == 0, done.output
         told.append(done.stdout)
@@ -160,7 +162,8 @@ def test_the_command_writes_what_it_prints(tmp_path):
     assert "Safe within 30 m" in told[0] and "polynomial - zero" in told[0]
     assert (tmp_path / "one" / "scenario.toml").exists()
     assert summary["environment"]["python"] == platform.python_version()
-    assert summary["command"].startswith("lunarsim ")
+    command = shlex.split(summary["command"])
+    assert command == ["lunarsim", *words[:-1], str(tmp_path / "one")]
 
 
 def test_columns_without_values_are_omitted():
