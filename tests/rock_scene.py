@@ -19,6 +19,7 @@ ERRORS = StartSigmas(2.0, 0.1, 2e-3)
 # Errors that the filter models in full: no scale factor, no quantisation.
 GYROSCOPES = TriadErrors(5e-5, 1e-4, 1e-6)
 ACCELEROMETERS = TriadErrors(3e-3, 1e-3, 1e-5)
+CAMERA = Camera()
 
 
 class Flight:
@@ -65,28 +66,25 @@ class Flight:
         """Move truth and filter by as many inertial samples."""
         n = samples
         white = self.rng.standard_normal((4, n, 3)) * np.sqrt(step)
-        angle = np.empty((n, 3))
-        velocity = np.empty((n, 3))
-        for k in range(n):
-            middle = quat_multiply(self.attitude, quat_from_rotation_vector(0.5 * step * self.rate))
-            a = quat_rotate(middle, self.force) + np.array([0.0, 0.0, -GRAVITY])
-            self.position = self.position + step * (self.velocity + 0.5 * step * a)
-            self.velocity = self.velocity + step * a
-            self.attitude = quat_multiply(
-                self.attitude, quat_from_rotation_vector(step * self.rate)
-            )
-            self.bias_a = self.bias_a + ACCELEROMETERS.bias_walk * white[2, k]
-            self.bias_g = self.bias_g + GYROSCOPES.bias_walk * white[3, k]
-            angle[k] = step * (self.rate + self.bias_g) + GYROSCOPES.random_walk * white[0, k]
-            velocity[k] = (
-                step * (self.force + self.bias_a) + ACCELEROMETERS.random_walk * white[1, k]
-            )
+        # The rate is constant: attitudes in the middle of each step, and at the end of the last.
+        passed = step * np.append(np.arange(n) + 0.5, n)
+        turned = quat_from_rotation_vector(passed[:, None] * self.rate)
+        attitudes = quat_multiply(self.attitude[None], turned)
+        a = quat_rotate(attitudes[:-1], self.force) + np.array([0.0, 0.0, -GRAVITY])
+        velocities = self.velocity + step * np.cumsum(a, axis=0)
+        self.position = self.position + step * (velocities - 0.5 * step * a).sum(axis=0)
+        self.velocity, self.attitude = velocities[-1], attitudes[-1]
+        bias_a = self.bias_a + ACCELEROMETERS.bias_walk * np.cumsum(white[2], axis=0)
+        bias_g = self.bias_g + GYROSCOPES.bias_walk * np.cumsum(white[3], axis=0)
+        self.bias_a, self.bias_g = bias_a[-1], bias_g[-1]
+        angle = step * (self.rate + bias_g) + GYROSCOPES.random_walk * white[0]
+        velocity = step * (self.force + bias_a) + ACCELEROMETERS.random_walk * white[1]
         self.filter.propagate(angle, velocity)
         self.time += n * step
 
     def camera(self):
         """A camera that the true gimbal points at the origin."""
-        return replace(Camera(), mount=gimbal_mount(self.attitude, -self.position))
+        return replace(CAMERA, mount=gimbal_mount(self.attitude, -self.position))
 
     def look(self, camera):
         """Return noisy pixels (n, 2), radii (n,) and their covariances."""

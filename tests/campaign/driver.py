@@ -51,14 +51,14 @@ def _chains(subset: str) -> Any:
     return planned(subset)
 
 
-def main() -> None:
+def drive(folder: Path, options: dict[str, Any]) -> None:
     """Fly."""
     from lunarsim.campaign import store
     from lunarsim.campaign.engines.inline import InlineEngine
     from lunarsim.campaign.engines.local import LocalEngine
     from lunarsim.campaign.run import run
 
-    folder, options = Path(sys.argv[1]), json.loads(sys.argv[2])
+    options = dict(options)
     store.PART_ROWS = options.pop("part_rows", PART_ROWS)
     if "die" in options:
         die_at(*options.pop("die"))
@@ -73,4 +73,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    drive(Path(sys.argv[1]), json.loads(sys.argv[2]))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import multiprocessing
 import subprocess
 import sys
 import time
@@ -15,7 +16,10 @@ from lunarsim.campaign.files import bytes_digest
 from lunarsim.campaign.manifest import with_digest
 from lunarsim.campaign.results import load_results
 from lunarsim.errors import InputError
+from tests.campaign.driver import drive
 from tests.conftest import ROOT
+
+_LOADED = ["lunarsim.campaign.run", "tests.campaign.surrogate"]
 
 
 def start(at: Path, **options: object) -> subprocess.Popen[str]:
@@ -24,6 +28,20 @@ def start(at: Path, **options: object) -> subprocess.Popen[str]:
     return subprocess.Popen(
         command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     )
+
+
+def fly_alone(at: Path, **options: object) -> int:
+    """Let a driver without workers fly to its end; return its exit code.
+
+    It is forked from a process that has all loaded, which takes longer than the flights.
+    """
+    forks = multiprocessing.get_context("forkserver")
+    forks.set_forkserver_preload(_LOADED)
+    driver = forks.Process(target=drive, args=(at, {"jobs": 0} | options))
+    driver.start()
+    driver.join(60.0)
+    assert driver.exitcode is not None, "it did not end"
+    return driver.exitcode
 
 
 def parts(folder: Path) -> dict[str, bytes]:

@@ -29,16 +29,16 @@ def result(scenario, tmp_path_factory):
     return compare(scenario, ["no-divert", "safest"], flights=2, seed=4, jobs=1, out=out), out
 
 
-def test_results_are_the_same_bytes_again_and_in_two_processes(scenario, result, tmp_path):
+def test_results_are_the_same_bytes_in_two_processes(scenario, result, tmp_path):
+    """Those again in one process are in `test_cache.py`."""
     _, first = result
-    for jobs in (1, 2):
-        out, seen = tmp_path / str(jobs), []
-        compare(
-            scenario, ["no-divert", "safest"], flights=2, seed=4, jobs=jobs, out=out,
-            progress=seen.append, figures=False,
-        )  # fmt: skip
-        assert (out / "results.parquet").read_bytes() == (first / "results.parquet").read_bytes()
-        assert sum(seen) == 4, "progress counts flights"
+    out, seen = tmp_path / "two", []
+    compare(
+        scenario, ["no-divert", "safest"], flights=2, seed=4, jobs=2, out=out,
+        progress=seen.append, figures=False,
+    )  # fmt: skip
+    assert (out / "results.parquet").read_bytes() == (first / "results.parquet").read_bytes()
+    assert sum(seen) == 4, "progress counts flights"
 
 
 def test_folder_holds_what_was_promised(result):

@@ -12,7 +12,7 @@ from lunarsim.campaign.engines.inline import InlineEngine
 from lunarsim.campaign.results import load_results, read_status
 from lunarsim.campaign.run import run
 from lunarsim.errors import InputError
-from tests.campaign.processes import journalled, parts, start, write_part
+from tests.campaign.processes import fly_alone, journalled, parts, start, write_part
 from tests.campaign.surrogate import plan
 
 pytestmark = pytest.mark.usefixtures("short_parts")
@@ -74,8 +74,7 @@ def test_a_part_that_was_edited_by_hand_is_kept_apart(tmp_path, whole, edited):
 def journal_of_a_kill(tmp_path: Path) -> tuple[Path, int, Path]:
     """Return a folder whose driver was killed, the rows that it has, and its journal."""
     folder = tmp_path / "c"
-    driver = start(folder, die=("before", "results/part-00001.parquet", 1), jobs=0)
-    driver.communicate(timeout=300)
+    fly_alone(folder, die=("before", "results/part-00001.parquet", 1))
     return folder, journalled(folder), folder / "journal.jsonl"
 
 

@@ -18,7 +18,15 @@ from lunarsim.campaign.engines.inline import InlineEngine
 from lunarsim.campaign.engines.local import LocalEngine, block_interrupts
 from lunarsim.campaign.results import load_results, read_status
 from lunarsim.campaign.run import run
-from tests.campaign.processes import children, command_of, journalled, parts, start, wait_for
+from tests.campaign.processes import (
+    children,
+    command_of,
+    fly_alone,
+    journalled,
+    parts,
+    start,
+    wait_for,
+)
 from tests.campaign.surrogate import plan
 from tests.conftest import ROOT
 
@@ -69,9 +77,7 @@ POINTS = [
 @pytest.mark.parametrize("point", POINTS, ids=lambda p: f"{p[0]} {p[1]} {p[2]}")
 def test_a_kill_at_a_named_point_loses_nothing(tmp_path, whole, point):
     folder = tmp_path / "c"
-    first = start(folder, die=point, folder=str(tmp_path), jobs=0)
-    first.communicate(timeout=60)
-    assert first.returncode == -signal.SIGKILL
+    assert fly_alone(folder, die=point, folder=str(tmp_path)) == -signal.SIGKILL
     before = journalled(folder)
     ran = run(plan(), InlineEngine(), folder)
     assert (ran.state, ran.before, ran.flown) == ("complete", before, 80 - before)

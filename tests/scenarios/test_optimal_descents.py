@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import importlib.util
 import json
+import shutil
 from contextlib import nullcontext
 from dataclasses import replace
 
@@ -36,18 +37,39 @@ def written(study, folder, *options):
     return done.output
 
 
+@pytest.fixture(scope="module")
+def kept():
+    """Return what `whole` has written."""
+    return {}
+
+
+@pytest.fixture
+def whole(small, kept, tmp_path_factory, monkeypatch):
+    """Return the folder of seven descents, which all tests share, and what was printed."""
+    if not kept:
+        folder = tmp_path_factory.mktemp("whole")
+        # Written to a relative path, as in the documentation.
+        monkeypatch.chdir(folder.parent)
+        kept["whole"] = folder, written(small, folder.name)
+    return kept["whole"]
+
+
+def with_shards(whole, folder):
+    """Copy the shards of seven descents into a folder."""
+    shutil.copytree(whole[0] / "shards", folder / "shards")
+    return folder
+
+
 def episodes(folder):
     data = minari.MinariDataset(folder / "data")
     return [data[k] for k in range(data.total_episodes)]
 
 
-def test_episodes_obey_the_equations_of_motion(small, tmp_path, monkeypatch):
-    # Written to a relative path, as in the documentation.
-    monkeypatch.chdir(tmp_path.parent)
-    output = written(small, tmp_path.name)
+def test_episodes_obey_the_equations_of_motion(whole):
+    folder, output = whole
     scenario = Scenario.from_dict({"name": "check"})
     lander, gravity = scenario.vehicle.make(), scenario.gravity_m_s2
-    all_of_them = episodes(tmp_path)
+    all_of_them = episodes(folder)
     assert len(all_of_them) == 7
     assert "7 descents" in output
     for one in all_of_them:
@@ -72,9 +94,8 @@ def test_episodes_obey_the_equations_of_motion(small, tmp_path, monkeypatch):
         assert not one.truncations.any()
 
 
-def test_results_do_not_depend_on_processes_or_interruptions(small, tmp_path):
-    whole, broken = tmp_path / "whole", tmp_path / "broken"
-    written(small, whole)
+def test_results_do_not_depend_on_processes_or_interruptions(small, whole, tmp_path):
+    whole, broken = whole[0], tmp_path / "broken"
     # Two of three shards exist already.
     (broken / "shards").mkdir(parents=True)
     for file in sorted((whole / "shards").glob("*.npz"))[:2]:
@@ -131,9 +152,8 @@ def test_interrupt_keeps_finished_shards(small, tmp_path, monkeypatch):
     assert "7 descents" in output
 
 
-def test_shards_of_other_limits_are_rejected(small, tmp_path, monkeypatch):
-    written(small, tmp_path)
-    (tmp_path / "data").rename(tmp_path / "before")
+def test_shards_of_other_limits_are_rejected(small, whole, tmp_path, monkeypatch):
+    with_shards(whole, tmp_path)
     monkeypatch.setattr(small, "Approach", lambda: replace(Approach(), reserve=20.0))
     done = CliRunner().invoke(small.main, ["--descents", "7", "--out", str(tmp_path)])
     assert done.exit_code == 2, done.output
@@ -165,19 +185,20 @@ def test_unwritable_folder_is_reported(small, tmp_path):
     assert "Not a directory" in " ".join(done.output.split())
 
 
-def test_full_disk_is_reported_and_shards_are_kept(small, tmp_path, monkeypatch):
+def test_full_disk_is_reported_and_shards_are_kept(small, whole, tmp_path, monkeypatch):
     def full(*given):
         (given[1] / "main_data.hdf5").write_text("half")
         raise OSError(errno.ENOSPC, "No space left on device")
 
     monkeypatch.setattr(small, "write_dataset", full)
+    with_shards(whole, tmp_path)
     done = CliRunner().invoke(small.main, ["--descents", "7", "--out", str(tmp_path)])
     assert done.exit_code == 1, done.output
     assert "No space left" in " ".join(done.output.split())
     assert [path.name for path in tmp_path.iterdir()] == ["shards"]
 
 
-def test_run_killed_while_writing_resumes(small, tmp_path, monkeypatch):
+def test_run_killed_while_writing_resumes(small, whole, tmp_path, monkeypatch):
     """A killed run cannot clean up: partial output is not in the data folder."""
     write = small.write_dataset
 
@@ -186,6 +207,7 @@ def test_run_killed_while_writing_resumes(small, tmp_path, monkeypatch):
         raise SystemExit(9)
 
     monkeypatch.setattr(small, "write_dataset", killed)
+    with_shards(whole, tmp_path)
     monkeypatch.setattr(small, "remove_contents_on_error", lambda folder: nullcontext())
     CliRunner().invoke(small.main, ["--descents", "7", "--out", str(tmp_path)])
     assert not (tmp_path / "data").exists()

@@ -30,6 +30,10 @@ def scenario(**changes):
     return base.changed(**changes)
 
 
+# A quarter of the returns of a scan.
+FEW = {"flash": {"rows": 64, "cols": 64}}
+
+
 def filter_of(simulation):
     return simulation.computer.navigation
 
@@ -106,7 +110,9 @@ def test_the_estimate_is_as_good_as_it_says(flown):
 
 def test_a_map_that_lies_aside_moves_the_site_frame_alone():
     offset = np.array([4.0, -3.0, 2.0])
-    aside = scenario(prior_map={"offset_m": offset.tolist()}, simulation={"max_time_s": 12.0})
+    aside = scenario(
+        prior_map={"offset_m": offset.tolist()}, simulation={"max_time_s": 9.0}, sensors=FEW
+    )
     simulation = Simulation(aside, 2, "truth-oracle")
     flight = simulation.run()
     assert filter_of(simulation).found
@@ -135,7 +141,7 @@ def test_the_local_frame_never_jumps(flown):
 
 
 def test_two_flights_of_a_seed_are_the_same():
-    short = scenario(simulation={"max_time_s": 2.0})
+    short = scenario(simulation={"max_time_s": 1.0}, sensors=FEW)
     a, b = (Simulation(short, 5, "safest") for _ in range(2))
     a.run()
     b.run()
@@ -163,7 +169,7 @@ def test_interest_comes_from_a_file(tmp_path):
     given = scenario(mappers={"sites": {"interest_path": str(tmp_path / "west.npz")}})
     given.save(tmp_path / "s.toml")
     simulation = Simulation(Scenario.load(tmp_path / "s.toml"), 2)
-    while simulation.time < 8.0:
+    while simulation.time < 4.0:
         simulation.step()
     ranked = mapper_of(simulation).select().ranked
     assert len(ranked) > 0
@@ -181,8 +187,8 @@ def test_interest_comes_from_a_file(tmp_path):
 def test_no_site_is_an_answer_too():
     # No ground is even enough: the policy gets a map on which nothing is worth aiming at.
     strict = scenario(
-        mappers={"sites": {"sites": {"slope_limit_deg": 1e-3}}}, simulation={"max_time_s": 9.0},
-        decisions={"first_altitude_m": 400.0},
+        mappers={"sites": {"sites": {"slope_limit_deg": 1e-3}}}, simulation={"max_time_s": 4.0},
+        decisions={"first_altitude_m": 400.0}, sensors=FEW,
     )  # fmt: skip
     simulation = Simulation(strict, 2, "safest")
     simulation.run()
@@ -194,8 +200,8 @@ def test_no_site_is_an_answer_too():
     assert len(observation.candidates) == 0
     # Without a lock there is a map all the same, and the policy decides on it.
     blind = Simulation(
-        scenario(prior_map={"offset_m": [0.0, 0.0, 500.0]}, simulation={"max_time_s": 9.0},
-                 decisions={"first_altitude_m": 400.0}), 2, "safest",
+        scenario(prior_map={"offset_m": [0.0, 0.0, 500.0]}, simulation={"max_time_s": 4.0},
+                 decisions={"first_altitude_m": 400.0}, sensors=FEW), 2, "safest",
     )  # fmt: skip
     flight = blind.run()
     assert not filter_of(blind).found

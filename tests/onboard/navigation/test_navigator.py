@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from dataclasses import replace
 
 import numpy as np
@@ -30,6 +31,20 @@ from tests.lidar_descent import KEEP, LIDAR, START, VELOCITY, Descent, mapped, n
 @pytest.fixture(scope="module")
 def world():
     return World(hazard_field(np.random.default_rng(4), surround=280.0, posting=0.5), 9.81)
+
+
+@pytest.fixture(scope="module")
+def flown(world):
+    """A descent of 3 s."""
+    return Descent(world, 1).fly(3.0)
+
+
+@pytest.fixture
+def locked(world, flown):
+    """A copy of a descent of 3 s, which has found its map."""
+    descent = copy.deepcopy(flown, {id(world): world})
+    assert descent.filter.locked
+    return descent
 
 
 @pytest.mark.statistical
@@ -222,9 +237,8 @@ def test_reference_scan_follows_corrections(step):
     assert f.monitors["flash scans"].dof > taken
 
 
-def test_lost_and_found_again_are_events(world):
-    descent = Descent(world, 1).fly(3.0)
-    assert descent.filter.locked
+def test_lost_and_found_again_are_events(locked):
+    descent = locked
     hidden = descent.filter.matcher.prior
     # The terrain is another one for a while.
     wrong = np.random.default_rng(0).normal(0.0, 3.0, hidden.elevation.shape)
@@ -238,9 +252,8 @@ def test_lost_and_found_again_are_events(world):
     assert np.linalg.norm(descent.error()[:3]) < 1.0
 
 
-def test_small_scans_do_not_end_lock(world):
-    descent = Descent(world, 1).fly(3.0)
-    assert descent.filter.locked
+def test_small_scans_do_not_end_lock(locked):
+    descent = locked
     # One metre wide: too small for evidence for or against the lock.
     descent.lidar = FlashLidar(24, 24, 0.003, 5e-5).build(descent.rng, 0.01)
     descent.fly(5.0, aim=np.zeros(3))
@@ -267,18 +280,18 @@ def told_of_height(descent, scans):
     return np.array(told)
 
 
-def test_a_post_counts_once_however_often_it_is_seen(world):
+def test_a_post_counts_once_however_often_it_is_seen(locked):
     """The k-th use has the weight 1 / (k (k + 1))."""
-    told = told_of_height(Descent(world, 1).fly(3.0), 4)
+    told = told_of_height(locked, 4)
     use = np.arange(1.0, 5.0)
     expected = 1.0 / (0.1**2 * use * (use + 1.0) + 0.03**2)
     assert told / told[0] == pytest.approx(expected / expected[0], rel=0.25)
 
 
-def test_model_noise_reduces_information(world):
+def test_model_noise_reduces_information(world, locked):
     told = []
     for sigma in (0.03, 1.0):
-        descent = Descent(world, 1).fly(3.0)
+        descent = copy.deepcopy(locked, {id(world): world})
         matcher = descent.filter.matcher
         matcher.settings = replace(matcher.settings, model_sigma=sigma)
         matcher.prior = matcher.prior
