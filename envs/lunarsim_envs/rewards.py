@@ -50,12 +50,12 @@ class RewardWeights(SiteReward):
             + self.tilt
             + self.hazard
         )
-        least = self.unsafe + costs + 2.0 * self.information
-        if not self.safe > least:
+        minimum = self.unsafe + costs + 2.0 * self.information
+        if not self.safe > minimum:
             raise InputError(
                 "weights.safe", self.safe,
-                f"must be above {least:g}, otherwise a crash may have a higher total reward than a "
-                "safe landing",
+                f"must be above {minimum:g}, otherwise a crash may have a higher total reward "
+                "than a safe landing",
                 "This limit depends on the other keys of [site_reward], except shaping.",
             )  # fmt: skip
 

@@ -109,9 +109,9 @@ def calibrate(
     InputError
         If an argument or the scenario is not usable, or all sites are of one class.
     """
-    for name, value, least in (("flights", flights, 2), ("sites", sites, 1), ("jobs", jobs, 1)):
-        if value < least:
-            raise InputError(f"--{name}", value, f"must be {least} or more")
+    for name, value, minimum in (("flights", flights, 2), ("sites", sites, 1), ("jobs", jobs, 1)):
+        if value < minimum:
+            raise InputError(f"--{name}", value, f"must be {minimum} or more")
     mapper = gaussian_mapper(scenario, mapper)
     plain = scenario.changed(mappers={mapper: {"calibration_path": None}})
     if flights > MAX_FLIGHTS:

@@ -12,6 +12,7 @@ from lunarsim._frame_kernels import ray_points
 from lunarsim.errors import InputError
 from lunarsim.frames import quat_to_matrix
 from lunarsim.models.camera import CameraModel
+from lunarsim.value_checks import check_finite, check_shape
 
 Array = NDArray[np.float64]
 
@@ -164,13 +165,9 @@ class LidarScan:
         if not (is_orthogonal and np.linalg.det(self.mount) > 0.0):
             problem = "must be a rotation matrix, with mount @ mount.T = identity, determinant 1"
             raise InputError("scan.mount", self.mount, problem, show_value=False)
-        if np.shape(position) != (3,):
-            raise InputError("estimate.position", np.shape(position), "must have shape (3,)")
-        for i, value in enumerate(np.asarray(position).tolist()):
-            if not np.isfinite(value):
-                raise InputError(f"estimate.position[{i}]", value, "must be finite")
-        if np.shape(attitude) != (4,):
-            raise InputError("estimate.attitude", np.shape(attitude), "must have shape (4,)")
+        check_shape("estimate.position", position, (3,))
+        check_finite("estimate.position", position)
+        check_shape("estimate.attitude", attitude, (4,))
         norm = float(np.linalg.norm(attitude))
         if not abs(norm - 1.0) < 1e-3:
             problem = f"must be a unit quaternion, but its norm is {norm:g}"

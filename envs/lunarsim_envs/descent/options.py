@@ -132,11 +132,11 @@ def _checked_numbers(key: str, value: Any, template: Array) -> Array:
     if not are_numbers or numbers.shape != template.shape:
         expected = f"{len(template)} numbers" if several else "a number"
         raise InputError(f"options.{key}", value, f"must be {expected}")
-    least = 0.0 if key.endswith(("_sigma_m", "_sigma_m_s", "_scatter_m")) else -MOST
+    minimum = 0.0 if key.endswith(("_sigma_m", "_sigma_m_s", "_scatter_m")) else -MOST
     for i, number in enumerate(numbers.tolist()):
-        if not least <= number <= MOST:
+        if not minimum <= number <= MOST:
             field = f"options.{key}[{i}]" if several else f"options.{key}"
-            bounds = f"between {least:g} and {MOST:g}" if np.isfinite(number) else "finite"
+            bounds = f"between {minimum:g} and {MOST:g}" if np.isfinite(number) else "finite"
             raise InputError(field, number, f"must be {bounds}")
     return numbers
 
@@ -174,10 +174,10 @@ def check_start_height(
     highest terrain; otherwise an `InputError` for `field` is raised.
     """
     low, high = lanes.worlds.levels[:, 0].min(), lanes.worlds.levels[:, 1].max()
-    least = high - low + lanes.craft.dynamics.lander.com_height + 5.0 * start[6]
-    if start[2] <= least:
+    minimum = high - low + lanes.craft.dynamics.lander.com_height + 5.0 * start[6]
+    if start[2] <= minimum:
         raise InputError(
             field, float(start[2]),
-            f"must be above {least:.1f} m, which is five times position_sigma_m above the highest "
-            "terrain",
+            f"must be above {minimum:.1f} m, which is five times position_sigma_m above the "
+            "highest terrain",
         )  # fmt: skip

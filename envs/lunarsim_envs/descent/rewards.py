@@ -41,12 +41,12 @@ class DescentWeights(DescentReward):
         If the weight ``safe`` is too small for that, an `InputError` is raised. `propellant` is the
         propellant capacity, kg.
         """
-        least = self.crash + self.propellant * propellant + self.miss * MAX_MISS_M
-        if not self.safe > least:
+        minimum = self.crash + self.propellant * propellant + self.miss * MAX_MISS_M
+        if not self.safe > minimum:
             raise InputError(
                 "weights.safe", self.safe,
-                f"must be above {least:g}, otherwise a crash may have a higher total reward than a "
-                "safe landing",
+                f"must be above {minimum:g}, otherwise a crash may have a higher total reward "
+                "than a safe landing",
                 "This limit depends on the keys crash, propellant and miss of [descent_reward].",
             )  # fmt: skip
 

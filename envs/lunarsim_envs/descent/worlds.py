@@ -173,9 +173,11 @@ def _grids(scenario: Scenario, terrain: Terrain) -> tuple[Grid, Grid]:
     target = scenario.target.make()
     middle, scatter = np.asarray(target.position), np.asarray(target.scatter)
     west, east, south, north = terrain.bounds
-    low = np.maximum(middle - scatter - _ASIDE, [west, south])
-    high = np.minimum(middle + scatter + _ASIDE, [east, north])
-    check_target_area(target, terrain, scenario.vehicle.make())
+    lander = scenario.vehicle.make()
+    check_target_area(target, terrain, lander)
+    margin = max(_ASIDE, lander.leg_radius + lander.pad_diameter)
+    low = np.maximum(middle - scatter - margin, [west, south])
+    high = np.minimum(middle + scatter + margin, [east, north])
 
     def grid(low: NDArray[np.float64], high: NDArray[np.float64], posting: float) -> Grid:
         cols, rows = (np.floor((high - low) / posting + 1e-6).astype(int) + 1).tolist()
