@@ -273,10 +273,13 @@ def test_what_only_the_whole_simulation_flies_is_refused(tables, field):
 
 
 def test_stored_terrain_is_as_wide_as_the_lander_needs():
-    wide = ROUGH.changed(vehicle={"leg_radius_m": 60.0}, mappers={"dem": {"size_m": 250.0}})
+    wide = ROUGH.changed(
+        vehicle={"leg_radius_m": 60.0}, mappers={"dem": {"size_m": 250.0}},
+        terrain={"size_m": 260.0}, rocks={"cover": 0.01},
+    )  # fmt: skip
     pool = WorldPool.of(wide, 1, 1)
     rows, cols = pool.terrains.shape[-2:]
-    west, south, posting = pool.frame[0]
+    west, south, posting = pool.frame
     assert west <= 3.0 - 6.0 - 60.3 and west + (cols - 1) * posting >= 3.0 + 6.0 + 60.3 - posting
     assert south <= -2.0 - 4.0 - 60.3 and south + (rows - 1) * posting >= 2.0 + 60.3 - posting
 
