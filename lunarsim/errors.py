@@ -170,9 +170,14 @@ def _format_value(value: object) -> str:
 
 
 def error_reason(error: Exception) -> str:
-    """Return the first line of an error's message, or which key is missing."""
+    """Return the first line of an error's message, or which key is missing.
+
+    Of an error of the operating system, return its reason alone, without number and path.
+    """
     if isinstance(error, KeyError):
         return f"{error} is missing"
+    if isinstance(error, OSError) and error.strerror:
+        return error.strerror.lower()
     return str(error).split("\n", maxsplit=1)[0] or type(error).__name__
 
 

@@ -127,7 +127,7 @@ def _reason(error: Exception) -> str:
 
 def _damaged(path: Path, reason: str) -> InputError:
     return InputError(
-        "flight", str(path), f"must be a complete flight record, but {reason[:100]}",
+        "flight", str(path), f"must be a complete flight record ({reason[:100]})",
         "Restore it from a copy, or fly again.",
     )  # fmt: skip
 

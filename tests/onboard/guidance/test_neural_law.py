@@ -356,7 +356,7 @@ def broken(**changes):
         ({"scale": np.ones(3)}, "wrong shape"),
         ({"far": np.ones(5)}, "input scales"),
         ({"more": np.random.default_rng(1).random(200_000)}, "exceeds 1 MB"),
-        ({"low": np.array([None])}, "pickle"),
+        ({"low": np.array([None])}, "Python objects"),
     ],
 )
 def test_weights_of_another_kind_are_refused(tmp_path, changes, told):
