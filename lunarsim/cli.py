@@ -216,7 +216,8 @@ def compare(
         )
         console.print(f"results, flight records and figures are in {out}", soft_wrap=True)
     if not result.complete:
-        click.echo("interrupted: the results contain only finished flights", err=True)
+        none = f" (none of {', '.join(result.without_flights)})" if result.without_flights else ""
+        click.echo(f"interrupted: the results contain only finished flights{none}", err=True)
         sys.exit(INTERRUPTED)
     if result.unrecorded:
         click.echo(f"error: {result.unrecorded}", err=True)

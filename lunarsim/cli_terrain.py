@@ -74,8 +74,14 @@ def _description(dtm_info: DtmInfo) -> Iterator[tuple[str, str]]:
     else:
         yield "posting", f"{dtm_info.posting:.4g} m"
         yield "loaded", "post by post, without interpolation"
+    if dtm_info.extent is not None:
+        width, height = dtm_info.extent
+        yield "extent", f"{width:.6g} m along east, {height:.6g} m along north"
     yield "frame", dtm_info.frame
     yield "orientation", dtm_info.orientation
+    if dtm_info.extent is not None:
+        direction = f"{dtm_info.column_direction_deg + 0.0:.2f} deg anticlockwise from east"
+        yield "direction of rows", f"{direction} (at the centre)"
     if dtm_info.map_scale is not None:
         along, across = dtm_info.map_scale
         scale = f"1 m of terrain is {along:.4f} m of map along rows, {across:.4f} m along columns"
@@ -89,6 +95,9 @@ def _description(dtm_info: DtmInfo) -> Iterator[tuple[str, str]]:
     else:
         low, high = dtm_info.z_range
         yield "elevation", f"{low:.2f} to {high:.2f} m"
+        zero = "the mean after resampling" if dtm_info.resampled else "it"
+        mean = f"{dtm_info.statistics.mean:.2f} m; loading subtracts {zero} from all heights"
+        yield "mean elevation", mean
         yield "no data", f"{100.0 * dtm_info.no_data_share:.2f} %"
 
 

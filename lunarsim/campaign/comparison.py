@@ -65,6 +65,8 @@ class CompareResult:
         Reason why flights have no record or plots, for instance a full disk; empty if all have.
     by_law
         Whether guidance laws are compared; rows are then identified by arm, not by policy.
+    without_flights
+        Names of the policies or laws that have no row, because the run was interrupted.
     """
 
     rows: list[dict[str, Any]]
@@ -75,6 +77,7 @@ class CompareResult:
     failed: list[dict[str, Any]]
     unrecorded: str = ""
     by_law: bool = False
+    without_flights: Sequence[str] = ()
 
     @property
     def shown(self) -> list[dict[str, Any]]:
@@ -212,7 +215,7 @@ def _fly_and_compare(
     laws are compared.
     """
     run = fly(spec, out=folder)
-    result = _read_result(folder, run, by_law)
+    result = _read_result(folder, run, by_law, [arm.name for arm in spec.arms])
     if out is not None and result.rows:
         _write_result(result, out, spec)
         if spec.head.figures:
@@ -244,10 +247,11 @@ def _comparison_spec(
     return CampaignSpec(head, scenario, tuple(arms), Dispersions({}, seed=seed, flights=flights))
 
 
-def _read_result(folder: Path, run: RunResult, by_law: bool) -> CompareResult:
+def _read_result(folder: Path, run: RunResult, by_law: bool, arms: Sequence[str]) -> CompareResult:
     """Read the results of a comparison from the folder of its campaign.
 
-    `run` summarises the run; `by_law` states whether guidance laws are compared.
+    `run` summarises the run; `by_law` states whether guidance laws are compared; `arms` are the
+    names of all policies or laws.
     """
     found = load_results(folder)  # works without any flight, after an early interrupt
     rows = found.table.to_pylist()
@@ -262,6 +266,7 @@ def _read_result(folder: Path, run: RunResult, by_law: bool) -> CompareResult:
         safe_share=_mean([row["safe_share"] for row in shares]),
         safe_share_at_heading=_mean([row["safe_share_at_heading"] for row in shares]),
         complete=run.complete,
+        without_flights=[arm for arm in arms if arm not in names],
         failed=[row for row in rows if row["outcome"] != FLOWN],
         unrecorded=run.unrecorded,
         by_law=by_law,

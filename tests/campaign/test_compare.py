@@ -64,9 +64,10 @@ def test_interrupt_keeps_what_is_finished(scenario, tmp_path):
         raise KeyboardInterrupt
 
     result = compare(
-        scenario, ["no-divert"], flights=3, seed=1, out=out, progress=stop, figures=False
+        scenario, ["no-divert", "safest"], flights=3, seed=1, out=out, progress=stop, figures=False
     )
     assert not result.complete
+    assert list(result.without_flights) == ["safest"]
     assert len(pd.read_parquet(out / "results.parquet")) == 1
     assert not json.loads((out / "summary.json").read_text())["complete"]
 

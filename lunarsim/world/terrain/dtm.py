@@ -54,6 +54,10 @@ class DtmInfo:
     spacing
         True distance between grid points along a row and along a column, m; None without
         georeferencing.
+    extent
+        Sides of the terrain along east and north, m; None without georeferencing.
+    column_direction_deg
+        Direction in which column numbers increase, degrees anticlockwise from east at the centre.
     map_scale
         Map distance over true distance, along a row and along a column; None in degrees and
         without georeferencing.
@@ -73,6 +77,8 @@ class DtmInfo:
     frame: str
     orientation: str
     spacing: tuple[float, float] | None
+    extent: tuple[float, float] | None
+    column_direction_deg: float
     map_scale: tuple[float, float] | None
     resampled: bool
     height_scale: HeightScale
@@ -115,6 +121,7 @@ def read_info(
         placed = is_placed(source)
         frame = frame_of_window(source, part, None if placed else 1.0)
         square, steps = frame.square_posting(), np.hypot(*frame.steps)
+        (east, _), (north, _) = frame.steps
         spacing = (float(steps[0]), float(steps[1]))
         map_scale = None
         if placed and frame.metres_per_map_unit is not None:
@@ -131,6 +138,8 @@ def read_info(
             frame.description,
             str(frame.orientation()),
             spacing if placed else None,
+            frame.extent() if placed else None,
+            float(np.degrees(np.arctan2(north, east))),
             map_scale,
             square is None,
             heights.scale,

@@ -161,10 +161,13 @@ class HeightStatistics:
         Number of grid points, and of grid points with a height.
     lowest, highest
         The eight lowest and the eight highest heights, m, with their counts; the extreme first.
+    mean
+        Mean height, m; 0 if there is none.
     """
 
     posts: int = 0
     known: int = 0
+    mean: float = 0.0
     lowest: list[tuple[float, int]] = field(default_factory=list)
     highest: list[tuple[float, int]] = field(default_factory=list)
 
@@ -173,6 +176,8 @@ class HeightStatistics:
         heights = z[np.isfinite(z)]
         self.posts += z.size
         self.known += heights.size
+        if heights.size:
+            self.mean += heights.size / self.known * (float(heights.mean()) - self.mean)
         self.lowest = _lowest_values(heights, self.lowest)
         negative = [(-value, count) for value, count in self.highest]
         self.highest = [(-value, count) for value, count in _lowest_values(-heights, negative)]

@@ -200,6 +200,10 @@ def test_a_polar_projection_is_turned_to_true_north(tmp_path):
     relief = load_terrain(path)
     assert relief.grid.posting == pytest.approx(20.0, rel=0.05)
     assert_ridge(relief)
+    info = read_info(path)
+    assert info.column_direction_deg == pytest.approx(60.0, abs=0.1)
+    west, east, south, north = relief.bounds
+    assert info.extent == pytest.approx((east - west, north - south), abs=20.0)
 
 
 def test_a_turned_raster_is_turned_back(tmp_path):

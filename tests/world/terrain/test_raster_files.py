@@ -91,6 +91,7 @@ def test_scale_and_offset_of_a_band(tmp_path):
     path = write(tmp_path / "z.tif", np.round(HILL / 0.01), dtype="int16", scale=(0.01, -1900.0))
     assert relief(load_terrain(path)) == pytest.approx(np.ptp(HILL), abs=0.011)
     assert read_info(path).z_range == pytest.approx((-1905.0, -1883.0), abs=0.1)
+    assert read_info(path).statistics.mean == pytest.approx(HILL.mean() - 1900.0, abs=0.01)
 
 
 @pytest.mark.parametrize(
