@@ -8,12 +8,14 @@ import sys
 import gymnasium
 import numpy as np
 import pytest
+from scipy.stats import binom
 
 from lunarsim.errors import InputError
 from lunarsim_envs.agents.network import Network
 from lunarsim_envs.agents.registry import agent_of, known_agents, packaged_agents
 from lunarsim_envs.descent.env import ControlEnv, GuidanceEnv
 from lunarsim_envs.training.settings import PpoSettings
+from tests.chance import CHANCE
 from tests.low_descents import LOW
 
 WIDE = PpoSettings().changes
@@ -43,8 +45,9 @@ def network():
 
 
 def test_it_lands_on_seeds_that_no_training_has(network):
-    share, burnt = landed(network, 200, 31)
-    assert share >= 0.95
+    """0.957 of 5,000 flights land. Which flights do depends on how a processor rounds."""
+    share, burnt = landed(network, 500, 31)
+    assert share >= binom.ppf(CHANCE, 500, 0.957) / 500
     assert 30.0 < burnt < 60.0
 
 
