@@ -31,6 +31,7 @@ from lunarsim.cli_common import (
 from lunarsim.cli_evaluate import evaluate
 from lunarsim.cli_scenario import parts, scenario
 from lunarsim.cli_start import INTERRUPTED, run
+from lunarsim.cli_study import study
 from lunarsim.cli_terrain import terrain
 from lunarsim.errors import InputError, check_folder, check_output
 
@@ -55,7 +56,7 @@ def main() -> None:
     """  # noqa: D301  (click wants the character itself)
 
 
-for _command in (campaign, sweep, replay, terrain, scenario, parts, evaluate):
+for _command in (campaign, sweep, replay, terrain, scenario, parts, evaluate, study):
     main.add_command(_command)
 
 

@@ -96,7 +96,13 @@ def _with_neighbours(path):
     source = path.read_text(encoding="utf-8")
     named = re.findall(r"^(?:from|import) (\w+)", source, re.MULTILINE)
     beside = [path.with_name(f"{name}.py") for name in named]
-    return source + "".join(p.read_text(encoding="utf-8") for p in beside if p.is_file())
+    source += "".join(p.read_text(encoding="utf-8") for p in beside if p.is_file())
+    if "study = Study(" in source:  # the options of every study, its repetitions and factors
+        repeats = re.findall(r'repeats="(\w+)"', source)
+        factors = re.findall(r"factor_help={(.*?)}", source, re.DOTALL)
+        names = [*repeats, *re.findall(r'"(\w+)":', "".join(factors)), "seed", "jobs", "out"]
+        source += " ".join(f'"--{name.replace("_", "-")}"' for name in names)
+    return source
 
 
 def _every(group):

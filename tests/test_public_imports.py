@@ -10,11 +10,13 @@ import pytest
 
 import lunarsim
 import lunarsim.api
+import lunarsim.studies
 from tests.worlds import ROOT
 
 PUBLIC = {
     "lunarsim": set(lunarsim.__all__) | {"__version__", "api"},
     "lunarsim.api": set(lunarsim.api.__all__),
+    "lunarsim.studies": set(lunarsim.studies.__all__),
 }
 # Packages of internals that studies of these packages measure, calibrate or plot.
 STUDIED = tuple(

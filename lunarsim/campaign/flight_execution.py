@@ -39,7 +39,7 @@ _SUBSET_COLUMNS = (LEVEL, CHAIN, WORLD)
 
 
 @dataclass(frozen=True)
-class Study:
+class FlightSettings:
     """Settings of a campaign that worker processes need to fly its flights.
 
     Attributes
@@ -96,7 +96,7 @@ def build_plan(spec: CampaignSpec, out: Path | None = None, cache: DiskCache | N
     if chains is not None:
         inputs = dict.fromkeys(_SUBSET_COLUMNS, "int") | inputs
     head, block = spec.head, spec.dispersions.block
-    study = Study(head.seed, spec.arms, out, head.records, head.figures, cache, block,
+    study = FlightSettings(head.seed, spec.arms, out, head.records, head.figures, cache, block,
                   shared_path_classes(spec.arms))  # fmt: skip
     return Plan(
         name=spec.head.name,
@@ -186,7 +186,7 @@ def _by_full_key(values: Any, prefix: str = "") -> dict[str, Any]:
     return found
 
 
-def fly(study: Study, group: Group, arm: int, memory: dict[Any, Any]) -> dict[str, Any]:
+def fly(study: FlightSettings, group: Group, arm: int, memory: dict[Any, Any]) -> dict[str, Any]:
     """Fly one flight of a campaign under one arm; return its metrics by name.
 
     Parameters
@@ -220,7 +220,7 @@ def fly(study: Study, group: Group, arm: int, memory: dict[Any, Any]) -> dict[st
 
 
 def fly_with_simulation(
-    study: Study, group: Group, arm: int, memory: dict[Any, Any]
+    study: FlightSettings, group: Group, arm: int, memory: dict[Any, Any]
 ) -> tuple[Flight, Simulation, dict[str, Any]]:
     """Fly one flight under one arm; return record, simulation and metrics.
 
@@ -250,7 +250,7 @@ def fly_with_simulation(
 
 
 def _same_path_scenarios(
-    study: Study, group: Group, arm: int, draws: Mapping[str, Any]
+    study: FlightSettings, group: Group, arm: int, draws: Mapping[str, Any]
 ) -> dict[int, Scenario]:
     """Return the scenarios of other arms of a group that differ only in policy.
 
@@ -264,7 +264,7 @@ def _same_path_scenarios(
     return found
 
 
-def _save_record(study: Study, index: int, arm: str, flight: Flight, safe: bool) -> None:
+def _save_record(study: FlightSettings, index: int, arm: str, flight: Flight, safe: bool) -> None:
     """Write the complete record of a flight atomically, if the campaign keeps it.
 
     `index` is the index of the flight, `arm` the name of its arm, and `safe` its outcome.

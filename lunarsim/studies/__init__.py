@@ -1,0 +1,16 @@
+"""Studies: measure cases, keep their results, and report them."""
+
+from lunarsim.studies.command import report_study, run_script, run_study
+from lunarsim.studies.report import Metric, Report, metric_table
+from lunarsim.studies.study import Case, Study
+
+__all__ = [
+    "Case",
+    "Metric",
+    "Report",
+    "Study",
+    "metric_table",
+    "report_study",
+    "run_script",
+    "run_study",
+]

@@ -1,0 +1,165 @@
+"""Studies: cases, journal, results file, report and command."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from lunarsim.cli import main
+from lunarsim.errors import InputError
+from lunarsim.studies import Metric, Report, run_study
+from lunarsim.studies.command import report_folder, study_command
+from lunarsim.studies.library import load_study, study_files, summary
+from lunarsim.studies.results import plain
+from tests.studies.toy import study
+
+TOY = Path(__file__).with_name("toy.py")
+
+
+def invoke(*arguments):
+    return CliRunner().invoke(study_command(study), [str(a) for a in arguments])
+
+
+def results(folder):
+    return json.loads((folder / "results.json").read_text())
+
+
+def test_all_combinations_are_measured_on_the_same_numbers():
+    rows = run_study(study, count=3, seed=5)
+    assert len(rows) == 2 * 2 * 3 * 2
+    assert [(r["size"], r["shift"], r["number"], r["half"]) for r in rows[:3]] == [
+        (10, 0.0, 0, 0), (10, 0.0, 0, 1), (10, 0.0, 1, 0),
+    ]  # fmt: skip
+    means = {(r["size"], r["shift"], r["number"]): r["mean"] for r in rows}
+    for n in range(3):
+        assert means[1000, 1.0, n] == pytest.approx(means[1000, 0.0, n] + 1.0)
+        expected = np.random.default_rng([5, n]).standard_normal(10).mean()
+        assert means[10, 0.0, n] == pytest.approx(expected)
+
+
+def test_processes_do_not_change_the_results(tmp_path):
+    command = [sys.executable, str(TOY), "--draws", "3", "--seed", "2"]
+    for jobs in ("1", "2"):
+        subprocess.run([*command, "--jobs", jobs, "--out", str(tmp_path / jobs)], check=True)
+    one, two = (results(tmp_path / jobs) for jobs in ("1", "2"))
+    assert one["rows"] == two["rows"] and one["complete"]
+    assert one["options"] == {
+        "draws": 3, "seed": 2, "levels": {"size": [10, 1000], "shift": [0.0, 1.0]}, "traces": "",
+    }  # fmt: skip
+    assert one["columns"] == {"mean": "mean (m)", "positive": "positive"}
+    assert "--draws 3" in one["command"] and one["machine"]["numpy"] == np.__version__
+
+
+def test_an_interrupted_study_continues(tmp_path):
+    traces, out = tmp_path / "traces", tmp_path / "out"
+    traces.mkdir()
+    (traces / "stop").touch()
+    asked = ["--draws", 2, "--out", out, "--traces", traces]
+    done = invoke(*asked)
+    assert done.exit_code == 0 and "Interrupted after 2 of 8 cases" in done.output
+    assert not results(out)["complete"] and len(results(out)["rows"]) == 4
+    for file in traces.iterdir():
+        file.unlink()
+    # A killed process can leave half a line.
+    with (out / "journal.jsonl").open("a") as file:
+        file.write('[2, [{"mean"')
+    assert invoke(*asked).exit_code == 0
+    assert len(list(traces.iterdir())) == 6
+    complete = results(out)
+    assert complete["complete"] and complete["rows"] == run_study(study, count=2)
+    for file in traces.iterdir():
+        file.unlink()
+    assert invoke(*asked).exit_code == 0
+    assert list(traces.iterdir()) == []
+
+
+@pytest.mark.parametrize("changed", [["--seed", 2], ["--draws", 3], ["--size", 10]])
+def test_a_folder_of_other_results_is_refused(tmp_path, changed):
+    assert invoke("--draws", 1, "--out", tmp_path / "out").exit_code == 0
+    before = (tmp_path / "out" / "results.json").read_bytes()
+    done = invoke("--draws", 1, "--out", tmp_path / "out", *changed)
+    assert done.exit_code == 2
+    assert "holds results of another study" in done.output
+    assert (tmp_path / "out" / "results.json").read_bytes() == before
+
+
+def test_a_folder_with_other_files_is_refused(tmp_path):
+    (tmp_path / "thesis.tex").touch()
+    done = invoke("--out", tmp_path)
+    assert done.exit_code == 2 and "must be a new or empty folder" in done.output
+    assert [p.name for p in tmp_path.iterdir()] == ["thesis.tex"]
+
+
+def test_the_report_has_metrics_and_paired_differences(tmp_path):
+    out = tmp_path / "out"
+    done = invoke("--draws", 5, "--size", 1000, "--size", 10, "--out", out)
+    assert done.exit_code == 0, done.output
+    rows = [r for r in results(out)["rows"] if (r["size"], r["shift"]) == (1000, 1.0)]
+    means = [r["mean"] for r in rows]
+    assert f"{np.median(means):.2f} / {max(means):.2f}" in done.output
+    assert "1.000 [" in done.output  # all positive
+    assert "1000 minus 10" in done.output
+    assert f"{out / 'results.json'}" in done.output
+
+
+def test_a_report_is_printed_again_from_its_folder(tmp_path, capsys):
+    out = tmp_path / "out"
+    printed = invoke("--draws", 2, "--out", out).output
+    capsys.readouterr()
+    report_folder(study, out)
+    again = capsys.readouterr().out
+    assert again.strip() and again.strip() in printed
+    with pytest.raises(InputError, match=r"results\.json of the study"):
+        report_folder(study, tmp_path)
+    (out / "results.json").write_text("[1")
+    with pytest.raises(InputError, match=r"results\.json of the study"):
+        report_folder(study, out)
+
+
+def test_statistics_of_a_metric():
+    values = [1.0, 2.0, float("nan"), 6.0]
+    assert Metric("x", "median", 1).text(values) == "2.0"
+    assert Metric("x", "max", 0).text(values) == "6"
+    assert Metric("x", "sum", 0).text(values) == "9"
+    assert Metric("x", "median-p95", 1).text(values) == "2.0 / 5.6"
+    assert Metric("x", "mean", 1).text([float("nan")]) == "-"
+    assert Metric("x", "count").text([True, False, True]) == "2"
+    assert Metric("x", "share").text([True] * 18 + [False] * 2) == "0.900 [0.699, 0.972]"
+    with pytest.raises(ValueError, match="statistic"):
+        Metric("x", "average")
+    rng = np.random.default_rng(1)
+    assert Metric("x", "mean", 2).difference([1.0, 2.0], [1.5, 2.5], rng) == "+0.50 [+0.50, +0.50]"
+    share = Metric("x", "share").difference([True] * 10, [False] * 10, rng)
+    assert share.startswith("-1.000 [-1.000")
+
+
+def test_groups_and_columns_of_a_report():
+    rows = [{"a": 1, "x": 2.0}, {"a": 2}, {"a": 1, "x": None}]
+    report = Report(rows, ["a"], "draws", {}, False, {}, 1, None)
+    assert report.groups("a") == {(1,): [rows[0], rows[2]], (2,): [rows[1]]}
+    assert np.array_equal(report.column("x"), [2.0, np.nan, np.nan], equal_nan=True)
+
+
+def test_rows_that_cannot_be_kept_are_refused(tmp_path):
+    with pytest.raises(TypeError, match="rows must hold numbers, texts and lists, got set"):
+        plain([{"a": {1}}])
+
+
+def test_studies_are_listed_and_run_by_name():
+    listed = CliRunner().invoke(main, ["study", "list"])
+    assert listed.exit_code == 0
+    assert "landers/slosh" in listed.output
+    files = study_files()
+    assert all(summary(path).endswith(".") for path in files.values())
+    helped = CliRunner().invoke(main, ["study", "run", "landers/slosh", "--help"])
+    assert helped.exit_code == 0 and "--control" in helped.output
+    wrong = CliRunner().invoke(main, ["study", "run", "landers/slush"])
+    assert wrong.exit_code == 2 and "Did you mean 'landers/slosh'?" in wrong.output
+    with pytest.raises(InputError, match="Did you mean"):
+        load_study("landers/slush")
