@@ -31,8 +31,8 @@ def terrain() -> None:
 @click.argument("file", type=PATH)
 @click.option(
     "--window", type=int, nargs=4, metavar="TOP BOTTOM LEFT RIGHT",
-    help="Part of the raster to describe: first row, end row, first column, end column, without "
-    "the end row and column. Default: all.",
+    help="Part of the raster to describe: first row, end row, first column, end column. The "
+    "end row and the end column are not included. Default: all.",
 )  # fmt: skip
 @click.option(
     "--unit", help="Unit of the heights: m, km, ft or us-ft. Default: unit stated in the file."

@@ -171,7 +171,7 @@ def digest_of(path: Path) -> str:
 def _inside(folder: Path, path: Path) -> Path:
     """Return a path if it is inside a folder; otherwise raise `ValueError`."""
     if not path.resolve().is_relative_to(folder.resolve()):
-        raise ValueError("the path is outside the folder")
+        raise ValueError("this file is outside the folder of the record")
     return path
 
 

@@ -88,7 +88,8 @@ class Braking:
         "deg",
         gt=0,
         lt=180,
-        help="maximum angle of the thrust from the vertical at the landing site",
+        help="maximum angle between the thrust and the vertical of the landing site, during all of "
+        "the braking",
     )
     keeps_thrust_direction: bool = quantity(
         False,

@@ -56,8 +56,8 @@ class RasterTerrain(ReliefRoughness):
     )
     dtm_window: tuple[int, int, int, int] | None = quantity(
         None,
-        help="part of the raster to read: first row, end row, first column, end column, without "
-        "the end row and column; omitted: all",
+        help="part of the raster to read: first row, end row, first column, end column; the "
+        "end row and the end column are not included; omitted: all",
     )
     dtm_unit: str | None = quantity(
         None,

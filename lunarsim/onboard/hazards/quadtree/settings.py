@@ -93,20 +93,20 @@ class SiteSettings:
     interest_weight: float = quantity(
         1.0,
         ge=0,
-        help="weight of (1 - mission value) in the site score, in which low values are good (Eq. 9 "
-        "of the quadtree paper)",
+        help="weight of the term (1 - mission value) in the site score; the site with the lowest "
+        "score is the best (Eq. 9 of the quadtree paper)",
     )
     slope_weight: float = quantity(
         1000.0,
         ge=0,
-        help="weight of (1 - cosine of the slope) in the site score, in which low values are good "
-        "(Eq. 9 of the quadtree paper)",
+        help="weight of the term (1 - cosine of the slope) in the site score; the site with the "
+        "lowest score is the best (Eq. 9 of the quadtree paper)",
     )
     roughness_weight: float = quantity(
         100.0,
         ge=0,
-        help="weight of the roughness (m) in the site score, in which low values are good (Eq. 9 "
-        "of the quadtree paper)",
+        help="weight of the roughness (m) in the site score; the site with the lowest score is the "
+        "best (Eq. 9 of the quadtree paper)",
     )
     mesh_band: tuple[float, float] = quantity(
         (6.4, 12.8),
