@@ -439,7 +439,7 @@ def _print_levels(results: Results) -> None:
     "--metric",
     default="safe",
     show_default=True,
-    help="Result column to compare; its values are true (success) or false.",
+    help="Result column to compare. It must have the values true (success) and false.",
 )
 @click.option(
     "--require-equivalent", is_flag=True,

@@ -26,11 +26,10 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from lunarsim._frame_kernels import thrust_attitude
-
-Array = NDArray[np.float64]
+from lunarsim.typing import Array
 
 
 def rotation_about_up(angle: float) -> Array:
@@ -127,7 +126,7 @@ def is_position(position: ArrayLike) -> bool:
     return _numbers(position, 3) is not None
 
 
-def _numbers(values: ArrayLike, count: int) -> NDArray[np.float64] | None:
+def _numbers(values: ArrayLike, count: int) -> Array | None:
     """Return values as an array (count,) if all are finite numbers, otherwise None."""
     try:
         array = np.asarray(values, dtype=np.float64)

@@ -5,9 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from lunarsim.errors import InputError
+from lunarsim.typing import Array, BoolArray, IntArray
 
 _UNITS = ("B", "KiB", "MiB", "GiB", "TiB", "PiB", "EiB")
 
@@ -148,20 +149,20 @@ class Grid:
         )
 
     @property
-    def x(self) -> NDArray[np.float64]:
+    def x(self) -> Array:
         """East coordinates of the columns (cols,), m."""
         return np.asarray(self.x0 + self.posting * np.arange(self.cols, dtype=np.float64))
 
     @property
-    def y(self) -> NDArray[np.float64]:
+    def y(self) -> Array:
         """North coordinates of the rows (rows,), m."""
         return np.asarray(self.y0 + self.posting * np.arange(self.rows, dtype=np.float64))
 
-    def centres(self) -> NDArray[np.float64]:
+    def centres(self) -> Array:
         """Return the centres of all cells (rows, cols, 2), ENU, m."""
         return np.stack(np.meshgrid(self.x, self.y), axis=-1)
 
-    def cell(self, xy: ArrayLike) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    def cell(self, xy: ArrayLike) -> tuple[IntArray, IntArray]:
         """Return row and column (...) of the cells that contain points (..., 2), ENU, m.
 
         Indices of points outside the grid are out of range.
@@ -177,7 +178,7 @@ class Grid:
         row = np.floor((xy[..., 1] - self.y0) / self.posting + 0.5).astype(np.int64)
         return row, col
 
-    def contains(self, xy: ArrayLike) -> NDArray[np.bool_]:
+    def contains(self, xy: ArrayLike) -> BoolArray:
         """Return which points (..., 2), ENU, m, lie inside the grid (...).
 
         Examples
@@ -188,7 +189,7 @@ class Grid:
         row, col = self.cell(xy)
         return (row >= 0) & (row < self.rows) & (col >= 0) & (col < self.cols)
 
-    def centre_of(self, row: ArrayLike, col: ArrayLike) -> NDArray[np.float64]:
+    def centre_of(self, row: ArrayLike, col: ArrayLike) -> Array:
         """Return the centres (..., 2), ENU, m, of the cells at rows and columns (...).
 
         Examples

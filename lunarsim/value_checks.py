@@ -5,12 +5,13 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from lunarsim.errors import InputError
+from lunarsim.typing import Array
 
 
-def as_real_array(field: str, values: ArrayLike) -> NDArray[np.float64]:
+def as_real_array(field: str, values: ArrayLike) -> Array:
     """Convert values to an array of float64, with NaN for masked values.
 
     Raises

@@ -50,8 +50,12 @@ COMMANDS = list(_shown())
 def _parsed(words):
     """Parse the words of a command as the command line does, without running it."""
     command, name = main, "lunarsim"
-    while isinstance(command, click.Group) and words and words[0] in command.commands:
-        name, command, words = words[0], command.commands[words[0]], words[1:]
+    context = click.Context(main)
+    while isinstance(command, click.Group) and words:
+        found = command.get_command(context, words[0])
+        if found is None:
+            break
+        name, command, words = words[0], found, words[1:]
     if isinstance(command, click.Group):
         assert words in ([], ["--help"], ["--version"]), words
         return

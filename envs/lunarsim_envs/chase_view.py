@@ -17,8 +17,8 @@ from lunarsim.frames import quat_rotate, sensor_axes
 from lunarsim.models.pinhole import View
 from lunarsim.simulation import Simulation
 from lunarsim.simulation.image_rendering import first_camera
+from lunarsim.typing import Array
 
-Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
 # Size of the chase view, and width of the camera view and the gauges, pixels.

@@ -7,10 +7,11 @@ from typing import Any
 
 import gymnasium
 import numpy as np
-from numpy.typing import NDArray
+
+from lunarsim.typing import BoolArray
 
 
-def reset_mask(option: Any, lanes: int) -> NDArray[np.bool_]:
+def reset_mask(option: Any, lanes: int) -> BoolArray:
     """Check ``options["reset_mask"]``, which selects the environments to reset.
 
     Returns the mask (n,), where n is the number of environments (`lanes`); None selects all. If the
@@ -29,7 +30,7 @@ def reset_mask(option: Any, lanes: int) -> NDArray[np.bool_]:
     return mask
 
 
-def check_all_reset(was_reset: NDArray[np.bool_], mask: NDArray[np.bool_]) -> None:
+def check_all_reset(was_reset: BoolArray, mask: BoolArray) -> None:
     """Raise `ResetNeeded` if an environment outside a reset mask (n,) was never reset.
 
     `was_reset` (n,) marks environments that have been reset before.
@@ -41,9 +42,7 @@ def check_all_reset(was_reset: NDArray[np.bool_], mask: NDArray[np.bool_]) -> No
         )
 
 
-def lane_seeds(
-    seed: int | Sequence[int | None] | None, mask: NDArray[np.bool_]
-) -> list[int | None]:
+def lane_seeds(seed: int | Sequence[int | None] | None, mask: BoolArray) -> list[int | None]:
     """Return the seeds of the environments that a mask (n,) selects.
 
     Environment i gets ``seed + i``, or ``seed[i]`` if `seed` is a sequence; None is no seed. If a

@@ -15,6 +15,7 @@ from lunarsim.errors import InputError, suggestion
 from lunarsim.onboard.policies import Observation
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation
+from lunarsim.typing import BoolArray
 from lunarsim_envs.arguments import (
     checked_bool,
     checked_int,
@@ -420,7 +421,7 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], Any]):
         """Observation as onboard policies get it; None before the first reset."""
         return self.flight.seen if self._has_started else None
 
-    def action_masks(self) -> NDArray[np.bool_]:
+    def action_masks(self) -> BoolArray:
         """Return the mask of available actions (21,), as MaskablePPO needs it.
 
         With several action components, their masks are concatenated.

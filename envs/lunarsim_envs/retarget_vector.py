@@ -9,9 +9,10 @@ from typing import Any
 import gymnasium
 import numpy as np
 from gymnasium.utils import seeding
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from lunarsim.scenario import Scenario
+from lunarsim.typing import Array, BoolArray
 from lunarsim_envs.arguments import (
     check_no_render_mode,
     checked_int,
@@ -30,7 +31,6 @@ from lunarsim_envs.sites.perception import create_batch
 from lunarsim_envs.sites.site_inputs import MAP_CELLS, SiteInputs, downsample_maps
 from lunarsim_envs.step_limit import StepLimit
 
-Mask = NDArray[np.bool_]
 _MODE = gymnasium.vector.AutoresetMode
 
 
@@ -108,7 +108,7 @@ class RetargetVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         self._due[mask] = False
         return self._observe(), self._info()
 
-    def _begin(self, mask: Mask) -> None:
+    def _begin(self, mask: BoolArray) -> None:
         keys = np.zeros(self.num_envs, np.uint64)
         for lane in np.flatnonzero(mask):
             rng = self._rngs[int(lane)]
@@ -130,7 +130,7 @@ class RetargetVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         lanes = self.lanes
         return lanes.y[:, 13], lanes.candidates.here[:, 0], lanes.maps.p, lanes.maps.seen
 
-    def _shrink(self, mask: Mask) -> None:
+    def _shrink(self, mask: BoolArray) -> None:
         """Downsample the hazard maps of environments `mask` (n,), if they are observed."""
         if mask.any() and any(part.name == "hazard_map" for part in self.shown.parts):
             maps = self.lanes.maps
@@ -144,7 +144,7 @@ class RetargetVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
     def _observe(self) -> Shown:
         return self.shown.of(self.inputs)
 
-    def action_masks(self) -> NDArray[np.bool_]:
+    def action_masks(self) -> BoolArray:
         """Return the mask of available actions of each environment (n, 21).
 
         With several action components, their masks are concatenated.
@@ -161,9 +161,7 @@ class RetargetVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         }
         return values | {f"_{name}": every for name in values}
 
-    def step(
-        self, actions: ArrayLike
-    ) -> tuple[Shown, NDArray[np.float64], Mask, Mask, dict[str, Any]]:
+    def step(self, actions: ArrayLike) -> tuple[Shown, Array, BoolArray, BoolArray, dict[str, Any]]:
         """Apply site decisions in all environments and fly to their next decisions."""
         lanes = self.lanes
         chosen = self.actions.checked_batch_choices(actions, self.num_envs)
@@ -201,7 +199,7 @@ class RetargetVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
             self._begin(over)
         return self._observe(), rewards, terminated, truncated, info | self._info()
 
-    def _terms(self, moved: Mask, over: Mask, invalid: Mask) -> dict[str, Any]:
+    def _terms(self, moved: BoolArray, over: BoolArray, invalid: BoolArray) -> dict[str, Any]:
         lanes = self.lanes
         touchdown_ratios = touchdown_limit_ratios(self._lander, lanes.touchdown_values)
         return self.rewards.terms(
@@ -209,7 +207,7 @@ class RetargetVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         )
 
     def _step_info(
-        self, terms: dict[str, Any], moved: Mask, over: Mask, late: Mask
+        self, terms: dict[str, Any], moved: BoolArray, over: BoolArray, late: BoolArray
     ) -> dict[str, Any]:
         info: dict[str, Any] = {"reward_terms": terms, "_reward_terms": moved}
         info |= {"cost": np.where(over & ~late & ~self.lanes.safe, 1.0, 0.0), "_cost": moved}

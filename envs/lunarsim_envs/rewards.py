@@ -13,9 +13,7 @@ from lunarsim.errors import InputError
 from lunarsim.models.lander import Lander
 from lunarsim.scenario import Scenario
 from lunarsim.scenario.rewards import SiteReward
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from lunarsim.typing import Array, BoolArray
 
 # Maximum number of invalid choices per flight that are penalised.
 MAX_PENALISED_CHOICES = 10
@@ -83,7 +81,7 @@ def touchdown_limit_ratios(lander: Lander, touchdown: ArrayLike) -> Array:
     return np.column_stack((np.maximum(share[:, 0], share[:, 1]), share[:, 2], terrain))
 
 
-def map_information(p: NDArray[np.float32], observed: Mask) -> float:
+def map_information(p: NDArray[np.float32], observed: BoolArray) -> float:
     """Return how certain a hazard map is, from 0 (unknown) to 1 (all cells certain).
 
     `p` (rows, cols) is the probability of safe terrain and `observed` (rows, cols) marks observed
@@ -133,7 +131,9 @@ class SiteRewards:
         self._mass, self._potential = np.zeros(count), np.zeros(count)
         self._known, self._invalid = np.zeros(count), np.zeros(count, np.int64)
 
-    def _map_information(self, p: NDArray[np.float32], seen: Mask, changed: Mask) -> Array:
+    def _map_information(
+        self, p: NDArray[np.float32], seen: BoolArray, changed: BoolArray
+    ) -> Array:
         """Return `map_information` of all flights (n,), updated where `changed` is true.
 
         `p` and `seen` are the maps of p_safe and of observed cells (n, rows, cols).
@@ -153,7 +153,7 @@ class SiteRewards:
         return np.asarray(self.weights.shaping * np.nan_to_num(p_here, nan=0.0))
 
     def begin(
-        self, mask: Mask, mass: Array, p_here: Array, p: NDArray[np.float32], seen: Mask
+        self, mask: BoolArray, mass: Array, p_here: Array, p: NDArray[np.float32], seen: BoolArray
     ) -> None:
         """Store the values at the first decision, from which later rewards are computed.
 
@@ -174,8 +174,9 @@ class SiteRewards:
         self._known = self._map_information(p, seen, mask)
 
     def terms(
-        self, moved: Mask, invalid: Mask, over: Mask, safe: Mask, touchdown_ratios: Array,
-        map_changed: Mask, mass: Array, p_here: Array, p: NDArray[np.float32], seen: Mask,
+        self, moved: BoolArray, invalid: BoolArray, over: BoolArray, safe: BoolArray,
+        touchdown_ratios: Array, map_changed: BoolArray, mass: Array, p_here: Array,
+        p: NDArray[np.float32], seen: BoolArray,
     ) -> dict[str, Array]:  # fmt: skip
         """Return the reward terms (n,) of the last decision by name.
 

@@ -5,11 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lunarsim.typing import BoolArray
 from lunarsim_envs.arguments import checked_int
-
-Mask = NDArray[np.bool_]
 
 
 class StepLimit:
@@ -28,11 +26,11 @@ class StepLimit:
         self.most = None if given is None else checked_int("max_episode_steps", given, 1)
         self._steps = np.zeros(count, np.int64)
 
-    def begin(self, mask: Mask) -> None:
+    def begin(self, mask: BoolArray) -> None:
         """Restart the count in the environments of `mask` (n,)."""
         self._steps[mask] = 0
 
-    def reached(self, moved: Mask) -> Mask:
+    def reached(self, moved: BoolArray) -> BoolArray:
         """Count a step where `moved` (n,) is true; return which are at the limit (n,)."""
         self._steps[moved] += 1
         if self.most is None:

@@ -14,7 +14,6 @@ from itertools import combinations
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
-from numpy.typing import NDArray
 
 from lunarsim.campaign.manifest import first_difference
 from lunarsim.campaign.outcomes import FLOWN
@@ -32,6 +31,7 @@ from lunarsim.evaluation.comparisons import (
 )
 from lunarsim.evaluation.statistics import Proportion
 from lunarsim.rng import design_seed
+from lunarsim.typing import Array, BoolArray
 
 # Up to this number of arms all pairs are compared; beyond it, each arm with the first.
 _MAX_ALL_PAIRS = 8
@@ -69,9 +69,7 @@ class ArmStatistics:
     ellipse: Ellipse | None
 
 
-def column(
-    results: Results, name: str, rows: NDArray[np.bool_] | None = None
-) -> NDArray[np.float64]:
+def column(results: Results, name: str, rows: BoolArray | None = None) -> Array:
     """Return a column of campaign results as floats.
 
     True and false become 1 and 0, missing values NaN. `rows` is a mask of rows; None: all rows.
@@ -85,7 +83,7 @@ def metrics(results: Results, *kinds: str) -> list[str]:
     return [name for name, kind in results.manifest["columns"].items() if kind in kinds]
 
 
-def arm_rows(results: Results) -> dict[str, NDArray[np.bool_]]:
+def arm_rows(results: Results) -> dict[str, BoolArray]:
     """Return a boolean mask of the result rows that belong to each arm, by arm name."""
     names = results.table["arm"]
     return {arm: pc.equal(names, arm).to_numpy(zero_copy_only=False) for arm in results.arms}
@@ -128,13 +126,13 @@ def compute_arm_statistics(results: Results) -> list[ArmStatistics]:
     return out
 
 
-def _mean(values: NDArray[np.float64]) -> float:
+def _mean(values: Array) -> float:
     """Return the mean of the finite values; NaN if there are none."""
     finite = values[np.isfinite(values)]
     return float(finite.mean()) if len(finite) else float("nan")
 
 
-def _ellipse(results: Results, rows: NDArray[np.bool_]) -> Ellipse | None:
+def _ellipse(results: Results, rows: BoolArray) -> Ellipse | None:
     """Return the landing ellipse of the touchdown points in some rows, or None.
 
     `rows` is a mask of result rows.

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 from rich.table import Table
 
 from lunarsim.campaign.calibrate import CalibrationResult
 from lunarsim.evaluation.site_calibration import CalibrationComparison, ProbabilityQuality
+from lunarsim.typing import Array
 
 _HEADINGS = (
     "Domain", "Calibration", "Sites", "Share of\nall sites", "Observed\nsafe share", "ECE",
@@ -68,7 +68,7 @@ def _quality_cells(quality: ProbabilityQuality) -> tuple[str, ...]:
     )
 
 
-def _with_interval(values: NDArray[np.float64], form: str = "{:.4f}") -> str:
+def _with_interval(values: Array, form: str = "{:.4f}") -> str:
     """Format value, lower and upper limit (3,) as text; "-" for a value that is NaN.
 
     `form` is the format string of one number.

@@ -19,7 +19,6 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import ValidationError
 from scipy.special import ndtr, ndtri
 from scipy.stats import qmc, truncnorm
@@ -30,8 +29,7 @@ from lunarsim.parts import quantity, settings_of
 from lunarsim.rng import RandomStreams, design_seed, flight_seed
 from lunarsim.scenario.errors import input_error
 from lunarsim.scenario.renamed_keys import first_path
-
-Array = NDArray[np.float64]
+from lunarsim.typing import Array
 
 METHODS = ("monte-carlo", "latin-hypercube", "sobol", "saltelli", "importance", "subset")
 # Methods whose flights depend on their index only, so that flights can be added later.

@@ -60,9 +60,9 @@ class _Identity(_Strict):
     @model_validator(mode="after")
     def _has_what_its_method_needs(self) -> _Identity:
         if self.method == "subset" and (self.seed is None or self.flights is None):
-            raise ValueError("seed and flights are missing")
+            raise ValueError("the keys seed and flights are missing")
         if self.method == "importance" and self.importance is None:
-            raise ValueError("importance is missing")
+            raise ValueError("the key importance is missing")
         return self
 
 

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import pyarrow.compute as pc
-from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from lunarsim.campaign.analysis import arm_rows, column
@@ -26,8 +25,7 @@ from lunarsim.campaign.subset_estimate import (
 )
 from lunarsim.errors import InputError, suggestion
 from lunarsim.evaluation.comparisons import share_upper_bound
-
-Array = NDArray[np.float64]
+from lunarsim.typing import Array, BoolArray
 
 
 @dataclass(frozen=True)
@@ -160,7 +158,7 @@ def _effective_sample_size(weights: Array) -> float:
 
 
 def estimate_weighted_share(
-    hits: NDArray[np.bool_], weights: Array, max_weight: float
+    hits: BoolArray, weights: Array, max_weight: float
 ) -> tuple[float, float, float, float]:
     """Estimate a probability by importance sampling, with interval and sample size.
 

@@ -16,7 +16,6 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.csv as pcsv
 import pyarrow.parquet as pq
-from numpy.typing import NDArray
 
 from lunarsim.atomic_files import atomic_write
 from lunarsim.campaign.files import bytes_digest
@@ -25,6 +24,7 @@ from lunarsim.campaign.outcomes import FLOWN
 from lunarsim.campaign.plan import WEIGHT
 from lunarsim.campaign.rows import TIMING, check_size_in_memory, schema_of
 from lunarsim.errors import InputError, check_output
+from lunarsim.typing import BoolArray
 from lunarsim.untrusted_folders import read_bounded_bytes
 
 # Columns that have a value in every row.
@@ -75,7 +75,7 @@ class Results:
         return bool(self.manifest["identity"].get("method") == "subset")
 
     @property
-    def independent(self) -> NDArray[np.bool_]:
+    def independent(self) -> BoolArray:
         """Mask of the rows of statistically independent flights (n,).
 
         In a Saltelli design, whose blocks fly two worlds repeatedly, these are the first and last

@@ -15,7 +15,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pyarrow.compute as pc
-from numpy.typing import NDArray
 
 from lunarsim.campaign.analysis import arm_rows, column
 from lunarsim.campaign.outcomes import FLOWN
@@ -23,8 +22,8 @@ from lunarsim.campaign.results import Results
 from lunarsim.errors import InputError, missing_package, suggestion
 from lunarsim.rng import design_seed
 from lunarsim.scenario.changes import path_of
+from lunarsim.typing import Array, IntArray
 
-Array = NDArray[np.float64]
 Interval = tuple[float, float, float]
 
 # Additional factor of a Saltelli design: rocks, noise, navigation errors.
@@ -122,7 +121,7 @@ def sensitivities(
 
 
 def _sobol(
-    arm: str, metric: str, keys: Sequence[str], flights: NDArray[np.int64], values: Array,
+    arm: str, metric: str, keys: Sequence[str], flights: IntArray, values: Array,
     resamples: int, rng: np.random.Generator,
 ) -> Sensitivity:  # fmt: skip
     """Compute Sobol indices of one arm from the complete blocks of a Saltelli design.

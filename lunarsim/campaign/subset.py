@@ -19,14 +19,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import ndtr, ndtri
 
 from lunarsim.campaign.dispersions import Choice, Dispersions
 from lunarsim.campaign.plan import Group
 from lunarsim.rng import RandomStreams, flight_seed
+from lunarsim.typing import Array, IntArray
 
-Array = NDArray[np.float64]
 Row = Mapping[str, Any]
 
 # Additional result columns of such a campaign.
@@ -64,7 +63,7 @@ class SubsetLevel:
     """
 
     margins: Array
-    worlds: NDArray[np.int64]
+    worlds: IntArray
     threshold: float
     share: float
     acceptance_rate: float

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lunarsim.evaluation.statistics import Proportion
+from lunarsim.typing import BoolArray
 
 # Bin edges of the reliability diagram; most cells of a map have small probabilities.
 RELIABILITY_EDGES = np.array(
@@ -70,11 +71,11 @@ def _share(part: int, total: int) -> float:
 
 def classify(
     probability: NDArray[np.float32],
-    occupied: NDArray[np.bool_],
+    occupied: BoolArray,
     clear_below: float = 0.0025,
     occupied_above: float = 0.8,
     *,
-    observed: NDArray[np.bool_],
+    observed: BoolArray,
 ) -> Classification:
     """Classify cells by their hazard probability, and count agreement with the truth.
 

@@ -10,11 +10,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.special import chdtri
 from scipy.stats import beta, binom, binomtest, bootstrap, norm, ttest_1samp
 
-Array = NDArray[np.float64]
+from lunarsim.typing import Array
 
 # Bootstrap resamples; the cost grows with resamples times values.
 _RESAMPLES = 2000

@@ -5,15 +5,13 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lunarsim.evaluation.map_quality import MapQuality, map_quality
 from lunarsim.evaluation.reach import divert_cost_from
 from lunarsim.simulation.flight import Flight
+from lunarsim.typing import Array
 from lunarsim.vehicle.touchdown import ABORTED, min_touchdown_margin
 from lunarsim.world.truth import TerrainTruth
-
-Array = NDArray[np.float64]
 
 # Columns that `evaluate` returns, and their kinds.
 COLUMNS: dict[str, str] = {

@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from lunarsim.grid import Grid
 from lunarsim.onboard.hazards.hazard_map import HazardMap
+from lunarsim.typing import BoolArray
 from lunarsim.world.terrain import Terrain
 from lunarsim.world.truth import TerrainTruth
 
@@ -139,7 +140,7 @@ def true_elevation_in_map_frame(
     return np.asarray(terrain.raster(grid.moved(-error)) + np.float32(error[2]))
 
 
-def precision_at_recall(p: NDArray[np.float32], safe: NDArray[np.bool_], recall: float) -> float:
+def precision_at_recall(p: NDArray[np.float32], safe: BoolArray, recall: float) -> float:
     """Return the precision of a classifier at the threshold with a given recall.
 
     `p` (n,) are predicted safety probabilities, `safe` (n,) the truth. The result is NaN if no

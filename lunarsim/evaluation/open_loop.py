@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lunarsim.optimal.six_dof.path import RigidPath
+from lunarsim.typing import Array
 from lunarsim.vehicle.dynamics import Dynamics
 from lunarsim.vehicle.state import State
-
-Array = NDArray[np.float64]
 
 
 def simulate_open_loop(path: RigidPath, max_step: float = 0.01) -> tuple[Array, Array]:

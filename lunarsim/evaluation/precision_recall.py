@@ -5,12 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.special import ndtr
 
 from lunarsim.evaluation.map_quality import MapQuality
-
-Array = NDArray[np.float64]
+from lunarsim.typing import Array
 
 # Symmetric about 0.5, finer towards 0 and 1.
 THRESHOLDS: Array = ndtr(np.linspace(-6.0, 6.0, 241))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lunarsim.grid import Grid
 from lunarsim.onboard.guidance.divert_cost import DivertCost
@@ -11,8 +10,7 @@ from lunarsim.onboard.navigation.estimate import Estimate
 from lunarsim.onboard.policies.reachability import ReachabilityMap, elevation_on_grid
 from lunarsim.scenario import Scenario
 from lunarsim.simulation.flight import Flight
-
-Array = NDArray[np.float64]
+from lunarsim.typing import Array
 
 _APPROACH_PHASE = 0.0
 

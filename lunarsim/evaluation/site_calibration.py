@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from lunarsim.errors import InputError
 from lunarsim.evaluation.reliability import EDGES, reliability
@@ -29,10 +29,8 @@ from lunarsim.safety.scenario_calibration import (
     ScenarioCalibration,
     has_enough_sites,
 )
+from lunarsim.typing import Array, BoolArray, IntArray
 from lunarsim.world.truth import TerrainTruth
-
-Array = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 _CONFIDENT_P = 0.95
 _RESAMPLES = 2000
@@ -67,7 +65,7 @@ class SiteSamples:
         Whether the site is safe according to the exact terrain.
     """
 
-    flight: NDArray[np.int64]
+    flight: IntArray
     log_odds: Array
     agreed: BoolArray
     ceiling: Array
@@ -382,7 +380,7 @@ def _compute_quality(
     )  # fmt: skip
 
 
-def _per_flight(flight: NDArray[np.int64], values: Array | BoolArray | None, flights: int) -> Array:
+def _per_flight(flight: IntArray, values: Array | BoolArray | None, flights: int) -> Array:
     """Return the sum of values (n,), or their count, of each flight (flights,)."""
     return np.bincount(flight, weights=values, minlength=flights).astype(np.float64)
 

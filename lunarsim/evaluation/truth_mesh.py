@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from lunarsim.errors import InputError
 from lunarsim.grid import Grid
-
-Array = NDArray[np.float64]
+from lunarsim.typing import Array
 
 
 class TruthMesh:

@@ -6,15 +6,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from lunarsim.messages.prior_map import PriorMap
 from lunarsim.models.gravity import GravityModel, UniformGravity
 from lunarsim.models.lander import Lander
 from lunarsim.rocks.population import RockExpectation
-
-Array = NDArray[np.float64]
+from lunarsim.typing import Array
 
 
 @dataclass(frozen=True)

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
+from lunarsim.typing import Array
 
 
 @dataclass(frozen=True)
@@ -21,7 +20,7 @@ class SensorTask:
     """
 
     sensor: str
-    mount: NDArray[np.float64]
+    mount: Array
 
 
 @dataclass(frozen=True)
@@ -41,6 +40,6 @@ class Command:
     """
 
     thrust: float
-    attitude: NDArray[np.float64]
+    attitude: Array
     tasks: tuple[SensorTask, ...] = ()
     abort: bool = False

@@ -12,9 +12,8 @@ from lunarsim._frame_kernels import ray_points
 from lunarsim.errors import InputError
 from lunarsim.frames import quat_to_matrix
 from lunarsim.models.camera import CameraModel
+from lunarsim.typing import Array
 from lunarsim.value_checks import check_finite, check_shape
-
-Array = NDArray[np.float64]
 
 # Tangent of the terrain slope assumed for height errors.
 _ASSUMED_SLOPE = 0.1

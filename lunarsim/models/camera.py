@@ -7,14 +7,12 @@ from functools import lru_cache
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from lunarsim.errors import InputError, check_types
 from lunarsim.frames import quat_to_matrix
 from lunarsim.models.pinhole import Pinhole, View
 from lunarsim.models.pose import Pose
-
-Array = NDArray[np.float64]
+from lunarsim.typing import Array
 
 # Number of test points per image side, and maximum error (pixels) of the inverse distortion.
 _TEST_POINTS_PER_SIDE, _MAX_INVERSION_ERROR_PX = 17, 0.5

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from lunarsim.frames import (
     normalised,
@@ -11,8 +11,7 @@ from lunarsim.frames import (
     quat_to_matrix,
     sensor_axes,
 )
-
-Array = NDArray[np.float64]
+from lunarsim.typing import Array
 
 _REST_BORESIGHT = np.array([0.0, 0.0, -1.0])
 

@@ -6,12 +6,11 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from lunarsim.errors import InputError
 from lunarsim.parts.quantity import check_bounds, quantity
-
-Array = NDArray[np.float64]
+from lunarsim.typing import Array
 
 
 class GravityModel(Protocol):

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lunarsim.errors import InputError
 from lunarsim.parts.quantity import check_bounds, quantity
+from lunarsim.typing import Array
 
 STANDARD_GRAVITY = 9.80665  # m/s^2, by definition; turns specific impulse into exhaust speed
 # Squared radii of gyration (m^2) for a lander without given moments of inertia: of the dry lander
@@ -157,7 +157,7 @@ class Lander:
         return self.specific_impulse * STANDARD_GRAVITY
 
     @property
-    def pads(self) -> NDArray[np.float64]:
+    def pads(self) -> Array:
         """Centres of the landing pads (legs, 3), body axes, m.
 
         The first pad is 45 deg from body x, or on body x if there are three legs.
@@ -172,7 +172,7 @@ class Lander:
             )
         )
 
-    def inertia(self, mass: float) -> NDArray[np.float64]:
+    def inertia(self, mass: float) -> Array:
         """Return the principal moments of inertia (3,), kg m^2, for a total mass (kg)."""
         full = (mass - self.dry_mass) / self.propellant_mass
         dry, wet = np.asarray(self.inertia_dry), np.asarray(self.inertia_full)

@@ -10,11 +10,9 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lunarsim.errors import InputError
-
-Array = NDArray[np.float64]
+from lunarsim.typing import Array
 
 _IDENTITY = np.eye(3)
 
@@ -123,7 +121,7 @@ class View:
         return np.asarray(rays / np.linalg.norm(rays, axis=-1, keepdims=True))
 
 
-def check_finite_position(position: NDArray[np.float64]) -> None:
+def check_finite_position(position: Array) -> None:
     """Raise InputError if a coordinate of a camera's position is not finite."""
     for i, coordinate in enumerate(position):
         if not np.isfinite(coordinate):

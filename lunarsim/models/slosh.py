@@ -14,12 +14,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lunarsim.errors import InputError
 from lunarsim.parts.quantity import check_bounds, quantity
+from lunarsim.typing import Array
 
-Array = NDArray[np.float64]
 Points = tuple[tuple[float, float, float], ...]
 
 FIRST_MODE = 1.841183781340659  # first zero of the derivative of J1

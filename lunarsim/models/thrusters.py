@@ -5,13 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lunarsim.errors import InputError
 from lunarsim.models.lander import STANDARD_GRAVITY
 from lunarsim.parts.quantity import check_bounds, quantity
+from lunarsim.typing import Array
 
-Array = NDArray[np.float64]
 Points = tuple[tuple[float, float, float], ...]
 
 

@@ -11,7 +11,6 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lunarsim._blas import one_blas_thread
 from lunarsim.messages.briefing import Briefing
@@ -48,8 +47,7 @@ from lunarsim.onboard.policies.contract import (
 from lunarsim.onboard.result_checks import checked_command
 from lunarsim.onboard.site_evaluator import DescentStatus, SiteEvaluator
 from lunarsim.onboard.tasking.contract import Situation
-
-Array = NDArray[np.float64]
+from lunarsim.typing import Array
 
 APPROACH, VERTICAL, ABORT, BRAKING = 0, 1, 2, 3
 

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lunarsim.messages.briefing import Briefing
 from lunarsim.onboard.guidance.divert_cost import DivertCost
@@ -17,8 +16,7 @@ from lunarsim.onboard.policies.candidates import candidate_sites
 from lunarsim.onboard.policies.contract import Observation
 from lunarsim.onboard.policies.expected_miss import LandingDispersion
 from lunarsim.onboard.policies.reachability import ReachabilityMap
-
-Array = NDArray[np.float64]
+from lunarsim.typing import Array
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,6 @@ from typing import Any
 
 import casadi
 import numpy as np
-from numpy.typing import NDArray
 
 from lunarsim.errors import InputError
 from lunarsim.optimal.errors import SolverError
@@ -21,8 +20,7 @@ from lunarsim.optimal.final_time import minimum_effort_time
 from lunarsim.optimal.problem import Descent
 from lunarsim.optimal.units import Units
 from lunarsim.optimal.validation import count, is_number
-
-Array = NDArray[np.float64]
+from lunarsim.typing import Array
 
 _Row = tuple[Any, Any, Any]  # a constraint expression and its bounds
 

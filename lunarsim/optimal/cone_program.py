@@ -15,10 +15,10 @@ from typing import Any, Literal
 import clarabel
 import numpy as np
 import qoco
-from numpy.typing import NDArray
 from scipy import sparse
 
-Array = NDArray[np.float64]
+from lunarsim.typing import Array
+
 Status = Literal["solved", "infeasible", "unsolved", "failed"]
 
 _INFEASIBLE_WIDENING = (

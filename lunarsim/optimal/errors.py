@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lunarsim.errors import InputError
+from lunarsim.typing import Array
 
 
 class InfeasibleError(InputError):
@@ -25,9 +25,9 @@ class InfeasibleError(InputError):
 
     def __init__(
         self,
-        target: NDArray[np.float64],
+        target: Array,
         why: str,
-        nearest: NDArray[np.float64] | None = None,
+        nearest: Array | None = None,
     ) -> None:
         self.nearest = nearest
         self.miss = np.inf if nearest is None else float(np.linalg.norm(nearest - target))

@@ -10,7 +10,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lunarsim.errors import InputError
 from lunarsim.optimal.errors import InfeasibleError, RelaxationError, SolverError
@@ -19,8 +18,7 @@ from lunarsim.optimal.planner import Planner
 from lunarsim.optimal.problem import Descent
 from lunarsim.optimal.transcription import HalfSpaces
 from lunarsim.optimal.validation import is_number
-
-Array = NDArray[np.float64]
+from lunarsim.typing import Array
 
 _MAX_WARM_SOLVES, _MAX_COLD_SOLVES = (
     4,

@@ -5,11 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from lunarsim.optimal.problem import Descent
-
-Array = NDArray[np.float64]
+from lunarsim.typing import Array
 
 
 @dataclass(frozen=True)

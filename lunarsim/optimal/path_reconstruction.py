@@ -9,14 +9,12 @@ the primer vector, linear in time while no state constraint is active.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lunarsim.optimal.cone_program import Program, SolverResult
 from lunarsim.optimal.path import OptimalPath
 from lunarsim.optimal.problem import Descent
 from lunarsim.optimal.transcription import ProgramScales, Transcription
-
-Array = NDArray[np.float64]
+from lunarsim.typing import Array
 
 
 def build_path(

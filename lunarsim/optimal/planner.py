@@ -6,7 +6,6 @@ from dataclasses import replace
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lunarsim.errors import InputError
 from lunarsim.optimal.cone_program import FallbackSolver, Program, SolverResult
@@ -16,8 +15,7 @@ from lunarsim.optimal.path_reconstruction import build_path
 from lunarsim.optimal.problem import Descent
 from lunarsim.optimal.transcription import HalfSpaces, ProgramStructure, Transcription
 from lunarsim.optimal.validation import LARGEST, count, is_number, numbers
-
-Array = NDArray[np.float64]
+from lunarsim.typing import Array
 
 # exp(-z) is linearised: a relative mass error of this size causes a thrust error of 2e-4.
 _MAX_LOG_MASS_ERROR = 0.02

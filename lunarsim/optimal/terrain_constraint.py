@@ -12,7 +12,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from lunarsim.errors import InputError
 from lunarsim.grid import Grid
@@ -23,8 +23,7 @@ from lunarsim.optimal.planner import Planner
 from lunarsim.optimal.problem import Cone, Descent
 from lunarsim.optimal.transcription import HalfSpaces
 from lunarsim.optimal.validation import count, is_number, numbers
-
-Array = NDArray[np.float64]
+from lunarsim.typing import Array
 
 _ACTIVE_MULTIPLIER = 1e-4  # relative multiplier of a half-space below which it costs no propellant
 _CONVERGED_CHANGE = 1e-4  # relative change of delta-v below which the iteration has converged

@@ -21,16 +21,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 
 from lunarsim.errors import InputError
 from lunarsim.optimal.cone_program import Program
 from lunarsim.optimal.problem import Descent
 from lunarsim.optimal.validation import numbers
+from lunarsim.typing import Array, IntArray
 
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
+Indices = IntArray
 
 _NODE = 7  # variables per node: position, velocity, logarithm of mass, all scaled
 

@@ -6,11 +6,9 @@ from numbers import Integral, Real
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lunarsim.errors import InputError
-
-Array = NDArray[np.float64]
+from lunarsim.typing import Array
 
 LARGEST = 1e12  # maximum of any value of a descent, in its unit, so that squares do not overflow
 

@@ -6,11 +6,12 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from lunarsim.errors import InputError, check_types
 from lunarsim.parts.quantity import quantity
 from lunarsim.rocks.shapes import CUBE, ELLIPSOID, IRREGULAR, IRREGULAR_COUNT, shape_table
+from lunarsim.typing import Array, IntArray
 
 Shape = Literal["hemisphere", "ellipsoid", "cube", "irregular", "mixed"]
 
@@ -40,14 +41,14 @@ class RockField:
         hemispheres, scaled to half ellipsoids.
     """
 
-    x: NDArray[np.float64]
-    y: NDArray[np.float64]
-    base: NDArray[np.float64]
-    a: NDArray[np.float64]
-    b: NDArray[np.float64]
-    height: NDArray[np.float64]
-    yaw: NDArray[np.float64]
-    shape: NDArray[np.int64] = None  # type: ignore[assignment]
+    x: Array
+    y: Array
+    base: Array
+    a: Array
+    b: Array
+    height: Array
+    yaw: Array
+    shape: IntArray = None  # type: ignore[assignment]
 
     def __post_init__(self) -> None:
         if self.shape is None:
@@ -71,7 +72,7 @@ class RockField:
     def __len__(self) -> int:
         return int(self.x.size)
 
-    def rows(self) -> NDArray[np.float64]:
+    def rows(self) -> Array:
         """Return the rocks as one array (n, 9) for compiled functions.
 
         The columns are x, y, base, a, b, height, cosine and sine of the yaw, and shape.
@@ -81,7 +82,7 @@ class RockField:
             (self.x, self.y, self.base, self.a, self.b, self.height, *turn, self.shape)
         )
 
-    def reach(self) -> NDArray[np.float64]:
+    def reach(self) -> Array:
         """Return the radius (n,), m, of a disc around each centre that holds the outline."""
         return np.asarray(np.maximum(self.a, self.b) * shape_table().reach[self.shape])
 
@@ -154,7 +155,7 @@ class RockModel:
                 "must be a minimum above 0 and a maximum of at most 1",
             )
 
-    def draw(self, diameter: NDArray[np.float64], rng: np.random.Generator) -> RockField:
+    def draw(self, diameter: Array, rng: np.random.Generator) -> RockField:
         """Sample shapes and burial of rocks with the given diameters (n,), m.
 
         The rocks are at the origin, with the terrain at elevation 0; they are placed later.

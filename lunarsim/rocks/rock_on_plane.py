@@ -5,13 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lunarsim.rocks import _kernels as kernels
 from lunarsim.rocks.field import RockField
 from lunarsim.rocks.shapes import shape_table
-
-Array = NDArray[np.float64]
+from lunarsim.typing import Array, BoolArray
 
 
 @dataclass(frozen=True)
@@ -48,7 +46,7 @@ class RockOnPlane:
         )  # fmt: skip
         return distance, normal
 
-    def covers(self, xy: Array) -> NDArray[np.bool_]:
+    def covers(self, xy: Array) -> BoolArray:
         """Return which points `xy` (..., 2), m, of the plane the rock covers from above."""
         start = np.column_stack((xy.reshape(-1, 2), np.full(xy.size // 2, 60.0)))
         down = np.broadcast_to([0.0, 0.0, -1.0], start.shape)

@@ -12,8 +12,9 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
+
+from lunarsim.typing import Array, IntArray
 
 ELLIPSOID = 0
 CUBE = 1
@@ -44,18 +45,18 @@ class ShapeTable:
         the body is their convex hull, extruded downwards.
     """
 
-    planes: NDArray[np.float64]
-    count: NDArray[np.int64]
-    reach: NDArray[np.float64]
-    vertices: NDArray[np.float64]
+    planes: Array
+    count: IntArray
+    reach: Array
+    vertices: Array
 
 
-def _cube() -> NDArray[np.float64]:
+def _cube() -> Array:
     corners = np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]])
     return np.column_stack((np.vstack((corners, corners)), np.repeat([0.0, 1.0], 4)))
 
 
-def _irregular(rng: np.random.Generator) -> NDArray[np.float64]:
+def _irregular(rng: np.random.Generator) -> Array:
     """Return the vertices (n, 3) of a random boulder in unit axes.
 
     Its outline has the area of the unit disc.
@@ -74,7 +75,7 @@ def _irregular(rng: np.random.Generator) -> NDArray[np.float64]:
     return np.asarray(points[ConvexHull(points).vertices], dtype=np.float64)
 
 
-def _half_spaces(points: NDArray[np.float64]) -> NDArray[np.float64]:
+def _half_spaces(points: Array) -> Array:
     """Return the half spaces (n, 4), normal and offset, of a convex body.
 
     The body is the convex hull of `points` (k, 3), continued vertically downwards.

@@ -8,10 +8,11 @@ of all sizes.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.special import exp1
 
 from lunarsim.errors import InputError
+from lunarsim.typing import Array
 
 
 def golombek_exponent(k: float) -> float:
@@ -29,7 +30,7 @@ def golombek_exponent(k: float) -> float:
     return 1.79 + 0.152 / k
 
 
-def golombek_cover(diameter: ArrayLike, k: float) -> NDArray[np.float64]:
+def golombek_cover(diameter: ArrayLike, k: float) -> Array:
     """Return F(D), the fraction of terrain covered by rocks of `diameter` (m) or more.
 
     `k` is the fraction covered by rocks of all sizes.
@@ -42,7 +43,7 @@ def golombek_cover(diameter: ArrayLike, k: float) -> NDArray[np.float64]:
     return np.asarray(k * np.exp(-golombek_exponent(k) * np.asarray(diameter, dtype=np.float64)))
 
 
-def golombek_number(diameter: ArrayLike, k: float) -> NDArray[np.float64]:
+def golombek_number(diameter: ArrayLike, k: float) -> Array:
     """Return N(D), the number of rocks of `diameter` (m) or more per square metre.
 
     `k` is the fraction of terrain covered by rocks of all sizes.
@@ -64,7 +65,7 @@ def sample_diameters(
     minimum: float,
     maximum: float,
     rng: np.random.Generator,
-) -> NDArray[np.float64]:
+) -> Array:
     """Sample the diameters (m) of the rocks on `area` (m^2), largest first.
 
     `k` is the fraction of terrain covered by rocks of all sizes. The number of rocks is Poisson

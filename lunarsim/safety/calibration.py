@@ -44,10 +44,10 @@ from lunarsim.safety.rock_effects import footprint_area, pad_ring_area, tilt_lim
 from lunarsim.safety.scenario_calibration import ScenarioCalibration
 from lunarsim.safety.undetected_rock_ratio import UndetectedRockRatio
 from lunarsim.safety.unseen_rocks import ExceedanceCurve
+from lunarsim.typing import Array, BoolArray
 
-Array = NDArray[np.float64]
 FloatMap = NDArray[np.float32]
-BoolMap = NDArray[np.bool_]
+BoolMap = BoolArray
 
 # Knots of the regression: probits, ratios to the limits, decades of unobserved rocks in the
 # footprint, decades of the fraction of terrain above a height.
@@ -279,7 +279,7 @@ class MapEvidence:
         return np.asarray(area * self.undetected_rock_ratio.remaining_rocks(unseen, height))
 
 
-def features(evidence: MapEvidence, where: NDArray[np.bool_]) -> Array:
+def features(evidence: MapEvidence, where: BoolArray) -> Array:
     """Return the regression's input features of sites of a hazard map (n, `COUNT`).
 
     The first `UNCONSTRAINED_FEATURES` features describe the quality of the measurement. Each of the
@@ -300,9 +300,7 @@ def features(evidence: MapEvidence, where: NDArray[np.bool_]) -> Array:
     )
 
 
-def log_odds_bounds(
-    evidence: MapEvidence, where: NDArray[np.bool_], model: Ensemble
-) -> LogOddsBounds:
+def log_odds_bounds(evidence: MapEvidence, where: BoolArray, model: Ensemble) -> LogOddsBounds:
     """Return minimum and maximum log odds of site safety over an ensemble (n,).
 
     `evidence` is the data of the hazard map, `where` the mask of the sites (rows, cols), `model`
@@ -313,7 +311,7 @@ def log_odds_bounds(
     )
 
 
-def _monotone_terms(evidence: MapEvidence, where: NDArray[np.bool_]) -> list[MonotoneSplineTerm]:
+def _monotone_terms(evidence: MapEvidence, where: BoolArray) -> list[MonotoneSplineTerm]:
     """Return the regression's monotone terms for the sites in the mask `where`."""
     terms = []
     for p in (

@@ -15,9 +15,10 @@ from lunarsim.safety import _kernels as k
 from lunarsim.safety.exact import SafetyMap, height_differences
 from lunarsim.safety.footprint import Footprint, footprint_of
 from lunarsim.safety.raster import prepare_elevation, prepare_variance
+from lunarsim.typing import BoolArray
 
 FloatMap = NDArray[np.float32]
-BoolMap = NDArray[np.bool_]
+BoolMap = BoolArray
 
 
 @dataclass(frozen=True)

@@ -5,9 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass, fields
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from lunarsim.errors import InputError
+from lunarsim.typing import BoolArray
 
 # Quantile of the fit's sites that limits quantities without a natural limit.
 _COVERED_QUANTILE = 0.99
@@ -79,7 +80,7 @@ class CalibrationDomain:
         ]
         return cls(max(h, _MIN_HAZARDS_LIMIT), max(t, _MIN_TILTING_LIMIT), *ranges)
 
-    def is_within_measurements(self, noise: ArrayLike, spacing: ArrayLike) -> NDArray[np.bool_]:
+    def is_within_measurements(self, noise: ArrayLike, spacing: ArrayLike) -> BoolArray:
         """Return whether relative noise and spacing (...) are in the range of the fit.
 
         `noise` is over the roughness limit, `spacing` over the radius of the legs.
@@ -88,7 +89,7 @@ class CalibrationDomain:
         inside = (self.noise[0] <= n) & (n <= self.noise[1])
         return np.asarray(inside & (self.spacing[0] <= s) & (s <= self.spacing[1]))
 
-    def is_within_counts(self, hazards: ArrayLike, tilting: ArrayLike) -> NDArray[np.bool_]:
+    def is_within_counts(self, hazards: ArrayLike, tilting: ArrayLike) -> BoolArray:
         """Return whether few enough unobserved rocks are expected (...); False for NaN.
 
         `hazards` and `tilting` are expected numbers, compared with the limits of the domain.

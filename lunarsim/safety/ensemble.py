@@ -23,15 +23,13 @@ from importlib import resources
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.special import expit
 
 from lunarsim.errors import InputError
 from lunarsim.safety.logistic import Logistic
 from lunarsim.safety.monotone_splines import MonotoneSplineTerm, ensemble_bounds
-
-Array = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
+from lunarsim.typing import Array, BoolArray
 
 # Margin on the log odds for worlds unlike those of the fits: a factor of 2 on the odds of an unsafe
 # site.

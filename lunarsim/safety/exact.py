@@ -14,9 +14,10 @@ from lunarsim.safety import _exact_kernels as ek
 from lunarsim.safety import _kernels as k
 from lunarsim.safety.footprint import BLOCK, Footprint, footprint_of
 from lunarsim.safety.raster import ElevationRaster, prepare_elevation
+from lunarsim.typing import BoolArray
 
 FloatMap = NDArray[np.float32]
-BoolMap = NDArray[np.bool_]
+BoolMap = BoolArray
 
 
 @dataclass(frozen=True)

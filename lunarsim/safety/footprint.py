@@ -19,8 +19,7 @@ from numpy.typing import NDArray
 from lunarsim.errors import InputError
 from lunarsim.models.lander import Lander
 from lunarsim.safety._kernels import FAR
-
-IntArray = NDArray[np.int64]
+from lunarsim.typing import Array, BoolArray, IntArray
 
 MAX_LEG_DISTANCE_CELLS = 256  # maximum distance from the lander's centre to a leg, cells
 BLOCK = 4  # side of the blocks that the exact test skips or examines, cells
@@ -223,7 +222,7 @@ def polygon_runs(polygon: IntArray) -> list[tuple[int, int, int]]:
     return _runs_of(inside, int(low[0]), int(low[1]))
 
 
-def _runs_of(mask: NDArray[np.bool_], row0: int, col0: int) -> list[tuple[int, int, int]]:
+def _runs_of(mask: BoolArray, row0: int, col0: int) -> list[tuple[int, int, int]]:
     runs = []
     for i, line in enumerate(mask):
         edges = np.flatnonzero(np.diff(np.concatenate(([0], line.astype(np.int8), [0]))))
@@ -231,7 +230,7 @@ def _runs_of(mask: NDArray[np.bool_], row0: int, col0: int) -> list[tuple[int, i
     return runs
 
 
-def _row_windows(mask: NDArray[np.bool_], row0: int, col0: int) -> list[tuple[int, ...]]:
+def _row_windows(mask: BoolArray, row0: int, col0: int) -> list[tuple[int, ...]]:
     """Return a set of cells as pairs of windows (level, row, column, row, column).
 
     Both windows have 2**level columns; together they cover one row segment of `mask`, whose first
@@ -244,7 +243,7 @@ def _row_windows(mask: NDArray[np.bool_], row0: int, col0: int) -> list[tuple[in
     return windows
 
 
-def _windows(mask: NDArray[np.bool_], row0: int, col0: int, *, columns: bool = False) -> IntArray:
+def _windows(mask: BoolArray, row0: int, col0: int, *, columns: bool = False) -> IntArray:
     """Return a set of cells as windows whose lengths are powers of two (n, 5).
 
     `mask` is the set, and (row0, col0) is the offset of its first cell; `Footprint` describes a row
@@ -285,7 +284,7 @@ def _support_geometry(legs: IntArray) -> tuple[NDArray[np.float32], NDArray[np.f
 @lru_cache(maxsize=64)
 def _covers(footprint: Footprint, block: int) -> PolygonBlocks:
     corners: list[tuple[int, int]] = []
-    allowed: list[NDArray[np.bool_]] = []
+    allowed: list[BoolArray] = []
     first = [0]
     across = np.arange(block)
     for polygon in footprint.legs:
@@ -321,7 +320,7 @@ def _covers(footprint: Footprint, block: int) -> PolygonBlocks:
     )
 
 
-def _triangle_height(points: NDArray[np.float64]) -> float:
+def _triangle_height(points: Array) -> float:
     a, b, c = points
     area2 = abs((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]))
     longest = max(np.hypot(*(b - a)), np.hypot(*(c - b)), np.hypot(*(a - c)))

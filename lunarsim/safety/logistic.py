@@ -5,14 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.linalg import cholesky, solve_triangular
 from scipy.optimize import lsq_linear
 from scipy.special import expit
 
 from lunarsim.errors import InputError
-
-Array = NDArray[np.float64]
+from lunarsim.typing import Array
 
 # Maximum number of Newton steps, and minimum decrease of the loss for another step.
 _MAX_NEWTON_STEPS, _MIN_LOSS_DECREASE = 60, 1e-9

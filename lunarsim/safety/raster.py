@@ -22,6 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 from lunarsim.errors import InputError
 from lunarsim.grid import Grid
 from lunarsim.safety.footprint import Footprint
+from lunarsim.typing import Array
 
 _MAX_HEIGHT_M = 1e9  # every frame has terrain heights below this magnitude
 _MAX_SAMPLES = 64  # maximum rows and columns used for the middle of a map
@@ -43,7 +44,7 @@ class ElevationRaster:
     middle: float
 
     @property
-    def double(self) -> NDArray[np.float64]:
+    def double(self) -> Array:
         """Elevation as float64 (rows, cols), m, for kernels compiled only for this type."""
         return self.z.astype(np.float64, copy=False)
 

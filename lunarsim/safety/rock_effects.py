@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lunarsim.models.lander import Lander
-
-Array = NDArray[np.float64]
+from lunarsim.typing import Array
 
 # Height of the triangle of pads over their radius: between the values for three and four legs.
 _TRIANGLE_HEIGHT_RATIO = 1.4

@@ -17,7 +17,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import expit
 
 from lunarsim.atomic_files import atomic_write_text, read_json_with_format
@@ -27,9 +26,8 @@ from lunarsim.parts.quantity import quantity_of
 from lunarsim.safety.domain import CalibrationDomain
 from lunarsim.safety.ensemble import Ensemble
 from lunarsim.safety.logistic import Logistic
+from lunarsim.typing import Array, BoolArray
 
-Array = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 MetricTable = Mapping[str, Mapping[str, float | None]]
 
 # Fields of the lander that affect the safety of a site.

@@ -32,8 +32,7 @@ from lunarsim._jit import threads_for
 from lunarsim.errors import InputError
 from lunarsim.rocks.size_distribution import golombek_number
 from lunarsim.safety._undetected_rock_kernels import mean_ratios
-
-Array = NDArray[np.float64]
+from lunarsim.typing import Array, BoolArray
 
 
 class UnseenRockCount(Protocol):
@@ -42,7 +41,7 @@ class UnseenRockCount(Protocol):
     It is the argument `unseen` of `UndetectedRockRatio.remaining_rocks`.
     """
 
-    def __call__(self, above: Array, where: NDArray[np.bool_] | None = None, /) -> Array:
+    def __call__(self, above: Array, where: BoolArray | None = None, /) -> Array:
         """Return the number of unseen rocks above the heights `above`, m.
 
         Without `where`, heights are () or (rows, cols), and the result is (rows, cols). With the
@@ -118,7 +117,7 @@ class UndetectedRockRatio:
         return self.ratio.shape[1], self.ratio.shape[2]
 
     @property
-    def is_changed(self) -> NDArray[np.bool_]:
+    def is_changed(self) -> BoolArray:
         """Mask of the cells where the ratio of any size class differs from 1 (rows, cols)."""
         return np.asarray((self.ratio != 1.0).any(axis=0))
 
@@ -191,7 +190,7 @@ class UndetectedRockRatio:
         return self._make_non_increasing(np.minimum(self.ratio, np.float32(1.0)))
 
     @cached_property
-    def _excess(self) -> list[tuple[NDArray[np.bool_], Array]]:
+    def _excess(self) -> list[tuple[BoolArray, Array]]:
         """Growth of the excess of the ratio over 1 from each size class to the next.
 
         The excess is made non-decreasing with rock size. The list has one pair per class: mask of

@@ -11,11 +11,10 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from lunarsim.rocks.size_distribution import golombek_number
-
-Array = NDArray[np.float64]
+from lunarsim.typing import Array
 
 # Heights at which the fraction is tabulated, over the lander's roughness limit.
 _HEIGHTS = np.geomspace(0.08, 8.0, 40)

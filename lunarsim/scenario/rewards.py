@@ -63,8 +63,8 @@ class SiteReward:
     information: float = quantity(
         0.0,
         ge=0,
-        help="Reward for removing all uncertainty of the hazard map; each decision earns the "
-        "fraction that it removes",
+        help="Reward for removing all uncertainty of the hazard map. A decision that removes a "
+        "part of the uncertainty earns the same part of this reward",
     )
     shaping: float = quantity(
         0.0,

@@ -5,15 +5,13 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lunarsim.messages.measurements import CameraImage
 from lunarsim.sensors.camera import Camera
 from lunarsim.sensors.exposure_control import ExposureControl
+from lunarsim.typing import Array
 from lunarsim.vehicle.state import State
 from lunarsim.world import World
-
-Array = NDArray[np.float64]
 
 
 class AutoExposureCamera:

@@ -18,10 +18,9 @@ from lunarsim.models.camera import CameraModel
 from lunarsim.models.pinhole import View, check_finite_position
 from lunarsim.sensors.detector import counts_from_electrons, dark_current, illumination_falloff
 from lunarsim.sensors.rendered_image import RenderedImage
+from lunarsim.typing import Array
 from lunarsim.vehicle.state import State
 from lunarsim.world import World
-
-Array = NDArray[np.float64]
 
 # A rolling shutter is rendered in bands of lines. Maximum displacement of a line from its image at
 # its own pose, pixels, and maximum number of bands.

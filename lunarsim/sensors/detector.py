@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from lunarsim.models.camera import CameraModel
 from lunarsim.sensors._detector_kernels import read_out
-
-Array = NDArray[np.float64]
+from lunarsim.typing import Array
 
 # Above this number of electrons the Poisson distribution is approximated by a normal one: its
 # skewness is then below 0.06.

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from lunarsim.errors import InputError
 from lunarsim.messages.measurements import InertialSamples
@@ -14,8 +14,7 @@ from lunarsim.models.inertial_unit import TACTICAL_ACCELEROMETERS, TACTICAL_GYRO
 from lunarsim.models.instruments import InertialInstrument
 from lunarsim.parts.quantity import quantity
 from lunarsim.sensors import _imu_kernels as kernels
-
-Array = NDArray[np.float64]
+from lunarsim.typing import Array
 
 
 @dataclass(frozen=True)

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any, ClassVar, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lunarsim.typing import Array
 from lunarsim.vehicle.state import State
 from lunarsim.world import World
 
@@ -20,7 +20,7 @@ class Sensor(Protocol):
         state: State,
         time: float,
         rng: np.random.Generator,
-        mount: NDArray[np.float64] | None = None,
+        mount: Array | None = None,
     ) -> Any:
         """Return one measurement of the true world.
 

@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 from typing import ClassVar, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lunarsim.errors import InputError
 from lunarsim.frames import quat_from_rotation_vector, quat_multiply, quat_to_matrix
@@ -14,10 +13,9 @@ from lunarsim.messages.measurements import LidarScan
 from lunarsim.models.camera import DOWNWARD_MOUNT
 from lunarsim.models.instruments import LidarInstrument
 from lunarsim.parts.quantity import check_bounds, quantity
+from lunarsim.typing import Array
 from lunarsim.vehicle.state import State
 from lunarsim.world import World
-
-Array = NDArray[np.float64]
 
 _REFERENCE_RANGE = 500.0
 # Limit of a detector: a map of more returns takes gigabytes of memory.

@@ -6,16 +6,14 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lunarsim.frames import quat_from_rotation_vector, quat_multiply, quat_rotate
 from lunarsim.messages.measurements import AttitudeReading
 from lunarsim.models.instruments import StarTrackerInstrument
 from lunarsim.parts.quantity import check_bounds, check_direction, quantity
+from lunarsim.typing import Array
 from lunarsim.vehicle.state import State
 from lunarsim.world import World
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

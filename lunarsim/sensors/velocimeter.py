@@ -6,16 +6,14 @@ from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lunarsim.frames import quat_rotate
 from lunarsim.messages.measurements import DopplerReading
 from lunarsim.models.instruments import VelocimeterInstrument
 from lunarsim.parts.quantity import check_bounds, quantity
+from lunarsim.typing import Array
 from lunarsim.vehicle.state import State
 from lunarsim.world import World
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

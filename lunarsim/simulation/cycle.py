@@ -10,7 +10,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lunarsim._frame_kernels import rotation_vector_between
 from lunarsim.messages.commands import Command
@@ -21,9 +20,8 @@ from lunarsim.sensors._imu_kernels import quantize_increment
 from lunarsim.sensors.imu import Imu
 from lunarsim.simulation import _cycle_kernels as k
 from lunarsim.simulation.plant import Plant
+from lunarsim.typing import Array
 from lunarsim.vehicle.state import State
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

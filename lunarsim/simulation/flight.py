@@ -47,12 +47,12 @@ from lunarsim.simulation.flight_files import (
 )
 from lunarsim.simulation.map_record import MapRecord
 from lunarsim.simulation.map_remarks import map_remarks_by_mapper
+from lunarsim.typing import Array
 from lunarsim.vehicle.touchdown import LandingOutcome, Touchdown
 
 if TYPE_CHECKING:
     from lunarsim import FlightFigures
 
-Array = NDArray[np.float64]
 
 # Columns of the trajectory and their units, in order.
 COLUMNS: dict[str, str] = {

@@ -24,9 +24,8 @@ from lunarsim.grid import Grid
 from lunarsim.json_files import read_json
 from lunarsim.scenario.errors import plain_problem
 from lunarsim.scenario.files import parsed_toml
+from lunarsim.typing import Array
 from lunarsim.untrusted_folders import check_no_links
-
-Array = NDArray[np.float64]
 
 # Maximum decompressed size of a table or layer, bytes. A flight of three hours has 25 MB.
 MAX_EXPANDED_BYTES = 2**28

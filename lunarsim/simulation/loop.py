@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lunarsim import forks
 from lunarsim._blas import one_blas_thread
@@ -26,13 +25,12 @@ from lunarsim.simulation.mission import plan
 from lunarsim.simulation.plant import Plant
 from lunarsim.simulation.recorder import MessageRecorder, Recorder
 from lunarsim.simulation.worlds import build_world
+from lunarsim.typing import Array
 from lunarsim.vehicle import Dynamics, LandingOutcome, State
 from lunarsim.vehicle.actuators import Actuators
 from lunarsim.vehicle.faults import Faults
 from lunarsim.world import World
 from lunarsim.world.truth import TerrainTruth
-
-Array = NDArray[np.float64]
 
 
 def make_policy(scenario: Scenario, policy: RetargetingPolicy | str | None) -> Any:

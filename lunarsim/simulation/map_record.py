@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lunarsim.onboard.hazards.hazard_map import HazardMap
-
-Array = NDArray[np.float64]
+from lunarsim.typing import Array
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lunarsim.errors import InputError
 from lunarsim.frames import attitude_from_thrust, quat_from_rotation_vector, quat_multiply
@@ -23,11 +22,10 @@ from lunarsim.rng import RandomStreams
 from lunarsim.scenario import Scenario
 from lunarsim.scenario.mission import InitialUncertainty, PlannedSite, Start
 from lunarsim.simulation.reachability_error import unreachable
+from lunarsim.typing import Array
 from lunarsim.vehicle import State
 from lunarsim.world import World
 from lunarsim.world.terrain import Terrain
-
-Array = NDArray[np.float64]
 
 
 def draw_target(

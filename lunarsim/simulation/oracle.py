@@ -10,14 +10,12 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lunarsim.onboard.guidance.divert_cost import DivertCost
 from lunarsim.onboard.policies.contract import Decision, Observation
 from lunarsim.parts.quantity import hidden, quantity
+from lunarsim.typing import Array
 from lunarsim.world.truth import TerrainTruth
-
-Array = NDArray[np.float64]
 
 # Maximum number of sites tested for reachability, nearest first.
 _MAX_TESTED_SITES = 64

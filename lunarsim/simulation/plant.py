@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lunarsim.errors import InputError
 from lunarsim.frames import quat_rotate
@@ -21,14 +20,13 @@ from lunarsim.models.jet_lander import centre_of_mass
 from lunarsim.onboard.result_checks import wrong_result_error
 from lunarsim.sensors.imu import Imu
 from lunarsim.sensors.interface import Sensor, SensorPart
+from lunarsim.typing import Array
 from lunarsim.vehicle import Dynamics, LandingOutcome, State, evaluate_touchdown, pad_contacts
 from lunarsim.vehicle.actuators import Actuators
 from lunarsim.vehicle.faults import Faults
 from lunarsim.vehicle.legs import Legs, RestState, evaluate_motion
 from lunarsim.vehicle.touchdown import ABORTED
 from lunarsim.world import World
-
-Array = NDArray[np.float64]
 
 # Pad contacts are computed only below this height above the highest terrain, m.
 _MAX_CONTACT_HEIGHT_M = 40.0

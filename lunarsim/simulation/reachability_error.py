@@ -7,15 +7,13 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lunarsim.errors import InputError
 from lunarsim.messages.briefing import FlightSoftware
 from lunarsim.models.lander import Lander
 from lunarsim.onboard.guidance.approach import Approach
 from lunarsim.onboard.navigation.estimate import Estimate
-
-Array = NDArray[np.float64]
+from lunarsim.typing import Array
 
 # Values of the fields of `[approach]` that do not limit a path. The tilt of an approach must be
 # below 85 deg; the default height and speed of the end suit every lander.

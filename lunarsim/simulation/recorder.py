@@ -6,7 +6,6 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lunarsim.messages.briefing import Briefing
 from lunarsim.messages.commands import Command
@@ -16,10 +15,9 @@ from lunarsim.onboard.navigation.estimate import Estimate
 from lunarsim.onboard.policies.contract import Candidates, Decision
 from lunarsim.simulation.flight import COLUMNS, Flight
 from lunarsim.simulation.map_record import MapRecord
+from lunarsim.typing import Array
 from lunarsim.vehicle.state import State
 from lunarsim.vehicle.touchdown import LandingOutcome
-
-Array = NDArray[np.float64]
 
 # Maximum number of LiDAR returns kept per scan, enough for a figure.
 _MAX_RETURNS = 4096

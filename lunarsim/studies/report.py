@@ -8,14 +8,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
 from lunarsim.evaluation.comparisons import mean_difference, share_difference
 from lunarsim.evaluation.statistics import Proportion, mean_interval
-
-Array = NDArray[np.float64]
+from lunarsim.typing import Array
 
 
 @dataclass(frozen=True)

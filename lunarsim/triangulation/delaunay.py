@@ -10,16 +10,15 @@ returned depends only on their order.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from lunarsim.triangulation._flip_kernels import triangulate_mesh
 from lunarsim.triangulation._insertion_kernels import hilbert_keys, insert_all
+from lunarsim.typing import IntArray
 
 _BITS = 25
 # Outside these limits, steps of the integer grid are not normal floating-point numbers.
 _MIN_EXTENT, _MAX_EXTENT = 1e-290, 1e290
-
-IntArray = NDArray[np.int64]
 
 
 def _to_integers(xy: ArrayLike) -> IntArray:

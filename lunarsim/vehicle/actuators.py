@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lunarsim.models.jet_lander import JetLander
+from lunarsim.typing import Array
 from lunarsim.vehicle.dynamics import Dynamics, build_rig
 from lunarsim.vehicle.faults import Faults
 from lunarsim.vehicle.slosh import SloshPendulums
 from lunarsim.vehicle.state import State
-
-Array = NDArray[np.float64]
 
 
 class Actuators:

@@ -5,16 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from lunarsim.errors import InputError
 from lunarsim.messages.commands import Command
 from lunarsim.models.gravity import CentralGravity
 from lunarsim.models.lander import Lander
+from lunarsim.typing import Array
 from lunarsim.vehicle import _kernels as k
 from lunarsim.vehicle.state import State
-
-Array = NDArray[np.float64]
 
 
 def build_rig(

@@ -10,19 +10,17 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 
 from lunarsim.frames import quat_rotate, quat_to_matrix
 from lunarsim.models.jet_lander import centre_of_mass
 from lunarsim.models.lander import Lander
 from lunarsim.parts.quantity import check_bounds, quantity
+from lunarsim.typing import Array
 from lunarsim.vehicle import _leg_kernels as k
 from lunarsim.vehicle.dynamics import PLAIN_RIG, Dynamics
 from lunarsim.vehicle.state import State
 from lunarsim.vehicle.touchdown import ElevationModel, LandingOutcome, evaluate_touchdown
-
-Array = NDArray[np.float64]
 
 # Contact step, s; steps between evaluations of the lander; terrain posting, m; margin of the
 # terrain patch for sliding, m.
@@ -56,15 +54,15 @@ class Legs:
         2e5,
         "N/m",
         gt=0,
-        help="stiffness of each leg along the terrain normal, and of its pad parallel to the "
-        "terrain while the pad does not slide",
+        help="stiffness of each leg along the terrain normal; its pad has the same stiffness "
+        "along the terrain surface until it slides",
     )
     damping: float = quantity(
         5e3,
         "N s/m",
         gt=0,
-        help="damping of each leg along the terrain normal, and of its pad parallel to the terrain "
-        "while the pad does not slide",
+        help="damping of each leg along the terrain normal; its pad has the same damping along the "
+        "terrain surface until it slides",
     )
     crush_force: float = quantity(
         1.2e4, "N", gt=0, help="force at which the honeycomb of a leg is crushed"

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lunarsim.models.jet_lander import JetLander
+from lunarsim.typing import Array
 from lunarsim.vehicle import _slosh_kernels as k
 from lunarsim.vehicle.dynamics import Dynamics
 from lunarsim.vehicle.state import State
-
-Array = NDArray[np.float64]
 
 
 class SloshPendulums:

@@ -7,14 +7,13 @@ from itertools import combinations
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from lunarsim.frames import quat_rotate, quat_to_matrix
 from lunarsim.models.jet_lander import centre_of_mass
 from lunarsim.models.lander import Lander
+from lunarsim.typing import Array, BoolArray
 from lunarsim.vehicle.state import State
-
-Array = NDArray[np.float64]
 
 # Spacing of terrain samples under pads and belly, m.
 TERRAIN_SAMPLE_SPACING_M = 0.04
@@ -142,7 +141,7 @@ def pad_contacts(lander: Lander, state: State, terrain: ElevationModel) -> Array
     return np.column_stack((centres[:, :2], terrain.elevation(spots).max(axis=1)))
 
 
-def _inside_polygon(points: Array, polygon: Array) -> NDArray[np.bool_]:
+def _inside_polygon(points: Array, polygon: Array) -> BoolArray:
     """Return which points (n, 2) lie in a convex counter-clockwise polygon (k, 2)."""
     inside = np.ones(len(points), dtype=np.bool_)
     for a, b in zip(polygon, np.roll(polygon, -1, axis=0), strict=True):

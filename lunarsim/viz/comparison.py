@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 from matplotlib.ticker import MaxNLocator
-from numpy.typing import NDArray
 
 from lunarsim.evaluation.statistics import mean_interval, summarise_policies
 from lunarsim.scenario import Scenario
+from lunarsim.typing import Array
 from lunarsim.viz.style import COLOURS, escape_dollars, new_figure, policy_colour, save
 
 Rows = list[dict[str, Any]]
@@ -150,7 +150,7 @@ def _draw_differences(ax: Any, rows: Rows, names: list[str]) -> None:
     ax.legend(loc="best")
 
 
-def paired_differences(rows: Rows, first: str, other: str, column: str) -> NDArray[np.float64]:
+def paired_differences(rows: Rows, first: str, other: str, column: str) -> Array:
     """Return the difference of a column between two policies, for each flight (n,).
 
     It is the value under policy `other` minus the value under policy `first`; flights without both

@@ -9,17 +9,15 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Polygon
 from matplotlib.path import Path as Outline
-from numpy.typing import NDArray
 
 from lunarsim.grid import Grid
 from lunarsim.models.lander import Lander
 from lunarsim.scenario import Scenario
 from lunarsim.simulation.flight import Flight
+from lunarsim.typing import Array
 from lunarsim.vehicle.touchdown import Touchdown
 from lunarsim.viz.style import COLOURS, flight_title, hillshade, map_axes, new_figure, save, show
 from lunarsim.world import World
-
-Array = NDArray[np.float64]
 
 # Cell size, m, and half side of the figure in radii of the legs.
 _POSTING = 0.04

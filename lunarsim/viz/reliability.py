@@ -4,15 +4,11 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from lunarsim.evaluation.reliability import bin_frequencies
+from lunarsim.typing import Array
 
 
-def plot_reliability(
-    axes: Any, table: NDArray[np.float64], min_count: int = 50, **style: Any
-) -> None:
+def plot_reliability(axes: Any, table: Array, min_count: int = 50, **style: Any) -> None:
     """Plot observed frequency over predicted probability from a reliability table.
 
     Only bins with at least `min_count` samples are drawn.

@@ -16,6 +16,7 @@ from lunarsim.atomic_files import atomic_write
 from lunarsim.grid import Grid
 from lunarsim.scenario.files import parsed_toml
 from lunarsim.simulation.flight import Flight
+from lunarsim.typing import Array
 
 # Palette of Okabe and Ito for colour-blind readers.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
@@ -68,7 +69,7 @@ def policy_colour(name: str) -> str:
     return POLICY_COLOURS.get(name, "#56B4E9")
 
 
-def hillshade(z: NDArray[Any], posting: float) -> NDArray[np.float64]:
+def hillshade(z: NDArray[Any], posting: float) -> Array:
     """Return a hillshade (rows, cols) in [0, 1] of an elevation raster.
 
     The light is from the north-west at 40 deg; `z` is the elevation, `posting` the grid spacing, m;

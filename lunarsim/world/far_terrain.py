@@ -13,7 +13,7 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy import ndimage
 
 from lunarsim.errors import InputError
@@ -21,9 +21,8 @@ from lunarsim.grid import Grid, check_raster_size
 from lunarsim.models.gravity import CentralGravity
 from lunarsim.parts.quantity import check_bounds, quantity
 from lunarsim.rng import RandomStreams
+from lunarsim.typing import Array
 from lunarsim.world.terrain import Heightfield, RayHits, Terrain, fractal_relief
-
-Array = NDArray[np.float64]
 
 _MAX_POSTS_PER_SIDE = 4_000
 Numbers = float | tuple[float, ...]

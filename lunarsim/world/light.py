@@ -7,15 +7,13 @@ from functools import lru_cache
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from lunarsim.errors import InputError
 from lunarsim.frames import direction_from_angles
 from lunarsim.parts.quantity import check_bounds, hidden, quantity
+from lunarsim.typing import Array
 from lunarsim.world.photometry import Hapke, hapke_of_albedo, lambert, lunar_lambert
-
-Array = NDArray[np.float64]
-
 
 # Apparent diameter at one astronomical unit, rad.
 SUN_DIAMETER_RAD = float(np.radians(0.533))

@@ -10,12 +10,11 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.optimize import brentq
 
 from lunarsim.errors import InputError
-
-Array = NDArray[np.float64]
+from lunarsim.typing import Array
 
 _MIN_COSINE = 1e-6
 

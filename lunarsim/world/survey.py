@@ -5,16 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 
 from lunarsim.errors import InputError
 from lunarsim.grid import Grid, check_raster_size
 from lunarsim.messages.prior_map import PriorMap
 from lunarsim.parts.quantity import quantity
+from lunarsim.typing import Array
 from lunarsim.world.terrain import Terrain
-
-Array = NDArray[np.float64]
 
 # Terrain samples along each side of the square cell over which a grid point is averaged.
 _SAMPLES = 4

@@ -13,6 +13,7 @@ from lunarsim.grid import Grid
 from lunarsim.models.lander import Lander
 from lunarsim.safety import SafetyMap, exact_safety
 from lunarsim.safety.footprint import footprint_of
+from lunarsim.typing import Array, BoolArray
 from lunarsim.world import World
 
 # Fixed, so that no map setting changes the reference that maps are evaluated against, m.
@@ -86,7 +87,7 @@ class TerrainTruth:
         return TerrainTruth(safety, self.elevation[rows, cols], self.lander)
 
     @cached_property
-    def clearance(self) -> NDArray[np.float64]:
+    def clearance(self) -> Array:
         """Distance (rows, cols), m, from each safe cell to the nearest unsafe cell.
 
         Distances are between cell centres; unsafe cells have 0.
@@ -94,7 +95,7 @@ class TerrainTruth:
         cells = ndimage.distance_transform_edt(self.safety.safe)
         return np.asarray(cells * self.safety.grid.posting)
 
-    def is_safe_at(self, xy: ArrayLike) -> NDArray[np.bool_]:
+    def is_safe_at(self, xy: ArrayLike) -> BoolArray:
         """Return whether true points (..., 2), ENU, m, are safe to land on.
 
         The safety is that of the nearest cell; points outside the map count as unsafe.
@@ -105,7 +106,7 @@ class TerrainTruth:
         safe = self.safety.safe[np.clip(row, 0, grid.rows - 1), np.clip(col, 0, grid.cols - 1)]
         return np.asarray(inside & safe)
 
-    def is_known_at(self, xy: ArrayLike) -> NDArray[np.bool_]:
+    def is_known_at(self, xy: ArrayLike) -> BoolArray:
         """Return whether the exact safety is known at true points (..., 2), ENU, m.
 
         The value is that of the nearest cell; False outside the map.

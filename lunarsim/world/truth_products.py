@@ -14,6 +14,7 @@ from lunarsim.errors import InputError
 from lunarsim.grid import Grid, check_raster_size
 from lunarsim.models.lander import Lander
 from lunarsim.safety import exact_safety
+from lunarsim.typing import BoolArray
 from lunarsim.world import World
 
 # Rays to the Sun start this far above the surface, so that they do not hit it, m.
@@ -47,8 +48,8 @@ class TruthProducts:
     elevation: NDArray[np.float32]
     slope: NDArray[np.float32]
     rock: NDArray[np.int32]
-    safe: NDArray[np.bool_]
-    shadow: NDArray[np.bool_]
+    safe: BoolArray
+    shadow: BoolArray
 
     @classmethod
     def of(cls, world: World, lander: Lander, grid: Grid) -> TruthProducts:

@@ -5,9 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from lunarsim.models.gravity import CentralGravity
+from lunarsim.typing import Array
 from lunarsim.world.far_terrain import FarTerrain
 from lunarsim.world.light import Light
 from lunarsim.world.terrain import RayHits, Terrain
@@ -55,7 +56,7 @@ class World:
             np.where(missed, beyond.rock, hits.rock),
         )
 
-    def is_below_terrain(self, position: NDArray[np.float64], min_elevation: float) -> bool:
+    def is_below_terrain(self, position: Array, min_elevation: float) -> bool:
         """Return whether a position (3,), ENU, m, is more than 1 m below the terrain.
 
         Without far terrain, the limit is the terrain's `min_elevation`, m.
@@ -64,7 +65,7 @@ class World:
             return bool(self.far_terrain.clearance(position) < -1.0)
         return bool(self.height(position) < min_elevation - 1.0)
 
-    def height(self, position: NDArray[np.float64]) -> NDArray[np.float64]:
+    def height(self, position: Array) -> Array:
         """Return heights (...,), m, of positions (..., 3), ENU, above the datum.
 
         The datum is the sphere through the origin, or the plane z = 0 for flat terrain.

@@ -16,12 +16,11 @@ from lunarsim.onboard.guidance.vertical import descent_law
 from lunarsim.onboard.navigation.estimate import Estimate
 from lunarsim.parts import resolve, settings_of
 from lunarsim.scenario import Scenario
+from lunarsim.typing import Array
 from lunarsim_envs.agents.agent_interface import incompatible_agent_error
 from lunarsim_envs.descent.baseline import PolynomialGuidance
 from lunarsim_envs.descent.core import DescentEnvCore
 from lunarsim_envs.descent.env import GuidanceEnv
-
-Array = NDArray[np.float64]
 
 # Observation components that a law needs.
 _NEEDED = ("position", "velocity", "attitude", "rate", "propellant")

@@ -8,17 +8,15 @@ from typing import Any
 
 import gymnasium
 import numpy as np
-from numpy.typing import NDArray
 
 from lunarsim.array_files import read_arrays
 from lunarsim.atomic_arrays import atomic_write_arrays
 from lunarsim.errors import InputError, error_reason
+from lunarsim.typing import Array, BoolArray, IntArray
 from lunarsim_envs.agents.agent_interface import check_sites, incompatible_agent_error
 from lunarsim_envs.retarget import RetargetEnv
 from lunarsim_envs.sites.observations import SITES
 from lunarsim_envs.sites.site_inputs import SiteInputs
-
-Array = NDArray[np.float64]
 
 FORMAT = "lunarsim site network 1"
 # Input quantities (features) of a site. The constants below are their scales.
@@ -31,7 +29,7 @@ _LOG_ODDS, _PROPELLANT, _DISTANCE, _ALTITUDE, _MISS = 5.0, 2.0, 30.0, 200.0, 1.0
 _LEAST, _MOST = 1e-6, 0.999
 
 
-def features(inputs: SiteInputs) -> tuple[Array, NDArray[np.bool_]]:
+def features(inputs: SiteInputs) -> tuple[Array, BoolArray]:
     """Compute network inputs (n, 21, features) of all sites that n landers can choose.
 
     Option 0 is the current site, option i is candidate site i - 1. Also returns which options are
@@ -95,7 +93,7 @@ class SiteNetwork:
         """All weights as one vector: `linear`, `inner` (by row), `bias`, `outer`."""
         return np.concatenate((self.linear, self.inner.ravel(), self.bias, self.outer))
 
-    def choose(self, inputs: SiteInputs) -> NDArray[np.int64]:
+    def choose(self, inputs: SiteInputs) -> IntArray:
         """Return the available option with the highest score for every lander (n,).
 
         0 is the current site; i is candidate site i - 1.

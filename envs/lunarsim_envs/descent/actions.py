@@ -7,8 +7,7 @@ from gymnasium import spaces
 from numpy.typing import ArrayLike, NDArray
 
 from lunarsim.models.lander import Lander
-
-Array = NDArray[np.float64]
+from lunarsim.typing import Array
 
 # Actions may exceed their bounds by the rounding error of float32.
 _ROUNDING = 1e-6

@@ -6,9 +6,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lunarsim.errors import InputError
+from lunarsim.typing import Array
 from lunarsim_envs.descent.core import DescentEnvCore
-
-Array = NDArray[np.float64]
 
 # Gate above the target: height of the pads, m, and downward speed, m/s.
 _HEIGHT, _SPEED = 12.0, 2.0

@@ -17,14 +17,13 @@ from lunarsim.models.jet_lander import JetLander
 from lunarsim.models.lander import STANDARD_GRAVITY, Lander
 from lunarsim.onboard.control.attitude import ProportionalDerivative
 from lunarsim.scenario import Scenario
+from lunarsim.typing import Array, BoolArray, IntArray
 from lunarsim.vehicle._kernels import SIMD_BATCH
 from lunarsim.vehicle.domain_randomization import RANDOM_QUANTITIES, DomainRandomization
 from lunarsim.vehicle.dynamics import PLAIN_RIG, Dynamics
 from lunarsim.vehicle.touchdown import TERRAIN_SAMPLE_SPACING_M, pad_disc
 from lunarsim_envs.descent import _kernels as k
 from lunarsim_envs.descent.worlds import WorldPool
-
-Array = NDArray[np.float64]
 
 FLYING, LANDED, LOST, LATE = k.FLYING, k.LANDED, k.LOST, k.LATE
 # Compute time per lane and step, microseconds.
@@ -254,18 +253,18 @@ class DescentBatch:
         return self._keys
 
     @property
-    def flight_counts(self) -> NDArray[np.int64]:
+    def flight_counts(self) -> IntArray:
         """Number of flights that each lane has started with its key (n,)."""
         return self._flight_counts
 
-    def seed(self, mask: NDArray[np.bool_], keys: NDArray[np.uint64]) -> None:
+    def seed(self, mask: BoolArray, keys: NDArray[np.uint64]) -> None:
         """Set the random keys (64-bit) of lanes `mask` (n,), which fix their flights."""
         self._keys[mask] = keys
         self._flight_counts[mask] = 0
         self._counts[mask] = 0
         self.has_key[mask] = True
 
-    def begin(self, mask: NDArray[np.bool_]) -> None:
+    def begin(self, mask: BoolArray) -> None:
         """Start new flights with random start, target and world in lanes `mask` (n,)."""
         w = self.worlds
         with threads_for(_STEP * self.count):
@@ -283,7 +282,7 @@ class DescentBatch:
         self.failed[mask] = 0
         self.touchdown_values[mask] = np.nan
 
-    def normals(self, mask: NDArray[np.bool_], size: int) -> Array:
+    def normals(self, mask: BoolArray, size: int) -> Array:
         """Return `size` standard normal numbers per lane of `mask` (n, size); 0 in others."""
         found = np.zeros((self.count, size))
         with threads_for(0.02 * self.count * size):
@@ -305,12 +304,12 @@ class DescentBatch:
                 min(SIMD_BATCH, self.count), self._vehicle, self._terrains, self._flights,
             )  # fmt: skip
 
-    def stop(self, mask: NDArray[np.bool_]) -> None:
+    def stop(self, mask: BoolArray) -> None:
         """End the flights of `mask` (n,) that are still flying, as if by the time limit."""
         self.ended[mask & (self.ended == FLYING)] = LATE
 
     @property
-    def safe(self) -> NDArray[np.bool_]:
+    def safe(self) -> BoolArray:
         """Whether each lander has landed within all limits (n,)."""
         return np.asarray((self.ended == LANDED) & (self.failed == 0))
 

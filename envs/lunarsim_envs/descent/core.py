@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from lunarsim.errors import InputError
 from lunarsim.scenario import Scenario
+from lunarsim.typing import Array, BoolArray
 from lunarsim.vehicle.domain_randomization import RANDOM_QUANTITIES
 from lunarsim_envs.arguments import (
     checked_bool,
@@ -27,8 +28,6 @@ from lunarsim_envs.descent.observations import DEFAULT, ObservationLayout
 from lunarsim_envs.descent.options import apply_options, check_start_height
 from lunarsim_envs.descent.rewards import DescentWeights, Rewards
 from lunarsim_envs.descent.worlds import WorldPool
-
-Mask = NDArray[np.bool_]
 
 
 def flat_scenario() -> Scenario:
@@ -139,7 +138,7 @@ class DescentEnvCore:
         """Time between two actions, s."""
         return self.lanes.steps * self.lanes.craft.dynamics.step
 
-    def seed(self, mask: Mask, seeds: Sequence[int | None]) -> None:
+    def seed(self, mask: BoolArray, seeds: Sequence[int | None]) -> None:
         """Set the random keys of landers `mask` (n,) from one seed per selected lander.
 
         A seed of None keeps the key; a lander without a key then gets a random one.
@@ -154,11 +153,11 @@ class DescentEnvCore:
         one[lane] = True
         self.lanes.seed(one, rng.integers(2**64, size=1, dtype=np.uint64))
 
-    def apply_options(self, mask: Mask, options: Mapping[str, Any] | None) -> None:
+    def apply_options(self, mask: BoolArray, options: Mapping[str, Any] | None) -> None:
         """Apply options of `reset` to the landers of `mask` (n,), until the next call."""
         apply_options(options, self.lanes, mask)
 
-    def restart(self, mask: Mask) -> None:
+    def restart(self, mask: BoolArray) -> None:
         """Start new episodes for the landers of `mask` (n,), with their current options."""
         self.lanes.begin(mask)
         self.rewards.begin(mask)
@@ -191,12 +190,12 @@ class DescentEnvCore:
             extra_info["privileged"] = np.hstack((self.truth.of(self.lanes), finite))
         return extra_info
 
-    def outcome(self) -> dict[str, NDArray[np.float64]]:
+    def outcome(self) -> dict[str, Array]:
         """Return flight time (s), propellant used (kg) and miss distance (m), each (n,)."""
         lanes = self.lanes
         return {"time_s": lanes.time, "propellant_kg": lanes.propellant_used, "miss_m": lanes.miss}
 
-    def step(self, action: Any) -> tuple[dict[str, NDArray[np.float64]], Mask, Mask, Mask]:
+    def step(self, action: Any) -> tuple[dict[str, Array], BoolArray, BoolArray, BoolArray]:
         """Fly all flying landers with actions from -1 to 1 until the next action is due.
 
         Returns the reward terms (n,) by name, and which landers moved, terminated (by touchdown or

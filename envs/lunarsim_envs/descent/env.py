@@ -9,6 +9,7 @@ import gymnasium
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lunarsim.typing import Array, BoolArray
 from lunarsim_envs.arguments import check_no_render_mode, checked_options
 from lunarsim_envs.descent.batch import FLYING
 from lunarsim_envs.descent.core import DescentEnvArguments, DescentEnvCore
@@ -164,7 +165,7 @@ class DescentVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         self._due[mask] = False
         return self.descents.observe(), self._hidden()
 
-    def _restart(self, mask: NDArray[np.bool_]) -> None:
+    def _restart(self, mask: BoolArray) -> None:
         self.descents.restart(mask)
         self._limit.begin(mask)
 
@@ -173,9 +174,7 @@ class DescentVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         every = np.ones(self.num_envs, np.bool_)
         return extra_info | {f"_{name}": every for name in extra_info}
 
-    def step(
-        self, actions: ArrayLike
-    ) -> tuple[Shown, NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
+    def step(self, actions: ArrayLike) -> tuple[Shown, Array, BoolArray, BoolArray, dict[str, Any]]:
         """Advance all environments by one action, or to the end of their flights."""
         d, mode = self.descents, gymnasium.vector.AutoresetMode
         idle = d.lanes.ended != FLYING

@@ -6,12 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from lunarsim.typing import Array, BoolArray
 from lunarsim_envs.descent import _kernels as k
 from lunarsim_envs.descent.batch import DescentBatch
 from lunarsim_envs.descent.observations import ObservationLayout
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 
 class DelayLine:
@@ -34,11 +32,11 @@ class DelayLine:
         self._kept = np.zeros((round(max_delay / period) + 1, lanes.count, size))
         self._rows = np.arange(lanes.count)
 
-    def begin(self, mask: Mask, vectors: Array) -> None:
+    def begin(self, mask: BoolArray, vectors: Array) -> None:
         """Fill the delay lines of landers `mask` (n,) with constant vectors (n, size)."""
         self._kept[:, mask] = vectors[mask]
 
-    def insert(self, mask: Mask, vectors: Array) -> None:
+    def insert(self, mask: BoolArray, vectors: Array) -> None:
         """Insert the vectors (n, size) of this step for the landers of `mask` (n,)."""
         self._kept[1:, mask] = self._kept[:-1, mask]
         self._kept[0, mask] = vectors[mask]
@@ -81,16 +79,16 @@ class SensingModel:
             for name, sigma in varied.noise.items() if sigma > 0.0 and name in layout.places
         ]  # fmt: skip
 
-    def begin(self, mask: Mask) -> None:
+    def begin(self, mask: BoolArray) -> None:
         """Reset the delay lines of landers `mask` (n,), whose flights have just started."""
         self._seen.begin(mask, self._noisy_observations(mask))
         self._asked.begin(mask, self._idle)
 
-    def observe(self, mask: Mask) -> None:
+    def observe(self, mask: BoolArray) -> None:
         """Insert new noisy observations of landers `mask` (n,) in their delay lines."""
         self._seen.insert(mask, self._noisy_observations(mask))
 
-    def act(self, mask: Mask, physical: Array) -> Array:
+    def act(self, mask: BoolArray, physical: Array) -> Array:
         """Insert commands (n, size) of landers `mask` (n,); return the delayed commands."""
         self._asked.insert(mask, physical)
         return self._asked.delayed
@@ -100,7 +98,7 @@ class SensingModel:
         """Delayed, noisy observations of all landers (n, size)."""
         return self._seen.delayed.astype(np.float32)
 
-    def _noisy_observations(self, mask: Mask) -> Array:
+    def _noisy_observations(self, mask: BoolArray) -> Array:
         """Return the undelayed observations (n, size), with noise for landers `mask`."""
         found = self._shown.of(self._lanes).astype(np.float64)
         if not self._noise:

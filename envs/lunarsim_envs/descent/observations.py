@@ -13,11 +13,10 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from lunarsim.errors import InputError
+from lunarsim.typing import Array
 from lunarsim.value_checks import check_shape
 from lunarsim_envs.descent.batch import DescentBatch
 from lunarsim_envs.named_components import PER_LANDER, check_new, named_parts
-
-Array = NDArray[np.float64]
 
 # Bound of distances (m), speeds (m/s) and masses (kg) in observations; larger values are clipped.
 FAR = 5000.0

@@ -6,15 +6,13 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lunarsim.errors import InputError, suggestion
 from lunarsim.scenario import Scenario
 from lunarsim.scenario.changes import with_values
+from lunarsim.typing import Array, BoolArray
 from lunarsim_envs.arguments import checked_options
 from lunarsim_envs.descent.batch import DescentBatch
-
-Array = NDArray[np.float64]
 
 # Scenario key of each option.
 KEYS = {
@@ -35,9 +33,7 @@ _AIMS = {"target_m": slice(0, 2), "target_scatter_m": slice(2, 4)}
 MOST = 5000.0
 
 
-def apply_options(
-    options: Mapping[str, Any] | None, lanes: DescentBatch, mask: NDArray[np.bool_]
-) -> None:
+def apply_options(options: Mapping[str, Any] | None, lanes: DescentBatch, mask: BoolArray) -> None:
     """Set start, target and rock cover of the next flights of some landers.
 
     Parameters

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lunarsim.frames import quat_rotate
+from lunarsim.typing import Array
 from lunarsim_envs.descent.batch import FLYING, DescentBatch
 
-Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
 # Side of the square view and width of the gauges to its right, pixels.

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lunarsim.typing import Array
 from lunarsim_envs.descent.batch import DescentBatch
-
-Array = NDArray[np.float64]
 
 # Deceleration of the reference velocity over the maximum one (full thrust minus gravity, full
 # tanks). Touchdown speed over the vertical speed limit.

@@ -5,15 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lunarsim.errors import InputError
 from lunarsim.scenario import Scenario
 from lunarsim.scenario.rewards import DescentReward
+from lunarsim.typing import Array, BoolArray
 from lunarsim_envs.descent.batch import FLYING, LATE, DescentBatch
 from lunarsim_envs.descent.potential import velocity_deviation as off_wanted
-
-Array = NDArray[np.float64]
 
 # Maximum miss distance in the reward, m.
 MAX_MISS_M = 50.0
@@ -108,12 +106,12 @@ class Rewards:
         folds = np.where(np.isfinite(folds), np.minimum(folds, MAX_EXCESS), MAX_EXCESS)
         return np.asarray(folds.sum(axis=1))
 
-    def begin(self, mask: NDArray[np.bool_]) -> None:
+    def begin(self, mask: BoolArray) -> None:
         """Store mass and potential of the flights of `mask` (n,), which have just started."""
         self._mass[mask] = self.lanes.y[mask, 13]
         self._potential[mask] = self.potential()[mask]
 
-    def terms(self, moved: NDArray[np.bool_]) -> dict[str, Array]:
+    def terms(self, moved: BoolArray) -> dict[str, Array]:
         """Return the reward terms (n,) of the last step by name; 0 where `moved` is false."""
         w, lanes = self.weights, self.lanes
         over = (lanes.ended != FLYING) & (lanes.ended != LATE)

@@ -14,6 +14,7 @@ from lunarsim.rng import RandomStreams, flight_seed
 from lunarsim.scenario import Scenario
 from lunarsim.simulation.mission import check_target_area
 from lunarsim.simulation.worlds import build_world
+from lunarsim.typing import Array
 from lunarsim.world import World
 from lunarsim.world.terrain import Terrain
 
@@ -45,10 +46,10 @@ class WorldPool:
     """
 
     terrains: NDArray[np.float32]
-    frame: NDArray[np.float64]
+    frame: Array
     reliefs: NDArray[np.float32]
-    relief_frame: NDArray[np.float64]
-    levels: NDArray[np.float64]
+    relief_frame: Array
+    levels: Array
     covers: tuple[float, ...]
 
     @classmethod
@@ -179,7 +180,7 @@ def _grids(scenario: Scenario, terrain: Terrain) -> tuple[Grid, Grid]:
     low = np.maximum(middle - scatter - margin, [west, south])
     high = np.minimum(middle + scatter + margin, [east, north])
 
-    def grid(low: NDArray[np.float64], high: NDArray[np.float64], posting: float) -> Grid:
+    def grid(low: Array, high: Array, posting: float) -> Grid:
         cols, rows = (np.floor((high - low) / posting + 1e-6).astype(int) + 1).tolist()
         return Grid(float(low[0]), float(low[1]), posting, rows, cols)
 

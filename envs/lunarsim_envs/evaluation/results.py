@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
-from numpy.typing import NDArray
 
 import lunarsim
 from lunarsim.atomic_files import atomic_write, atomic_write_text
@@ -24,9 +23,8 @@ from lunarsim.evaluation.comparisons import (
 )
 from lunarsim.evaluation.statistics import Proportion
 from lunarsim.rng import design_seed
+from lunarsim.typing import Array
 from lunarsim_envs.evaluation.parallel import Rows
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

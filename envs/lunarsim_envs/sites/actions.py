@@ -14,21 +14,20 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from lunarsim.errors import InputError
+from lunarsim.typing import Array, BoolArray, IntArray
 from lunarsim.value_checks import check_shape
 from lunarsim_envs.named_components import PER_LANDER, check_new, named_parts
 from lunarsim_envs.sites.observations import SITES
 from lunarsim_envs.sites.site_inputs import SiteInputs
 
-Array = NDArray[np.float64]
-Choice = NDArray[np.int64]
-Mask = NDArray[np.bool_]
+Choice = IntArray
 
 # Factors on the time-to-go for choices 1 and above of `time_scale` (see `Decision`). No factor is
 # less than 1, because the minimum-propellant path is usually the fastest one within the limits.
 TIME_SCALES = (1.0, 1.07, 1.15, 1.3)
 
 
-def _all_available(inputs: SiteInputs, count: int) -> Mask:
+def _all_available(inputs: SiteInputs, count: int) -> BoolArray:
     """Return a mask (n, count) in which all choices are available."""
     return np.ones((len(inputs.site), count), np.bool_)
 
@@ -59,7 +58,7 @@ class ActionComponent:
     count: int
     meaning: str
     of: Callable[[SiteInputs, Choice], Array]
-    open: Callable[[SiteInputs], Mask] | None = None
+    open: Callable[[SiteInputs], BoolArray] | None = None
 
 
 PARTS: dict[str, ActionComponent] = {}
@@ -91,7 +90,7 @@ def _sites(inputs: SiteInputs, chosen: Choice) -> Array:
     return out
 
 
-def _sites_open(inputs: SiteInputs) -> Mask:
+def _sites_open(inputs: SiteInputs) -> BoolArray:
     mask = np.zeros((len(inputs.site), SITES + 1), np.bool_)
     mask[:, 0] = True
     n = min(SITES, inputs.cost.shape[1])
@@ -137,8 +136,8 @@ class SiteDecisions:
 
     site: Array
     time_scale: Array
-    invalid: Mask
-    factor_ignored: Mask
+    invalid: BoolArray
+    factor_ignored: BoolArray
 
 
 def _array(actions: Any) -> NDArray[Any]:
@@ -261,7 +260,7 @@ class SiteActions:
             )
         return wide.astype(np.int64)
 
-    def masks(self, inputs: SiteInputs) -> Mask:
+    def masks(self, inputs: SiteInputs) -> BoolArray:
         """Return which choices are available (n, total number of choices).
 
         The masks of all components are concatenated. Factors on the time-to-go are always
@@ -269,7 +268,7 @@ class SiteActions:
         """
         return np.concatenate([self._open(part, inputs) for part in self.parts], axis=1)
 
-    def _open(self, part: ActionComponent, inputs: SiteInputs) -> Mask:
+    def _open(self, part: ActionComponent, inputs: SiteInputs) -> BoolArray:
         if part.open is None:
             return _all_available(inputs, part.count)
         mask = np.asarray(part.open(inputs), dtype=np.bool_)
@@ -284,7 +283,7 @@ class SiteActions:
         n = len(chosen)
         places = chosen + np.cumsum([0, *self.counts[:-1]])
         had = np.take_along_axis(self.masks(inputs), places, axis=1)
-        invalid: Mask = np.asarray(~had.all(axis=1))
+        invalid: BoolArray = np.asarray(~had.all(axis=1))
         decided = {"site": np.full((n, 3), np.nan), "time_scale": np.full(n, np.nan)}
         for part, own in zip(self.parts, chosen.T, strict=True):
             value = np.array(part.of(inputs, own), dtype=np.float64)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lunarsim._jit import threads_for
 from lunarsim.errors import InputError
@@ -14,6 +13,7 @@ from lunarsim.onboard.guidance.paths import PathShape
 from lunarsim.onboard.guidance.vertical import VerticalDescent
 from lunarsim.onboard.policies.candidates import SAFETY_LEVELS
 from lunarsim.scenario import Scenario
+from lunarsim.typing import Array, BoolArray
 from lunarsim.vehicle._kernels import SIMD_BATCH
 from lunarsim_envs.descent.batch import FLYING, DescentBatch, VehicleParams
 from lunarsim_envs.sites import _choice_kernels as choice
@@ -21,9 +21,6 @@ from lunarsim_envs.sites import _flight_kernels as f
 from lunarsim_envs.sites import _map_kernels as m
 from lunarsim_envs.sites.field_of_view import deciding_mapper, scan_altitudes
 from lunarsim_envs.sites.pool import SiteWorldPool
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 # Compute time per lane and control cycle, and per lane and map, microseconds.
 _CYCLE, _MAP = 6.0, 2000.0
@@ -176,7 +173,7 @@ class SiteDescentBatch(DescentBatch):
         self.refused, self.time_scale_refused = np.zeros(count, np.bool_), np.zeros(count, np.bool_)
         self._control = self._vehicle.control
 
-    def begin(self, mask: Mask) -> None:
+    def begin(self, mask: BoolArray) -> None:
         """Start new flights in the lanes of `mask` (n,) and fly to their first decisions."""
         super().begin(mask)
         self._run(
@@ -195,7 +192,7 @@ class SiteDescentBatch(DescentBatch):
         self.mapped = mask.copy()
         self._fly_on(mask)
 
-    def decide(self, sites: Array, mask: Mask, time_scales: Array | None = None) -> None:
+    def decide(self, sites: Array, mask: BoolArray, time_scales: Array | None = None) -> None:
         """Apply site decisions of some lanes and fly to the next decision or the end.
 
         Parameters
@@ -217,7 +214,7 @@ class SiteDescentBatch(DescentBatch):
         self.mapped = np.zeros(self.count, np.bool_)
         self._fly_on(mask)
 
-    def _fly_on(self, mask: Mask) -> None:
+    def _fly_on(self, mask: BoolArray) -> None:
         """Fly to the next decision or the end, with scans on the way.
 
         Then evaluate the candidate sites of the lanes of `mask` (n,) that still fly.
@@ -252,7 +249,7 @@ class SiteDescentBatch(DescentBatch):
         with threads_for(microseconds):
             kernel(*arguments)
 
-    def scan(self, due: Mask) -> None:
+    def scan(self, due: BoolArray) -> None:
         """Take a LiDAR scan in the lanes of `due` (n,) and update their hazard maps."""
         self._run(
             m.scan, _MAP * self.count, due, self._keys, self._flight_counts, self.y, self.time,

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lunarsim.errors import InputError
 from lunarsim.scenario import Scenario
 from lunarsim.sensors.lidar import FlashLidar
-
-Array = NDArray[np.float64]
+from lunarsim.typing import Array, BoolArray
 
 
 def fov_and_footprint(scenario: Scenario) -> Array:
@@ -68,7 +66,7 @@ def scan_altitudes(scenario: Scenario) -> Array:
 
 def in_view(
     xy: Array, height: Array, lidar_position: Array, boresight: Array, view: Array
-) -> NDArray[np.bool_]:
+) -> BoolArray:
     """Return at which sites the complete footprint of the lander is in view (...,).
 
     Parameters

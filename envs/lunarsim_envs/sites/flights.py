@@ -14,13 +14,12 @@ from lunarsim.onboard.navigation.estimate import Estimate
 from lunarsim.onboard.policies import Candidates, Decision, Observation
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation
+from lunarsim.typing import Array
 from lunarsim_envs.descent.batch import FLYING
 from lunarsim_envs.descent.options import apply_options, scenario_with_options
 from lunarsim_envs.rewards import touchdown_limit_ratios
 from lunarsim_envs.sites.batch import SiteDescentBatch
 from lunarsim_envs.sites.site_inputs import SiteInputs, downsample_maps
-
-Array = NDArray[np.float64]
 
 
 class SiteFlight(Protocol):

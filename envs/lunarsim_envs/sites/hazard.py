@@ -15,6 +15,7 @@ from scipy import ndimage
 
 from lunarsim.grid import Grid
 from lunarsim.models.lander import Lander
+from lunarsim.typing import Array, BoolArray, IntArray
 from lunarsim.world.truth import TerrainTruth
 
 # Class boundaries of hazard size, and of distance to the edge, m (negative on unsafe terrain).
@@ -43,7 +44,7 @@ class TruthLayers:
 
     grid: Grid
     kind: NDArray[np.uint8]
-    safe: NDArray[np.bool_]
+    safe: BoolArray
     elevation: NDArray[np.float32]
 
     @classmethod
@@ -59,7 +60,7 @@ class TruthLayers:
         kind[~safety.observed] = UNKNOWN
         return cls(safety.grid, kind, safety.safe, truth.elevation)
 
-    def at(self, xy: ArrayLike) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
+    def at(self, xy: ArrayLike) -> tuple[NDArray[np.uint8], BoolArray]:
         """Return hazard class and safety (...,) of the cells nearest to points (..., 2).
 
         The points are in the true frame, m. Points off the map are `UNKNOWN` and not safe.
@@ -71,7 +72,7 @@ class TruthLayers:
         kind = np.where(inside, self.kind[row, col], np.uint8(UNKNOWN))
         return kind, np.asarray(inside & self.safe[row, col])
 
-    def height(self, xy: ArrayLike) -> NDArray[np.float64]:
+    def height(self, xy: ArrayLike) -> Array:
         """Return elevations of the cells nearest to points (..., 2), m; NaN off the map."""
         row, col = self.grid.cell(xy)
         inside = self.grid.contains(xy)
@@ -81,7 +82,7 @@ class TruthLayers:
 
 def hazard_size(
     slope: NDArray[np.float32], roughness: NDArray[np.float32], lander: Lander
-) -> NDArray[np.float64]:
+) -> Array:
     """Return the larger of slope and roughness, each over its limit (rows, cols).
 
     The limits are those of the lander.
@@ -103,6 +104,6 @@ def hazard_class(size: ArrayLike, distance: ArrayLike) -> NDArray[np.uint8]:
     return np.asarray(by_size * (len(DISTANCES) + 1) + by_distance, dtype=np.uint8)
 
 
-def size_class(kind: NDArray[np.uint8]) -> NDArray[np.int64]:
+def size_class(kind: NDArray[np.uint8]) -> IntArray:
     """Return the hazard-size interval (index from 0) to which each class belongs."""
     return np.asarray(kind, dtype=np.int64) // (len(DISTANCES) + 1)

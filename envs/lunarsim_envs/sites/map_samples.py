@@ -11,10 +11,9 @@ from numpy.typing import NDArray
 from lunarsim.rng import flight_seed
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation
+from lunarsim.typing import Array, BoolArray
 from lunarsim_envs.sites.field_of_view import fov_and_footprint, in_view, scan_altitudes
 from lunarsim_envs.sites.hazard import UNKNOWN, TruthLayers
-
-Array = NDArray[np.float64]
 
 # Sampling interval of map cells per axis; neighbouring cells are strongly correlated.
 EVERY = 2
@@ -49,10 +48,10 @@ class MapSample:
     altitude: float
     posting: float
     p_safe: NDArray[np.float32]
-    observed: NDArray[np.bool_]
+    observed: BoolArray
     kind: NDArray[np.uint8]
-    safe: NDArray[np.bool_]
-    viewed: NDArray[np.bool_]
+    safe: BoolArray
+    viewed: BoolArray
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lunarsim.errors import InputError
 from lunarsim.messages.measurements import LidarScan
@@ -15,12 +14,11 @@ from lunarsim.onboard.hazards.gaussian_dem.mapper import GaussianDemMapperSettin
 from lunarsim.onboard.hazards.mapper import map_grid
 from lunarsim.onboard.navigation.estimate import Estimate
 from lunarsim.scenario import Scenario
+from lunarsim.typing import BoolArray
 from lunarsim.vehicle import State
 from lunarsim_envs.sites import _map_kernels as m
-from lunarsim_envs.sites.batch import Mask, SiteDescentBatch
+from lunarsim_envs.sites.batch import SiteDescentBatch
 from lunarsim_envs.sites.field_of_view import deciding_mapper
-
-Array = NDArray[np.float64]
 
 
 class MappedDescentBatch(SiteDescentBatch):
@@ -43,13 +41,13 @@ class MappedDescentBatch(SiteDescentBatch):
         self._mappers: list[GaussianDemMapper | None] = [None] * count
         super().__init__(count, scenario, *arguments, **(settings | {"posting": part.posting}))
 
-    def begin(self, mask: Mask) -> None:
+    def begin(self, mask: BoolArray) -> None:
         """Start new flights in the lanes of `mask` (n,) and fly to their first decisions."""
         for lane in np.flatnonzero(mask):
             self._mappers[int(lane)] = None
         super().begin(mask)
 
-    def scan(self, due: Mask) -> None:
+    def scan(self, due: BoolArray) -> None:
         """Simulate a LiDAR scan in the lanes of `due` (n,) and update their maps."""
         for lane in np.flatnonzero(due):
             self._simulate_scan(int(lane))

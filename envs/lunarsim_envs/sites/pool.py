@@ -7,13 +7,13 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lunarsim.campaign.cache import default_cache_folder, open_cache
 from lunarsim.campaign.world_truth import WorldTruthProvider
 from lunarsim.errors import InputError
 from lunarsim.rng import flight_seed
 from lunarsim.scenario import Scenario
+from lunarsim.typing import Array
 from lunarsim.world import World
 from lunarsim_envs.descent.worlds import WorldPool, scenarios_by_cover
 from lunarsim_envs.sites._map_kernels import TrueTerrains
@@ -43,7 +43,7 @@ class SiteWorldPool:
     worlds: tuple[World, ...]
     terrains: WorldPool
     layers: TrueTerrains
-    shares: NDArray[np.float64]
+    shares: Array
 
     @classmethod
     def of(

@@ -8,9 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lunarsim.onboard.policies import Observation
+from lunarsim.typing import Array, BoolArray, IntArray
 from lunarsim_envs.sites import _map_kernels as m
-
-Array = NDArray[np.float64]
 
 # Cells per side of the downsampled map and of the crop around the site; spacing of the crop, m.
 MAP_CELLS, CROP_CELLS, CROP_SPACING = 48, 33, 1.0
@@ -54,10 +53,10 @@ class SiteInputs:
     p_safe: Array
     distance: Array
     cost: Array
-    count: NDArray[np.int64]
+    count: IntArray
     here: Array
     p: NDArray[np.float32]
-    seen: NDArray[np.bool_]
+    seen: BoolArray
     corner: Array
     posting: float
     small: NDArray[np.float32]
@@ -91,7 +90,7 @@ class SiteInputs:
         return out
 
 
-def downsample_maps(p: NDArray[np.float32], seen: NDArray[np.bool_]) -> NDArray[np.float32]:
+def downsample_maps(p: NDArray[np.float32], seen: BoolArray) -> NDArray[np.float32]:
     """Downsample maps to mean p_safe and observed fraction of blocks (n, 2, 48, 48).
 
     `p` and `seen` (n, rows, cols) are p_safe and the mask of observed cells.

@@ -7,13 +7,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lunarsim.errors import InputError
 from lunarsim.scenario import Scenario
+from lunarsim.typing import BoolArray, IntArray
 from lunarsim_envs.descent.batch import LATE, LIMITS
 from lunarsim_envs.sites import _sparse_kernels as k
-from lunarsim_envs.sites.batch import Mask, SiteDescentBatch
+from lunarsim_envs.sites.batch import SiteDescentBatch
 from lunarsim_envs.sites.perception import create_batch
 
 # Number of parallel lanes (results do not depend on it); spacing of the site lattice, cells; half
@@ -45,8 +45,8 @@ class FlightSummary:
     failed: dict[str, int]
     seconds: float
     propellant: float
-    by_p_safe: NDArray[np.int64]
-    safe_by_p_safe: NDArray[np.int64]
+    by_p_safe: IntArray
+    safe_by_p_safe: IntArray
 
     def __add__(self, other: FlightSummary) -> FlightSummary:
         """Return the summary of the flights of both."""
@@ -120,12 +120,12 @@ class SparseDescentBatch(SiteDescentBatch):
 
     keeps_maps = False
 
-    def begin(self, mask: Mask) -> None:
+    def begin(self, mask: BoolArray) -> None:
         """Start new flights in the lanes of `mask` (n,) and fly them to their end."""
         self.site_p_safe = np.full(self.count, np.nan)
         super().begin(mask)
 
-    def scan(self, due: Mask) -> None:
+    def scan(self, due: BoolArray) -> None:
         """Take a scan in the lanes of `due` (n,) and divert to the best lattice site."""
         side = int(2.0 * _REACH / self.maps.posting) + 1
         self._run(
@@ -134,7 +134,7 @@ class SparseDescentBatch(SiteDescentBatch):
             self.maps.posting, self.pool.layers, self.errors, self.view, self.site_p_safe,
         )  # fmt: skip
 
-    def tally(self, mask: Mask) -> FlightSummary:
+    def tally(self, mask: BoolArray) -> FlightSummary:
         """Return the summary of the ended flights of the lanes of `mask` (n,)."""
         safe = self.safe & mask
         failed = {

@@ -22,11 +22,10 @@ from lunarsim.array_files import read_arrays
 from lunarsim.atomic_arrays import atomic_write_arrays
 from lunarsim.errors import InputError, error_reason
 from lunarsim.scenario import Scenario
+from lunarsim.typing import Array
 from lunarsim_envs.sites import hazard
 from lunarsim_envs.sites._map_kernels import MapErrorModel
 from lunarsim_envs.sites.field_of_view import deciding_mapper
-
-Array = NDArray[np.float64]
 
 _FORMAT = "lunarsim surrogate 1"
 # File of the packaged surrogate.

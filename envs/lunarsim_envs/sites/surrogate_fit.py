@@ -7,13 +7,13 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import nnls
 from scipy.special import ndtr, ndtri
 from scipy.stats import rankdata
 
 from lunarsim.errors import InputError
 from lunarsim.scenario import Scenario
+from lunarsim.typing import Array
 from lunarsim_envs.sites import hazard
 from lunarsim_envs.sites.map_samples import MapSample, SampledFlight
 from lunarsim_envs.sites.surrogate import LENGTHS, MOST, NODES, Surrogate, surrogate_tables
@@ -23,8 +23,6 @@ from lunarsim_envs.sites.surrogate_maps import (
     draw_surrogate_maps,
     is_evaluated,
 )
-
-Array = NDArray[np.float64]
 
 # Minimum number of sites for a separate table of a class; smaller classes share that of their size.
 _ENOUGH = 150

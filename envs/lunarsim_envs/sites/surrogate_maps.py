@@ -7,16 +7,15 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from lunarsim.typing import Array, BoolArray, IntArray
 from lunarsim_envs.sites import hazard
 from lunarsim_envs.sites.map_samples import MapSample, SampledFlight
 from lunarsim_envs.sites.surrogate import Surrogate
 
-Array = NDArray[np.float64]
-
 _LAGS = np.arange(0, 33)
 
 
-def is_evaluated(sample: MapSample) -> NDArray[np.bool_]:
+def is_evaluated(sample: MapSample) -> BoolArray:
     """Return which cells have p_safe from the last scan and known truth (rows, cols)."""
     return np.asarray(sample.viewed & sample.observed & (sample.kind != hazard.UNKNOWN))
 
@@ -54,7 +53,7 @@ def draw_surrogate_maps(
     return out
 
 
-def correlation(fields: Sequence[Array], lags: NDArray[np.int64]) -> Array:
+def correlation(fields: Sequence[Array], lags: IntArray) -> Array:
     """Return the autocorrelation of fields, minus their means, at lags (k,) in cells."""
     top, count = np.zeros(len(lags)), np.zeros(len(lags))
     for one in fields:

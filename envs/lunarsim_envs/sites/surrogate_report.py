@@ -8,12 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from lunarsim.typing import Array, BoolArray
 from lunarsim_envs.sites import hazard
 from lunarsim_envs.sites.map_samples import MapSample, SampledFlight
 from lunarsim_envs.sites.surrogate import Surrogate
 from lunarsim_envs.sites.surrogate_maps import correlation_length, draw_surrogate_maps, is_evaluated
-
-Array = NDArray[np.float64]
 
 # Classification thresholds: safe at or above the first p_safe, unsafe below the second.
 TOLD_SAFE, TOLD_UNSAFE = 0.9, 0.5
@@ -65,12 +64,12 @@ def quality(
     return SurrogateMapQuality(tuple(named), np.array(list(named.values())))
 
 
-def _wrong_fraction(is_wrong: NDArray[np.bool_]) -> float:
+def _wrong_fraction(is_wrong: BoolArray) -> float:
     """Return the fraction of wrong classifications; NaN for fewer than 20 cells."""
     return float(is_wrong.mean()) if is_wrong.size >= 20 else float("nan")
 
 
-def _calibration_error(p: NDArray[np.float32], safe: NDArray[np.bool_]) -> float:
+def _calibration_error(p: NDArray[np.float32], safe: BoolArray) -> float:
     """Return the expected calibration error of p_safe, in ten bins."""
     tenth = np.minimum((p * 10).astype(int), 9)
     gap = 0.0

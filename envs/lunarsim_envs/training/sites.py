@@ -13,14 +13,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from lunarsim.typing import Array
 from lunarsim_envs.agents.site_network import FEATURES, SiteNetwork, features
 from lunarsim_envs.descent.batch import FLYING
 from lunarsim_envs.sites.batch import SiteDescentBatch
 from lunarsim_envs.sites.flights import site_inputs
 from lunarsim_envs.sites.observations import SITES
 from lunarsim_envs.sites.site_inputs import MAP_CELLS
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

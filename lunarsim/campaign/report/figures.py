@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 import pyarrow.compute as pc
-from numpy.typing import NDArray
 
 from lunarsim.campaign.analysis import ArmStatistics, arm_rows, column
 from lunarsim.campaign.rare_failures import RareFailureEstimate
@@ -23,6 +22,7 @@ from lunarsim.campaign.subset import SubsetChains
 from lunarsim.evaluation.comparisons import Difference, Ellipse
 from lunarsim.evaluation.reliability import bin_frequencies, calibration_error, reliability
 from lunarsim.evaluation.statistics import Proportion
+from lunarsim.typing import Array
 
 # Palette of Okabe and Ito for colour-blind readers; its grey is visible on both themes.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#8c8c8c")
@@ -336,5 +336,5 @@ def spread_plot(results: Results, metric: str, label: str) -> Plot:
     return _plot(metric, label, "Box: quartiles; whiskers: 5th and 95th percentile", traces, layout)
 
 
-def _numbers(values: NDArray[np.float64]) -> list[float]:
+def _numbers(values: Array) -> list[float]:
     return [round(float(v), 4) for v in values]

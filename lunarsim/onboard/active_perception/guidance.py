@@ -14,7 +14,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lunarsim.errors import InputError
 from lunarsim.messages.briefing import Briefing
@@ -34,9 +33,8 @@ from lunarsim.onboard.hazards.hazard_map import HazardMap
 from lunarsim.onboard.navigation.estimate import Estimate
 from lunarsim.onboard.tasking.contract import MeasurementAltitudes
 from lunarsim.parts.quantity import quantity
+from lunarsim.typing import Array
 from lunarsim.value_checks import check_finite
-
-Array = NDArray[np.float64]
 
 # A larger shift of the end of the approach is a divert.
 _DIVERT_DISTANCE_M = 1.0

@@ -13,12 +13,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from lunarsim.errors import InputError
 from lunarsim.rocks.size_distribution import golombek_cover
-
-Array = NDArray[np.float64]
+from lunarsim.typing import Array
 
 MAX_ROCK_DIAMETER_M = 4.0  # maximum rock diameter, m
 _SIZES = 16

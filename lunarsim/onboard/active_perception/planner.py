@@ -13,7 +13,6 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import qmc
 
 from lunarsim._jit import threads_for
@@ -25,8 +24,7 @@ from lunarsim.onboard.guidance.divert_cost import PathLimits
 from lunarsim.onboard.guidance.paths import APOLLO
 from lunarsim.onboard.navigation.estimate import Estimate
 from lunarsim.onboard.tasking.contract import MeasurementAltitudes
-
-Array = NDArray[np.float64]
+from lunarsim.typing import Array
 
 # Samples at which limits are checked (Simpson intervals), and at which sensors observe.
 _LIMIT_SAMPLES, _OBSERVATION_SAMPLES = 24, 24

@@ -16,7 +16,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lunarsim.messages.briefing import Briefing
 from lunarsim.models.instruments import CameraInstrument, LidarInstrument, PointedInstrument
@@ -26,8 +25,7 @@ from lunarsim.onboard.perception.detection_rates import DetectionRates
 from lunarsim.onboard.perception.shadow_model import MAX_SUN_ELEVATION, MIN_SUN_ELEVATION
 from lunarsim.onboard.perception.shape_mixture import ShapeMixture
 from lunarsim.rocks.population import RockExpectation
-
-Array = NDArray[np.float64]
+from lunarsim.typing import Array
 
 # Nodes of the direction tables (azimuth, depression) and of the sharpness table, and the number of
 # pixels or returns across the smallest rock at which the sharpness table ends.

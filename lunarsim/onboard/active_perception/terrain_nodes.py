@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lunarsim.grid import Grid
 from lunarsim.onboard.active_perception.information import entropy
 from lunarsim.onboard.hazards.hazard_map import HazardMap
 from lunarsim.onboard.policies.reachability import elevation_on_grid
-
-Array = NDArray[np.float64]
+from lunarsim.typing import Array
 
 
 def terrain_nodes(hazard_map: HazardMap, side: int, prior: float, site: Array) -> Array:

@@ -12,12 +12,10 @@ from collections.abc import Sequence
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lunarsim.models.thrusters import Thrusters
+from lunarsim.typing import Array, IntArray
 from lunarsim.value_checks import check_finite
-
-Array = NDArray[np.float64]
 
 
 class ThrusterAllocation:
@@ -72,7 +70,7 @@ class ThrusterAllocation:
         made = [self._columns.T @ self.group_thrust(axis) for axis in axes]
         return bool(np.allclose(made, axes, atol=1e-6))
 
-    def _find_optimal_bases(self) -> tuple[NDArray[np.int64], Array]:
+    def _find_optimal_bases(self) -> tuple[IntArray, Array]:
         bases, inverses = [], []
         for chosen in combinations(range(len(self._columns)), 3):
             basis = self._columns[list(chosen)].T

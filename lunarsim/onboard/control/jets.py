@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lunarsim._frame_kernels import rotation_vector_between
 from lunarsim.frames import quat_multiply
@@ -16,8 +15,7 @@ from lunarsim.onboard.control.contract import AttitudeControl
 from lunarsim.onboard.control.loop import AttitudeLoop
 from lunarsim.onboard.control.thruster_failure_detector import ThrusterFailureDetector
 from lunarsim.onboard.result_checks import checked_vector
-
-Array = NDArray[np.float64]
+from lunarsim.typing import Array
 
 # Default time between thruster commands for laws without a `period`, s.
 _DEFAULT_PERIOD_S = 0.1

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lunarsim._frame_kernels import rotation_vector_between
 from lunarsim.messages.commands import Command
@@ -12,8 +11,7 @@ from lunarsim.onboard.control import _kernels as k
 from lunarsim.onboard.control.attitude import ProportionalDerivative
 from lunarsim.onboard.control.contract import AttitudeControl
 from lunarsim.onboard.result_checks import checked_vector
-
-Array = NDArray[np.float64]
+from lunarsim.typing import Array
 
 
 class AttitudeLoop:

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lunarsim.frames import attitude_from_thrust
 from lunarsim.messages.commands import Command
 from lunarsim.models.lander import Lander
 from lunarsim.onboard.control import _kernels as k
+from lunarsim.typing import Array
 
 
 def thrust_to_command(
-    acceleration: NDArray[np.float64],
+    acceleration: Array,
     mass: float,
     lander: Lander,
     heading: float,
@@ -46,7 +46,7 @@ def thrust_to_command(
 
 
 def thrust_along(
-    acceleration: NDArray[np.float64],
+    acceleration: Array,
     mass: float,
     lander: Lander,
     heading: float,
@@ -74,7 +74,7 @@ def thrust_along(
 
 
 def thrust_lift_first(
-    acceleration: NDArray[np.float64],
+    acceleration: Array,
     mass: float,
     lander: Lander,
     heading: float,

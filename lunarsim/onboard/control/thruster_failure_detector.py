@@ -13,9 +13,8 @@ deviations.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from lunarsim.typing import Array
 
 _INITIAL_SIGMA = 0.5  # initial standard deviation of an effectiveness
 _PROCESS_SIGMA = 0.004  # process noise of an effectiveness per period

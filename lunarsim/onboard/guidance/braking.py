@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from lunarsim.errors import InputError
 from lunarsim.messages.commands import Command
@@ -22,8 +22,7 @@ from lunarsim.onboard.navigation.estimate import Estimate
 from lunarsim.onboard.result_checks import checked_command
 from lunarsim.parts import resolve, settings_of
 from lunarsim.parts.quantity import check_bounds, quantity
-
-Array = NDArray[np.float64]
+from lunarsim.typing import Array
 
 
 @dataclass(frozen=True)

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lunarsim.onboard.guidance.contract import require_finite_state
 from lunarsim.onboard.navigation.estimate import Estimate
+from lunarsim.typing import Array
 
 # Fraction of the horizontal velocity removed per second.
 _DAMPING_PER_S = 0.2
 
 
-def climb(estimate: Estimate, max_acceleration: float) -> NDArray[np.float64]:
+def climb(estimate: Estimate, max_acceleration: float) -> Array:
     """Return the thrust acceleration (3,), ENU, m/s^2, of a full-thrust climb.
 
     A part of the thrust removes the horizontal velocity.

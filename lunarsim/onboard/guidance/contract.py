@@ -7,14 +7,12 @@ from dataclasses import dataclass, field
 from typing import Any, Literal, Protocol, runtime_checkable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lunarsim.errors import InputError
 from lunarsim.onboard.hazards.hazard_map import HazardMap
 from lunarsim.onboard.navigation.estimate import Estimate
+from lunarsim.typing import Array
 from lunarsim.value_checks import check_finite
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

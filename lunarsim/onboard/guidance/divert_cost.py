@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lunarsim._jit import threads_for
 from lunarsim.errors import InputError
@@ -16,9 +15,8 @@ from lunarsim.onboard.guidance import _reach_kernels as k
 from lunarsim.onboard.guidance.contract import PhaseEnd
 from lunarsim.onboard.guidance.paths import APOLLO, PathShape
 from lunarsim.onboard.navigation.estimate import Estimate
+from lunarsim.typing import Array, BoolArray
 from lunarsim.value_checks import check_finite
-
-Array = NDArray[np.float64]
 
 _SAMPLES = 24  # Simpson intervals along a path: propellant error below 0.1 %
 _COARSE_TIMES = 14  # times-to-go of the coarse search
@@ -71,7 +69,7 @@ class DivertCost:
     peak_tilt: Array
 
     @property
-    def feasible(self) -> NDArray[np.bool_]:
+    def feasible(self) -> BoolArray:
         """Whether each site can be reached (n,)."""
         return np.isfinite(self.propellant)
 

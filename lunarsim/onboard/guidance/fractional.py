@@ -12,7 +12,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lunarsim.errors import InputError
 from lunarsim.onboard.guidance.contract import PhaseEnd
@@ -20,8 +19,7 @@ from lunarsim.onboard.guidance.path_guidance import FeedbackLaw
 from lunarsim.onboard.guidance.path_law import PathLaw
 from lunarsim.onboard.guidance.paths import PathShape
 from lunarsim.parts.quantity import quantity
-
-Array = NDArray[np.float64]
+from lunarsim.typing import Array
 
 
 def fractional_shape(gamma: float, gain: float) -> PathShape:

@@ -15,7 +15,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lunarsim.errors import InputError
 from lunarsim.messages.briefing import Briefing
@@ -23,9 +22,8 @@ from lunarsim.onboard.guidance.contract import PhaseEnd, require_finite_state
 from lunarsim.onboard.guidance.vertical import VerticalDescent
 from lunarsim.onboard.navigation.estimate import Estimate
 from lunarsim.parts.quantity import quantity
+from lunarsim.typing import Array
 from lunarsim.value_checks import check_finite
-
-Array = NDArray[np.float64]
 
 
 def gravity_turn_thrust(height: float, velocity: Array, gravity: float) -> float:

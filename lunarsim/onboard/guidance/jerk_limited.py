@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.polynomial.legendre import leggauss
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from lunarsim._jit import threads_for
 from lunarsim.errors import InputError
@@ -14,9 +14,8 @@ from lunarsim.onboard.guidance import _jerk_kernels as k
 from lunarsim.onboard.guidance.contract import PhaseEnd
 from lunarsim.onboard.guidance.paths import APOLLO, PolynomialPath
 from lunarsim.onboard.navigation.estimate import Estimate
+from lunarsim.typing import Array
 from lunarsim.value_checks import check_finite
-
-Array = NDArray[np.float64]
 
 # The integrand is the norm of a quadratic: smooth except near zeros of the thrust.
 _NODES, _WEIGHTS = leggauss(48)

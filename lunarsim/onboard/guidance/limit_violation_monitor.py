@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+
+from lunarsim.typing import Array
 
 
 @dataclass
@@ -29,7 +30,7 @@ class LimitViolationMonitor:
     _start_time: float | None = None
 
     def exceeds_duration(
-        self, command: NDArray[np.float64], mass: float, limits: tuple[float, float], time: float
+        self, command: Array, mass: float, limits: tuple[float, float], time: float
     ) -> bool:
         """Return whether a limit violation has lasted too long; restart the timer if so.
 

@@ -16,7 +16,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lunarsim.errors import InputError
 from lunarsim.messages.briefing import Briefing
@@ -34,9 +33,8 @@ from lunarsim.optimal.path import OptimalPath
 from lunarsim.optimal.planner import Planner
 from lunarsim.optimal.problem import Descent
 from lunarsim.parts.quantity import quantity
+from lunarsim.typing import Array
 from lunarsim.value_checks import check_finite
-
-Array = NDArray[np.float64]
 
 _APEX_DEPTH_M = 0.5  # depth of the glideslope's apex under the end, m; as for the polynomial laws
 _DIVERT_DISTANCE_M = 1.0  # horizontal move of the end that counts as a divert, m

@@ -7,13 +7,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from lunarsim.array_files import read_arrays
 from lunarsim.atomic_arrays import atomic_write_arrays
 from lunarsim.errors import InputError
-
-Array = NDArray[np.float64]
+from lunarsim.typing import Array
 
 DEFAULT_NETWORK_PATH = Path(__file__).parent / "trained" / "optimal.npz"
 INPUTS, OUTPUTS = 6, 4  # number of network inputs and outputs

@@ -5,15 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lunarsim.models.gravity import GravityModel
 from lunarsim.onboard.guidance.contract import PhaseEnd
 from lunarsim.onboard.guidance.paths import PathShape, PolynomialPath
 from lunarsim.onboard.navigation.estimate import Estimate
+from lunarsim.typing import Array
 from lunarsim.value_checks import check_finite
-
-Array = NDArray[np.float64]
 
 # Maps position, velocity, end and time-to-go to the required acceleration, gravity included.
 FeedbackLaw = Callable[[Array, Array, PhaseEnd, float], Array]

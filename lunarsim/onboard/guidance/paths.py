@@ -11,13 +11,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from lunarsim.errors import InputError
 from lunarsim.onboard.guidance.contract import PhaseEnd
+from lunarsim.typing import Array
 from lunarsim.value_checks import check_finite
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lunarsim.onboard.navigation.estimate import Estimate
+from lunarsim.typing import Array
 
 
 @dataclass
@@ -34,7 +34,7 @@ class PositionCorrectionLimiter:
     min_rate: float = 0.15
     rate_growth: float = 0.06
     _time: float = -np.inf
-    _position: NDArray[np.float64] | None = None
+    _position: Array | None = None
 
     def limit(self, estimate: Estimate, time_left: float) -> Estimate:
         """Return the navigation estimate with a rate-limited position, for guidance.

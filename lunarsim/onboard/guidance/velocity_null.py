@@ -9,12 +9,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lunarsim.messages.briefing import Briefing
 from lunarsim.onboard.guidance.contract import PhaseEnd, require_finite_state
 from lunarsim.onboard.navigation.estimate import Estimate
 from lunarsim.parts.quantity import check_bounds, quantity
+from lunarsim.typing import Array
 
 
 @dataclass(frozen=True)
@@ -66,7 +66,7 @@ class VelocityNullLaw:
         """Maximum tilt of the thrust, rad."""
         return self.settings.max_tilt
 
-    def command(self, estimate: Estimate, end: PhaseEnd, time: float) -> NDArray[np.float64]:
+    def command(self, estimate: Estimate, end: PhaseEnd, time: float) -> Array:
         """Return the thrust acceleration (3,), ENU, m/s^2.
 
         `end` is the touchdown state, of which only the vertical velocity is used; `time` is in s.

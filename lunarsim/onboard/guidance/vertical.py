@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lunarsim.onboard.guidance.contract import PhaseEnd, require_finite_state
 from lunarsim.onboard.navigation.estimate import Estimate
+from lunarsim.typing import Array
 
 # Maximum product of the position loop's frequency and the vehicle's lag.
 _MAX_FREQUENCY_LAG = 0.33
@@ -23,7 +23,7 @@ class TerminalDescentLaw(Protocol):
         """Current maximum tilt of the thrust from the vertical, rad."""
         ...
 
-    def command(self, estimate: Estimate, end: PhaseEnd, time: float) -> NDArray[np.float64]:
+    def command(self, estimate: Estimate, end: PhaseEnd, time: float) -> Array:
         """Return the thrust acceleration (3,), ENU, m/s^2.
 
         `end` has the position of the centre of mass at touchdown and the nominal velocity; `time`
@@ -79,7 +79,7 @@ class VerticalDescent:
         """
         return cls(gravity, frequency=min(cls.frequency, _MAX_FREQUENCY_LAG / max(lag, 1e-6)))
 
-    def command(self, estimate: Estimate, end: PhaseEnd, time: float) -> NDArray[np.float64]:
+    def command(self, estimate: Estimate, end: PhaseEnd, time: float) -> Array:
         """Return the thrust acceleration (3,), ENU, m/s^2.
 
         `end` has the position of the centre of mass at touchdown and the nominal velocity; `time`
@@ -117,9 +117,7 @@ class VerticalDescent:
             )
         )
 
-    def _limit_descent_speed(
-        self, velocity: NDArray[np.float64], height: float, planned: float
-    ) -> float:
+    def _limit_descent_speed(self, velocity: Array, height: float, planned: float) -> float:
         """Return the vertical velocity, m/s, slowed while the lander drifts too fast.
 
         `velocity` (3,) is in m/s, `height` is the height to touchdown, m, and `planned` the nominal

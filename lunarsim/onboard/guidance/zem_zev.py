@@ -14,14 +14,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lunarsim.onboard.guidance.contract import PhaseEnd
 from lunarsim.onboard.guidance.path_guidance import FeedbackLaw
 from lunarsim.onboard.guidance.path_law import PathLaw
 from lunarsim.onboard.guidance.paths import E_GUIDANCE, PathShape
-
-Array = NDArray[np.float64]
+from lunarsim.typing import Array
 
 
 def zem_zev(

@@ -11,11 +11,11 @@ from scipy import ndimage
 
 from lunarsim.errors import InputError
 from lunarsim.grid import Grid
+from lunarsim.typing import Array, BoolArray
 from lunarsim.value_checks import check_elements, check_shape
 
-Array = NDArray[np.float64]
 FloatMap = NDArray[np.float32]
-BoolMap = NDArray[np.bool_]
+BoolMap = BoolArray
 
 
 class TerrainSurface(Protocol):
@@ -152,7 +152,7 @@ class HazardMap:
         inside = np.asarray(self.grid.contains(xy), dtype=np.bool_)
         return inside if self.eligible is None else inside & self._layer_at(self.eligible, xy)
 
-    def value_at(self, xy: ArrayLike) -> NDArray[np.float64]:
+    def value_at(self, xy: ArrayLike) -> Array:
         """Return the mission value, in [0, 1], of the cells at points (..., 2).
 
         `xy` is in the estimated ENU frame, m. The result (...,) is 0 off the map.
@@ -170,7 +170,7 @@ class HazardMap:
         g = self.grid
         return np.asarray(layer[np.clip(row, 0, g.rows - 1), np.clip(col, 0, g.cols - 1)])
 
-    def p_safe_at(self, xy: ArrayLike) -> NDArray[np.float64]:
+    def p_safe_at(self, xy: ArrayLike) -> Array:
         """Return the probability of safe terrain in the cells at points (..., 2).
 
         `xy` is in the estimated ENU frame, m. The result (...,) is 0 off the map.

@@ -18,9 +18,8 @@ from lunarsim.errors import InputError
 from lunarsim.onboard.hazards.hazard_map import HazardMap, TerrainSurface
 from lunarsim.safety.calibration import MapEvidence
 from lunarsim.safety.scenario_calibration import ScenarioCalibration
+from lunarsim.typing import Array
 from lunarsim.value_checks import check_elements, check_finite, check_shape
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any, ClassVar, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lunarsim.errors import InputError
 from lunarsim.grid import Grid, check_raster_size
@@ -19,8 +18,7 @@ from lunarsim.onboard.hazards.map_evidence import FusionEvidence
 from lunarsim.onboard.hazards.scoreboard import Scoreboard
 from lunarsim.onboard.navigation.estimate import Estimate, Navigation
 from lunarsim.onboard.result_checks import wrong_result_error
-
-Array = NDArray[np.float64]
+from lunarsim.typing import Array
 
 # Tilt uncertainty (rad, 1 sigma) below which maps are not corrected: 4 cm of height at 50 m.
 NEGLIGIBLE_TILT_RAD = float(np.deg2rad(0.05))

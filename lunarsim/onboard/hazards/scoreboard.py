@@ -5,11 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lunarsim.typing import Array
 from lunarsim.value_checks import check_elements, check_shape
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lunarsim.onboard.hazards.mapper import NEGLIGIBLE_TILT_RAD
-
-Array = NDArray[np.float64]
+from lunarsim.typing import Array
 
 
 class UnleveledScans:

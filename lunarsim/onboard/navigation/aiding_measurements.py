@@ -7,7 +7,6 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from lunarsim.errors import InputError
@@ -42,9 +41,8 @@ from lunarsim.onboard.navigation.measurement_models import (
     update_with_speeds,
 )
 from lunarsim.onboard.navigation.terrain_prior import TERRAIN, TerrainPrior
+from lunarsim.typing import Array, IntArray
 from lunarsim.value_checks import check_shape, check_time
-
-Array = NDArray[np.float64]
 
 # Mean number of valid measurements per false rejection.
 _SAMPLES_PER_FALSE_REJECTION = 20_000.0
@@ -445,11 +443,11 @@ class AidingMeasurements:
         sensor: str,
         kind: str,
         outcome: UpdateOutcome,
-        columns: NDArray[np.int64],
+        columns: IntArray,
         max_sigma: Any,
         time: float,
         *,
-        drift_cause: tuple[NDArray[np.int64], Any] | None = None,
+        drift_cause: tuple[IntArray, Any] | None = None,
     ) -> MonitorResult:
         """Monitor the outcome of a measurement, and inflate the covariance after an alarm.
 
@@ -489,12 +487,12 @@ class AidingMeasurements:
         sensor: str,
         kind: str,
         result: MonitorResult,
-        columns: NDArray[np.int64],
+        columns: IntArray,
         max_sigma: Any,
         time: float,
         *,
         was_lost: bool,
-        drift_cause: tuple[NDArray[np.int64], Any] | None = None,
+        drift_cause: tuple[IntArray, Any] | None = None,
     ) -> None:
         """Inflate the covariance and record events according to the result of a monitor.
 

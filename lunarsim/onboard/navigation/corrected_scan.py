@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lunarsim.frames import quat_from_rotation_vector, quat_multiply, quat_to_matrix
 from lunarsim.grid import Grid
@@ -14,8 +13,7 @@ from lunarsim.models.instruments import LidarInstrument
 from lunarsim.onboard.navigation import _registration_kernels as kernels
 from lunarsim.onboard.navigation.inertial import StrapdownState
 from lunarsim.onboard.navigation.surface import ScanSurface, average_scan
-
-Array = NDArray[np.float64]
+from lunarsim.typing import Array
 
 # Indices of the scanner errors among the 11 errors of a scan: position (ENU, m), small rotation
 # (body axes, rad), range (m), boresight (small rotation, sensor axes, rad), latency (s).

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.linalg import cho_factor, cho_solve
 
 from lunarsim.errors import InputError
+from lunarsim.typing import Array, IntArray
 from lunarsim.value_checks import check_elements
 
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
+Index = IntArray
 
 # Relative variance added so that the correlation of nearly equal errors is positive definite.
 _REGULARISATION = 1e-9

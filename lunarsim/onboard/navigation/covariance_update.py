@@ -8,7 +8,6 @@ from functools import lru_cache
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
 from lunarsim._jit import threads_for
 from lunarsim.onboard.navigation._rock_filter_kernels import (
@@ -16,9 +15,9 @@ from lunarsim.onboard.navigation._rock_filter_kernels import (
     subtract_product_from_rows,
     subtract_square_from_rows,
 )
+from lunarsim.typing import Array, IntArray
 
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
+Index = IntArray
 
 _BLOCK = 384
 _ROWS = 64

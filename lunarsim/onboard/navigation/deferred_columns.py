@@ -11,14 +11,13 @@ be copied.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lunarsim._jit import threads_for
 from lunarsim.onboard.navigation._rock_filter_kernels import mirror_columns
+from lunarsim.typing import Array, BoolArray, IntArray
 
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
-Flags = NDArray[np.bool_]
+Index = IntArray
+Flags = BoolArray
 
 
 class DeferredColumns:

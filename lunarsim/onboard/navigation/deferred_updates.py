@@ -8,12 +8,11 @@ additive, so that several of them can be subtracted in one pass.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lunarsim.onboard.navigation.covariance_update import subtract_rows, subtract_square
+from lunarsim.typing import Array, IntArray
 
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
+Index = IntArray
 
 # Maximum number of deferred rows: a larger number does not reduce the cost per row.
 _MAX_ROWS = 256

@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.linalg import block_diag, solve_triangular
 from scipy.linalg.blas import dtrsm
 from scipy.special import chdtrc
@@ -30,10 +30,10 @@ from lunarsim.onboard.navigation.inertial import (
     checked_increments,
 )
 from lunarsim.onboard.navigation.schmidt_kalman_covariance import SchmidtKalmanCovariance
+from lunarsim.typing import Array, IntArray
 from lunarsim.value_checks import check_finite, check_shape
 
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
+Index = IntArray
 
 # Position and attitude of the lander in the error state.
 POSE = np.r_[0:3, 9:12]

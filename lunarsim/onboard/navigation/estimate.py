@@ -7,13 +7,11 @@ from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Protocol, runtime_checkable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lunarsim._frame_kernels import rotate_quaternion
 from lunarsim.frames import SiteToLocal
 from lunarsim.messages.briefing import Briefing
-
-Array = NDArray[np.float64]
+from lunarsim.typing import Array
 
 
 @dataclass(frozen=True)

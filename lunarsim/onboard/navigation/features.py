@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from lunarsim.typing import Array, BoolArray
 
 # Minimum known fraction of the square around a grid point.
 _MIN_KNOWN_SHARE = 0.6
 
 
-def subtract_plane(height: Array, known: Mask, reach: int) -> tuple[Array, Mask]:
+def subtract_plane(height: Array, known: BoolArray, reach: int) -> tuple[Array, BoolArray]:
     """Subtract from each raster height the plane fitted to its neighbourhood.
 
     The neighbourhood is a square centred on the grid point. The subtraction removes long

@@ -12,14 +12,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lunarsim.errors import InputError
 from lunarsim.models.inertial_unit import TriadErrors
 from lunarsim.models.lander import Lander
+from lunarsim.typing import Array, BoolArray
 from lunarsim.value_checks import check_elements, check_shape
-
-Array = NDArray[np.float64]
 
 # Maximum specific force and rate of any lander, m/s^2 and rad/s.
 _MAX_FORCE_M_S2, _MAX_RATE_RAD_S = 500.0, 50.0
@@ -128,7 +126,7 @@ class ScreenedSamples:
         m/s^2; 0 for none.
     """
 
-    is_missing: NDArray[np.bool_]
+    is_missing: BoolArray
     rejected: int
     jump: Array
 
@@ -174,9 +172,7 @@ class ImuOutlierDetector:
         samples = np.hstack((angle, velocity)) / self._step
         with np.errstate(invalid="ignore"):
             is_implausible = np.asarray((np.abs(samples) > self.limits.maximum).any(axis=1))
-        is_present: NDArray[np.bool_] = np.asarray(
-            np.isfinite(samples).all(axis=1) & ~is_implausible
-        )
+        is_present: BoolArray = np.asarray(np.isfinite(samples).all(axis=1) & ~is_implausible)
         rejected, jump = int(is_implausible.sum()), np.zeros(6)
         if not np.isfinite(self.limits.max_change).any():
             return ScreenedSamples(~is_present, rejected, jump)

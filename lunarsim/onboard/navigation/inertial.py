@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from lunarsim.errors import InputError
 from lunarsim.frames import is_rotation, normalised, quat_multiply, quat_to_matrix
@@ -20,9 +20,8 @@ from lunarsim.onboard.navigation.imu_outlier_rejection import (
     ImuOutlierDetector,
     ImuSampleLimits,
 )
+from lunarsim.typing import Array
 from lunarsim.value_checks import check_elements, check_finite, check_shape
-
-Array = NDArray[np.float64]
 
 # Positions in the error state (shadow EKF paper, Eq. 1).
 POSITION, VELOCITY, ACCELEROMETER = slice(0, 3), slice(3, 6), slice(6, 9)

@@ -6,13 +6,11 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lunarsim.onboard.navigation.features import subtract_plane
 from lunarsim.onboard.navigation.map_features import FeatureTile, MapFeatures
 from lunarsim.onboard.navigation.surface import ScanSurface
-
-Array = NDArray[np.float64]
+from lunarsim.typing import Array
 
 # Range of the searched shifts: standard deviations of the position, and maximum in grid points.
 _SEARCH_SIGMAS, _MAX_SHIFT_POSTS = 4.0, 60

@@ -14,13 +14,11 @@ from dataclasses import dataclass, field
 from enum import Enum
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtrc
 
 from lunarsim.errors import InputError
 from lunarsim.onboard.navigation.error_state import UpdateOutcome
-
-Array = NDArray[np.float64]
+from lunarsim.typing import Array
 
 # Fraction of the alarm thresholds below which a monitor is calm: a half plus a small margin.
 _CALM_FRACTION = 0.55

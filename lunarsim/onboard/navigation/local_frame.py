@@ -12,7 +12,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from lunarsim.frames import (
     SiteToLocal,
@@ -30,9 +30,9 @@ from lunarsim.onboard.navigation.inertial import (
     VELOCITY,
     StrapdownState,
 )
+from lunarsim.typing import Array, IntArray
 
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
+Index = IntArray
 
 _UP = np.array([0.0, 0.0, 1.0])
 

@@ -5,16 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 
 from lunarsim.errors import InputError
 from lunarsim.messages.prior_map import PriorMap
 from lunarsim.onboard.navigation import _place_kernels as k
 from lunarsim.onboard.navigation.features import subtract_plane
-
-Array = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from lunarsim.typing import Array, IntArray
 
 # Up to this grid spacing rocks and small craters are visible, m; a scan covers many of them.
 _MAX_FINE_POSTING_M = 1.0

@@ -13,8 +13,7 @@ from scipy.signal import fftconvolve
 from lunarsim.errors import InputError
 from lunarsim.messages.prior_map import PriorMap
 from lunarsim.onboard.navigation.map_features import FeatureSettings, MapFeatures
-
-Array = NDArray[np.float64]
+from lunarsim.typing import Array
 
 # Number of scales, in doublings of the grid spacing; minimum size of a feature in standard
 # deviations of the noise (one in 16,000 grid points exceeds this size without a feature).

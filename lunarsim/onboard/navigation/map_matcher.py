@@ -23,9 +23,9 @@ from lunarsim.onboard.navigation.place_search import MapMatch, PlaceSearch
 from lunarsim.onboard.navigation.registration import register_scan, solve_error
 from lunarsim.onboard.navigation.registration_settings import RegistrationSettings
 from lunarsim.onboard.navigation.scan_accumulator import ScanAccumulator
+from lunarsim.typing import Array, IntArray
 
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
+Index = IntArray
 
 # Factor on the standard deviations in the second fit of a scan that does not match.
 _WIDE_FACTOR = 20.0

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from lunarsim.typing import Array, BoolArray
 
 
 def invert_2x2(a: Array) -> Array:
@@ -31,7 +30,7 @@ def squared_mahalanobis_2x2(offset: Array, a: Array) -> Array:
     return np.asarray(square / determinant)
 
 
-def is_positive_definite_2x2(covariance: Array) -> NDArray[np.bool_]:
+def is_positive_definite_2x2(covariance: Array) -> BoolArray:
     """Return which covariances (n, 2, 2) are finite and positive definite (n,)."""
     with np.errstate(invalid="ignore"):
         determinant = np.linalg.det(covariance)

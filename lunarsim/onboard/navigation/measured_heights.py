@@ -19,14 +19,13 @@ from __future__ import annotations
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lunarsim._blas import one_blas_thread
 from lunarsim.frames import quat_to_matrix
 from lunarsim.onboard.navigation.error_state import POSE, ErrorState, UpdateOutcome
+from lunarsim.typing import Array, IntArray
 
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
+Index = IntArray
 
 # Individual and common standard deviation of a rock's height on measured terrain, m.
 INDIVIDUAL_SIGMA_M, COMMON_SIGMA_M = 0.15, 0.15

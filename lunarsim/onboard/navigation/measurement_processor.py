@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lunarsim.models.instruments import LidarInstrument
 from lunarsim.onboard.navigation.aiding_measurements import AidingMeasurements
@@ -20,9 +19,9 @@ from lunarsim.onboard.navigation.corrected_scan import (
 from lunarsim.onboard.navigation.error_state import POSE, REFERENCE_POSE, ErrorState
 from lunarsim.onboard.navigation.estimate import NavigationEvent
 from lunarsim.onboard.navigation.inertial import ATTITUDE, POSITION, VELOCITY
+from lunarsim.typing import Array, IntArray
 
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
+Index = IntArray
 
 # Maximum standard deviation of a rock coordinate after covariance inflation, m.
 _MAX_POSITION_SIGMA_M = 100.0

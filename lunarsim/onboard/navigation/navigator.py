@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from lunarsim._blas import one_blas_thread
 from lunarsim.frames import SiteToLocal, quat_from_rotation_vector, quat_to_matrix
@@ -47,8 +47,7 @@ from lunarsim.onboard.navigation.scan_odometry import (
     scan_width,
 )
 from lunarsim.onboard.navigation.terrain_prior import TerrainPrior
-
-Array = NDArray[np.float64]
+from lunarsim.typing import Array
 
 
 class Navigator(Navigation):

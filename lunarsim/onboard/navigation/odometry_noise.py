@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from lunarsim.typing import Array, BoolArray
 
 # Factor on the noise variance of a slope below which the slope is set to the median.
 _MIN_SLOPE_RATIO = 6.0
@@ -38,7 +37,7 @@ def comparison_normals(new: Array, old: Array) -> Array:
     return out
 
 
-def height_variances(normal: Array, residual: Array, used: NDArray[np.bool_]) -> Array:
+def height_variances(normal: Array, residual: Array, used: BoolArray) -> Array:
     """Estimate the height variance of each square (n,), m^2, from fit residuals.
 
     `residual` (n,), m, are the residuals, `normal` (n, 3) the terrain normals, and `used` (n,)

@@ -14,10 +14,8 @@ from lunarsim.errors import InputError
 from lunarsim.onboard.navigation.features import subtract_plane
 from lunarsim.onboard.navigation.map_features import FeatureTile, MapFeatures
 from lunarsim.onboard.navigation.submap import Submap
+from lunarsim.typing import Array, BoolArray, IntArray
 from lunarsim.value_checks import check_finite, check_shape, check_time
-
-Array = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 # Places with a log probability this far below the maximum are not evaluated further.
 _MAX_LOG_DEFICIT = 14.0
@@ -318,7 +316,7 @@ class PlaceSearch:
         return [self._cut_tile(key, height, known) for key in complete]
 
     def _cut_tile(
-        self, tile_index: tuple[int, int], height: Array, known: NDArray[np.bool_]
+        self, tile_index: tuple[int, int], height: Array, known: BoolArray
     ) -> _SampledTile:
         """Cut a tile, sampled at every half grid spacing, out of the scanned terrain.
 

@@ -5,16 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lunarsim.messages.prior_map import PriorMap
 from lunarsim.onboard.navigation.corrected_scan import CorrectedScan
 from lunarsim.onboard.navigation.initial_shift import find_initial_shift
 from lunarsim.onboard.navigation.map_features import MapFeatures
 from lunarsim.onboard.navigation.surface import ScanSurface, average_scan
-
-Array = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from lunarsim.typing import Array, BoolArray, IntArray
 
 # The scan position is unambiguous if this number of standard deviations is below half the grid
 # spacing of the map, or if the best shift has this probability.
@@ -104,7 +101,7 @@ def fit_residuals(
     )
 
 
-def _is_on_map(surface: ScanSurface, prior: PriorMap) -> NDArray[np.bool_]:
+def _is_on_map(surface: ScanSurface, prior: PriorMap) -> BoolArray:
     """Return which squares of a scan lie on known grid points of a map (n,)."""
     g, row, col = prior.grid, surface.row, surface.col
     inside = (col >= 0) & (col < g.cols) & (row >= 0) & (row < g.rows)

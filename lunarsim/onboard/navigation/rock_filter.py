@@ -11,7 +11,7 @@ one update, which equals the sequential updates.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from lunarsim._blas import one_blas_thread
 from lunarsim._jit import threads_for
@@ -40,9 +40,9 @@ from lunarsim.onboard.navigation.rock_projection import RockProjection, project_
 from lunarsim.onboard.navigation.rock_states import ROCK_DIM, RockStates
 from lunarsim.onboard.navigation.terrain_kriging import intersect_lines
 from lunarsim.onboard.navigation.terrain_prior import TerrainPrior
+from lunarsim.typing import Array, BoolArray, IntArray
 
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
+Index = IntArray
 
 # Minimum rotation of the view (rad), or relative change of the range, for a process-noise step.
 _MIN_VIEW_CHANGE = 0.02
@@ -535,7 +535,7 @@ class RockFilter(RockStates):
         p[np.ix_(level, level)] = 0.5 * (block + block.T)
 
 
-def _is_near_region(xy: Array, per_drop: Array, region: MapRegion) -> NDArray[np.bool_]:
+def _is_near_region(xy: Array, per_drop: Array, region: MapRegion) -> BoolArray:
     """Return which points (n, 2), m, can lie inside a region or its margin.
 
     `region` are the west, east, south and north limits of the region, m. The points were found on

@@ -5,13 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lunarsim.frames import quat_to_matrix
 from lunarsim.models.camera import CameraModel
 from lunarsim.onboard.navigation.inertial import StrapdownState
-
-Array = NDArray[np.float64]
+from lunarsim.typing import Array
 
 
 @dataclass(frozen=True)

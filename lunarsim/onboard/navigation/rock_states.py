@@ -14,7 +14,7 @@ measurement, rocks with a larger height error are corrected by it (`measured_hei
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from lunarsim.errors import InputError
 from lunarsim.onboard.navigation.error_state import MAP, POSE, ErrorState, UpdateOutcome
@@ -31,9 +31,9 @@ from lunarsim.onboard.navigation.terrain_kriging import (
     kriging_weights,
 )
 from lunarsim.onboard.navigation.terrain_prior import TERRAIN, TerrainPrior
+from lunarsim.typing import Array, BoolArray, IntArray
 
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
+Index = IntArray
 
 # Number of coordinates of a rock: east, north and height.
 ROCK_DIM = 3
@@ -88,7 +88,7 @@ class RockStates:
         """Add a correction of the error state (size,) to the rock positions."""
         self.xyz[:] += error[self.first :].reshape(-1, ROCK_DIM)
 
-    def freeze(self, rocks: NDArray[np.bool_]) -> None:
+    def freeze(self, rocks: BoolArray) -> None:
         """Stop correcting the marked rocks (n,) by measurements, until the next call.
 
         New rocks are not frozen. Correlations between frozen and other errors are still updated, so

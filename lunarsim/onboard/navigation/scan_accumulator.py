@@ -5,14 +5,12 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lunarsim.frames import quat_to_matrix
 from lunarsim.onboard.navigation import _kriging_kernels as kernels
 from lunarsim.onboard.navigation.corrected_scan import CorrectedScan
 from lunarsim.onboard.navigation.submap import Submap
-
-Array = NDArray[np.float64]
+from lunarsim.typing import Array
 
 # Squares per grid spacing of the map in which scans are averaged. The second number is the ratio of
 # covered grid points to grid points that must agree; points at the edge have no slope.

@@ -10,12 +10,10 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lunarsim.errors import InputError
 from lunarsim.messages.measurements import LidarScan
-
-Array = NDArray[np.float64]
+from lunarsim.typing import Array
 
 # A range is a spike if it differs from three of its four neighbours, in the same direction, by more
 # than this distance (m) plus a number of standard deviations.

@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lunarsim.grid import Grid
 from lunarsim.messages.measurements import LidarScan
@@ -21,8 +20,7 @@ from lunarsim.onboard.navigation.registration import (
 )
 from lunarsim.onboard.navigation.registration_settings import RegistrationSettings
 from lunarsim.onboard.navigation.surface import ScanSurface
-
-Array = NDArray[np.float64]
+from lunarsim.typing import Array, IntArray
 
 # Maximum plausible range, m.
 _MAX_RANGE_M = 20_000.0
@@ -203,7 +201,7 @@ def _difference_jacobian(
     old: CorrectedScan,
     points: Array,
     normals: Array,
-    scanner_indices: NDArray[np.int64],
+    scanner_indices: IntArray,
 ) -> Array:
     """Return the Jacobian (n, d) of the difference between points of two scans.
 
@@ -252,7 +250,7 @@ def scan_width(scan: LidarScan) -> float:
     return float(2.0 * reach * np.sqrt(max(1.0 - cosine**2, 0.0)))
 
 
-def _common_squares(a: ScanSurface, b: ScanSurface) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _common_squares(a: ScanSurface, b: ScanSurface) -> tuple[IntArray, IntArray]:
     """Return the indices in `a` and in `b` of the grid squares that both contain."""
     if len(a) == 0 or len(b) == 0:
         return np.zeros(0, np.int64), np.zeros(0, np.int64)

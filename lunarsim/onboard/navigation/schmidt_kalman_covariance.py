@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from lunarsim._blas import one_blas_thread
 from lunarsim.onboard.navigation.covariance_update import subtract_square
 from lunarsim.onboard.navigation.deferred_columns import DeferredColumns
 from lunarsim.onboard.navigation.deferred_updates import DeferredUpdates
+from lunarsim.typing import Array, BoolArray, IntArray
 
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
+Index = IntArray
 
 
 class SchmidtKalmanCovariance:
@@ -50,7 +50,7 @@ class SchmidtKalmanCovariance:
         return self.head + self.tail
 
     @property
-    def is_frozen(self) -> NDArray[np.bool_]:
+    def is_frozen(self) -> BoolArray:
         """Whether each error of the tail is frozen (tail,).
 
         The array is empty before the first call of `freeze_tail`.
@@ -87,7 +87,7 @@ class SchmidtKalmanCovariance:
             first, second = np.where(is_swapped, second, first), np.where(is_swapped, first, second)
         return np.asarray(self._p[first, second])
 
-    def _are_frozen(self, indices: ArrayLike) -> NDArray[np.bool_]:
+    def _are_frozen(self, indices: ArrayLike) -> BoolArray:
         """Return which of the errors with given indices (...) are frozen."""
         behind = np.asarray(indices) - self.head
         known = (behind >= 0) & (behind < len(self._frozen))
@@ -173,7 +173,7 @@ class SchmidtKalmanCovariance:
             p[others[:, None], indices] = rows[:, others].T
             self._columns.is_outdated = True
 
-    def freeze_tail(self, is_frozen: NDArray[np.bool_]) -> None:
+    def freeze_tail(self, is_frozen: BoolArray) -> None:
         """Freeze the tail errors that `is_frozen` (tail,) marks, until the next call.
 
         Measurements of other errors change neither the frozen errors nor the covariance among them,

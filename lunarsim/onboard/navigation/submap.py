@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from lunarsim.typing import Array, BoolArray
 
 # Maximum number of squares per side: a scan that grazes the horizon covers an unlimited area.
 _MAX_SQUARES = 3000
@@ -92,7 +91,7 @@ class Submap:
         xy = place * self._side + (self._west, self._south)
         return np.column_stack((xy, self._sum[row, col] / self._count[row, col]))
 
-    def block_means(self) -> tuple[Array, NDArray[np.bool_]]:
+    def block_means(self) -> tuple[Array, BoolArray]:
         """Return mean heights over blocks of 2 x 2 squares, m, and which are known.
 
         Element (i, j) is the mean over the squares (i, j) to (i + 1, j + 1) after `first`. If the

@@ -5,13 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lunarsim.grid import Grid
 from lunarsim.onboard.navigation import _registration_kernels as k
-
-Array = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from lunarsim.typing import Array, IntArray
 
 
 @dataclass(frozen=True)

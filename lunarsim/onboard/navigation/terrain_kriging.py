@@ -8,13 +8,12 @@ the height of a point as a weighted mean of its neighbours' heights, with the er
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lunarsim._jit import threads_for
 from lunarsim.onboard.navigation import _kriging_kernels as kernels
+from lunarsim.typing import Array, IntArray
 
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
+Index = IntArray
 
 # Standard deviation of rock heights at the same place, m: burial depth and relief within a metre.
 _LOCAL_HEIGHT_SIGMA_M = 0.05

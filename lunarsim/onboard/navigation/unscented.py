@@ -20,7 +20,7 @@ from filterpy.kalman import (
     UnscentedKalmanFilter,
     unscented_transform,
 )
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from lunarsim.errors import InputError
 from lunarsim.frames import (
@@ -70,9 +70,8 @@ from lunarsim.onboard.navigation.measurement_models import (
 from lunarsim.onboard.navigation.measurement_sequencer import MeasurementSequencer
 from lunarsim.onboard.navigation.terrain_prior import TerrainPrior
 from lunarsim.parts.quantity import check_bounds, quantity
+from lunarsim.typing import Array
 from lunarsim.value_checks import check_shape
-
-Array = NDArray[np.float64]
 
 STATES = 10
 _LINEAR, _MASS = slice(0, 9), 9

@@ -6,11 +6,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lunarsim.errors import InputError, check_types
-
-Array = NDArray[np.float64]
+from lunarsim.typing import Array
 
 # Standard deviation of a uniform distribution over one pixel.
 _PIXEL_SIGMA = 12.0**-0.5

@@ -30,10 +30,8 @@ from lunarsim.onboard.perception.sun_direction import (
     observation_scatter_factor,
     unit_vector,
 )
+from lunarsim.typing import Array, BoolArray
 from lunarsim.value_checks import check_elements, check_finite, check_shape
-
-Array = NDArray[np.float64]
-
 
 # The threshold enlarges patches: typical ratio of measured to expected area, and the fraction of it
 # below which a patch is taken for several merged shadows.
@@ -190,7 +188,7 @@ class Detections:
         place[self.label] = np.arange(1, len(self) + 1)
         return np.asarray(place[self.labels])
 
-    def with_invalid(self, invalid: NDArray[np.bool_]) -> Detections:
+    def with_invalid(self, invalid: BoolArray) -> Detections:
         """Return a copy with an excluded patch of the `invalid` pixels (height, width)."""
         if not invalid.any():
             return self

@@ -5,12 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lunarsim.onboard.perception import _image_quality_kernels as kernels
 from lunarsim.onboard.perception.detector import Detections
-
-Array = NDArray[np.float64]
 
 # Minimum brightness step of an edge relative to lit terrain, and as a multiple of the noise,
 # because noise alone can make edges of single pixels.

@@ -11,11 +11,10 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from lunarsim.models.pinhole import View
-
-Array = NDArray[np.float64]
+from lunarsim.typing import Array
 
 
 class LevelledView(View):

@@ -28,9 +28,9 @@ from lunarsim.onboard.perception.sun_angle import (
     mean_angle,
     viewing_angles,
 )
+from lunarsim.typing import Array, IntArray
 
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
+Index = IntArray
 Complex = NDArray[np.complex128]
 
 # Range of q: smaller patches are completely grey, and in larger ones optics contribute little grey.

@@ -24,8 +24,7 @@ from lunarsim.models.pose import Pose
 from lunarsim.onboard.perception.detector import Detections
 from lunarsim.onboard.perception.edge_widths import MIN_WIDTH, EdgeWidths, edge_widths
 from lunarsim.onboard.perception.sun_angle import SunAngle
-
-Array = NDArray[np.float64]
+from lunarsim.typing import BoolArray
 
 # Stride of the pixels and rows from which fractions of the image are estimated.
 _PIXEL_STRIDE = 4
@@ -277,7 +276,7 @@ class ImageQualityCheck:
         )
 
     def _check_counts(
-        self, image: NDArray[Any], below_horizon: NDArray[np.bool_], metrics: dict[str, float]
+        self, image: NDArray[Any], below_horizon: BoolArray, metrics: dict[str, float]
     ) -> ImageRejection | None:
         """Check the pixels of an image; return the first fault, or None.
 
@@ -455,7 +454,7 @@ def _lit_brightness(pixels: NDArray[Any]) -> float:
     return float(np.median(shown[shown >= 0.5 * np.percentile(shown, 90.0)]))
 
 
-def _looks_down(view: View) -> NDArray[np.bool_]:
+def _looks_down(view: View) -> BoolArray:
     """Return which sampled pixels (rows, cols) are below the horizon."""
     u = (np.arange(0, view.width, _PIXEL_STRIDE) - view.cx) / view.fx
     v = (np.arange(0, view.height, _PIXEL_STRIDE) - view.cy) / view.fy
@@ -463,7 +462,7 @@ def _looks_down(view: View) -> NDArray[np.bool_]:
     return np.asarray(up[0] * u + up[1] * v[:, None] + up[2] < 0.0)
 
 
-def _missing_lines(image: NDArray[Any], below_horizon: NDArray[np.bool_], lit: float) -> float:
+def _missing_lines(image: NDArray[Any], below_horizon: BoolArray, lit: float) -> float:
     """Return the fraction of rows or columns of terrain that were not read out.
 
     `below_horizon` marks the sampled pixels that show terrain, and `lit` is the
@@ -491,7 +490,7 @@ def _missing_lines(image: NDArray[Any], below_horizon: NDArray[np.bool_], lit: f
     return highest
 
 
-def _exclude_sky(below_horizon: NDArray[np.bool_], dark: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _exclude_sky(below_horizon: BoolArray, dark: BoolArray) -> BoolArray:
     """Return which image lines (n,) show terrain, without dark lines next to the sky.
 
     `below_horizon` and `dark` (n,) mark the lines below the horizon and the dark lines.

@@ -30,8 +30,8 @@ from lunarsim.onboard.perception.shadow_model import (
 )
 from lunarsim.rocks.field import RockModel
 from lunarsim.rocks.rock_on_plane import RockOnPlane
+from lunarsim.typing import Array
 
-Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 # Minimum Sun elevation at which grey pixels are lit faces, not tips of shadows.

@@ -5,13 +5,12 @@ from __future__ import annotations
 from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lunarsim.onboard.perception.ground_plane import GroundPlane
 from lunarsim.onboard.perception.shadow_model import ShadowModel
 from lunarsim.onboard.perception.shape_mixture import ShapeMixture
+from lunarsim.typing import Array
 
-Array = NDArray[np.float64]
 Model = TypeVar("Model", ShadowModel, ShapeMixture, ShadowModel | ShapeMixture)
 
 

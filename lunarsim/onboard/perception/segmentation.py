@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lunarsim.errors import InputError
+from lunarsim.typing import BoolArray
 
 # Reduction factor of the image for the brightness of lit terrain.
 _GROUND_SCALE = 8
@@ -55,7 +56,7 @@ class Segmentation:
     brightness: NDArray[np.uint8]
     relative: NDArray[np.float32]
     relative_to_lit_terrain: NDArray[np.float32]
-    left_out: NDArray[np.bool_] | None = None
+    left_out: BoolArray | None = None
 
 
 def segment(image: ArrayLike, *, gamma: float = 0.7, window: float = 0.12) -> Segmentation:
@@ -113,7 +114,7 @@ def segment(image: ArrayLike, *, gamma: float = 0.7, window: float = 0.12) -> Se
     return Segmentation(dark, deep, _gamma_corrected(relative, gamma), relative, ratio, left_out)
 
 
-def _no_shadows(shape: tuple[int, ...], left_out: NDArray[np.bool_] | None) -> Segmentation:
+def _no_shadows(shape: tuple[int, ...], left_out: BoolArray | None) -> Segmentation:
     """Return a segmentation without shadows for an image of a shape.
 
     `left_out` marks the pixels that are not finite.

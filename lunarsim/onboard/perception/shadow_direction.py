@@ -24,10 +24,10 @@ from lunarsim.onboard.perception.sun_angle import (
     mean_angle,
     viewing_angles,
 )
+from lunarsim.typing import Array, BoolArray, IntArray
 from lunarsim.value_checks import check_shape
 
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
+Index = IntArray
 
 # Brightness of a lit face relative to the terrain, and its maximum distance from the shadow, pixels
 # (or 0.7 q, whichever is larger).
@@ -225,7 +225,7 @@ def _face_errors(
     sun: Array,
     model: ShadowModel | ShapeMixture,
     threshold: float,
-) -> tuple[NDArray[np.complex128], NDArray[np.bool_]]:
+) -> tuple[NDArray[np.complex128], BoolArray]:
     """Return the angles from expected to measured face directions as unit vectors.
 
     A face direction points from the lit face of a rock to its dark patch. The vectors (n,) are

@@ -15,7 +15,6 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import ndtr
 
 from lunarsim.errors import InputError
@@ -24,8 +23,7 @@ from lunarsim.onboard.perception._table_kernels import interpolate_table
 from lunarsim.onboard.perception.table_cache import cached_table
 from lunarsim.rocks.field import RockModel
 from lunarsim.rocks.rock_on_plane import RockOnPlane
-
-Array = NDArray[np.float64]
+from lunarsim.typing import Array
 
 # Tabulated directions: depression of the camera, and azimuth from the Sun.
 _DEPRESSIONS = np.radians([8.0, 15.0, 22.0, 30.0, 40.0, 50.0, 60.0, 70.0, 80.0, 90.0])

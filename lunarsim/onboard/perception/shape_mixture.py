@@ -16,7 +16,6 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lunarsim.onboard.perception.shadow_model import (
     ShadowModel,
@@ -25,8 +24,7 @@ from lunarsim.onboard.perception.shadow_model import (
     tabulated_elevation,
 )
 from lunarsim.rocks.field import RockModel
-
-Array = NDArray[np.float64]
+from lunarsim.typing import Array
 
 # Shapes of rocks: low and rounded; rounded or faceted and half as high as wide (the mean of lunar
 # rocks is 0.54: Demidov and Basilevsky 2014); the same nearly as high as wide; embedded cubes;

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from lunarsim.models.pinhole import View
 from lunarsim.onboard.perception.detector import Detections
+from lunarsim.typing import Array
 
-Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 # Prior scatter (rad) of the directions of single shadows, and the number of shadows that it is

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from lunarsim.errors import InputError
 from lunarsim.onboard.perception.shadow_model import MAX_SUN_ELEVATION, MIN_SUN_ELEVATION
-
-Array = NDArray[np.float64]
+from lunarsim.typing import Array
 
 # Sun elevation at which the scatter between observations was determined, rad.
 _REFERENCE_ELEVATION_RAD = float(np.deg2rad(20.0))

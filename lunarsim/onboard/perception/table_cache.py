@@ -10,12 +10,10 @@ from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lunarsim.atomic_arrays import atomic_write_arrays
+from lunarsim.typing import Array
 from lunarsim.user_cache import user_cache
-
-Array = NDArray[np.float64]
 
 _PACKAGE = Path(__file__).parents[2]
 # Source files on which the shadow tables depend.

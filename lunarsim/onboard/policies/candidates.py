@@ -5,15 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lunarsim.onboard.guidance.divert_cost import DivertCost
 from lunarsim.onboard.hazards.hazard_map import FloatMap, HazardMap
 from lunarsim.onboard.hazards.scoreboard import Scoreboard
 from lunarsim.onboard.policies.contract import Candidates
 from lunarsim.onboard.policies.reachability import ReachabilityMap
-
-Array = NDArray[np.float64]
+from lunarsim.typing import Array, BoolArray, IntArray
 
 # For each of these values of p_safe, the nearest site above the value is also a candidate.
 SAFETY_LEVELS = (0.99, 0.95, 0.8, 0.5)
@@ -25,7 +23,7 @@ _DISTANCE_WEIGHT = 1e-3
 
 def best_cells(
     aim: FloatMap, distance: Array, posting: float, count: int, separation: float
-) -> NDArray[np.int64]:
+) -> IntArray:
     """Return the `count` cells with the highest safety, at least `separation` apart.
 
     Fewer cells are returned if no others have a positive probability. Of equally safe cells, the
@@ -46,7 +44,7 @@ def best_cells(
 
     Returns
     -------
-    NDArray[np.int64]
+    IntArray
         Row and column of each cell (n, 2), best first.
     """
     penalty = np.float32(_DISTANCE_WEIGHT / 100.0) * distance.astype(np.float32)
@@ -142,7 +140,7 @@ def candidate_sites(
     )  # fmt: skip
 
 
-def _is_safest_unreachable(aim: FloatMap, feasible: NDArray[np.bool_]) -> bool:
+def _is_safest_unreachable(aim: FloatMap, feasible: BoolArray) -> bool:
     """Return whether an unreachable site is safer than all reachable ones.
 
     `aim` is the probability of safe terrain at each site (n,); `feasible` marks reachable sites.
@@ -153,7 +151,7 @@ def _is_safest_unreachable(aim: FloatMap, feasible: NDArray[np.bool_]) -> bool:
 
 
 def _replace_unreachable(
-    sites: tuple[Array, Array, list[str]], feasible: NDArray[np.bool_],
+    sites: tuple[Array, Array, list[str]], feasible: BoolArray,
     more: tuple[Array, list[str]],
 ) -> tuple[Array, Array, list[str]]:  # fmt: skip
     """Return sites with the unreachable ones replaced by newly found reachable sites.
@@ -192,7 +190,7 @@ def _proposed_sites(
 
 def _proposed_cells(
     aim: FloatMap, distance: Array, posting: float, count: int, separation: float, mapper: str
-) -> tuple[NDArray[np.int64], list[str]]:
+) -> tuple[IntArray, list[str]]:
     """Return the safest cells and the nearest cell above each p_safe threshold.
 
     `aim` (probability of safe terrain) and `distance` (m) are given for each cell (rows, cols);
@@ -224,7 +222,7 @@ def _eligible_ranked(hazard_map: HazardMap, scoreboard: Scoreboard | None) -> tu
     return scoreboard.position[is_eligible], scoreboard.score[is_eligible]
 
 
-def _terrain_positions(hazard_map: HazardMap, cells: NDArray[np.int64], site: Array) -> Array:
+def _terrain_positions(hazard_map: HazardMap, cells: IntArray, site: Array) -> Array:
     """Return the centres of cells (n, 2) as positions (n, 3), m, at mapped height.
 
     Where the map has no height, the height of `site` (3,) is used.

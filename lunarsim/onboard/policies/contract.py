@@ -7,7 +7,6 @@ from numbers import Real
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lunarsim.errors import InputError
 from lunarsim.onboard.hazards.hazard_map import HazardMap
@@ -15,9 +14,8 @@ from lunarsim.onboard.hazards.scoreboard import Scoreboard
 from lunarsim.onboard.navigation.estimate import Estimate
 from lunarsim.onboard.policies.reachability import ReachabilityMap
 from lunarsim.onboard.result_checks import checked_vector, wrong_result_error
+from lunarsim.typing import Array, BoolArray
 from lunarsim.value_checks import check_elements
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -83,7 +81,7 @@ class Candidates:
         return len(self.position)
 
     @property
-    def reachable(self) -> NDArray[np.bool_]:
+    def reachable(self) -> BoolArray:
         """Whether the lander can fly to each site within its limits (n,)."""
         return np.isfinite(self.propellant)
 

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from lunarsim.onboard.hazards.hazard_map import FloatMap, HazardMap
 from lunarsim.onboard.navigation.estimate import Estimate
-
-Array = NDArray[np.float64]
+from lunarsim.typing import Array
 
 # Upper limit of the expected landing error, m. With larger errors no site can be selected anyway.
 MAX_EXPECTED_MISS_M = 30.0

@@ -6,14 +6,14 @@ from collections.abc import Callable
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from lunarsim.grid import Grid
 from lunarsim.onboard.guidance.divert_cost import DivertCost
 from lunarsim.onboard.hazards.hazard_map import HazardMap
+from lunarsim.typing import Array, BoolArray
 
-Array = NDArray[np.float64]
-BoolMap = NDArray[np.bool_]
+BoolMap = BoolArray
 
 _MAX_CELLS_PER_SIDE = 100
 

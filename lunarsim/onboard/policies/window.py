@@ -9,14 +9,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from lunarsim.errors import InputError
 from lunarsim.frames import quat_to_matrix
 from lunarsim.onboard.navigation.estimate import Estimate
 from lunarsim.parts.quantity import check_bounds, quantity
-
-Array = NDArray[np.float64]
+from lunarsim.typing import Array, BoolArray
 
 
 @dataclass(frozen=True)
@@ -84,7 +83,7 @@ class CrewWindow:
         look = np.arctan2(-body[..., 2], ahead)
         return look, np.arctan2(left, np.hypot(ahead, body[..., 2]))
 
-    def sees(self, estimate: Estimate, sites: ArrayLike) -> NDArray[np.bool_]:
+    def sees(self, estimate: Estimate, sites: ArrayLike) -> BoolArray:
         """Return which sites (..., 3), local frame, m, are visible in the window (...,)."""
         look, lateral = self.angles(estimate, sites)
         inside = (look >= self.upper_edge) & (look <= self.lower_edge)

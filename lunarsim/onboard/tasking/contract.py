@@ -6,13 +6,11 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lunarsim.messages.briefing import Briefing
 from lunarsim.messages.commands import SensorTask
 from lunarsim.onboard.navigation.estimate import Estimate
-
-Array = NDArray[np.float64]
+from lunarsim.typing import Array
 
 
 @dataclass(frozen=True)

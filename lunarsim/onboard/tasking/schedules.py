@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lunarsim.errors import InputError
 from lunarsim.messages.briefing import Briefing
@@ -14,8 +13,7 @@ from lunarsim.messages.commands import SensorTask
 from lunarsim.models.gimbal import gimbal_mount
 from lunarsim.onboard.tasking.contract import MeasurementAltitudes, Situation
 from lunarsim.parts.quantity import quantity
-
-Array = NDArray[np.float64]
+from lunarsim.typing import Array
 
 _DOWN = np.array([0.0, 0.0, -1.0])
 

@@ -8,7 +8,6 @@ from typing import Any
 
 import casadi
 import numpy as np
-from numpy.typing import NDArray
 
 from lunarsim.optimal.six_dof.motion import (
     CONTROLS,
@@ -18,8 +17,7 @@ from lunarsim.optimal.six_dof.motion import (
     limit_function,
 )
 from lunarsim.optimal.six_dof.scale import LIMITS, PARAMETERS, Scale
-
-Array = NDArray[np.float64]
+from lunarsim.typing import Array
 
 _INPUTS = STATES + CONTROLS + 1
 _ROWS = STATES + len(SHARES) * LIMITS

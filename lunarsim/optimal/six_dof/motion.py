@@ -11,12 +11,10 @@ from typing import Any
 
 import casadi
 import numpy as np
-from numpy.typing import NDArray
 
 from lunarsim.optimal.six_dof.problem import RigidDescent
 from lunarsim.optimal.units import Units
-
-Array = NDArray[np.float64]
+from lunarsim.typing import Array
 
 STATES, CONTROLS = 15, 4
 # Fractions of an interval for its integration steps: the engine responds within the first ones.

@@ -6,15 +6,13 @@ from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from lunarsim.errors import InputError
 from lunarsim.models.lander import Lander
 from lunarsim.optimal.problem import Descent
 from lunarsim.optimal.validation import is_number, numbers
-
-Array = NDArray[np.float64]
+from lunarsim.typing import Array
 
 
 class InitialState(Protocol):

@@ -11,14 +11,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 
 from lunarsim.optimal.six_dof.linearised import LinearisedPath
 from lunarsim.optimal.six_dof.motion import CONTROLS, SHARES, STATES
 from lunarsim.optimal.six_dof.scale import EFFORT, LIMITS, Scale
-
-Array = NDArray[np.float64]
+from lunarsim.typing import Array
 
 # Penalty on virtual controls, relative to the final mass as a fraction of the initial mass.
 _VIRTUAL_CONTROL_PENALTY = 1e6

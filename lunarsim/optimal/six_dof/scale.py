@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lunarsim.optimal.six_dof.guess import InitialGuess
 from lunarsim.optimal.six_dof.motion import (
@@ -19,8 +18,7 @@ from lunarsim.optimal.six_dof.motion import (
 )
 from lunarsim.optimal.six_dof.problem import RigidDescent
 from lunarsim.optimal.units import Units
-
-Array = NDArray[np.float64]
+from lunarsim.typing import Array
 
 LIMITS = 4
 PARAMETERS = 23

@@ -15,7 +15,6 @@ from typing import Any
 
 import numpy as np
 import qoco
-from numpy.typing import NDArray
 
 from lunarsim.optimal.errors import SolverError
 from lunarsim.optimal.six_dof.guess import InitialGuess, initial_guess
@@ -25,8 +24,7 @@ from lunarsim.optimal.six_dof.problem import RigidDescent
 from lunarsim.optimal.six_dof.program import ProgramLayout, QuadraticProgram
 from lunarsim.optimal.six_dof.scale import Scale
 from lunarsim.optimal.validation import count
-
-Array = NDArray[np.float64]
+from lunarsim.typing import Array
 
 # Penalties on steps, relative to the final mass as a fraction of the initial mass: initial value,
 # bounds, and value of the final joining programs.

@@ -4,11 +4,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lunarsim._jit import kernel, prange
-
-Array = NDArray[np.float64]
+from lunarsim.typing import Array, BoolArray
 
 
 @kernel(inline=True, inner=True)
@@ -22,7 +20,7 @@ def interpolate(values: Array, row: float, column: float) -> float:
 
 
 @kernel(parallel=True)
-def lit_posts(z: Array, posting: float, sun: Array) -> NDArray[np.bool_]:
+def lit_posts(z: Array, posting: float, sun: Array) -> BoolArray:
     """Return which grid points (rows, cols) of a relief see the centre of the Sun.
 
     `z` are elevations, m (NaN casts no shadow), `posting` is the grid spacing, m, and `sun` the

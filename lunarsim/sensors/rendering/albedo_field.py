@@ -8,9 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lunarsim.sensors.rendering.shading_model import ALBEDO_FIELD_RANGE
+from lunarsim.typing import Array
 from lunarsim.world.light import Light
-
-Array = NDArray[np.float64]
 
 _SIDE = 1024
 # Texels per correlation length.

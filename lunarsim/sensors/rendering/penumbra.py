@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import moderngl
 import numpy as np
-from numpy.typing import NDArray
 
 from lunarsim.sensors.rendering.programs import BLOCK, BOUNDS, SHADOW, disable_filtering
 from lunarsim.sensors.rendering.shadow_frame import ShadowFrame
 from lunarsim.sensors.rendering.target import ShadowMap
-
-Array = NDArray[np.float64]
+from lunarsim.typing import Array
 
 # Maximum search distance for an edge, blocks of the shadow map.
 _MAX_SEARCH_BLOCKS = 128

@@ -15,8 +15,6 @@ from lunarsim.sensors.rendering.context import shader
 from lunarsim.sensors.rendering.relief_tiles import LEVELS, level_mesh
 from lunarsim.sensors.rendering.shading_model import ShadingModel
 
-Array = NDArray[np.float64]
-
 
 def float_texture(ctx: moderngl.Context, data: NDArray[Any]) -> moderngl.Texture:
     """Create a float32 texture without filtering from an array (rows, cols, channels).

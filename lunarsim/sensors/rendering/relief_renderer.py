@@ -11,9 +11,8 @@ from lunarsim.sensors.rendering.programs import CORNERS, float_texture, tile_mes
 from lunarsim.sensors.rendering.relief_tiles import BLOCKS, LEVELS, SIDE, ReliefTiles
 from lunarsim.sensors.rendering.shadow_caster_blocks import ShadowCasterBlocks
 from lunarsim.sensors.rendering.shadow_frame import ShadowFrame
+from lunarsim.typing import Array, BoolArray, IntArray
 from lunarsim.world.terrain import Heightfield
-
-Array = NDArray[np.float64]
 
 # Instance attributes of a tile in relief_vertex.glsl.
 _INSTANCE = np.dtype([("tile", "4i4"), ("edges", "4i4"), ("placed", "16f4")])
@@ -56,9 +55,7 @@ class ReliefRenderer:
         self._buffer = ctx.buffer(reserve=_INSTANCE.itemsize)
         self._vaos: dict[tuple[str, int], moderngl.VertexArray] = {}
 
-    def draw(
-        self, matrix: Array, viewpoint: Array, shown: NDArray[np.bool_], level: NDArray[np.int64]
-    ) -> None:
+    def draw(self, matrix: Array, viewpoint: Array, shown: BoolArray, level: IntArray) -> None:
         """Draw the depth of the selected tiles of the relief.
 
         Parameters
@@ -77,8 +74,8 @@ class ReliefRenderer:
                 self._draw_instances("relief", k, self._instances(matrix, viewpoint, picked, level))
 
     def draw_shadows(
-        self, frame: ShadowFrame, sun: Array, viewpoint: Array, shades: NDArray[np.bool_],
-        level: NDArray[np.int64],
+        self, frame: ShadowFrame, sun: Array, viewpoint: Array, shades: BoolArray,
+        level: IntArray,
     ) -> None:  # fmt: skip
         """Draw the parts of tiles that are turned away from the Sun into a shadow map.
 
@@ -136,8 +133,8 @@ class ReliefRenderer:
         self,
         matrix: Array,
         viewpoint: Array,
-        tile_indices: NDArray[np.int64],
-        level: NDArray[np.int64],
+        tile_indices: IntArray,
+        level: IntArray,
     ) -> NDArray[np.void]:
         """Return the OpenGL instance attributes of the tiles with indices `tile_indices`.
 

@@ -8,13 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lunarsim.sensors.rendering import _tile_kernels as kernels
+from lunarsim.typing import Array, BoolArray, IntArray
 from lunarsim.world.terrain import Heightfield
 
 SIDE = 32
 BLOCKS = 4  # along each side of a tile
 LEVELS = 6
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -34,9 +33,9 @@ class TileChoice:
         Corners of the bounding box of all visible tiles (3,), m.
     """
 
-    shown: NDArray[np.bool_]
-    level: NDArray[np.int64]
-    shadow_level: NDArray[np.int64]
+    shown: BoolArray
+    level: IntArray
+    shadow_level: IntArray
     nearest: float
     low: Array
     high: Array
@@ -66,7 +65,7 @@ class ReliefTiles:
     high: Array
     steepness: Array
     error: Array
-    neighbour: NDArray[np.int64]
+    neighbour: IntArray
 
     @classmethod
     def of(cls, relief: Heightfield) -> ReliefTiles:
@@ -115,9 +114,7 @@ class ReliefTiles:
         ))  # fmt: skip
 
 
-def _neighbours(
-    i: NDArray[np.int64], j: NDArray[np.int64], shape: tuple[int, ...]
-) -> NDArray[np.int64]:
+def _neighbours(i: IntArray, j: IntArray, shape: tuple[int, ...]) -> IntArray:
     """Return the indices (n, 4) of the four neighbours of tiles.
 
     Tile k is at row `i[k]` and column `j[k]`; `shape` are the numbers of rows and columns of tiles.

@@ -40,10 +40,9 @@ from lunarsim.sensors.rendering.shadow_frame import ShadowFrame
 from lunarsim.sensors.rendering.shadow_map_reads import ShadowMapReads
 from lunarsim.sensors.rendering.surface_textures import SurfaceTextures
 from lunarsim.sensors.rendering.target import ImageTarget, ShadowMap, read_image
+from lunarsim.typing import Array, BoolArray, IntArray
 from lunarsim.world.light import Light
 from lunarsim.world.terrain import Terrain
-
-Array = NDArray[np.float64]
 
 # Maximum displacement by coarse relief: of a point, over its distance, and of a shadow's edge, in
 # pixels.
@@ -301,9 +300,7 @@ class Renderer:
             block["penumbra"][2:] = 1.0 / (BLOCK * np.array(self._penumbra_bounds().size))
         return half_width
 
-    def _shading_tiles(
-        self, view: View, sun: Array, frame: ShadowFrame | None
-    ) -> NDArray[np.bool_]:
+    def _shading_tiles(self, view: View, sun: Array, frame: ShadowFrame | None) -> BoolArray:
         """Return which tiles (n,) may cast shadows onto the area of the shadow map."""
         if frame is None:
             return np.zeros(len(self._corners), np.bool_)
@@ -334,7 +331,7 @@ class Renderer:
 
     def _draw_shadows(
         self, view: View, sun: Array, frame: ShadowFrame, reads: ShadowMapReads,
-        shades: NDArray[np.bool_], level: NDArray[np.int64],
+        shades: BoolArray, level: IntArray,
     ) -> bool:  # fmt: skip
         """Draw the shadow map; return whether light may leak through narrow ridges.
 

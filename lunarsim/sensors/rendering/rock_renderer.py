@@ -18,9 +18,8 @@ from lunarsim.sensors.rendering.rock_tiles import DrawnRocks, RockTiles
 from lunarsim.sensors.rendering.shadow_frame import ShadowFrame
 from lunarsim.sensors.rendering.shadow_map_reads import ShadowMapReads
 from lunarsim.sensors.rendering.target import ShadowMap
+from lunarsim.typing import Array
 from lunarsim.world.terrain import Terrain
-
-Array = NDArray[np.float64]
 
 _TEXTURE = 1024
 # Drawing a point takes as long as filling and transferring this many texels.

@@ -12,8 +12,7 @@ from lunarsim.sensors.rendering import _cull_kernels as cull
 from lunarsim.sensors.rendering import _rock_tile_kernels as kernels
 from lunarsim.sensors.rendering.shadow_frame import ShadowFrame
 from lunarsim.sensors.rendering.shadow_map_reads import ShadowMapReads
-
-Array = NDArray[np.float64]
+from lunarsim.typing import Array, IntArray
 
 # Mean number of rocks per tile: examining a tile takes as long as examining one or two rocks.
 _ROCKS_PER_TILE = 24
@@ -58,8 +57,8 @@ class RockTiles:
     rocks: Array
     reach: Array
     foot: Array
-    order: NDArray[np.int64]
-    start: NDArray[np.int64]
+    order: IntArray
+    start: IntArray
     low: Array
     high: Array
     radius: Array

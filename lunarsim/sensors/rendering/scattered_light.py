@@ -9,10 +9,9 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from lunarsim.sensors.rendering import _scattered_light_kernels as kernels
+from lunarsim.typing import Array
 from lunarsim.world.light import Light
 from lunarsim.world.terrain import Heightfield
-
-Array = NDArray[np.float64]
 
 # Maximum number of grid points along a side: scattered light varies slowly.
 _MAX_POSTS_PER_SIDE = 192

@@ -6,11 +6,9 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lunarsim.typing import Array
 from lunarsim.world.light import Light
-
-Array = NDArray[np.float64]
 
 # Strips of the Sun's disc that are sampled, samples per strip, and samples of the blocker search.
 _STRIPS, _STEPS, _SEARCHES = 5, 5, 16

@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 
 from lunarsim.sensors.rendering import _tile_kernels as kernels
 from lunarsim.sensors.rendering.relief_tiles import BLOCKS, SIDE, ReliefTiles
+from lunarsim.typing import Array, BoolArray, IntArray
 from lunarsim.world.terrain import Heightfield
-
-Array = NDArray[np.float64]
 
 # Tolerance on the slope of the Sun's rays for faces turned away from the Sun, because a driver
 # rounds corners to a fraction of a texel; and the texel size, in postings, up to which it suffices.
@@ -39,8 +38,8 @@ class ShadowCasterBlocks:
         self._lee = np.zeros((len(tiles.first), BLOCKS * BLOCKS), np.bool_)
 
     def of(
-        self, tile_indices: NDArray[np.int64], edges: NDArray[np.int32], sun: Array, texel: float
-    ) -> NDArray[np.bool_]:
+        self, tile_indices: IntArray, edges: NDArray[np.int32], sun: Array, texel: float
+    ) -> BoolArray:
         """Return which blocks (m, 16) of each tile must be drawn into a shadow map.
 
         These have a face turned away from the Sun. If texels are coarse, all blocks are drawn. The

@@ -5,12 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lunarsim.models.pinhole import View
 from lunarsim.sensors.rendering.relief_tiles import TileChoice
-
-Array = NDArray[np.float64]
+from lunarsim.typing import Array, BoolArray
 
 # Resolution of the shadow map over that of a pixel on the terrain.
 _DETAIL = 1.5
@@ -96,7 +94,7 @@ class ShadowFrame:
             (top - view.position[2] + 1.0, lowest - view.position[2] - 1.0), slack,
         )  # fmt: skip
 
-    def shades(self, corners: Array, viewpoint: Array) -> NDArray[np.bool_]:
+    def shades(self, corners: Array, viewpoint: Array) -> BoolArray:
         """Return which boxes may cast a shadow onto the area of the map (n,).
 
         `corners` (n, 8, 3) are the corners of the boxes and `viewpoint` (3,) is the camera, ENU, m.

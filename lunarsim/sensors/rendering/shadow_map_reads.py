@@ -9,12 +9,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lunarsim.models.pinhole import View
 from lunarsim.sensors.rendering.shadow_frame import ShadowFrame
-
-Array = NDArray[np.float64]
+from lunarsim.typing import Array, BoolArray
 
 # Neighbourhood in texels that a shader may read, with a margin for the rounding of float32.
 _NEIGHBOURHOOD = 3.0
@@ -80,7 +78,7 @@ class ShadowMapReads:
         room = _NEIGHBOURHOOD * np.abs(normal).sum(axis=1)
         return cls(normal, along.min(axis=0) - room, along.max(axis=0) + room, frame.size)
 
-    def may_shade(self, corners: Array) -> NDArray[np.bool_]:
+    def may_shade(self, corners: Array) -> BoolArray:
         """Return which convex bodies (n,) may shadow texels that the image reads.
 
         `corners` (n, c, 2) are the c corners of each body on the map, in texels.

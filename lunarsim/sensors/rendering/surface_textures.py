@@ -11,10 +11,9 @@ from numpy.typing import NDArray
 from lunarsim.sensors.rendering.albedo_field import albedo_field, albedo_from_camera
 from lunarsim.sensors.rendering.programs import GLOW, MOTTLES
 from lunarsim.sensors.rendering.scattered_light import ScatteredLightMap, scattered_light_map
+from lunarsim.typing import Array
 from lunarsim.world.light import Light
 from lunarsim.world.terrain import Heightfield
-
-Array = NDArray[np.float64]
 
 # Number of lights whose maps are cached.
 _MAX_CACHED_LIGHTS = 4

@@ -21,16 +21,15 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.optimize import brentq
 from scipy.special import i0e
 
 from lunarsim.errors import InputError
+from lunarsim.typing import Array
 from lunarsim.world.terrain._crater_kernels import add_degraded_profiles
 from lunarsim.world.terrain.craters import CraterLaw, crater_profile, draw_sizes_and_positions
 from lunarsim.world.terrain.heightfield import Heightfield
-
-Array = NDArray[np.float64]
 
 # Depth of the oldest counted crater over that of a fresh one.
 MIN_RELATIVE_DEPTH = 0.07

@@ -12,13 +12,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from lunarsim.errors import InputError
+from lunarsim.typing import Array
 from lunarsim.world.terrain._crater_kernels import add_crater_profiles
 from lunarsim.world.terrain.heightfield import Heightfield
-
-Array = NDArray[np.float64]
 
 # Depth from rim to floor and rim height of a fresh crater, over its diameter.
 DEPTH_RATIO = 0.2

@@ -11,12 +11,12 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from rasterio.io import DatasetReader
 from rasterio.windows import Window
 
 from lunarsim.errors import InputError
 from lunarsim.grid import Grid
+from lunarsim.typing import Array
 from lunarsim.world.terrain.heightfield import Heightfield
 from lunarsim.world.terrain.raster_file import open_raster
 from lunarsim.world.terrain.raster_frame import Frame, frame_of_window, is_placed
@@ -244,7 +244,7 @@ def _square_grid_heights(
     window: tuple[int, int, int, int] | None,
     unit: str | None,
     nodata: float | Sequence[float] | None,
-) -> tuple[NDArray[np.float64], float]:
+) -> tuple[Array, float]:
     """Return heights on a square grid, row 0 in the south, and its spacing, m.
 
     `window` is first and last row, first and last column; `unit` replaces the file's unit;
@@ -303,9 +303,7 @@ def _window(window: tuple[int, int, int, int] | None, source: DatasetReader) -> 
     return Window(left, top, right - left, bottom - top)
 
 
-def _resampled(
-    frame: Frame, z: NDArray[np.float64], step: float, posting: float | None
-) -> NDArray[np.float64]:
+def _resampled(frame: Frame, z: Array, step: float, posting: float | None) -> Array:
     """Interpolate heights of a raster to a centred square grid, row 0 in the south.
 
     `z` (rows, cols) are the heights in the order of the file, `step` is the spacing of the new

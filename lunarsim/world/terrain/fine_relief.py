@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lunarsim.errors import InputError
+from lunarsim.typing import Array
 from lunarsim.world.terrain.heightfield import Heightfield
 
 # Period of the added roughness, m, and maximum number of grid points along it.
@@ -78,7 +78,7 @@ def _short_waves(
     hurst: float,
     rms_slope: float,
     baseline: float,
-) -> NDArray[np.float64]:
+) -> Array:
     """Return periodic fractal relief (side, side), m, of short wavelengths.
 
     `step` is the grid spacing, m; wavelengths above twice the spacing `old`, m, are removed. Before

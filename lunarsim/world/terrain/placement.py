@@ -5,10 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from lunarsim.errors import InputError
 from lunarsim.rocks.field import RockField, RockModel
+from lunarsim.typing import Array
 from lunarsim.world.terrain._placement_kernels import drop_rocks
 from lunarsim.world.terrain.heightfield import Heightfield
 
@@ -32,9 +33,9 @@ class CraterClusters:
         Fraction of the rocks that lie around the craters; the others lie anywhere.
     """
 
-    x: NDArray[np.float64]
-    y: NDArray[np.float64]
-    radius: NDArray[np.float64]
+    x: Array
+    y: Array
+    radius: Array
     cluster_fraction: float
 
     def __post_init__(self) -> None:
@@ -49,7 +50,7 @@ class CraterClusters:
                 "must be 0, because no crater is larger than rocks.min_block_crater_diameter_m",
             )
 
-    def rows(self) -> NDArray[np.float64]:
+    def rows(self) -> Array:
         """Return the craters as an array (4, n): x, y, radius, cumulative area fraction."""
         area = np.cumsum(self.radius**2)
         total = area / area[-1] if area.size else area

@@ -166,7 +166,8 @@ def _check_files(path: Path, source: DatasetReader) -> None:
     if all(outside):
         name = source.files[parts.index(outside[0][0])]
         raise InputError(
-            "terrain.path", str(path), f"refers to {name}, which is not a file in its folder",
+            "terrain.path", str(path),
+            f"must refer only to files in its own folder, but refers to {name}",
             "Put all parts of a raster into one folder.",
         )  # fmt: skip
 

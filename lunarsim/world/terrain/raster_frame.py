@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 from affine import Affine
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from rasterio._err import CPLE_BaseError
 from rasterio.crs import CRS
 from rasterio.io import DatasetReader
@@ -17,9 +17,9 @@ from rasterio.warp import transform as warp
 from rasterio.windows import Window
 
 from lunarsim.errors import InputError
+from lunarsim.typing import Array
 from lunarsim.world.terrain.raster_label import wkt2
 
-Array = NDArray[np.float64]
 Mapping = Callable[[Array, Array], tuple[Array, Array]]
 
 # Maximum misplacement of a raster point in a square, north-up grid, over its distance from the

@@ -14,6 +14,7 @@ from rasterio.windows import Window
 
 from lunarsim.errors import InputError, suggestion
 from lunarsim.grid import format_bytes
+from lunarsim.typing import Array, BoolArray
 from lunarsim.world.terrain.raster_label import (
     declared_units,
     has_downward_heights,
@@ -146,7 +147,7 @@ class HeightScale:
             )  # fmt: skip
         return cls(scale, offset, names[0] if names else "m", (known_lengths or [1.0])[0])
 
-    def metres_of(self, numbers: NDArray[np.float64] | float) -> NDArray[np.float64]:
+    def metres_of(self, numbers: Array | float) -> Array:
         """Convert raw values of the raster to heights in metres."""
         return np.asarray((np.asarray(numbers) * self.scale + self.offset) * self.metres)
 
@@ -171,7 +172,7 @@ class HeightStatistics:
     lowest: list[tuple[float, int]] = field(default_factory=list)
     highest: list[tuple[float, int]] = field(default_factory=list)
 
-    def add(self, z: NDArray[np.float64]) -> None:
+    def add(self, z: Array) -> None:
         """Include a block of heights `z`, m, with NaN where missing."""
         heights = z[np.isfinite(z)]
         self.posts += z.size
@@ -188,9 +189,7 @@ class HeightStatistics:
         return (self.lowest[0][0], self.highest[0][0]) if self.known else (np.nan, np.nan)
 
 
-def _lowest_values(
-    heights: NDArray[np.float64], before: list[tuple[float, int]]
-) -> list[tuple[float, int]]:
+def _lowest_values(heights: Array, before: list[tuple[float, int]]) -> list[tuple[float, int]]:
     counts = dict(before)
     if len(before) == _EXTREMES_PER_END:
         heights = heights[heights <= before[-1][0]]
@@ -223,7 +222,7 @@ class RasterHeights:
     scale: HeightScale
     no_data: Sequence[float] | None
 
-    def blocks(self, window: Window) -> Iterator[tuple[int, NDArray[np.float64]]]:
+    def blocks(self, window: Window) -> Iterator[tuple[int, Array]]:
         """Yield the window block by block: first row, and heights of its rows, m.
 
         Heights are NaN where missing.
@@ -259,7 +258,7 @@ class RasterHeights:
         self.check(found)
         return found
 
-    def read(self, window: Window) -> NDArray[np.float64]:
+    def read(self, window: Window) -> Array:
         """Return the heights of a window (rows, cols), m; NaN where missing.
 
         Raises
@@ -335,7 +334,7 @@ class RasterHeights:
         )  # fmt: skip
 
 
-def _equal(numbers: NDArray[np.generic], value: float) -> NDArray[np.bool_]:
+def _equal(numbers: NDArray[np.generic], value: float) -> BoolArray:
     """Return which numbers equal `value` after rounding it to their number type."""
     if numbers.dtype.kind == "f":
         with np.errstate(over="ignore"):

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-Array = NDArray[np.float64]
+from lunarsim.typing import Array, BoolArray
 
 
 class GappySpline:
@@ -53,7 +53,7 @@ class GappySpline:
         )
         return np.asarray(z)
 
-    def is_gap(self, rows: Array, cols: Array) -> NDArray[np.bool_]:
+    def is_gap(self, rows: Array, cols: Array) -> BoolArray:
         """Return which fractional rows and columns have a gap among their 4 neighbours."""
         if self._known.all():
             return np.zeros(np.shape(rows), dtype=bool)

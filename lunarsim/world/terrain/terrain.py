@@ -11,6 +11,7 @@ from lunarsim._jit import threads_for
 from lunarsim.grid import Grid
 from lunarsim.rocks.field import RockField
 from lunarsim.rocks.shapes import shape_table
+from lunarsim.typing import Array, IntArray
 from lunarsim.world.terrain import _ray_kernels, _surface_kernels
 from lunarsim.world.terrain.heightfield import Heightfield
 
@@ -32,8 +33,8 @@ class RayHits:
         Index of the rock that was hit (n,); -1 for relief, -2 if the ray misses.
     """
 
-    range: NDArray[np.float64]
-    normal: NDArray[np.float64]
+    range: Array
+    normal: Array
     rock: NDArray[np.int32]
 
 
@@ -110,7 +111,7 @@ class Terrain:
         arrays = (self.relief.z, *self._rock_arrays, *self._pyramid)
         return sum(a.nbytes for a in arrays if isinstance(a, np.ndarray))
 
-    def elevation(self, xy: ArrayLike) -> NDArray[np.float64]:
+    def elevation(self, xy: ArrayLike) -> Array:
         """Return the surface elevation (...,), m, at points (..., 2), east and north, m.
 
         Rocks are included. NaN outside the map and over no-data.
@@ -122,7 +123,7 @@ class Terrain:
         )
         return np.asarray(out).reshape(xy.shape[:-1])
 
-    def normal(self, xy: ArrayLike) -> NDArray[np.float64]:
+    def normal(self, xy: ArrayLike) -> Array:
         """Return unit surface normals (..., 3), ENU, at points (..., 2), east, north, m.
 
         Rocks are included. NaN outside the map and over no-data.
@@ -204,7 +205,7 @@ class Terrain:
         return RayHits(distance, normal, rock)
 
 
-def _levels(rows: int, cols: int, base: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _levels(rows: int, cols: int, base: int) -> tuple[IntArray, IntArray]:
     """Return the numbers of rows and columns of each level of the height pyramid.
 
     Level 0 has `rows` x `cols` cells; each further level has half of the rows and columns. There

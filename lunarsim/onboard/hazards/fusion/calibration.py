@@ -23,8 +23,7 @@ from scipy.special import expit, logit
 
 from lunarsim.atomic_files import atomic_write_text, read_json_with_format
 from lunarsim.errors import InputError
-
-Array = NDArray[np.float64]
+from lunarsim.typing import Array
 
 # Maximum magnitude of the log odds, and of their change.
 _MAX_LOG_ODDS, _MAX_LOG_ODDS_CHANGE = 10.0, 2.0

@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from lunarsim.grid import Grid
-
-Array = NDArray[np.float64]
+from lunarsim.typing import Array
 
 # Share of samples that count as independent: samples of a cell are averaged, and neighbours share
 # errors.

@@ -43,8 +43,7 @@ from lunarsim.safety.calibration import (
     MapEvidence,
     observed_terrain_bound,
 )
-
-Array = NDArray[np.float64]
+from lunarsim.typing import Array
 
 # Slope and roughness count as well within the limits up to 1 minus these shares.
 _SLOPE_MARGIN, _ROUGHNESS_MARGIN = 0.2, 0.7

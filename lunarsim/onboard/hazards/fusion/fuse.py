@@ -22,7 +22,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lunarsim.errors import InputError
 from lunarsim.grid import Grid
@@ -52,8 +51,7 @@ from lunarsim.onboard.hazards.shadows.footprints import disc_mean
 from lunarsim.safety.calibration import MapEvidence, calibrated_safety
 from lunarsim.safety.ensemble import ALMOST_CERTAINLY_SAFE_P, ALMOST_CERTAINLY_UNSAFE_P
 from lunarsim.safety.undetected_rock_ratio import UndetectedRockRatio
-
-Array = NDArray[np.float64]
+from lunarsim.typing import Array
 
 # Rounding of single precision in sums over discs.
 _ROUNDING = np.float32(1e-5)

@@ -9,7 +9,6 @@ from types import NoneType
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lunarsim.errors import InputError, suggestion
 from lunarsim.grid import Grid
@@ -24,8 +23,7 @@ from lunarsim.onboard.hazards.map_update_timer import MapUpdateTimer
 from lunarsim.onboard.hazards.mapper import HazardMapper, calibration_path_error
 from lunarsim.onboard.navigation.estimate import Estimate, Navigation
 from lunarsim.parts.quantity import check_bounds, quantity
-
-Array = NDArray[np.float64]
+from lunarsim.typing import Array
 
 _EVIDENCE_NAMES = {TerrainEvidence: "elevations", RockEvidence: "rocks"}
 

@@ -15,13 +15,11 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lunarsim.onboard.hazards.fusion.elevation_samples import ElevationSamples
 from lunarsim.onboard.hazards.fusion.rock_heights import MIN_ROCK_RADIUS_M
 from lunarsim.onboard.hazards.map_evidence import RockTracks
-
-Array = NDArray[np.float64]
+from lunarsim.typing import Array, IntArray
 
 # Search range of the shift in prior standard deviations, and its maximum, m.
 _SEARCH_SIGMAS, _MAX_SHIFT_M = 3.0, 4.0
@@ -120,7 +118,7 @@ def estimate_shift(tracks: RockTracks, samples: ElevationSamples, scale: float) 
     )
 
 
-def _cell_offsets(max_distance: float, posting: float) -> NDArray[np.int64]:
+def _cell_offsets(max_distance: float, posting: float) -> IntArray:
     """Return the integers from -n to n, where n cells span `max_distance` (m)."""
     most = round(max_distance / posting)
     return np.arange(-most, most + 1)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from lunarsim.grid import Grid
+from lunarsim.typing import BoolArray, IntArray
 
 _WORST = {"minimum": ndimage.minimum_filter, "maximum": ndimage.maximum_filter}
 
@@ -46,9 +47,7 @@ def resample_to_grid(
 
 
 @lru_cache(maxsize=2)
-def _cell_indices(
-    source: Grid, target: Grid
-) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.bool_]]:
+def _cell_indices(source: Grid, target: Grid) -> tuple[IntArray, IntArray, BoolArray]:
     """Return the row and column of `source` that contain each cell centre of `target`.
 
     The third array is True where a cell of `target` lies on `source`; elsewhere the indices are

@@ -12,14 +12,12 @@ Rocks are located by their position relative to the lander, since both maps use 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 
 from lunarsim.grid import Grid
 from lunarsim.models.lander import Lander
 from lunarsim.onboard.hazards.map_evidence import RockTracks, TerrainEvidence
-
-Array = NDArray[np.float64]
+from lunarsim.typing import Array, IntArray
 
 # Minimum probability that both sensors miss a rock for a common reason, for instance because it is
 # flat on the far side and as dark as the terrain.
@@ -91,7 +89,7 @@ def _height_above_mean(elevation: Array, grid: Grid, lander: Lander) -> Array:
         return np.asarray(elevation - total / share)
 
 
-def _cells_in_disc(grid: Grid, xy: Array, radius: float) -> tuple[NDArray[np.int64], ...] | None:
+def _cells_in_disc(grid: Grid, xy: Array, radius: float) -> tuple[IntArray, ...] | None:
     """Return rows and columns (k,) of the cells in a disc; None if it leaves the grid.
 
     `xy` (2,) is the centre of the disc and `radius` its radius, m.

@@ -39,8 +39,7 @@ from lunarsim.onboard.hazards.fusion.rock_track_precision import rock_track_prec
 from lunarsim.onboard.hazards.map_evidence import RockTracks
 from lunarsim.onboard.hazards.shadows._probability_kernels import multiply_clear_probability
 from lunarsim.onboard.hazards.shadows.probability import cover_probability
-
-Array = NDArray[np.float64]
+from lunarsim.typing import Array
 
 # Samples belong to a rock within this many radii, plus this distance, m, plus the position
 # uncertainty up to this maximum, m.

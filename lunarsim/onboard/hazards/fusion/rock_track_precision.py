@@ -17,11 +17,9 @@ probability from the camera. Tracks are treated as independent.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lunarsim.onboard.hazards.fusion.elevation_samples import ElevationSamples
-
-Array = NDArray[np.float64]
+from lunarsim.typing import Array, BoolArray
 
 # Grid of shares, and its prior: mean 4/5 with the weight of five tracks.
 _SHARE_GRID = (np.arange(200) + 0.5) / 200.0
@@ -30,7 +28,7 @@ _PRIOR_MEAN = float(_SHARE_PRIOR @ _SHARE_GRID / _SHARE_PRIOR.sum())
 
 
 def rock_track_precision(
-    xy: Array, height: Array, is_large: NDArray[np.bool_], samples: ElevationSamples
+    xy: Array, height: Array, is_large: BoolArray, samples: ElevationSamples
 ) -> Array:
     """Return the factor that reduces the existence of tracks that may be hollows.
 

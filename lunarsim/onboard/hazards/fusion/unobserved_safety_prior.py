@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import expit, logit
 
 from lunarsim.onboard.hazards.fusion.priors import FusionPriors
 from lunarsim.onboard.hazards.hazard_map import FloatMap
 from lunarsim.safety.calibration import UNKNOWN_MODEL_WEIGHT
-
-Array = NDArray[np.float64]
+from lunarsim.typing import Array
 
 # Minimum probability in averages of log odds.
 _MIN_PROBABILITY = 1e-12

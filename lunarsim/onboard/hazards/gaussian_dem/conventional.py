@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from lunarsim.errors import InputError
 from lunarsim.grid import Grid
 from lunarsim.onboard.hazards.gaussian_dem import _kernels as k
+from lunarsim.typing import Array, BoolArray
 from lunarsim.value_checks import as_real_array, check_elements
 
 
@@ -32,7 +33,7 @@ class ConventionalDem:
     weight: NDArray[np.float32]
 
 
-def check_points(points: ArrayLike) -> NDArray[np.float64]:
+def check_points(points: ArrayLike) -> Array:
     """Check a point cloud and return its finite points (n, 3).
 
     Points that are masked or contain NaN are dropped.
@@ -56,7 +57,7 @@ def check_points(points: ArrayLike) -> NDArray[np.float64]:
     return cloud[is_finite]
 
 
-def finite_rows(points: NDArray[np.float64]) -> NDArray[np.bool_]:
+def finite_rows(points: Array) -> BoolArray:
     """Return which points (n, 3) have three finite coordinates (n,)."""
     known = np.isfinite(points)
     return np.asarray(known[:, 0] & known[:, 1] & known[:, 2])
@@ -99,7 +100,7 @@ def conventional_dem(points: ArrayLike, grid: Grid) -> ConventionalDem:
 _MAX_HEIGHT_M = 8192.0
 
 
-def check_heights(cloud: NDArray[np.float64]) -> None:
+def check_heights(cloud: Array) -> None:
     """Raise InputError if heights of points (n, 3) exceed the resolution of float32.
 
     Raises
@@ -118,7 +119,7 @@ def check_heights(cloud: NDArray[np.float64]) -> None:
         )  # fmt: skip
 
 
-def base_height(cloud: NDArray[np.float64]) -> float:
+def base_height(cloud: Array) -> float:
     """Return the height of a point in the middle of the list, m, as reference height.
 
     Sums of heights relative to it stay small. `cloud` (n, 3) are the points; the result is 0 for

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.linalg import cho_factor, cho_solve
 from scipy.spatial.distance import cdist
 
 from lunarsim.onboard.hazards.gaussian_dem.conventional import check_points
+from lunarsim.typing import Array
 
 _MAX_POINTS = 5000  # points; the cost grows with the cube of their number
-
-Array = NDArray[np.float64]
 
 
 def full_regression(

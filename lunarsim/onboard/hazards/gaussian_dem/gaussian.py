@@ -18,10 +18,11 @@ from lunarsim.onboard.hazards.gaussian_dem.conventional import (
     finite_rows,
 )
 from lunarsim.triangulation import delaunay, delaunay_of_image
+from lunarsim.typing import Array, BoolArray, IntArray
 from lunarsim.value_checks import as_real_array
 
 FloatMap = NDArray[np.float32]
-BoolMap = NDArray[np.bool_]
+BoolMap = BoolArray
 
 # Bilinear weight above which a cell is measured and not interpolated.
 MIN_MEASURED_WEIGHT = 0.5
@@ -161,12 +162,12 @@ def _check_parameters(sigma_f: float, length_scale: float, sigma_eps: float) -> 
 
 
 def triangle_edges(
-    points: NDArray[np.float64],
-    triangles: NDArray[np.int64],
-    pixels: NDArray[np.int64],
+    points: Array,
+    triangles: IntArray,
+    pixels: IntArray,
     cols: int,
-    spacing: NDArray[np.float64],
-) -> tuple[NDArray[np.float64], BoolMap]:
+    spacing: Array,
+) -> tuple[Array, BoolMap]:
     """Return the longest edge of each triangle (m,), m, and which are usable (m,).
 
     A triangle is not usable for interpolation if it covers missing returns (its longest edge is
@@ -207,15 +208,15 @@ class _Mesh:
         False for triangles that span an occlusion (m,).
     """
 
-    vertices: NDArray[np.float64]
-    triangles: NDArray[np.int64]
+    vertices: Array
+    triangles: IntArray
     usable: BoolMap
 
     @classmethod
     def of(
         cls,
-        raw: NDArray[np.float64],
-        cloud: NDArray[np.float64],
+        raw: Array,
+        cloud: Array,
         image_shape: tuple[int, int] | None,
         spacing: ArrayLike | None,
     ) -> _Mesh:
@@ -242,9 +243,7 @@ class _Mesh:
         )
 
     @classmethod
-    def _of_cloud(
-        cls, raw: NDArray[np.float64], cloud: NDArray[np.float64], spacing: ArrayLike | None
-    ) -> _Mesh:
+    def _of_cloud(cls, raw: Array, cloud: Array, spacing: ArrayLike | None) -> _Mesh:
         """Triangulate the finite points of a cloud after merging coincident points.
 
         `raw` (n, 3) are all points and `cloud` the finite ones, m. `spacing` is the sample spacing,
@@ -265,7 +264,7 @@ class _Mesh:
         )
 
 
-def _pixel_spacing(raw: NDArray[np.float64], shape: tuple[int, int]) -> float:
+def _pixel_spacing(raw: Array, shape: tuple[int, int]) -> float:
     """Return the median horizontal distance of points in neighbouring pixels, m.
 
     `raw` (n, 3) are the points of a detector with rows and columns `shape`. The result is the
@@ -283,7 +282,7 @@ def _pixel_spacing(raw: NDArray[np.float64], shape: tuple[int, int]) -> float:
     return max(medians)
 
 
-def sample_spacing(points: NDArray[np.float64]) -> NDArray[np.float64]:
+def sample_spacing(points: Array) -> Array:
     """Return the mean horizontal distance of each point to its six nearest points, m.
 
     `points` has shape (n, 2 or more), the result (n,).
@@ -295,7 +294,7 @@ def sample_spacing(points: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray(distance[:, 1:].mean(axis=1))
 
 
-def _xy_of_finite(points: NDArray[np.float64]) -> NDArray[np.float64]:
+def _xy_of_finite(points: Array) -> Array:
     """Return (x, y) of the points, with NaN for every point that lacks a coordinate."""
     xy = points[:, :2]
     lost = ~finite_rows(points)
@@ -303,8 +302,8 @@ def _xy_of_finite(points: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _merge_coincident(
-    cloud: NDArray[np.float64],
-) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    cloud: Array,
+) -> tuple[Array, IntArray]:
     """Merge points at the same (x, y) into one point with their mean height.
 
     `cloud` (n, 3) are the points, m. Returns the merged points (m, 3) and the index (n,) of the

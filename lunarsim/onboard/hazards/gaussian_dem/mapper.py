@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import ClassVar, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lunarsim.errors import InputError
 from lunarsim.grid import Grid
@@ -33,8 +32,8 @@ from lunarsim.rocks.population import RockExpectation
 from lunarsim.safety import footprint_of, plane_stochastic_safety, stochastic_safety
 from lunarsim.safety.calibration import packaged_ensemble
 from lunarsim.safety.scenario_calibration import ScenarioCalibration
+from lunarsim.typing import Array
 
-Array = NDArray[np.float64]
 # A height offset of a scan is corrected if it exceeds this many standard deviations and this
 # height, m.
 _MIN_OFFSET_SIGMAS, _MIN_OFFSET_M = 5.0, 0.01

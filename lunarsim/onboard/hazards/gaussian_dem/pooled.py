@@ -20,9 +20,7 @@ from lunarsim.onboard.hazards.gaussian_dem.gaussian import (
 from lunarsim.onboard.hazards.gaussian_dem.samples import SamplePool
 from lunarsim.onboard.hazards.local_planes import LocalPlaneGrid
 from lunarsim.triangulation import delaunay
-
-Array = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from lunarsim.typing import Array, IntArray
 
 # Variance of the field relative to the height differences in a triangle: so large that only the
 # corners determine the level of a triangle, and only the kernel's slope at the origin matters.

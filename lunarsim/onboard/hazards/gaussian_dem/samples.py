@@ -9,7 +9,7 @@ again; interpolation errors shrink only where new points fall.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from lunarsim.errors import InputError
 from lunarsim.grid import Grid
@@ -21,10 +21,10 @@ from lunarsim.onboard.hazards.gaussian_dem.conventional import (
     finite_rows,
 )
 from lunarsim.onboard.hazards.unleveled_scans import rotate_about
+from lunarsim.typing import Array, BoolArray, IntArray
 from lunarsim.value_checks import as_real_array, check_finite, check_shape
 
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
+Index = IntArray
 
 # Maximum standard deviation or spacing of samples, m.
 _MAX_LENGTH_M = 1e4
@@ -255,7 +255,7 @@ class SamplePool:
         return mean, 1.0 / total[:, 0], self.spacing[rows, cols].astype(np.float64)
 
 
-def _cells(grid: Grid, points: Array) -> tuple[tuple[Index, Index], NDArray[np.bool_]]:
+def _cells(grid: Grid, points: Array) -> tuple[tuple[Index, Index], BoolArray]:
     """Return rows and columns of the points (n, 3) that are on a grid.
 
     The second result (n,) is True for these points.

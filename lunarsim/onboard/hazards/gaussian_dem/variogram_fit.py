@@ -6,14 +6,14 @@ import time
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.optimize import curve_fit
 from scipy.spatial import cKDTree
 
 from lunarsim.onboard.hazards.gaussian_dem.conventional import check_points
+from lunarsim.typing import Array, IntArray
 
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
+Index = IntArray
 
 _BIN_COUNT = 24
 

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lunarsim.onboard.hazards.quadtree import _site_kernels as k
 from lunarsim.onboard.hazards.quadtree._sum_kernels import moments
 from lunarsim.onboard.hazards.quadtree.tree import Nodes, QuadtreeMap
 from lunarsim.triangulation._insertion_kernels import hilbert_keys, insert_all
-
-Array = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from lunarsim.typing import Array, IntArray
 
 
 class TerrainMesh:

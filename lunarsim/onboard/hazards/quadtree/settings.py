@@ -7,15 +7,13 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lunarsim.array_files import read_arrays
 from lunarsim.errors import InputError
 from lunarsim.grid import Grid
 from lunarsim.parts.quantity import check_bounds, quantity
+from lunarsim.typing import Array
 from lunarsim.value_checks import check_elements, check_shape
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

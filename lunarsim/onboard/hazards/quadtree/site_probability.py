@@ -17,7 +17,6 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 
 from lunarsim.models.lander import Lander
@@ -43,9 +42,7 @@ from lunarsim.safety.rock_effects import (
     tilt_of,
 )
 from lunarsim.safety.unseen_rocks import ExceedanceCurve, depth_curve, height_curve
-
-Array = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
+from lunarsim.typing import Array, BoolArray
 
 # Upper bounds of the probability, see `ceiling`: value relative to the limit, and factor.
 _SLOPE_CEILING = np.array(

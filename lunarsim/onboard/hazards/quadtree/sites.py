@@ -14,10 +14,8 @@ from lunarsim.onboard.hazards.quadtree._tree_kernels import band
 from lunarsim.onboard.hazards.quadtree.mesh import TerrainMesh
 from lunarsim.onboard.hazards.quadtree.settings import InterestMap, SiteSettings
 from lunarsim.onboard.hazards.quadtree.tree import Nodes, QuadtreeMap
+from lunarsim.typing import Array, BoolArray, IntArray
 from lunarsim.value_checks import check_elements, check_shape
-
-Array = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 # Default half side of the lander's footprint, relative to that of the zone.
 _FOOTPRINT_ZONE_RATIO = 0.6
@@ -239,7 +237,7 @@ class SiteSelector:
         return 2 << (self.map.depths - depth)
 
     def _nodes_in(
-        self, marked: NDArray[np.bool_], band: tuple[int, ...], seen: NDArray[np.int32]
+        self, marked: BoolArray, band: tuple[int, ...], seen: NDArray[np.int32]
     ) -> tuple[Nodes, IntArray]:
         """Return the cells of a size band in marked squares, and the empty squares.
 

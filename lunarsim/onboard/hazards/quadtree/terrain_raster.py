@@ -9,16 +9,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 
 from lunarsim.grid import Grid
 from lunarsim.onboard.hazards.local_planes import LocalPlaneGrid
 from lunarsim.onboard.hazards.quadtree._sum_kernels import count_in_squares
 from lunarsim.onboard.hazards.quadtree.tree import QuadtreeMap
-
-Array = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from lunarsim.typing import Array, BoolArray, IntArray
 
 # Standard deviation of the Gaussian window for the mean terrain between sparse points, in cells.
 _WINDOW_SIGMA_CELLS = 3.0
@@ -118,7 +115,7 @@ class SamplingCoverage:
     """
 
     grid: Grid
-    gap: NDArray[np.bool_]
+    gap: BoolArray
     density: Array
 
 

@@ -11,9 +11,9 @@ from numpy.typing import ArrayLike, NDArray
 from lunarsim.errors import InputError
 from lunarsim.onboard.hazards.quadtree import _insertion_kernels, _sum_kernels
 from lunarsim.onboard.hazards.quadtree import _tree_kernels as k
+from lunarsim.typing import Array, BoolArray
 from lunarsim.value_checks import as_real_array, check_elements, check_finite
 
-Array = NDArray[np.float64]
 Nodes = NDArray[np.int32]
 
 # float32 coordinates resolve 1/16,777,216 of the side; deeper trees would fall below it.
@@ -293,7 +293,7 @@ class QuadtreeMap:
         return np.asarray(_sum_kernels.moments(self.tree, np.asarray(nodes, np.int64)))
 
     @property
-    def is_outlier(self) -> NDArray[np.bool_]:
+    def is_outlier(self) -> BoolArray:
         """Which points are outliers in height (n,), in the order of `points`."""
         return np.asarray(self.tree.is_outlier[: self._points].copy())
 

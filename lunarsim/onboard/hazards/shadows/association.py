@@ -5,15 +5,14 @@ from __future__ import annotations
 from itertools import chain
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import min_weight_full_bipartite_matching
 from scipy.spatial import cKDTree
 
 from lunarsim.onboard.navigation.matrix_2x2 import largest_eigenvalue_2x2, squared_mahalanobis_2x2
+from lunarsim.typing import Array, BoolArray, IntArray
 
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
+Index = IntArray
 
 # 99.9 % quantile of chi-squared with 3 degrees of freedom (pixel and radius).
 GATE = 16.27
@@ -31,7 +30,7 @@ def associate(
     tracked_radius: Array,
     tracked_variance: Array,
     gate: float = GATE,
-) -> tuple[Index, Index, NDArray[np.bool_], NDArray[np.bool_]]:
+) -> tuple[Index, Index, BoolArray, BoolArray]:
     """Assign detections to tracked rocks by minimum Mahalanobis distance.
 
     The sum of the squared distances of all pairs is minimized. An unpaired detection costs `gate`,
@@ -118,7 +117,7 @@ def _optimal_pairs(
 
 def _is_unambiguous(
     i: Index, j: Index, distance: Array, rock_of: Index, detection_of: Index
-) -> NDArray[np.bool_]:
+) -> BoolArray:
     """Return which detections (d,) are much closer to their rock than any rival.
 
     `i`, `j` and `distance` are detection, rock and squared distance of the candidate pairs.

@@ -24,8 +24,7 @@ from lunarsim.onboard.perception.plane_models import model_on_plane
 from lunarsim.onboard.perception.shadow_model import ShadowModel
 from lunarsim.onboard.perception.shape_mixture import ShapeMixture
 from lunarsim.rocks.size_distribution import golombek_number
-
-Array = NDArray[np.float64]
+from lunarsim.typing import Array, BoolArray, IntArray
 
 # Rows and columns of cells into which the image is divided.
 ROWS, COLS = 12, 16
@@ -101,7 +100,7 @@ def relative_shadow_counts(sharpness: Array, area: Array, cover: float) -> Array
     return np.stack((terrain_area * golombek_number(least, cover), terrain_area))
 
 
-def empty_cells(shadow_counts: NDArray[np.int64], expected: Array) -> NDArray[np.bool_]:
+def empty_cells(shadow_counts: IntArray, expected: Array) -> BoolArray:
     """Return the image cells in windows with far fewer shadows than the rest.
 
     The result has shape (ROWS, COLS).
@@ -151,7 +150,7 @@ def _in_windows(corner_sums: Array, row_count: int, col_count: int) -> Array:
     )
 
 
-def glare(counts: NDArray[Any]) -> NDArray[np.bool_]:
+def glare(counts: NDArray[Any]) -> BoolArray:
     """Return which pixels are in or near large saturated patches (height, width).
 
     `counts` (height, width) is the image.
@@ -164,7 +163,7 @@ def glare(counts: NDArray[Any]) -> NDArray[np.bool_]:
 
 def blind_regions(
     counts: NDArray[Any], detections: Detections, sharpness: Array, area: Array, cover: float
-) -> NDArray[np.bool_]:
+) -> BoolArray:
     """Return the pixels in which rock shadows would not be visible (height, width).
 
     Parameters

@@ -35,8 +35,8 @@ from lunarsim.onboard.perception.ground_plane import LEVEL, GroundPlane
 from lunarsim.onboard.perception.plane_models import model_on_plane
 from lunarsim.onboard.perception.shadow_model import ShadowModel
 from lunarsim.onboard.perception.shape_mixture import LOW_POWER, ShapeMixture
+from lunarsim.typing import Array, BoolArray
 
-Array = NDArray[np.float64]
 Heights = Callable[[Array], Array]
 
 # Spacing of the nodes at which shadows and terrain heights are computed, m.
@@ -151,7 +151,7 @@ class ClearEvidence:
         sun: Array,
         detections: Detections,
         heights: Heights,
-        explained: NDArray[np.bool_] | None = None,
+        explained: BoolArray | None = None,
         position_sigma: Heights | None = None,
         plane: GroundPlane = LEVEL,
         height_sigma: Heights | None = None,
@@ -220,7 +220,7 @@ class ClearEvidence:
             largest, _MIN_DARK_POINTS, _MIN_SHARPNESS_GAIN, len(_RADIUS_RATIOS),
         )  # fmt: skip
 
-    def _is_position_known(self, xy: Array, position_sigma: Heights | None) -> NDArray[np.bool_]:
+    def _is_position_known(self, xy: Array, position_sigma: Heights | None) -> BoolArray:
         """Return where positions (rows, cols, 2) are accurate to the smallest rock radius.
 
         `position_sigma` returns the error of points (n, 2), m; None: no error.
@@ -240,7 +240,7 @@ class ClearEvidence:
         y = g.y0 + every * g.posting * np.arange(-(-g.rows // every) + 1)
         return every, self.motion.to_current(np.stack(np.meshgrid(x, y), -1))
 
-    def _possible(self, size_class: int) -> NDArray[np.bool_]:
+    def _possible(self, size_class: int) -> BoolArray:
         """Return where a rock of a size class may exist in the dark (rows, cols)."""
         possible = np.empty(self.grid.shape, np.bool_)
         density.mark_possible(
@@ -346,7 +346,7 @@ class ClearEvidence:
             total += float(self._number[mine] @ found @ counts)
         return total * self.grid.posting**2
 
-    def observed(self) -> NDArray[np.bool_]:
+    def observed(self) -> BoolArray:
         """Return where a rock of the smallest size would have been detected (rows, cols)."""
         if self.model.shadowless_fraction > _MAX_SHADOWLESS_FRACTION:
             return np.zeros(self.grid.shape, np.bool_)
@@ -397,7 +397,7 @@ def _shadow_test_points(
     return points
 
 
-def _mark_explained(detections: Detections, explained: NDArray[np.bool_]) -> NDArray[np.float32]:
+def _mark_explained(detections: Detections, explained: BoolArray) -> NDArray[np.float32]:
     """Return the radius of the largest rock of each patch, negative if it is tracked.
 
     `explained` (rocks,) marks the detections that are tracked rocks; radii are in m.

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from lunarsim.typing import BoolArray
 
 # Minimum observed fraction of a footprint. Terrain in the shadow of a rock is never observed, so
 # without an allowance no cell near a rock would count; the remainder has the prior probability.
@@ -46,7 +46,7 @@ def disc_mean(layer: NDArray[Any], radius: float, outside: float) -> NDArray[np.
     return np.asarray(mean[half : half + rows, half : half + cols] + np.float32(outside))
 
 
-def footprint_observed(observed: NDArray[np.bool_], radius: float) -> NDArray[np.bool_]:
+def footprint_observed(observed: BoolArray, radius: float) -> BoolArray:
     """Return the cells around which a complete footprint was observed (rows, cols).
 
     `observed` (rows, cols) is False beyond its edge. `radius` is that of the footprint, cells; 0:

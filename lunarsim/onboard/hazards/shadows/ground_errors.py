@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lunarsim.models.camera import CameraModel
 from lunarsim.onboard.navigation.matrix_2x2 import invert_2x2, largest_eigenvalue_2x2
 from lunarsim.onboard.navigation.rock_filter import RockFilter
-
-Array = NDArray[np.float64]
+from lunarsim.typing import Array
 
 
 def terrain_position_covariance(

@@ -8,9 +8,8 @@ the terrain between the rocks must move with them.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from lunarsim.typing import Array
 
 # Prior against rotation and scale, equivalent to this many rocks at this distance (m): few rocks
 # only shift the map.

@@ -9,7 +9,7 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from lunarsim.errors import InputError
 from lunarsim.grid import Grid
@@ -52,9 +52,8 @@ from lunarsim.onboard.perception.shadow_direction import measure_shadow_angle
 from lunarsim.onboard.perception.shape_mixture import ShapeMixture
 from lunarsim.onboard.perception.sun_angle import SunAngle
 from lunarsim.onboard.perception.sun_direction import unit_vector
+from lunarsim.typing import Array, BoolArray
 from lunarsim.value_checks import check_time
-
-Array = NDArray[np.float64]
 
 # Margin around the map within which rocks are tracked, m.
 _TRACKING_MARGIN_M = 3.0
@@ -276,7 +275,7 @@ class ShadowMapper(HazardMapper):
 
     def _blind_pixels(
         self, detections: Detections, image: CameraImage, sun: Array, plane: GroundPlane
-    ) -> NDArray[np.bool_]:
+    ) -> BoolArray:
         """Return the pixels in which rocks would not be visible (height, width)."""
         camera, rocks = image.camera, self.tracker.filter
         points = rocks.terrain_points(camera, cell_centres(camera.width, camera.height))

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from lunarsim.onboard.hazards.hazard_map import TerrainSurface
 from lunarsim.onboard.hazards.mapper import HazardMapper
 from lunarsim.onboard.hazards.shadows.terrain_plane import fit_terrain_plane
 from lunarsim.onboard.perception.ground_plane import GroundPlane
-
-Array = NDArray[np.float64]
+from lunarsim.typing import Array
 
 # Half width of the square over which heights are averaged, m, so that the rock itself and errors of
 # single returns have little effect.

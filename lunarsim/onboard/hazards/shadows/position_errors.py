@@ -10,13 +10,12 @@ individual errors is another upper bound.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from lunarsim.onboard.navigation.rock_filter import RockFilter
+from lunarsim.typing import Array, IntArray
 
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
+Index = IntArray
 
 # Number of nearby rocks that determine the error.
 _NEIGHBOUR_COUNT = 8

@@ -5,13 +5,13 @@ from __future__ import annotations
 from typing import Literal, get_args
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.special import ndtr
 
 from lunarsim.errors import InputError
 from lunarsim.onboard.hazards.shadows import _probability_kernels as kernels
+from lunarsim.typing import Array
 
-Array = NDArray[np.float64]
 Form = Literal["rice", "gaussian"]
 
 _RAYLEIGH_MEAN = np.sqrt(0.5 * np.pi)

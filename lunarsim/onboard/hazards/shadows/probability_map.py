@@ -26,8 +26,7 @@ from lunarsim.onboard.perception.shadow_model import ShadowModel
 from lunarsim.onboard.perception.shape_mixture import ShapeMixture
 from lunarsim.onboard.perception.sun_direction import has_usable_shadows, unit_vector
 from lunarsim.rocks.size_distribution import golombek_cover, golombek_exponent
-
-Array = NDArray[np.float64]
+from lunarsim.typing import Array, BoolArray
 
 # Cell size of the stored evidence, and its margin beyond the map, m, because it moves with the
 # rocks.
@@ -140,7 +139,7 @@ class ProbabilityMap:
         sun: Array,
         detections: Detections,
         heights: Heights | None = None,
-        explained: NDArray[np.bool_] | None = None,
+        explained: BoolArray | None = None,
         position_sigma: Heights | None = None,
         plane: GroundPlane = LEVEL,
         height_sigma: Heights | None = None,
@@ -210,7 +209,7 @@ class ProbabilityMap:
         return np.asarray(fine).astype(coarse_layer.dtype)
 
     @property
-    def observed(self) -> NDArray[np.bool_]:
+    def observed(self) -> BoolArray:
         """Whether a rock of the smallest hazardous size would be visible (rows, cols)."""
         return self._resample_to_map(self.evidence.observed(), 0.0)
 

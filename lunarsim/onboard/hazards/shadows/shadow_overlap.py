@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lunarsim.models.camera import CameraModel
 from lunarsim.onboard.navigation.rock_filter import RockFilter
 from lunarsim.onboard.perception.detector import Detections
 from lunarsim.onboard.perception.ground_plane import GroundPlane
 from lunarsim.onboard.perception.shadow_model import ShadowPatch
+from lunarsim.typing import Array, BoolArray, IntArray
 
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
+Index = IntArray
 
 
 def is_dark_at_patch(
@@ -23,7 +22,7 @@ def is_dark_at_patch(
     camera: CameraModel,
     sun: Array,
     plane: GroundPlane,
-) -> NDArray[np.bool_]:
+) -> BoolArray:
     """Return whether an image is dark where the shadow of each rock is expected (n,).
 
     `rocks` is the filter of the tracked rocks and `index` (n,) selects the rocks. `unit_patches`

@@ -8,13 +8,11 @@ neighbours. Seen from the side, a height error of 1 m displaces a point by 1 m o
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from lunarsim.onboard.navigation.rock_filter import RockFilter
 from lunarsim.onboard.navigation.terrain_kriging import NEIGHBOUR_COUNT
-
-Array = NDArray[np.float64]
+from lunarsim.typing import Array
 
 # Number of neighbours with which each rock is compared.
 _NEIGHBOUR_PAIRS = 3

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lunarsim.onboard.hazards.hazard_map import TerrainSurface
 from lunarsim.onboard.perception.ground_plane import GroundPlane
-
-Array = NDArray[np.float64]
+from lunarsim.typing import Array, BoolArray, IntArray
 
 # Minimum observed fraction of the map, and maximum slope of terrain, tangent.
 _MIN_OBSERVED_FRACTION, _MAX_SLOPE = 0.25, 0.3
@@ -30,7 +28,7 @@ def fit_terrain_plane(surface: TerrainSurface) -> GroundPlane | None:
         return None
     step = max(1, min(surface.grid.shape) // _CELLS_PER_SIDE)
     height = surface.elevation[::step, ::step]
-    is_observed: NDArray[np.bool_] = surface.observed[::step, ::step] & np.isfinite(height)
+    is_observed: BoolArray = surface.observed[::step, ::step] & np.isfinite(height)
     if is_observed.mean() < _MIN_OBSERVED_FRACTION:
         return None
     x, y = np.meshgrid(surface.grid.x[::step], surface.grid.y[::step])
@@ -47,7 +45,7 @@ def fit_terrain_plane(surface: TerrainSurface) -> GroundPlane | None:
     return GroundPlane.through((*centre[:2], centre[2] + coefficients[2]), coefficients[:2])
 
 
-def _square_index(is_observed: NDArray[np.bool_]) -> NDArray[np.int64]:
+def _square_index(is_observed: BoolArray) -> IntArray:
     """Return the index of the jackknife square of each observed cell (n,).
 
     `is_observed` (rows, cols) marks the observed cells.
@@ -56,7 +54,7 @@ def _square_index(is_observed: NDArray[np.bool_]) -> NDArray[np.int64]:
     return np.asarray((_SQUARES_PER_SIDE * row[:, None] + col)[is_observed])
 
 
-def _fit(terms: Array, height: Array, square: NDArray[np.int64]) -> tuple[Array, float]:
+def _fit(terms: Array, height: Array, square: IntArray) -> tuple[Array, float]:
     """Fit heights (n,) by least squares as a linear combination of three terms (n, 3).
 
     `square` (n,) is the jackknife square of each height. Returns the coefficients (3,) and the

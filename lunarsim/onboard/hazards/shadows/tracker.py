@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
 from lunarsim.errors import InputError
@@ -34,10 +34,10 @@ from lunarsim.onboard.perception.sun_direction import (
     shadow_length_ratio,
     unit_vector,
 )
+from lunarsim.typing import Array, BoolArray, IntArray
 from lunarsim.value_checks import check_elements, check_time
 
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
+Index = IntArray
 
 # Observations of the same shadow are not independent: limits of the factor by which one image
 # changes the odds of existence, and existence below which a rock is deleted.
@@ -229,7 +229,7 @@ class RockTracker:
         self._drop(np.flatnonzero(self._too_small(in_view) | (self.existence < _MIN_EXISTENCE)))
         return found
 
-    def _is_confirmed(self, rock: Index, in_view: int) -> NDArray[np.bool_]:
+    def _is_confirmed(self, rock: Index, in_view: int) -> BoolArray:
         """Return which of the given rocks (n,) are certain and large enough.
 
         `rock` (n,) are indices and `in_view` is the number of rocks in view. The dark patch of a
@@ -239,7 +239,7 @@ class RockTracker:
         least = s.min_radius * (1.0 if in_view < s.few else _DROP_RADIUS_RATIO)
         return (self.existence[rock] > _ESTABLISHED_EXISTENCE) & (self.filter.radius[rock] >= least)
 
-    def _too_small(self, in_view: int) -> NDArray[np.bool_]:
+    def _too_small(self, in_view: int) -> BoolArray:
         """Return which rocks (n,) are too small to be tracked.
 
         `in_view` is the number of rocks in view; with few, smaller rocks are kept as landmarks.
@@ -254,7 +254,7 @@ class RockTracker:
         projection: RockProjection,
         candidates: Index,
         radius_variance: Array,
-    ) -> tuple[Index, Index, NDArray[np.bool_], NDArray[np.bool_]]:
+    ) -> tuple[Index, Index, BoolArray, BoolArray]:
         """Assign detections to candidate rocks, given by their indices.
 
         `projection` is that of all rocks into the image, and `radius_variance` (d,), m^2, that of
@@ -331,7 +331,7 @@ class RockTracker:
 
     def _consistent_pairs(
         self, detections: Detections, projection: RockProjection, detection: Index, rock: Index
-    ) -> NDArray[np.bool_]:
+    ) -> BoolArray:
         """Return which pairs (p,) have the image offset that most pairs have in common.
 
         `detection` and `rock` (p,) are the indices of the pairs; `projection` is that of all rocks
@@ -404,7 +404,7 @@ class RockTracker:
         return UpdateOutcome(1.0, 1, found > self.settings.min_found_fraction * (found + missed))
 
     def _store_tentative(
-        self, is_untracked: NDArray[np.bool_], detections: Detections, points: Array,
+        self, is_untracked: BoolArray, detections: Detections, points: Array,
         covariance: Array, radius_variance: Array,
     ) -> None:  # fmt: skip
         """Store untracked detections, so that the map does not declare their places clear.
@@ -426,9 +426,9 @@ class RockTracker:
         )
 
     def _start_tracks(
-        self, is_new: NDArray[np.bool_], detections: Detections, points: Array, camera: CameraModel,
+        self, is_new: BoolArray, detections: Detections, points: Array, camera: CameraModel,
         radius_variance: Array,
-    ) -> NDArray[np.bool_]:  # fmt: skip
+    ) -> BoolArray:  # fmt: skip
         """Start tracks from accurate detections without a rock; return which started (d,).
 
         `is_new` (d,) marks the detections without a rock, and `points` (d, 3) are their positions
@@ -574,9 +574,7 @@ class RockTracker:
             self._last_positions = self._last_positions[keep]
 
 
-def _in_view(
-    projection: RockProjection, camera: CameraModel, margin: float = 4.0
-) -> NDArray[np.bool_]:
+def _in_view(projection: RockProjection, camera: CameraModel, margin: float = 4.0) -> BoolArray:
     """Return which rocks are in the image, at least `margin` pixels from its edge.
 
     `projection` is that of the rocks into the image.

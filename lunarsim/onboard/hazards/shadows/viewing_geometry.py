@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lunarsim.onboard.perception.ground_plane import GroundPlane
-
-Array = NDArray[np.float64]
+from lunarsim.typing import Array
 
 # Minimum height of the camera above the terrain, m.
 _MIN_HEIGHT_M = 1e-3

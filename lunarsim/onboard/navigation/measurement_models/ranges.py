@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from lunarsim.frames import quat_to_matrix
 from lunarsim.onboard.navigation.error_state import MAP, POSE, ErrorState, UpdateOutcome
-
-Array = NDArray[np.float64]
 
 # Minimum cosine between a beam and straight down; flatter beams are ignored.
 MIN_DOWN_COSINE = 0.1
