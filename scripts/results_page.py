@@ -195,11 +195,11 @@ def real_returns(results: dict[str, Any]) -> list[SeedMetric]:
     return out
 
 
-def guidance(results: list[dict[str, Any]]) -> list[SeedMetric]:
+def guidance(results: dict[str, Any]) -> list[SeedMetric]:
     """Extract excess propellant, velocity error and safe landings by guidance law."""
     out = []
-    for law in dict.fromkeys(row["law"] for row in results):
-        mine = [row for row in results if row["law"] == law]
+    for law in dict.fromkeys(row["law"] for row in results["rows"]):
+        mine = [row for row in results["rows"] if row["law"] == law]
         least = [row["optimum"] + row["descent"] for row in mine]
         over = [100.0 * (row["whole"] / o - 1.0) for row, o in zip(mine, least, strict=True)]
         out += [

@@ -8,26 +8,18 @@ at another position or velocity than commanded can use less than this optimum. T
 also reports the terminal errors, and the propellant down to touchdown relative to the optimum plus
 a steady vertical descent.
 
-python scenarios/guidance/propellant.py --flights 300 --jobs 2 --json propellant.json
+python scenarios/guidance/propellant.py --flights 300 --jobs 2 --out build/propellant
 """
 
 from __future__ import annotations
 
-import json
-from dataclasses import asdict, dataclass
 from functools import cache
-from pathlib import Path
 from typing import Any
 
 import click
 import numpy as np
-from rich.table import Table
 
 from lunarsim import InputError, RandomStreams, Scenario, Simulation, build_world, flight_seed
-from lunarsim.campaign.pool import collect_results
-from lunarsim.console import plain_console
-from lunarsim.errors import check_output
-from lunarsim.evaluation.statistics import Proportion
 from lunarsim.messages.briefing import Briefing
 from lunarsim.onboard.computer import APPROACH
 from lunarsim.optimal.errors import SolverError
@@ -35,6 +27,7 @@ from lunarsim.optimal.final_time import minimize_propellant
 from lunarsim.optimal.planner import Planner
 from lunarsim.optimal.problem import Descent
 from lunarsim.parts.registry import kinds
+from lunarsim.studies import Case, Metric, Report, Study, metric_table, run_script
 from lunarsim.world import World
 
 # A vehicle without maps over a small terrain. The position fixes have a small bias because no map
@@ -59,72 +52,6 @@ SEEKING_SENSORS: dict[str, Any] = {
     "tasking": {"flash": {"kind": "at-altitudes", "altitudes_m": [300.0, 200.0, 130.0, 80.0]}},
 }
 _APEX_DEPTH_M = 0.5  # glideslope apex below the end point, m; the same for all laws
-
-
-@dataclass(frozen=True)
-class PropellantTask:
-    """Settings of the flights from one start, one with each guidance law.
-
-    `flight` and `seed` (root seed) determine the start; `position_sigma` (m) and `velocity_sigma`
-    (m/s) are its scatter, 1 sigma per axis.
-    """
-
-    laws: tuple[str, ...]
-    flight: int
-    seed: int
-    position_sigma: float
-    velocity_sigma: float
-
-
-@dataclass(frozen=True)
-class LawFlight:
-    """Results of one flight with one guidance law.
-
-    Attributes
-    ----------
-    law, flight
-        Kind of the guidance law, and number of the flight.
-    optimum, descent
-        Minimum propellant to the end of the approach from the true start, and propellant of a
-        steady vertical descent after it, kg.
-    approach, whole
-        Propellant used to the end of the approach, and to touchdown, kg.
-    miss, speed
-        Position error (in the navigation frame) and velocity error at the end of the approach, m
-        and m/s.
-    safe, failed
-        Whether the landing was safe, and the failed criteria.
-    fallbacks, plans
-        Number of fallbacks to a simpler law and of trajectories planned by the optimal law.
-    asked, infeasible
-        Number of evaluations of the neural network of the law, and of its outputs that violate the
-        limits of the law; 0 without a network.
-    """
-
-    law: str
-    flight: int
-    optimum: float
-    descent: float
-    approach: float
-    whole: float
-    miss: float
-    speed: float
-    safe: bool
-    failed: str
-    fallbacks: int
-    plans: int
-    asked: int
-    infeasible: int
-
-    @property
-    def excess_to_approach_end(self) -> float:
-        """Propellant used to the end of the approach divided by the optimum, minus 1."""
-        return self.approach / self.optimum - 1.0
-
-    @property
-    def excess_to_touchdown(self) -> float:
-        """Propellant to touchdown divided by optimum plus vertical descent, minus 1."""
-        return self.whole / (self.optimum + self.descent) - 1.0
 
 
 def scenario_of(law: str, position_sigma: float, velocity_sigma: float) -> Scenario:
@@ -160,27 +87,21 @@ def optimal_descent_problem(flight: Simulation) -> Descent:
     )  # fmt: skip
 
 
-def fly(task: PropellantTask) -> list[LawFlight]:
-    """Simulate the flights from one start, one with each guidance law."""
-    rows, optimum = [], float("nan")
-    for law in task.laws:
-        scenario = scenario_of(law, task.position_sigma, task.velocity_sigma)
-        flight = Simulation(scenario, flight_seed(task.seed, task.flight), world=shared_world())
-        if np.isnan(optimum):
-            optimum = _minimum_propellant(task, flight)
-        rows.append(_fly_law(law, task.flight, flight, optimum))
-    return rows
-
-
-def _minimum_propellant(task: PropellantTask, flight: Simulation) -> float:
-    """Return the minimum propellant from a flight's true start, kg."""
+@cache
+def minimum_propellant(
+    number: int, seed: int, position_sigma: float, velocity_sigma: float
+) -> float:
+    """Return the minimum propellant from the true start of a flight, kg."""
+    flight = Simulation(
+        scenario_of("apollo", position_sigma, velocity_sigma), flight_seed(seed, number),
+        world=shared_world(),
+    )  # fmt: skip
     try:
         return minimize_propellant(Planner(60), optimal_descent_problem(flight)).propellant
     except (InputError, SolverError) as error:
         raise InputError(
-            "--position-sigma, --velocity-sigma", [task.position_sigma, task.velocity_sigma],
-            f"must give every flight a feasible descent, but flight {task.flight} has none",
-            str(error),
+            "--position-sigma, --velocity-sigma", [position_sigma, velocity_sigma],
+            f"must give every flight a feasible descent, but flight {number} has none", str(error),
         ) from None  # fmt: skip
 
 
@@ -194,127 +115,86 @@ def _vertical_descent_propellant(briefing: Briefing, mass: float) -> float:
     return float(mass * -np.expm1(-increment / briefing.lander.exhaust_velocity))
 
 
-def _fly_law(law: str, number: int, flight: Simulation, optimum: float) -> LawFlight:
+def fly(case: Case) -> dict[str, Any]:
     """Simulate one flight with one guidance law; compare it with the optimum.
 
-    `number` is the number of the flight, `optimum` the minimum propellant, kg.
+    The row has, in kg, the minimum propellant to the end of the approach ("optimum"), that of a
+    steady vertical descent after it ("descent"), and the propellant used to the end of the approach
+    ("approach") and to touchdown ("whole"), with their excess in percent. "miss" and "speed" are
+    the errors of position (navigation frame) and velocity at the end of the approach, m and m/s.
+    "asked" and "infeasible" count the evaluations of the law's neural network, and those of its
+    outputs that violate the limits of the law.
     """
+    sigmas = case["position_sigma"], case["velocity_sigma"]
+    optimum = minimum_propellant(case.number, case.seed, *sigmas)
+    seed = flight_seed(case.seed, case.number)
+    flight = Simulation(scenario_of(case["law"], *sigmas), seed, world=shared_world())
     computer = flight.computer
     wet, end = flight.state.mass, computer.approach.end(computer.site, computer.lander)
     while not flight.done and computer.phase == APPROACH:
         flight.step()
-    at_end, believed = flight.state, flight.estimate
+    at_end, estimate = flight.state, flight.estimate
     while not flight.done:
         flight.step()
-    outcome = flight.outcome
-    fell = sum(name == "guidance-fallback" for _, name, _ in computer.telemetry)
-    return LawFlight(
-        law, number, optimum, _vertical_descent_propellant(computer.briefing, wet - optimum),
-        wet - at_end.mass, wet - flight.state.mass,
-        float(np.linalg.norm(believed.position - end.position)),
-        float(np.linalg.norm(at_end.velocity - end.velocity)),
-        bool(outcome.safe), " ".join(outcome.failure_causes), fell,
-        *(int(getattr(computer.guidance, name, 0)) for name in ("plans", "evaluation_count",
-        "violation_count")),
-    )  # fmt: skip
+    outcome, law = flight.outcome, computer.guidance
+    descent = _vertical_descent_propellant(computer.briefing, wet - optimum)
+    approach, whole = wet - at_end.mass, wet - flight.state.mass
+    return {
+        "optimum": optimum, "descent": descent, "approach": approach, "whole": whole,
+        "excess_to_approach_end": 100.0 * (approach / optimum - 1.0),
+        "excess_to_touchdown": 100.0 * (whole / (optimum + descent) - 1.0),
+        "miss": float(np.linalg.norm(estimate.position - end.position)),
+        "speed": float(np.linalg.norm(at_end.velocity - end.velocity)),
+        "safe": bool(outcome.safe), "failed": " ".join(outcome.failure_causes),
+        "fallbacks": sum(name == "guidance-fallback" for _, name, _ in computer.telemetry),
+        "plans": int(getattr(law, "plans", 0)), "asked": int(getattr(law, "evaluation_count", 0)),
+        "infeasible": int(getattr(law, "violation_count", 0)),
+    }  # fmt: skip
 
 
-def table_of(rows: list[LawFlight]) -> Table:
-    """Return the table of propellant and terminal errors, one row per guidance law."""
-    table = Table(title="Propellant of guidance laws relative to the optimum")
-    for heading in (
-        "law", "flights", "safe landings\n[95 % interval]",
-        "excess to approach end (%)\nmedian / 95th pct. / max",
-        "excess to touchdown (%)\nmedian / 95th pct. / max", "propellant (kg)\nmedian / 95th pct.",
-        "position error (m)\nmedian / 95th pct.", "velocity error (m/s)\nmedian / 95th pct.",
-        "flights with\nfallbacks",
-        "infeasible\nnetwork outputs",
-    ):  # fmt: skip
-        table.add_column(heading, justify="left" if heading == "law" else "right")
-    for law in dict.fromkeys(r.law for r in rows):
-        mine = [r for r in rows if r.law == law]
-        safe = Proportion(sum(r.safe for r in mine), len(mine))
-
-        def spread(name: str, mine: list[LawFlight] = mine) -> tuple[float, float, float]:
-            values = np.array([getattr(r, name) for r in mine])
-            return float(np.median(values)), float(np.percentile(values, 95)), float(values.max())
-
-        over, down = (
-            " / ".join(f"{100.0 * v:.2f}" for v in spread(name))
-            for name in ("excess_to_approach_end", "excess_to_touchdown")
-        )
-        low, high = safe.interval
-        table.add_row(
-            law, str(len(mine)), f"{safe.value:.3f} [{low:.3f}, {high:.3f}]", over, down,
-            " / ".join(f"{v:.1f}" for v in spread("whole")[:2]),
-            " / ".join(f"{v:.2f}" for v in spread("miss")[:2]),
-            " / ".join(f"{v:.2f}" for v in spread("speed")[:2]),
-            str(sum(r.fallbacks > 0 for r in mine)), _infeasible_text(mine),
-        )  # fmt: skip
-    return table
+def print_propellant(report: Report) -> None:
+    """Print propellant and terminal errors by guidance law, then the unsafe landings."""
+    report.print(metric_table(report, "Propellant of guidance laws relative to the optimum"))
+    for (law,), rows in report.groups("law").items():
+        asked, infeasible = (sum(row[name] for row in rows) for name in ("asked", "infeasible"))
+        if asked:
+            report.print(f"{law}: infeasible network outputs: {infeasible} of {asked:,}")
+    for row in report.rows:
+        if not row["safe"]:
+            report.print(f"{row['law']}, flight {row['number']}: {row['failed']}")
 
 
-def _infeasible_text(rows: list[LawFlight]) -> str:
-    """Format infeasible network outputs as "count of total"; empty without network."""
-    asked = sum(r.asked for r in rows)
-    return f"{sum(r.infeasible for r in rows)} of {asked:,}" if asked else ""
-
-
-@click.command()
-@click.option("--flights", type=click.IntRange(min=1), default=20, show_default=True,
-              help="Number of start states; every law flies each of them.")  # fmt: skip
-@click.option(
-    "--seed",
-    type=click.IntRange(min=0),
-    default=1,
-    show_default=True,
-    help="Seed from which all random numbers derive.",
-)
-@click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True,
-              help="Number of parallel processes; it does not change the results.")  # fmt: skip
-@click.option("--laws", multiple=True, type=click.Choice(sorted(kinds("guidance"))),
-              help="Guidance law to fly; repeat the option for several laws (default: "
-              "all).")  # fmt: skip
-@click.option("--position-sigma", type=click.FloatRange(min=0.0), default=20.0, show_default=True,
-              help="Random deviation of the start position, 1 sigma per axis (m).")  # fmt: skip
-@click.option("--velocity-sigma", type=click.FloatRange(min=0.0), default=1.5, show_default=True,
-              help="Random deviation of the start velocity, 1 sigma per axis (m/s).")  # fmt: skip
-@click.option(
-    "--json",
-    "out",
-    type=click.Path(path_type=Path),
-    help="JSON file for the results of all flights. Default: none.",
-)
-def main(
-    flights: int,
-    seed: int,
-    jobs: int,
-    laws: tuple[str, ...],
-    position_sigma: float,
-    velocity_sigma: float,
-    out: Path | None,
-) -> None:
-    """Fly every guidance law from the same starts; compare with the optimum."""
-    console = plain_console(178)
-    chosen = laws or tuple(kinds("guidance"))
-    tasks = [
-        PropellantTask(chosen, n, seed, position_sigma, velocity_sigma) for n in range(flights)
-    ]
-    try:
-        if out is not None:
-            check_output("--json", out, ".json")
-        rows = [
-            row for some in collect_results(fly, tasks, jobs, console, "flights") for row in some
-        ]
-    except InputError as error:
-        raise click.UsageError(str(error)) from None
-    console.print(table_of(rows))
-    for row in rows:
-        if not row.safe:
-            console.print(f"{row.law}, flight {row.flight}: {row.failed}")
-    if out is not None:
-        out.write_text(json.dumps([asdict(row) for row in rows], indent=1))
-
+study = Study(
+    fly,
+    repeats="flights",
+    count=20,
+    factors={"law": list(kinds("guidance"))},
+    factor_help={"law": "Guidance law to fly."},
+    metrics={
+        "safe": Metric("safe landings\n[95 % interval]", "share"),
+        "excess_to_approach_end": Metric(
+            "excess to approach end (%)\nmedian / 95th pct. / max", "median-p95-max", 2
+        ),
+        "excess_to_touchdown": Metric(
+            "excess to touchdown (%)\nmedian / 95th pct. / max", "median-p95-max", 2
+        ),
+        "whole": Metric("propellant (kg)\nmedian / 95th pct.", "median-p95", 1),
+        "miss": Metric("position error (m)\nmedian / 95th pct.", "median-p95", 2),
+        "speed": Metric("velocity error (m/s)\nmedian / 95th pct.", "median-p95", 2),
+        "fallbacks": Metric("flights with\nfallbacks", "count"),
+    },
+    report=print_propellant,
+    options=(
+        click.Option(
+            ["--position-sigma"], type=click.FloatRange(min=0.0), default=20.0, show_default=True,
+            help="Random deviation of the start position, 1 sigma per axis (m).",
+        ),
+        click.Option(
+            ["--velocity-sigma"], type=click.FloatRange(min=0.0), default=1.5, show_default=True,
+            help="Random deviation of the start velocity, 1 sigma per axis (m/s).",
+        ),
+    ),
+)  # fmt: skip
 
 if __name__ == "__main__":
-    main()
+    run_script(study)

@@ -12,14 +12,13 @@ from __future__ import annotations
 
 from typing import Any
 
-import click
 import numpy as np
 from rich.table import Table
 
 from lunarsim import Scenario, Simulation
 from lunarsim.api import Lander, State
-from lunarsim.console import plain_console
 from lunarsim.models.gravity import RoundMoon
+from lunarsim.studies import Case, Report, Study, run_script
 from lunarsim.vehicle import Dynamics
 
 # distance from the site, height, km
@@ -83,34 +82,33 @@ def model_differences() -> Table:
     return table
 
 
-@click.command()
-@click.option("--flights", type=click.IntRange(min=1), default=5, show_default=True,
-              help="Number of flights on the flat and on the spherical Moon.")  # fmt: skip
-@click.option(
-    "--seed",
-    type=click.IntRange(min=0),
-    default=1,
-    show_default=True,
-    help="Random seed of the first flight; each further flight adds 1.",
-)
-def main(flights: int, seed: int) -> None:
-    """Print the differences of both Moon models, and compare flights on them."""
-    console = plain_console(120)
-    console.print(model_differences())
+def fly(case: Case) -> dict[str, Any]:
+    """Simulate one flight on both models; return the differences (m, kg) in path and propellant."""
     flat = Scenario.from_dict(BASE_SCENARIO)
-    apart, more = [], []
-    for n in range(seed, seed + flights):
-        a, b = (Simulation(s, n, "no-divert").run() for s in (flat, flat.changed(moon={})))
-        rows = min(len(a.positions), len(b.positions))
-        apart.append(np.abs(a.positions[:rows] - b.positions[:rows]).max())
-        more.append(b.propellant_used - a.propellant_used)
-    console.print(
-        f"{flights} flights from a distance of 600 m and a height of 500 m: maximum path "
+    a, b = (
+        Simulation(s, case.seed + case.number, "no-divert").run()
+        for s in (flat, flat.changed(moon={}))
+    )
+    n = min(len(a.positions), len(b.positions))
+    return {
+        "path_m": float(np.abs(a.positions[:n] - b.positions[:n]).max()),
+        "propellant_kg": b.propellant_used - a.propellant_used,
+    }
+
+
+def print_differences(report: Report) -> None:
+    """Print the differences of both Moon models and of the flights on them."""
+    report.print(model_differences())
+    apart, more = report.column("path_m"), report.column("propellant_kg")
+    report.print(
+        f"{len(apart)} flights from a distance of 600 m and a height of 500 m: maximum path "
         f"difference {max(apart):.3f} m; "
         f"propellant difference on the sphere {np.mean(more):+.3f} kg (from {min(more):+.3f} to "
         f"{max(more):+.3f})."
     )
 
 
+study = Study(fly, repeats="flights", count=5, report=print_differences)
+
 if __name__ == "__main__":
-    main()
+    run_script(study)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 
 import cv2
@@ -11,15 +10,17 @@ import pytest
 from click.testing import CliRunner
 
 from lunarsim.parts.registry import kinds
+from lunarsim.studies import report_study, run_study
+from lunarsim.studies.command import study_command
 
 
-def test_propellant_of_laws_is_compared_with_the_optimum(script, tmp_path):
-    study = script("guidance", "propellant")
-    out = tmp_path / "flown.json"
-    done = CliRunner().invoke(study.main, ["--flights", "1", "--json", str(out)])
-    assert done.exit_code == 0, done.output
-    assert "relative to the optimum" in done.output
-    rows = {row["law"]: row for row in json.loads(out.read_text())}
+def test_propellant_of_laws_is_compared_with_the_optimum(script, capsys):
+    study = script("guidance", "propellant").study
+    flown = run_study(study, count=1)
+    report_study(study, flown)
+    printed = capsys.readouterr().out
+    assert "relative to the optimum" in printed
+    rows = {row["law"]: row for row in flown}
     assert set(rows) == set(kinds("guidance"))
     assert len({row["optimum"] for row in rows.values()}) == 1
     apollo, optimal, neural = (rows[law] for law in ("apollo", "optimal", "neural-optimal"))
@@ -27,33 +28,30 @@ def test_propellant_of_laws_is_compared_with_the_optimum(script, tmp_path):
     assert optimal["approach"] < 1.02 * optimal["optimum"] < 0.95 * apollo["approach"]
     assert optimal["plans"] > 15
     assert optimal["fallbacks"] == apollo["plans"] == apollo["asked"] == 0
-    assert neural["asked"] > 100 and f"{neural['infeasible']} of {neural['asked']}" in done.output
+    assert neural["asked"] > 100 and f"{neural['infeasible']} of {neural['asked']}" in printed
 
 
-def test_infeasible_starts_and_invalid_files_are_rejected(script, tmp_path, monkeypatch):
-    study = script("guidance", "propellant")
-    problem = study.optimal_descent_problem
+def test_infeasible_starts_are_rejected(script, monkeypatch):
+    module = script("guidance", "propellant")
+    problem = module.optimal_descent_problem
 
     def short_of_fuel(flight):
         d = problem(flight)
         return replace(d, dry_mass=d.mass - 0.5)
 
-    monkeypatch.setattr(study, "optimal_descent_problem", short_of_fuel)
-    for options, told in (
-        ([], "must give every flight a feasible descent, but flight 0 has none"),
-        (["--json", str(tmp_path / "none" / "x.json")], "an existing folder"),
-    ):
-        done = CliRunner().invoke(study.main, ["--flights", "1", "--laws", "optimal", *options])
-        assert done.exit_code == 2, done.output
-        assert told in " ".join(done.output.split())
+    monkeypatch.setattr(module, "optimal_descent_problem", short_of_fuel)
+    done = CliRunner().invoke(study_command(module.study), ["--flights", "1", "--law", "optimal"])
+    assert done.exit_code == 2, done.output
+    told = "must give every flight a feasible descent, but flight 0 has none"
+    assert told in " ".join(done.output.split())
 
 
-def test_spherical_and_flat_moon_are_compared(script):
+def test_spherical_and_flat_moon_are_compared(script, capsys):
     study = script("guidance", "spherical_and_flat_moon")
-    done = CliRunner().invoke(study.main, ["--flights", "1"])
-    assert done.exit_code == 0, done.output
-    assert "55418.29" in done.output
-    assert "1 flights from a distance of 600 m" in done.output
+    report_study(study.study, run_study(study.study, count=1))
+    printed = capsys.readouterr().out
+    assert "55418.29" in printed
+    assert "1 flights from a distance of 600 m" in printed
     # Close to the site both models give the same fall.
     r, v = np.array([-300.0, 0.0, 900.0]), np.array([20.0, 0.0, -20.0])
     fell = study.free_fall_position(None, r, v)

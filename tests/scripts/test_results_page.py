@@ -135,7 +135,7 @@ def test_guidance_metrics_are_relative_to_the_optimum_of_each_start(results):
     row = {"law": "apollo", "optimum": 30.0, "descent": 10.0, "whole": 50.0, "speed": 0.2}
     flown = [{**row, "safe": True}, {**row, "whole": 44.0, "safe": False},
              {**row, "law": "optimal", "whole": 38.0, "safe": True}]  # fmt: skip
-    report = results.extract_report("guidance", flown, "python g.py")
+    report = results.extract_report("guidance", {"rows": flown}, "python g.py")
     by = {f.label: f for f in report.figures}
     assert by["`apollo`: excess propellant to touchdown"].values == pytest.approx([25.0, 10.0])
     assert by["`optimal`: excess propellant to touchdown"].values == pytest.approx([-5.0])
