@@ -17,6 +17,8 @@ from lunarsim.onboard.perception.detector import DetectorSettings
 from lunarsim.onboard.perception.shadow_model import ShadowModel
 from lunarsim.onboard.policies.contract import Decision
 from lunarsim.rocks.field import RockModel
+from lunarsim.studies import Case, report_study, run_study
+from lunarsim.studies.command import study_command
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation
 from tests.worlds import SMALL_SHADOW_FLIGHT
@@ -244,10 +246,10 @@ def test_matrix_names_missed_goals(matrix):
 
 def test_faulty_images_are_rejected_and_most_good_ones_accepted(script):
     health = script("shadows", "image_check")
-    rows = health.check_images(health.ImageCheckTask(2, 0.05, 2.0, 11, True))
+    rows = health.check_images(Case({"cover": 0.05, "slope": 2.0}, 0, 11, {"faults": True}))
     by = {}
     for row in rows:
-        by.setdefault(row["fault"], []).append(row["verdict"])
+        by.setdefault(row["fault"], []).append(row["result"])
     assert len(by) == 20 and len(by["none"]) == 15
     # A smear of 4 pixels and a blur of 1 pixel are close to those of the camera.
     mild = {"none", health.SEEN, "defocus 1.0 px", "smear 4 px"}
