@@ -75,12 +75,11 @@ def _outline_sigmas() -> tuple[float, float]:
 
 def test_rates_fall_with_size(script, tmp_path):
     rates = script("shadows", "detection_rates")
-    done = CliRunner().invoke(
-        rates.main, ["--images", "5", "--shape", "cube", "--out", str(tmp_path)]
-    )
-    assert done.exit_code == 0, done.output
-    data = json.loads((tmp_path / "rates_cube.json").read_text())
-    rocks, missed = np.array(data["rocks"]), np.array(data["missed"])
+    options = {"shape": "cube"}
+    rows = run_study(rates.study, count=1, options=options, out=tmp_path)
+    report_study(rates.study, rows, options=options, out=tmp_path)
+    data = rates.pooled_rates(rows)
+    rocks, missed = data["rocks"], data["missed"]
     assert missed[rocks > 50][0] > 0.4
     assert missed[(rocks > 50)][-1] < 0.2
     assert (tmp_path / "rates_cube.png").exists()
@@ -138,12 +137,9 @@ def test_invalid_requests_are_rejected(script):
 
 
 @pytest.mark.slow
-def test_default_rates_are_those_printed_by_the_script(script, tmp_path):
+def test_default_rates_are_those_printed_by_the_script(script):
     rates = script("shadows", "detection_rates")
-    done = CliRunner().invoke(rates.main, ["--out", str(tmp_path)])
-    assert done.exit_code == 0, done.output
-    lines = json.loads((tmp_path / "rates_all.json").read_text())["lines"]
-    for name, line in lines.items():
+    for name, line in rates.pooled_rates(run_study(rates.study))["lines"].items():
         assert getattr(DetectionRates(), name) == pytest.approx(line, abs=6e-4), name
 
 
