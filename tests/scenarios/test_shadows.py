@@ -24,13 +24,13 @@ from lunarsim.simulation import Simulation
 from tests.worlds import SMALL_SHADOW_FLIGHT
 
 
-def test_measurement_noise_is_constant_in_pixels(script, monkeypatch):
+def test_measurement_noise_is_constant_in_pixels(script, monkeypatch, capsys):
     study = script("shadows", "rock_measurements")
     monkeypatch.setattr(study, "FAR", 45.0)
     monkeypatch.setattr(study, "LAG", 5)
-    done = CliRunner().invoke(study.main, ["--fields", "1"])
-    assert done.exit_code == 0, done.output
-    rows = [line.split("│")[1:-1] for line in done.output.splitlines() if line.startswith("│")]
+    report_study(study.study, run_study(study.study, count=1))
+    output = capsys.readouterr().out
+    rows = [line.split("│")[1:-1] for line in output.splitlines() if line.startswith("│")]
     looks, told = [row for row in rows if len(row) == 6], DetectorSettings()
     assert len(looks) >= 3
     for row in looks:
@@ -47,22 +47,22 @@ def test_measurement_noise_is_constant_in_pixels(script, monkeypatch):
         ):
             least, most = np.sort(np.hypot(base, small / edges))
             assert least / 1.2 < found / ratio < 1.2 * most
-    assert "nan" not in done.output
-    left = re.search(r"radius ([\d.]+) \(relative\), center ([\d.]+) radii", done.output)
+    assert "nan" not in output
+    left = re.search(r"radius ([\d.]+) \(relative\), center ([\d.]+) radii", output)
     assert left is not None
     radius, centre = _outline_sigmas()
     assert float(left[1]) == pytest.approx(radius, abs=0.08)
     assert float(left[2]) == pytest.approx(centre, abs=0.1)
 
 
-def test_first_measurement_is_biased_towards_the_sun_by_selection(script, monkeypatch):
+def test_first_measurement_is_biased_towards_the_sun_by_selection(script, monkeypatch, capsys):
     study = script("shadows", "rock_measurements")
     monkeypatch.setattr(study, "FAR", 150.0)
     monkeypatch.setattr(study, "NEAR", 125.0)
     monkeypatch.setattr(study, "LAG", 5)
-    done = CliRunner().invoke(study.main, ["--fields", "1"])
-    assert done.exit_code == 0, done.output
-    rows = [line.split("│")[1:-1] for line in done.output.splitlines() if line.startswith("│")]
+    report_study(study.study, run_study(study.study, count=1))
+    output = capsys.readouterr().out
+    rows = [line.split("│")[1:-1] for line in output.splitlines() if line.startswith("│")]
     first, second, *_ = (float(row[1].split("±")[0]) for row in rows if len(row) == 3)
     assert first > 0.2 > 0.1 > abs(second)
 
@@ -110,9 +110,8 @@ def small(script, tmp_path, monkeypatch):
     return experiment
 
 
-def test_experiment_compares_two_paths(small, tmp_path):
-    tasks = [small.ShadowPathTask(path, 0, 1, None) for path in small.PATHS]
-    results = [small.fly(task) for task in tasks]
+def test_experiment_compares_two_paths(small, tmp_path, capsys):
+    results = run_study(small.study, count=1, out=tmp_path / "out")
     assert [r["path"] for r in results] == list(small.PATHS)
     assert all(r["landed"] for r in results)
     summary = small.summarise(results)
