@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import json
 import re
 from itertools import combinations
@@ -10,17 +9,16 @@ from itertools import combinations
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from rich.console import Console
 
 from lunarsim.onboard.perception.detection_rates import DetectionRates
 from lunarsim.onboard.perception.detector import DetectorSettings
 from lunarsim.onboard.perception.shadow_model import ShadowModel
 from lunarsim.onboard.policies.contract import Decision
 from lunarsim.rocks.field import RockModel
-from lunarsim.studies import Case, report_study, run_study
-from lunarsim.studies.command import study_command
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation
+from lunarsim.studies import Case, report_study, run_study
+from lunarsim.studies.command import study_command
 from tests.worlds import SMALL_SHADOW_FLIGHT
 
 
@@ -120,17 +118,16 @@ def test_experiment_compares_two_paths(small, tmp_path, capsys):
     assert 0.02 < low["nominal"].mean <= 1.0
     difference = low["modified"].mean - low["nominal"].mean
     assert low["difference"].mean == pytest.approx(difference)
-    console = Console(record=True, width=140, file=io.StringIO())
-    small.show(summary, console)
-    assert "clear area classified as clear" in console.export_text()
-    text = json.dumps(small.to_json(summary, results))
-    assert json.loads(text)["flights"][0]["levels"]["50.0"]["counts"]["cells"] == 14_400
+    report_study(small.study, results, out=tmp_path / "out")
+    assert "clear area classified as clear" in capsys.readouterr().out
+    assert len(list((tmp_path / "out").glob("*.png"))) == 6
+    assert results[0]["levels"]["50.0"]["counts"]["cells"] == 14_400
 
 
 def test_invalid_requests_are_rejected(script):
     experiment = script("shadows", "nominal_vs_modified")
     for arguments in (["--fields", "0"], ["--shapes", "pyramid"], ["--jobs", "x"]):
-        done = CliRunner().invoke(experiment.main, arguments)
+        done = CliRunner().invoke(study_command(experiment.study), arguments)
         assert done.exit_code == 2
         assert "Error" in done.output
 
