@@ -1,8 +1,9 @@
 """Print the page docs/validation/results-by-seed.md from the stored results.
 
-A study writes its results with `--json`. `python scripts/results_page.py --store NAME FILE` stores
-the part that the page shows in `docs/results/NAME.json`: every metric by seed, the value of the
-paper, and the command of the study (`--command`). The page is generated from these files only.
+A study writes its results with `--out` (DIR/results.json) or `--json`. `python
+scripts/results_page.py --store NAME FILE` stores the part that the page shows in
+`docs/results/NAME.json`: every metric by seed, the value of the paper, and the command of the study
+(`--command`). The page is generated from these files only.
 """
 
 from __future__ import annotations
@@ -159,7 +160,7 @@ def shadows(results: dict[str, Any]) -> list[SeedMetric]:
     """
     out = []
     flown: dict[str, list[dict[str, Any]]] = {"nominal": [], "modified": []}
-    for flight in results["flights"]:
+    for flight in results["rows"]:
         flown[flight["path"]].append(flight)
     for rate, (label, papers, better) in _RATES.items():
         for (path, flights), paper in zip(flown.items(), papers, strict=True):

@@ -1,5 +1,6 @@
 """Studies: measure cases, keep their results, and report them."""
 
+from lunarsim.studies.arrays import pack_array, unpack_array
 from lunarsim.studies.command import report_study, run_script, run_study
 from lunarsim.studies.report import Metric, Report, metric_table
 from lunarsim.studies.study import Case, Study
@@ -10,7 +11,9 @@ __all__ = [
     "Report",
     "Study",
     "metric_table",
+    "pack_array",
     "report_study",
     "run_script",
     "run_study",
+    "unpack_array",
 ]

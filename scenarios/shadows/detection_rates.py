@@ -7,31 +7,26 @@ without a rock is false. The position of a hazard is cleared if the rock is not 
 gives evidence that no such rock is there (`ClearEvidence`). Lines are fitted to the rates against q
 (shadow EKF paper, III.C).
 
-The defaults of `DetectionRates` are the lines printed by
+Each field is seen in eight images. The defaults of `DetectionRates` are the lines printed by
 
 python scenarios/shadows/detection_rates.py
 """
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from itertools import pairwise
-from pathlib import Path
 from typing import Any
 
 import click
 import numpy as np
 from numpy.typing import NDArray
-from rich.console import Console
-from rich.progress import track
 from rich.table import Table
 from scipy.optimize import least_squares, minimize
 from scipy.spatial import cKDTree
 
 from lunarsim import Grid, Heightfield, Terrain
 from lunarsim.api import State, gimbal_mount
-from lunarsim.console import plain_console
 from lunarsim.frames import direction_from_angles
 from lunarsim.models.pinhole import View
 from lunarsim.onboard.hazards.shadows.clear_evidence import ClearEvidence
@@ -41,6 +36,7 @@ from lunarsim.onboard.perception.shape_mixture import ShapeMixture
 from lunarsim.rocks.field import RockModel
 from lunarsim.rocks.size_distribution import sample_diameters
 from lunarsim.sensors.camera import Camera
+from lunarsim.studies import Case, Report, Study, run_script
 from lunarsim.world import World
 from lunarsim.world.light import FULL_EARTH_IRRADIANCE_RATIO, SUN_DIAMETER_RAD, Light
 from lunarsim.world.terrain import place_rocks
@@ -87,8 +83,8 @@ def take_image(world: World, model: ShapeMixture, rng: np.random.Generator) -> d
     """Simulate one image; return shadow size and detection result of each rock.
 
     The shadow size `q` is the square root of the expected number of shadow pixels. The result
-    holds, by name: for rocks in view q and the flags "missed" and "merged"; for detections "seen_q"
-    and the flag "false"; for hazards "hazard_q" and the flag "cleared".
+    holds, by name: for rocks in view "rocks_q" and the flags "missed" and "merged"; for detections
+    "detections_q" and the flag "false"; for hazards "hazards_q" and the flag "cleared".
     """
     altitude = np.exp(rng.uniform(np.log(25.0), np.log(250.0)))
     depression = rng.uniform(np.radians(22.0), np.pi / 2)
@@ -138,10 +134,10 @@ def take_image(world: World, model: ShapeMixture, rng: np.random.Generator) -> d
     merged = ~found & (patch > 0) & (size[patch] > 1.7 * q**2) & (size[patch] >= 4)
     hazard = inside & (2.0 * rocks.a >= MIN_HAZARD_DIAMETER) & (len(seen) > 0)
     return {
-        "hazard_q": q[hazard], "cleared": (is_cleared(world, view, seen,
-        model) & ~found)[hazard],
-        "q": q[inside], "missed": (~found & ~merged)[inside], "merged": merged[inside],
-        "seen_q": seen.q, "false": false,
+        "hazards_q": q[hazard],
+        "cleared": (is_cleared(world, view, seen, model) & ~found)[hazard],
+        "rocks_q": q[inside], "missed": (~found & ~merged)[inside], "merged": merged[inside],
+        "detections_q": seen.q, "false": false,
     }  # fmt: skip
 
 
@@ -169,14 +165,51 @@ def is_cleared(
     )
 
 
-def rates_by_size(q: NDArray[Any], flag: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Return the fraction of samples with a flag, and their number, by bin of q.
+def measure_field(case: Case) -> list[dict[str, Any]]:
+    """Simulate the images of one field; count results by bin of shadow size q (`EDGES`).
 
-    `q` (n,) is the square root of the number of shadow pixels; `EDGES` holds the bin limits.
+    A row has the limits of its bin and the numbers of rocks in view, of those missed and merged, of
+    detections and false ones, and of hazards and cleared ones.
     """
-    number, _ = np.histogram(q, EDGES)
-    hits, _ = np.histogram(q[flag], EDGES)
-    return hits / np.maximum(number, 1), number
+    shape = SHAPES[case.number % len(SHAPES)] if case["shape"] == ALL else case["shape"]
+    elevation = np.radians(case["sun_elevation"])
+    images = []
+    for k in range(IMAGES_PER_FIELD):
+        key = (case.number * IMAGES_PER_FIELD + k,)
+        rng = np.random.default_rng(np.random.SeedSequence(case.seed, spawn_key=key))
+        if k == 0:
+            world = make_world(shape, elevation, rng, case["light"])
+            model = ShapeMixture(elevation)
+        images.append(take_image(world, model, rng))
+    found = {name: np.concatenate([image[name] for image in images]) for name in images[0]}
+    counts = {}
+    for number, flags in FLAGS.items():
+        q = found[f"{number}_q"]
+        counts[number], _ = np.histogram(q, EDGES)
+        counts |= {flag: np.histogram(q[found[flag]], EDGES)[0] for flag in flags}
+    return [
+        {"from": low, "to": high} | {name: int(count[n]) for name, count in counts.items()}
+        for n, (low, high) in enumerate(pairwise(EDGES.tolist()))
+    ]
+
+
+def pooled_rates(rows: list[dict[str, Any]]) -> dict[str, Any]:
+    """Return rates and numbers of samples by bin of q over all fields, and fitted lines."""
+    sums = {
+        name: np.array([sum(r[name] for r in rows if r["from"] == low) for low in EDGES[:-1]])
+        for name in rows[0] if name not in {"from", "to", "number"}
+    }  # fmt: skip
+    middle = 0.5 * (EDGES[1:] + EDGES[:-1])
+    data: dict[str, Any] = {"edges": EDGES, "lines": {}}
+    for number, flags in FLAGS.items():
+        many = sums[number] >= 30
+        data[number] = sums[number]
+        for flag in flags:
+            data[flag] = sums[flag] / np.maximum(sums[number], 1)
+            if flag in FITS:
+                line = FITS[flag](middle[many], data[flag][many], sums[number][many])
+                data["lines"][flag] = line
+    return data
 
 
 def fit_least_squares(
@@ -229,17 +262,26 @@ def fit_maximum_likelihood(
     return [float(v) for v in best.x]
 
 
-def show(data: dict[str, Any], title: str, console: Console) -> None:
-    """Print false-negative, false-detection and clearing rates against shadow size.
+# Samples of each kind, the flags that they can have, and the fit to the rates of a flag.
+FLAGS = {"rocks": ("missed", "merged"), "detections": ("false",), "hazards": ("cleared",)}
+FITS = {
+    "missed": fit_least_squares, "false": fit_least_squares, "cleared": fit_maximum_likelihood,
+}  # fmt: skip
 
-    `data` holds the measured rates by bin of q (square root of the number of shadow pixels) and the
-    fitted lines.
-    """
-    table = Table(title=title)
+
+def report_rates(report: Report) -> None:
+    """Print false-negative, false-detection and clearing rates and lines; plot them."""
+    data, options = pooled_rates(report.rows), report.options
+    images = IMAGES_PER_FIELD * len(report.groups("number"))
+    shape = options["shape"]
+    table = Table(
+        title=f"{shape}, Sun at {options['sun_elevation']:g} deg, {options['light']} light, "
+        f"{images} images"
+    )
     for heading in ("q (pixels)", "rocks", "merged", "missed", "line", "detections", "false",
                     "line", "hazards", "cleared", "line"):  # fmt: skip
         table.add_column(heading, justify="right")
-    for k, (low, high) in enumerate(pairwise(data["edges"])):
+    for k, (low, high) in enumerate(pairwise(EDGES)):
         missed, false, clear = (
             float(np.clip(start + slope * 0.5 * (low + high), floor, 1.0))
             for start, slope, floor in data["lines"].values()
@@ -250,81 +292,35 @@ def show(data: dict[str, Any], title: str, console: Console) -> None:
             f"{data['false'][k]:.4f}", f"{false:.4f}",
             str(data["hazards"][k]), f"{data['cleared'][k]:.4f}", f"{clear:.4f}",
         )  # fmt: skip
-    console.print(table)
+    report.print(table)
     for name, (start, slope, floor) in data["lines"].items():
-        console.print(f"{name}: clip({start:.3f} {slope:+.3f} q, {floor:.4f}, 1)")
-
-
-@click.command()
-@click.option("--images", type=click.IntRange(min=4), default=80, show_default=True,
-              help="Number of simulated images.")  # fmt: skip
-@click.option(
-    "--shape",
-    type=click.Choice((ALL, *SHAPES)),
-    default=ALL,
-    show_default=True,
-    help="Rock shape; all: each rock field has another shape in turn.",
-)
-@click.option(
-    "--sun-elevation",
-    default=20.0,
-    show_default=True,
-    help="Elevation of the Sun above the horizon (deg).",
-)
-@click.option("--light", type=click.Choice(tuple(LIGHTS)), default="plain", show_default=True,
-              help="Light: plain (the Sun is a point source) or full (all light "
-              "effects).")  # fmt: skip
-@click.option(
-    "--seed",
-    type=int,
-    default=1,
-    show_default=True,
-    help="Seed from which all random numbers derive.",
-)
-@click.option("--out", type=click.Path(path_type=Path, file_okay=False), default=None,
-              help="Folder for the figure and its data. Default: none.")  # fmt: skip
-def main(
-    images: int, shape: str, sun_elevation: float, light: str, seed: int, out: Path | None
-) -> None:
-    """Measure the rates of the shadow detector and fit lines to them."""
-    console = plain_console(130)
-    elevation = np.radians(sun_elevation)
-    looks = []
-    for k in track(range(images), description="images"):
-        rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(k,)))
-        if k % IMAGES_PER_FIELD == 0:
-            own = SHAPES[k // IMAGES_PER_FIELD % len(SHAPES)] if shape == ALL else shape
-            world, model = make_world(own, elevation, rng, light), ShapeMixture(elevation)
-        looks.append(take_image(world, model, rng))
-    q, lost, run, seen_q, false, hazard_q, gone = (
-        np.concatenate([one[name] for one in looks])
-        for name in ("q", "missed", "merged", "seen_q", "false", "hazard_q", "cleared")
-    )
-    missed, rocks = rates_by_size(q, lost)
-    merged, _ = rates_by_size(q, run)
-    made_up, detections = rates_by_size(seen_q, false)
-    clear, hazards = rates_by_size(hazard_q, gone)
-    middle = 0.5 * (EDGES[1:] + EDGES[:-1])
-    many, some, few = rocks >= 30, detections >= 30, hazards >= 30
-    lines = {
-        "missed": fit_least_squares(middle[many], missed[many], rocks[many]),
-        "false": fit_least_squares(middle[some], made_up[some], detections[some]),
-        "cleared": fit_maximum_likelihood(middle[few], clear[few], hazards[few]),
-    }
-    data = {
-        "edges": EDGES.tolist(), "rocks": rocks.tolist(), "missed": missed.tolist(),
-        "merged": merged.tolist(), "detections": detections.tolist(), "false": made_up.tolist(),
-        "hazards": hazards.tolist(), "cleared": clear.tolist(), "lines": lines,
-    }  # fmt: skip
-    title = f"{shape}, Sun at {sun_elevation:g} deg, {light} light, {images} images"
-    show(data, title, console)
-    if out is not None:
+        report.print(f"{name}: clip({start:.3f} {slope:+.3f} q, {floor:.4f}, 1)")
+    if report.out is not None:
         from figures import draw_rates
 
-        out.mkdir(parents=True, exist_ok=True)
-        (out / f"rates_{shape}.json").write_text(json.dumps(data, indent=1), encoding="utf-8")
-        draw_rates(data, shape, out / f"rates_{shape}.png")
+        draw_rates(data, shape, report.out / f"rates_{shape}.png")
 
+
+study = Study(
+    measure_field,
+    repeats="fields",
+    count=10,
+    options=(
+        click.Option(
+            ["--shape"], type=click.Choice((ALL, *SHAPES)), default=ALL, show_default=True,
+            help="Rock shape; all: each rock field has another shape in turn.",
+        ),
+        click.Option(
+            ["--sun-elevation"], type=float, default=20.0, show_default=True,
+            help="Elevation of the Sun above the horizon (deg).",
+        ),
+        click.Option(
+            ["--light"], type=click.Choice(tuple(LIGHTS)), default="plain", show_default=True,
+            help="Light: plain (the Sun is a point source) or full (all light effects).",
+        ),
+    ),
+    report=report_rates,
+)  # fmt: skip
 
 if __name__ == "__main__":
-    main()
+    run_script(study)

@@ -12,6 +12,7 @@ from matplotlib.patches import Patch
 from lunarsim.evaluation.classification import RELIABILITY_EDGES
 from lunarsim.evaluation.reliability import bin_frequencies
 from lunarsim.onboard.hazards.shadows import cover_probability
+from lunarsim.studies import unpack_array
 from lunarsim.viz.style import COLOURS, map_axes, new_figure, save
 
 PATHS = ("nominal", "modified")
@@ -21,15 +22,25 @@ CLEAR, UNKNOWN, OCCUPIED = "#4daf4a", "#ffd92f", "#c1272d"
 def draw_all(results: list[dict[str, Any]], out: Path) -> None:
     """Plot all figures of the nominal and modified descents into a folder.
 
-    `results` are the flights of `nominal_vs_modified.py`.
+    `results` are the rows of `nominal_vs_modified.py`.
     """
-    first = {p: next(r for r in results if r["path"] == p) for p in PATHS}
+    first = {p: _unpacked(next(r for r in results if r["path"] == p)) for p in PATHS}
     draw_paths(first, out / "paths.png")
     draw_classes(first, out / "classes.png")
     draw_contours(first, out / "contours.png")
     draw_slice(first, out / "slice.png")
     draw_reliability(results, out / "reliability.png")
     draw_cover_models(out / "forms.png")
+
+
+def _unpacked(row: dict[str, Any]) -> dict[str, Any]:
+    """Return the first flight of a path with arrays, and levels by altitude in m."""
+    arrays = ("map", "occupied", "extent")
+    levels = {
+        float(altitude): level | {name: unpack_array(level[name]) for name in arrays}
+        for altitude, level in row["levels"].items()
+    }
+    return {"levels": levels, "track": unpack_array(row["track"])}
 
 
 def draw_paths(first_flights: dict[str, dict[str, Any]], path: Path) -> None:
@@ -175,7 +186,8 @@ def draw_reliability(results: list[dict[str, Any]], path: Path) -> None:
     figure = new_figure(5.4, 4.6)
     ax = figure.subplots()
     for name, colour in zip(PATHS, COLOURS, strict=False):
-        table = sum(r["levels"][50.0]["reliability"] for r in results if r["path"] == name)
+        own = [r["levels"]["50.0"]["reliability"] for r in results if r["path"] == name]
+        table = np.sum(own, axis=0)
         many = table[:, 0] >= 100
         stated, found = bin_frequencies(table[many])
         ax.plot(np.maximum(stated, 3e-5), np.maximum(found, 3e-5), "o-", color=colour, label=name,

@@ -4,29 +4,24 @@ Fields of rocks by Golombek's law on relief are seen from random positions, with
 faults below are applied to every image. Each image is evaluated independently; good ones are also
 evaluated as in a flight in which the Sun direction has already been confirmed.
 
-python scenarios/shadows/image_check.py --fields 2 --seed 7 --json out/health.json
+python scenarios/shadows/image_check.py --fields 2 --seed 7 --out out/image_check
 """
 
 from __future__ import annotations
 
-import json
 from collections import Counter
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import product
-from pathlib import Path
 from typing import Any
 
 import click
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from rich.console import Console
 from rich.table import Table
 
 from lunarsim import Grid, Heightfield, Terrain
 from lunarsim.api import State, gimbal_mount
-from lunarsim.campaign.pool import collect_results
-from lunarsim.console import plain_console
 from lunarsim.frames import direction_from_angles
 from lunarsim.onboard.perception.detector import detect_rocks
 from lunarsim.onboard.perception.image_quality import ImageQualityCheck
@@ -35,6 +30,7 @@ from lunarsim.onboard.perception.shadow_model import ShadowModel
 from lunarsim.rocks.field import RockModel
 from lunarsim.rocks.size_distribution import sample_diameters
 from lunarsim.sensors.camera import Camera
+from lunarsim.studies import Case, Report, Study, run_script
 from lunarsim.world import World
 from lunarsim.world.light import Light
 from lunarsim.world.terrain import fractal_relief, place_rocks
@@ -50,40 +46,31 @@ SEEN = "none, the Sun seen before"
 Counts = NDArray[np.uint8]
 
 
-@dataclass(frozen=True)
-class ImageCheckTask:
-    """Settings of one simulated field, imaged under all Suns from all altitudes.
-
-    `number` is the number of the field, `cover` the rock cover (fraction), `slope` the RMS slope
-    (deg) and `seed` the root seed; `faults` adds faulty images.
-    """
-
-    number: int
-    cover: float
-    slope: float
-    seed: int
-    faults: bool
+def field_index(case: Case) -> int:
+    """Return the index of a field among all covers and slopes, which sets its random numbers."""
+    cell = COVERS.index(case["cover"]) * len(SLOPES) + SLOPES.index(case["slope"])
+    return case.number * len(COVERS) * len(SLOPES) + cell
 
 
-def make_terrain(task: ImageCheckTask, rng: np.random.Generator) -> Terrain:
+def make_terrain(case: Case, rng: np.random.Generator) -> Terrain:
     """Generate fractal terrain 1 km wide with rocks around its center."""
     grid = Grid.centred((0.0, 0.0), 1000.0, 4.0)
-    relief = fractal_relief(grid, rng, hurst=0.8, rms_slope=np.radians(task.slope))
+    relief = fractal_relief(grid, rng, hurst=0.8, rms_slope=np.radians(case["slope"]))
     low, high = (int(k) for k in np.searchsorted(grid.x, [-0.5 * FIELD, 0.5 * FIELD]))
     inner = Grid(grid.x[low], grid.y[low], 4.0, high - low, high - low)
     middle = Heightfield(inner, np.ascontiguousarray(relief.z[low:high, low:high]))
-    diameters = sample_diameters(FIELD**2, task.cover, 0.2, 3.0, rng)
-    shape = RockModel(SHAPES[task.number % len(SHAPES)])  # type: ignore[arg-type]
+    diameters = sample_diameters(FIELD**2, case["cover"], 0.2, 3.0, rng)
+    shape = RockModel(SHAPES[field_index(case) % len(SHAPES)])  # type: ignore[arg-type]
     return Terrain(relief, place_rocks(middle, diameters, rng, model=shape))
 
 
-def check_images(task: ImageCheckTask) -> list[dict[str, Any]]:
-    """Simulate good and faulty images of a field, and check each of them.
+def check_images(case: Case) -> list[dict[str, Any]]:
+    """Simulate good and faulty images of a field under all Suns, and check each of them.
 
-    A result holds the conditions, the name of the fault, and the text of `check_result`.
+    A row has Sun elevation (deg), altitude (m), name of the fault, and result of `check_result`.
     """
-    rng = np.random.default_rng(np.random.SeedSequence(task.seed, spawn_key=(task.number,)))
-    terrain = make_terrain(task, rng)
+    rng = np.random.default_rng(np.random.SeedSequence(case.seed, spawn_key=(field_index(case),)))
+    terrain = make_terrain(case, rng)
     rows = []
     for elevation, altitude in product(SUNS, ALTITUDES):
         light = Light(rng.uniform(0.0, 2.0 * np.pi), np.radians(elevation))
@@ -96,14 +83,13 @@ def check_images(task: ImageCheckTask) -> list[dict[str, Any]]:
         state = State(position, np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]), np.zeros(3), 1000.0)
         camera = replace(Camera(), mount=gimbal_mount(state.attitude, aim - position))
         counts = camera.expose(World(terrain, 1.622, light), state, 0.0, rng).counts
-        cell = {"cover": task.cover, "slope": task.slope, "sun": elevation, "altitude": altitude}
-        cases = [("none", counts, 0.0), (SEEN, counts, 0.0)]
-        for name, image, turn in cases + (faulty_images(counts, rng) if task.faults else []):
+        images = [("none", counts, 0.0), (SEEN, counts, 0.0)]
+        for name, image, turn in images + (faulty_images(counts, rng) if case["faults"] else []):
             sun = direction_from_angles(light.azimuth + turn, light.elevation)
             health = ImageQualityCheck()
             health.sun.confirmed = name == SEEN
-            checked = check_result(image, camera, state, sun, aim[2], health)
-            rows.append(cell | {"fault": name, "verdict": checked})
+            result = check_result(image, camera, state, sun, aim[2], health)
+            rows.append({"sun": elevation, "altitude": altitude, "fault": name, "result": result})
     return rows
 
 
@@ -176,79 +162,47 @@ def smear_image(gray_values: NDArray[np.float32], length: int, rng: np.random.Ge
     return cv2.filter2D(gray_values, -1, kernel)
 
 
-def show(rows: list[dict[str, Any]], console: Console) -> None:
-    """Print accepted and rejected fractions by condition, and results by fault.
-
-    `rows` are the results of `check_images`.
-    """
-    good = [r for r in rows if r["fault"] == SEEN]
+def print_results(report: Report) -> None:
+    """Print accepted and rejected fractions by condition, and results by fault."""
+    good = [r for r in report.rows if r["fault"] == SEEN]
     for key in ("sun", "altitude", "cover", "slope"):
         table = Table(title=f"Good images with confirmed Sun direction, by {key}")
         for heading in (
-            key,
-            "images",
-            "accepted (fraction)",
-            "insufficient (fraction)",
-            "rejected (fraction)",
-        ):
+            key, "images", "accepted (fraction)", "insufficient (fraction)", "rejected (fraction)",
+        ):  # fmt: skip
             table.add_column(heading, justify="right")
         for value in sorted({r[key] for r in good}):
-            of = [r["verdict"] for r in good if r[key] == value]
+            of = [r["result"] for r in good if r[key] == value]
             counts = sum(v == "counts" for v in of)
             little = sum(v.startswith("(") for v in of)
             shares = (n / len(of) for n in (counts, little, len(of) - counts - little))
             table.add_row(str(value), str(len(of)), *(f"{share:.3f}" for share in shares))
-        console.print(table)
+        report.print(table)
     table = Table(title="Results of the image check")
     for heading in ("fault", "images", "accepted", "reasons of rejection"):
-        table.add_column(heading, justify="left" if heading in {"fault"} else "right")
-    for name in dict.fromkeys(r["fault"] for r in rows):
-        of = Counter(r["verdict"] for r in rows if r["fault"] == name)
-        why = ", ".join(f"{v} {n}" for v, n in of.most_common() if v != "counts")
-        table.add_row(name, str(of.total()), str(of["counts"]), why)
-    console.print(table)
+        table.add_column(heading, justify="left" if heading == "fault" else "right")
+    for (name,), rows in report.groups("fault").items():
+        by = Counter(r["result"] for r in rows)
+        why = ", ".join(f"{v} {n}" for v, n in by.most_common() if v != "counts")
+        table.add_row(name, str(by.total()), str(by["counts"]), why)
+    report.print(table)
 
 
-@click.command()
-@click.option("--fields", type=click.IntRange(min=1), default=1, show_default=True,
-              help="Number of rock fields for each combination of rock cover and terrain "
-              "slope.")  # fmt: skip
-@click.option(
-    "--faults/--no-faults",
-    default=True,
-    show_default=True,
-    help="Whether to check faulty images also.",
-)
-@click.option(
-    "--seed",
-    type=int,
-    default=7,
-    show_default=True,
-    help="Seed from which all random numbers derive.",
-)
-@click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True,
-              help="Number of parallel processes; it does not change the results.")  # fmt: skip
-@click.option("--json", "json_file", type=click.Path(path_type=Path, dir_okay=False), default=None,
-              help="JSON file for all results. Default: none.")  # fmt: skip
-def main(fields: int, faults: bool, seed: int, jobs: int, json_file: Path | None) -> None:
-    """Check good and faulty images; print how often each is accepted or rejected."""
-    console = plain_console(140)
-    cells = list(product(range(fields), COVERS, SLOPES))
-    tasks = [
-        ImageCheckTask(k, cover, slope, seed, faults) for k, (_, cover, slope) in enumerate(cells)
-    ]
-    rows = [
-        row
-        for found in collect_results(check_images, tasks, jobs, console, "fields")
-        for row in found
-    ]
-    if not rows:
-        raise click.Abort
-    show(rows, console)
-    if json_file is not None:
-        json_file.parent.mkdir(parents=True, exist_ok=True)
-        json_file.write_text(json.dumps(rows, indent=0), encoding="utf-8")
-
+study = Study(
+    check_images,
+    repeats="fields",
+    count=1,
+    seed=7,
+    factors={"cover": COVERS, "slope": SLOPES},
+    factor_help={"cover": "Rock cover (fraction).", "slope": "RMS slope of the terrain (deg)."},
+    options=(
+        click.Option(
+            ["--faults/--no-faults"], default=True, show_default=True,
+            help="Whether to check faulty images also.",
+        ),
+    ),
+    report=print_results,
+)  # fmt: skip
 
 if __name__ == "__main__":
-    main()
+    run_script(study)

@@ -9,24 +9,20 @@ python scenarios/shadows/nominal_vs_modified.py --fields 20 --jobs 2 --out out/s
 
 from __future__ import annotations
 
-import json
 import operator
-from dataclasses import asdict, dataclass
 from functools import reduce
 from pathlib import Path
 from typing import Any
 
 import click
 import numpy as np
-from rich.console import Console
 from rich.table import Table
 
 from lunarsim import Scenario, Simulation, flight_seed
-from lunarsim.campaign.pool import collect_results
-from lunarsim.console import plain_console
-from lunarsim.evaluation.classification import RELIABILITY_EDGES, classify
+from lunarsim.evaluation.classification import RELIABILITY_EDGES, Classification, classify
 from lunarsim.evaluation.reliability import reliability
 from lunarsim.evaluation.statistics import MeanInterval, mean_interval
+from lunarsim.studies import Case, Report, Study, pack_array, run_script
 
 SCENARIOS = Path(__file__).parents[1]
 PATHS = ("nominal", "modified")
@@ -54,55 +50,41 @@ LABELS = {
 }
 
 
-@dataclass(frozen=True)
-class ShadowPathTask:
-    """Settings of one simulated flight of the nominal or the modified descent.
+def fly(case: Case) -> dict[str, Any]:
+    """Simulate one flight; return map quality by altitude, propellant and duration.
 
-    `path` is "nominal" or "modified" (which overflies the site), `field` the number of the rock
-    field, `seed` the root seed; `shapes` is the expected rock shape (None: that of the scenario),
-    `method` a name in `METHODS`.
+    The row of the first field also has the maps and the flown path, as packed arrays for figures.
     """
-
-    path: str
-    field: int
-    seed: int
-    shapes: str | None
-    method: str = "own"
-
-
-def fly(task: ShadowPathTask) -> dict[str, Any]:
-    """Simulate one flight; return map quality by altitude, propellant and duration."""
-    scenario = Scenario.load(SCENARIOS / f"shadow_{task.path}.toml")
-    if task.shapes is not None:
-        scenario = scenario.changed(expected_rocks={"shape": task.shapes})
-    scenario = scenario.changed(mappers={"rocks": METHODS[task.method]})
-    simulation = Simulation(scenario, flight_seed(task.seed, task.field))
+    scenario = Scenario.load(SCENARIOS / f"shadow_{case['path']}.toml")
+    if case["shapes"] is not None:
+        scenario = scenario.changed(expected_rocks={"shape": case["shapes"]})
+    scenario = scenario.changed(mappers={"rocks": METHODS[case["method"]]})
+    simulation = Simulation(scenario, flight_seed(case.seed, case.number))
     pending = list(ALTITUDES)
-    levels: dict[float, dict[str, Any]] = {}
+    levels: dict[str, dict[str, Any]] = {}
     track = []
     while not simulation.done:
         simulation.step()
         track.append(simulation.state.position - simulation.computer.briefing.target)
         if pending and simulation.altitude <= pending[0]:
-            levels[pending.pop(0)] = evaluate_map(simulation)
+            levels[str(pending.pop(0))] = evaluate_map(simulation, case.number == 0)
             if not pending:
                 # The maps are complete: the rest of the flight only gives propellant and duration.
                 simulation.computer.stop_sensors()
-    return {
-        "path": task.path,
-        "field": task.field,
+    row = {
         "levels": levels,
         "propellant": simulation.lander.wet_mass - simulation.state.mass,
         "duration": simulation.time,
         "landed": simulation.outcome is not None and simulation.outcome.touchdown is not None,
-        "track": np.array(track)[::5],
     }
+    return row | ({"track": pack_array(np.array(track)[::5])} if case.number == 0 else {})
 
 
-def evaluate_map(simulation: Simulation) -> dict[str, Any]:
+def evaluate_map(simulation: Simulation, with_map: bool) -> dict[str, Any]:
     """Compare the current shadow map with the true rocks, in the onboard frame.
 
-    Returns counts of the cells by class, calibration counts, the map and the true hazard cells.
+    Returns rates and counts of the cells by class, and calibration counts; `with_map` adds the map
+    and the true hazard cells.
     """
     mapper = simulation.computer.mappers["rocks"]
     probability = mapper.probability.probability(mapper.tracker)
@@ -111,14 +93,15 @@ def evaluate_map(simulation: Simulation) -> dict[str, Any]:
     hazard = simulation.scenario.mappers["rocks"].min_hazard_diameter_m
     large = 2.0 * terrain.rocks.a >= hazard
     occupied = (rock >= 0) & large[np.maximum(rock, 0)]
-    return {
-        "classes": classify(probability, occupied, observed=mapper.probability.observed),
+    classes = classify(probability, occupied, observed=mapper.probability.observed)
+    level = {
+        "rates": classes.rates,
+        "counts": classes.counts(),
         "reliability": reliability(probability, occupied, RELIABILITY_EDGES),
         "rocks": mapper.tracker.filter.count,
-        "map": probability,
-        "occupied": occupied,
-        "extent": mapper.grid.extent,
     }
+    arrays = {"map": probability, "occupied": occupied, "extent": np.array(mapper.grid.extent)}
+    return level | ({k: pack_array(v) for k, v in arrays.items()} if with_map else {})
 
 
 def compare_means(nominal: list[float], modified: list[float]) -> dict[str, MeanInterval]:
@@ -130,33 +113,34 @@ def compare_means(nominal: list[float], modified: list[float]) -> dict[str, Mean
     }
 
 
-def summarise(results: list[dict[str, Any]]) -> dict[str, Any]:
+def summarise(rows: list[dict[str, Any]]) -> dict[str, Any]:
     """Return mean map metrics by altitude for both paths, and paired differences.
 
-    `results` are the values of `fly`.
+    Fields that only one path has flown are ignored.
     """
-    by = [[r for r in results if r["path"] == p] for p in PATHS]
-    out: dict[str, Any] = {"altitudes": {}, "fields": len(by[0])}
-    for altitude in ALTITUDES:
-        classes = [[r["levels"][altitude]["classes"] for r in of] for of in by]
+    by = [[r for r in rows if r["path"] == path] for path in PATHS]
+    fields = min(map(len, by))
+    by = [flights[:fields] for flights in by]
+    out: dict[str, Any] = {"altitudes": {}, "fields": fields}
+    for altitude in by[0][0]["levels"] if fields else ():
+        levels = [[r["levels"][altitude] for r in flights] for flights in by]
         level: dict[str, Any] = {
-            rate: compare_means(*([c.rates[rate] for c in of] for of in classes)) for rate in LABELS
+            rate: compare_means(*([one["rates"][rate] for one in of] for of in levels))
+            for rate in LABELS
         }
         # All fields pooled, because false clear cells are rare.
-        for path, of in zip(PATHS, classes, strict=True):
-            pooled = reduce(operator.add, of)
+        for path, of in zip(PATHS, levels, strict=True):
+            pooled = reduce(operator.add, (Classification(**one["counts"]) for one in of))
             level[f"pooled_clear_false_{path}"] = pooled.rates["clear_false"]
-        out["altitudes"][altitude] = level
+        out["altitudes"][float(altitude)] = level
     for name in ("propellant", "duration"):
-        out[name] = compare_means(*([r[name] for r in of] for of in by))
+        out[name] = compare_means(*([r[name] for r in flights] for flights in by))
     return out
 
 
-def show(summary: dict[str, Any], console: Console) -> None:
-    """Print map quality by altitude, propellant and duration of both paths.
-
-    `summary` is the value of `summarise`.
-    """
+def report_paths(report: Report) -> None:
+    """Print map quality by altitude, propellant and duration of both paths; plot both."""
+    summary = summarise(report.rows)
     for altitude, level in summary["altitudes"].items():
         table = Table(
             title=f"Map at {altitude:.0f} m, {summary['fields']} fields (mean, 95 % interval)"
@@ -169,96 +153,42 @@ def show(summary: dict[str, Any], console: Console) -> None:
                 figures = PAPER.get(rate)
                 paper = "{} / {}".format(*figures) if figures else "modified: 0.09 lower"
             table.add_row(label, *(v.text() for v in level[rate].values()), paper)
-        console.print(table)
-        console.print(
+        report.print(table)
+        report.print(
             "  All fields pooled, hazard fraction of the area classified as clear: "
             f"nominal {level['pooled_clear_false_nominal']:.5f}, "
             f"modified {level['pooled_clear_false_modified']:.5f} (threshold 0.00250)"
         )
     for name, unit, paper in (("propellant", "kg", "about 1"), ("duration", "s", "2")):
         nominal, modified, difference = (v.text(2) for v in summary[name].values())
-        console.print(
+        report.print(
             f"{name}: nominal {nominal} {unit}, modified {modified} {unit}, difference "
             f"{difference} {unit} (paper: {paper} {unit})"
         )
-
-
-@click.command()
-@click.option("--fields", type=click.IntRange(min=1), default=2, show_default=True,
-              help="Number of rock fields; each is flown on the nominal and on the modified "
-              "path.")  # fmt: skip
-@click.option(
-    "--seed",
-    type=int,
-    default=1,
-    show_default=True,
-    help="Seed from which all random numbers derive.",
-)
-@click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True,
-              help="Number of parallel processes; it does not change the results.")  # fmt: skip
-@click.option("--shapes", type=click.Choice(SHAPES), default=None,
-              help="Rock shape that the mission expects (default: shape in the "
-              "scenario).")  # fmt: skip
-@click.option("--method", type=click.Choice(tuple(METHODS)), default="own", show_default=True,
-              help="Rock shapes of the mapper; own: inferred from shadows; paper: hemispheres; "
-              "otherwise those that the mission expects.")  # fmt: skip
-@click.option("--json", "json_file", type=click.Path(path_type=Path, dir_okay=False), default=None,
-              help="JSON file for all results. Default: none.")  # fmt: skip
-@click.option("--out", type=click.Path(path_type=Path, file_okay=False), default=None,
-              help="Folder for the figures. Default: no figures.")  # fmt: skip
-def main(
-    fields: int,
-    seed: int,
-    jobs: int,
-    shapes: str | None,
-    method: str,
-    json_file: Path | None,
-    out: Path | None,
-) -> None:
-    """Fly nominal and modified descents over rock fields; compare their maps."""
-    console = plain_console(140)
-    tasks = [
-        ShadowPathTask(path, field, seed, shapes, method)
-        for field in range(fields)
-        for path in PATHS
-    ]
-    results = collect_results(fly, tasks, jobs, console, "flights")
-    # A field counts only if both paths have flown it.
-    results = results[: len(results) // len(PATHS) * len(PATHS)]
-    if not results:
-        raise click.Abort
-    summary = summarise(results)
-    show(summary, console)
-    if json_file is not None:
-        json_file.parent.mkdir(parents=True, exist_ok=True)
-        json_file.write_text(
-            json.dumps(to_json(summary, results), indent=1, default=asdict), encoding="utf-8"
-        )
-    if out is not None:
+    if report.out is not None and summary["fields"]:
         from figures import draw_all
 
-        draw_all(results, out)
+        draw_all(report.rows, report.out)
 
 
-def to_json(summary: dict[str, Any], results: list[dict[str, Any]]) -> dict[str, Any]:
-    """Return the summary and all flights except their maps for JSON."""
-    flights = [
-        {
-            **{k: r[k] for k in ("path", "field", "propellant", "duration", "landed")},
-            "levels": {
-                str(a): {
-                    "rates": level["classes"].rates,
-                    "counts": level["classes"].counts(),
-                    "rocks": level["rocks"],
-                    "reliability": level["reliability"].tolist(),
-                }
-                for a, level in r["levels"].items()
-            },
-        }
-        for r in results
-    ]
-    return {"summary": json.loads(json.dumps(summary, default=asdict)), "flights": flights}
-
+study = Study(
+    fly,
+    repeats="fields",
+    count=2,
+    factors={"path": PATHS},
+    options=(
+        click.Option(
+            ["--shapes"], type=click.Choice(SHAPES), default=None,
+            help="Rock shape that the mission expects (default: shape in the scenario).",
+        ),
+        click.Option(
+            ["--method"], type=click.Choice(tuple(METHODS)), default="own", show_default=True,
+            help="Rock shapes of the mapper; own: inferred from shadows; paper: hemispheres; "
+            "otherwise those that the mission expects.",
+        ),
+    ),
+    report=report_paths,
+)  # fmt: skip
 
 if __name__ == "__main__":
-    main()
+    run_script(study)

@@ -18,23 +18,22 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import Any
 
 import click
 import numpy as np
 from detection_rates import SHAPES, make_world, rock_model_of
 from numpy.typing import NDArray
-from rich.console import Console
-from rich.progress import track
 from rich.table import Table
 from scipy.spatial import cKDTree
 
 from lunarsim.api import State, gimbal_mount
-from lunarsim.console import plain_console
 from lunarsim.frames import direction_from_angles
 from lunarsim.onboard.hazards.shadows import TrackerSettings
 from lunarsim.onboard.perception.detector import detect_rocks
 from lunarsim.onboard.perception.shadow_model import ShadowModel
 from lunarsim.sensors.camera import Camera
+from lunarsim.studies import Case, Report, Study, run_script
 from lunarsim.world import World
 
 Array = NDArray[np.float64]
@@ -135,167 +134,162 @@ def measure_descent(world: World, model: ShadowModel, rng: np.random.Generator) 
     return RockMeasurements(off, sigma, pixel, sight, ratio, rocks.a, good)
 
 
-def successive_changes(descents: list[RockMeasurements]) -> Array:
-    """Return the change of measured rock positions between successive images (n, 5).
+def measure_field(case: Case) -> dict[str, Any]:
+    """Simulate the descent to one field; return the samples of all statistics of its rocks."""
+    rng = np.random.default_rng(np.random.SeedSequence(case.seed, spawn_key=(case.number,)))
+    elevation = np.radians(case["sun_elevation"])
+    world = make_world(case["shape"], elevation, rng)
+    model = ShadowModel(elevation, rock_model_of(case["shape"]))
+    descent = measure_descent(world, model, rng)
+    return {
+        "changes": successive_changes(descent), "biases": biases_after_first(descent),
+        "walks": random_walks(descent), "remaining": persistent_errors(descent),
+    }  # fmt: skip
 
-    `descents` are the measurements of several descents. Columns: rock radius in pixels; change
-    along and across the Sun direction over its standard deviation; change along and across in
-    pixels, scaled to a single measurement.
+
+def successive_changes(one: RockMeasurements) -> Array:
+    """Return sums of the changes between successive images by bin of rock radius (bins, 5).
+
+    Columns: number of changes; sums of squares of the change along and across the Sun direction
+    over its standard deviation, and of the change along and across in pixels, scaled to a single
+    measurement.
+    """
+    change = np.diff(one.error, axis=0)
+    change -= np.nanmedian(change, axis=1, keepdims=True)
+    sigma = np.hypot(one.sigma[1:], one.sigma[:-1])
+    pixel = np.sqrt(2.0) * one.pixel[1:]
+    size = np.broadcast_to(one.radius, change.shape[:2]) / one.pixel[1:].mean(axis=-1)
+    ratios = np.concatenate((change / sigma, change / pixel), axis=-1)
+    known = np.isfinite(ratios).all(axis=-1) & np.isfinite(size)
+    sums = []
+    for low, high in pairwise(EDGES):
+        at = ratios[known & (size >= low) & (size < high)]
+        sums.append([len(at), *np.sum(at**2, axis=0)])
+    return np.array(sums)
+
+
+def biases_after_first(one: RockMeasurements) -> Array:
+    """Return the errors of the first good and the following measurements (n, SETTLED, 2), pixels.
+
+    The errors along and across the Sun direction are relative to the mean of later measurements,
+    from `SETTLED` to twice as many images after the first. Only rocks that are not measured well in
+    the first image are used.
     """
     out = []
-    for one in descents:
-        change = np.diff(one.error, axis=0)
-        change -= np.nanmedian(change, axis=1, keepdims=True)
-        sigma = np.hypot(one.sigma[1:], one.sigma[:-1])
-        pixel = np.sqrt(2.0) * one.pixel[1:]
-        size = np.broadcast_to(one.radius, change.shape[:2]) / one.pixel[1:].mean(axis=-1)
-        out.append(np.concatenate((size[..., None], change / sigma, change / pixel), axis=-1))
-    rows = np.concatenate([o.reshape(-1, 5) for o in out])
-    return rows[np.isfinite(rows).all(1)]
+    for rock in np.flatnonzero(one.can_start_track.any(axis=0) & ~one.can_start_track[0]):
+        first = int(np.argmax(one.can_start_track[:, rock]))
+        late = one.error[first + SETTLED : first + 2 * SETTLED, rock]
+        if len(late) < SETTLED or np.isfinite(late[:, 0]).sum() < SETTLED // 2:
+            continue
+        row = one.error[first : first + SETTLED, rock] - np.nanmean(late, axis=0)
+        out.append(row / one.pixel[first, rock])
+    return np.array(out).reshape(-1, SETTLED, 2)
 
 
-def bias_after_first(descents: list[RockMeasurements]) -> Array:
-    """Return the bias of the first good and the following measurements (n, 4).
+def random_walks(one: RockMeasurements) -> Array:
+    """Return samples of the variance of rock centers as the view direction rotates (n, 2, 2).
 
-    `descents` are the measurements of several descents. The bias is relative to the mean of later
-    measurements, from `SETTLED` to twice as many images after the first. Only rocks that are not
-    measured well in the first image are used. Columns: bias along and across the Sun direction,
-    pixels, and its standard errors.
+    The variances are in squared rock radii per radian: of each rock without noise, and common to
+    all rocks; along and across the Sun direction.
     """
     out = []
-    for one in descents:
-        for rock in np.flatnonzero(one.can_start_track.any(axis=0) & ~one.can_start_track[0]):
-            first = int(np.argmax(one.can_start_track[:, rock]))
-            late = one.error[first + SETTLED : first + 2 * SETTLED, rock]
-            if len(late) < SETTLED or np.isfinite(late[:, 0]).sum() < SETTLED // 2:
-                continue
-            row = one.error[first : first + SETTLED, rock] - np.nanmean(late, axis=0)
-            out.append(row / one.pixel[first, rock])
-    if len(out) < 2:
-        return np.full((SETTLED, 4), np.nan)
-    rows = np.array(out)
-    count = np.maximum(np.isfinite(rows[..., 0]).sum(axis=0), 2)[:, None]
-    error = np.nanstd(rows, axis=0, ddof=1) / np.sqrt(count)
-    return np.concatenate((np.nanmean(rows, axis=0), error), axis=1)
+    dot = np.einsum("kij,kij->ki", one.direction[LAG:], one.direction[:-LAG])
+    turn = np.arccos(np.clip(dot, -1.0, 1.0))
+    change = (one.error[LAG:] - one.error[:-LAG]) / one.radius[:, None]
+    noise = (one.sigma[LAG:] ** 2 + one.sigma[:-LAG] ** 2) / one.radius[:, None] ** 2
+    for move, sigma, angle in zip(change, noise, turn, strict=True):
+        both = np.isfinite(move).all(1) & (np.abs(move) < 1.2).all(1)
+        if both.sum() < MIN_COMMON_ROCKS or angle[both].mean() < MIN_TURN:
+            continue
+        mean, spread = move[both].mean(axis=0), move[both].var(axis=0, ddof=1)
+        own, shared = spread - sigma[both].mean(axis=0), mean**2 - spread / both.sum()
+        out.append(np.stack((own, shared)) / angle[both].mean())
+    return np.array(out).reshape(-1, 2, 2)
 
 
-def random_walks(descents: list[RockMeasurements]) -> tuple[Array, Array]:
-    """Estimate the random walk of measured rock centers as the view direction rotates.
+def persistent_errors(one: RockMeasurements) -> Array:
+    """Return the errors of each rock that remain after averaging over images (n, 3).
 
-    It is in rock radii per square root of a radian, along and across the Sun direction (2,).
-    Returns the random walk of each rock without noise, and that common to all rocks.
+    Columns: mean radius / true radius, the variance of its noise, and the mean squared position
+    error per axis without noise and without the mean error of the descent, in squared radii. Only
+    rocks with `MIN_MEASUREMENTS` measurements or more are used.
     """
-    own, shared = [], []
-    for one in descents:
-        dot = np.einsum("kij,kij->ki", one.direction[LAG:], one.direction[:-LAG])
-        turn = np.arccos(np.clip(dot, -1.0, 1.0))
-        change = (one.error[LAG:] - one.error[:-LAG]) / one.radius[:, None]
-        noise = (one.sigma[LAG:] ** 2 + one.sigma[:-LAG] ** 2) / one.radius[:, None] ** 2
-        for move, sigma, angle in zip(change, noise, turn, strict=True):
-            both = np.isfinite(move).all(1) & (np.abs(move) < 1.2).all(1)
-            if both.sum() < MIN_COMMON_ROCKS or angle[both].mean() < MIN_TURN:
-                continue
-            mean, angle_mean = move[both].mean(axis=0), angle[both].mean()
-            spread = move[both].var(axis=0, ddof=1)
-            own.append((spread - sigma[both].mean(axis=0)) / angle_mean)
-            shared.append((mean**2 - spread / both.sum()) / angle_mean)
-    if not own:
-        return np.full(2, np.nan), np.full(2, np.nan)
-    roots = [np.sqrt(np.maximum(np.mean(v, axis=0), 0.0)) for v in (own, shared)]
-    return roots[0], roots[1]
+    count = np.isfinite(one.radius_ratio).sum(axis=0)
+    some = count >= MIN_MEASUREMENTS
+    ratio = one.radius_ratio[:, some]
+    place = one.error[:, some] / one.radius[some, None]
+    noise = np.nanvar(ratio, axis=0, ddof=1) / count[some]
+    spread = (np.nanvar(place, axis=0, ddof=1) / count[some, None]).mean(axis=1)
+    mean = np.nanmean(place, axis=0)
+    mean = mean - mean.mean(axis=0)
+    return np.column_stack((np.nanmean(ratio, axis=0), noise, (mean**2).mean(axis=1) - spread))
 
 
-def persistent_errors(descents: list[RockMeasurements]) -> tuple[float, float, int]:
-    """Return the errors that remain after averaging over images, and the rock count.
-
-    These are the standard deviation of mean radius / true radius over all rocks, and the RMS error
-    of the mean position per axis, in radii, without the mean error of each descent. Only rocks with
-    `MIN_MEASUREMENTS` measurements or more are used, and the noise is subtracted. `descents` are
-    the measurements of several descents.
-    """
-    sizes, places = [], []
-    for one in descents:
-        count = np.isfinite(one.radius_ratio).sum(axis=0)
-        some = count >= MIN_MEASUREMENTS
-        ratio = one.radius_ratio[:, some]
-        place = one.error[:, some] / one.radius[some, None]
-        noise = np.nanvar(ratio, axis=0, ddof=1) / count[some]
-        spread = (np.nanvar(place, axis=0, ddof=1) / count[some, None]).mean(axis=1)
-        sizes.append(np.column_stack((np.nanmean(ratio, axis=0), noise)))
-        mean = np.nanmean(place, axis=0)
-        mean = mean - mean.mean(axis=0)
-        places.append((mean**2).mean(axis=1) - spread)
-    size, place = np.concatenate(sizes), np.concatenate(places)
-    if len(size) < 2:
-        return np.nan, np.nan, len(size)
-    left = size[:, 0].var(ddof=1) - size[:, 1].mean()
-    return float(np.sqrt(max(left, 0.0))), float(np.sqrt(max(place.mean(), 0.0))), len(size)
-
-
-def show(descents: list[RockMeasurements], console: Console) -> None:
-    """Print noise, bias of the first measurement, random walk and remaining errors.
-
-    `descents` are the measurements of several descents.
-    """
-    rows = successive_changes(descents)
+def report_errors(report: Report) -> None:
+    """Print noise, bias of the first measurement, random walk and remaining errors."""
     table = Table(title="Change between successive measurements")
     for heading in ("radius (pixels)", "measurements", "along the Sun (pixels)", "across (pixels)",
                     "along / predicted", "across / predicted"):  # fmt: skip
         table.add_column(heading, justify="right")
-    for low, high in pairwise(EDGES):
-        at = rows[(rows[:, 0] >= low) & (rows[:, 0] < high)]
-        if len(at) < 2:
-            continue
-        along, across, along_px, across_px = np.sqrt(np.mean(at[:, 1:] ** 2, axis=0))
-        table.add_row(f"{low:g} - {high:g}", f"{len(at)}", f"{along_px:.2f}", f"{across_px:.2f}",
-                      f"{along:.2f}", f"{across:.2f}")  # fmt: skip
-    console.print(table)
+    sums = np.sum([row["changes"] for row in report.rows], axis=0)
+    for (low, high), (count, *squares) in zip(pairwise(EDGES), sums, strict=True):
+        if count >= 2:
+            along, across, *pixels = (f"{np.sqrt(square / count):.2f}" for square in squares)
+            table.add_row(f"{low:g} - {high:g}", f"{count:.0f}", *pixels, along, across)
+    report.print(table)
     table = Table(
         title="Bias after the first measurement that can start a track, relative to settled ones"
     )
     for heading in ("measurement", "along the Sun (pixels)", "across (pixels)"):
         table.add_column(heading, justify="right")
-    for k, (along, across, e, f) in enumerate(bias_after_first(descents)):
-        table.add_row(f"{k + 1}", f"{along:+.2f} ± {e:.2f}", f"{across:+.2f} ± {f:.2f}")
-    console.print(table)
-    own, shared = random_walks(descents)
-    console.print(
+    biases = _joined(report, "biases", (SETTLED, 2))
+    if len(biases) < 2:
+        biases = np.full((2, SETTLED, 2), np.nan)
+    count = np.maximum(np.isfinite(biases[..., 0]).sum(axis=0), 2)[:, None]
+    error = np.nanstd(biases, axis=0, ddof=1) / np.sqrt(count)
+    for k, pairs in enumerate(np.stack((np.nanmean(biases, axis=0), error), axis=-1)):
+        table.add_row(f"{k + 1}", *(f"{mean:+.2f} ± {sigma:.2f}" for mean, sigma in pairs))
+    report.print(table)
+    walks = _joined(report, "walks", (2, 2))
+    mean = walks.mean(axis=0) if len(walks) else np.full((2, 2), np.nan)
+    own, shared = np.sqrt(np.maximum(mean, 0.0))
+    report.print(
         f"Random walk with the view rotation (radii per sqrt(rad)): per rock {own[0]:.2f} along "
-        f"the Sun, "
-        f"{own[1]:.2f} across; common {shared[0]:.2f} along, {shared[1]:.2f} across"
+        f"the Sun, {own[1]:.2f} across; common {shared[0]:.2f} along, {shared[1]:.2f} across"
     )
-    radius, centre, rocks = persistent_errors(descents)
-    console.print(
-        f"Remaining error after {MIN_MEASUREMENTS} measurements or more ({rocks} rocks): radius "
-        f"{radius:.2f} (relative), center "
-        f"{centre:.2f} radii per axis"
+    ratio, noise, place = _joined(report, "remaining", (3,)).T
+    radius = centre = np.nan
+    if len(ratio) >= 2:
+        radius = np.sqrt(max(ratio.var(ddof=1) - noise.mean(), 0.0))
+        centre = np.sqrt(max(place.mean(), 0.0))
+    report.print(
+        f"Remaining error after {MIN_MEASUREMENTS} measurements or more ({len(ratio)} rocks): "
+        f"radius {radius:.2f} (relative), center {centre:.2f} radii per axis"
     )
 
 
-@click.command()
-@click.option("--fields", type=click.IntRange(min=1), default=4, show_default=True,
-              help="Number of rock fields; each has a different descent path.")  # fmt: skip
-@click.option("--shape", type=click.Choice(SHAPES), default="cube", show_default=True,
-              help="Shape of the rocks; the detector knows it.")  # fmt: skip
-@click.option("--sun-elevation", type=click.FloatRange(2.0, 80.0), default=20.0, show_default=True,
-              help="Elevation of the Sun above the horizon (deg).")  # fmt: skip
-@click.option(
-    "--seed",
-    type=click.IntRange(min=0),
-    default=1,
-    show_default=True,
-    help="Seed from which all random numbers derive.",
-)
-def main(fields: int, shape: str, sun_elevation: float, seed: int) -> None:
-    """Measure the errors of rock centers between images and between views."""
-    elevation = np.radians(sun_elevation)
-    model = ShadowModel(elevation, rock_model_of(shape))
-    looks = []
-    for k in track(range(fields), description="fields"):
-        rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(k,)))
-        looks.append(measure_descent(make_world(shape, elevation, rng), model, rng))
-    show(looks, plain_console(120))
+def _joined(report: Report, name: str, shape: tuple[int, ...]) -> Array:
+    """Return the samples of one column of all fields, each of a shape."""
+    samples = [np.array(row[name], dtype=np.float64).reshape(-1, *shape) for row in report.rows]
+    return np.concatenate(samples)
 
+
+study = Study(
+    measure_field,
+    repeats="fields",
+    count=4,
+    options=(
+        click.Option(
+            ["--shape"], type=click.Choice(SHAPES), default="cube", show_default=True,
+            help="Shape of the rocks; the detector knows it.",
+        ),
+        click.Option(
+            ["--sun-elevation"], type=click.FloatRange(2.0, 80.0), default=20.0, show_default=True,
+            help="Elevation of the Sun above the horizon (deg).",
+        ),
+    ),
+    report=report_errors,
+)  # fmt: skip
 
 if __name__ == "__main__":
-    main()
+    run_script(study)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import json
 import re
 from itertools import combinations
@@ -10,7 +9,6 @@ from itertools import combinations
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from rich.console import Console
 
 from lunarsim.onboard.perception.detection_rates import DetectionRates
 from lunarsim.onboard.perception.detector import DetectorSettings
@@ -19,16 +17,18 @@ from lunarsim.onboard.policies.contract import Decision
 from lunarsim.rocks.field import RockModel
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation
+from lunarsim.studies import Case, report_study, run_study
+from lunarsim.studies.command import study_command
 from tests.worlds import SMALL_SHADOW_FLIGHT
 
 
-def test_measurement_noise_is_constant_in_pixels(script, monkeypatch):
+def test_measurement_noise_is_constant_in_pixels(script, monkeypatch, capsys):
     study = script("shadows", "rock_measurements")
     monkeypatch.setattr(study, "FAR", 45.0)
     monkeypatch.setattr(study, "LAG", 5)
-    done = CliRunner().invoke(study.main, ["--fields", "1"])
-    assert done.exit_code == 0, done.output
-    rows = [line.split("│")[1:-1] for line in done.output.splitlines() if line.startswith("│")]
+    report_study(study.study, run_study(study.study, count=1))
+    output = capsys.readouterr().out
+    rows = [line.split("│")[1:-1] for line in output.splitlines() if line.startswith("│")]
     looks, told = [row for row in rows if len(row) == 6], DetectorSettings()
     assert len(looks) >= 3
     for row in looks:
@@ -45,22 +45,22 @@ def test_measurement_noise_is_constant_in_pixels(script, monkeypatch):
         ):
             least, most = np.sort(np.hypot(base, small / edges))
             assert least / 1.2 < found / ratio < 1.2 * most
-    assert "nan" not in done.output
-    left = re.search(r"radius ([\d.]+) \(relative\), center ([\d.]+) radii", done.output)
+    assert "nan" not in output
+    left = re.search(r"radius ([\d.]+) \(relative\), center ([\d.]+) radii", output)
     assert left is not None
     radius, centre = _outline_sigmas()
     assert float(left[1]) == pytest.approx(radius, abs=0.08)
     assert float(left[2]) == pytest.approx(centre, abs=0.1)
 
 
-def test_first_measurement_is_biased_towards_the_sun_by_selection(script, monkeypatch):
+def test_first_measurement_is_biased_towards_the_sun_by_selection(script, monkeypatch, capsys):
     study = script("shadows", "rock_measurements")
     monkeypatch.setattr(study, "FAR", 150.0)
     monkeypatch.setattr(study, "NEAR", 125.0)
     monkeypatch.setattr(study, "LAG", 5)
-    done = CliRunner().invoke(study.main, ["--fields", "1"])
-    assert done.exit_code == 0, done.output
-    rows = [line.split("│")[1:-1] for line in done.output.splitlines() if line.startswith("│")]
+    report_study(study.study, run_study(study.study, count=1))
+    output = capsys.readouterr().out
+    rows = [line.split("│")[1:-1] for line in output.splitlines() if line.startswith("│")]
     first, second, *_ = (float(row[1].split("±")[0]) for row in rows if len(row) == 3)
     assert first > 0.2 > 0.1 > abs(second)
 
@@ -73,12 +73,11 @@ def _outline_sigmas() -> tuple[float, float]:
 
 def test_rates_fall_with_size(script, tmp_path):
     rates = script("shadows", "detection_rates")
-    done = CliRunner().invoke(
-        rates.main, ["--images", "5", "--shape", "cube", "--out", str(tmp_path)]
-    )
-    assert done.exit_code == 0, done.output
-    data = json.loads((tmp_path / "rates_cube.json").read_text())
-    rocks, missed = np.array(data["rocks"]), np.array(data["missed"])
+    options = {"shape": "cube"}
+    rows = run_study(rates.study, count=1, options=options, out=tmp_path)
+    report_study(rates.study, rows, options=options, out=tmp_path)
+    data = rates.pooled_rates(rows)
+    rocks, missed = data["rocks"], data["missed"]
     assert missed[rocks > 50][0] > 0.4
     assert missed[(rocks > 50)][-1] < 0.2
     assert (tmp_path / "rates_cube.png").exists()
@@ -109,9 +108,8 @@ def small(script, tmp_path, monkeypatch):
     return experiment
 
 
-def test_experiment_compares_two_paths(small, tmp_path):
-    tasks = [small.ShadowPathTask(path, 0, 1, None) for path in small.PATHS]
-    results = [small.fly(task) for task in tasks]
+def test_experiment_compares_two_paths(small, tmp_path, capsys):
+    results = run_study(small.study, count=1, out=tmp_path / "out")
     assert [r["path"] for r in results] == list(small.PATHS)
     assert all(r["landed"] for r in results)
     summary = small.summarise(results)
@@ -120,28 +118,24 @@ def test_experiment_compares_two_paths(small, tmp_path):
     assert 0.02 < low["nominal"].mean <= 1.0
     difference = low["modified"].mean - low["nominal"].mean
     assert low["difference"].mean == pytest.approx(difference)
-    console = Console(record=True, width=140, file=io.StringIO())
-    small.show(summary, console)
-    assert "clear area classified as clear" in console.export_text()
-    text = json.dumps(small.to_json(summary, results))
-    assert json.loads(text)["flights"][0]["levels"]["50.0"]["counts"]["cells"] == 14_400
+    report_study(small.study, results, out=tmp_path / "out")
+    assert "clear area classified as clear" in capsys.readouterr().out
+    assert len(list((tmp_path / "out").glob("*.png"))) == 6
+    assert results[0]["levels"]["50.0"]["counts"]["cells"] == 14_400
 
 
 def test_invalid_requests_are_rejected(script):
     experiment = script("shadows", "nominal_vs_modified")
     for arguments in (["--fields", "0"], ["--shapes", "pyramid"], ["--jobs", "x"]):
-        done = CliRunner().invoke(experiment.main, arguments)
+        done = CliRunner().invoke(study_command(experiment.study), arguments)
         assert done.exit_code == 2
         assert "Error" in done.output
 
 
 @pytest.mark.slow
-def test_default_rates_are_those_printed_by_the_script(script, tmp_path):
+def test_default_rates_are_those_printed_by_the_script(script):
     rates = script("shadows", "detection_rates")
-    done = CliRunner().invoke(rates.main, ["--out", str(tmp_path)])
-    assert done.exit_code == 0, done.output
-    lines = json.loads((tmp_path / "rates_all.json").read_text())["lines"]
-    for name, line in lines.items():
+    for name, line in rates.pooled_rates(run_study(rates.study))["lines"].items():
         assert getattr(DetectionRates(), name) == pytest.approx(line, abs=6e-4), name
 
 
@@ -244,10 +238,10 @@ def test_matrix_names_missed_goals(matrix):
 
 def test_faulty_images_are_rejected_and_most_good_ones_accepted(script):
     health = script("shadows", "image_check")
-    rows = health.check_images(health.ImageCheckTask(2, 0.05, 2.0, 11, True))
+    rows = health.check_images(Case({"cover": 0.05, "slope": 2.0}, 0, 11, {"faults": True}))
     by = {}
     for row in rows:
-        by.setdefault(row["fault"], []).append(row["verdict"])
+        by.setdefault(row["fault"], []).append(row["result"])
     assert len(by) == 20 and len(by["none"]) == 15
     # A smear of 4 pixels and a blur of 1 pixel are close to those of the camera.
     mild = {"none", health.SEEN, "defocus 1.0 px", "smear 4 px"}

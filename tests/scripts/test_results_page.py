@@ -88,7 +88,7 @@ def test_shadow_metrics_are_paired(results):
         _descent("nominal", 40.0, 0.1), _descent("modified", 41.0),
         _descent("nominal", 50.0, 0.3), _descent("modified", 53.0),
     ]  # fmt: skip
-    report = results.extract_report("shadows", {"flights": flights}, "")
+    report = results.extract_report("shadows", {"rows": flights}, "")
     by = {f.label: f for f in report.figures}
     assert by["propellant, modified minus nominal"].values == [1.0, 3.0]
     assert by["propellant, modified minus nominal"].falls_short
@@ -191,7 +191,7 @@ def test_real_return_metrics_are_by_split(results):
 
 def test_report_is_stored_completely(results, tmp_path, monkeypatch):
     monkeypatch.setattr(results, "STORED", tmp_path)
-    found = {"flights": [_descent("nominal", 1.0), _descent("modified", 2.0)]}
+    found = {"rows": [_descent("nominal", 1.0), _descent("modified", 2.0)]}
     written = tmp_path / "raw"
     written.write_text(json.dumps(found))
     results.main(["--store", "shadows", str(written), "--command", "c"], standalone_mode=False)

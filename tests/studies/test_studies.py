@@ -13,7 +13,7 @@ from click.testing import CliRunner
 
 from lunarsim.cli import main
 from lunarsim.errors import InputError
-from lunarsim.studies import Metric, Report, run_study
+from lunarsim.studies import Metric, Report, pack_array, run_study, unpack_array
 from lunarsim.studies.command import report_folder, study_command
 from lunarsim.studies.library import load_study, study_files, summary
 from lunarsim.studies.results import plain
@@ -163,3 +163,12 @@ def test_studies_are_listed_and_run_by_name():
     assert wrong.exit_code == 2 and "Did you mean 'landers/slosh'?" in wrong.output
     with pytest.raises(InputError, match="Did you mean"):
         load_study("landers/slush")
+
+
+@pytest.mark.parametrize("array", [np.arange(6.0).reshape(2, 3) / 7.0, np.array([True, False])])
+def test_packed_arrays_are_exact(array):
+    text = pack_array(array)
+    assert plain(text) == text
+    again = unpack_array(text)
+    assert again.dtype == array.dtype
+    np.testing.assert_array_equal(again, array)
