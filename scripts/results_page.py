@@ -1,9 +1,9 @@
 """Print the page docs/validation/results-by-seed.md from the stored results.
 
-A study writes its results with `--out` (DIR/results.json) or `--json`. `python
+A study writes its results with `--json FILE`, or to `results.json` with `--out DIR`. `python
 scripts/results_page.py --store NAME FILE` stores the part that the page shows in
-`docs/results/NAME.json`: every metric by seed, the value of the paper, and the command of the study
-(`--command`). The page is generated from these files only.
+`docs/results/NAME.json`: every metric by seed, the value of the paper, and the command of the
+study (`--command`). The page is generated from these files only.
 """
 
 from __future__ import annotations
@@ -119,7 +119,7 @@ def quadtree(results: dict[str, Any]) -> list[SeedMetric]:
 
     They are map errors, hazard areas and selected sites on the hazard field.
     """
-    flights = results["flights"]
+    flights = results["rows"]
     looks = [flight["looks"][-1] for flight in flights]
     share = [look["missed_m2"] / max(look["hazard_m2"], 1e-9) for look in looks]
     safe = [sum(s["exactly_safe"] for s in look["sites"]) for look in looks]

@@ -7,23 +7,23 @@ LiDAR samples, cells between samples, and cells that the map shows as rocks. A r
 or four times the noise of the first scan, above the terrain without rocks. A NEES of 1 is
 consistent; a larger value is overconfident, a smaller value is conservative.
 
-python scenarios/gaussian_dem/consistency.py --seeds 4 --jobs 2
+python scenarios/gaussian_dem/consistency.py --descents 4 --jobs 2
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import click
 import numpy as np
 from rich.table import Table
 
 from lunarsim import Grid, Terrain
-from lunarsim.campaign.pool import collect_results
-from lunarsim.console import plain_console
 from lunarsim.onboard.hazards.gaussian_dem import SamplePool, pooled_dem
 from lunarsim.onboard.hazards.gaussian_dem.gaussian import MIN_MEASURED_WEIGHT
 from lunarsim.rocks.field import RockField, RockModel
+from lunarsim.studies import Case, Report, Study, run_script
 from lunarsim.world.terrain import fractal_relief, place_rocks
 
 STRATA = ("measured", "interpolated", "on rocks")
@@ -79,15 +79,14 @@ def scan(terrain: Terrain, spacing: float, sigma: float, rng: np.random.Generato
     return np.column_stack((xy, terrain.elevation(xy) + sigma * rng.standard_normal(len(xy))))
 
 
-def nees_of_descent(task: tuple[str, int, int, float]) -> np.ndarray:
-    """Return the sums and the counts of the DEM's NEES over one descent (3, 2).
+def nees_of_descent(case: Case) -> dict[str, Any]:
+    """Return the sums of the DEM's NEES over one descent, and the numbers of cells.
 
-    NEES is the squared elevation error over the predicted variance. `task` holds terrain name, root
-    seed, index of the descent, and a factor on the scan noise of `DESCENT`. The rows of the result
-    are the groups of cells in `STRATA`: measured, interpolated, on rocks.
+    NEES is the squared elevation error over the predicted variance. Both lists have one value per
+    group of cells in `STRATA`: measured, interpolated, on rocks.
     """
-    name, seed, index, times = task
-    rng = np.random.default_rng([seed, index, list(WORLDS).index(name)])
+    name, times = case["world"], case["noise"]
+    rng = np.random.default_rng([case.seed, case.number, list(WORLDS).index(name)])
     terrain = make_terrain(WORLDS[name], rng)
     truth = terrain.raster(GRID)
     bare = Terrain(terrain.relief, RockField.empty()).raster(GRID)
@@ -103,43 +102,38 @@ def nees_of_descent(task: tuple[str, int, int, float]) -> np.ndarray:
         for n, where in enumerate((measured & ~rock, ~measured & ~rock, rock)):
             own = square[dem.observed & where]
             total[n] += own.sum(), own.size
-    return total
+    return {"nees_sum": total[:, 0], "cells": total[:, 1]}
 
 
-@click.command()
-@click.option(
-    "--seeds",
-    type=click.IntRange(min=1),
-    default=4,
-    show_default=True,
-    help="Number of descents over each kind of terrain, with one random seed each.",
-)
-@click.option(
-    "--seed",
-    type=click.IntRange(min=0),
-    default=1,
-    show_default=True,
-    help="Seed from which all random numbers derive.",
-)
-@click.option("--noise", type=click.FloatRange(min=0.0, min_open=True), default=1.0,
-              show_default=True,
-              help="Factor by which the noise of the LiDAR samples is multiplied.")  # fmt: skip
-@click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True,
-              help="Number of parallel processes; it does not change the results.")  # fmt: skip
-def main(seeds: int, seed: int, noise: float, jobs: int) -> None:
+def print_nees(report: Report) -> None:
     """Print the NEES of measured, interpolated and rock cells for each terrain."""
-    console = plain_console(120)
-    tasks = [(name, seed, index, noise) for name in WORLDS for index in range(seeds)]
-    found = collect_results(nees_of_descent, tasks, jobs, console, "descents")
-    table = Table(title=f"NEES over {seeds} descents of {len(DESCENT)} scans (number of cells)")
+    groups = report.groups("world")
+    most = max(map(len, groups.values()))
+    table = Table(title=f"NEES over {most} descents of {len(DESCENT)} scans (number of cells)")
     for heading in ("world", *STRATA):
         table.add_column(heading, justify="left" if heading == "world" else "right")
-    for n, name in enumerate(WORLDS):
-        total = np.sum(found[n * seeds : (n + 1) * seeds], axis=0)
-        cells = [f"{s / c:.2f} ({c:.0f})" if c else "-" for s, c in total]
-        table.add_row(name, *cells)
-    console.print(table)
+    for (name,), rows in groups.items():
+        sums, counts = (np.sum([row[k] for row in rows], axis=0) for k in ("nees_sum", "cells"))
+        cells = zip(sums, counts, strict=True)
+        table.add_row(name, *(f"{s / c:.2f} ({c:.0f})" if c else "-" for s, c in cells))
+    report.print(table)
 
+
+study = Study(
+    nees_of_descent,
+    repeats="descents",
+    count=4,
+    factors={"world": list(WORLDS)},
+    factor_help={"world": "Kind of terrain."},
+    report=print_nees,
+    options=(
+        click.Option(
+            ["--noise"], type=click.FloatRange(min=0.0, min_open=True), default=1.0,
+            show_default=True,
+            help="Factor by which the noise of the LiDAR samples is multiplied.",
+        ),
+    ),
+)  # fmt: skip
 
 if __name__ == "__main__":
-    main()
+    run_script(study)

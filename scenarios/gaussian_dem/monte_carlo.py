@@ -10,43 +10,29 @@ python scenarios/gaussian_dem/monte_carlo.py --samples 200 --jobs 2 --out out/ga
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import base64
+import zlib
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-import click
 import numpy as np
 from rich.table import Table
 from scipy import fft, ndimage
 from testbed import LANDER, MARGIN, ScannedDem, TestbedField, map_testbed, testbed
 
 from lunarsim import Grid, exact_safety, gaussian_dem
-from lunarsim.campaign.pool import collect_results
-from lunarsim.console import plain_console
 from lunarsim.evaluation.reliability import calibration_error, reliability
 from lunarsim.safety import plane_stochastic_safety, safe_sites, stochastic_safety
+from lunarsim.studies import Case, Report, Study, run_script
 from lunarsim.viz.reliability import plot_ideal, plot_reliability
 from lunarsim.viz.style import COLOURS, new_figure, save
 
 CONFIGURATIONS = [(200.0, 30.0), (500.0, 0.0), (500.0, 60.0), (1000.0, 30.0)]
+SCANS = [f"{distance:.0f} m, {angle:.0f} deg" for distance, angle in CONFIGURATIONS]
 SIDE = 30.0  # side of the evaluated square, m
 MAP = Grid.centred((0.0, 0.0), SIDE, 0.1)
 METHODS = ("Eqs. 15-17", "support planes")
-
-
-@dataclass(frozen=True)
-class TerrainSampleTask:
-    """Work of one process: a range of terrain samples for one scan configuration.
-
-    `configuration` is an index of `CONFIGURATIONS`, `seed` the seed of the testbed; the samples
-    have the numbers `first` to `first + count - 1`.
-    """
-
-    configuration: int
-    seed: int
-    first: int
-    count: int
 
 
 @lru_cache(maxsize=4)
@@ -73,12 +59,12 @@ def spectrum(cells: int) -> np.ndarray:
     return np.sqrt(np.maximum(fft.fft2(covariance).real, 0.0))
 
 
-def error_field(task: TerrainSampleTask, rng: np.random.Generator) -> np.ndarray:
+def error_field(configuration: int, seed: int, rng: np.random.Generator) -> np.ndarray:
     """Sample one correlated elevation error of the Gaussian DEM (rows, cols), m.
 
-    `task` gives the testbed and the scan configuration.
+    `configuration` and `seed` select the scan.
     """
-    _, own = scan_testbed(task.configuration, task.seed)
+    _, own = scan_testbed(configuration, seed)
     # Four times as wide as the map, so that the periodicity of the sample has no effect on it.
     cells = fft.next_fast_len(4 * MAP.rows)
     noise = rng.standard_normal((2, cells, cells))
@@ -92,19 +78,23 @@ def error_field(task: TerrainSampleTask, rng: np.random.Generator) -> np.ndarray
     return np.asarray(drawn[: MAP.rows, : MAP.cols] - found.mean)
 
 
-def count_safe_samples(task: TerrainSampleTask) -> np.ndarray:
-    """Count the sampled terrains in which each map cell is safe (rows, cols).
+def find_safe_cells(case: Case) -> dict[str, str]:
+    """Return the safe cells of one sampled terrain, as text.
 
-    The terrains are the DEM plus sampled elevation errors; their safety is computed without
-    uncertainty. `task` gives the scan and the numbers of the samples.
+    The terrain is the DEM plus a sampled elevation error; its safety is computed without
+    uncertainty. The text is the compressed map (rows, cols) of `unpack_map`.
     """
-    dem = scan_testbed(task.configuration, task.seed)[1].dem
-    total = np.zeros(MAP.shape, np.int64)
-    for n in range(task.first, task.first + task.count):
-        rng = np.random.default_rng([task.seed, task.configuration, n])
-        safe, _ = safe_sites(dem.mean + error_field(task, rng), MAP, LANDER)
-        total += safe
-    return total
+    configuration = SCANS.index(case["scan"])
+    dem = scan_testbed(configuration, case.seed)[1].dem
+    rng = np.random.default_rng([case.seed, configuration, case.number])
+    safe, _ = safe_sites(dem.mean + error_field(configuration, case.seed, rng), MAP, LANDER)
+    return {"safe": base64.b85encode(zlib.compress(np.packbits(safe).tobytes())).decode()}
+
+
+def unpack_map(text: str) -> np.ndarray:
+    """Return the map (rows, cols) of 0 and 1 that a text of `find_safe_cells` holds."""
+    packed = np.frombuffer(zlib.decompress(base64.b85decode(text)), np.uint8)
+    return np.unpackbits(packed, count=MAP.rows * MAP.cols).reshape(MAP.shape)
 
 
 def compare_safety_tests(
@@ -138,18 +128,18 @@ def compare_safety_tests(
     }
 
 
-def draw(results: list[dict[str, Any]], path: Path) -> None:
+def draw(results: dict[str, dict[str, Any]], path: Path) -> None:
     """Plot sampled against predicted probability of safety, one panel per scan.
 
-    `results` are the dictionaries of `compare_safety_tests`; `path` is the output file.
+    `results` are the dictionaries of `compare_safety_tests` by scan; `path` is the output file.
     """
     figure = new_figure(3.0 * len(results), 3.6)
-    panels = figure.subplots(1, len(results), sharey=True)
-    for panel, result, (distance, angle) in zip(panels, results, CONFIGURATIONS, strict=True):
+    (panels,) = figure.subplots(1, len(results), sharey=True, squeeze=False)
+    for panel, (scan, result) in zip(panels, results.items(), strict=True):
         plot_ideal(panel)
         for name, colour in zip(METHODS, (COLOURS[1], COLOURS[0]), strict=True):
             plot_reliability(panel, result["table"][name], color=colour, label=name)
-        panel.set_title(f"{distance:.0f} m, {angle:.0f} deg")
+        panel.set_title(scan)
         panel.set_xlabel("Predicted probability of safety")
         panel.set_aspect("equal")
         panel.grid(alpha=0.3)
@@ -158,55 +148,47 @@ def draw(results: list[dict[str, Any]], path: Path) -> None:
     save(figure, path)
 
 
-@click.command()
-@click.option("--samples", type=click.IntRange(min=2), default=100, show_default=True,
-              help="Number of sampled terrains for each scan configuration (distance and "
-              "angle).")  # fmt: skip
-@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True,
-              help="Random seed of the simulated test field and of the sampled "
-              "terrains.")  # fmt: skip
-@click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True,
-              help="Number of parallel processes; it does not change the results.")  # fmt: skip
-@click.option("--out", type=click.Path(path_type=Path, file_okay=False), default=None,
-              help="Folder for the figure. Default: no figure.")  # fmt: skip
-def main(samples: int, seed: int, jobs: int, out: Path | None) -> None:
-    """Compare stochastic safety with exact safety on sampled terrain."""
-    console = plain_console(150)
-    tasks = [
-        TerrainSampleTask(c, seed, first, min(10, samples - first))
-        for c in range(len(CONFIGURATIONS))
-        for first in range(0, samples, 10)
-    ]
-    counts = collect_results(count_safe_samples, tasks, jobs, console, "tasks")
-    if len(counts) < len(tasks):
-        raise click.Abort
+def print_comparison(report: Report) -> None:
+    """Compare both stochastic safety tests with exact safety on the sampled terrain."""
+    groups = report.groups("scan")
+    samples = max(map(len, groups.values()))
     table = Table(
-        title=f"Safety tests on {samples} terrains sampled from each Gaussian DEM, testbed {seed}"
+        title=f"Safety tests on {samples} terrains sampled from each Gaussian DEM, "
+        f"testbed {report.seed}"
     )
-    for heading in ("range\n(m)", "angle\n(deg)", "cells", "truly safe\n(fraction)",
-    "sampled safe\n(fraction)", "method",
-                    "bias (mean p\nminus sampled)", "difference,\nRMS",
-                    "cells with p >\nsampled + 0.1",
-                    "calibration\nerror"):  # fmt: skip
+    for heading in (
+        "scan: range\nand angle", "cells", "truly safe\n(fraction)", "sampled safe\n(fraction)",
+        "method", "bias (mean p\nminus sampled)", "difference,\nRMS",
+        "cells with p >\nsampled + 0.1", "calibration\nerror",
+    ):  # fmt: skip
         table.add_column(heading, justify="right")
-    results = []
-    for c, (distance, angle) in enumerate(CONFIGURATIONS):
-        own = [n for n, task in zip(counts, tasks, strict=True) if task.configuration == c]
-        result = compare_safety_tests(c, seed, sum(own) / samples)
-        results.append(result)
+    results = {}
+    for (scan,), rows in groups.items():
+        total = np.sum([unpack_map(row["safe"]) for row in rows], axis=0, dtype=np.int64)
+        result = compare_safety_tests(SCANS.index(scan), report.seed, total / len(rows))
+        results[scan] = result
+        cells = (scan, f"{result['cells']}", f"{result['true']:.3f}", f"{result['sampled']:.3f}")
         for m in METHODS:
-            first = m == METHODS[0]
             table.add_row(
-                f"{distance:.0f}" if first else "", f"{angle:.0f}" if first else "",
-                f"{result['cells']}" if first else "", f"{result['true']:.3f}" if first else "",
-                f"{result['sampled']:.3f}" if first else "", m, f"{result['bias'][m]:+.3f}",
+                *(cells if m == METHODS[0] else [""] * 4), m, f"{result['bias'][m]:+.3f}",
                 f"{result['rms'][m]:.3f}", f"{result['over'][m]:.4f}",
                 f"{calibration_error(result['table'][m]):.3f}",
             )  # fmt: skip
-    console.print(table)
-    if out is not None:
-        draw(results, out / "monte_carlo.png")
+    report.print(table)
+    if report.out is not None:
+        draw(results, report.out / "monte_carlo.png")
 
+
+study = Study(
+    find_safe_cells,
+    repeats="samples",
+    count=100,
+    minimum=2,
+    seed=0,
+    factors={"scan": SCANS},
+    factor_help={"scan": "Range and angle off nadir of the scan."},
+    report=print_comparison,
+)
 
 if __name__ == "__main__":
-    main()
+    run_script(study)

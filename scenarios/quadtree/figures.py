@@ -18,7 +18,7 @@ GREY = "#bdbdbd"
 def draw_all(result: dict[str, Any], out: Path) -> None:
     """Plot all figures of the quadtree experiment for one field into a folder.
 
-    `result` is the result of one sweep by `hazard_field.fly` with its maps.
+    `result` is the result of one sweep by `hazard_field.fly_field` with its maps.
     """
     last = result["looks"][-1]
     draw_mapping(last, out / "mapping.png")

@@ -9,15 +9,12 @@ python scenarios/quadtree/hazard_field.py --fields 30 --jobs 2 --out out/morpheu
 
 from __future__ import annotations
 
-import json
-from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-import click
 import numpy as np
-from rich.console import Console
 from rich.table import Table
 from truth_comparison import (
     QuadtreeTruth,
@@ -29,8 +26,6 @@ from truth_comparison import (
 )
 
 from lunarsim import Grid, Scenario, Simulation, flight_seed
-from lunarsim.campaign.pool import collect_results
-from lunarsim.console import plain_console
 from lunarsim.frames import quat_conjugate, quat_multiply, quat_to_rotation_vector
 from lunarsim.onboard.hazards.quadtree import (
     SITE_STATUS,
@@ -40,6 +35,7 @@ from lunarsim.onboard.hazards.quadtree import (
     SiteSelection,
 )
 from lunarsim.onboard.navigation.navigator import Navigator
+from lunarsim.studies import Case, Report, Study, run_script
 
 SCENARIOS = Path(__file__).parents[1]
 TIMES = (13.0, 20.0)
@@ -51,19 +47,6 @@ PAPER = {
     "false": "relatively large amounts of safe terrain",
     "zones": "none",
 }
-
-
-@dataclass(frozen=True)
-class HazardFieldTask:
-    """Settings of one simulated LiDAR sweep over a hazard field.
-
-    `field` is the number of the field, `seed` the root seed; `keep_maps` keeps the maps for
-    figures.
-    """
-
-    field: int
-    seed: int
-    keep_maps: bool
 
 
 def make_interest_map(scenario: Scenario) -> InterestMap:
@@ -80,7 +63,7 @@ def make_interest_map(scenario: Scenario) -> InterestMap:
     return InterestMap(grid, np.where(corner, 0.0, value))
 
 
-def make_simulation(task: HazardFieldTask, folder: Path) -> Simulation:
+def make_simulation(field: int, seed: int, folder: Path) -> Simulation:
     """Create the simulation over one field; write its interest map into `folder`."""
     scenario = Scenario.load(SCENARIOS / "morpheus.toml")
     interest = make_interest_map(scenario)
@@ -88,13 +71,24 @@ def make_simulation(task: HazardFieldTask, folder: Path) -> Simulation:
     np.savez(path, value=interest.value, x0=g.x0, y0=g.y0, posting=g.posting)
     sites: dict[str, Any] = {"interest_path": str(path)}
     scenario = scenario.changed(mappers={"sites": sites})
-    return Simulation(scenario, flight_seed(task.seed, task.field))
+    return Simulation(scenario, flight_seed(seed, field))
 
 
-def fly(task: HazardFieldTask) -> dict[str, Any]:
-    """Simulate the LiDAR sweep over one field; return metrics, and maps for figures."""
+def fly(case: Case) -> dict[str, Any]:
+    """Simulate the LiDAR sweep over one field; return metrics."""
+    found = fly_field(case.number, case.seed)
+    looks = [{k: v for k, v in one.items() if k != "maps"} for one in found["looks"]]
+    return {k: v for k, v in found.items() if k != "track"} | {"looks": looks}
+
+
+@lru_cache(maxsize=1)
+def fly_field(field: int, seed: int) -> dict[str, Any]:
+    """Simulate the LiDAR sweep over one field; return metrics, and maps for figures.
+
+    `field` is the number of the field and `seed` the root seed. The last result is cached.
+    """
     with TemporaryDirectory() as folder:
-        simulation = make_simulation(task, Path(folder))
+        simulation = make_simulation(field, seed, Path(folder))
     found: Navigator = simulation.computer.navigation
     pending, looks = list(TIMES), []
     track: list[tuple[float, ...]] = []
@@ -104,10 +98,9 @@ def fly(task: HazardFieldTask) -> dict[str, Any]:
             (simulation.time, *navigation_error(simulation), *navigation_sigmas(simulation))
         )
         if simulation.time >= pending[0] - 1e-9:
-            looks.append(evaluate_map(simulation, pending.pop(0), task.keep_maps))
+            looks.append(evaluate_map(simulation, pending.pop(0)))
     tree = simulation.computer.mappers["sites"].map
     return {
-        "field": task.field,
         "lock": next((e.time for e in found.events if e.name == "lock"), None),
         "events": [(e.time, e.name) for e in found.events],
         "position_error": list(track[-1][1:4]),
@@ -117,7 +110,7 @@ def fly(task: HazardFieldTask) -> dict[str, Any]:
         "points": tree.count,
         "megabytes": tree.nbytes / 1e6,
         "looks": looks,
-        "track": np.array(track) if task.keep_maps else None,
+        "track": np.array(track),
     }
 
 
@@ -138,10 +131,10 @@ def navigation_sigmas(simulation: Simulation) -> np.ndarray:
     return np.sqrt(np.diag(simulation.estimate.covariance)[np.r_[0:3, 6:9]])
 
 
-def evaluate_map(simulation: Simulation, time: float, keep_maps: bool) -> dict[str, Any]:
+def evaluate_map(simulation: Simulation, time: float) -> dict[str, Any]:
     """Compare the current quadtree map and its landing sites with the true terrain.
 
-    `time` (s) is stored with the metrics; `keep_maps` adds map arrays for the figures.
+    `time` (s) is stored with the metrics; "maps" has the map arrays for the figures.
     """
     mapper = simulation.computer.mappers["sites"]
     selection = mapper.select()
@@ -149,10 +142,8 @@ def evaluate_map(simulation: Simulation, time: float, keep_maps: bool) -> dict[s
     height = map_errors(mapper, actual)
     slope = slope_errors(mapper, selection, actual.mesh)
     areas, estimated = hazard_confusion(mapper, actual)
-    maps = None
-    if keep_maps:
-        maps = figure_data(mapper, selection, actual)
-        maps |= {"height": height, "slope": slope, "estimated": estimated}
+    maps = figure_data(mapper, selection, actual)
+    maps |= {"height": height, "slope": slope, "estimated": estimated}
     finite = height[2][np.isfinite(height[2])]
     angles = slope[np.isfinite(slope)]
     return {
@@ -239,13 +230,11 @@ def summarise(results: list[dict[str, Any]]) -> dict[str, Any]:
     return out
 
 
-def show(summary: dict[str, Any], first_result: dict[str, Any], console: Console) -> None:
-    """Print the metrics of all fields, and the ranked sites of the first field.
-
-    `summary` is the value of `summarise` and `first_result` the result of the first field.
-    """
+def print_fields(report: Report) -> None:
+    """Print the metrics of all fields and the sites of the first; plot the first field."""
+    summary, first = summarise(report.rows), report.rows[0]
     n, lock = summary["fields"], summary["lock_time_median_s"]
-    console.print(
+    report.print(
         f"{summary['locked']} of {n} flights were located on the map"
         + (f", after {lock:.1f} s (median)" if lock is not None else "")
         + "; RMS errors per axis at 20 s: position "
@@ -263,12 +252,8 @@ def show(summary: dict[str, Any], first_result: dict[str, Any], console: Console
         ("map error, RMS (m)", "map_error_rms", "{:.3f}", PAPER["map error"]),
         ("cells with an error below 0.5 m (fraction)", "map_error_within", "{:.4f}", ""),
         ("slope error, mean (deg)", "slope_error_mean", "{:.2f}", ""),
-        (
-            "slope error, maximum of all fields (deg)",
-            "slope_error_max",
-            "{:.2f}",
-            PAPER["slope error"],
-        ),
+        ("slope error, maximum of all fields (deg)", "slope_error_max", "{:.2f}",
+         PAPER["slope error"]),
         ("evaluated area (m2)", "judged_m2", "{:.0f}", ""),
         ("true hazards in it (m2)", "hazard_m2", "{:.1f}", ""),
         ("missed hazards (m2)", "missed_m2", "{:.2f}", PAPER["missed"]),
@@ -279,14 +264,12 @@ def show(summary: dict[str, Any], first_result: dict[str, Any], console: Console
         ("fields without a site", "fields_without_site", "{:d}", ""),
         ("landing zones with a true hazard", "zones_with_hazard", "{:d}", PAPER["zones"]),
         ("sites exactly safe", "sites_exactly_safe", "{:d}", ""),
-    )
+    )  # fmt: skip
     for label, key, form, paper in rows:
         table.add_row(label, *(form.format(one[key]) for one in summary["looks"]), paper)
-    console.print(table)
-    for one in first_result["looks"]:
-        sites = Table(
-            title=f"Field {first_result['field']}: sites at {one['time']:.0f} s, local frame"
-        )
+    report.print(table)
+    for one in first["looks"]:
+        sites = Table(title=f"Field {first['number']}: sites at {one['time']:.0f} s, local frame")
         for heading in ("rank", "east (m)", "north (m)", "score", "interest", "slope (deg)",
                         "roughness (m)", "time-to-go (s)", "delta-v (m/s)",
                         "propellant (kg)"):  # fmt: skip
@@ -299,48 +282,14 @@ def show(summary: dict[str, Any], first_result: dict[str, Any], console: Console
                 f"{site['time_to_go']:.1f}", f"{site['increment']:.0f}",
                 f"{site['propellant']:.1f}",
             )  # fmt: skip
-        console.print(sites)
-
-
-@click.command()
-@click.option("--fields", type=click.IntRange(min=1), default=1, show_default=True,
-              help="Number of simulated hazard fields.")  # fmt: skip
-@click.option(
-    "--seed",
-    type=int,
-    default=1,
-    show_default=True,
-    help="Seed from which all random numbers derive.",
-)
-@click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True,
-              help="Number of parallel processes; it does not change the results.")  # fmt: skip
-@click.option("--json", "json_file", type=click.Path(path_type=Path, dir_okay=False), default=None,
-              help="JSON file for all results. Default: none.")  # fmt: skip
-@click.option("--out", type=click.Path(path_type=Path, file_okay=False), default=None,
-              help="Folder for figures of the first hazard field. Default: no "
-              "figures.")  # fmt: skip
-def main(fields: int, seed: int, jobs: int, json_file: Path | None, out: Path | None) -> None:
-    """Sweep hazard fields by LiDAR; compare maps and sites with the truth."""
-    console = plain_console(140)
-    tasks = [HazardFieldTask(i, seed, out is not None and i == 0) for i in range(fields)]
-    results = collect_results(fly, tasks, jobs, console, "sweeps")
-    summary = summarise(results)
-    show(summary, results[0], console)
-    if json_file is not None:
-        plain = [
-            {k: v for k, v in r.items() if k not in {"looks", "track"}}
-            | {"looks": [{k: v for k, v in one.items() if k != "maps"} for one in r["looks"]]}
-            for r in results
-        ]
-        json_file.parent.mkdir(parents=True, exist_ok=True)
-        json_file.write_text(
-            json.dumps({"summary": summary, "flights": plain}, indent=1), encoding="utf-8"
-        )
-    if out is not None:
+        report.print(sites)
+    if report.out is not None:
         from figures import draw_all
 
-        draw_all(results[0], out)
+        draw_all(fly_field(first["number"], report.seed), report.out)
 
+
+study = Study(fly, repeats="fields", count=1, report=print_fields)
 
 if __name__ == "__main__":
-    main()
+    run_script(study)

@@ -13,6 +13,8 @@ from click.testing import CliRunner
 from scipy import ndimage
 
 from lunarsim.grid import Grid
+from lunarsim.studies import report_study, run_study
+from lunarsim.studies.command import study_command
 from tests.conftest import SCENARIOS
 
 SCRIPT = SCENARIOS / "gaussian_dem" / "tables.py"
@@ -57,23 +59,23 @@ def test_unknown_table_is_refused(script):
     assert "Traceback" not in done.output
 
 
-def test_sampled_terrain_errors_match_the_map_variance(tmp_path, script):
+def test_sampled_terrain_errors_match_the_map_variance(tmp_path, script, capsys):
     study = script("gaussian_dem", "monte_carlo")
     for configuration in (1, 3):
         dem = study.scan_testbed(configuration, 0)[1].dem
-        task = study.TerrainSampleTask(configuration, 0, 0, 1)
         ratio = [
-            (study.error_field(task, np.random.default_rng([9, n])) ** 2 / dem.variance)[
-                dem.observed
-            ].mean()
+            (
+                study.error_field(configuration, 0, np.random.default_rng([9, n])) ** 2
+                / dem.variance
+            )[dem.observed].mean()
             for n in range(3)
         ]
         assert np.mean(ratio) == pytest.approx(1.0, abs=0.08)
-    done = CliRunner().invoke(study.main, ["--samples", "2", "--out", str(tmp_path)])
-    assert done.exit_code == 0, done.output
-    assert done.output.count("support planes") == 4
+    rows = run_study(study.study, count=2)
+    report_study(study.study, rows, out=tmp_path)
+    assert capsys.readouterr().out.count("support planes") == 4
     assert (tmp_path / "monte_carlo.png").stat().st_size > 20_000
-    assert CliRunner().invoke(study.main, ["--samples", "0"]).exit_code == 2
+    assert CliRunner().invoke(study_command(study.study), ["--samples", "0"]).exit_code == 2
 
 
 def test_map_testbed_returns_scan_and_dem_on_the_evaluated_cells(script):

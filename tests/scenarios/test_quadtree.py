@@ -8,6 +8,8 @@ import pytest
 from click.testing import CliRunner
 
 from lunarsim.scenario import Scenario
+from lunarsim.studies import report_study, run_study
+from lunarsim.studies.command import study_command
 from tests.conftest import SCENARIOS
 
 
@@ -36,34 +38,32 @@ def small(script, monkeypatch, tmp_path):
     return use
 
 
-def test_hazard_field_prints_and_draws(small, monkeypatch, tmp_path):
+def test_hazard_field_prints_and_draws(small, monkeypatch, tmp_path, capsys):
     experiment = small("hazard_field")
     monkeypatch.setattr(experiment, "TIMES", (2.0, 4.0))
-    out, file = tmp_path / "out", tmp_path / "all.json"
-    arguments = ["--seed", "5", "--out", str(out), "--json", str(file)]
-    done = CliRunner().invoke(experiment.main, arguments)
-    assert done.exit_code == 0, done.output
-    assert "landing zones with a true hazard" in done.output
-    data = json.loads(file.read_text())
-    last = data["summary"]["looks"][-1]
-    assert data["summary"]["locked"] == 1
-    assert max(data["summary"]["position_rms_m"]) < 0.5
+    out = tmp_path / "out"
+    rows = run_study(experiment.study, seed=5, out=out)
+    report_study(experiment.study, rows, seed=5, out=out)
+    assert "landing zones with a true hazard" in capsys.readouterr().out
+    assert json.loads((out / "results.json").read_text())["rows"] == rows
+    summary = experiment.summarise(rows)
+    last = summary["looks"][-1]
+    assert summary["locked"] == 1
+    assert max(summary["position_rms_m"]) < 0.5
     assert last["map_error_rms"] < 0.1
     assert last["sites"] == 5
     assert last["zones_with_hazard"] == 0
     assert 0.0 < last["missed_m2"] + last["false_m2"] < 0.2 * last["judged_m2"]
     for name in ("mapping", "slopes", "hazards", "quadtree", "sites", "choice", "navigation"):
         assert (out / f"{name}.png").stat().st_size > 20_000
-    assert CliRunner().invoke(experiment.main, ["--fields", "0"]).exit_code == 2
+    done = CliRunner().invoke(study_command(experiment.study), ["--fields", "0"])
+    assert done.exit_code == 2
 
 
 @pytest.mark.slow
-def test_the_same_seed_gives_the_same_hazard_field_results(small, monkeypatch, tmp_path):
+def test_the_same_seed_gives_the_same_hazard_field_results(small, monkeypatch):
     experiment = small("hazard_field")
     monkeypatch.setattr(experiment, "TIMES", (2.0, 4.0))
-    found = []
-    for file in (tmp_path / "a.json", tmp_path / "b.json"):
-        done = CliRunner().invoke(experiment.main, ["--seed", "5", "--json", str(file)])
-        assert done.exit_code == 0, done.output
-        found.append(json.loads(file.read_text()))
-    assert found[0] == found[1]
+    first = run_study(experiment.study, seed=5)
+    experiment.fly_field.cache_clear()
+    assert first == run_study(experiment.study, seed=5)

@@ -110,7 +110,7 @@ def test_quadtree_metrics_are_of_the_last_evaluation(results):
         {"lock": 7.5, "looks": [first, _look(0.02, 1.0, 4.0, [(True, 0.0), (False, 0.3)])]},
         {"lock": None, "looks": [first, _look(0.06, 3.0, 4.0, [(True, 0.0)], 7.0, 1.5)]},
     ]
-    by = {f.label: f for f in results.extract_report("quadtree", {"flights": flights}, "").figures}
+    by = {f.label: f for f in results.extract_report("quadtree", {"rows": flights}, "").figures}
     assert {name: f.values for name, f in by.items()} == {
         "time of the lock": [7.5],
         "map error, RMS": [0.02, 0.06],
