@@ -11,25 +11,26 @@ correct. An error that map and vehicle have in common has no effect on the miss;
 the last column.
 
 python scenarios/navigation/instruments_or_fixes.py --flights 10
-python scenarios/navigation/instruments_or_fixes.py --flights 10 --only golombek
+python scenarios/navigation/instruments_or_fixes.py --flights 10 --scenario golombek
 """
 
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from typing import Any
 
 import click
 import numpy as np
 from consistency import SCENARIOS
+from numpy.typing import NDArray
 from rich.table import Table
 from scipy.stats import binomtest
 
 from lunarsim import Scenario, Simulation, flight_seed
-from lunarsim.campaign.pool import collect_results
-from lunarsim.console import plain_console
 from lunarsim.evaluation.statistics import Proportion
+from lunarsim.studies import Case, Report, Study, run_script
 
+Array = NDArray[np.float64]
 SCENARIO_NAMES = ("apollo15", "golombek", "highland", "hirise", "mare")
 WAYS = ("fixes", "inertial")
 FIXES = {
@@ -38,51 +39,6 @@ FIXES = {
     "stars": None,
     "fix": {"kind": "navigation-fix"},
 }
-
-
-@dataclass(frozen=True)
-class FixesComparisonTask:
-    """Settings of one simulated flight with onboard instruments or position fixes.
-
-    `scenario` is a scenario name, `navigation` a name in `WAYS` ("fixes" or "inertial"). `flight`
-    and `seed` (root seed) determine the random numbers; `policy` selects the landing sites.
-    """
-
-    scenario: str
-    navigation: str
-    flight: int
-    seed: int
-    policy: str
-
-
-@dataclass(frozen=True)
-class FixesComparisonFlight:
-    """Results of one simulated flight with onboard instruments or position fixes.
-
-    Attributes
-    ----------
-    safe, failed
-        Whether the landing was safe, and the failed criteria.
-    miss
-        Horizontal distance of the touchdown from the selected site, m; NaN without a touchdown.
-    expected
-        Expected miss at the last decision, 1 sigma per axis, m.
-    error
-        Position error at the end, m.
-    lost, inflated
-        Whether navigation ended lost, and the number of `covariance-inflated` events.
-    seconds
-        Wall time of the flight without terrain generation, s.
-    """
-
-    safe: bool
-    failed: str
-    miss: float
-    expected: float
-    error: float
-    lost: bool
-    inflated: int
-    seconds: float
 
 
 def scenario_of(name: str, navigation: str) -> Scenario:
@@ -97,13 +53,18 @@ def scenario_of(name: str, navigation: str) -> Scenario:
     return scenario.changed(sensors=FIXES) if navigation == "fixes" else scenario
 
 
-def fly(task: FixesComparisonTask) -> FixesComparisonFlight:
-    """Simulate one flight; measure the distance of touchdown from the selected site."""
+def fly(case: Case) -> dict[str, Any]:
+    """Simulate one flight; measure the distance of touchdown from the selected site.
+
+    The row has the horizontal miss of the site (m; NaN without a touchdown), its value expected at
+    the last decision (1 sigma per axis, m), the position error at the end (m), whether navigation
+    ended lost, the number of `covariance-inflated` events, and the wall time of the flight without
+    terrain generation (s).
+    """
     simulation = Simulation(
-        scenario_of(task.scenario, task.navigation),
-        flight_seed(task.seed, task.flight),
-        task.policy,
-    )
+        scenario_of(case["scenario"], case["navigation"]),
+        flight_seed(case.seed, case.number), case["policy"],
+    )  # fmt: skip
     start_s = time.perf_counter()
     flight = simulation.run()
     seconds = time.perf_counter() - start_s
@@ -113,21 +74,21 @@ def fly(task: FixesComparisonTask) -> FixesComparisonFlight:
         there = flight.sites[-1] - flight.map_error
         miss = float(np.linalg.norm((touchdown.position - there)[:2]))
     names = [event["name"] for event in flight.events]
-    return FixesComparisonFlight(
-        flight.outcome.safe, ", ".join(flight.outcome.failure_causes), miss,
-        simulation.computer.expected_miss,
-        float(np.linalg.norm(simulation.navigation_error)), simulation.computer.estimate.lost,
-        names.count("covariance-inflated"), seconds,
-    )  # fmt: skip
+    return {
+        "safe": flight.outcome.safe, "failed": ", ".join(flight.outcome.failure_causes),
+        "miss_m": miss, "expected_m": simulation.computer.expected_miss,
+        "error_m": float(np.linalg.norm(simulation.navigation_error)),
+        "lost": simulation.computer.estimate.lost,
+        "inflated": names.count("covariance-inflated"), "seconds": seconds,
+    }  # fmt: skip
 
 
-def miss_texts(flights: list[FixesComparisonFlight]) -> tuple[str, str]:
-    """Format the distances of touchdowns from the site, and their expected values.
+def miss_texts(miss: Array, expected: Array) -> tuple[str, str]:
+    """Format the distances of touchdowns from the site, and their expected values (n,), m.
 
     Returns two texts: median, 95th percentile and maximum miss (m); median expected miss (m) and
     RMS of the ratio of miss to expectation.
     """
-    miss, expected = np.array([(f.miss, f.expected) for f in flights]).T
     down = miss[np.isfinite(miss)]
     if len(down) == 0:
         return "no touchdown", ""
@@ -139,11 +100,8 @@ def miss_texts(flights: list[FixesComparisonFlight]) -> tuple[str, str]:
     return f"{np.median(down):.2f}, {np.quantile(down, 0.95):.2f}, {down.max():.2f}", over
 
 
-def table_of(flights: dict[tuple[str, str], list[FixesComparisonFlight]]) -> Table:
-    """Return the table of landing results by scenario and kind of navigation.
-
-    `flights` holds the flights by scenario name and navigation ("fixes" or "inertial").
-    """
+def print_landings(report: Report) -> None:
+    """Print landing results by scenario and kind of navigation, and the failed landings."""
     table = Table(title="Onboard instruments compared with fixes over the same terrain")
     for left in ("scenario", "navigation"):
         table.add_column(left)
@@ -153,66 +111,48 @@ def table_of(flights: dict[tuple[str, str], list[FixesComparisonFlight]]) -> Tab
                     "inflated,\nlost", "time per flight,\nmedian (s)",
                     "final position error,\nmedian (m)"):  # fmt: skip
         table.add_column(heading, justify="right")
+    flights = report.groups("scenario", "navigation")
     for (name, way), mine in flights.items():
-        landed = Proportion(sum(f.safe for f in mine), len(mine))
+        landed = Proportion(sum(f["safe"] for f in mine), len(mine))
         low, high = landed.interval
         pairs = ""
-        if way == "inertial":
-            both = list(zip(mine, flights[name, "fixes"], strict=True))
-            won = sum(a.safe and not b.safe for a, b in both)
-            lost = sum(b.safe and not a.safe for a, b in both)
+        if way == "inertial" and (name, "fixes") in flights:
+            both = list(zip(mine, flights[name, "fixes"], strict=False))
+            won = sum(a["safe"] and not b["safe"] for a, b in both)
+            lost = sum(b["safe"] and not a["safe"] for a, b in both)
             p = binomtest(won, won + lost).pvalue if won + lost else 1.0
             pairs = f"{won}, {lost} ({p:.2f})"
         table.add_row(
             name, way, f"{landed.count} of {landed.total} [{low:.2f}, {high:.2f}]", pairs,
-            *miss_texts(mine),
-            f"{sum(f.inflated for f in mine)}, {sum(f.lost for f in mine)}",
-            f"{np.median([f.seconds for f in mine]):.2f}",
-            f"{np.median([f.error for f in mine]):.2f}",
+            *miss_texts(report.column("miss_m", mine), report.column("expected_m", mine)),
+            f"{sum(f['inflated'] for f in mine)}, {sum(f['lost'] for f in mine)}",
+            f"{np.median(report.column('seconds', mine)):.2f}",
+            f"{np.median(report.column('error_m', mine)):.2f}",
         )  # fmt: skip
-    return table
+    report.print(table)
+    for f in report.rows:
+        if not f["safe"]:
+            name, way, n = f["scenario"], f["navigation"], f["number"]
+            report.print(f"{name}, {way}, flight {n}: {f['failed']}")
 
 
-@click.command()
-@click.option(
-    "--flights", type=click.IntRange(min=1), default=10, show_default=True,
-    help="Number of flights for each combination of scenario and kind of navigation.",
+study = Study(
+    fly,
+    repeats="flights",
+    count=10,
+    factors={"scenario": SCENARIO_NAMES, "navigation": WAYS},
+    factor_help={
+        "scenario": "Name of a scenario.",
+        "navigation": "Position fixes, or onboard instruments (inertial).",
+    },
+    options=(
+        click.Option(
+            ["--policy"], default="safest", show_default=True,
+            help="Policy that selects the landing site: a name from `lunarsim parts policy`.",
+        ),
+    ),
+    report=print_landings,
 )  # fmt: skip
-@click.option(
-    "--only", type=click.Choice(SCENARIO_NAMES), multiple=True,
-    help="Name of a scenario to fly; repeat the option for several scenarios (default: all).",
-)  # fmt: skip
-@click.option(
-    "--policy",
-    default="safest",
-    show_default=True,
-    help="Policy that selects the landing site: a name from `lunarsim parts policy`.",
-)
-@click.option(
-    "--seed",
-    type=click.IntRange(min=0),
-    default=1,
-    show_default=True,
-    help="Seed from which all random numbers derive.",
-)
-@click.option(
-    "--jobs", type=click.IntRange(min=1), default=1, show_default=True,
-    help="Number of parallel processes; it changes only the run times.",
-)  # fmt: skip
-def main(flights: int, only: tuple[str, ...], policy: str, seed: int, jobs: int) -> None:
-    """Compare landings with onboard instruments and with position fixes, by scenario."""
-    console = plain_console(160)
-    flown: dict[tuple[str, str], list[FixesComparisonFlight]] = {}
-    for name in only or SCENARIO_NAMES:
-        for way in WAYS:
-            tasks = [FixesComparisonTask(name, way, n, seed, policy) for n in range(flights)]
-            flown[name, way] = collect_results(fly, tasks, jobs, console, f"{name}, {way}")
-    console.print(table_of(flown))
-    for (name, way), mine in flown.items():
-        for n, f in enumerate(mine):
-            if not f.safe:
-                console.print(f"{name}, {way}, flight {n}: {f.failed}")
-
 
 if __name__ == "__main__":
-    main()
+    run_script(study)

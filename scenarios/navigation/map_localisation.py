@@ -6,7 +6,8 @@ No flight is simulated: a vehicle on a straight path sweeps the terrain around i
 own terrain, map and errors; the measured terrain is one crop with random targets.
 
 python scenarios/navigation/map_localisation.py --searches 20 --jobs 2
-python scenarios/navigation/map_localisation.py --only "stale 0.2" --searches 300
+python scenarios/navigation/map_localisation.py --map "objects 0.5 m, 0.1 m, outdated 0.2"
+--searches 300
 """
 
 from __future__ import annotations
@@ -20,17 +21,15 @@ from typing import Any
 import click
 import numpy as np
 from rich.table import Table
-from shared_options import seed_and_jobs
 
 from lunarsim import Grid, RandomStreams, Scenario, Terrain, build_world, flight_seed
 from lunarsim.api import State, gimbal_mount
-from lunarsim.campaign.pool import collect_results
-from lunarsim.console import plain_console
 from lunarsim.frames import attitude_from_thrust, quat_from_rotation_vector, quat_multiply
 from lunarsim.onboard.navigation.map_features import MapFeatures
 from lunarsim.onboard.navigation.map_lock_forecast import forecast_lock
 from lunarsim.onboard.navigation.place_search import MapMatch, PlaceSearch
 from lunarsim.sensors.lidar import FlashLidar
+from lunarsim.studies import Case, Report, Study, run_script
 from lunarsim.world import World
 from lunarsim.world.survey import simulate_survey
 from lunarsim.world.terrain import add_craters, fractal_relief, hazard_field
@@ -70,7 +69,7 @@ def make_apollo15(rng: np.random.Generator) -> World:
 
 @dataclass(frozen=True)
 class MapCase:
-    """Terrain and prior map of one case of the localisation study.
+    """Terrain and prior map of one map of the localisation study.
 
     `make_world` generates the terrain; `posting` is the grid spacing of the map and `sigma` its
     noise (m); `map_defects` holds further arguments of `simulate_survey`, such as voids.
@@ -89,7 +88,7 @@ class MapCase:
         return f"{name} {self.posting:g} m, {self.sigma:g} m" + (f", {wrong}" if wrong else "")
 
 
-CASES = (
+MAPS = (
     MapCase(make_hazard_field, 0.5, 0.1),
     MapCase(make_hazard_field, 0.5, 0.1, {"outdated_fraction": 0.2}),
     MapCase(make_hazard_field, 0.5, 0.1, {"outdated_fraction": 0.3}),
@@ -108,45 +107,7 @@ CASES = (
     MapCase(make_apollo15, 5.0, 0.3),
     MapCase(make_apollo15, 5.0, 0.3, {"outdated_fraction": 0.2}),
 )
-
-
-@dataclass(frozen=True)
-class PlaceSearchTask:
-    """Settings of one search for the lander's position on a prior map.
-
-    `case` is an index of `CASES`; `number` and `seed` determine the random numbers; `seconds` is
-    the time limit (s).
-    """
-
-    case: int
-    number: int
-    seed: int
-    seconds: float
-
-
-@dataclass(frozen=True)
-class PlaceSearchResult:
-    """Result of one search for the lander's position on a prior map.
-
-    Attributes
-    ----------
-    time, scans
-        Time (s) and number of scans until the lock (first accepted position); without one, time is
-        None.
-    error, sigma
-        Position error at the lock and its standard deviation, east, north and up (3,), m.
-    lock_predicted
-        Whether a lock was predicted from the map before flight.
-    start_error
-        Horizontal position error at the start, m.
-    """
-
-    time: float | None
-    scans: int
-    error: np.ndarray
-    sigma: np.ndarray
-    lock_predicted: bool
-    start_error: float
+MAPS_BY_NAME = {str(one): one for one in MAPS}
 
 
 @dataclass
@@ -193,20 +154,30 @@ def sweep_aim_point(scan_number: int) -> np.ndarray:
     return SWEPT * (np.array([row, col, 0.0]) / (rows - 1) - np.array([0.5, 0.5, 0.0]))
 
 
-def simulate_search(task: PlaceSearchTask) -> PlaceSearchResult:
-    """Simulate a LiDAR sweep; search for the lander's position on the prior map."""
-    case = CASES[task.case]
-    rng = np.random.default_rng([task.seed, task.case, task.number])
-    world = case.make_world(rng)
-    xy = rng.uniform(-60.0, 60.0, 2) if case.make_world is make_apollo15 else np.zeros(2)
+def simulate_search(case: Case) -> dict[str, Any]:
+    """Simulate a LiDAR sweep; search for the lander's position on the prior map.
+
+    The row has the time (s) and the number of scans until the lock (first accepted position; time
+    NaN: none), the position error at the lock and its standard deviation (east, north and up, m),
+    whether a lock was predicted from the map before flight, and the horizontal position error at
+    the start (m).
+    """
+    chosen = MAPS_BY_NAME[case["map"]]
+    rng = np.random.default_rng([case.seed, MAPS.index(chosen), case.number])
+    world = chosen.make_world(rng)
+    xy = rng.uniform(-60.0, 60.0, 2) if chosen.make_world is make_apollo15 else np.zeros(2)
     target = np.append(xy, float(world.terrain.elevation(xy)))
-    grid = Grid.centred(target, SIZE, case.posting)
-    prior = simulate_survey(world.terrain, grid, rng, sigma=case.sigma, **case.map_defects)
+    grid = Grid.centred(target, SIZE, chosen.posting)
+    prior = simulate_survey(world.terrain, grid, rng, sigma=chosen.sigma, **chosen.map_defects)
     places = PlaceSearch(MapFeatures(prior))
     forecast = forecast_lock(prior, (float(xy[0]), float(xy[1])), SWEPT, SIGMA).can_lock
     lander = SweepingLander(world, target, rng)
-    off = float(np.hypot(*lander.shift[:2]))
-    for count in range(round(task.seconds * RATE)):
+    found: dict[str, Any] = {
+        "time_s": np.nan, "error_m": [np.nan] * 3, "sigma_m": [np.nan] * 3,
+        "lock_predicted": forecast, "start_error_m": float(np.hypot(*lander.shift[:2])),
+    }  # fmt: skip
+    for count in range(round(case["seconds"] * RATE)):
+        found["scans"] = count + 1
         believed, true = lander.scan(count)
         places.add(believed)
         if (count + 1) % round(SEARCH * RATE):
@@ -219,8 +190,8 @@ def simulate_search(task: PlaceSearchTask) -> PlaceSearchResult:
         if is_lock(match):
             error = match.shift - np.nanmean(true - believed, axis=0)
             sigma = np.sqrt(np.diag(match.covariance))
-            return PlaceSearchResult(count / RATE, count + 1, error, sigma, forecast, off)
-    return PlaceSearchResult(None, count + 1, np.full(3, np.nan), np.full(3, np.nan), forecast, off)
+            return found | {"time_s": count / RATE, "error_m": error, "sigma_m": sigma}
+    return found
 
 
 def is_lock(match: MapMatch) -> bool:
@@ -228,60 +199,57 @@ def is_lock(match: MapMatch) -> bool:
     return match.certainty >= 0.99999 and match.agreeing_fraction >= 0.6
 
 
-def row_of(case: MapCase, results: list[PlaceSearchResult]) -> list[str]:
-    """Format the search results of one case as a row of the table."""
-    locked = [f for f in results if f.time is not None]
-    away = [f.start_error for f in results if f.time is None]
+def row_of(name: str, results: list[dict[str, Any]]) -> list[str]:
+    """Format the search results of one map as a row of the table."""
+    locked = [f for f in results if np.isfinite(f["time_s"])]
+    away = [f["start_error_m"] for f in results if not np.isfinite(f["time_s"])]
     missed = f"{min(away):.0f} to {max(away):.0f}" if away else ""
     if not locked:
-        return [str(case), f"0 of {len(results)}", "", "", "0", "", predicted_text(results), missed]
-    time = [f.time for f in locked if f.time is not None]
-    lateral = np.array([np.abs(f.error[:2]).max() for f in locked])
-    over = np.array([np.abs(f.error[:2] / f.sigma[:2]).max() for f in locked])
-    wrong = int(np.sum(lateral > np.maximum(2.0 * case.posting, 2.0)))
+        return [name, f"0 of {len(results)}", "", "", "0", "", predicted_text(results), missed]
+    time = [f["time_s"] for f in locked]
+    error, sigma = (np.array([f[key] for f in locked])[:, :2] for key in ("error_m", "sigma_m"))
+    lateral = np.abs(error).max(axis=1)
+    wrong = int(np.sum(lateral > np.maximum(2.0 * MAPS_BY_NAME[name].posting, 2.0)))
     return [
-        str(case), f"{len(locked)} of {len(results)}",
+        name, f"{len(locked)} of {len(results)}",
         f"{np.median(time):.1f} / {max(time):.1f}",
-        f"{np.median([f.scans for f in locked]):.0f}", f"{wrong}",
-        f"{np.median(lateral):.2f} m, {over.max():.1f}", predicted_text(results), missed,
+        f"{np.median([f['scans'] for f in locked]):.0f}", f"{wrong}",
+        f"{np.median(lateral):.2f} m, {np.abs(error / sigma).max():.1f}",
+        predicted_text(results), missed,
     ]  # fmt: skip
 
 
-def predicted_text(results: list[PlaceSearchResult]) -> str:
+def predicted_text(results: list[dict[str, Any]]) -> str:
     """Format the number of searches for which a lock was predicted: "count of total"."""
-    return f"{sum(f.lock_predicted for f in results)} of {len(results)}"
+    return f"{sum(f['lock_predicted'] for f in results)} of {len(results)}"
 
 
-@click.command()
-@click.option("--searches", type=click.IntRange(min=1), default=10, show_default=True,
-              help="Number of position searches on each map.")  # fmt: skip
-@click.option(
-    "--only", default="", help="Use only maps whose name contains this text. Default: all maps."
-)
-@click.option("--seconds", type=click.FloatRange(min=1.0), default=15.0, show_default=True,
-              help="Time limit of a position search (s).")  # fmt: skip
-@seed_and_jobs
-def main(searches: int, only: str, seconds: float, seed: int, jobs: int) -> None:
-    """Search for the lander's position on prior maps; print time, error and success."""
-    console = plain_console(180)
-    rows = [n for n, case in enumerate(CASES) if only in str(case)]
-    if not rows:
-        raise click.UsageError(
-            f"--only: must be part of a case, got {only!r}. Cases: {', '.join(map(str, CASES))}"
-        )
-    tasks = [PlaceSearchTask(n, k, seed, seconds) for n in rows for k in range(searches)]
-    found = collect_results(simulate_search, tasks, jobs, console, "searches")
-    table = Table(title=f"Searches with a time limit of {seconds:g} s")
+def print_searches(report: Report) -> None:
+    """Print time, error and success of the searches by map."""
+    table = Table(title=f"Searches with a time limit of {report.options['seconds']:g} s")
     for heading in ("map", "locked", "lock time, median / max (s)", "scans", "wrong",
                     "error, median; max error / sigma", "predicted",
                     "not locked: initial error (m)"):  # fmt: skip
         table.add_column(heading, justify="left" if heading == "map" else "right")
-    for n in rows:
-        mine = [f for t, f in zip(tasks, found, strict=False) if t.case == n]
-        if mine:
-            table.add_row(*row_of(CASES[n], mine))
-    console.print(table)
+    for (name,), rows in report.groups("map").items():
+        table.add_row(*row_of(name, rows))
+    report.print(table)
 
+
+study = Study(
+    simulate_search,
+    repeats="searches",
+    count=10,
+    factors={"map": list(MAPS_BY_NAME)},
+    factor_help={"map": "Name of a map."},
+    options=(
+        click.Option(
+            ["--seconds"], type=click.FloatRange(min=1.0), default=15.0, show_default=True,
+            help="Time limit of a position search (s).",
+        ),
+    ),
+    report=print_searches,
+)  # fmt: skip
 
 if __name__ == "__main__":
-    main()
+    run_script(study)

@@ -8,24 +8,19 @@ spacing and of more than five of its standard deviations, east or north.
 `RegistrationSettings.accepts_fit` decides which fits are accepted. The filter gate, with which
 `MapMatcher` rejects more fits, is not applied.
 
-python scenarios/navigation/scan_fits.py --fits 1000 --jobs 2
+python scenarios/navigation/scan_fits.py --worlds 50 --jobs 2
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from itertools import product
+from typing import Any
 
-import click
 import numpy as np
 from map_localisation import UPRIGHT, make_craters, make_hazard_field
 from rich.table import Table
-from shared_options import seed_and_jobs
 
 from lunarsim import Grid
 from lunarsim.api import State, gimbal_mount
-from lunarsim.campaign.pool import collect_results
-from lunarsim.console import plain_console
 from lunarsim.evaluation.statistics import Proportion
 from lunarsim.frames import quat_from_rotation_vector, quat_multiply
 from lunarsim.onboard.navigation.corrected_scan import MIN_SCANNER_SIGMAS, CorrectedScan
@@ -33,6 +28,7 @@ from lunarsim.onboard.navigation.map_features import MapFeatures
 from lunarsim.onboard.navigation.registration import register_scan
 from lunarsim.onboard.navigation.registration_settings import RegistrationSettings
 from lunarsim.sensors.lidar import FlashLidar
+from lunarsim.studies import Case, Report, Study, run_script
 from lunarsim.world.survey import simulate_survey
 
 GROUNDS = {"objects": make_hazard_field, "craters": make_craters}
@@ -45,54 +41,22 @@ PER_WORLD = 20
 MAX_ERROR_SIGMA = 5.0  # standard deviations
 
 
-@dataclass(frozen=True)
-class FitTask:
-    """Settings of `PER_WORLD` scan-to-map fits over one simulated terrain.
+def simulate_fits(case: Case) -> list[dict[str, Any]]:
+    """Fit simulated LiDAR scans to a map of one terrain; evaluate each fit.
 
-    `terrain` is a name in `GROUNDS`, `posting` the grid spacing of the map (m), `outdated_fraction`
-    the fraction of the map that differs from the terrain; `world` (number) and `seed` determine
-    terrain and noise.
+    A row has the initial position error `sigma` (1 sigma per axis, m), whether the fit was
+    accepted, whether an accepted fit is wrong, and whether it reduces the position uncertainty by a
+    fifth or more (`informative`).
     """
-
-    terrain: str
-    posting: float
-    outdated_fraction: float
-    world: int
-    seed: int
-
-
-@dataclass(frozen=True)
-class FitTrial:
-    """Result of one fit of a LiDAR scan to a prior map.
-
-    Attributes
-    ----------
-    sigma
-        Initial position error, 1 sigma per axis, m.
-    accepted, wrong
-        Whether the fit was accepted, and whether an accepted fit is wrong.
-    informative
-        Whether an accepted fit reduces the position uncertainty by a fifth or more.
-    """
-
-    sigma: float
-    accepted: bool
-    wrong: bool
-    informative: bool
-
-
-def simulate_fits(task: FitTask) -> list[FitTrial]:
-    """Fit simulated LiDAR scans to a map of one terrain; evaluate each fit."""
-    index = list(GROUNDS).index(task.terrain)
+    terrain, posting, outdated = case["terrain"], case["posting"], case["outdated"]
+    index = list(GROUNDS).index(terrain)
     rng = np.random.default_rng(
-        [task.seed, index, round(10 * task.posting), round(10 * task.outdated_fraction), task.world]
+        [case.seed, index, round(10 * posting), round(10 * outdated), case.number]
     )
-    world = GROUNDS[task.terrain](rng)
-    grid = Grid.centred((0.0, 0.0), 300.0, task.posting)
-    sigma = 0.1 if task.posting < 1.0 else 0.3
-    prior = simulate_survey(
-        world.terrain, grid, rng, sigma=sigma, outdated_fraction=task.outdated_fraction
-    )
+    world = GROUNDS[terrain](rng)
+    grid = Grid.centred((0.0, 0.0), 300.0, posting)
+    sigma = 0.1 if posting < 1.0 else 0.3
+    prior = simulate_survey(world.terrain, grid, rng, sigma=sigma, outdated_fraction=outdated)
     features = MapFeatures(prior)
     settings = RegistrationSettings()
     variance = np.full(grid.shape, 2.0 * prior.sigma**2 + settings.model_sigma**2)
@@ -103,10 +67,14 @@ def simulate_fits(task: FitTask) -> list[FitTrial]:
         error = sigmas * rng.standard_normal(11)
         seen = simulate_scan(world, rng, error)
         result, _ = register_scan(seen, features, np.diag(sigmas**2), variance)
+        fit = evaluate_fit(seen, error, sigmas, result, settings.accepts_fit(result), posting)
         out.append(
-            evaluate_fit(seen, error, sigmas, result, settings.accepts_fit(result), task.posting)
+            {
+                "sigma": place_sigma,
+                **dict(zip(("accepted", "wrong", "informative"), fit, strict=True)),
+            }
         )
-    return [FitTrial(SIGMAS[n % len(SIGMAS)], *f) for n, f in enumerate(out)]
+    return out
 
 
 def simulate_scan(world, rng: np.random.Generator, error: np.ndarray) -> CorrectedScan:  # type: ignore[no-untyped-def]
@@ -149,41 +117,37 @@ def evaluate_fit(scan, error, sigmas, result, accepted, posting):  # type: ignor
     return accepted, bool(accepted and far.any()), bool(accepted and (own < 0.8 * first).all())
 
 
-@click.command()
-@click.option("--fits", "count", type=click.IntRange(min=1), default=200, show_default=True,
-              help="Minimum number of fits for each combination of terrain and map.")  # fmt: skip
-@seed_and_jobs
-def main(count: int, seed: int, jobs: int) -> None:
-    """Fit LiDAR scans to maps and count the wrong fits that are accepted."""
-    console = plain_console(120)
-    worlds = -(-count // PER_WORLD)
-    rows = list(product(GROUNDS, POSTINGS, STALE))
-    tasks = [FitTask(*row, n, seed) for row in rows for n in range(worlds)]
-    tried = collect_results(simulate_fits, tasks, jobs, console, "worlds")
+def print_fits(report: Report) -> None:
+    """Print the numbers of accepted, informative and wrong fits."""
     table = Table(title="Fits of single flashes to a map")
     for heading in ("terrain, posting (m), outdated fraction, position sigma (m)", "fits",
     "accepted",
                     "of these,\ninformative", "wrong [95 % interval]"):  # fmt: skip
         table.add_column(heading, justify="left" if heading.startswith("terrain") else "right")
-    lines = {
-        f"{terrain} {posting:g} {stale:g} {sigma:g}": [
-            f for task, some in zip(tasks, tried, strict=True) for f in some
-            if (task.terrain, task.posting, task.outdated_fraction, f.sigma)
-            == (terrain, posting, stale, sigma)
-        ]
-        for (terrain, posting, stale), sigma in product(rows, SIGMAS)
-    }  # fmt: skip
-    lines["all"] = [f for some in tried for f in some]
-    for name, some in lines.items():
-        accepted = sum(f.accepted for f in some)
-        wrong = sum(f.wrong for f in some)
+    groups = report.groups("terrain", "posting", "outdated", "sigma")
+    lines = {f"{name} {a:g} {b:g} {c:g}": rows for (name, a, b, c), rows in groups.items()}
+    for name, some in {**lines, "all": report.rows}.items():
+        accepted = sum(f["accepted"] for f in some)
+        wrong = sum(f["wrong"] for f in some)
         low, high = Proportion(wrong, accepted).interval if accepted else (0.0, 1.0)
         table.add_row(
-            name, f"{len(some)}", f"{accepted}", f"{sum(f.informative for f in some)}",
+            name, f"{len(some)}", f"{accepted}", f"{sum(f['informative'] for f in some)}",
             f"{wrong} [{low:.4f}, {high:.4f}]",
         )  # fmt: skip
-    console.print(table)
+    report.print(table)
 
+
+study = Study(
+    simulate_fits,
+    repeats="worlds",
+    count=10,
+    factors={"terrain": list(GROUNDS), "posting": POSTINGS, "outdated": STALE},
+    factor_help={
+        "terrain": "Name of a terrain.", "posting": "Grid spacing of the map (m).",
+        "outdated": "Fraction of the map that differs from the terrain.",
+    },
+    report=print_fits,
+)  # fmt: skip
 
 if __name__ == "__main__":
-    main()
+    run_script(study)

@@ -11,6 +11,7 @@ from click.testing import CliRunner
 
 from lunarsim.evaluation.consistency import Consistency
 from lunarsim.scenario import Scenario
+from lunarsim.studies import Case, report_study, run_study
 from tests.conftest import SCENARIOS
 
 
@@ -139,16 +140,20 @@ def test_flights_with_faults_are_written_and_summed(script, tmp_path, monkeypatc
 
 def test_fits_with_the_assumed_error_are_correct_and_errors_are_detected(script, monkeypatch):
     study = script("navigation", "scan_fits")
-    tasks = [study.FitTask(*row, 0, 11) for row in (("objects", 0.5, 0.0), ("craters", 1.0, 0.2))]
-    tried = [f for task in tasks for f in study.simulate_fits(task)]
-    assert sum(f.accepted for f in tried) > 10
-    assert not any(f.wrong for f in tried)
+    levels = (("objects", 0.5, 0.0), ("craters", 1.0, 0.2))
+    cases = [
+        Case({"terrain": terrain, "posting": posting, "outdated": outdated}, 0, 11)
+        for terrain, posting, outdated in levels
+    ]
+    tried = [f for case in cases for f in study.simulate_fits(case)]
+    assert sum(f["accepted"] for f in tried) > 10
+    assert not any(f["wrong"] for f in tried)
 
     def blind(seen, features, covariance):
         return np.zeros(len(covariance)), False, np.zeros((2, 2))
 
     monkeypatch.setattr("lunarsim.onboard.navigation.registration._initial_error", blind)
-    assert any(f.wrong for task in tasks for f in study.simulate_fits(task))
+    assert any(f["wrong"] for case in cases for f in study.simulate_fits(case))
 
 
 def test_flight_on_an_outdated_map_is_evaluated(script, tmp_path):
@@ -178,8 +183,10 @@ def test_errors_of_fifty_flights_are_consistent(script, name):
 
 
 @pytest.mark.slow
-def test_fewer_than_one_accepted_fit_in_a_thousand_is_wrong(script):
-    text = run(script("navigation", "scan_fits").main, "--fits", 1000, "--seed", 11)
+def test_fewer_than_one_accepted_fit_in_a_thousand_is_wrong(script, capsys):
+    study = script("navigation", "scan_fits").study
+    report_study(study, run_study(study, count=50, seed=11))
+    text = capsys.readouterr().out
     last = next(line for line in text.splitlines() if line.startswith("│ all"))
     fits, believed, _, wrong = (cell.strip() for cell in last.split("│")[2:6])
     assert int(fits) >= 8000
