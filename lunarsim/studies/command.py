@@ -13,6 +13,7 @@ from rich.console import Console
 from lunarsim.campaign.pool import iterate_results
 from lunarsim.console import plain_console, plain_progress
 from lunarsim.errors import InputError
+from lunarsim.scenario.shipped import folder
 from lunarsim.studies.report import Report
 from lunarsim.studies.results import (
     RESULTS,
@@ -81,9 +82,9 @@ def study_script(study: Study) -> Path:
 
 
 def study_name(study: Study) -> str:
-    """Return the name of a study: folder and file name without suffix."""
-    path = study_script(study)
-    return path.stem if path.parent.name == "scenarios" else f"{path.parent.name}/{path.stem}"
+    """Return the name of a study: its file in the folder of scenarios, without suffix."""
+    path, root = study_script(study), folder().resolve()
+    return str(path.relative_to(root).with_suffix("")) if path.is_relative_to(root) else path.stem
 
 
 def _callback(study: Study) -> Any:

@@ -14,7 +14,7 @@ from click.testing import CliRunner
 from lunarsim.cli import main
 from lunarsim.errors import InputError
 from lunarsim.studies import Metric, Report, pack_array, run_study, unpack_array
-from lunarsim.studies.command import report_folder, study_command
+from lunarsim.studies.command import report_folder, study_command, study_name
 from lunarsim.studies.library import load_study, study_files, summary
 from lunarsim.studies.results import plain
 from tests.studies.toy import study
@@ -52,6 +52,7 @@ def test_processes_do_not_change_the_results(tmp_path):
     assert one["options"] == {
         "draws": 3, "seed": 2, "levels": {"size": [10, 1000], "shift": [0.0, 1.0]}, "traces": "",
     }  # fmt: skip
+    assert one["study"] == "toy" and study_name(load_study("landers/slosh")) == "landers/slosh"
     assert one["columns"] == {"mean": "mean (m)", "positive": "positive"}
     assert "--draws 3" in one["command"] and one["machine"]["numpy"] == np.__version__
 
