@@ -213,6 +213,11 @@ OWN = {
     ],
     "scenario list": [(["more"], ["more", "list --help"])],
     "scenario reference": [(["more"], ["more", "reference --help"])],
+    "study list": [(["more"], ["more", "list --help"])],
+    "study report": [
+        (["landers/slush", "full"], ["study: ", "got 'landers/slush'", "'landers/slosh'"]),
+        (["landers/slosh", "full"], ["folder: ", "got 'full'", "results.json", "no such file"]),
+    ],
     "terrain info": [
         (["gone.tif"], ["terrain.path: ", "got 'gone.tif'", "an existing raster file"]),
         (["cut.tif"], ["terrain.path: ", "got 'cut.tif'", "cannot be read"]),
@@ -245,6 +250,10 @@ path = "whole.tif"
 CASES = [(name, *case) for name, cases in OWN.items() for case in cases] + [
     (name, [*arguments, *more], words) for name, more in TAKE_A_SCENARIO.items()
     for arguments, words in OF_A_SCENARIO
+] + [
+    ("study run", ["landers/slush"], ["study: ", "got 'landers/slush'", "'landers/slosh'"]),
+    ("study run", ["landers/slosh", "--flights", "0"], ["--flights", "0 is not in the range x>=1"]),
+    ("study run", ["landers/slosh", "--out", "full"], ["--out: ", "got 'full'", "new or empty"]),
 ]  # fmt: skip
 
 
@@ -337,13 +346,13 @@ def test_what_is_not_there_is_not_suggested(mistakes, monkeypatch):
 
 
 def test_a_group_alone_prints_its_help():
-    for group in ([], ["campaign"], ["scenario"], ["terrain"]):
+    for group in ([], ["campaign"], ["scenario"], ["study"], ["terrain"]):
         assert "Commands:" in CliRunner().invoke(main, group).output
 
 
 def test_help_holds_no_control_characters():
     runner = CliRunner()
-    for name in ["", *(n for n, _ in _commands(main)), "campaign", "scenario", "terrain"]:
+    for name in ["", *(n for n, _ in _commands(main)), "campaign", "scenario", "study", "terrain"]:
         text = runner.invoke(main, [*name.split(), "--help"]).output
         assert "Usage:" in text
         assert not [c for c in text if ord(c) < 32 and c != "\n"]
