@@ -172,7 +172,7 @@ def _format_value(value: object) -> str:
 def error_reason(error: Exception) -> str:
     """Return the first line of an error's message, or which key is missing.
 
-    Of an error of the operating system, return its reason alone, without number and path.
+    For an error of the operating system, return its reason alone, without number and path.
     """
     if isinstance(error, KeyError):
         return f"{error} is missing"

@@ -146,7 +146,7 @@ def run_study(
     """
     count = study.count if count is None else count
     seed = study.seed if seed is None else seed
-    values = {**{o.name or "": o.default for o in study.options}, **(options or {})}
+    values = {**_defaults(study), **(options or {})}
     chosen = {name: list((levels or {}).get(name, every)) for name, every in study.factors.items()}
     cases = study.cases(count, seed, chosen, values)
     identity = provenance(
@@ -175,6 +175,11 @@ def run_study(
     return rows
 
 
+def _defaults(study: Study) -> dict[str, Any]:
+    """Return the values of the study's own options if none is given."""
+    return click.Command("study", params=list(study.options)).make_context("study", []).params
+
+
 def _labels(study: Study) -> dict[str, str]:
     """Return quantity and unit of each metric, by column."""
     return {name: metric.label for name, metric in study.metrics.items()}
@@ -198,11 +203,10 @@ def report_study(
     console: Console | None = None,
 ) -> None:  # fmt: skip
     """Print and plot the rows of a study; the parameters are those of `run_study`."""
-    defaults = {o.name or "": o.default for o in study.options}
     study.report(
         Report(
             rows, list(study.factors), study.repeats, study.metrics, study.reference,
-            {**defaults, **(options or {})},
+            {**_defaults(study), **(options or {})},
             study.seed if seed is None else seed, console or plain_console(_CONSOLE_WIDTH), out,
         )
     )  # fmt: skip

@@ -40,7 +40,7 @@ def load_study(name: str) -> Study:
     if name not in files:
         raise InputError(
             "study", name, "must be the name of a study",
-            f"{suggestion(name, files)}List them with `lunarsim study list`.",
+            f"{suggestion(name, files)} List them with `lunarsim study list`.",
         )  # fmt: skip
     path = files[name]
     # Scripts import others of their folder, and their processes import them by name.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -44,7 +45,8 @@ class Metric:
             raise ValueError(f"unknown statistic {self.statistic!r}")
 
     def text(self, values: Sequence[Any]) -> str:
-        """Return the statistic of the values of one column as text, ignoring NaN."""
+        """Return the statistic of the values of one column as text, ignoring NaN and None."""
+        values = [v for v in values if v is not None and not np.isnan(v)]
         if self.statistic == "share":
             return str(Proportion(sum(bool(v) for v in values), len(values)))
         if self.statistic == "count":
@@ -151,19 +153,28 @@ def difference_table(report: Report) -> Table:
     table.add_column("metric")
     for (level,) in rest:
         table.add_column(f"{level} minus {first}", justify="right")
-    pair = (*others, "number")
     rng = np.random.default_rng(report.seed)
     for column, metric in report.metrics.items():
         cells = []
         for (level,) in rest:
-            a, b = (
-                {tuple(row[k] for k in pair): row[column] for row in by_level[(one,)]}
-                for one in (first, level)
-            )
+            a, b = (_paired(by_level[(one,)], column, others) for one in (first, level))
             both = [key for key in a if key in b]
             cells.append(metric.difference([a[k] for k in both], [b[k] for k in both], rng))
         table.add_row(metric.label, *cells)
     return table
+
+
+def _paired(
+    rows: Sequence[Mapping[str, Any]], column: str, factors: Sequence[str]
+) -> dict[tuple[Any, ...], Any]:
+    """Return the values of a column by levels, number of the case, and row within the case."""
+    found: dict[tuple[Any, ...], Any] = {}
+    rows_of_case: Counter[tuple[Any, ...]] = Counter()
+    for row in rows:
+        case = (*(row[name] for name in factors), row["number"])
+        found[(*case, rows_of_case[case])] = row[column]
+        rows_of_case[case] += 1
+    return found
 
 
 def print_metrics(report: Report) -> None:

@@ -98,7 +98,7 @@ class Journal:
                     "Use a new folder.",
                 )  # fmt: skip
             for entry in map(_line, lines):
-                if entry is not None:
+                if isinstance(entry, list) and len(entry) == 2:
                     self.finished[entry[0]] = entry[1]
         elif any(folder.iterdir()):
             raise InputError(
@@ -145,6 +145,7 @@ def read_results(folder: Path, name: str) -> dict[str, Any]:
         found: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
         if found["study"] != name or not isinstance(found["rows"], list):
             raise ValueError(f"it holds the study {found['study']}")
+        int(found["options"]["seed"])
     except (OSError, ValueError, LookupError, TypeError) as error:
         raise InputError(
             "folder", str(folder),

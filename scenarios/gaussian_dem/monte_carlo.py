@@ -10,8 +10,6 @@ python scenarios/gaussian_dem/monte_carlo.py --samples 200 --jobs 2 --out out/ga
 
 from __future__ import annotations
 
-import base64
-import zlib
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -24,7 +22,7 @@ from testbed import LANDER, MARGIN, ScannedDem, TestbedField, map_testbed, testb
 from lunarsim import Grid, exact_safety, gaussian_dem
 from lunarsim.evaluation.reliability import calibration_error, reliability
 from lunarsim.safety import plane_stochastic_safety, safe_sites, stochastic_safety
-from lunarsim.studies import Case, Report, Study, run_script
+from lunarsim.studies import Case, Report, Study, pack_array, run_script, unpack_array
 from lunarsim.viz.reliability import plot_ideal, plot_reliability
 from lunarsim.viz.style import COLOURS, new_figure, save
 
@@ -82,19 +80,13 @@ def find_safe_cells(case: Case) -> dict[str, str]:
     """Return the safe cells of one sampled terrain, as text.
 
     The terrain is the DEM plus a sampled elevation error; its safety is computed without
-    uncertainty. The text is the compressed map (rows, cols) of `unpack_map`.
+    uncertainty. The text is the map (rows, cols), packed by `pack_array`.
     """
     configuration = SCANS.index(case["scan"])
     dem = scan_testbed(configuration, case.seed)[1].dem
     rng = np.random.default_rng([case.seed, configuration, case.number])
     safe, _ = safe_sites(dem.mean + error_field(configuration, case.seed, rng), MAP, LANDER)
-    return {"safe": base64.b85encode(zlib.compress(np.packbits(safe).tobytes())).decode()}
-
-
-def unpack_map(text: str) -> np.ndarray:
-    """Return the map (rows, cols) of 0 and 1 that a text of `find_safe_cells` holds."""
-    packed = np.frombuffer(zlib.decompress(base64.b85decode(text)), np.uint8)
-    return np.unpackbits(packed, count=MAP.rows * MAP.cols).reshape(MAP.shape)
+    return {"safe": pack_array(safe)}
 
 
 def compare_safety_tests(
@@ -164,7 +156,7 @@ def print_comparison(report: Report) -> None:
         table.add_column(heading, justify="right")
     results = {}
     for (scan,), rows in groups.items():
-        total = np.sum([unpack_map(row["safe"]) for row in rows], axis=0, dtype=np.int64)
+        total = np.sum([unpack_array(row["safe"]) for row in rows], axis=0, dtype=np.int64)
         result = compare_safety_tests(SCANS.index(scan), report.seed, total / len(rows))
         results[scan] = result
         cells = (scan, f"{result['cells']}", f"{result['true']:.3f}", f"{result['sampled']:.3f}")

@@ -22,15 +22,14 @@ from typing import Any
 import click
 import numpy as np
 from consistency import SCENARIOS
-from numpy.typing import NDArray
 from rich.table import Table
 from scipy.stats import binomtest
 
 from lunarsim import Scenario, Simulation, flight_seed
 from lunarsim.evaluation.statistics import Proportion
 from lunarsim.studies import Case, Report, Study, run_script
+from lunarsim.typing import Array
 
-Array = NDArray[np.float64]
 SCENARIO_NAMES = ("apollo15", "golombek", "highland", "hirise", "mare")
 WAYS = ("fixes", "inertial")
 FIXES = {

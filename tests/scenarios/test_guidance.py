@@ -42,8 +42,8 @@ def test_infeasible_starts_are_rejected(script, monkeypatch):
     monkeypatch.setattr(module, "optimal_descent_problem", short_of_fuel)
     done = CliRunner().invoke(study_command(module.study), ["--flights", "1", "--law", "optimal"])
     assert done.exit_code == 2, done.output
-    told = "must give every flight a feasible descent, but flight 0 has none"
-    assert told in " ".join(done.output.split())
+    message = "must give every flight a feasible descent, but flight 0 has none"
+    assert message in " ".join(done.output.split())
 
 
 def test_spherical_and_flat_moon_are_compared(script, capsys):

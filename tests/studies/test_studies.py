@@ -7,15 +7,18 @@ import subprocess
 import sys
 from pathlib import Path
 
+import click
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from rich.console import Console
 
 from lunarsim.cli import main
 from lunarsim.errors import InputError
-from lunarsim.studies import Metric, Report, pack_array, run_study, unpack_array
+from lunarsim.studies import Metric, Report, Study, pack_array, run_study, unpack_array
 from lunarsim.studies.command import report_folder, study_command, study_name
 from lunarsim.studies.library import load_study, study_files, summary
+from lunarsim.studies.report import print_metrics
 from lunarsim.studies.results import plain
 from tests.studies.toy import study
 
@@ -118,6 +121,10 @@ def test_a_report_is_printed_again_from_its_folder(tmp_path, capsys):
     assert again.strip() and again.strip() in printed
     with pytest.raises(InputError, match=r"results\.json of the study"):
         report_folder(study, tmp_path)
+    kept = results(out)
+    (out / "results.json").write_text(json.dumps({**kept, "options": {}}))
+    with pytest.raises(InputError, match=r"'seed' is missing"):
+        report_folder(study, out)
     (out / "results.json").write_text("[1")
     with pytest.raises(InputError, match=r"results\.json of the study"):
         report_folder(study, out)
@@ -131,7 +138,8 @@ def test_statistics_of_a_metric():
     assert Metric("x", "median-p95", 1).text(values) == "2.0 / 5.6"
     assert Metric("x", "mean", 1).text([float("nan")]) == "-"
     assert Metric("x", "count").text([True, False, True]) == "2"
-    assert Metric("x", "share").text([True] * 18 + [False] * 2) == "0.900 [0.699, 0.972]"
+    share = Metric("x", "share").text([True] * 18 + [False] * 2 + [float("nan"), None])
+    assert share == "0.900 [0.699, 0.972]"
     with pytest.raises(ValueError, match="statistic"):
         Metric("x", "average")
     rng = np.random.default_rng(1)
@@ -145,6 +153,35 @@ def test_groups_and_columns_of_a_report():
     report = Report(rows, ["a"], "draws", {}, False, {}, 1, None)
     assert report.groups("a") == {(1,): [rows[0], rows[2]], (2,): [rows[1]]}
     assert np.array_equal(report.column("x"), [2.0, np.nan, np.nan], equal_nan=True)
+
+
+def test_all_rows_of_a_case_are_paired():
+    rows = [
+        {"way": way, "number": n, "x": 10.0 * n + row + (way == "b") * (1.0 + row)}
+        for way in "ab" for n in range(3) for row in range(2)
+    ]  # fmt: skip
+    console = Console(record=True, width=100)
+    report = Report(rows, ["way"], "draws", {"x": Metric("x (m)")}, True, {}, 1, console)
+    print_metrics(report)
+    assert "+1.500 [" in console.export_text()  # first rows differ by 1, second ones by 2
+
+
+def test_an_option_without_a_default_has_the_value_of_the_command_line():
+    options = (click.Option(["--note"]), click.Option(["--level"], type=float, multiple=True))
+    optional = Study(lambda case: {"note": case["note"], "level": case["level"]}, "draws", 1,
+                     options=options)  # fmt: skip
+    assert run_study(optional) == [{"number": 0, "note": None, "level": []}]
+
+
+@pytest.mark.parametrize("line", ["{}", "[1]", "7", '"x"'])
+def test_a_damaged_line_of_the_journal_is_measured_again(tmp_path, line):
+    out = tmp_path / "out"
+    assert invoke("--draws", 1, "--out", out).exit_code == 0
+    before = results(out)["rows"]
+    with (out / "journal.jsonl").open("a") as file:
+        file.write(line + "\n")
+    assert invoke("--draws", 1, "--out", out).exit_code == 0
+    assert results(out)["rows"] == before
 
 
 def test_rows_that_cannot_be_kept_are_refused(tmp_path):
@@ -161,7 +198,7 @@ def test_studies_are_listed_and_run_by_name():
     helped = CliRunner().invoke(main, ["study", "run", "landers/slosh", "--help"])
     assert helped.exit_code == 0 and "--control" in helped.output
     wrong = CliRunner().invoke(main, ["study", "run", "landers/slush"])
-    assert wrong.exit_code == 2 and "Did you mean 'landers/slosh'?" in wrong.output
+    assert wrong.exit_code == 2 and "Did you mean 'landers/slosh'? List" in wrong.output
     with pytest.raises(InputError, match="Did you mean"):
         load_study("landers/slush")
 
