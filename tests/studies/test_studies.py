@@ -122,6 +122,9 @@ def test_a_report_is_printed_again_from_its_folder(tmp_path, capsys):
     with pytest.raises(InputError, match=r"results\.json of the study"):
         report_folder(study, tmp_path)
     kept = results(out)
+    (out / "results.json").write_text(json.dumps({**kept, "study": "landers/slosh"}))
+    with pytest.raises(InputError, match="it holds the study landers/slosh"):
+        report_folder(study, out)
     (out / "results.json").write_text(json.dumps({**kept, "options": {}}))
     with pytest.raises(InputError, match=r"'seed' is missing"):
         report_folder(study, out)
