@@ -440,6 +440,7 @@ def test_a_large_raster_is_described_by_its_header(tmp_path):
     info = read_info(path, window=(0, 600, 0, 30_000))
     assert info.z_range == (0.0, 7.0)
     assert info.statistics.posts == 600 * 30_000
+    assert info.statistics.mean == pytest.approx(7.0 * 256**2 / (600 * 30_000), rel=1e-9)
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 200_000  # kB
 
 
