@@ -28,7 +28,6 @@ from scipy.stats import binomtest
 from lunarsim import Scenario, Simulation, flight_seed
 from lunarsim.evaluation.statistics import Proportion
 from lunarsim.studies import Case, Report, Study, run_script
-from lunarsim.typing import Array
 
 SCENARIO_NAMES = ("apollo15", "golombek", "highland", "hirise", "mare")
 WAYS = ("fixes", "inertial")
@@ -82,7 +81,7 @@ def fly(case: Case) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def miss_texts(miss: Array, expected: Array) -> tuple[str, str]:
+def miss_texts(miss: np.ndarray, expected: np.ndarray) -> tuple[str, str]:
     """Format the distances of touchdowns from the site, and their expected values (n,), m.
 
     Returns two texts: median, 95th percentile and maximum miss (m); median expected miss (m) and
