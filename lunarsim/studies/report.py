@@ -167,7 +167,7 @@ def difference_table(report: Report) -> Table:
 def _paired(
     rows: Sequence[Mapping[str, Any]], column: str, factors: Sequence[str]
 ) -> dict[tuple[Any, ...], Any]:
-    """Return the values of a column by levels, number of the case, and row within the case."""
+    """Return a column by levels, number of the case, and row within the case."""
     found: dict[tuple[Any, ...], Any] = {}
     rows_of_case: Counter[tuple[Any, ...]] = Counter()
     for row in rows:
