@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.collections import LineCollection, PatchCollection
+from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.colors import ListedColormap
 from matplotlib.patches import Patch, Rectangle
 
@@ -36,12 +36,10 @@ def _plot_cells(axes: Any, xy: Any, size: Any, value: Any, **options: Any) -> An
     `xy` (n, 2) are centers and `size` (n,) sides, m; `options` go to the matplotlib collection.
     """
     known = np.isfinite(value)
-    boxes = [
-        Rectangle((x - 0.5 * s, y - 0.5 * s), s, s)
-        for (x, y), s in zip(xy[known], size[known], strict=True)
-    ]
+    corners = np.array([(-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)])
+    boxes = xy[known][:, None] + size[known][:, None, None] * corners
     limits = {k: options.pop(k) for k in ("vmin", "vmax") if k in options}
-    patches = PatchCollection(boxes, linewidth=0.0, antialiased=False, **options)
+    patches = PolyCollection(boxes, linewidth=0.0, antialiased=False, **options)
     patches.set_array(value[known])
     if limits:
         patches.set_clim(limits["vmin"], limits["vmax"])

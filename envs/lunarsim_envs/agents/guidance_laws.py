@@ -103,6 +103,7 @@ class GuidanceLawAgent:
         briefing = _briefing(descents.scenario, software, self._time_to_go(estimate))
         lag = software.control.response_time + self._lander.thrust_lag
         self._law = self._part.build(briefing, lag)
+        self._planner = self._law if isinstance(self._law, PlansArrival) else None
         self._down = descent_law(software.terminal_descent, briefing, lag)
         self._arrival = briefing.time_to_go
         self._time, self._vertical, self._has_started = 0.0, False, True
@@ -149,8 +150,9 @@ class GuidanceLawAgent:
         else:
             end = self._approach.end(np.zeros(3), self._lander)
             wanted = self._law.command(estimate, end, self._time, left)
-            if isinstance(self._law, PlansArrival) and self._law.arrival is not None:
-                self._arrival = self._law.arrival
+            planned = self._planner.arrival if self._planner else None
+            if planned is not None:
+                self._arrival = planned
         self._time += self._descents.period
         return self._descents.actions.action(wanted)
 

@@ -68,7 +68,7 @@ class Rewards:
         Batch of landers.
     """
 
-    names = ("touchdown", "propellant", "miss", "severity", "excess", "shaping")
+    names = ("touchdown", "propellant", "miss", "excess", "severity", "shaping")
 
     def __init__(self, weights: DescentWeights, lanes: DescentBatch) -> None:
         weights.check(lanes.craft.dynamics.lander.propellant_mass)
@@ -116,16 +116,24 @@ class Rewards:
         w, lanes = self.weights, self.lanes
         over = (lanes.ended != FLYING) & (lanes.ended != LATE)
         after = np.where(over, 0.0, self.potential())
-        safe = lanes.safe
-        severity = 0.5 * w.severity * np.minimum(self._relative_distance_and_speed(), MAX_SEVERITY)
         rewards = {
-            "touchdown": np.where(over, np.where(safe, w.safe, w.crash), 0.0),
             "propellant": -w.propellant * (self._mass - lanes.y[:, 13]),
-            "miss": np.where(safe, -w.miss * np.minimum(lanes.miss, MAX_MISS_M), 0.0),
-            "excess": np.where(over & ~safe, -w.excess * self._excess(), 0.0),
-            "severity": np.where(over & ~safe, -severity, 0.0),
             "shaping": w.discount * after - self._potential,
         }
+        if np.any(over):
+            rewards |= self._touchdown_terms(over)
         self._mass = np.where(moved, lanes.y[:, 13], self._mass)
         self._potential = np.where(moved, after, self._potential)
-        return {name: np.where(moved, term, 0.0) for name, term in rewards.items()}
+        nothing = np.zeros(lanes.count)
+        return {name: np.where(moved, rewards.get(name, nothing), 0.0) for name in self.names}
+
+    def _touchdown_terms(self, over: BoolArray) -> dict[str, Array]:
+        """Return the terms (n,) of flights that ended in this step, `over` (n,)."""
+        w, safe = self.weights, self.lanes.safe
+        severity = 0.5 * w.severity * np.minimum(self._relative_distance_and_speed(), MAX_SEVERITY)
+        return {
+            "touchdown": np.where(over, np.where(safe, w.safe, w.crash), 0.0),
+            "miss": np.where(safe, -w.miss * np.minimum(self.lanes.miss, MAX_MISS_M), 0.0),
+            "excess": np.where(over & ~safe, -w.excess * self._excess(), 0.0),
+            "severity": np.where(over & ~safe, -severity, 0.0),
+        }
