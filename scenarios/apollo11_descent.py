@@ -27,7 +27,7 @@ from rich.table import Table
 
 from lunarsim import Flight, Scenario, Simulation
 from lunarsim.console import plain_console
-from lunarsim.onboard.computer import APPROACH, BRAKING
+from lunarsim.onboard.phases import Phase
 
 LOW_GATE = 500.0 * apollo11.FEET
 # Low gate is 560 m short of the site. With a pitch limit of 15 deg (0.43 m/s^2), distance / 40 s is
@@ -125,7 +125,7 @@ def _terrain_and_visibility(sim: Simulation, flight: Flight) -> dict[str, float]
     The visibility is the fraction of the approach phase with the site in the window.
     """
     phase, about = flight.trajectory["phase"], sim.world.far_terrain
-    braking = flight.positions[phase == BRAKING][::10]
+    braking = flight.positions[phase == Phase.BRAKING][::10]
     assert about is not None
     terrain_height = about.elevation(about.surface_arc(braking))
     out = {
@@ -133,7 +133,7 @@ def _terrain_and_visibility(sim: Simulation, flight: Flight) -> dict[str, float]
         "ground_least_m": float(terrain_height.min()),
         "ground_most_m": float(terrain_height.max()),
     }
-    look = look_angles(flight)[phase == APPROACH]
+    look = look_angles(flight)[phase == Phase.APPROACH]
     window = Scenario.load(HERE / "landers/apollo11.toml").window.make()
     inside = (look >= window.upper_edge) & (look <= window.lower_edge)
     return out | {"site_in_window": float(inside.mean()) if len(look) else float("nan")}

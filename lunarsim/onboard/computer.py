@@ -22,10 +22,8 @@ from lunarsim.onboard.control.throttle import ThrottleRegions
 from lunarsim.onboard.control.thrust import thrust_to_command
 from lunarsim.onboard.divert_inhibit import DivertInhibit
 from lunarsim.onboard.error_prefix import prefix_input_errors
-from lunarsim.onboard.guidance.apollo import time_to_go_for_jerk
-from lunarsim.onboard.guidance.approach_time import initial_time_to_go, reason_time_is_fixed
 from lunarsim.onboard.guidance.climb import climb
-from lunarsim.onboard.guidance.contract import PhaseEnd, PlansArrival, UsesHazardMap
+from lunarsim.onboard.guidance.contract import PhaseEnd, UsesHazardMap
 from lunarsim.onboard.guidance.divert_cost import DivertCost
 from lunarsim.onboard.guidance.limit_violation_monitor import LimitViolationMonitor
 from lunarsim.onboard.guidance.position_correction_limiter import PositionCorrectionLimiter
@@ -37,6 +35,7 @@ from lunarsim.onboard.hazards.mapper_factory import build_mappers
 from lunarsim.onboard.mass_estimator import MassEstimator
 from lunarsim.onboard.navigation.estimate import Estimate, ThrustAware
 from lunarsim.onboard.navigation.measurement_sequencer import MeasurementSequencer
+from lunarsim.onboard.phases import Phase, PhaseSequence
 from lunarsim.onboard.policies.contract import (
     Candidates,
     Decision,
@@ -48,8 +47,6 @@ from lunarsim.onboard.result_checks import checked_command
 from lunarsim.onboard.site_evaluator import DescentStatus, SiteEvaluator
 from lunarsim.onboard.tasking.contract import Situation
 from lunarsim.typing import Array
-
-APPROACH, VERTICAL, ABORT, BRAKING = 0, 1, 2, 3
 
 
 class OnboardComputer:
@@ -109,7 +106,6 @@ class OnboardComputer:
             ThrottleRegions(self.lander.engine) if isinstance(self.lander, JetLander) else None
         )
         self.site: Array = briefing.target.copy()
-        self.phase = APPROACH if software.braking is None else BRAKING
         self.time = 0.0
         self.mass_estimator = MassEstimator(self.lander, self.attitude_loop)
         self.estimate: Estimate = self.navigation.estimate(0.0, self.mass)
@@ -120,13 +116,13 @@ class OnboardComputer:
         self.candidates: Candidates | None = None
         self.updated_mappers: set[str] = set()
         self.expected_miss = float("nan")
-        self._arrival = briefing.time_to_go
+        self._phases = PhaseSequence(briefing, self.site_evaluator, self.guidance, self._record)
         self._thrust = 0.0
         self._failed_thrusters = 0
         self._corrected_target: Array = briefing.target.copy()
         self._next_decision = 0.0
         self._has_decided = False
-        self._recorded_navigation_events = self._recorded_guidance_events = 0
+        self._recorded_navigation_events = 0
         self._arrivals = MeasurementSequencer.of(briefing, self._record)
         self._divert_inhibit = DivertInhibit()
         self._tilt_correction = MapTiltCorrection(self.mappers, self.navigation)
@@ -153,7 +149,19 @@ class OnboardComputer:
     @property
     def time_to_go(self) -> float:
         """Time until the planned end of the approach, s."""
-        return self._arrival - self.time
+        return self._phases.arrival - self.time
+
+    @property
+    def phase(self) -> Phase:
+        """Current phase of the descent."""
+        return self._phases.phase
+
+    @property
+    def status(self) -> DescentStatus:
+        """State of the descent, from which landing sites are evaluated."""
+        return DescentStatus(
+            self.time, self.mass, self.estimate, self.site, self.altitude, self.time_to_go
+        )
 
     @property
     def decision_map_name(self) -> str:
@@ -183,7 +191,7 @@ class OnboardComputer:
         """Whether the policy must be asked for a decision in this cycle."""
         window = self.decisions
         return (
-            self.phase == APPROACH
+            self.phase == Phase.APPROACH
             and not self.diverts_inhibited
             and self.mapper is not None
             and window.last_altitude <= self.altitude <= window.first_altitude
@@ -200,8 +208,7 @@ class OnboardComputer:
 
     def observe(self) -> Observation:
         """Return the current observation of the policy, and store its candidate sites."""
-        status = DescentStatus(self.time, self.mass, self.estimate, self.site, self.time_to_go)
-        observation = self.site_evaluator.observe(status)
+        observation = self.site_evaluator.observe(self.status)
         self.candidates, self.expected_miss = observation.candidates, observation.expected_miss
         return observation
 
@@ -235,16 +242,7 @@ class OnboardComputer:
         """
         self._arrivals.advance(measurements.time)
         elapsed = measurements.time - self.time
-        # The tanks have no gauges: the commanded thrust is taken as burnt.
-        if isinstance(self.navigation, ThrustAware):
-            self.navigation.record_thrust(self._thrust, elapsed)
-        for name in self.mass_estimator.update(self._thrust, elapsed):
-            self._record(measurements.time, name, {"altitude": self.altitude})
-        if isinstance(self.attitude_loop, JetLoop):
-            failed = self.attitude_loop.failure_detector.failed
-            for number in failed[self._failed_thrusters :]:
-                self._record(measurements.time, "thruster-failed", {"thruster": number})
-            self._failed_thrusters = len(failed)
+        self._update_actuators(measurements.time, elapsed)
         self.time = measurements.time
         self.updated_mappers = set()
         # Inertial samples come first: they propagate the state before other measurements correct
@@ -262,10 +260,22 @@ class OnboardComputer:
             name = "diverts-inhibited" if self.diverts_inhibited else "diverts-enabled"
             self._record(self.time, name, {"site": self.site.copy()})
         self._update_site_height()
-        is_start = not self._has_decided and elapsed == 0.0 and self.phase == APPROACH
-        if is_start and self.approach.has_free_time_to_go:
+        if not self._has_decided and elapsed == 0.0 and self._phases.chooses_time:
             # The plan was made for the planned start; replan from the actual position.
-            self._replan_time_to_go()
+            self._replan()
+
+    def _update_actuators(self, time: float, elapsed: float) -> None:
+        """Propagate the estimates of mass and failed thrusters over `elapsed` up to `time`, s."""
+        # The tanks have no gauges: the commanded thrust is taken as burnt.
+        if isinstance(self.navigation, ThrustAware):
+            self.navigation.record_thrust(self._thrust, elapsed)
+        for name in self.mass_estimator.update(self._thrust, elapsed):
+            self._record(time, name, {"altitude": self.altitude})
+        if isinstance(self.attitude_loop, JetLoop):
+            failed = self.attitude_loop.failure_detector.failed
+            for number in failed[self._failed_thrusters :]:
+                self._record(time, "thruster-failed", {"thruster": number})
+            self._failed_thrusters = len(failed)
 
     def _report_overdue_samples(self) -> None:
         """Pass NaN samples to navigation in place of inertial samples that are overdue."""
@@ -310,18 +320,17 @@ class OnboardComputer:
         if not np.array_equal(target, self._corrected_target):
             self._corrected_target = target
             # Guidance would chase corrections during the last metres.
-            if not self.diverts and self.phase != VERTICAL:
+            if not self.diverts and self.phase != Phase.VERTICAL:
                 self.site = target
                 for mapper in self.mappers.values():
                     mapper.recentre(target)
         self._tilt_correction.apply(self.time, self.mass)
         for event in self.navigation.events[self._recorded_navigation_events :]:
             self._record(event.time, event.name, dict(event.details))
-            free = self.phase == APPROACH and self.approach.has_free_time_to_go
-            if event.name in {"lock", "relock"} and free:
+            if event.name in {"lock", "relock"} and self._phases.chooses_time:
                 # A position error of tens of metres invalidates the planned path.
                 self.estimate = self.navigation.estimate(self.time, self.mass)
-                self._replan_time_to_go()
+                self._replan()
         self._recorded_navigation_events = len(self.navigation.events)
 
     def _update_site_height(self) -> None:
@@ -349,15 +358,18 @@ class OnboardComputer:
         decision = checked_decision(self.policy, decision, self.time)
         self._next_decision = self.time + self.decisions.interval
         if decision.abort:
-            self.phase = ABORT
-            details = {"altitude": self.altitude, "reason": decision.reason}
-            self._record(self.time, "abort", details)
+            self._phases.abort(self.status, decision.reason)
             return True
         first, self._has_decided = not self._has_decided, True
-        time_scale = self._requested_time_scale(decision)
+        time_scale, why = self._phases.allowed_time_scale(
+            self.status, decision.time_scale, self.diverts_inhibited
+        )
+        if why:
+            site = self.site if decision.site is None else np.asarray(decision.site, np.float64)
+            self._record_refusal(site, why, decision.time_scale)
         if decision.site is None:
             if time_scale is not None or (first and self.approach.has_free_time_to_go):
-                self._replan_time_to_go(time_scale)
+                self._replan(time_scale)
             return True
         site = np.asarray(decision.site, dtype=np.float64)
         if self.diverts_inhibited:
@@ -372,10 +384,16 @@ class OnboardComputer:
             return False
         self.diverts.append((self.time, self.site, decision))
         self.site = site
-        self._arrival = self.time + time_to_go
+        self._phases.arrival = self.time + time_to_go
         if why:
             self._record_refusal(site, why, time_scale)
         return True
+
+    def _replan(self, time_scale: float | None = None) -> None:
+        """Choose a new time-to-go to the current site; record a refused time scale."""
+        why = self._phases.replan(self.status, time_scale)
+        if why:
+            self._record_refusal(self.site, why, time_scale)
 
     def _record_refusal(self, site: Array, reason: str, time_scale: float | None = None) -> None:
         """Record the event that a divert to a site (3,) is refused, and the reason.
@@ -391,83 +409,15 @@ class OnboardComputer:
                 self.time, "time-scale-refused", details | {"time_scale": float(time_scale)}
             )
 
-    def _requested_time_scale(self, decision: Decision) -> float | None:
-        """Return the time scale that a decision requests; None if it may not set one.
-
-        A time scale is a factor on the time-to-go. One that is not allowed now is recorded as
-        refused.
-        """
-        if decision.time_scale is None:
-            return None
-        why = reason_time_is_fixed(self.approach, self.guidance)
-        if self.diverts_inhibited:
-            why = "navigation is lost"
-        elif self.phase != APPROACH:
-            why = "not on the approach"
-        if not why:
-            return decision.time_scale
-        site = self.site if decision.site is None else np.asarray(decision.site, dtype=np.float64)
-        self._record_refusal(site, why, decision.time_scale)
-        return None
-
-    def _replan_time_to_go(self, time_scale: float | None = None) -> None:
-        """Choose a new time-to-go to the current landing site.
-
-        It is the minimum-propellant time-to-go, multiplied by `time_scale` if this is given and
-        within the limits. If no path exists, the time-to-go stays. Diverts always get a new
-        time-to-go; a lander that keeps its site gets one here, since otherwise diverts would appear
-        to save propellant.
-        """
-        time_to_go, why = self.site_evaluator.time_to(self.site, self.estimate, time_scale)
-        if np.isfinite(time_to_go):
-            self._arrival = self.time + time_to_go
-        if why:
-            self._record_refusal(self.site, why, time_scale)
-
-    def _extend_time_to_go(self) -> None:
-        """Extend the time-to-go if the path violates limits and a longer one does not.
-
-        A time-to-go set by the mission or by the guidance law is not changed.
-        """
-        if reason_time_is_fixed(self.approach, self.guidance):
-            return
-        time_to_go, _ = self.site_evaluator.time_to(self.site, self.estimate)
-        if self.time_to_go < time_to_go < np.inf:
-            later = time_to_go - self.time_to_go
-            self._arrival = self.time + time_to_go
-            self._record(self.time, "time-to-go-extended", {"seconds": later})
-
-    def _end_braking(self) -> None:
-        """Update the time-to-go of braking; start the approach when braking ends."""
-        left = self.braking.time_left(self.estimate, self.braking.end(self.site), self.time_to_go)
-        self._arrival = self.time + left
-        if left > self.braking.end_time_to_go:
-            return
-        self.phase = APPROACH
-        details = {"altitude": self.altitude}
-        self._record(self.time, "approach", details)
-        gate = self.approach.end(self.site, self.lander)
-        admissible, _ = self.site_evaluator.time_to(self.site, self.estimate)
-        left, within = initial_time_to_go(self.approach, self.estimate, gate, admissible)
-        if not within:
-            self._record(self.time, "approach-out-of-limits", details)
-        self._arrival = self.time + left
-
     def command(self) -> Command:
         """Return the command to vehicle and sensors for the next control cycle."""
-        if self.phase == BRAKING:
-            self._end_braking()
-        if self.phase == APPROACH and self.approach.jerk is not None:
-            gate = self.approach.end(self.site, self.lander)
-            left = time_to_go_for_jerk(self.estimate, gate, self.approach.jerk, self.time_to_go)
-            self._arrival = self.time + left
-        if self.phase == APPROACH and self.approach.is_finished(self.altitude, self.time_to_go):
-            self.phase = VERTICAL
-            self._record(self.time, "vertical-descent", {"altitude": self.altitude})
-        request = self._braking_command() if self.phase == BRAKING else self._guidance_command()
+        self._phases.advance(self.status)
+        request = (
+            self._braking_command() if self.phase == Phase.BRAKING else self._guidance_command()
+        )
         if self.throttle is not None:
             request = replace(request, thrust=self.throttle.select_thrust(request.thrust))
-        command = replace(request, tasks=self._tasks(), abort=self.phase == ABORT)
+        command = replace(request, tasks=self._tasks(), abort=self.phase == Phase.ABORT)
         self._thrust = command.thrust
         self.attitude_loop.start_cycle(command, self.estimate.attitude, self.mass)
         return command
@@ -485,17 +435,17 @@ class OnboardComputer:
         """Return the vehicle command during approach, terminal descent or abort."""
         end: PhaseEnd
         here = self._position_limited_estimate()
-        if self.phase == APPROACH:
+        if self.phase == Phase.APPROACH:
             end = self.approach.end(self.site, self.lander)
             given = self.guidance.command(here, end, self.time, self.time_to_go)
             wanted = checked_command("guidance", self.briefing.software.guidance, given, self.time)
             tilt = self.approach.max_tilt
-            self._follow_guidance()
+            self._phases.follow_guidance()
             if self._limit_monitor.exceeds_duration(
                 wanted, self.mass, (tilt, self.lander.thrust_max), self.time
             ):
-                self._extend_time_to_go()
-        elif self.phase == VERTICAL:
+                self._phases.extend(self.status)
+        elif self.phase == Phase.VERTICAL:
             end = self.approach.touchdown_end(self.site, self.lander)
             given = self.vertical.command(here, end, self.time)
             wanted = checked_command(
@@ -513,20 +463,11 @@ class OnboardComputer:
         The position steps when a navigation update corrects it. Steps are limited during approach
         and terminal descent.
         """
-        if not self.navigation.has_position_steps or self.phase not in {APPROACH, VERTICAL}:
+        if not self.navigation.has_position_steps or self.phase == Phase.ABORT:
             return self.estimate
         return self._position_limiter.limit(
-            self.estimate, self.time_to_go if self.phase == APPROACH else 0.0
+            self.estimate, self.time_to_go if self.phase == Phase.APPROACH else 0.0
         )
-
-    def _follow_guidance(self) -> None:
-        """Adopt the arrival time planned by the guidance law and record its events."""
-        if not isinstance(self.guidance, PlansArrival):
-            return
-        if self.guidance.arrival is not None:
-            self._arrival = self.guidance.arrival
-        self.telemetry += self.guidance.events[self._recorded_guidance_events :]
-        self._recorded_guidance_events = len(self.guidance.events)
 
     def _tasks(self) -> tuple[SensorTask, ...]:
         """Return the measurement tasks of the steerable sensors for the end of the cycle."""

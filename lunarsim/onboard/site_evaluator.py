@@ -33,6 +33,8 @@ class DescentStatus:
         Current navigation estimate.
     site
         Landing site that the lander flies to, local frame (3,), m.
+    altitude
+        Estimated height of the pads above the site, m.
     time_to_go
         Time until the planned end of the approach, s.
     """
@@ -41,6 +43,7 @@ class DescentStatus:
     mass: float
     estimate: Estimate
     site: Array
+    altitude: float
     time_to_go: float
 
 

@@ -21,7 +21,7 @@ import numpy as np
 
 from lunarsim import InputError, RandomStreams, Scenario, Simulation, build_world, flight_seed
 from lunarsim.messages.briefing import Briefing
-from lunarsim.onboard.computer import APPROACH
+from lunarsim.onboard.phases import Phase
 from lunarsim.optimal.errors import SolverError
 from lunarsim.optimal.final_time import minimize_propellant
 from lunarsim.optimal.planner import Planner
@@ -131,7 +131,7 @@ def fly(case: Case) -> dict[str, Any]:
     flight = Simulation(scenario_of(case["law"], *sigmas), seed, world=shared_world())
     computer = flight.computer
     wet, end = flight.state.mass, computer.approach.end(computer.site, computer.lander)
-    while not flight.done and computer.phase == APPROACH:
+    while not flight.done and computer.phase == Phase.APPROACH:
         flight.step()
     at_end, estimate = flight.state, flight.estimate
     while not flight.done:

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lunarsim.onboard.computer import APPROACH, VERTICAL
+from lunarsim.onboard.phases import Phase
 from lunarsim.rng import flight_seed
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation
@@ -44,7 +44,7 @@ def flown(phase: str, left: float) -> float:
 
     computer.navigation.estimate = moved
     while not simulation.done:
-        here = computer.time_to_go if phase == APPROACH else computer.altitude
+        here = computer.time_to_go if phase == Phase.APPROACH else computer.altitude
         jumped[0] = jumped[0] or (computer.phase == phase and here < left)
         simulation.step()
         if jumped[0]:
@@ -53,7 +53,7 @@ def flown(phase: str, left: float) -> float:
     return fastest
 
 
-@pytest.mark.parametrize(("phase", "left"), [(APPROACH, 4.0), (VERTICAL, 8.0)])
+@pytest.mark.parametrize(("phase", "left"), [(Phase.APPROACH, 4.0), (Phase.VERTICAL, 8.0)])
 def test_a_place_that_jumps_near_the_end_is_not_chased(phase, left, monkeypatch):
     steady = flown(phase, left)
     as_it_is = (

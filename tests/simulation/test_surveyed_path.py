@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from lunarsim.frames import quat_to_matrix
-from lunarsim.onboard.computer import VERTICAL
+from lunarsim.onboard.phases import Phase
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation
 from tests.conftest import SCENARIOS
@@ -48,7 +48,7 @@ def test_thrust_tilt_and_propellant_are_those_surveyed(name):
     computer = simulation.computer
     cost = computer.cost_of(computer.site[None, :])
     simulation.move()
-    while computer.phase != VERTICAL:
+    while computer.phase != Phase.VERTICAL:
         simulation.step()
     t = {k: v[:-1] for k, v in simulation.recorder.trajectory().items()}
     q = np.column_stack([t[f"attitude_{a}"] for a in "xyzw"])

@@ -1,0 +1,180 @@
+"""Phases of the descent and their time-to-go."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from enum import IntEnum
+from typing import Any
+
+import numpy as np
+
+from lunarsim.messages.briefing import Briefing
+from lunarsim.onboard.guidance.apollo import time_to_go_for_jerk
+from lunarsim.onboard.guidance.approach_time import initial_time_to_go, reason_time_is_fixed
+from lunarsim.onboard.guidance.contract import GuidanceLaw, PlansArrival
+from lunarsim.onboard.site_evaluator import DescentStatus, SiteEvaluator
+
+# Records the event with a time, s, a name and details.
+RecordEvent = Callable[[float, str, dict[str, Any]], None]
+
+
+class Phase(IntEnum):
+    """Phase of the descent, as recorded in the trajectory."""
+
+    APPROACH = 0
+    VERTICAL = 1
+    ABORT = 2
+    BRAKING = 3
+
+
+class PhaseSequence:
+    """Phase of the descent and time-to-go of the current phase.
+
+    ::
+
+        BRAKING ----> APPROACH ----> VERTICAL     transitions: `advance`
+           |             |              |
+           +-------------+--------------+-----> ABORT     decision: `abort`
+
+    A flight starts with BRAKING if the scenario has a table [braking], otherwise with APPROACH.
+    BRAKING ends at its final time-to-go. APPROACH ends at an altitude or at a time-to-go. VERTICAL
+    ends at touchdown. ABORT climbs until the end of the flight.
+
+    The time-to-go counts down to the end of BRAKING or APPROACH. During BRAKING and with a given
+    jerk, it is computed again in each cycle. Otherwise it is chosen by propellant: at the start of
+    the approach, for each divert, when navigation finds its place on the map, and when commands
+    exceed the limits. The mission or the guidance law can fix it.
+
+    Parameters
+    ----------
+    briefing
+        Data known before the flight.
+    evaluator
+        Evaluates the time-to-go to landing sites.
+    guidance
+        Guidance law of the approach.
+    record
+        Records an event.
+
+    Attributes
+    ----------
+    phase
+        Current phase.
+    arrival
+        Time at which the time-to-go is 0, s.
+    """
+
+    def __init__(
+        self,
+        briefing: Briefing,
+        evaluator: SiteEvaluator,
+        guidance: GuidanceLaw,
+        record: RecordEvent,
+    ) -> None:
+        software = briefing.software
+        self.phase = Phase.APPROACH if software.braking is None else Phase.BRAKING
+        self.arrival = briefing.time_to_go
+        self._approach, self._braking, self._lander = (
+            software.approach, software.braking, briefing.lander,
+        )  # fmt: skip
+        self._evaluator, self._guidance, self._record = evaluator, guidance, record
+        self._recorded_guidance_events = 0
+
+    @property
+    def chooses_time(self) -> bool:
+        """Whether the time-to-go is chosen by propellant in the current phase."""
+        return self.phase == Phase.APPROACH and self._approach.has_free_time_to_go
+
+    def abort(self, status: DescentStatus, reason: str) -> None:
+        """Start the abort, for a reason that the policy states."""
+        self.phase = Phase.ABORT
+        self._record(status.time, "abort", {"altitude": status.altitude, "reason": reason})
+
+    def advance(self, status: DescentStatus) -> None:
+        """Update the time-to-go, and make the transitions that are due in this cycle."""
+        if self.phase == Phase.BRAKING:
+            self._advance_braking(status)
+        if self.phase == Phase.APPROACH:
+            self._advance_approach(status)
+
+    def _advance_braking(self, status: DescentStatus) -> None:
+        """Update the time-to-go of braking; start the approach when braking ends."""
+        end = self._braking.end(status.site)
+        left = self._braking.time_left(status.estimate, end, self.arrival - status.time)
+        self.arrival = status.time + left
+        if left > self._braking.end_time_to_go:
+            return
+        self.phase = Phase.APPROACH
+        details = {"altitude": status.altitude}
+        self._record(status.time, "approach", details)
+        end = self._approach.end(status.site, self._lander)
+        optimal, _ = self._evaluator.time_to(status.site, status.estimate)
+        left, within = initial_time_to_go(self._approach, status.estimate, end, optimal)
+        if not within:
+            self._record(status.time, "approach-out-of-limits", details)
+        self.arrival = status.time + left
+
+    def _advance_approach(self, status: DescentStatus) -> None:
+        """Compute the time-to-go from a given jerk; start the vertical descent when due."""
+        left = self.arrival - status.time
+        if self._approach.jerk is not None:
+            end = self._approach.end(status.site, self._lander)
+            left = time_to_go_for_jerk(status.estimate, end, self._approach.jerk, left)
+            self.arrival = status.time + left
+            left = self.arrival - status.time
+        if self._approach.is_finished(status.altitude, left):
+            self.phase = Phase.VERTICAL
+            self._record(status.time, "vertical-descent", {"altitude": status.altitude})
+
+    def allowed_time_scale(
+        self, status: DescentStatus, time_scale: float | None, inhibited: bool
+    ) -> tuple[float | None, str]:
+        """Return the time scale that a decision may set, and why another one is refused.
+
+        A time scale is a factor on the time-to-go; None if the decision sets none or may not.
+        `inhibited` is whether diverts are inhibited.
+        """
+        if time_scale is None:
+            return None, ""
+        why = reason_time_is_fixed(self._approach, self._guidance)
+        if inhibited:
+            why = "navigation is lost"
+        elif self.phase != Phase.APPROACH:
+            why = "not on the approach"
+        return (None, why) if why else (time_scale, "")
+
+    def replan(self, status: DescentStatus, time_scale: float | None = None) -> str:
+        """Choose a new time-to-go to the current landing site.
+
+        It is the minimum-propellant time-to-go, multiplied by `time_scale` if this is given and
+        within the limits. If no path exists, the time-to-go stays. Diverts always get a new
+        time-to-go; a lander that keeps its site gets one here, since otherwise diverts would appear
+        to save propellant. Returns why the time scale was refused, or an empty text.
+        """
+        time_to_go, why = self._evaluator.time_to(status.site, status.estimate, time_scale)
+        if np.isfinite(time_to_go):
+            self.arrival = status.time + time_to_go
+        return why
+
+    def extend(self, status: DescentStatus) -> None:
+        """Extend the time-to-go, because commands exceed limits and a longer path does not.
+
+        A time-to-go set by the mission or by the guidance law is not changed.
+        """
+        if reason_time_is_fixed(self._approach, self._guidance):
+            return
+        time_to_go, _ = self._evaluator.time_to(status.site, status.estimate)
+        left = self.arrival - status.time
+        if left < time_to_go < np.inf:
+            self.arrival = status.time + time_to_go
+            self._record(status.time, "time-to-go-extended", {"seconds": time_to_go - left})
+
+    def follow_guidance(self) -> None:
+        """Adopt the arrival time planned by the guidance law, and record its events."""
+        if not isinstance(self._guidance, PlansArrival):
+            return
+        if self._guidance.arrival is not None:
+            self.arrival = self._guidance.arrival
+        for event in self._guidance.events[self._recorded_guidance_events :]:
+            self._record(*event)
+        self._recorded_guidance_events = len(self._guidance.events)
