@@ -110,7 +110,7 @@ _TESTS: dict[str, tuple[str, ...]] = {
         "tests/vehicle/test_actuators.py",
     ),
     "lunarsim/vehicle/_leg_kernels.py": ("tests/vehicle/test_legs.py",),
-    "lunarsim/vehicle/_touchdown_kernels.py": ("tests/vehicle/test_touchdown_kernels.py",),
+    "lunarsim/core/touchdown.py": ("tests/vehicle/test_touchdown_kernels.py",),
     "lunarsim/world/terrain/_crater_kernels.py": (
         "tests/world/terrain/test_craters.py", "tests/world/terrain/test_hazard_field.py",
     ),

@@ -119,6 +119,6 @@ def test_kernels_of_the_environments_depend_on_those_of_the_simulator():
     linked = linked_modules("lunarsim_envs.descent._kernels")
     assert {
         "lunarsim_envs.descent._loop_kernels",  # from package import module as name
-        "lunarsim.vehicle._touchdown_kernels",
+        "lunarsim.core.touchdown",
         "lunarsim._frame_kernels",  # through another kernel's module
     } <= linked

@@ -54,7 +54,7 @@ def exact_safety(
 
     At each heading (azimuth of the body x axis) the pads rest on the highest terrain under them;
     slope (Eq. 8) and roughness (Eq. 9, over the polygon of the legs) are the worst over the
-    admissible support planes (`lunarsim.vehicle.touchdown.support_planes`). Legs keep their
+    admissible support planes (`lunarsim.core.touchdown.support_planes`). Legs keep their
     horizontal position (Eq. 19).
 
     Parameters

@@ -8,7 +8,6 @@ from lunarsim.vehicle.touchdown import (
     Touchdown,
     evaluate_touchdown,
     pad_contacts,
-    support_planes,
 )
 
 __all__ = [
@@ -19,5 +18,4 @@ __all__ = [
     "Touchdown",
     "evaluate_touchdown",
     "pad_contacts",
-    "support_planes",
 ]

@@ -10,8 +10,8 @@ from __future__ import annotations
 import numpy as np
 
 from lunarsim._jit import kernel
+from lunarsim.core.touchdown import height_at
 from lunarsim.vehicle._kernels import derivative
-from lunarsim.vehicle._touchdown_kernels import height_at
 
 
 @kernel(inner=True)

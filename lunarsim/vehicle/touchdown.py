@@ -3,20 +3,25 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import combinations
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lunarsim.frames import quat_rotate, quat_to_matrix
+from lunarsim.core import touchdown as core
+from lunarsim.frames import quat_rotate
 from lunarsim.models.jet_lander import centre_of_mass
 from lunarsim.models.lander import Lander
-from lunarsim.typing import Array, BoolArray
+from lunarsim.typing import Array
 from lunarsim.vehicle.state import State
 
 # Spacing of terrain samples under pads and belly, m.
 TERRAIN_SAMPLE_SPACING_M = 0.04
+# Names of the touchdown limits, in the order in which they are checked.
+TOUCHDOWN_LIMITS = (
+    "off-map", "vertical-speed", "horizontal-speed", "tilt", "rate", "slope", "roughness", "belly",
+    "tip-over",
+)  # fmt: skip
 
 
 class ElevationModel(Protocol):
@@ -84,38 +89,6 @@ class LandingOutcome:
     touchdown: Touchdown | None
 
 
-def support_planes(legs: Array) -> list[Array]:
-    """Return the planes on which a lander can stand, each ``(z0, dz/dx, dz/dy)``.
-
-    There is one plane for three legs, and two planes for four legs.
-    A three-legged lander stands on its three pads. A rigid four-legged lander stands on the higher
-    of its two diagonals and one of the other legs, which gives two planes.
-
-    Parameters
-    ----------
-    legs
-        Contact points of the pads in order around the lander (3 or 4, 3), m.
-
-    Examples
-    --------
-    >>> feet = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.1], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.1]])
-    >>> len(support_planes(feet))  # stands on the two high legs and tips to either side
-    2
-    """
-    if len(legs) == 3:
-        triples = [(0, 1, 2)]
-    elif legs[0, 2] + legs[2, 2] >= legs[1, 2] + legs[3, 2]:
-        triples = [(0, 1, 2), (0, 2, 3)]
-    else:
-        triples = [(0, 1, 3), (1, 2, 3)]
-    planes = []
-    for triple in triples:
-        points = legs[list(triple)]
-        design = np.column_stack((np.ones(3), points[:, :2]))
-        planes.append(np.asarray(np.linalg.solve(design, points[:, 2]), dtype=np.float64))
-    return planes
-
-
 def pad_disc(radius: float) -> Array:
     """Return sample points (n, 2), m, of a landing pad, including centre and rim.
 
@@ -139,72 +112,6 @@ def pad_contacts(lander: Lander, state: State, terrain: ElevationModel) -> Array
     centres = state.position + quat_rotate(state.attitude, pads)
     spots = centres[:, None, :2] + pad_disc(0.5 * lander.pad_diameter)
     return np.column_stack((centres[:, :2], terrain.elevation(spots).max(axis=1)))
-
-
-def _inside_polygon(points: Array, polygon: Array) -> BoolArray:
-    """Return which points (n, 2) lie in a convex counter-clockwise polygon (k, 2)."""
-    inside = np.ones(len(points), dtype=np.bool_)
-    for a, b in zip(polygon, np.roll(polygon, -1, axis=0), strict=True):
-        cross = (b[0] - a[0]) * (points[:, 1] - a[1]) - (b[1] - a[1]) * (points[:, 0] - a[0])
-        inside &= cross >= 0.0
-    return inside
-
-
-def fit_terrain_plane(lander: Lander, legs: Array, terrain: ElevationModel) -> tuple[float, float]:
-    """Return slope (rad) and roughness (m) of the terrain under a standing lander.
-
-    `legs` (n, 3) are contact points of the pads, m. The values follow Eqs. 8 and 9 of the Gaussian
-    DEM paper, as maxima over the planes on which the lander can stand.
-    """
-    low, high = legs[:, :2].min(axis=0), legs[:, :2].max(axis=0)
-    axes = [
-        np.arange(a, b + TERRAIN_SAMPLE_SPACING_M, TERRAIN_SAMPLE_SPACING_M)
-        for a, b in zip(low, high, strict=True)
-    ]
-    points = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
-    points = points[_inside_polygon(points, legs[:, :2])]
-    z = terrain.elevation(points)
-    slope = roughness = 0.0
-    for z0, gx, gy in support_planes(legs):
-        plane_norm = np.hypot(1.0, np.hypot(gx, gy))
-        slope = max(slope, float(np.arccos(1.0 / plane_norm)))
-        height = (z - z0 - points @ np.array([gx, gy])) / plane_norm
-        roughness = float(np.maximum(roughness, height.max(initial=0.0)))  # NaN where unknown
-    return slope, roughness
-
-
-def tip_margin(lander: Lander, state: State, legs: Array, slope: float, gravity: float) -> float:
-    """Return the tip-over margin of a touchdown; negative: the lander tips over.
-
-    The margin is the minimum of 1 - E / E_tip over the edges between adjacent legs: the lander
-    hits the edge and rotates about the edge with its angular momentum. The lander tips over if its
-    kinetic energy E exceeds E_tip, which lifts the centre of mass over the edge. `legs` (n, 3) are
-    contact points, m, and `slope` is that of the terrain, rad. As a worst case, the terrain
-    slopes towards every edge, and the smaller lateral moment of inertia applies to every edge.
-    """
-    polygon = legs[:, :2] - state.position[:2]
-    full = (state.mass - lander.dry_mass) / lander.propellant_mass
-    inertia = np.asarray(lander.inertia_dry) + full * (
-        np.asarray(lander.inertia_full) - np.asarray(lander.inertia_dry)
-    )
-    margin = np.inf
-    for i, j in combinations(range(lander.legs), 2):
-        if (j - i) % lander.legs not in (1, lander.legs - 1):
-            continue  # a diagonal is not an edge
-        edge = polygon[j] - polygon[i]
-        normal = np.array([edge[1], -edge[0]]) / np.linalg.norm(edge)
-        arm = float(normal @ polygon[i])
-        if arm < 0.0:
-            normal, arm = -normal, -arm
-        tip_angle = np.arctan2(arm, lander.com_height) - slope
-        if tip_angle <= 0.0:
-            return -np.inf
-        length = np.hypot(arm, lander.com_height)
-        barrier = state.mass * gravity * length * (1.0 - np.cos(tip_angle))
-        inertia_about_edge = min(inertia[0], inertia[1]) + state.mass * length**2
-        momentum = state.mass * max(0.0, float(normal @ state.velocity[:2])) * lander.com_height
-        margin = min(margin, 1.0 - 0.5 * momentum**2 / inertia_about_edge / barrier)
-    return float(margin)
 
 
 def min_touchdown_margin(lander: Lander, touchdown: Touchdown) -> float:
@@ -231,37 +138,36 @@ def evaluate_touchdown(
 ) -> LandingOutcome:
     """Determine the landing outcome from the state at touchdown and the true terrain.
 
-    Limits are checked in this order: ``off-map`` (unknown terrain), ``vertical-speed``,
-    ``horizontal-speed``, ``tilt``, ``rate``, ``slope``, ``roughness``, ``belly`` (terrain above the
-    belly clearance), ``tip-over``.
+    Limits are checked in the order of `TOUCHDOWN_LIMITS`: ``off-map`` is unknown terrain, and
+    ``belly`` is terrain above the belly clearance.
     """
     legs = pad_contacts(lander, state, terrain)
-    up = quat_to_matrix(state.attitude)[2, 2]
-    known = bool(np.isfinite(legs).all())
-    slope, roughness = fit_terrain_plane(lander, legs, terrain) if known else (np.nan, np.nan)
-    forward = quat_rotate(state.attitude, [1.0, 0.0, 0.0])
-    known = known and bool(np.isfinite(roughness))
-    touchdown = Touchdown(
-        position=state.position,
-        heading=float(np.arctan2(forward[0], forward[1])),
-        vertical_speed=float(-state.velocity[2]),
-        horizontal_speed=float(np.hypot(*state.velocity[:2])),
-        tilt=float(np.arccos(np.clip(up, -1.0, 1.0))),
-        rate=float(np.linalg.norm(state.rate)),
-        slope=slope,
-        roughness=roughness,
-        tip_margin=tip_margin(lander, state, legs, slope, gravity) if known else np.nan,
+    points, heights = np.empty((0, 2)), np.empty(0)
+    if np.isfinite(legs).all():
+        points = core.samples_between_legs(legs, TERRAIN_SAMPLE_SPACING_M)
+        heights = np.asarray(terrain.elevation(points), dtype=np.float64)
+    values = np.empty(7)
+    failed = core.evaluate_touchdown(
+        state.as_vector(), legs, points, heights, touchdown_params(lander, gravity), values
     )
-    checks = {
-        "off-map": not known,
-        "vertical-speed": touchdown.vertical_speed > lander.vertical_speed_limit,
-        "horizontal-speed": touchdown.horizontal_speed > lander.horizontal_speed_limit,
-        "tilt": touchdown.tilt > lander.tilt_limit,
-        "rate": touchdown.rate > lander.rate_limit,
-        "slope": slope >= lander.slope_limit,
-        "roughness": roughness >= lander.roughness_limit,
-        "belly": roughness >= lander.belly_clearance,
-        "tip-over": touchdown.tip_margin < 0.0,
-    }
-    failed = tuple(name for name, bad in checks.items() if bad)
-    return LandingOutcome(not failed, failed, touchdown)
+    forward = quat_rotate(state.attitude, [1.0, 0.0, 0.0])
+    heading = float(np.arctan2(forward[0], forward[1]))
+    touchdown = Touchdown(state.position, heading, *(float(value) for value in values))
+    return LandingOutcome(not failed, violated_limits(failed), touchdown)
+
+
+def touchdown_params(lander: Lander, gravity: float) -> core.TouchdownParams:
+    """Return the parameters of a lander and gravity (m/s^2) for the compiled evaluation."""
+    limits = (
+        lander.vertical_speed_limit, lander.horizontal_speed_limit, lander.tilt_limit,
+        lander.rate_limit, lander.slope_limit, lander.roughness_limit, lander.belly_clearance,
+    )  # fmt: skip
+    return core.TouchdownParams(
+        np.array(limits), float(lander.com_height), float(gravity), float(lander.dry_mass),
+        float(lander.wet_mass), np.array([lander.inertia_dry, lander.inertia_full]),
+    )  # fmt: skip
+
+
+def violated_limits(failed: int) -> tuple[str, ...]:
+    """Return the names of violated limits, which are the bits of `failed`, in their order."""
+    return tuple(name for bit, name in enumerate(TOUCHDOWN_LIMITS) if failed >> bit & 1)

@@ -7,12 +7,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from lunarsim.core.touchdown import support_planes
 from lunarsim.frames import attitude_from_thrust
 from lunarsim.models.lander import Lander
 from lunarsim.rocks.field import RockField
-from lunarsim.vehicle import State, evaluate_touchdown, support_planes
+from lunarsim.vehicle import State, evaluate_touchdown
 from lunarsim.vehicle.touchdown import min_touchdown_margin
 from lunarsim.world.terrain import Terrain
+from tests.reference.touchdown import support_planes as reference_planes
 from tests.worlds import flat_terrain, sloped_terrain
 
 G = 1.622
@@ -181,8 +183,9 @@ def test_a_margin_of_roughness_is_counted_to_the_lesser_of_its_limits():
 def test_four_legs_stand_above_the_ground(heights):
     """On an admissible plane no leg is under ground, and three touch it."""
     legs = np.column_stack((LANDER.pads[:, :2], heights))
-    planes = support_planes(legs)
-    assert len(planes) == 2
+    planes = np.empty((2, 3))
+    support_planes(legs, planes)
+    assert planes == pytest.approx(np.array(reference_planes(legs)), abs=1e-9)
     for z0, gx, gy in planes:
         gap = z0 + legs[:, :2] @ [gx, gy] - legs[:, 2]
         assert np.sum(np.abs(gap) < 1e-9) >= 3
@@ -192,4 +195,7 @@ def test_four_legs_stand_above_the_ground(heights):
 def test_three_legs_have_one_plane():
     lander = Lander(legs=3)
     legs = np.column_stack((lander.pads[:, :2], [0.1, 0.2, 0.3]))
-    assert len(support_planes(legs)) == 1
+    planes = np.empty((2, 3))
+    support_planes(legs, planes)
+    assert planes[0] == pytest.approx(planes[1])
+    assert len(reference_planes(legs)) == 1

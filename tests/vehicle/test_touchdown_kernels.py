@@ -6,21 +6,21 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from lunarsim.core import touchdown as k
 from lunarsim.models.lander import Lander
-from lunarsim.vehicle import _touchdown_kernels as k
 from lunarsim.vehicle.state import State
 from lunarsim.vehicle.touchdown import (
     TERRAIN_SAMPLE_SPACING_M,
+    TOUCHDOWN_LIMITS,
     evaluate_touchdown,
     pad_contacts,
     pad_disc,
+    touchdown_params,
+    violated_limits,
 )
 from tests.reference.raster import RasterGround
+from tests.reference.touchdown import touchdown_values
 
-NAMES = (
-    "off-map", "vertical-speed", "horizontal-speed", "tilt", "rate", "slope", "roughness", "belly",
-    "tip-over",
-)  # fmt: skip
 G = 1.622
 FRAME = np.array([-6.0, -7.0, 0.1])
 
@@ -46,34 +46,32 @@ def drawn(seed):
     return lander, state, z
 
 
-def judged(lander, state, z):
-    told = np.empty(7)
-    limits = [
-        lander.vertical_speed_limit, lander.horizontal_speed_limit, lander.tilt_limit,
-        lander.rate_limit, lander.slope_limit, lander.roughness_limit, lander.belly_clearance,
-    ]  # fmt: skip
-    failed = k.violated_limits(
+def evaluated(lander, state, z):
+    """Return the violated limits and the values of a touchdown on a raster."""
+    values = np.empty(7)
+    failed = k.evaluate_on_raster(
         state.as_vector(), lander.pads, pad_disc(0.5 * lander.pad_diameter),
-        TERRAIN_SAMPLE_SPACING_M, z,
-        FRAME, np.array(limits), lander.com_height, G, lander.dry_mass, lander.wet_mass,
-        np.array([lander.inertia_dry, lander.inertia_full]), told,
+        TERRAIN_SAMPLE_SPACING_M, z, FRAME, touchdown_params(lander, G), values,
     )  # fmt: skip
-    return tuple(name for bit, name in enumerate(NAMES) if failed >> bit & 1), told
+    return violated_limits(failed), values
 
 
-def test_verdicts_are_those_of_the_simulation():
+def test_touchdowns_in_a_batch_and_in_the_simulation_are_those_of_the_reference():
     seen = set()
     for seed in range(150):
         lander, state, z = drawn(seed)
-        wanted = evaluate_touchdown(lander, state, RasterGround(z, FRAME), G)
-        failed, told = judged(lander, state, z)
-        t = wanted.touchdown
+        expected, causes = touchdown_values(lander, state, RasterGround(z, FRAME), G)
+        failed, values = evaluated(lander, state, z)
+        outcome = evaluate_touchdown(lander, state, RasterGround(z, FRAME), G)
+        t = outcome.touchdown
         own = (t.vertical_speed, t.horizontal_speed, t.tilt, t.rate, t.slope, t.roughness,
                t.tip_margin)  # fmt: skip
-        assert failed == wanted.failure_causes, seed
-        assert told == pytest.approx(own, abs=1e-9, nan_ok=True), seed
+        assert failed == outcome.failure_causes == causes, seed
+        assert outcome.safe == (not causes)
+        assert values == pytest.approx(expected, abs=1e-9, nan_ok=True), seed
+        assert own == pytest.approx(expected, abs=1e-9, nan_ok=True), seed
         seen |= set(failed) | ({"safe"} if not failed else set())
-    assert seen >= set(NAMES) - {"tip-over"}
+    assert seen >= set(TOUCHDOWN_LIMITS) - {"tip-over"}
 
 
 def test_a_lander_tips_over_the_edge_that_it_slides_across():
@@ -83,10 +81,10 @@ def test_a_lander_tips_over_the_edge_that_it_slides_across():
             np.array([0.0, 0.0, 1.6]), np.array([speed, 0.0, -1.0]),
             np.array([0.0, 0.0, 0.0, 1.0]), np.zeros(3), state.mass, 0.0,
         )  # fmt: skip
-        wanted = evaluate_touchdown(lander, moving, RasterGround(z, FRAME), G)
-        failed, told = judged(lander, moving, z)
-        assert ("tip-over" in failed) == tips
-        assert told[6] == pytest.approx(wanted.touchdown.tip_margin, rel=1e-9)
+        expected, causes = touchdown_values(lander, moving, RasterGround(z, FRAME), G)
+        failed, values = evaluated(lander, moving, z)
+        assert ("tip-over" in failed) == ("tip-over" in causes) == tips
+        assert values[6] == pytest.approx(expected[6], rel=1e-9)
 
 
 def test_the_first_pad_to_touch_is_found():

@@ -8,9 +8,15 @@ from typing import NamedTuple
 import numpy as np
 
 from lunarsim._jit import kernel
+from lunarsim.core.touchdown import (
+    OFF_MAP,
+    TouchdownParams,
+    evaluate_on_raster,
+    has_contact,
+    height_at,
+)
 from lunarsim.onboard.control._kernels import thrust_attitude
 from lunarsim.vehicle._kernels import advance_bodies
-from lunarsim.vehicle._touchdown_kernels import OFF_MAP, has_contact, height_at, violated_limits
 from lunarsim_envs.descent import _loop_kernels as loop
 
 # Status of a flight.
@@ -164,7 +170,7 @@ class Vehicle(NamedTuple):
     (n, 13) the other randomized parameters of each lander. `control` (9,) has minimum and maximum
     thrust, maximum tilt, gains of the attitude loop (3) and maximum torques (3). `inertia` and
     `rig` are arguments of `advance_bodies`; the fields from `pads` on describe the touchdown
-    (`violated_limits`); `heading` is the azimuth of body x, rad.
+    (`evaluate_on_raster`); `heading` is the azimuth of body x, rad.
     """
 
     params: np.ndarray
@@ -216,9 +222,11 @@ def _end_flight(i, y, vehicle, terrains, flights):
     if has_contact(y, vehicle.pads, vehicle.disc, z, frame):
         params = vehicle.params[i]
         flights.ended[i] = LANDED
-        flights.failed[i] = violated_limits(
-            y, vehicle.pads, vehicle.disc, vehicle.spacing, z, frame, vehicle.limits,
-            vehicle.com_height, params[0], params[3], params[4], vehicle.inertia,
+        touchdown = TouchdownParams(
+            vehicle.limits, vehicle.com_height, params[0], params[3], params[4], vehicle.inertia
+        )
+        flights.failed[i] = evaluate_on_raster(
+            y, vehicle.pads, vehicle.disc, vehicle.spacing, z, frame, touchdown,
             flights.touchdown_values[i],
         )  # fmt: skip
         return 1

@@ -21,7 +21,12 @@ from lunarsim.typing import Array, BoolArray, IntArray
 from lunarsim.vehicle._kernels import SIMD_BATCH
 from lunarsim.vehicle.domain_randomization import RANDOM_QUANTITIES, DomainRandomization
 from lunarsim.vehicle.dynamics import PLAIN_RIG, Dynamics
-from lunarsim.vehicle.touchdown import TERRAIN_SAMPLE_SPACING_M, pad_disc
+from lunarsim.vehicle.touchdown import (
+    TERRAIN_SAMPLE_SPACING_M,
+    pad_disc,
+    touchdown_params,
+    violated_limits,
+)
 from lunarsim_envs.descent import _kernels as k
 from lunarsim_envs.descent.worlds import WorldPool
 
@@ -32,12 +37,6 @@ _STEP = 0.1
 _ALIKE = np.zeros(len(RANDOM_QUANTITIES))
 _ALIKE[k.FAILS] = np.inf
 _ALIKE[k.ENGINE : k.SEES_LATE] = 1.0
-# Names of the touchdown limits of `judge_touchdown`, in the order of the bits of
-# `DescentBatch.failed`.
-LIMITS = (
-    "off-map", "vertical-speed", "horizontal-speed", "tilt", "rate", "slope", "roughness", "belly",
-    "tip-over",
-)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -192,7 +191,8 @@ class DescentBatch:
         State of the flight: FLYING, LANDED (a pad has touched), LOST (off the map) or LATE (time
         limit) (n,).
     failed
-        Violated touchdown limits, one bit each in the order of `LIMITS` (n,).
+        Violated touchdown limits, one bit each in the order of
+            `TOUCHDOWN_LIMITS` (n,).
     touchdown_values
         Vertical and horizontal speed, tilt, rate, slope, roughness and tip-over margin at
         touchdown (n, 7), SI.
@@ -232,14 +232,10 @@ class DescentBatch:
         self._weight = np.array([lander.wet_mass, lander.wet_mass * d.gravity])
         v = lander
         control = [v.thrust_min, v.thrust_max, craft.max_tilt, *craft.gains, *v.torque_max]
-        limits = [
-            v.vertical_speed_limit, v.horizontal_speed_limit, v.tilt_limit, v.rate_limit,
-            v.slope_limit, v.roughness_limit, v.belly_clearance,
-        ]  # fmt: skip
         self._vehicle = k.Vehicle(
             self.params, self.randomized, d.inertia, PLAIN_RIG, np.array(control), craft.heading,
-            v.pads, pad_disc(0.5 * v.pad_diameter), TERRAIN_SAMPLE_SPACING_M, np.array(limits),
-            v.com_height,
+            v.pads, pad_disc(0.5 * v.pad_diameter), TERRAIN_SAMPLE_SPACING_M,
+            touchdown_params(v, d.gravity).limits, v.com_height,
         )  # fmt: skip
         self._terrains = k.TerrainRasters(worlds.terrains, worlds.frame, worlds.levels)
 
@@ -324,10 +320,10 @@ class DescentBatch:
         return np.asarray(self.params[:, 4] - self.y[:, 13])
 
     def failure_causes(self, lane: int) -> tuple[str, ...]:
-        """Return why the flight of a lane failed: the violated limits, from `LIMITS`.
+        """Return why the flight of a lane failed: the violated limits.
 
         A flight that reached the time limit gives ``("time-limit",)``.
         """
         if self.ended[lane] == LATE:
             return ("time-limit",)
-        return tuple(name for bit, name in enumerate(LIMITS) if self.failed[lane] >> bit & 1)
+        return violated_limits(int(self.failed[lane]))

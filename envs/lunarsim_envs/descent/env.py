@@ -279,7 +279,8 @@ class GuidanceEnv(DescentEnv):
     (``info["safe"]``, ``info["failure_causes"]``). ``info`` then also has ``time_s``,
     ``propellant_kg`` used and ``miss_m``, the horizontal distance from the target. The episode is
     truncated at the time limit of the scenario (120 s). In a vector environment,
-    ``info["failure_causes"]`` has one bit for each limit in `lunarsim_envs.descent.batch.LIMITS`.
+    ``info["failure_causes"]`` has one bit for each limit in
+    `lunarsim.vehicle.touchdown.TOUCHDOWN_LIMITS`.
 
     ## Arguments
 

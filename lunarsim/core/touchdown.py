@@ -1,19 +1,37 @@
 # mypy: allow-untyped-defs, no-check-untyped-defs
-"""Compiled touchdown on raster terrain: first contact and landing outcome.
+"""Touchdown: first contact of a pad, and the landing outcome.
 
-Terrain is a raster of heights (rows, cols), bilinear between points; `frame` (3,) holds the
+A terrain raster has heights (rows, cols), bilinear between points; `frame` (3,) holds the
 coordinates of post (0, 0) and the posting, m. Terrain outside the posts is unknown.
 """
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from lunarsim._jit import kernel
 
-# Bits of the violated limits, in the order of `evaluate_touchdown`.
+# Bits of the violated limits. OFF_MAP: the terrain is unknown.
 OFF_MAP, VERTICAL_SPEED, HORIZONTAL_SPEED, TILT, RATE = 1, 2, 4, 8, 16
 SLOPE, ROUGHNESS, BELLY, TIP_OVER = 32, 64, 128, 256
+
+
+class TouchdownParams(NamedTuple):
+    """Properties of lander and gravity for the evaluation of a touchdown, SI.
+
+    `limits` (7,): vertical and horizontal speed, tilt, angular rate, slope, roughness, belly
+    clearance. `com_height`: height of the centre of mass above the pads. `inertia` (2, 3): moments
+    of inertia with empty and full tanks.
+    """
+
+    limits: np.ndarray
+    com_height: float
+    gravity: float
+    dry_mass: float
+    wet_mass: float
+    inertia: np.ndarray
 
 
 @kernel()
@@ -96,11 +114,13 @@ def _fit_plane(a, b, c, out):
 
 
 @kernel()
-def write_support_planes(legs, planes):
+def support_planes(legs, planes):
     """Compute the two planes on which a lander can stand; equal for three legs.
 
-    `legs` (3 or 4, 3) are contact points of the pads, m. Each row of `planes` (2, 3) is z0, slope
-    east, slope north. The rule is that of `touchdown.support_planes`.
+    A lander with three legs stands on its three pads. A rigid lander with four legs stands on the
+    higher of its two diagonals and one of the other legs. `legs` (3 or 4, 3) are contact points of
+    the pads in order around the lander, m. Each row of `planes` (2, 3) is z0, slope east, slope
+    north.
     """
     if len(legs) == 3:
         _fit_plane(legs[0], legs[1], legs[2], planes[0])
@@ -125,52 +145,66 @@ def _inside(x, y, legs):
 
 
 @kernel()
-def fit_terrain(legs, spacing, z, frame, out):
-    """Compute slope (rad) and roughness (m) of the terrain under a standing lander.
+def samples_between_legs(legs, spacing):
+    """Return the points of a grid (n, 2) inside the polygon of the legs, m.
 
-    `legs` (n, 3) are contact points of the pads, m, and `spacing` is the distance of terrain
-    samples, m; `z` and `frame` are the terrain raster. The results, written into `out` (2,), are
-    those of `touchdown.fit_terrain_plane`.
+    `legs` (n, 3) are contact points, m, and `spacing` is that of the grid, m. Without a known
+    position of a leg there are no points.
     """
-    planes = np.empty((2, 3))
-    write_support_planes(legs, planes)
-    n = len(legs)
     west, east, south, north = legs[0, 0], legs[0, 0], legs[0, 1], legs[0, 1]
-    for k in range(1, n):
+    for k in range(1, len(legs)):
         west, east = min(west, legs[k, 0]), max(east, legs[k, 0])
         south, north = min(south, legs[k, 1]), max(north, legs[k, 1])
-    slope, rough = 0.0, 0.0
-    plane_norm = np.empty(2)
-    for p in range(len(planes)):
-        plane_norm[p] = np.hypot(1.0, np.hypot(planes[p, 1], planes[p, 2]))
-        slope = max(slope, np.arccos(1.0 / plane_norm[p]))
-    for i in range(int(np.ceil((north + spacing - south) / spacing))):
-        y = south + i * spacing
-        for j in range(int(np.ceil((east + spacing - west) / spacing))):
-            x = west + j * spacing
-            if not _inside(x, y, legs):
-                continue
-            terrain_height = height_at(z, frame, x, y)
-            for p in range(2):
-                above = terrain_height - planes[p, 0] - planes[p, 1] * x - planes[p, 2] * y
-                if not above / plane_norm[p] <= rough:  # NaN must propagate
-                    rough = above / plane_norm[p]
-            if np.isnan(rough):
-                out[0], out[1] = slope, rough
-                return
-    out[0] = slope
-    out[1] = rough
+    rows = int(np.ceil((north + spacing - south) / spacing))
+    cols = int(np.ceil((east + spacing - west) / spacing))
+    points = np.empty((rows * cols, 2))
+    count = 0
+    for i in range(rows):
+        for j in range(cols):
+            x, y = west + j * spacing, south + i * spacing
+            if _inside(x, y, legs):
+                points[count, 0], points[count, 1] = x, y
+                count += 1
+    return points[:count]
 
 
 @kernel()
-def tip_margin(y, legs, slope, com_height, gravity, dry, wet, inertia):
-    """Return the minimum tip-over margin over the edges between adjacent legs.
+def slope_and_roughness(legs, points, heights, out):
+    """Compute slope (rad) and roughness (m) of the terrain under a standing lander.
 
-    The margin is 1 - E / E_tip of `touchdown.tip_margin`; negative: the lander tips over. `y` (15,)
-    is the state, `legs` (n, 3) are contact points, m, `slope` is in rad; `dry`, `wet` and `inertia`
-    (2, 3) are masses and moments of inertia with tanks empty and full.
+    They follow Eqs. 8 and 9 of the Gaussian DEM paper, as maxima over the planes on which the
+    lander can stand. `legs` (n, 3) are contact points, m; `points` (m, 2) are points between them
+    with terrain heights `heights` (m,), m. Writes `out` (2,); the roughness is NaN if a height is.
     """
-    full = (y[13] - dry) / (wet - dry)
+    planes, plane_norm = np.empty((2, 3)), np.empty(2)
+    support_planes(legs, planes)
+    slope, roughness = 0.0, 0.0
+    for p in range(2):
+        plane_norm[p] = np.hypot(1.0, np.hypot(planes[p, 1], planes[p, 2]))
+        slope = max(slope, np.arccos(1.0 / plane_norm[p]))
+    for n in range(len(points)):
+        for p in range(2):
+            plane = planes[p]
+            above = heights[n] - plane[0] - plane[1] * points[n, 0] - plane[2] * points[n, 1]
+            if not above / plane_norm[p] <= roughness:  # NaN must propagate
+                roughness = above / plane_norm[p]
+        if np.isnan(roughness):
+            break
+    out[0], out[1] = slope, roughness
+
+
+@kernel()
+def tip_margin(y, legs, slope, params):
+    """Return the tip-over margin of a touchdown; negative: the lander tips over.
+
+    The margin is the minimum of 1 - E / E_tip over the edges between adjacent legs: the lander hits
+    the edge and rotates about it with its angular momentum. The lander tips over if its kinetic
+    energy E exceeds E_tip, which lifts the centre of mass over the edge. As a worst case, the
+    terrain slopes towards every edge, and the smaller lateral moment of inertia applies to every
+    edge. `y` (15,) is the state, `legs` (n, 3) are contact points, m, and `slope` is in rad.
+    """
+    inertia = params.inertia
+    full = (y[13] - params.dry_mass) / (params.wet_mass - params.dry_mass)
     least = min(
         inertia[0, 0] + full * (inertia[1, 0] - inertia[0, 0]),
         inertia[0, 1] + full * (inertia[1, 1] - inertia[0, 1]),
@@ -185,54 +219,66 @@ def tip_margin(y, legs, slope, com_height, gravity, dry, wet, inertia):
         arm = nx * (legs[i, 0] - y[0]) + ny * (legs[i, 1] - y[1])
         if arm < 0.0:
             nx, ny, arm = -nx, -ny, -arm
-        tip_angle = np.arctan2(arm, com_height) - slope
+        tip_angle = np.arctan2(arm, params.com_height) - slope
         if tip_angle <= 0.0:
             return -np.inf
-        length = np.hypot(arm, com_height)
-        barrier = y[13] * gravity * length * (1.0 - np.cos(tip_angle))
+        length = np.hypot(arm, params.com_height)
+        barrier = y[13] * params.gravity * length * (1.0 - np.cos(tip_angle))
         inertia_about_edge = least + y[13] * length * length
-        momentum = y[13] * max(0.0, nx * y[3] + ny * y[4]) * com_height
+        momentum = y[13] * max(0.0, nx * y[3] + ny * y[4]) * params.com_height
         margin = min(margin, 1.0 - 0.5 * momentum * momentum / inertia_about_edge / barrier)
     return margin
 
 
 @kernel()
-def violated_limits(
-    y, pads, disc, spacing, z, frame, limits, com_height, gravity, dry, wet, inertia, out
-):
+def evaluate_touchdown(y, legs, points, heights, params, out):
     """Evaluate a touchdown; return its violated limits, one bit each (0: safe).
 
-    `limits` (7,) are those of vertical and horizontal speed, tilt, angular rate, slope, roughness
-    and belly clearance, SI. `out` (7,) receives the values, with the tip-over margin in the last
-    place. The other arguments are those of `has_contact`, `fit_terrain` and `tip_margin`.
+    `y` (15,) is the state, `legs` (n, 3) are contact points, and `points` (m, 2) and `heights` (m,)
+    the terrain between them, m; unknown heights are NaN. `out` (7,) receives vertical and
+    horizontal speed, tilt, angular rate, slope, roughness and tip-over margin.
     """
-    n = len(pads)
-    legs = np.empty((n, 3))
     known = True
-    for k in range(n):
-        body_point(y, pads[k], legs[k])
-        legs[k, 2] = max_pad_height(z, frame, legs[k, 0], legs[k, 1], disc)
-        known = known and not np.isnan(legs[k, 2])
+    for k in range(len(legs)):
+        known = known and np.isfinite(legs[k, 2])
     out[0] = -y[5]
     out[1] = np.hypot(y[3], y[4])
     out[2] = np.arccos(min(max(1.0 - 2.0 * (y[6] * y[6] + y[7] * y[7]), -1.0), 1.0))
     out[3] = np.sqrt(y[10] * y[10] + y[11] * y[11] + y[12] * y[12])
     out[4] = out[5] = out[6] = np.nan
     if known:
-        fit_terrain(legs, spacing, z, frame, out[4:6])
-        known = not np.isnan(out[5])
+        slope_and_roughness(legs, points, heights, out[4:6])
+        known = np.isfinite(out[5])
     if known:
-        out[6] = tip_margin(y, legs, out[4], com_height, gravity, dry, wet, inertia)
+        out[6] = tip_margin(y, legs, out[4], params)
     failed = 0 if known else OFF_MAP
     for k in range(4):
-        if out[k] > limits[k]:
+        if out[k] > params.limits[k]:
             failed |= 2 << k
-    if out[4] >= limits[4]:
+    if out[4] >= params.limits[4]:
         failed |= SLOPE
-    if out[5] >= limits[5]:
+    if out[5] >= params.limits[5]:
         failed |= ROUGHNESS
-    if out[5] >= limits[6]:
+    if out[5] >= params.limits[6]:
         failed |= BELLY
     if out[6] < 0.0:
         failed |= TIP_OVER
     return failed
+
+
+@kernel()
+def evaluate_on_raster(y, pads, disc, spacing, z, frame, params, out):
+    """Evaluate a touchdown on raster terrain, as `evaluate_touchdown` does.
+
+    `pads` (n, 3) are pad centres in body axes and `disc` (k, 2) sample points of a pad, m;
+    `spacing` is the distance of terrain samples between the legs, m.
+    """
+    legs = np.empty((len(pads), 3))
+    for k in range(len(pads)):
+        body_point(y, pads[k], legs[k])
+        legs[k, 2] = max_pad_height(z, frame, legs[k, 0], legs[k, 1], disc)
+    points = samples_between_legs(legs, spacing)
+    heights = np.empty(len(points))
+    for n in range(len(points)):
+        heights[n] = height_at(z, frame, points[n, 0], points[n, 1])
+    return evaluate_touchdown(y, legs, points, heights, params, out)

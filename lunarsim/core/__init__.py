@@ -1,0 +1,1 @@
+"""Compiled functions that the simulation and the batched environments share."""
