@@ -265,7 +265,7 @@ class OnboardComputer:
             self._replan()
 
     def _update_actuators(self, time: float, elapsed: float) -> None:
-        """Propagate the estimates of mass and failed thrusters over `elapsed` up to `time`, s."""
+        """Update mass and failed thrusters, over `elapsed` up to `time`, s."""
         # The tanks have no gauges: the commanded thrust is taken as burnt.
         if isinstance(self.navigation, ThrustAware):
             self.navigation.record_thrust(self._thrust, elapsed)

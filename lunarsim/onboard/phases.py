@@ -157,7 +157,7 @@ class PhaseSequence:
         return why
 
     def extend(self, status: DescentStatus) -> None:
-        """Extend the time-to-go, because commands exceed limits and a longer path does not.
+        """Extend the time-to-go if commands exceed limits and a longer path does not.
 
         A time-to-go set by the mission or by the guidance law is not changed.
         """

@@ -157,7 +157,7 @@ def evaluate_touchdown(
 
 
 def touchdown_params(lander: Lander, gravity: float) -> core.TouchdownParams:
-    """Return the parameters of a lander and gravity (m/s^2) for the compiled evaluation."""
+    """Return the parameters of a lander and gravity (m/s^2) for `core.touchdown`."""
     limits = (
         lander.vertical_speed_limit, lander.horizontal_speed_limit, lander.tilt_limit,
         lander.rate_limit, lander.slope_limit, lander.roughness_limit, lander.belly_clearance,
@@ -169,5 +169,5 @@ def touchdown_params(lander: Lander, gravity: float) -> core.TouchdownParams:
 
 
 def violated_limits(failed: int) -> tuple[str, ...]:
-    """Return the names of violated limits, which are the bits of `failed`, in their order."""
+    """Return the names of the violated limits, the bits of `failed`."""
     return tuple(name for bit, name in enumerate(TOUCHDOWN_LIMITS) if failed >> bit & 1)

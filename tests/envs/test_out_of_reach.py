@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lunarsim.onboard.guidance._kernels import GLIDE, TAN_TILT
+from lunarsim.core.path_cost import GLIDE, TAN_TILT
 from lunarsim.scenario import Scenario
 from lunarsim_envs.descent.batch import VehicleParams
 from lunarsim_envs.sites import _beyond_kernels as b
@@ -22,9 +22,9 @@ def law():
 
 def proven(law, glide, tilt, state, mass, low, high):
     """Return whether a box is proven to be out of reach, and the law with these limits."""
-    figures = law.params.copy()
+    figures = law.paths.params.copy()
     figures[GLIDE], figures[TAN_TILT] = np.tan(np.deg2rad([glide, tilt]))
-    own = type(law)(*law[:3], figures, *law[4:])
+    own = law._replace(paths=law.paths._replace(params=figures))
     how = stead.reach_lander(state, mass, own)
     return b.is_unreachable(
         how.paths, state, low, high, how.speed, how.max_acceleration, own, how.params

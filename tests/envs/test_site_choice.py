@@ -95,12 +95,12 @@ def test_nothing_in_reach_is_proven_to_be_out_of_it(boxes):
     # And most of what is out of reach is proven to be, else it were no use.
     assert proven[~reached].mean() > 0.8
     some = [one for one in told if one[3]][::5]
-    g, _, exhaust, least, most, tilt, glide = law.params
+    g, _, exhaust, least, most, tilt, glide = law.paths.params
     for state, mass, sites, _, _ in some:
         for site in sites[:3]:
             burnt = reachable(
-                state[0], state[1], site + law.end_offset, law.final[0], law.final[1], g, mass,
-                exhaust, least, most, tilt, glide, lander.dry_mass, times=300, samples=32,
+                state[0], state[1], site + law.end_offset, *law.paths.final, g, mass, exhaust,
+                least, most, tilt, glide, lander.dry_mass, times=300, samples=32,
             )  # fmt: skip
             assert burnt == np.inf
 
@@ -110,8 +110,8 @@ def test_nothing_is_proven_of_paths_that_end_in_an_acceleration_or_without_a_con
     state, mass, sites, _, _ = next(one for one in told if one[3])
     low, high = sites.min(axis=0), sites.max(axis=0)
     for other in (
-        type(law)(law.powers, law.final + [[0.0], [0.1]], *law[2:]),
-        type(law)(*law[:3], np.append(law.params[:6], 0.0), *law[4:]),
+        law._replace(paths=law.paths._replace(final=law.paths.final + [[0.0], [0.1]])),
+        law._replace(paths=law.paths._replace(params=np.append(law.paths.params[:6], 0.0))),
     ):
         how = stead.reach_lander(state, mass, other)
         assert not b.is_unreachable(

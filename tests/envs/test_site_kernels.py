@@ -9,8 +9,6 @@ import numpy as np
 import pytest
 
 from lunarsim.grid import Grid
-from lunarsim.onboard.guidance.contract import PhaseEnd
-from lunarsim.onboard.guidance.vertical import VerticalDescent
 from lunarsim.onboard.hazards import HazardMap
 from lunarsim.onboard.navigation.estimate import Estimate
 from lunarsim.onboard.policies.candidates import candidate_sites
@@ -138,25 +136,6 @@ def test_any_company_and_threads_give_the_same_bits():
     numba.set_num_threads(threads)
     for other in found[1:]:
         assert all(np.array_equal(a, b) for a, b in zip(found[0], other, strict=True))
-
-
-def test_the_last_metres_are_those_of_the_law():
-    rng = np.random.default_rng(1)
-    law = VerticalDescent.for_lag(0.55, 1.622)
-    many = lanes(1)
-    descent = many.law.vertical_params
-    wanted, seen = np.empty(3), 0
-    for _ in range(300):
-        state = np.array([rng.normal(0, 2, 3), rng.normal(0, 1.0, 3)])
-        state[0, 2] = rng.uniform(0.0, 14.0)
-        state[1, 2] -= 2.0
-        end = np.array([0.0, 0.0, 1.6])
-        f.vertical_command(state, end, descent, 1.622, wanted)
-        e = Estimate(0.0, state[0], state[1], np.zeros(4), np.zeros(3), 1.0, np.zeros((9, 9)))
-        plain = law.command(e, PhaseEnd(end, np.array([0.0, 0.0, descent[9]])), 0.0)
-        assert wanted == pytest.approx(plain, rel=1e-12, abs=1e-12)
-        seen += plain[2] != pytest.approx(1.622 + 1.5 * (-2.0 - state[1, 2]))
-    assert seen > 10  # some were slowed
 
 
 def test_what_sites_cost_is_what_the_computer_says():

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from lunarsim._jit import kernel
-from lunarsim.onboard.guidance._kernels import (
+from lunarsim.core.path_cost import (
     GLIDE,
     GRAVITY,
     HIGH,
@@ -35,18 +35,18 @@ def path_coefficients(state, law, out):
     the acceleration at a sample is out[0] r / T^2 + out[1:4] / T, and its position relative to the
     target is out[4] r + out[5:8] T. The last column is unused.
     """
-    low, high = law.powers[0], law.powers[1]
+    table, low, high = law.paths.coarse_table, law.paths.powers[0], law.paths.powers[1]
     k = (low + 2.0) / (high - low)
     for s in range(len(out)):
-        fraction = law.coarse_table[s, TIME_FRACTION]
-        f, g = (low + 1.0) * law.coarse_table[s, LOW], (high + 1.0) * law.coarse_table[s, HIGH]
+        fraction, at_low, at_high = table[s, TIME_FRACTION], table[s, LOW], table[s, HIGH]
+        f, g = (low + 1.0) * at_low, (high + 1.0) * at_high
         out[s, 0] = k * (high + 2.0) * (f - g)
         rest = g - k * (f - g)
-        near, far = law.coarse_table[s, LOW] / (low + 2.0), law.coarse_table[s, HIGH] / (high + 2.0)
+        near, far = at_low / (low + 2.0), at_high / (high + 2.0)
         out[s, 4] = fraction * fraction * k * (high + 2.0) * (near - far)
         other = fraction * fraction * (far - k * (near - far))
         for axis in range(3):
-            asked, change = law.final[0, axis], law.final[0, axis] - state[1, axis]
+            asked, change = law.paths.final[0, axis], law.paths.final[0, axis] - state[1, axis]
             out[s, 1 + axis] = out[s, 0] * asked + rest * change
             out[s, 5 + axis] = out[s, 4] * asked + other * change - fraction * asked
 
@@ -161,7 +161,7 @@ def _limit_polynomials(paths, offset, half_width, half_height, params, out):
     """Compute polynomials in 1 / T, positive where all paths to a box violate limits.
 
     T is the time-to-go. `out[0]` (5,) is for the thrust, the others for the tilt at the first
-    samples. `params` is a field of `GuidanceParams`; other arguments as in
+    samples. `params` is a field of `DivertParams`; other arguments as in
     `_height_above_glideslope`.
     """
     out[:] = 0.0
@@ -205,7 +205,7 @@ def is_unreachable(paths, state, low, high, speed, max_acceleration, law, params
     in m/s^2. False means that nothing is proven.
     """
     for axis in range(3):
-        if law.final[1, axis] != 0.0:
+        if law.paths.final[1, axis] != 0.0:
             return False
     offset, squared_distance = np.empty(3), 0.0
     for axis in range(3):

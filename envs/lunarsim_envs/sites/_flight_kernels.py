@@ -8,10 +8,17 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 
 from lunarsim._jit import kernel
+from lunarsim.core.divert import DivertParams, costs_at_times, divert_costs
+from lunarsim.core.guidance import (
+    COMMANDED,
+    VerticalDescentParams,
+    advance_response,
+    exceeds_limits,
+    predict_response,
+    vertical_descent_command,
+)
+from lunarsim.core.path_cost import power_terms
 from lunarsim.onboard.control._kernels import thrust_attitude
-from lunarsim.onboard.guidance._given_time_kernels import evaluate_given_times
-from lunarsim.onboard.guidance._kernels import MASS, power_terms
-from lunarsim.onboard.guidance._reach_kernels import search_sites
 from lunarsim_envs.descent import _kernels as d
 
 # Events that stop a lane: none, a scan, a decision.
@@ -21,42 +28,31 @@ APPROACH, VERTICAL = 0, 1
 _WAITING = 9
 # Random stream of the drift.
 _DRIFT = np.uint64(0xA0761D6478BD642F)
-# Constant of `divert.divert_cost`.
-_TIMES, _SLOWNESS = 14, 8.0
-# Constants of `strain.Strain`.
-_LONGEST, _SLACK = 0.5, 0.02
+# Fields of `LimitViolationMonitor`: maximum duration, s, and relative slack.
+_MAX_DURATION, _SLACK = 0.5, 0.02
 
-_survey = cast(Any, search_sites).compiled
-_measured = cast(Any, evaluate_given_times).compiled
+_divert_costs = cast(Any, divert_costs).compiled
+_costs_at_times = cast(Any, costs_at_times).compiled
 _advance = cast(Any, d.advance).compiled
 
 
 class GuidanceParams(NamedTuple):
     """Guidance parameters of a scenario, SI.
 
-    `powers` (2,): powers of time in the polynomial path. `final` (2, 3): velocity and acceleration
-    at the end of the approach; `end_offset` (3,): position of this end relative to the site.
-    `params` (7,): gravity, mass (unused), exhaust velocity, minimum and maximum thrust, tangents of
-    maximum tilt and glideslope. `coarse_table`, `fine_table`: samples of a path (`batch.samples`).
-    `mass_limits` (4,): maximum thrust over dry mass, dry mass, exhaust velocity, propellant
-    reserve. `vertical_start` (2,): altitude and time-to-go at which the vertical descent starts.
-    `vertical_params` (10,): frequency, damping, speed gain, maximum tilt and its value at
-    touchdown, heights of full tilt and of the low descent, tolerated lateral speed, minimum speed
-    fraction, vertical velocity. `decision_window` (3,): minimum and maximum altitude of decisions,
-    and their interval. `scans`: altitudes of LiDAR scans, descending. `lag`: time constant of
-    attitude and thrust. `min_time_to_go`: minimum time-to-go for replanning. `com_height`: height
-    of the centre of mass above the pads. `cycle_steps`: integration steps per control cycle.
+    `paths`: paths of the guidance law and limits. `end_offset` (3,): position of the end of the
+    approach relative to the site. `vertical_start` (2,): altitude and time-to-go at which the
+    vertical descent starts. `vertical`, `vertical_velocity`: parameters and nominal velocity of the
+    vertical descent. `decision_window` (3,): minimum and maximum altitude of decisions, and their
+    interval. `scans`: altitudes of LiDAR scans, descending. `lag`: time constant of attitude and
+    thrust. `min_time_to_go`: minimum time-to-go for replanning. `com_height`: height of the centre
+    of mass above the pads. `cycle_steps`: integration steps per control cycle.
     """
 
-    powers: np.ndarray
-    final: np.ndarray
+    paths: DivertParams
     end_offset: np.ndarray
-    params: np.ndarray
-    coarse_table: np.ndarray
-    fine_table: np.ndarray
-    mass_limits: np.ndarray
     vertical_start: np.ndarray
-    vertical_params: np.ndarray
+    vertical: VerticalDescentParams
+    vertical_velocity: float
     decision_window: np.ndarray
     scans: np.ndarray
     lag: float
@@ -107,92 +103,14 @@ def estimate_state(y, drift_velocity, time, out):
 
 
 @kernel()
-def _search_longer_times(state, targets, first, searched_until, last, law, params, out):
-    """Search longer times-to-go for targets without an admissible path.
-
-    `out` (m, 4) has the results of the search from `first` to `searched_until` (m,), s, and is
-    updated by a search up to `last` (m,). `targets` (m, 3) are end points of the approach, m.
-    """
-    count = 0
-    indices = np.empty(len(targets), np.int64)
-    for n in range(len(targets)):
-        if not np.isfinite(out[n, 0]) and searched_until[n] < last[n]:
-            indices[count] = n
-            count += 1
-    if count == 0:
-        return
-    ends, begins, until = np.empty((count, 3)), np.empty(count), np.empty(count)
-    found = np.empty((count, 4))
-    for k in range(count):
-        n = indices[k]
-        begins[k], until[k] = max(first[n], searched_until[n]), last[n]
-        for axis in range(3):
-            ends[k, axis] = targets[n, axis]
-    _survey(
-        (0, 1), state, ends, law.final, begins, until, _TIMES, law.coarse_table, law.fine_table,
-        law.powers, params, found,
-    )  # fmt: skip
-    for k in range(count):
-        for column in range(4):
-            out[indices[k], column] = found[k, column]
-
-
-@kernel(exact=True)
-def _min_flight_time(state, distance, law):
-    """Return a lower bound of the time to fly `distance` (m) at full thrust, s."""
-    speed = np.sqrt(state[1, 0] ** 2 + state[1, 1] ** 2 + state[1, 2] ** 2)
-    max_acceleration = law.mass_limits[0] + law.params[0]
-    fastest = (
-        2.0
-        * distance
-        / (speed + np.sqrt(speed * speed + 2.0 * max_acceleration * distance) + 1e-12)
-    )
-    return max(fastest, 1.0)
-
-
-@kernel(exact=True)
-def _propellant_for(delta_v, mass, law):
-    """Return the propellant for `delta_v` (m/s), kg; inf if too little is left.
-
-    `mass` is the current mass, kg.
-    """
-    propellant = mass * -np.expm1(-delta_v / law.mass_limits[2])
-    return propellant if propellant <= mass - law.mass_limits[1] - law.mass_limits[3] else np.inf
-
-
-@kernel()
 def compute_divert_costs(state, mass, sites, law, out):
     """Compute propellant (kg) and time-to-go (s) of minimum-propellant paths to sites.
 
     `state` (2, 3) is the estimated position and velocity, and `sites` (m, 3) are positions, m. The
     first two columns of `out` (m, 4) get the results: inf and NaN for sites out of reach.
     """
-    m = len(sites)
-    targets = np.empty((m, 3))
-    first, last, searched_until = np.empty(m), np.empty(m), np.empty(m)
-    speed = np.sqrt(state[1, 0] ** 2 + state[1, 1] ** 2 + state[1, 2] ** 2)
-    end_speed = np.sqrt(np.sum(law.final[0] ** 2))
-    max_delta_v = law.mass_limits[2] * np.log(max(mass / law.mass_limits[1], 1.0))
-    for n in range(m):
-        distance = 0.0
-        for k in range(3):
-            targets[n, k] = sites[n, k] + law.end_offset[k]
-            distance += (targets[n, k] - state[0, k]) ** 2
-        distance = np.sqrt(distance)
-        first[n] = _min_flight_time(state, distance, law)
-        last[n] = max((max_delta_v + speed + end_speed) / law.params[0], first[n])
-        searched_until[n] = min(last[n], _SLOWNESS * max(distance / max(speed, 5.0), first[n]))
-    params = law.params.copy()
-    params[MASS] = mass
-    _survey(
-        (0, 1), state, targets, law.final, first, searched_until, _TIMES, law.coarse_table,
-        law.fine_table, law.powers, params, out,
-    )  # fmt: skip
-    _search_longer_times(state, targets, first, searched_until, last, law, params, out)
-    for n in range(m):
-        out[n, 0] = _propellant_for(out[n, 0], mass, law)
-        if not np.isfinite(out[n, 0]):
-            out[n, 1] = np.nan
+    targets = sites + law.end_offset
+    _divert_costs((0, 1), state, mass, targets, np.zeros(len(sites)), law.paths, out)
 
 
 @kernel()
@@ -202,18 +120,10 @@ def is_feasible(state, mass, site, time_to_go, law):
     A feasible path is within the limits of thrust, tilt, glideslope and propellant. `state` (2, 3)
     is the estimated position and velocity.
     """
-    target, params = np.empty((1, 3)), law.params.copy()
-    distance = 0.0
-    for k in range(3):
-        target[0, k] = site[k] + law.end_offset[k]
-        distance += (target[0, k] - state[0, k]) ** 2
-    params[MASS] = mass
-    times, out = np.empty(1), np.empty((1, 4))
-    times[0] = (
-        time_to_go if time_to_go >= _min_flight_time(state, np.sqrt(distance), law) else np.nan
-    )
-    _measured((0, 1), state, target, law.final, times, law.fine_table, law.powers, params, out)
-    return np.isfinite(_propellant_for(out[0, 0], mass, law))
+    target, times, out = np.empty((1, 3)), np.empty(1), np.empty((1, 4))
+    target[0], times[0] = site + law.end_offset, time_to_go
+    _costs_at_times((0, 1), state, mass, target, times, law.paths, out)
+    return np.isfinite(out[0, 0])
 
 
 @kernel()
@@ -235,91 +145,41 @@ def _approach_command(i, time, guidance, law, command, scratch):
     It is the same computation as `PathGuidance.command`. `i` is the lander; the first two rows of
     `scratch` (7, 3) are its estimated position and velocity.
     """
+    powers, final = law.paths.powers, law.paths.final
     state, ahead, x, target = scratch[:2], scratch[2:4], scratch[4:6], scratch[6]
     response, path = guidance.response[i], guidance.path[i]
-    if law.lag > 0.0 and not np.isnan(response[6]):
-        keep = np.exp(-(time - response[6]) / law.lag)
-        for k in range(3):
-            response[k] = response[3 + k] + keep * (response[k] - response[3 + k])
-    response[6] = time
+    advance_response(response, time, law.lag)
     time_to_go = guidance.arrival[i] - time - law.lag
     if time_to_go >= law.min_time_to_go or np.isnan(path[0]):
+        predict_response(state, response, law.lag, ahead)
         for k in range(3):
-            a = response[k]
-            ahead[0, k] = state[0, k] + law.lag * (state[1, k] + 0.5 * law.lag * a)
-            ahead[1, k] = state[1, k] + law.lag * a
             target[k] = guidance.site[i, k] + law.end_offset[k]
         time_to_go = max(time_to_go, law.min_time_to_go)
-        power_terms(ahead, target, law.final, time_to_go, law.powers, x)
+        power_terms(ahead, target, final, time_to_go, powers, x)
         path[0], path[1] = time, time_to_go
         for k in range(3):
-            path[2 + k] = (law.powers[0] + 1.0) * x[0, k]
-            path[5 + k] = (law.powers[1] + 1.0) * x[1, k]
+            path[2 + k] = (powers[0] + 1.0) * x[0, k]
+            path[5 + k] = (powers[1] + 1.0) * x[1, k]
     fraction = max(path[1] - (time - path[0]), 0.0) / path[1]
-    low, high = fraction ** law.powers[0], fraction ** law.powers[1]
+    low, high = fraction ** powers[0], fraction ** powers[1]
     for k in range(3):
-        command[k] = law.final[1, k] + path[2 + k] * low + path[5 + k] * high
-        response[3 + k] = command[k]
-    command[2] += law.params[0]
+        command[k] = final[1, k] + path[2 + k] * low + path[5 + k] * high
+        response[COMMANDED + k] = command[k]
+    command[2] += law.vertical.gravity
 
 
 @kernel(exact=True)
-def max_tilt_tangent(height, full_tilt_height, vertical_params):
-    """Return the tangent of the maximum tilt in the vertical descent at a height, m.
-
-    Below `full_tilt_height` (m), the limit falls linearly to its value at touchdown.
-    """
-    fraction = min(max(height / full_tilt_height, 0.0), 1.0)
-    return np.tan(vertical_params[4] + fraction * (vertical_params[3] - vertical_params[4]))
-
-
-@kernel(exact=True)
-def vertical_command(state, end, vertical_params, gravity, command):
-    """Compute the thrust acceleration of the vertical descent, `command` (3,), m/s^2.
-
-    It is the same computation as `VerticalDescent.command`. `state` (2, 3) is the estimated
-    position and velocity, `end` (3,) the touchdown position and `vertical_params` a field of
-    `GuidanceParams`.
-    """
-    frequency, damping, planned = vertical_params[0], vertical_params[1], vertical_params[9]
-    height = state[0, 2] - end[2]
-    speed = np.hypot(state[1, 0], state[1, 1])
-    excess = max(speed - vertical_params[7], 0.0)
-    stopping = excess / (
-        0.5 * gravity * max_tilt_tangent(height, vertical_params[5], vertical_params)
-    )
-    asked = planned
-    if excess > 0.0 and -planned * stopping > height:
-        asked = min(-height / stopping, vertical_params[8] * planned)
-    lean = max_tilt_tangent(
-        height, vertical_params[5] if asked == planned else vertical_params[6], vertical_params
-    )
-    up = max(gravity + vertical_params[2] * (asked - state[1, 2]), 0.3 * gravity)
-    for k in range(2):
-        off = state[0, k] - end[k]
-        command[k] = -(frequency**2) * off - 2.0 * damping * frequency * state[1, k]
-    size = np.hypot(command[0], command[1])
-    if size > up * lean:
-        command[0] *= up * lean / size
-        command[1] *= up * lean / size
-    command[2] = up
-
-
-@kernel(exact=True)
-def _exceeds_limits(i, command, mass, time, guidance, law):
+def _exceeds_duration(i, command, mass, time, guidance, law):
     """Return whether commands of a lander have exceeded tilt or thrust for 0.5 s.
 
     `command` (3,) is the commanded thrust acceleration, m/s^2. Updates `guidance.exceeds_since`.
     """
-    side = np.hypot(command[0], command[1])
-    tilt = np.arctan2(side, command[2])
-    thrust = mass * np.hypot(side, command[2])
-    if tilt <= (1.0 + _SLACK) * law.max_tilt and thrust <= (1.0 + _SLACK) * law.max_thrust:
+    if not exceeds_limits(command, mass, law.max_tilt, law.max_thrust, _SLACK):
         guidance.exceeds_since[i] = np.nan
         return False
     if np.isnan(guidance.exceeds_since[i]):
         guidance.exceeds_since[i] = time
-    if time - guidance.exceeds_since[i] < _LONGEST - 1e-9:
+    if time - guidance.exceeds_since[i] < _MAX_DURATION - 1e-9:
         return False
     guidance.exceeds_since[i] = np.nan
     return True
@@ -343,12 +203,12 @@ def compute_command(i, y, time, guidance, law, command, scratch):
         guidance.phase[i] = VERTICAL
     if guidance.phase[i] == APPROACH:
         _approach_command(i, time, guidance, law, command, scratch)
-        return _exceeds_limits(i, command, y[13], time, guidance, law)
+        return _exceeds_duration(i, command, y[13], time, guidance, law)
     end = scratch[6]
     for k in range(3):
         end[k] = site[k]
     end[2] += law.com_height
-    vertical_command(state, end, law.vertical_params, law.params[0], command)
+    vertical_descent_command(state, end, law.vertical_velocity, law.vertical, command)
     return False
 
 

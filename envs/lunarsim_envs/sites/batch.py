@@ -8,8 +8,8 @@ import numpy as np
 
 from lunarsim._jit import threads_for
 from lunarsim.errors import InputError
+from lunarsim.onboard.guidance.divert_cost import divert_params
 from lunarsim.onboard.guidance.path_law import PathLaw
-from lunarsim.onboard.guidance.paths import PathShape
 from lunarsim.onboard.guidance.vertical import VerticalDescent
 from lunarsim.onboard.policies.candidates import SAFETY_LEVELS
 from lunarsim.scenario import Scenario
@@ -42,45 +42,19 @@ def kernel_guidance(scenario: Scenario, craft: VehicleParams) -> f.GuidanceParam
     lander = craft.dynamics.lander
     gravity = scenario.gravity_m_s2
     lag = software.control.response_time + lander.thrust_lag
-    down = VerticalDescent.for_lag(lag, gravity)
-    limits = approach.limits
-    margin = limits.throttle_margin * (lander.thrust_max - lander.thrust_min)
     end = approach.end(np.zeros(3), lander)
-    figures = np.array([
-        gravity, lander.wet_mass, lander.exhaust_velocity, lander.thrust_min + margin,
-        lander.thrust_max - margin, np.tan(limits.max_tilt), np.tan(limits.glideslope),
-    ])  # fmt: skip
-    descent = np.array([
-        down.frequency, down.damping, down.speed_gain, down.max_tilt, down.max_tilt_at_touchdown,
-        down.full_tilt_height,
-        down.low_height, down.tolerated_speed, down.min_speed_fraction,
-        -approach.vertical_descent_speed,
-    ])  # fmt: skip
     clock = scenario.simulation.make()
     return f.GuidanceParams(
-        np.array(guidance.shape.powers), np.array([end.velocity, end.acceleration]),
-        np.asarray(end.position, dtype=np.float64), figures, samples(guidance.shape, 8),
-        samples(guidance.shape, 24),
+        divert_params(guidance.shape, end, lander, gravity, approach.limits),
+        np.asarray(end.position, dtype=np.float64),
         np.array([
-            lander.thrust_max / lander.dry_mass, lander.dry_mass, lander.exhaust_velocity,
-            limits.reserve,
+            max(approach.vertical_altitude, approach.takeover_altitude), approach.end_time_to_go,
         ]),
-        np.array([max(approach.vertical_altitude, approach.takeover_altitude),
-        approach.end_time_to_go]),
-        descent,
+        VerticalDescent.for_lag(lag, gravity).params, -approach.vertical_descent_speed,
         np.array([window.last_altitude, window.first_altitude, window.interval]),
         scan_altitudes(scenario), lag, guidance.min_time_to_go, approach.max_tilt,
         lander.thrust_max, lander.com_height, clock.steps,
     )  # fmt: skip
-
-
-def samples(shape: PathShape, count: int) -> Array:
-    """Tabulate the remaining time fraction u, u^low and u^high (count + 1, 3).
-
-    The rows are evenly spaced times along a path; `shape` has the powers `low` and `high`.
-    """
-    left = 1.0 - np.arange(count + 1) / count
-    return np.column_stack((left, left**shape.low, left**shape.high))
 
 
 def _check_supported(scenario: Scenario, guidance: Any) -> None:

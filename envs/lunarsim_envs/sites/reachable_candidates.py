@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from lunarsim._jit import kernel
-from lunarsim.onboard.guidance._kernels import GRAVITY, MASS
+from lunarsim.core.path_cost import GRAVITY, MASS
 from lunarsim_envs.sites._beyond_kernels import is_unreachable, path_coefficients
 from lunarsim_envs.sites._cell_kernels import (
     NOWHERE,
@@ -98,11 +98,13 @@ class ReachLander(NamedTuple):
 @kernel()
 def reach_lander(state, mass, law):
     """Return the `ReachLander` of a position and velocity (2, 3) and a mass, kg."""
-    paths, params = np.zeros((len(law.coarse_table), 9)), law.params.copy()
+    paths, params = np.zeros((len(law.paths.coarse_table), 9)), law.paths.params.copy()
     path_coefficients(state, law, paths)
     params[MASS] = mass
     speed = np.sqrt(state[1, 0] ** 2 + state[1, 1] ** 2 + state[1, 2] ** 2)
-    return ReachLander(state, mass, law, paths, params, speed, law.mass_limits[0] + params[GRAVITY])
+    return ReachLander(
+        state, mass, law, paths, params, speed, law.paths.mass_limits[0] + params[GRAVITY]
+    )
 
 
 @kernel(inner=True)

@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 
 from lunarsim._jit import kernel
-from lunarsim.onboard.guidance._kernels import GRAVITY, HIGH, LOW, TIME_FRACTION, evaluate_path
+from lunarsim.core.path_cost import GRAVITY, HIGH, LOW, TIME_FRACTION, evaluate_path
 
 # Columns of a terrain node, and of the parameters of a sensor.
 EAST, NORTH, UP, WEIGHT, KNOWN_FRACTION, MIN_TIME_TO_GO = 0, 1, 2, 3, 4, 5

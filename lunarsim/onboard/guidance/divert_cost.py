@@ -8,10 +8,9 @@ from functools import lru_cache
 import numpy as np
 
 from lunarsim._jit import threads_for
+from lunarsim.core import divert as core
 from lunarsim.errors import InputError
 from lunarsim.models.lander import Lander
-from lunarsim.onboard.guidance import _given_time_kernels as held
-from lunarsim.onboard.guidance import _reach_kernels as k
 from lunarsim.onboard.guidance.contract import PhaseEnd
 from lunarsim.onboard.guidance.paths import APOLLO, PathShape
 from lunarsim.onboard.navigation.estimate import Estimate
@@ -19,11 +18,7 @@ from lunarsim.typing import Array, BoolArray
 from lunarsim.value_checks import check_finite
 
 _SAMPLES = 24  # Simpson intervals along a path: propellant error below 0.1 %
-_COARSE_TIMES = 14  # times-to-go of the coarse search
 _COARSE_SAMPLES = 8  # Simpson intervals of the coarse search
-# Upper time-to-go of the first search, as a multiple of the time at the current speed. Slower paths
-# are rarely admissible; they are searched only if no faster one is.
-_FIRST_SEARCH_TIME_RATIO = 8.0
 
 
 @dataclass(frozen=True)
@@ -74,52 +69,6 @@ class DivertCost:
         return np.isfinite(self.propellant)
 
 
-@lru_cache(maxsize=32)
-def _sample_table(shape: PathShape, samples: int) -> Array:
-    """Return the fraction of time left and its two powers at samples of a path.
-
-    `samples` is the number of intervals; the result (samples + 1, 3) is for `evaluate_path`.
-    """
-    left = 1.0 - np.arange(samples + 1) / samples
-    return np.column_stack((left, left**shape.low, left**shape.high))
-
-
-def admissible_times(
-    estimate: Estimate, end: PhaseEnd, targets: Array, lander: Lander, gravity: float
-) -> tuple[Array, Array]:
-    """Return lower and upper bounds of the time-to-go to each target (n,), s.
-
-    `targets` (n, 3) are end positions, m. The minimum is the time of constant maximum thrust
-    straight towards the target. The maximum is the time for which the delta-v in the tanks can
-    compensate gravity. The bounds of a target are independent of the other targets.
-    """
-    distance = np.linalg.norm(targets - estimate.position, axis=1)
-    speed = float(np.linalg.norm(estimate.velocity))
-    max_acceleration = lander.thrust_max / lander.dry_mass + gravity
-    fastest = (
-        2.0 * distance / (speed + np.sqrt(speed**2 + 2.0 * max_acceleration * distance) + 1e-12)
-    )
-    max_delta_v = lander.exhaust_velocity * np.log(max(estimate.mass / lander.dry_mass, 1.0))
-    slowest = (max_delta_v + speed + float(np.linalg.norm(end.velocity))) / gravity
-    first = np.maximum(fastest, 1.0)
-    return first, np.maximum(slowest, first)
-
-
-def _max_time_of_first_search(
-    estimate: Estimate, targets: Array, first: Array, last: Array
-) -> Array:
-    """Return the upper limit of the time-to-go in the first search (n,), s.
-
-    Slower paths, up to `last`, are searched only if no faster one is admissible. `first` and `last`
-    (n,), s, are the bounds from `admissible_times`.
-    """
-    distance = np.linalg.norm(targets - estimate.position, axis=1)
-    speed = float(np.linalg.norm(estimate.velocity))
-    return np.asarray(
-        np.minimum(last, _FIRST_SEARCH_TIME_RATIO * np.maximum(distance / max(speed, 5.0), first))
-    )
-
-
 def divert_cost(
     estimate: Estimate,
     end: PhaseEnd,
@@ -158,105 +107,49 @@ def divert_cost(
     InputError
         If the estimate or an end is not finite, or gravity is not positive.
     """
-    limits = limits or PathLimits()
     targets = np.ascontiguousarray(np.atleast_2d(end.position), dtype=np.float64)
     _check_inputs(estimate, end, gravity)
-    first, last = admissible_times(estimate, end, targets, lander, gravity)
-    if min_times is not None:
-        first = np.maximum(first, min_times)
-    params = _kernel_params(estimate, lander, gravity, limits)
-    end_motion = np.array([end.velocity, end.acceleration], dtype=np.float64)
-    if times is not None:
-        given = np.where(times >= first, times, np.nan)
-        path_costs = _evaluate_paths(estimate, targets, end_motion, given, shape, params)
-        return _convert_costs(path_costs, estimate, lander, limits.reserve)
-    search_limit = _max_time_of_first_search(estimate, targets, first, last)
-    path_costs = _search_paths(estimate, targets, end_motion, first, search_limit, shape, params)
-    slow = np.flatnonzero(~np.isfinite(path_costs[:, 0]) & (search_limit < last))
-    if len(slow):
-        path_costs[slow] = _search_paths(
-            estimate, targets[slow], end_motion, np.maximum(first, search_limit)[slow], last[slow],
-            shape, params,
-        )  # fmt: skip
-    return _convert_costs(path_costs, estimate, lander, limits.reserve)
+    count = len(targets)
+    least = np.zeros(count) if min_times is None else np.asarray(min_times, dtype=np.float64)
+    state = np.array([estimate.position, estimate.velocity], dtype=np.float64)
+    law, mass = divert_params(shape, end, lander, gravity, limits or PathLimits()), estimate.mass
+    found = np.empty((count, 4))
+    if times is None:
+        with threads_for(1.0 * count):
+            core.divert_costs(state, mass, targets, least, law, found)
+    else:
+        given = np.where(times >= least, times, np.nan)
+        with threads_for(0.1 * count):
+            core.costs_at_times(state, mass, targets, given, law, found)
+    return DivertCost(found[:, 0], found[:, 1], found[:, 2], np.arctan(found[:, 3]))
 
 
-def _search_paths(
-    estimate: Estimate, targets: Array, end_motion: Array, first: Array, last: Array,
-    shape: PathShape, params: Array,
-) -> Array:  # fmt: skip
-    """Find the path with minimum delta-v to each target, between two times.
+@lru_cache(maxsize=32)
+def _sample_table(shape: PathShape, samples: int) -> Array:
+    return np.asarray(core.sample_table(shape.powers, samples))
 
-    `targets` (n, 3) are positions, m, `end_motion` (2, 3) is final velocity and acceleration, and
-    `first` and `last` (n,) are the bounds of the time-to-go, s. The result (n, 4) is that of
-    `search_sites`. `params` is the result of `_kernel_params`.
+
+def divert_params(
+    shape: PathShape, end: PhaseEnd, lander: Lander, gravity: float, limits: PathLimits
+) -> core.DivertParams:
+    """Return paths of a law to an end, and limits of a lander, for compiled functions.
+
+    `gravity` is in m/s^2.
     """
-    found = np.empty((len(targets), 4))
-    with threads_for(1.0 * len(targets)):
-        k.search_sites(
-            np.array([estimate.position, estimate.velocity], dtype=np.float64),
-            np.ascontiguousarray(targets), end_motion, first, last, _COARSE_TIMES,
-            _sample_table(shape, _COARSE_SAMPLES), _sample_table(shape, _SAMPLES),
-            np.array(shape.powers), params, found,
-        )  # fmt: skip
-    return found
-
-
-def _evaluate_paths(
-    estimate: Estimate,
-    targets: Array,
-    end_motion: Array,
-    times: Array,
-    shape: PathShape,
-    params: Array,
-) -> Array:
-    """Evaluate the path of a given time-to-go to each target.
-
-    `targets` (n, 3) are positions, m, `end_motion` (2, 3) is final velocity and acceleration, and
-    `times` (n,) are in s. The result (n, 4) is that of `evaluate_given_times`. `params` is the
-    result of `_kernel_params`.
-    """
-    found = np.empty((len(targets), 4))
-    with threads_for(0.1 * len(targets)):
-        held.evaluate_given_times(
-            np.array([estimate.position, estimate.velocity], dtype=np.float64), targets, end_motion,
-            times, _sample_table(shape, _SAMPLES), np.array(shape.powers), params, found,
-        )  # fmt: skip
-    return found
-
-
-def _convert_costs(
-    path_costs: Array, estimate: Estimate, lander: Lander, reserve: float
-) -> DivertCost:
-    """Convert delta-v to propellant; sites that need too much are infeasible.
-
-    `path_costs` (n, 4) is the result of `search_sites`; `reserve` is the propellant that must
-    remain, kg.
-    """
-    propellant = estimate.mass * -np.expm1(-path_costs[:, 0] / lander.exhaust_velocity)
-    good = propellant <= estimate.mass - lander.dry_mass - reserve
-    return DivertCost(
-        np.where(good, propellant, np.inf),
-        np.where(good, path_costs[:, 1], np.nan),
-        np.where(good, path_costs[:, 2], np.nan),
-        np.where(good, np.arctan(path_costs[:, 3]), np.nan),
-    )
-
-
-def _kernel_params(estimate: Estimate, lander: Lander, gravity: float, limits: PathLimits) -> Array:
-    """Return parameters of vehicle and limits for the kernel `evaluate_path` (7,)."""
     margin = limits.throttle_margin * (lander.thrust_max - lander.thrust_min)
-    return np.array(
-        [
-            gravity,
-            estimate.mass,
-            lander.exhaust_velocity,
-            lander.thrust_min + margin,
-            lander.thrust_max - margin,
-            np.tan(limits.max_tilt),
-            np.tan(limits.glideslope),
-        ]
-    )
+    params = (
+        gravity, lander.wet_mass, lander.exhaust_velocity, lander.thrust_min + margin,
+        lander.thrust_max - margin, np.tan(limits.max_tilt), np.tan(limits.glideslope),
+    )  # fmt: skip
+    masses = (
+        lander.thrust_max / lander.dry_mass, lander.dry_mass, lander.exhaust_velocity,
+        limits.reserve,
+    )  # fmt: skip
+    return core.DivertParams(
+        np.array(shape.powers), np.array([end.velocity, end.acceleration], dtype=np.float64),
+        np.array(params), _sample_table(shape, _COARSE_SAMPLES), _sample_table(shape, _SAMPLES),
+        np.array(masses),
+    )  # fmt: skip
 
 
 def _check_inputs(estimate: Estimate, end: PhaseEnd, gravity: float) -> None:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from lunarsim.core.guidance import exceeds_limits
 from lunarsim.typing import Array
 
 
@@ -45,9 +46,7 @@ class LimitViolationMonitor:
         time
             Current time, s; the method is called once per control cycle.
         """
-        tilt = float(np.arctan2(np.hypot(command[0], command[1]), command[2]))
-        thrust = mass * float(np.linalg.norm(command))
-        if tilt <= (1.0 + self.slack) * limits[0] and thrust <= (1.0 + self.slack) * limits[1]:
+        if not exceeds_limits(np.array(command, np.float64), mass, *limits, self.slack):
             self._start_time = None
             return False
         if self._start_time is None:

@@ -6,6 +6,12 @@ from collections.abc import Callable
 
 import numpy as np
 
+from lunarsim.core.guidance import (
+    COMMAND_TIME,
+    COMMANDED,
+    advance_response,
+    predict_response,
+)
 from lunarsim.models.gravity import GravityModel
 from lunarsim.onboard.guidance.contract import PhaseEnd
 from lunarsim.onboard.guidance.paths import PathShape, PolynomialPath
@@ -28,26 +34,23 @@ class ActuatorLagModel:
 
     def __init__(self, lag: float) -> None:
         self.lag = lag
-        self._lagged = np.zeros(3)
-        self._command = np.zeros(3)
-        self._time: float | None = None
+        self._response = np.zeros(7)
+        self._response[COMMAND_TIME] = np.nan
 
     def advance(self, time: float) -> None:
         """Propagate the modelled acceleration of the vehicle to `time`, s."""
-        if self.lag > 0.0 and self._time is not None:
-            keep = np.exp(-(time - self._time) / self.lag)
-            self._lagged = self._command + keep * (self._lagged - self._command)
-        self._time = time
+        advance_response(self._response, time, self.lag)
 
     def record_command(self, acceleration: Array) -> None:
         """Store the commanded acceleration (3,), gravity included, m/s^2."""
-        self._command = acceleration
+        self._response[COMMANDED:COMMAND_TIME] = acceleration
 
     def predict(self, estimate: Estimate) -> tuple[Array, Array]:
         """Predict position and velocity (3,), m and m/s, one lag ahead."""
-        a, lag = self._lagged, self.lag
-        position = estimate.position + lag * (estimate.velocity + 0.5 * lag * a)
-        return position, estimate.velocity + lag * a
+        ahead = np.empty((2, 3))
+        state = np.array([estimate.position, estimate.velocity])
+        predict_response(state, self._response, self.lag, ahead)
+        return ahead[0], ahead[1]
 
 
 class PathGuidance:

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from lunarsim.core.path_cost import power_terms
 from lunarsim.errors import InputError
 from lunarsim.onboard.guidance.contract import PhaseEnd
 from lunarsim.typing import Array
@@ -121,14 +122,13 @@ class PathShape:
             ("end.velocity", end.velocity), ("end.acceleration", end.acceleration),
         ):  # fmt: skip
             check_finite(f"guidance.{name}", value)
-        low, high = self.powers
-        # Contributions of both powers to the mean acceleration, and to the displacement over
-        # time^2.
-        p = (end.velocity - v) / time_to_go - end.acceleration
-        q = (end.velocity * time_to_go - (end.position - r)) / time_to_go**2
-        q = q - 0.5 * end.acceleration
-        first = (low + 2.0) * ((high + 2.0) * q - p) / (high - low)
-        terms = np.stack(((low + 1.0) * first, (high + 1.0) * (p - first)))
+        terms = np.empty((2, 3))
+        power_terms(
+            np.array([r, v]), np.array(end.position, dtype=np.float64),
+            np.array([end.velocity, end.acceleration], dtype=np.float64), float(time_to_go),
+            np.array(self.powers), terms,
+        )  # fmt: skip
+        terms *= np.array([[self.low + 1.0], [self.high + 1.0]])
         return PolynomialPath(end, float(time_to_go), self.powers, terms)
 
 

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
+from lunarsim.core.guidance import VerticalDescentParams, vertical_descent_command
 from lunarsim.onboard.guidance.contract import PhaseEnd, require_finite_state
 from lunarsim.onboard.navigation.estimate import Estimate
 from lunarsim.typing import Array
@@ -86,49 +87,17 @@ class VerticalDescent:
         is in s.
         """
         require_finite_state(estimate, end)
-        offset = estimate.position[:2] - end.position[:2]
-        horizontal = (
-            -(self.frequency**2) * offset
-            - 2.0 * self.damping * self.frequency * estimate.velocity[:2]
-        )
-        height = float(estimate.position[2] - end.position[2])
-        planned = float(end.velocity[2])
-        wanted = self._limit_descent_speed(estimate.velocity, height, planned)
-        tan_tilt = self._tan_max_tilt(
-            height, self.full_tilt_height if wanted == planned else self.low_height
-        )
-        up = self.gravity + self.speed_gain * (wanted - float(estimate.velocity[2]))
-        up = max(up, 0.3 * self.gravity)
-        limit = up * tan_tilt
-        size = float(np.hypot(*horizontal))
-        if size > limit:
-            horizontal *= limit / size
-        return np.array([horizontal[0], horizontal[1], up])
+        command = np.empty(3)
+        vertical_descent_command(
+            np.array([estimate.position, estimate.velocity]), np.array(end.position),
+            float(end.velocity[2]), self.params, command,
+        )  # fmt: skip
+        return command
 
-    def _tan_max_tilt(self, height: float, full_tilt_height: float) -> float:
-        """Return the tangent of the maximum tilt at a height (m) above touchdown.
-
-        It decreases linearly below `full_tilt_height`, m, and is constant above.
-        """
-        share = min(max(height / full_tilt_height, 0.0), 1.0)
-        return float(
-            np.tan(
-                self.max_tilt_at_touchdown + share * (self.max_tilt - self.max_tilt_at_touchdown)
-            )
-        )
-
-    def _limit_descent_speed(self, velocity: Array, height: float, planned: float) -> float:
-        """Return the vertical velocity, m/s, slowed while the lander drifts too fast.
-
-        `velocity` (3,) is in m/s, `height` is the height to touchdown, m, and `planned` the nominal
-        vertical velocity, m/s.
-        """
-        excess = max(float(np.hypot(velocity[0], velocity[1])) - self.tolerated_speed, 0.0)
-        # The maximum tilt decreases with height: plan with half of the value at this height.
-        stopping = excess / (0.5 * self.gravity * self._tan_max_tilt(height, self.full_tilt_height))
-        if excess == 0.0 or -planned * stopping <= height:
-            return planned
-        return min(-height / stopping, self.min_speed_fraction * planned)
+    @property
+    def params(self) -> VerticalDescentParams:
+        """Parameters for compiled functions."""
+        return VerticalDescentParams(*(float(getattr(self, f.name)) for f in fields(self)))
 
 
 @runtime_checkable

@@ -4,8 +4,7 @@ import numba
 import numpy as np
 import pytest
 
-from lunarsim.onboard.guidance import _given_time_kernels as held
-from lunarsim.onboard.guidance import _reach_kernels as kernels
+from lunarsim.core import divert as kernels
 from tests.reference import divert as plain
 
 POWERS = [(1.0, 2.0), (0.0, 1.0), (0.5, 1.3), (1.0, 4.0)]
@@ -52,7 +51,9 @@ def test_what_a_path_takes(powers, least, most, tan_tilt, glide):
         assert out == pytest.approx(wanted, rel=1e-9, nan_ok=True)
         # And the same where there is nothing to search.
         one = np.empty((count, 4))
-        held.evaluate_given_times(state, targets, asked, row, table, np.array(powers), given, one)
+        kernels.evaluate_given_times(
+            state, targets, asked, row, table, np.array(powers), given, one
+        )
         assert one == pytest.approx(wanted, rel=1e-9, nan_ok=True)
         reached += np.isfinite(wanted[:, 0]).sum()
     assert reached >= 1

@@ -10,6 +10,7 @@ from lunarsim.onboard.control.phase_plane import PhasePlane
 from lunarsim.onboard.guidance.contract import PhaseEnd
 from lunarsim.onboard.guidance.vertical import VerticalDescent, descent_law
 from lunarsim.onboard.navigation.estimate import Estimate
+from tests.reference.guidance import vertical_descent
 
 G = 1.622
 GROUND = PhaseEnd(np.zeros(3), np.array([0.0, 0.0, -2.0]))
@@ -101,3 +102,18 @@ def test_the_position_loop_leaves_a_slow_attitude_time_to_turn():
     assert frequency(ProportionalDerivative(), 1.0) == pytest.approx(0.33)
     slow = PhasePlane(slew_limit=np.deg2rad(5.0))
     assert frequency(slow, 0.6) == pytest.approx(0.33 / 3.0)
+
+
+def test_commands_are_those_of_the_reference():
+    rng = np.random.default_rng(1)
+    law, end, slowed = VerticalDescent.for_lag(0.55, G), np.array([0.0, 0.0, 1.6]), 0
+    for _ in range(300):
+        position, velocity = rng.normal(0, 2, 3), rng.normal(0, 1.0, 3) - [0.0, 0.0, 2.0]
+        position[2] = rng.uniform(0.0, 14.0)
+        command = law.command(
+            estimate(position, velocity), PhaseEnd(end, np.array([0.0, 0.0, -2.0])), 0.0
+        )
+        expected = vertical_descent(position, velocity, end, -2.0, law)
+        assert command == pytest.approx(expected, rel=1e-12, abs=1e-12)
+        slowed += command[2] != pytest.approx(G + law.speed_gain * (-2.0 - velocity[2]))
+    assert slowed > 10

@@ -1,11 +1,14 @@
 # mypy: allow-untyped-defs, no-check-untyped-defs
-"""Compiled search over many sites, sixteen at once by SIMD.
+"""Cost of diverts: the path with minimum propellant to each of many sites.
 
-Trials use single precision; the selected path is evaluated again in double precision. Rounding can
-therefore only affect the choice between two equally good times.
+The search evaluates sixteen sites at once by SIMD. Trials use single precision; the selected path
+is evaluated again in double precision. Rounding can therefore only affect the choice between two
+equally good times.
 """
 
 from __future__ import annotations
+
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 
@@ -20,7 +23,7 @@ from lunarsim._simd import (
     select_ge,
     store,
 )
-from lunarsim.onboard.guidance._kernels import (
+from lunarsim.core.path_cost import (
     EXHAUST,
     GLIDE,
     GRAVITY,
@@ -41,6 +44,37 @@ from lunarsim.onboard.guidance._kernels import (
 _EAST, _NORTH, _UP, _TIME, _COST = 0, SIMD_WIDTH, 2 * SIMD_WIDTH, 3 * SIMD_WIDTH, 4 * SIMD_WIDTH
 _SCRATCH = 5 * SIMD_WIDTH
 _INADMISSIBLE_COST = 1e30  # delta-v that represents infinity
+_COARSE_TIMES = 14  # times-to-go of the coarse search
+# Upper time-to-go of the first search, as a multiple of the time at the current speed. Slower paths
+# are rarely admissible; they are searched only if no faster one is.
+_FIRST_SEARCH_TIME_RATIO = 8.0
+
+
+class DivertParams(NamedTuple):
+    """Paths of a guidance law, and limits of the lander, SI.
+
+    `powers` (2,): powers of time in the polynomial path. `final` (2, 3): velocity and acceleration
+    at the end of the approach. `params` (7,): gravity, mass, exhaust velocity, minimum and maximum
+    thrust, tangents of maximum tilt and glideslope. `coarse_table`, `fine_table`: samples of a path
+    (`sample_table`). `mass_limits` (4,): maximum thrust over dry mass, dry mass, exhaust velocity,
+    propellant reserve.
+    """
+
+    powers: np.ndarray
+    final: np.ndarray
+    params: np.ndarray
+    coarse_table: np.ndarray
+    fine_table: np.ndarray
+    mass_limits: np.ndarray
+
+
+def sample_table(powers, samples):
+    """Return the fraction of time left and its two powers at samples of a path.
+
+    `samples` is the number of intervals; the result is (samples + 1, 3).
+    """
+    left = 1.0 - np.arange(samples + 1) / samples
+    return np.column_stack((left, left ** powers[0], left ** powers[1]))
 
 
 @kernel(inline=True)
@@ -289,3 +323,165 @@ def search_sites(
                     state, targets[n], final, spans[0, k], spans[1, k], coarse_count,
                     coarse_table, table, powers, params, out[n],
                 )  # fmt: skip
+
+
+@kernel(shared=True)
+def evaluate_given_times(thread_slice, state, targets, final, times, table, powers, params, out):
+    """Evaluate the path with a given time-to-go to each target.
+
+    `targets` (n, 3) are end positions, m, and `times` (n,) times-to-go, s. `out` (n, 4) receives
+    delta-v, m/s (inf if a limit is violated or the time is NaN), time, s, maximum thrust, N, and
+    maximum tangent of the tilt. `thread_slice` is (thread, number of threads); the other arguments
+    are those of `evaluate_path`.
+    """
+    terms = np.empty((2, 3))
+    for n in range(thread_slice[0], len(targets), thread_slice[1]):
+        good = times[n] > 0.0 and evaluate_path(
+            state, targets[n], final, times[n], table, powers, params, terms, out[n]
+        )
+        if not good:
+            out[n, 0] = np.inf
+            out[n, 1:] = np.nan
+
+
+_search_sites = cast(Any, search_sites).compiled
+_evaluate_given_times = cast(Any, evaluate_given_times).compiled
+
+
+@kernel(exact=True)
+def norm(vector):
+    """Return the norm of a vector (3,)."""
+    return np.sqrt(vector[0] * vector[0] + vector[1] * vector[1] + vector[2] * vector[2])
+
+
+@kernel(exact=True)
+def min_flight_time(speed, distance, law):
+    """Return a lower bound of the time to fly `distance` (m), s; at least 1 s.
+
+    It is the time of constant maximum thrust with empty tanks straight towards the target. `speed`
+    is the current one, m/s.
+    """
+    max_acceleration = law.mass_limits[0] + law.params[GRAVITY]
+    root = np.sqrt(speed * speed + 2.0 * max_acceleration * distance)
+    return max(2.0 * distance / (speed + root + 1e-12), 1.0)
+
+
+@kernel(exact=True)
+def max_flight_time(speed, mass, law):
+    """Return an upper bound of the time-to-go, s.
+
+    It is the time for which the delta-v in the tanks can compensate gravity. `speed` (m/s) and
+    `mass` (kg) are the current ones.
+    """
+    max_delta_v = law.mass_limits[2] * np.log(max(mass / law.mass_limits[1], 1.0))
+    return (max_delta_v + speed + norm(law.final[0])) / law.params[GRAVITY]
+
+
+@kernel(exact=True)
+def _distance(state, target):
+    """Return the distance from the position in `state` to a target (3,), m."""
+    total = 0.0
+    for k in range(3):
+        total += (target[k] - state[0, k]) ** 2
+    return np.sqrt(total)
+
+
+@kernel(exact=True)
+def propellant_for(delta_v, mass, law):
+    """Return the propellant for `delta_v` (m/s), kg; inf if too little is left."""
+    propellant = mass * -np.expm1(-delta_v / law.mass_limits[2])
+    return propellant if propellant <= mass - law.mass_limits[1] - law.mass_limits[3] else np.inf
+
+
+@kernel(exact=True)
+def _is_own(n, thread_slice):
+    """Return whether target `n` belongs to the blocks of a thread, as in `search_sites`."""
+    return (n // SIMD_WIDTH) % thread_slice[1] == thread_slice[0]
+
+
+@kernel(inner=True)
+def _search_longer_times(thread_slice, state, targets, first, searched, last, law, params, out):
+    """Search longer times-to-go for targets without an admissible path.
+
+    `out` (n, 4) has the results of the search from `first` to `searched` (n,), s, and is updated by
+    a search up to `last` (n,). Only the blocks of this thread are searched.
+    """
+    indices = np.empty(len(targets), np.int64)
+    count = 0
+    for n in range(len(targets)):
+        mine = _is_own(n, thread_slice)
+        if mine and not np.isfinite(out[n, 0]) and searched[n] < last[n]:
+            indices[count] = n
+            count += 1
+    if count == 0:
+        return
+    ends, begin, end = np.empty((count, 3)), np.empty(count), np.empty(count)
+    found = np.empty((count, 4))
+    for k in range(count):
+        n = indices[k]
+        begin[k], end[k] = max(first[n], searched[n]), last[n]
+        ends[k] = targets[n]
+    _search_sites(
+        (0, 1), state, ends, law.final, begin, end, _COARSE_TIMES, law.coarse_table,
+        law.fine_table, law.powers, params, found,
+    )  # fmt: skip
+    for k in range(count):
+        out[indices[k]] = found[k]
+
+
+@kernel(shared=True)
+def divert_costs(thread_slice, state, mass, targets, min_times, law, out):
+    """Compute propellant and time-to-go of the minimum-propellant path to each target.
+
+    `state` (2, 3) is position and velocity, `mass` in kg, `targets` (n, 3) are end positions of the
+    approach, m, and `min_times` (n,) minimum times-to-go, s (NaN: out of reach). `out` (n, 4)
+    receives propellant, kg, time, s, maximum thrust, N, and maximum tangent of the tilt; inf and
+    NaN for targets out of reach. `thread_slice` is (thread, number of threads).
+    """
+    count = len(targets)
+    first, last, searched = np.empty(count), np.empty(count), np.empty(count)
+    speed, params = norm(state[1]), law.params.copy()
+    params[MASS] = mass
+    longest = max_flight_time(speed, mass, law)
+    for n in range(count):
+        if not _is_own(n, thread_slice):
+            continue
+        distance = _distance(state, targets[n])
+        fastest = min_flight_time(speed, distance, law)
+        first[n], last[n] = max(fastest, min_times[n]), max(longest, fastest)
+        searched[n] = min(
+            last[n], _FIRST_SEARCH_TIME_RATIO * max(distance / max(speed, 5.0), first[n])
+        )
+        if np.isnan(min_times[n]):
+            first[n] = np.nan
+    _search_sites(
+        thread_slice, state, targets, law.final, first, searched, _COARSE_TIMES, law.coarse_table,
+        law.fine_table, law.powers, params, out,
+    )  # fmt: skip
+    _search_longer_times(thread_slice, state, targets, first, searched, last, law, params, out)
+    for n in range(count):
+        if _is_own(n, thread_slice):
+            out[n, 0] = propellant_for(out[n, 0], mass, law)
+            if not np.isfinite(out[n, 0]):
+                out[n, 1:] = np.nan
+
+
+@kernel(shared=True)
+def costs_at_times(thread_slice, state, mass, targets, times, law, out):
+    """Compute the propellant of the path with a given time-to-go to each target.
+
+    `times` (n,) are in s; a time that is too short for the distance is not admissible. The other
+    arguments are those of `divert_costs`.
+    """
+    speed, params, given = norm(state[1]), law.params.copy(), times.copy()
+    params[MASS] = mass
+    for n in range(len(targets)):
+        if not times[n] >= min_flight_time(speed, _distance(state, targets[n]), law):
+            given[n] = np.nan
+    _evaluate_given_times(
+        thread_slice, state, targets, law.final, given, law.fine_table, law.powers, params, out
+    )
+    for n in range(thread_slice[0], len(targets), thread_slice[1]):
+        out[n, 0] = propellant_for(out[n, 0], mass, law)
+        if not np.isfinite(out[n, 0]):
+            out[n, 1:] = np.nan

@@ -15,7 +15,7 @@ GRAVITY, MASS, EXHAUST, LEAST, MOST, TAN_TILT, GLIDE = 0, 1, 2, 3, 4, 5, 6
 HALVINGS = 5
 
 
-@kernel(inline=True, inner=True)
+@kernel(exact=True)
 def power_terms(state, target, final, time_to_go, powers, out):
     """Compute the coefficients of a polynomial path from its boundary conditions.
 
@@ -27,8 +27,8 @@ def power_terms(state, target, final, time_to_go, powers, out):
     for k in range(3):
         r, v, v_f, a_f = state[0, k], state[1, k], final[0, k], final[1, k]
         p = (v_f - v) / time_to_go - a_f
-        q = (v_f * time_to_go - target[k] + r) / time_to_go**2 - 0.5 * a_f
-        out[0, k] = (low + 2.0) / (high - low) * ((high + 2.0) * q - p)
+        q = (v_f * time_to_go - (target[k] - r)) / time_to_go**2 - 0.5 * a_f
+        out[0, k] = (low + 2.0) * ((high + 2.0) * q - p) / (high - low)
         out[1, k] = p - out[0, k]
 
 

@@ -1,0 +1,112 @@
+# mypy: allow-untyped-defs, no-check-untyped-defs
+"""Guidance: response model of the vehicle, vertical descent, and limits of commands.
+
+In all functions, `state` (2, 3) is the estimated position and velocity, ENU, SI.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from lunarsim._jit import kernel
+
+# Indices of `response`: lagged acceleration, commanded acceleration, time of the command.
+LAGGED, COMMANDED, COMMAND_TIME = 0, 3, 6
+
+
+class VerticalDescentParams(NamedTuple):
+    """Parameters of the vertical descent, the fields of `VerticalDescent`, SI and rad."""
+
+    gravity: float
+    frequency: float
+    damping: float
+    speed_gain: float
+    max_tilt: float
+    max_tilt_at_touchdown: float
+    full_tilt_height: float
+    low_height: float
+    tolerated_speed: float
+    min_speed_fraction: float
+
+
+@kernel(exact=True)
+def advance_response(response, time, lag):
+    """Propagate the lagged acceleration of the vehicle to `time`, s, in place.
+
+    `response` (7,) is the lagged and the commanded acceleration, gravity included, m/s^2, and the
+    time of the command, s (NaN: none yet). `lag` is the time constant, s.
+    """
+    if lag > 0.0 and not np.isnan(response[COMMAND_TIME]):
+        keep = np.exp(-(time - response[COMMAND_TIME]) / lag)
+        for k in range(3):
+            commanded = response[COMMANDED + k]
+            response[LAGGED + k] = commanded + keep * (response[LAGGED + k] - commanded)
+    response[COMMAND_TIME] = time
+
+
+@kernel(exact=True)
+def predict_response(state, response, lag, ahead):
+    """Predict position and velocity one lag (s) ahead, into `ahead` (2, 3)."""
+    for k in range(3):
+        a = response[LAGGED + k]
+        ahead[0, k] = state[0, k] + lag * (state[1, k] + 0.5 * lag * a)
+        ahead[1, k] = state[1, k] + lag * a
+
+
+@kernel(exact=True)
+def _tan_max_tilt(height, full_tilt_height, law):
+    """Return the tangent of the maximum tilt at a height (m) above touchdown.
+
+    It decreases linearly below `full_tilt_height`, m, and is constant above.
+    """
+    fraction = min(max(height / full_tilt_height, 0.0), 1.0)
+    at_touchdown = law.max_tilt_at_touchdown
+    return np.tan(at_touchdown + fraction * (law.max_tilt - at_touchdown))
+
+
+@kernel(exact=True)
+def _limit_descent_speed(state, height, nominal, law):
+    """Return the vertical velocity, m/s, slowed while the lander drifts too fast."""
+    excess = max(np.hypot(state[1, 0], state[1, 1]) - law.tolerated_speed, 0.0)
+    # The maximum tilt decreases with height: plan with half of the value at this height.
+    stopping = excess / (0.5 * law.gravity * _tan_max_tilt(height, law.full_tilt_height, law))
+    if excess == 0.0 or -nominal * stopping <= height:
+        return nominal
+    return min(-height / stopping, law.min_speed_fraction * nominal)
+
+
+@kernel(exact=True)
+def vertical_descent_command(state, end, nominal, law, command):
+    """Compute the thrust acceleration of the vertical descent, `command` (3,), m/s^2.
+
+    `end` (3,) is the position of the centre of mass at touchdown, m, and `nominal` the nominal
+    vertical velocity, m/s.
+    """
+    height = state[0, 2] - end[2]
+    wanted = _limit_descent_speed(state, height, nominal, law)
+    tan_tilt = _tan_max_tilt(
+        height, law.full_tilt_height if wanted == nominal else law.low_height, law
+    )
+    up = max(law.gravity + law.speed_gain * (wanted - state[1, 2]), 0.3 * law.gravity)
+    for k in range(2):
+        offset = state[0, k] - end[k]
+        command[k] = -(law.frequency**2) * offset - 2.0 * law.damping * law.frequency * state[1, k]
+    limit, size = up * tan_tilt, np.hypot(command[0], command[1])
+    if size > limit:
+        command[0] *= limit / size
+        command[1] *= limit / size
+    command[2] = up
+
+
+@kernel(exact=True)
+def exceeds_limits(command, mass, max_tilt, max_thrust, slack):
+    """Return whether a command violates the limit of tilt or thrust by more than `slack`.
+
+    `command` (3,) is the thrust acceleration, m/s^2, `mass` in kg, `max_tilt` in rad, `max_thrust`
+    in N, and `slack` a fraction of the limits.
+    """
+    side = np.hypot(command[0], command[1])
+    tilt, thrust = np.arctan2(side, command[2]), mass * np.hypot(side, command[2])
+    return not (tilt <= (1.0 + slack) * max_tilt and thrust <= (1.0 + slack) * max_thrust)
