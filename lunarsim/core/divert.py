@@ -395,7 +395,7 @@ def propellant_for(delta_v, mass, law):
 
 @kernel(exact=True)
 def _is_own(n, thread_slice):
-    """Return whether target `n` belongs to the blocks of a thread, as in `search_sites`."""
+    """Return whether target `n` is in the blocks of a thread (`search_sites`)."""
     return (n // SIMD_WIDTH) % thread_slice[1] == thread_slice[0]
 
 

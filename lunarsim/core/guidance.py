@@ -1,5 +1,5 @@
 # mypy: allow-untyped-defs, no-check-untyped-defs
-"""Guidance: response model of the vehicle, vertical descent, and limits of commands.
+"""Guidance: response model, vertical descent, and limits of commands.
 
 In all functions, `state` (2, 3) is the estimated position and velocity, ENU, SI.
 """
@@ -102,7 +102,7 @@ def vertical_descent_command(state, end, nominal, law, command):
 
 @kernel(exact=True)
 def exceeds_limits(command, mass, max_tilt, max_thrust, slack):
-    """Return whether a command violates the limit of tilt or thrust by more than `slack`.
+    """Return whether a command violates a limit of tilt or thrust by over `slack`.
 
     `command` (3,) is the thrust acceleration, m/s^2, `mass` in kg, `max_tilt` in rad, `max_thrust`
     in N, and `slack` a fraction of the limits.
