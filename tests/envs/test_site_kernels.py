@@ -265,11 +265,6 @@ def test_a_spread_map_is_that_of_the_computer():
         out, line = np.empty_like(p), np.full(300, np.nan, np.float32)
         choice.average_map(p, seen, miss / 0.4, out, line, np.empty(200, np.float32))
         assert out == pytest.approx(held.dispersed_p_safe(miss), abs=2e-6)
-        cells = rng.integers((60, 50), size=(40, 2))
-        xy = held.grid.centre_of(cells[:, 0], cells[:, 1])
-        plain = held.dispersed_p_safe_at(xy, np.full(40, miss))
-        found = [choice.average_cell(p, seen, *map(int, cell), miss / 0.4) for cell in cells]
-        assert found == pytest.approx(plain, abs=2e-6)
 
 
 def test_sites_are_those_that_the_computer_proposes():

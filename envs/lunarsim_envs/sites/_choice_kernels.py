@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from lunarsim._jit import kernel
-from lunarsim_envs.sites._cell_kernels import best_cells, nearest_cells
+from lunarsim.core.candidates import average_cell, best_cells, nearest_cells
 from lunarsim_envs.sites._flight_kernels import compute_divert_costs, estimate_state
 from lunarsim_envs.sites._map_kernels import map_cell
 from lunarsim_envs.sites.reachable_candidates import (
@@ -99,30 +99,6 @@ def average_map(p, observed, sigma, out, padded, weights):
         for c in range(cols):
             capped = min(out[r, c], np.float32(1.0))
             out[r, c] = capped if observed[r, c] else np.float32(0.0)
-
-
-@kernel()
-def average_cell(p, observed, row, col, sigma):
-    """Return p_safe of one cell, averaged over a Gaussian landing dispersion.
-
-    `p` and `observed` are maps (rows, cols); `sigma` is the dispersion per axis, in cells.
-    """
-    if not observed[row, col]:
-        return 0.0
-    reach_ = int(3.0 * sigma + 0.5)
-    if reach_ == 0:
-        return float(p[row, col])
-    weights = np.empty(2 * reach_ + 1)
-    total, out = 0.0, 0.0
-    for k in range(2 * reach_ + 1):
-        weights[k] = np.exp(-0.5 * ((k - reach_) / sigma) ** 2)
-        total += weights[k]
-    for r in range(max(row - reach_, 0), min(row + reach_ + 1, p.shape[0])):
-        line = 0.0
-        for c in range(max(col - reach_, 0), min(col + reach_ + 1, p.shape[1])):
-            line += weights[c - col + reach_] * p[r, c]
-        out += weights[r - row + reach_] * line
-    return min(out / (total * total), 1.0)
 
 
 @kernel()

@@ -117,7 +117,7 @@ class SiteDescentBatch(DescentBatch):
         time-to-go was refused (n,).
     """
 
-    levels: ClassVar[Array] = np.array(SAFETY_LEVELS)
+    levels: ClassVar[Array] = np.array(SAFETY_LEVELS, np.float32)
     keeps_maps: ClassVar[bool] = True
 
     def __init__(

@@ -12,9 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from lunarsim._jit import kernel
-from lunarsim.core.path_cost import GRAVITY, MASS
-from lunarsim_envs.sites._beyond_kernels import is_unreachable, path_coefficients
-from lunarsim_envs.sites._cell_kernels import (
+from lunarsim.core.candidates import (
     NOWHERE,
     disc_half_widths,
     exclude_disc,
@@ -22,6 +20,8 @@ from lunarsim_envs.sites._cell_kernels import (
     row_max,
     score_all,
 )
+from lunarsim.core.path_cost import GRAVITY, MASS
+from lunarsim_envs.sites._beyond_kernels import is_unreachable, path_coefficients
 from lunarsim_envs.sites._flight_kernels import GuidanceParams, compute_divert_costs
 
 # Maximum cells per side, as in `reach.Reach`; cells per side of a tile; tiles per side of a block.

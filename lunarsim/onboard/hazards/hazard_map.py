@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
+from lunarsim.core.candidates import average_cell
 from lunarsim.errors import InputError
 from lunarsim.grid import Grid
 from lunarsim.typing import Array, BoolArray
@@ -234,30 +235,9 @@ class HazardMap:
         sigma = np.asarray(sigma, np.float64)
         is_valid = np.isfinite(sigma) & (sigma >= 0.0)
         check_elements("sigma", sigma, is_valid, "must be 0 or more, and finite")
-        p = np.where(self.observed, self.p_safe, np.float32(0.0))
         out = np.zeros(len(xy))
         rows, cols = self.grid.cell(xy)
-        inside = self.grid.contains(xy)
-        for n, (row, col) in enumerate(zip(rows, cols, strict=True)):
-            if inside[n] and self.observed[row, col]:
-                out[n] = _gaussian_mean(p, int(row), int(col), sigma[n] / self.grid.posting)
+        for n in np.flatnonzero(self.grid.contains(xy)):
+            spread = float(sigma[n] / self.grid.posting)
+            out[n] = average_cell(self.p_safe, self.observed, rows[n], cols[n], spread)
         return out
-
-
-def _gaussian_mean(p: FloatMap, row: int, col: int, sigma: float) -> float:
-    """Return the mean of p_safe around one cell, weighted by a Gaussian.
-
-    `p` (rows, cols) is p_safe, 0 where unobserved. `row` and `col` are the cell, and `sigma` is the
-    standard deviation in cells, cut at 3 sigma. Cells off the map count as 0.
-    """
-    reach = int(3.0 * sigma + 0.5)
-    if reach == 0:
-        return float(p[row, col])
-    offsets = np.arange(-reach, reach + 1)
-    weight = np.exp(-0.5 * (offsets / sigma) ** 2)
-    weight /= weight.sum()
-    south, west = max(row - reach, 0), max(col - reach, 0)
-    window = p[south : row + reach + 1, west : col + reach + 1]
-    a = weight[south - row + reach :][: window.shape[0]]
-    b = weight[west - col + reach :][: window.shape[1]]
-    return float(a @ window @ b)

@@ -6,6 +6,8 @@ from collections.abc import Callable
 
 import numpy as np
 
+from lunarsim.core import candidates as core
+from lunarsim.grid import Grid
 from lunarsim.onboard.guidance.divert_cost import DivertCost
 from lunarsim.onboard.hazards.hazard_map import FloatMap, HazardMap
 from lunarsim.onboard.hazards.scoreboard import Scoreboard
@@ -15,16 +17,12 @@ from lunarsim.typing import Array, BoolArray, IntArray
 
 # For each of these values of p_safe, the nearest site above the value is also a candidate.
 SAFETY_LEVELS = (0.99, 0.95, 0.8, 0.5)
-# Fraction of p_safe that 100 m of distance cost, so that the nearer of equally safe sites wins. The
-# cost is relative, because p_safe differs only in the third decimal where the map is uncertain
-# everywhere.
-_DISTANCE_WEIGHT = 1e-3
 
 
-def best_cells(
-    aim: FloatMap, distance: Array, posting: float, count: int, separation: float
-) -> IntArray:
-    """Return the `count` cells with the highest safety, at least `separation` apart.
+def proposed_cells(
+    aim: FloatMap, grid: Grid, site: Array, count: int, separation: float
+) -> tuple[IntArray, list[str]]:
+    """Return the safest cells, and the nearest cell at each level of `SAFETY_LEVELS`.
 
     Fewer cells are returned if no others have a positive probability. Of equally safe cells, the
     nearer one is preferred.
@@ -33,40 +31,38 @@ def best_cells(
     ----------
     aim
         Probability of a safe landing when aiming at each cell (rows, cols).
-    distance
-        Horizontal distance of each cell from the current site (rows, cols), m.
-    posting
-        Side length of a cell, m.
+    grid
+        Grid of the cells.
+    site
+        Current site (3,), m.
     count
-        Maximum number of cells.
+        Maximum number of safest cells.
     separation
-        Minimum distance between two cells, m.
+        Minimum distance between two of the safest cells, m.
 
     Returns
     -------
-    IntArray
-        Row and column of each cell (n, 2), best first.
+    cells : IntArray
+        Row and column of each cell (n, 2), the safest first.
+    rules : list of str
+        Rule of each cell: "safest" or "nearest at LEVEL".
     """
-    penalty = np.float32(_DISTANCE_WEIGHT / 100.0) * distance.astype(np.float32)
-    score = aim * (np.float32(1.0) - penalty)
-    score[~(aim > 0.0)] = -np.inf
-    reach = int(np.ceil(separation / posting))
-    offsets = np.arange(-reach, reach + 1)
-    is_near = np.hypot(offsets[:, None], offsets[None, :]) * posting < separation
-    cells = []
-    for _ in range(count):
-        row, col = (int(v) for v in np.unravel_index(int(np.argmax(score)), score.shape))
-        if not np.isfinite(score[row, col]):
-            break
-        cells.append((row, col))
-        r0, c0 = max(row - reach, 0), max(col - reach, 0)
-        window = score[r0 : row + reach + 1, c0 : col + reach + 1]
-        shape = is_near[
-            r0 - row + reach : r0 - row + reach + window.shape[0],
-            c0 - col + reach : c0 - col + reach + window.shape[1],
-        ]
-        window[shape] = -np.inf
-    return np.array(cells, dtype=np.int64).reshape(-1, 2)
+    aim = np.where(aim > 0.0, aim, np.float32(0.0))
+    corner = np.array([grid.x[0], grid.y[0]])
+    cells = np.empty((count + len(SAFETY_LEVELS), 2), np.int64)
+    score, row_maxima = np.empty_like(aim), np.empty(len(aim), np.float32)
+    place = np.asarray(site, dtype=np.float64)
+    found = core.best_cells(
+        aim, corner, grid.posting, place, count, separation, score, row_maxima, cells
+    )
+    rules = ["safest"] * found
+    for level in SAFETY_LEVELS:
+        found = core.nearest_cells(
+            aim, corner, grid.posting, place, np.array([level], np.float32), found, row_maxima,
+            cells,
+        )  # fmt: skip
+        rules += [f"nearest at {level}"] * (found - len(rules))
+    return cells[:found], rules
 
 
 def candidate_sites(
@@ -183,32 +179,8 @@ def _proposed_sites(
     grid = hazard_map.grid
     if hazard_map.eligible is not None:
         aim = np.where(hazard_map.eligible, aim, np.float32(0.0))
-    distance = np.hypot(grid.x[None, :] - site[0], grid.y[:, None] - site[1])
-    cells, source = _proposed_cells(aim, distance, grid.posting, count, separation, mapper)
-    return _terrain_positions(hazard_map, cells, site), source
-
-
-def _proposed_cells(
-    aim: FloatMap, distance: Array, posting: float, count: int, separation: float, mapper: str
-) -> tuple[IntArray, list[str]]:
-    """Return the safest cells and the nearest cell above each p_safe threshold.
-
-    `aim` (probability of safe terrain) and `distance` (m) are given for each cell (rows, cols);
-    `posting` is the side of a cell, m. `count` and `separation` (m) are those of the safest cells.
-    The result is row and column (n, 2), and the source "MAPPER: RULE" of each cell.
-    """
-    cells = best_cells(aim, distance, posting, count, separation)
-    source = [f"{mapper}: safest"] * len(cells)
-    for level in SAFETY_LEVELS:
-        is_safe = aim >= level
-        if is_safe.any():
-            nearest = np.unravel_index(
-                int(np.argmin(np.where(is_safe, distance, np.inf))), aim.shape
-            )
-            if not (cells == nearest).all(axis=1).any():
-                cells = np.concatenate((cells, np.array([nearest], dtype=np.int64)))
-                source.append(f"{mapper}: nearest at {level}")
-    return cells, source
+    cells, rules = proposed_cells(aim, grid, site, count, separation)
+    return _terrain_positions(hazard_map, cells, site), [f"{mapper}: {rule}" for rule in rules]
 
 
 def _eligible_ranked(hazard_map: HazardMap, scoreboard: Scoreboard | None) -> tuple[Array, Array]:

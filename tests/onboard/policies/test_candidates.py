@@ -10,7 +10,12 @@ from lunarsim.onboard.guidance.divert_cost import divert_cost
 from lunarsim.onboard.hazards import HazardMap
 from lunarsim.onboard.hazards.scoreboard import Scoreboard
 from lunarsim.onboard.navigation.estimate import Estimate
-from lunarsim.onboard.policies.candidates import best_cells, candidate_sites
+from lunarsim.onboard.policies.candidates import (
+    SAFETY_LEVELS,
+    candidate_sites,
+    proposed_cells,
+)
+from tests.reference.candidates import best_cells, nearest_cell
 
 G = 1.622
 
@@ -24,32 +29,50 @@ def estimate(position=(-300.0, 0.0, 300.0), velocity=(20.0, 0.0, -15.0), mass=14
     )  # fmt: skip
 
 
-def test_cells_of_which_nothing_is_told_are_not_among_the_best():
+def test_unobserved_cells_are_not_proposed():
     aim = np.full((9, 9), np.nan, np.float32)
     aim[4, 4], aim[0, 8], aim[7, 0] = 0.5, 0.0, 0.2
-    cells = best_cells(aim, np.zeros((9, 9)), 1.0, 5, 2.0)
+    cells, rules = proposed_cells(aim, Grid.centred((0.0, 0.0), 9.0, 1.0), np.zeros(3), 5, 2.0)
     assert cells.tolist() == [[4, 4], [7, 0]]
+    assert rules == ["safest", "safest"]  # the nearest cell at 0.5 is already one of them
 
 
-def test_best_cells_are_apart_and_best():
-    rng = np.random.default_rng(1)
-    aim = rng.random((60, 60)).astype(np.float32)
-    cells = best_cells(aim, np.zeros((60, 60)), 0.5, 10, 3.0)
-    gap = np.hypot(*(cells[:, None] - cells[None]).transpose(2, 0, 1)) * 0.5
-    np.fill_diagonal(gap, np.inf)
-    assert gap.min() >= 3.0
-    values = aim[cells[:, 0], cells[:, 1]]
-    assert values[0] == aim.max()
-    assert (np.diff(values) <= 0.0).all()
+@pytest.mark.parametrize(("rows", "cols"), [(40, 61), (30, 9), (17, 16), (9, 33)])
+@pytest.mark.parametrize("separation", [0.3, 2.0, 3.7])
+def test_proposed_cells_are_those_of_the_reference(rows, cols, separation):
+    rng = np.random.default_rng(rows + cols)
+    aim = rng.random((rows, cols)).astype(np.float32)
+    aim[rng.random(aim.shape) < 0.3] = 0.0
+    aim[: rows // 2] *= np.float32(1e-4)
+    aim[-1, -1] = 0.95  # exactly a level, rounded
+    grid, site = Grid(-3.0, 2.0, 0.4, rows, cols), np.array([1.3, 4.1, 0.0])
+    distance = np.hypot(grid.x[None, :] - site[0], grid.y[:, None] - site[1])
+    cells, rules = proposed_cells(aim, grid, site, 16, separation)
+    safest = best_cells(aim, distance, 0.4, 16, separation)
+    assert np.array_equal(cells[: len(safest)], safest)
+    assert rules[: len(safest)] == ["safest"] * len(safest)
+    own = {rule: tuple(cell) for cell, rule in zip(cells, rules, strict=True) if rule != "safest"}
+    known = {tuple(cell) for cell in safest}
+    for level in SAFETY_LEVELS:
+        nearest = nearest_cell(aim, distance, level)
+        if nearest is not None and nearest not in known:
+            assert own.pop(f"nearest at {level}") == nearest
+            known.add(nearest)
+    assert not own
+    values = aim[safest[:, 0], safest[:, 1]]
+    assert values[0] == pytest.approx(aim.max(), rel=1e-3)
 
 
-def test_a_map_that_doubts_all_ground_proposes_the_cells_of_one_that_does_not():
+def test_uncertain_maps_propose_the_cells_of_certain_ones():
     rng = np.random.default_rng(2)
-    aim, distance = rng.random((60, 60)).astype(np.float32), 100.0 * rng.random((60, 60))
-    sure = best_cells(aim, distance, 0.5, 10, 3.0)
-    assert np.array_equal(best_cells(aim * np.float32(2.0**-12), distance, 0.5, 10, 3.0), sure)
-    # What is as safe is proposed from near by.
-    alike = best_cells(np.full((60, 60), 2.0**-12, np.float32), distance, 0.5, 1, 3.0)
+    aim, grid = rng.random((60, 60)).astype(np.float32), Grid.centred((0.0, 0.0), 30.0, 0.5)
+    site = np.array([4.0, -7.0, 0.0])
+    sure, _ = proposed_cells(aim, grid, site, 10, 3.0)
+    weak, _ = proposed_cells(aim * np.float32(2.0**-12), grid, site, 10, 3.0)
+    assert np.array_equal(weak, sure[:10])
+    # Of equally safe cells, the nearest one is proposed.
+    alike, _ = proposed_cells(np.full((60, 60), 2.0**-12, np.float32), grid, site, 1, 3.0)
+    distance = np.hypot(grid.x[None, :] - site[0], grid.y[:, None] - site[1])
     assert distance[tuple(alike[0])] == pytest.approx(distance.min(), abs=0.01)
 
 

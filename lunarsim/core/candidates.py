@@ -1,5 +1,5 @@
 # mypy: allow-untyped-defs, no-check-untyped-defs
-"""Compiled selection of map cells: the best scores, and the nearest safe cells.
+"""Selection of candidate cells of a map: the best scores, and the nearest safe cells.
 
 In all functions, `p_safe` (rows, cols) is averaged over the landing dispersion, `corner` (2,) and
 `posting` are position and spacing of cells, m, and `site` is the current site. The score of a cell
@@ -13,8 +13,10 @@ import numpy as np
 from lunarsim._jit import kernel
 from lunarsim._simd import SIMD_WIDTH, lane_max, load, store
 
-# Constant of `candidates.best_cells`.
-_PRICE = np.float32(1e-3 / 100.0)
+# Fraction of p_safe that 1 m of distance costs, so that the nearer of equally safe sites wins. The
+# cost is relative, because p_safe differs only in the third decimal where the map is uncertain
+# everywhere.
+_DISTANCE_WEIGHT = np.float32(1e-3 / 100.0)
 # Score of excluded cells.
 NOWHERE = np.float32(-1e30)
 _NOUGHT, _WHOLE = np.float32(0.0), np.float32(1.0)
@@ -36,7 +38,8 @@ def _score_row(p_safe, north_offset, east_offset, score):
     """
     for c in range(len(p_safe)):
         east = east_offset[c]
-        value = p_safe[c] * (_WHOLE - _PRICE * np.sqrt(east * east + north_offset * north_offset))
+        distance = np.sqrt(east * east + north_offset * north_offset)
+        value = p_safe[c] * (_WHOLE - _DISTANCE_WEIGHT * distance)
         score[c] = value if p_safe[c] > _NOUGHT else NOWHERE
 
 
@@ -176,3 +179,29 @@ def nearest_cells(p_safe, corner, posting, site, p_safe_levels, count, p_safe_ma
             cells[count, 0], cells[count, 1] = cell[0], cell[1]
             count += 1
     return count
+
+
+@kernel()
+def average_cell(p, observed, row, col, sigma):
+    """Return p_safe of one cell, averaged over a Gaussian landing dispersion.
+
+    `p` and `observed` are maps (rows, cols); `sigma` is the dispersion per axis, in cells, cut at 3
+    sigma. Unobserved cells and cells off the map count as 0.
+    """
+    if not observed[row, col]:
+        return 0.0
+    reach = int(3.0 * sigma + 0.5)
+    if reach == 0:
+        return float(p[row, col])
+    weights = np.empty(2 * reach + 1)
+    total, out = 0.0, 0.0
+    for k in range(2 * reach + 1):
+        weights[k] = np.exp(-0.5 * ((k - reach) / sigma) ** 2)
+        total += weights[k]
+    for r in range(max(row - reach, 0), min(row + reach + 1, p.shape[0])):
+        line = 0.0
+        for c in range(max(col - reach, 0), min(col + reach + 1, p.shape[1])):
+            if observed[r, c]:
+                line += weights[c - col + reach] * p[r, c]
+        out += weights[r - row + reach] * line
+    return min(out / (total * total), 1.0)
