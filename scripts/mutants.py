@@ -110,7 +110,39 @@ _TESTS: dict[str, tuple[str, ...]] = {
         "tests/vehicle/test_actuators.py",
     ),
     "lunarsim/vehicle/_leg_kernels.py": ("tests/vehicle/test_legs.py",),
-    "lunarsim/core/touchdown.py": ("tests/vehicle/test_touchdown_kernels.py",),
+    "lunarsim/core/candidates.py": (
+        "tests/onboard/policies/test_candidates.py", "tests/onboard/policies/test_expected_miss.py",
+    ),
+    "lunarsim/core/divert.py": (
+        "tests/onboard/guidance/test_kernels.py", "tests/onboard/guidance/test_divert.py",
+        "tests/onboard/guidance/test_held_times.py",
+    ),
+    "lunarsim/core/guidance.py": (
+        "tests/onboard/guidance/test_vertical.py", "tests/onboard/guidance/test_strain.py",
+        "tests/onboard/guidance/test_following.py",
+    ),
+    "lunarsim/core/path_cost.py": (
+        "tests/onboard/guidance/test_kernels.py", "tests/onboard/guidance/test_laws.py",
+    ),
+    "lunarsim/core/touchdown.py": (
+        "tests/vehicle/test_touchdown_kernels.py", "tests/vehicle/test_touchdown.py",
+    ),
+    "envs/lunarsim_envs/descent/_kernels.py": (
+        "tests/envs/test_descent_kernels.py", "tests/envs/test_descent.py",
+    ),
+    "envs/lunarsim_envs/descent/_loop_kernels.py": ("tests/envs/test_descent_kernels.py",),
+    "envs/lunarsim_envs/sites/_beyond_kernels.py": (
+        "tests/envs/test_site_choice.py", "tests/envs/test_out_of_reach.py",
+    ),
+    "envs/lunarsim_envs/sites/_choice_kernels.py": (
+        "tests/envs/test_site_kernels.py", "tests/envs/test_site_choice.py",
+    ),
+    "envs/lunarsim_envs/sites/_flight_kernels.py": ("tests/envs/test_site_kernels.py",),
+    "envs/lunarsim_envs/sites/_map_kernels.py": (
+        "tests/envs/test_site_kernels.py", "tests/envs/test_sites.py",
+    ),
+    "envs/lunarsim_envs/sites/_sparse_kernels.py": ("tests/envs/test_site_kernels.py",),
+    "envs/lunarsim_envs/sites/reachable_candidates.py": ("tests/envs/test_site_reach.py",),
     "lunarsim/world/terrain/_crater_kernels.py": (
         "tests/world/terrain/test_craters.py", "tests/world/terrain/test_hazard_field.py",
     ),
@@ -144,7 +176,8 @@ def kernel_files() -> dict[str, str]:
     """Return the text of each file with kernels, by its path from the root."""
     texts = {
         p.relative_to(ROOT).as_posix(): p.read_text(encoding="utf-8")
-        for p in sorted((ROOT / "lunarsim").rglob("*.py"))
+        for part in ("lunarsim", "envs")
+        for p in sorted((ROOT / part).rglob("*.py"))
     }
     return {path: text for path, text in texts.items() if kernel_lines(text)}
 

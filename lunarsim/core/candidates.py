@@ -1,5 +1,5 @@
 # mypy: allow-untyped-defs, no-check-untyped-defs
-"""Selection of candidate cells of a map: the best scores, and the nearest safe cells.
+"""Candidate cells of a map: the best scores, and the nearest safe cells.
 
 In all functions, `p_safe` (rows, cols) is averaged over the landing dispersion, `corner` (2,) and
 `posting` are position and spacing of cells, m, and `site` is the current site. The score of a cell

@@ -45,10 +45,13 @@ def importers(files: Iterable[Path], root: Path) -> dict[str, set[str]]:
     files
         Python files that import one another by absolute names.
     root
-        Folder of their package. The returned paths are relative to it.
+        Folder of their package, or that holds a folder ``envs`` with it. The returned paths are
+        relative to it.
     """
     names = {p.relative_to(root).as_posix(): p for p in files}
-    modules = {name.removesuffix(".py").replace("/", "."): name for name in names}
+    modules = {
+        name.removesuffix(".py").removeprefix("envs/").replace("/", "."): name for name in names
+    }
     users: dict[str, set[str]] = {name: {name} for name in names}
     for name, path in names.items():
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
@@ -80,7 +83,9 @@ class MutantWorkspace:
                 shutil.copy2(root / name, folder / name)
         self._stopped = threading.Event()
         self._process: subprocess.Popen[str] | None = None
-        self._users = importers(sorted(folder.glob("lunarsim/**/*kernels.py")), folder)
+        files = [p for part in ("lunarsim", "envs") for p in sorted((folder / part).rglob("*.py"))]
+        compiled = [p for p in files if "kernel" in p.read_text(encoding="utf-8")]
+        self._users = importers(compiled, folder)
 
     def run_without_fault(self, path: str, tests: list[str]) -> float:
         """Run the tests of a file without a fault, after recompiling its kernels.
