@@ -83,7 +83,7 @@ def fly(
         If there are too many episodes, or worker processes cannot load the environment or an agent.
     """
     if episodes > MAX_FLIGHTS:
-        raise InputError("--episodes", episodes, f"must be at most {MAX_FLIGHTS}")
+        raise InputError("--episodes", episodes, f"must be at most {MAX_FLIGHTS:,}")
     report = progress or (lambda n: None)
     work = [
         (agent, range(first, min(first + _CHUNK, episodes)))
