@@ -39,6 +39,8 @@ def read_arrays(path: Path, max_bytes: int = MAX_ARRAY_BYTES) -> dict[str, NDArr
             return {m.filename.removesuffix(".npy"): _array(_read_member(file, m)) for m in members}
     except (MemoryError, RecursionError):
         raise ValueError("an array is larger than the file") from None
+    except zipfile.BadZipFile:
+        raise ValueError("it is not an archive of NumPy arrays, or it is damaged") from None
     except Exception as error:  # zipfile, zlib and NumPy raise many types on damaged files
         if "pickle" in str(error):
             raise ValueError("it contains Python objects instead of numbers") from None

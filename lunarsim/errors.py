@@ -169,13 +169,15 @@ def _format_value(value: object) -> str:
     return f"{text[:half]} ... {text[-half:]}"
 
 
-def error_reason(error: Exception) -> str:
+def error_reason(error: BaseException) -> str:
     """Return the first line of an error's message, or which key is missing.
 
     For an error of the operating system, return its reason alone, without number and path.
     """
     if isinstance(error, KeyError):
         return f"{error} is missing"
+    if isinstance(error, UnicodeError):
+        return "it is not text in UTF-8"
     if isinstance(error, OSError) and error.strerror:
         return error.strerror.lower()
     return str(error).split("\n", maxsplit=1)[0] or type(error).__name__
@@ -254,7 +256,10 @@ def check_output(field: str, path: Path, suffix: str) -> None:
         raise InputError(field, str(path), f"must be a file name that ends in {suffix}")
     if not path.parent.is_dir():
         raise InputError(
-            field, str(path), "must be in an existing folder", f"Create {path.parent} first."
+            field,
+            str(path),
+            "must be in an existing folder",
+            f"Create the folder {str(path.parent)!r} first.",
         )
     if path.is_dir():
         raise InputError(field, str(path), "must be a file, not a folder")

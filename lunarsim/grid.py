@@ -54,7 +54,8 @@ def check_raster_size(
             field, size,
             f"must be at most {max_cells_per_side * posting:g} m ({max_cells_per_side} {what} of "
             f"{posting:g} m)",
-            f"This size needs {format_bytes(4.0 * count * count)}.",
+            f"This size needs {format_bytes(4.0 * count * count)} of memory. Decrease the size, or "
+            "use a coarser grid.",
         )  # fmt: skip
 
 

@@ -26,10 +26,12 @@ def read_json(path: Path) -> Any:
         raise ValueError("its values are nested too deep") from None
     except OSError as error:
         raise ValueError(error.strerror or "the file cannot be read") from None
-    except (json.JSONDecodeError, UnicodeError):
-        raise
+    except json.JSONDecodeError as error:
+        raise ValueError(f"invalid JSON at line {error.lineno}, column {error.colno}") from None
+    except UnicodeError:
+        raise ValueError("it is not text in UTF-8") from None
     except ValueError:
         raise ValueError("an integer has too many digits") from None
     if is_too_large:
-        raise ValueError(f"the file has more than {MAX_JSON_BYTES} bytes")
+        raise ValueError(f"the file is larger than {MAX_JSON_BYTES // 2**20} MiB")
     return found

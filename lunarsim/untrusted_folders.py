@@ -48,6 +48,8 @@ def read_bounded_bytes(path: Path) -> bytes:
     """
     if path.stat().st_size > MAX_FILE_BYTES:
         raise InputError(
-            "folder", str(path), f"must not contain a file of more than {MAX_FILE_BYTES} bytes"
+            "folder",
+            str(path),
+            f"must not contain a file larger than {MAX_FILE_BYTES // 2**20} MiB",
         )
     return path.read_bytes()

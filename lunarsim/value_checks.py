@@ -115,4 +115,4 @@ def check_time(field: str, time: float, last: float) -> None:
     """
     check_finite(field, time)
     if time < last:
-        raise InputError(field, time, f"must be at least the last time, which is {last} s")
+        raise InputError(field, time, f"must be at least the previous time, {last} s")

@@ -66,7 +66,7 @@ def test_the_wrong_element_is_named():
 
 def test_time_does_not_run_backwards():
     check_time("time", 0.0, -np.inf)
-    with pytest.raises(InputError, match=r"must be at least the last time, which is 1\.0 s, got 0"):
+    with pytest.raises(InputError, match=r"must be at least the previous time, 1\.0 s, got 0"):
         check_time("time", 0.5, 1.0)
     with pytest.raises(InputError, match=r"must be finite, got nan"):
         check_time("time", np.nan, -np.inf)

@@ -44,11 +44,13 @@ def scenario_argument(source: Any, changes: Any, default: Scenario) -> Scenario:
         raise InputError(
             "scenario",
             source,
-            "must be a Scenario, the path of a TOML file or the name of a supplied scenario",
+            "must be a Scenario, the path of a TOML file or the name of a packaged scenario",
         )
     named = {} if changes is None else changes
     if not isinstance(named, Mapping) or not all(isinstance(key, str) for key in named):
-        raise InputError("changes", changes, "must be a dictionary, such as {'rocks.cover': 0.1}")
+        raise InputError(
+            "changes", changes, "must be a dictionary by scenario key, such as {'rocks.cover': 0.1}"
+        )
     return with_values(scenario, named, "changes")
 
 
@@ -107,8 +109,9 @@ def checked_options(options: Any) -> dict[str, Any]:
     named = {} if options is None else options
     if not isinstance(named, Mapping) or not all(isinstance(key, str) for key in named):
         raise InputError(
-            "options", options, "must be a dictionary, such as {'position_m': (0, 0, 500)}"
-        )
+            "options", options,
+            "must be a dictionary by name of option, such as {'position_m': (0, 0, 500)}",
+        )  # fmt: skip
     return dict(named)
 
 

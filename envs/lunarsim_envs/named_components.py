@@ -20,7 +20,7 @@ def named_parts(field: str, names: Sequence[str], known: Mapping[str, Part]) -> 
     """
     listed = isinstance(names, Sequence) and not isinstance(names, (str, bytes))
     if not listed or not len(names) or not all(isinstance(name, str) for name in names):
-        raise InputError(field, names, "must be a list of one name or more")
+        raise InputError(field, names, "must be a list of one or more names")
     for name in names:
         if name not in known:
             raise InputError(

@@ -115,7 +115,7 @@ def calibrate(
     mapper = gaussian_mapper(scenario, mapper)
     plain = scenario.changed(mappers={mapper: {"calibration_path": None}})
     if flights > MAX_FLIGHTS:
-        raise InputError("--flights", flights, f"must be at most {MAX_FLIGHTS}")
+        raise InputError("--flights", flights, f"must be at most {MAX_FLIGHTS:,}")
     tasks = [_CalibrationFlight(plain, mapper, seed, i, sites) for i in range(flights)]
     found: dict[int, list[SiteSamples]] = {}
     for index, parts in iterate_results(_fly_and_sample, tasks, min(jobs, flights)):

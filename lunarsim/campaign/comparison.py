@@ -124,7 +124,7 @@ def check_request(
                 "must be names, or objects with `name` and `decide(observation)`",
             )
     if flights > MAX_FLIGHTS:
-        raise InputError("--flights", flights, f"must be at most {MAX_FLIGHTS}")
+        raise InputError("--flights", flights, f"must be at most {MAX_FLIGHTS:,}")
     if not policies:
         raise InputError(
             "--policies",

@@ -93,8 +93,8 @@ class TruncatedNormal:
         if mass < _MIN_BOUNDED_MASS:
             raise InputError(
                 "high" if self.low is None else "low", self.high if self.low is None else self.low,
-                f"must give a probability above {_MIN_BOUNDED_MASS:g} between low and high, with "
-                "this mean and sigma", "Move the bound closer to the mean.",
+                "must be closer to the mean, because the probability between low and high is "
+                f"below {_MIN_BOUNDED_MASS:g}",
             )  # fmt: skip
 
     def _scores(self) -> tuple[float, float]:
@@ -151,7 +151,9 @@ class Choice:
         if self.weights is not None:
             if len(self.weights) != len(self.values):
                 raise InputError(
-                    "weights", self.weights, f"must have {len(self.values)} weights, one per value"
+                    "weights",
+                    self.weights,
+                    f"must have as many weights as values ({len(self.values)})",
                 )
             if not 0.0 < sum(self.weights) < np.inf:
                 expected = "must have a positive and finite sum"

@@ -167,7 +167,7 @@ def parse_arms(tables: Any) -> list[tuple[str, dict[str, Any]]]:
     """
     if not isinstance(tables, list) or not tables:
         raise InputError(
-            "arms", tables, "must be a list of [[arms]], each with a name and a table `set`"
+            "arms", tables, "must be tables [[arms]], each with a name and a table `set`"
         )
     found = []
     for i, table in enumerate(tables):
@@ -212,7 +212,8 @@ def build_arms(
             )  # fmt: skip
         if folders[folder_name(name)] > 1:
             raise InputError(
-                field, name, "must have a unique name for each arm and its folder",
+                field, name,
+                "must give each arm a name that differs in more than special characters",
                 "Give other names with [[arms]].",
             )  # fmt: skip
     if len(combinations) > MAX_ARMS:

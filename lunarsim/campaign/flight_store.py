@@ -59,8 +59,8 @@ class FlightStore:
         if difference is not None:
             raise InputError(
                 "flights.file", str(path),
-                "must hold flights with the same settings, but "
-                + "{} differs: {!r} there, {!r} here".format(*difference),
+                "must contain flights with the same settings, but "
+                + "{} is {!r} in the file and {!r} now".format(*difference),
             )  # fmt: skip
         self.flights = flights
         code = data.get("code")

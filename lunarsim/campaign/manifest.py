@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import reprlib
 from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
@@ -95,7 +96,7 @@ class _Manifest(_Strict):
                 raise ValueError(f"{what} {twice[0]!r} occurs twice")
         for key in self.identity.dispersions:
             if key not in self.inputs:
-                raise ValueError(f"the draws of {key!r} have no column")
+                raise ValueError(f"the dispersed key {key!r} has no column of values")
         return self
 
 
@@ -124,7 +125,8 @@ def matching_manifest(folder: Path, plan: Plan) -> dict[str, Any] | None:
         if manifest.get(key) != ours:
             raise InputError(
                 "--out", str(folder),
-                f"holds flights of another lunarsim ({key} {manifest.get(key)} there, {ours} here)",
+                f"contains flights of another version of lunarsim ({key}: {manifest.get(key)} in "
+                f"the folder, {ours} installed)",
                 "Use a new folder.",
             )  # fmt: skip
     _check_packages(folder, manifest)
@@ -145,8 +147,8 @@ def matching_manifest(folder: Path, plan: Plan) -> dict[str, Any] | None:
         key, old, new = difference
         raise InputError(
             "--out", str(folder),
-            f"holds another campaign: {key} was {old!r} there, but is {new!r} now",
-            "Use a new folder or the original spec.",
+            f"contains another campaign ({key}: {_shown(old)} in the folder, {_shown(new)} in this "
+            "campaign)", "Use a new folder, or the campaign file of that folder.",
         )  # fmt: skip
     return manifest
 
@@ -157,7 +159,9 @@ def _check_packages(folder: Path, manifest: Mapping[str, Any]) -> None:
     other = environment_differences(before, now)
     if not other:
         return
-    differences = [f"{n} {before.get(n, 'none')} there, {now.get(n, 'none')} here" for n in other]
+    differences = [
+        f"{n}: {before.get(n, 'none')} in the folder, {now.get(n, 'none')} installed" for n in other
+    ]
     pins = [f"{n}=={before[n]}" for n in other if n in before and n != "platform"]
     install = f", or first run: pip install {' '.join(pins)}" if pins else ""
     raise InputError(
@@ -201,7 +205,7 @@ def read_manifest(folder: Path) -> dict[str, Any]:
     path = folder / "manifest.json"
     if not path.is_file():
         raise InputError(
-            "folder", str(folder), "must be the folder of a campaign, with manifest.json"
+            "folder", str(folder), "must be the folder of a campaign, which contains manifest.json"
         )
     check_no_links(folder)
     try:
@@ -209,7 +213,7 @@ def read_manifest(folder: Path) -> dict[str, Any]:
         _Manifest.model_validate(data)
         # Older versions wrote no digest.
         if data.pop("digest", None) not in (None, with_digest(data)["digest"]):
-            raise ValueError("its values do not match its digest")
+            raise ValueError("its digest does not match its values")
     except ValidationError as error:
         raise _damaged(folder, _reason(error)) from None
     except ValueError as error:
@@ -220,17 +224,24 @@ def read_manifest(folder: Path) -> dict[str, Any]:
 def _reason(error: ValidationError) -> str:
     """Describe the first validation error of a manifest as text."""
     first = error.errors()[0]
-    field = ".".join(map(str, first["loc"])) or "manifest"
+    field = ".".join(map(str, first["loc"]))
     if first["type"] == "literal_error":
-        return f"{field} has an unknown kind of column"
-    return f"{field}: {plain_problem(first)}"
+        return f"{field}: unknown type of column"
+    if first["type"] == "string_pattern_mismatch":
+        return f"{field}: must not contain control characters"
+    return f"{field}: {plain_problem(first)}" if field else plain_problem(first)
 
 
 def _damaged(folder: Path, reason: str) -> InputError:
     return InputError(
         "folder", str(folder), f"contains a damaged manifest.json ({reason[:100]})",
-        "Restore it from a copy, or use a new folder.",
+        "Restore manifest.json from a copy, or repeat the campaign in a new folder.",
     )  # fmt: skip
+
+
+def _shown(value: Any) -> str:
+    """Return the text of a manifest value, shortened if it is long."""
+    return "missing" if value is None else reprlib.repr(value)
 
 
 def first_difference(a: Any, b: Any, path: str = "") -> tuple[str, Any, Any] | None:

@@ -141,8 +141,8 @@ def load_results(folder: str | Path, columns: Sequence[str] | None = None) -> Re
     if manifest["state"] in ("complete", "stopped") and len(table) < int(manifest["rows"]):
         raise InputError(
             "folder", str(folder),
-            f"has only {len(table)} of its {manifest['rows']} rows",
-            "Fly the others with the same spec: lunarsim campaign run.",
+            f"contains the results of only {len(table)} of {manifest['rows']} flights",
+            "Fly the missing ones: `lunarsim campaign run` with the same campaign file.",
         )  # fmt: skip
     arm = np.array([place[name] for name in table["arm"].to_pylist()], dtype=np.int64)
     order = np.lexsort((arm, table["flight"].to_numpy()))
@@ -214,7 +214,7 @@ def _damaged(path: Path, error: Exception) -> InputError:
     return InputError(
         "folder", str(path),
         f"cannot be read ({(str(error).splitlines() or [type(error).__name__])[0][:100]})",
-        "Fly its flights again with the same spec: lunarsim campaign run.",
+        "Repeat the flights of this file: `lunarsim campaign run` with the same campaign file.",
     )  # fmt: skip
 
 

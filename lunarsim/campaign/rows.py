@@ -71,7 +71,7 @@ def check_size_in_memory(data: bytes) -> None:
             lengths = pc.binary_length(chunk.dictionary.cast(pa.large_string()))
             size += pc.sum(lengths.take(chunk.indices)).as_py() or 0
     if size > MAX_FILE_BYTES:
-        raise ValueError(f"more than {MAX_FILE_BYTES} bytes when expanded")
+        raise ValueError(f"larger than {MAX_FILE_BYTES // 2**20} MiB when decompressed")
 
 
 def row_of(plan: Plan, finished: Finished) -> dict[str, Any]:

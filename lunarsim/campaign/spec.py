@@ -237,8 +237,8 @@ class CampaignSpec:
         spec = cls(head, scenario, arms, dispersions, stop, factors)
         if spec.max_flights * len(arms) > MAX_FLIGHTS:
             most = (
-                f"must give at most {MAX_FLIGHTS} flights in total, but all arms and levels "
-                f"together have {spec.max_flights * len(arms)}"
+                f"must give at most {MAX_FLIGHTS:,} flights of all arms and levels together, but "
+                f"gives {spec.max_flights * len(arms):,}"
             )
             raise InputError("flights", head.flights, most)
         spec.check_draws()
@@ -286,7 +286,7 @@ class CampaignSpec:
                     raise InputError(
                         f"dispersions.{name}",
                         name,
-                        f"must not be random, because arms set {key}",
+                        f"must be omitted, because the arms set {key}",
                         show_value=False,
                     )
         drawn = [
@@ -480,7 +480,7 @@ def _list(given: Any) -> list[Any]:
         return []
     if not isinstance(given, list):
         raise InputError(
-            "correlations", given, "must be a list of [[correlations]], each with keys and matrix"
+            "correlations", given, "must be tables [[correlations]], each with keys and matrix"
         )
     return given
 

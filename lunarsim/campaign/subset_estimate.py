@@ -68,7 +68,7 @@ def load_chains(results: Results) -> SubsetChains:
         raise InputError(
             "folder", str(results.folder),
             f"contains flight {orphans[0]}, which does not match the flights that it depends on",
-            "Fly it again with the same spec: lunarsim campaign run.",
+            "Fly it again: `lunarsim campaign run` with the same campaign file.",
         )  # fmt: skip
     return chains
 

@@ -66,7 +66,7 @@ class CameraModel:
             raise InputError(
                 "camera.mount",
                 np.array(self.mount).tolist(),
-                "must be a rotation matrix (3, 3)",
+                "must be a rotation matrix of shape (3, 3)",
                 show_value=False,
             )
         for name, middle in (("cx", 0.5 * (self.width - 1)), ("cy", 0.5 * (self.height - 1))):

@@ -77,12 +77,12 @@ class DescentEngine:
         if self.gap_lower > 0.0 and not self.gap_lower < self.gap_upper:
             raise InputError(
                 "engine.gap_upper", self.gap_upper,
-                f"must be more than gap_lower, which is {self.gap_lower:g} N",
+                f"must be more than the lower limit of the gap, {self.gap_lower:g} N",
             )  # fmt: skip
         if self.gap_upper > 0.0 and not self.gap_lower > 0.0:
             raise InputError(
                 "engine.gap_lower", self.gap_lower,
-                f"must be positive, because gap_upper is {self.gap_upper:g} N",
+                f"must be positive, because the upper limit of the gap is {self.gap_upper:g} N",
             )  # fmt: skip
 
     @property
@@ -138,20 +138,19 @@ class JetLander(Lander):
         if self.thrusters.propellant >= self.dry_mass:
             raise InputError(
                 "vehicle.thrusters.propellant_kg", self.thrusters.propellant,
-                f"must be less than vehicle.dry_mass_kg, which is {self.dry_mass:g} and includes "
-                "this "
-                "mass",
+                f"must be less than vehicle.dry_mass_kg, which is {self.dry_mass:g} kg and "
+                "includes this propellant",
             )  # fmt: skip
         gap = self.engine
         if gap.has_gap and not self.thrust_min < gap.gap_lower:
             raise InputError(
                 "vehicle.engine.gap_lower_n", gap.gap_lower,
-                f"must be more than vehicle.thrust_min_n, which is {self.thrust_min:g}",
+                f"must be more than vehicle.thrust_min_n, which is {self.thrust_min:g} N",
             )  # fmt: skip
         if gap.has_gap and not gap.gap_upper <= self.thrust_max:
             raise InputError(
                 "vehicle.engine.gap_upper_n", gap.gap_upper,
-                f"must be at most vehicle.thrust_max_n, which is {self.thrust_max:g}",
+                f"must be at most vehicle.thrust_max_n, which is {self.thrust_max:g} N",
             )  # fmt: skip
         for name in ("com_dry", "com_full"):
             self._check_com(f"vehicle.{name}_m", getattr(self, name))
@@ -169,7 +168,7 @@ class JetLander(Lander):
             raise InputError(
                 f"{field}[2]",
                 com[2],
-                f"must be {-engine.pivot_depth:g} or more, because the engine's pivot is at that "
+                f"must be {-engine.pivot_depth:g} m or more, because the engine's pivot is at that "
                 "height",
             )
         # An offset along y causes torque about body x, and one along x causes torque about body y.
@@ -179,7 +178,7 @@ class JetLander(Lander):
             if abs(com[i]) > limit:
                 shown = np.floor(limit * 1e4) / 1e4  # rounded inwards
                 raise InputError(
-                    f"{field}[{i}]", com[i], f"must be between {-shown:g} and {shown:g}",
+                    f"{field}[{i}]", com[i], f"must be between {-shown:g} and {shown:g} m",
                     "Farther from the engine's axis, gimbal and thrusters cannot balance the "
                     "minimum thrust.",
                 )  # fmt: skip

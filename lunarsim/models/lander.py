@@ -119,7 +119,7 @@ class Lander:
         if self.thrust_min >= self.thrust_max:
             raise InputError(
                 "vehicle.thrust_min", self.thrust_min,
-                f"must be less than thrust_max, which is {self.thrust_max:g} N",
+                f"must be less than the maximum thrust, {self.thrust_max:g} N",
             )  # fmt: skip
         self._set_default_inertia()
         for name in ("inertia_dry", "inertia_full"):
@@ -133,7 +133,7 @@ class Lander:
         if self.pad_diameter >= self.leg_radius:
             raise InputError(
                 "vehicle.pad_diameter", self.pad_diameter,
-                f"must be less than leg_radius, which is {self.leg_radius:g} m",
+                f"must be less than the leg radius, {self.leg_radius:g} m",
             )  # fmt: skip
 
     def _set_default_inertia(self) -> None:

@@ -67,12 +67,14 @@ class Slosh:
         check_bounds(self, "slosh")
         for place in self.tanks:
             if np.shape(place) != (3,) or not np.all(np.isfinite(place)):
-                raise InputError("slosh.tanks", place, "must be three finite numbers per tank")
+                raise InputError(
+                    "slosh.tanks", place, "must have three finite numbers (x, y, z) per tank"
+                )
         if self.propellant_fractions and len(self.propellant_fractions) != len(self.tanks):
             raise InputError(
                 "slosh.propellant_fractions",
                 len(self.propellant_fractions),
-                f"must have {len(self.tanks)} values, one per tank of tanks_m",
+                f"must have as many values as tanks_m ({len(self.tanks)})",
             )
         if self.propellant_fractions and abs(sum(self.propellant_fractions) - 1.0) > 1e-6:
             raise InputError(

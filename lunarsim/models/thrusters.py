@@ -74,7 +74,7 @@ class Thrusters:
         if len(self.positions) != len(self.directions):
             raise InputError(
                 "thrusters.directions", len(self.directions),
-                f"must have {len(self.positions)} vectors, one per thruster of positions_m",
+                f"must have as many vectors as positions_m ({len(self.positions)})",
             )  # fmt: skip
         for i, d in enumerate(self.directions):
             if not np.linalg.norm(d) > 0.0:

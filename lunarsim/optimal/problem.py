@@ -38,7 +38,7 @@ class Cone:
         rows = len(self.normals) if np.ndim(self.normals) == 2 else 0
         object.__setattr__(self, "normals", numbers("cone", self.normals, (rows, 3), expected))
         if rows == 0:
-            raise InputError("optimal.cone", self.normals.shape, expected)
+            raise InputError("optimal.cone", self.normals, expected)
         if not (is_number(self.drop) and self.drop >= 0.0):
             raise InputError("optimal.cone.drop", self.drop, "must be 0 or more and finite")
 

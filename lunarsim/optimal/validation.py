@@ -49,7 +49,7 @@ def numbers(name: str, value: Any, shape: tuple[int, ...], expected: str) -> Arr
     except ValueError:  # nested sequences of unequal length
         raise InputError(f"optimal.{name}", value, expected) from None
     if found.dtype.kind not in "fiu" or found.shape != shape:
-        raise InputError(f"optimal.{name}", value if found.size < 10 else found.shape, expected)
+        raise InputError(f"optimal.{name}", value if found.size < 10 else found, expected)
     for index in np.argwhere(~np.isfinite(found)):
         place = "".join(f"[{i}]" for i in index)
         raise InputError(f"optimal.{name}{place}", float(found[tuple(index)]), "must be finite")

@@ -161,7 +161,10 @@ def _with_element(current: Any, index: int, value: Any, field: str) -> list[Any]
             "Omit the index.", show_value=False,
         )  # fmt: skip
     if index >= len(current):
-        problem = f"must have an index from 0 to {len(current) - 1}, the last of the list"
+        problem = (
+            f"must end in an index from 0 to {len(current) - 1}, because the list has "
+            f"{len(current)} values"
+        )
         if not current:
             problem = "ends in an index, but the list is empty"
         raise InputError(field, value, problem, show_value=False)

@@ -21,7 +21,9 @@ _PROBLEMS = {
     "float_type": "must be a number",
     "int_type": "must be an integer",
     "finite_number": "must be finite",
+    "int_from_float": "must be an integer",
     "string_type": "must be a text in quotes",
+    "string_too_long": "must have at most {max_length} characters",
     "path_type": "must be a file path in quotes",
     "tuple_type": "must be a list",
     "list_type": "must be a list",
@@ -32,6 +34,9 @@ _PROBLEMS = {
     "greater_than_equal": "must be {ge} or more",
     "less_than": "must be less than {lt}",
     "less_than_equal": "must be at most {le}",
+    "too_short": "must have at least {min_length} values, not {actual_length}",
+    "too_long": "must have at most {max_length} values, not {actual_length}",
+    "extra_forbidden": "is an unknown key",
 }
 # Maximum number of characters of a list of known keys.
 _MAX_HINT_LENGTH = 120

@@ -14,8 +14,11 @@ from lunarsim.errors import InputError
 MAX_TOML_BYTES = 2**22
 # Maximum depth of nested tables. A scenario has 4, an arm of a campaign some more.
 _MAX_DEPTH = 40
+_TOO_LARGE = f"must not be larger than {MAX_TOML_BYTES // 2**20} MiB"
 _LARGE_INTEGER = "an integer has more than 64 bits"
 _TOO_DEEP = f"tables are nested more than {_MAX_DEPTH} levels deep"
+# Matches the place at the end of an error of tomllib.
+_PLACE = re.compile(r" \((at [^()]*)\)$")
 # Matches keys with more parts than that: the memory of tomllib grows with the square of the number.
 _DEEP_KEY = re.compile(
     r"""(?:(?:(?<![\w-])[\w-]++|"[^"\n]*"|'[^'\n]*')[ \t]*\.[ \t]*)""" f"{{{_MAX_DEPTH}}}"
@@ -40,11 +43,12 @@ def read_toml(path: Path, name: str) -> dict[str, Any]:
     if not path.is_file():
         raise InputError(name, str(path), "must be an existing TOML file")
     if path.stat().st_size > MAX_TOML_BYTES:
-        raise InputError(name, str(path), f"must have at most {MAX_TOML_BYTES} bytes")
+        raise InputError(name, str(path), _TOO_LARGE)
     try:
         text = path.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError as error:
-        raise InputError(name, str(path), f"must be a text file in UTF-8 ({error})") from None
+        place = f"byte 0x{error.object[error.start]:02x} at position {error.start}"
+        raise InputError(name, str(path), f"must be a text file in UTF-8 ({place})") from None
     tables = parsed_toml(text, name, str(path))
     if not tables:
         raise InputError(name, str(path), "must contain at least one key")
@@ -67,13 +71,13 @@ def parsed_toml(text: str, name: str = "scenario", shown: str = "text") -> dict[
         If the text is not TOML, is nested too deep, or has an integer of more than 64 bits.
     """
     if len(text) > MAX_TOML_BYTES:
-        raise InputError(name, shown, f"must have at most {MAX_TOML_BYTES} bytes")
+        raise InputError(name, shown, _TOO_LARGE)
     if _DEEP_KEY.search(text):
         raise InputError(name, shown, f"must be a valid TOML file ({_TOO_DEEP})")
     try:
         tables = _load(text)
         _check_values(tables)
-    except (ValueError, RecursionError) as error:
+    except ValueError as error:
         raise InputError(name, shown, f"must be a valid TOML file ({error})") from None
     return tables
 
@@ -82,8 +86,10 @@ def _load(text: str) -> dict[str, Any]:
     """Parse TOML text; raise `ValueError` with a text for users if it is invalid."""
     try:
         return tomllib.loads(text)
-    except tomllib.TOMLDecodeError:
-        raise
+    except RecursionError:
+        raise ValueError(_TOO_DEEP) from None
+    except tomllib.TOMLDecodeError as error:
+        raise ValueError(_PLACE.sub(r" \1", str(error))) from None
     except ValueError:  # Python does not convert integers of more than 4,300 digits.
         raise ValueError(_LARGE_INTEGER) from None
 

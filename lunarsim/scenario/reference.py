@@ -29,7 +29,9 @@ def parts_list(contract: str | None = None) -> list[str]:
         If the contract does not exist.
     """
     if contract is not None and contract not in CONTRACTS:
-        raise InputError("contract", contract, "is unknown", suggestion(contract, CONTRACTS))
+        raise InputError(
+            "contract", contract, "must be a type of component", suggestion(contract, CONTRACTS)
+        )
     lines = []
     for name in CONTRACTS if contract is None else [contract]:
         for kind in kinds(name):

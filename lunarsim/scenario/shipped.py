@@ -69,15 +69,17 @@ def found(given: Path, base_folder: Path | None = None) -> Path:
         return known[str(given)]
     others = [str(given.parent / p.name) for p in path.parent.glob("*.toml") if p.is_file()]
     near = _hint(str(given), [*known, *others])
-    if not near.startswith(("Did you mean", "Its new name")):
-        near = "Names of packaged scenarios: `lunarsim scenario list`."
-    raise InputError("scenario", str(path), "must be an existing TOML file", near)
+    if not near.startswith(("Did you mean", "This scenario is now")):
+        near = "`lunarsim scenario list` prints the names of packaged scenarios."
+    raise InputError(
+        "scenario", str(path), "must be an existing TOML file or a packaged scenario", near
+    )
 
 
 def _hint(name: str, known: Iterable[str]) -> str:
     """Return a sentence with the new name of a renamed scenario or the closest name."""
     new = RENAMED_SCENARIOS.get(Path(name).stem)
-    return f"Its new name is {new}." if new else suggestion(name, list(known))
+    return f"This scenario is now named {new}." if new else suggestion(name, list(known))
 
 
 def description_of(path: Path) -> str:

@@ -103,6 +103,10 @@ class FlightRecord(_StrictRecord):
     digests: dict[str, str] = {}
 
 
+class _DefectError(ValueError):
+    """Error with a text for users: a file of a flight record has a defect."""
+
+
 @contextmanager
 def reading(path: Path) -> Iterator[None]:
     """Raise any error within a `with` statement as an `InputError` that names a file."""
@@ -111,23 +115,33 @@ def reading(path: Path) -> Iterator[None]:
     except Exception as error:  # the libraries raise many types on damaged files
         if isinstance(error, InputError) and error.field == "flight":
             raise
-        raise _damaged(path, _reason(error)) from None
+        raise _damaged(path, _reason(error, path.suffix)) from None
 
 
-def _reason(error: Exception) -> str:
-    """Return the first line of an error's message, with the invalid field if known."""
+def _reason(error: Exception, suffix: str) -> str:
+    """Return the first line of an error's message, with the invalid field if known.
+
+    `suffix` is the suffix of the file. Messages of libraries follow the name of the file's format.
+    """
     if isinstance(error, ValidationError):
         first = error.errors()[0]
-        return f"{'.'.join(map(str, first['loc']))} {plain_problem(first)}"
+        problem = plain_problem(first)
+        if first["type"] == "string_pattern_mismatch":
+            problem = "must be a name of letters, digits, _ and -"
+        return f"{'.'.join(map(str, first['loc']))} {problem}"
     if isinstance(error, InputError):
-        return error.problem
-    return error_reason(error)
+        return f"{error.field} {error.problem}"
+    reason = error_reason(error)
+    if isinstance(error, _DefectError) or getattr(error, "strerror", None):
+        return reason
+    formats = {".parquet": "Parquet", ".nc": "NetCDF"}
+    return f"no valid {formats[suffix]} file: {reason}" if suffix in formats else reason
 
 
 def _damaged(path: Path, reason: str) -> InputError:
     return InputError(
-        "flight", str(path), f"must be a complete flight record ({reason[:100]})",
-        "Restore it from a copy, or fly again.",
+        "flight", str(path), f"must be an intact file of a flight record ({reason[:100]})",
+        "Restore the file from a copy, or repeat the flight.",
     )  # fmt: skip
 
 
@@ -157,7 +171,9 @@ def read_record(folder: Path) -> dict[str, Any]:
     for name, digest in checked.digests.items():
         with reading(folder / name):
             if digest_of(_inside(folder, folder / name)) != digest:
-                raise ValueError("the file was changed: its digest differs from flight.json")
+                raise _DefectError(
+                    "the file was changed: its digest differs from the one in flight.json"
+                )
     return tables
 
 
@@ -168,9 +184,9 @@ def digest_of(path: Path) -> str:
 
 
 def _inside(folder: Path, path: Path) -> Path:
-    """Return a path if it is inside a folder; otherwise raise `ValueError`."""
+    """Return a path if it is inside a folder; otherwise raise an error."""
     if not path.resolve().is_relative_to(folder.resolve()):
-        raise ValueError("this file is outside the folder of the record")
+        raise _DefectError("the file is outside the folder of the record")
     return path
 
 
@@ -198,16 +214,18 @@ def read_columns(
     with reading(path), pq.ParquetFile(_inside(folder, path), page_checksum_verification=True) as f:
         names = list(f.schema_arrow.names) if required is None else list(required)
         for name in names:
+            if name not in f.schema_arrow.names:
+                raise _DefectError(f"column {name} is missing")
             kind = f.schema_arrow.field(name).type
             if not (pa.types.is_floating(kind) or pa.types.is_integer(kind) or kind == pa.bool_()):
-                raise ValueError(f"column {name} is of type {kind}")
+                raise _DefectError(f"column {name} is of type {kind}")
         if 8 * f.metadata.num_rows * max(len(names), 1) > MAX_EXPANDED_BYTES:
-            raise ValueError(f"more than {MAX_EXPANDED_BYTES} bytes when decompressed")
+            raise _DefectError(f"larger than {MAX_EXPANDED_BYTES // 2**20} MiB when decompressed")
         table = f.read(names)
         if len(table) < min_rows:
-            raise ValueError(f"the file has {len(table)} rows, but needs {min_rows}")
+            raise _DefectError(f"the table has {len(table)} rows, but needs {min_rows}")
         if any(column.null_count for column in table.columns):
-            raise ValueError("values are missing")
+            raise _DefectError("values are missing")
         return {name: np.array(table[name].to_numpy()) for name in names}
 
 
@@ -220,7 +238,7 @@ def read_trajectory(folder: Path, names: Sequence[str]) -> dict[str, Array]:
     found = read_columns(folder, path, names, min_rows=1)
     with reading(path):
         if not np.isfinite(found["time"]).all():
-            raise ValueError("times are not finite")
+            raise _DefectError("times are not finite")
     return {name: column.astype(np.float64, copy=False) for name, column in found.items()}
 
 
@@ -254,11 +272,11 @@ def read_layers(
         shape = found["p_safe"].shape
         for name, layer in found.items():
             if layer.shape != shape or layer.dtype.kind not in "fi":
-                raise ValueError(f"layer {name} has type {layer.dtype} and shape {layer.shape}")
+                raise _DefectError(f"layer {name} has type {layer.dtype} and shape {layer.shape}")
         if shape != tuple(_local_dataset(file, name).size for name in "yx"):
-            raise ValueError(f"layers of shape {shape} do not fit the axes y and x")
+            raise _DefectError(f"layers of shape {shape} do not fit the axes y and x")
         if 8 * math.prod(shape) > MAX_EXPANDED_BYTES:
-            raise ValueError(f"more than {MAX_EXPANDED_BYTES} bytes when decompressed")
+            raise _DefectError(f"larger than {MAX_EXPANDED_BYTES // 2**20} MiB when decompressed")
         layers = {
             name: layer[()].astype(np.bool_ if name in flags else np.float32)
             for name, layer in found.items()
@@ -268,18 +286,18 @@ def read_layers(
         grid = Grid(float(x0), float(y0), float(posting), *shape)
         error = np.array(a["navigation_error_m"], dtype=np.float64)
         if error.shape != (3,) or not np.isfinite(error).all():
-            raise ValueError("navigation_error_m must be three finite numbers")
+            raise _DefectError("navigation_error_m must be three finite numbers")
         return grid, layers, error
 
 
 def _local_dataset(file: Any, name: str) -> Any:
     """Return a dataset of an open HDF5 file.
 
-    Raise `ValueError` if the dataset links to another place or file.
+    Raise an error if the dataset links to another place or file.
     """
     import h5py  # noqa: PLC0415  (loads slowly)
 
     link, dataset = file.get(name, getlink=True), file[name]
     if not isinstance(link, h5py.HardLink) or dataset.external or dataset.is_virtual:
-        raise ValueError(f"{name} links to another place or file")
+        raise _DefectError(f"{name} links to another place or file")
     return dataset

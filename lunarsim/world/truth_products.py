@@ -103,7 +103,7 @@ def truth_grid(world: World, centre: tuple[float, float], size: float, posting: 
         raise InputError("--posting", posting, "must be positive and finite")
     if not (np.isfinite(size) and size >= 10.0 * posting):
         raise InputError(
-            "--size", size, f"must be at least ten times --posting, {10.0 * posting:g} m"
+            "--size", size, f"must be at least {10.0 * posting:g} m, ten times --posting"
         )
     check_raster_size("--size", size, posting, _MAX_CELLS_PER_SIDE)
     west, east, south, north = world.terrain.bounds

@@ -68,7 +68,7 @@ def test_what_is_no_text_or_a_folder_is_refused(tmp_path):
 def test_flights_of_another_study_are_refused(tmp_path):
     file = tmp_path / "flights.json"
     FlightStore(file, SETTINGS).keep("a", {"clear": 1.0})
-    with pytest.raises(InputError, match=r"settings\.seed differs: 3 there, 4 here"):
+    with pytest.raises(InputError, match=r"settings\.seed is 3 in the file and 4 now"):
         FlightStore(file, {**SETTINGS, "seed": 4})
 
 

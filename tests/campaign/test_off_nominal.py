@@ -56,7 +56,7 @@ def test_rows_that_are_gone_are_told_of_and_flown_again(tmp_path):
     run(plan(flights=30), InlineEngine(), tmp_path / "c")
     before = parts(tmp_path / "c")
     shutil.rmtree(tmp_path / "c" / "results")
-    with pytest.raises(InputError, match="60 rows"):
+    with pytest.raises(InputError, match="0 of 60 flights"):
         load_results(tmp_path / "c")
     run(plan(flights=30), InlineEngine(), tmp_path / "c")
     assert parts(tmp_path / "c") == before
@@ -64,7 +64,7 @@ def test_rows_that_are_gone_are_told_of_and_flown_again(tmp_path):
 
 @pytest.mark.parametrize(
     ("key", "value", "says"),
-    [("format", 0, "of format"), ("columns", {"safe": "complex"}, "unknown kind"),
+    [("format", 0, "of format"), ("columns", {"safe": "complex"}, "unknown type of column"),
      ("arms", [], "has rows of arms"), ("inputs", None, "a damaged manifest")],
 )  # fmt: skip
 def test_a_manifest_that_does_not_fit_is_refused(tmp_path, key, value, says):

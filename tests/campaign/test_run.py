@@ -179,19 +179,19 @@ def test_a_folder_of_anything_else_is_refused_and_left_alone(tmp_path):
     assert [p.name for p in tmp_path.iterdir()] == ["precious.txt"]
     run(plan(flights=2), InlineEngine(), tmp_path / "c")
     kept = {p: p.read_bytes() for p in (tmp_path / "c").rglob("*") if p.is_file()}
-    with pytest.raises(InputError, match=r"seed was 1 there, but is 2 now"):
+    with pytest.raises(InputError, match=r"seed: 1 in the folder, 2 in this campaign"):
         run(plan(flights=2, seed=2), InlineEngine(), tmp_path / "c")
     for key, value in (("version", "0.0.9"), ("code", "0" * 12), ("format", 99)):
         manifest = json.loads((tmp_path / "c" / "manifest.json").read_text())
         write_manifest(tmp_path / "c", manifest | {key: value})
-        with pytest.raises(InputError, match=rf"{key} {value} there"):
+        with pytest.raises(InputError, match=rf"{key}: {value} in the folder"):
             run(plan(flights=2), InlineEngine(), tmp_path / "c")
         (tmp_path / "c" / "manifest.json").write_bytes(kept[tmp_path / "c" / "manifest.json"])
     for name, value, says in (
-        ("numpy", "1.26.4", r"numpy 1\.26\.4 there, .* here"),
+        ("numpy", "1.26.4", r"numpy: 1\.26\.4 in the folder, .* installed"),
         ("numpy", "1.26.4", r"pip install numpy==1\.26\.4"),
-        ("torch", "2.0", "torch 2.0 there, none here"),
-        ("platform", "linux m68k", "platform linux m68k there"),
+        ("torch", "2.0", "torch: 2.0 in the folder, none installed"),
+        ("platform", "linux m68k", "platform: linux m68k in the folder"),
     ):
         manifest = json.loads(kept[tmp_path / "c" / "manifest.json"])
         manifest["environment"][name] = value

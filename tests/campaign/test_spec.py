@@ -169,7 +169,7 @@ BAD = [
     ({"factors": {"rocks.cover": [0.1]}}, "dispersions.rocks.cover", "arms set rocks.cover"),
     ({"factors": {"": [1]}}, "factors.", "must be a scenario key"),
     ({"arms": [{"name": "a"}]}, "arms", "combined with"),
-    ({"factors": None, "arms": [{"name": "a"}, {"name": "a"}]}, "arms", "unique name"),
+    ({"factors": None, "arms": [{"name": "a"}, {"name": "a"}]}, "arms", "a name that differs"),
     ({"factors": None, "arms": []}, "arms", "each with a name"),
     ({"stop": {"metric": "sfe"}}, "stop.metric", "Did you mean 'safe'"),
     ({"stop": {}, "method": "latin-hypercube"}, "stop", "monte-carlo"),
@@ -185,11 +185,15 @@ LAWLESS = [
     (
         {"kind": "truncated-normal", "mean": 0.0, "sigma": 1e-3, "low": 1.0},
         ".low",
-        "must give a probability",
+        "must be closer to the mean",
     ),
     ({"kind": "choice", "values": []}, ".values", "at least one"),
     ({"kind": "choice", "values": [0.1], "weights": [0.0]}, ".weights", "positive"),
-    ({"kind": "choice", "values": [0.1], "weights": [1.0, 2.0]}, ".weights", "one per value"),
+    (
+        {"kind": "choice", "values": [0.1], "weights": [1.0, 2.0]},
+        ".weights",
+        "as many weights as values",
+    ),
     ({"kind": "uniform", "low": -0.5, "high": 0.05}, "", "must be 0 or more"),
     (3.0, "", "table with a kind"),
 ]

@@ -325,5 +325,5 @@ def test_files_of_stable_baselines3_are_told_apart(tmp_path, monkeypatch):
         agent_of(str(tmp_path / "m.zip"), GuidanceEnv(changes=LOW), trust_pickle=True)
     with zipfile.ZipFile(tmp_path / "n.zip", "w") as file:
         file.writestr("data", io.BytesIO(b"[]").getvalue())
-    with pytest.raises(InputError, match="from Stable-Baselines3"):
+    with pytest.raises(InputError, match="saved by Stable-Baselines3"):
         registry.agent_of(str(tmp_path / "n.zip"), GuidanceEnv(changes=LOW), trust_pickle=True)

@@ -186,7 +186,7 @@ WRONG = {
     ),
     "a fused map of nothing": (
         {"mappers": {"all": {"kind": "fused"}}},
-        "mappers.all.inputs", (), "must name another mapper",
+        "mappers.all.inputs", (), "needs another mapper in the scenario",
     ),
 }  # fmt: skip
 

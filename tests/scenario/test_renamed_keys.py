@@ -212,5 +212,6 @@ def test_tables_of_named_parts_are_those_of_a_scenario():
 
 @pytest.mark.parametrize("given", ["two_eyes", "../all_eyes.toml"])
 def test_an_old_name_of_a_scenario_is_refused_with_the_new_one(given):
-    with pytest.raises(InputError, match=f"Its new name is {RENAMED_SCENARIOS[Path(given).stem]}"):
+    new = RENAMED_SCENARIOS[Path(given).stem]
+    with pytest.raises(InputError, match=f"This scenario is now named {new}"):
         lunarsim.load_scenario(given)

@@ -167,7 +167,7 @@ def test_a_damaged_line_of_the_journal_is_flown_again(folder, flown, line):
     try:
         load_results(folder)
     except InputError as error:
-        assert "journal" in str(error) or "rows" in str(error)
+        assert "journal" in str(error) or "0 of 80 flights" in str(error)
     assert run(plan(), InlineEngine(), folder).flown == 80
     assert parts(folder) == parts(flown)
 
@@ -248,7 +248,7 @@ def test_a_report_makes_no_terrain_of_gigabytes(folder):
 def test_a_manifest_of_a_million_arms_is_refused_at_once(folder):
     """A parser would take seconds for each part."""
     (folder / "manifest.json").write_text(json.dumps(manifest(folder)) + " " * 9_000_000)
-    with pytest.raises(InputError, match="more than 8388608 bytes"):
+    with pytest.raises(InputError, match="larger than 8 MiB"):
         load_results(folder)
 
 
@@ -260,7 +260,7 @@ def test_a_manifest_of_a_million_arms_is_refused_at_once(folder):
 def test_names_for_a_terminal_and_draws_without_a_column_are_refused(folder, change):
     (folder / "manifest.json").write_text(json.dumps(manifest(folder) | change))
     ends_well(folder, *COMMANDS)
-    with pytest.raises(InputError, match=r"a damaged manifest\.json.*(name|have no column)"):
+    with pytest.raises(InputError, match=r"a damaged manifest\.json.*(name|has no column)"):
         load_results(folder)
 
 
@@ -277,10 +277,10 @@ def test_a_part_that_expands_to_gigabytes_is_refused(folder):
         assert part.stat().st_size < 3_000_000
         without = {k: v for k, v in tables.items() if k not in ("parts", "digest")}
         (folder / "manifest.json").write_text(json.dumps(without))
-        with pytest.raises(InputError, match="when expanded"):
+        with pytest.raises(InputError, match="when decompressed"):
             load_results(folder)
     ran = run(plan(), InlineEngine(), folder)
-    assert ran.flown == len(table) and "when expanded" in ran.notes[0]
+    assert ran.flown == len(table) and "when decompressed" in ran.notes[0]
 
 
 def test_a_report_runs_no_script_of_a_manifest(tmp_path):

@@ -82,7 +82,7 @@ def test_flipped_bits_missing_and_cut_files_are_noticed(folder, name):
         with pytest.raises(InputError, match=name.replace(".", r"\.")) as caught:
             Flight.load(folder)
         assert len(str(caught.value).replace(str(folder), "")) < 230
-        assert "fly again" in str(caught.value)
+        assert "repeat the flight" in str(caught.value)
         (folder / name).write_bytes(whole)
     use(folder)
 

@@ -146,10 +146,10 @@ def test_what_is_no_flight_is_refused(flown, tmp_path):
         Flight.load(tmp_path)
     folder = flown[1].save(tmp_path / "broken")
     (folder / "scans.parquet").unlink()
-    with pytest.raises(InputError, match=r"complete flight record \(no such file"):
+    with pytest.raises(InputError, match=r"intact file of a flight record \(no such file"):
         Flight.load(folder)
     (folder / "flight.json").write_text("{")
-    with pytest.raises(InputError, match="complete flight record"):
+    with pytest.raises(InputError, match="intact file of a flight record"):
         Flight.load(folder)
 
 

@@ -10,7 +10,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 
-from lunarsim.errors import InputError
+from lunarsim.errors import InputError, error_reason
 from lunarsim.parts.registry import CONTRACTS, IMPORT_REMEDY, import_part_module
 
 
@@ -56,10 +56,9 @@ def _imported(name: str) -> Any:
     try:
         return getattr(import_part_module(module), attribute)
     except (ImportError, AttributeError, SyntaxError) as error:
-        message = str(error).split("\n")[0]
         raise InputError(
             "--agent", name,
-            f"must name an object that can be imported ({type(error).__name__}: {message})",
+            f"must name a class or function that can be imported ({error_reason(error)})",
             IMPORT_REMEDY,
         ) from error  # fmt: skip
 

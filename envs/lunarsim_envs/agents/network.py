@@ -85,10 +85,11 @@ class Network:
             )  # fmt: skip
             network._check()
         except (KeyError, ValueError, TypeError, AttributeError) as error:
+            array = "the array " if isinstance(error, KeyError) else ""
             raise InputError(
                 "--agent",
                 str(path),
-                f"must be a network trained with lunarsim ({error_reason(error)})",
+                f"must be a network trained with lunarsim ({array}{error_reason(error)})",
             ) from None
         return network
 

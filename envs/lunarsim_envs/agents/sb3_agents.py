@@ -35,7 +35,9 @@ def _algorithm(path: Path) -> Any:
         with zipfile.ZipFile(path) as file:
             policy = str(json.loads(file.read("data"))["policy_class"]["__module__"])
     except (OSError, zipfile.BadZipFile, KeyError, ValueError, TypeError, RecursionError):
-        raise InputError("--agent", str(path), "must be a file from Stable-Baselines3") from None
+        raise InputError(
+            "--agent", str(path), "must be a .zip file of a model saved by Stable-Baselines3"
+        ) from None
     for begins, package, name in _ALGORITHMS:
         if policy.startswith(begins):
             try:
@@ -71,7 +73,9 @@ def check_trust(file: str, trust_pickle: bool) -> None:
         If the file is not such an archive, or `trust_pickle` is false.
     """
     if not zipfile.is_zipfile(file):
-        raise InputError("--agent", file, "must be a file from Stable-Baselines3")
+        raise InputError(
+            "--agent", file, "must be a .zip file of a model saved by Stable-Baselines3"
+        )
     if not trust_pickle:
         raise InputError(
             "--agent", file,

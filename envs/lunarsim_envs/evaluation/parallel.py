@@ -42,7 +42,10 @@ def check_agents(study: EvaluationStudy, agents: Sequence[str]) -> None:
     for name in names:
         if names.count(name) > 1:
             raise InputError(
-                "--agent", name, "must have a name that no other agent has", "Rename one of them."
+                "--agent",
+                name,
+                "must have a different name for each agent",
+                "Give each agent only once. If two files have the same name, rename one.",
             )
     env = study.make()
     try:
@@ -83,7 +86,7 @@ def fly(
         If there are too many episodes, or worker processes cannot load the environment or an agent.
     """
     if episodes > MAX_FLIGHTS:
-        raise InputError("--episodes", episodes, f"must be at most {MAX_FLIGHTS}")
+        raise InputError("--episodes", episodes, f"must be at most {MAX_FLIGHTS:,}")
     report = progress or (lambda n: None)
     work = [
         (agent, range(first, min(first + _CHUNK, episodes)))

@@ -79,9 +79,14 @@ def create_batch(
     """
     if not isinstance(perception, str) or perception not in KERNELS:
         remedy = (
-            "Use a single environment for this perception." if perception in FULL_SIMULATION else ""
+            "Use a single environment (gymnasium.make) for this perception."
+            if perception in FULL_SIMULATION
+            else ""
         )
-        raise InputError("perception", perception, f"must be one of {', '.join(KERNELS)}", remedy)
+        raise InputError(
+            "perception", perception,
+            f"must be one of {', '.join(KERNELS)} in a vector environment", remedy,
+        )  # fmt: skip
     if isinstance(surrogate, Surrogate):
         model = surrogate
     elif not isinstance(surrogate, str | Path | None):

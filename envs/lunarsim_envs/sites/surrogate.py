@@ -120,10 +120,12 @@ class Surrogate:
             )  # fmt: skip
             made._check()
         except (KeyError, ValueError, TypeError, AttributeError) as error:
+            array = "the array " if isinstance(error, KeyError) else ""
             raise InputError(
                 "surrogate",
                 str(path),
-                f"must be a file from scenarios/learning/fit_surrogate.py ({error_reason(error)})",
+                "must be a file written by scenarios/learning/fit_surrogate.py "
+                f"({array}{error_reason(error)})",
             ) from None
         return made
 

@@ -124,7 +124,7 @@ class Approach:
             raise InputError(
                 "approach.arrival_velocity", self.arrival_velocity,
                 "must not be zero if jerk_m_s3 is set",
-                "Its direction is the downrange direction.",
+                "The direction of this velocity defines downrange.",
             )  # fmt: skip
 
     @property

@@ -226,13 +226,13 @@ def check_map_size(size: float, posting: float, lander: Lander) -> None:
     """
     if posting > 0.5 * lander.leg_radius:
         raise InputError(
-            "posting_m", posting, f"must be at most {0.5 * lander.leg_radius:g}, which is half of "
-            f"vehicle.leg_radius_m ({lander.leg_radius:g})",
+            "posting_m", posting, f"must be at most {0.5 * lander.leg_radius:g} m, half of "
+            f"vehicle.leg_radius_m ({lander.leg_radius:g} m)",
         )  # fmt: skip
     if size < 4.0 * lander.leg_radius + 1.0:
         raise InputError(
-            "size_m", size, f"must be at least {4.0 * lander.leg_radius + 1.0:g}, which is 4 times "
-            f"vehicle.leg_radius_m ({lander.leg_radius:g}) plus 1 m",
+            "size_m", size, f"must be at least {4.0 * lander.leg_radius + 1.0:g} m, which is 4 "
+            f"times vehicle.leg_radius_m ({lander.leg_radius:g} m) plus 1 m",
         )  # fmt: skip
     check_raster_size("size_m", size, posting, _MAX_CELLS_PER_SIDE)
 

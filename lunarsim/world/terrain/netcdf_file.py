@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from rasterio.io import DatasetReader
 
-from lunarsim.errors import InputError
+from lunarsim.errors import InputError, error_reason
 from lunarsim.world.terrain.raster_heights import metres_in
 
 # Tolerance over one step: coordinates may be rounded to single precision.
@@ -41,7 +41,9 @@ def check_links(path: Path) -> None:
             file.visititems_links(note_link)
             file.visititems(note_samples)
     except (RuntimeError, ValueError, KeyError, TypeError) as error:
-        raise InputError("terrain.path", str(path), f"cannot be read ({error})") from None
+        raise InputError(
+            "terrain.path", str(path), f"cannot be read ({error_reason(error)})"
+        ) from None
     if outside:
         raise InputError(
             "terrain.path", str(path), f"has a variable {outside[0]!r} stored in another file",
@@ -71,7 +73,9 @@ def check_axes(source: DatasetReader) -> None:
             parts = [None if axis is None else (axis.attrs, axis.values) for axis in axes]
             dims = [str(dim) for dim in file[name].dims[-2:]]
     except (ValueError, KeyError, TypeError, OSError) as error:
-        raise _refusal(source, f"has axes that cannot be read ({error})") from None
+        raise _refusal(
+            source, f"has axes that xarray cannot read ({error_reason(error)})"
+        ) from None
     t = source.transform
     wrong_names, map_steps = (_EAST_NAMES, _NORTH_NAMES), (t.e, t.a)
     for dim, part, wrong, step in zip(dims, parts, wrong_names, map_steps, strict=True):

@@ -16,7 +16,7 @@ from rasterio.crs import CRS
 from rasterio.errors import CRSError, NotGeoreferencedWarning, RasterioError
 from rasterio.io import DatasetReader
 
-from lunarsim.errors import InputError
+from lunarsim.errors import InputError, error_reason
 from lunarsim.world.terrain.netcdf_file import check_axes, check_links
 
 # GDAL's names of the accepted formats. Formats that refer to other files (VRT) or to the network
@@ -70,8 +70,8 @@ def open_raster(path: Path) -> Iterator[DatasetReader]:
                 ) from None
             raise
         except _ERRORS as error:
-            reason = error.__cause__ or error
-            raise InputError("terrain.path", str(path), f"cannot be read ({reason})") from None
+            problem = f"cannot be read by GDAL ({_first_line(error.__cause__ or error)})"
+            raise InputError("terrain.path", str(path), problem) from None
 
 
 def _opened(path: Path) -> DatasetReader:
@@ -87,14 +87,20 @@ def _opened(path: Path) -> DatasetReader:
         source = DatasetReader(label.absolute(), driver=list(DRIVERS))
     except _ERRORS as error:
         raise InputError(
-            "terrain.path", str(path), f"has a label {label.name} that cannot be read ({error})"
-        ) from None
+            "terrain.path", str(path),
+            f"has a label {label.name} that GDAL cannot read ({_first_line(error)})",
+        ) from None  # fmt: skip
     if path.resolve() not in [Path(name).resolve() for name in source.files]:
         source.close()
         raise InputError(
             "terrain.path", str(path), f"has a label {label.name} that names another file"
         )
     return source
+
+
+def _first_line(error: BaseException) -> str:
+    """Return the first line of an error's message, without a period at its end."""
+    return error_reason(error).rstrip(".")
 
 
 def _not_a_raster(path: Path, error: Exception) -> InputError:
@@ -107,9 +113,11 @@ def _not_a_raster(path: Path, error: Exception) -> InputError:
     elif path.suffix.lower() in (".img", ".dat"):
         label = path.with_suffix(".lbl").name
         problem = f"must be a raster of {formats}, or have a label {label}"
-        return InputError("terrain.path", str(path), problem, f"Reason: {error}.")
+        return InputError(
+            "terrain.path", str(path), problem, f"GDAL reports: {_first_line(error)}."
+        )
     elif b"PDS_VERSION_ID" in start or b"Product_Observational" in start:
-        problem = f"is a label that does not lead to a raster ({error})"
+        problem = f"is a label, but GDAL cannot read its raster ({_first_line(error)})"
         return InputError("terrain.path", str(path), problem)
     else:
         problem = f"must be a raster of {formats}"

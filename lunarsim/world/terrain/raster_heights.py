@@ -325,11 +325,12 @@ class RasterHeights:
             numbers = [float(round(number)) for number in numbers]
         shown = [repr(float(number)).removesuffix(".0") for number in numbers]
         declared = f"[{', '.join(shown)}]" if len(numbers) > 1 else shown[0]
+        count = sum(number for _, number in found)
         direction = "higher" if side == "below" else "lower"
         raise InputError(
             "terrain.path", self.source.name,
-            f"has {sum(count for _, count in found)} points of value {' or '.join(shown)}, and all "
-            f"other heights are at least {gap:.0f} m {direction}",
+            f"has the value {' or '.join(shown)} at {count} point{'s' * (count > 1)}, and all "
+            f"other heights are at least {gap:.6g} m {direction}",
             f"Set terrain.dtm_nodata = {declared}, or [] if these heights are real.",
         )  # fmt: skip
 

@@ -90,7 +90,7 @@ def check_posts(size: float, posting: float) -> None:
     """
     check_raster_size("size", size, posting, MAX_POSTS_PER_SIDE, "points")
     if round(size / posting) < MIN_POSTS_PER_SIDE:
-        raise InputError("posting", posting, f"must be at most half of size_m, which is {size:g}")
+        raise InputError("posting", posting, f"must be at most {0.5 * size:g} m, half of size_m")
 
 
 def check_terrain_size(terrain: Terrain, footprint: float) -> None:

@@ -260,7 +260,7 @@ def test_several_undeclared_no_data_values_are_refused_together(tmp_path, marker
 def test_a_margin_of_zeros_is_refused(tmp_path):
     z = HILL + 300.0
     z[:4] = 0.0
-    with pytest.raises(InputError, match=r"800 points of value 0, .*dtm_nodata = 0,"):
+    with pytest.raises(InputError, match=r"the value 0 at 800 points, .*dtm_nodata = 0,"):
         load_terrain(write(tmp_path / "z.tif", z))
 
 

@@ -160,7 +160,9 @@ class FusedCalibration:
         InputError
             If the file is missing, has another format, or contains an invalid number.
         """
-        data = read_json_with_format(path, "calibration", _FORMAT)
+        data = read_json_with_format(
+            path, "calibration", _FORMAT, " written by scenarios/sensor_fusion_calibration.py"
+        )
         missing = [key for key in _KEYS if key not in data]
         if missing:
             raise InputError(

@@ -123,8 +123,8 @@ class FusedMapperSettings:
         names = self.inputs or tuple(n for n in others if n != self.calibration_mapper)
         if not names:
             raise InputError(
-                "inputs", self.inputs, "must name another mapper", "Add a table [mappers.NAME].",
-                show_value=False,
+                "inputs", self.inputs, "needs another mapper in the scenario",
+                "Add a table [mappers.NAME].", show_value=False,
             )  # fmt: skip
         found: dict[str, type] = {}
         for name in names:

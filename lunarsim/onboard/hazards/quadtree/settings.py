@@ -196,7 +196,7 @@ class InterestMap:
             raise InputError(
                 "sites.interest_path",
                 str(path),
-                f"must be a file .npz with the arrays value, x0, y0 and posting ({reason})",
+                f"must be an .npz file with the arrays value, x0, y0 and posting ({reason})",
             ) from None
         if value.ndim != 2:
             raise InputError("interest", value.shape, "must have shape (rows, columns)")

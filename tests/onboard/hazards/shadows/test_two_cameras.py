@@ -133,7 +133,7 @@ def test_a_picture_older_than_another_cameras_last_is_left_out(frames):
     # Of one camera it is a mistake of the caller's, as ever.
     alone = mapper_of("wide")
     look(alone, "wide", *frames_at(frames, "wide", 0), 1.0)
-    with pytest.raises(InputError, match=r"image\.time: must be at least the last time"):
+    with pytest.raises(InputError, match=r"image\.time: must be at least the previous time"):
         look(alone, "wide", *frames_at(frames, "wide", 1), 0.5)
 
 
