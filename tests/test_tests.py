@@ -53,6 +53,17 @@ def test_no_test_imports_another():
     assert not {path: names for path, names in found.items() if names}
 
 
+def test_references_import_nothing_of_what_they_check():
+    """References receive settings and data as arguments and call no law of the package."""
+    found = {}
+    for path in (TESTS / "reference").glob("*.py"):
+        modules = [n.module or "" for n in _nodes(path) if isinstance(n, ast.ImportFrom)]
+        modules += [a.name for n in _nodes(path) if isinstance(n, ast.Import) for a in n.names]
+        found[path.name] = [m for m in modules if m.startswith("lunarsim")]
+    assert len(found) > 20
+    assert not {name: modules for name, modules in found.items() if modules}
+
+
 def test_tests_stand_where_their_rooms_do():
     """Every folder of tests is a room of the package, the environments', or says what it is for."""
     others = {"reference", "outside", "envs", "scenarios", "scripts", "security"}
