@@ -22,7 +22,8 @@ def _private(path: Path) -> list[str]:
     for node in _nodes(path):
         if isinstance(node, ast.Attribute) and node.attr.startswith("_"):
             own = isinstance(node.value, ast.Name) and node.value.id in {"self", "cls"}
-            if not own and not node.attr.startswith("__"):
+            public = node.attr in {"_asdict", "_fields", "_replace"}  # of a NamedTuple
+            if not own and not public and not node.attr.startswith("__"):
                 found.append(f"{node.lineno}: .{node.attr}")
         elif isinstance(node, ast.ImportFrom):
             names = [a.name for a in node.names if a.name.startswith("_")]

@@ -1,4 +1,4 @@
-"""Static touchdown criteria from their definitions, on terrain sampled every centimetre or as asked."""
+"""Static touchdown criteria from their definitions, on densely sampled terrain."""
 
 from __future__ import annotations
 
