@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from lunarsim.grid import Grid
 
-
-def conventional(points: np.ndarray, grid: Grid) -> tuple[np.ndarray, np.ndarray]:
+def conventional(points: np.ndarray, grid) -> tuple[np.ndarray, np.ndarray]:
     """Elevation before hole filling (NaN for holes) and weights."""
     total = np.zeros(grid.shape)
     weight = np.zeros(grid.shape)
@@ -64,7 +62,7 @@ def trended(
     return value, growth * length - k @ np.linalg.solve(gram, k)
 
 
-def pooled_sums(scans: list, grid: Grid) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def pooled_sums(scans: list, grid) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Centroids (x, y, z), their variances, and the splat's mean and variance, cell by cell.
 
     `scans` holds points and deviations. Rows of the first: x, y, z, variance; NaN without samples.

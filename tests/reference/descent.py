@@ -6,8 +6,9 @@ import math
 
 import numpy as np
 
-from tests.reference.attitude import along_thrust, rotation_between
+from tests.reference.attitude import rotation_between
 from tests.reference.dynamics import rate_of_change
+from tests.reference.guidance import thrust_and_attitude
 
 _WORD = 2**64
 
@@ -90,19 +91,20 @@ class Lander:
         self.heading, self.max_tilt = heading, max_tilt
         self.rate = np.zeros(3)
 
+    def command(self, acceleration):
+        """Return thrust (N) and attitude (4,) for a thrust acceleration (3,)."""
+        v, mass = self.d.lander, self.y[13] - self.own["payload_kg"]
+        return thrust_and_attitude(
+            acceleration, mass, v.thrust_min, v.thrust_max, self.heading, self.max_tilt
+        )
+
     def guided(self, acceleration, steps):
         """Fly so many steps under a thrust acceleration; yield the state after each."""
         v, mass = self.d.lander, self.y[13] - self.own["payload_kg"]
-        most = v.thrust_max / mass
-        up = min(max(acceleration[2], 1e-3), most)
-        side = np.array(acceleration[:2])
-        room = min(math.sqrt(most**2 - up**2), up * math.tan(self.max_tilt))
-        if np.linalg.norm(side) > room:
-            side *= room / np.linalg.norm(side)
-        vector = np.array([*side, up])
-        thrust = min(max(mass * np.linalg.norm(vector), v.thrust_min), v.thrust_max)
-        target = along_thrust(vector, self.heading)
-        inertia = v.inertia(mass)
+        thrust, target = self.command(acceleration)
+        full = (mass - v.dry_mass) / v.propellant_mass
+        dry, wet = np.array(v.inertia_dry), np.array(v.inertia_full)
+        inertia = dry + full * (wet - dry)
         frequency, damping, slew = self.gains
         for _ in range(steps):
             error = rotation_between(self.y[6:10], target)
@@ -129,8 +131,9 @@ class Lander:
         load = own["payload_kg"]
         args = (
             thrust, torque, self.d.gravity,
-            v.exhaust_velocity + 9.80665 * own["specific_impulse_s"],
-            v.thrust_lag + own["thrust_lag_s"], v.dry_mass + load, v.wet_mass + load,
+            9.80665 * (v.specific_impulse + own["specific_impulse_s"]),
+            v.thrust_lag + own["thrust_lag_s"], v.dry_mass + load,
+            v.dry_mass + v.propellant_mass + load,
             np.array(v.inertia_dry), np.array(v.inertia_full),
         )  # fmt: skip
         self.time += dt

@@ -1,259 +1,342 @@
-"""Plain fusion: loops over cells, sizes and rocks."""
+"""The fused map's probabilities by enumeration, slices and quadrature.
+
+The fused map is ``p = pi exp(-Lambda) prod(1 - r q)`` (docs/explanation/fused-map.md). Each
+function evaluates one of its quantities from what the quantity means, by another method than the
+package: hypotheses are enumerated where the package has closed forms or a grid, distributions are
+integrated where the package has tables, and cells and shifts are visited one by one.
+"""
 
 from __future__ import annotations
 
 import math
+from itertools import pairwise, product
+from statistics import median
+
+import numpy as np
+from scipy.optimize import brentq
+from scipy.special import beta
+from scipy.stats import lognorm, norm, poisson
+
+# A rock shows in samples by a residual height of half its own height within 0.35 m.
+VISIBLE_SHARE, SEARCH_DISTANCE_M = 0.5, 0.35
 
 
-def law(diameter: float, cover: float) -> float:
-    """Rocks of a diameter or more on a square metre, summed over thin slices of the cover."""
+def area_above(height, level, height_ratio):
+    """Return the area over which a half ellipsoid is higher than a level, m^2.
+
+    At the relative distance u from its axis it has the height ``height sqrt(1 - u^2)``. The area is
+    counted in 2,000 rings of equal area.
+    """
+    radius = height / (2.0 * height_ratio)
+    squares = (np.arange(2000) + 0.5) / 2000.0  # u^2
+    return math.pi * radius**2 * float(np.mean(height * np.sqrt(1.0 - squares) > level))
+
+
+def no_sample_on(area, density):
+    """Return the probability that none of a Poisson number of samples falls on an area."""
+    return float(poisson.pmf(0, density * area))
+
+
+# --- undetected rocks ----------------------------------------------------------------------------
+
+
+def rock_slices(diameter, cover, cuts):
+    """Return diameters and numbers per square metre of thin slices of the Golombek distribution.
+
+    Rocks of D or more cover the share ``cover exp(-q D)``. A slice has the number of discs that
+    cover what it adds. Slices grow by 0.1 % and end at `cuts`, which leaves an error of 1e-6 of
+    their numbers.
+    """
     q = 1.79 + 0.152 / cover
-    total, step = 0.0, 0.002
-    d = diameter
-    while q * (d - diameter) < 25.0:
-        middle = d + 0.5 * step
-        slice_cover = cover * (math.exp(-q * d) - math.exp(-q * (d + step)))
-        total += slice_cover / (0.25 * math.pi * middle * middle)
-        d += step
+    edges = diameter * 1.001 ** np.arange(math.ceil(math.log1p(40.0 / (q * diameter)) / 0.0009995))
+    edges = np.union1d(edges, [cut for cut in cuts if cut > diameter])
+    middle = np.sqrt(edges[1:] * edges[:-1])
+    covered = cover * (np.exp(-q * edges[:-1]) - np.exp(-q * edges[1:]))
+    return middle, covered / (0.25 * math.pi * middle**2)
+
+
+def remaining_ratio(height, diameters, ratios, cover, height_ratio):
+    """Return the mean ratio of the rocks above a height: slice by slice, each with its class.
+
+    A class is not missed more often than a smaller one. Rocks below the smallest class are not
+    observed: their ratio is at least 1.
+    """
+    middle, number = rock_slices(max(height, 0.005) / height_ratio, cover, diameters)
+    total = 0.0
+    for d, n in zip(middle, number, strict=True):
+        larger = [r for low, r in zip([*diameters[1:], math.inf], ratios, strict=True) if low > d]
+        ratio = max(larger)
+        total += n * (max(1.0, ratio) if d < diameters[0] else ratio)
+    return total / float(number.sum())
+
+
+def remaining_rocks(height, diameters, ratios, cover, height_ratio, unseen):
+    """Return the rocks above a height that remain; `unseen` gives those before.
+
+    Ratios up to 1 thin all rocks out. The excess over 1 counts for the unseen rocks of each class
+    (those between its own minimum height and that of the next class), and grows with size.
+    """
+    capped = [min(r, 1.0) for r in ratios]
+    total = unseen(height) * remaining_ratio(height, diameters, capped, cover, height_ratio)
+    for k, diameter in enumerate(diameters):
+        own = unseen(max(height, diameter * height_ratio))
+        if k + 1 < len(diameters):
+            own -= unseen(max(height, diameters[k + 1] * height_ratio))
+        total += max(*(r - 1.0 for r in ratios[: k + 1]), 0.0) * own
     return total
 
 
-def left(height: float, diameters: list, ratios: list, cover: float, height_ratio: float) -> float:
-    """Share of the rocks above a height that is left at one place."""
-    d = max(height, 0.005) / height_ratio
-    # No class is missed more rarely than a larger one; what is not looked for is not thinned.
-    worst = [max(ratios[k:]) for k in range(len(ratios))]
-    edges = [*diameters, math.inf]
-    whole = law(d, cover)
-    share = 0.0
-    if d < diameters[0]:
-        share += max(1.0, worst[0]) * (whole - law(diameters[0], cover)) / whole
-    for k in range(len(diameters)):
-        low, high = max(d, edges[k]), edges[k + 1]
-        if high <= d:
-            continue
-        above = 0.0 if math.isinf(high) else law(high, cover)
-        share += worst[k] * (law(low, cover) - above) / whole
-    return share
+# --- samples about tracked rocks -----------------------------------------------------------------
 
 
-def existence(
-    place, sigma, radius, variance, there, cells, rise, density, limit, posting, common
-) -> float:
-    """Probability that one rock is one that matters; cells are (x, y) by (row, col)."""
+def highest_sample(residuals, x0, y0, posting, place, reach):
+    """Return the highest residual of a cell whose centre is within reach of a place; 0 if none."""
+    rows, cols = np.indices(residuals.shape)
+    distance = np.hypot(x0 + cols * posting - place[0], y0 + rows * posting - place[1])
+    near = residuals[(distance <= reach) & np.isfinite(residuals)]
+    return float(near.max()) if near.size else 0.0
+
+
+def highest_nearby(residuals, posting):
+    """Return the highest residual within 0.35 m of each cell; -1e6 without a sample."""
+    rows, cols = np.indices(residuals.shape)
+    out = np.full(residuals.shape, -1e6)
+    for row, col in np.ndindex(*residuals.shape):
+        near = residuals[
+            (np.hypot(rows - row, cols - col) * posting <= SEARCH_DISTANCE_M)
+            & np.isfinite(residuals)
+        ]
+        if near.size:
+            out[row, col] = near.max()
+    return out
+
+
+def likelihood(rise, is_rock, height, density, height_ratio, nearby):
+    """Return the probability of a rise, or of none, at a rock or at any other place.
+
+    A rise comes from the rock or by chance; both causes are enumerated. A track is at its rock with
+    0.8, and half of the samples count as independent. The chance is the share of places with such a
+    rise, kept 0.001 away from 0 and 1.
+    """
+    chance = np.clip(np.mean(nearby >= VISIBLE_SHARE * height), 1e-3, 1.0 - 1e-3)
+    area = area_above(height, VISIBLE_SHARE * height, height_ratio)
+    shows = 0.8 * (1.0 - no_sample_on(area, 0.5 * density)) if is_rock else 0.0
+    total = 0.0
+    for by_rock, by_chance in product((True, False), repeat=2):
+        if (by_rock or by_chance) == rise:
+            total += (shows if by_rock else 1.0 - shows) * (chance if by_chance else 1.0 - chance)
+    return total
+
+
+def existence_without_rise(there, radius, radius_sigma, density, common):
+    """Return the probability of a rock after samples without a rise: Bayes over three causes.
+
+    Either no rock is there, or both sensors miss it for a common reason, or no sample fell on the
+    part above half its height, which is taken for a rock smaller by one sigma.
+    """
+    size = max(radius - radius_sigma, 0.1)
+    area = area_above(size, VISIBLE_SHARE * size, 0.5)
+    causes = {
+        "none": 1.0 - there,
+        "common": there * common,
+        "missed": there * (1.0 - common) * no_sample_on(area, density),
+    }
+    return 1.0 - causes["none"] / sum(causes.values())
+
+
+def existence(place, sigma, radius, variance, there, cells, rise, density, limit, posting, common):
+    """Return the probability of one rock given the rises (rows, cols) of the cells about it.
+
+    `cells` has the centre of each cell, by row and column. A rise of half the
+    limit changes nothing.
+    """
     spread = math.sqrt(variance)
     reach = radius + 2.0 * math.hypot(sigma, spread) + posting
-    heights, thin = [], []
-    for (row, col), (x, y) in cells.items():
-        if math.hypot(x - place[0], y - place[1]) <= reach:
-            heights.append(rise[row][col])
-            thin.append(density[row][col])
+    near = [at for at, centre in cells.items() if math.dist(centre, place) <= reach]
+    heights = [rise[row][col] for row, col in near]
     if max(heights) - min(heights) >= 0.5 * limit:
         return there
-    area = 0.75 * math.pi * max(radius - spread, 0.1) ** 2
-    missed = common + (1.0 - common) * math.exp(-min(thin) * area)
-    odds = missed * there / (1.0 - there)
+    least = min(density[row][col] for row, col in near)
+    return existence_without_rise(there, radius, spread, least, common)
+
+
+def track_precision(tracks, residuals, x0, y0, posting, density, height_ratio):
+    """Return the share of rocks among the others of each track, over that expected, at most 1.
+
+    Tracks are (x, y, height, is_large). All assignments of the other tracks to rocks and hollows
+    are enumerated. The share has the prior Beta(4, 1), so that an assignment with k rocks of n has
+    the weight B(4 + k, 1 + n - k), exactly.
+    """
+    nearby = highest_nearby(residuals, posting)
+    pairs = {}
+    for k, (x, y, height, is_large) in enumerate(tracks):
+        row, col = round((y - y0) / posting), round((x - x0) / posting)
+        if is_large and 0 <= row < nearby.shape[0] and 0 <= col < nearby.shape[1]:
+            rise = nearby[row, col] >= VISIBLE_SHARE * height
+            args = height, density[row, col], height_ratio, nearby
+            pairs[k] = [likelihood(rise, is_rock, *args) for is_rock in (False, True)]
+    out = []
+    for own in range(len(tracks)):
+        others = [pair for k, pair in pairs.items() if k != own]
+        total = mean = 0.0
+        for kinds in product((0, 1), repeat=len(others)):
+            rocks, hollows = sum(kinds), len(kinds) - sum(kinds)
+            weight = math.prod(pair[kind] for pair, kind in zip(others, kinds, strict=True))
+            total += weight * beta(4 + rocks, 1 + hollows)
+            mean += weight * beta(5 + rocks, 1 + hollows)
+        out.append(min(mean / total / 0.8, 1.0))
+    return out
+
+
+def common_shift(rocks, residuals, x0, y0, posting, density, height_ratio):
+    """Return east, north and sigma per axis of the one shift of rocks (x, y, height, sigma).
+
+    The posterior of every shift by complete cells: the normal prior of both axes, and for each rock
+    the likelihood of what its cell shows, over that of any place.
+    """
+    nearby = highest_nearby(residuals, posting)
+    last = np.array(nearby.shape) - 1
+    prior = median(sigma for *_, sigma in rocks)
+    most = round(min(3.0 * prior, 4.0) / posting)
+    ratios = [
+        {
+            rise: likelihood(rise, True, h, density, height_ratio, nearby)
+            / likelihood(rise, False, h, density, height_ratio, nearby)
+            for rise in (True, False)
+        }
+        for _, _, h, _ in rocks
+    ]
+    shifts, weights = [], []
+    for north, east in product(range(-most, most + 1), repeat=2):
+        shift = posting * np.array([east, north])
+        weight = float(np.prod(norm.pdf(shift, scale=max(prior, 0.1))))
+        for (x, y, height, _), ratio in zip(rocks, ratios, strict=True):
+            cell = np.array([round((y - y0) / posting), round((x - x0) / posting)])
+            row, col = np.clip(cell + [north, east], 0, last)
+            weight *= ratio[bool(nearby[row, col] >= VISIBLE_SHARE * height)]
+        shifts.append(shift)
+        weights.append(weight)
+    mean = np.average(shifts, axis=0, weights=weights)
+    covariance = np.cov(np.transpose(shifts), aweights=weights, ddof=0)
+    return mean[0], mean[1], max(math.sqrt(0.5 * np.trace(covariance)), 0.1)
+
+
+def height_scale(rocks, height_ratio):
+    """Return height over radius of rocks, and its relative standard deviation.
+
+    Rocks are (radius, existence, highest sample, density of samples). The highest of n samples on a
+    half ellipsoid has a median, which is found by a root search. The median over the rocks, with
+    half the weight of the prior per rock, updates a normal prior of the logarithm: 1.2 times the
+    expected ratio, 20 %. The result is at least the expected ratio.
+    """
+    logs = []
+    for radius, there, top, density in rocks:
+        samples = density * math.pi * radius**2
+        if there > 0.5 and top > 0.0 and samples >= 1.5:
+            # No sample is higher than the share h of the rock with probability 1/2.
+            share = brentq(
+                lambda h, n=samples: no_sample_on(1.0 - h * h, n) - 0.5, 0.0, 1.0, xtol=1e-14
+            )
+            logs.append(math.log(top / (radius * share)))
+    expected = math.log(2.0 * height_ratio)
+    mean, precision = expected + math.log(1.2), 1.0 / 0.2**2
+    if logs:
+        own = 0.5 * len(logs) / 0.2**2
+        mean = (precision * mean + own * median(logs)) / (precision + own)
+        mean, precision = max(mean, expected), precision + own
+    return math.exp(mean), 1.0 / math.sqrt(precision)
+
+
+def hazard_probability(mean, spread, there, top, density, limit, height_ratio, common):
+    """Return the probability that a rock is there and too high, given samples below `top`.
+
+    Its height is log-normal, and integrated by adaptive quadrature. The odds of a high rock over a
+    low or absent one change by the ratio of the likelihoods of no sample above `top`; a share
+    `common` of the high rocks shows in no sample for another reason.
+    """
+    height = lognorm(spread, scale=mean)
+
+    def unseen(h):
+        # The part of a half ellipsoid above `top` has the area pi (h^2 - top^2) / (2 ratio)^2.
+        area = math.pi * max(h * h - top * top, 0.0) / (2.0 * height_ratio) ** 2
+        return math.exp(-0.5 * density * area)
+
+    low, high = mean * math.exp(-9.0 * spread), mean * math.exp(9.0 * spread)
+    edges = [low, *sorted(e for e in {limit, top, mean} if low < e < high), high]
+    prior, missed = {True: 0.0, False: 0.0}, {True: 0.0, False: 0.0}
+    for a, b in pairwise(edges):
+        prior[a >= limit] += height.cdf(b) - height.cdf(a)
+        missed[a >= limit] += height.expect(unseen, lb=a, ub=b)
+    if prior[True] == 0.0:
+        return 0.0
+    harmless = there * prior[False] + 1.0 - there
+    if harmless < 1e-12:
+        return 1.0
+    ratio = (missed[True] / prior[True]) / ((there * missed[False] + 1.0 - there) / harmless)
+    odds = there * prior[True] / harmless * (common + (1.0 - common) * ratio)
     return odds / (1.0 + odds)
 
 
-def left_by_size(
-    height: float, diameters: list, ratios: list, cover: float, height_ratio: float, unseen
-) -> float:
-    """Rocks above a height that are left at one place; `unseen` gives those before."""
-    fewer = [min(r, 1.0) for r in ratios]
-    total = unseen(height) * left(height, diameters, fewer, cover, height_ratio)
-    before = 0.0
-    for k, diameter in enumerate(diameters):
-        on_top = max(max(r - 1.0, 0.0) for r in ratios[: k + 1])
-        total += (on_top - before) * unseen(max(height, diameter * height_ratio))
-        before = on_top
+# --- the fused probability -----------------------------------------------------------------------
+
+
+def reach_probability(distance, sigma, mean, spread):
+    """Return the probability that a rock reaches a site: q of the formula.
+
+    Its position has the standard deviation `sigma` per axis and its reach (with the lander's
+    radius) a normal distribution, m. Positions are summed in steps of 0.06 sigma.
+    """
+    steps = np.linspace(-6.0, 6.0, 201)
+    weight = norm.pdf(steps)
+    weight /= weight.sum()
+    away = np.hypot(distance + sigma * steps[:, None], sigma * steps)  # (east, north)
+    inside = norm.sf((away - mean) / spread)
+    return float(weight @ inside @ weight)
+
+
+def no_hazard(rocks):
+    """Return the probability that no rock is a hazard under the lander; rocks are (r, q).
+
+    All combinations of hazards and of their reaching the site are enumerated.
+    """
+    total = 0.0
+    for hazards in product((True, False), repeat=len(rocks)):
+        weight = math.prod(r if h else 1.0 - r for h, (r, _) in zip(hazards, rocks, strict=True))
+        for reaching in product((True, False), repeat=len(rocks)):
+            if not any(h and q for h, q in zip(hazards, reaching, strict=True)):
+                total += weight * math.prod(
+                    q if there else 1.0 - q for there, (_, q) in zip(reaching, rocks, strict=True)
+                )
     return total
 
 
-def highest(rises, x0: float, y0: float, posting: float, place, reach: float) -> float:
-    """Highest rise of a cell whose middle lies within reach of a place; 0 if there is none."""
-    found = [
-        z
-        for row, line in enumerate(rises)
-        for col, z in enumerate(line)
-        if not math.isnan(z)
-        and math.hypot(x0 + col * posting - place[0], y0 + row * posting - place[1]) <= reach
-    ]
-    return max(found) if found else 0.0
+def flat_terrain(slope, roughness, undetected, missed, clear, prior):
+    """Return the probability by the formula for flat terrain.
+
+    `slope` and `roughness` are shares of their limits, `undetected` the expected rocks from
+    samples, `missed` the probability that the camera misses one, and `clear` that no tracked rock
+    matters.
+    """
+    level = np.interp(slope, [0.8, 1.0], [1.0, 0.0]) * np.interp(roughness, [0.3, 1.0], [1.0, 0.0])
+    none = max(no_sample_on(10.0, undetected), 1.0 - missed)
+    return float(prior * level * none * clear)
 
 
-def scale(rocks: list, height_ratio: float) -> tuple:
-    """Height over radius and what it errs by; rocks are (radius, existence, top, density)."""
-    logs = []
-    for radius, there, top, density in rocks:
-        samples = density * math.pi * radius * radius
-        if there > 0.5 and top > 0.0 and samples >= 1.5:
-            logs.append(math.log(top / radius / math.sqrt(1.0 - math.log(2.0) / samples)))
-    told = math.log(2.0 * height_ratio)
-    usual = told + math.log(1.2)
-    if not logs:
-        return math.exp(usual), 0.2
-    logs.sort()
-    half = len(logs) // 2
-    middle = logs[half] if len(logs) % 2 else 0.5 * (logs[half - 1] + logs[half])
-    weight = 0.5 * len(logs)
-    found = max((weight * middle + usual) / (weight + 1.0), told)
-    return math.exp(found), 0.2 / math.sqrt(weight + 1.0)
+def unobserved_safety_prior(cells, posting, footprint, expected):
+    """Return the probability of terrain without elevations, from measured cells.
 
-
-def hazard(
-    mean: float, spread: float, there: float, top: float, density: float, limit: float,
-    height_ratio: float, common: float,
-) -> float:  # fmt: skip
-    """Probability that a rock is there and too high: its height log-normal, by thin slices."""
-    per_square = 0.5 * density * math.pi / (2.0 * height_ratio) ** 2
-    high = low = high_missed = low_missed = 0.0
-    n = 20000
-    for k in range(n):
-        z = -9.0 + 18.0 * (k + 0.5) / n
-        h = mean * math.exp(spread * z)
-        weight = math.exp(-0.5 * z * z) * 18.0 / n / math.sqrt(2.0 * math.pi)
-        missed = math.exp(-per_square * max(h * h - top * top, 0.0))
-        if h > limit:
-            high += weight
-            high_missed += weight * missed
-        else:
-            low += weight
-            low_missed += weight * missed
-    harmless = there * low + 1.0 - there
-    if high == 0.0:
-        return 0.0
-    ratio = high_missed / high / ((there * low_missed + 1.0 - there) / harmless)
-    odds = there * high / harmless * (common + (1.0 - common) * ratio)
-    return odds / (1.0 + odds)
-
-
-def shift(rocks: list, rises, x0: float, y0: float, posting: float, density: float) -> tuple:
-    """East, north and deviation of the one shift of rocks (x, y, height, sigma), half spheres."""
-    rows, cols = len(rises), len(rises[0])
-    top = [
-        [
-            max(
-                (
-                    rises[r][c]
-                    for r in range(rows)
-                    for c in range(cols)
-                    if math.hypot(r - row, c - col) * posting <= 0.35
-                    and not math.isnan(rises[r][c])
-                ),
-                default=-1e6,
-            )
-            for col in range(cols)
-        ]
-        for row in range(rows)
-    ]
-    every = [z for line in top for z in line]
-    sigmas = sorted(rock[3] for rock in rocks)
-    half = len(sigmas) // 2
-    common = sigmas[half] if len(sigmas) % 2 else 0.5 * (sigmas[half - 1] + sigmas[half])
-    most = round(min(3.0 * common, 4.0) / posting)
-    total, east, north, squares = 0.0, 0.0, 0.0, 0.0
-    weights = []
-    for down in range(-most, most + 1):
-        for right in range(-most, most + 1):
-            log = -0.5 * (down * down + right * right) * (posting / max(common, 0.1)) ** 2
-            for x, y, height, _ in rocks:
-                row, col = round((y - y0) / posting), round((x - x0) / posting)
-                row = min(max(row + down, 0), rows - 1)
-                col = min(max(col + right, 0), cols - 1)
-                chance = sum(z >= 0.5 * height for z in every) / len(every)
-                chance = min(max(chance, 1e-3), 1.0 - 1e-3)
-                seen = 0.8 * (1.0 - math.exp(-0.5 * density * 0.75 * math.pi * height * height))
-                if top[row][col] >= 0.5 * height:
-                    log += math.log((seen + (1.0 - seen) * chance) / chance)
-                else:
-                    log += math.log(1.0 - seen)
-            weights.append((log, right * posting, down * posting))
-    highest_log = max(w[0] for w in weights)
-    for log, right, down in weights:
-        total += math.exp(log - highest_log)
-        east += math.exp(log - highest_log) * right
-        north += math.exp(log - highest_log) * down
-    east, north = east / total, north / total
-    for log, right, down in weights:
-        squares += math.exp(log - highest_log) * ((right - east) ** 2 + (down - north) ** 2)
-    return east, north, max(math.sqrt(0.5 * squares / total), 0.1)
-
-
-def level_ground(
-    slope: float, rough: float, unseen: float, missed: float, clear: float, prior: float
-) -> float:
-    """Probability of one site: shares of the limits, unseen rocks by samples, and by an eye."""
-    level = 1.0
-    for share, well in ((slope, 0.8), (rough, 0.3)):
-        if share >= 1.0:
-            return 0.0
-        if share > well:
-            level *= (1.0 - share) / (1.0 - well)
-    return prior * level * max(math.exp(-10.0 * unseen), 1.0 - missed) * clear
-
-
-def unobserved_safety_prior(
-    cells: list, posting: float, footprint: float, expected: float
-) -> float:
-    """Probability of ground that was not measured; of what was (p, none stands unseen) a cell."""
+    Cells are (p, probability of no undetected rock). The result is a logarithmic opinion pool: safe
+    and unsafe get the weighted geometric means of the probabilities of measured terrain (one vote
+    per footprint of the lander) and of the mission (one vote). The mission expects undetected rocks
+    as often as they are on measured terrain.
+    """
     if not cells or expected == 0.0:
         return expected
-    sites = total = unseen = 0.0
-    for p, none_unseen in cells:
-        sites += min(posting * posting / (math.pi * footprint * footprint), 1.0)
-        total += p
-        unseen += 0.0 if math.isnan(none_unseen) else none_unseen
-    told = max(unseen / len(cells), 1e-3)
-    odds = 0.0
-    for weight, p in (
-        (sites, total / len(cells)),
-        (1.0, expected * math.exp(math.log(told) * sites / (sites + 1.0))),
-    ):
-        within = min(max(p, 1e-12), expected)
-        odds += weight * math.log(within / (1.0 - within))
-    return 1.0 / (1.0 + math.exp(-odds / (sites + 1.0)))
-
-
-def genuine(tracks: list, rises, x0: float, y0: float, posting: float, density, ratio: float):
-    """Share of rocks among the others of each track (x, y, height, tells), over that expected."""
-    rows, cols = len(rises), len(rises[0])
-
-    def near(row: int, col: int) -> float:
-        return max(
-            (
-                rises[r][c]
-                for r in range(rows)
-                for c in range(cols)
-                if math.hypot(r - row, c - col) * posting <= 0.35 and not math.isnan(rises[r][c])
-            ),
-            default=-1e6,
-        )
-
-    every = [near(r, c) for r in range(rows) for c in range(cols)]
-    if_rock, if_not = {}, {}
-    for k, (x, y, height, tells) in enumerate(tracks):
-        row, col = round((y - y0) / posting), round((x - x0) / posting)
-        if not tells or not (0 <= row < rows and 0 <= col < cols):
-            continue
-        chance = sum(z >= 0.5 * height for z in every) / len(every)
-        chance = min(max(chance, 1e-3), 1.0 - 1e-3)
-        area = 0.75 * math.pi * (height / (2.0 * ratio)) ** 2
-        shows = 0.8 * (1.0 - math.exp(-0.5 * density[row][col] * area))
-        if near(row, col) >= 0.5 * height:
-            if_rock[k], if_not[k] = shows + (1.0 - shows) * chance, chance
-        else:
-            if_rock[k], if_not[k] = (1.0 - shows) * (1.0 - chance), 1.0 - chance
-    found = []
-    for own in range(len(tracks)):
-        total = mean = 0.0
-        for n in range(4000):
-            s = (n + 0.5) / 4000.0
-            weight = s**3
-            for k, likely in if_rock.items():
-                if k != own:
-                    weight *= s * likely + (1.0 - s) * if_not[k]
-            total += weight
-            mean += s * weight
-        found.append(min(mean / total / 0.8, 1.0))
-    return found
+    votes = len(cells) * min(posting**2 / (math.pi * footprint**2), 1.0)
+    share = votes / (votes + 1.0)
+    none = max(sum(n for _, n in cells if not math.isnan(n)) / len(cells), 1e-3)
+    measured, mission = sum(p for p, _ in cells) / len(cells), expected * none**share
+    measured, mission = (min(max(p, 1e-12), expected) for p in (measured, mission))
+    safe = measured**share * mission ** (1.0 - share)
+    unsafe = (1.0 - measured) ** share * (1.0 - mission) ** (1.0 - share)
+    return safe / (safe + unsafe)

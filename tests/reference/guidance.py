@@ -1,33 +1,197 @@
-"""Guidance laws written plainly with NumPy."""
+"""Guidance laws from their equations: one lander, one sample and one trial time at a time."""
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
+from tests.reference.attitude import along_thrust
+from tests.reference.divert import best, path
 
-def vertical_descent(position, velocity, end, nominal, law):
-    """Return the thrust acceleration of the vertical descent (3,), m/s^2.
 
-    `end` is the position of the centre of mass at touchdown and `nominal` the nominal vertical
-    velocity; `law` has the settings of `VerticalDescent`.
+def apollo_acceleration(r, v, target, v_f, a_f, time_to_go):
+    """Return the acceleration (3,) of Klumpp's closed form (Automatica 10, 1974)."""
+    return 12.0 * (target - r) / time_to_go**2 - 6.0 * (v_f + v) / time_to_go + a_f
+
+
+class PolynomialGuidance:
+    """Apollo guidance of a vehicle that responds to commands with a first-order lag.
+
+    Parameters
+    ----------
+    gravity
+        Downward acceleration, m/s^2.
+    lag
+        Time constant of the response, s.
+    min_time_to_go
+        Time-to-go below which the last path is flown without feedback, s.
     """
 
-    def tangent(height, full_tilt_height):
-        share = np.clip(height / full_tilt_height, 0.0, 1.0)
-        low, high = law.max_tilt_at_touchdown, law.max_tilt
-        return np.tan(low + share * (high - low))
+    def __init__(self, gravity, lag, min_time_to_go):
+        self.gravity, self.lag, self.min_time_to_go = gravity, lag, min_time_to_go
+        self.commands = []  # time and acceleration of every command
+        self.last = None
 
-    height = position[2] - end[2]
-    excess = max(np.hypot(velocity[0], velocity[1]) - law.tolerated_speed, 0.0)
-    stopping_time = excess / (0.5 * law.gravity * tangent(height, law.full_tilt_height))
-    slowed = excess > 0.0 and -nominal * stopping_time > height
-    wanted = min(-height / stopping_time, law.min_speed_fraction * nominal) if slowed else nominal
-    up = max(law.gravity + law.speed_gain * (wanted - velocity[2]), 0.3 * law.gravity)
-    offset = np.asarray(position)[:2] - np.asarray(end)[:2]
-    horizontal = -(law.frequency**2) * offset
-    horizontal = horizontal - 2.0 * law.damping * law.frequency * np.asarray(velocity)[:2]
-    limit = up * tangent(height, law.low_height if wanted != nominal else law.full_tilt_height)
-    size = np.hypot(*horizontal)
-    if size > limit:
-        horizontal = horizontal * limit / size
-    return np.append(horizontal, up)
+    def response(self, time):
+        """Return the acceleration (3,) of the vehicle: the sum of responses to all steps so far."""
+        total, before = np.zeros(3), np.zeros(3)
+        for start, command in self.commands if self.lag > 0.0 else []:
+            total += (command - before) * (1.0 - math.exp(-(time - start) / self.lag))
+            before = command
+        return total
+
+    def command(self, r, v, target, v_f, a_f, time, time_to_go):
+        """Return the thrust acceleration (3,), m/s^2."""
+        left = time_to_go - self.lag
+        if left >= self.min_time_to_go or self.last is None:
+            left = max(left, self.min_time_to_go)
+            a = self.response(time)
+            r, v = r + self.lag * v + 0.5 * self.lag**2 * a, v + self.lag * a
+            self.last = time, left, r, v, target, v_f, a_f
+            wanted = apollo_acceleration(r, v, target, v_f, a_f, left)
+        else:
+            since, left, *ends = self.last
+            wanted = path(*ends, left, [min(time - since, left)])[1][0]
+        self.commands.append((time, wanted))
+        return wanted + [0.0, 0.0, self.gravity]
+
+
+def max_tilt(height, full_tilt_height):
+    """Return the maximum tilt in the vertical descent, rad: 2 deg at touchdown, 12 deg above."""
+    return np.deg2rad(np.interp(height, [0.0, full_tilt_height], [2.0, 12.0]))
+
+
+def vertical_descent(r, v, touchdown, planned, gravity, lag):
+    """Return the thrust acceleration (3,) of the vertical descent, m/s^2.
+
+    `touchdown` (3,) is the position at touchdown, m, and `planned` the downward speed, m/s. The
+    horizontal loop is a damped oscillator about the touchdown point. A lander that cannot stop its
+    drift before touchdown (with half of the pull that the tilt limit allows here) descends more
+    slowly.
+    """
+    frequency, damping = 0.6, 1.1
+    if lag > 0.0:
+        frequency = min(frequency, 0.33 / lag)
+    height, drift = r[2] - touchdown[2], math.hypot(v[0], v[1])
+    speed, full_tilt_height = planned, 8.0
+    if drift > 0.3:
+        stopping = (drift - 0.3) / (0.5 * gravity * math.tan(max_tilt(height, 8.0)))
+        if planned * stopping > height:
+            speed, full_tilt_height = max(height / stopping, planned / 4.0), 3.0
+    up = max(gravity + 1.5 * (-speed - v[2]), 0.3 * gravity)
+    side = [
+        -(frequency**2) * (r[k] - touchdown[k]) - 2.0 * damping * frequency * v[k] for k in (0, 1)
+    ]
+    limit = up * math.tan(max_tilt(height, full_tilt_height))
+    share = min(1.0, limit / max(math.hypot(*side), 1e-300))
+    return np.array([share * side[0], share * side[1], up])
+
+
+class LimitTimer:
+    """Every command of a flight; a violation of a limit by 2 % counts once it lasts 0.5 s."""
+
+    def __init__(self):
+        self.since = []  # times of the violations without a break until now
+
+    def is_exceeded(self, acceleration, mass, max_tilt, thrust_max, time):
+        """Return whether a violation has lasted 0.5 s; it is then counted again from zero."""
+        size = np.linalg.norm(acceleration)
+        tilt = math.acos(acceleration[2] / size)
+        if tilt > 1.02 * max_tilt or mass * size > 1.02 * thrust_max:
+            self.since.append(time)
+        else:
+            self.since = []
+        exceeded = bool(self.since) and time - self.since[0] >= 0.5 - 1e-9
+        if exceeded:
+            self.since = []
+        return exceeded
+
+
+def thrust_and_attitude(acceleration, mass, thrust_min, thrust_max, heading, max_tilt):
+    """Return thrust (N) and attitude (4,) for a thrust acceleration (3,), its upward part first."""
+    most = thrust_max / mass
+    up = min(max(acceleration[2], 1e-3), most)
+    side = np.array(acceleration[:2])
+    limit = min(math.sqrt(most**2 - up**2), up * math.tan(max_tilt))
+    if np.linalg.norm(side) > limit:
+        side *= limit / np.linalg.norm(side)
+    vector = np.array([*side, up])
+    thrust = min(max(mass * np.linalg.norm(vector), thrust_min), thrust_max)
+    return thrust, along_thrust(vector, heading)
+
+
+class DivertSearch:
+    """The search of the time-to-go with minimum delta-v, one time after the other.
+
+    Parameters
+    ----------
+    lander, gravity
+        Masses, thrust range and specific impulse of the lander; downward acceleration, m/s^2.
+    limits
+        Maximum tilt and glideslope (rad), propellant reserve (kg), and throttle margin.
+    v_f, a_f
+        Velocity and acceleration (3,) at the end of the approach.
+    """
+
+    def __init__(self, lander, gravity, limits, v_f, a_f):
+        self.lander, self.gravity, self.limits = lander, gravity, limits
+        self.v_f, self.a_f = np.array(v_f), np.array(a_f)
+        self.exhaust = 9.80665 * lander.specific_impulse
+
+    def fastest(self, r, v, target):
+        """Return a time that no path beats, s: full thrust and gravity straight to the target."""
+        pull = self.lander.thrust_max / self.lander.dry_mass + self.gravity
+        # Distance = speed t + pull t^2 / 2.
+        line = [0.5 * pull, np.linalg.norm(v), -np.linalg.norm(target - r)]
+        return max(np.roots(line).real.max(), 1.0)
+
+    def delta_v(self, r, v, mass, target, time, samples=24):
+        """Return the delta-v of a path, m/s; inf if it violates a limit or comes too fast."""
+        lander, limits = self.lander, self.limits
+        margin = limits.throttle_margin * (lander.thrust_max - lander.thrust_min)
+        return best(
+            r, v, target, self.v_f, self.a_f, [time], samples, self.gravity, mass, self.exhaust,
+            lander.thrust_min + margin, lander.thrust_max - margin, math.tan(limits.max_tilt),
+            math.tan(limits.glideslope),
+        )[0]  # fmt: skip
+
+    def propellant(self, mass, delta_v):
+        """Return the propellant for a delta-v, kg; inf if the reserve would be used."""
+        burnt = mass * (1.0 - math.exp(-delta_v / self.exhaust))
+        return burnt if burnt <= mass - self.lander.dry_mass - self.limits.reserve else math.inf
+
+    def is_admissible(self, r, v, mass, target, time):
+        """Return whether a path of a given time violates no limit."""
+        cost = self.propellant(mass, self.delta_v(r, v, mass, target, time))
+        return time >= self.fastest(r, v, target) and cost < math.inf
+
+    def time_to_go(self, r, v, mass, target):
+        """Return the time-to-go with minimum delta-v, s; NaN if no path is admissible."""
+        speed = np.linalg.norm(v)
+        first = self.fastest(r, v, target)
+        hover = self.exhaust * math.log(mass / self.lander.dry_mass) + speed
+        last = max((hover + np.linalg.norm(self.v_f)) / self.gravity, first)
+        early = min(last, 8.0 * max(np.linalg.norm(target - r) / max(speed, 5.0), first))
+        time, delta_v = self._search(r, v, mass, target, first, early)
+        if math.isnan(time) and early < last:
+            time, delta_v = self._search(r, v, mass, target, early, last)
+        return time if self.propellant(mass, delta_v) < math.inf else math.nan
+
+    def _search(self, r, v, mass, target, first, last):
+        """Try 14 times in equal ratios, 40 if none is admissible; halve the ratio five times."""
+        for count in (14, 40):
+            times = np.geomspace(first, last, count)
+            costs = [self.delta_v(r, v, mass, target, time, 8) for time in times]
+            if min(costs) < math.inf:
+                break
+        time, ratio = times[np.argmin(costs)], times[1] / times[0]
+        least = self.delta_v(r, v, mass, target, time)
+        for _ in range(5 if min(costs) < math.inf else 0):
+            ratio, middle = math.sqrt(ratio), time
+            for near in (middle / ratio, middle * ratio):
+                if first * (1.0 - 1e-12) <= near <= last * (1.0 + 1e-12):
+                    cost = self.delta_v(r, v, mass, target, near)
+                    if cost < least:
+                        least, time = cost, near
+        return (time, least) if least < math.inf else (math.nan, math.inf)

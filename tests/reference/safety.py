@@ -7,11 +7,8 @@ from itertools import combinations
 
 import numpy as np
 
-from lunarsim.grid import Grid
-from lunarsim.models.lander import Lander
 
-
-def leg_cells(lander: Lander, posting: float, samples: int = 20000) -> list[tuple]:
+def leg_cells(lander, posting: float, samples: int = 20000) -> list[tuple]:
     """Every distinct set of leg cells, found by turning the lander in tiny steps."""
     found = set()
     for heading in np.linspace(0.0, 2.0 * math.pi / lander.legs, samples, endpoint=False) + 1e-7:
@@ -26,7 +23,7 @@ def leg_cells(lander: Lander, posting: float, samples: int = 20000) -> list[tupl
     return sorted(found)
 
 
-def pad_cells(lander: Lander, posting: float) -> list[tuple[int, int]]:
+def pad_cells(lander, posting: float) -> list[tuple[int, int]]:
     r = 0.5 * lander.pad_diameter / posting
     n = int(r + 1e-9)
     return [
@@ -64,7 +61,7 @@ def standing_planes(legs: np.ndarray) -> list[tuple[float, float, float]]:
     return planes
 
 
-def exact(z: np.ndarray, grid: Grid, lander: Lander, row: int, col: int) -> tuple[float, float]:
+def exact(z: np.ndarray, grid, lander, row: int, col: int) -> tuple[float, float]:
     """Worst slope (rad) and roughness (m) of a lander centred on one cell."""
     pads = pad_cells(lander, grid.posting)
     slope = roughness = 0.0
@@ -88,7 +85,7 @@ def exact(z: np.ndarray, grid: Grid, lander: Lander, row: int, col: int) -> tupl
     return slope, roughness
 
 
-def extremes(z: np.ndarray, grid: Grid, lander: Lander, row: int, col: int):
+def extremes(z: np.ndarray, grid, lander, row: int, col: int):
     """max over L, min over L, max over U, and h0 (m), of a lander centred on one cell."""
     pads = pad_cells(lander, grid.posting)
     legs, body, least = set(), set(), math.inf

@@ -14,7 +14,7 @@ from lunarsim.rocks.field import RockField
 from lunarsim.vehicle import State, evaluate_touchdown
 from lunarsim.vehicle.touchdown import min_touchdown_margin
 from lunarsim.world.terrain import Terrain
-from tests.reference.touchdown import support_planes as reference_planes
+from tests.reference.safety import standing_planes
 from tests.worlds import flat_terrain, sloped_terrain
 
 G = 1.622
@@ -185,7 +185,9 @@ def test_four_legs_stand_above_the_ground(heights):
     legs = np.column_stack((LANDER.pads[:, :2], heights))
     planes = np.empty((2, 3))
     support_planes(legs, planes)
-    assert planes == pytest.approx(np.array(reference_planes(legs)), abs=1e-9)
+    admissible = standing_planes(legs)  # all four if the legs lie in one plane
+    for plane in planes:
+        assert any(plane == pytest.approx(np.array(one), abs=1e-8) for one in admissible)
     for z0, gx, gy in planes:
         gap = z0 + legs[:, :2] @ [gx, gy] - legs[:, 2]
         assert np.sum(np.abs(gap) < 1e-9) >= 3
@@ -198,4 +200,4 @@ def test_three_legs_have_one_plane():
     planes = np.empty((2, 3))
     support_planes(legs, planes)
     assert planes[0] == pytest.approx(planes[1])
-    assert len(reference_planes(legs)) == 1
+    assert planes[:1] == pytest.approx(np.array(standing_planes(legs)))

@@ -113,7 +113,7 @@ def test_commands_are_those_of_the_reference():
         command = law.command(
             estimate(position, velocity), PhaseEnd(end, np.array([0.0, 0.0, -2.0])), 0.0
         )
-        expected = vertical_descent(position, velocity, end, -2.0, law)
+        expected = vertical_descent(position, velocity, end, 2.0, G, 0.55)
         assert command == pytest.approx(expected, rel=1e-12, abs=1e-12)
         slowed += command[2] != pytest.approx(G + law.speed_gain * (-2.0 - velocity[2]))
     assert slowed > 10

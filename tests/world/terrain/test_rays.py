@@ -3,8 +3,11 @@
 import numpy as np
 import pytest
 
+from lunarsim.rocks.shapes import shape_table
 from tests.reference import terrain as reference
 from tests.worlds import long_terrain
+
+SHAPES = shape_table().vertices
 
 
 @pytest.mark.parametrize(("seed", "lift"), [(0, 30.0), (1, 6.0), (2, 1.0)])
@@ -21,7 +24,7 @@ def test_rays_agree_with_marching(seed, lift):
     origin = np.column_stack((start, rng.uniform(1.0, 1.5, count) * lift + 1.5))
     direction = np.column_stack((aim, rng.uniform(-0.5, 0.5, count))) - origin
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
-    plain = reference.march(terrain, origin, direction)
+    plain = reference.march(terrain, origin, direction, SHAPES)
     found = np.array(
         [terrain.cast(o, d[None]).range[0] for o, d in zip(origin, direction, strict=True)]
     )

@@ -61,7 +61,7 @@ def test_a_map_of_elevations_alone_is_its_own_or_that_of_level_ground_if_that_is
     own = relief(rough=rough, **DOUBTED | {"density": density, "curve": rocky(0.1)})
     alone = fuse_evidence(own, None, TERMS)
     level = [
-        [plain.level_ground(0.5, share, unseen, 1.0, 1.0, 0.9) for share, unseen in pairs]
+        [plain.flat_terrain(0.5, share, unseen, 1.0, 1.0, 0.9) for share, unseen in pairs]
         for pairs in map(zip, rough, own.site_evidence.expected_hazards())
     ]
     assert alone.p_safe == pytest.approx(np.maximum(own.hazard_map.p_safe, level), rel=1e-5)
@@ -216,7 +216,7 @@ def test_ground_that_is_level_and_clear_is_no_less_safe_than_that(slope, rough, 
     ):
         both = fuse_evidence(own, eye, TERMS)
         level = np.array([
-            [plain.level_ground(slope, rough, unseen, missed, c, 0.9) for unseen, c in cells]
+            [plain.flat_terrain(slope, rough, unseen, missed, c, 0.9) for unseen, c in cells]
             for cells in map(zip, judged.expected_hazards(), clear)
         ])  # fmt: skip
         assert both.p_safe == pytest.approx(np.maximum(level, p), rel=1e-5, abs=1e-9)
