@@ -39,7 +39,8 @@ _advance = cast(Any, d.advance).compiled
 class GuidanceParams(NamedTuple):
     """Guidance parameters of a scenario, SI.
 
-    `paths`: paths of the guidance law and limits. `end_offset` (3,): position of the end of the
+    `paths`: paths of the guidance law and limits. `has_feedback`, `formula`, `gains`: feedback
+    formula (`core.feedback`) and its parameters. `end_offset` (3,): position of the end of the
     approach relative to the site. `vertical_start` (2,): altitude and time-to-go at which the
     vertical descent starts. `vertical`, `vertical_velocity`: parameters and nominal velocity of the
     vertical descent. `decision_window` (3,): minimum and maximum altitude of decisions, and their
@@ -49,6 +50,9 @@ class GuidanceParams(NamedTuple):
     """
 
     paths: DivertParams
+    has_feedback: bool
+    formula: Any
+    gains: np.ndarray
     end_offset: np.ndarray
     vertical_start: np.ndarray
     vertical: VerticalDescentParams
@@ -160,6 +164,13 @@ def _approach_command(i, time, guidance, law, command, scratch):
         for k in range(3):
             path[2 + k] = (powers[0] + 1.0) * x[0, k]
             path[5 + k] = (powers[1] + 1.0) * x[1, k]
+        if law.has_feedback:
+            gravity = law.vertical.gravity
+            law.formula(ahead, target, final, time_to_go, gravity, law.gains, command)
+            for k in range(3):
+                response[COMMANDED + k] = command[k]
+            command[2] += gravity
+            return
     fraction = max(path[1] - (time - path[0]), 0.0) / path[1]
     low, high = fraction ** powers[0], fraction ** powers[1]
     for k in range(3):

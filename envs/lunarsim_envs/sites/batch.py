@@ -7,8 +7,10 @@ from typing import Any, ClassVar
 import numpy as np
 
 from lunarsim._jit import threads_for
+from lunarsim.core.feedback import compile_formula, follow_path
 from lunarsim.errors import InputError
 from lunarsim.onboard.guidance.divert_cost import divert_params
+from lunarsim.onboard.guidance.path_guidance import CompiledFeedback
 from lunarsim.onboard.guidance.path_law import PathLaw
 from lunarsim.onboard.guidance.vertical import VerticalDescent
 from lunarsim.onboard.policies.candidates import SAFETY_LEVELS
@@ -43,9 +45,12 @@ def kernel_guidance(scenario: Scenario, craft: VehicleParams) -> f.GuidanceParam
     gravity = scenario.gravity_m_s2
     lag = software.control.response_time + lander.thrust_lag
     end = approach.end(np.zeros(3), lander)
+    feedback = guidance.feedback(gravity)
     clock = scenario.simulation.make()
     return f.GuidanceParams(
         divert_params(guidance.shape, end, lander, gravity, approach.limits),
+        feedback is not None, feedback.formula if feedback else compile_formula(follow_path),
+        feedback.gains if feedback else np.empty(0),
         np.asarray(end.position, dtype=np.float64),
         np.array([
             max(approach.vertical_altitude, approach.takeover_altitude), approach.end_time_to_go,
@@ -60,10 +65,12 @@ def kernel_guidance(scenario: Scenario, craft: VehicleParams) -> f.GuidanceParam
 def _check_supported(scenario: Scenario, guidance: Any) -> None:
     """Raise InputError if kernels do not support the guidance or a scenario table."""
     plain = isinstance(guidance, PathLaw) and type(guidance).cost is PathLaw.cost
-    if not plain or guidance.feedback(scenario.gravity_m_s2) is not None:
+    feedback = guidance.feedback(scenario.gravity_m_s2) if plain else None
+    if not plain or not isinstance(feedback, CompiledFeedback | None):
         kind = scenario.guidance.kind
         raise InputError(
-            "guidance.kind", kind, "must be 'apollo' or 'e-guidance' for this perception",
+            "guidance.kind", kind,
+            "must be a law with paths of one shape (as 'apollo' has) for this perception",
             "Otherwise use perception='onboard'.",
         )  # fmt: skip
     for table in ("braking", "window", "terminal_descent", "domain_randomization", "prior_map"):

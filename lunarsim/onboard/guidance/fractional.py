@@ -13,13 +13,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from lunarsim.core.feedback import fractional_polynomial
 from lunarsim.errors import InputError
-from lunarsim.onboard.guidance.contract import PhaseEnd
-from lunarsim.onboard.guidance.path_guidance import FeedbackLaw
 from lunarsim.onboard.guidance.path_law import PathLaw
 from lunarsim.onboard.guidance.paths import PathShape
 from lunarsim.parts.quantity import quantity
-from lunarsim.typing import Array
 
 
 def fractional_shape(gamma: float, gain: float) -> PathShape:
@@ -49,43 +47,6 @@ def fractional_shape(gamma: float, gain: float) -> PathShape:
     return PathShape(min(gamma, other), max(gamma, other))
 
 
-def fractional_feedback(
-    position: Array,
-    velocity: Array,
-    end: PhaseEnd,
-    time_to_go: float,
-    gravity: float,
-    *,
-    gamma: float,
-    gain: float,
-) -> Array:
-    """Return the thrust acceleration (3,), m/s^2, of Lu's feedback law (Lu 2020).
-
-    ``a_T = gamma (k / (2 (gamma + 2)) - 1) a_Tf + (gamma k / (2 (gamma + 2)) - gamma - 1) g +
-    (gamma + 1) / T (1 - k / (gamma + 2)) (V_f - V) + k / T^2 (r_f - r - V T)``; a_Tf is the thrust
-    acceleration at the end.
-
-    Parameters
-    ----------
-    position, velocity
-        Current state (3,), m and m/s.
-    end
-        Required state at the phase end; its acceleration includes gravity.
-    time_to_go
-        Time-to-go T, s.
-    gravity
-        Downward acceleration, m/s^2.
-    gamma, gain
-        Parameters of the law; gain is k.
-    """
-    g = np.array([0.0, 0.0, -gravity])
-    half = 0.5 * gain / (gamma + 2.0)
-    velocity_error = (gamma + 1.0) / time_to_go * (1.0 - 2.0 * half) * (end.velocity - velocity)
-    miss = gain / time_to_go**2 * (end.position - position - time_to_go * velocity)
-    thrust = gamma * (half - 1.0) * (end.acceleration - g)
-    return np.asarray(thrust + (gamma * half - gamma - 1.0) * g + velocity_error + miss)
-
-
 @dataclass(frozen=True)
 class FractionalPolynomialLaw(PathLaw):
     """Settings of fractional-polynomial powered descent guidance (Lu 2020).
@@ -109,6 +70,8 @@ class FractionalPolynomialLaw(PathLaw):
         "of time-to-go in the acceleration is k_r / (gamma + 2) - 2",
     )
 
+    formula = staticmethod(fractional_polynomial)
+
     def __post_init__(self) -> None:
         try:
             fractional_shape(self.gamma, self.gain)
@@ -120,22 +83,7 @@ class FractionalPolynomialLaw(PathLaw):
         """Shape of the paths that a vehicle without lag flies."""
         return fractional_shape(self.gamma, self.gain)
 
-    def feedback(self, gravity: float) -> FeedbackLaw:
-        """Return Lu's feedback law with these parameters, as a function.
-
-        The function takes position, velocity, phase end and time-to-go and returns the acceleration
-        including gravity. `gravity` is in m/s^2.
-        """
-        gamma, gain = self.gamma, self.gain
-        down = np.array([0.0, 0.0, -gravity])
-
-        def acceleration(
-            position: Array, velocity: Array, end: PhaseEnd, time_to_go: float
-        ) -> Array:
-            """Return the acceleration towards `end` (3,), m/s^2, gravity included."""
-            thrust = fractional_feedback(
-                position, velocity, end, time_to_go, gravity, gamma=gamma, gain=gain
-            )
-            return np.asarray(thrust + down)
-
-        return acceleration
+    @property
+    def gains(self) -> tuple[float, ...]:
+        """Parameters gamma and k_r of the feedback formula."""
+        return self.gamma, self.gain

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
+from lunarsim.core.feedback import compile_formula, evaluate_formula
 from lunarsim.core.guidance import (
     COMMAND_TIME,
     COMMANDED,
@@ -21,6 +23,35 @@ from lunarsim.value_checks import check_finite
 
 # Maps position, velocity, end and time-to-go to the required acceleration, gravity included.
 FeedbackLaw = Callable[[Array, Array, PhaseEnd, float], Array]
+
+
+class CompiledFeedback:
+    """Feedback law that evaluates a compiled formula (`PathLaw.formula`).
+
+    Parameters
+    ----------
+    function
+        Formula, a plain Python function; it is compiled once.
+    gravity
+        Downward acceleration, m/s^2.
+    gains
+        Parameters of the formula.
+    """
+
+    def __init__(self, function: Any, gravity: float, gains: tuple[float, ...] = ()) -> None:
+        self.formula = compile_formula(function)
+        self.gravity, self.gains = float(gravity), np.array(gains, dtype=np.float64)
+
+    def __call__(self, position: Array, velocity: Array, end: PhaseEnd, time_to_go: float) -> Array:
+        """Return the acceleration towards `end` (3,), m/s^2, gravity included."""
+        out = np.empty(3)
+        evaluate_formula(
+            self.formula, np.array([position, velocity], dtype=np.float64),
+            np.array(end.position, dtype=np.float64),
+            np.array([end.velocity, end.acceleration], dtype=np.float64), float(time_to_go),
+            self.gravity, self.gains, out,
+        )  # fmt: skip
+        return out
 
 
 class ActuatorLagModel:

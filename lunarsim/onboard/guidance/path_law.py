@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
+from typing import ClassVar, Protocol
 
 from lunarsim.messages.briefing import Briefing
 from lunarsim.models.lander import Lander
 from lunarsim.onboard.guidance.contract import GuidanceLaw, PhaseEnd
 from lunarsim.onboard.guidance.divert_cost import DivertCost, PathLimits, divert_cost
-from lunarsim.onboard.guidance.path_guidance import FeedbackLaw, PathGuidance
+from lunarsim.onboard.guidance.path_guidance import CompiledFeedback, FeedbackLaw, PathGuidance
 from lunarsim.onboard.guidance.paths import PathShape
 from lunarsim.onboard.navigation.estimate import Estimate
 from lunarsim.parts.quantity import quantity
@@ -52,11 +53,25 @@ class GuidancePart(Protocol):
 class PathLaw(ABC):
     """Base class for settings of guidance laws whose paths have one shape.
 
+    A law may have a feedback formula instead of the initial acceleration of its path. It is a plain
+    function that is compiled, so that the law also flies in batches of landers::
+
+        def formula(state, target, final, time_to_go, gravity, gains, out):
+
+    `state` (2, 3) is the position and velocity of the lander one response lag ahead, `target` (3,)
+    the position of the end, and `final` (2, 3) its velocity and acceleration. `gravity` is the
+    downward acceleration, and `gains` are those of the law; all are in SI units. The function
+    writes the acceleration, gravity included, to `out` (3,).
+
     Attributes
     ----------
     min_time_to_go
         Time-to-go below which the last path is flown open loop, s.
+    formula
+        Feedback formula of the law; None: follow the path.
     """
+
+    formula: ClassVar[Callable[..., None] | None] = None
 
     min_time_to_go: float = quantity(
         1.5,
@@ -70,12 +85,19 @@ class PathLaw(ABC):
     def shape(self) -> PathShape:
         """Shape of the paths if the vehicle follows commands perfectly."""
 
-    def feedback(self, gravity: float) -> FeedbackLaw | None:
-        """Return the feedback formula for a gravity (m/s^2); None: follow the path.
+    @property
+    def gains(self) -> tuple[float, ...]:
+        """Parameters of the feedback formula."""
+        return ()
 
-        The formula is a function of position, velocity, phase end and time-to-go.
+    def feedback(self, gravity: float) -> FeedbackLaw | None:
+        """Return the feedback law for a gravity (m/s^2); None: follow the path.
+
+        It is a function of position, velocity, phase end and time-to-go.
         """
-        return None
+        if self.formula is None:
+            return None
+        return CompiledFeedback(type(self).formula, gravity, self.gains)
 
     def build(self, briefing: Briefing, lag: float) -> PathGuidance:
         """Build the guidance law of one flight.

@@ -13,21 +13,19 @@ from hypothesis.extra.numpy import arrays
 from scipy.integrate import solve_ivp
 from scipy.optimize import LinearConstraint, minimize
 
+from lunarsim.core.feedback import fractional_polynomial
 from lunarsim.errors import InputError
 from lunarsim.models.lander import Lander
 from lunarsim.onboard.guidance.apollo import ApolloLaw, jerk_time_to_go
 from lunarsim.onboard.guidance.augmented_apollo import AugmentedApolloLaw
 from lunarsim.onboard.guidance.contract import PhaseEnd
 from lunarsim.onboard.guidance.e_guidance import EGuidanceLaw
-from lunarsim.onboard.guidance.fractional import (
-    FractionalPolynomialLaw,
-    fractional_feedback,
-    fractional_shape,
-)
+from lunarsim.onboard.guidance.fractional import FractionalPolynomialLaw, fractional_shape
 from lunarsim.onboard.guidance.jerk_limited import max_jerk_and_snap
 from lunarsim.onboard.guidance.modified_apollo import ModifiedApolloLaw
+from lunarsim.onboard.guidance.path_guidance import CompiledFeedback
 from lunarsim.onboard.guidance.paths import APOLLO, E_GUIDANCE, PathShape
-from lunarsim.onboard.guidance.zem_zev import ZemZevLaw, zem_zev
+from lunarsim.onboard.guidance.zem_zev import ZemZevLaw
 from lunarsim.onboard.navigation.estimate import Estimate
 from lunarsim.parts.registry import kinds, resolve
 
@@ -97,15 +95,17 @@ def test_lu_s_feedback_is_the_start_of_the_path(r, v, rf, vf, af, time_to_go, po
     low, high = powers
     gain = (low + 2.0) * (high + 2.0)
     for gamma in powers:
-        thrust = fractional_feedback(r, v, end, time_to_go, G, gamma=gamma, gain=gain)
+        law = CompiledFeedback(fractional_polynomial, G, (gamma, gain))
+        acceleration = law(r, v, end, time_to_go)
         path = PathShape(low, high).path(r, v, end, time_to_go)
-        assert np.allclose(thrust, path.command + UP, rtol=1e-6, atol=1e-6)
+        assert np.allclose(acceleration, path.command, rtol=1e-6, atol=1e-6)
     for shape, gain in ((E_GUIDANCE, 6.0), (APOLLO, 12.0)):
-        thrust = fractional_feedback(r, v, end, time_to_go, G, gamma=1.0, gain=gain)
-        assert np.allclose(thrust, shape.path(r, v, end, time_to_go).command + UP, atol=1e-8)
+        law = AugmentedApolloLaw(gain=gain).feedback(G)
+        acceleration = law(r, v, end, time_to_go)
+        assert np.allclose(acceleration, shape.path(r, v, end, time_to_go).command, atol=1e-8)
     assert np.allclose(
-        zem_zev(r, v, end, time_to_go, G),
-        E_GUIDANCE.path(r, v, end, time_to_go).command + UP, atol=1e-8,
+        ZemZevLaw().feedback(G)(r, v, end, time_to_go),
+        E_GUIDANCE.path(r, v, end, time_to_go).command, atol=1e-8,
     )  # fmt: skip
 
 
