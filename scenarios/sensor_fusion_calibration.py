@@ -23,7 +23,7 @@ from sensor_fusion_flights import ODDS, POSTING
 from lunarsim import InputError
 from lunarsim.api import Lander
 from lunarsim.console import plain_console
-from lunarsim.onboard.hazards.fusion.calibration import FusedCalibration
+from lunarsim.onboard.calibration.fused import FusedCalibration
 
 Array = np.ndarray[Any, Any]
 

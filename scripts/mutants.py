@@ -103,7 +103,9 @@ _TESTS: dict[str, tuple[str, ...]] = {
         "tests/sensors/rendering/test_tile_tables.py", "tests/sensors/rendering/test_kernels.py",
         "tests/sensors/rendering/test_lee_blocks.py",
     ),
-    "lunarsim/safety/_monotone_spline_kernels.py": ("tests/safety/test_ensemble.py",),
+    "lunarsim/onboard/calibration/_monotone_spline_kernels.py": (
+        "tests/onboard/calibration/test_ensemble.py",
+    ),
     "lunarsim/simulation/_cycle_kernels.py": ("tests/simulation/test_cycle.py",),
     "lunarsim/vehicle/_kernels.py": (
         "tests/vehicle/test_kernels.py", "tests/vehicle/test_dynamics.py",

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from lunarsim.grid import Grid
+from lunarsim.onboard.calibration.gaussian_dem import calibrated_safety
 from lunarsim.onboard.hazards.fusion.elevation_samples import ElevationSamples
 from lunarsim.onboard.hazards.fusion.flat_terrain import (
     apply_ceiling,
@@ -15,7 +16,6 @@ from lunarsim.onboard.hazards.fusion.priors import FusionPriors
 from lunarsim.onboard.hazards.hazard_map import HazardMap
 from lunarsim.onboard.hazards.map_evidence import RockEvidence, RockTracks, TerrainEvidence
 from lunarsim.rocks.population import RockExpectation
-from lunarsim.safety.calibration import calibrated_safety
 from tests.map_evidence import LANDER, SIDE, evidence, rocky
 
 GRID = Grid(0.0, 0.0, 0.5, SIDE, SIDE)

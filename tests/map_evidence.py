@@ -7,8 +7,8 @@ from scipy.special import ndtr
 
 from lunarsim.grid import Grid
 from lunarsim.models.lander import Lander
+from lunarsim.onboard.calibration.gaussian_dem import MapEvidence
 from lunarsim.safety import SafetyMap
-from lunarsim.safety.calibration import MapEvidence
 from lunarsim.safety.conservative import StochasticSafety
 from lunarsim.safety.unseen_rocks import ExceedanceCurve, height_curve
 

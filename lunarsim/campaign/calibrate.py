@@ -24,13 +24,13 @@ from lunarsim.evaluation.site_calibration import (
     sample_sites,
     with_quality,
 )
+from lunarsim.onboard.calibration.scenario_calibration import ScenarioCalibration
 from lunarsim.onboard.hazards.gaussian_dem.dem_snapshot import dem_site_evidence
 from lunarsim.onboard.hazards.gaussian_dem.mapper import (
     GaussianDemMapper,
     GaussianDemMapperSettings,
 )
 from lunarsim.rng import RandomStreams, calibration_seed
-from lunarsim.safety.scenario_calibration import ScenarioCalibration
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation
 

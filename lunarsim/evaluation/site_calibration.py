@@ -13,7 +13,8 @@ from numpy.typing import ArrayLike
 from lunarsim.errors import InputError
 from lunarsim.evaluation.reliability import EDGES, reliability
 from lunarsim.models.lander import Lander
-from lunarsim.safety.calibration import (
+from lunarsim.onboard.calibration.domain import CalibrationDomain
+from lunarsim.onboard.calibration.gaussian_dem import (
     MapEvidence,
     in_domain,
     log_odds_bounds,
@@ -23,8 +24,7 @@ from lunarsim.safety.calibration import (
     packaged_ensemble,
     site_probability,
 )
-from lunarsim.safety.domain import CalibrationDomain
-from lunarsim.safety.scenario_calibration import (
+from lunarsim.onboard.calibration.scenario_calibration import (
     MIN_SITES_PER_CLASS,
     ScenarioCalibration,
     has_enough_sites,

@@ -5,7 +5,6 @@ Every test evaluates a lander centred on a cell, at every heading.
 
 from lunarsim.safety.alhat import alhat_safety
 from lunarsim.safety.bounded import bounded_safety
-from lunarsim.safety.calibration import calibrated_safety
 from lunarsim.safety.conservative import (
     StochasticSafety,
     conservative_safety,
@@ -21,7 +20,6 @@ __all__ = [
     "StochasticSafety",
     "alhat_safety",
     "bounded_safety",
-    "calibrated_safety",
     "conservative_safety",
     "exact_safety",
     "footprint_of",

@@ -1,7 +1,7 @@
 """Fit the safety probability of the Gaussian DEM and test it on held-out terrains.
 
 The script scans a matrix of terrains (relief, rocks, lander, range, angle, noise; `worlds.py`) and
-fits the calibrated probability of `lunarsim.safety.calibration` to all of them. The script then
+fits the calibrated probability of `lunarsim.onboard.calibration` to all of them. The script then
 repeats the fit without each relief, rock law, lander and range (a row of the matrix), and evaluates
 each fit on the held-out row. A fit is an ensemble: one model for all its terrains, and one without
 each of them.
@@ -38,10 +38,12 @@ from lunarsim.evaluation.reliability import (
     chance_calibration_error,
     reliability,
 )
-from lunarsim.onboard.hazards.gaussian_dem import SamplePool, pooled_dem
-from lunarsim.onboard.hazards.gaussian_dem.dem_snapshot import dem_site_evidence
-from lunarsim.rocks.population import RockExpectation
-from lunarsim.safety.calibration import (
+from lunarsim.onboard.calibration.ensemble import (
+    ALMOST_CERTAINLY_UNSAFE_P,
+    Ensemble,
+    conservative_probability,
+)
+from lunarsim.onboard.calibration.gaussian_dem import (
     MONOTONE_FEATURES,
     NEAR_DOMAIN_LOG_ODDS_MARGIN,
     features,
@@ -50,7 +52,9 @@ from lunarsim.safety.calibration import (
     outside_domain_bound,
     p_no_rock_under_pads,
 )
-from lunarsim.safety.ensemble import ALMOST_CERTAINLY_UNSAFE_P, Ensemble, conservative_probability
+from lunarsim.onboard.hazards.gaussian_dem import SamplePool, pooled_dem
+from lunarsim.onboard.hazards.gaussian_dem.dem_snapshot import dem_site_evidence
+from lunarsim.rocks.population import RockExpectation
 from lunarsim.viz.reliability import plot_ideal, plot_reliability
 from lunarsim.viz.style import COLOURS, new_figure, save
 
@@ -495,7 +499,7 @@ def sample_scenes(count: int, seed: int) -> list[LidarScene]:
 
 
 @click.command()
-@options(480, "lunarsim/safety/calibration.json")
+@options(480, "lunarsim/onboard/calibration/gaussian_dem.json")
 def main(**values: Any) -> None:
     """Fit the safety probability of the Gaussian DEM; test it on held-out terrains."""
     study(

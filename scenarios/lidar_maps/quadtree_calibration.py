@@ -18,17 +18,17 @@ from scene_cache import SceneSites
 from worlds import LANDERS, UPRIGHT, LidarScene, sample_matrix
 
 from lunarsim import exact_safety
-from lunarsim.onboard.hazards.quadtree import QuadtreeMap, SiteSelector, SiteSettings
-from lunarsim.onboard.hazards.quadtree.site_probability import (
+from lunarsim.onboard.calibration.ensemble import LOG_ODDS_MARGIN
+from lunarsim.onboard.calibration.quadtree import (
     MAX_CLAIMED_UNSAFE,
     MONOTONE_FEATURES,
     bound,
     ceiling,
     features,
-    quadtree_site_evidence,
 )
+from lunarsim.onboard.hazards.quadtree import QuadtreeMap, SiteSelector, SiteSettings
+from lunarsim.onboard.hazards.quadtree.site_evidence import quadtree_site_evidence
 from lunarsim.rocks.population import RockExpectation
-from lunarsim.safety.ensemble import LOG_ODDS_MARGIN
 
 FLASHES = 4
 # Ratio of the half side of the landing zone to that of the lander footprint, as in the paper.
@@ -87,7 +87,7 @@ def sample_scenes(count: int, seed: int) -> list[LidarScene]:
 
 
 @click.command()
-@options(240, "lunarsim/onboard/hazards/quadtree/calibration.json")
+@options(240, "lunarsim/onboard/calibration/quadtree.json")
 def main(**values: Any) -> None:
     """Fit the safety probability of the quadtree; test it on held-out terrains."""
     command = "scenarios/lidar_maps/quadtree_calibration.py"

@@ -13,19 +13,19 @@ from lunarsim.evaluation.reliability import brier_score, brier_skill, calibratio
 from lunarsim.evaluation.site_calibration import SiteSamples, cross_validate, sample_sites
 from lunarsim.grid import Grid
 from lunarsim.models.lander import Lander
-from lunarsim.safety import SafetyMap
-from lunarsim.safety.calibration import (
-    NEAR_DOMAIN_LOG_ODDS_MARGIN,
-    calibrated_safety,
-    observed_terrain_bound,
-)
-from lunarsim.safety.ensemble import (
+from lunarsim.onboard.calibration.ensemble import (
     ALMOST_CERTAINLY_SAFE_P,
     ALMOST_CERTAINLY_UNSAFE_P,
     LOG_ODDS_MARGIN,
     conservative_probability,
     lower_bound_probability,
 )
+from lunarsim.onboard.calibration.gaussian_dem import (
+    NEAR_DOMAIN_LOG_ODDS_MARGIN,
+    calibrated_safety,
+    observed_terrain_bound,
+)
+from lunarsim.safety import SafetyMap
 from lunarsim.world.truth import TerrainTruth
 from tests.map_evidence import evidence
 

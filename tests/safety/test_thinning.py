@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lunarsim.errors import InputError
-from lunarsim.safety.calibration import calibrated_safety
+from lunarsim.onboard.calibration.gaussian_dem import calibrated_safety
 from lunarsim.safety.undetected_rock_ratio import UndetectedRockRatio
 from tests.map_evidence import SIDE, evidence, rocky
 from tests.reference import fusion as plain

@@ -15,10 +15,10 @@ from scipy.special import expit
 
 from lunarsim.grid import Grid
 from lunarsim.models.lander import Lander
+from lunarsim.onboard.calibration.ensemble import ALMOST_CERTAINLY_SAFE_P, LOG_ODDS_MARGIN
+from lunarsim.onboard.calibration.gaussian_dem import COUNT, UNCONSTRAINED_FEATURES
 from lunarsim.onboard.hazards.hazard_map import HazardMap
 from lunarsim.safety import SafetyMap
-from lunarsim.safety.calibration import COUNT, UNCONSTRAINED_FEATURES
-from lunarsim.safety.ensemble import ALMOST_CERTAINLY_SAFE_P, LOG_ODDS_MARGIN
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation
 from lunarsim.world import World

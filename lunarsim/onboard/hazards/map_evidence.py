@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lunarsim.errors import InputError
+from lunarsim.onboard.calibration.gaussian_dem import MapEvidence
+from lunarsim.onboard.calibration.scenario_calibration import ScenarioCalibration
 from lunarsim.onboard.hazards.hazard_map import HazardMap, TerrainSurface
-from lunarsim.safety.calibration import MapEvidence
-from lunarsim.safety.scenario_calibration import ScenarioCalibration
 from lunarsim.typing import Array
 from lunarsim.value_checks import check_elements, check_finite, check_shape
 

@@ -14,9 +14,13 @@ from lunarsim.errors import InputError
 from lunarsim.grid import Grid
 from lunarsim.messages.measurements import LidarScan
 from lunarsim.models.lander import Lander
-from lunarsim.onboard.hazards.gaussian_dem import GaussianDemMapper
-from lunarsim.onboard.hazards.quadtree import QuadtreeMapper
-from lunarsim.onboard.hazards.quadtree.site_probability import (
+from lunarsim.onboard.calibration.ensemble import (
+    ALMOST_CERTAINLY_SAFE_P,
+    LOG_ODDS_MARGIN,
+    MAX_CLAIM_DEFICIT,
+    Ensemble,
+)
+from lunarsim.onboard.calibration.quadtree import (
     COUNT,
     MAX_EXPECTED_HAZARDS,
     MAX_EXPECTED_HOLES,
@@ -24,19 +28,15 @@ from lunarsim.onboard.hazards.quadtree.site_probability import (
     UNCONSTRAINED_FEATURES,
     SiteEvidence,
     packaged_ensemble,
-    quadtree_site_evidence,
     site_safety,
 )
+from lunarsim.onboard.hazards.gaussian_dem import GaussianDemMapper
+from lunarsim.onboard.hazards.quadtree import QuadtreeMapper
+from lunarsim.onboard.hazards.quadtree.site_evidence import quadtree_site_evidence
 from lunarsim.onboard.navigation.estimate import Estimate
 from lunarsim.rocks.field import RockField
 from lunarsim.rocks.population import RockExpectation
 from lunarsim.safety import exact_safety
-from lunarsim.safety.ensemble import (
-    ALMOST_CERTAINLY_SAFE_P,
-    LOG_ODDS_MARGIN,
-    MAX_CLAIM_DEFICIT,
-    Ensemble,
-)
 from lunarsim.safety.unseen_rocks import (
     ExceedanceCurve,
     depth_curve,

@@ -33,16 +33,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lunarsim.grid import Grid
-from lunarsim.onboard.hazards.fusion.resampling import resample_to_grid
-from lunarsim.onboard.hazards.fusion.rock_heights import RockHeights
-from lunarsim.onboard.hazards.map_evidence import RockEvidence, RockTracks
-from lunarsim.onboard.hazards.shadows.rock_count_check import is_rock_count_too_low
-from lunarsim.safety.calibration import (
+from lunarsim.onboard.calibration.gaussian_dem import (
     NOISE_RATIO_RANGE,
     SPACING_RATIO_RANGE,
     MapEvidence,
     observed_terrain_bound,
 )
+from lunarsim.onboard.hazards.fusion.resampling import resample_to_grid
+from lunarsim.onboard.hazards.fusion.rock_heights import RockHeights
+from lunarsim.onboard.hazards.map_evidence import RockEvidence, RockTracks
+from lunarsim.onboard.hazards.shadows.rock_count_check import is_rock_count_too_low
 from lunarsim.typing import Array
 
 # Slope and roughness count as well within the limits up to 1 minus these shares.

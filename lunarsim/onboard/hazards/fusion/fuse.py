@@ -25,6 +25,8 @@ import numpy as np
 
 from lunarsim.errors import InputError
 from lunarsim.grid import Grid
+from lunarsim.onboard.calibration.ensemble import ALMOST_CERTAINLY_SAFE_P, ALMOST_CERTAINLY_UNSAFE_P
+from lunarsim.onboard.calibration.gaussian_dem import MapEvidence, calibrated_safety
 from lunarsim.onboard.hazards.fusion.elevation_samples import ElevationSamples
 from lunarsim.onboard.hazards.fusion.flat_terrain import (
     apply_ceiling,
@@ -48,8 +50,6 @@ from lunarsim.onboard.hazards.fusion.unobserved_safety_prior import unobserved_s
 from lunarsim.onboard.hazards.hazard_map import BoolMap, FloatMap, HazardMap
 from lunarsim.onboard.hazards.map_evidence import RockEvidence, TerrainEvidence
 from lunarsim.onboard.hazards.shadows.footprints import disc_mean
-from lunarsim.safety.calibration import MapEvidence, calibrated_safety
-from lunarsim.safety.ensemble import ALMOST_CERTAINLY_SAFE_P, ALMOST_CERTAINLY_UNSAFE_P
 from lunarsim.safety.undetected_rock_ratio import UndetectedRockRatio
 from lunarsim.typing import Array
 

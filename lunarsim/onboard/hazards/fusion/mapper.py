@@ -13,7 +13,7 @@ import numpy as np
 from lunarsim.errors import InputError, suggestion
 from lunarsim.grid import Grid
 from lunarsim.messages.briefing import Briefing
-from lunarsim.onboard.hazards.fusion.calibration import FusedCalibration
+from lunarsim.onboard.calibration.fused import FusedCalibration
 from lunarsim.onboard.hazards.fusion.fuse import fuse_evidence
 from lunarsim.onboard.hazards.fusion.priors import FusionPriors
 from lunarsim.onboard.hazards.fusion.resampling import resample_to_grid

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from scipy.special import expit, logit
 
+from lunarsim.onboard.calibration.gaussian_dem import UNKNOWN_MODEL_WEIGHT
 from lunarsim.onboard.hazards.fusion.priors import FusionPriors
 from lunarsim.onboard.hazards.hazard_map import FloatMap
-from lunarsim.safety.calibration import UNKNOWN_MODEL_WEIGHT
 from lunarsim.typing import Array
 
 # Minimum probability in averages of log odds.

@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 
 from lunarsim.grid import Grid
 from lunarsim.models.lander import Lander
+from lunarsim.onboard.calibration.gaussian_dem import MapEvidence, calibrated_safety
+from lunarsim.onboard.calibration.scenario_calibration import ScenarioCalibration
 from lunarsim.onboard.hazards.gaussian_dem.pooled import PooledDem
 from lunarsim.onboard.hazards.hazard_map import BoolMap, FloatMap, HazardMap
 from lunarsim.rocks.population import RockExpectation
 from lunarsim.safety import bounded_safety, plane_stochastic_safety, stochastic_safety
-from lunarsim.safety.calibration import MapEvidence, calibrated_safety
-from lunarsim.safety.scenario_calibration import ScenarioCalibration
 from lunarsim.safety.unseen_rocks import depth_curve, height_curve
 
 

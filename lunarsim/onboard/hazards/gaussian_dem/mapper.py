@@ -13,6 +13,8 @@ from lunarsim.grid import Grid
 from lunarsim.messages.briefing import Briefing
 from lunarsim.messages.measurements import LidarScan
 from lunarsim.models.lander import Lander
+from lunarsim.onboard.calibration.gaussian_dem import packaged_ensemble
+from lunarsim.onboard.calibration.scenario_calibration import ScenarioCalibration
 from lunarsim.onboard.hazards.gaussian_dem.dem_snapshot import DemSnapshot
 from lunarsim.onboard.hazards.gaussian_dem.pooled import PooledDem, pooled_dem
 from lunarsim.onboard.hazards.gaussian_dem.samples import SamplePool
@@ -30,8 +32,6 @@ from lunarsim.onboard.navigation.estimate import Estimate, Navigation
 from lunarsim.parts.quantity import check_bounds, quantity
 from lunarsim.rocks.population import RockExpectation
 from lunarsim.safety import footprint_of, plane_stochastic_safety, stochastic_safety
-from lunarsim.safety.calibration import packaged_ensemble
-from lunarsim.safety.scenario_calibration import ScenarioCalibration
 from lunarsim.typing import Array
 
 # A height offset of a scan is corrected if it exceeds this many standard deviations and this
@@ -129,7 +129,7 @@ class GaussianDemMapper(HazardMapper):
         Geometry and limits of the lander.
     safety
         ``"calibrated"``: calibrated probability; outside its domain a heuristic value (see
-        `lunarsim.safety.calibration`). ``"level"``: conservative test of Eqs. 15 to 17 of the
+        `lunarsim.onboard.calibration`). ``"level"``: conservative test of Eqs. 15 to 17 of the
         Gaussian DEM paper, which compares highest and lowest terrain. ``"planes"``: the same test
         with the actual support planes of the legs, which keeps safe sites on sloping terrain.
     rocks

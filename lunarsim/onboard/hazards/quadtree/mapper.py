@@ -14,11 +14,13 @@ from lunarsim.grid import Grid
 from lunarsim.messages.briefing import Briefing
 from lunarsim.messages.measurements import LidarScan
 from lunarsim.models.lander import Lander
+from lunarsim.onboard.calibration.ensemble import Ensemble
+from lunarsim.onboard.calibration.quadtree import site_safety
 from lunarsim.onboard.hazards.hazard_map import FloatMap, HazardMap
 from lunarsim.onboard.hazards.map_evidence import TerrainEvidence
 from lunarsim.onboard.hazards.mapper import HazardMapper, is_off_centre, map_grid
 from lunarsim.onboard.hazards.quadtree.settings import InterestMap, SiteSettings
-from lunarsim.onboard.hazards.quadtree.site_probability import quadtree_site_evidence, site_safety
+from lunarsim.onboard.hazards.quadtree.site_evidence import quadtree_site_evidence
 from lunarsim.onboard.hazards.quadtree.sites import SITE_STATUS, SiteSelection, SiteSelector
 from lunarsim.onboard.hazards.quadtree.tree import QuadtreeMap
 from lunarsim.onboard.hazards.scoreboard import Scoreboard
@@ -26,7 +28,6 @@ from lunarsim.onboard.hazards.unleveled_scans import UnleveledScans, rotate_abou
 from lunarsim.onboard.navigation.estimate import Estimate, Navigation
 from lunarsim.parts.quantity import quantity
 from lunarsim.rocks.population import RockExpectation
-from lunarsim.safety.ensemble import Ensemble
 from lunarsim.typing import Array
 
 

@@ -11,8 +11,8 @@ from lunarsim.errors import InputError
 from lunarsim.grid import Grid
 from lunarsim.messages.briefing import Briefing
 from lunarsim.models.lander import Lander
+from lunarsim.onboard.calibration.fused import FusedCalibration
 from lunarsim.onboard.hazards.fusion import FusedMapper, FusedMapperSettings
-from lunarsim.onboard.hazards.fusion.calibration import FusedCalibration
 from lunarsim.onboard.hazards.gaussian_dem.mapper import GaussianDemMapperSettings
 from lunarsim.onboard.hazards.quadtree.mapper import QuadtreeMapperSettings
 from lunarsim.onboard.hazards.shadows.mapping import ShadowMapping

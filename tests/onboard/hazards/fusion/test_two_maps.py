@@ -9,6 +9,14 @@ import numpy as np
 import pytest
 
 from lunarsim.grid import Grid
+from lunarsim.onboard.calibration.domain import CalibrationDomain
+from lunarsim.onboard.calibration.ensemble import ALMOST_CERTAINLY_SAFE_P
+from lunarsim.onboard.calibration.gaussian_dem import calibrated_safety, packaged_ensemble
+from lunarsim.onboard.calibration.scenario_calibration import (
+    CalibrationStage,
+    ScenarioCalibration,
+    lander_safety_params,
+)
 from lunarsim.onboard.hazards.fusion.flat_terrain import is_detection_count_plausible
 from lunarsim.onboard.hazards.fusion.fuse import footprint_undetected_ratio, fuse_evidence
 from lunarsim.onboard.hazards.fusion.registration import register_tracks
@@ -24,14 +32,6 @@ from lunarsim.onboard.hazards.gaussian_dem.samples import SamplePool
 from lunarsim.onboard.hazards.hazard_map import HazardMap
 from lunarsim.onboard.hazards.map_evidence import TerrainEvidence
 from lunarsim.rocks.population import RockExpectation
-from lunarsim.safety.calibration import calibrated_safety, packaged_ensemble
-from lunarsim.safety.domain import CalibrationDomain
-from lunarsim.safety.ensemble import ALMOST_CERTAINLY_SAFE_P
-from lunarsim.safety.scenario_calibration import (
-    CalibrationStage,
-    ScenarioCalibration,
-    lander_safety_params,
-)
 from tests.camera_and_lidar import (
     DOUBTED,
     GRID,

@@ -8,6 +8,7 @@ from itertools import pairwise, product
 import numpy as np
 import pytest
 
+from lunarsim.onboard.calibration.gaussian_dem import calibrated_safety
 from lunarsim.onboard.hazards.fusion.flat_terrain import no_undetected_rock_probability
 from lunarsim.onboard.hazards.fusion.fuse import footprint_undetected_ratio, fuse_evidence
 from lunarsim.onboard.hazards.fusion.rock_heights import (
@@ -15,7 +16,6 @@ from lunarsim.onboard.hazards.fusion.rock_heights import (
     rock_free_probability,
 )
 from lunarsim.onboard.hazards.fusion.unobserved_safety_prior import unobserved_safety_prior
-from lunarsim.safety.calibration import calibrated_safety
 from tests.camera_and_lidar import (
     DOUBTED,
     FOOTPRINT,

@@ -12,19 +12,19 @@ from lunarsim.frames import quat_from_rotation_vector, quat_to_matrix
 from lunarsim.grid import Grid
 from lunarsim.messages.measurements import LidarScan
 from lunarsim.models.lander import Lander
+from lunarsim.onboard.calibration.domain import CalibrationDomain
+from lunarsim.onboard.calibration.gaussian_dem import calibrated_safety, packaged_ensemble
+from lunarsim.onboard.calibration.scenario_calibration import (
+    CalibrationStage,
+    ScenarioCalibration,
+    lander_safety_params,
+)
 from lunarsim.onboard.hazards.gaussian_dem import GaussianDemMapper, gaussian_dem
 from lunarsim.onboard.hazards.gaussian_dem.samples import SamplePool
 from lunarsim.onboard.hazards.quadtree import QuadtreeMapper
 from lunarsim.onboard.hazards.unleveled_scans import UnleveledScans
 from lunarsim.onboard.navigation import Estimate
 from lunarsim.rocks.population import RockExpectation
-from lunarsim.safety.calibration import calibrated_safety, packaged_ensemble
-from lunarsim.safety.domain import CalibrationDomain
-from lunarsim.safety.scenario_calibration import (
-    CalibrationStage,
-    ScenarioCalibration,
-    lander_safety_params,
-)
 from lunarsim.sensors.lidar import FlashLidar
 
 GRID = Grid.centred((0.0, 0.0), 8.0, 0.5)

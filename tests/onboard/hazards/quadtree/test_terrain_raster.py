@@ -9,7 +9,7 @@ import pytest
 
 from lunarsim.models.lander import Lander
 from lunarsim.onboard.hazards.quadtree import QuadtreeMap, SiteSelector, SiteSettings
-from lunarsim.onboard.hazards.quadtree.site_probability import quadtree_site_evidence
+from lunarsim.onboard.hazards.quadtree.site_evidence import quadtree_site_evidence
 from lunarsim.onboard.hazards.quadtree.terrain_raster import (
     close_holes,
     residual_heights,

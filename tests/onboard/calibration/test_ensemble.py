@@ -11,9 +11,8 @@ from hypothesis import strategies as st
 from scipy.special import expit
 
 from lunarsim.errors import InputError
-from lunarsim.onboard.hazards.quadtree import site_probability as quadtree
-from lunarsim.safety.calibration import NEAR_DOMAIN_LOG_ODDS_MARGIN
-from lunarsim.safety.ensemble import (
+from lunarsim.onboard.calibration import quadtree
+from lunarsim.onboard.calibration.ensemble import (
     ALMOST_CERTAINLY_SAFE_P,
     ALMOST_CERTAINLY_UNSAFE_P,
     LOG_ODDS_MARGIN,
@@ -22,8 +21,9 @@ from lunarsim.safety.ensemble import (
     LogOddsBounds,
     conservative_probability,
 )
-from lunarsim.safety.logistic import Logistic
-from lunarsim.safety.monotone_splines import MonotoneSplineTerm, spline_features
+from lunarsim.onboard.calibration.gaussian_dem import NEAR_DOMAIN_LOG_ODDS_MARGIN
+from lunarsim.onboard.calibration.logistic import Logistic
+from lunarsim.onboard.calibration.monotone_splines import MonotoneSplineTerm, spline_features
 
 
 @given(st.integers(0, 10_000), st.integers(1, 5), st.booleans())

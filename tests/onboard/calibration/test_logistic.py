@@ -7,7 +7,7 @@ import pytest
 
 from lunarsim.errors import InputError
 from lunarsim.evaluation.reliability import calibration_error, reliability
-from lunarsim.safety.logistic import Logistic
+from lunarsim.onboard.calibration.logistic import Logistic
 
 
 def test_a_known_law_is_recovered():

@@ -9,8 +9,8 @@ import pytest
 from scipy.special import expit, logit
 
 from lunarsim.errors import InputError
+from lunarsim.onboard.calibration.fused import FusedCalibration
 from lunarsim.onboard.hazards.fusion import FusedMapper, FusedMapperSettings
-from lunarsim.onboard.hazards.fusion.calibration import FusedCalibration
 from lunarsim.onboard.hazards.gaussian_dem.mapper import GaussianDemMapperSettings
 from lunarsim.onboard.hazards.quadtree.mapper import QuadtreeMapperSettings
 from tests.made_mapper import TERMS, Made

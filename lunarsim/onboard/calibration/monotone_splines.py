@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lunarsim.safety import _monotone_spline_kernels as k
+from lunarsim.onboard.calibration import _monotone_spline_kernels as k
 from lunarsim.typing import Array
 
 

@@ -12,8 +12,14 @@ from scipy.special import expit
 
 from lunarsim.errors import InputError
 from lunarsim.grid import Grid
-from lunarsim.rocks.size_distribution import golombek_number
-from lunarsim.safety.calibration import (
+from lunarsim.onboard.calibration.domain import CalibrationDomain
+from lunarsim.onboard.calibration.ensemble import (
+    ALMOST_CERTAINLY_SAFE_P,
+    LOG_ODDS_MARGIN,
+    MAX_CLAIM_DEFICIT,
+    Ensemble,
+)
+from lunarsim.onboard.calibration.gaussian_dem import (
     COUNT,
     MAX_P_UNCOUNTED_ROCKS,
     MOST_HAZARDS,
@@ -28,13 +34,7 @@ from lunarsim.safety.calibration import (
     p_no_rock_under_pads,
     packaged_ensemble,
 )
-from lunarsim.safety.domain import CalibrationDomain
-from lunarsim.safety.ensemble import (
-    ALMOST_CERTAINLY_SAFE_P,
-    LOG_ODDS_MARGIN,
-    MAX_CLAIM_DEFICIT,
-    Ensemble,
-)
+from lunarsim.rocks.size_distribution import golombek_number
 from lunarsim.safety.rock_effects import tilt_limit_rock_height
 from lunarsim.safety.unseen_rocks import (
     ExceedanceCurve,

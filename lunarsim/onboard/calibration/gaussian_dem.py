@@ -7,14 +7,14 @@ dimensionless: heights relative to the lander's limits, distances relative to it
 footprint.
 
 The regression was fitted once to all worlds and once without each of them, and the minimum over
-the fits is used (`lunarsim.safety.ensemble`). It is a frequency where all fits agree that a site is
+the fits is used (`ensemble`). It is a frequency where all fits agree that a site is
 almost certainly safe or almost certainly unsafe, and where few unobserved hazards are expected.
 Elsewhere a fit to other worlds cannot predict how often a site is safe. Near that domain the odds
 that a site is unsafe are multiplied by twelve. Farther away the result is the minimum of that, of
 Eqs. 15 to 17 and of the probability that no unobserved rock is present. With a weight of one in a
 thousand the fits are used alone, so that sites of very low probability can still be ranked.
 Across all these boundaries, worse evidence never increases the probability. A scenario's own
-calibration (`lunarsim.safety.scenario_calibration`) has its own last stage and its own domain.
+calibration (`scenario_calibration`) has its own last stage and its own domain.
 """
 
 from __future__ import annotations
@@ -29,19 +29,19 @@ from scipy.special import expit, ndtri
 
 from lunarsim.errors import InputError
 from lunarsim.models.lander import Lander
-from lunarsim.safety.conservative import StochasticSafety
-from lunarsim.safety.domain import CalibrationDomain
-from lunarsim.safety.ensemble import (
+from lunarsim.onboard.calibration.domain import CalibrationDomain
+from lunarsim.onboard.calibration.ensemble import (
     ALMOST_CERTAINLY_SAFE_P,
     Ensemble,
     LogOddsBounds,
     conservative_probability,
     out_of_domain_bound,
 )
+from lunarsim.onboard.calibration.monotone_splines import MonotoneSplineTerm, spline_features
+from lunarsim.onboard.calibration.scenario_calibration import ScenarioCalibration
+from lunarsim.safety.conservative import StochasticSafety
 from lunarsim.safety.exact import SafetyMap
-from lunarsim.safety.monotone_splines import MonotoneSplineTerm, spline_features
 from lunarsim.safety.rock_effects import footprint_area, pad_ring_area, tilt_limit_rock_height
-from lunarsim.safety.scenario_calibration import ScenarioCalibration
 from lunarsim.safety.undetected_rock_ratio import UndetectedRockRatio
 from lunarsim.safety.unseen_rocks import ExceedanceCurve
 from lunarsim.typing import Array, BoolArray
@@ -398,7 +398,7 @@ def packaged_ensemble() -> Ensemble:
 
     The ensemble was fitted by `scenarios/lidar_maps/calibration.py`.
     """
-    return Ensemble.packaged("lunarsim.safety", "calibration.json", COUNT, MONOTONE_FEATURES)
+    return Ensemble.packaged("gaussian_dem.json", COUNT, MONOTONE_FEATURES)
 
 
 def calibrated_safety(

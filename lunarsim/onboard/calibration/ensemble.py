@@ -27,8 +27,8 @@ from numpy.typing import ArrayLike
 from scipy.special import expit
 
 from lunarsim.errors import InputError
-from lunarsim.safety.logistic import Logistic
-from lunarsim.safety.monotone_splines import MonotoneSplineTerm, ensemble_bounds
+from lunarsim.onboard.calibration.logistic import Logistic
+from lunarsim.onboard.calibration.monotone_splines import MonotoneSplineTerm, ensemble_bounds
 from lunarsim.typing import Array, BoolArray
 
 # Margin on the log odds for worlds unlike those of the fits: a factor of 2 on the odds of an unsafe
@@ -269,13 +269,13 @@ class Ensemble:
         return cls._parsed(text, str(path), features, rising)
 
     @classmethod
-    def packaged(cls, package: str, name: str, features: int, rising: int = 0) -> Ensemble:
-        """Read the ensemble from the JSON file `name` inside the Python package `package`.
+    def packaged(cls, name: str, features: int, rising: int = 0) -> Ensemble:
+        """Read the ensemble from the JSON file `name` in the folder of this module.
 
         `features` is the number of weights per fit, `rising` the number of last weights that are
         non-negative.
         """
-        text = (resources.files(package) / name).read_text(encoding="utf-8")
+        text = (resources.files("lunarsim.onboard.calibration") / name).read_text(encoding="utf-8")
         return cls._parsed(text, name, features, rising)
 
     @classmethod

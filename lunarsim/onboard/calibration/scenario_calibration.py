@@ -22,10 +22,10 @@ from scipy.special import expit
 from lunarsim.atomic_files import atomic_write_text, read_json_with_format
 from lunarsim.errors import InputError
 from lunarsim.models.lander import Lander
+from lunarsim.onboard.calibration.domain import CalibrationDomain
+from lunarsim.onboard.calibration.ensemble import Ensemble
+from lunarsim.onboard.calibration.logistic import Logistic
 from lunarsim.parts.quantity import quantity_of
-from lunarsim.safety.domain import CalibrationDomain
-from lunarsim.safety.ensemble import Ensemble
-from lunarsim.safety.logistic import Logistic
 from lunarsim.typing import Array, BoolArray
 
 MetricTable = Mapping[str, Mapping[str, float | None]]

@@ -14,7 +14,13 @@ from scipy.special import expit
 
 from lunarsim.errors import InputError
 from lunarsim.models.lander import Lander
-from lunarsim.safety.calibration import (
+from lunarsim.onboard.calibration.domain import CalibrationDomain
+from lunarsim.onboard.calibration.ensemble import (
+    ALMOST_CERTAINLY_SAFE_P,
+    MAX_CLAIM_DEFICIT,
+    Ensemble,
+)
+from lunarsim.onboard.calibration.gaussian_dem import (
     COUNT,
     NEAR_DOMAIN_LOG_ODDS_MARGIN,
     UNKNOWN_MODEL_WEIGHT,
@@ -27,9 +33,7 @@ from lunarsim.safety.calibration import (
     packaged_ensemble,
     site_probability,
 )
-from lunarsim.safety.domain import CalibrationDomain
-from lunarsim.safety.ensemble import ALMOST_CERTAINLY_SAFE_P, MAX_CLAIM_DEFICIT, Ensemble
-from lunarsim.safety.scenario_calibration import (
+from lunarsim.onboard.calibration.scenario_calibration import (
     CalibrationStage,
     ScenarioCalibration,
     lander_safety_params,
