@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from types import SimpleNamespace
 
@@ -10,43 +11,23 @@ import numpy as np
 import pytest
 
 import lunarsim
+from lunarsim.errors import InputError
 from lunarsim.onboard.navigation.estimate import Estimate
 from lunarsim_envs.sites import _flight_kernels as f
 from tests.envs.site_scene import SMALL, lanes, made_up
+from tests.worlds import ROOT
 
-LAW = '''
-from dataclasses import dataclass
-
-from lunarsim.api import PathLaw, PathShape, quantity
-
-
-@dataclass(frozen=True)
-class Stiff(PathLaw):
-    """ZEM/ZEV feedback with a gain of the miss between those of E-guidance and Apollo."""
-
-    gain: float = quantity(7.0, ge=6, help="gain of the miss")
-    shape = PathShape(0.0, 1.0)
-
-    @property
-    def gains(self):
-        return (self.gain,)
-
-    @staticmethod
-    def formula(state, target, final, time_to_go, gravity, gains, out):
-        for k in range(3):
-            miss = target[k] - state[0, k] - time_to_go * final[0, k]
-            change = final[0, k] - state[1, k]
-            out[k] = (gains[0] * miss / time_to_go + (gains[0] - 2.0) * change) / time_to_go
-'''
+PAGE = ROOT / "docs" / "howto" / "custom-parts.md"
 
 
 @pytest.fixture(scope="module")
 def scenario(tmp_path_factory):
     folder = tmp_path_factory.mktemp("law")
-    (folder / "stiff_law.py").write_text(LAW)
+    (code,) = re.findall(r"```python\n# stiff_law.py\n(.*?)```", PAGE.read_text("utf-8"), re.DOTALL)
+    (folder / "stiff_law.py").write_text(code)
     sys.path.append(str(folder))
     lunarsim.allow_modules("stiff_law")
-    yield SMALL.changed(guidance={"kind": "stiff_law:Stiff", "gain": 6.5})
+    yield SMALL.changed(guidance={"kind": "stiff_law:StiffLaw", "gain": 6.5})
     sys.path.remove(str(folder))
 
 
@@ -97,3 +78,14 @@ def test_simulation_and_single_environments_fly_the_law(scenario):
         _, _, ended, _, info = env.step(int(np.flatnonzero(info["action_mask"])[0]))
     assert 10.0 < info["propellant_kg"] < 150.0
     assert not {"vertical-speed", "horizontal-speed", "tilt"} & set(info["failure_causes"])
+
+
+def test_a_law_with_its_own_build_is_refused_by_batches(scenario, tmp_path, monkeypatch):
+    (tmp_path / "own_build.py").write_text(
+        "from stiff_law import StiffLaw\n\n\nclass Own(StiffLaw):\n"
+        "    def build(self, briefing, lag):\n        return super().build(briefing, lag)\n"
+    )
+    monkeypatch.syspath_prepend(str(tmp_path))
+    lunarsim.allow_modules("own_build")
+    with pytest.raises(InputError, match=r"guidance\.kind: must be a law with paths of one shape"):
+        lanes(1, scenario=SMALL.changed(guidance={"kind": "own_build:Own"}), perception="truth")

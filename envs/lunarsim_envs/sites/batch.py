@@ -64,12 +64,14 @@ def kernel_guidance(scenario: Scenario, craft: VehicleParams) -> f.GuidanceParam
 
 def _check_supported(scenario: Scenario, guidance: Any) -> None:
     """Raise InputError if kernels do not support the guidance or a scenario table."""
-    plain = isinstance(guidance, PathLaw) and type(guidance).cost is PathLaw.cost
+    kind = type(guidance)
+    plain = (
+        isinstance(guidance, PathLaw) and kind.cost is PathLaw.cost and kind.build is PathLaw.build
+    )
     feedback = guidance.feedback(scenario.gravity_m_s2) if plain else None
     if not plain or not isinstance(feedback, CompiledFeedback | None):
-        kind = scenario.guidance.kind
         raise InputError(
-            "guidance.kind", kind,
+            "guidance.kind", scenario.guidance.kind,
             "must be a law with paths of one shape (as 'apollo' has) for this perception",
             "Otherwise use perception='onboard'.",
         )  # fmt: skip
