@@ -10,8 +10,6 @@ from lunarsim.errors import InputError
 from lunarsim.typing import Array, IntArray
 from lunarsim.value_checks import check_elements
 
-Index = IntArray
-
 # Relative variance added so that the correlation of nearly equal errors is positive definite.
 _REGULARISATION = 1e-9
 
@@ -55,7 +53,7 @@ def inflate(p: Array, columns: ArrayLike, factor: float, max_sigma: ArrayLike) -
     p[np.ix_(at, at)] = covariance + (np.outer(scale, scale) - 1.0) * residual
 
 
-def _explained_covariance(p: Array, indices: Index) -> Array:
+def _explained_covariance(p: Array, indices: IntArray) -> Array:
     """Return the covariance (k, k) of some errors explained by all other errors.
 
     This is the covariance of the regression of the errors `indices` (k,) on the others; `p` (n, n)

@@ -17,8 +17,6 @@ from lunarsim.onboard.navigation._rock_filter_kernels import (
 )
 from lunarsim.typing import Array, IntArray
 
-Index = IntArray
-
 _BLOCK = 384
 _ROWS = 64
 # Up to this number of rows in w, row by row is faster than a matrix product.
@@ -45,7 +43,7 @@ def subtract_square(p: Array, w: Array) -> None:
     _run_in_threads(subtract, range(0, n, _BLOCK))
 
 
-def subtract_rows(p: Array, w: Array, states: Index) -> None:
+def subtract_rows(p: Array, w: Array, states: IntArray) -> None:
     """Subtract w' w of a Kalman update from some rows of the covariance p, in place.
 
     `states` (s,) are the indices of the rows; `p` (n, n) is symmetric; `w` is (m, n). The block of

@@ -16,7 +16,6 @@ from lunarsim._jit import threads_for
 from lunarsim.onboard.navigation._rock_filter_kernels import mirror_columns
 from lunarsim.typing import Array, BoolArray, IntArray
 
-Index = IntArray
 Flags = BoolArray
 
 
@@ -65,7 +64,7 @@ class DeferredColumns:
         _mirror(p, cease, active)
 
 
-def _mirror(p: Array, rows: Index, columns: Index) -> None:
+def _mirror(p: Array, rows: IntArray, columns: IntArray) -> None:
     """Copy p[columns, rows]' to p[rows, columns] of a symmetric matrix, in place."""
     with threads_for(2e-3 * len(rows) * len(columns)):
         mirror_columns(p, rows, columns)

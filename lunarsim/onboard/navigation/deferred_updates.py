@@ -12,8 +12,6 @@ import numpy as np
 from lunarsim.onboard.navigation.covariance_update import subtract_rows, subtract_square
 from lunarsim.typing import Array, IntArray
 
-Index = IntArray
-
 # Maximum number of deferred rows: a larger number does not reduce the cost per row.
 _MAX_ROWS = 256
 
@@ -28,7 +26,7 @@ class DeferredUpdates:
     def __init__(self) -> None:
         self._full_rows: list[Array] = []
         self._active_rows: list[Array] = []
-        self._active: Index | None = None
+        self._active: IntArray | None = None
 
     @property
     def rows(self) -> int:
@@ -40,7 +38,7 @@ class DeferredUpdates:
         """Whether the queued rows must be subtracted before more are added."""
         return self.rows >= _MAX_ROWS
 
-    def add(self, w: Array, active: Index | None) -> None:
+    def add(self, w: Array, active: IntArray | None) -> None:
         """Queue the subtraction of w' w from the covariance, for w (m, n).
 
         `w` has a row for each scalar measurement and a column for each error. `active` (k,) are the

@@ -33,8 +33,6 @@ from lunarsim.onboard.navigation.schmidt_kalman_covariance import SchmidtKalmanC
 from lunarsim.typing import Array, IntArray
 from lunarsim.value_checks import check_finite, check_shape
 
-Index = IntArray
-
 # Position and attitude of the lander in the error state.
 POSE = np.r_[0:3, 9:12]
 # Name of the block of the site frame relative to the local frame: position (m) and azimuth about up
@@ -167,7 +165,7 @@ class ErrorState(SchmidtKalmanCovariance):
         at = np.asarray(columns)
         self._current_covariance(at)[np.ix_(at, at)] += np.atleast_2d(covariance)
 
-    def clone(self, name: str, source: Index) -> None:
+    def clone(self, name: str, source: IntArray) -> None:
         """Make the errors of a block equal to other errors, for example those of the pose.
 
         A block is a named group of errors; `source` (k,) are the indices of the errors that are
@@ -179,7 +177,7 @@ class ErrorState(SchmidtKalmanCovariance):
         p[:, into] = p[:, source]
 
     def replace_by_sum(
-        self, index: int, sources: Index, weights: Array, noise_variance: float
+        self, index: int, sources: IntArray, weights: Array, noise_variance: float
     ) -> None:
         """Replace one error by a weighted sum of errors plus independent noise.
 
@@ -283,7 +281,7 @@ class ErrorState(SchmidtKalmanCovariance):
 
     def update_with_information(
         self,
-        indices: Index,
+        indices: IntArray,
         information: Array,
         vector: Array,
         gate: float = np.inf,

@@ -32,8 +32,6 @@ from lunarsim.onboard.navigation.inertial import (
 )
 from lunarsim.typing import Array, IntArray
 
-Index = IntArray
-
 _UP = np.array([0.0, 0.0, 1.0])
 
 
@@ -110,7 +108,7 @@ class LocalFrame:
 
     # --- errors ---------------------------------------------------------------------------
 
-    def pose_columns(self) -> Index:
+    def pose_columns(self) -> IntArray:
         """Return the state indices that a pose in the site frame depends on (10,)."""
         return np.concatenate((POSE, self.columns))
 
@@ -141,7 +139,7 @@ class LocalFrame:
         out[3:6, 9] = np.cross(_UP, r @ own.velocity)
         return np.asarray(out @ self.state.covariance_of(at) @ out.T)
 
-    def anchor(self, jacobian: Array, columns: Index, other_positions: list[slice]) -> None:
+    def anchor(self, jacobian: Array, columns: IntArray, other_positions: list[slice]) -> None:
         """Anchor the local frame to a terrain point instead of the initial position.
 
         A correction of the attitude then leaves the mapped terrain near this point in place, and
@@ -167,7 +165,7 @@ class LocalFrame:
         p[:] = change @ p @ change.T
 
 
-def _move_initial_errors(state: ErrorState, columns: Index) -> None:
+def _move_initial_errors(state: ErrorState, columns: IntArray) -> None:
     """Move initial errors of position and azimuth from the lander to the map offset.
 
     `columns` (4,) are the indices of the map offset in the error state. The initial errors z =

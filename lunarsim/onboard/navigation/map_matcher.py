@@ -25,8 +25,6 @@ from lunarsim.onboard.navigation.registration_settings import RegistrationSettin
 from lunarsim.onboard.navigation.scan_accumulator import ScanAccumulator
 from lunarsim.typing import Array, IntArray
 
-Index = IntArray
-
 # Factor on the standard deviations in the second fit of a scan that does not match.
 _WIDE_FACTOR = 20.0
 # Maximum rotation of the local frame before a search is restarted, rad.
@@ -228,7 +226,7 @@ class MapMatcher:
             sensor, "fits", outcome, scanner, DRIFTED_SCANNER_SIGMAS[: len(scanner)], time
         )
 
-    def _site_jacobian(self, sensor: str) -> tuple[Index, Array]:
+    def _site_jacobian(self, sensor: str) -> tuple[IntArray, Array]:
         """Return which state errors a scan in the site frame depends on, and a Jacobian.
 
         The errors are given by their indices (k,). The Jacobian (11, k) converts them to the 11

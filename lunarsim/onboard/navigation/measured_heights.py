@@ -25,8 +25,6 @@ from lunarsim.frames import quat_to_matrix
 from lunarsim.onboard.navigation.error_state import POSE, ErrorState, UpdateOutcome
 from lunarsim.typing import Array, IntArray
 
-Index = IntArray
-
 # Individual and common standard deviation of a rock's height on measured terrain, m.
 INDIVIDUAL_SIGMA_M, COMMON_SIGMA_M = 0.15, 0.15
 # Minimum ratio of the height variance of a rock to the noise variance for a correction.
@@ -62,7 +60,7 @@ class RockErrors(Protocol):
         """Centres of the rocks (n, 2), east and north, m."""
         ...
 
-    def state_indices(self, index: Index | None = None) -> Index:
+    def state_indices(self, index: IntArray | None = None) -> IntArray:
         """Return the indices of the rocks' coordinates in the error state (n, 3).
 
         `index` (n,) selects rocks; default: all rocks.
@@ -133,7 +131,7 @@ def _jacobians(state: ErrorState, points: Array, gradient: Array) -> tuple[Array
     return np.hstack((-normal, -np.cross(arm, normal @ body))), normal
 
 
-def _variances(rocks: RockErrors, index: Index, by_pose: Array, by_rock: Array) -> Array:
+def _variances(rocks: RockErrors, index: IntArray, by_pose: Array, by_rock: Array) -> Array:
     """Return the variance of each rock's height innovation without noise (k,), m^2.
 
     `index` (k,) are the rocks; `by_pose` (k, 6) and `by_rock` (k, 3) are their Jacobians.

@@ -21,8 +21,6 @@ from lunarsim.onboard.navigation.estimate import NavigationEvent
 from lunarsim.onboard.navigation.inertial import ATTITUDE, POSITION, VELOCITY
 from lunarsim.typing import Array, IntArray
 
-Index = IntArray
-
 # Maximum standard deviation of a rock coordinate after covariance inflation, m.
 _MAX_POSITION_SIGMA_M = 100.0
 
@@ -48,7 +46,7 @@ class FilterContext:
     events: list[NavigationEvent]
     max_sigmas: Array
 
-    def scanner_indices(self, sensor: str) -> Index:
+    def scanner_indices(self, sensor: str) -> IntArray:
         """Return the indices of a scanner's five calibration errors in the error state.
 
         The result is (5,), or (0,) if the state has no errors of this scanner.
@@ -65,7 +63,7 @@ class FilterContext:
         value = self.state.value(name) if self.state.has(name) else np.zeros(5)
         return CorrectedScan.of(scan, self.state.inertial, value)
 
-    def local_jacobian(self, sensor: str) -> tuple[Index, Array]:
+    def local_jacobian(self, sensor: str) -> tuple[IntArray, Array]:
         """Return which state errors a scan in the local frame depends on, and a Jacobian.
 
         The errors are given by their indices (k,). The Jacobian (11, k) converts them to the 11

@@ -42,8 +42,6 @@ from lunarsim.onboard.navigation.terrain_kriging import intersect_lines
 from lunarsim.onboard.navigation.terrain_prior import TerrainPrior
 from lunarsim.typing import Array, BoolArray, IntArray
 
-Index = IntArray
-
 # Minimum rotation of the view (rad), or relative change of the range, for a process-noise step.
 _MIN_VIEW_CHANGE = 0.02
 # Minimum distance of a rock from the camera in the process noise, m.
@@ -263,7 +261,7 @@ class RockFilter(RockStates):
 
     def update_rocks(
         self,
-        index: Index,
+        index: IntArray,
         predicted: RockProjection,
         pixel: Array,
         pixel_covariance: Array,
@@ -314,7 +312,7 @@ class RockFilter(RockStates):
 
     def _update_positions(
         self,
-        index: Index,
+        index: IntArray,
         predicted: RockProjection,
         pixel: Array,
         pixel_covariance: Array,
@@ -445,7 +443,7 @@ class RockFilter(RockStates):
         pixel_covariance: Array,
         radius: Array,
         radius_variance: Array,
-    ) -> Index:
+    ) -> IntArray:
         """Add rocks observed in an image, correlated with the lander and other rocks.
 
         The rocks are at `points` (b, 3), m; `pixel_covariance` (b, 2, 2) is that of the observed
@@ -466,7 +464,7 @@ class RockFilter(RockStates):
 
     def reset_positions(
         self,
-        index: Index,
+        index: IntArray,
         camera: CameraModel,
         pixel: Array,
         pixel_covariance: Array,
@@ -516,7 +514,7 @@ class RockFilter(RockStates):
         return by_pose, by_height, own
 
     def _set_position_covariance(
-        self, index: Index, by_pose: Array, by_height: Array, noise_covariance: Array
+        self, index: IntArray, by_pose: Array, by_height: Array, noise_covariance: Array
     ) -> None:
         """Set the horizontal covariance of the rocks `index` (b,) in the error state.
 

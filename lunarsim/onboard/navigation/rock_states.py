@@ -33,8 +33,6 @@ from lunarsim.onboard.navigation.terrain_kriging import (
 from lunarsim.onboard.navigation.terrain_prior import TERRAIN, TerrainPrior
 from lunarsim.typing import Array, BoolArray, IntArray
 
-Index = IntArray
-
 # Number of coordinates of a rock: east, north and height.
 ROCK_DIM = 3
 # Minimum number of rocks to estimate the offset of the measured terrain.
@@ -60,7 +58,7 @@ class RockStates:
     count
         Number of rocks.
     first
-        Index of the first rock's east coordinate in the error state.
+        IntArray of the first rock's east coordinate in the error state.
     measured_terrain
         Source of measured terrain heights; None: heights are interpolated between the rocks.
     """
@@ -100,7 +98,7 @@ class RockStates:
     def _update_frozen(self) -> None:
         self.state.freeze_tail(np.repeat(self._frozen[: self.count], ROCK_DIM))
 
-    def state_indices(self, index: Index | None = None) -> Index:
+    def state_indices(self, index: IntArray | None = None) -> IntArray:
         """Return the indices of the rocks' coordinates in the error state (n, 3).
 
         `index` (n,) selects rocks; default: all rocks.
@@ -146,7 +144,7 @@ class RockStates:
         cross = np.moveaxis(p[np.arange(ROCK_DIM)[:, None, None], self.state_indices()[None]], 0, 1)
         return np.asarray(own + p[:ROCK_DIM, :ROCK_DIM] - cross - np.swapaxes(cross, 1, 2))
 
-    def height_difference_variance(self, neighbours: Index) -> Array:
+    def height_difference_variance(self, neighbours: IntArray) -> Array:
         """Return the variance of height differences between rocks and others (n, k), m^2.
 
         `neighbours` (n, k) are the indices of the other rocks of each rock.
@@ -226,7 +224,11 @@ class RockStates:
         return places, np.append(self.terrain_height_below, self.xyz[:, 2])
 
     def update_radii(
-        self, index: Index, radius: Array, radius_variance: Array, min_variance_ratio: float = 0.0
+        self,
+        index: IntArray,
+        radius: Array,
+        radius_variance: Array,
+        min_variance_ratio: float = 0.0,
     ) -> None:
         """Update the radii of observed rocks by independent scalar Kalman filters.
 
@@ -258,7 +260,7 @@ class RockStates:
             self.correlate_height(rock)
         self.state.p[level, level] = np.repeat(np.square(sigma), 2)
 
-    def append(self, points: Array, radius: Array, radius_variance: Array) -> Index:
+    def append(self, points: Array, radius: Array, radius_variance: Array) -> IntArray:
         """Add rocks at points (b, 3), m, with zero covariance; return their indices (b,).
 
         `radius` and `radius_variance` (b,) are in m and m^2.
@@ -299,7 +301,7 @@ class RockStates:
         weights = np.concatenate((np.full(len(below), weights[0, 0]), weights[0, 1:]))
         self._set_height_error(rock, sources, weights, float(variance[0]))
 
-    def _correlate_with_measured(self, rock: int, others: Index) -> None:
+    def _correlate_with_measured(self, rock: int, others: IntArray) -> None:
         """Model a rock's height error as a mean over neighbours on measured terrain.
 
         `others` (k,) are the indices of all rocks on measured terrain. Without neighbours, the
@@ -315,12 +317,14 @@ class RockStates:
             weights = height_jacobian(self.state, self._xyz[rock])
             self._set_height_error(rock, POSE, weights, INDIVIDUAL_SIGMA_M**2 + COMMON_SIGMA_M**2)
 
-    def _set_height_error(self, rock: int, sources: Index, weights: Array, variance: float) -> None:
+    def _set_height_error(
+        self, rock: int, sources: IntArray, weights: Array, variance: float
+    ) -> None:
         self.state.replace_by_sum(
             int(self.state_indices(np.array([rock]))[0, 2]), sources, weights, variance
         )
 
-    def _nearest(self, rock: int, others: Index) -> Index:
+    def _nearest(self, rock: int, others: IntArray) -> IntArray:
         """Return the nearest neighbours of a rock among the rocks `others` (k,)."""
         distance = np.hypot(*(self._xyz[others, :2] - self._xyz[rock, :2]).T)
         if len(distance) > NEIGHBOUR_COUNT:
@@ -340,7 +344,7 @@ class RockStates:
             return UpdateOutcome(0.0, 0, False)
         return correct_heights(self, self.measured_terrain)
 
-    def remove(self, index: Index) -> Index:
+    def remove(self, index: IntArray) -> IntArray:
         """Remove rocks from the error state and fill the gaps with the last rocks.
 
         `index` are the removed rocks. The result is the old index of each remaining rock (n,), in

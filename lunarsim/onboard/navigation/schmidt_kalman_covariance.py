@@ -11,8 +11,6 @@ from lunarsim.onboard.navigation.deferred_columns import DeferredColumns
 from lunarsim.onboard.navigation.deferred_updates import DeferredUpdates
 from lunarsim.typing import Array, BoolArray, IntArray
 
-Index = IntArray
-
 
 class SchmidtKalmanCovariance:
     """Error covariance of a Schmidt-Kalman filter, with frozen errors.
@@ -75,7 +73,7 @@ class SchmidtKalmanCovariance:
             self._catch_up()
         return self._p
 
-    def pair_covariances(self, first: Index, second: Index) -> Array:
+    def pair_covariances(self, first: IntArray, second: IntArray) -> Array:
         """Return the covariances of pairs of errors, with indices `first` and `second`.
 
         All three arrays have the same shape (...).
@@ -121,7 +119,7 @@ class SchmidtKalmanCovariance:
         at = np.asarray(columns)
         return np.asarray(self._current_covariance(at)[np.ix_(at, at)])
 
-    def _rows(self, indices: Index) -> Array:
+    def _rows(self, indices: IntArray) -> Array:
         """Return the covariance rows (k, size) of the errors with indices `indices` (k,)."""
         return np.asarray(self._current_covariance(indices)[indices])
 
@@ -143,7 +141,7 @@ class SchmidtKalmanCovariance:
         grown[: self.size, : self.size] = self.covariance
         self._p = grown
 
-    def move_and_truncate(self, tail_size: int, target: Index, source: Index) -> None:
+    def move_and_truncate(self, tail_size: int, target: IntArray, source: IntArray) -> None:
         """Move errors of the tail to other indices, then shorten the tail.
 
         Errors at the indices `source` (k,) move to `target` (k,); afterwards the tail has
@@ -157,7 +155,7 @@ class SchmidtKalmanCovariance:
             is_frozen[target - self.head] = is_frozen[source - self.head]
         self._frozen, self.tail = is_frozen[:tail_size], tail_size
 
-    def set_rows(self, indices: Index, rows: Array) -> None:
+    def set_rows(self, indices: IntArray, rows: Array) -> None:
         """Set the covariance rows (k, size) of some errors, and their columns.
 
         `indices` (k,) are those of the errors. In the rows of frozen errors the columns may stay
@@ -188,7 +186,7 @@ class SchmidtKalmanCovariance:
             self._columns.change_frozen(own, self._frozen[:n], is_frozen[:n])
             self._frozen = is_frozen
 
-    def _active(self) -> Index | None:
+    def _active(self) -> IntArray | None:
         """Return the indices of the active (not frozen) tail errors; None for all.
 
         If less than half of the tail is frozen, all errors are treated as active.
@@ -198,7 +196,7 @@ class SchmidtKalmanCovariance:
             return None
         return np.flatnonzero(~self._frozen)
 
-    def _subtract(self, w: Array, active: Index | None) -> None:
+    def _subtract(self, w: Array, active: IntArray | None) -> None:
         """Subtract w' w from the covariance, for w (n, size); defer this for the tail.
 
         `active` (k,) are the indices of tail errors that are not frozen, counted from the start of

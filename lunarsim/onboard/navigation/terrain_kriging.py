@@ -11,9 +11,7 @@ import numpy as np
 
 from lunarsim._jit import threads_for
 from lunarsim.onboard.navigation import _kriging_kernels as kernels
-from lunarsim.typing import Array, IntArray
-
-Index = IntArray
+from lunarsim.typing import Array
 
 # Standard deviation of rock heights at the same place, m: burial depth and relief within a metre.
 _LOCAL_HEIGHT_SIGMA_M = 0.05

@@ -30,7 +30,6 @@ from lunarsim.onboard.perception.sun_angle import (
 )
 from lunarsim.typing import Array, IntArray
 
-Index = IntArray
 Complex = NDArray[np.complex128]
 
 # Range of q: smaller patches are completely grey, and in larger ones optics contribute little grey.
@@ -146,7 +145,7 @@ def _angle_under_sun(
 
 def _lit_to_black_vectors(
     seen: Detections, view: View, points: Array, threshold: float
-) -> tuple[Index, Complex]:
+) -> tuple[IntArray, Complex]:
     """Find rocks with separate black and lit parts; return their indices and vectors.
 
     The horizontal vectors (n,) point from lit to black; east is real, north imaginary. `points` are

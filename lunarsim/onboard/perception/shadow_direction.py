@@ -27,8 +27,6 @@ from lunarsim.onboard.perception.sun_angle import (
 from lunarsim.typing import Array, BoolArray, IntArray
 from lunarsim.value_checks import check_shape
 
-Index = IntArray
-
 # Brightness of a lit face relative to the terrain, and its maximum distance from the shadow, pixels
 # (or 0.7 q, whichever is larger).
 _FACE_BRIGHTNESS_RATIO = 1.15
@@ -58,7 +56,7 @@ _FACE_VETO_LIMITS = ((0.7, float(np.deg2rad(27.0))), (0.88, float(np.deg2rad(15.
 _AXIS_MODEL_SIGMA_RAD = float(np.deg2rad(3.0))
 
 
-def shadow_directions(image: ArrayLike, seen: Detections, rocks: Index | None = None) -> Array:
+def shadow_directions(image: ArrayLike, seen: Detections, rocks: IntArray | None = None) -> Array:
     """Return the image direction from each rock's lit face to its shadow (n, 2).
 
     The directions are unit vectors, right and down. The lit face is the weighted mean of the

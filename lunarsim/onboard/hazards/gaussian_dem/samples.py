@@ -24,8 +24,6 @@ from lunarsim.onboard.hazards.unleveled_scans import rotate_about
 from lunarsim.typing import Array, BoolArray, IntArray
 from lunarsim.value_checks import as_real_array, check_finite, check_shape
 
-Index = IntArray
-
 # Maximum standard deviation or spacing of samples, m.
 _MAX_LENGTH_M = 1e4
 # Minimum standard deviation of a height, m, whatever the sensor states.
@@ -255,7 +253,7 @@ class SamplePool:
         return mean, 1.0 / total[:, 0], self.spacing[rows, cols].astype(np.float64)
 
 
-def _cells(grid: Grid, points: Array) -> tuple[tuple[Index, Index], BoolArray]:
+def _cells(grid: Grid, points: Array) -> tuple[tuple[IntArray, IntArray], BoolArray]:
     """Return rows and columns of the points (n, 3) that are on a grid.
 
     The second result (n,) is True for these points.

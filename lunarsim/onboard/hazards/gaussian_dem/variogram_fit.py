@@ -13,8 +13,6 @@ from scipy.spatial import cKDTree
 from lunarsim.onboard.hazards.gaussian_dem.conventional import check_points
 from lunarsim.typing import Array, IntArray
 
-Index = IntArray
-
 _BIN_COUNT = 24
 
 
@@ -112,7 +110,7 @@ def _sample_pairs(
     return distance[use], 0.5 * (cloud[first, 2] - cloud[second, 2])[use] ** 2
 
 
-def _bin_pairs(distance: Array, square: Array, largest_lag: float) -> tuple[Array, Array, Index]:
+def _bin_pairs(distance: Array, square: Array, largest_lag: float) -> tuple[Array, Array, IntArray]:
     """Average point pairs in logarithmic distance bins with at least 30 pairs.
 
     `distance` (m,), m, and `square` (m,), m^2, are the result of `_sample_pairs`. Returns mean
@@ -128,7 +126,7 @@ def _bin_pairs(distance: Array, square: Array, largest_lag: float) -> tuple[Arra
 
 
 def _fit_model(
-    lag: Array, variogram: Array, count: Index, sigma_eps: float, largest_lag: float
+    lag: Array, variogram: Array, count: IntArray, sigma_eps: float, largest_lag: float
 ) -> tuple[float, float]:
     """Fit the exponential variogram to its bins; return sigma_f and length scale, m.
 

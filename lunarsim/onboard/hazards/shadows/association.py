@@ -12,8 +12,6 @@ from scipy.spatial import cKDTree
 from lunarsim.onboard.navigation.matrix_2x2 import largest_eigenvalue_2x2, squared_mahalanobis_2x2
 from lunarsim.typing import Array, BoolArray, IntArray
 
-Index = IntArray
-
 # 99.9 % quantile of chi-squared with 3 degrees of freedom (pixel and radius).
 GATE = 16.27
 # Minimum margin of the squared distance of the next candidate for an unambiguous pair.
@@ -30,7 +28,7 @@ def associate(
     tracked_radius: Array,
     tracked_variance: Array,
     gate: float = GATE,
-) -> tuple[Index, Index, BoolArray, BoolArray]:
+) -> tuple[IntArray, IntArray, BoolArray, BoolArray]:
     """Assign detections to tracked rocks by minimum Mahalanobis distance.
 
     The sum of the squared distances of all pairs is minimized. An unpaired detection costs `gate`,
@@ -83,7 +81,7 @@ def associate(
     return detection, rock, is_unambiguous[detection], is_gated
 
 
-def _neighbours(points: Array, others: Array, reach: Array) -> tuple[Index, Index]:
+def _neighbours(points: Array, others: Array, reach: Array) -> tuple[IntArray, IntArray]:
     """Return the index pairs (i, j) of points and others that are close to each other.
 
     `points` (d, 2) and `others` (t, 2) are close if their distance is below `reach` (d,).
@@ -94,8 +92,13 @@ def _neighbours(points: Array, others: Array, reach: Array) -> tuple[Index, Inde
 
 
 def _optimal_pairs(
-    i: Index, j: Index, distance: Array, detection_count: int, rock_count: int, unpaired_cost: float
-) -> tuple[Index, Index]:
+    i: IntArray,
+    j: IntArray,
+    distance: Array,
+    detection_count: int,
+    rock_count: int,
+    unpaired_cost: float,
+) -> tuple[IntArray, IntArray]:
     """Return the pairs (detection, rock) of minimum total cost.
 
     `i`, `j` and `distance` are detection, rock and squared distance of the candidate pairs. Each
@@ -116,7 +119,7 @@ def _optimal_pairs(
 
 
 def _is_unambiguous(
-    i: Index, j: Index, distance: Array, rock_of: Index, detection_of: Index
+    i: IntArray, j: IntArray, distance: Array, rock_of: IntArray, detection_of: IntArray
 ) -> BoolArray:
     """Return which detections (d,) are much closer to their rock than any rival.
 

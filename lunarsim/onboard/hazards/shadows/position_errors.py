@@ -15,8 +15,6 @@ from scipy.spatial import cKDTree
 from lunarsim.onboard.navigation.rock_filter import RockFilter
 from lunarsim.typing import Array, IntArray
 
-Index = IntArray
-
 # Number of nearby rocks that determine the error.
 _NEIGHBOUR_COUNT = 8
 
@@ -47,7 +45,7 @@ def position_sigma(rocks: RockFilter, xy: Array, sufficient_sigma: float = 0.0) 
     return sigma
 
 
-def _mean_sigma(rocks: RockFilter, groups: Index) -> Array:
+def _mean_sigma(rocks: RockFilter, groups: IntArray) -> Array:
     """Return the error of the mean position of groups of rocks (n,), 1 sigma, m.
 
     `groups` (n, k) are the indices of the rocks in each group.

@@ -11,12 +11,10 @@ from lunarsim.onboard.perception.ground_plane import GroundPlane
 from lunarsim.onboard.perception.shadow_model import ShadowPatch
 from lunarsim.typing import Array, BoolArray, IntArray
 
-Index = IntArray
-
 
 def is_dark_at_patch(
     rocks: RockFilter,
-    index: Index,
+    index: IntArray,
     unit_patches: ShadowPatch,
     detections: Detections,
     camera: CameraModel,

@@ -37,8 +37,6 @@ from lunarsim.onboard.perception.sun_direction import (
 from lunarsim.typing import Array, BoolArray, IntArray
 from lunarsim.value_checks import check_elements, check_time
 
-Index = IntArray
-
 # Observations of the same shadow are not independent: limits of the factor by which one image
 # changes the odds of existence, and existence below which a rock is deleted.
 _MAX_ODDS_FACTOR = 3.0
@@ -229,7 +227,7 @@ class RockTracker:
         self._drop(np.flatnonzero(self._too_small(in_view) | (self.existence < _MIN_EXISTENCE)))
         return found
 
-    def _is_confirmed(self, rock: Index, in_view: int) -> BoolArray:
+    def _is_confirmed(self, rock: IntArray, in_view: int) -> BoolArray:
         """Return which of the given rocks (n,) are certain and large enough.
 
         `rock` (n,) are indices and `in_view` is the number of rocks in view. The dark patch of a
@@ -252,9 +250,9 @@ class RockTracker:
         self,
         detections: Detections,
         projection: RockProjection,
-        candidates: Index,
+        candidates: IntArray,
         radius_variance: Array,
-    ) -> tuple[Index, Index, BoolArray, BoolArray]:
+    ) -> tuple[IntArray, IntArray, BoolArray, BoolArray]:
         """Assign detections to candidate rocks, given by their indices.
 
         `projection` is that of all rocks into the image, and `radius_variance` (d,), m^2, that of
@@ -330,7 +328,11 @@ class RockTracker:
         return RockCorrection.RESET not in remedies
 
     def _consistent_pairs(
-        self, detections: Detections, projection: RockProjection, detection: Index, rock: Index
+        self,
+        detections: Detections,
+        projection: RockProjection,
+        detection: IntArray,
+        rock: IntArray,
     ) -> BoolArray:
         """Return which pairs (p,) have the image offset that most pairs have in common.
 
@@ -352,10 +354,10 @@ class RockTracker:
 
     def _update_existence(
         self,
-        found_rocks: Index,
-        rocks_in_view: Index,
+        found_rocks: IntArray,
+        rocks_in_view: IntArray,
         detections: Detections,
-        detection: Index,
+        detection: IntArray,
         camera: CameraModel,
         sun: Array,
         plane: GroundPlane,
@@ -481,8 +483,8 @@ class RockTracker:
 
     def _reinitialize(
         self,
-        rock: Index,
-        detection: Index,
+        rock: IntArray,
+        detection: IntArray,
         detections: Detections,
         camera: CameraModel,
         radius_variance: Array,
@@ -562,7 +564,7 @@ class RockTracker:
         is_new[born] = True
         return int(self._start_tracks(is_new, detections, points, camera, radius_variance).sum())
 
-    def _drop(self, index: Index) -> None:
+    def _drop(self, index: IntArray) -> None:
         """Remove the rocks with the given indices from filter and tracker."""
         if len(index):
             keep = self.filter.remove(index)
