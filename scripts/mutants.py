@@ -56,12 +56,10 @@ _TESTS: dict[str, tuple[str, ...]] = {
     ),
     "lunarsim/onboard/navigation/_kriging_kernels.py": (
         "tests/onboard/navigation/test_ground_kernels.py",
+        "tests/onboard/navigation/test_near_kernels.py",
     ),
     "lunarsim/onboard/navigation/_inertial_kernels.py": (
         "tests/onboard/navigation/test_inertial.py",
-    ),
-    "lunarsim/onboard/navigation/_nearest_kernels.py": (
-        "tests/onboard/navigation/test_near_kernels.py",
     ),
     "lunarsim/onboard/navigation/_registration_kernels.py": (
         "tests/onboard/navigation/test_registration.py",

@@ -89,7 +89,7 @@ CONTRACTS: dict[str, Contract] = {
         "state estimation",
         {
             "inertial": "lunarsim.onboard.navigation.navigation_kinds:InertialNavigation",
-            "fixes": "lunarsim.onboard.navigation.fixes:ExternalFixes",
+            "fixes": "lunarsim.onboard.navigation.navigation_kinds:ExternalFixes",
             "rocks": "lunarsim.onboard.navigation.navigation_kinds:RockNavigation",
             "prior-map": "lunarsim.onboard.navigation.navigation_kinds:PriorMapNavigation",
             "ukf": "lunarsim.onboard.navigation.unscented:UnscentedNavigation",

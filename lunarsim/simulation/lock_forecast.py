@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from lunarsim.messages.briefing import Briefing
-from lunarsim.onboard.navigation.map_lock_forecast import LockForecast, forecast_lock
+from lunarsim.onboard.navigation.map_features import LockForecast, forecast_lock
 
 # Side of the terrain seen by a lander without a sweep, approximate, m.
 _DEFAULT_SWEEP_M = 40.0

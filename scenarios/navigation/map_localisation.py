@@ -25,8 +25,7 @@ from rich.table import Table
 from lunarsim import Grid, RandomStreams, Scenario, Terrain, build_world, flight_seed
 from lunarsim.api import State, gimbal_mount
 from lunarsim.frames import attitude_from_thrust, quat_from_rotation_vector, quat_multiply
-from lunarsim.onboard.navigation.map_features import MapFeatures
-from lunarsim.onboard.navigation.map_lock_forecast import forecast_lock
+from lunarsim.onboard.navigation.map_features import MapFeatures, forecast_lock
 from lunarsim.onboard.navigation.place_search import MapMatch, PlaceSearch
 from lunarsim.sensors.lidar import FlashLidar
 from lunarsim.studies import Case, Report, Study, run_script

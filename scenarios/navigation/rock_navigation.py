@@ -30,7 +30,7 @@ from lunarsim.frames import rotation_about_up
 from lunarsim.messages.measurements import CameraImage
 from lunarsim.onboard.hazards.shadows import ShadowMapper
 from lunarsim.onboard.navigation.error_state import MAP
-from lunarsim.onboard.navigation.terrain_prior import TERRAIN
+from lunarsim.onboard.navigation.terrain_heights import TERRAIN
 
 RELIEFS = (0.0, 2.0, 4.0, 8.0)  # RMS slope, deg
 COVERS = (0.02, 0.08, 0.15)

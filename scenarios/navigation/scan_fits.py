@@ -25,8 +25,7 @@ from lunarsim.evaluation.statistics import Proportion
 from lunarsim.frames import quat_from_rotation_vector, quat_multiply
 from lunarsim.onboard.navigation.corrected_scan import MIN_SCANNER_SIGMAS, CorrectedScan
 from lunarsim.onboard.navigation.map_features import MapFeatures
-from lunarsim.onboard.navigation.registration import register_scan
-from lunarsim.onboard.navigation.registration_settings import RegistrationSettings
+from lunarsim.onboard.navigation.registration import RegistrationSettings, register_scan
 from lunarsim.sensors.lidar import FlashLidar
 from lunarsim.studies import Case, Report, Study, run_script
 from lunarsim.world.survey import simulate_survey

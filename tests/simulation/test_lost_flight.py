@@ -12,7 +12,7 @@ from lunarsim.cli import main
 from lunarsim.evaluation.flight_metrics import evaluate
 from lunarsim.frames import quat_from_rotation_vector, quat_multiply
 from lunarsim.messages.measurements import AttitudeReading, DopplerReading, NavigationFix
-from lunarsim.onboard.navigation.fixes import FixNavigation
+from lunarsim.onboard.navigation.navigation_kinds import FixNavigation
 from lunarsim.onboard.policies import Decision
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation

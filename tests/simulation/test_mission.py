@@ -11,7 +11,7 @@ from lunarsim.errors import InputError
 from lunarsim.frames import quat_angle
 from lunarsim.messages.measurements import LidarScan
 from lunarsim.onboard.navigation.error_state import MAP
-from lunarsim.onboard.navigation.terrain_prior import TERRAIN
+from lunarsim.onboard.navigation.terrain_heights import TERRAIN
 from lunarsim.rng import RandomStreams, flight_seed
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation

@@ -40,7 +40,7 @@ from lunarsim.onboard.navigation.measurement_models import (
     update_with_range,
     update_with_speeds,
 )
-from lunarsim.onboard.navigation.terrain_prior import TERRAIN, TerrainPrior
+from lunarsim.onboard.navigation.terrain_heights import TERRAIN, TerrainPrior
 from lunarsim.typing import Array, IntArray
 from lunarsim.value_checks import check_shape, check_time
 

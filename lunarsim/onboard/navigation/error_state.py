@@ -20,7 +20,6 @@ from scipy.special import chdtrc
 from lunarsim._blas import one_blas_thread
 from lunarsim.errors import InputError
 from lunarsim.frames import quat_to_matrix
-from lunarsim.onboard.navigation.covariance_inflation import inflate
 from lunarsim.onboard.navigation.inertial import (
     ATTITUDE,
     INERTIAL,
@@ -29,7 +28,7 @@ from lunarsim.onboard.navigation.inertial import (
     StrapdownState,
     checked_increments,
 )
-from lunarsim.onboard.navigation.schmidt_kalman_covariance import SchmidtKalmanCovariance
+from lunarsim.onboard.navigation.schmidt_kalman_covariance import SchmidtKalmanCovariance, inflate
 from lunarsim.typing import Array, IntArray
 from lunarsim.value_checks import check_finite, check_shape
 

@@ -20,9 +20,12 @@ from lunarsim.onboard.navigation.local_frame import LocalFrame
 from lunarsim.onboard.navigation.map_features import MapFeatures
 from lunarsim.onboard.navigation.measurement_processor import FilterContext
 from lunarsim.onboard.navigation.place_search import MapMatch, PlaceSearch
-from lunarsim.onboard.navigation.registration import register_scan, solve_error
-from lunarsim.onboard.navigation.registration_settings import RegistrationSettings
-from lunarsim.onboard.navigation.scan_accumulator import ScanAccumulator
+from lunarsim.onboard.navigation.registration import (
+    RegistrationSettings,
+    register_scan,
+    solve_error,
+)
+from lunarsim.onboard.navigation.submap import ScanAccumulator
 from lunarsim.typing import Array, IntArray
 
 # Factor on the standard deviations in the second fit of a scan that does not match.

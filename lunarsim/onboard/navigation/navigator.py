@@ -37,7 +37,7 @@ from lunarsim.onboard.navigation.measurement_processor import (
     scanner_blocks,
 )
 from lunarsim.onboard.navigation.measurement_sequencer import MeasurementSequencer
-from lunarsim.onboard.navigation.registration_settings import RegistrationSettings
+from lunarsim.onboard.navigation.registration import RegistrationSettings
 from lunarsim.onboard.navigation.rock_filter import RockFilter
 from lunarsim.onboard.navigation.scan_health import is_noisy, range_noise, remove_spikes
 from lunarsim.onboard.navigation.scan_odometry import (
@@ -46,7 +46,7 @@ from lunarsim.onboard.navigation.scan_odometry import (
     remove_implausible_ranges,
     scan_width,
 )
-from lunarsim.onboard.navigation.terrain_prior import TerrainPrior
+from lunarsim.onboard.navigation.terrain_heights import TerrainPrior
 from lunarsim.typing import Array
 
 

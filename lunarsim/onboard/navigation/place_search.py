@@ -11,8 +11,7 @@ from scipy import ndimage
 from scipy.special import ndtr
 
 from lunarsim.errors import InputError
-from lunarsim.onboard.navigation.features import subtract_plane
-from lunarsim.onboard.navigation.map_features import FeatureTile, MapFeatures
+from lunarsim.onboard.navigation.map_features import FeatureTile, MapFeatures, subtract_plane
 from lunarsim.onboard.navigation.submap import Submap
 from lunarsim.typing import Array, BoolArray, IntArray
 from lunarsim.value_checks import check_finite, check_shape, check_time

@@ -3,15 +3,116 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
+from lunarsim.errors import InputError
 from lunarsim.messages.prior_map import PriorMap
-from lunarsim.onboard.navigation.corrected_scan import CorrectedScan
-from lunarsim.onboard.navigation.initial_shift import find_initial_shift
-from lunarsim.onboard.navigation.map_features import MapFeatures
-from lunarsim.onboard.navigation.surface import ScanSurface, average_scan
+from lunarsim.onboard.navigation.corrected_scan import CorrectedScan, ScanSurface, average_scan
+from lunarsim.onboard.navigation.map_features import FeatureTile, MapFeatures, subtract_plane
 from lunarsim.typing import Array, BoolArray, IntArray
+
+# Range of the searched shifts: standard deviations of the position, and maximum in grid points.
+_SEARCH_SIGMAS, _MAX_SHIFT_POSTS = 4.0, 60
+# Side of the tiles that may have changed independently, and maximum side of a scan, both in grid
+# points of the map.
+_TILE_POSTS, _MAX_SCAN_POSTS = 12, 600
+
+
+@dataclass(frozen=True)
+class InitialShift:
+    """Most probable horizontal shift of a scan on a map, in steps of the grid spacing.
+
+    Attributes
+    ----------
+    shift
+        East and north (2,), m.
+    certainty
+        Probability of this shift and its direct neighbours.
+    spread
+        Second moment of all shifts about the most probable one, weighted by their probability (2,
+        2), m^2.
+    """
+
+    shift: Array
+    certainty: float
+    spread: Array
+
+
+def find_initial_shift(
+    surface: ScanSurface, features: MapFeatures, covariance: Array
+) -> InitialShift:
+    """Find the most probable shift of a scan on a map within its position uncertainty.
+
+    All shifts by an integer number of grid points are evaluated by the likelihood of the scanned
+    terrain.
+
+    Parameters
+    ----------
+    surface
+        Scan averaged over the squares of the map grid.
+    features
+        Features of the map.
+    covariance
+        Covariance of the scan's position, east and north (2, 2), m^2.
+    """
+    posting = features.prior.grid.posting
+    reach = np.ceil(_SEARCH_SIGMAS * np.sqrt(np.diag(covariance)) / posting).astype(int)
+    east, north = (np.arange(-n, n + 1) for n in np.clip(reach, 1, _MAX_SHIFT_POSTS))
+    across, along = np.meshgrid(east, north)
+    x, y = posting * across, posting * along
+    inverse = np.linalg.inv(covariance)
+    log = -0.5 * (inverse[0, 0] * x**2 + 2.0 * inverse[0, 1] * x * y + inverse[1, 1] * y**2)
+    for row, col, tile in _tiles(surface, features):
+        mean_log_ratio = features.mean_log_ratio(tile)
+        if mean_log_ratio is not None:
+            likelihood = features.likelihood(tile, row + along.ravel(), col + across.ravel())
+            log += features.log_factor(*likelihood, mean_log_ratio, log.size).reshape(log.shape)
+    p = np.exp(log - log.max())
+    p /= p.sum()
+    best = int(np.argmax(p))
+    shift = np.array([x.flat[best], y.flat[best]])
+    is_near = np.maximum(np.abs(x - shift[0]), np.abs(y - shift[1])) <= 1.01 * posting
+    offset = np.column_stack((x.ravel(), y.ravel())) - shift
+    return InitialShift(
+        shift, float(p[is_near].sum()), np.asarray((offset * p.reshape(-1, 1)).T @ offset)
+    )
+
+
+def _tiles(surface: ScanSurface, features: MapFeatures) -> list[tuple[int, int, FeatureTile]]:
+    """Divide a scan into tiles for the comparison with a map.
+
+    Each tile is returned after the row and column of its first cell on the map grid. The result is
+    empty for a scan that is too large.
+    """
+    first = (int(surface.row.min()), int(surface.col.min()))
+    shape = (int(surface.row.max()) - first[0] + 1, int(surface.col.max()) - first[1] + 1)
+    if max(shape) > _MAX_SCAN_POSTS:
+        return []
+    place = (surface.row - first[0], surface.col - first[1])
+    height, known, spread = np.zeros(shape), np.zeros(shape, np.bool_), np.zeros(shape)
+    height[place] = surface.position[:, 2]
+    known[place] = True
+    above, kept = subtract_plane(height, known, features.reach)
+    # The true shift can differ from an integer number of grid points by half the spacing.
+    slope = surface.normal[:, :2] - surface.normal[:, :2].mean(axis=0)
+    spread[place] = (slope**2).sum(axis=1) * features.prior.grid.posting**2 / 12.0
+    variance = features.variance + spread
+    tile_counts = [max(1, round(n / _TILE_POSTS)) for n in shape]
+    rows, cols = (
+        np.linspace(0, n, m + 1).astype(int) for n, m in zip(shape, tile_counts, strict=True)
+    )
+    out = []
+    for r0, r1 in pairwise(rows):
+        for c0, c1 in pairwise(cols):
+            tile_slice = (slice(r0, r1), slice(c0, c1))
+            tile = FeatureTile(
+                above[tile_slice], kept[tile_slice].astype(np.float64), variance[tile_slice]
+            )
+            out.append((first[0] + int(r0), first[1] + int(c0), tile))
+    return out
+
 
 # The scan position is unambiguous if this number of standard deviations is below half the grid
 # spacing of the map, or if the best shift has this probability.
@@ -246,3 +347,97 @@ def _initial_error(
         False,
         none,
     )
+
+
+@dataclass(frozen=True)
+class RegistrationSettings:
+    """Settings of the registration of scans on a map and on each other.
+
+    Attributes
+    ----------
+    model_sigma
+        Standard deviation of the difference between the mean height of a scan over the cell of a
+        map grid point and the map height, apart from the map's noise, m. Causes are occlusion by
+        rocks and uneven sampling.
+    min_squares
+        Minimum number of grid squares with scan heights for a registration.
+    min_agreement
+        Minimum fraction of squares that agree with the map.
+    max_misfit
+        Maximum mean square of the residuals of agreeing squares, in units of their variance.
+    rejection_probability, map_rejection_probability
+        Probability to reject a valid correction, from a reference scan or a search
+        (`rejection_probability`) and from a fit to the map (`map_rejection_probability`). Partly
+        changed terrain biases a fit to the map by a few standard deviations.
+    certainty
+        Minimum probability of the best place of a search.
+    height_sigma
+        Standard deviation of a height that is derived before the place is known, m.
+    search_s
+        Time between two searches, s.
+    lost_s
+        Time without agreement of a large enough scan after which the lock is lost, s.
+    max_accumulation_s
+        Maximum time over which small scans are accumulated, s.
+    odometry_postings
+        Minimum and maximum side of the squares for scan-to-scan odometry, m. Between these limits
+        the side is 1/24 of the width of a scan.
+    odometry_sigma
+        Standard deviation of the height difference of two scans in a square, m.
+    min_overlap
+        Minimum overlap with the reference scan; below it the reference scan is replaced.
+
+    Raises
+    ------
+    InputError
+        If a value is out of range.
+    """
+
+    model_sigma: float = 0.03
+    min_squares: int = 12
+    min_agreement: float = 0.7
+    max_misfit: float = 1.6
+    rejection_probability: float = 4e-5
+    map_rejection_probability: float = 1e-3
+    certainty: float = 0.99999
+    height_sigma: float = 0.5
+    search_s: float = 0.5
+    lost_s: float = 2.0
+    max_accumulation_s: float = 5.0
+    odometry_postings: tuple[float, float] = (0.05, 0.4)
+    odometry_sigma: float = 0.03
+    min_overlap: float = 0.8
+
+    def __post_init__(self) -> None:
+        if not (
+            np.shape(self.odometry_postings) == (2,)
+            and 0.0 < self.odometry_postings[0] <= self.odometry_postings[1] < np.inf
+        ):
+            raise InputError(
+                "navigation.odometry_postings",
+                self.odometry_postings,
+                "must be two positive lengths, the shorter length first",
+            )
+        for name in (
+            "min_agreement",
+            "rejection_probability",
+            "map_rejection_probability",
+            "certainty",
+            "min_overlap",
+        ):
+            value = getattr(self, name)
+            if not 0.0 < value <= 1.0:
+                raise InputError(f"navigation.{name}", value, "must be more than 0 and at most 1")
+        for name in ("model_sigma", "min_squares", "max_misfit", "height_sigma", "search_s",
+                     "lost_s", "max_accumulation_s", "odometry_sigma"):  # fmt: skip
+            value = getattr(self, name)
+            if not 0.0 < value < np.inf:
+                raise InputError(f"navigation.{name}", value, "must be positive and finite")
+
+    def accepts_fit(self, fit: MapFit) -> bool:
+        """Return whether a fit is good: enough grid squares agree, with small residuals."""
+        return (
+            fit.used >= self.min_squares
+            and fit.agreeing_fraction >= self.min_agreement
+            and fit.misfit <= self.max_misfit
+        )

@@ -30,16 +30,15 @@ from lunarsim.onboard.navigation.error_state import (
     ErrorState,
     UpdateOutcome,
 )
-from lunarsim.onboard.navigation.image_innovation_monitor import (
+from lunarsim.onboard.navigation.inertial import ATTITUDE, VELOCITY, StartSigmas, StrapdownState
+from lunarsim.onboard.navigation.innovation_monitor import (
     ImageInnovationMonitor,
     RockCorrection,
 )
-from lunarsim.onboard.navigation.inertial import ATTITUDE, VELOCITY, StartSigmas, StrapdownState
 from lunarsim.onboard.navigation.matrix_2x2 import invert_2x2, is_positive_definite_2x2
 from lunarsim.onboard.navigation.rock_projection import RockProjection, project_points
 from lunarsim.onboard.navigation.rock_states import ROCK_DIM, RockStates
-from lunarsim.onboard.navigation.terrain_kriging import intersect_lines
-from lunarsim.onboard.navigation.terrain_prior import TerrainPrior
+from lunarsim.onboard.navigation.terrain_heights import TerrainPrior, intersect_lines
 from lunarsim.typing import Array, BoolArray, IntArray
 
 # Minimum rotation of the view (rad), or relative change of the range, for a process-noise step.

@@ -18,19 +18,18 @@ from numpy.typing import ArrayLike
 
 from lunarsim.errors import InputError
 from lunarsim.onboard.navigation.error_state import MAP, POSE, ErrorState, UpdateOutcome
-from lunarsim.onboard.navigation.measured_heights import (
+from lunarsim.onboard.navigation.terrain_heights import (
     COMMON_SIGMA_M,
     INDIVIDUAL_SIGMA_M,
+    NEIGHBOUR_COUNT,
+    TERRAIN,
     TerrainHeights,
+    TerrainPrior,
     correct_heights,
     height_jacobian,
-)
-from lunarsim.onboard.navigation.terrain_kriging import (
-    NEIGHBOUR_COUNT,
     interpolate_heights,
     kriging_weights,
 )
-from lunarsim.onboard.navigation.terrain_prior import TERRAIN, TerrainPrior
 from lunarsim.typing import Array, BoolArray, IntArray
 
 # Number of coordinates of a rock: east, north and height.

@@ -1,15 +1,284 @@
-"""Schmidt-Kalman covariance with frozen errors and deferred updates."""
+"""Schmidt-Kalman covariance with frozen errors and deferred updates.
+
+The covariance block of the frozen errors does not change, but their correlations with the other
+errors change with each measurement (`SchmidtKalmanCovariance.freeze_tail`). These correlations are
+stored twice: in the rows of the other errors, which are contiguous in memory, and in their columns,
+where each entry costs a cache line. Therefore only the rows are updated. The columns are copied
+when the rows of frozen errors are read. If an error is frozen or released, only a few columns must
+be copied.
+
+A measurement subtracts w' w from the covariance of all errors. With thousands of rocks each pass
+reads and writes hundreds of megabytes, for an altitude as much as for an image. The squares are
+additive, so that several of them can be subtracted in one pass.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from functools import lru_cache
+
+import numba
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.linalg import cho_factor, cho_solve
 
 from lunarsim._blas import one_blas_thread
-from lunarsim.onboard.navigation.covariance_update import subtract_square
-from lunarsim.onboard.navigation.deferred_columns import DeferredColumns
-from lunarsim.onboard.navigation.deferred_updates import DeferredUpdates
+from lunarsim._jit import threads_for
+from lunarsim.errors import InputError
+from lunarsim.onboard.navigation._rock_filter_kernels import (
+    mirror_columns,
+    mirror_lower,
+    subtract_product_from_rows,
+    subtract_square_from_rows,
+)
 from lunarsim.typing import Array, BoolArray, IntArray
+from lunarsim.value_checks import check_elements
+
+_BLOCK = 384
+_ROWS = 64
+# Up to this number of rows in w, row by row is faster than a matrix product.
+_FEW = 6
+
+
+def subtract_square(p: Array, w: Array) -> None:
+    """Subtract w' w of a Kalman update from the symmetric covariance p, in place.
+
+    `p` is (n, n) and `w` (m, n). For small m this is done row by row, otherwise in blocks above the
+    diagonal that fit the cache. The blocks are distributed over threads; the result does not depend
+    on the number of threads.
+    """
+    n = len(p)
+    if len(w) <= _FEW:
+        subtract_rows(p, w, np.arange(n))
+        return
+
+    def subtract(start: int) -> None:
+        stop = min(start + _BLOCK, n)
+        p[start:stop, start:] -= w[:, start:stop].T @ w[:, start:]
+        p[stop:, start:stop] = p[start:stop, stop:].T
+
+    _run_in_threads(subtract, range(0, n, _BLOCK))
+
+
+def subtract_rows(p: Array, w: Array, states: IntArray) -> None:
+    """Subtract w' w of a Kalman update from some rows of the covariance p, in place.
+
+    `states` (s,) are the indices of the rows; `p` (n, n) is symmetric; `w` is (m, n). The block of
+    `states` stays symmetric; their columns in other rows are not changed. The rows are distributed
+    over threads; the result does not depend on the number of threads.
+    """
+    if len(w) <= _FEW:
+        with threads_for(4e-4 * len(w) * len(states) * len(p)):
+            subtract_square_from_rows(p, w, states)
+        return
+    own = np.ascontiguousarray(w[:, states].T)
+
+    def subtract(start: int) -> None:
+        block = slice(start, start + _ROWS)
+        subtract_product_from_rows(p, own[block] @ w, states[block])
+
+    _run_in_threads(subtract, range(0, len(states), _ROWS))
+    with threads_for(1e-3 * len(states) ** 2):
+        mirror_lower(p, states)
+
+
+def _run_in_threads(job: Callable[[int], None], starts: range) -> None:
+    """Run a function for each start index, distributed over the kernels' threads."""
+    threads = numba.get_num_threads()
+    if threads == 1 or len(starts) == 1:
+        for start in starts:
+            job(start)
+    else:
+        list(_threads(threads).map(job, starts))
+
+
+@lru_cache(maxsize=1)
+def _threads(count: int) -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(count)
+
+
+# Relative variance added so that the correlation of nearly equal errors is positive definite.
+_REGULARISATION = 1e-9
+
+
+def inflate(p: Array, columns: ArrayLike, factor: float, max_sigma: ArrayLike) -> None:
+    """Multiply the conditional variances of some errors in a covariance by a factor.
+
+    Each error is the sum of its regression on the other errors and a residual. Only the residual is
+    inflated, so that the correlations remain valid. If the total variance were inflated, a later
+    measurement of a difference would create information. Example: two heights have standard
+    deviations of 5 m and are known to be equal to 2 cm. If one variance is inflated in full, a
+    measurement of their difference makes both seem known to be near zero.
+
+    Parameters
+    ----------
+    p
+        Covariance (n, n), changed in place.
+    columns
+        Distinct indices of the errors (k,).
+    factor
+        Factor on the variances, 1 or more.
+    max_sigma
+        Maximum standard deviations (k,) after the inflation, or one for all.
+
+    Raises
+    ------
+    InputError
+        If the factor is below 1 or not finite, or a standard deviation is negative or NaN.
+    """
+    if not 1.0 <= factor < np.inf:
+        raise InputError("factor", factor, "must be 1 or more, and finite")
+    check_elements("max_sigma", max_sigma, np.asarray(max_sigma) >= 0.0, "must be 0 or more")
+    at = np.asarray(columns, dtype=np.int64)
+    explained = _explained_covariance(p, at)
+    covariance = p[np.ix_(at, at)]
+    residual = covariance - explained
+    # If rounding made a variance negative, all updates are rejected anyway; do not worsen it here.
+    variance = np.maximum(residual.diagonal(), 0.0)
+    headroom = np.square(max_sigma) - np.maximum(explained.diagonal(), 0.0)
+    scale = np.sqrt(np.clip(headroom / np.maximum(variance, 1e-300), 1.0, factor))
+    p[np.ix_(at, at)] = covariance + (np.outer(scale, scale) - 1.0) * residual
+
+
+def _explained_covariance(p: Array, indices: IntArray) -> Array:
+    """Return the covariance (k, k) of some errors explained by all other errors.
+
+    This is the covariance of the regression of the errors `indices` (k,) on the others; `p` (n, n)
+    is the covariance of all errors.
+    """
+    others = np.setdiff1d(np.arange(len(p)), indices)
+    unit = np.sqrt(np.maximum(p.diagonal()[others], 1e-300))
+    cross = p[np.ix_(indices, others)] / unit
+    correlation = p[np.ix_(others, others)] / np.outer(unit, unit)
+    correlation.flat[:: len(others) + 1] += _REGULARISATION
+    try:
+        explained = cross @ cho_solve(cho_factor(correlation), cross.T)
+    except (np.linalg.LinAlgError, ValueError):
+        # Not positive definite or not finite: all later measurements are rejected in any case.
+        return np.zeros((len(indices), len(indices)))
+    return np.asarray(0.5 * (explained + explained.T))
+
+
+Flags = BoolArray
+
+
+class DeferredColumns:
+    """Copies covariances between active and frozen errors only when they are read.
+
+    Active errors are those that measurements currently correct; frozen errors are not corrected.
+    Their covariances are kept up to date in the rows of the active errors. The equal entries in the
+    rows of the frozen errors may be outdated.
+
+    Attributes
+    ----------
+    is_outdated
+        Whether entries in the rows of the frozen errors are out of date.
+    """
+
+    def __init__(self) -> None:
+        self.is_outdated = False
+
+    def catch_up(self, p: Array, is_frozen: Flags) -> None:
+        """Update the outdated entries of the symmetric covariance p (n, n) in place.
+
+        `is_frozen` (n,) marks the frozen errors.
+        """
+        if self.is_outdated:
+            self.is_outdated = False
+            _mirror(p, np.flatnonzero(is_frozen), np.flatnonzero(~is_frozen))
+
+    def change_frozen(self, p: Array, was_frozen: Flags, is_frozen: Flags) -> None:
+        """Update the entries of p (n, n) that a change of the frozen errors requires.
+
+        `was_frozen` and `is_frozen` (n,) mark the frozen errors before and after the change. `p` is
+        the symmetric covariance, changed in place.
+        """
+        if not self.is_outdated:
+            return
+        begin, cease = (
+            np.flatnonzero(~was_frozen & is_frozen),
+            np.flatnonzero(was_frozen & ~is_frozen),
+        )
+        resting, active = np.flatnonzero(was_frozen), np.flatnonzero(~was_frozen)
+        if len(begin) + len(cease) > len(active) // 2:
+            self.catch_up(p, was_frozen)
+            return
+        _mirror(p, resting, begin)
+        _mirror(p, cease, active)
+
+
+def _mirror(p: Array, rows: IntArray, columns: IntArray) -> None:
+    """Copy p[columns, rows]' to p[rows, columns] of a symmetric matrix, in place."""
+    with threads_for(2e-3 * len(rows) * len(columns)):
+        mirror_columns(p, rows, columns)
+
+
+# Maximum number of deferred rows: a larger number does not reduce the cost per row.
+_MAX_ROWS = 256
+
+
+class DeferredUpdates:
+    """Queue of matrix products w' w to be subtracted from a covariance in one pass.
+
+    Each row of w belongs to one scalar measurement. Some errors can be frozen: the covariances
+    among frozen errors do not change.
+    """
+
+    def __init__(self) -> None:
+        self._full_rows: list[Array] = []
+        self._active_rows: list[Array] = []
+        self._active: IntArray | None = None
+
+    @property
+    def rows(self) -> int:
+        """Number of queued rows, one for each scalar measurement."""
+        return sum(len(w) for w in (*self._full_rows, *self._active_rows))
+
+    @property
+    def is_full(self) -> bool:
+        """Whether the queued rows must be subtracted before more are added."""
+        return self.rows >= _MAX_ROWS
+
+    def add(self, w: Array, active: IntArray | None) -> None:
+        """Queue the subtraction of w' w from the covariance, for w (m, n).
+
+        `w` has a row for each scalar measurement and a column for each error. `active` (k,) are the
+        indices of the errors that are not frozen, constant until `apply`; None for all.
+        """
+        if len(w) == 0:
+            return
+        if active is None:
+            self._full_rows.append(w)
+        else:
+            self._active_rows.append(w)
+            self._active = active
+
+    @property
+    def affects_frozen(self) -> bool:
+        """Whether a queued update applies to all errors, including frozen ones.
+
+        Frozen errors are not corrected by measurements.
+        """
+        return bool(self._full_rows)
+
+    def apply(self, p: Array) -> bool:
+        """Subtract all queued products from the first n rows and columns of p, in place.
+
+        The return value states whether the columns of active errors are now out of date in the rows
+        of frozen errors.
+        """
+        is_outdated = False
+        if self._full_rows:
+            w = np.concatenate(self._full_rows)
+            n = w.shape[1]
+            subtract_square(p[:n, :n], w)
+        if self._active_rows and self._active is not None:
+            w, n = np.concatenate(self._active_rows), self._active_rows[0].shape[1]
+            subtract_rows(p[:n, :n], w, self._active)
+            is_outdated = 0 < len(self._active) < n
+        self._full_rows, self._active_rows, self._active = [], [], None
+        return is_outdated
 
 
 class SchmidtKalmanCovariance:

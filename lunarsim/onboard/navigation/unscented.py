@@ -49,7 +49,6 @@ from lunarsim.onboard.navigation.aiding_measurements import (
     check_scalar_reading,
     innovation_gate,
 )
-from lunarsim.onboard.navigation.covariance_inflation import inflate
 from lunarsim.onboard.navigation.error_state import UpdateOutcome, gate_innovation
 from lunarsim.onboard.navigation.estimate import Estimate, Navigation, NavigationEvent
 from lunarsim.onboard.navigation.inertial import (
@@ -68,7 +67,8 @@ from lunarsim.onboard.navigation.measurement_models import (
     speed_bias_model,
 )
 from lunarsim.onboard.navigation.measurement_sequencer import MeasurementSequencer
-from lunarsim.onboard.navigation.terrain_prior import TerrainPrior
+from lunarsim.onboard.navigation.schmidt_kalman_covariance import inflate
+from lunarsim.onboard.navigation.terrain_heights import TerrainPrior
 from lunarsim.parts.quantity import check_bounds, quantity
 from lunarsim.typing import Array
 from lunarsim.value_checks import check_shape

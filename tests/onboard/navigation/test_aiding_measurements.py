@@ -25,7 +25,7 @@ from lunarsim.onboard.navigation.aiding_measurements import (
 from lunarsim.onboard.navigation.error_state import MAP, ErrorState
 from lunarsim.onboard.navigation.inertial import ACCELEROMETER, StartSigmas, StrapdownState
 from lunarsim.onboard.navigation.local_frame import empty_map_block
-from lunarsim.onboard.navigation.terrain_prior import TERRAIN, TerrainPrior
+from lunarsim.onboard.navigation.terrain_heights import TERRAIN, TerrainPrior
 
 UPRIGHT = np.array([0.0, 0.0, 0.0, 1.0])
 BEAMS = ((0.6, 0.0, -0.8), (-0.6, 0.0, -0.8), (0.0, 0.6, -0.8))

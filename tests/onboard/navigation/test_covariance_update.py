@@ -6,7 +6,7 @@ import numba
 import numpy as np
 import pytest
 
-from lunarsim.onboard.navigation.covariance_update import subtract_rows, subtract_square
+from lunarsim.onboard.navigation.schmidt_kalman_covariance import subtract_rows, subtract_square
 
 
 @pytest.mark.parametrize("measured", [1, 3, 6, 7, 40])

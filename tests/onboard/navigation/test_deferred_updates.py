@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lunarsim.onboard.navigation.deferred_updates import DeferredUpdates
 from lunarsim.onboard.navigation.error_state import POSE
+from lunarsim.onboard.navigation.schmidt_kalman_covariance import DeferredUpdates
 from tests.onboard.navigation.states import alike, made
 
 TAIL = 12

@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from lunarsim.errors import InputError
-from lunarsim.onboard.navigation.covariance_inflation import inflate
 from lunarsim.onboard.navigation.error_state import POSE, ErrorState
 from lunarsim.onboard.navigation.inertial import StartSigmas, StrapdownState
+from lunarsim.onboard.navigation.schmidt_kalman_covariance import inflate
 from tests.onboard.navigation.states import BLOCKS, SIZE, UPRIGHT, made
 
 

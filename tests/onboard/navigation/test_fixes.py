@@ -11,7 +11,7 @@ from lunarsim.errors import InputError
 from lunarsim.frames import quat_from_rotation_vector
 from lunarsim.messages.briefing import InitialStateEstimate
 from lunarsim.messages.measurements import AltimeterReading, InertialSamples, NavigationFix
-from lunarsim.onboard.navigation.fixes import FixNavigation
+from lunarsim.onboard.navigation.navigation_kinds import FixNavigation
 from lunarsim.onboard.navigation.navigator import Navigator
 
 TURN = quat_from_rotation_vector([0.1, 0.2, 0.3])

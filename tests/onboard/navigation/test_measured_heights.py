@@ -10,10 +10,15 @@ import pytest
 from lunarsim.frames import quat_from_rotation_vector
 from lunarsim.models.gimbal import gimbal_mount
 from lunarsim.onboard.navigation.inertial import StartSigmas, StrapdownState
-from lunarsim.onboard.navigation.measured_heights import COMMON_SIGMA_M, INDIVIDUAL_SIGMA_M
 from lunarsim.onboard.navigation.rock_filter import RockFilter
-from lunarsim.onboard.navigation.terrain_kriging import intersect_lines, kriging_weights
-from lunarsim.onboard.navigation.terrain_prior import TERRAIN, TerrainPrior
+from lunarsim.onboard.navigation.terrain_heights import (
+    COMMON_SIGMA_M,
+    INDIVIDUAL_SIGMA_M,
+    TERRAIN,
+    TerrainPrior,
+    intersect_lines,
+    kriging_weights,
+)
 from lunarsim.sensors.camera import Camera
 from tests.reference import laid
 

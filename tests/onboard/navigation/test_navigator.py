@@ -20,7 +20,7 @@ from lunarsim.messages.prior_map import PriorMap
 from lunarsim.onboard.navigation.error_state import MAP, REFERENCE_POSE, UpdateOutcome
 from lunarsim.onboard.navigation.inertial import StartSigmas, StrapdownState
 from lunarsim.onboard.navigation.navigator import Navigator
-from lunarsim.onboard.navigation.registration_settings import RegistrationSettings
+from lunarsim.onboard.navigation.registration import RegistrationSettings
 from lunarsim.sensors.lidar import FlashLidar
 from lunarsim.world import World
 from lunarsim.world.terrain import Heightfield, Terrain, hazard_field

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lunarsim.onboard.navigation import _nearest_kernels as kernels
+from lunarsim.onboard.navigation import _kriging_kernels as kernels
 
 
 def scattered(rng, n):

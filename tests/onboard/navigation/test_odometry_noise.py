@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lunarsim.onboard.navigation.odometry_noise import (
+from lunarsim.onboard.navigation.scan_odometry import (
     comparison_normals,
     height_variances,
     linearisation_variance,

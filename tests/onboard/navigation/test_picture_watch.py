@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 
 from lunarsim.onboard.navigation.error_state import UpdateOutcome
-from lunarsim.onboard.navigation.image_innovation_monitor import (
+from lunarsim.onboard.navigation.innovation_monitor import (
     ImageInnovationMonitor,
     RockCorrection,
 )

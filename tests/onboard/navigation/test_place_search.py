@@ -9,9 +9,13 @@ from scipy import ndimage
 from lunarsim.errors import InputError
 from lunarsim.grid import Grid
 from lunarsim.messages.prior_map import PriorMap
-from lunarsim.onboard.navigation.features import subtract_plane
-from lunarsim.onboard.navigation.map_features import FeatureSettings, FeatureTile, MapFeatures
-from lunarsim.onboard.navigation.map_lock_forecast import forecast_lock
+from lunarsim.onboard.navigation.map_features import (
+    FeatureSettings,
+    FeatureTile,
+    MapFeatures,
+    forecast_lock,
+    subtract_plane,
+)
 from lunarsim.onboard.navigation.place_search import PlaceSearch, SearchSettings
 from lunarsim.onboard.navigation.submap import Submap
 from lunarsim.world.survey import simulate_survey

@@ -21,11 +21,13 @@ from lunarsim.messages.measurements import LidarScan
 from lunarsim.messages.prior_map import PriorMap
 from lunarsim.models.gimbal import gimbal_mount
 from lunarsim.onboard.navigation import _registration_kernels as k
-from lunarsim.onboard.navigation.corrected_scan import CorrectedScan
+from lunarsim.onboard.navigation.corrected_scan import CorrectedScan, average_scan
 from lunarsim.onboard.navigation.map_features import MapFeatures
-from lunarsim.onboard.navigation.registration import fit_residuals, register_scan
-from lunarsim.onboard.navigation.registration_settings import RegistrationSettings
-from lunarsim.onboard.navigation.surface import average_scan
+from lunarsim.onboard.navigation.registration import (
+    RegistrationSettings,
+    fit_residuals,
+    register_scan,
+)
 from lunarsim.sensors.lidar import FlashLidar
 from lunarsim.vehicle import State
 from lunarsim.world import World

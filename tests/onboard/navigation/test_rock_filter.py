@@ -14,7 +14,7 @@ from lunarsim.onboard.navigation import matrix_2x2
 from lunarsim.onboard.navigation.inertial import StartSigmas, StrapdownState
 from lunarsim.onboard.navigation.navigator import Navigator
 from lunarsim.onboard.navigation.rock_filter import RockFilter
-from lunarsim.onboard.navigation.terrain_prior import TerrainPrior
+from lunarsim.onboard.navigation.terrain_heights import TerrainPrior
 from tests.chance import ratio_bounds
 from tests.reference.shadows import consider_update
 from tests.rock_scene import GRAVITY, Flight

@@ -9,11 +9,11 @@ from lunarsim.errors import InputError
 from lunarsim.models.instruments import LidarInstrument
 from lunarsim.onboard.navigation.aiding_measurements import AidingMeasurements, aiding_blocks
 from lunarsim.onboard.navigation.error_state import POSE, REFERENCE_POSE, ErrorState, UpdateOutcome
-from lunarsim.onboard.navigation.image_innovation_monitor import RockCorrection
 from lunarsim.onboard.navigation.inertial import StartSigmas, StrapdownState
+from lunarsim.onboard.navigation.innovation_monitor import RockCorrection
 from lunarsim.onboard.navigation.navigator import Navigator
 from lunarsim.onboard.navigation.rock_filter import RockFilter
-from lunarsim.onboard.navigation.terrain_prior import TerrainPrior
+from lunarsim.onboard.navigation.terrain_heights import TerrainPrior
 from tests.rock_scene import GRAVITY, Flight
 
 

@@ -8,7 +8,7 @@ import pytest
 from lunarsim.frames import quat_from_rotation_vector, quat_to_matrix
 from lunarsim.messages.measurements import LidarScan
 from lunarsim.onboard.navigation.corrected_scan import CorrectedScan
-from lunarsim.onboard.navigation.scan_accumulator import ScanAccumulator, count_covered_squares
+from lunarsim.onboard.navigation.submap import ScanAccumulator, count_covered_squares
 
 DOWN = np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]])
 TILT = quat_from_rotation_vector([0.02, -0.03, 0.1])

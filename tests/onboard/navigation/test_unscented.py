@@ -20,7 +20,7 @@ from lunarsim.models.instruments import (
     VelocimeterInstrument,
 )
 from lunarsim.onboard.navigation.inertial import StartSigmas, StrapdownState
-from lunarsim.onboard.navigation.terrain_prior import TerrainPrior
+from lunarsim.onboard.navigation.terrain_heights import TerrainPrior
 from lunarsim.onboard.navigation.unscented import UnscentedFilter, UnscentedNavigation
 
 TILT = quat_from_rotation_vector([0.2, -0.1, 0.3])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lunarsim.onboard.navigation.terrain_kriging import interpolate_heights, kriging_weights
+from lunarsim.onboard.navigation.terrain_heights import interpolate_heights, kriging_weights
 
 INDIVIDUAL_SIGMA_M = 0.05  # individual part of each height
 

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from lunarsim.onboard.navigation.rock_filter import RockFilter
-from lunarsim.onboard.navigation.terrain_kriging import NEIGHBOUR_COUNT
+from lunarsim.onboard.navigation.terrain_heights import NEIGHBOUR_COUNT
 from lunarsim.typing import Array
 
 # Number of neighbours with which each rock is compared.

@@ -19,7 +19,7 @@ from lunarsim.onboard.hazards.shadows.tentative_rocks import TentativeRocks
 from lunarsim.onboard.hazards.shadows.tracker_settings import TrackerSettings
 from lunarsim.onboard.hazards.shadows.viewing_geometry import viewing_geometry
 from lunarsim.onboard.navigation.error_state import UpdateOutcome
-from lunarsim.onboard.navigation.image_innovation_monitor import RockCorrection
+from lunarsim.onboard.navigation.innovation_monitor import RockCorrection
 from lunarsim.onboard.navigation.matrix_2x2 import is_positive_definite_2x2, squared_mahalanobis_2x2
 from lunarsim.onboard.navigation.rock_filter import RockFilter
 from lunarsim.onboard.navigation.rock_projection import RockProjection

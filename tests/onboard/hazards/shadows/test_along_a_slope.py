@@ -22,7 +22,7 @@ from lunarsim.onboard.hazards.shadows.terrain_plane import fit_terrain_plane
 from lunarsim.onboard.hazards.shadows.viewing_geometry import viewing_geometry
 from lunarsim.onboard.navigation.inertial import StartSigmas, StrapdownState
 from lunarsim.onboard.navigation.navigator import Navigator
-from lunarsim.onboard.navigation.terrain_prior import TerrainPrior
+from lunarsim.onboard.navigation.terrain_heights import TerrainPrior
 from lunarsim.onboard.perception.detection_rates import DetectionRates
 from lunarsim.onboard.perception.detector import detect_rocks
 from lunarsim.onboard.perception.ground_plane import GroundPlane

@@ -11,7 +11,7 @@ from lunarsim.onboard.hazards.shadows.terrain_height_errors import (
 )
 from lunarsim.onboard.navigation.inertial import StrapdownState
 from lunarsim.onboard.navigation.rock_filter import RockFilter
-from lunarsim.onboard.navigation.terrain_prior import TerrainPrior
+from lunarsim.onboard.navigation.terrain_heights import TerrainPrior
 
 BEFORE = 10.0 * np.tan(np.radians(3.0)) ** 2
 

@@ -16,7 +16,7 @@ from lunarsim.onboard.hazards.shadows.measured_terrain import MeasuredTerrain
 from lunarsim.onboard.navigation.error_state import UpdateOutcome
 from lunarsim.onboard.navigation.inertial import StrapdownState
 from lunarsim.onboard.navigation.rock_filter import RockFilter
-from lunarsim.onboard.navigation.terrain_prior import TerrainPrior
+from lunarsim.onboard.navigation.terrain_heights import TerrainPrior
 from lunarsim.onboard.perception.shadow_model import ShadowModel
 from lunarsim.rocks.field import RockModel
 from lunarsim.world.terrain import Heightfield, Terrain, place_rocks
