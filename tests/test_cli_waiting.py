@@ -11,12 +11,9 @@ from pathlib import Path
 from typing import ClassVar
 
 import numba
-import numpy as np
 import pytest
 
 from lunarsim.compile_progress import report_compilation
-from lunarsim.safety import _exact_kernels, _kernels, _plane_kernels
-from lunarsim.safety.compile_kernels import compile_safety_kernels
 
 
 class Beside:
@@ -112,31 +109,6 @@ def test_the_helper_is_ended_with_a_flight_that_fails(processes):
         raise ValueError("flight")
     assert processes.ended == 1
     assert gc.get_threshold() == before
-
-
-def test_warming_compiles_what_maps_call(monkeypatch):
-    called = []
-    for module, name in (
-        (_kernels, "stochastic"), (_kernels, "footprint_extremes"),
-        (_plane_kernels, "stochastic_planes"),
-        (_plane_kernels, "bounded"), (_exact_kernels, "exact"),
-    ):  # fmt: skip
-        inner = getattr(module, name)
-
-        def seen(*args, inner=inner, name=name):
-            called.append((name, next(a.dtype for a in args if isinstance(a, np.ndarray))))
-            return inner(*args)
-
-        monkeypatch.setattr(module, name, seen)
-    compile_safety_kernels(exact=False)
-    assert {name for name, _ in called} == {
-        "stochastic",
-        "footprint_extremes",
-        "stochastic_planes",
-        "bounded",
-    }
-    compile_safety_kernels(exact=True)
-    assert called[-1] == ("exact", np.float64)
 
 
 def runs(pid: int) -> bool:

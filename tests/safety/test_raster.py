@@ -21,7 +21,6 @@ from lunarsim.safety import (
     safe_sites,
     stochastic_safety,
 )
-from lunarsim.safety._kernels import TILE_COLS, TILE_ROWS
 
 LANDER = Lander(leg_radius=1.1, pad_diameter=0.3)
 GRID = Grid.centred((0.0, 0.0), 17.0, 0.1, 9.0)
@@ -60,6 +59,9 @@ def footprints_of(row: int, col: int) -> np.ndarray:
     near = np.zeros(GRID.shape, np.bool_)
     near[max(row - r, 0) : row + r + 1, max(col - r, 0) : col + r + 1] = True
     return near
+
+
+TILE_ROWS, TILE_COLS = 64, 128  # cells that share the height from which theirs are measured
 
 
 def tile_of(row: int, col: int) -> np.ndarray:

@@ -10,10 +10,9 @@ import pytest
 from scipy.spatial import cKDTree
 
 from lunarsim.errors import InputError
-from lunarsim.frames import direction_from_angles, quat_from_rotation_vector
+from lunarsim.frames import direction_from_angles
 from lunarsim.grid import Grid
 from lunarsim.models.gimbal import gimbal_mount
-from lunarsim.onboard.perception import _patch_kernels as kernels
 from lunarsim.onboard.perception.detector import DetectorSettings, detect_rocks
 from lunarsim.onboard.perception.segmentation import segment
 from lunarsim.onboard.perception.shadow_direction import (
@@ -27,7 +26,6 @@ from lunarsim.rocks.shapes import CUBE
 from lunarsim.sensors.camera import Camera
 from lunarsim.vehicle import State
 from lunarsim.world.terrain import Heightfield, Terrain
-from tests.reference.shadows import patch
 from tests.shadow_scene import LEVEL, MODEL, SUN, at, picture, rocks_on_a_plane
 from tests.worlds import flat_terrain
 
@@ -72,28 +70,6 @@ def test_a_rock_hides_its_shadow_from_a_camera_on_the_suns_side():
 def test_model_refuses_a_sun_without_shadows(elevation):
     with pytest.raises(InputError, match=r"sun\.elevation"):
         ShadowModel(np.radians(elevation))
-
-
-def test_measuring_patches_equals_the_plain_reference():
-    rng = np.random.default_rng(4)
-    state, camera = at((20.0, -35.0, 60.0), quat_from_rotation_vector([0.1, 0.2, 0.3]))
-    view = camera.view(state)
-    labels = np.zeros((480, 640), np.int32)
-    for label in range(1, 30):
-        i, j = rng.integers(20, 440), rng.integers(20, 600)
-        h, w = rng.integers(2, 20, 2)
-        labels[i : i + h, j : j + w] = label
-    count = int(labels.max())
-    nothing = np.zeros((480, 640), np.uint8)
-    level = np.hypot(SUN[0], SUN[1])
-    table = kernels.measure_patches(
-        labels, count, nothing, nothing, *camera.tangents, view.position, view.axes,
-        0.5, SUN[0] / level, SUN[1] / level,
-    )  # fmt: skip
-    for label in np.unique(labels[labels > 0]):
-        found = table[label, [kernels.ALONG, kernels.ACROSS, kernels.LENGTH, kernels.WIDTH,
-                              kernels.PIXELS]]  # fmt: skip
-        assert found == pytest.approx(patch(labels, label, view, 0.5, SUN), rel=1e-9, abs=1e-6)
 
 
 @pytest.mark.parametrize("shape", ["hemisphere", "cube"])
