@@ -45,7 +45,7 @@ def _compile_two():
         assert numba.njit(lambda x, n=number: x + n)(1) == 1 + number
 
 
-def test_what_is_compiled_is_told_and_another_process_helps(processes, capsys):
+def test_what_is_compiled_is_reported_and_another_process_helps(processes, capsys):
     before = gc.get_threshold()
     with report_compilation(["a.module", "--word"]):
         assert gc.get_threshold() != before
@@ -60,7 +60,7 @@ def test_what_is_compiled_is_told_and_another_process_helps(processes, capsys):
     assert said[-1].startswith("compiled 2 kernels in ")
 
 
-def test_progress_is_told_between_the_first_line_and_the_last(processes, capsys, monkeypatch):
+def test_progress_is_reported_between_the_first_line_and_the_last(processes, capsys, monkeypatch):
     """By a clock that goes on by 4 s whenever it is read, and a line every 5 s at most."""
     clock = iter(range(0, 1000, 4))
     monkeypatch.setattr(time, "perf_counter", lambda: float(next(clock)))
@@ -88,7 +88,7 @@ def test_kernels_within_kernels_count_and_their_time_counts_once(processes, caps
     assert capsys.readouterr().err.splitlines()[-1].startswith("compiled 2 kernels in 1 s;")
 
 
-def test_nothing_is_told_where_nothing_is_compiled(processes, capsys):
+def test_nothing_is_reported_where_nothing_is_compiled(processes, capsys):
     with report_compilation(["a.module"]):
         pass
     assert not processes.started

@@ -139,7 +139,7 @@ def test_a_tall_lander_tips_at_the_speed_of_the_pendulum():
     assert tipped == {0.85: False, 1.25: True}
 
 
-def test_verdicts_name_what_failed():
+def test_outcomes_name_what_failed():
     dynamics = Dynamics(LANDER, G)
     good, rest = evaluate_motion(LEGS, dynamics, above(), flat_terrain())
     assert good.safe
@@ -233,7 +233,7 @@ def test_a_stroke_that_is_spent_gives_no_more():
     assert 0.4 * stiff < (rest.strokes - rest.crushed).max() < 1.1 * stiff
 
 
-def test_ground_beside_what_is_unknown_is_unknown_to_a_pad():
+def test_terrain_beside_what_is_unknown_is_unknown_to_a_pad():
     class Edge:
         """Ground that rises to the east, unknown from a metre on."""
 

@@ -37,7 +37,7 @@ def test_in_the_air_the_attitude_alone_is_brought_to_its_norm():
     assert np.isnan(legs[:, 2:]).all()
 
 
-def test_a_pad_that_leaves_the_ground_lets_go_of_where_it_held():
+def test_a_pad_that_leaves_the_terrain_lets_go_of_where_it_held():
     y = np.concatenate(([10.0, 10.0, 9.0, 0.0, 0.0, -1.0], UP, np.zeros(3), [MASS, 0.0]))
     legs = np.tile([0.05, 0.02, 9.0, 11.0, 0.0], (4, 1))
     stepped(y, legs, np.array([2e5, 5e3, 1.2e4, 0.5, 0.15, 0.2]))
@@ -61,7 +61,7 @@ def test_a_leg_at_its_crush_force_gives_what_its_spring_cannot_hold():
     assert legs[:, 1] == pytest.approx(left, rel=1e-9)
 
 
-def test_ground_begins_at_its_first_post():
+def test_terrain_begins_at_its_first_post():
     law, out = np.array([2e5, 5e3, 1.2e4, 0.5, 0.15, 0.2]), np.empty(12)
     pad, leg = np.array([0.0, 0.0, -LANDER.com_height]), np.zeros(5)
     for east, north, known in ((0.16, 5.0, True), (5.0, 0.16, True), (0.14, 5.0, False)):

@@ -111,7 +111,7 @@ def registered(world, seed, stale=0.0):
 
 
 @pytest.mark.statistical
-def test_registration_errs_as_its_covariance_says(world):
+def test_registration_has_the_error_of_its_covariance(world):
     runs = 50
     nees = Consistency()
     for seed in range(runs):
@@ -137,7 +137,7 @@ def test_patches_out_of_date_are_left_out(world):
 
 
 @pytest.mark.parametrize("stale", [0.0, 0.2])
-def test_a_fit_begun_far_off_is_right_or_tells_the_level_alone(world, stale):
+def test_a_fit_started_far_off_is_right_or_reports_only_the_level(world, stale):
     accepted = sharp = 0
     for seed in range(40):
         rng = np.random.default_rng([seed, 7])
@@ -181,7 +181,7 @@ def test_errors_that_are_alike_do_not_make_a_fit_too_sure(world):
     assert nees.ratio < 2.1, nees.ratio
 
 
-def test_errors_that_a_map_tells_to_be_alike_count_as_fewer(world):
+def test_errors_that_a_map_reports_as_correlated_count_as_fewer(world):
     rng = np.random.default_rng(8)
     grid = Grid.centred((0.0, 0.0), 120.0, 0.5)
     alone = simulate_survey(world.terrain, grid, rng, sigma=0.1)
@@ -216,7 +216,7 @@ def test_fit_without_data_gives_no_information():
     assert not result.information.any()
 
 
-def test_a_survey_is_the_mean_of_the_ground_with_its_noise():
+def test_a_survey_is_the_mean_of_the_terrain_with_its_noise():
     terrain = hazard_field(np.random.default_rng(1), boulders=50, craters=5)
     grid = Grid.centred((0.0, 0.0), 60.0, 1.0)
     exact = simulate_survey(terrain, grid, np.random.default_rng(2), sigma=1e-9)

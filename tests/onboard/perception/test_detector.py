@@ -120,7 +120,7 @@ def test_errors_are_as_large_as_their_covariance_says():
 
 
 @pytest.mark.parametrize("height", [35.0, 90.0])
-def test_from_look_to_look_centres_differ_by_what_is_said(height):
+def test_from_observation_to_observation_centres_differ_by_what_is_said(height):
     """Patches of five and of two pixels a radius, from places a metre apart."""
     terrain = rocks_on_a_plane("cube", count=110, seed=4)
     model = ShadowModel(np.radians(20.0), RockModel("cube", burial=(0.0, 0.0)))
@@ -313,7 +313,7 @@ def test_direction_of_shadows_is_read_from_the_image():
 
 @pytest.mark.parametrize("off", [0.0, 20.0, -45.0, 180.0])
 @pytest.mark.parametrize("place", [(0.0, 0.0, 50.0), (-40.0, 25.0, 40.0)])
-def test_shadows_tell_by_what_angle_the_sun_is_elsewhere(place, off):
+def test_shadows_give_the_angle_by_which_the_sun_is_elsewhere(place, off):
     """Seen from above an angle on the ground is one in the image; aslant nearly."""
     terrain = rocks_on_a_plane("hemisphere", seed=8)
     state, camera, counts = picture(terrain, place)
@@ -393,7 +393,7 @@ def test_rocks_are_not_seen_from_a_pose_that_is_none(name, value):
 
 
 @pytest.mark.parametrize("wrong", [str, complex, object])
-def test_pictures_of_no_numbers_are_refused(wrong):
+def test_images_of_no_numbers_are_refused(wrong):
     state, camera = at((0.0, 0.0, 50.0))
     with pytest.raises(InputError, match="image"):
         detect_rocks(np.zeros((480, 640)).astype(wrong), camera, state, SUN)
@@ -422,7 +422,7 @@ def test_pixels_that_are_no_numbers_are_neither_lit_nor_a_rocks():
 
 
 @pytest.mark.parametrize("small", [(0.5, 0.0), (0.0, 0.2)])
-def test_small_patches_differ_more_from_look_to_look_along_the_sun_and_across(small):
+def test_small_patches_differ_more_from_observation_to_observation_along_the_sun_and_across(small):
     terrain = rocks_on_a_plane("cube", count=110, seed=4)
     model = ShadowModel(np.radians(20.0), RockModel("cube", burial=(0.0, 0.0)))
     state, camera, counts = picture(terrain, (-54.0, 0.0, 90.0))
@@ -453,7 +453,7 @@ def test_small_patches_differ_more_from_look_to_look_along_the_sun_and_across(sm
 
 
 @pytest.mark.parametrize("elevation", [8.0, 12.0, 20.0, 35.0])
-def test_looks_differ_more_along_the_sun_than_shadows_are_longer(elevation):
+def test_observations_differ_more_along_the_sun_than_shadows_are_longer(elevation):
     angle = np.radians(elevation)
     terrain = rocks_on_a_plane("hemisphere", count=60, seed=4)
     state, camera, counts = picture(terrain, (0.0, 0.0, 60.0), (1.2, elevation))

@@ -59,7 +59,7 @@ def looked_at(scene, off):
     return turn, health.after_detection(seen, turn, noise).fault
 
 
-def test_a_high_sun_is_told_to_be_in_its_place(scene):
+def test_a_high_sun_is_found_to_be_in_its_place(scene):
     turn, fault = looked_at(scene, 0.0)
     # Over 24 draws of the noise the angle has a mean of 10.4 deg and a deviation of 1.1 deg in the
     # scene where both are largest. Above 10 deg the Sun counts as unproven, not as elsewhere.
@@ -69,7 +69,7 @@ def test_a_high_sun_is_told_to_be_in_its_place(scene):
 
 
 @pytest.mark.parametrize("beside", [20.0, 100.0, 250.0])
-def test_boulders_brighter_than_the_ground_do_not_put_a_high_sun_elsewhere(beside):
+def test_boulders_brighter_than_the_terrain_do_not_put_a_high_sun_elsewhere(beside):
     rng = np.random.default_rng(8)
     relief = flat_terrain(160.0, 2.0).relief
     diameters = sample_diameters(160.0**2, 0.06, 0.3, 3.0, rng)
@@ -145,7 +145,7 @@ def test_faces_of_half_spheres_lie_towards_the_sun():
     assert axis[0].real < -0.2 and axis[0].imag == pytest.approx(0.0, abs=0.05)
 
 
-def test_ground_without_rocks_tells_nothing_of_a_high_sun():
+def test_terrain_without_rocks_contains_nothing_about_a_high_sun():
     sun = direction_from_angles(AZIMUTH, np.radians(45.0))
     terrain = flat_terrain(260.0, 2.0)
     state, camera, counts = picture(terrain, (0.0, 0.0, 70.0), (AZIMUTH, 45.0))

@@ -21,7 +21,7 @@ def test_straight_above_and_below_the_horizon():
     assert np.isfinite(noon).all() and (noon[..., 0] >= 0.0).all() and noon[..., 0].max() > 0.0
 
 
-def test_map_lies_over_its_ground():
+def test_map_lies_over_its_terrain():
     grid = Grid(100.0, -40.0, 2.0, 30, 20)
     relief = Heightfield(grid, np.zeros(grid.shape, np.float32))
     found = scattered_light_map(relief, Light(scattered_light=True))
@@ -33,7 +33,7 @@ def test_map_lies_over_its_ground():
     assert scale[0] * cols == pytest.approx(0.5)
 
 
-def test_hemispherical_albedo_of_lambert_ground_is_its_albedo():
+def test_hemispherical_albedo_of_lambert_terrain_is_its_albedo():
     light = Light(photometry="lambert", albedo=0.3)
     assert light.hemispheric_albedo([0.1, 0.5, 1.0]) == pytest.approx(0.3, rel=1e-3)
     assert light.diffuse_albedo == pytest.approx(0.3, rel=2e-3)

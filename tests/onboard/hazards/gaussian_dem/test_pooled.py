@@ -80,7 +80,7 @@ def strata(dem, pool: SamplePool, terrain: Terrain) -> dict[str, np.ndarray]:
 
 
 @pytest.mark.parametrize(("seed", "slope_deg"), [(1, 5.0), (2, 5.0), (3, 12.0), (3, 1.0)])
-def test_over_a_descent_it_errs_as_it_says(seed, slope_deg):
+def test_over_a_descent_it_has_the_stated_error(seed, slope_deg):
     terrain, grid = rough(seed, slope_deg), Grid.centred((0.0, 0.0), 24.0, 0.2)
     rng = np.random.default_rng(seed)
     pool = SamplePool(grid)
@@ -95,7 +95,7 @@ def test_over_a_descent_it_errs_as_it_says(seed, slope_deg):
         assert low < total[name].ratio < high, name
 
 
-def test_the_same_view_again_tells_nothing_of_what_lies_between():
+def test_the_same_view_again_contains_nothing_about_what_lies_between():
     terrain, grid = rough(3), Grid.centred((0.0, 0.0), 24.0, 0.2)
     rng = np.random.default_rng(0)
     once, often = SamplePool(grid), SamplePool(grid)

@@ -240,7 +240,7 @@ def test_the_board_holds_the_best_at_their_distance():
                 assert np.hypot(*(xy[chosen[:n]] - xy[j]).T).min() < 3.0
 
 
-def test_printed_roughness_grows_with_looks_and_the_mean_square_does_not():
+def test_printed_roughness_grows_with_observations_and_the_mean_square_does_not():
     plain, twice = swept(4, 8_000), swept(4, 8_000)
     rng = np.random.default_rng(5)
     twice.insert(flash(rng, np.zeros(2), 19.0, 24_000))
@@ -278,7 +278,7 @@ def test_interest_decides_and_its_mistakes_are_named():
             InterestMap(grid, np.full(grid.shape, wrong))
 
 
-def test_weights_of_nought_rank_by_nothing_and_still_rank():
+def test_weights_of_zero_rank_by_nothing_and_still_rank():
     s = replace(SMALL, interest_weight=0.0, slope_weight=0.0, roughness_weight=0.0)
     found = SiteSelector(swept(7), s).update()
     assert len(found.ranked) == s.count
@@ -356,7 +356,7 @@ def level(rng, density, half):
 
 
 @pytest.mark.parametrize("half", [5.0, 5.4, 6.0])
-def test_coarse_ground_beside_a_fine_patch_is_not_judged_by_the_points_of_the_patch(half):
+def test_coarse_terrain_beside_a_fine_patch_is_not_evaluated_by_the_points_of_the_patch(half):
     rng = np.random.default_rng(13)
     coarse, fine = level(rng, 18.0, 12.8), level(rng, 1000.0, half)
     alone, both = unseen_by(coarse), unseen_by(np.concatenate((coarse, fine)))

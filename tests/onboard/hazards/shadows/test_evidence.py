@@ -60,7 +60,7 @@ def test_rocks_that_must_be_somewhere_are_where_they_may_be():
     assert not evidence.observed()[45, 80]
 
 
-def test_rocks_are_as_crowded_as_ground_that_was_looked_at_leaves_room_for():
+def test_rocks_are_as_crowded_as_terrain_that_was_looked_at_leaves_room_for():
     """Ground that is dark to the only look was looked at too."""
     evidence = ClearEvidence(
         GRID, MODEL, DIAMETERS, NUMBER, DetectionRates(false_clear_line=(1.0, -9.0, 1e-9))
@@ -81,13 +81,13 @@ def test_sizes_of_which_none_are_expected_stand_nowhere():
     assert np.isfinite(evidence.expected()).all()
 
 
-def test_one_look_stands_for_sizes_within_a_factor_and_the_last_for_all_larger():
+def test_one_observation_stands_for_sizes_within_a_factor_and_the_last_for_all_larger():
     sizes = 0.5 * 1.4 ** np.arange(8)
     evidence = ClearEvidence(GRID, MODEL, sizes, np.ones(8), DetectionRates())
     assert evidence.size_class_diameters == pytest.approx(sizes[:4])
 
 
-def test_the_shadow_of_a_tracked_rock_hides_others_no_more_than_other_ground():
+def test_the_shadow_of_a_tracked_rock_hides_others_no_more_than_other_terrain():
     evidence = ClearEvidence(GRID, MODEL, DIAMETERS, NUMBER, DetectionRates())
     evidence.lit[:] = 1e3
     evidence.dark[:, 40:60, 40:60] = 1e3
@@ -98,7 +98,7 @@ def test_the_shadow_of_a_tracked_rock_hides_others_no_more_than_other_ground():
 
 
 @pytest.mark.parametrize("size", [0.3, 0.7])
-def test_a_rock_that_no_detection_tells_of_is_not_cleared(size):
+def test_a_rock_that_no_detection_reports_is_not_cleared(size):
     """Its shadow is there, whatever the detector makes of it; the ground about it is clear."""
     rocks = RockField.hemispheres([-6.0, 5.0], [2.0, -3.0], 0.0, size)
     terrain = Terrain(flat_terrain(400.0, 10.0).relief, rocks)
@@ -133,7 +133,7 @@ def test_a_camera_that_spreads_light_wider_sees_as_one_of_larger_pixels(blur, wi
     assert found[0.6] / found[blur] == pytest.approx(wider, rel=0.01)
 
 
-def test_a_shadow_that_is_too_small_for_a_hazard_leaves_the_ground_clear():
+def test_a_shadow_that_is_too_small_for_a_hazard_leaves_the_terrain_clear():
     rocks = RockField.hemispheres([-6.0, 5.0], [2.0, -3.0], 0.0, [0.12, 0.6])
     terrain = Terrain(flat_terrain(400.0, 10.0).relief, rocks)
     mapping = ProbabilityMap(GRID, MODEL, HazardPrior(0.05, 0.5))
@@ -145,7 +145,7 @@ def test_a_shadow_that_is_too_small_for_a_hazard_leaves_the_ground_clear():
     assert expected[row[1], col[1]] > 0.0025
 
 
-def test_shadows_are_cast_onto_the_ground_as_it_is_known():
+def test_shadows_are_cast_onto_the_terrain_as_it_is_known():
     """On ground taken for 8 m too low the shadow is looked for beside itself."""
     rocks = RockField.hemispheres([0.0], [0.0], 0.0, 0.6)
     terrain = Terrain(flat_terrain(400.0, 10.0).relief, rocks)
@@ -158,7 +158,7 @@ def test_shadows_are_cast_onto_the_ground_as_it_is_known():
     assert middle == {0.0: False, -8.0: True}
 
 
-def test_a_picture_without_any_shadow_says_nothing():
+def test_an_image_without_any_shadow_says_nothing():
     empty = Terrain(flat_terrain(400.0, 10.0).relief)
     evidence = ClearEvidence(GRID, MODEL, DIAMETERS, NUMBER, DetectionRates())
     view, seen = viewing_angles(empty, (0.0, 0.0, 40.0))
@@ -186,7 +186,7 @@ def test_what_is_seen_where_places_are_not_known_belongs_elsewhere():
     assert not (evidence.lit[:, :, 80:].any() or evidence.dark[:, :, 80:].any())
 
 
-def test_ratios_are_what_looks_say_of_rocks_that_are_expected():
+def test_ratios_are_what_observations_say_of_rocks_that_are_expected():
     evidence = ClearEvidence(GRID, MODEL, DIAMETERS, NUMBER, DetectionRates())
     assert (evidence.ratios() == 1.0).all()
     evidence.lit[:, 10:100, 10:100] = 1e3
@@ -209,7 +209,9 @@ def test_ratios_are_what_looks_say_of_rocks_that_are_expected():
     ("pixels", "by", "taken_back"),
     [(4.9, 1.49, False), (4.9, 1.51, True), (5.1, 1.14, False), (5.1, 1.16, True)],
 )
-def test_a_lit_look_takes_back_a_dark_one_if_it_is_much_sharper_or_plain(pixels, by, taken_back):
+def test_a_lit_observation_takes_back_a_dark_one_if_it_is_much_sharper_or_plain(
+    pixels, by, taken_back
+):
     """Of the least rock so many pixels show to the lit look, sharper than the dark one by a factor.
 
     Rocks that are larger by a fifth and more show more: for them the second of two is plain.
@@ -245,7 +247,7 @@ class Uneven(ShadowModel):
     slope = 0.364
 
 
-def test_a_shadow_that_rising_ground_cuts_short_is_still_looked_for():
+def test_a_shadow_that_rising_terrain_cuts_short_is_still_looked_for():
     """On slopes as steep as the Sun is high more than half of a shadow may be lit."""
     rocks = RockField.hemispheres([0.0], [0.0], 0.0, 0.6)
     terrain = Terrain(flat_terrain(400.0, 10.0).relief, rocks)

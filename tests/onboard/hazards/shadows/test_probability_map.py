@@ -117,7 +117,7 @@ def test_a_tracked_rock_is_a_hazard_if_its_longer_axis_is_long_enough(shape):
         assert told == pytest.approx(0.9 * np.mean(disc * stretch >= 0.25), abs=0.01), radius
 
 
-def test_dark_ground_is_not_seen():
+def test_dark_terrain_is_not_seen():
     mapping = ProbabilityMap(GRID, MODEL)
     terrain = rocks_on_a_plane("hemisphere", count=1)
     state, camera, counts = picture(terrain, (0.0, 0.0, 60.0))

@@ -41,7 +41,7 @@ def viewing_angles(terrain, place):
         pytest.param((30.0, 24.0), (0.9, 0.5, -0.2), 4.0, 1, (26, 1, 1), id="ahead"),
     ],
 )
-def test_look_does_as_a_plain_loop(focal, way, height, cores, least):
+def test_observation_does_as_a_plain_loop(focal, way, height, cores, least):
     rng = np.random.default_rng(5)
     points = 3 if cores == 1 else 2 * cores
     coarse = rng.normal(0.0, 1.5, (5, 7, 5 + 2 * points))
@@ -122,7 +122,7 @@ def test_look_does_as_a_plain_loop(focal, way, height, cores, least):
 
 
 @pytest.mark.parametrize("towards", [(0.0, 0.0), (3.0, 0.0), (-3.0, 0.0), (0.0, 3.0), (0.0, -3.0)])
-def test_ground_whose_shadow_would_fall_within_the_picture_is_looked_at_to_its_edges(towards):
+def test_terrain_whose_shadow_would_fall_within_the_image_is_looked_at_to_its_edges(towards):
     """Of rocks of 0.5 m, seen from 10 m straight above; places are 1.8 pixels apart."""
     x, y = np.meshgrid(0.3 * np.arange(61) - 9.1, 0.3 * np.arange(61) - 8.9)
     core = np.broadcast_to(towards, (*x.shape, 2))
